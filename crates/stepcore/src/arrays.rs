@@ -1,0 +1,133 @@
+//! One world's arrays as the user holds them: `f64`, whatever the engine computes
+//! with. They are checked before anything moves, copied in, and copied out again.
+
+use crate::error::{Error, Result};
+use crate::model::Model;
+use crate::real::{Mask, Real};
+use crate::scene::JointType;
+use crate::state::{Inputs, State};
+
+/// State and inputs of one world, to be read.
+#[derive(Clone, Copy)]
+pub struct Given<'a> {
+    pub qpos: &'a [f64],
+    pub qvel: &'a [f64],
+    pub ctrl: &'a [f64],
+    pub qfrc_applied: &'a [f64],
+    /// Force, then moment, by body: 6 numbers each.
+    pub xfrc_applied: &'a [f64],
+}
+
+impl Given<'_> {
+    /// Refuses what is not finite in the engine's number, and quaternions of no length.
+    /// `world`: its index in a batch, for the error text.
+    pub fn check<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
+        let bad = |values: &[f64]| values.iter().position(|x| !R::of(*x).is_finite().all());
+        let of_joint = |dof: usize| joint_name(model, model.dofs[dof].joint);
+        if let Some(k) = bad(self.qpos) {
+            let joint = model.joints.iter().rposition(|joint| joint.qpos <= k).unwrap_or(0);
+            return Err(refuse::<R>(format!("qpos[{k}]"), self.qpos[k], &joint_name(model, joint), world));
+        }
+        if let Some(k) = bad(self.qvel) {
+            return Err(refuse::<R>(format!("qvel[{k}]"), self.qvel[k], &of_joint(k), world));
+        }
+        if let Some(k) = bad(self.ctrl) {
+            let actuator = named("actuator", &model.actuators[k].name, k);
+            return Err(refuse::<R>(format!("ctrl[{k}]"), self.ctrl[k], &actuator, world));
+        }
+        if let Some(k) = bad(self.qfrc_applied) {
+            return Err(refuse::<R>(format!("qfrc_applied[{k}]"), self.qfrc_applied[k], &of_joint(k), world));
+        }
+        if let Some(k) = bad(self.xfrc_applied) {
+            let (body, part) = (k / 6, k % 6);
+            let name = named("body", &model.bodies[body].name, body);
+            let field = format!("xfrc_applied[{body}, {part}]");
+            return Err(refuse::<R>(field, self.xfrc_applied[k], &name, world));
+        }
+        self.check_quaternions::<R>(model, world)
+    }
+
+    fn check_quaternions<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
+        for (index, joint) in model.joints.iter().enumerate() {
+            let first = match joint.kind {
+                JointType::Ball => joint.qpos,
+                JointType::Free => joint.qpos + 3,
+                JointType::Slide | JointType::Hinge => continue,
+            };
+            let quat = &self.qpos[first..first + 4];
+            let square = quat.iter().fold(R::zero(), |sum, x| sum + R::of(*x) * R::of(*x));
+            // Too short to be divided by, or so long that its square overflows.
+            if !(square.gt(R::of(1e-30)).all() && square.is_finite().all()) {
+                let place = place(&joint_name(model, index), world);
+                let field = format!("qpos[{first}:{}]", first + 4);
+                let limit = format!("a quaternion of a length that can be scaled to 1 ({place}); nothing was stepped");
+                return Err(Error::value(field, format!("{quat:?}"), limit));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn refuse<R: Real>(field: String, value: f64, element: &str, world: Option<usize>) -> Error {
+    let kind = if R::EPSILON > f64::EPSILON { "finite in single precision" } else { "finite" };
+    Error::value(field, value, format!("{kind} ({}); nothing was stepped", place(element, world)))
+}
+
+fn place(element: &str, world: Option<usize>) -> String {
+    match world {
+        Some(world) => format!("{element}, world {world}"),
+        None => element.into(),
+    }
+}
+
+fn joint_name(model: &Model, index: usize) -> String {
+    named("joint", &model.joints[index].name, index)
+}
+
+fn named(kind: &str, name: &str, index: usize) -> String {
+    if name.is_empty() {
+        format!("{kind} {index}")
+    } else {
+        format!("{kind} `{name}`")
+    }
+}
+
+fn put<R: Real>(to: &mut [R], lane: usize, from: &[f64]) {
+    for (to, from) in to.iter_mut().zip(from) {
+        to.set_lane(lane, *from);
+    }
+}
+
+impl<R: Real> State<R> {
+    /// Takes one world's positions and velocities; says whether any differed.
+    pub fn put(&mut self, lane: usize, given: &Given) -> bool {
+        let differs = |now: &[R], new: &[f64]| now.iter().zip(new).any(|(now, new)| now.lane(lane) != *new);
+        let changed = differs(&self.qpos, given.qpos) || differs(&self.qvel, given.qvel);
+        if changed {
+            put(&mut self.qpos, lane, given.qpos);
+            put(&mut self.qvel, lane, given.qvel);
+        }
+        changed
+    }
+
+    /// Gives one world's positions and velocities.
+    pub fn take(&self, lane: usize, qpos: &mut [f64], qvel: &mut [f64]) {
+        for (to, from) in qpos.iter_mut().zip(&self.qpos) {
+            *to = from.lane(lane);
+        }
+        for (to, from) in qvel.iter_mut().zip(&self.qvel) {
+            *to = from.lane(lane);
+        }
+    }
+}
+
+impl<R: Real> Inputs<R> {
+    /// Takes one world's controls and forces. Lane 0 comes first.
+    pub fn put(&mut self, lane: usize, given: &Given) {
+        put(&mut self.ctrl, lane, given.ctrl);
+        put(&mut self.qfrc_applied, lane, given.qfrc_applied);
+        put(&mut self.xfrc_applied, lane, given.xfrc_applied);
+        let applied = given.qfrc_applied.iter().chain(given.xfrc_applied).any(|x| *x != 0.0);
+        self.applied = applied || (lane > 0 && self.applied);
+    }
+}

@@ -1,0 +1,159 @@
+//! `euler` and `implicitfast`: forces first, solved in M; then damping implicitly,
+//! v⁺ = v + dt (M + dt·D)⁻¹ (f + Jᵀλ/dt). MuJoCo documentation, "Numerical integration".
+//!
+//! D is joint damping. `implicitfast` re-solves the 6×6 block of a free body on its
+//! own with the derivative B of its bias force: with body axes, R the rotation,
+//! m the mass, c the centre, I the inertia about the joint and w the angular velocity,
+//!
+//! ```text
+//! B[lin, ang] = −m R ([w×c]× + [w]×[c]×)      B[ang, ang] = [w]× I − [I w]×
+//! ```
+
+use crate::model::{Model, Tree};
+use crate::place::Metric;
+use crate::real::Real;
+use crate::scene::JointType;
+use crate::sim::Sim;
+use crate::spatial::{rotate, rotate_back, M3, V3};
+
+/// Factors of M + dt·D, and the impulse of the step.
+pub struct Damped<R: Real> {
+    pub(super) metric: Metric<R>,
+    pub(super) impulse: Vec<R>,
+    pub(super) change: Vec<R>,
+    /// Trees with a damped dof, and single free bodies whose bias has a derivative.
+    damped: Vec<usize>,
+    gyroscopic: Vec<usize>,
+}
+
+impl<R: Real> Damped<R> {
+    pub fn new(model: &Model) -> Self {
+        let has = |test: &dyn Fn(&Tree) -> bool| {
+            (0..model.trees.len()).filter(|t| test(&model.trees[*t])).collect::<Vec<_>>()
+        };
+        let damping = |tree: &Tree| {
+            model.features.damper && tree.dofs.of(&model.dofs).iter().any(|dof| dof.damping != 0.0)
+        };
+        Self {
+            metric: Metric::new(model),
+            impulse: vec![R::zero(); model.nv],
+            change: vec![R::zero(); model.nv],
+            damped: has(&damping),
+            gyroscopic: has(&|tree| gyroscopic(model, tree)),
+        }
+    }
+}
+
+/// One free joint, nothing jointed on it, and not a ball about its own centre.
+fn gyroscopic(model: &Model, tree: &Tree) -> bool {
+    let body = &model.bodies[tree.bodies.start];
+    let free = tree.dofs.len == 6 && body.joints.of(&model.joints)[0].kind == JointType::Free;
+    let i = &body.inertia;
+    let isotropic = i.m11 == i.m22 && i.m22 == i.m33 && i.m12 == 0.0 && i.m13 == 0.0 && i.m23 == 0.0;
+    free && !(tree.bodies.len == 1 && isotropic && body.ipos == V3::zeros())
+}
+
+impl<R: Real> Sim<R> {
+    /// Rewrites `next.qvel` with damping (and free-body gyroscopics) treated implicitly.
+    pub(super) fn damp(&mut self, fast: bool) {
+        let model = &*self.model;
+        let damped = &mut self.next.damped;
+        let gyroscopic = if fast { damped.gyroscopic.as_slice() } else { &[] };
+        if damped.damped.is_empty() && gyroscopic.is_empty() {
+            return;
+        }
+        let dt = R::of(self.settings.dt);
+        // The impulse M (v⁺ − v) = LᵀD (u⁺ − u).
+        for k in 0..model.nv {
+            damped.impulse[k] = (self.rows.u[k] - self.placed.u[k]) / self.placed.metric.inv_d[k];
+        }
+        self.placed.metric.lower(&mut damped.impulse);
+        damped.change.copy_from_slice(&damped.impulse);
+        for &tree in &damped.damped {
+            let tree = &model.trees[tree];
+            for k in tree.dofs.range() {
+                let row = model.dofs[k].row;
+                damped.metric.l[row.range()].copy_from_slice(&self.placed.mass[row.range()]);
+                damped.metric.l[row.start] += dt * R::of(model.dofs[k].damping);
+            }
+            damped.metric.factor(tree.dofs.range());
+            damped.metric.solve_dofs(tree.dofs.range(), &mut damped.change);
+            for k in tree.dofs.range() {
+                self.next.qvel[k] = self.state.qvel[k] + damped.change[k];
+            }
+        }
+        for &tree in gyroscopic {
+            let first = model.trees[tree].dofs.start;
+            let mut matrix = self.placed.free_body_matrix(model, tree, &self.state.qvel, dt);
+            let mut x = [R::zero(); 6];
+            x.copy_from_slice(&damped.impulse[first..first + 6]);
+            solve_six(&mut matrix, &mut x);
+            for k in 0..6 {
+                self.next.qvel[first + k] = self.state.qvel[first + k] + x[k];
+            }
+        }
+    }
+}
+
+impl<R: Real> crate::place::Placed<R> {
+    /// M + dt·(D + B) of a single free body.
+    fn free_body_matrix(&self, model: &Model, tree: usize, qvel: &[R], dt: R) -> [[R; 6]; 6] {
+        let (first, root) = (model.trees[tree].dofs.start, model.trees[tree].bodies.start);
+        let mut matrix = [[R::zero(); 6]; 6];
+        for i in 0..6 {
+            for (at, j) in model.dofs[first + i].row.range().zip((0..=i).rev()) {
+                matrix[i][j] = self.mass[at];
+                matrix[j][i] = self.mass[at];
+            }
+            let damping = if model.features.damper { model.dofs[first + i].damping } else { 0.0 };
+            matrix[i][i] += dt * R::of(damping);
+        }
+        let turn = &self.xmat[root];
+        let whole = &self.composite[root];
+        let w = V3::new(qvel[first + 3], qvel[first + 4], qvel[first + 5]);
+        // First and second moment of mass in body axes, about the joint.
+        let h = rotate_back(turn, &whole.h);
+        let [xx, yy, zz, xy, xz, yz] = whole.i;
+        let world = M3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+        let inertia = turn.transpose() * world * turn;
+        let linear = cross_matrix(&w.cross(&h)) + cross_matrix(&w) * cross_matrix(&h);
+        let linear = turn * linear;
+        let angular = cross_matrix(&w) * inertia - cross_matrix(&rotate(&inertia, &w));
+        for i in 0..3 {
+            for j in 0..3 {
+                matrix[i][3 + j] -= dt * linear[(i, j)];
+                matrix[3 + i][3 + j] += dt * angular[(i, j)];
+            }
+        }
+        matrix
+    }
+}
+
+/// The matrix of v × ·.
+fn cross_matrix<R: Real>(v: &V3<R>) -> M3<R> {
+    let zero = R::zero();
+    M3::new(zero, -v.z, v.y, v.z, zero, -v.x, -v.y, v.x, zero)
+}
+
+/// Gaussian elimination without pivoting: M dominates, dt·B is small beside it.
+fn solve_six<R: Real>(a: &mut [[R; 6]; 6], x: &mut [R; 6]) {
+    for k in 0..6 {
+        let inv = R::one() / a[k][k];
+        for i in k + 1..6 {
+            let factor = a[i][k] * inv;
+            for j in k..6 {
+                let part = factor * a[k][j];
+                a[i][j] -= part;
+            }
+            let part = factor * x[k];
+            x[i] -= part;
+        }
+    }
+    for k in (0..6).rev() {
+        for j in k + 1..6 {
+            let part = a[k][j] * x[j];
+            x[k] -= part;
+        }
+        x[k] /= a[k][k];
+    }
+}

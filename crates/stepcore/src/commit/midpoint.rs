@@ -1,0 +1,96 @@
+//! Implicit midpoint: v⁺ = v + dt·a(q_m, v_m), q⁺ = q ⊕ dt·v_m with v_m = (v + v⁺)/2
+//! and q_m = q ⊕ (dt/2)·v_m. Solved to rounding by a Newton-like iteration whose
+//! matrix M + dt/2·D + dt²/4·K holds the joint springs and dampers, so that a
+//! linear spring converges at once however stiff it is.
+
+use super::advance;
+use crate::error::{Error, Result};
+use crate::model::Model;
+use crate::real::{Mask, Real};
+use crate::sim::Sim;
+
+const MOST_ITERATIONS: usize = 200;
+
+impl<R: Real> Sim<R> {
+    /// One step into `next`; `rows`: with the rows as forces, else the smooth motion alone.
+    pub(super) fn midpoint(&mut self, rows: bool) -> Result<()> {
+        let s = &mut self.next.stages;
+        s.qpos.copy_from_slice(&self.state.qpos);
+        s.qvel.copy_from_slice(&self.state.qvel);
+        let outcome = self.iterate_midpoint(rows);
+        self.state.qpos.copy_from_slice(&self.next.stages.qpos);
+        self.state.qvel.copy_from_slice(&self.next.stages.qvel);
+        outcome
+    }
+
+    fn iterate_midpoint(&mut self, rows: bool) -> Result<()> {
+        let model = self.model.clone();
+        let (dt, half) = (R::of(self.settings.dt), R::of(0.5));
+        self.next.qvel.copy_from_slice(&self.next.stages.qvel);
+        let mut open = R::Mask::of(true);
+        let mut last = R::of(f64::INFINITY);
+        for _ in 0..MOST_ITERATIONS {
+            let s = &self.next.stages;
+            for k in 0..model.nv {
+                self.state.qvel[k] = half * (s.qvel[k] + self.next.qvel[k]);
+            }
+            advance(&model, &s.qpos, &self.state.qvel, half * dt, &mut self.state.qpos);
+            if rows {
+                self.forward()?;
+            } else {
+                self.smooth();
+            }
+            let miss = self.correct_midpoint(&model, dt, open);
+            // Rounding: the correction is below it, or has stopped to shrink.
+            let small = miss.le(R::of(4.0 * R::EPSILON));
+            let stalled = miss.le(R::of(1e4 * R::EPSILON)).and(last.le(miss));
+            let unmeasured = miss.is_finite().not();
+            last = R::select(open, miss, last);
+            open = open.and(small.or(stalled).or(unmeasured).not());
+            if open.none() {
+                break;
+            }
+        }
+        if open.any() {
+            let limit = "a step at which the midpoint iteration converges: take a smaller dt or another integrator";
+            return Err(Error::value("dt", self.settings.dt, limit));
+        }
+        let s = &self.next.stages;
+        for k in 0..model.nv {
+            self.velocity[k] = half * (s.qvel[k] + self.next.qvel[k]);
+        }
+        advance(&model, &s.qpos, &self.velocity, dt, &mut self.next.qpos);
+        self.velocity.copy_from_slice(&self.next.qvel);
+        Ok(())
+    }
+
+    /// v⁺ += (M + dt/2·D + dt²/4·K)⁻¹ M (v + dt·a − v⁺); returns the correction's
+    /// size beside the velocities of the step.
+    fn correct_midpoint(&mut self, model: &Model, dt: R, open: R::Mask) -> R {
+        let damped = &mut self.next.damped;
+        let mut scale = R::zero();
+        for k in 0..model.nv {
+            let gained = dt * self.qacc[k];
+            damped.change[k] = self.next.stages.qvel[k] + gained - self.next.qvel[k];
+            scale = scale.max(self.next.qvel[k].abs()).max(self.next.stages.qvel[k].abs()).max(gained.abs());
+        }
+        self.placed.mul_mass(model, &damped.change, &mut damped.impulse);
+        damped.metric.l.copy_from_slice(&self.placed.mass);
+        for dof in &model.dofs {
+            let damping = if model.features.damper { dof.damping } else { 0.0 };
+            let stiffness = if model.features.spring { model.joints[dof.joint].stiffness } else { 0.0 };
+            let extra = R::of(0.5 * damping) * dt + R::of(0.25 * stiffness) * dt * dt;
+            damped.metric.l[dof.row.start] += extra;
+        }
+        damped.metric.factor(0..model.nv);
+        damped.metric.solve(&mut damped.impulse);
+        let mut miss = R::zero();
+        for k in 0..model.nv {
+            let change = damped.impulse[k];
+            let new = self.next.qvel[k] + change;
+            self.next.qvel[k] = R::select(open, new, self.next.qvel[k]);
+            miss = R::select(change.is_finite(), miss.max(change.abs()), change);
+        }
+        R::select(scale.gt(R::zero()), miss / scale, miss)
+    }
+}

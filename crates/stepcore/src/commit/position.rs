@@ -1,0 +1,28 @@
+//! q ⊕ dt·v: positions advance by a velocity; quaternions by the exponential map.
+
+use crate::model::Model;
+use crate::real::Real;
+use crate::scene::JointType;
+use crate::spatial::{Quat, V3};
+
+/// out ← qpos ⊕ dt·qvel. A free joint moves in world axes and turns in body axes.
+pub fn advance<R: Real>(model: &Model, qpos: &[R], qvel: &[R], dt: R, out: &mut [R]) {
+    for joint in &model.joints {
+        let (q, v) = (joint.qpos, joint.dof);
+        match joint.kind {
+            JointType::Slide | JointType::Hinge => out[q] = qpos[q] + dt * qvel[v],
+            JointType::Ball => turn(&qpos[q..q + 4], &qvel[v..v + 3], dt, &mut out[q..q + 4]),
+            JointType::Free => {
+                for k in 0..3 {
+                    out[q + k] = qpos[q + k] + dt * qvel[v + k];
+                }
+                turn(&qpos[q + 3..q + 7], &qvel[v + 3..v + 6], dt, &mut out[q + 3..q + 7]);
+            }
+        }
+    }
+}
+
+fn turn<R: Real>(quat: &[R], rate: &[R], dt: R, out: &mut [R]) {
+    let vector = V3::new(rate[0] * dt, rate[1] * dt, rate[2] * dt);
+    Quat::of(quat).mul(&Quat::exp(&vector)).normalized().store(out);
+}

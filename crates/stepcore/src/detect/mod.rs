@@ -1,0 +1,131 @@
+//! Stage 2, detect: every place where shapes touch or are about to.
+//!
+//! Candidate pairs were chosen when the model was compiled; here each is tested
+//! by its bounding spheres and then exactly. Contacts come out in pair order,
+//! whatever the lanes hold, so that row order never depends on anything else.
+
+mod capsule;
+mod plane;
+#[cfg(test)]
+mod shape_tests;
+mod sphere;
+mod touch;
+
+pub use touch::{tangents, Pose, Touch, Touches};
+
+use crate::model::{Model, Pair};
+use crate::place::Placed;
+use crate::real::{Mask, Real};
+use crate::scene::GeomType;
+use crate::settings::{Law, Settings};
+use crate::spatial::V3;
+
+/// One contact between the two geoms of a pair.
+#[derive(Clone, Debug)]
+pub struct Contact<R: Real> {
+    pub pair: usize,
+    /// Which of the pair's contacts; keeps its meaning from step to step.
+    pub part: usize,
+    /// Lanes in which the contact is listed.
+    pub mask: R::Mask,
+    /// Signed distance [m], negative = overlap.
+    pub dist: R,
+    /// Halfway between the surfaces.
+    pub pos: V3<R>,
+    /// Unit, from geom 1 to geom 2.
+    pub normal: V3<R>,
+    pub tangents: [V3<R>; 2],
+}
+
+/// What this stage writes.
+pub struct Detected<R: Real> {
+    pub contacts: Vec<Contact<R>>,
+    /// How often the list had to grow: 0 in a run with enough `max_contacts`.
+    pub grown: u64,
+}
+
+impl<R: Real> Detected<R> {
+    pub fn new(max_contacts: usize) -> Self {
+        Self { contacts: Vec::with_capacity(max_contacts), grown: 0 }
+    }
+
+    /// Lists the contacts of the present positions.
+    pub fn detect(&mut self, model: &Model, placed: &Placed<R>, settings: &Settings) {
+        self.contacts.clear();
+        if !(model.features.contact && model.features.constraint) {
+            return;
+        }
+        // Laws that look at the guess need every distance; the row maker drops what stays apart.
+        let on_guess = !matches!(settings.law, Law::SolRef | Law::Penalty);
+        for (index, pair) in model.pairs.iter().enumerate() {
+            if !on_guess && far(model, placed, pair) {
+                continue;
+            }
+            let touches = touch(model, placed, pair);
+            let listed = R::of(if on_guess { f64::INFINITY } else { pair.margin + pair.gap });
+            for (part, touch) in touches.list[..touches.count].iter().enumerate() {
+                let mask = touch.exists.and(touch.dist.lt(listed));
+                if mask.any() {
+                    self.push(model, placed, pair, index, part, touch, mask);
+                }
+            }
+        }
+    }
+
+    #[allow(clippy::too_many_arguments)]
+    fn push(&mut self, model: &Model, placed: &Placed<R>, pair: &Pair, index: usize, part: usize, touch: &Touch<R>, mask: R::Mask) {
+        if self.contacts.len() == self.contacts.capacity() {
+            self.grown += 1;
+        }
+        let capsule = (model.geoms[pair.geom1].kind == GeomType::Plane
+            && model.geoms[pair.geom2].kind == GeomType::Capsule)
+            .then(|| axis(placed, pair.geom2));
+        let (y, z) = tangents(&touch.normal, capsule.as_ref());
+        self.contacts.push(Contact {
+            pair: index,
+            part,
+            mask,
+            dist: touch.dist,
+            pos: touch.pos,
+            normal: touch.normal,
+            tangents: [y, z],
+        });
+    }
+}
+
+/// A capsule's axis in the world.
+fn axis<R: Real>(placed: &Placed<R>, geom: usize) -> V3<R> {
+    let m = &placed.geom[geom].rot;
+    V3::new(m.m13, m.m23, m.m33)
+}
+
+/// No lane can have a contact: the bounding spheres are apart.
+fn far<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> bool {
+    let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
+    let (p1, p2) = (&placed.geom[pair.geom1], &placed.geom[pair.geom2]);
+    let between = p2.pos - p1.pos;
+    if g1.kind == GeomType::Plane {
+        let height = between.x * p1.rot.m13 + between.y * p1.rot.m23 + between.z * p1.rot.m33;
+        return height.gt(R::of(g2.reach + pair.margin + pair.gap)).all();
+    }
+    let reach = g1.reach + g2.reach + pair.margin + pair.gap;
+    between.dot(&between).gt(R::of(reach * reach)).all()
+}
+
+/// The exact test of one pair. The builder lets no other pair of shapes through.
+fn touch<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> Touches<R> {
+    let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
+    let (p1, p2) = (&placed.geom[pair.geom1], &placed.geom[pair.geom2]);
+    let (r1, h1) = (R::of(g1.size[0]), R::of(g1.size[1]));
+    let (r2, h2) = (R::of(g2.size[0]), R::of(g2.size[1]));
+    use GeomType::{Box, Capsule, Plane, Sphere};
+    match (g1.kind, g2.kind) {
+        (Plane, Sphere) => plane::plane_sphere(p1, p2, r2),
+        (Plane, Capsule) => plane::plane_capsule(p1, p2, r2, h2),
+        (Sphere, Sphere) => sphere::sphere_sphere(p1, r1, p2, r2),
+        (Sphere, Capsule) => sphere::sphere_capsule(p1, r1, p2, r2, h2),
+        (Sphere, Box) => sphere::sphere_box(p1, r1, p2, V3::new(r2, h2, R::of(g2.size[2]))),
+        (Capsule, Capsule) => capsule::capsule_capsule(p1, r1, h1, p2, r2, h2),
+        _ => Touches::one(sphere::sphere_sphere(p1, r1, p2, r2).list[0].absent()),
+    }
+}

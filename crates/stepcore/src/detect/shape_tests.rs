@@ -1,0 +1,263 @@
+//! Tests of the shape pairs: closed forms, laws that hold for every pair, and
+//! numbers of MuJoCo 4.0.0 where its choice is one of several.
+
+use super::capsule::capsule_capsule;
+use super::plane::{plane_capsule, plane_sphere};
+use super::sphere::{sphere_box, sphere_capsule, sphere_sphere};
+use super::touch::{tangents, Pose, Touches};
+use crate::real::{Lanes, Mask, Real, WIDTH};
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+type Size = [f64; 3];
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Pair {
+    PlaneSphere,
+    PlaneCapsule,
+    SphereSphere,
+    SphereCapsule,
+    SphereBox,
+    CapsuleCapsule,
+}
+use Pair::*;
+const PAIRS: [Pair; 6] =
+    [PlaneSphere, PlaneCapsule, SphereSphere, SphereCapsule, SphereBox, CapsuleCapsule];
+
+fn touch<R: Real>(pair: Pair, a: &Pose<R>, sa: [R; 3], b: &Pose<R>, sb: [R; 3]) -> Touches<R> {
+    match pair {
+        PlaneSphere => plane_sphere(a, b, sb[0]),
+        PlaneCapsule => plane_capsule(a, b, sb[0], sb[1]),
+        SphereSphere => sphere_sphere(a, sa[0], b, sb[0]),
+        SphereCapsule => sphere_capsule(a, sa[0], b, sb[0], sb[1]),
+        SphereBox => sphere_box(a, sa[0], b, sb.into()),
+        CapsuleCapsule => capsule_capsule(a, sa[0], sa[1], b, sb[0], sb[1]),
+    }
+}
+
+/// Every number of a contact and its frame, in one lane.
+fn numbers<R: Real>(pair: Pair, b: &Pose<R>, touches: &Touches<R>, lane: usize) -> Vec<f64> {
+    let axis = b.axis(2);
+    let mut out = Vec::new();
+    for touch in &touches.list[..touches.count] {
+        let (y, z) = tangents(&touch.normal, (pair == PlaneCapsule).then_some(&axis));
+        out.push(f64::from(touch.exists.lane(lane)));
+        out.push(touch.dist.lane(lane));
+        for v in [touch.pos, touch.normal, y, z] {
+            out.extend(v.iter().map(|x| x.lane(lane)));
+        }
+    }
+    out
+}
+
+struct Random(u64);
+
+impl Random {
+    /// Uniform in [-1, 1).
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+    fn vector(&mut self) -> Vector3<f64> {
+        Vector3::new(self.next(), self.next(), self.next())
+    }
+    fn size(&mut self) -> Size {
+        self.vector().map(|x| 0.3 + 0.25 * x).into()
+    }
+    /// Two poses: any, nearly parallel, parallel, in one place, or with a zero length.
+    fn scene(&mut self, case: usize) -> (Pose<f64>, Size, Pose<f64>, Size) {
+        let turn = Rotation3::new(self.vector() * 3.0);
+        let a = Pose { pos: self.vector(), rot: turn.into_inner() };
+        let mut b = Pose { pos: self.vector(), rot: Rotation3::new(self.vector() * 3.0).into() };
+        let (sa, mut sb) = (self.size(), self.size());
+        match case % 6 {
+            1 => b.rot = (Rotation3::new(self.vector() * 1e-4) * turn).into(),
+            2 => b.rot = a.rot,
+            3 => b = a,
+            4 => sb[1] = 0.0,
+            5 => b.pos = a.pos + self.vector() * 0.1,
+            _ => {}
+        }
+        (a, sa, b, sb)
+    }
+}
+
+#[test]
+fn lanes_are_scalars_bit_for_bit() {
+    let mut random = Random(1);
+    for pair in PAIRS {
+        for round in 0..200 {
+            let scenes: Vec<_> = (0..WIDTH).map(|i| random.scene(i * (round % 3))).collect();
+            let gather = |f: &dyn Fn(usize) -> f64| Lanes(core::array::from_fn(f));
+            let pose = |of: &dyn Fn(usize) -> Pose<f64>| Pose {
+                pos: Vector3::from_fn(|r, _| gather(&|i| of(i).pos[r])),
+                rot: Matrix3::from_fn(|r, c| gather(&|i| of(i).rot[(r, c)])),
+            };
+            let sa = core::array::from_fn(|k| gather(&|i| scenes[i].1[k]));
+            let sb = core::array::from_fn(|k| gather(&|i| scenes[i].3[k]));
+            let (a, b) = (pose(&|i| scenes[i].0), pose(&|i| scenes[i].2));
+            let wide = touch(pair, &a, sa, &b, sb);
+            for (i, (a, sa, b, sb)) in scenes.iter().enumerate() {
+                let bits = |v: Vec<f64>| v.into_iter().map(f64::to_bits).collect::<Vec<_>>();
+                let alone = numbers(pair, b, &touch(pair, a, *sa, b, *sb), 0);
+                let lane = numbers(pair, &pose(&|i| scenes[i].2), &wide, i);
+                assert_eq!(bits(alone), bits(lane), "{pair:?}, lane {i}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_case_is_finite_and_framed() {
+    let mut random = Random(2);
+    for pair in PAIRS {
+        for case in 0..1200 {
+            let (a, sa, b, sb) = random.scene(case);
+            let touches = touch(pair, &a, sa, &b, sb);
+            assert!(touches.list[0].exists);
+            assert!(numbers(pair, &b, &touches, 0).iter().all(|x| x.is_finite()));
+            let axis = b.axis(2);
+            for touch in &touches.list[..touches.count] {
+                let hint = (pair == PlaneCapsule).then_some(&axis);
+                let (y, z) = tangents(&touch.normal, hint);
+                let frame = Matrix3::from_columns(&[touch.normal, y, z]);
+                let off = frame.transpose() * frame - Matrix3::identity();
+                assert!(off.amax() < 1e-12, "{pair:?}, case {case}: {frame}");
+                assert!(frame.determinant() > 0.0);
+            }
+        }
+    }
+}
+
+#[test]
+fn lengths_scale_by_powers_of_two_bit_for_bit() {
+    let mut random = Random(3);
+    for pair in PAIRS {
+        for case in 0..600 {
+            let (a, sa, b, sb) = random.scene(case);
+            let one = touch(pair, &a, sa, &b, sb);
+            for power in [-40, -3, 5, 40] {
+                let k = 2f64.powi(power);
+                let far = |p: &Pose<f64>| Pose { pos: p.pos * k, rot: p.rot };
+                let more = touch(pair, &far(&a), sa.map(|x| x * k), &far(&b), sb.map(|x| x * k));
+                for (x, y) in one.list.iter().zip(&more.list) {
+                    assert_eq!((x.dist * k, x.pos * k), (y.dist, y.pos), "{pair:?}, {case}");
+                    assert_eq!((x.normal, x.exists), (y.normal, y.exists), "{pair:?}, {case}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn exchanging_like_shapes_turns_the_normal_round() {
+    let mut random = Random(4);
+    for pair in [SphereSphere, CapsuleCapsule] {
+        for case in [0, 2, 4, 5].repeat(100) {
+            let (a, sa, b, sb) = random.scene(case);
+            let (there, back) = (touch(pair, &a, sa, &b, sb), touch(pair, &b, sb, &a, sa));
+            assert_eq!(there.list[1].exists, back.list[1].exists);
+            for x in there.list.iter().filter(|x| x.exists) {
+                let found = back.list.iter().filter(|y| y.exists).any(|y| {
+                    let same = (x.dist - y.dist).abs() + (x.pos - y.pos).amax();
+                    same + (x.normal + y.normal).amax() < 1e-9
+                });
+                assert!(found, "{pair:?}, case {case}");
+            }
+        }
+    }
+}
+
+#[test]
+fn single_precision_agrees() {
+    let mut random = Random(5);
+    for pair in PAIRS {
+        for _ in 0..200 {
+            let (a, sa, b, sb) = random.scene(0);
+            let low =
+                |p: &Pose<f64>| Pose { pos: p.pos.map(|x| x as f32), rot: p.rot.map(|x| x as f32) };
+            let small = |s: Size| s.map(|x| x as f32);
+            let f32s = touch(pair, &low(&a), small(sa), &low(&b), small(sb));
+            let f64s = touch(pair, &a, sa, &b, sb);
+            assert!((f64::from(f32s.list[0].dist) - f64s.list[0].dist).abs() < 2e-6);
+        }
+    }
+}
+
+/// At a place, unturned.
+fn at(x: f64, y: f64, z: f64) -> Pose<f64> {
+    Pose { pos: Vector3::new(x, y, z), rot: Matrix3::identity() }
+}
+
+fn close(touches: &Touches<f64>, slot: usize, dist: f64, pos: [f64; 3], normal: [f64; 3]) {
+    let touch = &touches.list[slot];
+    let off =
+        (touch.pos - Vector3::from(pos)).amax() + (touch.normal - Vector3::from(normal)).amax();
+    assert!(touch.exists && (touch.dist - dist).abs() + off < 1e-15, "{touch:?}");
+}
+
+#[test]
+fn closed_forms() {
+    let z = [0.0, 0.0, 1.0];
+    let ground = at(0.0, 0.0, 0.0);
+    close(&plane_sphere(&ground, &at(1.0, 2.0, 0.5), 1.0), 0, -0.5, [1.0, 2.0, -0.25], z);
+    let upright = plane_capsule(&ground, &at(0.0, 0.0, 1.0), 0.5, 0.75);
+    close(&upright, 0, 1.25, [0.0, 0.0, 0.625], z);
+    close(&upright, 1, -0.25, [0.0, 0.0, -0.125], z);
+    close(&sphere_sphere(&ground, 1.0, &at(0.0, 0.0, 2.5), 1.0), 0, 0.5, [0.0, 0.0, 1.25], z);
+    let beside = sphere_capsule(&at(-1.0, 0.0, 0.5), 0.25, &ground, 0.25, 1.0);
+    close(&beside, 0, 0.5, [-0.5, 0.0, 0.5], [1.0, 0.0, 0.0]);
+    let above = sphere_capsule(&at(0.0, 0.0, 2.0), 0.25, &ground, 0.25, 1.0);
+    close(&above, 0, 0.5, [0.0, 0.0, 1.5], [0.0, 0.0, -1.0]);
+    let half = Vector3::new(1.0, 1.0, 0.5);
+    let over = sphere_box(&at(0.0, 0.0, 1.0), 0.25, &ground, half);
+    close(&over, 0, 0.25, [0.0, 0.0, 0.625], [0.0, 0.0, -1.0]);
+    let corner = sphere_box(&at(4.0, 5.0, 0.5), 1.0, &ground, half);
+    close(&corner, 0, 4.0, [2.2, 2.6, 0.5], [-0.6, -0.8, 0.0]);
+    // Centre inside: out through the nearest face; of equal ones −x comes first.
+    let inside = sphere_box(&at(0.0, 0.0, 0.25), 0.25, &ground, half);
+    close(&inside, 0, -0.5, [0.0, 0.0, 0.25], [0.0, 0.0, -1.0]);
+    let middle = sphere_box(&ground, 0.5, &ground, Vector3::new(1.0, 1.0, 1.0));
+    close(&middle, 0, -1.5, [-0.25, 0.0, 0.0], [1.0, 0.0, 0.0]);
+}
+
+#[test]
+fn capsules_side_by_side_touch_twice() {
+    let x = [1.0, 0.0, 0.0];
+    let a = at(0.0, 0.0, 0.0);
+    let shifted = capsule_capsule(&a, 0.25, 1.0, &at(1.0, 0.0, 0.5), 0.25, 1.0);
+    close(&shifted, 0, 0.5, [0.5, 0.0, -0.5], x);
+    close(&shifted, 1, 0.5, [0.5, 0.0, 1.0], x);
+    // One behind the other: twice the same place.
+    let behind = capsule_capsule(&a, 0.5, 1.0, &at(3.0, 0.0, 6.0), 0.5, 1.0);
+    for slot in 0..2 {
+        close(&behind, slot, 4.0, [1.5, 0.0, 3.0], [0.6, 0.0, 0.8]);
+    }
+    // The angle alone decides: 1e-4 rad, whatever the lengths.
+    for (angle, second) in [(0.9999e-4, true), (1.0001e-4, false)] {
+        for half in [1e-3, 1.0, 1e3] {
+            let mut b = at(1.0, 0.0, 0.0);
+            b.rot = Rotation3::new(Vector3::x() * angle).into();
+            assert_eq!(capsule_capsule(&a, 0.1, half, &b, 0.1, 1.0).list[1].exists, second);
+        }
+    }
+}
+
+#[test]
+fn normals_of_coincident_centres_are_across_the_axes() {
+    let (a, mut b) = (at(0.0, 0.0, 0.0), at(0.0, 0.0, 0.0));
+    close(&sphere_sphere(&a, 0.5, &b, 0.5), 0, -1.0, [0.0; 3], [1.0, 0.0, 0.0]);
+    b.rot = Rotation3::new(Vector3::new(0.0, 0.25, 0.0)).into();
+    close(&sphere_sphere(&a, 0.5, &b, 0.5), 0, -1.0, [0.0; 3], [0.0, 1.0, 0.0]);
+    close(&sphere_capsule(&b, 0.5, &a, 0.5, 1.0), 0, -1.0, [0.0; 3], [0.0, -1.0, 0.0]);
+    close(&capsule_capsule(&a, 0.5, 0.0, &b, 0.5, 0.0), 0, -1.0, [0.0; 3], [0.0, 1.0, 0.0]);
+}
+
+#[test]
+fn an_upright_capsule_has_tangents_too() {
+    let z = Vector3::z();
+    assert_eq!(tangents(&z, Some(&z)), (Vector3::x(), Vector3::y()));
+    let x = Vector3::x();
+    assert_eq!(tangents(&x, Some(&x)), (Vector3::y(), z));
+    assert_eq!(tangents::<f64>(&z, None), (Vector3::y(), -x));
+    assert_eq!(tangents::<f64>(&Vector3::y(), None), (z, x));
+}

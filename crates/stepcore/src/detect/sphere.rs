@@ -1,0 +1,77 @@
+//! A sphere against a sphere, a capsule or a box.
+//!
+//! The other shape's point nearest to the sphere's centre gives the contact. Inside
+//! a box that point is the centre itself; there the nearest face is the way out,
+//! and of equally near faces the first in the order −x, +x, −y, +y, −z, +z.
+
+use super::touch::{balls, select3, Ball, Pose, Touch, Touches};
+use crate::real::{Mask, Real};
+use nalgebra::Vector3;
+
+/// A centre no farther than this fraction of the sizes from a box is in it.
+const IN_BOX: f64 = 1e-15;
+
+pub fn sphere_sphere<R: Real>(a: &Pose<R>, ra: R, b: &Pose<R>, rb: R) -> Touches<R> {
+    Touches::one(balls(&ball(a, ra), &ball(b, rb)))
+}
+
+/// `hc` is half the length of the capsule's axis.
+pub fn sphere_capsule<R: Real>(s: &Pose<R>, rs: R, c: &Pose<R>, rc: R, hc: R) -> Touches<R> {
+    let axis = c.axis(2);
+    let along = axis.dot(&(s.pos - c.pos)).clamp(-hc, hc);
+    let nearest = Ball { centre: c.pos + axis * along, radius: rc, axis };
+    Touches::one(balls(&ball(s, rs), &nearest))
+}
+
+#[inline(always)]
+fn ball<R: Real>(pose: &Pose<R>, radius: R) -> Ball<R> {
+    Ball { centre: pose.pos, radius, axis: pose.axis(2) }
+}
+
+/// `half` holds the box's half lengths.
+pub fn sphere_box<R: Real>(s: &Pose<R>, r: R, b: &Pose<R>, half: Vector3<R>) -> Touches<R> {
+    let centre = b.to_local(&(s.pos - b.pos));
+    let nearest = Vector3::new(
+        centre.x.clamp(-half.x, half.x),
+        centre.y.clamp(-half.y, half.y),
+        centre.z.clamp(-half.z, half.z),
+    );
+    let apart = nearest - centre;
+    let length = apart.dot(&apart).sqrt();
+    let inside = length.le(R::of(IN_BOX) * (r + half.x + half.y + half.z));
+
+    let mut normal = apart * (R::one() / length);
+    let mut dist = length - r;
+    let mut pos = (nearest + centre + normal * r) * R::of(0.5);
+    if inside.any() {
+        let (depth, outward) = nearest_face(&centre, &half);
+        let middle = centre + outward * (R::of(0.5) * (depth - r));
+        normal = select3(inside, &-outward, &normal);
+        dist = R::select(inside, -depth - r, dist);
+        pos = select3(inside, &middle, &pos);
+    }
+    Touches::one(Touch {
+        dist,
+        pos: b.pos + b.to_world(&pos),
+        normal: b.to_world(&normal),
+        exists: R::Mask::of(true),
+    })
+}
+
+/// Depth below the nearest face of a point in the box, and that face's outward normal.
+#[inline(always)]
+fn nearest_face<R: Real>(point: &Vector3<R>, half: &Vector3<R>) -> (R, Vector3<R>) {
+    let mut depth = point.x + half.x;
+    let mut outward = -Vector3::x();
+    for i in 0..3 {
+        for sign in [-R::one(), R::one()] {
+            let here = (half[i] - sign * point[i]).abs();
+            let nearer = here.lt(depth);
+            let mut way = Vector3::zeros();
+            way[i] = sign;
+            depth = R::select(nearer, here, depth);
+            outward = select3(nearer, &way, &outward);
+        }
+    }
+    (depth, outward)
+}

@@ -1,0 +1,170 @@
+//! What a pair of shapes reports when they are near: poses in, contacts out.
+//!
+//! A contact is a signed distance, the point halfway between the surfaces and a
+//! unit normal from geom 1 to geom 2; `tangents` completes its frame. Distances
+//! are always reported: the caller compares them with margin and gap.
+
+use crate::real::{Mask, Real};
+use nalgebra::{Matrix3, Vector3};
+
+/// Where a shape is: its centre and its axes (columns of `rot`), in the world.
+#[derive(Clone, Copy, Debug)]
+pub struct Pose<R: Real> {
+    pub pos: Vector3<R>,
+    pub rot: Matrix3<R>,
+}
+
+impl<R: Real> Pose<R> {
+    /// One of the shape's own axes, in the world.
+    #[inline(always)]
+    pub fn axis(&self, i: usize) -> Vector3<R> {
+        Vector3::new(self.rot[(0, i)], self.rot[(1, i)], self.rot[(2, i)])
+    }
+
+    /// A world vector along the shape's own axes.
+    #[inline(always)]
+    pub fn to_local(&self, v: &Vector3<R>) -> Vector3<R> {
+        Vector3::new(self.axis(0).dot(v), self.axis(1).dot(v), self.axis(2).dot(v))
+    }
+
+    /// The inverse of `to_local`.
+    #[inline(always)]
+    pub fn to_world(&self, v: &Vector3<R>) -> Vector3<R> {
+        self.axis(0) * v.x + self.axis(1) * v.y + self.axis(2) * v.z
+    }
+}
+
+/// One contact.
+#[derive(Clone, Copy, Debug)]
+pub struct Touch<R: Real> {
+    /// Signed distance of the surfaces: negative = overlap.
+    pub dist: R,
+    /// Halfway between the surfaces.
+    pub pos: Vector3<R>,
+    /// Unit length, from geom 1 to geom 2.
+    pub normal: Vector3<R>,
+    /// The lanes that have this contact at all, whatever its distance.
+    pub exists: R::Mask,
+}
+
+/// Up to two contacts of a pair. A slot keeps its meaning from step to step, so
+/// that its impulse can start the next solve.
+#[derive(Clone, Copy, Debug)]
+pub struct Touches<R: Real> {
+    pub list: [Touch<R>; 2],
+    /// Slots that any lane can fill: fixed by the shapes, not by their poses.
+    pub count: usize,
+}
+
+impl<R: Real> Touches<R> {
+    /// The contact of a pair that never has a second one.
+    #[inline(always)]
+    pub fn one(touch: Touch<R>) -> Self {
+        Self { list: [touch, touch.absent()], count: 1 }
+    }
+
+    #[inline(always)]
+    pub fn two(first: Touch<R>, second: Touch<R>) -> Self {
+        Self { list: [first, second], count: 2 }
+    }
+}
+
+impl<R: Real> Touch<R> {
+    /// The same numbers, in no lane a contact.
+    #[inline(always)]
+    pub fn absent(self) -> Self {
+        Self { exists: R::Mask::of(false), ..self }
+    }
+}
+
+/// `yes` where the mask holds, `no` elsewhere.
+#[inline(always)]
+pub fn select3<R: Real>(mask: R::Mask, yes: &Vector3<R>, no: &Vector3<R>) -> Vector3<R> {
+    Vector3::new(
+        R::select(mask, yes.x, no.x),
+        R::select(mask, yes.y, no.y),
+        R::select(mask, yes.z, no.z),
+    )
+}
+
+/// Below this fraction of the radii two centres count as one.
+const SAME_POINT: f64 = 1e-14;
+/// Sine of an angle that is only rounding.
+const NO_ANGLE: f64 = 1e-15;
+
+/// A ball somewhere on a shape; `axis` is the shape's z, a spare direction.
+#[derive(Clone, Copy, Debug)]
+pub struct Ball<R: Real> {
+    pub centre: Vector3<R>,
+    pub radius: R,
+    pub axis: Vector3<R>,
+}
+
+/// Two balls: every round pair ends here once its nearest points are known. With
+/// both centres in one place the normal is across both axes or, the axes being
+/// parallel, the world's x: MuJoCo's choice.
+#[inline(always)]
+pub fn balls<R: Real>(a: &Ball<R>, b: &Ball<R>) -> Touch<R> {
+    let apart = b.centre - a.centre;
+    let length = apart.dot(&apart).sqrt();
+    let dist = length - a.radius - b.radius;
+    let mut normal = apart * (R::one() / length);
+    let same = length.le(R::of(SAME_POINT) * (a.radius + b.radius));
+    if same.any() {
+        let cross = a.axis.cross(&b.axis);
+        let parallel = cross.dot(&cross).lt(R::of(NO_ANGLE * NO_ANGLE));
+        let spare = select3(parallel, &Vector3::x(), &unit(&cross));
+        normal = select3(same, &spare, &normal);
+    }
+    let pos = a.centre + normal * (a.radius + R::of(0.5) * dist);
+    Touch { dist, pos, normal, exists: R::Mask::of(true) }
+}
+
+/// The contact frame's second and third axis; the normal is its first.
+///
+/// The second axis is the hint (plane-capsule: the capsule's axis) or else the
+/// world's y, or z where the normal is within 60° of ±y, made perpendicular to
+/// the normal. A hint along the normal gives no direction: the world's x takes
+/// its place (y where the normal is within 60° of ±x).
+#[inline(always)]
+pub fn tangents<R: Real>(
+    normal: &Vector3<R>,
+    hint: Option<&Vector3<R>>,
+) -> (Vector3<R>, Vector3<R>) {
+    let half = R::of(0.5);
+    let first = match hint {
+        None => {
+            let steep = normal.y.abs().lt(half);
+            unit(&across(normal, &select3(steep, &Vector3::y(), &Vector3::z())))
+        }
+        Some(axis) => {
+            let raw = across(normal, axis);
+            // Nearly along the normal, what is left of the hint is rounding and may
+            // itself lean along the normal: measure it, then project once more.
+            let once = unit(&raw);
+            let twice = across(normal, &once);
+            let tiny = R::of(f64::max(NO_ANGLE, 4.0 * R::EPSILON));
+            let clear = raw.dot(&raw).ge(tiny * tiny).and(twice.dot(&twice).ge(half));
+            let guess = unit(&twice);
+            if clear.all() {
+                guess
+            } else {
+                let flat = normal.x.abs().lt(half);
+                let spare = unit(&across(normal, &select3(flat, &Vector3::x(), &Vector3::y())));
+                select3(clear, &guess, &spare)
+            }
+        }
+    };
+    (first, normal.cross(&first))
+}
+
+/// The part of `v` across the unit vector `normal`.
+#[inline(always)]
+fn across<R: Real>(normal: &Vector3<R>, v: &Vector3<R>) -> Vector3<R> {
+    v - normal * normal.dot(v)
+}
+
+#[inline(always)]
+fn unit<R: Real>(v: &Vector3<R>) -> Vector3<R> {
+    v * (R::one() / v.dot(v).sqrt())
+}

@@ -1,0 +1,37 @@
+//! One error type. Each variant's text names the field, the value and the limit.
+
+use std::fmt;
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum Error {
+    /// A value outside its limits, found before any state changed.
+    Value { field: String, value: String, limit: String },
+    /// A scene that cannot be compiled.
+    Scene(String),
+    /// The simulation left the finite numbers; the last finite state is kept.
+    Diverged { step: u64, time: f64, world: usize, element: String, quantity: String },
+}
+
+impl Error {
+    pub fn value(field: impl Into<String>, value: impl fmt::Display, limit: impl Into<String>) -> Self {
+        Self::Value { field: field.into(), value: value.to_string(), limit: limit.into() }
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Value { field, value, limit } => write!(f, "{field} = {value}: must be {limit}"),
+            Self::Scene(text) => f.write_str(text),
+            Self::Diverged { step, time, element, quantity, .. } => write!(
+                f,
+                "diverged in step {step} at time {time:.6} s: {quantity} is not finite; the force that grew \
+                 most is {element}; the last finite state is kept"
+            ),
+        }
+    }
+}
+
+impl std::error::Error for Error {}
+
+pub type Result<T> = std::result::Result<T, Error>;

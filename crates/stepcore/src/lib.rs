@@ -1,0 +1,53 @@
+//! stepcore: a rigid-body physics engine that measures what speed costs in accuracy.
+//!
+//! # The tour
+//!
+//! A [`scene::Scene`] says what is modelled: bodies, joints, shapes, friction,
+//! softness. Compiling it gives a [`model::Model`], constant during a step.
+//! [`settings::Settings`] say how it is computed. A [`sim::Sim`] holds one state and
+//! steps it, and a step is one loop (`step.rs`):
+//!
+//! 1. **place** (`place/`): joint positions to poses; the mass matrix and its
+//!    factors LᵀDL; the smooth forces; and the *guess*, the velocity that the
+//!    bodies would have if nothing were in the way.
+//! 2. **detect** (`detect/`): every pair of shapes that touch or are about to.
+//! 3. **solve** (`solve/`): each contact, friction direction, limit, loss and weld
+//!    is a row: a direction J, a target t, a regulariser c and a set for its
+//!    impulse. One system, solved by projected Gauss-Seidel or by Newton, neither of
+//!    which knows what a row came from.
+//! 4. **commit** (`commit/`): one file per integrator turns the solved velocity into
+//!    the next state. A state that is not finite is never committed.
+//!
+//! Everything is generic over [`real::Real`]: `f64`, `f32`, or [`real::Lanes`], eight
+//! worlds side by side that equal, bit for bit, the same worlds stepped alone.
+//!
+//! ```
+//! use std::sync::Arc;
+//! use stepcore::{model::Model, scene::*, settings::Settings, sim::Sim};
+//!
+//! let mut scene = Scene::default();
+//! scene.bodies.push(Body { name: "ball".into(), pos: [0.0, 0.0, 0.3], ..Body::default() });
+//! scene.joints.push(Joint { body: 1, kind: JointType::Slide, ..Joint::default() });
+//! let sphere = Geom { body: 1, size: [0.1, 0.0, 0.0], mass: Some(1.0), ..Geom::default() };
+//! scene.geoms.push(sphere);
+//! let model = Arc::new(Model::compile(&scene).unwrap());
+//! let mut sim = Sim::<f64>::new(model, Settings::default()).unwrap();
+//! sim.step(100).unwrap();
+//! assert!((sim.state.qvel[0] + 9.81 * 0.2).abs() < 1e-12);
+//! ```
+
+pub mod arrays;
+pub mod commit;
+pub mod detect;
+pub mod error;
+pub mod measure;
+pub mod model;
+pub mod place;
+pub mod real;
+pub mod scene;
+pub mod settings;
+pub mod sim;
+pub mod solve;
+pub mod spatial;
+pub mod state;
+mod step;

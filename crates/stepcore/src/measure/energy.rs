@@ -1,0 +1,72 @@
+//! Kinetic, gravitational and spring energy, and momentum, at the present state.
+
+use crate::place::spring_energy;
+use crate::real::Real;
+use crate::sim::Sim;
+use crate::spatial::{rotate, splat, Force, V3};
+
+/// Energies [J], per lane.
+#[derive(Clone, Copy, Debug)]
+pub struct Energy<R: Real> {
+    pub kinetic: R,
+    /// Gravity, zero at the world's origin, and joint springs.
+    pub potential: R,
+}
+
+impl<R: Real> Sim<R> {
+    /// Energy at the present positions and velocities. Armature counts as inertia.
+    pub fn energy(&mut self) -> Energy<R> {
+        self.refresh();
+        let model = &*self.model;
+        let (half, zero) = (R::of(0.5), R::zero());
+        let mut kinetic = zero;
+        for k in 0..model.nv {
+            let dof = &model.dofs[k];
+            let v = self.state.qvel[k];
+            let mut share = half * self.placed.mass[dof.row.start] * v * v;
+            for at in dof.row.range().skip(1) {
+                share += self.placed.mass[at] * v * self.state.qvel[model.row_dofs[at]];
+            }
+            kinetic += share;
+        }
+        let mut potential = spring_energy(model, &self.state.qpos);
+        if model.features.gravity {
+            let gravity = splat::<R>(&model.gravity);
+            for tree in &model.trees {
+                for body in tree.bodies.range() {
+                    potential -= R::of(model.bodies[body].mass) * gravity.dot(&self.centre(body));
+                }
+            }
+        }
+        Energy { kinetic, potential }
+    }
+
+    /// Centre of mass of a body in the world [m].
+    pub fn centre(&self, body: usize) -> V3<R> {
+        self.placed.xpos[body] + rotate(&self.placed.xmat[body], &splat(&self.model.bodies[body].ipos))
+    }
+
+    /// Linear momentum, and angular momentum about the world's origin. Without armature.
+    pub fn momentum(&mut self) -> Force<R> {
+        self.refresh();
+        let model = self.model.clone();
+        self.placed.all_velocities(&model, &self.state.qvel);
+        let mut sum = Force::zero();
+        for (index, tree) in model.trees.iter().enumerate() {
+            let mut part = Force::zero();
+            for body in tree.bodies.range() {
+                part.add(&self.placed.inertia[body].mul(&self.placed.velocity[body]));
+            }
+            part.ang += self.placed.origin[index].cross(&part.lin);
+            sum.add(&part);
+        }
+        sum
+    }
+
+    /// Poses, inertias and the mass matrix at the present positions.
+    pub fn refresh(&mut self) {
+        let model = self.model.clone();
+        self.placed.positions(&model, &self.state.qpos);
+        self.placed.dynamics(&model, &self.state.qpos, &self.state.qvel, &self.inputs);
+    }
+}

@@ -1,0 +1,7 @@
+//! What a run is worth: energy, momentum, and which element made it fail.
+
+mod blame;
+mod energy;
+mod readout;
+
+pub use energy::Energy;

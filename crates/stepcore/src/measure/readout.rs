@@ -1,0 +1,94 @@
+//! What a user reads of a simulation beside its state, one lane (world) at a time.
+//!
+//! Poses and matrices are those of the last `refresh` or solve; rows, contacts and
+//! constraint forces those of the last solve.
+
+use crate::detect::Contact;
+use crate::model::NONE;
+use crate::real::{Mask, Real};
+use crate::sim::Sim;
+use crate::solve::{Block, Row};
+use crate::spatial::{rotate, splat, Quat, M3, V3};
+use nalgebra::Vector3;
+
+impl<R: Real> Sim<R> {
+    /// The mass matrix, armature included, row by row (nv × nv).
+    pub fn mass_matrix(&self, lane: usize) -> Vec<f64> {
+        let model = &*self.model;
+        let mut full = vec![0.0; model.nv * model.nv];
+        for (k, dof) in model.dofs.iter().enumerate() {
+            for at in dof.row.range() {
+                let j = model.row_dofs[at];
+                let value = self.placed.mass[at].lane(lane);
+                full[k * model.nv + j] = value;
+                full[j * model.nv + k] = value;
+            }
+        }
+        full
+    }
+
+    /// How a body's frame moves with every dof: linear velocity of its origin in 3 rows
+    /// of nv numbers, then its angular velocity in 3.
+    pub fn jacobian(&self, body: usize, lane: usize) -> Vec<f64> {
+        let model = &*self.model;
+        let mut rows = vec![0.0; 6 * model.nv];
+        let tree = model.bodies[body].tree;
+        if tree == NONE {
+            return rows;
+        }
+        let arm = self.placed.xpos[body] - self.placed.origin[tree];
+        for &k in model.bodies[body].chain.of(&model.dof_lists) {
+            let motion = &self.placed.motion[k];
+            let lin = motion.lin + motion.ang.cross(&arm);
+            for axis in 0..3 {
+                rows[axis * model.nv + k] = lin[axis].lane(lane);
+                rows[(axis + 3) * model.nv + k] = motion.ang[axis].lane(lane);
+            }
+        }
+        rows
+    }
+
+    /// Where something fixed to a body is.
+    pub fn attached(&self, body: usize, pos: &Vector3<f64>, quat: &[f64; 4]) -> (V3<R>, M3<R>) {
+        let placed = &self.placed;
+        let turn = placed.xquat[body].mul(&Quat::splat(quat)).matrix();
+        (placed.xpos[body] + rotate(&placed.xmat[body], &splat(pos)), turn)
+    }
+
+    /// Generalised force of every row together, Jᵀλ/dt = Lᵀ Σ yλ / dt.
+    pub fn constraint_force(&self, lane: usize) -> Vec<f64> {
+        let model = &*self.model;
+        let mut force = vec![R::zero(); model.nv];
+        for (_, row) in self.live_rows(lane) {
+            let dofs = row.dofs.of(&model.dof_lists);
+            for (k, y) in dofs.iter().zip(&self.rows.y[row.y..]) {
+                force[*k] += *y * row.impulse;
+            }
+        }
+        self.placed.metric.lower(&mut force);
+        force.iter().map(|f| f.lane(lane) / self.settings.dt).collect()
+    }
+
+    /// The rows that exist in a lane, each with the index of its block.
+    pub fn live_rows(&self, lane: usize) -> impl Iterator<Item = (usize, &Row<R>)> {
+        let blocks = self.rows.blocks.iter().enumerate();
+        blocks
+            .filter(move |(_, block)| block.mask.lane(lane))
+            .flat_map(|(index, block)| self.rows.rows[block.rows.range()].iter().map(move |row| (index, row)))
+    }
+
+    /// The contacts that exist in a lane, each with its index.
+    pub fn live_contacts(&self, lane: usize) -> impl Iterator<Item = (usize, &Contact<R>)> {
+        self.detected.contacts.iter().enumerate().filter(move |(_, contact)| contact.mask.lane(lane))
+    }
+
+    /// How far each row of a block is from its law at the impulses it holds: s·|δ|, in
+    /// the row's own unit of velocity (see `solve/residual.rs`).
+    pub fn row_residuals(&self, block: &Block<R>, lane: usize) -> Vec<f64> {
+        let mut residuals = Vec::new();
+        self.rows.natural_map(&self.model.dof_lists, block, |_, delta, s| {
+            residuals.push((s * delta.abs()).lane(lane));
+        });
+        residuals
+    }
+}

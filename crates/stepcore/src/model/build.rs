@@ -1,0 +1,21 @@
+//! From a `Scene` to a `Model`: check, lay out, weigh, pair.
+
+use super::{check, inertia, invweight, pairs, pose, tree, Model};
+use crate::error::Result;
+use crate::scene::Scene;
+
+impl Model {
+    /// Compiles a scene, or says which element cannot be compiled and why.
+    pub fn compile(scene: &Scene) -> Result<Self> {
+        check::scene(scene)?;
+        let mut model = tree::lay_out(scene);
+        pairs::planes_stand_still(&model)?;
+        let aligned = inertia::weigh(scene, &mut model)?;
+        let poses = pose::at_qpos0(&model.bodies);
+        invweight::fill(&mut model, &poses, &aligned)?;
+        let mut unions = tree::Unions::default();
+        pairs::fill(scene, &mut model, &poses, &mut unions)?;
+        pairs::fill_equalities(scene, &mut model, &poses, &mut unions)?;
+        Ok(model)
+    }
+}

@@ -1,0 +1,326 @@
+//! What a scene must satisfy before it is compiled. Every error names the
+//! element, the field, the value and the limit; nothing is built before all hold.
+
+use crate::error::{Error, Result};
+use crate::scene::{Actuator, Equality, Geom, GeomType, Inertial, Joint, JointType, Scene, Softness};
+use std::collections::HashSet;
+use std::fmt;
+
+/// `geom 'floor'`, or `geom 3` where it has no name.
+pub fn label(kind: &str, name: &str, index: usize) -> String {
+    if name.is_empty() {
+        format!("{kind} {index}")
+    } else {
+        format!("{kind} '{name}'")
+    }
+}
+
+/// The element that is being looked at.
+struct Element(String);
+
+impl Element {
+    fn new(kind: &str, name: &str, index: usize) -> Self {
+        Self(label(kind, name, index))
+    }
+
+    fn refuse(&self, field: &str, value: impl fmt::Display, limit: &str) -> Error {
+        Error::value(format!("{} {field}", self.0), value, limit)
+    }
+
+    fn number(&self, field: &str, value: f64, ok: bool, limit: &str) -> Result<()> {
+        if value.is_finite() && ok {
+            Ok(())
+        } else {
+            Err(self.refuse(field, value, limit))
+        }
+    }
+
+    fn finite(&self, field: &str, values: &[f64]) -> Result<()> {
+        match values.iter().position(|x| !x.is_finite()) {
+            None => Ok(()),
+            Some(0) if values.len() == 1 => Err(self.refuse(field, values[0], "finite")),
+            Some(i) => Err(self.refuse(&format!("{field}[{i}]"), values[i], "finite")),
+        }
+    }
+
+    fn not_negative(&self, field: &str, value: f64) -> Result<()> {
+        self.number(field, value, value >= 0.0, "finite and >= 0")
+    }
+
+    /// Finite, and of a length that can be divided by.
+    fn direction(&self, field: &str, values: &[f64]) -> Result<()> {
+        self.finite(field, values)?;
+        let square = values.iter().map(|x| x * x).sum::<f64>();
+        if square.is_normal() {
+            Ok(())
+        } else {
+            Err(self.refuse(field, format!("{values:?}"), "of a length that is neither zero nor beyond the numbers"))
+        }
+    }
+
+    fn below(&self, field: &str, index: usize, count: usize, what: &str) -> Result<()> {
+        if index < count {
+            Ok(())
+        } else {
+            Err(self.refuse(field, index, &format!("the index of a {what}, below {count}")))
+        }
+    }
+
+    fn range(&self, field: &str, range: [f64; 2]) -> Result<()> {
+        self.finite(field, &range)?;
+        if range[0] < range[1] {
+            Ok(())
+        } else {
+            Err(self.refuse(field, format!("{range:?}"), "a lower bound, then a greater upper one"))
+        }
+    }
+
+    fn softness(&self, prefix: &str, soft: &Softness) -> Result<()> {
+        let [a, b] = soft.solref;
+        self.finite(&format!("{prefix}solref"), &soft.solref)?;
+        if !(a > 0.0 && b > 0.0 || a <= 0.0 && b <= 0.0) {
+            let limit = "both > 0 (time constant, damping ratio) or both <= 0 (-stiffness, -damping)";
+            return Err(self.refuse(&format!("{prefix}solref"), format!("{:?}", soft.solref), limit));
+        }
+        for (i, x) in soft.solimp.iter().enumerate() {
+            self.not_negative(&format!("{prefix}solimp[{i}]"), *x)?;
+        }
+        Ok(())
+    }
+}
+
+pub fn scene(scene: &Scene) -> Result<()> {
+    let whole = Element("scene".into());
+    whole.finite("gravity", &scene.gravity)?;
+    if scene.bodies.is_empty() || scene.joints.is_empty() {
+        return Err(Error::Scene("the scene has no joint, so nothing in it can move: add a body with a joint".into()));
+    }
+    let rules = Element("mass rules".into());
+    rules.not_negative("bound_mass", scene.mass_rules.bound_mass)?;
+    rules.not_negative("bound_inertia", scene.mass_rules.bound_inertia)?;
+    rules.finite("total_mass", &[scene.mass_rules.total_mass])?;
+
+    names(scene)?;
+    bodies(scene)?;
+    let nbody = scene.bodies.len();
+    joints(scene)?;
+    for (i, g) in scene.geoms.iter().enumerate() {
+        let e = Element::new("geom", &g.name, i);
+        e.below("body", g.body, nbody, "body")?;
+        geom(&e, g)?;
+    }
+    grouped("geom", scene.geoms.iter().map(|g| (&*g.name, g.body)))?;
+    for (i, s) in scene.sites.iter().enumerate() {
+        let e = Element::new("site", &s.name, i);
+        e.below("body", s.body, nbody, "body")?;
+        e.finite("pos", &s.pos)?;
+        e.direction("quat", &s.quat)?;
+    }
+    grouped("site", scene.sites.iter().map(|s| (&*s.name, s.body)))?;
+    for (i, a) in scene.actuators.iter().enumerate() {
+        actuator(&Element::new("actuator", &a.name, i), a, scene)?;
+    }
+    for (i, q) in scene.equalities.iter().enumerate() {
+        equality(&Element::new("equality", &q.name, i), q, nbody)?;
+    }
+    for (i, pair) in scene.excludes.iter().enumerate() {
+        let e = Element::new("exclude", "", i);
+        e.below("body1", pair[0], nbody, "body")?;
+        e.below("body2", pair[1], nbody, "body")?;
+    }
+    keys(scene)
+}
+
+fn names(scene: &Scene) -> Result<()> {
+    fn once<'a>(kind: &str, names: impl Iterator<Item = &'a String>) -> Result<()> {
+        let mut seen = HashSet::new();
+        for name in names {
+            if !name.is_empty() && !seen.insert(name) {
+                return Err(Error::Scene(format!("two {kind} have the name '{name}': a name stands for one element")));
+            }
+        }
+        Ok(())
+    }
+    once("bodies", scene.bodies.iter().map(|x| &x.name))?;
+    once("joints", scene.joints.iter().map(|x| &x.name))?;
+    once("geoms", scene.geoms.iter().map(|x| &x.name))?;
+    once("sites", scene.sites.iter().map(|x| &x.name))?;
+    once("actuators", scene.actuators.iter().map(|x| &x.name))?;
+    once("equalities", scene.equalities.iter().map(|x| &x.name))?;
+    once("keys", scene.keys.iter().map(|x| &x.name))
+}
+
+/// Depth first: a body follows its parent's subtree so far, which makes the dofs
+/// of a tree, and MuJoCo's order of qpos, contiguous.
+fn bodies(scene: &Scene) -> Result<()> {
+    let mut path = vec![0];
+    for (i, b) in scene.bodies.iter().enumerate() {
+        let e = Element::new("body", &b.name, i);
+        e.finite("pos", &b.pos)?;
+        e.direction("quat", &b.quat)?;
+        if let Some(x) = &b.inertial {
+            inertial(&e, x)?;
+        }
+        if i == 0 {
+            continue;
+        }
+        e.below("parent", b.parent, i, "body listed before it")?;
+        while path.last().is_some_and(|p| *p != b.parent) {
+            path.pop();
+        }
+        if path.is_empty() {
+            return Err(e.refuse(
+                "parent",
+                b.parent,
+                "the body before it or one of that body's ancestors (depth first)",
+            ));
+        }
+        path.push(i);
+    }
+    Ok(())
+}
+
+fn inertial(e: &Element, x: &Inertial) -> Result<()> {
+    e.not_negative("inertial mass", x.mass)?;
+    e.finite("inertial pos", &x.pos)?;
+    e.finite("inertial inertia", &x.inertia)?;
+    for i in 0..3 {
+        e.not_negative(&format!("inertial inertia[{i}]"), x.inertia[i])?;
+    }
+    Ok(())
+}
+
+/// Elements of one kind stand in the order of their bodies.
+fn grouped<'a>(kind: &str, elements: impl Iterator<Item = (&'a str, usize)>) -> Result<()> {
+    let mut last = 0;
+    for (i, (name, body)) in elements.enumerate() {
+        if body < last {
+            let e = Element::new(kind, name, i);
+            return Err(e.refuse("body", body, &format!(">= {last}: {kind}s are listed in the order of their bodies")));
+        }
+        last = body;
+    }
+    Ok(())
+}
+
+fn joints(scene: &Scene) -> Result<()> {
+    let (mut dofs, mut ball) = (vec![0; scene.bodies.len()], vec![false; scene.bodies.len()]);
+    for (i, j) in scene.joints.iter().enumerate() {
+        let e = Element::new("joint", &j.name, i);
+        e.below("body", j.body, scene.bodies.len(), "body")?;
+        joint(&e, j)?;
+        let body = &scene.bodies[j.body];
+        let owner = label("body", &body.name, j.body);
+        if j.body == 0 {
+            return Err(Error::Scene(format!("{} is on the world, which does not move", e.0)));
+        }
+        if j.kind == JointType::Free && body.parent != 0 {
+            return Err(Error::Scene(format!("{} is free, but {owner} is not a child of the world", e.0)));
+        }
+        if ball[j.body] && matches!(j.kind, JointType::Ball | JointType::Hinge) {
+            return Err(Error::Scene(format!("{} turns {owner} after a ball joint, which already turns it", e.0)));
+        }
+        ball[j.body] |= j.kind == JointType::Ball;
+        dofs[j.body] += j.kind.dofs();
+        if dofs[j.body] > 6 {
+            return Err(Error::Scene(format!("{} brings {owner} to {} dofs; a body has at most 6", e.0, dofs[j.body])));
+        }
+    }
+    grouped("joint", scene.joints.iter().map(|j| (&*j.name, j.body)))
+}
+
+fn joint(e: &Element, j: &Joint) -> Result<()> {
+    e.finite("pos", &j.pos)?;
+    if matches!(j.kind, JointType::Hinge | JointType::Slide) {
+        e.direction("axis", &j.axis)?;
+    }
+    match j.range {
+        Some(range) if j.kind == JointType::Ball => {
+            e.finite("range", &range)?;
+            e.number("range[0]", range[0], range[0] == 0.0, "0 for a ball joint")?;
+            e.not_negative("range[1]", range[1])?;
+        }
+        Some(range) => e.range("range", range)?,
+        None => {}
+    }
+    e.finite("margin", &[j.margin])?;
+    e.finite("reference", &[j.reference])?;
+    e.finite("springref", &[j.springref])?;
+    // A spring that pushes away is a model like any other; MuJoCo has it too.
+    e.finite("stiffness", &[j.stiffness])?;
+    e.not_negative("damping", j.damping)?;
+    e.not_negative("armature", j.armature)?;
+    e.not_negative("frictionloss", j.frictionloss)?;
+    e.softness("limit ", &j.limit)?;
+    e.softness("friction ", &j.friction)
+}
+
+fn geom(e: &Element, g: &Geom) -> Result<()> {
+    e.finite("pos", &g.pos)?;
+    e.direction("quat", &g.quat)?;
+    let used = match g.kind {
+        GeomType::Plane => 0,
+        GeomType::Sphere => 1,
+        GeomType::Capsule | GeomType::Cylinder => 2,
+        GeomType::Ellipsoid | GeomType::Box => 3,
+    };
+    e.finite("size", &g.size)?;
+    for (i, size) in g.size.iter().enumerate() {
+        let ok = if i < used { *size > 0.0 } else { *size >= 0.0 };
+        e.number(&format!("size[{i}]"), *size, ok, if i < used { "finite and > 0 m" } else { "finite and >= 0 m" })?;
+    }
+    if let Some(mass) = g.mass {
+        e.not_negative("mass", mass)?;
+    }
+    e.not_negative("density", g.density)?;
+    if !matches!(g.condim, 1 | 3 | 4 | 6) {
+        return Err(e.refuse("condim", g.condim, "1, 3, 4 or 6"));
+    }
+    for (i, mu) in g.friction.iter().enumerate() {
+        e.not_negative(&format!("friction[{i}]"), *mu)?;
+    }
+    e.finite("margin", &[g.margin])?;
+    e.not_negative("gap", g.gap)?;
+    e.not_negative("solmix", g.solmix)?;
+    e.softness("", &g.soft)
+}
+
+fn actuator(e: &Element, a: &Actuator, scene: &Scene) -> Result<()> {
+    e.below("joint", a.joint, scene.joints.len(), "joint")?;
+    e.finite("gear", &a.gear)?;
+    if let Some(range) = a.ctrlrange {
+        e.range("ctrlrange", range)?;
+    }
+    if let Some(range) = a.forcerange {
+        e.range("forcerange", range)?;
+    }
+    Ok(())
+}
+
+fn equality(e: &Element, q: &Equality, nbody: usize) -> Result<()> {
+    e.below("body1", q.body1, nbody, "body")?;
+    e.below("body2", q.body2, nbody, "body")?;
+    if q.body1 == q.body2 {
+        return Err(e.refuse("body2", q.body2, "another body than body1"));
+    }
+    e.finite("anchor", &q.anchor)?;
+    e.softness("", &q.soft)
+}
+
+fn keys(scene: &Scene) -> Result<()> {
+    let nq = scene.joints.iter().map(|j| j.kind.positions()).sum();
+    let nv = scene.joints.iter().map(|j| j.kind.dofs()).sum();
+    for (i, key) in scene.keys.iter().enumerate() {
+        let e = Element::new("key", &key.name, i);
+        e.finite("time", &[key.time])?;
+        let arrays = [("qpos", &key.qpos, nq), ("qvel", &key.qvel, nv), ("ctrl", &key.ctrl, scene.actuators.len())];
+        for (field, values, count) in arrays {
+            let Some(values) = values else { continue };
+            if values.len() != count {
+                return Err(e.refuse(&format!("{field} length"), values.len(), &format!("{count}")));
+            }
+            e.finite(field, values)?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,202 @@
+//! Inverse weights at qpos0: how easily a force moves a body or a dof. They set the
+//! regulariser R of rows. Formulas at `fill`, MuJoCo's exception at `plain`.
+
+use super::check::label;
+use super::pose::Pose;
+use super::{Body, Dof, Model, Span, Tree, NONE};
+use crate::error::{Error, Result};
+use crate::scene::JointType;
+use nalgebra::{DMatrix, DVector, Vector3};
+
+/// A pivot this small, relative to its diagonal, is rounding: a dof that adds no
+/// motion of its own.
+const SINGULAR: f64 = 1e-14;
+
+/// A dof's unit motion at qpos0 in world axes: the velocity at `at`, and the turn.
+struct Motion {
+    linear: Vector3<f64>,
+    turn: Vector3<f64>,
+    at: Vector3<f64>,
+}
+
+impl Motion {
+    fn velocity(&self, point: Vector3<f64>) -> Vector3<f64> {
+        self.linear + self.turn.cross(&(point - self.at))
+    }
+}
+
+fn motions(model: &Model, poses: &[Pose]) -> Vec<Motion> {
+    let mut list = Vec::with_capacity(model.nv);
+    let mut add = |linear, turn, at| list.push(Motion { linear, turn, at });
+    let zero = Vector3::zeros();
+    for joint in &model.joints {
+        let pose = &poses[joint.body];
+        let (at, axis) = (pose.point(joint.pos), pose.rot * joint.axis);
+        match joint.kind {
+            JointType::Slide => add(axis, zero, at),
+            JointType::Hinge => add(zero, axis, at),
+            JointType::Ball => (0..3).for_each(|k| add(zero, pose.rot.column(k).into(), at)),
+            JointType::Free => {
+                (0..3).for_each(|k| add(Vector3::ith(k, 1.0), zero, pose.pos));
+                (0..3).for_each(|k| add(zero, pose.rot.column(k).into(), pose.pos));
+            }
+        }
+    }
+    list
+}
+
+/// LᵀDL of one tree's mass matrix, armature included: L below the diagonal, D on it.
+struct Factor<'a> {
+    matrix: DMatrix<f64>,
+    model: &'a Model,
+    tree: Span,
+}
+
+impl<'a> Factor<'a> {
+    fn new(model: &'a Model, poses: &[Pose], motions: &[Motion], tree: &Tree) -> Result<Self> {
+        let (first, n) = (tree.dofs.start, tree.dofs.len);
+        let mut matrix = DMatrix::zeros(n, n);
+        for i in tree.bodies.range() {
+            let (body, pose) = (&model.bodies[i], &poses[i]);
+            let com = pose.point(body.ipos);
+            let inertia = pose.rot * body.inertia * pose.rot.transpose();
+            let chain = body.chain.of(&model.dof_lists);
+            for (k, &a) in chain.iter().enumerate() {
+                let force = motions[a].velocity(com) * body.mass;
+                let torque = inertia * motions[a].turn;
+                for &b in &chain[..=k] {
+                    matrix[(a - first, b - first)] +=
+                        force.dot(&motions[b].velocity(com)) + torque.dot(&motions[b].turn);
+                }
+            }
+        }
+        for i in 0..n {
+            matrix[(i, i)] += model.dofs[first + i].armature;
+        }
+        let mut factor = Self { matrix, model, tree: tree.dofs };
+        factor.eliminate()?;
+        Ok(factor)
+    }
+
+    /// The ancestors of a local dof, nearest first.
+    fn ancestors(&self, local: usize) -> impl Iterator<Item = usize> + use<'a> {
+        let (model, first) = (self.model, self.tree.start);
+        model.dofs[first + local].row.of(&model.row_dofs)[1..].iter().map(move |d| d - first)
+    }
+
+    /// From the leaves to the root, so that only ancestors are touched.
+    fn eliminate(&mut self) -> Result<()> {
+        let diagonal = self.matrix.diagonal();
+        for k in (0..self.tree.len).rev() {
+            let pivot = self.matrix[(k, k)];
+            if pivot.is_nan() || pivot <= SINGULAR * diagonal[k] {
+                let joint = &self.model.joints[self.model.dofs[self.tree.start + k].joint];
+                let name = label("joint", &joint.name, self.model.dofs[self.tree.start + k].joint);
+                let body = label("body", &self.model.bodies[joint.body].name, joint.body);
+                return Err(Error::Scene(format!(
+                    "{name} of {body} moves nothing that the joints after it do not move alike: \
+                     the mass matrix has no inverse at the initial configuration"
+                )));
+            }
+            for i in self.ancestors(k) {
+                let ratio = self.matrix[(k, i)] / pivot;
+                self.matrix[(i, i)] -= ratio * self.matrix[(k, i)];
+                for j in self.ancestors(i) {
+                    self.matrix[(i, j)] -= ratio * self.matrix[(k, j)];
+                }
+                self.matrix[(k, i)] = ratio;
+            }
+        }
+        Ok(())
+    }
+
+    /// j M⁻¹ jᵀ.
+    fn weight(&self, mut j: DVector<f64>) -> f64 {
+        let mut sum = 0.0;
+        for k in (0..self.tree.len).rev() {
+            if j[k] != 0.0 {
+                for i in self.ancestors(k) {
+                    j[i] -= self.matrix[(k, i)] * j[k];
+                }
+                sum += j[k] * j[k] / self.matrix[(k, k)];
+            }
+        }
+        sum
+    }
+}
+
+/// Fills the inverse weights of all bodies and dofs.
+///
+/// A body: the mean over three directions of J M⁻¹ Jᵀ at its centre of mass, for
+/// translation and for rotation. A dof: its entry of M⁻¹'s diagonal, the mean over
+/// a ball's three, or a free joint's three and three.
+pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
+    let motions = motions(model, poses);
+    let mut bodies = vec![[0.0; 2]; model.bodies.len()];
+    let mut dofs = vec![0.0; model.nv];
+    for tree in &model.trees {
+        let factor = Factor::new(model, poses, &motions, tree)?;
+        let (first, n) = (tree.dofs.start, tree.dofs.len);
+        for i in tree.bodies.range() {
+            bodies[i] = body_weight(&factor, &motions, &model.bodies[i], poses[i].point(model.bodies[i].ipos));
+        }
+        for i in tree.dofs.range() {
+            let mut unit = DVector::zeros(n);
+            unit[i - first] = 1.0;
+            dofs[i] = factor.weight(unit);
+        }
+    }
+    for joint in model.joints.iter().filter(|j| matches!(j.kind, JointType::Ball | JointType::Free)) {
+        for three in dofs[joint.dof..joint.dof + joint.kind.dofs()].chunks_exact_mut(3) {
+            three.fill(three.iter().sum::<f64>() / 3.0);
+        }
+    }
+    for i in plain(model, aligned) {
+        let body = &model.bodies[i];
+        bodies[i] = [1.0 / body.mass, 0.0];
+        dofs[body.dofs.range()].fill(1.0 / body.mass);
+    }
+    model.bodies.iter_mut().zip(bodies).for_each(|(b, x)| b.invweight = x);
+    model.dofs.iter_mut().zip(dofs).for_each(|(d, x): (&mut Dof, f64)| d.invweight = x);
+    Ok(())
+}
+
+fn body_weight(factor: &Factor, motions: &[Motion], body: &Body, com: Vector3<f64>) -> [f64; 2] {
+    let chain = body.chain.of(&factor.model.dof_lists);
+    let mean = |part: &dyn Fn(&Motion) -> Vector3<f64>| {
+        let axis = |k: usize| {
+            let mut row = DVector::zeros(factor.tree.len);
+            for &d in chain {
+                row[d - factor.tree.start] = part(&motions[d])[k];
+            }
+            factor.weight(row)
+        };
+        (axis(0) + axis(1) + axis(2)) / 3.0
+    };
+    [mean(&|m| m.velocity(com)), mean(&|m| m.turn)]
+}
+
+/// Bodies that MuJoCo weighs by their mass alone, whatever their armature and the
+/// number of their axes: slides through the origin along coordinate axes, the
+/// inertia's frame the body's own, no child, and above it the world or one fixed
+/// child of the world.
+fn plain<'a>(model: &'a Model, aligned: &'a [bool]) -> impl Iterator<Item = usize> + use<'a> {
+    let mut leaf = vec![true; model.bodies.len()];
+    for body in &model.bodies[1..] {
+        leaf[body.parent] = false;
+    }
+    let straight = |i: usize| {
+        model.bodies[i].joints.of(&model.joints).iter().all(|j| {
+            let along = j.axis.iter().filter(|x| x.abs() > 1e-14).count() == 1;
+            j.kind == JointType::Slide && along && j.pos.norm_squared() == 0.0
+        })
+    };
+    let grounded = |i: usize| {
+        let parent = &model.bodies[model.bodies[i].parent];
+        parent.parent == 0 && parent.dofs.len == 0
+    };
+    (1..model.bodies.len()).filter(move |&i| {
+        let body = &model.bodies[i];
+        body.tree != NONE && body.joints.len > 0 && leaf[i] && aligned[i] && grounded(i) && straight(i)
+    })
+}

@@ -1,0 +1,232 @@
+//! `Model`: a scene once compiled, constant during a step.
+//!
+//! Numbers are `f64`; a stage turns them into its own number with `Real::of`.
+
+mod build;
+mod check;
+mod inertia;
+mod invweight;
+mod pairs;
+mod pose;
+mod shape;
+mod still;
+#[cfg(test)]
+mod tests;
+mod tree;
+
+use crate::scene::{Actuator, Features, GeomType, JointType, Key, Softness};
+use nalgebra::{Matrix3, Vector3};
+
+/// Index of something absent: the parent of a root dof, the tree of a fixed body.
+pub const NONE: usize = usize::MAX;
+
+/// A slice of one of the model's lists.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Span {
+    pub start: usize,
+    pub len: usize,
+}
+
+impl Span {
+    pub fn range(self) -> std::ops::Range<usize> {
+        self.start..self.start + self.len
+    }
+    pub fn of<T>(self, list: &[T]) -> &[T] {
+        &list[self.range()]
+    }
+}
+
+#[derive(Clone, Debug)]
+pub struct Body {
+    pub name: String,
+    pub parent: usize,
+    /// The nearest ancestor-or-self with a joint; 0 (the world) for a fixed body.
+    pub weld: usize,
+    /// `NONE` for a fixed body.
+    pub tree: usize,
+    pub pos: Vector3<f64>,
+    /// w x y z.
+    pub quat: [f64; 4],
+    pub joints: Span,
+    /// This body's own dofs.
+    pub dofs: Span,
+    /// Into `Model::dof_lists`: every dof that moves this body, ascending.
+    pub chain: Span,
+    pub mass: f64,
+    /// Centre of mass in body axes.
+    pub ipos: Vector3<f64>,
+    /// About the centre of mass, in body axes.
+    pub inertia: Matrix3<f64>,
+    /// Mean inverse mass and inverse inertia at qpos0: MuJoCo's `body_invweight0`.
+    pub invweight: [f64; 2],
+    /// Some dof rotates this body; else its orientation is constant.
+    pub turns: bool,
+}
+
+#[derive(Clone, Debug)]
+pub struct Joint {
+    pub name: String,
+    pub kind: JointType,
+    pub body: usize,
+    pub qpos: usize,
+    pub dof: usize,
+    pub pos: Vector3<f64>,
+    /// Unit length.
+    pub axis: Vector3<f64>,
+    pub range: Option<[f64; 2]>,
+    pub margin: f64,
+    pub reference: f64,
+    pub stiffness: f64,
+    pub damping: f64,
+    pub limit: Softness,
+}
+
+impl Joint {
+    /// Number of dofs.
+    pub fn dofs(&self) -> usize {
+        match self.kind {
+            JointType::Free => 6,
+            JointType::Ball => 3,
+            JointType::Slide | JointType::Hinge => 1,
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+pub struct Dof {
+    pub joint: usize,
+    pub body: usize,
+    pub tree: usize,
+    /// The dof before this one on the chain to the root, or `NONE`.
+    pub parent: usize,
+    /// Row of the mass matrix, in `Model::row_dofs` and every array laid out like
+    /// it: this dof, then its ancestors, nearest first.
+    pub row: Span,
+    pub armature: f64,
+    pub damping: f64,
+    pub frictionloss: f64,
+    pub friction: Softness,
+    /// MuJoCo's `dof_invweight0`.
+    pub invweight: f64,
+}
+
+/// A body that moves against the world, and all that hangs on it.
+#[derive(Clone, Debug)]
+pub struct Tree {
+    pub bodies: Span,
+    pub dofs: Span,
+    pub mass: f64,
+    /// Only slide joints: the mass matrix, its factors and the gravity force are constant.
+    pub slides_only: bool,
+}
+
+#[derive(Clone, Debug)]
+pub struct Geom {
+    pub name: String,
+    pub body: usize,
+    pub kind: GeomType,
+    pub size: [f64; 3],
+    pub pos: Vector3<f64>,
+    pub quat: [f64; 4],
+    /// Radius of the sphere about `pos` that holds the shape; infinite for a plane.
+    pub reach: f64,
+    /// Takes part in some pair, so that its pose is needed.
+    pub collides: bool,
+}
+
+#[derive(Clone, Debug)]
+pub struct Site {
+    pub name: String,
+    pub body: usize,
+    pub pos: Vector3<f64>,
+    pub quat: [f64; 4],
+}
+
+/// Two geoms that can meet, with everything their contacts share.
+/// Ordered as MuJoCo orders them: by geom type first, so `geom1`'s type ≤ `geom2`'s.
+#[derive(Clone, Debug)]
+pub struct Pair {
+    pub geom1: usize,
+    pub geom2: usize,
+    /// 1, 3, 4 or 6; 1 where the friction is zero dimensions.
+    pub condim: u32,
+    /// Sliding, sliding, torsional, rolling, rolling; each at least 1e-5.
+    pub friction: [f64; 5],
+    /// A contact has a row below `margin`, and is listed below `margin + gap`.
+    pub margin: f64,
+    pub gap: f64,
+    pub soft: Softness,
+    /// Sum of both bodies' translational invweight.
+    pub invweight: f64,
+    /// Into `Model::dof_lists`: union of both bodies' chains, ascending.
+    pub dofs: Span,
+    /// Mass of the trees that the contact touches, for residuals.
+    pub mass: f64,
+    /// Tangents along which nothing can move, known when compiled (see `model/pairs.rs`).
+    pub still: [bool; 2],
+}
+
+/// `connect`: a point of `body1` and a point of `body2` are one.
+#[derive(Clone, Debug)]
+pub struct Equality {
+    pub name: String,
+    pub body1: usize,
+    pub body2: usize,
+    pub anchor1: Vector3<f64>,
+    pub anchor2: Vector3<f64>,
+    pub active: bool,
+    pub soft: Softness,
+    pub invweight: f64,
+    pub dofs: Span,
+    pub mass: f64,
+}
+
+#[derive(Clone, Debug)]
+pub struct Model {
+    pub name: String,
+    pub nq: usize,
+    pub nv: usize,
+    pub gravity: Vector3<f64>,
+    pub features: Features,
+    pub bodies: Vec<Body>,
+    pub joints: Vec<Joint>,
+    pub dofs: Vec<Dof>,
+    pub trees: Vec<Tree>,
+    pub geoms: Vec<Geom>,
+    pub sites: Vec<Site>,
+    pub pairs: Vec<Pair>,
+    pub equalities: Vec<Equality>,
+    pub actuators: Vec<Actuator>,
+    pub keys: Vec<Key>,
+    pub qpos0: Vec<f64>,
+    /// Where each joint's spring is at rest (MuJoCo's `qpos_spring`).
+    pub qpos_spring: Vec<f64>,
+    /// Lists of dofs that spans point into.
+    pub dof_lists: Vec<usize>,
+    /// The mass matrix's pattern: see `Dof::row`.
+    pub row_dofs: Vec<usize>,
+}
+
+impl Model {
+    /// A dof and its ancestors, ascending: the head of its body's chain.
+    pub fn chain_of_dof(&self, k: usize) -> Span {
+        let body = &self.bodies[self.dofs[k].body];
+        let after = body.dofs.start + body.dofs.len - 1 - k;
+        Span { start: body.chain.start, len: body.chain.len - after }
+    }
+
+    /// The island of each tree: trees that some pair or equality can connect share one.
+    pub fn islands(&self) -> Vec<usize> {
+        let mut island: Vec<usize> = (0..self.trees.len()).collect();
+        let meets = self.pairs.iter().map(|p| [self.geoms[p.geom1].body, self.geoms[p.geom2].body]);
+        let ties = self.equalities.iter().map(|e| [e.body1, e.body2]);
+        for bodies in meets.chain(ties) {
+            let [a, b] = bodies.map(|body| self.bodies[body].tree);
+            if a != NONE && b != NONE && island[a] != island[b] {
+                let (keep, drop) = (island[a].min(island[b]), island[a].max(island[b]));
+                island.iter_mut().filter(|i| **i == drop).for_each(|i| *i = keep);
+            }
+        }
+        island
+    }
+}

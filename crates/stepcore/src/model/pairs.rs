@@ -1,0 +1,187 @@
+//! Which geoms can ever meet, and what their contacts share. MuJoCo's filter and
+//! mixing rules; the filter is applied once, here, and never during a step.
+
+use super::check::label;
+use super::pose::Pose;
+use super::still::still;
+use super::tree::Unions;
+use super::{Equality, Model, Pair, NONE};
+use crate::error::{Error, Result};
+use crate::scene::{Geom, GeomType, Scene, Softness};
+use nalgebra::Vector3;
+use std::collections::HashSet;
+
+/// MuJoCo's floor for every friction coefficient.
+const LEAST_FRICTION: f64 = 1e-5;
+
+/// A plane is fixed to the world, as in MuJoCo.
+pub fn planes_stand_still(model: &Model) -> Result<()> {
+    for (i, g) in model.geoms.iter().enumerate() {
+        if g.kind == GeomType::Plane && model.bodies[g.body].tree != NONE {
+            let (plane, body) = (label("geom", &g.name, i), label("body", &model.bodies[g.body].name, g.body));
+            return Err(Error::Scene(format!("{plane} is a plane on {body}, which moves: a plane stands still")));
+        }
+    }
+    Ok(())
+}
+
+/// Pairs in MuJoCo's order of contacts: by the two bodies, then by the geoms.
+pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Unions) -> Result<()> {
+    if !(scene.features.contact && scene.features.constraint) {
+        return Ok(());
+    }
+    let mut geoms = vec![vec![]; scene.bodies.len()];
+    for (i, g) in scene.geoms.iter().enumerate() {
+        if g.contype != 0 || g.conaffinity != 0 {
+            geoms[g.body].push(i);
+        }
+    }
+    let excludes: HashSet<_> = scene.excludes.iter().map(|[a, b]| (*a.min(b), *a.max(b))).collect();
+    let full: Vec<usize> = (0..geoms.len()).filter(|b| !geoms[*b].is_empty()).collect();
+    for (k, &body1) in full.iter().enumerate() {
+        for &body2 in &full[k + 1..] {
+            if excludes.contains(&(body1, body2)) || !may_touch(model, body1, body2) {
+                continue;
+            }
+            let mut found = vec![];
+            for &a in &geoms[body1] {
+                found.extend(geoms[body2].iter().filter_map(|&b| candidate(scene, a, b)));
+            }
+            found.sort_unstable();
+            for (a, b) in found {
+                let pair = pair(scene, model, poses, unions, (a, b))?;
+                model.pairs.push(pair);
+                model.geoms[a].collides = true;
+                model.geoms[b].collides = true;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Not fixed to one another; nor one the parent of the other, the world excepted.
+fn may_touch(model: &Model, body1: usize, body2: usize) -> bool {
+    let (weld1, weld2) = (model.bodies[body1].weld, model.bodies[body2].weld);
+    let above = |weld: usize| model.bodies[model.bodies[weld].parent].weld;
+    let family = weld1 != 0 && weld2 != 0 && (weld1 == above(weld2) || weld2 == above(weld1));
+    weld1 != weld2 && !(model.features.filterparent && family)
+}
+
+/// The two geoms in the order of their types, if their bits let them collide.
+fn candidate(scene: &Scene, a: usize, b: usize) -> Option<(usize, usize)> {
+    let (x, y) = (&scene.geoms[a], &scene.geoms[b]);
+    let bits = x.contype & y.conaffinity | y.contype & x.conaffinity;
+    let planes = x.kind == GeomType::Plane && y.kind == GeomType::Plane;
+    (bits != 0 && !planes).then_some(if x.kind > y.kind { (b, a) } else { (a, b) })
+}
+
+fn supported(one: GeomType, two: GeomType) -> bool {
+    use GeomType::{Box, Capsule, Plane, Sphere};
+    matches!((one, two), (Plane | Sphere, Sphere) | (Sphere, Box) | (Plane | Sphere | Capsule, Capsule))
+}
+
+fn pair(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Unions, (a, b): (usize, usize)) -> Result<Pair> {
+    let (x, y) = (&scene.geoms[a], &scene.geoms[b]);
+    let names = || format!("{} and {}", label("geom", &x.name, a), label("geom", &y.name, b));
+    if !supported(x.kind, y.kind) {
+        return Err(Error::Scene(format!(
+            "{} can meet, but {:?} against {:?} is not built yet; built are plane-sphere, plane-capsule, \
+             sphere-sphere, sphere-capsule, sphere-box and capsule-capsule (exclude the pair, or clear bits of \
+             contype and conaffinity)",
+            names(),
+            x.kind,
+            y.kind
+        )));
+    }
+    let Mixed { condim, friction, soft } = mix(x, y);
+    if !matches!(condim, 1 | 3) {
+        let limit = "1 or 3: torsional and rolling friction are not built yet";
+        return Err(Error::value(format!("condim of {}", names()), condim, limit));
+    }
+    let dofs = unions.of(model, x.body, y.body);
+    let [slide, spin, roll] = friction.map(|mu| mu.max(LEAST_FRICTION));
+    Ok(Pair {
+        geom1: a,
+        geom2: b,
+        condim,
+        friction: [slide, slide, spin, roll, roll],
+        margin: x.margin + y.margin,
+        gap: x.gap + y.gap,
+        soft,
+        invweight: model.bodies[x.body].invweight[0] + model.bodies[y.body].invweight[0],
+        dofs,
+        mass: touched_mass(model, x.body, y.body),
+        still: if condim == 1 { [false; 2] } else { still(model, poses, a, b) },
+    })
+}
+
+struct Mixed {
+    condim: u32,
+    friction: [f64; 3],
+    soft: Softness,
+}
+
+/// The geom of higher priority decides; equals are mixed: the larger condim and
+/// friction, softness by the share of solmix.
+fn mix(x: &Geom, y: &Geom) -> Mixed {
+    if x.priority != y.priority {
+        let g = if x.priority > y.priority { x } else { y };
+        return Mixed { condim: g.condim, friction: g.friction, soft: g.soft.clone() };
+    }
+    let share = match (x.solmix > 0.0, y.solmix > 0.0) {
+        (true, true) => x.solmix / (x.solmix + y.solmix),
+        (false, false) => 0.5,
+        (one, _) => f64::from(u8::from(one)),
+    };
+    let blend = |p: f64, q: f64| share * p + (1.0 - share) * q;
+    let (p, q) = (&x.soft, &y.soft);
+    // Stiffness and damping given directly are negative: the stiffer one counts.
+    let direct = p.solref[0] <= 0.0 || q.solref[0] <= 0.0;
+    let solref = std::array::from_fn(|i| {
+        let (p, q) = (p.solref[i], q.solref[i]);
+        if direct {
+            p.min(q)
+        } else {
+            blend(p, q)
+        }
+    });
+    Mixed {
+        condim: x.condim.max(y.condim),
+        friction: std::array::from_fn(|i| x.friction[i].max(y.friction[i])),
+        soft: Softness { solref, solimp: std::array::from_fn(|i| blend(p.solimp[i], q.solimp[i])) },
+    }
+}
+
+/// Mass of the trees of both bodies, each once.
+fn touched_mass(model: &Model, body1: usize, body2: usize) -> f64 {
+    let (one, two) = (model.bodies[body1].tree, model.bodies[body2].tree);
+    let mass = |tree: usize| if tree == NONE { 0.0 } else { model.trees[tree].mass };
+    mass(one) + if one == two { 0.0 } else { mass(two) }
+}
+
+/// `connect`: the point is given on body 1; where it lies on body 2 follows from qpos0.
+pub fn fill_equalities(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Unions) -> Result<()> {
+    for (i, q) in scene.equalities.iter().enumerate() {
+        let dofs = unions.of(model, q.body1, q.body2);
+        if dofs.len == 0 {
+            let name = label("equality", &q.name, i);
+            return Err(Error::Scene(format!("{name} connects two bodies that cannot move")));
+        }
+        let anchor1 = Vector3::from(q.anchor);
+        let (one, two) = (&poses[q.body1], &poses[q.body2]);
+        let equality = Equality {
+            name: q.name.clone(),
+            body1: q.body1,
+            body2: q.body2,
+            anchor1,
+            anchor2: two.rot.transpose() * (one.point(anchor1) - two.pos),
+            active: q.active,
+            soft: q.soft.clone(),
+            invweight: model.bodies[q.body1].invweight[0] + model.bodies[q.body2].invweight[0],
+            dofs,
+            mass: touched_mass(model, q.body1, q.body2),
+        };
+        model.equalities.push(equality);
+    }
+    Ok(())
+}

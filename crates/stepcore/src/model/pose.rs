@@ -1,0 +1,58 @@
+//! Rotations and the poses of bodies at qpos0, in `f64`, for the builder alone.
+
+use super::Body;
+use nalgebra::{Matrix3, Vector3};
+
+/// Length one; a quaternion that already has it keeps its bits.
+pub fn unit_quat(q: [f64; 4]) -> [f64; 4] {
+    let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    q.map(|x| x / length)
+}
+
+pub fn rotation(q: [f64; 4]) -> Matrix3<f64> {
+    let [w, x, y, z] = q;
+    Matrix3::new(
+        w * w + x * x - y * y - z * z,
+        2.0 * (x * y - w * z),
+        2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z),
+        w * w - x * x + y * y - z * z,
+        2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y),
+        2.0 * (y * z + w * x),
+        w * w - x * x - y * y + z * z,
+    )
+}
+
+/// Where a frame stands in the world.
+#[derive(Clone, Copy, Debug)]
+pub struct Pose {
+    pub pos: Vector3<f64>,
+    pub rot: Matrix3<f64>,
+}
+
+impl Pose {
+    pub fn new(pos: Vector3<f64>, quat: [f64; 4]) -> Self {
+        Self { pos, rot: rotation(quat) }
+    }
+    /// The world point of a local one.
+    pub fn point(&self, local: Vector3<f64>) -> Vector3<f64> {
+        self.pos + self.rot * local
+    }
+    /// The world pose of a frame given in this one.
+    pub fn then(&self, local: &Self) -> Self {
+        Self { pos: self.point(local.pos), rot: self.rot * local.rot }
+    }
+}
+
+/// World poses of all bodies at qpos0, where every hinge and slide stands at its
+/// reference and so adds no displacement of its own.
+pub fn at_qpos0(bodies: &[Body]) -> Vec<Pose> {
+    let mut poses: Vec<Pose> = Vec::with_capacity(bodies.len());
+    for (i, body) in bodies.iter().enumerate() {
+        let own = Pose::new(body.pos, body.quat);
+        let pose = if i == 0 { own } else { poses[body.parent].then(&own) };
+        poses.push(pose);
+    }
+    poses
+}

@@ -1,0 +1,134 @@
+//! Contact tangents along which nothing can ever move.
+//!
+//! Under MuJoCo's pyramid the two edges along such a tangent are copies of the
+//! normal row, and `solve` folds them into one. Claimed is only what holds in
+//! every configuration, to rounding.
+//!
+//! - Slides only: the body never turns, and a tangent across every slide is still.
+//! - A planar chain, every hinge along one n and every slide across it: points
+//!   move across n, so a tangent along n is still.
+//!
+//! The contact's frame must be known for that. Against a plane its normal is
+//! constant. Two spheres that slide along their common line have it as normal;
+//! round shapes whose axes lie in one plane of motion have their normal in it.
+
+use super::pose::{rotation, Pose};
+use super::{Geom, Model};
+use crate::scene::{GeomType, JointType};
+use nalgebra::Vector3;
+
+/// Sine of an angle that is rounding.
+const ROUNDING: f64 = 1e-12;
+/// A capsule this close to the normal leaves the direction of its tangent open.
+const OPEN: f64 = 1e-6;
+
+/// For a pair of geoms; `[false, false]` where nothing is known.
+pub fn still(model: &Model, poses: &[Pose], first: usize, second: usize) -> [bool; 2] {
+    let (plane, other) = (&model.geoms[first], &model.geoms[second]);
+    if plane.kind != GeomType::Plane {
+        return between_round_shapes(model, poses, plane, other);
+    }
+    let axis = |body: usize, quat| -> Vector3<f64> { (poses[body].rot * rotation(quat)).column(2).into() };
+    let normal = axis(plane.body, plane.quat);
+    let Some(motion) = motion(model, poses, other.body) else {
+        return [false; 2];
+    };
+    if other.kind == GeomType::Capsule {
+        along_capsule(&motion, &normal, &axis(other.body, other.quat))
+    } else {
+        let side = if normal.y.abs() < 0.5 { Vector3::y() } else { Vector3::z() };
+        let first = (side - normal * normal.dot(&side)).normalize();
+        [motion.lacks(&first), motion.lacks(&normal.cross(&first))]
+    }
+}
+
+/// How the points of one body can move, whatever the configuration.
+enum Motion {
+    /// Along these unit axes, without turning.
+    Slides(Vec<Vector3<f64>>),
+    /// Across this unit axis, turning about it.
+    Planar(Vector3<f64>),
+}
+
+impl Motion {
+    fn lacks(&self, tangent: &Vector3<f64>) -> bool {
+        match self {
+            Self::Slides(axes) => axes.iter().all(|a| a.dot(tangent).abs() <= ROUNDING),
+            Self::Planar(n) => n.cross(tangent).norm() <= ROUNDING,
+        }
+    }
+}
+
+fn motion(model: &Model, poses: &[Pose], body: usize) -> Option<Motion> {
+    let (mut slides, mut hinges) = (vec![], vec![]);
+    let mut last = None;
+    for &dof in model.bodies[body].chain.of(&model.dof_lists) {
+        let index = model.dofs[dof].joint;
+        if last.replace(index) == Some(index) {
+            continue;
+        }
+        let joint = &model.joints[index];
+        let axis = poses[joint.body].rot * joint.axis;
+        match joint.kind {
+            JointType::Slide => slides.push(axis),
+            JointType::Hinge => hinges.push(axis),
+            JointType::Ball | JointType::Free => return None,
+        }
+    }
+    let Some(n) = hinges.first().copied() else {
+        return Some(Motion::Slides(slides));
+    };
+    let planar =
+        hinges.iter().all(|a| a.cross(&n).norm() <= ROUNDING) && slides.iter().all(|a| a.dot(&n).abs() <= ROUNDING);
+    planar.then_some(Motion::Planar(n))
+}
+
+/// The first tangent is the capsule's axis laid into the plane; x where that vanishes.
+fn along_capsule(motion: &Motion, normal: &Vector3<f64>, axis: &Vector3<f64>) -> [bool; 2] {
+    let laid = axis - normal * normal.dot(axis);
+    match motion {
+        Motion::Slides(axes) if laid.norm() < OPEN => [axes.iter().all(|a| a.cross(normal).norm() <= ROUNDING); 2],
+        Motion::Slides(_) => {
+            let first = laid.normalize();
+            [motion.lacks(&first), motion.lacks(&normal.cross(&first))]
+        }
+        // The axis turns within the plane of motion: the second tangent is along
+        // n, also where the capsule stands upright and x takes its place, unless
+        // x itself has a part along n.
+        Motion::Planar(n) => {
+            let across = |v: &Vector3<f64>| v.dot(n).abs() <= ROUNDING;
+            [false, across(normal) && across(axis) && across(&Vector3::x())]
+        }
+    }
+}
+
+/// Spheres and capsules.
+fn between_round_shapes(model: &Model, poses: &[Pose], first: &Geom, second: &Geom) -> [bool; 2] {
+    let round = |kind| matches!(kind, GeomType::Sphere | GeomType::Capsule);
+    if !(round(first.kind) && round(second.kind)) {
+        return [false; 2];
+    }
+    let (Some(one), Some(two)) = (motion(model, poses, first.body), motion(model, poses, second.body)) else {
+        return [false; 2];
+    };
+    let apart = poses[second.body].point(second.pos) - poses[first.body].point(first.pos);
+    let tiny = ROUNDING * (first.reach + second.reach);
+    let spheres = first.kind == GeomType::Sphere && second.kind == GeomType::Sphere;
+    if let (Motion::Slides(a), Motion::Slides(b), true) = (&one, &two, spheres) {
+        let mut axes = a.iter().chain(b);
+        return [axes.all(|axis| axis.cross(&apart).norm() <= tiny); 2];
+    }
+    let across = |n: &Vector3<f64>| {
+        let lies = |geom: &Geom| {
+            let axis: Vector3<f64> = (poses[geom.body].rot * rotation(geom.quat)).column(2).into();
+            geom.kind == GeomType::Sphere || axis.dot(n).abs() <= ROUNDING
+        };
+        let moves = |motion: &Motion| match motion {
+            Motion::Slides(axes) => axes.iter().all(|axis| axis.dot(n).abs() <= ROUNDING),
+            Motion::Planar(m) => m.cross(n).norm() <= ROUNDING,
+        };
+        apart.dot(n).abs() <= tiny && lies(first) && lies(second) && moves(&one) && moves(&two)
+    };
+    // The frame's rule takes y where the normal is across y, and then y is the first tangent.
+    [across(&Vector3::y()), across(&Vector3::x())]
+}

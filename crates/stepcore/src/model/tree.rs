@@ -1,0 +1,241 @@
+//! The skeleton: bodies, joints and dofs in order, trees, chains of dofs, and the
+//! pattern of the mass matrix.
+
+use super::pose::unit_quat;
+use super::{Body, Dof, Geom, Joint, Model, Site, Span, Tree, NONE};
+use crate::scene::{GeomType, JointType, Scene};
+use nalgebra::{Matrix3, Vector3};
+use std::collections::HashMap;
+
+impl JointType {
+    /// Entries of qpos.
+    pub fn positions(self) -> usize {
+        match self {
+            Self::Free => 7,
+            Self::Ball => 4,
+            Self::Slide | Self::Hinge => 1,
+        }
+    }
+    /// Entries of qvel.
+    pub fn dofs(self) -> usize {
+        match self {
+            Self::Free => 6,
+            Self::Ball => 3,
+            Self::Slide | Self::Hinge => 1,
+        }
+    }
+    /// Changes the orientation of its body.
+    pub fn turns(self) -> bool {
+        self != Self::Slide
+    }
+}
+
+/// The model without masses, inverse weights, pairs and equalities.
+pub fn lay_out(scene: &Scene) -> Model {
+    let mut model = Model {
+        name: scene.name.clone(),
+        nq: 0,
+        nv: 0,
+        gravity: Vector3::from(scene.gravity),
+        features: scene.features.clone(),
+        bodies: Vec::with_capacity(scene.bodies.len()),
+        joints: Vec::with_capacity(scene.joints.len()),
+        dofs: vec![],
+        trees: vec![],
+        geoms: scene.geoms.iter().map(geom).collect(),
+        sites: vec![],
+        pairs: vec![],
+        equalities: vec![],
+        actuators: scene.actuators.clone(),
+        keys: scene.keys.clone(),
+        qpos0: vec![],
+        qpos_spring: vec![],
+        dof_lists: vec![],
+        row_dofs: vec![],
+    };
+    for s in &scene.sites {
+        let (name, pos) = (s.name.clone(), Vector3::from(s.pos));
+        model.sites.push(Site { name, body: s.body, pos, quat: unit_quat(s.quat) });
+    }
+    let mut next = 0;
+    for i in 0..scene.bodies.len() {
+        let start = next;
+        while scene.joints.get(next).is_some_and(|j| j.body == i) {
+            next += 1;
+        }
+        body(&mut model, scene, i, Span { start, len: next - start });
+    }
+    for i in 0..model.nv {
+        row(&mut model, i);
+    }
+    model
+}
+
+/// Appends body `i` with its joints, its dofs and its chain.
+fn body(model: &mut Model, scene: &Scene, i: usize, joints: Span) {
+    let source = &scene.bodies[i];
+    let (pos, quat) = (Vector3::from(source.pos), unit_quat(source.quat));
+    let above = (i > 0).then(|| model.bodies[source.parent].clone());
+    let mut tree = above.as_ref().map_or(NONE, |p| p.tree);
+    let kinds = || joints.of(&scene.joints).iter().map(|j| j.kind);
+    if joints.len > 0 && tree == NONE {
+        tree = model.trees.len();
+        model.trees.push(Tree {
+            bodies: Span { start: i, len: 0 },
+            dofs: Span { start: model.nv, len: 0 },
+            mass: 0.0,
+            slides_only: true,
+        });
+    }
+    let dofs = Span { start: model.nv, len: kinds().map(JointType::dofs).sum() };
+    let mut chain = above.as_ref().map_or(Span::default(), |p| p.chain);
+    if dofs.len > 0 {
+        let inherited = chain.range();
+        chain = Span { start: model.dof_lists.len(), len: chain.len + dofs.len };
+        model.dof_lists.extend_from_within(inherited);
+        model.dof_lists.extend(dofs.range());
+    }
+    if tree != NONE {
+        let tree = &mut model.trees[tree];
+        tree.bodies.len += 1;
+        tree.dofs.len += dofs.len;
+        tree.slides_only &= !kinds().any(JointType::turns);
+    }
+    let weld = if joints.len > 0 { i } else { above.as_ref().map_or(0, |p| p.weld) };
+    let turns = above.is_some_and(|p| p.turns) || kinds().any(JointType::turns);
+    model.bodies.push(Body {
+        name: source.name.clone(),
+        parent: source.parent,
+        weld,
+        tree,
+        pos,
+        quat,
+        joints,
+        dofs,
+        chain,
+        mass: 0.0,
+        ipos: Vector3::zeros(),
+        inertia: Matrix3::zeros(),
+        invweight: [0.0; 2],
+        turns,
+    });
+    for index in joints.range() {
+        joint(model, scene, index);
+    }
+}
+
+fn joint(model: &mut Model, scene: &Scene, index: usize) {
+    let source = &scene.joints[index];
+    let body = &model.bodies[source.body];
+    let (start, stop) = match source.kind {
+        JointType::Free => {
+            let mut pose = body.pos.as_slice().to_vec();
+            pose.extend(body.quat);
+            (pose.clone(), pose)
+        }
+        JointType::Ball => (vec![1.0, 0.0, 0.0, 0.0], vec![1.0, 0.0, 0.0, 0.0]),
+        JointType::Slide | JointType::Hinge => (vec![source.reference], vec![source.springref]),
+    };
+    let axis = Vector3::from(source.axis);
+    let length = axis.norm();
+    model.joints.push(Joint {
+        name: source.name.clone(),
+        kind: source.kind,
+        body: source.body,
+        qpos: model.nq,
+        dof: model.nv,
+        pos: Vector3::from(source.pos),
+        axis: if length > 0.0 { axis / length } else { Vector3::z() },
+        range: source.range,
+        margin: source.margin,
+        reference: source.reference,
+        stiffness: source.stiffness,
+        damping: source.damping,
+        limit: source.limit.clone(),
+    });
+    // The last dof already on the chain: of this body, or of the ones above it.
+    let body = &model.bodies[source.body];
+    let above = body.chain.len - body.dofs.len;
+    let before = body.chain.of(&model.dof_lists)[..above].last().copied();
+    let mut parent = if model.nv > body.dofs.start { model.nv - 1 } else { before.unwrap_or(NONE) };
+    for _ in 0..source.kind.dofs() {
+        model.dofs.push(Dof {
+            joint: index,
+            body: source.body,
+            tree: body.tree,
+            parent,
+            row: Span::default(),
+            armature: source.armature,
+            damping: source.damping,
+            frictionloss: source.frictionloss,
+            friction: source.friction.clone(),
+            invweight: 0.0,
+        });
+        parent = model.nv;
+        model.nv += 1;
+    }
+    model.nq += start.len();
+    model.qpos0.extend(start);
+    model.qpos_spring.extend(stop);
+}
+
+/// This dof and its ancestors, nearest first.
+fn row(model: &mut Model, dof: usize) {
+    let start = model.row_dofs.len();
+    let mut at = dof;
+    while at != NONE {
+        model.row_dofs.push(at);
+        at = model.dofs[at].parent;
+    }
+    model.dofs[dof].row = Span { start, len: model.row_dofs.len() - start };
+}
+
+fn geom(source: &crate::scene::Geom) -> Geom {
+    let [a, b, c] = source.size;
+    let reach = match source.kind {
+        GeomType::Plane => f64::INFINITY,
+        GeomType::Sphere => a,
+        GeomType::Capsule => a + b,
+        GeomType::Ellipsoid => a.max(b).max(c),
+        GeomType::Cylinder => (a * a + b * b).sqrt(),
+        GeomType::Box => (a * a + b * b + c * c).sqrt(),
+    };
+    Geom {
+        name: source.name.clone(),
+        body: source.body,
+        kind: source.kind,
+        size: source.size,
+        pos: Vector3::from(source.pos),
+        quat: unit_quat(source.quat),
+        reach,
+        collides: false,
+    }
+}
+
+/// Unions of two bodies' chains, each stored once.
+#[derive(Default)]
+pub struct Unions(HashMap<(usize, usize), Span>);
+
+impl Unions {
+    /// Every dof that moves either body, ascending.
+    pub fn of(&mut self, model: &mut Model, body1: usize, body2: usize) -> Span {
+        let (a, b) = (model.bodies[body1].chain, model.bodies[body2].chain);
+        let (one, two) = (a.of(&model.dof_lists), b.of(&model.dof_lists));
+        if two.iter().all(|d| one.contains(d)) {
+            return a;
+        }
+        if one.iter().all(|d| two.contains(d)) {
+            return b;
+        }
+        let mut union = [one, two].concat();
+        union.sort_unstable();
+        union.dedup();
+        // One list for all bodies with these two chains, in either order.
+        let lists = &mut model.dof_lists;
+        *self.0.entry((a.start.min(b.start), a.start.max(b.start))).or_insert_with(|| {
+            let span = Span { start: lists.len(), len: union.len() };
+            lists.extend(union);
+            span
+        })
+    }
+}

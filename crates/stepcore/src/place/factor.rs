@@ -1,0 +1,159 @@
+//! H = LᵀDL along the trees, without square roots and without fill-in
+//! (Featherstone 2008, 6.5). L is unit lower triangular.
+//!
+//! Factored coordinates u = L v turn a row's Jacobian into y = L⁻ᵀJᵀ, which lives
+//! on the same dofs: J v = y·u, and H⁻¹Jᵀλ becomes D⁻¹ y λ.
+
+use super::Placed;
+use std::ops::Range;
+
+use crate::model::{Model, Span, Tree};
+use crate::real::Real;
+
+/// The factors of one symmetric matrix with the pattern of the mass matrix.
+pub struct Metric<R: Real> {
+    /// L in the layout of `Model::row_dofs`; the diagonal places hold D.
+    pub l: Vec<R>,
+    /// 1 / D, by dof.
+    pub inv_d: Vec<R>,
+    /// The model's pattern, packed: each dof's row, and each entry's dof and its row.
+    rows: Vec<Span>,
+    dofs: Vec<usize>,
+    above: Vec<usize>,
+}
+
+impl<R: Real> Metric<R> {
+    pub fn new(model: &Model) -> Self {
+        Self {
+            l: vec![R::one(); model.row_dofs.len()],
+            inv_d: vec![R::one(); model.nv],
+            rows: model.dofs.iter().map(|dof| dof.row).collect(),
+            dofs: model.row_dofs.clone(),
+            above: model.row_dofs.iter().map(|k| model.dofs[*k].row.start).collect(),
+        }
+    }
+
+    /// A row's entries left of the diagonal, nearest ancestor first, with their dofs.
+    #[inline(always)]
+    fn row(&self, k: usize) -> impl Iterator<Item = (R, usize)> + '_ {
+        let Span { start, len } = self.rows[k];
+        let (from, to) = (start + 1, start + len);
+        self.l[from..to].iter().copied().zip(self.dofs[from..to].iter().copied())
+    }
+
+    /// Factors the rows `dofs` of a matrix that was copied into `l`.
+    pub fn factor(&mut self, dofs: Range<usize>) {
+        for k in dofs.rev() {
+            let Span { start, len } = self.rows[k];
+            let (before, own) = self.l.split_at_mut(start);
+            let own = &mut own[..len];
+            let inv = R::one() / own[0];
+            self.inv_d[k] = inv;
+            for at in 1..len {
+                let a = own[at] * inv;
+                let above = &mut before[self.above[start + at]..][..len - at];
+                for (entry, own) in above.iter_mut().zip(&own[at..]) {
+                    *entry -= a * *own;
+                }
+                own[at] = a;
+            }
+        }
+    }
+
+    /// x ← L x.
+    pub fn to_factored(&self, x: &mut [R]) {
+        for k in (0..x.len()).rev() {
+            let mut sum = x[k];
+            for (l, j) in self.row(k) {
+                sum += l * x[j];
+            }
+            x[k] = sum;
+        }
+    }
+
+    /// x ← L⁻¹ x.
+    pub fn from_factored(&self, x: &mut [R]) {
+        self.from_factored_dofs(0..x.len(), x);
+    }
+
+    fn from_factored_dofs(&self, dofs: Range<usize>, x: &mut [R]) {
+        for k in dofs {
+            let mut sum = x[k];
+            for (l, j) in self.row(k) {
+                sum -= l * x[j];
+            }
+            x[k] = sum;
+        }
+    }
+
+    /// x ← L⁻ᵀ x on an ancestor-closed, ascending list of dofs.
+    #[inline]
+    pub fn lift(&self, dofs: &[usize], x: &mut [R]) {
+        for &k in dofs.iter().rev() {
+            let factor = x[k];
+            for (l, j) in self.row(k) {
+                x[j] -= l * factor;
+            }
+        }
+    }
+
+    /// x ← Lᵀ x.
+    pub fn lower(&self, x: &mut [R]) {
+        for k in 0..x.len() {
+            let factor = x[k];
+            for (l, j) in self.row(k) {
+                x[j] += l * factor;
+            }
+        }
+    }
+
+    /// x ← D⁻¹L⁻ᵀ x: a force into the change of u that it makes in a unit of time.
+    pub fn half_solve(&self, x: &mut [R]) {
+        self.half_solve_dofs(0..x.len(), x);
+    }
+
+    fn half_solve_dofs(&self, dofs: Range<usize>, x: &mut [R]) {
+        for k in dofs.rev() {
+            let factor = x[k];
+            for (l, j) in self.row(k) {
+                x[j] -= l * factor;
+            }
+            x[k] = factor * self.inv_d[k];
+        }
+    }
+
+    /// x ← H⁻¹ x on the dofs of whole trees.
+    pub fn solve_dofs(&self, dofs: Range<usize>, x: &mut [R]) {
+        self.half_solve_dofs(dofs.clone(), x);
+        self.from_factored_dofs(dofs, x);
+    }
+
+    /// x ← H⁻¹ x.
+    pub fn solve(&self, x: &mut [R]) {
+        self.solve_dofs(0..x.len(), x);
+    }
+}
+
+impl<R: Real> Placed<R> {
+    pub(super) fn factor_mass(&mut self, model: &Model, tree: &Tree) {
+        for k in tree.dofs.range() {
+            let row = model.dofs[k].row.range();
+            self.metric.l[row.clone()].copy_from_slice(&self.mass[row]);
+        }
+        self.metric.factor(tree.dofs.range());
+    }
+
+    /// out ← M x.
+    pub fn mul_mass(&self, model: &Model, x: &[R], out: &mut [R]) {
+        out.fill(R::zero());
+        for k in 0..model.nv {
+            let row = model.dofs[k].row;
+            out[k] += self.mass[row.start] * x[k];
+            for at in row.range().skip(1) {
+                let j = model.row_dofs[at];
+                out[k] += self.mass[at] * x[j];
+                out[j] += self.mass[at] * x[k];
+            }
+        }
+    }
+}

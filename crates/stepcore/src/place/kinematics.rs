@@ -1,0 +1,140 @@
+//! Forward kinematics: joint positions to poses, and the motion of each dof.
+
+use super::Placed;
+use crate::model::{Model, NONE};
+use crate::real::Real;
+use crate::scene::{GeomType, JointType};
+use crate::spatial::{rotate, splat, Motion, Quat, V3};
+
+impl<R: Real> Placed<R> {
+    /// Hangs a body on its parent and moves it through its joints in order.
+    pub(super) fn place_body(&mut self, model: &Model, qpos: &[R], index: usize) {
+        let body = &model.bodies[index];
+        let parent = body.parent;
+        let joints = body.joints.of(&model.joints);
+        if let [only] = joints {
+            if only.kind == JointType::Free {
+                let q = &qpos[only.qpos..];
+                self.xpos[index] = V3::new(q[0], q[1], q[2]);
+                self.xquat[index] = Quat::of(&q[3..7]).normalized();
+                self.xmat[index] = self.xquat[index].matrix();
+                self.origin[body.tree] = self.xpos[index];
+                self.free_motion(index, only.dof);
+                return;
+            }
+        }
+        if self.placed && body.tree != NONE && !body.turns {
+            return self.slide_body(model, qpos, index);
+        }
+        let offset = rotate(&self.xmat[parent], &splat(&body.pos));
+        self.offset[index] = offset;
+        let mut pos = self.xpos[parent] + offset;
+        let mut quat = self.xquat[parent].mul(&Quat::splat(&body.quat));
+        for joint in joints {
+            let q = qpos[joint.qpos];
+            let axis = quat.rotate(&splat(&joint.axis));
+            match joint.kind {
+                JointType::Slide => {
+                    let along = q - R::of(joint.reference);
+                    pos += V3::new(axis.x * along, axis.y * along, axis.z * along);
+                    self.motion[joint.dof] = Motion { ang: V3::zeros(), lin: axis };
+                }
+                JointType::Hinge => {
+                    let anchor = pos + quat.rotate(&splat(&joint.pos));
+                    let turn = Quat::about(&splat(&joint.axis), q - R::of(joint.reference));
+                    quat = quat.mul(&turn);
+                    pos = anchor - quat.rotate(&splat(&joint.pos));
+                    // `lin` holds the anchor until the tree's origin is known.
+                    self.motion[joint.dof] = Motion { ang: axis, lin: anchor };
+                }
+                JointType::Ball => {
+                    let anchor = pos + quat.rotate(&splat(&joint.pos));
+                    quat = quat.mul(&Quat::of(&qpos[joint.qpos..joint.qpos + 4]).normalized());
+                    pos = anchor - quat.rotate(&splat(&joint.pos));
+                    let m = quat.matrix();
+                    for k in 0..3 {
+                        let axis = V3::new(m[(0, k)], m[(1, k)], m[(2, k)]);
+                        self.motion[joint.dof + k] = Motion { ang: axis, lin: anchor };
+                    }
+                }
+                // The builder lets a free joint only stand alone: the branch above.
+                JointType::Free => {}
+            }
+        }
+        self.xpos[index] = pos;
+        self.xquat[index] = quat;
+        self.xmat[index] = quat.matrix();
+        if body.tree != NONE {
+            if model.trees[body.tree].bodies.start == index {
+                self.origin[body.tree] = pos;
+            }
+            self.about_origin(model, index);
+        }
+    }
+
+    /// A body that never turns keeps its orientation, its axes and its offset.
+    fn slide_body(&mut self, model: &Model, qpos: &[R], index: usize) {
+        let body = &model.bodies[index];
+        let mut pos = self.xpos[body.parent] + self.offset[index];
+        for joint in body.joints.of(&model.joints) {
+            let along = qpos[joint.qpos] - R::of(joint.reference);
+            let axis = &self.motion[joint.dof].lin;
+            pos += V3::new(axis.x * along, axis.y * along, axis.z * along);
+        }
+        self.xpos[index] = pos;
+        if model.trees[body.tree].bodies.start == index {
+            self.origin[body.tree] = pos;
+        }
+    }
+
+    /// Turns (axis, anchor) of hinges and balls into motions about the tree's origin.
+    fn about_origin(&mut self, model: &Model, index: usize) {
+        let body = &model.bodies[index];
+        let origin = self.origin[body.tree];
+        for joint in body.joints.of(&model.joints) {
+            let count = match joint.kind {
+                JointType::Hinge => 1,
+                JointType::Ball => 3,
+                _ => 0,
+            };
+            for motion in &mut self.motion[joint.dof..joint.dof + count] {
+                motion.lin = motion.ang.cross(&(origin - motion.lin));
+            }
+        }
+    }
+
+    /// Linear velocity in world axes, angular velocity in body axes.
+    fn free_motion(&mut self, index: usize, dof: usize) {
+        let m = self.xmat[index];
+        for k in 0..3 {
+            let mut unit = V3::zeros();
+            unit[k] = R::one();
+            self.motion[dof + k] = Motion { ang: V3::zeros(), lin: unit };
+            let axis = V3::new(m[(0, k)], m[(1, k)], m[(2, k)]);
+            self.motion[dof + 3 + k] = Motion { ang: axis, lin: V3::zeros() };
+        }
+    }
+
+    /// The pose of a geom, whole.
+    pub fn place_geom(&mut self, model: &Model, index: usize) {
+        let geom = &model.geoms[index];
+        self.place_geom_centre(model, index);
+        self.geom[index].rot = self.xquat[geom.body].mul(&Quat::splat(&geom.quat)).matrix();
+    }
+
+    fn place_geom_centre(&mut self, model: &Model, index: usize) {
+        let geom = &model.geoms[index];
+        let body = geom.body;
+        self.geom[index].pos = self.xpos[body] + rotate(&self.xmat[body], &splat(&geom.pos));
+    }
+
+    /// As much of a colliding geom's pose as its contacts need.
+    pub(super) fn place_colliding(&mut self, model: &Model, index: usize) {
+        let geom = &model.geoms[index];
+        if geom.kind == GeomType::Sphere || !model.bodies[geom.body].turns {
+            self.place_geom_centre(model, index);
+        } else {
+            self.place_geom(model, index);
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! Stage 1, place: where everything is, how heavy it is, and where it would go
+//! if nothing were in the way.
+//!
+//! Reads the state and the inputs; writes `Placed`. The last thing it makes is
+//! the guess, in factored coordinates: u = L v, û = u + dt·D⁻¹L⁻ᵀf.
+
+mod bias;
+mod factor;
+mod force;
+mod inertia;
+mod kinematics;
+
+pub use factor::Metric;
+pub use force::spring_energy;
+
+use crate::detect::Pose;
+use crate::model::Model;
+use crate::real::Real;
+use crate::spatial::{Force, Inertia, Motion, Quat, M3, V3};
+use crate::state::{Inputs, State};
+
+/// What this stage writes. Lists are by body, dof, geom, tree as named.
+pub struct Placed<R: Real> {
+    /// Body frame, by body [m].
+    pub xpos: Vec<V3<R>>,
+    pub xquat: Vec<Quat<R>>,
+    pub xmat: Vec<M3<R>>,
+    /// From the parent's frame to this one before its joints move it, in world axes.
+    offset: Vec<V3<R>>,
+    /// Everything was placed once, so that constants stand.
+    placed: bool,
+    /// Pose of each geom that collides, by geom.
+    pub geom: Vec<Pose<R>>,
+    /// The point about which a tree's spatial quantities are written, by tree.
+    pub origin: Vec<V3<R>>,
+    /// What one unit of a dof's velocity does to its body, by dof.
+    pub motion: Vec<Motion<R>>,
+    /// Spatial inertia by body, and summed over all that hangs on the body.
+    pub inertia: Vec<Inertia<R>>,
+    pub composite: Vec<Inertia<R>>,
+    /// The mass matrix, armature included, in the layout of `Model::row_dofs`.
+    pub mass: Vec<R>,
+    /// M = LᵀDL.
+    pub metric: Metric<R>,
+    /// Velocity by body.
+    pub velocity: Vec<Motion<R>>,
+    acceleration: Vec<Motion<R>>,
+    wrench: Vec<Force<R>>,
+    /// Coriolis, centrifugal and gravity forces, by dof; they stand on the left side.
+    pub bias: Vec<R>,
+    /// Joint springs and dampers, by dof.
+    pub passive: Vec<R>,
+    /// Force of each motor, by actuator.
+    pub actuator: Vec<R>,
+    /// All smooth forces summed, by dof: applied + actuated + passive − bias.
+    pub force: Vec<R>,
+    /// u = L v of the present velocity, and of the guess.
+    pub u: Vec<R>,
+    pub guess: Vec<R>,
+}
+
+impl<R: Real> Placed<R> {
+    pub fn new(model: &Model) -> Self {
+        let (nbody, nv) = (model.bodies.len(), model.nv);
+        let zero = R::zero();
+        let identity = Quat::identity();
+        let mut placed = Self {
+            xpos: vec![V3::zeros(); nbody],
+            xquat: vec![identity; nbody],
+            xmat: vec![identity.matrix(); nbody],
+            offset: vec![V3::zeros(); nbody],
+            placed: false,
+            geom: vec![Pose { pos: V3::zeros(), rot: identity.matrix() }; model.geoms.len()],
+            origin: vec![V3::zeros(); model.trees.len()],
+            motion: vec![Motion::zero(); nv],
+            inertia: vec![Inertia::zero(); nbody],
+            composite: vec![Inertia::zero(); nbody],
+            mass: vec![zero; model.row_dofs.len()],
+            metric: Metric::new(model),
+            velocity: vec![Motion::zero(); nbody],
+            acceleration: vec![Motion::zero(); nbody],
+            wrench: vec![Force::zero(); nbody],
+            bias: vec![zero; nv],
+            passive: vec![zero; nv],
+            actuator: vec![zero; model.actuators.len()],
+            force: vec![zero; nv],
+            u: vec![zero; nv],
+            guess: vec![zero; nv],
+        };
+        placed.place_constants(model);
+        placed
+    }
+
+    /// Whatever no step changes: fixed bodies, and all of a tree that only slides.
+    fn place_constants(&mut self, model: &Model) {
+        let qpos: Vec<R> = model.qpos0.iter().map(|q| R::of(*q)).collect();
+        let still = vec![R::zero(); model.nv];
+        for body in 1..model.bodies.len() {
+            self.place_body(model, &qpos, body);
+        }
+        self.placed = true;
+        for geom in 0..model.geoms.len() {
+            self.place_geom(model, geom);
+        }
+        for (index, tree) in model.trees.iter().enumerate() {
+            self.weigh(model, tree);
+            self.factor_mass(model, tree);
+            self.velocities(model, &still, tree);
+            self.bias_of_tree(model, index);
+        }
+    }
+
+    /// Positions only: bodies, geoms and the motion of every dof.
+    pub fn positions(&mut self, model: &Model, qpos: &[R]) {
+        for tree in &model.trees {
+            for body in tree.bodies.range() {
+                self.place_body(model, qpos, body);
+            }
+        }
+        for (index, geom) in model.geoms.iter().enumerate() {
+            if geom.collides && model.bodies[geom.body].tree != crate::model::NONE {
+                self.place_colliding(model, index);
+            }
+        }
+    }
+
+    /// The smooth dynamics at (qpos, qvel): M, its factors, and the forces.
+    pub fn dynamics(&mut self, model: &Model, qpos: &[R], qvel: &[R], inputs: &Inputs<R>) {
+        for (index, tree) in model.trees.iter().enumerate() {
+            if !tree.slides_only {
+                self.weigh(model, tree);
+                self.factor_mass(model, tree);
+                self.velocities(model, qvel, tree);
+                self.bias_of_tree(model, index);
+            }
+        }
+        self.smooth_force(model, qpos, qvel, inputs);
+    }
+
+    /// Velocity of every body: the step needs them only where something turns.
+    pub fn all_velocities(&mut self, model: &Model, qvel: &[R]) {
+        for tree in &model.trees {
+            self.velocities(model, qvel, tree);
+        }
+    }
+
+    /// The whole stage, ending with the guess û.
+    pub fn place(&mut self, model: &Model, state: &State<R>, inputs: &Inputs<R>, dt: R) {
+        self.positions(model, &state.qpos);
+        self.dynamics(model, &state.qpos, &state.qvel, inputs);
+        self.u.copy_from_slice(&state.qvel);
+        self.metric.to_factored(&mut self.u);
+        self.guess.copy_from_slice(&self.force);
+        self.metric.half_solve(&mut self.guess);
+        for k in 0..model.nv {
+            self.guess[k] = self.u[k] + dt * self.guess[k];
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! `Settings`: how a scene is computed, and the overrides that change what is modelled.
+
+use crate::error::{Error, Result};
+
+/// An enum of settings values with one name each, as the user writes it.
+macro_rules! named {
+    ($(#[$doc:meta])* $name:ident, $field:literal { $($(#[$vdoc:meta])* $variant:ident = $text:literal),+ $(,)? }) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum $name { $($(#[$vdoc])* $variant),+ }
+        impl $name {
+            /// Every name, in the order of the documentation.
+            pub const NAMES: &'static [&'static str] = &[$($text),+];
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$variant => $text),+ }
+            }
+            pub fn parse(text: &str) -> Result<Self> {
+                match text {
+                    $($text => Ok(Self::$variant),)+
+                    _ => Err(Error::value($field, format!("'{text}'"), format!("one of {}", Self::NAMES.join(", ")))),
+                }
+            }
+        }
+    };
+}
+
+named!(
+    /// How velocities and positions advance. Formulas: the files of `commit/`.
+    Integrator, "integrator" {
+        /// Positions move by the old velocity.
+        Explicit = "explicit",
+        /// Positions move by the new velocity.
+        SemiImplicit = "semi-implicit",
+        /// MuJoCo's Euler: semi-implicit, joint damping implicit.
+        Euler = "euler",
+        /// MuJoCo's implicitfast: velocity derivatives implicit, symmetrised.
+        ImplicitFast = "implicitfast",
+        /// Implicit midpoint, solved to rounding.
+        Midpoint = "midpoint",
+        /// Classical Runge-Kutta of fourth order.
+        Rk4 = "rk4",
+    }
+);
+named!(
+    /// How the rows are solved.
+    Solver, "solver" { Pgs = "pgs", Newton = "newton" }
+);
+named!(
+    /// What speeds up projected Gauss-Seidel.
+    Acceleration, "acceleration" {
+        /// The lesson's method: rows in order.
+        None = "none",
+        /// Nesterov momentum with restart over rows in a fixed shuffled order.
+        Momentum = "momentum",
+    }
+);
+named!(
+    /// Which rows a violated constraint makes; see `solve/law.rs`.
+    Law, "law" {
+        SolRef = "solref", Lesson = "lesson", Relaxed = "relaxed", Rigid = "rigid", Penalty = "penalty"
+    }
+);
+named!(
+    /// The shape of the set of friction forces.
+    Cone, "cone" { Pyramidal = "pyramidal", Elliptic = "elliptic" }
+);
+named!(
+    /// The number the engine computes with.
+    Precision, "precision" { F32 = "f32", F64 = "f64" }
+);
+
+/// How to compute. SI units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    // Numerics: cannot change the limit dt → 0.
+    pub dt: f64,
+    pub integrator: Integrator,
+    pub solver: Solver,
+    pub acceleration: Acceleration,
+    pub sweeps: u32,
+    pub tolerance: f64,
+    pub warm_start: bool,
+    pub precision: Precision,
+    pub max_contacts: usize,
+    // Modelling overrides.
+    pub law: Law,
+    pub beta: f64,
+    pub softness: f64,
+    pub restitution: f64,
+    pub slop: f64,
+    pub penalty_stiffness: f64,
+    pub penalty_damping_ratio: f64,
+    pub cone: Cone,
+    pub impratio: f64,
+    pub refsafe: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            dt: 0.002,
+            integrator: Integrator::Euler,
+            solver: Solver::Newton,
+            acceleration: Acceleration::None,
+            sweeps: 100,
+            tolerance: 1e-10,
+            warm_start: true,
+            precision: Precision::F64,
+            max_contacts: 0,
+            law: Law::SolRef,
+            beta: 0.2,
+            softness: 0.0,
+            restitution: 0.0,
+            slop: 0.0,
+            penalty_stiffness: 1e5,
+            penalty_damping_ratio: 0.1,
+            cone: Cone::Pyramidal,
+            impratio: 1.0,
+            refsafe: true,
+        }
+    }
+}
+
+impl Settings {
+    /// Checks every field against its limit.
+    pub fn check(&self) -> Result<()> {
+        let number = |field: &str, value: f64, ok: bool, limit: &str| {
+            if value.is_finite() && ok {
+                Ok(())
+            } else {
+                Err(Error::value(field, value, limit))
+            }
+        };
+        number("dt", self.dt, self.dt > 0.0, "finite and > 0 s")?;
+        number("tolerance", self.tolerance, self.tolerance >= 0.0, "finite and >= 0 m/s")?;
+        number("beta", self.beta, self.beta > 0.0 && self.beta <= 1.0, "in (0, 1]")?;
+        number("softness", self.softness, self.softness >= 0.0, "finite and >= 0 1/kg")?;
+        number("restitution", self.restitution, (0.0..=1.0).contains(&self.restitution), "in [0, 1]")?;
+        number("slop", self.slop, self.slop >= 0.0, "finite and >= 0 m")?;
+        number("penalty_stiffness", self.penalty_stiffness, self.penalty_stiffness > 0.0, "finite and > 0 N/m")?;
+        let ratio = self.penalty_damping_ratio;
+        number("penalty_damping_ratio", ratio, ratio >= 0.0, "finite and >= 0")?;
+        number("impratio", self.impratio, self.impratio > 0.0, "finite and > 0")?;
+        if self.solver == Solver::Newton && matches!(self.law, Law::Lesson | Law::Relaxed | Law::Rigid) {
+            return Err(Error::value(
+                "solver",
+                format!("'newton' with law '{}'", self.law.name()),
+                "'pgs' under a Coulomb law (Newton minimises, a Coulomb cone has nothing to minimise)",
+            ));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,97 @@
+//! `Sim`: one model, one state (or a lane register of states), and its working space.
+
+use std::sync::Arc;
+
+use crate::commit::Next;
+use crate::detect::Detected;
+use crate::error::Result;
+use crate::model::Model;
+use crate::place::Placed;
+use crate::real::Real;
+use crate::settings::Settings;
+use crate::solve::{Limits, Pgs, Report, Rows};
+use crate::state::{Inputs, State};
+
+/// How the last solve went.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Effort {
+    /// Sweeps or Newton iterations of the last solve (the most of any island and lane).
+    pub sweeps: u32,
+    /// Row updates since the start, over all lanes together.
+    pub row_updates: u64,
+    /// Newton's last decrement, relative; 0 under PGS.
+    pub decrement: f64,
+}
+
+/// Positions and velocities one step ago.
+pub(crate) struct Before<R: Real> {
+    pub qpos: Vec<R>,
+    pub qvel: Vec<R>,
+}
+
+pub struct Sim<R: Real> {
+    pub model: Arc<Model>,
+    pub settings: Settings,
+    pub state: State<R>,
+    pub inputs: Inputs<R>,
+    pub placed: Placed<R>,
+    pub detected: Detected<R>,
+    pub rows: Rows<R>,
+    /// v⁺ of the last solve, and (v⁺ − v)/dt.
+    pub velocity: Vec<R>,
+    pub qacc: Vec<R>,
+    pub effort: Effort,
+    pub(crate) next: Next<R>,
+    pgs: Pgs<R>,
+    /// The state before the last committed step.
+    pub(crate) before: Before<R>,
+}
+
+impl<R: Real> Sim<R> {
+    pub fn new(model: Arc<Model>, settings: Settings) -> Result<Self> {
+        settings.check()?;
+        Ok(Self {
+            state: State::new(&model),
+            inputs: Inputs::new(&model),
+            placed: Placed::new(&model),
+            detected: Detected::new(settings.max_contacts),
+            rows: Rows::new(&model),
+            velocity: vec![R::zero(); model.nv],
+            qacc: vec![R::zero(); model.nv],
+            effort: Effort::default(),
+            next: Next::new(&model),
+            pgs: Pgs::new(),
+            before: Before { qpos: vec![R::zero(); model.nq], qvel: vec![R::zero(); model.nv] },
+            model,
+            settings,
+        })
+    }
+}
+
+impl<R: Real> Sim<R> {
+    /// Solves the rows that were made, from the last step's impulses if they are kept.
+    pub(crate) fn solve(&mut self) -> Result<()> {
+        let (model, inv_d) = (&*self.model, &self.placed.metric.inv_d);
+        if self.settings.warm_start {
+            self.rows.warm_start(model, inv_d, &self.state.warm);
+        }
+        let limits = Limits { sweeps: self.settings.sweeps, tolerance: self.settings.tolerance };
+        let report = self.pgs.solve(&model.dof_lists, inv_d, &mut self.rows, limits);
+        self.effort.note(&report);
+        Ok(())
+    }
+
+    /// The worst miss of the last solve, a speed [m/s]; 0 without rows.
+    pub fn residual(&self) -> R {
+        self.rows.residual(&self.model.dof_lists)
+    }
+}
+
+impl Effort {
+    fn note<R: Real>(&mut self, report: &Report<R>) {
+        let lanes = 0..R::LANES;
+        self.sweeps = lanes.clone().map(|lane| report.sweeps.lane(lane) as u32).max().unwrap_or(0);
+        self.row_updates += lanes.clone().map(|lane| report.updates.lane(lane) as u64).sum::<u64>();
+        self.decrement = lanes.map(|lane| report.decrement.lane(lane)).fold(0.0, f64::max);
+    }
+}

@@ -1,0 +1,177 @@
+//! Contacts as rows: a normal, and friction as a pyramid of edges or as a cone.
+//!
+//! Under `solref` (MuJoCo's convex friction) the pyramid's rows are its edges
+//! J_n ± μ J_t. A tangent along which nothing can move leaves two copies of the
+//! normal row; they are folded into one with half the regulariser, never dropped,
+//! because they carry stiffness.
+
+use super::law::{OnGuess, SolRef};
+use super::rows::{Rows, Set, Site, Source};
+use crate::detect::{Contact, Detected};
+use crate::model::Pair;
+use crate::real::{Mask, Real};
+use crate::settings::{Cone, Law};
+
+impl<R: Real> Rows<R> {
+    pub(super) fn contacts(&mut self, site: &Site<R>, detected: &mut Detected<R>) {
+        for index in 0..detected.contacts.len() {
+            let contact = &mut detected.contacts[index];
+            let pair = &site.model.pairs[contact.pair];
+            match site.settings.law {
+                Law::SolRef => self.soft_contact(site, contact, pair, index),
+                Law::Penalty => self.penalty(site, contact, pair),
+                _ => self.rigid_contact(site, contact, pair, index),
+            }
+        }
+    }
+
+    fn contact_row(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair, direction: usize) {
+        let bodies = [site.model.geoms[pair.geom1].body, site.model.geoms[pair.geom2].body];
+        let along = if direction == 0 { contact.normal } else { contact.tangents[direction - 1] };
+        self.relative_jacobian(site, bodies, pair.dofs, &contact.pos, &along);
+        self.push_scratch(site, pair.dofs);
+    }
+
+    fn close(&mut self, site: &Site<R>, pair: &Pair, contact: &Contact<R>, first: usize, set: Set, mask: R::Mask, index: usize) {
+        let model = site.model;
+        let base = model.equalities.len() + model.nv + 2 * model.joints.len();
+        let slot = (base + 2 * contact.pair + contact.part) as u32;
+        let block = self.push_block(first, set, mask, Source::Contact(index), slot);
+        block.mass = pair.mass;
+        let mu = pair.friction[0];
+        block.mu = R::of(mu);
+        block.mu_soft = R::of(mu / site.settings.impratio.sqrt());
+    }
+
+    /// MuJoCo's contact: soft normal, convex friction.
+    fn soft_contact(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair, index: usize) {
+        let (settings, dt) = (site.settings, R::of(site.settings.dt));
+        let mask = contact.mask.and(contact.dist.lt(R::of(pair.margin)));
+        if mask.none() {
+            return;
+        }
+        let r = contact.dist - R::of(pair.margin);
+        let law = SolRef::at(&pair.soft, r, settings.dt, settings.refsafe);
+        let normal_r = law.softness * R::of(pair.invweight);
+        let (mu, impratio) = (pair.friction[0], settings.impratio);
+        let first = self.rows.len();
+        self.contact_row(site, contact, pair, 0);
+        let fill = |row: &mut super::rows::Row<R>, r: R, c: R| {
+            row.t = law.target(row.velocity, r, dt);
+            row.c = c;
+            row.inv_s = (row.a + c).recip_or_zero();
+        };
+        if pair.condim == 1 {
+            fill(&mut self.rows[first], r, normal_r);
+            return self.close(site, pair, contact, first, Set::Interval, mask, index);
+        }
+        if settings.cone == Cone::Elliptic {
+            fill(&mut self.rows[first], r, normal_r);
+            for k in 0..2 {
+                if !pair.still[k] {
+                    self.contact_row(site, contact, pair, k + 1);
+                    let at = self.rows.len() - 1;
+                    // Tangents have no position to restore.
+                    let without = SolRef { kd: R::zero(), ..law };
+                    let row = &mut self.rows[at];
+                    row.t = without.target(row.velocity, R::zero(), dt);
+                    row.c = normal_r * R::of(1.0 / impratio);
+                    row.inv_s = (row.a + row.c).recip_or_zero();
+                    row.lo = R::of(f64::NEG_INFINITY);
+                }
+            }
+            return self.close(site, pair, contact, first, Set::Convex, mask, index);
+        }
+        let edge_r = normal_r * R::of(2.0 * mu * mu / impratio * (1.0 + mu * mu));
+        self.pyramid(site, contact, pair, first);
+        let still = pair.still.iter().filter(|still| **still).count();
+        let edges = self.rows.len() - first;
+        for (k, row) in self.rows[first..].iter_mut().enumerate() {
+            // The fold stands last: 2 or 4 equal rows in one.
+            let folded = still > 0 && k + 1 == edges;
+            let c = if folded { edge_r * R::of(0.5 / still as f64) } else { edge_r };
+            fill(row, r, c);
+        }
+        self.close(site, pair, contact, first, Set::Interval, mask, index);
+    }
+
+    /// Replaces the normal row at `first` by the edges J_n ± μ J_t, then the fold.
+    fn pyramid(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair, first: usize) {
+        let mu = R::of(pair.friction[0]);
+        let mut edges = 0;
+        let normal = first;
+        let tangents = first + 1;
+        for k in 0..2 {
+            if !pair.still[k] {
+                self.contact_row(site, contact, pair, k + 1);
+                edges += 2;
+            }
+        }
+        let moving = edges / 2;
+        for k in 0..moving {
+            self.push_sum(site, normal, tangents + k, mu);
+            self.push_sum(site, normal, tangents + k, -mu);
+        }
+        if moving < 2 {
+            self.push_sum(site, normal, normal, R::zero());
+        }
+        // The normal and the tangents were only the makings of the edges: y stays packed.
+        self.rows.drain(first..first + 1 + moving);
+        let makings = (1 + moving) * pair.dofs.len;
+        let end = self.y.len() - makings;
+        let start = end - (self.rows.len() - first) * pair.dofs.len;
+        self.y.copy_within(start + makings.., start);
+        self.y.truncate(end);
+        for row in &mut self.rows[first..] {
+            row.y -= makings;
+        }
+    }
+
+    /// A contact under `lesson`, `relaxed` or `rigid`: a row where the guess overlaps.
+    fn rigid_contact(&mut self, site: &Site<R>, contact: &mut Contact<R>, pair: &Pair, index: usize) {
+        let law = OnGuess::new(site.settings);
+        let first = self.rows.len();
+        self.contact_row(site, contact, pair, 0);
+        let mask = contact.mask.and(self.violated_by_guess(site, first, contact.dist));
+        contact.mask = mask;
+        if mask.none() {
+            self.pop_row();
+            return;
+        }
+        law.distance(&mut self.rows[first], contact.dist, site.settings.restitution);
+        if pair.condim == 1 || pair.friction[0] <= 0.0 {
+            return self.close(site, pair, contact, first, Set::Interval, mask, index);
+        }
+        for k in 0..2 {
+            if !pair.still[k] {
+                self.contact_row(site, contact, pair, k + 1);
+                let at = self.rows.len() - 1;
+                law.friction(&mut self.rows[at]);
+                self.rows[at].lo = R::of(f64::NEG_INFINITY);
+            }
+        }
+        let set = match site.settings.cone {
+            Cone::Elliptic => Set::CoulombRound,
+            Cone::Pyramidal => Set::CoulombBox,
+        };
+        self.close(site, pair, contact, first, set, mask, index);
+    }
+
+    /// The trap: a spring under the surface. No row, a force on the guess.
+    fn penalty(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair) {
+        let settings = site.settings;
+        let first = self.rows.len();
+        self.contact_row(site, contact, pair, 0);
+        let row = self.rows[first].clone();
+        let mass = row.a.recip_or_zero();
+        let k = R::of(settings.penalty_stiffness);
+        let damping = R::of(2.0 * settings.penalty_damping_ratio) * (k * mass).sqrt();
+        let force = -(k * contact.dist) - damping * row.velocity;
+        let mask = contact.mask.and(contact.dist.lt(R::zero()));
+        let dofs = row.dofs.of(&site.model.dof_lists);
+        let y = &self.y[row.y..row.y + dofs.len()];
+        let impulse = R::of(settings.dt) * force;
+        Self::kick(&mut self.u, &site.placed.metric.inv_d, dofs, y, impulse, mask);
+        self.pop_row();
+    }
+}

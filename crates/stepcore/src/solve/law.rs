@@ -1,0 +1,130 @@
+//! Laws: what a violated constraint asks of the velocity after the step.
+//!
+//! A law turns (violation φ, row velocity u before the step) into a target t and
+//! a regulariser c. `solref` is MuJoCo's: MuJoCo documentation, "Constraint model"
+//! and "Solver parameters". The others act on the velocity of the guess, after
+//! Baumgarte (1972) and Stewart & Trinkle (1996).
+
+use super::rows::Row;
+use crate::real::Real;
+use crate::scene::Softness;
+use crate::settings::{Law, Settings};
+
+/// MuJoCo's `mjMINIMP`, `mjMAXIMP`: dimensionless guards of the impedance.
+const IMPEDANCE: [f64; 2] = [0.0001, 0.9999];
+
+/// Spring, damper and impedance of one row or block under `solref`.
+#[derive(Clone, Copy)]
+pub struct SolRef<R: Real> {
+    /// Damping b [1/s] and stiffness K·d [1/s²]: a_ref = −b u − K d r.
+    pub b: R,
+    pub kd: R,
+    /// (1 − d)/d: times the inverse weight it is R.
+    pub softness: R,
+}
+
+impl<R: Real> SolRef<R> {
+    /// At the violation `r` (its size, for a block).
+    pub fn at(soft: &Softness, r: R, dt: f64, refsafe: bool) -> Self {
+        let (d0, dw) = (impedance(soft.solimp[0]), impedance(soft.solimp[1]));
+        let d = impedance_at(soft, d0, dw, r);
+        let [s0, s1] = soft.solref;
+        let (stiffness, b) = if s0 > 0.0 {
+            let tc = if refsafe { s0.max(2.0 * dt) } else { s0 };
+            (1.0 / (dw * dw * tc * tc * s1 * s1), 2.0 / (dw * tc))
+        } else {
+            (-s0 / (dw * dw), -s1 / dw)
+        };
+        Self { b: R::of(b), kd: R::of(stiffness) * d, softness: (R::one() - d) / d }
+    }
+
+    /// Friction loss: no position, impedance d0.
+    pub fn without_position(soft: &Softness, dt: f64, refsafe: bool) -> Self {
+        let mut law = Self::at(soft, R::zero(), dt, refsafe);
+        let d = R::of(impedance(soft.solimp[0]));
+        law.kd = R::zero();
+        law.softness = (R::one() - d) / d;
+        law
+    }
+
+    /// t = u + dt·a_ref.
+    #[inline(always)]
+    pub fn target(&self, u: R, r: R, dt: R) -> R {
+        u - dt * (self.b * u + self.kd * r)
+    }
+}
+
+fn impedance(d: f64) -> f64 {
+    d.clamp(IMPEDANCE[0], IMPEDANCE[1])
+}
+
+/// d(r): from d0 at r = 0 along two power curves to dw at |r| = width.
+fn impedance_at<R: Real>(soft: &Softness, d0: f64, dw: f64, r: R) -> R {
+    let [_, _, width, mid, power] = soft.solimp;
+    if d0 == dw || width <= 0.0 {
+        return R::of(0.5 * (d0 + dw));
+    }
+    let (mid, power) = (impedance(mid), power.max(1.0));
+    let one = R::one();
+    let x = (r.abs() * R::of(1.0 / width)).min(one);
+    let raise = |x: R| if power == 1.0 { x } else if power == 2.0 { x * x } else { x.powf(R::of(power)) };
+    let slope = |mid: f64| if power == 2.0 { 1.0 / mid } else { 1.0 / mid.powf(power - 1.0) };
+    let below = raise(x) * R::of(slope(mid));
+    let above = one - raise(one - x) * R::of(slope(1.0 - mid));
+    let y = R::select(x.le(R::of(mid)), below, above);
+    R::of(d0) + y * R::of(dw - d0)
+}
+
+/// The laws on velocities: how a row that holds a distance is filled in.
+#[derive(Clone, Copy)]
+pub struct OnGuess {
+    pub law: Law,
+    pub dt: f64,
+    pub beta: f64,
+    pub softness: f64,
+    pub slop: f64,
+}
+
+impl OnGuess {
+    pub fn new(settings: &Settings) -> Self {
+        let Settings { law, dt, beta, softness, slop, .. } = *settings;
+        Self { law, dt, beta, softness, slop }
+    }
+
+    /// An inequality: distance φ ≥ 0. `bounce` is e·v_n⁻ of a contact, 0 of a limit.
+    pub fn distance<R: Real>(&self, row: &mut Row<R>, phi: R, restitution: f64) {
+        let (zero, inv_dt) = (R::zero(), R::of(1.0 / self.dt));
+        let push = R::of(-self.beta) * inv_dt;
+        if self.law == Law::Rigid {
+            let back = (push * (phi + R::of(self.slop)).min(zero)).max(R::of(-restitution) * row.velocity);
+            let arrive = -(phi * inv_dt);
+            let open = if restitution == 0.0 { phi.gt(zero) } else { zero.lt(zero) };
+            row.t = R::select(open, arrive, back);
+        } else {
+            row.t = push * phi.min(zero);
+        }
+        self.soften(row);
+    }
+
+    /// An equality: φ = 0.
+    pub fn equality<R: Real>(&self, row: &mut Row<R>, phi: R) {
+        row.t = R::of(-self.beta / self.dt) * phi;
+        self.soften(row);
+    }
+
+    /// A friction row: no slip, exactly.
+    pub fn friction<R: Real>(&self, row: &mut Row<R>) {
+        row.t = R::zero();
+        row.c = R::zero();
+        row.inv_s = row.a.recip_or_zero();
+    }
+
+    fn soften<R: Real>(&self, row: &mut Row<R>) {
+        let soft = match self.law {
+            Law::Rigid => 0.0,
+            _ => self.softness,
+        };
+        row.c = R::of(if self.law == Law::Lesson { soft } else { 0.0 });
+        row.inv_s = (row.a + R::of(soft)).recip_or_zero();
+    }
+}

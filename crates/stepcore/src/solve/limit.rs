@@ -1,0 +1,81 @@
+//! Joint limits: a joint goes no further than its range. One row a bound.
+
+use super::law::{OnGuess, SolRef};
+use super::rows::{Rows, Set, Site, Source};
+use crate::model::Joint;
+use crate::real::{Mask, Real};
+use crate::scene::JointType;
+use crate::settings::Law;
+use crate::spatial::{Quat, V3};
+
+impl<R: Real> Rows<R> {
+    pub(super) fn limits(&mut self, site: &Site<R>) {
+        if !site.model.features.limit {
+            return;
+        }
+        for (index, joint) in site.model.joints.iter().enumerate() {
+            let Some([lo, hi]) = joint.range else { continue };
+            if joint.kind == JointType::Ball {
+                let q = Quat::of(&site.qpos[joint.qpos..joint.qpos + 4]).normalized();
+                let (axis, angle) = q.axis_angle();
+                let away = R::select(angle.lt(R::zero()), R::one(), -R::one());
+                let direction = V3::new(axis.x * away, axis.y * away, axis.z * away);
+                self.limit(site, index, 1, R::of(hi) - angle.abs(), direction.as_slice());
+            } else {
+                let q = site.qpos[joint.qpos];
+                self.limit(site, index, 0, q - R::of(lo), &[R::one()]);
+                self.limit(site, index, 1, R::of(hi) - q, &[-R::one()]);
+            }
+        }
+    }
+
+    /// One bound at distance φ; `direction` is its gradient on the joint's dofs.
+    fn limit(&mut self, site: &Site<R>, index: usize, side: usize, phi: R, direction: &[R]) {
+        let (model, settings) = (site.model, site.settings);
+        let joint: &Joint = &model.joints[index];
+        let near = phi.lt(R::of(joint.margin));
+        let by_position = matches!(settings.law, Law::SolRef | Law::Penalty);
+        if by_position && near.none() {
+            return;
+        }
+        let dofs = model.chain_of_dof(joint.dof + direction.len() - 1);
+        for &k in dofs.of(&model.dof_lists) {
+            self.scratch[k] = R::zero();
+        }
+        self.scratch[joint.dof..joint.dof + direction.len()].copy_from_slice(direction);
+        let first = self.rows.len();
+        let row = self.push_scratch(site, dofs);
+        let mask = if by_position {
+            let dof = &model.dofs[joint.dof];
+            let r = phi - R::of(joint.margin);
+            let law = SolRef::at(&joint.limit, r, settings.dt, settings.refsafe);
+            row.t = law.target(row.velocity, r, R::of(settings.dt));
+            row.c = law.softness * R::of(dof.invweight);
+            row.inv_s = (row.a + row.c).recip_or_zero();
+            near
+        } else {
+            OnGuess::new(settings).distance(row, phi, 0.0);
+            self.violated_by_guess(site, first, phi)
+        };
+        if mask.none() {
+            self.pop_row();
+            return;
+        }
+        let slot = (model.equalities.len() + model.nv + 2 * index + side) as u32;
+        let block = self.push_block(first, Set::Interval, mask, Source::Limit(index, side), slot);
+        block.mass = model.trees[model.dofs[joint.dof].tree].mass;
+    }
+
+    /// φ + dt·J v̂ < 0: the guess goes where it may not.
+    pub(super) fn violated_by_guess(&self, site: &Site<R>, row: usize, phi: R) -> R::Mask {
+        let velocity = self.dot(site.model, &self.rows[row], &site.placed.guess);
+        (phi + R::of(site.settings.dt) * velocity).lt(R::zero())
+    }
+
+    /// Takes back the row pushed last.
+    pub(super) fn pop_row(&mut self) {
+        if let Some(row) = self.rows.pop() {
+            self.y.truncate(row.y);
+        }
+    }
+}

@@ -1,0 +1,41 @@
+//! Friction loss: dry friction in a dof, an impulse of at most dt · loss.
+
+use super::law::{OnGuess, SolRef};
+use super::rows::{Rows, Set, Site, Source};
+use crate::real::{Mask, Real};
+use crate::settings::Law;
+
+impl<R: Real> Rows<R> {
+    pub(super) fn losses(&mut self, site: &Site<R>) {
+        if !site.model.features.frictionloss {
+            return;
+        }
+        let (model, settings) = (site.model, site.settings);
+        let dt = settings.dt;
+        for (k, dof) in model.dofs.iter().enumerate() {
+            if dof.frictionloss <= 0.0 {
+                continue;
+            }
+            let dofs = model.chain_of_dof(k);
+            for &j in dofs.of(&model.dof_lists) {
+                self.scratch[j] = R::zero();
+            }
+            self.scratch[k] = R::one();
+            let first = self.rows.len();
+            let row = self.push_scratch(site, dofs);
+            row.lo = R::of(-dt * dof.frictionloss);
+            row.hi = R::of(dt * dof.frictionloss);
+            if settings.law == Law::SolRef {
+                let law = SolRef::without_position(&dof.friction, dt, settings.refsafe);
+                row.t = law.target(row.velocity, R::zero(), R::of(dt));
+                row.c = law.softness * R::of(dof.invweight);
+                row.inv_s = (row.a + row.c).recip_or_zero();
+            } else {
+                OnGuess::new(settings).friction(row);
+            }
+            let slot = (model.equalities.len() + k) as u32;
+            let block = self.push_block(first, Set::Interval, R::Mask::of(true), Source::FrictionLoss(k), slot);
+            block.mass = model.trees[dof.tree].mass;
+        }
+    }
+}

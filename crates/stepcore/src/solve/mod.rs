@@ -1,0 +1,91 @@
+//! Stage 3, solve: every contact, limit, loss and weld as rows of one system,
+//! and the impulses on which they all agree.
+
+mod cone;
+mod contact;
+mod equality;
+mod law;
+mod limit;
+mod loss;
+mod momentum;
+mod pgs;
+mod residual;
+mod rows;
+
+pub use law::SolRef;
+pub use pgs::{Limits, Pgs, Report};
+pub use rows::{Block, Row, Rows, Set, Site, Source};
+
+use crate::detect::Detected;
+use crate::model::{Model, Span};
+use crate::real::Real;
+use crate::spatial::{Force, V3};
+use crate::state::Warm;
+
+impl<R: Real> Rows<R> {
+    /// Makes every row that exists: equalities, friction loss, limits, contacts.
+    pub fn make(&mut self, site: &Site<R>, detected: &mut Detected<R>) {
+        self.clear();
+        self.u.copy_from_slice(&site.placed.guess);
+        if !site.model.features.constraint {
+            return;
+        }
+        self.equalities(site);
+        self.losses(site);
+        self.limits(site);
+        self.contacts(site, detected);
+        self.assign_islands(site.model);
+    }
+
+    /// Sets `scratch` to the Jacobian of the relative velocity of two body points at
+    /// `at` (body 2 minus body 1) along `direction`, on the union `dofs` of their chains.
+    fn relative_jacobian(&mut self, site: &Site<R>, bodies: [usize; 2], dofs: Span, at: &V3<R>, direction: &V3<R>) {
+        for &k in dofs.of(&site.model.dof_lists) {
+            self.scratch[k] = R::zero();
+        }
+        self.add_jacobian(site, bodies[0], at, &-direction);
+        self.add_jacobian(site, bodies[1], at, direction);
+    }
+
+    /// Adds the Jacobian of one body point's velocity along `direction`.
+    fn add_jacobian(&mut self, site: &Site<R>, body: usize, at: &V3<R>, direction: &V3<R>) {
+        let body = &site.model.bodies[body];
+        if body.tree == crate::model::NONE {
+            return;
+        }
+        let arm = at - site.placed.origin[body.tree];
+        let wrench = Force { ang: arm.cross(direction), lin: *direction };
+        for &k in body.chain.of(&site.model.dof_lists) {
+            self.scratch[k] += site.placed.motion[k].dot(&wrench);
+        }
+    }
+
+    /// Starts every impulse from the last step's, found by slot.
+    pub fn warm_start(&mut self, model: &Model, inv_d: &[R], warm: &[Warm<R>]) {
+        let mut at = 0;
+        for block in &self.blocks {
+            while at < warm.len() && warm[at].slot < block.slot {
+                at += 1;
+            }
+            if at < warm.len() && warm[at].slot == block.slot {
+                for (k, row) in self.rows[block.rows.range()].iter_mut().enumerate() {
+                    let start = warm[at].impulse[k].clamp(row.lo, row.hi);
+                    row.impulse = R::select(block.mask, start, R::zero());
+                }
+            }
+        }
+        self.apply_impulses(model, inv_d);
+    }
+
+    /// Keeps every impulse for the next step.
+    pub fn store_warm(&self, warm: &mut Vec<Warm<R>>) {
+        warm.clear();
+        for block in &self.blocks {
+            let mut impulse = [R::zero(); 6];
+            for (k, row) in self.rows[block.rows.range()].iter().enumerate() {
+                impulse[k] = R::select(block.mask, row.impulse, R::zero());
+            }
+            warm.push(Warm { slot: block.slot, impulse });
+        }
+    }
+}

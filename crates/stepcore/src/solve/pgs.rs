@@ -1,0 +1,350 @@
+//! Projected Gauss-Seidel in factored coordinates.
+//!
+//! Plain: the rows of an island in order, sweep after sweep. An interval row moves
+//! its impulse by (t − Jv − cλ)/s and clamps it; a cone is solved exactly as one
+//! block. A sweep touches y and u only, never a matrix of rows.
+
+use super::cone::{Convex, Tangents};
+use super::momentum::Momentum;
+use super::residual::dot;
+use super::rows::{Block, Row, Rows, Set};
+use crate::real::{Mask, Real};
+
+/// How long to sweep.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    pub sweeps: u32,
+    /// On the scalar residual [m/s]; 0 runs every sweep.
+    pub tolerance: f64,
+}
+
+/// What a solve did, lane by lane.
+#[derive(Clone, Copy, Debug)]
+pub struct Report<R: Real> {
+    /// Sweeps or iterations of the island that took the most.
+    pub sweeps: R,
+    /// Row updates: rows × sweeps, summed over islands.
+    pub updates: R,
+    /// Newton's last decrement relative to the cost; 0 under PGS.
+    pub decrement: R,
+}
+
+impl<R: Real> Report<R> {
+    pub fn new() -> Self {
+        Self { sweeps: R::zero(), updates: R::zero(), decrement: R::zero() }
+    }
+}
+
+impl<R: Real> Default for Report<R> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The blocks of each island.
+#[derive(Default)]
+pub(super) struct Order {
+    /// Block indices, island after island, ascending within one.
+    pub blocks: Vec<usize>,
+    /// One past the last entry of each island in `blocks`.
+    pub ends: Vec<usize>,
+}
+
+impl Order {
+    /// A counting sort: stable, and free of allocation once it has room.
+    pub fn sort<R: Real>(&mut self, blocks: &[Block<R>]) {
+        let islands = blocks.iter().map(|b| b.island + 1).max().unwrap_or(0);
+        self.ends.clear();
+        self.ends.resize(islands, 0);
+        for block in blocks {
+            self.ends[block.island] += 1;
+        }
+        let mut start = 0;
+        for end in &mut self.ends {
+            let count = *end;
+            *end = start;
+            start += count;
+        }
+        self.blocks.clear();
+        self.blocks.resize(blocks.len(), 0);
+        for (at, block) in blocks.iter().enumerate() {
+            let place = &mut self.ends[block.island];
+            self.blocks[*place] = at;
+            *place += 1;
+        }
+    }
+
+    pub fn island(&self, island: usize) -> std::ops::Range<usize> {
+        let start = if island == 0 { 0 } else { self.ends[island - 1] };
+        start..self.ends[island]
+    }
+}
+
+/// What a cone's exact solution needs, made once a solve.
+enum Cone<R: Real> {
+    /// Solved row by row.
+    None,
+    Convex { q: [R; 6], solver: Convex<R> },
+    Coulomb { q: [R; 3], solver: Tangents<R> },
+}
+
+/// The method's memory; one a world or pack of lanes.
+pub struct Pgs<R: Real> {
+    order: Order,
+    /// D⁻¹ y, in the layout of `Rows::y`.
+    pub(super) z: Vec<R>,
+    /// √(A/m) by row: makes an impulse a speed.
+    weight: Vec<R>,
+    /// By block.
+    cones: Vec<Cone<R>>,
+    pub(super) momentum: Momentum<R>,
+}
+
+impl<R: Real> Default for Pgs<R> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<R: Real> Pgs<R> {
+    pub fn new() -> Self {
+        Self {
+            order: Order::default(),
+            z: Vec::new(),
+            weight: Vec::new(),
+            cones: Vec::new(),
+            momentum: Momentum::new(),
+        }
+    }
+
+    /// Sweeps over `rows` from the impulses they hold; `rows.u` must hold û and
+    /// the effect of these impulses, and does so again afterwards.
+    ///
+    /// With a tolerance an island stops, lane by lane, after the first sweep whose
+    /// residual is within it. The residual costs as much as a sweep, so it is
+    /// computed only where the largest change of the sweep is within it already.
+    pub fn solve(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &mut Rows<R>, limits: Limits) -> Report<R> {
+        self.prepare(dof_lists, inv_d, rows, limits.tolerance > 0.0);
+        let mut report = Report::new();
+        for island in 0..self.order.ends.len() {
+            let range = self.order.island(island);
+            let mut live = alive(rows, &self.order.blocks[range.clone()]);
+            let mut done = R::zero();
+            for _ in 0..limits.sweeps {
+                if live.none() {
+                    break;
+                }
+                let change = self.sweep(dof_lists, rows, range.clone(), live, &mut report);
+                done = R::select(live, done + R::one(), done);
+                live = self.judge(dof_lists, rows, range.clone(), live, change, limits.tolerance);
+            }
+            report.sweeps = report.sweeps.max(done);
+        }
+        report
+    }
+
+    pub(super) fn order(&self) -> &Order {
+        &self.order
+    }
+
+    /// Lanes that go on after a sweep with this largest change [m/s].
+    pub(super) fn judge(
+        &self,
+        dof_lists: &[usize],
+        rows: &Rows<R>,
+        range: std::ops::Range<usize>,
+        live: R::Mask,
+        change: R,
+        tolerance: f64,
+    ) -> R::Mask {
+        let tolerance = R::of(tolerance);
+        let close = live.and(change.le(tolerance));
+        if tolerance.le(R::zero()).any() || close.none() {
+            return live;
+        }
+        let residual = rows.residual_of(dof_lists, &self.order.blocks[range]);
+        live.and(close.and(residual.le(tolerance)).not())
+    }
+
+    pub(super) fn prepare(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &Rows<R>, weigh: bool) {
+        self.order.sort(&rows.blocks);
+        self.z.clear();
+        for row in &rows.rows {
+            let dofs = row.dofs.of(dof_lists);
+            let y = &rows.y[row.y..row.y + dofs.len()];
+            self.z.extend(dofs.iter().zip(y).map(|(k, y)| inv_d[*k] * *y));
+        }
+        self.weight.clear();
+        self.weight.resize(rows.rows.len(), R::zero());
+        self.cones.clear();
+        for block in &rows.blocks {
+            if weigh {
+                let per_mass = R::of(1.0 / block.mass);
+                for at in block.rows.range() {
+                    self.weight[at] = (rows.rows[at].a * per_mass).sqrt();
+                }
+            }
+            self.cones.push(self.cone(dof_lists, rows, block));
+        }
+    }
+
+    fn cone(&self, dof_lists: &[usize], rows: &Rows<R>, block: &Block<R>) -> Cone<R> {
+        if block.set == Set::Interval {
+            return Cone::None;
+        }
+        let own = &rows.rows[block.rows.range()];
+        let len = own.first().map_or(0, |row| row.dofs.of(dof_lists).len());
+        // The rows of a cone share their dofs. A missing tangent is one that nothing moves.
+        let entry = |i: usize, j: usize| match (own.get(i), own.get(j)) {
+            (Some(p), Some(q)) if i == j => p.a + q.c,
+            (Some(p), Some(q)) => {
+                let (y, z) = (&rows.y[p.y..p.y + len], &self.z[q.y..q.y + len]);
+                y.iter().zip(z).fold(R::zero(), |sum, (y, z)| sum + *y * *z)
+            }
+            _ => R::zero(),
+        };
+        if block.set == Set::Convex {
+            let mut q = [entry(0, 0), entry(1, 0), entry(1, 1), entry(2, 0), entry(2, 1), entry(2, 2)];
+            if own.len() < 2 {
+                q[2] = q[0];
+            }
+            if own.len() < 3 {
+                q[5] = q[2];
+            }
+            return Cone::Convex { q, solver: Convex::new(q, block.mu) };
+        }
+        let q = [entry(1, 1), entry(2, 1), entry(2, 2)];
+        Cone::Coulomb { q, solver: Tangents::new(q[0], q[1], q[2]) }
+    }
+
+    /// One pass over an island's blocks; the largest change of an impulse [m/s].
+    pub(super) fn sweep(
+        &self,
+        dof_lists: &[usize],
+        rows: &mut Rows<R>,
+        range: std::ops::Range<usize>,
+        live: R::Mask,
+        report: &mut Report<R>,
+    ) -> R {
+        let Rows { rows, blocks, y, u, .. } = rows;
+        let mut largest = R::zero();
+        for at in &self.order.blocks[range] {
+            let block = &blocks[*at];
+            let mask = block.mask.and(live);
+            if mask.none() {
+                continue;
+            }
+            let own = block.rows.range();
+            report.updates = R::select(mask, report.updates + R::of(own.len() as f64), report.updates);
+            let mut sweep = Sweep { dof_lists, y, z: &self.z, u, mask };
+            let weight = &self.weight[own.clone()];
+            let own = &mut rows[own];
+            match &self.cones[*at] {
+                Cone::None => {
+                    for (row, weight) in own.iter_mut().zip(weight) {
+                        let change = sweep.interval(row);
+                        largest = largest.max(change.abs() * *weight);
+                    }
+                    continue;
+                }
+                Cone::Convex { q, solver } => {
+                    let change = sweep.convex(own, q, solver);
+                    for (change, weight) in change.iter().zip(weight) {
+                        largest = largest.max(change.abs() * *weight);
+                    }
+                }
+                Cone::Coulomb { q, solver } => {
+                    let change = sweep.coulomb(own, block, q, solver);
+                    for (change, weight) in change.iter().zip(weight) {
+                        largest = largest.max(change.abs() * *weight);
+                    }
+                }
+            }
+        }
+        largest
+    }
+}
+
+/// Lanes in which an island has some block.
+pub(super) fn alive<R: Real>(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
+    blocks.iter().fold(R::Mask::of(false), |mask, b| mask.or(rows.blocks[*b].mask))
+}
+
+/// What one block's update reads and writes.
+struct Sweep<'a, R: Real> {
+    dof_lists: &'a [usize],
+    y: &'a [R],
+    z: &'a [R],
+    u: &'a mut [R],
+    mask: R::Mask,
+}
+
+impl<R: Real> Sweep<'_, R> {
+    /// t − Jv − cλ.
+    #[inline(always)]
+    fn short(&self, row: &Row<R>) -> R {
+        let dofs = row.dofs.of(self.dof_lists);
+        row.t - dot(dofs, &self.y[row.y..row.y + dofs.len()], self.u) - row.c * row.impulse
+    }
+
+    /// Gives a row a new impulse, and u its effect; the change.
+    #[inline(always)]
+    fn set(&mut self, row: &mut Row<R>, impulse: R) -> R {
+        let change = R::select(self.mask, impulse - row.impulse, R::zero());
+        row.impulse = R::select(self.mask, impulse, row.impulse);
+        let dofs = row.dofs.of(self.dof_lists);
+        for (k, z) in dofs.iter().zip(&self.z[row.y..row.y + dofs.len()]) {
+            let new = self.u[*k] + *z * change;
+            self.u[*k] = R::select(self.mask, new, self.u[*k]);
+        }
+        change
+    }
+
+    #[inline(always)]
+    fn interval(&mut self, row: &mut Row<R>) -> R {
+        let impulse = (row.impulse + self.short(row) * row.inv_s).clamp(row.lo, row.hi);
+        self.set(row, impulse)
+    }
+
+    fn convex(&mut self, own: &mut [Row<R>], q: &[R; 6], solver: &Convex<R>) -> [R; 3] {
+        let (mut b, mut impulse) = ([R::zero(); 3], [R::zero(); 3]);
+        for (i, row) in own.iter().enumerate().take(3) {
+            b[i] = -self.short(row);
+            impulse[i] = row.impulse;
+        }
+        // The gradient at zero impulse of this block: w − Qλ.
+        let full = [[q[0], q[1], q[3]], [q[1], q[2], q[4]], [q[3], q[4], q[5]]];
+        for (b, q) in b.iter_mut().zip(&full) {
+            *b -= q[0] * impulse[0] + q[1] * impulse[1] + q[2] * impulse[2];
+        }
+        let solution = solver.solve(b, self.mask);
+        let mut change = [R::zero(); 3];
+        for (i, row) in own.iter_mut().enumerate().take(3) {
+            change[i] = self.set(row, solution[i]);
+        }
+        change
+    }
+
+    /// The normal as an interval, then the tangents within its friction bound.
+    fn coulomb(&mut self, own: &mut [Row<R>], block: &Block<R>, q: &[R; 3], solver: &Tangents<R>) -> [R; 3] {
+        let mut change = [R::zero(); 3];
+        let Some((normal, tangents)) = own.split_first_mut() else { return change };
+        let impulse = (normal.impulse + self.short(normal) * normal.inv_s).max(R::zero());
+        change[0] = self.set(normal, impulse);
+        let (mut g, mut x) = ([R::zero(); 2], [R::zero(); 2]);
+        for (i, row) in tangents.iter().enumerate().take(2) {
+            g[i] = -self.short(row);
+            x[i] = row.impulse;
+        }
+        let g = [g[0] - (q[0] * x[0] + q[1] * x[1]), g[1] - (q[1] * x[0] + q[2] * x[1])];
+        let bound = block.mu * normal.impulse;
+        let x = match block.set {
+            Set::CoulombBox => solver.square(g, bound),
+            _ => solver.disc(g, bound, self.mask),
+        };
+        for (i, row) in tangents.iter_mut().enumerate().take(2) {
+            change[i + 1] = self.set(row, x[i]);
+        }
+        change
+    }
+}

@@ -1,0 +1,93 @@
+//! How far impulses are from solving the rows: the natural map.
+//!
+//! δ = λ − proj(λ − w̃/s), from the problem and not from a solver's bookkeeping;
+//! s = A + c, one a cone (its largest). δ vanishes exactly at a solution. The
+//! scalar is max |δ|√(A/m), a speed for linear and angular rows alike.
+
+use super::cone::{norm, project_box, project_round};
+use super::rows::{Block, Row, Rows, Set};
+use crate::real::{Mask, Real};
+
+/// y·u over a row's dofs.
+#[inline(always)]
+pub(super) fn dot<R: Real>(dofs: &[usize], y: &[R], u: &[R]) -> R {
+    let mut sum = R::zero();
+    for (k, y) in dofs.iter().zip(y) {
+        sum += *y * u[*k];
+    }
+    sum
+}
+
+impl<R: Real> Rows<R> {
+    /// w = J v + cλ − t of a row, with the impulses and u as they stand.
+    pub fn slack(&self, dof_lists: &[usize], row: &Row<R>) -> R {
+        let dofs = row.dofs.of(dof_lists);
+        dot(dofs, &self.y[row.y..row.y + dofs.len()], &self.u) + row.c * row.impulse - row.t
+    }
+
+    /// Calls `each(row, δ, s)` for every row of a block.
+    pub fn natural_map(&self, dof_lists: &[usize], block: &Block<R>, mut each: impl FnMut(usize, R, R)) {
+        let range = block.rows.range();
+        let rows = &self.rows[range.clone()];
+        if block.set == Set::Interval {
+            for (at, row) in range.zip(rows) {
+                let s = row.a + row.c;
+                let moved = row.impulse - self.slack(dof_lists, row) * s.recip_or_zero();
+                each(at, row.impulse - moved.clamp(row.lo, row.hi), s);
+            }
+            return;
+        }
+        let (mut w, mut impulse, mut s) = ([R::zero(); 3], [R::zero(); 3], R::zero());
+        for (i, row) in rows.iter().enumerate().take(3) {
+            w[i] = self.slack(dof_lists, row);
+            impulse[i] = row.impulse;
+            s = s.max(row.a + row.c);
+        }
+        w[0] += match block.set {
+            Set::CoulombRound => block.mu * norm(w[1], w[2]),
+            Set::CoulombBox => block.mu * (w[1].abs() + w[2].abs()),
+            Set::Convex | Set::Interval => R::zero(),
+        };
+        let inv = s.recip_or_zero();
+        let moved = core::array::from_fn(|i| impulse[i] - w[i] * inv);
+        let nearest = match block.set {
+            Set::CoulombBox => project_box(block.mu, moved),
+            _ => project_round(block.mu, moved),
+        };
+        for (i, at) in range.enumerate().take(3) {
+            each(at, impulse[i] - nearest[i], s);
+        }
+    }
+
+    /// The scalar residual of one block [m/s]; 0 in lanes without it.
+    pub fn block_residual(&self, dof_lists: &[usize], block: &Block<R>) -> R {
+        let per_mass = R::of(1.0 / block.mass);
+        let mut worst = R::zero();
+        self.natural_map(dof_lists, block, |at, delta, _| {
+            worst = worst.max(delta.abs() * (self.rows[at].a * per_mass).sqrt());
+        });
+        R::select(block.mask, worst, R::zero())
+    }
+
+    /// The scalar residual of the listed blocks [m/s].
+    pub fn residual_of(&self, dof_lists: &[usize], blocks: &[usize]) -> R {
+        let mut worst = R::zero();
+        for block in blocks.iter().map(|b| &self.blocks[*b]) {
+            if block.mask.any() {
+                worst = worst.max(self.block_residual(dof_lists, block));
+            }
+        }
+        worst
+    }
+
+    /// The scalar residual of all rows [m/s].
+    pub fn residual(&self, dof_lists: &[usize]) -> R {
+        let mut worst = R::zero();
+        for block in &self.blocks {
+            if block.mask.any() {
+                worst = worst.max(self.block_residual(dof_lists, block));
+            }
+        }
+        worst
+    }
+}

@@ -1,0 +1,235 @@
+//! The system: rows, and the blocks in which they are solved.
+//!
+//! With w = J v⁺ + c λ − t, a block is (J, t, c, set): it asks that λ and w meet
+//! the set's law. A row keeps y = L⁻ᵀJᵀ instead of J (see `place/factor.rs`), so
+//! J v = y·u and an impulse changes u by D⁻¹ y λ. The solvers read this file's
+//! data and nothing else: they cannot know what a row came from.
+
+use crate::model::{Model, Span};
+use crate::place::Placed;
+use crate::real::{Mask, Real};
+
+/// One row. Impulses in N·s or N·m·s.
+#[derive(Clone, Debug)]
+pub struct Row<R: Real> {
+    /// Into `Model::dof_lists`: the dofs that the row touches, ascending and ancestor-closed.
+    pub dofs: Span,
+    /// First entry in `Rows::y`; as many entries as `dofs`.
+    pub y: usize,
+    /// Target velocity.
+    pub t: R,
+    /// Regulariser.
+    pub c: R,
+    /// A = J H⁻¹ Jᵀ = Σ y² / D.
+    pub a: R,
+    /// One over the denominator of an update: 1/(A + c), or 1/(A + softness) under `relaxed`.
+    pub inv_s: R,
+    /// Bounds of the impulse, for intervals.
+    pub lo: R,
+    pub hi: R,
+    pub impulse: R,
+    /// J v at the start of the step, for reports.
+    pub velocity: R,
+}
+
+/// The law that ties a block's impulses to its residual velocities.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Set {
+    /// Each row by itself: λ in [lo, hi].
+    Interval,
+    /// Row 0 is the normal. λ ∈ K, w ∈ K*, λ·w = 0 with the round cone |λ_t| ≤ μ λ_n.
+    Convex,
+    /// Row 0 is the normal. λ ∈ K, w + (μ|w_t|, 0, 0) ∈ K*, complementary; round cone.
+    CoulombRound,
+    /// The same with the box |λ_i| ≤ μ λ_n.
+    CoulombBox,
+}
+
+/// What a block came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    Equality(usize),
+    FrictionLoss(usize),
+    /// Joint, and 0 for the lower bound, 1 for the upper one.
+    Limit(usize, usize),
+    /// Index in `Detected::contacts`.
+    Contact(usize),
+}
+
+/// Consecutive rows solved together.
+#[derive(Clone, Debug)]
+pub struct Block<R: Real> {
+    pub rows: Span,
+    pub set: Set,
+    /// Lanes in which the block exists.
+    pub mask: R::Mask,
+    /// Friction of a cone.
+    pub mu: R,
+    /// Under `Set::Convex`: what the regulariser makes of μ, μ/√impratio.
+    pub mu_soft: R,
+    /// Mass of the trees that the block touches, for its residual.
+    pub mass: f64,
+    pub source: Source,
+    /// Names the source over time, for warm starts; ascending.
+    pub slot: u32,
+    pub island: usize,
+}
+
+/// The rows of one step.
+pub struct Rows<R: Real> {
+    pub rows: Vec<Row<R>>,
+    pub blocks: Vec<Block<R>>,
+    pub y: Vec<R>,
+    /// u = L v, by dof: the guess at first, then with every impulse so far.
+    pub u: Vec<R>,
+    pub(super) scratch: Vec<R>,
+    /// By tree: see `Model::islands`.
+    islands: Vec<usize>,
+}
+
+/// Everything the row makers read.
+pub struct Site<'a, R: Real> {
+    pub model: &'a Model,
+    pub placed: &'a Placed<R>,
+    pub settings: &'a crate::settings::Settings,
+    pub qpos: &'a [R],
+    pub qvel: &'a [R],
+}
+
+impl<R: Real> Rows<R> {
+    pub fn new(model: &Model) -> Self {
+        Self {
+            rows: Vec::new(),
+            blocks: Vec::new(),
+            y: Vec::new(),
+            u: vec![R::zero(); model.nv],
+            scratch: vec![R::zero(); model.nv],
+            islands: model.islands(),
+        }
+    }
+
+    /// Without a model, for rows made by hand.
+    #[cfg(test)]
+    pub(super) fn empty(nv: usize) -> Self {
+        let u = vec![R::zero(); nv];
+        Self { rows: Vec::new(), blocks: Vec::new(), y: Vec::new(), scratch: u.clone(), u, islands: Vec::new() }
+    }
+
+    pub fn clear(&mut self) {
+        self.rows.clear();
+        self.blocks.clear();
+        self.y.clear();
+    }
+
+    /// y·x over a row's dofs.
+    #[inline(always)]
+    pub fn dot(&self, model: &Model, row: &Row<R>, x: &[R]) -> R {
+        let dofs = row.dofs.of(&model.dof_lists);
+        let y = &self.y[row.y..row.y + dofs.len()];
+        let mut sum = R::zero();
+        for (k, y) in dofs.iter().zip(y) {
+            sum += *y * x[*k];
+        }
+        sum
+    }
+
+    /// Takes J from `scratch` (set on `dofs`), lifts it to y, and measures it.
+    pub(super) fn push_scratch(&mut self, site: &Site<R>, dofs: Span) -> &mut Row<R> {
+        let model = site.model;
+        let list = dofs.of(&model.dof_lists);
+        site.placed.metric.lift(list, &mut self.scratch);
+        let start = self.y.len();
+        let (mut a, mut velocity) = (R::zero(), R::zero());
+        for &k in list {
+            let y = self.scratch[k];
+            a += y * y * site.placed.metric.inv_d[k];
+            velocity += y * site.placed.u[k];
+            self.y.push(y);
+        }
+        self.push_row(dofs, start, a, velocity)
+    }
+
+    /// A row whose y is y(first) + k · y(second): an edge of a pyramid.
+    pub(super) fn push_sum(&mut self, site: &Site<R>, first: usize, second: usize, k: R) -> &mut Row<R> {
+        let (first, second) = (&self.rows[first], &self.rows[second]);
+        let (dofs, y1, y2) = (first.dofs, first.y, second.y);
+        let velocity = first.velocity + k * second.velocity;
+        let start = self.y.len();
+        let mut a = R::zero();
+        for at in 0..dofs.len {
+            let y = self.y[y1 + at] + k * self.y[y2 + at];
+            a += y * y * site.placed.metric.inv_d[site.model.dof_lists[dofs.start + at]];
+            self.y.push(y);
+        }
+        self.push_row(dofs, start, a, velocity)
+    }
+
+    fn push_row(&mut self, dofs: Span, y: usize, a: R, velocity: R) -> &mut Row<R> {
+        let zero = R::zero();
+        self.rows.push(Row {
+            dofs,
+            y,
+            t: zero,
+            c: zero,
+            a,
+            inv_s: zero,
+            lo: zero,
+            hi: R::of(f64::INFINITY),
+            impulse: zero,
+            velocity,
+        });
+        let at = self.rows.len() - 1;
+        &mut self.rows[at]
+    }
+
+    /// Closes the rows from `first` on into one block.
+    pub(super) fn push_block(&mut self, first: usize, set: Set, mask: R::Mask, source: Source, slot: u32) -> &mut Block<R> {
+        let rows = Span { start: first, len: self.rows.len() - first };
+        self.blocks.push(Block {
+            rows,
+            set,
+            mask,
+            mu: R::zero(),
+            mu_soft: R::zero(),
+            mass: 1.0,
+            source,
+            slot,
+            island: 0,
+        });
+        let at = self.blocks.len() - 1;
+        &mut self.blocks[at]
+    }
+
+    /// Tells every block its island.
+    pub(super) fn assign_islands(&mut self, model: &Model) {
+        for block in &mut self.blocks {
+            let dofs = self.rows[block.rows.start].dofs.of(&model.dof_lists);
+            block.island = dofs.first().map_or(0, |k| self.islands[model.dofs[*k].tree]);
+        }
+    }
+
+    /// u ← u + D⁻¹ y · change, in the lanes of `mask`.
+    #[inline(always)]
+    pub fn kick(u: &mut [R], inv_d: &[R], dofs: &[usize], y: &[R], change: R, mask: R::Mask) {
+        for (k, y) in dofs.iter().zip(y) {
+            let new = u[*k] + inv_d[*k] * *y * change;
+            u[*k] = R::select(mask, new, u[*k]);
+        }
+    }
+
+    /// Adds the impulses that the rows hold now to u.
+    pub fn apply_impulses(&mut self, model: &Model, inv_d: &[R]) {
+        for block in &self.blocks {
+            for row in &self.rows[block.rows.range()] {
+                let dofs = row.dofs.of(&model.dof_lists);
+                let y = &self.y[row.y..row.y + dofs.len()];
+                Self::kick(&mut self.u, inv_d, dofs, y, row.impulse, block.mask);
+            }
+        }
+    }
+
+    /// Some block exists in some lane.
+    pub fn any(&self) -> bool {
+        self.blocks.iter().any(|block| block.mask.any())
+    }
+}

@@ -1,0 +1,439 @@
+//! The solvers against closed forms, enumeration and brute force, on matrices fed by hand.
+
+use super::cone::{project_box, project_round, Convex, Tangents};
+use super::pgs::{Limits, Pgs};
+use super::rows::{Block, Row, Rows, Set, Source};
+use crate::model::Span;
+use crate::real::{Lanes, Mask, Real, WIDTH};
+
+/// Reproducible numbers in [−1, 1).
+pub(super) struct Random(u64);
+
+impl Random {
+    pub fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1)
+    }
+    pub fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+    pub fn below(&mut self, n: usize) -> usize {
+        ((self.next() + 1.0) * 0.5 * n as f64) as usize
+    }
+}
+
+/// A system on hand-made y: every row acts on all dofs.
+#[derive(Clone)]
+pub(super) struct Problem {
+    pub inv_d: Vec<f64>,
+    pub guess: Vec<f64>,
+    /// By block: set, μ, rows of (y, t, c, lo, hi).
+    pub blocks: Vec<(Set, f64, Vec<(Vec<f64>, f64, f64, f64, f64)>)>,
+}
+
+const INF: f64 = f64::INFINITY;
+
+impl Problem {
+    pub fn new(inv_d: &[f64], guess: &[f64]) -> Self {
+        Self { inv_d: inv_d.to_vec(), guess: guess.to_vec(), blocks: Vec::new() }
+    }
+    pub fn limit(&mut self, y: &[f64], t: f64, c: f64) {
+        self.blocks.push((Set::Interval, 0.0, vec![(y.to_vec(), t, c, 0.0, INF)]));
+    }
+    pub fn dof_lists(&self) -> Vec<usize> {
+        (0..self.inv_d.len()).collect()
+    }
+    /// The same problem with random changes of guess and target.
+    pub fn shaken(&self, random: &mut Random) -> Self {
+        let mut new = self.clone();
+        new.guess.iter_mut().for_each(|g| *g += 0.3 * random.next());
+        for row in new.blocks.iter_mut().flat_map(|b| &mut b.2) {
+            row.1 += 0.1 * random.next();
+        }
+        new
+    }
+    pub fn rows<R: Real>(&self) -> Rows<R> {
+        pack(std::slice::from_ref(self))
+    }
+}
+
+/// Problems of one shape, one a lane (the last repeats).
+pub(super) fn pack<R: Real>(worlds: &[Problem]) -> Rows<R> {
+    let first = &worlds[0];
+    let of = |get: &dyn Fn(&Problem) -> f64| {
+        let mut x = R::of(get(&worlds[0]));
+        for lane in 0..R::LANES {
+            x.set_lane(lane, get(&worlds[lane.min(worlds.len() - 1)]));
+        }
+        x
+    };
+    let nv = first.inv_d.len();
+    let mut rows = Rows::empty(nv);
+    for (b, (set, mu, list)) in first.blocks.iter().enumerate() {
+        let start = rows.rows.len();
+        for (r, (_, _, c, lo, hi)) in list.iter().enumerate() {
+            let at = rows.y.len();
+            let mut a = R::zero();
+            for k in 0..nv {
+                let y = of(&|p| p.blocks[b].2[r].0[k]);
+                a += y * y * of(&|p| p.inv_d[k]);
+                rows.y.push(y);
+            }
+            rows.rows.push(Row {
+                dofs: Span { start: 0, len: nv },
+                y: at,
+                t: of(&|p| p.blocks[b].2[r].1),
+                c: R::of(*c),
+                a,
+                inv_s: (a + R::of(*c)).recip_or_zero(),
+                lo: R::of(*lo),
+                hi: R::of(*hi),
+                impulse: R::zero(),
+                velocity: R::zero(),
+            });
+        }
+        rows.blocks.push(Block {
+            rows: Span { start, len: list.len() },
+            set: *set,
+            mask: R::Mask::of(true),
+            mu: R::of(*mu),
+            mu_soft: R::of(*mu),
+            mass: 1.0,
+            source: Source::Contact(b),
+            slot: b as u32,
+            island: 0,
+        });
+    }
+    for k in 0..nv {
+        rows.u[k] = of(&|p| p.guess[k]);
+    }
+    rows
+}
+
+pub(super) const EVERY: Limits = Limits { sweeps: 20_000, tolerance: 1e-14 };
+
+/// Converged PGS: impulses by row.
+pub(super) fn converged(problem: &Problem) -> Vec<f64> {
+    let mut rows = problem.rows::<f64>();
+    Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, EVERY);
+    assert!(rows.residual(&problem.dof_lists()) < 1e-12);
+    rows.rows.iter().map(|row| row.impulse).collect()
+}
+
+pub(super) fn close(a: f64, b: f64, tolerance: f64) {
+    assert!((a - b).abs() <= tolerance, "{a} against {b}");
+}
+
+/// A round cone contact with random y in front of a random body.
+pub(super) fn contacts(set: Set, count: usize, c: f64, random: &mut Random) -> Problem {
+    let nv = 6;
+    let inv_d: Vec<f64> = (0..nv).map(|_| (2.0 * random.next()).exp()).collect();
+    let guess: Vec<f64> = (0..nv).map(|_| random.next()).collect();
+    let mut problem = Problem::new(&inv_d, &guess);
+    for _ in 0..count {
+        let mut row = |c: f64| {
+            let y = (0..nv).map(|_| random.next()).collect();
+            (y, 0.3 * random.next(), c, 0.0, INF)
+        };
+        let list = vec![row(c), row(c / 2.0), row(c / 2.0)];
+        problem.blocks.push((set, 0.7, list));
+    }
+    problem
+}
+
+#[test]
+fn s1_one_contact_in_closed_form() {
+    for set in [Set::CoulombRound, Set::CoulombBox] {
+        for (mu, want) in [(1000.0, [1.0 / 3.0, 1.0 / 12.0, 0.25]), (0.0, [1.0 / 3.0, 0.0, 0.0])] {
+            let mut problem = Problem::new(&[3.0, 12.0, 4.0], &[-1.0; 3]);
+            let unit = |k: usize| (0..3).map(|i| f64::from(u8::from(i == k))).collect::<Vec<_>>();
+            let list = (0..3).map(|k| (unit(k), 0.0, 0.0, 0.0, INF)).collect();
+            problem.blocks.push((set, mu, list));
+            let mut rows = problem.rows::<f64>();
+            let limits = Limits { sweeps: 50, tolerance: 1e-14 };
+            let report = Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, limits);
+            assert!(report.sweeps <= 3.0);
+            for k in 0..3 {
+                close(rows.rows[k].impulse, want[k], 1e-15);
+                close(rows.u[k], if mu > 0.0 || k == 0 { 0.0 } else { -1.0 }, 1e-15);
+            }
+        }
+    }
+}
+
+#[test]
+fn no_rows_no_sweeps() {
+    let problem = Problem::new(&[1.0], &[-1.0]);
+    let mut rows = problem.rows::<f64>();
+    let report = Pgs::new().solve(&[0], &problem.inv_d, &mut rows, EVERY);
+    assert_eq!((report.sweeps, report.updates, rows.u[0]), (0.0, 0.0, -1.0));
+}
+
+/// Solves A x = b by Gauss-Jordan with pivoting; None when singular.
+fn dense_solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
+    let n = b.len();
+    for i in 0..n {
+        let p = (i..n).max_by(|p, q| a[*p][i].abs().total_cmp(&a[*q][i].abs()))?;
+        a.swap(i, p);
+        b.swap(i, p);
+        if a[i][i].abs() < 1e-13 {
+            return None;
+        }
+        for r in 0..n {
+            if r != i {
+                let f = a[r][i] / a[i][i];
+                for c in i..n {
+                    a[r][c] -= f * a[i][c];
+                }
+                b[r] -= f * b[i];
+            }
+        }
+    }
+    Some((0..n).map(|i| b[i] / a[i][i]).collect())
+}
+
+/// 0 ≤ λ ⟂ Kλ + q ≥ 0 by trying every active set.
+fn enumerate(k: &[Vec<f64>], q: &[f64]) -> Option<Vec<f64>> {
+    let n = q.len();
+    (0..1usize << n).find_map(|set| {
+        let on: Vec<usize> = (0..n).filter(|i| set >> i & 1 == 1).collect();
+        let a = on.iter().map(|i| on.iter().map(|j| k[*i][*j]).collect()).collect();
+        let x = dense_solve(a, on.iter().map(|i| -q[*i]).collect())?;
+        let mut full = vec![0.0; n];
+        on.iter().zip(&x).for_each(|(i, x)| full[*i] = *x);
+        let w = |i: usize| q[i] + (0..n).map(|j| k[i][j] * full[j]).sum::<f64>();
+        (x.iter().all(|x| *x >= -1e-12) && (0..n).all(|i| w(i) >= -1e-11)).then_some(full)
+    })
+}
+
+#[test]
+fn s4_random_lcp_equals_enumeration() {
+    let mut random = Random::new(4);
+    for _ in 0..500 {
+        let n = 1 + random.below(8);
+        let nv = 1 + random.below(8);
+        let inv_d: Vec<f64> = (0..nv).map(|_| (3.0 * random.next()).exp()).collect();
+        let guess: Vec<f64> = (0..nv).map(|_| random.next()).collect();
+        let mut problem = Problem::new(&inv_d, &guess);
+        let c = 0.05;
+        for _ in 0..n {
+            let y: Vec<f64> = (0..nv).map(|_| random.next()).collect();
+            problem.limit(&y, 0.5 * random.next(), c);
+        }
+        let list: Vec<_> = problem.blocks.iter().map(|b| b.2[0].clone()).collect();
+        let a = |i: usize, j: usize| (0..nv).map(|k| list[i].0[k] * inv_d[k] * list[j].0[k]).sum::<f64>();
+        let k: Vec<Vec<f64>> =
+            (0..n).map(|i| (0..n).map(|j| a(i, j) + if i == j { c } else { 0.0 }).collect()).collect();
+        let q: Vec<f64> =
+            list.iter().map(|r| r.0.iter().zip(&guess).map(|(y, u)| y * u).sum::<f64>() - r.1).collect();
+        let Some(exact) = enumerate(&k, &q) else { panic!("no active set fits") };
+        for (got, want) in converged(&problem).iter().zip(&exact) {
+            close(*got, *want, 1e-10);
+        }
+    }
+}
+
+/// cases.md C6: a stack of N equal balls on the floor loses cos²(π/2N) a sweep,
+/// two balls m_top/(m_top + m_bottom).
+#[test]
+fn c6_contraction_of_a_stack() {
+    let law = |n: f64| (std::f64::consts::PI / (2.0 * n)).cos().powi(2);
+    let cases: [(&[f64], f64); 4] =
+        [(&[1.0, 1.0], 0.5), (&[1.0, 10.0], 10.0 / 11.0), (&[1.0; 10], law(10.0)), (&[1.0; 4], law(4.0))];
+    for (masses, want) in cases {
+        let n = masses.len();
+        let inv_d: Vec<f64> = masses.iter().map(|m| 1.0 / m).collect();
+        let mut problem = Problem::new(&inv_d, &vec![-0.02; n]);
+        for i in 0..n {
+            let mut y = vec![0.0; n];
+            y[i] = 1.0;
+            if i > 0 {
+                y[i - 1] = -1.0;
+            }
+            problem.limit(&y, 0.0, 0.0);
+        }
+        let mut rows = problem.rows::<f64>();
+        let (mut pgs, lists) = (Pgs::new(), problem.dof_lists());
+        let mut after = |rows: &mut Rows<f64>, sweeps| {
+            pgs.solve(&lists, &inv_d, rows, Limits { sweeps, tolerance: 0.0 });
+            rows.residual(&lists)
+        };
+        let start = after(&mut rows, (6.0 / (1.0 - want)) as u32 / 4);
+        let end = after(&mut rows, 10);
+        close((end / start).powf(0.1) / want, 1.0, 0.01);
+    }
+}
+
+/// min ½xᵀQx + b·x over a convex set, by accelerated projected gradients with restart.
+fn brute(q: &[[f64; 3]; 3], b: [f64; 3], project: impl Fn([f64; 3]) -> [f64; 3]) -> [f64; 3] {
+    let step = 1.0 / (q[0][0] + q[1][1] + q[2][2]);
+    let gradient = |x: [f64; 3]| -> [f64; 3] {
+        core::array::from_fn(|i| b[i] + (0..3).map(|j| q[i][j] * x[j]).sum::<f64>())
+    };
+    let (mut x, mut p, mut k) = ([0.0; 3], [0.0; 3], 0.0);
+    for _ in 0..40_000 {
+        let g = gradient(p);
+        let new = project(core::array::from_fn(|i| p[i] - step * g[i]));
+        let uphill: f64 = (0..3).map(|i| (p[i] - new[i]) * (new[i] - x[i])).sum();
+        k = if uphill > 0.0 { 0.0 } else { k + 1.0 };
+        p = core::array::from_fn(|i| new[i] + k / (k + 3.0) * (new[i] - x[i]));
+        x = new;
+    }
+    x
+}
+
+fn random_spd(random: &mut Random, floor: f64) -> [[f64; 3]; 3] {
+    let r: [[f64; 3]; 3] = core::array::from_fn(|_| core::array::from_fn(|_| random.next()));
+    core::array::from_fn(|i| {
+        core::array::from_fn(|j| {
+            (0..3).map(|k| r[i][k] * r[j][k]).sum::<f64>() + if i == j { floor } else { 0.0 }
+        })
+    })
+}
+
+#[test]
+fn a_convex_block_is_the_minimum() {
+    let mut random = Random::new(7);
+    for case in 0..300 {
+        let q = random_spd(&mut random, 0.02);
+        let b = [0; 3].map(|_| random.next());
+        let mu = [0.1, 0.6, 2.0][case % 3];
+        let lower = [q[0][0], q[1][0], q[1][1], q[2][0], q[2][1], q[2][2]];
+        let got = Convex::new(lower, mu).solve(b, true);
+        let want = brute(&q, b, |x| project_round(mu, x));
+        for i in 0..3 {
+            close(got[i], want[i], 1e-8);
+        }
+        // The same to rounding: the natural map.
+        let w: [f64; 3] = core::array::from_fn(|i| b[i] + (0..3).map(|j| q[i][j] * got[j]).sum::<f64>());
+        let back = project_round(mu, core::array::from_fn(|i| got[i] - w[i]));
+        for i in 0..3 {
+            close(got[i], back[i], 1e-13 * (1.0 + got[0]));
+        }
+    }
+}
+
+#[test]
+fn a_convex_block_at_the_seams() {
+    // ξ₀ = 0, the axis of the cone, its surface, nearly singular, flat and steep cones.
+    for mu in [1e-5, 0.3, 1.0, 50.0] {
+        let convex = Convex::new([1.0, 0.0, 1e-3, 0.0, 0.0, 1e-3], mu);
+        for b in [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0; 3], [-1.0, mu, 0.0], [mu, 1.0, 0.0]] {
+            let x = convex.solve(b, true);
+            let w = [b[0] + x[0], b[1] + 1e-3 * x[1], b[2] + 1e-3 * x[2]];
+            let back = project_round(mu, core::array::from_fn(|i| x[i] - w[i]));
+            for i in 0..3 {
+                close(x[i], back[i], 1e-12 * (1.0 + mu));
+            }
+        }
+    }
+}
+
+#[test]
+fn coulomb_tangents_are_the_minimum() {
+    let mut random = Random::new(8);
+    for case in 0..300 {
+        let q = random_spd(&mut random, if case % 5 == 0 { 1e-9 } else { 0.05 });
+        let g = [random.next(), random.next()];
+        let bound = [0.05, 0.4, 3.0][case % 3];
+        let tangents = Tangents::new(q[1][1], q[1][2], q[2][2]);
+        let ball = |x: [f64; 3]| {
+            let k = (bound / (x[1] * x[1] + x[2] * x[2]).sqrt()).min(1.0);
+            [0.0, k * x[1], k * x[2]]
+        };
+        let edge = |x: [f64; 3]| [0.0, x[1].clamp(-bound, bound), x[2].clamp(-bound, bound)];
+        let (disc, square) = (tangents.disc(g, bound, true), tangents.square(g, bound));
+        let b = [0.0, g[0], g[1]];
+        let (want_disc, want_square) = (brute(&q, b, ball), brute(&q, b, edge));
+        for i in 0..2 {
+            close(disc[i], want_disc[i + 1], 1e-7);
+            close(square[i], want_square[i + 1], 1e-7);
+        }
+    }
+}
+
+#[test]
+fn tangents_that_nothing_moves_stay_zero() {
+    let one = Tangents::new(2.0, 0.0, 0.0);
+    assert_eq!(one.disc([1.0, 0.0], 9.0, true), [-0.5, 0.0]);
+    assert_eq!(one.square([1.0, 0.0], 0.25), [-0.25, 0.0]);
+    assert_eq!(one.disc([1.0, 0.0], 0.25, true), [-0.25, 0.0]);
+    assert_eq!(one.disc([1.0, 0.0], 0.0, true), [0.0, 0.0]);
+    assert_eq!(Tangents::new(0.0, 0.0, 0.0).disc([0.0, 0.0], 1.0, true), [0.0, 0.0]);
+    // Two copies of one direction share it.
+    let twin = Tangents::new(1.0, 1.0, 1.0);
+    let x = twin.disc([1.0, 1.0], 9.0, true);
+    close(x[0] + x[1], -1.0, 1e-15);
+}
+
+#[test]
+fn projections_are_nearest() {
+    let mut random = Random::new(9);
+    for _ in 0..2000 {
+        let x = [0; 3].map(|_| 2.0 * random.next());
+        let mu = 1.0 + 0.9 * random.next();
+        let far = |p: [f64; 3]| (0..3).map(|i| (p[i] - x[i]).powi(2)).sum::<f64>();
+        let (round, square) = (project_round(mu, x), project_box(mu, x));
+        for _ in 0..20 {
+            let n = (2.0 * random.next()).max(0.0);
+            let p = [n, mu * n * random.next(), mu * n * random.next()];
+            assert!(far(p) >= far(square) - 1e-12);
+            let k = (mu * n / (p[1] * p[1] + p[2] * p[2]).sqrt()).min(1.0);
+            assert!(far([n, k * p[1], k * p[2]]) >= far(round) - 1e-12 || n == 0.0);
+        }
+    }
+}
+
+#[test]
+fn degenerate_rows_change_nothing() {
+    let mut random = Random::new(5);
+    let mut problem = contacts(Set::CoulombRound, 2, 0.0, &mut random);
+    let y: Vec<f64> = (0..6).map(|_| random.next()).collect();
+    problem.limit(&y, 0.4, 0.0);
+    let clean = {
+        let mut rows = problem.rows::<f64>();
+        Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, EVERY);
+        rows.u
+    };
+    problem.limit(&[0.0; 6], 0.7, 0.0);
+    problem.limit(&y, 0.4, 0.0);
+    problem.blocks.push((Set::CoulombRound, 0.5, vec![(vec![0.0; 6], 0.1, 0.0, 0.0, INF)]));
+    let mut rows = problem.rows::<f64>();
+    Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, EVERY);
+    assert!(rows.residual(&problem.dof_lists()) < 1e-12);
+    for (a, b) in rows.u.iter().zip(&clean) {
+        close(*a, *b, 1e-10);
+    }
+}
+
+#[test]
+fn lanes_are_worlds() {
+    let mut random = Random::new(11);
+    for set in [Set::Interval, Set::Convex, Set::CoulombRound, Set::CoulombBox] {
+        let mut base = contacts(set, 3, 0.1, &mut random);
+        base.limit(&[1.0, 0.0, 0.5, 0.0, 0.0, -0.25], 0.1, 0.01);
+        base.blocks.push((Set::Interval, 0.0, vec![(vec![0.3; 6], 0.0, 0.02, -0.1, 0.1)]));
+        let worlds: Vec<Problem> = (0..WIDTH).map(|_| base.shaken(&mut random)).collect();
+        let lists = base.dof_lists();
+        let inv_d: Vec<Lanes> = base.inv_d.iter().map(|x| Lanes::of(*x)).collect();
+        for limits in [Limits { sweeps: 300, tolerance: 1e-6 }, Limits { sweeps: 3, tolerance: 0.0 }] {
+            let mut packed = pack::<Lanes>(&worlds);
+            // One lane has a block less.
+            packed.blocks[1].mask.set_lane(2, false);
+            let report = Pgs::new().solve(&lists, &inv_d, &mut packed, limits);
+            for (lane, world) in worlds.iter().enumerate() {
+                let mut rows = world.rows::<f64>();
+                rows.blocks[1].mask = lane != 2;
+                let alone = Pgs::new().solve(&lists, &world.inv_d, &mut rows, limits);
+                assert_eq!(alone.sweeps, report.sweeps.lane(lane));
+                assert_eq!(alone.updates, report.updates.lane(lane));
+                for k in 0..6 {
+                    assert_eq!(rows.u[k].to_bits(), packed.u[k].lane(lane).to_bits());
+                }
+                for (a, b) in rows.rows.iter().zip(&packed.rows) {
+                    assert_eq!(a.impulse.to_bits(), b.impulse.lane(lane).to_bits());
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,282 @@
+//! Vectors, rotations and spatial algebra over `Real`.
+//!
+//! A spatial motion is (angular velocity, velocity of the body point at the
+//! origin); a spatial force is (moment about the origin, force). Featherstone,
+//! Rigid Body Dynamics Algorithms (2008), chapter 2. The origin is a point of the
+//! tree, so that numbers stay small far away from the world's origin.
+
+use crate::real::Real;
+use nalgebra::{Matrix3, Vector3};
+
+pub type V3<R> = Vector3<R>;
+pub type M3<R> = Matrix3<R>;
+
+/// The same constant vector in every lane.
+#[inline(always)]
+pub fn splat<R: Real>(v: &Vector3<f64>) -> V3<R> {
+    V3::new(R::of(v.x), R::of(v.y), R::of(v.z))
+}
+
+/// m · v, written out so that every number type sums in one order.
+#[inline(always)]
+pub fn rotate<R: Real>(m: &M3<R>, v: &V3<R>) -> V3<R> {
+    V3::new(
+        m.m11 * v.x + m.m12 * v.y + m.m13 * v.z,
+        m.m21 * v.x + m.m22 * v.y + m.m23 * v.z,
+        m.m31 * v.x + m.m32 * v.y + m.m33 * v.z,
+    )
+}
+
+/// mᵀ · v.
+#[inline(always)]
+pub fn rotate_back<R: Real>(m: &M3<R>, v: &V3<R>) -> V3<R> {
+    V3::new(
+        m.m11 * v.x + m.m21 * v.y + m.m31 * v.z,
+        m.m12 * v.x + m.m22 * v.y + m.m32 * v.z,
+        m.m13 * v.x + m.m23 * v.y + m.m33 * v.z,
+    )
+}
+
+/// A rotation as a unit quaternion, w x y z.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Quat<R: Real> {
+    pub w: R,
+    pub v: V3<R>,
+}
+
+impl<R: Real> Quat<R> {
+    #[inline(always)]
+    pub fn identity() -> Self {
+        Self { w: R::one(), v: V3::zeros() }
+    }
+    pub fn splat(q: &[f64; 4]) -> Self {
+        Self::of(&[R::of(q[0]), R::of(q[1]), R::of(q[2]), R::of(q[3])])
+    }
+    #[inline(always)]
+    pub fn of(q: &[R]) -> Self {
+        Self { w: q[0], v: V3::new(q[1], q[2], q[3]) }
+    }
+    #[inline(always)]
+    pub fn store(&self, to: &mut [R]) {
+        to[0] = self.w;
+        to[1] = self.v.x;
+        to[2] = self.v.y;
+        to[3] = self.v.z;
+    }
+    #[inline(always)]
+    pub fn mul(&self, o: &Self) -> Self {
+        let (a, b) = (self, o);
+        Self {
+            w: a.w * b.w - a.v.x * b.v.x - a.v.y * b.v.y - a.v.z * b.v.z,
+            v: V3::new(
+                a.w * b.v.x + a.v.x * b.w + a.v.y * b.v.z - a.v.z * b.v.y,
+                a.w * b.v.y - a.v.x * b.v.z + a.v.y * b.w + a.v.z * b.v.x,
+                a.w * b.v.z + a.v.x * b.v.y - a.v.y * b.v.x + a.v.z * b.w,
+            ),
+        }
+    }
+    #[inline(always)]
+    pub fn conjugate(&self) -> Self {
+        Self { w: self.w, v: -self.v }
+    }
+    /// Unit length; the identity where the length is zero.
+    #[inline(always)]
+    pub fn normalized(&self) -> Self {
+        let n = (self.w * self.w + self.v.x * self.v.x + self.v.y * self.v.y + self.v.z * self.v.z).sqrt();
+        let some = n.gt(R::zero());
+        let k = n.recip_or_zero();
+        Self {
+            w: R::select(some, self.w * k, R::one()),
+            v: V3::new(self.v.x * k, self.v.y * k, self.v.z * k),
+        }
+    }
+    /// Rotation by `angle` about the unit `axis`.
+    #[inline(always)]
+    pub fn about(axis: &V3<R>, angle: R) -> Self {
+        let (s, c) = (angle * R::of(0.5)).sin_cos();
+        Self { w: c, v: V3::new(axis.x * s, axis.y * s, axis.z * s) }
+    }
+    /// Rotation by the vector `r`: angle |r| about r.
+    #[inline(always)]
+    pub fn exp(r: &V3<R>) -> Self {
+        let angle = r.dot(r).sqrt();
+        let k = angle.recip_or_zero();
+        Self::about(&V3::new(r.x * k, r.y * k, r.z * k), angle)
+    }
+    /// The rotation vector with angle in (-π, π].
+    pub fn log(&self) -> V3<R> {
+        let (axis, angle) = self.axis_angle();
+        V3::new(axis.x * angle, axis.y * angle, axis.z * angle)
+    }
+    /// Unit axis and angle in (-π, π]; the axis is zero for the identity.
+    pub fn axis_angle(&self) -> (V3<R>, R) {
+        let s = self.v.dot(&self.v).sqrt();
+        let k = s.recip_or_zero();
+        let angle = R::of(2.0) * s.atan2(self.w);
+        let pi = R::of(std::f64::consts::PI);
+        let angle = R::select(angle.gt(pi), angle - pi - pi, angle);
+        (V3::new(self.v.x * k, self.v.y * k, self.v.z * k), angle)
+    }
+    #[inline(always)]
+    pub fn matrix(&self) -> M3<R> {
+        let two = R::of(2.0);
+        let (w, x, y, z) = (self.w, self.v.x, self.v.y, self.v.z);
+        let (xx, yy, zz, ww) = (x * x, y * y, z * z, w * w);
+        M3::new(
+            ww + xx - yy - zz,
+            two * (x * y - w * z),
+            two * (x * z + w * y),
+            two * (x * y + w * z),
+            ww - xx + yy - zz,
+            two * (y * z - w * x),
+            two * (x * z - w * y),
+            two * (y * z + w * x),
+            ww - xx - yy + zz,
+        )
+    }
+    #[inline(always)]
+    pub fn rotate(&self, v: &V3<R>) -> V3<R> {
+        // v + 2 w (q × v) + 2 q × (q × v)
+        let two = R::of(2.0);
+        let t = self.v.cross(v);
+        let t = V3::new(t.x * two, t.y * two, t.z * two);
+        let c = self.v.cross(&t);
+        V3::new(v.x + self.w * t.x + c.x, v.y + self.w * t.y + c.y, v.z + self.w * t.z + c.z)
+    }
+}
+
+/// A spatial motion: angular part, and the velocity of the point at the origin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion<R: Real> {
+    pub ang: V3<R>,
+    pub lin: V3<R>,
+}
+
+/// A spatial force: moment about the origin, and force.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Force<R: Real> {
+    pub ang: V3<R>,
+    pub lin: V3<R>,
+}
+
+impl<R: Real> Motion<R> {
+    #[inline(always)]
+    pub fn zero() -> Self {
+        Self { ang: V3::zeros(), lin: V3::zeros() }
+    }
+    #[inline(always)]
+    pub fn add_scaled(&mut self, m: &Self, k: R) {
+        self.ang += V3::new(m.ang.x * k, m.ang.y * k, m.ang.z * k);
+        self.lin += V3::new(m.lin.x * k, m.lin.y * k, m.lin.z * k);
+    }
+    /// Rate of change of the motion `m` carried along by this one: v × m.
+    #[inline(always)]
+    pub fn cross(&self, m: &Self) -> Self {
+        Self { ang: self.ang.cross(&m.ang), lin: self.ang.cross(&m.lin) + self.lin.cross(&m.ang) }
+    }
+    /// Rate of change of the force `f` carried along by this motion: v ×* f.
+    #[inline(always)]
+    pub fn cross_force(&self, f: &Force<R>) -> Force<R> {
+        Force { ang: self.ang.cross(&f.ang) + self.lin.cross(&f.lin), lin: self.ang.cross(&f.lin) }
+    }
+    /// Power of the force on this motion.
+    #[inline(always)]
+    pub fn dot(&self, f: &Force<R>) -> R {
+        self.ang.dot(&f.ang) + self.lin.dot(&f.lin)
+    }
+    /// Velocity of the body point at `r` from the origin.
+    #[inline(always)]
+    pub fn at(&self, r: &V3<R>) -> V3<R> {
+        self.lin + self.ang.cross(r)
+    }
+}
+
+impl<R: Real> Force<R> {
+    #[inline(always)]
+    pub fn zero() -> Self {
+        Self { ang: V3::zeros(), lin: V3::zeros() }
+    }
+    #[inline(always)]
+    pub fn add(&mut self, f: &Self) {
+        self.ang += f.ang;
+        self.lin += f.lin;
+    }
+}
+
+/// Mass, first and second moment of mass about the origin.
+#[derive(Clone, Copy, Debug)]
+pub struct Inertia<R: Real> {
+    pub mass: R,
+    /// mass × centre of mass.
+    pub h: V3<R>,
+    /// xx, yy, zz, xy, xz, yz about the origin.
+    pub i: [R; 6],
+}
+
+impl<R: Real> Inertia<R> {
+    #[inline(always)]
+    pub fn zero() -> Self {
+        Self { mass: R::zero(), h: V3::zeros(), i: [R::zero(); 6] }
+    }
+    /// From the inertia about the centre of mass in world axes, centre at `c`.
+    #[inline(always)]
+    pub fn about_origin(mass: R, c: &V3<R>, i: &M3<R>) -> Self {
+        let h = V3::new(c.x * mass, c.y * mass, c.z * mass);
+        Self {
+            mass,
+            h,
+            i: [
+                i.m11 + h.y * c.y + h.z * c.z,
+                i.m22 + h.x * c.x + h.z * c.z,
+                i.m33 + h.x * c.x + h.y * c.y,
+                i.m12 - h.x * c.y,
+                i.m13 - h.x * c.z,
+                i.m23 - h.y * c.z,
+            ],
+        }
+    }
+    #[inline(always)]
+    pub fn add(&mut self, o: &Self) {
+        self.mass += o.mass;
+        self.h += o.h;
+        for k in 0..6 {
+            self.i[k] += o.i[k];
+        }
+    }
+    /// Momentum of the motion `v`.
+    #[inline(always)]
+    pub fn mul(&self, v: &Motion<R>) -> Force<R> {
+        let [xx, yy, zz, xy, xz, yz] = self.i;
+        let a = &v.ang;
+        let turned = V3::new(
+            xx * a.x + xy * a.y + xz * a.z,
+            xy * a.x + yy * a.y + yz * a.z,
+            xz * a.x + yz * a.y + zz * a.z,
+        );
+        let carried = V3::new(v.lin.x * self.mass, v.lin.y * self.mass, v.lin.z * self.mass);
+        Force { ang: turned + self.h.cross(&v.lin), lin: carried - self.h.cross(a) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rotation_forms_agree() {
+        let q = Quat::<f64>::exp(&V3::new(0.3, -1.2, 0.7));
+        let v = V3::new(0.2, 0.5, -0.9);
+        assert!((q.rotate(&v) - rotate(&q.matrix(), &v)).norm() < 1e-15);
+        assert!((rotate_back(&q.matrix(), &q.rotate(&v)) - v).norm() < 1e-15);
+        assert!((q.log() - V3::new(0.3, -1.2, 0.7)).norm() < 1e-15);
+    }
+
+    #[test]
+    fn power_does_not_depend_on_the_order_of_crossing() {
+        // d/dt (m · f) = 0 where both are carried along: (v × m)·f + m·(v ×* f) = 0
+        let v = Motion { ang: V3::new(0.1, 0.2, 0.3), lin: V3::new(-0.4, 0.5, 0.6) };
+        let m = Motion { ang: V3::new(0.7, -0.8, 0.9), lin: V3::new(1.0, 1.1, -1.2) };
+        let f = Force { ang: V3::new(-0.3, 0.1, 0.2), lin: V3::new(0.4, 0.2, 0.5) };
+        assert!((v.cross(&m).dot(&f) + m.dot(&v.cross_force(&f))).abs() < 1e-15);
+    }
+}

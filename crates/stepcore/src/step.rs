@@ -1,0 +1,85 @@
+//! The loop: place → detect → solve → commit.
+//!
+//! The integrator says how often a step runs the first three; `integrate` is in
+//! `commit/`. What is written here is the whole of a step.
+
+use crate::error::Result;
+use crate::real::{Mask, Real};
+use crate::settings::Law;
+use crate::sim::Sim;
+use crate::solve::Site;
+
+impl<R: Real> Sim<R> {
+    /// Advances by `n` steps, or to the last finite state before an error.
+    pub fn step(&mut self, n: u64) -> Result<()> {
+        for _ in 0..n {
+            self.integrate()?;
+            self.check_finite()?;
+            // before ← state ← next ← (space of before)
+            std::mem::swap(&mut self.before.qpos, &mut self.state.qpos);
+            std::mem::swap(&mut self.before.qvel, &mut self.state.qvel);
+            std::mem::swap(&mut self.state.qpos, &mut self.next.qpos);
+            std::mem::swap(&mut self.state.qvel, &mut self.next.qvel);
+            std::mem::swap(&mut self.state.warm, &mut self.next.warm);
+            self.state.steps += 1;
+        }
+        Ok(())
+    }
+
+    /// Place, detect and solve at the present state. Nothing is committed.
+    pub fn forward(&mut self) -> Result<()> {
+        let dt = R::of(self.settings.dt);
+        self.placed.place(&self.model, &self.state, &self.inputs, dt);
+        self.detect_and_solve()
+    }
+
+    pub(crate) fn detect_and_solve(&mut self) -> Result<()> {
+        self.detected.detect(&self.model, &self.placed, &self.settings);
+        let site = Site {
+            model: &self.model,
+            placed: &self.placed,
+            settings: &self.settings,
+            qpos: &self.state.qpos,
+            qvel: &self.state.qvel,
+        };
+        self.rows.make(&site, &mut self.detected);
+        if self.rows.any() {
+            self.solve()?;
+        }
+        if self.settings.warm_start {
+            self.rows.store_warm(&mut self.next.warm);
+        }
+        self.velocity.copy_from_slice(&self.rows.u);
+        self.placed.metric.from_factored(&mut self.velocity);
+        let rate = R::of(1.0 / self.settings.dt);
+        for k in 0..self.model.nv {
+            self.qacc[k] = (self.velocity[k] - self.state.qvel[k]) * rate;
+        }
+        Ok(())
+    }
+
+    /// The acceleration that the smooth forces alone give.
+    pub(crate) fn smooth(&mut self) {
+        self.placed.positions(&self.model, &self.state.qpos);
+        self.placed.dynamics(&self.model, &self.state.qpos, &self.state.qvel, &self.inputs);
+        self.qacc.copy_from_slice(&self.placed.force);
+        self.placed.metric.solve(&mut self.qacc);
+    }
+
+    fn check_finite(&mut self) -> Result<()> {
+        let mut finite = R::Mask::of(true);
+        for x in self.next.qvel.iter().chain(&self.next.qpos) {
+            finite = finite.and(x.is_finite());
+        }
+        if finite.all() {
+            Ok(())
+        } else {
+            Err(self.diverged(finite.not()))
+        }
+    }
+
+    /// Laws that look at the guess instead of the present positions.
+    pub(crate) fn on_guess(&self) -> bool {
+        matches!(self.settings.law, Law::Lesson | Law::Relaxed | Law::Rigid)
+    }
+}
