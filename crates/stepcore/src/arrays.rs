@@ -5,6 +5,7 @@ use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::scene::JointType;
+use crate::sim::Sim;
 use crate::state::{Inputs, State};
 
 /// State and inputs of one world, to be read.
@@ -118,6 +119,18 @@ impl<R: Real> State<R> {
         for (to, from) in qvel.iter_mut().zip(&self.qvel) {
             *to = from.lane(lane);
         }
+    }
+}
+
+impl<R: Real> Sim<R> {
+    /// Takes one world's arrays, which were checked. Lane 0 comes first.
+    pub fn put(&mut self, lane: usize, given: &Given) {
+        if self.state.put(lane, given) {
+            // There is no step that led here.
+            self.before.qpos.copy_from_slice(&self.state.qpos);
+            self.before.qvel.copy_from_slice(&self.state.qvel);
+        }
+        self.inputs.put(lane, given);
     }
 }
 

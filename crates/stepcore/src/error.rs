@@ -25,8 +25,8 @@ impl fmt::Display for Error {
             Self::Scene(text) => f.write_str(text),
             Self::Diverged { step, time, element, quantity, .. } => write!(
                 f,
-                "diverged in step {step} at time {time:.6} s: {quantity} is not finite; the force that grew \
-                 most is {element}; the last finite state is kept"
+                "diverged in step {step} at time {time:.6} s: {quantity}; the force that grew most is {element}; \
+                 the last finite state is kept"
             ),
         }
     }

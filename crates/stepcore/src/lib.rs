@@ -37,6 +37,7 @@
 //! ```
 
 pub mod arrays;
+pub mod batch;
 pub mod commit;
 pub mod detect;
 pub mod error;

@@ -121,6 +121,9 @@ impl Default for Settings {
     }
 }
 
+/// The most contacts that room may be reserved for.
+const MOST_CONTACTS: usize = 1_000_000;
+
 impl Settings {
     /// Checks every field against its limit.
     pub fn check(&self) -> Result<()> {
@@ -132,7 +135,15 @@ impl Settings {
             }
         };
         number("dt", self.dt, self.dt > 0.0, "finite and > 0 s")?;
+        let in_f32 = |x: f64| (x as f32).is_normal();
+        if self.precision == Precision::F32 && !(in_f32(self.dt) && in_f32(1.0 / self.dt)) {
+            return Err(Error::value("dt", self.dt, "a normal number in f32, and its inverse"));
+        }
         number("tolerance", self.tolerance, self.tolerance >= 0.0, "finite and >= 0 m/s")?;
+        if self.max_contacts > MOST_CONTACTS {
+            let limit = format!("at most {MOST_CONTACTS} (it reserves memory)");
+            return Err(Error::value("max_contacts", self.max_contacts, limit));
+        }
         number("beta", self.beta, self.beta > 0.0 && self.beta <= 1.0, "in (0, 1]")?;
         number("softness", self.softness, self.softness >= 0.0, "finite and >= 0 1/kg")?;
         number("restitution", self.restitution, (0.0..=1.0).contains(&self.restitution), "in [0, 1]")?;

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use crate::commit::Next;
 use crate::detect::Detected;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::place::Placed;
-use crate::real::Real;
-use crate::settings::Settings;
+use crate::real::{Mask, Real};
+use crate::settings::{Acceleration, Settings};
 use crate::solve::{Limits, Pgs, Report, Rows};
 use crate::state::{Inputs, State};
 
@@ -50,6 +50,7 @@ pub struct Sim<R: Real> {
 impl<R: Real> Sim<R> {
     pub fn new(model: Arc<Model>, settings: Settings) -> Result<Self> {
         settings.check()?;
+        check_masses::<R>(&model)?;
         Ok(Self {
             state: State::new(&model),
             inputs: Inputs::new(&model),
@@ -75,7 +76,11 @@ impl<R: Real> Sim<R> {
         if self.settings.warm_start {
             self.rows.warm_start(model, inv_d, &self.state.warm);
         }
-        let limits = Limits { sweeps: self.settings.sweeps, tolerance: self.settings.tolerance };
+        let limits = Limits {
+            sweeps: self.settings.sweeps,
+            tolerance: self.settings.tolerance,
+            momentum: self.settings.acceleration == Acceleration::Momentum,
+        };
         let report = self.pgs.solve(&model.dof_lists, inv_d, &mut self.rows, limits);
         self.effort.note(&report);
         Ok(())
@@ -85,6 +90,19 @@ impl<R: Real> Sim<R> {
     pub fn residual(&self) -> R {
         self.rows.residual(&self.model.dof_lists)
     }
+}
+
+/// Every mass must be a normal number, and so its inverse, in the precision that computes.
+fn check_masses<R: Real>(model: &Model) -> Result<()> {
+    for body in model.bodies.iter().filter(|body| body.mass > 0.0) {
+        let mass = R::of(body.mass);
+        let inverse = R::one() / mass;
+        if mass.is_finite().none() || mass.is_zero() || inverse.is_finite().none() || inverse.is_zero() {
+            let limit = "a mass whose value and inverse the precision can hold";
+            return Err(Error::value(format!("mass of body '{}'", body.name), body.mass, limit));
+        }
+    }
+    Ok(())
 }
 
 impl Effort {

@@ -74,7 +74,8 @@ impl<R: Real> Sim<R> {
         if finite.all() {
             Ok(())
         } else {
-            Err(self.diverged(finite.not()))
+            let quantity = self.first_not_finite(finite.not());
+            Err(self.diverged(finite.not(), quantity))
         }
     }
 

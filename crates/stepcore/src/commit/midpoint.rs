@@ -4,7 +4,7 @@
 //! linear spring converges at once however stiff it is.
 
 use super::advance;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::sim::Sim;
@@ -12,7 +12,7 @@ use crate::sim::Sim;
 const MOST_ITERATIONS: usize = 200;
 
 impl<R: Real> Sim<R> {
-    /// One step into `next`; `rows`: with the rows as forces, else the smooth motion alone.
+    /// One step into `next`; `rows`: with contact forces (law `penalty`), else the smooth motion alone.
     pub(super) fn midpoint(&mut self, rows: bool) -> Result<()> {
         let s = &mut self.next.stages;
         s.qpos.copy_from_slice(&self.state.qpos);
@@ -32,7 +32,9 @@ impl<R: Real> Sim<R> {
         for _ in 0..MOST_ITERATIONS {
             let s = &self.next.stages;
             for k in 0..model.nv {
-                self.state.qvel[k] = half * (s.qvel[k] + self.next.qvel[k]);
+                let middle = half * (s.qvel[k] + self.next.qvel[k]);
+                // A lane that is done stays where it was done: its rows come out the same again.
+                self.state.qvel[k] = R::select(open, middle, self.state.qvel[k]);
             }
             advance(&model, &s.qpos, &self.state.qvel, half * dt, &mut self.state.qpos);
             if rows {
@@ -52,14 +54,15 @@ impl<R: Real> Sim<R> {
             }
         }
         if open.any() {
-            let limit = "a step at which the midpoint iteration converges: take a smaller dt or another integrator";
-            return Err(Error::value("dt", self.settings.dt, limit));
+            self.state.qpos.copy_from_slice(&self.next.stages.qpos);
+            self.state.qvel.copy_from_slice(&self.next.stages.qvel);
+            return Err(self.diverged(open, "the midpoint iteration does not converge (take a smaller dt)".into()));
         }
         let s = &self.next.stages;
         for k in 0..model.nv {
-            self.velocity[k] = half * (s.qvel[k] + self.next.qvel[k]);
+            self.next.mean[k] = half * (s.qvel[k] + self.next.qvel[k]);
         }
-        advance(&model, &s.qpos, &self.velocity, dt, &mut self.next.qpos);
+        advance(&model, &s.qpos, &self.next.mean, dt, &mut self.next.qpos);
         self.velocity.copy_from_slice(&self.next.qvel);
         Ok(())
     }

@@ -14,7 +14,7 @@ pub use position::advance;
 use crate::error::Result;
 use crate::model::Model;
 use crate::real::Real;
-use crate::settings::Integrator;
+use crate::settings::{Integrator, Law};
 use crate::sim::Sim;
 use crate::state::Warm;
 
@@ -22,6 +22,8 @@ use crate::state::Warm;
 pub struct Next<R: Real> {
     pub qpos: Vec<R>,
     pub qvel: Vec<R>,
+    /// The constant velocity that would have moved the positions as far, under `rk4` and `midpoint`.
+    mean: Vec<R>,
     /// Impulses for the next step's start.
     pub warm: Vec<Warm<R>>,
     damped: damped::Damped<R>,
@@ -33,6 +35,7 @@ impl<R: Real> Next<R> {
         Self {
             qpos: vec![R::zero(); model.nq],
             qvel: vec![R::zero(); model.nv],
+            mean: vec![R::zero(); model.nv],
             warm: Vec::new(),
             damped: damped::Damped::new(model),
             stages: rk4::Stages::new(model),
@@ -43,18 +46,18 @@ impl<R: Real> Next<R> {
 impl<R: Real> Sim<R> {
     /// One step of the integrator, into `next`.
     pub(crate) fn integrate(&mut self) -> Result<()> {
-        let on_guess = self.on_guess();
         match self.settings.integrator {
-            Integrator::Rk4 if on_guess => {
+            Integrator::Rk4 if self.on_guess() => {
                 self.rk4(false)?;
                 self.rows_at_the_end()
             }
-            Integrator::Midpoint if on_guess => {
+            Integrator::Rk4 => self.rk4(true),
+            // A spring under the surface is a smooth force, and has no rows.
+            Integrator::Midpoint if self.settings.law == Law::Penalty => self.midpoint(true),
+            Integrator::Midpoint => {
                 self.midpoint(false)?;
                 self.rows_at_the_end()
             }
-            Integrator::Rk4 => self.rk4(true),
-            Integrator::Midpoint => self.midpoint(true),
             _ => {
                 self.forward()?;
                 self.commit();
@@ -80,26 +83,38 @@ impl<R: Real> Sim<R> {
         advance(&self.model, &self.state.qpos, moving, dt, &mut self.next.qpos);
     }
 
-    /// Laws on velocities under `rk4` and `midpoint`: the smooth motion went from (q, v)
-    /// to (q₁, v₁); the rows are solved once, with v₁ as the guess, and what they
-    /// change moves on for the whole step: q⁺ = q₁ ⊕ dt (v⁺ − v₁).
+    /// Rows after a smooth motion from (q, v) to (q ⊕ dt·v̄, v₁), v̄ being `next.mean`.
+    ///
+    /// Laws on velocities judge v̄, because v̄ is what moves positions: a resting contact
+    /// then rests where the law says, under every integrator. What the rows change, they
+    /// change in both: q⁺ = q ⊕ dt (v̄ + Δv), v⁺ = v₁ + Δv. `solref` is a law on
+    /// accelerations: it judges v₁, and its force acts through the step, v̄ + Δv/2.
     fn rows_at_the_end(&mut self) -> Result<()> {
         let model = self.model.clone();
         let dt = R::of(self.settings.dt);
         self.placed.place(&model, &self.state, &self.inputs, dt);
-        self.placed.guess.copy_from_slice(&self.next.qvel);
+        let on_guess = self.on_guess();
+        let judged = if on_guess { &self.next.mean } else { &self.next.qvel };
+        self.placed.guess.copy_from_slice(judged);
         self.placed.metric.to_factored(&mut self.placed.guess);
         self.detect_and_solve()?;
-        if self.rows.any() {
-            for k in 0..model.nv {
-                let change = self.velocity[k] - self.next.qvel[k];
-                self.next.qvel[k] = self.velocity[k];
-                self.velocity[k] = change;
-            }
-            let smooth = self.next.qpos.clone();
-            advance(&model, &smooth, &self.velocity, dt, &mut self.next.qpos);
-            self.velocity.copy_from_slice(&self.next.qvel);
+        // From u, where a tree without rows has not changed at all.
+        for k in 0..model.nv {
+            self.velocity[k] = self.rows.u[k] - self.placed.guess[k];
         }
+        self.placed.metric.from_factored(&mut self.velocity);
+        let add = |x: &mut R, change: R| {
+            *x = R::select(change.abs().le(R::zero()), *x, *x + change);
+        };
+        let rate = R::of(1.0 / self.settings.dt);
+        let share = R::of(if on_guess { 1.0 } else { 0.5 });
+        for k in 0..model.nv {
+            add(&mut self.next.qvel[k], self.velocity[k]);
+            add(&mut self.next.mean[k], share * self.velocity[k]);
+            self.qacc[k] = (self.next.qvel[k] - self.state.qvel[k]) * rate;
+        }
+        advance(&model, &self.state.qpos, &self.next.mean, dt, &mut self.next.qpos);
+        self.velocity.copy_from_slice(&self.next.qvel);
         Ok(())
     }
 }

@@ -82,6 +82,7 @@ impl<R: Real> Sim<R> {
             }
         }
         let s = &self.next.stages;
+        self.next.mean.copy_from_slice(&s.moved);
         advance(&model, &s.qpos, &s.moved, dt, &mut self.next.qpos);
         for k in 0..model.nv {
             self.next.qvel[k] = s.qvel[k] + dt * s.gained[k];

@@ -1,5 +1,8 @@
-//! Which element made a run leave the finite numbers: the one whose power grew most
+//! Which element made a run leave the finite numbers: the one whose force grew most
 //! between the last two finite states, not the first that shows a NaN.
+//!
+//! Forces and moments are compared by what they do: Q² / M, the rate at which a
+//! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
 
 use crate::error::Error;
 use crate::model::Model;
@@ -7,63 +10,72 @@ use crate::real::{Mask, Real};
 use crate::sim::Sim;
 use crate::solve::Source;
 
-/// Power [W] of every element in one lane.
-struct Ledger {
-    entries: Vec<(String, f64)>,
-}
+/// Strength of every element in one lane.
+type Ledger = Vec<(String, f64)>;
 
 impl<R: Real> Sim<R> {
-    /// The error for the lanes in `bad`, whose next state is not finite.
-    pub(crate) fn diverged(&mut self, bad: R::Mask) -> Error {
+    /// The error for the lanes in `bad`, whose next state cannot be committed.
+    pub(crate) fn diverged(&mut self, bad: R::Mask, quantity: String) -> Error {
         let world = (0..R::LANES).find(|lane| bad.lane(*lane)).unwrap_or(0);
-        let quantity = self.first_not_finite(world);
-        let now = self.ledger(world);
         let state = self.state.clone();
+        let now = self.forward().map_or(Vec::new(), |()| self.ledger(world));
         self.state.qpos.copy_from_slice(&self.before.qpos);
         self.state.qvel.copy_from_slice(&self.before.qvel);
-        let earlier = self.forward().map(|()| self.ledger(world));
+        let earlier = self.forward().map_or(Vec::new(), |()| self.ledger(world));
         self.state = state;
-        let element = match earlier {
-            Ok(earlier) => grown_most(&earlier, &now),
-            Err(_) => grown_most(&Ledger { entries: Vec::new() }, &now),
-        };
         let time = self.state.time(self.settings.dt);
-        Error::Diverged { step: self.state.steps, time, world, element, quantity }
+        Error::Diverged { step: self.state.steps, time, world, element: grown_most(&earlier, &now), quantity }
     }
 
-    fn first_not_finite(&self, lane: usize) -> String {
-        let bad = |x: &R| !x.is_finite().lane(lane);
-        let joint = |dof: usize| name("joint", &self.model.joints[self.model.dofs[dof].joint].name, self.model.dofs[dof].joint);
-        match self.next.qvel.iter().position(bad) {
-            Some(dof) => format!("the velocity of {}", joint(dof)),
-            None => "a position".into(),
-        }
+    pub(crate) fn first_not_finite(&self, bad: R::Mask) -> String {
+        let lane = (0..R::LANES).find(|lane| bad.lane(*lane)).unwrap_or(0);
+        let model = &*self.model;
+        let at = self.next.qvel.iter().position(|x| !x.is_finite().lane(lane));
+        at.map_or("a position is not finite".into(), |dof| {
+            let joint = model.dofs[dof].joint;
+            format!("the velocity of {} is not finite", name("joint", &model.joints[joint].name, joint))
+        })
     }
 
-    /// Power of each element at the state of the last solve.
+    /// Strength of each element at the state of the last solve.
     fn ledger(&self, lane: usize) -> Ledger {
         let model = &*self.model;
         let mut entries = Vec::new();
-        let v = |k: usize| self.state.qvel[k].lane(lane);
+        let inertia = |k: usize| self.placed.mass[model.dofs[k].row.start].lane(lane);
         for (index, joint) in model.joints.iter().enumerate() {
-            let dofs = joint.dof..joint.dof + joint.dofs();
-            let power = |force: &[R]| dofs.clone().map(|k| force[k].lane(lane) * v(k)).sum::<f64>();
-            let passive = if joint.stiffness != 0.0 { "spring of joint" } else { "damper of joint" };
-            entries.push((name(passive, &joint.name, index), power(&self.placed.passive)));
-            entries.push((name("inertial force of joint", &joint.name, index), power(&self.placed.bias)));
+            let mut add = |kind: &str, force: &dyn Fn(usize) -> f64| {
+                let strength: f64 =
+                    (joint.dof..joint.dof + joint.dofs()).map(|k| force(k).powi(2) / inertia(k)).sum();
+                if strength != 0.0 {
+                    entries.push((name(kind, &joint.name, index), strength));
+                }
+            };
+            let damper = |k: usize| model.dofs[k].damping * self.state.qvel[k].lane(lane);
+            add("damper of joint", &damper);
+            if joint.stiffness != 0.0 {
+                add("spring of joint", &|k| self.placed.passive[k].lane(lane) + damper(k));
+            }
+            add("inertial force of joint", &|k| self.placed.bias[k].lane(lane));
+            add("force applied to joint", &|k| self.inputs.qfrc_applied[k].lane(lane));
         }
         for (index, motor) in model.actuators.iter().enumerate() {
             let joint = &model.joints[motor.joint];
             let force = self.placed.actuator[index].lane(lane);
-            let power = (0..joint.dofs()).map(|k| motor.gear[k] * force * v(joint.dof + k)).sum();
-            entries.push((name("motor", &motor.name, index), power));
+            let strength = |k: usize| (motor.gear[k] * force).powi(2) / inertia(joint.dof + k);
+            entries.push((name("motor", &motor.name, index), (0..joint.dofs()).map(strength).sum()));
         }
+        for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
+            let force = &self.inputs.xfrc_applied[6 * index..6 * index + 3];
+            let strength = force.iter().map(|f| f.lane(lane).powi(2)).sum::<f64>() / body.mass;
+            entries.push((name("force applied to body", &body.name, index), strength));
+        }
+        let rate = 1.0 / self.settings.dt;
         for block in self.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
             let rows = &self.rows.rows[block.rows.range()];
-            let power: f64 = rows.iter().map(|row| row.impulse.lane(lane) * row.velocity.lane(lane)).sum();
-            entries.push((self.source_name(block.source), power / self.settings.dt));
+            let strength = rows.iter().map(|row| (row.impulse.lane(lane) * rate).powi(2) * row.a.lane(lane)).sum();
+            entries.push((self.source_name(block.source), strength));
         }
-        Ledger { entries }
+        entries
     }
 
     /// The element that a block of rows came from, as a user knows it.
@@ -99,18 +111,18 @@ fn name(kind: &str, name: &str, index: usize) -> String {
     }
 }
 
-/// The largest growth of |power|; an element whose power is no longer finite counts
-/// only where every one is.
+/// The largest growth. What is no longer finite grew beyond all that is; among such,
+/// the one that was strongest before.
 fn grown_most(earlier: &Ledger, now: &Ledger) -> String {
-    let before = |name: &str| {
-        earlier.entries.iter().find(|(n, _)| n == name).map_or(0.0, |(_, power)| power.abs())
+    let before = |name: &str| earlier.iter().find(|(n, _)| n == name).map_or(0.0, |(_, strength)| *strength);
+    let growth = |(name, strength): &(String, f64)| {
+        let before = before(name);
+        if strength.is_finite() { (false, strength - before) } else { (true, before) }
     };
-    let growth = |(name, power): &(String, f64)| {
-        let grown = power.abs() - before(name);
-        if grown.is_finite() { grown } else { f64::MIN }
-    };
-    now.entries
-        .iter()
-        .max_by(|a, b| growth(a).total_cmp(&growth(b)))
+    now.iter()
+        .max_by(|a, b| {
+            let (a, b) = (growth(a), growth(b));
+            a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
+        })
         .map_or_else(|| "no single element".into(), |(name, _)| name.clone())
 }

@@ -7,7 +7,7 @@ use crate::detect::Contact;
 use crate::model::NONE;
 use crate::real::{Mask, Real};
 use crate::sim::Sim;
-use crate::solve::{Block, Row};
+use crate::solve::{Block, Row, Set};
 use crate::spatial::{rotate, splat, Quat, M3, V3};
 use nalgebra::Vector3;
 
@@ -82,6 +82,27 @@ impl<R: Real> Sim<R> {
         self.detected.contacts.iter().enumerate().filter(move |(_, contact)| contact.mask.lane(lane))
     }
 
+    /// Force of a contact's block on geom 2, in world axes [N].
+    pub fn contact_force(&self, block: &Block<R>, contact: &Contact<R>, lane: usize) -> [f64; 3] {
+        let impulse: Vec<f64> = self.rows.rows[block.rows.range()].iter().map(|row| row.impulse.lane(lane)).collect();
+        let still = self.model.pairs[contact.pair].still;
+        let moving = contact.tangents.iter().zip(still).filter(|(_, still)| !still);
+        // A pyramid's rows are its edges J_n ± μ J_t and, if need be, their fold.
+        let edges = block.set == Set::Interval;
+        let normal = if edges { impulse.iter().sum() } else { impulse[0] };
+        let mut force = scaled(&contact.normal, normal / self.settings.dt, lane);
+        for (k, (tangent, _)) in moving.enumerate() {
+            let along = match impulse.len() {
+                1 => 0.0,
+                _ if edges => block.mu.lane(lane) * (impulse[2 * k] - impulse[2 * k + 1]),
+                _ => impulse[k + 1],
+            };
+            let part = scaled(tangent, along / self.settings.dt, lane);
+            force = std::array::from_fn(|axis| force[axis] + part[axis]);
+        }
+        force
+    }
+
     /// How far each row of a block is from its law at the impulses it holds: s·|δ|, in
     /// the row's own unit of velocity (see `solve/residual.rs`).
     pub fn row_residuals(&self, block: &Block<R>, lane: usize) -> Vec<f64> {
@@ -91,4 +112,8 @@ impl<R: Real> Sim<R> {
         });
         residuals
     }
+}
+
+fn scaled<R: Real>(v: &V3<R>, k: f64, lane: usize) -> [f64; 3] {
+    [v.x, v.y, v.z].map(|x| x.lane(lane) * k)
 }

@@ -150,7 +150,7 @@ pub struct Pair {
     pub geom2: usize,
     /// 1, 3, 4 or 6; 1 where the friction is zero dimensions.
     pub condim: u32,
-    /// Sliding, sliding, torsional, rolling, rolling; each at least 1e-5.
+    /// Sliding, sliding, torsional, rolling, rolling.
     pub friction: [f64; 5],
     /// A contact has a row below `margin`, and is listed below `margin + gap`.
     pub margin: f64,

@@ -11,9 +11,6 @@ use crate::scene::{Geom, GeomType, Scene, Softness};
 use nalgebra::Vector3;
 use std::collections::HashSet;
 
-/// MuJoCo's floor for every friction coefficient.
-const LEAST_FRICTION: f64 = 1e-5;
-
 /// A plane is fixed to the world, as in MuJoCo.
 pub fn planes_stand_still(model: &Model) -> Result<()> {
     for (i, g) in model.geoms.iter().enumerate() {
@@ -99,7 +96,7 @@ fn pair(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Unions, (
         return Err(Error::value(format!("condim of {}", names()), condim, limit));
     }
     let dofs = unions.of(model, x.body, y.body);
-    let [slide, spin, roll] = friction.map(|mu| mu.max(LEAST_FRICTION));
+    let [slide, spin, roll] = friction;
     Ok(Pair {
         geom1: a,
         geom2: b,

@@ -141,7 +141,8 @@ impl<R: Real> Convex<R> {
         let l21 = (q[4] - l20 * q[1]) * d1.recip_or_zero();
         let d2 = q[5] - l20 * q[3] - l21 * l21 * d1;
         let (r1, r2) = (d1.recip_or_zero().sqrt(), d2.recip_or_zero().sqrt());
-        let mut v = [[one, -l10 * r1, (l10 * l21 - l20) * r2], [zero, r1, -l21 * r2], [zero, zero, r2]];
+        let mut v =
+            [[one, -l10 * r1, (l10 * l21 - l20) * r2], [zero, r1, -l21 * r2], [zero, zero, r2]];
         let s = [mu * mu, -one, -one];
         let mut b = [[zero; 3]; 3];
         for i in 0..3 {
@@ -160,9 +161,11 @@ impl<R: Real> Convex<R> {
         // The one positive eigenvalue first; its vector points into the cone.
         for i in 1..3 {
             let swap = b[i][i].gt(b[0][0]);
-            (b[0][0], b[i][i]) = (R::select(swap, b[i][i], b[0][0]), R::select(swap, b[0][0], b[i][i]));
+            (b[0][0], b[i][i]) =
+                (R::select(swap, b[i][i], b[0][0]), R::select(swap, b[0][0], b[i][i]));
             for row in &mut v {
-                (row[0], row[i]) = (R::select(swap, row[i], row[0]), R::select(swap, row[0], row[i]));
+                (row[0], row[i]) =
+                    (R::select(swap, row[i], row[0]), R::select(swap, row[0], row[i]));
             }
         }
         let down = v[0][0].lt(zero);

@@ -12,6 +12,9 @@ use crate::model::Pair;
 use crate::real::{Mask, Real};
 use crate::settings::{Cone, Law};
 
+/// MuJoCo's floor of every friction coefficient, under its own law.
+const LEAST_FRICTION: f64 = 1e-5;
+
 impl<R: Real> Rows<R> {
     pub(super) fn contacts(&mut self, site: &Site<R>, detected: &mut Detected<R>) {
         for index in 0..detected.contacts.len() {
@@ -38,7 +41,7 @@ impl<R: Real> Rows<R> {
         let slot = (base + 2 * contact.pair + contact.part) as u32;
         let block = self.push_block(first, set, mask, Source::Contact(index), slot);
         block.mass = pair.mass;
-        let mu = pair.friction[0];
+        let mu = pair.friction[0].max(LEAST_FRICTION);
         block.mu = R::of(mu);
         block.mu_soft = R::of(mu / site.settings.impratio.sqrt());
     }
@@ -53,7 +56,7 @@ impl<R: Real> Rows<R> {
         let r = contact.dist - R::of(pair.margin);
         let law = SolRef::at(&pair.soft, r, settings.dt, settings.refsafe);
         let normal_r = law.softness * R::of(pair.invweight);
-        let (mu, impratio) = (pair.friction[0], settings.impratio);
+        let (mu, impratio) = (pair.friction[0].max(LEAST_FRICTION), settings.impratio);
         let first = self.rows.len();
         self.contact_row(site, contact, pair, 0);
         let fill = |row: &mut super::rows::Row<R>, r: R, c: R| {
@@ -97,7 +100,7 @@ impl<R: Real> Rows<R> {
 
     /// Replaces the normal row at `first` by the edges J_n ± μ J_t, then the fold.
     fn pyramid(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair, first: usize) {
-        let mu = R::of(pair.friction[0]);
+        let mu = R::of(pair.friction[0].max(LEAST_FRICTION));
         let mut edges = 0;
         let normal = first;
         let tangents = first + 1;

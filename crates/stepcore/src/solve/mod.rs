@@ -8,11 +8,15 @@ mod law;
 mod limit;
 mod loss;
 mod momentum;
+mod newton;
 mod pgs;
 mod residual;
 mod rows;
+#[cfg(test)]
+mod tests;
 
 pub use law::SolRef;
+pub use newton::Newton;
 pub use pgs::{Limits, Pgs, Report};
 pub use rows::{Block, Row, Rows, Set, Site, Source};
 

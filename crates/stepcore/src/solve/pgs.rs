@@ -9,6 +9,7 @@ use super::momentum::Momentum;
 use super::residual::dot;
 use super::rows::{Block, Row, Rows, Set};
 use crate::real::{Mask, Real};
+use std::mem;
 
 /// How long to sweep.
 #[derive(Clone, Copy, Debug)]
@@ -16,6 +17,8 @@ pub struct Limits {
     pub sweeps: u32,
     /// On the scalar residual [m/s]; 0 runs every sweep.
     pub tolerance: f64,
+    /// Accelerate islands whose rows are all convex: see `momentum.rs`.
+    pub momentum: bool,
 }
 
 /// What a solve did, lane by lane.
@@ -25,7 +28,7 @@ pub struct Report<R: Real> {
     pub sweeps: R,
     /// Row updates: rows × sweeps, summed over islands.
     pub updates: R,
-    /// Newton's last decrement relative to the cost; 0 under PGS.
+    /// Newton's decrement where it stopped, √(gᵀH⁻¹g) relative to the motion; 0 under PGS.
     pub decrement: R,
 }
 
@@ -84,20 +87,27 @@ impl Order {
 enum Cone<R: Real> {
     /// Solved row by row.
     None,
-    Convex { q: [R; 6], solver: Convex<R> },
-    Coulomb { q: [R; 3], solver: Tangents<R> },
+    Convex {
+        q: [R; 6],
+        solver: Convex<R>,
+    },
+    Coulomb {
+        q: [R; 3],
+        solver: Tangents<R>,
+    },
 }
 
 /// The method's memory; one a world or pack of lanes.
 pub struct Pgs<R: Real> {
     order: Order,
     /// D⁻¹ y, in the layout of `Rows::y`.
-    pub(super) z: Vec<R>,
+    z: Vec<R>,
     /// √(A/m) by row: makes an impulse a speed.
     weight: Vec<R>,
     /// By block.
     cones: Vec<Cone<R>>,
-    pub(super) momentum: Momentum<R>,
+    /// Absent only while a solve holds it.
+    momentum: Option<Momentum<R>>,
 }
 
 impl<R: Real> Default for Pgs<R> {
@@ -113,7 +123,7 @@ impl<R: Real> Pgs<R> {
             z: Vec::new(),
             weight: Vec::new(),
             cones: Vec::new(),
-            momentum: Momentum::new(),
+            momentum: Some(Momentum::new()),
         }
     }
 
@@ -123,50 +133,48 @@ impl<R: Real> Pgs<R> {
     /// With a tolerance an island stops, lane by lane, after the first sweep whose
     /// residual is within it. The residual costs as much as a sweep, so it is
     /// computed only where the largest change of the sweep is within it already.
-    pub fn solve(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &mut Rows<R>, limits: Limits) -> Report<R> {
+    pub fn solve(
+        &mut self,
+        dof_lists: &[usize],
+        inv_d: &[R],
+        rows: &mut Rows<R>,
+        limits: Limits,
+    ) -> Report<R> {
         self.prepare(dof_lists, inv_d, rows, limits.tolerance > 0.0);
         let mut report = Report::new();
-        for island in 0..self.order.ends.len() {
-            let range = self.order.island(island);
-            let mut live = alive(rows, &self.order.blocks[range.clone()]);
+        let (order, mut momentum) = (mem::take(&mut self.order), self.momentum.take());
+        for island in 0..order.ends.len() {
+            let blocks = &order.blocks[order.island(island)];
+            let convex = |b: &usize| matches!(rows.blocks[*b].set, Set::Interval | Set::Convex);
+            let mut momentum =
+                momentum.as_mut().filter(|_| limits.momentum && blocks.iter().all(convex));
+            if let Some(momentum) = &mut momentum {
+                momentum.begin(dof_lists, inv_d, rows, blocks);
+            }
+            let mut live = alive(rows, blocks);
             let mut done = R::zero();
-            for _ in 0..limits.sweeps {
+            for sweep in 0..limits.sweeps {
                 if live.none() {
                     break;
                 }
-                let change = self.sweep(dof_lists, rows, range.clone(), live, &mut report);
+                let change = if let Some(momentum) = &mut momentum {
+                    let change =
+                        self.sweep(dof_lists, rows, momentum.order(sweep), live, &mut report);
+                    momentum.step(dof_lists, &self.z, rows, blocks, live);
+                    change
+                } else {
+                    self.sweep(dof_lists, rows, blocks, live, &mut report)
+                };
                 done = R::select(live, done + R::one(), done);
-                live = self.judge(dof_lists, rows, range.clone(), live, change, limits.tolerance);
+                live = judge(dof_lists, rows, blocks, live, change, limits.tolerance);
             }
             report.sweeps = report.sweeps.max(done);
         }
+        (self.order, self.momentum) = (order, momentum);
         report
     }
 
-    pub(super) fn order(&self) -> &Order {
-        &self.order
-    }
-
-    /// Lanes that go on after a sweep with this largest change [m/s].
-    pub(super) fn judge(
-        &self,
-        dof_lists: &[usize],
-        rows: &Rows<R>,
-        range: std::ops::Range<usize>,
-        live: R::Mask,
-        change: R,
-        tolerance: f64,
-    ) -> R::Mask {
-        let tolerance = R::of(tolerance);
-        let close = live.and(change.le(tolerance));
-        if tolerance.le(R::zero()).any() || close.none() {
-            return live;
-        }
-        let residual = rows.residual_of(dof_lists, &self.order.blocks[range]);
-        live.and(close.and(residual.le(tolerance)).not())
-    }
-
-    pub(super) fn prepare(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &Rows<R>, weigh: bool) {
+    fn prepare(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &Rows<R>, weigh: bool) {
         self.order.sort(&rows.blocks);
         self.z.clear();
         for row in &rows.rows {
@@ -204,7 +212,8 @@ impl<R: Real> Pgs<R> {
             _ => R::zero(),
         };
         if block.set == Set::Convex {
-            let mut q = [entry(0, 0), entry(1, 0), entry(1, 1), entry(2, 0), entry(2, 1), entry(2, 2)];
+            let mut q =
+                [entry(0, 0), entry(1, 0), entry(1, 1), entry(2, 0), entry(2, 1), entry(2, 2)];
             if own.len() < 2 {
                 q[2] = q[0];
             }
@@ -217,25 +226,26 @@ impl<R: Real> Pgs<R> {
         Cone::Coulomb { q, solver: Tangents::new(q[0], q[1], q[2]) }
     }
 
-    /// One pass over an island's blocks; the largest change of an impulse [m/s].
-    pub(super) fn sweep(
+    /// One pass over the listed blocks; the largest change of an impulse [m/s].
+    fn sweep(
         &self,
         dof_lists: &[usize],
         rows: &mut Rows<R>,
-        range: std::ops::Range<usize>,
+        list: &[usize],
         live: R::Mask,
         report: &mut Report<R>,
     ) -> R {
         let Rows { rows, blocks, y, u, .. } = rows;
         let mut largest = R::zero();
-        for at in &self.order.blocks[range] {
+        for at in list {
             let block = &blocks[*at];
             let mask = block.mask.and(live);
             if mask.none() {
                 continue;
             }
             let own = block.rows.range();
-            report.updates = R::select(mask, report.updates + R::of(own.len() as f64), report.updates);
+            report.updates =
+                R::select(mask, report.updates + R::of(own.len() as f64), report.updates);
             let mut sweep = Sweep { dof_lists, y, z: &self.z, u, mask };
             let weight = &self.weight[own.clone()];
             let own = &mut rows[own];
@@ -263,6 +273,23 @@ impl<R: Real> Pgs<R> {
         }
         largest
     }
+}
+
+/// Lanes that go on after a sweep with this largest change [m/s].
+fn judge<R: Real>(
+    dof_lists: &[usize],
+    rows: &Rows<R>,
+    blocks: &[usize],
+    live: R::Mask,
+    change: R,
+    tolerance: f64,
+) -> R::Mask {
+    let close = live.and(change.le(R::of(tolerance)));
+    if tolerance <= 0.0 || close.none() {
+        return live;
+    }
+    let residual = rows.residual_of(dof_lists, blocks);
+    live.and(close.and(residual.le(R::of(tolerance))).not())
 }
 
 /// Lanes in which an island has some block.
@@ -326,7 +353,13 @@ impl<R: Real> Sweep<'_, R> {
     }
 
     /// The normal as an interval, then the tangents within its friction bound.
-    fn coulomb(&mut self, own: &mut [Row<R>], block: &Block<R>, q: &[R; 3], solver: &Tangents<R>) -> [R; 3] {
+    fn coulomb(
+        &mut self,
+        own: &mut [Row<R>],
+        block: &Block<R>,
+        q: &[R; 3],
+        solver: &Tangents<R>,
+    ) -> [R; 3] {
         let mut change = [R::zero(); 3];
         let Some((normal, tangents)) = own.split_first_mut() else { return change };
         let impulse = (normal.impulse + self.short(normal) * normal.inv_s).max(R::zero());

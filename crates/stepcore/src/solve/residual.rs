@@ -26,7 +26,12 @@ impl<R: Real> Rows<R> {
     }
 
     /// Calls `each(row, δ, s)` for every row of a block.
-    pub fn natural_map(&self, dof_lists: &[usize], block: &Block<R>, mut each: impl FnMut(usize, R, R)) {
+    pub fn natural_map(
+        &self,
+        dof_lists: &[usize],
+        block: &Block<R>,
+        mut each: impl FnMut(usize, R, R),
+    ) {
         let range = block.rows.range();
         let rows = &self.rows[range.clone()];
         if block.set == Set::Interval {

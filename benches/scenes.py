@@ -1,0 +1,85 @@
+"""The scenes of the benches, as MJCF text that both engines read."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+FLOOR = '<geom name="floor" type="plane" size="5 5 .1"/>'
+GYM = (
+    "inverted_pendulum",
+    "inverted_double_pendulum",
+    "reacher",
+    "hopper",
+    "walker2d",
+    "half_cheetah",
+    "ant",
+)
+
+
+def gym_path(name: str) -> str:
+    """The MJCF file of a gymnasium model."""
+    import gymnasium
+
+    folder = os.path.dirname(gymnasium.__file__)
+    return os.path.join(folder, "envs", "mujoco", "assets", f"{name}.xml")
+
+
+def spring() -> str:
+    """A mass of 1 kg on a spring of 100 N/m, no gravity, drawn out by 0.1 m."""
+    body = (
+        '<body><joint type="slide" axis="1 0 0" stiffness="100"/>'
+        '<geom size=".1" mass="1" contype="0" conaffinity="0"/></body>'
+    )
+    return _mjcf("spring", body, 'timestep="0.01" gravity="0 0 0"', key='<key qpos="0.1"/>')
+
+
+def ball() -> str:
+    """A ball of 1 kg on a vertical slide, 0.3 m over a floor."""
+    return _mjcf("ball", FLOOR + _sliding_ball(0.4))
+
+
+def stack() -> str:
+    """Two such balls, one just over the floor and one just over the other."""
+    return _mjcf("stack", FLOOR + _sliding_ball(0.1) + _sliding_ball(0.3))
+
+
+def chain(links: int = 20) -> str:
+    """A chain of capsules on parallel hinges, let go from the horizontal; nothing collides."""
+    text = ""
+    for link in range(links):
+        text += f'<body pos="{0.1 if link else 0} 0 0"><joint axis="0 1 0"/>'
+        text += (
+            '<geom type="capsule" fromto="0 0 0 .1 0 0" size=".02" contype="0" conaffinity="0"/>'
+        )
+    return _mjcf(f"chain{links}", text + "</body>" * links)
+
+
+def capsules(side: int = 3, seed: int = 1) -> str:
+    """side³ capsules at random angles, dropped in a loose grid on a floor."""
+    rng = np.random.default_rng(seed)
+    text = FLOOR
+    for i in range(side**3):
+        x, y, z = i % side - (side - 1) / 2, i // side % side - (side - 1) / 2, i // side**2
+        quat = rng.normal(size=4)
+        turn = " ".join(f"{q:.6f}" for q in quat / np.linalg.norm(quat))
+        text += f'<body pos="{0.16 * x:.3f} {0.16 * y:.3f} {0.2 + 0.35 * z:.3f}" quat="{turn}">'
+        text += '<freejoint/><geom type="capsule" size=".05 .08"/></body>'
+    return _mjcf(f"capsules{side**3}", text, memory="64M")
+
+
+def _sliding_ball(height: float) -> str:
+    return (
+        f'<body pos="0 0 {height}"><joint type="slide" axis="0 0 1"/>'
+        '<geom size=".1" mass="1"/></body>'
+    )
+
+
+def _mjcf(
+    name: str, world: str, option: str = 'timestep="0.002"', key: str = "", memory: str = "8M"
+) -> str:
+    return (
+        f'<mujoco model="{name}"><option {option}/><size memory="{memory}"/>'
+        f"<worldbody>{world}</worldbody><keyframe>{key}</keyframe></mujoco>"
+    )

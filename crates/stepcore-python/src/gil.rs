@@ -1,0 +1,44 @@
+//! The one place where the GIL is released, interrupts are served and panics stop.
+
+use std::panic::{catch_unwind, AssertUnwindSafe};
+use std::time::{Duration, Instant};
+
+use pyo3::exceptions::PyRuntimeError;
+use pyo3::prelude::*;
+use stepcore::error::Error;
+
+use crate::errors::raise;
+
+/// How long Python may wait for a Ctrl-C to be seen.
+const PATIENCE: Duration = Duration::from_millis(20);
+
+/// Runs engine code without the GIL.
+pub fn release<T: Send>(py: Python<'_>, run: impl FnOnce() -> Result<T, Error> + Send) -> PyResult<T> {
+    match py.detach(|| catch_unwind(AssertUnwindSafe(run))) {
+        Ok(outcome) => outcome.map_err(|error| raise(py, error)),
+        Err(panic) => {
+            let text = panic.downcast_ref::<String>().map(String::as_str);
+            let text = text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("unknown");
+            Err(PyRuntimeError::new_err(format!("an error inside stepcore, please report it: {text}")))
+        }
+    }
+}
+
+/// Does `n` steps in portions, and serves Python's signals between them.
+pub fn steps(py: Python<'_>, n: u64, mut advance: impl FnMut(u64) -> Result<(), Error> + Send) -> PyResult<()> {
+    let (mut left, mut portion) = (n, 1);
+    while left > 0 {
+        let now = portion.min(left);
+        let start = Instant::now();
+        release(py, || advance(now))?;
+        left -= now;
+        let took = start.elapsed();
+        if took < PATIENCE / 4 {
+            portion = now * 2;
+        } else if took > PATIENCE {
+            portion = (now / 2).max(1);
+        }
+        py.check_signals()?;
+    }
+    Ok(())
+}

@@ -1,0 +1,35 @@
+//! `stepcore._core`: the engine as Python sees it. Thin shims; no physics here.
+//!
+//! `extract` and `scene` read what Python gives, `memory` holds the arrays that both
+//! sides see, `world` is one world of
+//! either precision and `worlds` many, `gil` the one place where the
+//! GIL is released, `errors` the one map of errors.
+
+mod batch;
+mod errors;
+mod extract;
+mod gil;
+mod memory;
+mod model;
+mod scene;
+mod settings;
+mod sim;
+mod snapshot;
+mod world;
+mod worlds;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+mod _core {
+    #[pymodule_export]
+    use super::batch::Batch;
+    #[pymodule_export]
+    use super::errors::SimulationError;
+    #[pymodule_export]
+    use super::model::{compile, Model};
+    #[pymodule_export]
+    use super::settings::Settings;
+    #[pymodule_export]
+    use super::sim::Sim;
+}

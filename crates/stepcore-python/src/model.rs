@@ -1,0 +1,139 @@
+//! `Model` as Python sees it: counts, names and tables of the compiled scene.
+
+use std::sync::Arc;
+
+use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use stepcore::model::Model as Engine;
+use stepcore::scene::{GeomType, JointType, Scene};
+
+use crate::extract::{At, Read};
+
+/// An array of this shape that owns its numbers.
+pub fn shaped<'py>(py: Python<'py>, values: Vec<f64>, shape: &[usize]) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    PyArray1::from_vec(py, values).reshape(shape.to_vec())
+}
+
+/// A compiled scene; constant.
+#[pyclass(module = "stepcore._core", frozen)]
+pub struct Model(pub Arc<Engine>);
+
+/// Compiles a scene given as plain data: what `Scene.to_dict` returns.
+#[pyfunction]
+pub fn compile(scene: &Bound<'_, PyAny>) -> PyResult<Model> {
+    let py = scene.py();
+    let scene = Scene::read(scene, &At::Root)?;
+    let model = crate::gil::release(py, || Engine::compile(&scene))?;
+    Ok(Model(Arc::new(model)))
+}
+
+fn joint_type(kind: JointType) -> &'static str {
+    match kind {
+        JointType::Free => "free",
+        JointType::Ball => "ball",
+        JointType::Slide => "slide",
+        JointType::Hinge => "hinge",
+    }
+}
+
+fn geom_type(kind: GeomType) -> &'static str {
+    match kind {
+        GeomType::Plane => "plane",
+        GeomType::Sphere => "sphere",
+        GeomType::Capsule => "capsule",
+        GeomType::Ellipsoid => "ellipsoid",
+        GeomType::Cylinder => "cylinder",
+        GeomType::Box => "box",
+    }
+}
+
+/// No limit, as a range.
+const FREE: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
+
+#[pymethods]
+impl Model {
+    #[getter]
+    fn nq(&self) -> usize {
+        self.0.nq
+    }
+    #[getter]
+    fn nv(&self) -> usize {
+        self.0.nv
+    }
+
+    /// Names of every kind of element, in the order of the model; "" where there is none.
+    fn names<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let m = &*self.0;
+        let names = PyDict::new(py);
+        names.set_item("body", m.bodies.iter().map(|e| &e.name).collect::<Vec<_>>())?;
+        names.set_item("joint", m.joints.iter().map(|e| &e.name).collect::<Vec<_>>())?;
+        names.set_item("geom", m.geoms.iter().map(|e| &e.name).collect::<Vec<_>>())?;
+        names.set_item("site", m.sites.iter().map(|e| &e.name).collect::<Vec<_>>())?;
+        names.set_item("actuator", m.actuators.iter().map(|e| &e.name).collect::<Vec<_>>())?;
+        names.set_item("equality", m.equalities.iter().map(|e| &e.name).collect::<Vec<_>>())?;
+        names.set_item("key", m.keys.iter().map(|e| &e.name).collect::<Vec<_>>())?;
+        Ok(names)
+    }
+
+    /// Numbers by name, each an array whose first axis is the element.
+    fn tables<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let m = &*self.0;
+        let tables = PyDict::new(py);
+        let add = |name: &str, values: Vec<f64>, shape: &[usize]| tables.set_item(name, shaped(py, values, shape)?);
+        let (nbody, njnt, ngeom, nu) = (m.bodies.len(), m.joints.len(), m.geoms.len(), m.actuators.len());
+        add("qpos0", m.qpos0.clone(), &[m.nq])?;
+        add("body_mass", m.bodies.iter().map(|b| b.mass).collect(), &[nbody])?;
+        let inertia = m.bodies.iter().flat_map(|b| b.inertia.iter().copied().collect::<Vec<_>>());
+        add("body_inertia", inertia.collect(), &[nbody, 3, 3])?;
+        add("body_ipos", m.bodies.iter().flat_map(|b| [b.ipos.x, b.ipos.y, b.ipos.z]).collect(), &[nbody, 3])?;
+        add("body_invweight0", m.bodies.iter().flat_map(|b| b.invweight).collect(), &[nbody, 2])?;
+        add("dof_invweight0", m.dofs.iter().map(|d| d.invweight).collect(), &[m.nv])?;
+        add("jnt_range", m.joints.iter().flat_map(|j| j.range.unwrap_or(FREE)).collect(), &[njnt, 2])?;
+        add("jnt_axis", m.joints.iter().flat_map(|j| [j.axis.x, j.axis.y, j.axis.z]).collect(), &[njnt, 3])?;
+        add("jnt_pos", m.joints.iter().flat_map(|j| [j.pos.x, j.pos.y, j.pos.z]).collect(), &[njnt, 3])?;
+        add("geom_size", m.geoms.iter().flat_map(|g| g.size).collect(), &[ngeom, 3])?;
+        add("actuator_ctrlrange", m.actuators.iter().flat_map(|a| a.ctrlrange.unwrap_or(FREE)).collect(), &[nu, 2])?;
+        add("actuator_gear", m.actuators.iter().flat_map(|a| a.gear).collect(), &[nu, 6])?;
+        Ok(tables)
+    }
+
+    /// Addresses and owners by name, a list of whole numbers each.
+    fn addresses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let m = &*self.0;
+        let lists = PyDict::new(py);
+        lists.set_item("body_parent", m.bodies.iter().map(|b| b.parent).collect::<Vec<_>>())?;
+        lists.set_item("jnt_qposadr", m.joints.iter().map(|j| j.qpos).collect::<Vec<_>>())?;
+        lists.set_item("jnt_dofadr", m.joints.iter().map(|j| j.dof).collect::<Vec<_>>())?;
+        lists.set_item("jnt_body", m.joints.iter().map(|j| j.body).collect::<Vec<_>>())?;
+        lists.set_item("geom_body", m.geoms.iter().map(|g| g.body).collect::<Vec<_>>())?;
+        lists.set_item("site_body", m.sites.iter().map(|s| s.body).collect::<Vec<_>>())?;
+        lists.set_item("actuator_joint", m.actuators.iter().map(|a| a.joint).collect::<Vec<_>>())?;
+        Ok(lists)
+    }
+
+    fn joint_types(&self) -> Vec<&'static str> {
+        self.0.joints.iter().map(|joint| joint_type(joint.kind)).collect()
+    }
+
+    fn geom_types(&self) -> Vec<&'static str> {
+        self.0.geoms.iter().map(|geom| geom_type(geom.kind)).collect()
+    }
+
+    /// Geoms that can meet, by index.
+    fn pairs(&self) -> Vec<(usize, usize)> {
+        self.0.pairs.iter().map(|pair| (pair.geom1, pair.geom2)).collect()
+    }
+
+    /// Time, qpos, qvel and ctrl of every keyframe, defaults filled in.
+    #[allow(clippy::type_complexity)]
+    fn keys(&self) -> Vec<(f64, Vec<f64>, Vec<f64>, Vec<f64>)> {
+        let m = &*self.0;
+        let or_zero = |given: &Option<Vec<f64>>, count| given.clone().unwrap_or_else(|| vec![0.0; count]);
+        let qpos = |given: &Option<Vec<f64>>| given.clone().unwrap_or_else(|| m.qpos0.clone());
+        let key = |k: &stepcore::scene::Key| {
+            (k.time, qpos(&k.qpos), or_zero(&k.qvel, m.nv), or_zero(&k.ctrl, m.actuators.len()))
+        };
+        m.keys.iter().map(key).collect()
+    }
+}

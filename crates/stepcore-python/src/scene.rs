@@ -1,0 +1,52 @@
+//! The engine's scene out of the dict that `stepcore.Scene.to_dict` makes.
+
+use pyo3::prelude::*;
+use stepcore::scene::{
+    Actuator, Body, Equality, Features, Geom, GeomType, Inertial, Joint, JointType, Key, MassRules, Scene, Site,
+    Softness,
+};
+
+use crate::extract::{record, refuse, At, Read};
+
+/// An enum by its name.
+macro_rules! named {
+    ($type:ty { $($text:literal => $variant:ident),+ $(,)? }) => {
+        impl Read for $type {
+            fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
+                match String::read(value, at)?.as_str() {
+                    $($text => Ok(Self::$variant),)+
+                    _ => Err(refuse(value, at, concat!("one of", $(" ", $text),+))),
+                }
+            }
+        }
+    };
+}
+named!(JointType { "free" => Free, "ball" => Ball, "slide" => Slide, "hinge" => Hinge });
+named!(GeomType {
+    "plane" => Plane, "sphere" => Sphere, "capsule" => Capsule,
+    "ellipsoid" => Ellipsoid, "cylinder" => Cylinder, "box" => Box,
+});
+
+record!(Softness { solref, solimp });
+record!(Inertial { mass, pos, inertia });
+record!(Body { name, parent, pos, quat, inertial });
+record!(Joint {
+    name, body, kind, pos, axis, range, margin, reference, springref, stiffness, damping, armature,
+    frictionloss, limit, friction,
+});
+record!(Geom {
+    name, body, kind, size, pos, quat, mass, density, shell_inertia, group, contype, conaffinity, condim,
+    priority, friction, margin, gap, solmix, soft,
+});
+record!(Site { name, body, pos, quat });
+record!(Actuator { name, joint, gear, ctrlrange, forcerange });
+record!(Equality { name, body1, body2, anchor, active, soft });
+record!(Key { name, time, qpos, qvel, ctrl });
+record!(MassRules { from_geoms, group_range, bound_mass, bound_inertia, balance_inertia, total_mass });
+record!(Features {
+    constraint, equality, frictionloss, limit, contact, spring, damper, gravity, clampctrl, actuation,
+    filterparent, eulerdamp,
+});
+record!(Scene {
+    name, gravity, bodies, joints, geoms, sites, actuators, equalities, keys, excludes, mass_rules, features,
+});

@@ -1,0 +1,170 @@
+//! `Settings` as Python sees it: the fields, defaults and limits of the engine's.
+
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+use stepcore::settings::{Acceleration, Cone, Integrator, Law, Precision, Settings as Engine, Solver};
+
+use crate::errors::{nearest, raise};
+use crate::extract::{At, Read};
+
+/// A field as Python gets it.
+trait Shown {
+    type Out;
+    fn shown(self) -> Self::Out;
+}
+
+macro_rules! shown_as_it_is {
+    ($($type:ty),+) => {$(
+        impl Shown for $type {
+            type Out = $type;
+            fn shown(self) -> $type {
+                self
+            }
+        }
+    )+};
+}
+shown_as_it_is!(f64, u32, usize, bool);
+
+macro_rules! shown_by_name {
+    ($($type:ty),+) => {$(
+        impl Shown for $type {
+            type Out = &'static str;
+            fn shown(self) -> &'static str {
+                self.name()
+            }
+        }
+        impl Read for $type {
+            fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
+                let name = String::read(value, at)?;
+                <$type>::parse(&name).map_err(|error| raise(value.py(), error))
+            }
+        }
+    )+};
+}
+shown_by_name!(Integrator, Solver, Acceleration, Precision, Law, Cone);
+
+/// The Python class, from the one list of fields.
+macro_rules! settings {
+    ($($(#[$doc:meta])* $field:ident: $type:ty),+ $(,)?) => {
+        const FIELDS: &[&str] = &[$(stringify!($field)),+];
+
+        fn set(settings: &mut Engine, name: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
+            let at = At::Root;
+            let at = at.field(name);
+            match name {
+                $(stringify!($field) => settings.$field = <$type>::read(value, &at)?,)+
+                _ => {
+                    let text = format!("settings have no '{name}'{}", nearest(name, FIELDS));
+                    return Err(PyValueError::new_err(text));
+                }
+            }
+            Ok(())
+        }
+
+        /// How a scene is computed; immutable. See docs for each field's meaning and limit.
+        #[pyclass(module = "stepcore", frozen)]
+        #[derive(Clone, PartialEq)]
+        pub struct Settings(pub Engine);
+
+        #[pymethods]
+        impl Settings {
+            #[new]
+            #[pyo3(signature = (**fields))]
+            fn new(fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+                changed(&Engine::default(), fields)
+            }
+
+            /// A copy with some fields changed, checked as a whole.
+            #[pyo3(signature = (**fields))]
+            fn replace(&self, fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+                changed(&self.0, fields)
+            }
+
+            /// Every field by name.
+            fn as_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+                let dict = PyDict::new(py);
+                $(dict.set_item(stringify!($field), self.0.$field.shown())?;)+
+                Ok(dict)
+            }
+
+            fn __eq__(&self, other: &Self) -> bool {
+                self == other
+            }
+
+            fn __hash__(&self, py: Python<'_>) -> PyResult<isize> {
+                self.__repr__(py)?.into_pyobject(py)?.hash()
+            }
+
+            /// The fields that differ from their defaults.
+            fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+                let defaults = Engine::default();
+                let mut parts = Vec::<String>::new();
+                $(if self.0.$field != defaults.$field {
+                    let value = self.0.$field.shown().into_pyobject(py)?;
+                    parts.push(format!("{}={}", stringify!($field), value.repr()?));
+                })+
+                Ok(format!("Settings({})", parts.join(", ")))
+            }
+
+            fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyTuple>, Bound<'py, PyDict>)> {
+                Ok((PyTuple::empty(py), self.as_dict(py)?))
+            }
+
+            $($(#[$doc])* #[getter] fn $field(&self) -> <$type as Shown>::Out { self.0.$field.shown() })+
+        }
+    };
+}
+
+settings! {
+    /// Time step [s], > 0.
+    dt: f64,
+    /// How velocities and positions advance.
+    integrator: Integrator,
+    /// How the rows are solved: "pgs" or "newton".
+    solver: Solver,
+    /// What speeds up projected Gauss-Seidel: "none" or "momentum".
+    acceleration: Acceleration,
+    /// The most sweeps, or Newton iterations, of one solve.
+    sweeps: u32,
+    /// A solve stops at this residual [m/s], >= 0; 0: after all sweeps.
+    tolerance: f64,
+    /// Start from the last step's impulses.
+    warm_start: bool,
+    /// The number computed with: "f64" or "f32".
+    precision: Precision,
+    /// Contacts to reserve room for.
+    max_contacts: usize,
+    /// What a violated constraint asks for: "solref", "lesson", "relaxed", "rigid", "penalty".
+    law: Law,
+    /// Share of a violation undone in a step, in (0, 1].
+    beta: f64,
+    /// Regulariser of rows under "lesson" and "relaxed" [1/kg], >= 0.
+    softness: f64,
+    /// Share of the normal speed kept in an impact under "rigid", in [0, 1].
+    restitution: f64,
+    /// Overlap left alone under "rigid" [m], >= 0.
+    slop: f64,
+    /// Spring of a contact under "penalty" [N/m], > 0.
+    penalty_stiffness: f64,
+    /// Damping ratio of a contact under "penalty", >= 0.
+    penalty_damping_ratio: f64,
+    /// The set of friction forces: "pyramidal" or "elliptic".
+    cone: Cone,
+    /// Ratio of frictional to normal impedance, > 0.
+    impratio: f64,
+    /// Keep the time constants of solref at 2 dt or above.
+    refsafe: bool,
+}
+
+/// `base` with some fields changed, checked as a whole.
+fn changed(base: &Engine, fields: Option<&Bound<'_, PyDict>>) -> PyResult<Settings> {
+    let mut settings = base.clone();
+    if let Some(fields) = fields {
+        for (name, value) in fields {
+            set(&mut settings, &name.extract::<String>()?, &value)?;
+        }
+        settings.check().map_err(|error| raise(fields.py(), error))?;
+    }
+    Ok(Settings(settings))
+}

@@ -1,0 +1,274 @@
+//! `Sim` as Python sees it: one world, its arrays, and what can be read of it.
+
+use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
+
+use numpy::PyArrayDyn;
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+use stepcore::arrays::Given;
+use stepcore::model::Model as EngineModel;
+
+use crate::errors::raise;
+use crate::extract::{At, Read};
+use crate::gil;
+use crate::memory::{Layout, Memory};
+use crate::model::{shaped, Model};
+use crate::settings::Settings;
+use crate::snapshot::{decode, encode};
+use crate::world::{world, Memo, Placed, Solved, World};
+
+type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
+
+/// One world.
+#[pyclass(module = "stepcore._core", frozen)]
+pub struct Sim {
+    model: Arc<EngineModel>,
+    dt: f64,
+    layout: Layout,
+    memory: Py<Memory>,
+    world: Mutex<Box<dyn World>>,
+}
+
+impl Sim {
+    fn lock(&self) -> PyResult<MutexGuard<'_, Box<dyn World>>> {
+        match self.world.try_lock() {
+            Ok(world) => Ok(world),
+            Err(TryLockError::Poisoned(world)) => Ok(world.into_inner()),
+            Err(TryLockError::WouldBlock) => Err(PyRuntimeError::new_err("this Sim is busy in another thread")),
+        }
+    }
+
+    fn given<'a>(&'a self, py: Python<'a>) -> Given<'a> {
+        self.layout.given(self.memory.get().read(py, 0..self.layout.total()), 0)
+    }
+
+    /// Checks the arrays and copies them into the engine.
+    fn load(&self, py: Python<'_>, world: &mut dyn World) -> PyResult<()> {
+        let given = self.given(py);
+        world.check(&given).map_err(|error| raise(py, error))?;
+        world.put(&given);
+        Ok(())
+    }
+
+    fn store(&self, py: Python<'_>, world: &dyn World) {
+        let [nq, nv, ..] = self.layout.lengths;
+        let mut numbers = vec![0.0; nq + nv];
+        let (qpos, qvel) = numbers.split_at_mut(nq);
+        world.take(qpos, qvel);
+        self.memory.get().write(py, 0, numbers);
+    }
+
+    fn view<'py>(&self, py: Python<'py>, array: usize, shape: &[usize]) -> PyResult<Array<'py>> {
+        Memory::view(self.memory.bind(py), self.layout.range(array), shape)
+    }
+
+    fn placed<'py>(&self, py: Python<'py>, what: Placed, shape: &[usize]) -> PyResult<Array<'py>> {
+        let numbers = self.lock()?.placed(&self.given(py), what).map_err(|error| raise(py, error))?;
+        shaped(py, numbers, shape)
+    }
+
+    fn solved<'py>(&self, py: Python<'py>, what: Solved) -> PyResult<Array<'py>> {
+        let numbers = self.lock()?.solved(what);
+        let count = numbers.len();
+        shaped(py, numbers, &[count])
+    }
+}
+
+#[pymethods]
+impl Sim {
+    #[new]
+    fn new(py: Python<'_>, model: &Model, settings: &Settings) -> PyResult<Self> {
+        let model = model.0.clone();
+        let layout = Layout::of(&model, 1);
+        let world = gil::release(py, || world(model.clone(), &settings.0))?;
+        let memory = Py::new(py, Memory::new(layout.total()))?;
+        memory.get().write(py, 0, model.qpos0.iter().copied());
+        Ok(Self { model, dt: settings.0.dt, layout, memory, world: Mutex::new(world) })
+    }
+
+    #[getter]
+    fn qpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.view(py, 0, &[self.model.nq])
+    }
+    #[getter]
+    fn qvel<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.view(py, 1, &[self.model.nv])
+    }
+    #[getter]
+    fn ctrl<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.view(py, 2, &[self.model.actuators.len()])
+    }
+    #[getter]
+    fn qfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.view(py, 3, &[self.model.nv])
+    }
+    #[getter]
+    fn xfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.view(py, 4, &[self.model.bodies.len(), 6])
+    }
+
+    /// Advances by n steps.
+    #[pyo3(signature = (n = None))]
+    fn step(&self, py: Python<'_>, n: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        let n = n.map_or(Ok(1), |n| u64::read(n, &At::Root.field("n")))?;
+        let mut guard = self.lock()?;
+        let world = &mut **guard;
+        self.load(py, world)?;
+        let outcome = gil::steps(py, n, |n| world.step(n));
+        self.store(py, world);
+        outcome
+    }
+
+    /// Place, detect and solve at the present state.
+    fn forward(&self, py: Python<'_>) -> PyResult<()> {
+        let mut guard = self.lock()?;
+        let world = &mut **guard;
+        self.load(py, world)?;
+        gil::release(py, || world.forward())
+    }
+
+    #[getter]
+    fn time(&self) -> PyResult<f64> {
+        Ok(self.lock()?.time())
+    }
+
+    /// Sets the time [s] from which steps are counted.
+    #[setter]
+    fn set_time(&self, time: &Bound<'_, PyAny>) -> PyResult<()> {
+        let start = f64::read(time, &At::Root.field("time"))?;
+        if !start.is_finite() {
+            return Err(PyValueError::new_err(format!("time = {start}: must be finite")));
+        }
+        let mut world = self.lock()?;
+        let memo = Memo { start, steps: 0, ..world.memo() };
+        world.set_memo(&memo);
+        Ok(())
+    }
+
+    /// Forgets the impulses of the last step.
+    fn forget(&self) -> PyResult<()> {
+        let mut world = self.lock()?;
+        let memo = Memo { warm: Vec::new(), ..world.memo() };
+        world.set_memo(&memo);
+        Ok(())
+    }
+
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let memo = self.lock()?.memo();
+        Ok(PyBytes::new(py, &encode(self.dt, &memo, &self.given(py))))
+    }
+
+    fn restore(&self, py: Python<'_>, state: &[u8]) -> PyResult<()> {
+        let mut world = self.lock()?;
+        let mut snapshot = decode(state, self.layout.lengths).map_err(PyValueError::new_err)?;
+        snapshot.count_in(self.dt);
+        world.set_memo(&snapshot.memo);
+        self.memory.get().write(py, 0, snapshot.numbers);
+        Ok(())
+    }
+
+    // At the present state.
+
+    #[getter]
+    fn xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::BodyPos, &[self.model.bodies.len(), 3])
+    }
+    #[getter]
+    fn xquat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::BodyQuat, &[self.model.bodies.len(), 4])
+    }
+    #[getter]
+    fn xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::BodyMat, &[self.model.bodies.len(), 3, 3])
+    }
+    #[getter]
+    fn geom_xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::GeomPos, &[self.model.geoms.len(), 3])
+    }
+    #[getter]
+    fn geom_xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::GeomMat, &[self.model.geoms.len(), 3, 3])
+    }
+    #[getter]
+    fn site_xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::SitePos, &[self.model.sites.len(), 3])
+    }
+    fn mass_matrix<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::MassMatrix, &[self.model.nv, self.model.nv])
+    }
+    #[getter]
+    fn bias<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::Bias, &[self.model.nv])
+    }
+    #[getter]
+    fn passive<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::Passive, &[self.model.nv])
+    }
+    /// Kinetic, potential.
+    #[getter]
+    fn energy<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::Energy, &[2])
+    }
+    /// Linear, angular about the world's origin.
+    #[getter]
+    fn momentum<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::Momentum, &[2, 3])
+    }
+    fn jacobian<'py>(&self, py: Python<'py>, body: usize) -> PyResult<Array<'py>> {
+        if body >= self.model.bodies.len() {
+            let limit = format!("body = {body}: must be below {}", self.model.bodies.len());
+            return Err(PyValueError::new_err(limit));
+        }
+        self.placed(py, Placed::Jacobian(body), &[6, self.model.nv])
+    }
+
+    // Of the last solve.
+
+    #[getter]
+    fn qacc<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.solved(py, Solved::Acceleration)
+    }
+    #[getter]
+    fn constraint_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.solved(py, Solved::ConstraintForce)
+    }
+    #[getter]
+    fn actuator_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.solved(py, Solved::ActuatorForce)
+    }
+    /// Geoms, and dist, pos, normal, force in the columns of one array.
+    fn contacts<'py>(&self, py: Python<'py>) -> PyResult<(Vec<(usize, usize)>, Array<'py>)> {
+        let table = self.lock()?.contacts();
+        let count = table.geoms.len();
+        Ok((table.geoms, shaped(py, table.numbers, &[count, 10])?))
+    }
+    /// Kinds, names, blocks, and impulse, velocity, target, regulariser, residual, lo, hi.
+    #[allow(clippy::type_complexity)]
+    fn rows<'py>(&self, py: Python<'py>) -> PyResult<(Vec<&'static str>, Vec<String>, Vec<usize>, Array<'py>)> {
+        let table = self.lock()?.rows();
+        let count = table.blocks.len();
+        Ok((table.kinds, table.names, table.blocks, shaped(py, table.numbers, &[count, 7])?))
+    }
+    #[getter]
+    fn residual(&self) -> PyResult<f64> {
+        Ok(self.lock()?.residual())
+    }
+    #[getter]
+    fn sweeps_done(&self) -> PyResult<u32> {
+        Ok(self.lock()?.effort().sweeps)
+    }
+    #[getter]
+    fn row_updates(&self) -> PyResult<u64> {
+        Ok(self.lock()?.effort().row_updates)
+    }
+    #[getter]
+    fn decrement(&self) -> PyResult<f64> {
+        Ok(self.lock()?.effort().decrement)
+    }
+    /// How often the list of contacts had to grow.
+    #[getter]
+    fn contacts_grown(&self) -> PyResult<u64> {
+        Ok(self.lock()?.grown())
+    }
+}

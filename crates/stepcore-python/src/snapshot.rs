@@ -1,0 +1,89 @@
+//! A snapshot as bytes: the arrays of one world and what a step hands to the next.
+
+use stepcore::arrays::Given;
+use stepcore::state::Warm;
+
+use crate::world::Memo;
+
+/// First bytes of a snapshot; the number goes up when the layout changes.
+const HEAD: &[u8; 16] = b"stepcore state 1";
+
+/// What a snapshot holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Snapshot {
+    pub dt: f64,
+    pub memo: Memo,
+    /// qpos, qvel, ctrl, qfrc_applied, xfrc_applied one after the other.
+    pub numbers: Vec<f64>,
+}
+
+impl Snapshot {
+    /// Counts time in steps of `dt`; where the snapshot's were others, it goes on from there.
+    pub fn count_in(&mut self, dt: f64) {
+        if self.dt != dt {
+            self.memo.start += self.memo.steps as f64 * self.dt;
+            (self.memo.steps, self.dt) = (0, dt);
+        }
+    }
+}
+
+pub fn encode(dt: f64, memo: &Memo, given: &Given) -> Vec<u8> {
+    let arrays = [given.qpos, given.qvel, given.ctrl, given.qfrc_applied, given.xfrc_applied];
+    let mut bytes = HEAD.to_vec();
+    for array in arrays {
+        bytes.extend((array.len() as u64).to_le_bytes());
+    }
+    bytes.extend((memo.warm.len() as u64).to_le_bytes());
+    bytes.extend(memo.steps.to_le_bytes());
+    let warm = memo.warm.iter().flat_map(|w| w.impulse);
+    for number in [dt, memo.start].into_iter().chain(arrays.into_iter().flatten().copied()).chain(warm) {
+        bytes.extend(number.to_le_bytes());
+    }
+    for warm in &memo.warm {
+        bytes.extend(warm.slot.to_le_bytes());
+    }
+    bytes
+}
+
+/// The snapshot in `bytes`, or what is wrong with them.
+pub fn decode(bytes: &[u8], lengths: [usize; 5]) -> Result<Snapshot, String> {
+    let mut rest = bytes.strip_prefix(HEAD.as_slice()).ok_or("these are not the bytes of a state()")?;
+    let mut next = |count: usize| {
+        let (head, tail) = rest.split_at_checked(count).ok_or("the bytes of this state() are cut short")?;
+        rest = tail;
+        Ok::<_, &str>(head)
+    };
+    fn word(bytes: &[u8]) -> [u8; 8] {
+        let mut word = [0; 8];
+        word.copy_from_slice(bytes);
+        word
+    }
+    for (name, length) in ["nq", "nv", "nu", "nv", "6 nbody"].iter().zip(lengths) {
+        let theirs = u64::from_le_bytes(word(next(8)?));
+        if theirs != length as u64 {
+            return Err(format!("this state() is of another model: {name} is {theirs} there, {length} here"));
+        }
+    }
+    let count = u64::from_le_bytes(word(next(8)?));
+    let steps = u64::from_le_bytes(word(next(8)?));
+    let total = lengths.iter().sum::<usize>();
+    let mut numbers = |count: usize| -> Result<Vec<f64>, String> {
+        let bytes = next(count.checked_mul(8).ok_or("a list in this state() is too long")?)?;
+        Ok(bytes.chunks_exact(8).map(|chunk| f64::from_le_bytes(word(chunk))).collect())
+    };
+    let clock = numbers(2)?;
+    let arrays = numbers(total)?;
+    let count = usize::try_from(count).map_err(|e| e.to_string())?;
+    let impulses = numbers(count.checked_mul(6).ok_or("a list in this state() is too long")?)?;
+    let slots = next(count * 4)?;
+    let mut warm = Vec::with_capacity(count);
+    for (slot, numbers) in slots.chunks_exact(4).zip(impulses.chunks_exact(6)) {
+        let slot = u32::from_le_bytes([slot[0], slot[1], slot[2], slot[3]]);
+        warm.push(Warm { slot, impulse: std::array::from_fn(|k| numbers[k]) });
+    }
+    let finite = clock.iter().chain(&impulses).all(|x| x.is_finite());
+    if !rest.is_empty() || !finite || warm.windows(2).any(|w| w[0].slot >= w[1].slot) {
+        return Err("the bytes of this state() were changed".into());
+    }
+    Ok(Snapshot { dt: clock[0], memo: Memo { start: clock[1], steps, warm }, numbers: arrays })
+}

@@ -1,0 +1,241 @@
+//! One world of either precision behind one interface: what `Sim` in Python holds.
+
+use std::sync::Arc;
+
+use stepcore::arrays::Given;
+use stepcore::error::Result;
+use stepcore::model::Model;
+use stepcore::real::Real;
+use stepcore::settings::{Precision, Settings};
+use stepcore::sim::{Effort, Sim};
+use stepcore::solve::Source;
+use stepcore::spatial::V3;
+use stepcore::state::{State, Warm};
+
+/// What is read of the present state.
+#[derive(Clone, Copy)]
+pub enum Placed {
+    BodyPos,
+    BodyQuat,
+    BodyMat,
+    GeomPos,
+    GeomMat,
+    SitePos,
+    MassMatrix,
+    Bias,
+    Passive,
+    Energy,
+    Momentum,
+    Jacobian(usize),
+}
+
+/// What is read of the last solve.
+#[derive(Clone, Copy)]
+pub enum Solved {
+    Acceleration,
+    ConstraintForce,
+    ActuatorForce,
+}
+
+/// Contacts of the last solve: two geoms, and dist, pos, normal, force (10 numbers) each.
+#[derive(Default)]
+pub struct Contacts {
+    pub geoms: Vec<(usize, usize)>,
+    pub numbers: Vec<f64>,
+}
+
+/// Rows of the last solve: kind, name and block, and 7 numbers each: impulse, velocity,
+/// target, regulariser, residual, lo, hi.
+#[derive(Default)]
+pub struct Rows {
+    pub kinds: Vec<&'static str>,
+    pub names: Vec<String>,
+    pub blocks: Vec<usize>,
+    pub numbers: Vec<f64>,
+}
+
+/// Time, and what a step hands to the next beside the arrays.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Memo {
+    pub start: f64,
+    pub steps: u64,
+    pub warm: Vec<Warm<f64>>,
+}
+
+impl Memo {
+    /// One lane's part of a state. An impulse of zero is as good as none, and a lane has
+    /// zeros for the contacts of its neighbours.
+    pub fn of<R: Real>(state: &State<R>, lane: usize) -> Self {
+        let warm = state.warm.iter().map(|w| Warm { slot: w.slot, impulse: w.impulse.map(|x| x.lane(lane)) });
+        let warm = warm.filter(|w| w.impulse.iter().any(|x| *x != 0.0));
+        Self { start: state.start, steps: state.steps, warm: warm.collect() }
+    }
+}
+
+pub trait World: Send {
+    fn check(&self, given: &Given) -> Result<()>;
+    fn put(&mut self, given: &Given);
+    fn take(&self, qpos: &mut [f64], qvel: &mut [f64]);
+    fn step(&mut self, n: u64) -> Result<()>;
+    fn forward(&mut self) -> Result<()>;
+    fn time(&self) -> f64;
+    fn memo(&self) -> Memo;
+    fn set_memo(&mut self, memo: &Memo);
+    fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>>;
+    fn solved(&self, what: Solved) -> Vec<f64>;
+    fn contacts(&self) -> Contacts;
+    fn rows(&self) -> Rows;
+    fn residual(&self) -> f64;
+    fn effort(&self) -> Effort;
+    /// How often the list of contacts had to grow.
+    fn grown(&self) -> u64;
+}
+
+/// A world in the precision that the settings ask for.
+pub fn world(model: Arc<Model>, settings: &Settings) -> Result<Box<dyn World>> {
+    Ok(match settings.precision {
+        Precision::F64 => Box::new(One::<f64>::new(model, settings)?),
+        Precision::F32 => Box::new(One::<f32>::new(model, settings)?),
+    })
+}
+
+struct One<R: Real> {
+    sim: Sim<R>,
+    /// Placed anew whenever something of the present state is read, so that reading
+    /// leaves the last solve as it is. Made when first needed.
+    reader: Option<Box<Sim<R>>>,
+}
+
+impl<R: Real> One<R> {
+    fn new(model: Arc<Model>, settings: &Settings) -> Result<Self> {
+        Ok(Self { sim: Sim::new(model, settings.clone())?, reader: None })
+    }
+}
+
+impl<R: Real> World for One<R> {
+    fn check(&self, given: &Given) -> Result<()> {
+        given.check::<R>(&self.sim.model, None)
+    }
+    fn put(&mut self, given: &Given) {
+        self.sim.put(0, given);
+    }
+    fn take(&self, qpos: &mut [f64], qvel: &mut [f64]) {
+        self.sim.state.take(0, qpos, qvel);
+    }
+    fn step(&mut self, n: u64) -> Result<()> {
+        self.sim.step(n)
+    }
+    fn forward(&mut self) -> Result<()> {
+        self.sim.forward()
+    }
+    fn time(&self) -> f64 {
+        self.sim.state.time(self.sim.settings.dt)
+    }
+    fn memo(&self) -> Memo {
+        Memo::of(&self.sim.state, 0)
+    }
+    fn set_memo(&mut self, memo: &Memo) {
+        let state = &mut self.sim.state;
+        (state.start, state.steps) = (memo.start, memo.steps);
+        state.warm.clear();
+        state.warm.extend(memo.warm.iter().map(|w| Warm { slot: w.slot, impulse: w.impulse.map(R::of) }));
+    }
+
+    fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>> {
+        self.check(given)?;
+        let reader = match &mut self.reader {
+            Some(reader) => reader,
+            empty => empty.insert(Box::new(Sim::new(self.sim.model.clone(), self.sim.settings.clone())?)),
+        };
+        reader.put(0, given);
+        reader.refresh();
+        Ok(read_placed(reader, what))
+    }
+
+    fn solved(&self, what: Solved) -> Vec<f64> {
+        match what {
+            Solved::Acceleration => numbers(&self.sim.qacc),
+            Solved::ConstraintForce => self.sim.constraint_force(0),
+            Solved::ActuatorForce => numbers(&self.sim.placed.actuator),
+        }
+    }
+
+    fn contacts(&self) -> Contacts {
+        let (sim, mut table) = (&self.sim, Contacts::default());
+        for (index, contact) in sim.live_contacts(0) {
+            let pair = &sim.model.pairs[contact.pair];
+            table.geoms.push((pair.geom1, pair.geom2));
+            table.numbers.push(contact.dist.lane(0));
+            table.numbers.extend(flat(&contact.pos));
+            table.numbers.extend(flat(&contact.normal));
+            let block = sim.rows.blocks.iter().find(|block| block.source == Source::Contact(index));
+            table.numbers.extend(block.map_or([0.0; 3], |block| sim.contact_force(block, contact, 0)));
+        }
+        table
+    }
+
+    fn rows(&self) -> Rows {
+        let (sim, mut table) = (&self.sim, Rows::default());
+        let residuals: Vec<Vec<f64>> = sim.rows.blocks.iter().map(|block| sim.row_residuals(block, 0)).collect();
+        let mut within = 0;
+        for (index, row) in sim.live_rows(0) {
+            within = if table.blocks.last() == Some(&index) { within + 1 } else { 0 };
+            let source = sim.rows.blocks[index].source;
+            table.kinds.push(match source {
+                Source::Equality(_) => "equality",
+                Source::FrictionLoss(_) => "friction",
+                Source::Limit(..) => "limit",
+                Source::Contact(_) => "contact",
+            });
+            table.names.push(sim.source_name(source));
+            table.blocks.push(index);
+            let residual = residuals[index].get(within).copied().unwrap_or(0.0);
+            table.numbers.extend([row.impulse, row.velocity, row.t, row.c].map(|x| x.lane(0)));
+            table.numbers.extend([residual, row.lo.lane(0), row.hi.lane(0)]);
+        }
+        table
+    }
+
+    fn residual(&self) -> f64 {
+        self.sim.residual().lane(0)
+    }
+    fn effort(&self) -> Effort {
+        self.sim.effort
+    }
+    fn grown(&self) -> u64 {
+        self.sim.detected.grown
+    }
+}
+
+fn numbers<R: Real>(values: &[R]) -> Vec<f64> {
+    values.iter().map(|x| x.lane(0)).collect()
+}
+
+fn flat<R: Real>(v: &V3<R>) -> [f64; 3] {
+    [v.x.lane(0), v.y.lane(0), v.z.lane(0)]
+}
+
+fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
+    let model = sim.model.clone();
+    let matrix = |m: &stepcore::spatial::M3<R>| m.transpose().iter().map(|x| x.lane(0)).collect::<Vec<_>>();
+    match what {
+        Placed::BodyPos => sim.placed.xpos.iter().flat_map(flat).collect(),
+        Placed::BodyQuat => sim.placed.xquat.iter().flat_map(|q| [q.w, q.v.x, q.v.y, q.v.z].map(|x| x.lane(0))).collect(),
+        Placed::BodyMat => sim.placed.xmat.iter().flat_map(matrix).collect(),
+        Placed::GeomPos => model.geoms.iter().flat_map(|g| flat(&sim.attached(g.body, &g.pos, &g.quat).0)).collect(),
+        Placed::GeomMat => model.geoms.iter().flat_map(|g| matrix(&sim.attached(g.body, &g.pos, &g.quat).1)).collect(),
+        Placed::SitePos => model.sites.iter().flat_map(|s| flat(&sim.attached(s.body, &s.pos, &s.quat).0)).collect(),
+        Placed::MassMatrix => sim.mass_matrix(0),
+        Placed::Bias => numbers(&sim.placed.bias),
+        Placed::Passive => numbers(&sim.placed.passive),
+        Placed::Energy => {
+            let energy = sim.energy();
+            vec![energy.kinetic.lane(0), energy.potential.lane(0)]
+        }
+        Placed::Momentum => {
+            let momentum = sim.momentum();
+            [flat(&momentum.lin), flat(&momentum.ang)].concat()
+        }
+        Placed::Jacobian(body) => sim.jacobian(body, 0),
+    }
+}

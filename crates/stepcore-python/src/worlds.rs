@@ -1,0 +1,99 @@
+//! Many worlds of either precision, in lanes or one by one, behind one interface:
+//! what `Batch` in Python holds.
+
+use std::sync::Arc;
+
+use stepcore::arrays::Given;
+use stepcore::batch::{Batch, Play};
+use stepcore::error::Result;
+use stepcore::model::Model;
+use stepcore::real::{Lanes, Real};
+use stepcore::settings::{Precision, Settings};
+use stepcore::state::Warm;
+
+use crate::world::Memo;
+
+pub trait Worlds: Send {
+    fn check(&self, world: usize, given: &Given) -> Result<()>;
+    fn put(&mut self, world: usize, given: &Given);
+    fn take(&self, world: usize, qpos: &mut [f64], qvel: &mut [f64]);
+    fn step(&mut self, n: u64) -> Result<()>;
+    fn forward(&mut self) -> Result<()>;
+    fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()>;
+    fn time(&self) -> f64;
+    fn qacc(&self) -> Vec<f64>;
+    fn memos(&self) -> Vec<Memo>;
+    fn set_memos(&mut self, memos: &[Memo]);
+    /// Time and steps of all worlds; impulses forgotten.
+    fn restart(&mut self, start: f64);
+}
+
+/// `n` worlds in the precision that the settings ask for; in lanes where it can be.
+pub fn worlds(model: Arc<Model>, settings: &Settings, n: usize, threads: usize, lanes: bool) -> Result<Box<dyn Worlds>> {
+    Ok(match (settings.precision, lanes) {
+        (Precision::F64, true) => Box::new(Batch::<Lanes>::new(model, settings, n, threads)?),
+        (Precision::F64, false) => Box::new(Batch::<f64>::new(model, settings, n, threads)?),
+        (Precision::F32, _) => Box::new(Batch::<f32>::new(model, settings, n, threads)?),
+    })
+}
+
+impl<R: Real> Worlds for Batch<R> {
+    fn check(&self, world: usize, given: &Given) -> Result<()> {
+        Batch::check(self, world, given)
+    }
+    fn put(&mut self, world: usize, given: &Given) {
+        Batch::put(self, world, given);
+    }
+    fn take(&self, world: usize, qpos: &mut [f64], qvel: &mut [f64]) {
+        Batch::take(self, world, qpos, qvel);
+    }
+    fn step(&mut self, n: u64) -> Result<()> {
+        Batch::step(self, n)
+    }
+    fn forward(&mut self) -> Result<()> {
+        Batch::forward(self)
+    }
+    fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()> {
+        Batch::play(self, play, from, n)
+    }
+    fn time(&self) -> f64 {
+        Batch::time(self)
+    }
+    fn qacc(&self) -> Vec<f64> {
+        (0..self.worlds).flat_map(|world| Batch::qacc(self, world)).collect()
+    }
+
+    fn memos(&self) -> Vec<Memo> {
+        let states = self.states().flat_map(|state| (0..R::LANES).map(move |lane| (state, lane)));
+        states.take(self.worlds).map(|(state, lane)| Memo::of(state, lane)).collect()
+    }
+
+    fn set_memos(&mut self, memos: &[Memo]) {
+        for (state, memos) in self.states_mut().zip(memos.chunks(R::LANES)) {
+            (state.start, state.steps) = (memos[0].start, memos[0].steps);
+            let mut slots: Vec<u32> = memos.iter().flat_map(|memo| memo.warm.iter().map(|w| w.slot)).collect();
+            slots.sort_unstable();
+            slots.dedup();
+            state.warm.clear();
+            for slot in slots {
+                let mut impulse = [R::zero(); 6];
+                for lane in 0..R::LANES {
+                    // Lanes without a world repeat the last one.
+                    let memo = &memos[lane.min(memos.len() - 1)];
+                    let kept = memo.warm.iter().find(|w| w.slot == slot);
+                    for (k, x) in impulse.iter_mut().enumerate() {
+                        x.set_lane(lane, kept.map_or(0.0, |w| w.impulse[k]));
+                    }
+                }
+                state.warm.push(Warm { slot, impulse });
+            }
+        }
+    }
+
+    fn restart(&mut self, start: f64) {
+        for state in self.states_mut() {
+            (state.start, state.steps) = (start, 0);
+            state.warm.clear();
+        }
+    }
+}

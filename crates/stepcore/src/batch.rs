@@ -1,0 +1,279 @@
+//! Many worlds of one model, in groups of as many as a number has lanes, over threads.
+//!
+//! A group is a state and its inputs; the working space belongs to the threads, one
+//! `Sim` each, which take the next group when they are done with one. What a group
+//! computes depends on nothing else, so results are the same bits at any number of
+//! threads, and, because a lane is a world, in lanes or one by one.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::arrays::Given;
+use crate::error::{Error, Result};
+use crate::model::Model;
+use crate::real::Real;
+use crate::settings::Settings;
+use crate::sim::Sim;
+use crate::state::{Inputs, State};
+
+/// The most threads that a batch may ask for.
+const MOST_THREADS: usize = 1024;
+
+/// As many worlds as a number has lanes.
+struct Group<R: Real> {
+    state: State<R>,
+    inputs: Inputs<R>,
+    /// Acceleration of the last solve.
+    qacc: Vec<R>,
+    /// The state when the call began.
+    start: State<R>,
+    /// Steps done in this call before one failed, and why it did.
+    failed: Option<(u64, Error)>,
+}
+
+pub struct Batch<R: Real> {
+    pub worlds: usize,
+    model: Arc<Model>,
+    dt: f64,
+    groups: Vec<Group<R>>,
+    /// One a thread.
+    workers: Vec<Sim<R>>,
+}
+
+/// Controls for every world and step, and room for the states after each step: world,
+/// then step, then entry.
+pub struct Play<'a> {
+    pub steps: usize,
+    pub ctrl: &'a [f64],
+    pub qpos: &'a mut [f64],
+    pub qvel: &'a mut [f64],
+}
+
+/// A group's part of a `Play`.
+struct Part<'a> {
+    worlds: usize,
+    steps: usize,
+    /// nu, nq, nv.
+    sizes: [usize; 3],
+    ctrl: &'a [f64],
+    qpos: &'a mut [f64],
+    qvel: &'a mut [f64],
+}
+
+impl<R: Real> Batch<R> {
+    pub fn new(model: Arc<Model>, settings: &Settings, worlds: usize, threads: usize) -> Result<Self> {
+        settings.check()?;
+        if worlds == 0 {
+            return Err(Error::value("n", worlds, "at least 1 world"));
+        }
+        if !(1..=MOST_THREADS).contains(&threads) {
+            return Err(Error::value("threads", threads, format!("from 1 to {MOST_THREADS}")));
+        }
+        let count = worlds.div_ceil(R::LANES);
+        let bytes = worlds.checked_mul(Self::bytes_a_world(&model));
+        if bytes.is_none_or(|bytes| Vec::<u8>::new().try_reserve_exact(bytes).is_err()) {
+            return Err(Error::value("n", worlds, "a number of worlds that the memory can hold"));
+        }
+        let group = || Group {
+            state: State::new(&model),
+            inputs: Inputs::new(&model),
+            qacc: vec![R::zero(); model.nv],
+            start: State::new(&model),
+            failed: None,
+        };
+        let workers = (0..threads.min(count)).map(|_| Sim::new(model.clone(), settings.clone()));
+        Ok(Self {
+            worlds,
+            dt: settings.dt,
+            groups: (0..count).map(|_| group()).collect(),
+            workers: workers.collect::<Result<_>>()?,
+            model,
+        })
+    }
+
+    /// A little more than a world's numbers take here and in its user's arrays.
+    fn bytes_a_world(model: &Model) -> usize {
+        let (nq, nv) = (model.nq, model.nv);
+        let state = 2 * (nq + nv) + model.actuators.len() + nv + 6 * model.bodies.len();
+        1024 + 8 * (2 * state + nv)
+    }
+
+    pub fn time(&self) -> f64 {
+        self.groups[0].state.time(self.dt)
+    }
+
+    /// Refuses arrays of a world that cannot be stepped.
+    pub fn check(&self, world: usize, given: &Given) -> Result<()> {
+        given.check::<R>(&self.model, Some(world))
+    }
+
+    /// Takes a world's arrays, which were checked. Worlds come in order; lanes without a
+    /// world of their own repeat the last one.
+    pub fn put(&mut self, world: usize, given: &Given) {
+        let group = &mut self.groups[world / R::LANES];
+        let last = if world + 1 == self.worlds { R::LANES } else { world % R::LANES + 1 };
+        for lane in world % R::LANES..last {
+            group.state.put(lane, given);
+            group.inputs.put(lane, given);
+        }
+    }
+
+    /// Gives a world's positions and velocities.
+    pub fn take(&self, world: usize, qpos: &mut [f64], qvel: &mut [f64]) {
+        self.groups[world / R::LANES].state.take(world % R::LANES, qpos, qvel);
+    }
+
+    /// A world's acceleration in its last solve.
+    pub fn qacc(&self, world: usize) -> impl Iterator<Item = f64> + '_ {
+        self.groups[world / R::LANES].qacc.iter().map(move |a| a.lane(world % R::LANES))
+    }
+
+    /// The states of all groups, `R::LANES` worlds each.
+    pub fn states(&self) -> impl Iterator<Item = &State<R>> {
+        self.groups.iter().map(|group| &group.state)
+    }
+
+    pub fn states_mut(&mut self) -> impl Iterator<Item = &mut State<R>> {
+        self.groups.iter_mut().map(|group| &mut group.state)
+    }
+
+    /// Advances every world by `n` steps. If one leaves the finite numbers, all stand
+    /// before the first step in which one did.
+    pub fn step(&mut self, n: u64) -> Result<()> {
+        self.advance(n, |_, _, sim| sim.step(1))
+    }
+
+    /// Place, detect and solve in every world. Nothing is committed.
+    pub fn forward(&mut self) -> Result<()> {
+        let forward = |_, _, sim: &mut Sim<R>| sim.forward();
+        share(&mut self.workers, &mut self.groups, |sim, index, group| group.run(sim, index, 1, &forward));
+        self.first_failure().map_or(Ok(()), |(_, error)| Err(error))
+    }
+
+    /// Steps `from..from + n` of a play.
+    pub fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()> {
+        let (worlds, steps) = (self.worlds, play.steps);
+        let sizes = [self.model.actuators.len(), self.model.nq, self.model.nv];
+        let [nu, nq, nv] = sizes.map(|size| size * steps * R::LANES);
+        let (mut ctrl, mut qpos, mut qvel) = (play.ctrl, &mut *play.qpos, &mut *play.qvel);
+        let parts: Vec<Mutex<Part>> = (0..self.groups.len())
+            .map(|index| {
+                let worlds = (worlds - index * R::LANES).min(R::LANES);
+                let (ctrl, qpos, qvel) = (cut(&mut ctrl, nu), cut_mut(&mut qpos, nq), cut_mut(&mut qvel, nv));
+                Mutex::new(Part { worlds, steps, sizes, ctrl, qpos, qvel })
+            })
+            .collect();
+        self.advance(n as u64, |index, k, sim| {
+            let mut part = parts[index].lock().unwrap_or_else(PoisonError::into_inner);
+            let step = from + k as usize;
+            part.control(step, sim);
+            sim.step(1)?;
+            part.record(step, sim);
+            Ok(())
+        })
+    }
+
+    /// Does `n` times `one`, a step, in every world.
+    fn advance(&mut self, n: u64, one: impl Fn(usize, u64, &mut Sim<R>) -> Result<()> + Sync) -> Result<()> {
+        share(&mut self.workers, &mut self.groups, |sim, index, group| {
+            copy(&group.state, &mut group.start);
+            group.run(sim, index, n, &one);
+        });
+        let Some((done, error)) = self.first_failure() else { return Ok(()) };
+        // All worlds go back, and then on to where this one was still well.
+        share(&mut self.workers, &mut self.groups, |sim, index, group| {
+            copy(&group.start, &mut group.state);
+            group.run(sim, index, done, &one);
+        });
+        Err(error)
+    }
+
+    /// The failure after the fewest steps, with its world's place in the batch.
+    fn first_failure(&mut self) -> Option<(u64, Error)> {
+        let failures = self.groups.iter_mut().enumerate().filter_map(|(index, group)| {
+            let (done, mut error) = group.failed.take()?;
+            if let Error::Diverged { world, .. } = &mut error {
+                *world += index * R::LANES;
+            }
+            Some((done, error))
+        });
+        failures.min_by_key(|(done, _)| *done)
+    }
+}
+
+impl<R: Real> Group<R> {
+    /// Runs `one` up to `n` times on this group's state in a thread's working space.
+    fn run(&mut self, sim: &mut Sim<R>, index: usize, n: u64, one: &impl Fn(usize, u64, &mut Sim<R>) -> Result<()>) {
+        std::mem::swap(&mut sim.state, &mut self.state);
+        std::mem::swap(&mut sim.inputs, &mut self.inputs);
+        sim.before.qpos.copy_from_slice(&sim.state.qpos);
+        sim.before.qvel.copy_from_slice(&sim.state.qvel);
+        self.failed = (0..n).find_map(|k| one(index, k, sim).err().map(|error| (k, error)));
+        if n > 0 {
+            self.qacc.copy_from_slice(&sim.qacc);
+        }
+        std::mem::swap(&mut sim.state, &mut self.state);
+        std::mem::swap(&mut sim.inputs, &mut self.inputs);
+    }
+}
+
+impl Part<'_> {
+    /// Puts the controls of a step in; lanes without a world repeat the last one.
+    fn control<R: Real>(&self, step: usize, sim: &mut Sim<R>) {
+        let nu = self.sizes[0];
+        for lane in 0..R::LANES {
+            let start = (lane.min(self.worlds - 1) * self.steps + step) * nu;
+            for (to, from) in sim.inputs.ctrl.iter_mut().zip(&self.ctrl[start..start + nu]) {
+                to.set_lane(lane, *from);
+            }
+        }
+    }
+
+    /// Keeps the state after a step.
+    fn record<R: Real>(&mut self, step: usize, sim: &Sim<R>) {
+        let [_, nq, nv] = self.sizes;
+        for lane in 0..self.worlds {
+            let at = lane * self.steps + step;
+            sim.state.take(lane, &mut self.qpos[at * nq..(at + 1) * nq], &mut self.qvel[at * nv..(at + 1) * nv]);
+        }
+    }
+}
+
+/// Lets every worker take the next group until none is left.
+fn share<R: Real>(workers: &mut [Sim<R>], groups: &mut [Group<R>], work: impl Fn(&mut Sim<R>, usize, &mut Group<R>) + Sync) {
+    if let [only] = workers {
+        return groups.iter_mut().enumerate().for_each(|(index, group)| work(only, index, group));
+    }
+    let left = Mutex::new(groups.iter_mut().enumerate());
+    let next = || left.lock().unwrap_or_else(PoisonError::into_inner).next();
+    let (next, work) = (&next, &work);
+    std::thread::scope(|scope| {
+        for sim in workers {
+            scope.spawn(move || {
+                while let Some((index, group)) = next() {
+                    work(sim, index, group);
+                }
+            });
+        }
+    });
+}
+
+fn copy<R: Real>(from: &State<R>, to: &mut State<R>) {
+    (to.steps, to.start) = (from.steps, from.start);
+    to.qpos.copy_from_slice(&from.qpos);
+    to.qvel.copy_from_slice(&from.qvel);
+    to.warm.clone_from(&from.warm);
+}
+
+/// Takes up to `count` entries off the front.
+fn cut<'a>(all: &mut &'a [f64], count: usize) -> &'a [f64] {
+    let (head, tail) = all.split_at(count.min(all.len()));
+    *all = tail;
+    head
+}
+
+fn cut_mut<'a>(all: &mut &'a mut [f64], count: usize) -> &'a mut [f64] {
+    let whole = std::mem::take(all);
+    let (head, tail) = whole.split_at_mut(count.min(whole.len()));
+    *all = tail;
+    head
+}

@@ -1,0 +1,102 @@
+//! Newton's method on the primal problem, island by island, in factored coordinates.
+//!
+//! Minimises ½ (u − û)ᵀD(u − û) + Σ s(y·u − t): each block's law as a penalty s
+//! (`newton/penalty.rs`), possible because every row has a regulariser c > 0. The
+//! gradient is D(u − û) − Σ yλ; the Hessian D + Σ y s″ yᵀ is factored sparsely; the
+//! line search is exact. Where no row changes its zone in a full step the problem
+//! was quadratic along it, and the step was the last.
+
+mod hessian;
+mod minimise;
+mod penalty;
+mod system;
+
+use super::pgs::{alive, Limits, Order, Report};
+use super::rows::Rows;
+use crate::error::{Error, Result};
+use crate::real::{Mask, Real};
+use hessian::Pattern;
+use system::System;
+
+/// The method's memory; one a world or pack of lanes.
+pub struct Newton<R: Real> {
+    order: Order,
+    /// By island.
+    patterns: Vec<Pattern>,
+    present: Vec<usize>,
+    system: System<R>,
+}
+
+impl<R: Real> Default for Newton<R> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<R: Real> Newton<R> {
+    pub fn new() -> Self {
+        Self {
+            order: Order::default(),
+            patterns: Vec::new(),
+            present: Vec::new(),
+            system: System::new(),
+        }
+    }
+
+    /// Solves `rows`, starting from their impulses where that is better than none;
+    /// `rows.u` must hold û (`guess`) and their effect, and does so again afterwards.
+    ///
+    /// Ends at rounding, or with a tolerance once the residual is certainly within
+    /// it, or after `limits.sweeps` iterations. Changes nothing when it refuses.
+    pub fn solve(
+        &mut self,
+        dof_lists: &[usize],
+        inv_d: &[R],
+        guess: &[R],
+        rows: &mut Rows<R>,
+        limits: Limits,
+    ) -> Result<Report<R>> {
+        check(rows)?;
+        let mut report = Report::new();
+        self.order.sort(&rows.blocks);
+        if self.patterns.len() < self.order.ends.len() {
+            self.patterns.resize_with(self.order.ends.len(), Pattern::default);
+        }
+        for island in 0..self.order.ends.len() {
+            self.present.clear();
+            let blocks = &self.order.blocks[self.order.island(island)];
+            self.present.extend(blocks.iter().copied().filter(|b| {
+                let block = &rows.blocks[*b];
+                block.rows.len > 0 && block.mask.any()
+            }));
+            if self.present.is_empty() {
+                continue;
+            }
+            let pattern = &mut self.patterns[island];
+            pattern.fit(dof_lists, rows, &self.present);
+            self.system.start(pattern, &self.present, inv_d, guess, rows);
+            let live = alive(rows, &self.present);
+            self.system.minimise(pattern, &self.present, rows, live, limits, &mut report);
+            self.system.finish(pattern, &self.present, rows);
+            report.decrement =
+                report.decrement.max(R::select(live, self.system.decrement, R::zero()));
+        }
+        Ok(report)
+    }
+}
+
+/// Every row that something can move has a regulariser.
+fn check<R: Real>(rows: &Rows<R>) -> Result<()> {
+    for block in &rows.blocks {
+        for row in &rows.rows[block.rows.range()] {
+            if block.mask.and(row.c.le(R::zero())).and(row.a.gt(R::zero())).any() {
+                return Err(Error::value(
+                    "solver",
+                    "'newton' with a row of zero softness",
+                    "'pgs' where a row has c = 0 (Newton minimises a penalty λ²c/2)",
+                ));
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,327 @@
+//! The Hessian D + Σ y s″ yᵀ of one island: its pattern, and LᵀDL without square roots.
+//!
+//! Two dofs are coupled when some row touches both. Eliminating from the last dof
+//! to the first, as along the trees, fills nothing where rows touch one chain only.
+//! The pattern depends on which rows exist and is kept while that stays the same;
+//! an entry that a lane does not need is a zero that changes none of its bits.
+
+use crate::model::Span;
+use crate::real::Real;
+use crate::solve::rows::Rows;
+
+const NOWHERE: usize = usize::MAX;
+
+/// Which dofs an island's rows couple. Indices are local: places in `dofs`.
+#[derive(Default)]
+pub(super) struct Pattern {
+    /// The dof list of each block: what the pattern was made for.
+    key: Vec<Span>,
+    /// Dofs that some row touches, ascending.
+    pub dofs: Vec<usize>,
+    /// By block: its list in `lists`, and the first of its entries in `places`.
+    blocks: Vec<(Span, usize)>,
+    lists: Vec<usize>,
+    /// Where in the matrix each pair of a list stands, later dof first.
+    places: Vec<usize>,
+    /// Row i holds the entries `start[i]..start[i + 1]`, in the columns `cols` < i, ascending.
+    start: Vec<usize>,
+    cols: Vec<usize>,
+    /// By column: (row, entry) of what stands below, last row first.
+    below_start: Vec<usize>,
+    below: Vec<(usize, usize)>,
+    /// Scratch: bits by row; local index by dof; place by column.
+    bits: Vec<u64>,
+    local: Vec<usize>,
+}
+
+impl Pattern {
+    /// Makes the pattern of these blocks, unless it is the one at hand.
+    pub fn fit<R: Real>(&mut self, dof_lists: &[usize], rows: &Rows<R>, blocks: &[usize]) {
+        let span = |b: &usize| rows.rows[rows.blocks[*b].rows.start].dofs;
+        if self.key.len() == blocks.len()
+            && self.key.iter().zip(blocks).all(|(key, b)| *key == span(b))
+        {
+            return;
+        }
+        self.key.clear();
+        self.key.extend(blocks.iter().map(span));
+        self.number(dof_lists, rows.u.len());
+        self.fill();
+        self.place();
+    }
+
+    /// Local numbers of the dofs, and every block's list in them.
+    fn number(&mut self, dof_lists: &[usize], nv: usize) {
+        self.local.clear();
+        self.local.resize(nv, NOWHERE);
+        self.dofs.clear();
+        for span in &self.key {
+            for k in span.of(dof_lists) {
+                if self.local[*k] == NOWHERE {
+                    self.local[*k] = 0;
+                    self.dofs.push(*k);
+                }
+            }
+        }
+        self.dofs.sort_unstable();
+        for (at, k) in self.dofs.iter().enumerate() {
+            self.local[*k] = at;
+        }
+        self.lists.clear();
+        self.blocks.clear();
+        let mut places = 0;
+        for (at, span) in self.key.iter().enumerate() {
+            // Blocks on the same dofs, one after another, share list and places.
+            if at > 0 && self.key[at - 1] == *span {
+                let last = self.blocks[at - 1];
+                self.blocks.push(last);
+                continue;
+            }
+            let list = Span { start: self.lists.len(), len: span.len };
+            self.lists.extend(span.of(dof_lists).iter().map(|k| self.local[*k]));
+            self.blocks.push((list, places));
+            places += span.len * span.len.saturating_sub(1) / 2;
+        }
+        self.places.clear();
+        self.places.resize(places, 0);
+    }
+
+    /// Symbolic elimination: row k's columns reach every row that they name.
+    fn fill(&mut self) {
+        let n = self.dofs.len();
+        let words = n.div_ceil(64);
+        self.bits.clear();
+        self.bits.resize(n * words, 0);
+        for (list, _) in &self.blocks {
+            let list = list.of(&self.lists);
+            for (at, i) in list.iter().enumerate() {
+                for j in &list[..at] {
+                    self.bits[i * words + j / 64] |= 1 << (j % 64);
+                }
+            }
+        }
+        for k in (0..n).rev() {
+            let (above, row) = self.bits.split_at_mut(k * words);
+            let row = &row[..words];
+            for i in ones(row) {
+                let target = &mut above[i * words..(i + 1) * words];
+                for (t, r) in target.iter_mut().zip(row) {
+                    *t |= r;
+                }
+                // Only columns before i.
+                target[i / 64] &= (1u64 << (i % 64)) - 1;
+                target[i / 64 + 1..].fill(0);
+            }
+        }
+        self.start.clear();
+        self.cols.clear();
+        for i in 0..n {
+            self.start.push(self.cols.len());
+            self.cols.extend(ones(&self.bits[i * words..(i + 1) * words]));
+        }
+        self.start.push(self.cols.len());
+    }
+
+    /// Column lists, and the place of every pair of every list.
+    fn place(&mut self) {
+        let n = self.dofs.len();
+        self.below_start.clear();
+        self.below_start.resize(n + 1, 0);
+        for j in &self.cols {
+            self.below_start[j + 1] += 1;
+        }
+        for j in 0..n {
+            self.below_start[j + 1] += self.below_start[j];
+        }
+        self.below.clear();
+        self.below.resize(self.cols.len(), (0, 0));
+        let next = &mut self.local;
+        next.clear();
+        next.extend_from_slice(&self.below_start[..n]);
+        for k in (0..n).rev() {
+            for at in self.start[k]..self.start[k + 1] {
+                let slot = &mut next[self.cols[at]];
+                self.below[*slot] = (k, at);
+                *slot += 1;
+            }
+        }
+        // From here `local` holds, for one row at a time, the place of each column.
+        next.clear();
+        next.resize(n, 0);
+        for (list, first) in &self.blocks {
+            let list = list.of(&self.lists);
+            let mut at = *first;
+            for (len, i) in list.iter().enumerate() {
+                for place in self.start[*i]..self.start[i + 1] {
+                    next[self.cols[place]] = place;
+                }
+                for j in &list[..len] {
+                    self.places[at] = next[*j];
+                    at += 1;
+                }
+            }
+        }
+    }
+
+    /// A block's dofs in local numbers.
+    pub fn list(&self, block: usize) -> &[usize] {
+        self.blocks[block].0.of(&self.lists)
+    }
+}
+
+/// Indices of the bits that are set, ascending.
+fn ones(words: &[u64]) -> impl Iterator<Item = usize> + '_ {
+    words.iter().enumerate().flat_map(|(at, word)| {
+        let mut rest = *word;
+        std::iter::from_fn(move || {
+            let bit = rest.trailing_zeros() as usize;
+            rest &= rest.wrapping_sub(1);
+            (bit < 64).then_some(at * 64 + bit)
+        })
+    })
+}
+
+/// Numbers on a pattern: the matrix, then its factors.
+pub(super) struct Hessian<R> {
+    entries: Vec<R>,
+    diagonal: Vec<R>,
+    inverse: Vec<R>,
+    work: Vec<R>,
+}
+
+impl<R: Real> Hessian<R> {
+    pub fn new() -> Self {
+        Self { entries: Vec::new(), diagonal: Vec::new(), inverse: Vec::new(), work: Vec::new() }
+    }
+
+    /// D alone.
+    pub fn reset(&mut self, pattern: &Pattern, d: &[R]) {
+        self.entries.clear();
+        self.entries.resize(pattern.cols.len(), R::zero());
+        self.diagonal.clear();
+        self.diagonal.extend_from_slice(d);
+        for list in [&mut self.work, &mut self.inverse] {
+            list.clear();
+            list.resize(d.len(), R::zero());
+        }
+    }
+
+    /// Adds left rightᵀ, whose sum over a block's rows is symmetric, on a block's dofs.
+    #[inline(always)]
+    pub fn add(
+        &mut self,
+        pattern: &Pattern,
+        block: usize,
+        left: &[R],
+        right: impl Fn(usize) -> R,
+        mask: R::Mask,
+    ) {
+        let (list, first) = pattern.blocks[block];
+        let list = list.of(&pattern.lists);
+        let mut places = pattern.places[first..].iter();
+        for (at, (i, left)) in list.iter().zip(left).enumerate() {
+            for (j, place) in (0..at).zip(places.by_ref()) {
+                let old = self.entries[*place];
+                self.entries[*place] = R::select(mask, old + *left * right(j), old);
+            }
+            let old = self.diagonal[*i];
+            self.diagonal[*i] = R::select(mask, old + *left * right(at), old);
+        }
+    }
+
+    /// H = LᵀDL; the entries become L, the diagonal D.
+    pub fn factor(&mut self, pattern: &Pattern) {
+        let Self { entries, diagonal, inverse, work } = self;
+        for i in (0..diagonal.len()).rev() {
+            let own = pattern.start[i]..pattern.start[i + 1];
+            let cols = &pattern.cols[own.clone()];
+            for (j, x) in cols.iter().zip(&entries[own.clone()]) {
+                work[*j] = *x;
+            }
+            let mut d = diagonal[i];
+            for (k, at) in &pattern.below[pattern.below_start[i]..pattern.below_start[i + 1]] {
+                let l = entries[*at];
+                let a = l * diagonal[*k];
+                d -= a * l;
+                let before = pattern.start[*k]..*at;
+                for (j, l) in pattern.cols[before.clone()].iter().zip(&entries[before]) {
+                    work[*j] -= a * *l;
+                }
+            }
+            diagonal[i] = d;
+            let inv = R::one() / d;
+            inverse[i] = inv;
+            for (j, x) in cols.iter().zip(&mut entries[own]) {
+                *x = work[*j] * inv;
+            }
+        }
+    }
+
+    /// x ← H⁻¹ x.
+    pub fn solve(&self, pattern: &Pattern, x: &mut [R]) {
+        for k in (0..x.len()).rev() {
+            let own = pattern.start[k]..pattern.start[k + 1];
+            let factor = x[k];
+            for (j, l) in pattern.cols[own.clone()].iter().zip(&self.entries[own]) {
+                x[*j] -= *l * factor;
+            }
+            x[k] = factor * self.inverse[k];
+        }
+        for k in 0..x.len() {
+            let own = pattern.start[k]..pattern.start[k + 1];
+            let mut rest = x[k];
+            for (j, l) in pattern.cols[own.clone()].iter().zip(&self.entries[own]) {
+                rest -= *l * x[*j];
+            }
+            x[k] = rest;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solve::tests::{pack, Problem, Random};
+
+    #[test]
+    fn factors_solve_what_was_built() {
+        let mut random = Random::new(3);
+        for _ in 0..50 {
+            let nv = 2 + random.below(9);
+            let ones = vec![1.0; nv];
+            let mut problem = Problem::new(&ones, &ones);
+            let count = 1 + random.below(6);
+            for _ in 0..count {
+                problem.limit(&ones, 0.0, 1.0);
+            }
+            let mut rows = pack::<f64>(&[problem]);
+            // Every block on its own random list of dofs.
+            let (mut lists, mut y) = (Vec::new(), Vec::new());
+            for row in &mut rows.rows {
+                let own: Vec<usize> = (0..nv).filter(|_| random.next() > 0.0).collect();
+                row.dofs = Span { start: lists.len(), len: own.len() };
+                lists.extend(&own);
+                y.push(own.iter().map(|_| random.next()).collect::<Vec<_>>());
+            }
+            let blocks: Vec<usize> = (0..count).collect();
+            let mut pattern = Pattern::default();
+            pattern.fit(&lists, &rows, &blocks);
+            let n = pattern.dofs.len();
+            let mut hessian = Hessian::new();
+            hessian.reset(&pattern, &vec![0.5; n]);
+            let x: Vec<f64> = (0..n).map(|_| random.next()).collect();
+            let mut b: Vec<f64> = x.iter().map(|x| 0.5 * x).collect();
+            for block in 0..count {
+                let list = pattern.list(block);
+                let along: f64 = list.iter().zip(&y[block]).map(|(k, y)| x[*k] * y).sum();
+                list.iter().zip(&y[block]).for_each(|(k, y)| b[*k] += 3.0 * along * y);
+                hessian.add(&pattern, block, &y[block], |j| 3.0 * y[block][j], true);
+            }
+            hessian.factor(&pattern);
+            hessian.solve(&pattern, &mut b);
+            for (a, b) in x.iter().zip(&b) {
+                assert!((a - b).abs() < 1e-12);
+            }
+        }
+    }
+}

@@ -1,0 +1,312 @@
+//! The iteration, its line search, and the last digits.
+
+use super::hessian::Pattern;
+use super::penalty::interval;
+use super::system::{padded, System};
+use crate::real::{Mask, Real};
+use crate::solve::cone::project_round;
+use crate::solve::pgs::{Limits, Report};
+use crate::solve::residual::dot;
+use crate::solve::rows::{Rows, Set};
+
+/// A step this many roundings long is rounding.
+const ROUNDING: f64 = 4.0;
+/// The line search ends when the slope has fallen by this factor.
+const FLAT: f64 = 1e-4;
+/// Its limit of evaluations.
+const TRIALS: usize = 60;
+
+impl<R: Real> System<R> {
+    /// The iteration. A lane leaves it when its gradient or its step is rounding, its
+    /// residual is within the tolerance, or its last step was exact.
+    pub fn minimise(
+        &mut self,
+        pattern: &Pattern,
+        blocks: &[usize],
+        rows: &Rows<R>,
+        mut live: R::Mask,
+        limits: Limits,
+        report: &mut Report<R>,
+    ) {
+        let zero = R::zero();
+        let mut full = R::Mask::of(false);
+        let (mut done, mut last) = (zero, R::of(f64::INFINITY));
+        self.decrement = zero;
+        self.fresh = full;
+        let tiny = |factor: f64| R::of(factor * factor * R::EPSILON * R::EPSILON);
+        let (lightest, count) = sizes(blocks, rows);
+        let bound = R::of(limits.tolerance * limits.tolerance) * lightest;
+        for _ in 0..limits.sweeps {
+            let (changed, scale) = self.laws(pattern, blocks, rows, live);
+            self.moved = false;
+            self.fresh = self.fresh.and(changed.not());
+            live = live.and(full.and(changed.not()).not());
+            if live.none() {
+                break;
+            }
+            let (size, moved) = self.slope(pattern, blocks, rows);
+            // |g| in D⁻¹ bounds the residual's energy, and the step that is left.
+            let floor = moved + scale;
+            let part = |x: R| (x * floor.recip_or_zero()).max(zero).sqrt();
+            self.decrement = R::select(live, part(size), self.decrement);
+            live = live.and(size.le(bound.max(tiny(1.0) * moved)).not());
+            if live.none() {
+                break;
+            }
+            self.direction(pattern, blocks, rows);
+            self.fresh = self.fresh.or(live);
+            let (mut fall, mut length) = (zero, zero);
+            for ((g, p), d) in self.gradient.iter().zip(&self.step).zip(&self.d) {
+                fall -= *g * *p;
+                length += *d * *p * *p;
+            }
+            let stuck = fall.gt(R::of(0.25) * last).and(fall.lt(R::of(1e-16) * floor));
+            let end = length.le(tiny(ROUNDING) * floor).or(stuck);
+            let alpha = self.search(pattern, blocks, rows, fall, live.and(end.not()));
+            for (u, p) in self.u.iter_mut().zip(&self.step) {
+                *u = R::select(live, *u + alpha * *p, *u);
+            }
+            self.moved = true;
+            full = live.and(alpha.ge(R::one())).and(alpha.le(R::one()));
+            done = R::select(live, done + R::one(), done);
+            report.updates = R::select(live, report.updates + count, report.updates);
+            self.decrement = R::select(live, part(fall), self.decrement);
+            self.floor = R::select(live, floor, self.floor);
+            last = R::select(live, fall, last);
+            live = live.and(end.not());
+        }
+        // An unfinished lane has nothing to refine.
+        self.fresh = self.fresh.and(live.not());
+        report.sweeps = report.sweeps.max(done);
+    }
+
+    /// g = D(u − û) − Σ yλ; |g|² in D⁻¹, and |u − û|² in D.
+    fn slope(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) -> (R, R) {
+        let mut moved = R::zero();
+        for (((g, u), guess), d) in
+            self.gradient.iter_mut().zip(&self.u).zip(&self.guess).zip(&self.d)
+        {
+            let away = *u - *guess;
+            *g = *d * away;
+            moved += *g * away;
+        }
+        Self::gather(pattern, blocks, rows, &self.impulse, -R::one(), &mut self.gradient);
+        let mut size = R::zero();
+        for (g, inv) in self.gradient.iter().zip(&self.inv_d) {
+            size += *g * *g * *inv;
+        }
+        (size, moved)
+    }
+
+    /// step = −H⁻¹ g.
+    fn direction(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
+        self.hessian.reset(pattern, &self.d);
+        let mut at = 0;
+        for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
+            let len = pattern.list(b).len();
+            let own = &rows.rows[block.rows.range()];
+            let y = |i: usize| &rows.y[own[i].y..own[i].y + len];
+            for i in 0..own.len() {
+                let curve = self.curve[at + i];
+                if block.set == Set::Interval {
+                    if curve[0].gt(R::zero()).any() {
+                        let y = y(i);
+                        self.hessian.add(pattern, b, y, |j| curve[0] * y[j], block.mask);
+                    }
+                    continue;
+                }
+                self.bent.clear();
+                self.bent.resize(len, R::zero());
+                for j in 0..own.len().min(3) {
+                    for (bent, y) in self.bent.iter_mut().zip(y(j)) {
+                        *bent += curve[j] * *y;
+                    }
+                }
+                let bent = &self.bent;
+                self.hessian.add(pattern, b, y(i), |j| bent[j], block.mask);
+            }
+            at += own.len();
+        }
+        self.hessian.factor(pattern);
+        for (p, g) in self.step.iter_mut().zip(&self.gradient) {
+            *p = R::zero() - *g;
+        }
+        self.hessian.solve(pattern, &mut self.step);
+    }
+
+    /// The α > 0 at which the cost along the step is least; 1 in lanes not searched.
+    ///
+    /// The slope is increasing (the cost is convex) and piecewise almost linear:
+    /// Newton's method on it, kept within a bracket.
+    fn search(
+        &mut self,
+        pattern: &Pattern,
+        blocks: &[usize],
+        rows: &Rows<R>,
+        fall: R,
+        mut live: R::Mask,
+    ) -> R {
+        let (zero, one) = (R::zero(), R::one());
+        let mut alpha = one;
+        if live.none() {
+            return alpha;
+        }
+        let mut at = 0;
+        for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
+            let list = pattern.list(b);
+            for row in &rows.rows[block.rows.range()] {
+                self.along[at] = dot(list, &rows.y[row.y..row.y + list.len()], &self.step);
+                at += 1;
+            }
+        }
+        let (mut first, mut second) = (zero, zero);
+        for (((u, guess), d), p) in self.u.iter().zip(&self.guess).zip(&self.d).zip(&self.step) {
+            first += *d * (*u - *guess) * *p;
+            second += *d * *p * *p;
+        }
+        let (mut lo, mut hi) = (zero, R::of(f64::INFINITY));
+        for _ in 0..TRIALS {
+            let (slope, curve) = self.along(blocks, rows, alpha);
+            let (slope, curve) = (slope + first + alpha * second, curve + second);
+            live = live.and(slope.abs().le(R::of(FLAT) * fall).not());
+            if live.none() {
+                break;
+            }
+            let up = slope.lt(zero);
+            lo = R::select(live.and(up), alpha, lo);
+            hi = R::select(live.and(up.not()), alpha, hi);
+            let newton = alpha - slope / curve;
+            let within = newton.gt(lo).and(newton.lt(hi));
+            let split = R::select(hi.lt(R::of(f64::INFINITY)), R::of(0.5) * (lo + hi), lo + lo);
+            let next = R::select(within, newton, split);
+            alpha = R::select(live, next, alpha);
+        }
+        alpha
+    }
+
+    /// The rows' part of the slope and the curvature at u + α step.
+    fn along(&self, blocks: &[usize], rows: &Rows<R>, alpha: R) -> (R, R) {
+        let (mut slope, mut curve) = (R::zero(), R::zero());
+        let mut at = 0;
+        for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
+            let own = &rows.rows[block.rows.range()];
+            let range = at..at + own.len();
+            at += own.len();
+            if block.set == Set::Interval {
+                for (row, at) in own.iter().zip(range) {
+                    let v = self.along[at];
+                    let (impulse, bend) = interval(row, self.inv_c[at], self.w[at] + alpha * v);
+                    slope = R::select(block.mask, slope - impulse * v, slope);
+                    curve = R::select(block.mask, curve + bend * v * v, curve);
+                }
+                continue;
+            }
+            let (w, v) = (padded(&self.w[range.clone()]), padded(&self.along[range]));
+            let (impulse, bend) = self.cones[b].law(core::array::from_fn(|i| w[i] + alpha * v[i]));
+            for i in 0..3 {
+                slope = R::select(block.mask, slope - impulse[i] * v[i], slope);
+                let bent = bend[i][0] * v[0] + bend[i][1] * v[1] + bend[i][2] * v[2];
+                curve = R::select(block.mask, curve + bent * v[i], curve);
+            }
+        }
+        (slope, curve)
+    }
+
+    /// Writes the impulses and u = û + D⁻¹ Σ yλ.
+    ///
+    /// −w/c magnifies the rounding of w where c is small. So the pair (λ, u) is
+    /// refined once with the last factors: the law's impulse at this u, less λ, is e;
+    /// Hδ = Σ y e, Δλ = e − s″ y·δ.
+    pub fn finish(&mut self, pattern: &Pattern, blocks: &[usize], rows: &mut Rows<R>) {
+        if self.moved {
+            self.laws(pattern, blocks, rows, R::Mask::of(false));
+        }
+        self.place(pattern, blocks, rows);
+        if self.fresh.any() {
+            self.along.copy_from_slice(&self.impulse);
+            self.laws(pattern, blocks, rows, R::Mask::of(false));
+            // `along` holds λ, `impulse` the law's: make them e and λ.
+            for (impulse, along) in self.impulse.iter_mut().zip(&mut self.along) {
+                (*impulse, *along) = (*along, *impulse - *along);
+            }
+            self.step.fill(R::zero());
+            Self::gather(pattern, blocks, rows, &self.along, R::one(), &mut self.step);
+            // Σ y e is what is left of the gradient: with δ it tells the decrement.
+            self.gradient.copy_from_slice(&self.step);
+            self.hessian.solve(pattern, &mut self.step);
+            let fall =
+                self.gradient.iter().zip(&self.step).fold(R::zero(), |sum, (g, p)| sum + *g * *p);
+            let left = (fall * self.floor.recip_or_zero()).max(R::zero()).sqrt();
+            self.decrement = R::select(self.fresh, left, self.decrement);
+            self.refine(pattern, blocks, rows);
+            self.place(pattern, blocks, rows);
+        }
+        let mut at = 0;
+        for block in blocks {
+            let block = &rows.blocks[*block];
+            for row in &mut rows.rows[block.rows.range()] {
+                row.impulse = R::select(block.mask, self.impulse[at], row.impulse);
+                at += 1;
+            }
+        }
+        for (k, u) in pattern.dofs.iter().zip(&self.u) {
+            rows.u[*k] = *u;
+        }
+    }
+
+    /// λ + e − s″ y·δ, within the sets.
+    fn refine(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
+        let mut at = 0;
+        for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
+            let list = pattern.list(b);
+            let mask = block.mask.and(self.fresh);
+            let first = at;
+            let own = &rows.rows[block.rows.range()];
+            let mut v = [R::zero(); 3];
+            for (i, row) in own.iter().enumerate() {
+                let along = dot(list, &rows.y[row.y..row.y + list.len()], &self.step);
+                if block.set == Set::Interval {
+                    let new = self.impulse[at] + (self.along[at] - self.curve[at][0] * along);
+                    self.impulse[at] = R::select(mask, new.clamp(row.lo, row.hi), self.impulse[at]);
+                } else if i < 3 {
+                    v[i] = along;
+                }
+                at += 1;
+            }
+            if block.set == Set::Interval {
+                continue;
+            }
+            let mut new = padded(&self.impulse[first..at]);
+            for i in 0..own.len().min(3) {
+                let curve = self.curve[first + i];
+                let bent = curve[0] * v[0] + curve[1] * v[1] + curve[2] * v[2];
+                new[i] += self.along[first + i] - bent;
+            }
+            let new = project_round(block.mu, new);
+            for (x, new) in self.impulse[first..at].iter_mut().zip(new) {
+                *x = R::select(mask, new, *x);
+            }
+        }
+    }
+
+    /// u = û + D⁻¹ Σ yλ.
+    fn place(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
+        self.gradient.fill(R::zero());
+        Self::gather(pattern, blocks, rows, &self.impulse, R::one(), &mut self.gradient);
+        for (((u, guess), f), inv) in
+            self.u.iter_mut().zip(&self.guess).zip(&self.gradient).zip(&self.inv_d)
+        {
+            *u = *guess + *f * *inv;
+        }
+    }
+}
+
+/// The least mass of a block, and the number of rows.
+fn sizes<R: Real>(blocks: &[usize], rows: &Rows<R>) -> (R, R) {
+    let (mut mass, mut count) = (R::of(f64::INFINITY), R::zero());
+    for block in blocks.iter().map(|b| &rows.blocks[*b]) {
+        mass = R::select(block.mask, mass.min(R::of(block.mass)), mass);
+        count = R::select(block.mask, count + R::of(block.rows.len as f64), count);
+    }
+    (mass, count)
+}

@@ -1,0 +1,136 @@
+//! What a block costs in the primal problem, and its derivatives.
+//!
+//! With w = y·u − t the impulse minimises ½ λᵀCλ + λ·w over the set; the penalty is
+//! s(w) = −min, its slope −λ, its curvature s″ = −∂λ/∂w.
+//!
+//! A cone has c_t = (c_n/k²) for some k. In q = c_n λ_n, (c_n/k) λ_t the matrix C is a
+//! number, so that q is the projection of (−w_n, −k w_t) on the cone of slope μ/k
+//! (which is MuJoCo's μ/√impratio): inside, outside, or between, where s is smooth
+//! but not quadratic.
+
+use crate::real::{Mask, Real};
+use crate::solve::cone::{norm, project_round};
+use crate::solve::rows::Row;
+
+/// −w/c within the bounds, and its curvature.
+#[inline(always)]
+pub(super) fn interval<R: Real>(row: &Row<R>, inv_c: R, w: R) -> (R, R) {
+    let free = -w * inv_c;
+    let active = free.gt(row.lo).and(free.lt(row.hi));
+    (free.clamp(row.lo, row.hi), R::select(active, inv_c, R::zero()))
+}
+
+/// The constants of a convex cone.
+#[derive(Clone, Copy)]
+pub(super) struct Cone<R> {
+    inv_c: R,
+    k: R,
+    slope: R,
+}
+
+impl<R: Real> Cone<R> {
+    /// From the rows of a block: the normal, then tangents of one regulariser.
+    pub fn new(rows: &[Row<R>], mu: R) -> Self {
+        let c = rows.first().map_or(R::zero(), |row| row.c);
+        let tangent = rows.get(1).map_or(c, |row| row.c);
+        let k = (c * tangent.recip_or_zero()).sqrt();
+        Self { inv_c: c.recip_or_zero(), k, slope: mu * k.recip_or_zero() }
+    }
+
+    /// λ, and λ's derivative against −w.
+    pub fn law(&self, w: [R; 3]) -> ([R; 3], [[R; 3]; 3]) {
+        let (zero, one) = (R::zero(), R::one());
+        let m = self.slope;
+        let a = [-w[0], -self.k * w[1], -self.k * w[2]];
+        let length = norm(a[1], a[2]);
+        let q = project_round(m, a);
+        let inside = length.le(m * a[0]);
+        let outside = (m * length).le(-a[0]).and(inside.not());
+        // Between: q_n = (a_n + m|a_t|)/(1 + m²), q_t = m q_n e.
+        let inv = length.recip_or_zero();
+        let e = [a[1] * inv, a[2] * inv];
+        let first = one / (one + m * m);
+        let turn = m * q[0] * inv;
+        let mut b = [[zero; 3]; 3];
+        b[0][0] = first;
+        for i in 0..2 {
+            b[0][i + 1] = first * m * e[i];
+            b[i + 1][0] = b[0][i + 1];
+            for j in 0..2 {
+                let own = first * m * m * e[i] * e[j];
+                let across = if i == j { turn - turn * e[i] * e[j] } else { -turn * e[i] * e[j] };
+                b[i + 1][j + 1] = own + across;
+            }
+        }
+        let scale = [one, self.k, self.k];
+        let mut impulse = [zero; 3];
+        for i in 0..3 {
+            impulse[i] = q[i] * scale[i] * self.inv_c;
+            for j in 0..3 {
+                let unit = if i == j { one } else { zero };
+                let curve = R::select(inside, unit, R::select(outside, zero, b[i][j]));
+                b[i][j] = curve * scale[i] * scale[j] * self.inv_c;
+            }
+        }
+        (impulse, b)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::Span;
+    use crate::solve::tests::{close, Random};
+
+    fn row(c: f64) -> Row<f64> {
+        Row {
+            dofs: Span::default(),
+            y: 0,
+            t: 0.0,
+            c,
+            a: 0.0,
+            inv_s: 0.0,
+            lo: 0.0,
+            hi: f64::INFINITY,
+            impulse: 0.0,
+            velocity: 0.0,
+        }
+    }
+
+    /// The elliptic cost of MuJoCo's documentation, with mu = μ/√impratio and R_t = R_n/impratio.
+    #[test]
+    fn the_three_zones_are_mujocos() {
+        let mut random = Random::new(1);
+        for _ in 0..300 {
+            let (r, mu, ratio) = (0.3, 0.6, 10.0f64);
+            let cone = Cone::new(&[row(r), row(r / ratio), row(r / ratio)], mu);
+            let w = [0; 3].map(|_| random.next());
+            let soft = mu / ratio.sqrt();
+            let (n, t) = (soft * w[0], norm(mu * w[1], mu * w[2]));
+            let want = if n >= soft * t {
+                [0.0; 3]
+            } else if soft * n + t <= 0.0 {
+                [-w[0] / r, -w[1] * ratio / r, -w[2] * ratio / r]
+            } else {
+                let f = (soft * t - n) / (r * soft * soft * (1.0 + soft * soft));
+                [f * soft, -f * soft * mu * mu * w[1] / t, -f * soft * mu * mu * w[2] / t]
+            };
+            let (got, b) = cone.law(w);
+            for i in 0..3 {
+                close(got[i], want[i], 1e-14 * (1.0 + want[0]));
+                // The curvature by central differences.
+                let h = 1e-6;
+                let at = |s: f64| {
+                    let mut w = w;
+                    w[i] += s * h;
+                    cone.law(w).0
+                };
+                let (up, down) = (at(1.0), at(-1.0));
+                for j in 0..3 {
+                    let slope = (down[j] - up[j]) / (2.0 * h);
+                    close(b[i][j], slope, 1e-4 * (1.0 + slope.abs()));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,218 @@
+//! What Newton's method holds of one island, and the laws of its rows.
+
+use super::hessian::{Hessian, Pattern};
+use super::penalty::{interval, Cone};
+use crate::real::{Mask, Real};
+use crate::solve::residual::dot;
+use crate::solve::rows::{Rows, Set};
+
+/// What the method holds of an island. "By row" counts the rows of the blocks at
+/// hand one after another; "by dof" is local, as in `Pattern::dofs`.
+pub(super) struct System<R: Real> {
+    /// By row: 1/c; w = y·u − t; its slope along the step; the impulse.
+    pub(super) inv_c: Vec<R>,
+    pub(super) w: Vec<R>,
+    pub(super) along: Vec<R>,
+    pub(super) impulse: Vec<R>,
+    /// By row: its row of the block's curvature s″; an interval uses the first entry.
+    pub(super) curve: Vec<[R; 3]>,
+    /// By block; only convex cones use theirs.
+    pub(super) cones: Vec<Cone<R>>,
+    /// By dof.
+    pub(super) guess: Vec<R>,
+    pub(super) u: Vec<R>,
+    pub(super) d: Vec<R>,
+    pub(super) inv_d: Vec<R>,
+    pub(super) gradient: Vec<R>,
+    pub(super) step: Vec<R>,
+    /// s″ y of a cone's row.
+    pub(super) bent: Vec<R>,
+    pub(super) hessian: Hessian<R>,
+    /// Lanes whose factors belong to the curvature at hand.
+    pub(super) fresh: R::Mask,
+    /// Newton's decrement relative to `floor`, the energy of the motion that the rows see.
+    pub(super) decrement: R,
+    pub(super) floor: R,
+    /// u has moved since the impulses were computed, in some lane.
+    pub(super) moved: bool,
+}
+
+impl<R: Real> System<R> {
+    pub fn new() -> Self {
+        Self {
+            inv_c: Vec::new(),
+            w: Vec::new(),
+            along: Vec::new(),
+            impulse: Vec::new(),
+            curve: Vec::new(),
+            cones: Vec::new(),
+            guess: Vec::new(),
+            u: Vec::new(),
+            d: Vec::new(),
+            inv_d: Vec::new(),
+            gradient: Vec::new(),
+            step: Vec::new(),
+            bent: Vec::new(),
+            hessian: Hessian::new(),
+            fresh: R::Mask::of(false),
+            decrement: R::zero(),
+            floor: R::zero(),
+            moved: false,
+        }
+    }
+
+    /// Takes an island in; starts from u or from û, whichever costs less.
+    pub fn start(
+        &mut self,
+        pattern: &Pattern,
+        blocks: &[usize],
+        inv_d: &[R],
+        guess: &[R],
+        rows: &Rows<R>,
+    ) {
+        let take = |out: &mut Vec<R>, from: &[R]| {
+            out.clear();
+            out.extend(pattern.dofs.iter().map(|k| from[*k]));
+        };
+        take(&mut self.guess, guess);
+        take(&mut self.u, &rows.u);
+        take(&mut self.inv_d, inv_d);
+        self.d.clear();
+        self.d.extend(self.inv_d.iter().map(|inv| R::one() / *inv));
+        self.inv_c.clear();
+        self.cones.clear();
+        for block in blocks.iter().map(|b| &rows.blocks[*b]) {
+            let own = &rows.rows[block.rows.range()];
+            self.inv_c.extend(own.iter().map(|row| row.c.recip_or_zero()));
+            self.cones
+                .push(Cone::new(if block.set == Set::Interval { &[] } else { own }, block.mu));
+        }
+        let count = self.inv_c.len();
+        for list in [&mut self.w, &mut self.along, &mut self.impulse] {
+            list.clear();
+            list.resize(count, R::zero());
+        }
+        self.curve.clear();
+        self.curve.resize(count, [R::zero(); 3]);
+        for list in [&mut self.gradient, &mut self.step] {
+            list.clear();
+            list.resize(pattern.dofs.len(), R::zero());
+        }
+        if self.u != self.guess {
+            let warm = self.cost(pattern, blocks, rows);
+            std::mem::swap(&mut self.u, &mut self.guess);
+            let cold = self.cost(pattern, blocks, rows);
+            std::mem::swap(&mut self.u, &mut self.guess);
+            for (u, guess) in self.u.iter_mut().zip(&self.guess) {
+                *u = R::select(warm.le(cold), *u, *guess);
+            }
+        }
+    }
+
+    /// ½ (u − û)ᵀD(u − û) + Σ s at u; the first part is 0 at û.
+    fn cost(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) -> R {
+        let half = R::of(0.5);
+        let mut cost = R::zero();
+        for ((u, guess), d) in self.u.iter().zip(&self.guess).zip(&self.d) {
+            cost += half * *d * (*u - *guess) * (*u - *guess);
+        }
+        self.laws(pattern, blocks, rows, R::Mask::of(false));
+        self.each(blocks, rows, |at, row, mask, system| {
+            let s =
+                -system.impulse[at] * (system.w[at] + half * rows.rows[row].c * system.impulse[at]);
+            cost = R::select(mask, cost + s, cost);
+        });
+        cost
+    }
+
+    /// Calls `f(row here, row in `rows`, lanes, self)` for every row.
+    fn each(
+        &self,
+        blocks: &[usize],
+        rows: &Rows<R>,
+        mut f: impl FnMut(usize, usize, R::Mask, &Self),
+    ) {
+        let mut at = 0;
+        for block in blocks.iter().map(|b| &rows.blocks[*b]) {
+            for row in block.rows.range() {
+                f(at, row, block.mask, self);
+                at += 1;
+            }
+        }
+    }
+
+    /// Every row's w and impulse at u; in lanes of `bend` also the curvature.
+    /// Returns the lanes where some curvature changed, and the energy that the
+    /// velocities of the rows stand for (what rounding is measured by).
+    pub(super) fn laws(
+        &mut self,
+        pattern: &Pattern,
+        blocks: &[usize],
+        rows: &Rows<R>,
+        bend: R::Mask,
+    ) -> (R::Mask, R) {
+        let (mut changed, mut scale) = (R::Mask::of(false), R::zero());
+        let mut at = 0;
+        for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
+            let list = pattern.list(b);
+            let first = at;
+            let bend = bend.and(block.mask);
+            let own = &rows.rows[block.rows.range()];
+            for row in own {
+                let velocity = dot(list, &rows.y[row.y..row.y + list.len()], &self.u);
+                self.w[at] = velocity - row.t;
+                let energy = scale + (velocity * velocity + row.t * row.t) * row.inv_s;
+                scale = R::select(block.mask, energy, scale);
+                if block.set == Set::Interval {
+                    let (impulse, curve) = interval(row, self.inv_c[at], self.w[at]);
+                    self.impulse[at] = impulse;
+                    let old = self.curve[at][0];
+                    changed = changed.or(bend.and(curve.le(old).and(curve.ge(old)).not()));
+                    self.curve[at][0] = R::select(bend, curve, old);
+                }
+                at += 1;
+            }
+            if block.set == Set::Interval {
+                continue;
+            }
+            let (impulse, curve) = self.cones[b].law(padded(&self.w[first..at]));
+            for i in 0..own.len().min(3) {
+                self.impulse[first + i] = impulse[i];
+                for j in 0..3 {
+                    let old = self.curve[first + i][j];
+                    changed =
+                        changed.or(bend.and(curve[i][j].le(old).and(curve[i][j].ge(old)).not()));
+                    self.curve[first + i][j] = R::select(bend, curve[i][j], old);
+                }
+            }
+        }
+        (changed, scale)
+    }
+
+    /// out += sign · Σ y x, x by row.
+    pub(super) fn gather(
+        pattern: &Pattern,
+        blocks: &[usize],
+        rows: &Rows<R>,
+        x: &[R],
+        sign: R,
+        out: &mut [R],
+    ) {
+        let mut at = 0;
+        for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
+            let list = pattern.list(b);
+            for row in &rows.rows[block.rows.range()] {
+                let x = sign * x[at];
+                for (k, y) in list.iter().zip(&rows.y[row.y..row.y + list.len()]) {
+                    out[*k] = R::select(block.mask, out[*k] + *y * x, out[*k]);
+                }
+                at += 1;
+            }
+        }
+    }
+}
+
+/// Up to three numbers as a vector.
+pub(super) fn padded<R: Real>(x: &[R]) -> [R; 3] {
+    core::array::from_fn(|i| x.get(i).copied().unwrap_or_else(R::zero))
+}

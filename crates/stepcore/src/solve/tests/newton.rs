@@ -1,0 +1,120 @@
+//! Newton against converged PGS.
+
+use super::{close, contacts, pack, Problem, Random, EVERY, INF};
+use crate::real::{Lanes, Mask, Real, WIDTH};
+use crate::solve::newton::Newton;
+use crate::solve::pgs::{Limits, Pgs};
+use crate::solve::rows::Set;
+
+/// Every kind of convex row at once.
+fn mixed(random: &mut Random) -> Problem {
+    let mut problem = contacts(Set::Convex, 2, 0.05, random);
+    for _ in 0..3 {
+        let y: Vec<f64> = (0..6).map(|_| random.next()).collect();
+        problem.limit(&y, 0.3 * random.next(), 0.02);
+    }
+    let mut y = || (0..6).map(|_| random.next()).collect::<Vec<f64>>();
+    problem.blocks.push((
+        Set::Interval,
+        0.0,
+        vec![(y(), 0.0, 0.01, -0.05, 0.05), (y(), 0.2, 0.03, -INF, INF)],
+    ));
+    problem
+}
+
+#[test]
+fn newton_equals_converged_pgs() {
+    let mut random = Random::new(21);
+    for case in 0..200 {
+        let problem = mixed(&mut random);
+        let lists = problem.dof_lists();
+        let want = {
+            let mut rows = problem.rows::<f64>();
+            let limits = Limits { momentum: true, tolerance: 1e-15, ..EVERY };
+            Pgs::new().solve(&lists, &problem.inv_d, &mut rows, limits);
+            rows
+        };
+        let mut rows = problem.rows::<f64>();
+        if case % 2 == 1 {
+            // From a warm start that is wrong.
+            for row in &mut rows.rows {
+                row.impulse = 0.1;
+                for k in 0..6 {
+                    rows.u[k] += problem.inv_d[k] * rows.y[row.y + k] * row.impulse;
+                }
+            }
+        }
+        let limits = Limits { sweeps: 50, tolerance: 0.0, momentum: false };
+        let report =
+            Newton::new().solve(&lists, &problem.inv_d, &problem.guess, &mut rows, limits).unwrap();
+        assert!(report.sweeps < 15.0);
+        assert!(rows.residual(&lists) < 1e-14, "{}", rows.residual(&lists));
+        for (a, b) in rows.rows.iter().zip(&want.rows) {
+            close(a.impulse, b.impulse, 1e-10);
+        }
+        for (a, b) in rows.u.iter().zip(&want.u) {
+            close(*a, *b, 1e-10);
+        }
+    }
+}
+
+#[test]
+fn newton_stops_at_its_tolerance() {
+    let mut random = Random::new(23);
+    for _ in 0..50 {
+        let problem = mixed(&mut random);
+        let lists = problem.dof_lists();
+        for tolerance in [1e-2, 1e-5, 1e-9] {
+            let mut rows = problem.rows::<f64>();
+            let limits = Limits { sweeps: 50, tolerance, momentum: false };
+            Newton::new().solve(&lists, &problem.inv_d, &problem.guess, &mut rows, limits).unwrap();
+            assert!(rows.residual(&lists) <= tolerance);
+        }
+    }
+}
+
+#[test]
+fn newton_needs_softness() {
+    let mut problem = Problem::new(&[1.0], &[-1.0]);
+    problem.limit(&[1.0], 0.0, 0.0);
+    let mut rows = problem.rows::<f64>();
+    assert!(Newton::new().solve(&[0], &problem.inv_d, &problem.guess, &mut rows, EVERY).is_err());
+    assert_eq!((rows.u[0], rows.rows[0].impulse), (-1.0, 0.0));
+    // A row that nothing moves needs none.
+    problem.blocks[0].2[0] = (vec![0.0], 0.5, 0.0, 0.0, INF);
+    let mut rows = problem.rows::<f64>();
+    assert!(Newton::new().solve(&[0], &problem.inv_d, &problem.guess, &mut rows, EVERY).is_ok());
+    assert_eq!((rows.u[0], rows.rows[0].impulse), (-1.0, 0.0));
+}
+
+#[test]
+fn newton_lanes_are_worlds() {
+    let mut random = Random::new(22);
+    for tolerance in [0.0, 1e-6] {
+        let base = mixed(&mut random);
+        let worlds: Vec<Problem> = (0..WIDTH).map(|_| base.shaken(&mut random)).collect();
+        let lists = base.dof_lists();
+        let inv_d: Vec<Lanes> = base.inv_d.iter().map(|x| Lanes::of(*x)).collect();
+        let limits = Limits { sweeps: 50, tolerance, momentum: false };
+        let mut packed = pack::<Lanes>(&worlds);
+        let guess = packed.u.clone();
+        packed.blocks[1].mask.set_lane(2, false);
+        packed.blocks[3].mask.set_lane(5, false);
+        let report = Newton::new().solve(&lists, &inv_d, &guess, &mut packed, limits).unwrap();
+        for (lane, world) in worlds.iter().enumerate() {
+            let mut rows = world.rows::<f64>();
+            rows.blocks[1].mask = lane != 2;
+            rows.blocks[3].mask = lane != 5;
+            let alone =
+                Newton::new().solve(&lists, &world.inv_d, &world.guess, &mut rows, limits).unwrap();
+            assert_eq!(alone.sweeps, report.sweeps.lane(lane));
+            assert_eq!(alone.updates, report.updates.lane(lane));
+            for k in 0..6 {
+                assert_eq!(rows.u[k].to_bits(), packed.u[k].lane(lane).to_bits());
+            }
+            for (a, b) in rows.rows.iter().zip(&packed.rows) {
+                assert_eq!(a.impulse.to_bits(), b.impulse.lane(lane).to_bits());
+            }
+        }
+    }
+}

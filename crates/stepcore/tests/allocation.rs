@@ -1,0 +1,129 @@
+//! A step allocates nothing once every buffer has been as full as it will get.
+//!
+//! Each scene runs once to fill the buffers, is put back to its start and runs the
+//! same steps again: they hold no more contacts than before, so nothing may grow.
+
+mod scenes;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::Arc;
+
+use stepcore::model::Model;
+use stepcore::real::{Lanes, Real};
+use stepcore::scene::Scene;
+use stepcore::settings::{Acceleration, Cone, Integrator, Law, Settings, Solver};
+use stepcore::sim::Sim;
+
+struct Counting;
+
+thread_local! {
+    /// Allocations of this thread; each test runs on one of its own.
+    static COUNT: Cell<u64> = const { Cell::new(0) };
+}
+
+fn note() {
+    // A thread that is being torn down has no counter left, and nothing to count.
+    let _ = COUNT.try_with(|count| count.set(count.get() + 1));
+}
+
+// SAFETY: every call goes to the system's allocator unchanged; the counter holds no memory.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        note();
+        System.alloc(layout)
+    }
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        System.dealloc(at, layout);
+    }
+    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        note();
+        System.realloc(at, layout, size)
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const STEPS: u64 = 60;
+
+/// Allocations of the second of two equal runs, and the rows at its end.
+fn allocations<R: Real>(scene: &Scene, settings: &Settings) -> (u64, usize) {
+    let model = Arc::new(Model::compile(scene).unwrap());
+    let mut sim = Sim::<R>::new(model, settings.clone()).unwrap();
+    for ctrl in &mut sim.inputs.ctrl {
+        *ctrl = R::of(0.3);
+    }
+    let start = sim.state.clone();
+    sim.step(STEPS).unwrap();
+    // Field by field: the snapshot must not replace the buffers that have grown.
+    sim.state.steps = start.steps;
+    sim.state.qpos.copy_from_slice(&start.qpos);
+    sim.state.qvel.copy_from_slice(&start.qvel);
+    sim.state.warm.clear();
+    let before = COUNT.with(Cell::get);
+    sim.step(STEPS).unwrap();
+    (COUNT.with(Cell::get) - before, sim.rows.rows.len())
+}
+
+fn check<R: Real>(settings: &Settings) {
+    for (name, scene) in
+        [("tower", scenes::tower(4)), ("runner", scenes::runner()), ("heap", scenes::heap())]
+    {
+        let (count, rows) = allocations::<R>(&scene, settings);
+        let (law, integrator) = (settings.law.name(), settings.integrator.name());
+        assert!(settings.law == Law::Penalty || rows > 0, "{name} {law}: nothing touches");
+        assert_eq!(count, 0, "{name} {law} {integrator}: allocations in {STEPS} steps");
+    }
+}
+
+fn settings(law: Law, integrator: Integrator) -> Settings {
+    let solver = Solver::Pgs;
+    Settings { law, integrator, solver, sweeps: 20, penalty_stiffness: 1e4, ..Settings::default() }
+}
+
+#[test]
+fn the_counter_counts() {
+    let before = COUNT.with(Cell::get);
+    let list = std::hint::black_box(vec![1.0; 100]);
+    assert!(COUNT.with(Cell::get) > before && list.len() == 100);
+}
+
+#[test]
+fn no_integrator_allocates() {
+    for integrator in [
+        Integrator::Explicit,
+        Integrator::SemiImplicit,
+        Integrator::Euler,
+        Integrator::ImplicitFast,
+        Integrator::Rk4,
+    ] {
+        check::<f64>(&settings(Law::SolRef, integrator));
+    }
+    check::<f64>(&settings(Law::Rigid, Integrator::Midpoint));
+}
+
+#[test]
+fn no_law_allocates() {
+    for law in [Law::Lesson, Law::Relaxed, Law::Rigid, Law::Penalty] {
+        for integrator in [Integrator::SemiImplicit, Integrator::Rk4] {
+            check::<f64>(&settings(law, integrator));
+        }
+    }
+}
+
+#[test]
+fn no_solver_or_cone_allocates() {
+    let euler = settings(Law::SolRef, Integrator::Euler);
+    check::<f64>(&Settings { cone: Cone::Elliptic, ..euler.clone() });
+    check::<f64>(&Settings { acceleration: Acceleration::Momentum, ..euler.clone() });
+    check::<f64>(&Settings { solver: Solver::Newton, ..euler.clone() });
+    check::<f64>(&Settings { solver: Solver::Newton, cone: Cone::Elliptic, ..euler });
+}
+
+#[test]
+fn no_number_allocates() {
+    let settings = settings(Law::SolRef, Integrator::Euler);
+    check::<f32>(&settings);
+    check::<Lanes>(&settings);
+}

@@ -1,0 +1,61 @@
+"""stepcore: a rigid-body physics engine that measures what speed costs in accuracy.
+
+>>> import stepcore as sc
+>>> scene = sc.loads('''<mujoco><worldbody><body pos="0 0 1"><freejoint/>
+... <geom size="0.1" mass="1"/></body></worldbody></mujoco>''')
+>>> sim = sc.Sim(scene.compile(), dt=0.005)
+>>> sim.step(100)
+>>> round(sim.time, 6)
+0.5
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from stepcore._core import Settings, SimulationError
+from stepcore.batch import Batch
+from stepcore.model import Model
+from stepcore.scene import Scene
+from stepcore.sim import Sim
+from stepcore.sweep import sweep
+from stepcore.trade import Trade, trade
+
+if TYPE_CHECKING:
+    from stepcore.mjcf import load, loads
+
+__all__ = [
+    "Batch",
+    "Model",
+    "Scene",
+    "Settings",
+    "Sim",
+    "SimulationError",
+    "Trade",
+    "__version__",
+    "load",
+    "loads",
+    "sweep",
+    "trade",
+]
+
+# Names that are imported when they are first used, so that `import stepcore` is quick.
+_LATER = {"load": "stepcore.mjcf", "loads": "stepcore.mjcf"}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: Any = version("stepcore")
+    elif name in _LATER:
+        value = getattr(importlib.import_module(_LATER[name]), name)
+    else:
+        raise AttributeError(f"module 'stepcore' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,268 @@
+"""The engine as compiled. `stepcore.Model`, `Sim` and `Batch` are built on it; of its names
+only `Settings` and `SimulationError` are meant to be used directly (as `stepcore.Settings`)."""
+
+from typing import Any, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Batch", "Model", "Settings", "Sim", "SimulationError", "compile"]
+
+_Floats = NDArray[np.float64]
+_Integrator = Literal["explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4"]
+_Solver = Literal["pgs", "newton"]
+_Acceleration = Literal["none", "momentum"]
+_Precision = Literal["f32", "f64"]
+_Law = Literal["solref", "lesson", "relaxed", "rigid", "penalty"]
+_Cone = Literal["pyramidal", "elliptic"]
+
+class SimulationError(RuntimeError):
+    """The simulation left the finite numbers; the last finite state is kept."""
+
+    step: int
+    """Steps done before it."""
+    time: float
+    """Time of the last finite state [s]."""
+    world: int
+    """Its index in a Batch, 0 in a Sim."""
+    element: str
+    """The element whose power grew most over the last steps."""
+
+@final
+class Settings:
+    """How a scene is computed; immutable. A bad value is a ValueError naming field and limit."""
+
+    def __new__(
+        cls,
+        *,
+        dt: float = 0.002,
+        integrator: _Integrator = "euler",
+        solver: _Solver = "newton",
+        acceleration: _Acceleration = "none",
+        sweeps: int = 100,
+        tolerance: float = 1e-10,
+        warm_start: bool = True,
+        precision: _Precision = "f64",
+        max_contacts: int = 0,
+        law: _Law = "solref",
+        beta: float = 0.2,
+        softness: float = 0.0,
+        restitution: float = 0.0,
+        slop: float = 0.0,
+        penalty_stiffness: float = 1e5,
+        penalty_damping_ratio: float = 0.1,
+        cone: _Cone = "pyramidal",
+        impratio: float = 1.0,
+        refsafe: bool = True,
+    ) -> Settings: ...
+    def replace(self, **fields: Any) -> Settings:
+        """A copy with some fields changed, checked as a whole."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Every field by name."""
+
+    def __eq__(self, value: object, /) -> bool: ...
+    def __ne__(self, value: object, /) -> bool: ...
+    def __hash__(self) -> int: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, Any]]: ...
+    @property
+    def dt(self) -> float:
+        """Time step [s], > 0."""
+
+    @property
+    def integrator(self) -> str:
+        """How velocities and positions advance."""
+
+    @property
+    def solver(self) -> str:
+        """How the rows are solved: "pgs" or "newton"."""
+
+    @property
+    def acceleration(self) -> str:
+        """What speeds up projected Gauss-Seidel: "none" or "momentum"."""
+
+    @property
+    def sweeps(self) -> int:
+        """The most sweeps, or Newton iterations, of one solve."""
+
+    @property
+    def tolerance(self) -> float:
+        """A solve stops at this residual [m/s], >= 0; 0: after all sweeps."""
+
+    @property
+    def warm_start(self) -> bool:
+        """Start from the last step's impulses."""
+
+    @property
+    def precision(self) -> str:
+        """The number computed with: "f64" or "f32"."""
+
+    @property
+    def max_contacts(self) -> int:
+        """Contacts to reserve room for."""
+
+    @property
+    def law(self) -> str:
+        """What a violated constraint asks for."""
+
+    @property
+    def beta(self) -> float:
+        """Share of a violation undone in a step, in (0, 1]."""
+
+    @property
+    def softness(self) -> float:
+        """Regulariser of rows under "lesson" and "relaxed" [1/kg], >= 0."""
+
+    @property
+    def restitution(self) -> float:
+        """Share of the normal speed kept in an impact under "rigid", in [0, 1]."""
+
+    @property
+    def slop(self) -> float:
+        """Overlap left alone under "rigid" [m], >= 0."""
+
+    @property
+    def penalty_stiffness(self) -> float:
+        """Spring of a contact under "penalty" [N/m], > 0."""
+
+    @property
+    def penalty_damping_ratio(self) -> float:
+        """Damping ratio of a contact under "penalty", >= 0."""
+
+    @property
+    def cone(self) -> str:
+        """The set of friction forces: "pyramidal" or "elliptic"."""
+
+    @property
+    def impratio(self) -> float:
+        """Ratio of frictional to normal impedance, > 0."""
+
+    @property
+    def refsafe(self) -> bool:
+        """Keep the time constants of solref at 2 dt or above."""
+
+@final
+class Model:
+    """A compiled scene; constant."""
+
+    @property
+    def nq(self) -> int: ...
+    @property
+    def nv(self) -> int: ...
+    def names(self) -> dict[str, list[str]]: ...
+    def tables(self) -> dict[str, _Floats]: ...
+    def addresses(self) -> dict[str, list[int]]: ...
+    def joint_types(self) -> list[str]: ...
+    def geom_types(self) -> list[str]: ...
+    def pairs(self) -> list[tuple[int, int]]: ...
+    def keys(self) -> list[tuple[float, list[float], list[float], list[float]]]: ...
+
+def compile(scene: dict[str, Any]) -> Model:
+    """Compiles a scene given as plain data: what `Scene.to_dict` returns."""
+
+@final
+class Sim:
+    """One world. Its arrays are views of memory that belongs to it."""
+
+    time: float
+    def __new__(cls, model: Model, settings: Settings) -> Sim: ...
+    @property
+    def qpos(self) -> _Floats: ...
+    @property
+    def qvel(self) -> _Floats: ...
+    @property
+    def ctrl(self) -> _Floats: ...
+    @property
+    def qfrc_applied(self) -> _Floats: ...
+    @property
+    def xfrc_applied(self) -> _Floats: ...
+    def step(self, n: int | None = None) -> None: ...
+    def forward(self) -> None: ...
+    def forget(self) -> None:
+        """Forgets the impulses of the last step."""
+
+    def state(self) -> bytes: ...
+    def restore(self, state: bytes) -> None: ...
+    @property
+    def xpos(self) -> _Floats: ...
+    @property
+    def xquat(self) -> _Floats: ...
+    @property
+    def xmat(self) -> _Floats: ...
+    @property
+    def geom_xpos(self) -> _Floats: ...
+    @property
+    def geom_xmat(self) -> _Floats: ...
+    @property
+    def site_xpos(self) -> _Floats: ...
+    @property
+    def bias(self) -> _Floats: ...
+    @property
+    def passive(self) -> _Floats: ...
+    @property
+    def energy(self) -> _Floats: ...
+    @property
+    def momentum(self) -> _Floats: ...
+    def mass_matrix(self) -> _Floats: ...
+    def jacobian(self, body: int) -> _Floats: ...
+    @property
+    def qacc(self) -> _Floats: ...
+    @property
+    def constraint_force(self) -> _Floats: ...
+    @property
+    def actuator_force(self) -> _Floats: ...
+    @property
+    def residual(self) -> float: ...
+    @property
+    def decrement(self) -> float: ...
+    @property
+    def sweeps_done(self) -> int: ...
+    @property
+    def row_updates(self) -> int: ...
+    @property
+    def contacts_grown(self) -> int: ...
+    def contacts(self) -> tuple[list[tuple[int, int]], _Floats]:
+        """Geoms, and dist, pos, normal, force in the columns of one array."""
+
+    def rows(self) -> tuple[list[str], list[str], list[int], _Floats]:
+        """Kinds, names, blocks; impulse, velocity, target, regulariser, residual, lo, hi."""
+
+@final
+class Batch:
+    """Many worlds; every array has a leading world axis."""
+
+    def __new__(
+        cls, model: Model, settings: Settings, n: int, threads: int, lanes: bool
+    ) -> Batch: ...
+    @property
+    def qpos(self) -> _Floats: ...
+    @property
+    def qvel(self) -> _Floats: ...
+    @property
+    def ctrl(self) -> _Floats: ...
+    @property
+    def qfrc_applied(self) -> _Floats: ...
+    @property
+    def xfrc_applied(self) -> _Floats: ...
+    @property
+    def time(self) -> float: ...
+    def step(self, n: int | None = None) -> None: ...
+    def forward(self) -> None: ...
+    def rollout(self, ctrl: _Floats) -> tuple[_Floats, _Floats]: ...
+    def restart(self, time: float) -> None:
+        """Sets the time of all worlds and forgets the impulses of the last step."""
+
+    def state(self) -> list[bytes]: ...
+    def restore(self, states: list[bytes]) -> None: ...
+    @property
+    def qacc(self) -> _Floats: ...
+    @property
+    def xpos(self) -> _Floats: ...
+    @property
+    def xquat(self) -> _Floats: ...
+    @property
+    def geom_xpos(self) -> _Floats: ...
+    @property
+    def site_xpos(self) -> _Floats: ...
+    @property
+    def energy(self) -> _Floats: ...

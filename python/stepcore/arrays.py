@@ -1,0 +1,50 @@
+"""The arrays of a `Sim` or a `Batch`, and what may be written into them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stepcore import checks
+
+Floats = NDArray[np.float64]
+
+
+class StateArray:
+    """An array that belongs to a `Sim` or a `Batch`: write into it, or assign to fill it."""
+
+    def __init__(self, doc: str) -> None:
+        self.__doc__ = doc
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, sim: Any, owner: type | None = None) -> Floats:
+        if sim is None:
+            return self  # type: ignore[return-value]
+        array: Floats = sim._arrays[self.name]
+        return array
+
+    def __set__(self, sim: Any, value: ArrayLike) -> None:
+        array = sim._arrays[self.name]
+        table = numbers(self.name, value)
+        try:
+            array[...] = table
+        except ValueError:
+            limit = f"of shape {array.shape}"
+            raise ValueError(f"{self.name} has shape {table.shape}: must be {limit}") from None
+
+
+def numbers(name: str, value: ArrayLike) -> Floats:
+    """`value` as a contiguous array of float64; a ValueError for what is not real numbers."""
+    try:
+        table = np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} = {checks.shown(value)}: must be numbers ({error})") from None
+    if table.dtype.kind not in "fiu":
+        raise ValueError(
+            f"{name} = {checks.shown(value)}: must be real numbers, not {table.dtype.name}"
+        )
+    return np.ascontiguousarray(table, dtype=np.float64)

@@ -1,0 +1,196 @@
+"""`Batch`: many worlds of one model, stepped together, in lanes and over threads."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stepcore import _core, checks
+from stepcore._core import Settings
+from stepcore.arrays import StateArray, numbers
+from stepcore.model import Model
+from stepcore.scene import Scene
+
+Floats = NDArray[np.float64]
+
+
+class Rollout(NamedTuple):
+    """States after every step: qpos (n, steps, nq), qvel (n, steps, nv), act (n, steps, na)."""
+
+    qpos: Floats
+    qvel: Floats
+    act: Floats
+
+
+class Batch:
+    """`n` worlds of a model; the arrays of a `Sim` with a leading world axis.
+
+    model: a `Model`, or a `Scene` to compile. n: how many worlds. threads: how many step at once.
+    lanes: eight worlds share a processor's vector registers; False: one by one; the results are
+    the same bits, as they are at any number of threads. (Single precision runs one by one.)
+    settings, overrides: as for a `Sim`.
+
+    All worlds have the same time. If one of them leaves the finite numbers, SimulationError names
+    it, and all stand before the first step in which one did.
+
+    >>> from stepcore import Batch, Scene
+    >>> scene = Scene()
+    >>> ball = scene.add_body("ball")
+    >>> _ = scene.add_joint(ball, "slide")
+    >>> _ = scene.add_geom(ball, "sphere", 0.1, mass=1.0)
+    >>> batch = Batch(scene, 3, dt=0.01)
+    >>> batch.qvel[:, 0] = [0.0, 1.0, 2.0]
+    >>> batch.step(10)
+    >>> batch.qvel[:, 0].round(3).tolist()
+    [-0.981, 0.019, 1.019]
+    """
+
+    qpos = StateArray("Positions, shape (n, nq); quaternions w x y z.")
+    qvel = StateArray("Velocities, shape (n, nv).")
+    act = StateArray("States of actuators, shape (n, na): none has one yet.")
+    ctrl = StateArray("Controls, shape (n, nu); held during a step.")
+    qfrc_applied = StateArray("Forces on the dofs [N or N·m], shape (n, nv); held during a step.")
+    xfrc_applied = StateArray(
+        "Force [N] on each body's centre of mass and moment [N·m], in world axes, "
+        "shape (n, nbody, 6)."
+    )
+
+    def __init__(
+        self,
+        model: Model | Scene,
+        n: int,
+        threads: int = 1,
+        precision: str | None = None,
+        *,
+        lanes: bool = True,
+        settings: Settings | None = None,
+        **overrides: Any,
+    ) -> None:
+        if not isinstance(model, Model):
+            model = Model(model)
+        if precision is not None:
+            overrides["precision"] = precision
+        self._model = model.with_settings(settings, **overrides)
+        self._lanes = checks.flag("Batch", "lanes", lanes)
+        self._threads = threads
+        self._core = _core.Batch(model.core, self._model.settings, n, threads, self._lanes)
+        self._arrays = {
+            "qpos": self._core.qpos,
+            "qvel": self._core.qvel,
+            "act": np.zeros((n, 0)),
+            "ctrl": self._core.ctrl,
+            "qfrc_applied": self._core.qfrc_applied,
+            "xfrc_applied": self._core.xfrc_applied,
+        }
+
+    def __len__(self) -> int:
+        """The number of worlds."""
+        return len(self.qpos)
+
+    @property
+    def model(self) -> Model:
+        """The model, with the settings of this batch."""
+        return self._model
+
+    @property
+    def settings(self) -> Settings:
+        """How this batch computes."""
+        return self._model.settings
+
+    @property
+    def time(self) -> float:
+        """Time of all worlds [s]."""
+        return self._core.time
+
+    def step(self, n: int = 1) -> None:
+        """Advances every world by n steps, without the GIL; raises what `Sim.step` raises."""
+        self._core.step(n)
+
+    def forward(self) -> None:
+        """Place, detect and solve at the present states; nothing moves."""
+        self._core.forward()
+
+    def rollout(self, ctrl: ArrayLike) -> Rollout:
+        """Steps with given controls and keeps every state.
+
+        ctrl: shape (n, steps, nu), a row for every step. The last one stays in `ctrl`.
+        """
+        table = numbers("ctrl", ctrl)
+        if table.ndim != 3:
+            limit = f"({len(self)}, steps, {self._model.nu})"
+            raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
+        qpos, qvel = self._core.rollout(table)
+        return Rollout(qpos, qvel, np.zeros((*qpos.shape[:2], 0)))
+
+    def reset(self, key: str | int | None = None) -> None:
+        """Puts every world where `Sim.reset` puts one."""
+        state = None if key is None else self._model.keys[self._model.index("key", key)]
+        for array in self._arrays.values():
+            array[...] = 0.0
+        self.qpos[:] = self._model.qpos0 if state is None else state.qpos
+        if state is not None:
+            self.qvel[:] = state.qvel
+            self.ctrl[:] = state.ctrl
+        self._core.restart(0.0 if state is None else state.time)
+
+    def state(self) -> tuple[bytes, ...]:
+        """A complete snapshot of every world; each is also one of a `Sim`."""
+        return tuple(self._core.state())
+
+    def restore(self, state: tuple[bytes, ...]) -> None:
+        """Goes back to a `state`; continuing is bit-identical.
+
+        Raises ValueError for anything else, and leaves everything as it was.
+        """
+        try:
+            states = [bytes(memoryview(world)) for world in state]
+        except TypeError:
+            text = "must be what state() returned"
+            raise ValueError(f"state = {checks.shown(state)}: {text}") from None
+        self._core.restore(states)
+
+    @property
+    def qacc(self) -> Floats:
+        """Accelerations of the last solve, shape (n, nv)."""
+        return self._core.qacc
+
+    @property
+    def xpos(self) -> Floats:
+        """Position of each body's frame at the present state [m], shape (n, nbody, 3)."""
+        return self._core.xpos
+
+    @property
+    def xquat(self) -> Floats:
+        """Orientation of each body's frame at the present state, shape (n, nbody, 4)."""
+        return self._core.xquat
+
+    @property
+    def geom_xpos(self) -> Floats:
+        """Position of each geom at the present state [m], shape (n, ngeom, 3)."""
+        return self._core.geom_xpos
+
+    @property
+    def site_xpos(self) -> Floats:
+        """Position of each site at the present state [m], shape (n, nsite, 3)."""
+        return self._core.site_xpos
+
+    @property
+    def energy(self) -> Floats:
+        """Kinetic and potential energy at the present state [J], shape (n, 2)."""
+        return self._core.energy
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (self._model, len(self), self._threads, self._lanes, self.state())
+
+    def __repr__(self) -> str:
+        scene = self._model.scene.name
+        name = f' of "{scene}"' if scene else ""
+        return f"<Batch{name}: {len(self)} worlds, time {self.time:g} s; {self.settings!r}>"
+
+
+def _restored(model: Model, n: int, threads: int, lanes: bool, state: tuple[bytes, ...]) -> Batch:
+    batch = Batch(model, n, threads, lanes=lanes)
+    batch.restore(state)
+    return batch

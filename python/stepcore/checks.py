@@ -1,0 +1,258 @@
+"""Checks that turn what a user assigns into a field's own type, or say what is wrong with it.
+
+Each function here makes a *check*: it takes ``(owner, field, value)``, returns the value to
+store, and raises `ValueError` naming the element, the field, the value and the limit.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+Check = Callable[[Any, str, Any], Any]
+
+# Below this length a direction or a quaternion has no meaning (MuJoCo's own threshold).
+TINY = 1e-14
+
+
+def shown(value: object, width: int = 80) -> str:
+    """``repr`` on one line, cut to `width` characters."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= width else text[: width - 1] + "…"
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """'; nearest: "damping"', or the known names when none is near, or nothing."""
+    names = [k for k in known if k]
+    close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    if close:
+        return "; nearest: " + ", ".join(f'"{c}"' for c in close)
+    if 0 < len(names) <= 8:
+        return "; known: " + ", ".join(f'"{n}"' for n in names)
+    return ""
+
+
+class ElementError(ValueError):
+    """What is wrong with one scene element; `owner` is that element."""
+
+    def __init__(self, owner: object, text: str) -> None:
+        super().__init__(f"{owner}: {text}")
+        self.owner = owner
+        self.text = text
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self.owner), self.text)
+
+
+def refuse(owner: Any, field: str, value: object, limit: str) -> ElementError:
+    """The one form of every error text about a field."""
+    return ElementError(owner, f"{field} = {shown(value)}: must be {limit}")
+
+
+def number(value: object) -> float | None:
+    """`value` as a finite float, or None."""
+    if isinstance(value, (str, bytes, bool)) or value is None or getattr(value, "ndim", False):
+        return None
+    try:
+        result = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return result if math.isfinite(result) else None
+
+
+def real(low: float = -math.inf, above: float = -math.inf, high: float = math.inf) -> Check:
+    """A finite number in [low, high] and greater than `above`."""
+    limit = "a finite number"
+    if low > -math.inf:
+        limit += f" >= {low:g}"
+    if above > -math.inf:
+        limit += f" > {above:g}"
+    if high < math.inf:
+        limit += f" <= {high:g}"
+
+    def check(owner: Any, field: str, value: object) -> float:
+        result = number(value)
+        if result is None or not low <= result <= high or not result > above:
+            raise refuse(owner, field, value, limit)
+        return result
+
+    return check
+
+
+def whole(low: int, high: int) -> Check:
+    """A whole number in [low, high]."""
+
+    def check(owner: Any, field: str, value: object) -> int:
+        result = number(value)
+        if result is None or result != int(result) or not low <= result <= high:
+            raise refuse(owner, field, value, f"a whole number from {low} to {high}")
+        return int(result)
+
+    return check
+
+
+def one_of(*allowed: object) -> Check:
+    """One of a few values."""
+    text = ", ".join(shown(a) for a in allowed)
+
+    def check(owner: Any, field: str, value: object) -> object:
+        for candidate in allowed:
+            if type(value) is type(candidate) and value == candidate:
+                return candidate
+            if type(candidate) is int and number(value) == candidate:
+                return candidate
+        near = ""
+        if isinstance(value, str):
+            near = nearest(value, [a for a in allowed if isinstance(a, str)])
+        raise refuse(owner, field, value, f"one of {text}{near}")
+
+    return check
+
+
+def flag(owner: Any, field: str, value: object) -> bool:
+    """True or False (0 and 1 are not taken for them)."""
+    # numpy's bool is not a Python bool, but it says so by its type's name.
+    if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
+        return bool(value)
+    raise refuse(owner, field, value, "True or False")
+
+
+def text(owner: Any, field: str, value: object) -> str:
+    """A string."""
+    if not isinstance(value, str):
+        raise refuse(owner, field, value, "a string")
+    return value
+
+
+def listed(value: object) -> list[Any] | None:
+    """The entries of a sequence or a 1-d array, or None."""
+    if isinstance(value, (str, bytes, dict, set)) or value is None:
+        return None
+    try:
+        return [*value]  # type: ignore[misc]
+    except TypeError:
+        return None
+
+
+def all_numbers(entries: Iterable[object]) -> tuple[float, ...] | None:
+    """The entries as finite floats, or None if one is not."""
+    result: list[float] = []
+    for entry in entries:
+        value = number(entry)
+        if value is None:
+            return None
+        result.append(value)
+    return tuple(result)
+
+
+def vector(count: int, *, low: float = -math.inf, fill: tuple[float, ...] = ()) -> Check:
+    """`count` finite numbers >= `low`.
+
+    With `fill`, a single number or a shorter sequence is allowed; the rest comes from `fill`.
+    """
+    limit = f"{count} finite numbers" if not fill else f"1 to {count} finite numbers"
+    if low > -math.inf:
+        limit += f" >= {low:g}"
+
+    def check(owner: Any, field: str, value: object) -> tuple[float, ...]:
+        entries = listed(value)
+        if entries is None and fill:
+            entries = [value]
+        if entries is None or not (1 if fill else count) <= len(entries) <= count:
+            raise refuse(owner, field, value, limit)
+        result = all_numbers(entries)
+        if result is None or any(entry < low for entry in result):
+            raise refuse(owner, field, value, limit)
+        return result + fill[len(result) :]
+
+    return check
+
+
+def numbers(owner: Any, field: str, value: object) -> tuple[float, ...]:
+    """Finite numbers, however many."""
+    entries = listed(value)
+    result = None if entries is None else all_numbers(entries)
+    if result is None:
+        raise refuse(owner, field, value, "finite numbers")
+    return result
+
+
+def unit(count: int) -> Check:
+    """`count` finite numbers, not all zero, scaled to length 1."""
+    check_numbers = vector(count)
+
+    def check(owner: Any, field: str, value: object) -> tuple[float, ...]:
+        entries: tuple[float, ...] = check_numbers(owner, field, value)
+        norm = math.hypot(*entries)
+        if not TINY < norm < math.inf:
+            raise refuse(owner, field, value, f"{count} finite numbers, not all zero")
+        # Leave a unit vector's bits alone, so that reading back what was written is exact.
+        if abs(norm - 1.0) <= 1e-15:
+            return entries
+        return tuple(entry / norm for entry in entries)
+
+    return check
+
+
+def interval(owner: Any, field: str, value: object) -> tuple[float, float]:
+    """Two finite numbers, the first smaller."""
+    entries = listed(value)
+    if entries is not None and len(entries) == 2:
+        low, high = number(entries[0]), number(entries[1])
+        if low is not None and high is not None and low < high:
+            return low, high
+    raise refuse(owner, field, value, "two finite numbers, the first smaller")
+
+
+def solref(owner: Any, field: str, value: object) -> tuple[float, ...]:
+    """Time constant [s] and damping ratio, both > 0; or -stiffness and -damping, both <= 0."""
+    result: tuple[float, ...] = vector(2)(owner, field, value)
+    if (result[0] > 0) != (result[1] > 0):
+        raise refuse(
+            owner,
+            field,
+            value,
+            "(time constant, damping ratio) both > 0, or (-stiffness, -damping) both <= 0",
+        )
+    return result
+
+
+def optional(check: Check) -> Check:
+    """None, or what `check` takes."""
+
+    def check_optional(owner: Any, field: str, value: object) -> Any:
+        return None if value is None else check(owner, field, value)
+
+    return check_optional
+
+
+def element(*kinds: str) -> Check:
+    """A scene element of one of these classes."""
+
+    def check(owner: Any, field: str, value: object) -> object:
+        if type(value).__name__ not in kinds:
+            raise refuse(owner, field, value, "a " + " or ".join(kinds))
+        return value
+
+    return check
+
+
+def whole_pair(owner: Any, field: str, value: object) -> tuple[int, ...]:
+    """Two whole numbers."""
+    entries = listed(value)
+    if entries is None or len(entries) != 2:
+        raise refuse(owner, field, value, "2 whole numbers")
+    check = whole(-(2**31), 2**31 - 1)
+    return tuple(check(owner, field, entry) for entry in entries)
+
+
+def inertia(owner: Any, field: str, value: object) -> tuple[float, ...]:
+    """xx yy zz xy xz yz, or the first three alone; those not negative."""
+    entries = listed(value)
+    result = None if entries is None or len(entries) not in (3, 6) else all_numbers(entries)
+    if result is None or min(result[:3]) < 0:
+        limit = "3 or 6 finite numbers (xx yy zz xy xz yz), the first three >= 0"
+        raise refuse(owner, field, value, limit)
+    return result + (0.0,) * (6 - len(result))

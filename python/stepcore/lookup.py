@@ -1,0 +1,70 @@
+"""Finding a scene by what a user writes: a path, a package's asset, or a scene of the lesson."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stepcore.checks import nearest
+
+if TYPE_CHECKING:
+    from stepcore.scene import Scene
+
+LESSON = ("spring", "drop", "stack", "grasp")
+
+
+def find_scene(source: str | os.PathLike[str]) -> Scene:
+    """The scene that `source` names.
+
+    "lesson:stack": one of the lesson's scenes. "package:name": an MJCF file called name.xml
+    among the files of an installed package, as "gymnasium:half_cheetah"; the package is found,
+    not imported. Where several files have the name, give more of the path: "package:folder/name".
+    Anything else is the path of an MJCF file.
+
+    Raises ValueError if there is no such scene, and what `stepcore.load` raises.
+    """
+    from stepcore.mjcf import load
+
+    text = os.fsdecode(source)
+    package, colon, name = text.partition(":")
+    if not colon or len(package) == 1 or os.path.exists(text):  # one letter: a Windows drive
+        if not os.path.isfile(text):
+            raise ValueError(f"{text}: no such file")
+        return load(text)
+    if package == "lesson":
+        return _lesson(name)
+    scene = load(find_asset(package, name))
+    scene.name = scene.name or name
+    return scene
+
+
+def _lesson(name: str) -> Scene:
+    from stepcore import lesson
+
+    if name not in LESSON:
+        raise ValueError(f"lesson:{name}: the lesson's scenes are {', '.join(LESSON)}")
+    scene: Scene = getattr(lesson, name)()
+    scene.name = name
+    return scene
+
+
+def find_asset(package: str, name: str) -> Path:
+    """The MJCF file called `name` among a package's files; the package is not imported."""
+    if not package.isidentifier():
+        raise ValueError(f"{package}:{name}: '{package}' is not the name of a package")
+    spec = importlib.util.find_spec(package)
+    roots = list(spec.submodule_search_locations or ()) if spec else []
+    if not roots:
+        raise ValueError(f"{package}:{name}: no package '{package}' is installed")
+    wanted = Path(name if name.endswith(".xml") else name + ".xml")
+    files = sorted(file for root in roots for file in Path(root).rglob("*.xml"))
+    found = [file for file in files if file.parts[-len(wanted.parts) :] == wanted.parts]
+    if not found:
+        near = nearest(wanted.stem, [file.stem for file in files])
+        raise ValueError(f"{package}:{name}: the package has no {wanted}{near}")
+    if len(found) > 1:
+        several = ", ".join(str(file.relative_to(roots[0]).with_suffix("")) for file in found[:6])
+        raise ValueError(f"{package}:{name}: which one? {several}")
+    return found[0]

@@ -1,0 +1,110 @@
+"""MJCF, MuJoCo's model format, read into a `Scene`.
+
+The reader is strict: an element, attribute, keyword or reference that MJCF does not have is an
+error with file, line and the nearest name. What would change the motion and is not built yet is
+refused by name. What only draws or senses is listed in `Scene.ignored`, and what is translated in
+`Scene.notes`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from stepcore.checks import ElementError
+from stepcore.layout import Layout, check
+from stepcore.mjcf import drawn, option, sections, values
+from stepcore.mjcf.compiler import Compiler
+from stepcore.mjcf.defaults import Defaults
+from stepcore.mjcf.include import expand, read_file
+from stepcore.mjcf.source import MJCFError, Node, parse
+from stepcore.mjcf.tree import Tree
+from stepcore.scene import Scene
+
+__all__ = ["MJCFError", "load", "loads"]
+
+
+def load(path: str | os.PathLike[str]) -> Scene:
+    """The scene in an MJCF file; its ``<option>`` becomes ``scene.settings``.
+
+    Angles become radians, orientations unit quaternions; classes, includes and frames are
+    resolved. Raises MJCFError (a ValueError whose text is ``file:line: …``) for what cannot be
+    read, and FileNotFoundError for a file that is not there.
+    """
+    shown = os.fsdecode(path)
+    main = Path(shown)
+    root = read_file(main, shown)
+    expand(root, main.parent, main)
+    return _scene(root)
+
+
+def loads(
+    text: str | bytes, *, base: str | os.PathLike[str] | None = None, name: str = "<string>"
+) -> Scene:
+    """The scene in an MJCF text.
+
+    base: the directory in which its includes lie. name: what error messages call the text.
+    """
+    if not isinstance(text, (str, bytes)):
+        raise MJCFError(name, 1, "an MJCF text must be a str or bytes")
+    root = parse(text, name)
+    expand(root, None if base is None else Path(base), None)
+    return _scene(root)
+
+
+def _scene(root: Node) -> Scene:
+    """Builds the scene of a whole model, its includes already in place."""
+    scene = Scene(name=root.attrs.get("model", ""))
+    scene.ignored += values.check(root)
+    compiler = Compiler(_sections(root, "compiler"))
+    defaults = Defaults(_sections(root, "default"))
+    tree = Tree(scene, compiler, defaults)
+    try:
+        scene.mass_rules = compiler.mass_rules()
+        for node in _sections(root, "option"):
+            _at(node, lambda node: option.read(scene, node))
+        for node in _sections(root, "worldbody"):
+            tree.read(node)
+        for node in _inside(root, "contact"):
+            _at(node, lambda node: sections.exclude(tree, node))
+        for node in _inside(root, "equality"):
+            _at(node, lambda node: sections.connect(tree, defaults, node))
+        for node in _inside(root, "actuator"):
+            _at(node, lambda node: sections.motor(tree, defaults, node))
+        layout = Layout(scene)
+        for node in _inside(root, "keyframe"):
+            _at(node, lambda node: sections.key(tree, layout, node))
+        sections.add_empty_keys(scene, _sections(root, "size"))
+        sections.check_references(tree, root)
+        drawn.list_drawn(tree, layout)
+        check(layout)
+    except ElementError as error:
+        # Found in the whole scene: the line is that of the element it is about.
+        node = tree.nodes.get(id(error.owner), root)
+        raise node.error(str(error)) from None
+    scene.ignored.sort(key=_place)
+    return scene
+
+
+def _place(line: str) -> tuple[str, int]:
+    file, number, _ = line.rsplit(" <", 1)[0].rsplit(":", 2)
+    return file, int(number)
+
+
+def _sections(root: Node, tag: str) -> list[Node]:
+    return [node for node in root.children if node.tag == tag]
+
+
+def _inside(root: Node, tag: str) -> list[Node]:
+    return [node for section in _sections(root, tag) for node in section.children]
+
+
+def _at(node: Node, read: Callable[[Node], None]) -> None:
+    """Runs `read` on a node; whatever it finds wrong gets the node's file and line."""
+    try:
+        read(node)
+    except MJCFError:
+        raise
+    except ValueError as error:
+        raise node.error(str(error)) from None

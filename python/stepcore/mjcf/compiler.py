@@ -1,0 +1,75 @@
+"""`<compiler>`: units of angles, orientations, limits, and the rules for masses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from stepcore import frames
+from stepcore.elements import MassRules, Vec, fields_of
+from stepcore.mjcf.schema import ORIENTATION
+from stepcore.mjcf.source import Node
+from stepcore.mjcf.values import bad
+
+# Accepted without effect: where files lie, how a model is saved, how fast it compiles.
+_UNBUILT = {
+    "fusestatic": "fusing static bodies with their parents (fusestatic)",
+    "alignfree": "aligning free bodies with their inertia (alignfree)",
+}
+
+
+class Compiler:
+    """What the compiler sections of a file say together; the last word counts."""
+
+    def __init__(self, sections: Iterable[Node]) -> None:
+        self.values: dict[str, Any] = {}
+        for node in sections:
+            self.values |= node.values
+            self._check(node)
+        self.degrees = self.values.get("angle", "degree") == "degree"
+        self.autolimits: bool = self.values.get("autolimits", True)
+        self.eulerseq: str = self.values.get("eulerseq", "xyz")
+
+    def _check(self, node: Node) -> None:
+        for name, what in _UNBUILT.items():
+            if node.values.get(name):
+                raise node.unbuilt(what)
+        if node.values.get("coordinate") == "global":
+            raise bad(node, "coordinate", "global", "local: MuJoCo dropped global coordinates")
+        sequence = node.values.get("eulerseq", "xyz")
+        if len(sequence) != 3 or sequence.lower().strip("xyz"):
+            raise bad(node, "eulerseq", sequence, "three letters of x, y, z, X, Y, Z")
+
+    def mass_rules(self) -> MassRules:
+        """The rules for masses, with MJCF's words."""
+        names = set(fields_of(MassRules))
+        fields = {name: value for name, value in self.values.items() if name in names}
+        if fields.get("inertiafromgeom") == "auto":
+            fields["inertiafromgeom"] = None
+        return MassRules(**fields)
+
+    def radians(self, angle: float) -> float:
+        """An angle of the file in radians."""
+        return angle * (math.pi / 180) if self.degrees else angle
+
+    def orientation(self, node: Node, values: dict[str, Any]) -> Vec:
+        """The unit quaternion that an element's orientation attribute means; none: no turn."""
+        given = [name for name in ORIENTATION if name in values]
+        if len(given) > 1:
+            raise node.error(f"<{node.tag}> has two orientations: {given[0]} and {given[1]}")
+        if not given:
+            return frames.IDENTITY
+        numbers = values[given[0]]
+        try:
+            if given[0] == "axisangle":
+                return frames.from_axis_angle(numbers[:3], self.radians(numbers[3]))
+            if given[0] == "xyaxes":
+                return frames.from_xy_axes(numbers[:3], numbers[3:])
+            if given[0] == "zaxis":
+                return frames.from_z_axis(numbers)
+            if given[0] == "euler":
+                return frames.from_euler([self.radians(a) for a in numbers], self.eulerseq)
+            return frames.normalised(numbers, "the quaternion")
+        except ValueError as error:
+            raise bad(node, given[0], numbers, f"a direction: {error}") from None

@@ -1,0 +1,79 @@
+"""`<default>`: classes of attribute values, nested, each a full copy of the one around it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from stepcore.checks import nearest
+from stepcore.mjcf.schema import ORIENTATION
+from stepcore.mjcf.schema_rest import ACTUATORS
+from stepcore.mjcf.source import Node
+
+Values = dict[str, Any]
+MAIN = "main"
+
+# All actuators share one set of defaults, whatever shortcut wrote it.
+_SHARED = dict.fromkeys((*ACTUATORS, "motor", "orientation"), "actuator")
+
+
+def overlay(under: Values, over: Values) -> Values:
+    """`under` with the values of `over` on top.
+
+    A shorter list replaces only the entries it has; one orientation replaces another.
+    """
+    result = dict(under)
+    if any(name in over for name in ORIENTATION):
+        for name in ORIENTATION:
+            result.pop(name, None)
+    for name, value in over.items():
+        old = result.get(name)
+        if isinstance(value, tuple) and isinstance(old, tuple) and len(old) > len(value):
+            value = value + old[len(value) :]
+        result[name] = value
+    return result
+
+
+class Defaults:
+    """The classes of a model; `of` gives an element's attributes with its defaults."""
+
+    def __init__(self, sections: Iterable[Node]) -> None:
+        self.classes: dict[str, dict[str, Values]] = {MAIN: {}}
+        for section in sections:
+            if section.attrs.get("class", MAIN) != MAIN:
+                raise section.error('the outermost <default> has the class "main" and no other')
+            self._read(section)
+
+    def _read(self, section: Node) -> None:
+        # What a class holds itself comes before the classes inside it, wherever it stands.
+        pending = [(section, MAIN)]
+        while pending:
+            node, name = pending.pop()
+            own = self.classes[name]
+            for child in node.children:
+                if child.tag != "default":
+                    tag = _SHARED.get(child.tag, child.tag)
+                    own[tag] = overlay(own.get(tag, {}), child.values)
+            inner = [child for child in node.children if child.tag == "default"]
+            for child in inner:
+                inner_name = child.attrs.get("class", "")
+                if not inner_name:
+                    raise child.error('a <default> inside another needs class="…"')
+                if inner_name in self.classes:
+                    raise child.error(f'the default class "{inner_name}" is defined twice')
+                self.classes[inner_name] = dict(own)
+            pending += [(child, child.attrs["class"]) for child in reversed(inner)]
+
+    def known(self, node: Node, attribute: str) -> str | None:
+        """The class that `attribute` of a node names, checked; None if it names none."""
+        name = node.attrs.get(attribute)
+        if name is not None and name not in self.classes:
+            raise node.error(f'unknown default class "{name}"{nearest(name, self.classes)}')
+        return name
+
+    def of(self, node: Node, childclass: str | None = None) -> Values:
+        """A node's values over those of its class, else of `childclass`, else of main."""
+        name = self.known(node, "class") or childclass or MAIN
+        tag = _SHARED.get(node.tag, node.tag)
+        given = {key: value for key, value in node.values.items() if key != "class"}
+        return overlay(self.classes[name].get(tag, {}), given)

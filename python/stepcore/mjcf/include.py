@@ -1,0 +1,74 @@
+"""`<include>`: the elements of another file, put where the include stands."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from stepcore.mjcf.source import MJCFError, Node, parse
+
+
+def read_file(path: Path, shown: str) -> Node:
+    """The root of the XML file at `path`, which messages call `shown`."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise FileNotFoundError(f"there is no file {shown}") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise MJCFError(shown, 1, f"cannot be read: {reason}") from None
+    return parse(data, shown)
+
+
+def expand(root: Node, base: Path | None, main: Path | None) -> None:
+    """Replaces every include below `root`, in place.
+
+    A file is looked for beside the main file (in `base`), then beside the file that includes
+    it, as MuJoCo does; each may be included once.
+    """
+    seen = {_identity(main)} if main is not None else set()
+    included_by: dict[str, str] = {}
+    pending = [root]
+    while pending:
+        node = pending.pop()
+        waiting = node.children[::-1]
+        node.children = []
+        while waiting:
+            child = waiting.pop()
+            if child.tag == "include":
+                waiting.extend(reversed(_included(child, base, seen, included_by)))
+            else:
+                node.children.append(child)
+                pending.append(child)
+
+
+def _identity(path: Path) -> str:
+    return os.path.realpath(path)
+
+
+def _included(
+    node: Node, base: Path | None, seen: set[str], included_by: dict[str, str]
+) -> list[Node]:
+    name = node.attrs.get("file", "")
+    if set(node.attrs) != {"file"} or not name or node.children or "\0" in name:
+        raise node.error('<include> needs exactly one attribute, file="…", and no content')
+    if base is None:
+        raise node.error(f'<include file="{name}"> in a text needs loads(text, base=directory)')
+    places = [base / name, Path(node.file).parent / name]
+    path = next((place for place in places if place.is_file()), places[0])
+    if _identity(path) in seen:
+        above: str | None = node.file
+        while above is not None and _identity(Path(above)) != _identity(path):
+            above = included_by.get(above)
+        why = "was already included" if above is None else "includes itself"
+        raise node.error(f'<include file="{name}">: the file {why}')
+    seen.add(_identity(path))
+    shown = str(path)
+    included_by[shown] = node.file
+    try:
+        root = read_file(path, shown)
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"{node.file}:{node.line}: {error}") from None
+    if not root.children:
+        raise node.error(f'<include file="{name}">: the file holds no elements')
+    return root.children

@@ -1,0 +1,103 @@
+"""`<option>` and its flags: what becomes a setting, a feature of the scene, or is refused."""
+
+from __future__ import annotations
+
+from stepcore.mjcf.source import Node
+from stepcore.mjcf.values import bad
+from stepcore.scene import Scene
+
+INTEGRATORS = {"Euler": "euler", "RK4": "rk4", "implicitfast": "implicitfast"}
+SOLVERS = {"PGS": "pgs", "Newton": "newton", "CG": "newton"}
+
+# Nothing of these can change where a model converges; each has its reason.
+NOT_CARRIED = {
+    "tolerance": "MJCF's tolerance is another quantity than a residual in m/s",
+    "ls_tolerance": "the line search is exact",
+    "ls_iterations": "the line search is exact",
+}
+# Flags that neither change the motion of what is built nor are settings here.
+FLAG_NOTES = {
+    "sensor": "nothing senses",
+    "midphase": "how pairs are found, not which",
+    "autoreset": "a diverged step is always an error",
+    "nativeccd": "no general convex collider is used",
+    "multiccd": "no general convex collider is used",
+    "island": "how rows are grouped, not solved",
+    "energy": "energy can always be read",
+    "fwdinv": "a check of MuJoCo's own",
+    "invdiscrete": "about inverse dynamics",
+}
+FLAG_DEFAULT_OFF = frozenset(
+    ("override", "energy", "fwdinv", "invdiscrete", "sleep", "diagexact", "ipc", "speculative")
+)
+FLAGS_UNBUILT = ("override", "sleep", "diagexact", "ipc", "speculative")
+
+
+def read(scene: Scene, node: Node) -> None:
+    """Reads one option section into `scene`; later sections overrule earlier ones."""
+    values, options = node.values, scene.options
+    if "timestep" in values:
+        if values["timestep"] <= 0:
+            raise bad(node, "timestep", values["timestep"], "> 0 s")
+        options["dt"] = values["timestep"]
+    if "gravity" in values:
+        scene.gravity = values["gravity"]
+    if "integrator" in values:
+        name = values["integrator"]
+        if name not in INTEGRATORS:
+            raise node.unbuilt(f'the integrator "{name}"')
+        options["integrator"] = INTEGRATORS[name]
+    if "solver" in values:
+        options["solver"] = SOLVERS[values["solver"]]
+        if values["solver"] == "CG":
+            _note(scene, node, "solver CG -> newton (the same minimum)")
+    if "iterations" in values:
+        if values["iterations"] < 0:
+            raise bad(node, "iterations", values["iterations"], ">= 0")
+        options["sweeps"] = values["iterations"]
+    if "cone" in values:
+        options["cone"] = values["cone"]
+    if "impratio" in values:
+        if values["impratio"] <= 0:
+            raise bad(node, "impratio", values["impratio"], "> 0")
+        options["impratio"] = values["impratio"]
+    for name, why in NOT_CARRIED.items():
+        if name in values:
+            _note(scene, node, f"{name} is not carried over: {why}")
+    _refuse(node)
+    for child in node.children:
+        _flags(scene, child)
+
+
+def _refuse(node: Node) -> None:
+    values = node.values
+    for name in ("density", "viscosity"):
+        if values.get(name, 0) < 0:
+            raise bad(node, name, values[name], ">= 0")
+        if values.get(name, 0) > 0:
+            raise node.unbuilt(f"a fluid around the bodies ({name})")
+    if values.get("noslip_iterations", 0) > 0:
+        raise node.unbuilt("the noslip solver (noslip_iterations)")
+    if values.get("actuatorgroupdisable"):
+        raise node.unbuilt("disabling groups of actuators (actuatorgroupdisable)")
+
+
+def _flags(scene: Scene, node: Node) -> None:
+    for name, word in node.values.items():
+        on = word == "enable"
+        if name == "warmstart":
+            scene.options["warm_start"] = on
+        elif name == "refsafe":
+            scene.options["refsafe"] = on
+        elif name in FLAGS_UNBUILT:
+            if on:
+                raise node.unbuilt(f'the flag "{name}"')
+        elif name in FLAG_NOTES:
+            if on == (name in FLAG_DEFAULT_OFF):
+                _note(scene, node, f'flag {name}="{word}" has no effect: {FLAG_NOTES[name]}')
+        else:
+            setattr(scene.features, name, on)
+
+
+def _note(scene: Scene, node: Node, text: str) -> None:
+    scene.notes.append(f"{node.file}:{node.line}: {text}")

@@ -1,0 +1,97 @@
+"""MJCF text to a tree of `Node`: well-formed XML, without entities, each node with its line."""
+
+from __future__ import annotations
+
+from typing import Any
+from xml.parsers import expat
+
+# MuJoCo's own parser stops at this depth too.
+DEPTH = 500
+
+
+class MJCFError(ValueError):
+    """A file that cannot be read: the text starts with ``file:line:`` and is one line.
+
+    file: the file's name as it was given; line: counted from 1.
+    """
+
+    def __init__(self, file: str, line: int, text: str) -> None:
+        super().__init__(f"{file}:{line}: {' '.join(text.split())}")
+        self.file = file
+        self.line = line
+        self.text = text
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.file, self.line, self.text)
+
+
+class Node:
+    """One XML element. `values`: its attributes as numbers and words, set by `values.check`."""
+
+    __slots__ = ("attrs", "children", "file", "line", "tag", "values")
+
+    def __init__(self, tag: str, attrs: dict[str, str], file: str, line: int) -> None:
+        self.tag = tag
+        self.attrs = attrs
+        self.file = file
+        self.line = line
+        self.children: list[Node] = []
+        self.values: dict[str, Any] = {}
+
+    def error(self, text: str) -> MJCFError:
+        """The error to raise about this element."""
+        return MJCFError(self.file, self.line, text)
+
+    def unbuilt(self, what: str) -> MJCFError:
+        """The error for what would change the motion and cannot be computed yet."""
+        return self.error(f"{what} is not built yet")
+
+    def listed(self, why: str) -> str:
+        """The line for `Scene.ignored`."""
+        name = self.attrs.get("name", "")
+        label = f'<{self.tag}> "{name}"' if name else f"<{self.tag}>"
+        return f"{self.file}:{self.line}: {label} ({why})"
+
+
+def parse(data: str | bytes, file: str) -> Node:
+    """The root of the XML document in `data`; MJCFError if it is not well-formed."""
+    parser = expat.ParserCreate()
+    parser.ordered_attributes = False
+    parser.buffer_text = True
+    roots: list[Node] = []
+    path: list[Node] = []
+
+    def fail(text: str) -> MJCFError:
+        return MJCFError(file, parser.CurrentLineNumber, text)
+
+    def start(tag: str, attrs: dict[str, str]) -> None:
+        node = Node(tag, attrs, file, parser.CurrentLineNumber)
+        if len(path) >= DEPTH:
+            raise fail(f"elements are nested deeper than {DEPTH}")
+        (path[-1].children if path else roots).append(node)
+        path.append(node)
+
+    def end(_tag: str) -> None:
+        path.pop()
+
+    def doctype(name: str, system: str | None, public: str | None, internal: int) -> None:
+        if system or public or internal:
+            raise fail("a DOCTYPE with declarations is refused: MJCF needs none")
+
+    def entity(name: str, *_: object) -> None:
+        raise fail(f'the declaration of entity "{name}" is refused: MJCF needs none')
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.StartDoctypeDeclHandler = doctype
+    parser.EntityDeclHandler = entity
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        reason = expat.errors.messages.get(error.code, str(error))
+        raise MJCFError(file, max(error.lineno, 1), f"not well-formed XML: {reason}") from None
+    except MJCFError:
+        raise
+    except (ValueError, LookupError) as error:
+        raise fail(f"unreadable text: {error}") from None
+    return roots[0]

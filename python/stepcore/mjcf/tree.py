@@ -1,0 +1,293 @@
+"""`<worldbody>`: bodies, frames, joints, geoms and sites, with their defaults and poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from stepcore import frames
+from stepcore.elements import SOLIMP, SOLREF, Body, Element, Vec
+from stepcore.mjcf.compiler import Compiler
+from stepcore.mjcf.defaults import Defaults
+from stepcore.mjcf.schema import NOT_IN_WORLD
+from stepcore.mjcf.source import MJCFError, Node
+from stepcore.mjcf.values import bad
+from stepcore.scene import Scene
+
+AT_ORIGIN = (frames.ORIGIN, frames.IDENTITY)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an element stands: its body, the frame around it in that body, its childclass."""
+
+    body: Body
+    pose: tuple[Vec, Vec] = AT_ORIGIN
+    childclass: str | None = None
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What a geom of the file is for. kept: whether it is in the scene (a mesh is not)."""
+
+    node: Node
+    body: Body
+    what: str
+    collides: bool
+    group: int
+    heavy: bool
+    kept: bool
+
+
+class Tree:
+    """Reads the kinematic tree into a scene.
+
+    nodes: element → the node it came from, by ``id``. names: what later sections may refer to.
+    """
+
+    def __init__(self, scene: Scene, compiler: Compiler, defaults: Defaults) -> None:
+        self.scene = scene
+        self.compiler = compiler
+        self.defaults = defaults
+        self.nodes: dict[int, Node] = {}
+        self.names: dict[str, set[str]] = {"body": {"world"}, "geom": set(), "camera": set()}
+        self.references: list[tuple[Node, str, str]] = []
+        self.shapes: list[Shape] = []
+        self.with_inertial: set[int] = set()
+
+    def read(self, world: Node) -> None:
+        """Reads one worldbody section, in document order, without recursion."""
+        pending = [(child, Place(self.scene.world)) for child in reversed(world.children)]
+        while pending:
+            node, place = pending.pop()
+            try:
+                inner = self._element(node, place)
+            except MJCFError:
+                raise
+            except ValueError as error:
+                raise node.error(str(error)) from None
+            if inner is not None:
+                pending += [(child, inner) for child in reversed(node.children)]
+
+    def _element(self, node: Node, place: Place) -> Place | None:
+        """Reads one element; the place of its children, if they are to be read."""
+        name = node.attrs.get("name", "")
+        if place.body is self.scene.world and node.tag in NOT_IN_WORLD:
+            raise node.error(f"<{node.tag}> cannot be in the world")
+        if node.tag in ("body", "frame"):
+            return self._body(node, place) if node.tag == "body" else self._frame(node, place)
+        if node.tag == "inertial":
+            self._inertial(node, place)
+        elif node.tag == "geom":
+            self._geom(node, place)
+        elif node.tag == "site":
+            self._site(node, place)
+        elif node.tag == "camera":
+            self.names["camera"].add(name)
+        elif node.tag == "freejoint":
+            if node.values.get("align") is True:
+                raise node.unbuilt("aligning a free body with its inertia (align)")
+            self.keep(node, self.scene.add_joint(place.body, "free", name=name))
+        elif node.tag == "joint":
+            self._joint(node, place)
+        return None
+
+    def keep(self, node: Node, element: Element) -> None:
+        """Remembers the node of an element, for messages about it."""
+        self.nodes[id(element)] = node
+
+    def _pose(self, node: Node, values: dict[str, Any], place: Place) -> tuple[Vec, Vec]:
+        """An element's pose in its body, through the frames around it."""
+        pos = values.get("pos", frames.ORIGIN)
+        return _within(place.pose, pos, self.compiler.orientation(node, values))
+
+    def _body(self, node: Node, place: Place) -> Place:
+        values = node.values
+        if values.get("mocap"):
+            raise node.unbuilt("a mocap body")
+        if values.get("gravcomp", 0) != 0:
+            raise node.unbuilt("gravity compensation (gravcomp)")
+        pos, quat = self._pose(node, values, place)
+        body = self.scene.add_body(values.get("name", ""), place.body, pos, quat)
+        self.keep(node, body)
+        self.names["body"].add(body.name)
+        childclass = self.defaults.known(node, "childclass") or place.childclass
+        return Place(body, childclass=childclass)
+
+    def _frame(self, node: Node, place: Place) -> Place:
+        values = node.values
+        scales = {*values.get("scale", ()), values.get("massscale") or 1.0}
+        if scales != {1.0}:
+            raise node.unbuilt("scaling the contents of a frame (scale, massscale)")
+        childclass = self.defaults.known(node, "childclass") or place.childclass
+        return replace(place, pose=self._pose(node, values, place), childclass=childclass)
+
+    def _inertial(self, node: Node, place: Place) -> None:
+        values = node.values
+        orientations = [name for name in values if name not in ("pos", "mass", "fullinertia")]
+        if "fullinertia" in values and orientations:
+            raise node.error(f"<inertial> has both fullinertia and {orientations[0]}")
+        if "fullinertia" not in values and "diaginertia" not in values and values["mass"] > 0:
+            raise node.error("<inertial> needs diaginertia or fullinertia")
+        if id(place.body) in self.with_inertial:
+            raise node.error("a second <inertial> in the same <body>")
+        self.with_inertial.add(id(place.body))
+        inertia = values.get("fullinertia")
+        if inertia is None:
+            inertia = (*values.get("diaginertia", frames.ORIGIN), 0.0, 0.0, 0.0)
+        place.body.ipos, turn = self._pose(node, values, place)
+        place.body.inertia = frames.turned_inertia(turn, inertia)
+        place.body.mass = values["mass"]
+
+    def _joint(self, node: Node, place: Place) -> None:
+        values = self.defaults.of(node, place.childclass)
+        kind = values.get("type", "hinge")
+        self._refuse_joint(node, kind, values)
+        turns = kind in ("hinge", "ball")
+        convert = self.compiler.radians if turns else float
+        limits = None
+        if kind != "free":
+            limits = self.limits(node, values, "limited", "range", lo_free=kind != "ball")
+        scalar = kind in ("hinge", "slide")
+        turn = place.pose[1]
+        pos = frames.composed(place.pose, values.get("pos", frames.ORIGIN), frames.IDENTITY)[0]
+        axis = values.get("axis", (0.0, 0.0, 1.0)) if scalar else (0.0, 0.0, 1.0)
+        joint = self.scene.add_joint(
+            place.body,
+            kind,
+            name=values.get("name", ""),
+            pos=pos if kind != "free" else frames.ORIGIN,
+            axis=frames.rotated(turn, axis),
+            range=limits and tuple(convert(bound) for bound in limits),
+            ref=convert(values.get("ref", 0.0)) if scalar else 0.0,
+            springref=convert(values.get("springref", 0.0)) if scalar else 0.0,
+            stiffness=values.get("stiffness", (0.0,))[0],
+            damping=values.get("damping", (0.0,))[0],
+            **{f: values[f] for f in ("margin", "armature", "frictionloss") if f in values},
+            **soft(values, "solreflimit", "solimplimit"),
+            **soft(values, "solreffriction", "solimpfriction"),
+        )
+        self.keep(node, joint)
+
+    def _refuse_joint(self, node: Node, kind: str, values: dict[str, Any]) -> None:
+        for name in ("stiffness", "damping"):
+            if any(values.get(name, ())[1:]):
+                raise node.unbuilt(f"a joint's nonlinear {name}")
+        if min(values.get("springdamper", (0.0,))) > 0:
+            raise node.unbuilt("springdamper")
+        if values.get("springyield", 0) != 0 and kind != "free":
+            raise node.unbuilt("a spring that yields (springyield)")
+        scalar = kind in ("hinge", "slide")
+        if scalar and self.limits(node, values, "actuatorfrclimited", "actuatorfrcrange"):
+            raise node.unbuilt("clamping a joint's actuator force (actuatorfrcrange)")
+
+    def limits(
+        self, node: Node, values: dict[str, Any], switch: str, field: str, lo_free: bool = True
+    ) -> tuple[float, ...] | None:
+        """The range named `field` if `switch` and the compiler's autolimits turn it on."""
+        state = values.get(switch, "auto")
+        bounds: tuple[float, ...] | None = values.get(field)
+        if state is False:
+            return None
+        if state == "auto":
+            if bounds is None:
+                return None
+            if not self.compiler.autolimits:
+                raise node.error(f'{field} without {switch}="true", and autolimits is "false"')
+            if bounds[0] >= bounds[1]:
+                if any(bounds):
+                    where = f"{node.file}:{node.line}"
+                    text = f"{field} = {bounds[0]:g} {bounds[1]:g} is empty: no limit"
+                    self.scene.notes.append(f"{where}: {text}")
+                return None
+        bounds = bounds or (0.0, 0.0)
+        if bounds[0] >= bounds[1]:
+            raise bad(node, field, bounds, f'two numbers, the first smaller, with {switch}="true"')
+        if not lo_free and bounds[0] != 0:
+            raise bad(node, field, bounds, '"0 angle" for a ball joint')
+        return bounds
+
+    def _geom(self, node: Node, place: Place) -> None:
+        values = self.defaults.of(node, place.childclass)
+        kind = values.get("type", "sphere")
+        name = values.get("name", "")
+        self._refer(node, values, "material")
+        self._refer(node, values, "mesh")
+        self._refer(node, values, "hfield")
+        if name in self.names["geom"] and name:
+            raise node.error(f'geom "{name}": the name is used twice')
+        self.names["geom"].add(name)
+        contype, conaffinity = values.get("contype", 1), values.get("conaffinity", 1)
+        collides = contype != 0 or conaffinity != 0
+        if collides and any(values.get("surfacevel", ())):
+            raise node.unbuilt("a moving surface (surfacevel)")
+        if collides and values.get("adhesion", 0) != 0:
+            raise node.unbuilt("adhesion")
+        unread = kind in ("mesh", "hfield", "sdf")
+        if unread and ("hfield" if kind == "hfield" else "mesh") not in values:
+            raise node.error(f'<geom type="{kind}"> names no {kind}')
+        kept = not unread and "mesh" not in values
+        what = kind if kept or unread else f"{kind} fitted to a mesh"
+        if collides and not kept:
+            raise node.unbuilt(f"a geom that collides as a {what}")
+        heavy = values.get("mass", values.get("density", 1000.0)) != 0
+        group = values.get("group", 0)
+        self.shapes.append(Shape(node, place.body, what, collides, group, heavy, kept))
+        if not kept:
+            return
+        size, pose = self._shape(node, values, kind, place)
+        copied = ("condim", "group", "priority", "friction", "mass", "density", "shellinertia")
+        more = {f: values[f] for f in (*copied, "solmix", "margin", "gap") if f in values}
+        geom = self.scene.add_geom(
+            place.body,
+            kind,
+            size,
+            name=name,
+            pos=pose[0],
+            quat=pose[1],
+            contype=contype % 2**32,
+            conaffinity=conaffinity % 2**32,
+            **more,
+            **soft(values, "solref", "solimp"),
+        )
+        self.keep(node, geom)
+
+    def _shape(
+        self, node: Node, values: dict[str, Any], kind: str, place: Place
+    ) -> tuple[Vec, tuple[Vec, Vec]]:
+        """(size, pose) of a primitive geom; unused sizes are 0."""
+        size = values.get("size", (0.0,))
+        if "fromto" in values:
+            if "pos" in values:
+                raise node.error(f"<{node.tag}> has both pos and fromto")
+            ends = values["fromto"]
+            size, pos, quat = frames.from_to(kind, ends, size[0])
+            return size, _within(place.pose, pos, quat)
+        used = {"sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3)
+        return size[:used], self._pose(node, values, place)
+
+    def _site(self, node: Node, place: Place) -> None:
+        values = self.defaults.of(node, place.childclass)
+        self._refer(node, values, "material")
+        self._refer(node, values, "mesh")
+        kind = values.get("type", "sphere")
+        _, (pos, quat) = self._shape(node, values, kind, place)
+        site = self.scene.add_site(place.body, name=values.get("name", ""), pos=pos, quat=quat)
+        self.keep(node, site)
+
+    def _refer(self, node: Node, values: dict[str, Any], kind: str) -> None:
+        if kind in values:
+            self.references.append((node, kind, values[kind]))
+
+
+def _within(outer: tuple[Vec, Vec], pos: Vec, quat: Vec) -> tuple[Vec, Vec]:
+    return (pos, quat) if outer == AT_ORIGIN else frames.composed(outer, pos, quat)
+
+
+def soft(values: dict[str, Any], solref: str, solimp: str) -> dict[str, Vec]:
+    """The two softness fields that are given, filled up with their defaults."""
+    result = {}
+    for field, default in ((solref, SOLREF), (solimp, SOLIMP)):
+        if field in values:
+            result[field] = values[field] + default[len(values[field]) :]
+    return result

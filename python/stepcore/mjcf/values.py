@@ -1,0 +1,117 @@
+"""Checks a tree of nodes against the schema and turns attribute texts into numbers and words."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from stepcore.checks import nearest, shown
+from stepcore.mjcf.schema import ROOT, Spec
+from stepcore.mjcf.source import MJCFError, Node
+
+# Stricter than float(): no nan, inf, underscores or other spellings.
+_REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_INT = re.compile(r"[+-]?\d+", re.ASCII)
+
+WHY = {
+    "draws": "only draws",
+    "senses": "only senses",
+    "data": "data that no equation reads",
+}
+
+
+def check(root: Node) -> list[str]:
+    """Sets `values` on every node that is read, and returns the lines for `Scene.ignored`.
+
+    Raises MJCFError for an element, attribute, keyword or number that MJCF does not have, and
+    for elements that would change the motion and are not built yet.
+    """
+    if root.tag != "mujoco":
+        raise root.error(f"the root element is <{root.tag}>, not <mujoco>: this is no MJCF model")
+    # A schema location is advice to text editors.
+    root.attrs = {k: v for k, v in root.attrs.items() if not k.startswith(("xmlns", "xsi:"))}
+    ignored = []
+    pending: list[tuple[Node, Spec, Node | None, str]] = [(root, ROOT, None, "")]
+    while pending:
+        node, spec, parent, above = pending.pop()
+        node.values = _values(node, spec)
+        _check_once(node, spec)
+        if spec.role == "unbuilt":
+            raise node.unbuilt(f"<{node.tag}> in <{parent.tag}>" if parent else f"<{node.tag}>")
+        if spec.role and spec.role != above:
+            ignored.append(node.listed(WHY[spec.role]))
+        for child in reversed(node.children):
+            inner = spec.children.get(child.tag)
+            if inner is None:
+                near = nearest(child.tag, spec.children)
+                raise child.error(f"unknown element <{child.tag}> in <{node.tag}>{near}")
+            pending.append((child, inner, node, spec.role))
+    return ignored
+
+
+def _check_once(node: Node, spec: Spec) -> None:
+    for tag in spec.once:
+        found = [child for child in node.children if child.tag == tag]
+        if len(found) > 1:
+            raise found[1].error(f"a second <{tag}> in the same <{node.tag}>")
+
+
+def _values(node: Node, spec: Spec) -> dict[str, object]:
+    result: dict[str, object] = {}
+    for name, text in node.attrs.items():
+        kind = spec.attrs.get(name)
+        if kind is None:
+            near = nearest(name, spec.attrs)
+            raise node.error(f'unknown attribute "{name}" of <{node.tag}>{near}')
+        result[name] = _value(node, name, text, kind)
+    for name in spec.required:
+        if name not in result:
+            raise node.error(f'<{node.tag}> lacks the required attribute "{name}"')
+    return result
+
+
+def _value(node: Node, name: str, text: str, kind: str) -> object:
+    """The attribute's value: text, bool, keyword, int, or a tuple of numbers."""
+    if not kind:
+        return text
+    if "|" in kind:
+        words = kind.split("|")
+        if text not in words:
+            raise bad(node, name, text, f"one of {', '.join(words)}{nearest(text, words)}")
+        return {"true": True, "false": False}.get(text, text) if words[0] == "false" else text
+    entries = text.split()
+    if kind == "int":
+        if len(entries) != 1 or not _INT.fullmatch(entries[0]):
+            raise bad(node, name, text, "an integer")
+        return _int(node, name, entries[0])
+    if kind.startswith("int"):
+        count = None if kind == "int*" else int(kind[3:])
+        if count not in (None, len(entries)) or not all(map(_INT.fullmatch, entries)):
+            raise bad(node, name, text, f"{count or 'any number of'} integers")
+        return tuple(_int(node, name, entry) for entry in entries)
+    low, _, high = kind.partition("-")
+    if kind == "*":
+        fits, limit = True, "finite numbers"
+    elif high:
+        fits = int(low) <= len(entries) <= int(high)
+        limit = f"{low} to {high} finite numbers"
+    else:
+        fits = len(entries) == int(low)
+        limit = f"{low} finite number{'s' if low != '1' else ''}"
+    if not fits or not all(map(_REAL.fullmatch, entries)):
+        raise bad(node, name, text, limit)
+    numbers = tuple(map(float, entries))
+    if not all(map(math.isfinite, numbers)):
+        raise bad(node, name, text, limit)
+    return numbers[0] if kind == "1" else numbers
+
+
+def _int(node: Node, name: str, text: str) -> int:
+    if len(text) > 11 or not -(2**31) <= int(text) < 2**31:
+        raise bad(node, name, text, "an integer of 32 bits")
+    return int(text)
+
+
+def bad(node: Node, name: str, value: object, limit: str) -> MJCFError:
+    """The error about one attribute's value."""
+    return node.error(f"<{node.tag}> {name} = {shown(value)}: must be {limit}")

@@ -1,0 +1,126 @@
+"""Stage 2, detect: contacts of the pairs of shapes that the reference knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .model import Model, Pair
+from .place import Placed, jacobians
+from .rotation import Array, cross, matrix, unit
+
+Touch = tuple[float, Array, Array]  # distance, position, normal
+
+
+@dataclass
+class Contact:
+    """Where two geoms meet: `dist` < 0 is overlap, the frame's first row points from 1 to 2."""
+
+    pair: Pair
+    dist: float  # [m]
+    pos: Array  # halfway between the surfaces [m], shape (3,)
+    frame: Array  # rows: normal, two tangents; shape (3, 3)
+
+
+def tangents(normal: Array) -> Array:
+    """A frame on the normal, chosen as MuJoCo chooses it, shape (3, 3)."""
+    start = np.array([0.0, 1.0, 0.0] if abs(normal[1]) < 0.5 else [0.0, 0.0, 1.0])
+    first = unit(start - normal * (normal @ start))
+    return np.array([normal, first, cross(normal, first)])
+
+
+def plane_sphere(plane: Shape, sphere: Shape) -> Touch:
+    """Distance of the centre from the plane, less the radius."""
+    normal = plane.turn[:, 2]
+    radius = sphere.size[0]
+    dist = normal @ (sphere.pos - plane.pos) - radius
+    return dist, sphere.pos - normal * (radius + dist / 2), normal
+
+
+def sphere_sphere(one: Shape, two: Shape) -> Touch:
+    """Distance of the centres, less both radii."""
+    gap = two.pos - one.pos
+    length = np.sqrt(gap @ gap)
+    normal = gap / length if length > 0 else np.array([1.0, 0.0, 0.0])
+    dist = length - one.size[0] - two.size[0]
+    return dist, one.pos + normal * (one.size[0] + dist / 2), normal
+
+
+def sphere_box(sphere: Shape, box: Shape) -> Touch:
+    """From the centre to the nearest point of the box; from inside, to the nearest face."""
+    radius = sphere.size[0]
+    local = box.turn.T @ (sphere.pos - box.pos)
+    nearest = np.clip(local, -box.size, box.size)
+    towards = nearest - local
+    length = np.sqrt(towards @ towards)
+    if length > 0:
+        normal = box.turn @ (towards / length)
+    else:
+        depth = box.size - np.abs(local)
+        face = int(np.argmin(depth))
+        length = -depth[face]
+        normal = box.turn[:, face] * (-1.0 if local[face] >= 0 else 1.0)
+    dist = length - radius
+    return dist, sphere.pos + normal * (radius + dist / 2), normal
+
+
+SHAPES = {
+    ("plane", "sphere"): plane_sphere,
+    ("sphere", "sphere"): sphere_sphere,
+    ("sphere", "box"): sphere_box,
+}
+
+
+@dataclass
+class Shape:
+    """A geom in the world."""
+
+    pos: Array
+    turn: Array
+    size: Array
+
+
+def shape(model: Model, placed: Placed, index: int) -> Shape:
+    """The geom's world pose."""
+    geom = model.scene["geoms"][index]
+    b = geom["body"]
+    pos = placed.xpos[b] + placed.xmat[b] @ geom["pos"]
+    return Shape(pos, placed.xmat[b] @ matrix(unit(geom["quat"])), np.array(geom["size"], float))
+
+
+def kinds(model: Model, pair: Pair) -> tuple[str, str]:
+    """The types of a pair's two geoms."""
+    geoms = model.scene["geoms"]
+    return geoms[pair.geom1]["kind"], geoms[pair.geom2]["kind"]
+
+
+def check(model: Model) -> None:
+    """Refuses pairs of shapes whose contacts the reference does not know."""
+    for pair in model.pairs:
+        if kinds(model, pair) not in SHAPES:
+            names = [model.scene["geoms"][i]["name"] for i in (pair.geom1, pair.geom2)]
+            raise ValueError(
+                f"geoms '{names[0]}' and '{names[1]}': the reference has no contact between "
+                + " and ".join(kinds(model, pair))
+            )
+
+
+def detect(model: Model, placed: Placed) -> list[Contact]:
+    """Every candidate pair with its signed distance, near or far, in the model's pair order."""
+    contacts: list[Contact] = []
+    if not model.scene["features"]["contact"]:
+        return contacts
+    for pair in model.pairs:
+        one, two = (shape(model, placed, i) for i in (pair.geom1, pair.geom2))
+        dist, pos, normal = SHAPES[kinds(model, pair)](one, two)
+        contacts.append(Contact(pair, dist, pos, tangents(normal)))
+    return contacts
+
+
+def contact_jacobian(model: Model, placed: Placed, contact: Contact) -> Array:
+    """Velocity of geom 2's point less geom 1's, in the contact's frame, shape (3, nv)."""
+    one, two = (model.scene["geoms"][i]["body"] for i in (contact.pair.geom1, contact.pair.geom2))
+    first, _ = jacobians(model, placed, one, contact.pos)
+    second, _ = jacobians(model, placed, two, contact.pos)
+    return contact.frame @ (second - first)

@@ -1,0 +1,180 @@
+"""Stage 1, place: where everything is, how it can move, and the forces that are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from .rotation import Array, cross, from_vector, matrix, multiply, to_vector, unit
+
+if TYPE_CHECKING:
+    from .model import Model
+    from .sim import Sim
+
+
+@dataclass
+class Placed:
+    """World poses of bodies, and the axis and anchor of each dof, at one qpos."""
+
+    xpos: Array  # [m], shape (nbody, 3)
+    xquat: Array  # shape (nbody, 4)
+    xmat: Array  # shape (nbody, 3, 3)
+    com: Array  # centre of mass of each body [m], shape (nbody, 3)
+    axis: Array  # unit axis of each dof, shape (nv, 3)
+    anchor: Array  # a point on the axis of each turning dof [m], shape (nv, 3)
+
+
+def place(model: Model, qpos: Array) -> Placed:
+    """Forward kinematics: joints applied one after another, from the root outwards."""
+    bodies = model.scene["bodies"]
+    n = len(bodies)
+    placed = Placed(
+        np.zeros((n, 3)), np.tile([1.0, 0, 0, 0], (n, 1)), np.tile(np.eye(3), (n, 1, 1)),
+        np.zeros((n, 3)), np.zeros((model.nv, 3)), np.zeros((model.nv, 3)),
+    )  # fmt: skip
+    for b in range(1, n):
+        up = bodies[b]["parent"]
+        pos = placed.xpos[up] + placed.xmat[up] @ bodies[b]["pos"]
+        quat = multiply(placed.xquat[up], unit(bodies[b]["quat"]))
+        for joint in model.joints:
+            if joint["body"] == b:
+                pos, quat = apply_joint(placed, joint, qpos, pos, quat)
+        quat = unit(quat)
+        placed.xpos[b], placed.xquat[b], placed.xmat[b] = pos, quat, matrix(quat)
+        placed.com[b] = pos + placed.xmat[b] @ model.ipos[b]
+    return placed
+
+
+def apply_joint(
+    placed: Placed, joint: dict[str, Any], qpos: Array, pos: Array, quat: Array
+) -> tuple[Array, Array]:
+    """Move a body's frame by one joint, and note the joint's axes on the way."""
+    at, dof = joint["qpos"], joint["dof"]
+    if joint["kind"] == "free":
+        pos, quat = qpos[at : at + 3].copy(), unit(qpos[at + 3 : at + 7])
+        placed.axis[dof : dof + 3] = np.eye(3)  # linear: world axes
+        placed.axis[dof + 3 : dof + 6] = matrix(quat).T  # angular: body axes
+        placed.anchor[dof : dof + 6] = pos
+        return pos, quat
+    turn = matrix(quat)
+    anchor = pos + turn @ joint["pos"]
+    if joint["kind"] == "ball":
+        quat = multiply(quat, unit(qpos[at : at + 4]))
+        placed.axis[dof : dof + 3] = matrix(quat).T
+        placed.anchor[dof : dof + 3] = anchor
+    else:
+        local = unit(joint["axis"])
+        placed.axis[dof], placed.anchor[dof] = turn @ local, anchor
+        moved = qpos[at] - joint["reference"]
+        if joint["kind"] == "slide":
+            return pos + moved * placed.axis[dof], quat
+        quat = multiply(quat, from_vector(moved * local))
+    return anchor - matrix(quat) @ joint["pos"], quat
+
+
+def jacobians(
+    model: Model, placed: Placed, body: int | np.integer[Any], point: Array
+) -> tuple[Array, Array]:
+    """Velocity of a world point of a body, and the body's spin, per qvel: two (3, nv) arrays."""
+    moves = model.moves[body][:, None]
+    turning = (model.angular & model.moves[body])[:, None]
+    spin = np.where(turning, placed.axis, 0.0)
+    linear = np.where(turning, cross(placed.axis, point - placed.anchor), placed.axis)
+    return np.where(moves, linear, 0.0).T, spin.T
+
+
+def mass_matrix(model: Model, placed: Placed) -> Array:
+    """M(q), shape (nv, nv): the sum over bodies of J^T (mass or inertia) J, and the armature."""
+    M = np.diag(model.armature)
+    for b in np.flatnonzero(model.mass):
+        linear, spin = jacobians(model, placed, b, placed.com[b])
+        inertia = placed.xmat[b] @ model.inertia[b] @ placed.xmat[b].T
+        M = M + model.mass[b] * linear.T @ linear + spin.T @ inertia @ spin
+    return M
+
+
+def bias(model: Model, placed: Placed, v: Array) -> Array:
+    """Coriolis, centrifugal, gyroscopic and gravity terms, shape (nv,): M a + bias = force.
+
+    With no joint acceleration a body still accelerates, because the axes turn:
+    the time derivative of each column of the Jacobian, times its velocity.
+    """
+    out = np.zeros(model.nv)
+    turning = model.angular[:, None]
+    # Velocity of each axis: it is carried by the dofs between it and the root.
+    spin_of_axis = model.carried_by @ (np.where(turning, placed.axis, 0.0) * v[:, None])
+    axis_rate = cross(spin_of_axis, placed.axis)
+    arm = placed.anchor[:, None, :] - placed.anchor[None, :, :]
+    carry = np.where(turning, cross(placed.axis[None], arm), placed.axis[None])
+    anchor_rate = np.einsum("ji,i,jik->jk", model.carried_by, v, carry)
+    for b in np.flatnonzero(model.mass):
+        linear, spin = jacobians(model, placed, b, placed.com[b])
+        speed, omega = linear @ v, spin @ v
+        lever = cross(axis_rate, placed.com[b] - placed.anchor)
+        swing = cross(placed.axis, speed - anchor_rate)
+        columns = np.where(turning, lever + swing, axis_rate)
+        acceleration = (model.moves[b] * v) @ columns - model.gravity
+        spin_rate = (model.moves[b] * model.angular * v) @ axis_rate
+        inertia = placed.xmat[b] @ model.inertia[b] @ placed.xmat[b].T
+        torque = inertia @ spin_rate + cross(omega, inertia @ omega)
+        out += model.mass[b] * acceleration @ linear + torque @ spin
+    return out
+
+
+def stretch(model: Model, joint: dict[str, Any], qpos: Array) -> Array:
+    """How far a joint is from where its spring rests, in the coordinates of qvel."""
+    at = joint["qpos"]
+    if joint["kind"] in ("slide", "hinge"):
+        return qpos[at : at + 1] - float(joint["springref"])
+    rest = model.qpos0[at : at + (7 if joint["kind"] == "free" else 4)]
+    back = np.array(rest[-4:]) * [1, -1, -1, -1]
+    turned = at + joint["width"] - 3
+    turn = to_vector(multiply(back, unit(qpos[turned : turned + 4])))
+    if joint["kind"] == "ball":
+        return turn
+    return np.concatenate((qpos[at : at + 3] - rest[:3], turn))
+
+
+def known_forces(sim: Sim, placed: Placed, qpos: Array, v: Array) -> Array:
+    """Every force that no row decides: applied, actuation, springs, dampers, minus the bias."""
+    model, on = sim.model, sim.model.scene["features"]
+    force = sim.qfrc_applied - bias(model, placed, v)
+    for b in np.flatnonzero(sim.xfrc_applied.any(axis=1)):
+        linear, spin = jacobians(model, placed, b, placed.com[b])
+        force = force + sim.xfrc_applied[b, :3] @ linear + sim.xfrc_applied[b, 3:] @ spin
+    if on["damper"]:
+        force = force - model.damping * v
+    for joint in model.joints:
+        if joint["stiffness"] and on["spring"]:
+            own = slice(joint["dof"], joint["dof"] + joint["width"])
+            force[own] -= joint["stiffness"] * stretch(model, joint, qpos)
+    for actuator, signal in zip(model.scene["actuators"], sim.ctrl, strict=True):
+        if on["actuation"]:
+            joint = model.joints[actuator["joint"]]
+            if actuator["ctrlrange"] is not None and on["clampctrl"]:
+                signal = np.clip(signal, *actuator["ctrlrange"])
+            if actuator["forcerange"] is not None:
+                signal = np.clip(signal, *actuator["forcerange"])
+            own = slice(joint["dof"], joint["dof"] + joint["width"])
+            force[own] += np.array(actuator["gear"][: joint["width"]]) * signal
+    return force
+
+
+class Energy(NamedTuple):
+    """Energy [J]."""
+
+    kinetic: float
+    potential: float
+
+
+def energy(model: Model, qpos: Array, v: Array) -> Energy:
+    """v M v / 2, and the height of every mass and the stretch of every spring."""
+    placed = place(model, qpos)
+    potential = -float(model.mass @ (placed.com @ model.gravity))
+    for joint in model.joints:
+        if joint["stiffness"] and model.scene["features"]["spring"]:
+            away = stretch(model, joint, qpos)
+            potential += 0.5 * joint["stiffness"] * float(away @ away)
+    return Energy(0.5 * float(v @ mass_matrix(model, placed) @ v), potential)

@@ -1,0 +1,209 @@
+"""Stage 3a, rows: what must be true at the end of the step, as (J, t, c, set).
+
+With w = J v + c lambda - t, an interval row asks for lambda in [lo, hi] and w = 0,
+or w pushing against the bound that lambda rests on. A contact with friction is
+three rows: the normal in [0, inf), and two tangents that are solved together
+within mu times the normal impulse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .detect import Contact, contact_jacobian
+from .model import Model
+from .place import Placed, jacobians
+from .rotation import Array, to_vector, unit
+
+if TYPE_CHECKING:
+    from .sim import Settings, Sim
+
+INF = float("inf")
+
+
+@dataclass
+class Row:
+    """One row; `key` names it, so that the next step can start from its impulse."""
+
+    key: tuple[str | int, ...]
+    J: Array  # shape (nv,)
+    dofs: Array  # which dofs it may touch, shape (nv,)
+    t: float = 0.0  # target velocity [m/s]
+    c: float = 0.0  # regulariser [1/kg]
+    soft: float = 0.0  # what the law adds to the denominator only [1/kg]
+    lo: float = 0.0
+    hi: float = INF
+
+
+@dataclass
+class Rows:
+    """The system of one step: n rows over nv dofs."""
+
+    rows: list[Row]
+    blocks: list[
+        tuple[int, float | None]
+    ]  # (i, None): row i alone; (i, mu): rows i, i+1, i+2 are a contact with friction
+    J: Array  # (n, nv)
+    W: Array  # M^-1 J^T, (nv, n)
+    A: Array  # diagonal of J M^-1 J^T, (n,)
+    t: Array
+    c: Array
+    s: Array  # denominator of each row's update
+    lo: Array
+    hi: Array
+    mass: Array  # of the trees each row touches [kg], (n,)
+
+
+def push_target(settings: Settings, phi: float, before: float, bounces: bool) -> float:
+    """Target velocity of a row that may only push, with `before` its velocity at the start."""
+    if settings.law != "rigid":
+        return -settings.beta * min(phi, 0.0) / settings.dt
+    e = settings.restitution if bounces else 0.0
+    if e == 0.0 and phi > 0.0:
+        return -phi / settings.dt  # arrive, do not stop early
+    return max(-e * before, -settings.beta * min(phi + settings.slop, 0.0) / settings.dt)
+
+
+def softness(settings: Settings) -> tuple[float, float]:
+    """What softness means to a law: (regulariser c, addition to the denominator)."""
+    return {
+        "lesson": (settings.softness, 0.0),
+        "relaxed": (0.0, settings.softness),
+        "rigid": (0.0, 0.0),
+    }[settings.law]
+
+
+def build(
+    sim: Sim, placed: Placed, contacts: list[Contact], M: Array, v: Array, guess: Array
+) -> Rows:
+    """All rows in order: equality, friction loss, limits, contacts."""
+    rows: list[Row] = []
+    blocks: list[tuple[int, float | None]] = []
+    on = sim.model.scene["features"]
+    if on["constraint"] and sim.settings.law != "penalty":
+        makers: list[tuple[bool, Iterable[Row]]] = [
+            (on["equality"], equality_rows(sim, placed)),
+            (on["frictionloss"], friction_loss_rows(sim)),
+            (on["limit"], limit_rows(sim, v, guess)),
+        ]
+        for wanted, single in makers:
+            if wanted:
+                for row in single:
+                    blocks.append((len(rows), None))
+                    rows.append(row)
+        for made, mu in contact_rows(sim, placed, contacts, v, guess):
+            blocks.append((len(rows), mu))
+            rows += made
+    return assemble(sim.model, rows, blocks, M)
+
+
+def assemble(
+    model: Model, rows: list[Row], blocks: list[tuple[int, float | None]], M: Array
+) -> Rows:
+    """The rows' numbers side by side, with W = M^-1 J^T."""
+    J = np.array([row.J for row in rows]).reshape(len(rows), model.nv)
+    W = np.linalg.solve(M, J.T) if rows else J.T
+    A = np.einsum("ij,ji->i", J, W)
+    t, c, soft, lo, hi = (
+        np.array([getattr(row, name) for row in rows]) for name in ("t", "c", "soft", "lo", "hi")
+    )
+    mass = np.array([model.mass_of(row.dofs) for row in rows])
+    return Rows(rows, blocks, J, W, A, t, c, A + c + soft, lo, hi, mass)
+
+
+def equality_rows(sim: Sim, placed: Placed) -> Iterator[Row]:
+    """connect: a point of one body and a point of another are one, along x, y and z."""
+    model, settings = sim.model, sim.settings
+    c, soft = softness(settings)
+    for index, equality in enumerate(model.scene["equalities"]):
+        if not equality["active"]:
+            continue
+        one, two = equality["body1"], equality["body2"]
+        local1, local2 = model.anchors[index]
+        point1 = placed.xpos[one] + placed.xmat[one] @ local1
+        point2 = placed.xpos[two] + placed.xmat[two] @ local2
+        J = jacobians(model, placed, one, point1)[0] - jacobians(model, placed, two, point2)[0]
+        dofs = model.moves[one] | model.moves[two]
+        for k in range(3):
+            t = -settings.beta * (point1 - point2)[k] / settings.dt
+            yield Row(("equality", index, k), J[k], dofs, t, c, soft, -INF, INF)
+
+
+def friction_loss_rows(sim: Sim) -> Iterator[Row]:
+    """Dry friction in a joint: any impulse up to dt times the loss, against the motion."""
+    model = sim.model
+    for joint in model.joints:
+        for dof in range(joint["dof"], joint["dof"] + joint["width"]):
+            if joint["frictionloss"] > 0:
+                bound = sim.settings.dt * joint["frictionloss"]
+                unit_row = np.eye(model.nv)[dof]
+                yield Row(("friction", dof, 0), unit_row, unit_row > 0, lo=-bound, hi=bound)
+
+
+def limit_rows(sim: Sim, v: Array, guess: Array) -> Iterator[Row]:
+    """The sides of joint ranges that the guess violates."""
+    model, settings = sim.model, sim.settings
+    c, soft = softness(settings)
+    for index, joint in enumerate(model.joints):
+        if joint["range"] is None:
+            continue
+        for side, phi, J in sides(model, joint, sim.qpos):
+            if phi + settings.dt * (J @ guess) < 0:
+                t = push_target(settings, phi, float(J @ v), bounces=False)
+                yield Row(("limit", index, side), J, J != 0, t, c, soft)
+
+
+def sides(model: Model, joint: dict[str, Any], qpos: Array) -> Iterator[tuple[int, float, Array]]:
+    """Distance to each bound of a joint's range, and its Jacobian."""
+    low, high = joint["range"]
+    at, dof = joint["qpos"], joint["dof"]
+    J = np.zeros(model.nv)
+    if joint["kind"] == "ball":
+        turn = to_vector(unit(qpos[at : at + 4]))
+        angle = np.sqrt(turn @ turn)
+        if angle > 0:
+            J[dof : dof + 3] = -turn / angle
+            yield 1, high - angle, J
+    elif joint["kind"] in ("slide", "hinge"):
+        J[dof] = 1.0
+        yield 0, qpos[at] - low, J
+        yield 1, high - qpos[at], -J
+
+
+def contact_rows(
+    sim: Sim, placed: Placed, contacts: list[Contact], v: Array, guess: Array
+) -> Iterator[tuple[list[Row], float | None]]:
+    """A contact whose guess overlaps: its normal, and two tangents where it has friction."""
+    model, settings = sim.model, sim.settings
+    c, soft = softness(settings)
+    for contact in contacts:
+        pair = contact.pair
+        J = contact_jacobian(model, placed, contact)
+        if not contact.dist + settings.dt * (J[0] @ guess) < 0:
+            continue
+        one, two = (model.scene["geoms"][i]["body"] for i in (pair.geom1, pair.geom2))
+        dofs = model.moves[one] | model.moves[two]
+        key = ("contact", pair.geom1, pair.geom2)
+        t = push_target(settings, contact.dist, J[0] @ v, bounces=True)
+        made = [Row((*key, 0), J[0], dofs, t, c, soft)]
+        if pair.condim > 1:
+            made += [Row((*key, k), J[k], dofs, lo=-INF) for k in (1, 2)]
+        yield made, pair.mu if pair.condim > 1 else None
+
+
+def penalty_force(sim: Sim, placed: Placed, contacts: list[Contact], v: Array, M: Array) -> Array:
+    """The trap: a spring and a damper along the normal of each overlap, shape (nv,)."""
+    settings = sim.settings
+    k, ratio = settings.penalty_stiffness, settings.penalty_damping_ratio
+    force = np.zeros(sim.model.nv)
+    for contact in contacts:
+        if contact.dist < 0:
+            J = contact_jacobian(sim.model, placed, contact)[0]
+            inverse_mass = J @ np.linalg.solve(M, J)
+            damping = 2 * ratio * np.sqrt(k / inverse_mass) if inverse_mass > 0 else 0.0
+            force += J * (-k * contact.dist - damping * (J @ v))
+    return force

@@ -1,0 +1,353 @@
+"""`Sim`: one world: its state, yours to write, and everything that can be read of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stepcore import _core, checks
+from stepcore._core import Settings
+from stepcore.arrays import StateArray
+from stepcore.model import Model
+from stepcore.scene import Scene
+from stepcore.trajectory import Trajectory, record_run
+from stepcore.views import BodyView, GeomView, JointView, SiteView
+
+Floats = NDArray[np.float64]
+
+CONTACT = np.dtype(
+    [
+        ("geom1", np.int32),
+        ("geom2", np.int32),
+        ("dist", np.float64),
+        ("pos", np.float64, 3),
+        ("normal", np.float64, 3),
+        ("force", np.float64, 3),
+    ]
+)
+ROW_NUMBERS = ("impulse", "velocity", "target", "regulariser", "residual", "lo", "hi")
+
+
+class Energy(NamedTuple):
+    """Energy [J]: kinetic, and potential (gravity, zero at the world's origin, and springs)."""
+
+    kinetic: float
+    potential: float
+
+    @property
+    def total(self) -> float:
+        """Kinetic and potential together [J]."""
+        return self.kinetic + self.potential
+
+
+class Momentum(NamedTuple):
+    """Linear [kg·m/s] and angular about the world's origin [kg·m²/s], shape (3,) each."""
+
+    linear: Floats
+    angular: Floats
+
+
+class Sim:
+    """One world of a model.
+
+    model: a `Model`, or a `Scene` to compile. settings: a `Settings` in place of the model's own.
+    overrides: single settings fields, such as ``dt=0.005, solver="pgs"``.
+
+    Raises ValueError for a scene that cannot be compiled and for settings outside their limits.
+
+    The state arrays are float64 whatever the precision, and are checked whenever they are used:
+    an entry that is not finite is a ValueError naming it, and nothing is stepped. Poses, energy
+    and matrices are those of the present state, and follow when it is written; ``qacc``,
+    ``contacts``, ``rows`` and forces are those of the last `step` or `forward`.
+
+    >>> from stepcore import Scene, Sim
+    >>> scene = Scene()
+    >>> ball = scene.add_body("ball", pos=(0, 0, 1))
+    >>> _ = scene.add_joint(ball, "free")
+    >>> _ = scene.add_geom(ball, "sphere", 0.1, mass=1.0)
+    >>> sim = Sim(scene, dt=0.01)
+    >>> sim.step(10)
+    >>> round(float(sim.qvel[2]), 3)
+    -0.981
+    """
+
+    qpos = StateArray("Positions, shape (nq,); quaternions w x y z.")
+    qvel = StateArray("Velocities, shape (nv,).")
+    act = StateArray("States of actuators, shape (na,): none has one yet.")
+    ctrl = StateArray("Controls, shape (nu,); held during a step.")
+    qfrc_applied = StateArray("Forces on the dofs [N or N·m], shape (nv,); held during a step.")
+    xfrc_applied = StateArray(
+        "Force [N] on each body's centre of mass and moment [N·m], in world axes, shape (nbody, 6)."
+    )
+
+    def __init__(
+        self, model: Model | Scene, settings: Settings | None = None, **overrides: Any
+    ) -> None:
+        if not isinstance(model, Model):
+            model = Model(model)
+        self._model = model.with_settings(settings, **overrides)
+        self._core = _core.Sim(model.core, self._model.settings)
+        self._arrays = {
+            "qpos": self._core.qpos,
+            "qvel": self._core.qvel,
+            "act": np.zeros(0),
+            "ctrl": self._core.ctrl,
+            "qfrc_applied": self._core.qfrc_applied,
+            "xfrc_applied": self._core.xfrc_applied,
+        }
+
+    @property
+    def model(self) -> Model:
+        """The model, with the settings of this Sim."""
+        return self._model
+
+    @property
+    def settings(self) -> Settings:
+        """How this Sim computes."""
+        return self._model.settings
+
+    @property
+    def time(self) -> float:
+        """Time [s]: where it was set or restored, plus dt for each step since."""
+        return self._core.time
+
+    @time.setter
+    def time(self, value: float) -> None:
+        self._core.time = value
+
+    # Stepping.
+
+    def step(self, n: int = 1) -> None:
+        """Advances by n steps, without the GIL.
+
+        Raises ValueError for a state or input that is not finite (nothing is stepped),
+        SimulationError if the motion stops being finite (the last finite state is kept), and
+        KeyboardInterrupt between two steps of a long call.
+        """
+        self._core.step(n)
+
+    def forward(self) -> None:
+        """Place, detect and solve at the present state; nothing moves."""
+        self._core.forward()
+
+    def reset(self, key: str | int | None = None) -> None:
+        """Back to the scene's own pose at rest at time 0, or to a keyframe by name or index.
+
+        Controls are the keyframe's or 0; applied forces and warm-start impulses are forgotten.
+        """
+        state = None if key is None else self._model.keys[self._model.index("key", key)]
+        for array in self._arrays.values():
+            array[...] = 0.0
+        self.qpos[:] = self._model.qpos0 if state is None else state.qpos
+        if state is not None:
+            self.qvel[:] = state.qvel
+            self.ctrl[:] = state.ctrl
+        self._core.time = 0.0 if state is None else state.time
+        self._core.forget()
+
+    def state(self) -> bytes:
+        """A complete snapshot: state, inputs, time, step count and warm-start impulses."""
+        return self._core.state()
+
+    def restore(self, state: bytes) -> None:
+        """Goes back to a `state` of the same model; continuing is bit-identical.
+
+        Raises ValueError for bytes that are not one, and leaves everything as it was.
+        """
+        try:
+            data = bytes(memoryview(state))
+        except TypeError:
+            text = "must be what state() returned"
+            raise ValueError(f"state = {checks.shown(state)}: {text}") from None
+        self._core.restore(data)
+
+    def run(
+        self,
+        duration: float,
+        control: Callable[[float, Sim], ArrayLike] | ArrayLike | None = None,
+        control_dt: float | None = None,
+        record: Sequence[str] = ("qpos", "qvel"),
+    ) -> Trajectory:
+        """Steps for `duration` [s] and keeps what `record` names at every step.
+
+        control: a function of (time, sim) that returns ctrl, or an array of shape (n, nu) with
+            one row a control period; the last row holds to the end. None: ctrl as it stands.
+        control_dt: the control period [s], a whole number of steps; one step if None.
+        record: names of arrays or numbers of this Sim, such as "qpos", "energy", "residual".
+        """
+        return record_run(self, duration, control, control_dt, record)
+
+    # The present state.
+
+    @property
+    def xpos(self) -> Floats:
+        """Position of each body's frame [m], shape (nbody, 3)."""
+        return self._core.xpos
+
+    @property
+    def xquat(self) -> Floats:
+        """Orientation of each body's frame, w x y z, shape (nbody, 4)."""
+        return self._core.xquat
+
+    @property
+    def xmat(self) -> Floats:
+        """Orientation of each body's frame as a matrix, shape (nbody, 3, 3)."""
+        return self._core.xmat
+
+    @property
+    def geom_xpos(self) -> Floats:
+        """Position of each geom [m], shape (ngeom, 3)."""
+        return self._core.geom_xpos
+
+    @property
+    def geom_xmat(self) -> Floats:
+        """Orientation of each geom, shape (ngeom, 3, 3)."""
+        return self._core.geom_xmat
+
+    @property
+    def site_xpos(self) -> Floats:
+        """Position of each site [m], shape (nsite, 3)."""
+        return self._core.site_xpos
+
+    def mass_matrix(self) -> Floats:
+        """The mass matrix, armature included, shape (nv, nv)."""
+        return self._core.mass_matrix()
+
+    @property
+    def bias(self) -> Floats:
+        """Coriolis, centrifugal and gravity forces (on the left-hand side), shape (nv,)."""
+        return self._core.bias
+
+    @property
+    def passive(self) -> Floats:
+        """Forces of joint springs and dampers, shape (nv,)."""
+        return self._core.passive
+
+    @property
+    def energy(self) -> Energy:
+        """Kinetic and potential energy [J]."""
+        kinetic, potential = self._core.energy
+        return Energy(float(kinetic), float(potential))
+
+    @property
+    def momentum(self) -> Momentum:
+        """Linear and angular momentum of all bodies; armature does not count."""
+        linear, angular = self._core.momentum
+        return Momentum(linear, angular)
+
+    def jacobian(self, body: str | int) -> Floats:
+        """How a body's frame moves with qvel, shape (6, nv), in world axes.
+
+        Three rows for the velocity of its origin, three for its angular velocity.
+        """
+        return self._core.jacobian(self._model.index("body", body))
+
+    # The last step or forward().
+
+    @property
+    def qacc(self) -> Floats:
+        """Acceleration of the last solve, shape (nv,)."""
+        return self._core.qacc
+
+    @property
+    def constraint_force(self) -> Floats:
+        """Force of all rows together on the dofs, Jᵀλ/dt, shape (nv,)."""
+        return self._core.constraint_force
+
+    @property
+    def actuator_force(self) -> Floats:
+        """Force of each actuator, before its gear, shape (nu,)."""
+        return self._core.actuator_force
+
+    @property
+    def contacts(self) -> NDArray[Any]:
+        """Contacts, a structured array.
+
+        geom1, geom2 (indices), dist [m] (negative: overlap), pos [m], normal (from geom 1 to
+        geom 2), force (on geom 2, in world axes [N]; zero where there is no row).
+        """
+        geoms, numbers = self._core.contacts()
+        table = np.zeros(len(geoms), dtype=CONTACT)
+        pairs = np.array(geoms, dtype=np.int32).reshape(-1, 2)
+        table["geom1"], table["geom2"] = pairs.T
+        table["dist"] = numbers[:, 0]
+        for k, name in enumerate(("pos", "normal", "force")):
+            table[name] = numbers[:, 1 + 3 * k : 4 + 3 * k]
+        return table
+
+    @property
+    def rows(self) -> NDArray[Any]:
+        """Rows in the order in which they are solved, a structured array.
+
+        kind ("equality", "friction", "limit", "contact"), name (of the element), block (rows of
+        one block are solved together), impulse [N·s], velocity (J v when the step began), target,
+        regulariser, residual (s|δ|, in the row's unit of velocity), lo and hi (its bounds).
+        """
+        kinds, names, blocks, numbers = self._core.rows()
+        width = max(map(len, names), default=1)
+        fields = [("kind", "U12"), ("name", f"U{width}"), ("block", np.int32)]
+        table = np.zeros(len(kinds), dtype=[*fields, *((name, float) for name in ROW_NUMBERS)])
+        table["kind"], table["name"], table["block"] = kinds, names, blocks
+        for k, name in enumerate(ROW_NUMBERS):
+            table[name] = numbers[:, k]
+        return table
+
+    @property
+    def residual(self) -> float:
+        """How far the last solve was from the rows' laws: the worst row, a speed [m/s]."""
+        return self._core.residual
+
+    @property
+    def sweeps_done(self) -> int:
+        """Sweeps, or Newton iterations, of the last solve."""
+        return self._core.sweeps_done
+
+    @property
+    def row_updates(self) -> int:
+        """Updates of single rows since this Sim was made."""
+        return self._core.row_updates
+
+    @property
+    def decrement(self) -> float:
+        """Newton's last decrement, relative; 0 under pgs."""
+        return self._core.decrement
+
+    @property
+    def contacts_grown(self) -> int:
+        """How often the list of contacts had to grow; 0 where `max_contacts` was enough."""
+        return self._core.contacts_grown
+
+    # By name.
+
+    def body(self, name: str | int) -> BodyView:
+        """A body's part of the arrays; ValueError with the nearest names for an unknown one."""
+        return BodyView(self, self._model.index("body", name))
+
+    def joint(self, name: str | int) -> JointView:
+        """A joint's part of the arrays."""
+        return JointView(self, self._model.index("joint", name))
+
+    def geom(self, name: str | int) -> GeomView:
+        """A geom's part of the arrays."""
+        return GeomView(self, self._model.index("geom", name))
+
+    def site(self, name: str | int) -> SiteView:
+        """A site's part of the arrays."""
+        return SiteView(self, self._model.index("site", name))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (self._model, self.state())
+
+    def __repr__(self) -> str:
+        scene = self._model.scene.name
+        name = f' of "{scene}"' if scene else ""
+        return f"<Sim{name}: time {self.time:g} s; {self.settings!r}>"
+
+
+def _restored(model: Model, state: bytes) -> Sim:
+    sim = Sim(model)
+    sim.restore(state)
+    return sim

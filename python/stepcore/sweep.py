@@ -1,0 +1,146 @@
+"""`sweep`: one measurement at every point of a grid of settings or values."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from typing import Any
+
+from stepcore.checks import nearest
+from stepcore.progress import Choice, Progress
+from stepcore.table import Table
+
+
+def sweep(
+    make_or_model: Any,
+    grid: Mapping[str, Sequence[Any]],
+    measure: Callable[[Any], Any],
+    *,
+    threads: int | None = None,
+    executor: Executor | None = None,
+    progress: Choice = None,
+) -> Table:
+    """Measures at every point of the cartesian product of `grid`, in the order of the grid.
+
+    make_or_model: a Model (or Scene), whose grid keys are `Settings` fields or, with a "/" in
+        them, paths as in `Model.with_values`; or a function that is called with the point's
+        values by keyword. What it returns is measured; a Scene or Model is made a Sim first.
+    measure: called with the Sim; returns a number (column "value") or a mapping of columns.
+    threads: how many measurements run at once (default: one a core). The lock of the
+        interpreter is released while a Sim steps.
+    executor: any `concurrent.futures` executor in place of threads; with one that uses
+        processes, everything must pickle.
+    progress: False for no bar, or a function of (label, done, total).
+
+    A measurement that fails (SimulationError, or a ValueError of a setting) keeps its row: its
+    column "failure" says why. Any other exception is raised. The last key varies fastest.
+
+    >>> table = sweep(lambda a, b: a * b, {"a": [1, 2], "b": [10, 20]}, float, threads=1)
+    >>> table["value"]
+    [10.0, 20.0, 20.0, 40.0]
+    """
+    axes = {str(name): list(values) for name, values in grid.items()}
+    for name, values in axes.items():
+        if not values:
+            raise ValueError(f"grid['{name}'] is empty: each axis needs at least one value")
+    if threads is not None and threads < 1:
+        raise ValueError(f"threads = {threads}: must be >= 1")
+    if hasattr(make_or_model, "add_body"):
+        make_or_model = make_or_model.compile()
+    if hasattr(make_or_model, "with_values"):
+        _check_names(make_or_model, axes)
+    points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
+    with Progress("sweep", len(points), progress) as bar:
+        results = _run(make_or_model, points, measure, threads, executor, bar)
+    own = [name for result in results for name in result if name != "failure"]
+    columns = list(dict.fromkeys([*axes, *own]))
+    if any("failure" in result for result in results):
+        columns.append("failure")
+    return Table((p | r for p, r in zip(points, results, strict=True)), columns)
+
+
+def _is_value(name: str) -> bool:
+    """Whether a grid key is a path into the scene and not a setting."""
+    return "/" in name or name == "gravity"
+
+
+def _check_names(model: Any, axes: Mapping[str, Any]) -> None:
+    """A misspelt setting is an error of the whole sweep, not a failure of every point."""
+    fields = model.settings.as_dict()
+    for name in axes:
+        if not _is_value(name) and name not in fields:
+            raise ValueError(f"grid['{name}']: settings have no '{name}'{nearest(name, fields)}")
+
+
+def _run(
+    source: Any,
+    points: list[dict[str, Any]],
+    measure: Callable[[Any], Any],
+    threads: int | None,
+    executor: Executor | None,
+    bar: Progress,
+) -> list[dict[str, Any]]:
+    """The results in the order of the points, whoever computes them."""
+    threads = threads or os.cpu_count() or 1
+    if executor is None and (threads == 1 or len(points) == 1):
+        results = []
+        for point in points:
+            results.append(at_point(source, point, measure))
+            bar.advance()
+        return results
+    pool = executor or ThreadPoolExecutor(threads)
+    futures: list[Future[dict[str, Any]]] = []
+    try:
+        for point in points:
+            future = pool.submit(at_point, source, point, measure)
+            future.add_done_callback(lambda _: bar.advance())
+            futures.append(future)
+        return [future.result() for future in futures]
+    finally:
+        for future in futures:
+            future.cancel()
+        if executor is None:
+            pool.shutdown(cancel_futures=True)
+
+
+def at_point(source: Any, point: dict[str, Any], measure: Callable[[Any], Any]) -> dict[str, Any]:
+    """One measurement as a record, or the reason why there is none."""
+    try:
+        got = measure(_made(source, point))
+    except Exception as error:
+        if not isinstance(error, (ValueError, failures())):
+            raise
+        return {"failure": _reason(error)}
+    return dict(got) if isinstance(got, Mapping) else {"value": got}
+
+
+def _made(source: Any, point: dict[str, Any]) -> Any:
+    """What is measured at a point."""
+    if hasattr(source, "with_values"):
+        values = {name: value for name, value in point.items() if _is_value(name)}
+        settings = {name: value for name, value in point.items() if not _is_value(name)}
+        return _sim(source.with_values(values) if values else source, settings)
+    made = source(**point)
+    if hasattr(made, "add_body"):
+        made = made.compile()
+    return _sim(made, {}) if hasattr(made, "with_values") else made
+
+
+def _sim(model: Any, settings: dict[str, Any]) -> Any:
+    from stepcore.sim import Sim
+
+    return Sim(model, **settings)
+
+
+def failures() -> type[Exception]:
+    """The error of a run that leaves the finite numbers."""
+    from stepcore._core import SimulationError
+
+    kind: type[Exception] = SimulationError
+    return kind
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,198 @@
+"""`trade`: one scene under many settings against its own converged motion."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from stepcore.progress import Choice, Progress
+from stepcore.trade.cost import costs
+from stepcore.trade.dofs import Dofs
+from stepcore.trade.errors import errors
+from stepcore.trade.motion import motion, time_steps
+from stepcore.trade.reference import FINER, Reference, Search, smallest
+from stepcore.trade.result import Row, Trade
+from stepcore.trade.run import Course, Path, in_threads
+from stepcore.trade.settings import clamping, grid, seconds
+
+__all__ = ["Row", "Trade", "trade"]
+
+# What the reference may cost, in steps × (dofs + 2): some seconds on one core.
+BUDGET = 6e6
+
+
+def trade(
+    model: Any,
+    *,
+    horizon: float = 1.0,
+    key: str | None = None,
+    control: Callable[..., Any] | None = None,
+    control_dt: float | None = None,
+    ctrl: Any = None,
+    starts: int = 8,
+    seed: int = 0,
+    dts: Sequence[float] | None = None,
+    integrators: Sequence[str] | None = None,
+    solvers: Sequence[str] | None = None,
+    sweeps: Sequence[int] | None = None,
+    precisions: Sequence[str] | None = None,
+    budget: float = BUDGET,
+    threads: int | None = None,
+    progress: Choice = None,
+) -> Trade:
+    """Measures what speed costs in accuracy: a scene under many settings.
+
+    Every setting runs the same motion and is compared with the scene's own converged motion,
+    whose error is stated. See `Errors` for what is measured.
+
+    model: a Model, a Scene, or the path of an MJCF file (or "package:name", see
+        `stepcore.lookup`). Its settings are the shipped ones.
+    horizon: simulated time [s]. key: the keyframe to start from; by default the first, or the
+        scene's pose. starts: how many; all but the first are moved a little, by `seed`.
+    ctrl: controls, shape (n, nu), one row a control period (the last is held); or control: a
+        function of (time, sim) that returns them, as in `Sim.run`, called once a period. It
+        must depend on nothing else, for it is called from several threads. By default every
+        motor follows a few smooth seeded sines in its range.
+    control_dt: the control period [s], a multiple of every time step; default: the largest
+        time step tried.
+    dts [s], integrators, solvers, sweeps, precisions: what to try; the shipped settings are
+        always among it.
+    budget: what the reference may cost, in steps × (dofs + 2).
+    threads: how many runs at once (default: one a core). Costs are timed on one, afterwards.
+    progress: False for no bar, or a function of (label, done, total).
+
+    Raises ValueError for an argument outside its limits, or if the reference itself fails.
+    """
+    model = _compiled(model)
+    shipped = model.settings
+    dofs = Dofs(model.scene)
+    if not dofs.moving:
+        raise ValueError("nothing in the scene can move: there is no motion to trade")
+    if threads is not None and threads < 1:
+        raise ValueError(f"threads = {threads}: must be >= 1")
+    threads = threads or os.cpu_count() or 1
+    steps, period = time_steps(shipped.dt, dts, control_dt, horizon)
+    motive = motion(
+        model,
+        dofs,
+        horizon=horizon,
+        period=period,
+        key=key,
+        ctrl=ctrl,
+        control=control,
+        count=starts,
+        seed=seed,
+    )
+    course = Course(model, dofs, motive)
+    search = Search(course, shipped, min(steps), budget, threads)
+    with Progress("reference", 5 * starts, progress) as bar:
+        reference = search.first(bar)
+    alive = max(path.rows for path in reference.paths)
+    tried = grid(shipped, steps, integrators, solvers, sweeps, precisions, alive)
+    with Progress("errors", len(tried), progress) as bar:
+        runs = in_threads(lambda one: _all_starts(course, one), tried, threads, bar)
+    _refine(search, reference, runs, progress)
+    with Progress("costs", len(tried), progress) as bar:
+        times = costs(course, tried, bar)
+    tau = clamping(model.scene) if shipped.law == "solref" and shipped.refsafe else None
+    rows = [
+        _row(one, paths, cost, reference, shipped, motive.horizon, tau)
+        for one, paths, cost in zip(tried, runs, times, strict=True)
+    ]
+    notes = _notes(motive, reference, alive, tau, horizon)
+    name = model.scene.name or "scene"
+    return Trade(name, motive.horizon, rows, reference, starts, notes)
+
+
+def _compiled(source: Any) -> Any:
+    """The Model of whatever the user gave."""
+    if isinstance(source, (str, os.PathLike)):
+        from stepcore.lookup import find_scene
+
+        source = find_scene(source)
+    return source.compile() if hasattr(source, "add_body") else source
+
+
+def _all_starts(course: Course, settings: Any) -> list[Path]:
+    """Runs of one setting from every start, until one fails."""
+    paths = []
+    for start in range(len(course.motion.starts)):
+        paths.append(course.run(settings, start))
+        if paths[-1].failure:
+            break
+    return paths
+
+
+def _refine(
+    search: Search, reference: Reference, runs: Sequence[list[Path]], progress: Choice
+) -> None:
+    """Halves the reference's step until its error is a tenth of the smallest in the table."""
+    whole = [paths for paths in runs if not paths[-1].failure]
+    while whole and search.can_refine(reference):
+        found = [errors(p, reference.paths, reference.scored).position for p in whole]
+        if reference.error * FINER <= smallest(found):
+            return
+        with Progress("finer reference", len(search.course.motion.starts), progress) as bar:
+            if not search.refine(reference, bar):
+                return
+
+
+def _row(
+    settings: Any,
+    paths: Sequence[Path],
+    cost: float,
+    reference: Reference,
+    shipped: Any,
+    horizon: float,
+    tau: float | None,
+) -> Row:
+    last = paths[-1]
+    failure = last.failure
+    if failure is None and math.isnan(cost):
+        failure = "failed while it was timed"
+    updates = [path.row_updates for path in paths]
+    return Row(
+        settings=settings,
+        errors=None if failure else errors(paths, reference.paths, reference.scored),
+        cost=math.nan if failure else cost,
+        row_updates=math.nan if failure else float(np.mean(updates)) / horizon,
+        failure=None if failure is None else f"start {len(paths) - 1}: {failure}",
+        shipped=settings == shipped,
+        clamped=tau is not None and 2 * settings.dt > tau * (1 + 1e-12),
+    )
+
+
+def _notes(
+    motive: Any, reference: Reference, rows: int, tau: float | None, asked: float
+) -> list[str]:
+    notes = []
+    if motive.horizon < asked * (1 - 1e-9):
+        notes.append(
+            f"the horizon is {seconds(motive.horizon)}, a whole number of samples, not "
+            f"{seconds(asked)}"
+        )
+    if rows == 0:
+        notes.append("no contact, limit or other row was ever active: the solver does not matter")
+    if motive.undriven:
+        names = ", ".join(motive.undriven)
+        notes.append(f"motors without a control range are not driven: {names}")
+    whole = reference.scored.shape[1]
+    scored = reference.scored.sum(axis=1)
+    short = int((scored < whole).sum())
+    if short:
+        least = motive.times[int(scored.min()) - 1]
+        notes.append(
+            f"{short} of {len(scored)} starts are scored over a shorter time (at least "
+            f"{seconds(float(least))}): beyond it, runs that start 1e-10 apart separate by more "
+            "than 1e4 times, and an error says nothing of the settings"
+        )
+    if tau is not None:
+        notes.append(
+            f"refsafe keeps the time constant of contacts and limits at 2 dt or above: beyond "
+            f"dt {seconds(tau / 2)} (rows marked c) it makes the scene itself softer"
+        )
+    return notes

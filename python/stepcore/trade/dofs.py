@@ -1,0 +1,160 @@
+"""Where each joint's coordinates lie, and what its motors and dampers do: read from the scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepcore.layout import DOFS, QPOS, Layout
+
+
+@dataclass(frozen=True)
+class Start:
+    """One initial state. qpos: shape (nq,); qvel: shape (nv,)."""
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+
+
+@dataclass(frozen=True)
+class Motor:
+    """gear × control on the dofs `at`; its ranges as in `stepcore.elements.Actuator`."""
+
+    label: str
+    at: slice
+    gear: np.ndarray
+    ctrlrange: tuple[float, float] | None
+    forcerange: tuple[float, float] | None
+
+
+class Dofs:
+    """The coordinates of a scene once compiled.
+
+    joints: (type, first coordinate, first dof, range) of each. damping: shape (nv,).
+    moving: indices of the bodies that a joint moves.
+    """
+
+    def __init__(self, scene: Any) -> None:
+        layout = Layout(scene)
+        self.nq, self.nv = layout.nq, layout.nv
+        self.qpos0 = np.array(layout.qpos0(), float)
+        self.joints: list[tuple[str, int, int, tuple[float, float] | None]] = []
+        damping: list[float] = []
+        first: dict[int, int] = {}
+        q = v = 0
+        for joint in layout.joints:
+            self.joints.append((joint.type, q, v, joint.range if scene.features.limit else None))
+            damping += [joint.damping if scene.features.damper else 0.0] * DOFS[joint.type]
+            first[id(joint)] = v
+            q, v = q + QPOS[joint.type], v + DOFS[joint.type]
+        self.damping = np.array(damping, float)
+        self.moving = [i for i, body in enumerate(layout.bodies) if layout.moving(body)]
+        self.names = [body.name or f"body {i}" for i, body in enumerate(layout.bodies)]
+        self.motors: list[Motor] = []
+        self.works = scene.features.actuation
+        for i, actuator in enumerate(scene.actuators):
+            n, at = DOFS[actuator.joint.type], first[id(actuator.joint)]
+            clamped = actuator.ctrlrange if scene.features.clampctrl else None
+            self.motors.append(
+                Motor(
+                    actuator.name or f"actuator {i}",
+                    slice(at, at + n),
+                    np.array(actuator.gear[:n]),
+                    clamped,
+                    actuator.forcerange,
+                )
+            )
+        self._layout, self._keys = layout, {key.name: key for key in scene.keys}
+
+    def keyframe(self, name: str | None) -> tuple[Start, np.ndarray]:
+        """The named key's state and controls; by default the first key's, or the scene's pose."""
+        if name is not None and name not in self._keys:
+            known = ", ".join(f'"{key}"' for key in self._keys) or "none"
+            raise ValueError(f'no key is named "{name}"; the scene has: {known}')
+        keys = [self._keys[name]] if name is not None else list(self._keys.values())
+        key = keys[0] if keys else None
+        qpos = self.qpos0 if key is None or key.qpos is None else key.qpos
+        qvel = np.zeros(self.nv) if key is None or key.qvel is None else key.qvel
+        held = np.zeros(len(self.motors)) if key is None or key.ctrl is None else key.ctrl
+        qpos = np.array(self._layout.unit_quaternions(qpos), float)
+        return Start(qpos, np.array(qvel, float)), np.array(held, float)
+
+    def drawn(self, rng: np.random.Generator, slides: float, turns: float) -> np.ndarray:
+        """A uniform change of every dof, at most `slides` along and `turns` about; shape (nv,)."""
+        change = rng.uniform(-1.0, 1.0, self.nv)
+        for kind, _, v, _ in self.joints:
+            along = {"free": 3, "slide": 1}.get(kind, 0)
+            change[v : v + along] *= slides
+            change[v + along : v + DOFS[kind]] *= turns
+        return change
+
+    def moved(self, qpos: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """`qpos` moved by a change of the dofs; quaternions turn in body axes and stay unit."""
+        result = np.array(qpos, float)
+        for kind, q, v, _ in self.joints:
+            along = {"free": 3, "slide": 1, "hinge": 1}.get(kind, 0)
+            result[q : q + along] += change[v : v + along]
+            if kind in ("free", "ball"):
+                turn = rotation(change[v + along : v + along + 3])
+                result[q + along : q + along + 4] = product(qpos[q + along : q + along + 4], turn)
+        return result
+
+    def inside(self, qpos: np.ndarray) -> np.ndarray:
+        """`qpos` with every limited hinge and slide brought into its range.
+
+        Not onto its end: there the last bit of a position would decide whether a limit acts.
+        """
+        result = np.array(qpos, float)
+        for kind, q, _, limits in self.joints:
+            if limits is not None and kind in ("hinge", "slide"):
+                low, high = limits
+                short = min(1e-3, 0.1 * (high - low))
+                result[q] = np.clip(result[q], low + short, high - short)
+        return result
+
+    def change(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """The change of the dofs from one qpos to another, along leading axes: (…, nv)."""
+        result = np.empty((*np.shape(after)[:-1], self.nv))
+        for kind, q, v, _ in self.joints:
+            along = {"free": 3, "slide": 1, "hinge": 1}.get(kind, 0)
+            result[..., v : v + along] = after[..., q : q + along] - before[..., q : q + along]
+            if kind in ("free", "ball"):
+                at = slice(q + along, q + along + 4)
+                back = before[..., at] * np.array([1.0, -1.0, -1.0, -1.0])
+                result[..., v + along : v + along + 3] = turned(product(back, after[..., at]))
+        return result
+
+    def motor_force(self, ctrl: np.ndarray) -> np.ndarray:
+        """Generalised force of the motors at these controls, (…, nu) → (…, nv) [N or N·m]."""
+        force = np.zeros((*np.shape(ctrl)[:-1], self.nv))
+        for k, motor in enumerate(self.motors if self.works else []):
+            value = np.asarray(ctrl[..., k], float)
+            for limits in (motor.ctrlrange, motor.forcerange):
+                if limits is not None:
+                    value = np.clip(value, *limits)
+            force[..., motor.at] += value[..., None] * motor.gear
+        return force
+
+
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Quaternion product, w x y z, along leading axes."""
+    w, x = a[..., :1], a[..., 1:]
+    s, y = b[..., :1], b[..., 1:]
+    real = w * s - np.sum(x * y, axis=-1, keepdims=True)
+    return np.concatenate([real, w * y + s * x + np.cross(x, y)], axis=-1)
+
+
+def rotation(vector: np.ndarray) -> np.ndarray:
+    """The quaternion of a rotation vector [rad]."""
+    angle = float(np.linalg.norm(vector))
+    return np.concatenate([[np.cos(angle / 2)], 0.5 * np.sinc(angle / 2 / np.pi) * vector])
+
+
+def turned(quat: np.ndarray) -> np.ndarray:
+    """The rotation vector of a quaternion, the short way round [rad]."""
+    quat = np.where(quat[..., :1] < 0, -quat, quat)
+    sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(sine, quat[..., :1])
+    return quat[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)

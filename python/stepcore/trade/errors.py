@@ -1,0 +1,90 @@
+"""How far a run is from the reference, in numbers that mean the same in every scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stepcore.trade.run import Path, angle, distance
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one setting over all starts.
+
+    position [m], angle [rad]: root mean square over samples and moving bodies, of centres of
+    mass and of orientations in the world; the median of the starts. …_max: the largest of any
+    body, sample and start. gained, lost [J]: the most by which the energy balance of `Path`
+    rose above its start, and fell below it, in any start.
+    """
+
+    position: float
+    position_max: float
+    angle: float
+    angle_max: float
+    gained: float
+    lost: float
+    overlap: float
+    residual: float
+
+
+def errors(paths: Sequence[Path], truth: Sequence[Path], scored: np.ndarray) -> Errors:
+    """Errors of runs against the reference's, over the samples that are scored (starts, n)."""
+    metres, radians = [], []
+    gained = lost = 0.0
+    for path, true, mask in zip(paths, truth, scored, strict=True):
+        metres.append(distance(path, true)[mask])
+        radians.append(angle(path, true)[mask])
+        gained = max(gained, float(path.balance.max()))
+        lost = max(lost, -float(path.balance.min()))
+    return Errors(
+        position=_median(metres),
+        position_max=max(float(part.max(initial=0.0)) for part in metres),
+        angle=_median(radians),
+        angle_max=max(float(part.max(initial=0.0)) for part in radians),
+        gained=gained,
+        lost=lost,
+        overlap=max(path.overlap for path in paths),
+        residual=max(path.residual for path in paths),
+    )
+
+
+def _median(parts: Sequence[np.ndarray]) -> float:
+    """The median over starts of the root mean square of each."""
+    with np.errstate(over="ignore"):
+        return float(np.median([np.sqrt(np.mean(part**2)) if part.size else 0.0 for part in parts]))
+
+
+def predictable(
+    a: Sequence[Path], b: Sequence[Path], apart: Sequence[float], limit: float
+) -> np.ndarray:
+    """Which samples of each start are before two near runs separate; shape (starts, n), bool.
+
+    apart: how far the two were at the start [m]; limit: the growth from which on a sample, and
+    all after it, only says how errors grow in the scene. The first sample always counts.
+    """
+    masks = []
+    for one, other, start in zip(a, b, apart, strict=True):
+        growth = distance(one, other).max(axis=1, initial=0.0) / max(start, 1e-300)
+        mask = np.cumsum(growth > limit) == 0
+        mask[:1] = True
+        masks.append(mask)
+    return np.array(masks)
+
+
+def pareto(cost: Sequence[float], error: Sequence[float]) -> list[bool]:
+    """Which points no other beats: none is as good in both and better in one.
+
+    Of equal points the first counts; one that is not finite never does.
+
+    >>> pareto([1.0, 2.0, 3.0, 2.5], [3.0, 2.0, 1.0, 2.0])
+    [True, True, True, False]
+    """
+    order = sorted(range(len(cost)), key=lambda i: (cost[i], error[i], i))
+    best, marks = np.inf, [False] * len(cost)
+    for i in order:
+        if np.isfinite(cost[i]) and error[i] < best:
+            best, marks[i] = error[i], True
+    return marks

@@ -1,0 +1,180 @@
+"""`Trade`: the table, what it means in sentences, and the cheapest setting for an error."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass, field
+from typing import Any
+
+from stepcore.table import Table, jsonable
+from stepcore.trade import report
+from stepcore.trade.errors import Errors, pareto
+from stepcore.trade.reference import Reference
+
+
+@dataclass
+class Row:
+    """One setting. cost [µs per simulated second], row_updates [per simulated second]."""
+
+    settings: Any
+    errors: Errors | None
+    cost: float
+    row_updates: float
+    failure: str | None = None
+    shipped: bool = False
+    clamped: bool = False
+    below: bool = False
+    best: bool = False
+
+    def record(self) -> dict[str, Any]:
+        """The row as plain data; an error below the reference's own is marked in `below`."""
+        s, e = self.settings, self.errors
+        record = {
+            "dt": s.dt,
+            "integrator": s.integrator,
+            "solver": s.solver,
+            "sweeps": s.sweeps,
+            "precision": s.precision,
+        }
+        names = ("position", "position_max", "angle", "angle_max", "gained", "lost")
+        for name in (*names, "overlap", "residual"):
+            record[name] = None if e is None else getattr(e, name)
+        return record | {
+            "cost": None if math.isnan(self.cost) else self.cost,
+            "row_updates": None if math.isnan(self.row_updates) else self.row_updates,
+            "pareto": self.best,
+            "shipped": self.shipped,
+            "clamped": self.clamped,
+            "below": self.below,
+            "failure": self.failure,
+        }
+
+
+@dataclass
+class Trade:
+    """What speed costs in accuracy for one scene; made by `stepcore.trade`.
+
+    rows: every setting tried, failures among them. reference: the converged motion and its
+    error. horizon: simulated time [s]. notes: what to bear in mind.
+    """
+
+    name: str
+    horizon: float
+    rows: list[Row]
+    reference: Reference
+    starts: int
+    notes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            row.below = row.errors is not None and row.errors.position < self.reference.error
+        marks = pareto([row.cost for row in self.rows], [self.error(row) for row in self.rows])
+        for row, mark in zip(self.rows, marks, strict=True):
+            row.best = mark
+
+    def error(self, row: Row) -> float:
+        """The error that a row can claim [m]: not below the reference's own; inf if it failed."""
+        if row.errors is None:
+            return math.inf
+        return max(row.errors.position, self.reference.error)
+
+    @property
+    def shipped(self) -> Row:
+        """The settings that came with the scene."""
+        return next(row for row in self.rows if row.shipped)
+
+    @property
+    def table(self) -> Table:
+        """All rows, coarsest step first; units as in `Errors` and `Row`."""
+        return Table(row.record() for row in self.rows)
+
+    def best(self, error: float = 1e-3) -> Any:
+        """The cheapest Settings whose position error is at most `error` [m].
+
+        Raises ValueError, naming the smallest error there is, if none is that good.
+        """
+        return self.cheapest(error).settings
+
+    def cheapest(self, error: float) -> Row:
+        """The row of `best`."""
+        good = [r for r in self.rows if self.error(r) <= error and not math.isnan(r.cost)]
+        if not good:
+            least = min((self.error(row) for row in self.rows), default=math.inf)
+            raise ValueError(f"error = {error:g} m: the smallest in this trade is {least:.3g} m")
+        return min(good, key=lambda row: (row.cost, self.error(row)))
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
+        """The picture, cost against error; written to `path` if given. Needs matplotlib.
+
+        Returns the matplotlib Figure.
+        """
+        from stepcore.plot import plot_trade
+
+        return plot_trade(self, path)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as plain data."""
+        ref = self.reference
+        own = {
+            "settings": ref.settings.as_dict(),
+            "error": ref.error,
+            "error_max": ref.largest,
+            "angle_error": ref.angle,
+            "agreement": ref.agreement,
+            "other_integrator": ref.other,
+            "halvings": [{"dt": level.dt, "distance": level.distance} for level in ref.levels],
+        }
+        truth = ref.paths
+        own["overlap"] = max(path.overlap for path in truth)
+        own["gained"] = max(float(path.balance.max()) for path in truth)
+        own["lost"] = max(-float(path.balance.min()) for path in truth)
+        plain: dict[str, Any] = jsonable(
+            {
+                "model": self.name,
+                "horizon": self.horizon,
+                "starts": self.starts,
+                "shipped": self.shipped.settings.as_dict(),
+                "reference": own,
+                "units": UNITS,
+                "rows": [row.record() for row in self.rows],
+                "notes": self.notes + report.cautions(self),
+                "summary": report.sentences(self),
+            }
+        )
+        return plain
+
+    def to_json(self, indent: int | None = 2) -> str:
+        """`to_dict` as JSON text; what is not finite is null."""
+        return json.dumps(self.to_dict(), indent=indent)
+
+    def to_pandas(self) -> Any:
+        """The table as a pandas DataFrame."""
+        return self.table.to_pandas()
+
+    def text(self, width: int | None = None, full: bool = False) -> str:
+        """The printed trade, at most `width` characters wide; `full`: every row."""
+        return report.text(self, width, full)
+
+    def __str__(self) -> str:
+        return self.text()
+
+    def __repr__(self) -> str:
+        failed = sum(row.failure is not None for row in self.rows)
+        return f"<Trade of {self.name}: {len(self.rows)} settings, {failed} failed>"
+
+
+UNITS = {
+    "dt": "s",
+    "position": "m",
+    "position_max": "m",
+    "angle": "rad",
+    "angle_max": "rad",
+    "gained": "J",
+    "lost": "J",
+    "overlap": "m",
+    "residual": "m/s",
+    "cost": "us per simulated second",
+    "row_updates": "per simulated second",
+}

@@ -1,0 +1,120 @@
+"""Which settings are tried: time step × integrator × solver × sweeps × precision, pruned."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+SMOOTH_LAW = ("semi-implicit", "euler", "implicitfast", "rk4")
+COULOMB_LAW = ("explicit", "semi-implicit", "midpoint", "rk4")
+SWEEPS_SMOOTH = (5, 20, 100)
+SWEEPS_COULOMB = (1, 5, 20)
+
+
+def grid(
+    shipped: Any,
+    dts: Sequence[float],
+    integrators: Sequence[str] | None,
+    solvers: Sequence[str] | None,
+    sweeps: Sequence[int] | None,
+    precisions: Sequence[str] | None,
+    rows: int,
+) -> list[Any]:
+    """Settings to try, the shipped ones among them; all else is as shipped.
+
+    rows: the most rows alive at once in the reference. Without any the solver does not matter
+    and stays as shipped. A single row is solved by one sweep, so there is one number of sweeps.
+    For Newton sweeps only limit its iterations: it has no such axis. Unless asked for, single
+    precision is tried with one number of sweeps.
+    """
+    smooth = shipped.law == "solref"
+    if integrators is None:
+        integrators = SMOOTH_LAW if smooth else COULOMB_LAW
+        integrators = list(dict.fromkeys([*integrators, shipped.integrator]))
+    methods = _methods(shipped, solvers, sweeps, rows)
+    few = methods if precisions is not None else _one_each(methods)
+    chosen = []
+    for precision in precisions if precisions is not None else ("f64", "f32"):
+        some = methods if precision == "f64" else few
+        chosen += [(method, precision) for method in some]
+    points = [shipped]
+    for dt, integrator, (method, precision) in itertools.product(dts, integrators, chosen):
+        changes = {"dt": dt, "integrator": integrator, "precision": precision, **method}
+        points.append(shipped.replace(**changes))
+    return sorted(dict.fromkeys(points), key=lambda s: -s.dt)
+
+
+def _methods(
+    shipped: Any, solvers: Sequence[str] | None, sweeps: Sequence[int] | None, rows: int
+) -> list[dict[str, Any]]:
+    """Solvers, each with its numbers of sweeps."""
+    own = {"solver": shipped.solver, "sweeps": shipped.sweeps}
+    smooth = shipped.law == "solref"
+    if solvers is None:
+        solvers = [shipped.solver] if rows == 0 else ["newton", "pgs"] if smooth else ["pgs"]
+    methods: list[dict[str, Any]] = []
+    for solver in solvers:
+        if solver == "newton":
+            count = shipped.sweeps if shipped.solver == "newton" else 100
+            methods.append({"solver": solver, "sweeps": count})
+            continue
+        counts = {shipped.sweeps} if shipped.solver == "pgs" else set()
+        if sweeps is not None:
+            counts = set(sweeps)
+        elif rows == 1 and not counts:
+            counts = {1}
+        elif rows > 1:
+            counts |= set(SWEEPS_SMOOTH if smooth else SWEEPS_COULOMB)
+        methods += [{"solver": solver, "sweeps": count} for count in sorted(counts)]
+    return methods or [own]
+
+
+def _one_each(methods: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Each solver once, with its middle number of sweeps."""
+    by_solver: dict[str, list[dict[str, Any]]] = {}
+    for method in methods:
+        by_solver.setdefault(method["solver"], []).append(method)
+    return [some[len(some) // 2] for some in by_solver.values()]
+
+
+def clamping(scene: Any) -> float | None:
+    """The shortest time constant that `refsafe` guards [s]: at a dt above half of it, rows soften.
+
+    None where no solref in the scene is a time constant.
+    """
+    softness = [g.solref for g in scene.geoms if g.contype or g.conaffinity]
+    softness += [j.solreflimit for j in scene.joints if j.range is not None]
+    softness += [j.solreffriction for j in scene.joints if j.frictionloss > 0]
+    softness += [e.solref for e in scene.equalities if e.active]
+    return min((ref[0] for ref in softness if ref[0] > 0), default=None)
+
+
+def label(settings: Any, sweeps: bool = True) -> str:
+    """Settings in a few words."""
+    parts = [settings.integrator, settings.solver]
+    if settings.solver == "pgs" and sweeps:
+        parts[-1] += f" {settings.sweeps} sweep" + "s" * (settings.sweeps != 1)
+    if settings.precision != "f64":
+        parts.append(settings.precision)
+    return ", ".join([*parts, f"dt {seconds(settings.dt)}"])
+
+
+def seconds(value: float) -> str:
+    """A time with the unit that makes it readable."""
+    return quantity(value, (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)))
+
+
+def metres(value: float) -> str:
+    """A length with the unit that makes it readable."""
+    units = (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9), ("pm", 1e-12))
+    return quantity(value, units)
+
+
+def quantity(value: float, units: Sequence[tuple[str, float]], digits: int = 3) -> str:
+    """A number in the largest unit that leaves it at least 1."""
+    for unit, size in units:
+        if abs(value) >= size * (1 - 1e-12):
+            return f"{value / size:.{digits}g} {unit}"
+    unit, size = units[-1]
+    return f"{value / size:.{digits}g} {unit}" if value else f"0 {units[0][0]}"

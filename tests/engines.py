@@ -1,0 +1,38 @@
+"""The implementations that a law is tested on, and one way to make a Sim of either."""
+
+import pytest
+
+import stepcore
+from stepcore import reference
+
+ENGINES = ["rust", "numpy"]
+
+# Every setting that the two do not share a default of.
+PLAIN = {
+    "solver": "pgs",
+    "acceleration": "none",
+    "integrator": "semi-implicit",
+    "law": "rigid",
+    "sweeps": 50,
+    "tolerance": 0.0,
+    "warm_start": False,
+    "dt": 0.002,
+}
+
+
+def make(engine, scene, key=None, **settings):
+    """A Sim of the scene with its own settings over PLAIN, and these over both."""
+    chosen = PLAIN | scene.options | settings
+    if engine == "rust":
+        sim = stepcore.Sim(scene.compile(), **chosen)
+    else:
+        sim = reference.Sim(scene, **chosen)
+    if key is not None:
+        sim.reset(key=key)
+    return sim
+
+
+def rust_only(engine, why="slow in plain numpy"):
+    """Skips the rest of a test on the reference."""
+    if engine != "rust":
+        pytest.skip(why)

@@ -1,0 +1,150 @@
+"""The command line: what it prints, its exit statuses, and errors of one line."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from stepcore.cli import main
+from stepcore.lookup import find_asset
+
+BALL = """<mujoco model="ball"><option timestep="0.004"/>
+<worldbody><body pos="0 0 1"><freejoint/><geom size="0.1" mass="1"/></body></worldbody></mujoco>
+"""
+
+
+@pytest.fixture
+def ball(tmp_path):
+    file = tmp_path / "ball.xml"
+    file.write_text(BALL)
+    return str(file)
+
+
+def call(capsys, *args):
+    status = main([str(arg) for arg in args])
+    said = capsys.readouterr()
+    return status, said.out, said.err
+
+
+def test_run_prints_the_final_state(capsys, ball):
+    status, out, err = call(capsys, "run", ball, "--duration", 0.4, "--json")
+    assert status == 0 and not err
+    data = json.loads(out)
+    assert data["steps"] == 100 and data["time"] == pytest.approx(0.4)
+    # v-first: 1 - g dt² n (n + 1) / 2
+    assert data["qpos"][2] == pytest.approx(1 - 9.81 * 0.004**2 * 5050, abs=1e-12)
+    status, out, err = call(
+        capsys, "run", ball, "--duration", "0.4", "--dt", "0.002", "--set", "integrator=rk4"
+    )
+    assert status == 0 and "200 steps" in out and "rk4" in out
+
+
+def test_run_of_a_scene_of_the_lesson_starts_at_its_key(capsys):
+    status, out, _ = call(capsys, "run", "lesson:drop", "--duration", 2, "--json")
+    assert status == 0
+    assert json.loads(out)["qpos"][0] == pytest.approx(-98.1e-6, abs=1e-12)
+
+
+def test_trade_prints_and_writes(capsys, tmp_path, ball):
+    out_json, ctrl = tmp_path / "trade.json", tmp_path / "ctrl.csv"
+    ctrl.write_text("")
+    options = ["--horizon", 0.1, "--starts", 1, "--threads", 1]
+    status, out, err = call(capsys, "trade", ball, *options, "--json", out_json)
+    assert status == 0 and not err
+    assert "reference" in out and "As shipped (euler, newton, dt 4 ms)" in out
+    data = json.loads(out_json.read_text())
+    assert data["model"] == "ball" and data["horizon"] == pytest.approx(0.096)
+    status, out, _ = call(capsys, "trade", ball, *options, "--json")
+    assert status == 0 and json.loads(out)["rows"]
+
+
+def test_trade_with_a_control_function(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "my_control_of_a_grasp.py").write_text("def grip(time, sim):\n    return [3, 3]\n")
+    options = ["--horizon", 0.016, "--starts", 1, "--control-dt", 0.008]
+    control = ["--control", "my_control_of_a_grasp:grip"]
+    status, out, err = call(capsys, "trade", "lesson:grasp", *options, *control)
+    assert status == 0, err
+    assert "grasp:" in out
+    control = ["--control", "my_control_of_a_grasp:grab"]
+    status, _, err = call(capsys, "trade", "lesson:grasp", *options, *control)
+    assert status == 2 and "nearest" in err and "grip" in err
+
+
+def test_a_model_of_an_installed_package(capsys):
+    pytest.importorskip("gymnasium")
+    assert find_asset("gymnasium", "half_cheetah").name == "half_cheetah.xml"
+    status, out, _ = call(capsys, "run", "gymnasium:half_cheetah", "--duration", 0.1, "--json")
+    assert status == 0 and len(json.loads(out)["qpos"]) == 9
+    status, _, err = call(capsys, "run", "gymnasium:half_cheeta", "--duration", 0.1)
+    assert status == 2 and "half_cheetah" in err
+
+
+def test_info(capsys):
+    status, out, _ = call(capsys, "info", "--json")
+    assert status == 0 and {"stepcore", "numpy", "python", "cores"} <= json.loads(out).keys()
+    assert call(capsys, "info")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["run", "no.xml", "--duration", "1"], "no such file"),
+        (["run", "lesson:slide", "--duration", "1"], "spring, drop, stack, grasp"),
+        (["run", "no_such_package:x", "--duration", "1"], "no package"),
+        (["run", "a-b:x", "--duration", "1"], "not the name of a package"),
+        (["run", "BALL", "--duration", "nan"], "--duration"),
+        (["run", "BALL", "--duration", "-1"], "--duration"),
+        (["run", "BALL"], "--duration"),
+        (["run", "BALL", "--duration", "1", "--dt", "0"], "dt"),
+        (["run", "BALL", "--duration", "1", "--key", "home"], "home"),
+        (["run", "BALL", "--duration", "1", "--set", "sweps=3"], "nearest"),
+        (["run", "BALL", "--duration", "1", "--set", "sweeps"], "NAME=VALUE"),
+        (["run", "BALL", "--duration", "1", "--set", "sweeps=few"], "not a number"),
+        (["run", "BALL", "--duration", "1", "--set", "refsafe=maybe"], "true or false"),
+        (["run", "BROKEN", "--duration", "1"], "broken.xml:1"),
+        (["trade", "BALL", "--horizon", "-1"], "horizon"),
+        (["trade", "BALL", "--starts", "none"], "--starts"),
+        (["trade", "BALL", "--ctrl", "no.npy"], "no such file"),
+        (["trade", "BALL", "--ctrl", "BALL"], ".npy or .csv"),
+        (["trade", "BALL", "--control", "json"], "MODULE:FUNCTION"),
+        (["trade", "BALL", "--control", "no_such_module:f"], "no_such_module"),
+        (["trade", "BALL", "--json", "no/such/folder/x.json"], "no such folder"),
+        (["lesson", "--engine", "abacus"], "abacus"),
+        (["dance"], "dance"),
+        ([], "command"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(capsys, tmp_path, ball, args, words):
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<mujoco><wordbody/></mujoco>")
+    named = {"BALL": ball, "BROKEN": str(broken)}
+    status, out, err = call(capsys, *(named.get(arg, arg) for arg in args))
+    assert status == 2 and not out
+    assert words in err and err.count("\n") == 1 and "Traceback" not in err
+
+
+def test_a_run_that_diverges_is_exit_1(capsys):
+    args = ["--duration", 100, "--set", "integrator=explicit", "--dt", 10]
+    status, _, err = call(capsys, "run", "lesson:spring", *args)
+    assert status == 0, "ten steps stay finite"
+    args[1] = 100_000
+    status, _, err = call(capsys, "run", "lesson:spring", *args)
+    assert status == 1 and "diverged" in err and err.count("\n") == 1
+
+
+def test_ctrl_c_is_exit_130(capsys, monkeypatch):
+    def interrupted(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stepcore.lookup.find_scene", interrupted)
+    status, _, err = call(capsys, "run", "x", "--duration", 1)
+    assert status == 130 and err.count("\n") == 1
+
+
+def test_it_runs_as_a_module(ball):
+    command = [sys.executable, "-m", "stepcore.cli", "run", ball, "--duration", "0.1"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "energy" in done.stdout

@@ -1,0 +1,133 @@
+"""Every row kind and shape pair against MuJoCo, under both cones, two impratios, three integrators.
+
+Law: the same as for the models (`test_parity_models`). The scenes are in `zoo`.
+"""
+
+import copy
+import functools
+import itertools
+
+import pytest
+
+mujoco = pytest.importorskip("mujoco")
+
+import peers  # noqa: E402
+import zoo  # noqa: E402
+
+import stepcore as sc  # noqa: E402
+
+FRICTIONS = tuple(itertools.product(("pyramidal", "elliptic"), (1.0, 10.0)))
+
+
+def strict(name, **options):
+    return peers.strict(mujoco.MjModel.from_xml_string(zoo.ZOO[name].text), **options)
+
+
+@functools.cache
+def states_of(name):
+    """Forty states of a scene, eight of a heap."""
+    entry = zoo.ZOO[name]
+    count = 8 if name in zoo.HEAPS else 40
+    return peers.fall_states(strict(name), count, 7, entry.spread, entry.speed)
+
+
+def both(name, **options):
+    """The scene in both engines, MuJoCo's scratch data, and the states to visit."""
+    theirs = strict(name, **options)
+    sim = sc.Sim(sc.loads(zoo.ZOO[name].text).compile(), **peers.EXACT, **options)
+    return sim, theirs, mujoco.MjData(theirs), states_of(name)
+
+
+@pytest.mark.parametrize("name", zoo.ZOO)
+def test_states_reach_rows(name):
+    """The states of a scene reach the rows that the scene is there for."""
+    entry = zoo.ZOO[name]
+    theirs, states = strict(name), states_of(name)
+    seen = peers.rows_seen(theirs, mujoco.MjData(theirs), states)
+    for row in entry.rows:
+        assert 4 * seen[row] >= len(states), f"{row} at {seen[row]} of {len(states)} states"
+    if zoo.FRICTION in entry.rows:
+        assert 4 * min(seen["slips"], seen["sticks"]) >= len(states), "saturated and not"
+
+
+@pytest.mark.parametrize("name", zoo.ZOO)
+@pytest.mark.parametrize(("cone", "impratio"), FRICTIONS)
+def test_forward(name, cone, impratio):
+    sim, theirs, data, states = both(name, cone=cone, impratio=impratio)
+    worst = peers.Worst()
+    for index, state in enumerate(states):
+        peers.note_forward(worst, index, sim, theirs, data, state)
+    worst.check(peers.PLACED | peers.SOLVED, f"{name} {cone} {impratio}")
+
+
+@pytest.mark.parametrize("name", zoo.ZOO)
+@pytest.mark.parametrize("integrator", peers.INTEGRATORS)
+@pytest.mark.parametrize("cone", peers.CONES)
+def test_step(name, integrator, cone):
+    sim, theirs, data, states = both(name, integrator=integrator, cone=cone)
+    worst = peers.Worst()
+    for index, state in enumerate(states[:24]):
+        peers.note_step(worst, index, sim, theirs, data, state)
+    worst.check(peers.STEPPED, f"{name} {integrator} {cone}")
+
+
+@pytest.mark.parametrize("dt", (0.0005, 0.02))
+@pytest.mark.parametrize("name", ("all_together", "solmix_priority", "connect", "free_offset"))
+def test_other_dt(name, dt):
+    """Softness is tied to dt (a time constant below 2 dt is raised to it), and so is damping."""
+    for integrator in peers.INTEGRATORS:
+        sim, theirs, data, states = both(name, integrator=integrator, dt=dt)
+        theirs.opt.timestep = dt
+        worst = peers.Worst()
+        for index, state in enumerate(states[:16]):
+            peers.note_step(worst, index, sim, theirs, data, state)
+        worst.check(peers.STEPPED, f"{name} {integrator} dt {dt}")
+
+
+@pytest.mark.parametrize("integrator", peers.INTEGRATORS)
+@pytest.mark.parametrize("spin", (1e-7, 1.0, 40.0, 200.0))
+def test_fast_spin(integrator, spin):
+    """Free and ball joints at any turn per step: rk4's correction is exact, not a series."""
+    sim, theirs, data, states = both("ball_joints", integrator=integrator)
+    free, free_theirs, free_data, free_states = both("free_offset", integrator=integrator)
+    worst = peers.Worst()
+    for index, (state, other) in enumerate(zip(states[:8], free_states[:8], strict=True)):
+        state, other = copy.deepcopy((state, other))
+        state.qvel[:3] *= spin
+        other.qvel[3:6] *= spin
+        peers.note_step(worst, index, sim, theirs, data, state)
+        peers.note_step(worst, index, free, free_theirs, free_data, other)
+    worst.check(peers.STEPPED, f"{integrator} spin {spin}")
+
+
+@pytest.mark.parametrize(
+    "flag",
+    (
+        "gravity",
+        "contact",
+        "limit",
+        "frictionloss",
+        "equality",
+        "spring",
+        "damper",
+        "actuation",
+        "clampctrl",
+        "filterparent",
+        "constraint",
+        "eulerdamp",
+        "refsafe",
+    ),
+)
+def test_flags(flag):
+    """Each flag of `<option>` switches off the same thing in both engines."""
+    text = zoo.ZOO["all_together"].text.replace(
+        "<worldbody>", f'<option><flag {flag}="disable"/></option><worldbody>', 1
+    )
+    theirs = peers.strict(mujoco.MjModel.from_xml_string(text))
+    data = mujoco.MjData(theirs)
+    sim = sc.Sim(sc.loads(text).compile(), **peers.EXACT)
+    worst = peers.Worst()
+    for index, state in enumerate(states_of("all_together")[:12]):
+        peers.note_forward(worst, index, sim, theirs, data, state)
+        peers.note_step(worst, index, sim, theirs, data, state)
+    worst.check(peers.PLACED | peers.SOLVED | peers.STEPPED, flag)

@@ -1,0 +1,294 @@
+"""The trade's figures against closed forms, and its book-keeping. No time is judged here."""
+
+import json
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore import lesson
+from stepcore.trade.dofs import Dofs
+from stepcore.trade.errors import pareto, predictable
+from stepcore.trade.motion import motion, time_steps
+from stepcore.trade.run import Path
+
+G = 9.81
+
+
+def falling(mass=2.0, **options):
+    """A ball in free fall, with nothing to meet."""
+    scene = sc.Scene(gravity=(0, 0, -G), name="falling")
+    ball = scene.add_body("ball", pos=(0, 0, 1))
+    scene.add_joint(ball, "free")
+    scene.add_geom(ball, "sphere", 0.1, mass=mass)
+    scene.options = {"dt": 0.01, "integrator": "semi-implicit", "solver": "pgs"} | options
+    return scene
+
+
+def pushed(damping=0.0, **options):
+    """1 kg on a slide, without gravity, and a motor."""
+    scene = sc.Scene(gravity=(0, 0, 0), name="pushed")
+    cart = scene.add_body("cart", mass=1.0, inertia=(1, 1, 1))
+    slide = scene.add_joint(cart, "slide", axis=(1, 0, 0), damping=damping)
+    scene.add_actuator(slide, name="motor", gear=[2.0])
+    scene.options = {"dt": 0.01, "integrator": "semi-implicit", "solver": "pgs"} | options
+    return scene
+
+
+def by(result, **wanted):
+    """The one row with these settings."""
+    found = [
+        row
+        for row in result.rows
+        if all(getattr(row.settings, name) == value for name, value in wanted.items())
+    ]
+    assert len(found) == 1
+    return found[0]
+
+
+def few(scene, **options):
+    """A trade with one thread, double precision and no bar."""
+    chosen = {"precisions": ["f64"], "threads": 1, "progress": False}
+    return sc.trade(scene, **(chosen | options))
+
+
+def test_free_fall_is_wrong_by_half_g_dt_t():
+    result = few(falling(), integrators=["semi-implicit"], starts=3)
+    assert result.reference.error < 1e-12
+    for row in result.rows:
+        e, dt = row.errors, row.settings.dt
+        assert e.position_max == pytest.approx(G * dt / 2, rel=1e-9)
+        # Samples every dt_max: the root mean square of t over them.
+        times = np.arange(1, 26) * 0.04
+        rms = G * dt / 2 * np.sqrt(np.mean(times**2))
+        assert e.position == pytest.approx(rms, rel=1e-9)
+        assert e.gained == pytest.approx(0, abs=1e-10)
+        # It falls too far by as much as the weight did too much work: m g (g dt t / 2).
+        assert e.lost == pytest.approx(2.0 * G * G * dt / 2, rel=1e-9)
+        assert e.angle_max < 1e-12 and e.overlap == 0 and e.residual == 0
+
+
+def test_the_orders_of_the_integrators_on_a_spring():
+    orders = {"semi-implicit": 1, "explicit": 1, "midpoint": 2, "rk4": 4}
+    result = few(lesson.spring(), dts=[0.01, 0.005, 0.0025], integrators=list(orders), starts=2)
+    for name, order in orders.items():
+        errors = [by(result, integrator=name, dt=dt).errors.position for dt in (0.005, 0.0025)]
+        assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.12)
+    assert any("solver does not matter" in note for note in result.notes)
+
+
+def test_the_work_of_a_motor_is_not_gained_energy():
+    # A constant force is held exactly: v = a t, so E - W = -a² dt t / 2 under v-first.
+    options = {"ctrl": np.full((1, 1), 1.5), "starts": 1, "integrators": ["semi-implicit", "rk4"]}
+    result = few(pushed(), **options)
+    row = by(result, integrator="semi-implicit", dt=0.01)
+    assert row.errors.lost == pytest.approx(3.0**2 * 0.01 / 2, rel=1e-9)
+    assert row.errors.gained < 1e-12
+    exact = by(result, integrator="rk4", dt=0.01).errors
+    assert exact.position_max < 1e-12 and exact.gained < 1e-12 and exact.lost < 1e-12
+
+
+def test_what_a_damper_takes_is_not_lost_energy():
+    result = few(pushed(damping=2.0), ctrl=[[1.0]], starts=1, integrators=["rk4"])
+    lost = [by(result, integrator="rk4", dt=dt).errors for dt in (0.01, 0.005)]
+    dissipated = 0.5  # about; the balance is far below and falls with dt²
+    assert max(lost[0].lost, lost[0].gained) < 1e-3 * dissipated
+    ratio = max(lost[0].lost, lost[0].gained) / max(lost[1].lost, lost[1].gained)
+    assert ratio == pytest.approx(4, rel=0.2)
+
+
+def test_controls_are_the_same_for_every_step():
+    seen = {}
+
+    def control(time, sim):
+        seen.setdefault(sim.settings.dt, set()).add(round(time, 9))
+        return [np.sin(5 * time)]
+
+    few(pushed(), control=control, control_dt=0.05, starts=1, dts=[0.01, 0.005])
+    times = list(seen.values())
+    assert len(times[0]) == 20 and all(other == times[0] for other in times)
+
+
+def test_an_array_and_a_function_of_time_are_the_same_motion():
+    values = np.sin(np.arange(20) * 0.25)[:, None]
+    options = {"control_dt": 0.05, "starts": 1, "integrators": ["semi-implicit"]}
+    a = few(pushed(), ctrl=values, **options)
+    b = few(pushed(), control=lambda t, sim: values[round(t / 0.05)], **options)
+    assert [row.errors for row in a.rows] == [row.errors for row in b.rows]
+
+
+def test_failures_stay_with_their_reason():
+    # Explicit Euler grows tenfold a step here, 400 times.
+    scene = lesson.spring(k=1e10, dt=1e-4, integrator="rk4")
+    options = {"dts": [1e-4, 1e-5], "integrators": ["explicit", "rk4"], "starts": 1}
+    result = few(scene, horizon=0.04, **options)
+    bad = by(result, integrator="explicit", dt=1e-4)
+    assert "start 0: diverged" in bad.failure and "spring" in bad.failure
+    assert bad.errors is None and np.isnan(bad.cost) and not bad.best
+    assert len(result.table) == 4
+    assert "failed: 2 with explicit, pgs; first at dt 100 µs: start 0: diverged" in str(result)
+    record = result.table[result.rows.index(bad)]
+    assert record["cost"] is None and record["position"] is None and record["failure"]
+
+
+def test_the_reference_keeps_to_its_promise():
+    result = few(lesson.drop(), starts=2, integrators=["semi-implicit"])
+    reference = result.reference
+    least = min(row.errors.position for row in result.rows)
+    assert reference.error * 10 <= least or any(
+        "not 10 times" in n for n in str(result).split("\n")
+    )
+    assert reference.settings.dt < min(row.settings.dt for row in result.rows)
+    assert reference.settings.softness == result.shipped.settings.softness
+    # At the table's finest step v-first is wrong by g dt t / 2 before the impact.
+    assert 1e-5 < least < 1e-3
+
+
+def test_errors_do_not_depend_on_threads_and_seed_decides():
+    options = {"starts": 2, "integrators": ["semi-implicit"], "dts": [0.002, 0.001]}
+    one = few(lesson.stack(), **options)
+    two = few(lesson.stack(), **(options | {"threads": 2}))
+    other = few(lesson.stack(), seed=1, **options)
+    assert [r.errors for r in one.rows] == [r.errors for r in two.rows]
+    assert [r.row_updates for r in one.rows] == [r.row_updates for r in two.rows]
+    assert [r.errors for r in one.rows] != [r.errors for r in other.rows]
+
+
+def test_pareto():
+    assert pareto([1, 2, 3, 2.5], [3, 2, 1, 2]) == [True, True, True, False]
+    assert pareto([1, 1, 1], [2, 1, 1]) == [False, True, False]
+    assert pareto([float("nan"), 2], [0, 1]) == [False, True]
+    assert pareto([1, 2], [float("inf"), 1]) == [False, True]
+
+
+def test_best_is_the_cheapest_that_is_good_enough():
+    result = few(lesson.spring(), starts=1)
+    good = [r for r in result.rows if result.error(r) <= 1e-3]
+    assert result.best(1e-3) == min(good, key=lambda r: r.cost).settings
+    assert isinstance(result.best(), sc.Settings)
+    with pytest.raises(ValueError, match="the smallest in this trade"):
+        result.best(1e-30)
+    # Nobody is credited with an error below the reference's own.
+    assert all(result.error(row) >= result.reference.error for row in result.rows)
+
+
+def test_predictable_ends_where_runs_separate():
+    def path(x):
+        return Path(com=np.array(x, float)[:, None, None] * np.ones((1, 1, 3)))
+
+    a, b = path([0, 0, 0, 0]), path([1e-10, 1e-8, 1e-3, 1e-9])
+    mask = predictable([a], [b], [1e-10], 1e4)
+    assert mask.tolist() == [[True, True, False, False]]
+
+
+def test_json_holds_the_table():
+    result = few(lesson.spring(), starts=1, horizon=0.4)
+    data = json.loads(result.to_json())
+    assert len(data["rows"]) == len(result.rows)
+    assert data["reference"]["error"] == result.reference.error
+    assert data["rows"][0]["position"] == result.table[0]["position"]
+    assert sc.Settings(**data["shipped"]) == result.shipped.settings
+    assert sum(row["shipped"] for row in data["rows"]) == 1
+    assert data["units"]["position"] == "m" and len(data["summary"]) >= 2
+
+
+def test_the_sentences_name_the_shipped_settings():
+    text = str(few(lesson.drop(), starts=1, horizon=0.4))
+    assert "As shipped (semi-implicit, pgs 1 sweep, dt 2 ms) positions are" in text
+    assert "Half that error" in text
+
+
+def test_newton_has_no_sweeps_and_single_rows_need_one():
+    scene = lesson.drop()
+    scene.options = {"dt": 0.002, "integrator": "euler", "solver": "newton"}
+    result = sc.trade(scene, starts=1, horizon=0.4, dts=[0.002], threads=1, progress=False)
+    kinds = {(r.settings.solver, r.settings.sweeps) for r in result.rows}
+    assert kinds == {("newton", 100), ("pgs", 1)}
+    assert {r.settings.precision for r in result.rows} == {"f64", "f32"}
+
+
+def test_refsafe_is_said_to_soften():
+    scene = lesson.drop()
+    scene.options = {"dt": 0.008, "integrator": "euler", "solver": "newton"}
+    result = few(scene, starts=1, horizon=0.4, dts=[0.008, 0.016], integrators=["euler"])
+    marks = {row.settings.dt: row.clamped for row in result.rows}
+    assert marks == {0.008: False, 0.016: True}
+    assert any("refsafe" in note for note in result.notes)
+
+
+def test_time_steps_divide_the_period():
+    steps, period = time_steps(0.002, None, None, 1.0)
+    assert period == steps[0] == pytest.approx(0.008) and len(steps) == 6
+    steps, period = time_steps(0.01, None, 0.05, 1.0)
+    assert 0.01 in steps and period == 0.05
+    assert all(abs(period / dt - round(period / dt)) < 1e-9 for dt in steps)
+    steps, period = time_steps(0.002, [0.003], None, 1.0)
+    assert steps == [0.003, 0.002] and period == pytest.approx(0.006)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"horizon": 0.0}, "horizon"),
+        ({"horizon": float("nan")}, "horizon"),
+        ({"starts": 0}, "starts"),
+        ({"threads": 0}, "threads"),
+        ({"dts": [0.0]}, "dts"),
+        ({"dts": [0.003], "control_dt": 0.01}, "must divide"),
+        ({"control_dt": 0.015}, "must divide"),
+        ({"key": "stat"}, 'no key is named "stat"'),
+        ({"ctrl": [[1.0, 2.0]]}, r"ctrl has shape \(1, 2\)"),
+        ({"ctrl": [[1.0]], "control": lambda t, s: [0.0]}, "both given"),
+        ({"solvers": ["newton"]}, "pgs"),
+        ({"integrators": ["rk5"]}, "rk5"),
+    ],
+)
+def test_bad_arguments_are_refused(options, message):
+    scene = pushed(law="lesson")
+    with pytest.raises(ValueError, match=message):
+        few(scene, **options)
+
+
+def test_starts_respect_quaternions_and_ranges():
+    scene = falling()
+    arm = scene.add_body("arm", "ball", mass=0.1, inertia=(1e-3, 1e-3, 1e-3))
+    scene.add_joint(arm, "hinge", range=(0.0, 0.005))
+    model = scene.compile()
+    dofs = Dofs(model.scene)
+    got = motion(
+        model,
+        dofs,
+        horizon=1.0,
+        period=0.04,
+        key=None,
+        ctrl=None,
+        control=None,
+        count=8,
+        seed=3,
+    )
+    assert np.array_equal(got.starts[0].qpos, model.qpos0)
+    for start in got.starts:
+        assert np.linalg.norm(start.qpos[3:7]) == pytest.approx(1, abs=1e-14)
+        assert 0 <= start.qpos[7] <= 0.005
+    assert len({start.qpos.tobytes() for start in got.starts}) == 8
+    # A change of the dofs and its inverse.
+    change = np.random.default_rng(0).uniform(-0.5, 0.5, dofs.nv)
+    moved = dofs.moved(got.starts[1].qpos, change)
+    assert dofs.change(got.starts[1].qpos, moved) == pytest.approx(change, abs=1e-14)
+
+
+def test_nothing_to_move_is_an_error():
+    scene = sc.Scene()
+    scene.add_geom("world", "plane", name="floor")
+    with pytest.raises(ValueError, match=r"nothing .* can move|joint"):
+        few(scene)
+
+
+def test_the_picture_is_drawn(tmp_path):
+    pytest.importorskip("matplotlib")
+    result = few(lesson.spring(), starts=1, horizon=0.4)
+    figure = result.plot(tmp_path / "trade.png")
+    assert (tmp_path / "trade.png").stat().st_size > 10_000
+    axes = figure.axes[0]
+    assert axes.get_xscale() == axes.get_yscale() == "log"
+    assert "spring" in axes.get_title(loc="left")

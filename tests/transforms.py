@@ -1,0 +1,251 @@
+"""Scenes and states under a transformation: other units, a mirror, another order, two copies.
+
+A `Transform` is the new scene and the maps of qpos and qvel to it. Joints are given names, so that
+their coordinates can be found again in another order.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+import stepcore as sc
+from stepcore.elements import fields_of
+
+NQ = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
+NV = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
+TURNS = ("hinge", "ball")
+
+
+@dataclass(frozen=True)
+class Transform:
+    """A transformed scene, and what becomes of qpos, qvel and settings."""
+
+    scene: sc.Scene
+    qpos: Callable[[np.ndarray], np.ndarray]
+    qvel: Callable[[np.ndarray], np.ndarray]
+    settings: dict
+
+
+def named(scene):
+    """A copy whose joints, bodies and geoms all have names."""
+    scene = copy.deepcopy(scene)
+    for elements in (scene.joints, scene.bodies[1:], scene.geoms, scene.actuators):
+        kind = type(elements[0]).__name__.lower() if elements else ""
+        for i, element in enumerate(elements):
+            element.name = element.name or f"{kind}_{i}"
+    return scene
+
+
+def layout(model):
+    """For each joint by name: its type, and its slices of qpos and qvel."""
+    return {
+        name: (kind, slice(q, q + NQ[kind]), slice(v, v + NV[kind]))
+        for name, kind, q, v in zip(
+            model.joint_names, model.jnt_type, model.jnt_qposadr, model.jnt_dofadr, strict=True
+        )
+    }
+
+
+def _by_joint(scene, of_kind):
+    """The map that multiplies each joint's coordinates by `of_kind(type)`, an array."""
+    factors = np.concatenate([of_kind(kind) for kind, *_ in layout(scene.compile()).values()])
+    return lambda values: values * factors
+
+
+# --- other units ----------------------------------------------------------------------------------
+
+
+def scaled(scene, length, mass, time):
+    """The scene in units 2**-length m, 2**-mass kg, 2**-time s: every number of it scaled exactly.
+
+    A free joint's spring, damper and armature act on lengths and angles alike, and the softness
+    of the laws on the guess on both kinds of rows: such scenes must keep their length.
+    """
+
+    def unit(of_length=0, of_mass=0, of_time=0):
+        return 2.0 ** (of_length * length + of_mass * mass + of_time * time)
+
+    def by(element, factor, *names):
+        for name in names:
+            value = getattr(element, name)
+            if value is not None:
+                many = isinstance(value, tuple)
+                setattr(element, name, tuple(x * factor for x in value) if many else value * factor)
+
+    def soften(element, width, suffix=""):
+        first, second = getattr(element, f"solref{suffix}")
+        direct = first <= 0
+        factors = (unit(0, 0, -2), unit(0, 0, -1)) if direct else (unit(0, 0, 1), 1.0)
+        setattr(element, f"solref{suffix}", (first * factors[0], second * factors[1]))
+        solimp = list(getattr(element, f"solimp{suffix}"))
+        solimp[2] *= width
+        setattr(element, f"solimp{suffix}", solimp)
+
+    scene = copy.deepcopy(scene)
+    scene.gravity = tuple(x * unit(1, 0, -2) for x in scene.gravity)
+    for body in scene.bodies:
+        by(body, unit(1), "pos", "ipos")
+        by(body, unit(0, 1), "mass")
+        by(body, unit(2, 1), "inertia")
+    for joint in scene.joints:
+        turns = joint.type in TURNS
+        mixed = (joint.stiffness, joint.damping, joint.armature, joint.frictionloss)
+        assert joint.type != "free" or length == 0 or not any(mixed), "has no unit"
+        arm, reach = (unit(2), 1.0) if turns else (1.0, unit(1))
+        by(joint, unit(1), "pos")
+        by(joint, reach, "range", "margin", "ref", "springref")
+        by(joint, unit(0, 1, -2) * arm, "stiffness")
+        by(joint, unit(0, 1, -1) * arm, "damping")
+        by(joint, unit(0, 1) * arm, "armature")
+        by(joint, unit(2, 1, -2) if turns else unit(1, 1, -2), "frictionloss")
+        soften(joint, reach, "limit")
+        soften(joint, 1.0, "friction")
+    for geom in scene.geoms:
+        by(geom, unit(1), "size", "pos", "margin", "gap")
+        by(geom, unit(0, 1), "mass")
+        by(geom, unit(-2 if geom.shellinertia else -3, 1), "density")
+        slide, spin, roll = geom.friction
+        geom.friction = (slide, spin * unit(1), roll * unit(1))
+        soften(geom, unit(1))
+    for site in scene.sites:
+        by(site, unit(1), "pos")
+    for actuator in scene.actuators:
+        force, moment = unit(1, 1, -2), unit(2, 1, -2)
+        kind = actuator.joint.type
+        parts = [moment] * 6 if kind in TURNS else [force] * 3 + [moment] * 3
+        actuator.gear = [x * y for x, y in zip(actuator.gear, parts, strict=True)]
+    for equality in scene.equalities:
+        by(equality, unit(1), "anchor")
+        soften(equality, unit(1))
+    by(scene.mass_rules, unit(0, 1), "boundmass")
+    by(scene.mass_rules, unit(2, 1), "boundinertia")
+    if scene.mass_rules.settotalmass > 0:
+        by(scene.mass_rules, unit(0, 1), "settotalmass")
+    scene.keys.clear()
+
+    ones = np.ones
+    positions = {
+        "free": np.r_[unit(1) * ones(3), ones(4)],
+        "ball": ones(4),
+        "slide": unit(1) * ones(1),
+        "hinge": ones(1),
+    }
+    speeds = {
+        "free": np.r_[unit(1, 0, -1) * ones(3), unit(0, 0, -1) * ones(3)],
+        "ball": unit(0, 0, -1) * ones(3),
+        "slide": unit(1, 0, -1) * ones(1),
+        "hinge": unit(0, 0, -1) * ones(1),
+    }
+    dimensions = {
+        "dt": unit(0, 0, 1),
+        "tolerance": unit(1, 0, -1),
+        "softness": unit(0, -1),
+        "slop": unit(1),
+        "penalty_stiffness": unit(0, 1, -2),
+    }
+    settings = scene.settings
+    scaled_settings = {name: getattr(settings, name) * x for name, x in dimensions.items()}
+    scene.options.update(scaled_settings)
+    return Transform(
+        scene, _by_joint(scene, positions.get), _by_joint(scene, speeds.get), scaled_settings
+    )
+
+
+# --- a mirror -------------------------------------------------------------------------------------
+
+MIRROR = np.array([1.0, -1.0, 1.0])
+# A rotation, an angular velocity: what turns about an axis turns the other way.
+AXIAL = -MIRROR
+TURNED = np.r_[1.0, AXIAL]
+
+
+def mirrored(scene):
+    """The scene in a mirror, the plane y = 0."""
+    scene = copy.deepcopy(scene)
+    scene.gravity = tuple(scene.gravity * MIRROR)
+    for body in scene.bodies:
+        body.pos, body.quat, body.ipos = body.pos * MIRROR, body.quat * TURNED, body.ipos * MIRROR
+        body.inertia = np.array(body.inertia) * [1, 1, 1, -1, 1, -1]
+    for joint in scene.joints:
+        joint.pos = joint.pos * MIRROR
+        joint.axis = joint.axis * (MIRROR if joint.type == "slide" else AXIAL)
+    for placed in (*scene.geoms, *scene.sites):
+        placed.pos, placed.quat = placed.pos * MIRROR, placed.quat * TURNED
+    for actuator in scene.actuators:
+        if actuator.joint.type == "free":
+            actuator.gear = actuator.gear * np.r_[MIRROR, AXIAL]
+        if actuator.joint.type == "ball":
+            actuator.gear = actuator.gear * np.r_[AXIAL, 1, 1, 1]
+    for equality in scene.equalities:
+        equality.anchor = equality.anchor * MIRROR
+    scene.keys.clear()
+    one = np.ones(1)
+    positions = {"free": np.r_[MIRROR, TURNED], "ball": TURNED, "slide": one, "hinge": one}
+    speeds = {"free": np.r_[MIRROR, AXIAL], "ball": AXIAL, "slide": one, "hinge": one}
+    return Transform(scene, _by_joint(scene, positions.get), _by_joint(scene, speeds.get), {})
+
+
+# --- another order, two copies --------------------------------------------------------------------
+
+
+def reordered(scene):
+    """The same scene, its bodies and geoms listed the other way round."""
+    scene = named(scene)
+    before = layout(scene.compile())
+    other = copy.deepcopy(scene)
+    other.bodies[1:] = other.bodies[:0:-1]
+    other.geoms.reverse()
+    other.equalities.reverse()
+    after = layout(other.compile())
+
+    def map_by(part):
+        def apply(values):
+            out = np.empty_like(values)
+            for name, spans in after.items():
+                out[spans[part]] = values[before[name][part]]
+            return out
+
+        return apply
+
+    other.keys.clear()
+    return Transform(other, map_by(1), map_by(2), {})
+
+
+def doubled(scene):
+    """Two copies of the scene in one, that cannot touch each other; `qpos` sets both alike."""
+    scene = copy.deepcopy(scene)
+    scene.keys.clear()
+    twin = copy.deepcopy(scene)
+    for geom in twin.geoms:
+        geom.contype, geom.conaffinity = geom.contype << 16, geom.conaffinity << 16
+    for elements in twin.named():
+        for element in elements:
+            element.name = element.name and f"{element.name}_twin"
+    world = scene.bodies[0]
+    for body in twin.bodies[1:]:
+        if body.parent is twin.bodies[0]:
+            body.parent = world
+        scene.bodies.append(body)
+    for mine, theirs in (
+        (scene.joints, twin.joints),
+        (scene.geoms, twin.geoms),
+        (scene.sites, twin.sites),
+        (scene.actuators, twin.actuators),
+        (scene.equalities, twin.equalities),
+    ):
+        for element in theirs:
+            for field in fields_of(type(element)):
+                if getattr(element, field) is twin.bodies[0]:
+                    setattr(element, field, world)
+            mine.append(element)
+    swap = {id(twin.bodies[0]): world}
+    scene.excludes += [(swap.get(id(a), a), swap.get(id(b), b)) for a, b in twin.excludes]
+
+    def twice(values):
+        return np.concatenate([values, values])
+
+    return Transform(scene, twice, twice, {})
