@@ -24,6 +24,7 @@ import mujoco
 import mujoco_side
 import numpy as np
 import record
+import rollouts
 import scenes
 import stepcore_side
 from timing import Side, duel
@@ -68,6 +69,8 @@ CASES = [
     Case("chain20", scenes.chain(), starts=4, hold=250, aim=LARGE),
     Case("capsules27", scenes.capsules(), starts=6, hold=25, settle=250, aim=LARGE),
 ]
+# Of these also many worlds.
+MANY = ("ball", "hopper", "half_cheetah", "ant")
 
 
 def main() -> None:
@@ -83,6 +86,11 @@ def main() -> None:
     for case in CASES:
         if options.only in case.name:
             compare(case, options, report)
+    report.say()
+    report.say("many worlds, steps a second (thousands): stepcore, MuJoCo, ratio")
+    for case in CASES:
+        if options.only in case.name and case.name in MANY:
+            rollouts.compare(case, options, report)
     report.close()
 
 

@@ -1,16 +1,13 @@
 """The trade's figures against closed forms, and its book-keeping. No time is judged here."""
 
 import json
+import pickle
 
 import numpy as np
 import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import pareto, predictable
-from stepcore.trade.motion import motion, time_steps
-from stepcore.trade.run import Path
 
 G = 9.81
 
@@ -154,13 +151,6 @@ def test_errors_do_not_depend_on_threads_and_seed_decides():
     assert [r.errors for r in one.rows] != [r.errors for r in other.rows]
 
 
-def test_pareto():
-    assert pareto([1, 2, 3, 2.5], [3, 2, 1, 2]) == [True, True, True, False]
-    assert pareto([1, 1, 1], [2, 1, 1]) == [False, True, False]
-    assert pareto([float("nan"), 2], [0, 1]) == [False, True]
-    assert pareto([1, 2], [float("inf"), 1]) == [False, True]
-
-
 def test_best_is_the_cheapest_that_is_good_enough():
     result = few(lesson.spring(), starts=1)
     good = [r for r in result.rows if result.error(r) <= 1e-3]
@@ -172,15 +162,6 @@ def test_best_is_the_cheapest_that_is_good_enough():
     assert all(result.error(row) >= result.reference.error for row in result.rows)
 
 
-def test_predictable_ends_where_runs_separate():
-    def path(x):
-        return Path(com=np.array(x, float)[:, None, None] * np.ones((1, 1, 3)))
-
-    a, b = path([0, 0, 0, 0]), path([1e-10, 1e-8, 1e-3, 1e-9])
-    mask = predictable([a], [b], [1e-10], 1e4)
-    assert mask.tolist() == [[True, True, False, False]]
-
-
 def test_json_holds_the_table():
     result = few(lesson.spring(), starts=1, horizon=0.4)
     data = json.loads(result.to_json())
@@ -190,6 +171,15 @@ def test_json_holds_the_table():
     assert sc.Settings(**data["shipped"]) == result.shipped.settings
     assert sum(row["shipped"] for row in data["rows"]) == 1
     assert data["units"]["position"] == "m" and len(data["summary"]) >= 2
+
+
+def test_a_trade_is_named_by_what_it_is_of_and_pickles():
+    result = sc.trade("lesson:spring", starts=1, horizon=0.08, precisions=["f64"], progress=False)
+    assert "spring" in repr(result) and result.name == "spring"
+    copy = pickle.loads(pickle.dumps(result))
+    assert copy.to_json() == result.to_json()
+    with pytest.raises(ValueError, match="no such file"):
+        sc.trade("no_such.xml")
 
 
 def test_the_sentences_name_the_shipped_settings():
@@ -216,16 +206,6 @@ def test_refsafe_is_said_to_soften():
     assert any("refsafe" in note for note in result.notes)
 
 
-def test_time_steps_divide_the_period():
-    steps, period = time_steps(0.002, None, None, 1.0)
-    assert period == steps[0] == pytest.approx(0.008) and len(steps) == 6
-    steps, period = time_steps(0.01, None, 0.05, 1.0)
-    assert 0.01 in steps and period == 0.05
-    assert all(abs(period / dt - round(period / dt)) < 1e-9 for dt in steps)
-    steps, period = time_steps(0.002, [0.003], None, 1.0)
-    assert steps == [0.003, 0.002] and period == pytest.approx(0.006)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -247,34 +227,6 @@ def test_bad_arguments_are_refused(options, message):
     scene = pushed(law="lesson")
     with pytest.raises(ValueError, match=message):
         few(scene, **options)
-
-
-def test_starts_respect_quaternions_and_ranges():
-    scene = falling()
-    arm = scene.add_body("arm", "ball", mass=0.1, inertia=(1e-3, 1e-3, 1e-3))
-    scene.add_joint(arm, "hinge", range=(0.0, 0.005))
-    model = scene.compile()
-    dofs = Dofs(model.scene)
-    got = motion(
-        model,
-        dofs,
-        horizon=1.0,
-        period=0.04,
-        key=None,
-        ctrl=None,
-        control=None,
-        count=8,
-        seed=3,
-    )
-    assert np.array_equal(got.starts[0].qpos, model.qpos0)
-    for start in got.starts:
-        assert np.linalg.norm(start.qpos[3:7]) == pytest.approx(1, abs=1e-14)
-        assert 0 <= start.qpos[7] <= 0.005
-    assert len({start.qpos.tobytes() for start in got.starts}) == 8
-    # A change of the dofs and its inverse.
-    change = np.random.default_rng(0).uniform(-0.5, 0.5, dofs.nv)
-    moved = dofs.moved(got.starts[1].qpos, change)
-    assert dofs.change(got.starts[1].qpos, moved) == pytest.approx(change, abs=1e-14)
 
 
 def test_nothing_to_move_is_an_error():

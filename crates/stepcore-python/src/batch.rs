@@ -63,12 +63,12 @@ impl Batch {
     fn store(&self, py: Python<'_>, worlds: &dyn Worlds) {
         let [nq, nv, ..] = self.layout.lengths;
         let n = self.layout.worlds;
-        let mut numbers = vec![0.0; n * (nq + nv)];
-        let (qpos, qvel) = numbers.split_at_mut(n * nq);
-        for world in 0..n {
-            worlds.take(world, &mut qpos[world * nq..][..nq], &mut qvel[world * nv..][..nv]);
-        }
-        self.memory.get().write(py, 0, numbers);
+        self.memory.get().edit(py, 0..n * (nq + nv), |numbers| {
+            let (qpos, qvel) = numbers.split_at_mut(n * nq);
+            for world in 0..n {
+                worlds.take(world, &mut qpos[world * nq..][..nq], &mut qvel[world * nv..][..nv]);
+            }
+        });
     }
 
     fn view<'py>(&self, py: Python<'py>, array: usize, shape: &[usize]) -> PyResult<Array<'py>> {
@@ -81,7 +81,8 @@ impl Batch {
         let guard = self.lock()?;
         let numbers = self.numbers(py).to_vec();
         let mut all = Vec::new();
-        let mut reader = world(self.model.clone(), &self.settings).map_err(|error| raise(py, error))?;
+        let mut reader =
+            world(self.model.clone(), &self.settings).map_err(|error| raise(py, error))?;
         for world in 0..self.layout.worlds {
             let given = self.layout.given(&numbers, world);
             guard.check(world, &given).map_err(|error| raise(py, error))?;
@@ -102,7 +103,9 @@ impl Batch {
         let mut all = Vec::with_capacity(ctrl.len());
         for ((world, step, k), x) in ctrl.as_array().indexed_iter() {
             if !x.is_finite() || single && !(*x as f32).is_finite() {
-                let text = format!("ctrl[{world}, {step}, {k}] = {x}: must be finite; nothing was stepped");
+                let text = format!(
+                    "ctrl[{world}, {step}, {k}] = {x}: must be finite; nothing was stepped"
+                );
                 return Err(PyValueError::new_err(text));
             }
             all.push(*x);
@@ -128,7 +131,7 @@ impl Batch {
         let worlds = gil::release(py, || worlds(model.clone(), &settings, n, threads, lanes))?;
         let layout = Layout::of(&model, n);
         let memory = Py::new(py, Memory::new(layout.total()))?;
-        memory.get().write(py, 0, (0..n).flat_map(|_| model.qpos0.iter().copied()));
+        memory.get().write(py, 0, &model.qpos0.repeat(n));
         Ok(Self { model, settings, layout, memory, worlds: Mutex::new(worlds) })
     }
 
@@ -154,9 +157,8 @@ impl Batch {
     }
 
     /// Advances every world by n steps.
-    #[pyo3(signature = (n = None))]
-    fn step(&self, py: Python<'_>, n: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
-        let n = n.map_or(Ok(1), |n| u64::read(n, &At::Root.field("n")))?;
+    fn step(&self, py: Python<'_>, n: &Bound<'_, PyAny>) -> PyResult<()> {
+        let n = u64::read(n, &At::Root.field("n"))?;
         let mut guard = self.lock()?;
         let worlds = &mut **guard;
         self.load(py, worlds)?;
@@ -196,8 +198,10 @@ impl Batch {
         self.store(py, worlds);
         if from > 0 {
             let start = self.layout.range(2).start;
-            let last = (0..n).flat_map(|world| &controls[(world * steps + from - 1) * nu..][..nu]);
-            self.memory.get().write(py, start, last.copied());
+            for world in 0..n {
+                let last = &controls[(world * steps + from - 1) * nu..][..nu];
+                self.memory.get().write(py, start + world * nu, last);
+            }
         }
         outcome?;
         Ok((shaped(py, qpos, &[n, steps, nq])?, shaped(py, qvel, &[n, steps, nv])?))
@@ -220,17 +224,23 @@ impl Batch {
         let numbers = self.numbers(py);
         let given = |world| self.layout.given(numbers, world);
         let snapshots = memos.iter().enumerate();
-        Ok(snapshots.map(|(world, memo)| PyBytes::new(py, &encode(self.settings.dt, memo, &given(world)))).collect())
+        Ok(snapshots
+            .map(|(world, memo)| PyBytes::new(py, &encode(self.settings.dt, memo, &given(world))))
+            .collect())
     }
 
     fn restore(&self, py: Python<'_>, states: Vec<Vec<u8>>) -> PyResult<()> {
         let mut worlds = self.lock()?;
         let n = self.layout.worlds;
         if states.len() != n {
-            return Err(PyValueError::new_err(format!("this state() has {} worlds, not {n}", states.len())));
+            return Err(PyValueError::new_err(format!(
+                "this state() has {} worlds, not {n}",
+                states.len()
+            )));
         }
         let decoded = states.iter().map(|state| decode(state, self.layout.lengths));
-        let mut snapshots = decoded.collect::<Result<Vec<Snapshot>, String>>().map_err(PyValueError::new_err)?;
+        let mut snapshots =
+            decoded.collect::<Result<Vec<Snapshot>, String>>().map_err(PyValueError::new_err)?;
         for snapshot in &mut snapshots {
             snapshot.count_in(self.settings.dt);
         }
@@ -241,7 +251,7 @@ impl Batch {
             for (array, length) in self.layout.lengths.into_iter().enumerate() {
                 let (head, tail) = rest.split_at(length);
                 let start = self.layout.range(array).start + world * length;
-                self.memory.get().write(py, start, head.iter().copied());
+                self.memory.get().write(py, start, head);
                 rest = tail;
             }
         }

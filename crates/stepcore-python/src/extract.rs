@@ -5,7 +5,7 @@ use std::fmt;
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyString};
+use pyo3::types::{PyBool, PyDict, PyFloat, PyString};
 
 use crate::errors::nearest;
 
@@ -60,7 +60,7 @@ fn is_bool(value: &Bound<'_, PyAny>) -> bool {
 impl Read for f64 {
     fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
         match value.extract() {
-            Ok(number) if !is_bool(value) => Ok(number),
+            Ok(number) if value.is_exact_instance_of::<PyFloat>() || !is_bool(value) => Ok(number),
             _ => Err(refuse(value, at, "a number")),
         }
     }
@@ -80,7 +80,8 @@ macro_rules! read_whole {
         impl Read for $type {
             fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
                 match value.extract() {
-                    Ok(number) if !is_bool(value) => Ok(number),
+                    // numpy's truth values are no whole numbers by themselves.
+                    Ok(number) if !value.is_instance_of::<PyBool>() => Ok(number),
                     _ => {
                         let limit = format!("a whole number from {} to {}", <$type>::MIN, <$type>::MAX);
                         Err(refuse(value, at, &limit))
@@ -143,7 +144,10 @@ impl<'a, 'py> Record<'a, 'py> {
             let name = String::read(&key, &at.field("key"))?;
             if !fields.contains(&name.as_str()) {
                 let place = at.field(&name);
-                return Err(PyValueError::new_err(format!("{place}: no such field{}", nearest(&name, fields))));
+                return Err(PyValueError::new_err(format!(
+                    "{place}: no such field{}",
+                    nearest(&name, fields)
+                )));
             }
         }
         Ok(Self { dict, at })

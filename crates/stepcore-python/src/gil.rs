@@ -13,19 +13,32 @@ use crate::errors::raise;
 const PATIENCE: Duration = Duration::from_millis(20);
 
 /// Runs engine code without the GIL.
-pub fn release<T: Send>(py: Python<'_>, run: impl FnOnce() -> Result<T, Error> + Send) -> PyResult<T> {
+pub fn release<T: Send>(
+    py: Python<'_>,
+    run: impl FnOnce() -> Result<T, Error> + Send,
+) -> PyResult<T> {
     match py.detach(|| catch_unwind(AssertUnwindSafe(run))) {
         Ok(outcome) => outcome.map_err(|error| raise(py, error)),
         Err(panic) => {
             let text = panic.downcast_ref::<String>().map(String::as_str);
             let text = text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("unknown");
-            Err(PyRuntimeError::new_err(format!("an error inside stepcore, please report it: {text}")))
+            Err(PyRuntimeError::new_err(format!(
+                "an error inside stepcore, please report it: {text}"
+            )))
         }
     }
 }
 
 /// Does `n` steps in portions, and serves Python's signals between them.
-pub fn steps(py: Python<'_>, n: u64, mut advance: impl FnMut(u64) -> Result<(), Error> + Send) -> PyResult<()> {
+pub fn steps(
+    py: Python<'_>,
+    n: u64,
+    mut advance: impl FnMut(u64) -> Result<(), Error> + Send,
+) -> PyResult<()> {
+    if n <= 1 {
+        // One step is short: nothing to interrupt, nothing to measure.
+        return release(py, || advance(n));
+    }
     let (mut left, mut portion) = (n, 1);
     while left > 0 {
         let now = portion.min(left);

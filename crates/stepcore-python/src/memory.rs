@@ -52,7 +52,7 @@ pub struct Memory {
     numbers: Box<[UnsafeCell<f64>]>,
 }
 
-// SAFETY: the numbers are reached through numpy views and through `read` and `write`,
+// SAFETY: the numbers are reached through numpy views and through `read` and `edit`,
 // which need the GIL: never by two threads at once, except from native code that
 // writes to a numpy array without the GIL, which is a race for every numpy array.
 unsafe impl Sync for Memory {}
@@ -70,20 +70,30 @@ impl Memory {
         unsafe { std::slice::from_raw_parts(cells.as_ptr().cast(), cells.len()) }
     }
 
+    /// Lets `write` overwrite the numbers of a range. It must not run Python code.
+    pub fn edit(&self, _py: Python<'_>, range: Range<usize>, write: impl FnOnce(&mut [f64])) {
+        let cells = &self.numbers[range];
+        // SAFETY: as for `read`; the slice ends with `write`, which runs no Python code.
+        write(unsafe { std::slice::from_raw_parts_mut(cells.as_ptr() as *mut f64, cells.len()) });
+    }
+
     /// Overwrites the numbers from `start` on.
-    pub fn write(&self, _py: Python<'_>, start: usize, values: impl IntoIterator<Item = f64>) {
-        for (cell, value) in self.numbers[start..].iter().zip(values) {
-            // SAFETY: as for `read`; no slice is alive while this runs.
-            unsafe { *cell.get() = value };
-        }
+    pub fn write(&self, py: Python<'_>, start: usize, values: &[f64]) {
+        self.edit(py, start..start + values.len(), |numbers| numbers.copy_from_slice(values));
     }
 
     /// A numpy view of a range.
-    pub fn view<'py>(this: &Bound<'py, Self>, range: Range<usize>, shape: &[usize]) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    pub fn view<'py>(
+        this: &Bound<'py, Self>,
+        range: Range<usize>,
+        shape: &[usize],
+    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let cells = &this.get().numbers[range];
         // SAFETY: as for `read`; only the address and the shape are taken from the view.
-        let numbers: &[f64] = unsafe { std::slice::from_raw_parts(cells.as_ptr().cast(), cells.len()) };
-        let view = ArrayView::from_shape(IxDyn(shape), numbers).map_err(|e| PyRuntimeError::new_err(e.to_string()))?;
+        let numbers: &[f64] =
+            unsafe { std::slice::from_raw_parts(cells.as_ptr().cast(), cells.len()) };
+        let view = ArrayView::from_shape(IxDyn(shape), numbers)
+            .map_err(|e| PyRuntimeError::new_err(e.to_string()))?;
         // SAFETY: the block is never moved or freed before `this`, which the array holds.
         Ok(unsafe { PyArray::borrow_from_array(&view, this.clone().into_any()) })
     }

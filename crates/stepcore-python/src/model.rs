@@ -11,7 +11,11 @@ use stepcore::scene::{GeomType, JointType, Scene};
 use crate::extract::{At, Read};
 
 /// An array of this shape that owns its numbers.
-pub fn shaped<'py>(py: Python<'py>, values: Vec<f64>, shape: &[usize]) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+pub fn shaped<'py>(
+    py: Python<'py>,
+    values: Vec<f64>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
     PyArray1::from_vec(py, values).reshape(shape.to_vec())
 }
 
@@ -80,20 +84,43 @@ impl Model {
     fn tables<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let m = &*self.0;
         let tables = PyDict::new(py);
-        let add = |name: &str, values: Vec<f64>, shape: &[usize]| tables.set_item(name, shaped(py, values, shape)?);
-        let (nbody, njnt, ngeom, nu) = (m.bodies.len(), m.joints.len(), m.geoms.len(), m.actuators.len());
+        let add = |name: &str, values: Vec<f64>, shape: &[usize]| {
+            tables.set_item(name, shaped(py, values, shape)?)
+        };
+        let (nbody, njnt, ngeom, nu) =
+            (m.bodies.len(), m.joints.len(), m.geoms.len(), m.actuators.len());
         add("qpos0", m.qpos0.clone(), &[m.nq])?;
         add("body_mass", m.bodies.iter().map(|b| b.mass).collect(), &[nbody])?;
         let inertia = m.bodies.iter().flat_map(|b| b.inertia.iter().copied().collect::<Vec<_>>());
         add("body_inertia", inertia.collect(), &[nbody, 3, 3])?;
-        add("body_ipos", m.bodies.iter().flat_map(|b| [b.ipos.x, b.ipos.y, b.ipos.z]).collect(), &[nbody, 3])?;
+        add(
+            "body_ipos",
+            m.bodies.iter().flat_map(|b| [b.ipos.x, b.ipos.y, b.ipos.z]).collect(),
+            &[nbody, 3],
+        )?;
         add("body_invweight0", m.bodies.iter().flat_map(|b| b.invweight).collect(), &[nbody, 2])?;
         add("dof_invweight0", m.dofs.iter().map(|d| d.invweight).collect(), &[m.nv])?;
-        add("jnt_range", m.joints.iter().flat_map(|j| j.range.unwrap_or(FREE)).collect(), &[njnt, 2])?;
-        add("jnt_axis", m.joints.iter().flat_map(|j| [j.axis.x, j.axis.y, j.axis.z]).collect(), &[njnt, 3])?;
-        add("jnt_pos", m.joints.iter().flat_map(|j| [j.pos.x, j.pos.y, j.pos.z]).collect(), &[njnt, 3])?;
+        add(
+            "jnt_range",
+            m.joints.iter().flat_map(|j| j.range.unwrap_or(FREE)).collect(),
+            &[njnt, 2],
+        )?;
+        add(
+            "jnt_axis",
+            m.joints.iter().flat_map(|j| [j.axis.x, j.axis.y, j.axis.z]).collect(),
+            &[njnt, 3],
+        )?;
+        add(
+            "jnt_pos",
+            m.joints.iter().flat_map(|j| [j.pos.x, j.pos.y, j.pos.z]).collect(),
+            &[njnt, 3],
+        )?;
         add("geom_size", m.geoms.iter().flat_map(|g| g.size).collect(), &[ngeom, 3])?;
-        add("actuator_ctrlrange", m.actuators.iter().flat_map(|a| a.ctrlrange.unwrap_or(FREE)).collect(), &[nu, 2])?;
+        add(
+            "actuator_ctrlrange",
+            m.actuators.iter().flat_map(|a| a.ctrlrange.unwrap_or(FREE)).collect(),
+            &[nu, 2],
+        )?;
         add("actuator_gear", m.actuators.iter().flat_map(|a| a.gear).collect(), &[nu, 6])?;
         Ok(tables)
     }
@@ -108,7 +135,8 @@ impl Model {
         lists.set_item("jnt_body", m.joints.iter().map(|j| j.body).collect::<Vec<_>>())?;
         lists.set_item("geom_body", m.geoms.iter().map(|g| g.body).collect::<Vec<_>>())?;
         lists.set_item("site_body", m.sites.iter().map(|s| s.body).collect::<Vec<_>>())?;
-        lists.set_item("actuator_joint", m.actuators.iter().map(|a| a.joint).collect::<Vec<_>>())?;
+        lists
+            .set_item("actuator_joint", m.actuators.iter().map(|a| a.joint).collect::<Vec<_>>())?;
         Ok(lists)
     }
 
@@ -129,7 +157,8 @@ impl Model {
     #[allow(clippy::type_complexity)]
     fn keys(&self) -> Vec<(f64, Vec<f64>, Vec<f64>, Vec<f64>)> {
         let m = &*self.0;
-        let or_zero = |given: &Option<Vec<f64>>, count| given.clone().unwrap_or_else(|| vec![0.0; count]);
+        let or_zero =
+            |given: &Option<Vec<f64>>, count| given.clone().unwrap_or_else(|| vec![0.0; count]);
         let qpos = |given: &Option<Vec<f64>>| given.clone().unwrap_or_else(|| m.qpos0.clone());
         let key = |k: &stepcore::scene::Key| {
             (k.time, qpos(&k.qpos), or_zero(&k.qvel, m.nv), or_zero(&k.ctrl, m.actuators.len()))

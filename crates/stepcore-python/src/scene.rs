@@ -2,8 +2,8 @@
 
 use pyo3::prelude::*;
 use stepcore::scene::{
-    Actuator, Body, Equality, Features, Geom, GeomType, Inertial, Joint, JointType, Key, MassRules, Scene, Site,
-    Softness,
+    Actuator, Body, Equality, Features, Geom, GeomType, Inertial, Joint, JointType, Key, MassRules,
+    Scene, Site, Softness,
 };
 
 use crate::extract::{record, refuse, At, Read};
@@ -31,22 +31,80 @@ record!(Softness { solref, solimp });
 record!(Inertial { mass, pos, inertia });
 record!(Body { name, parent, pos, quat, inertial });
 record!(Joint {
-    name, body, kind, pos, axis, range, margin, reference, springref, stiffness, damping, armature,
-    frictionloss, limit, friction,
+    name,
+    body,
+    kind,
+    pos,
+    axis,
+    range,
+    margin,
+    reference,
+    springref,
+    stiffness,
+    damping,
+    armature,
+    frictionloss,
+    limit,
+    friction,
 });
 record!(Geom {
-    name, body, kind, size, pos, quat, mass, density, shell_inertia, group, contype, conaffinity, condim,
-    priority, friction, margin, gap, solmix, soft,
+    name,
+    body,
+    kind,
+    size,
+    pos,
+    quat,
+    mass,
+    density,
+    shell_inertia,
+    group,
+    contype,
+    conaffinity,
+    condim,
+    priority,
+    friction,
+    margin,
+    gap,
+    solmix,
+    soft,
 });
 record!(Site { name, body, pos, quat });
 record!(Actuator { name, joint, gear, ctrlrange, forcerange });
 record!(Equality { name, body1, body2, anchor, active, soft });
 record!(Key { name, time, qpos, qvel, ctrl });
-record!(MassRules { from_geoms, group_range, bound_mass, bound_inertia, balance_inertia, total_mass });
+record!(MassRules {
+    from_geoms,
+    group_range,
+    bound_mass,
+    bound_inertia,
+    balance_inertia,
+    total_mass
+});
 record!(Features {
-    constraint, equality, frictionloss, limit, contact, spring, damper, gravity, clampctrl, actuation,
-    filterparent, eulerdamp,
+    constraint,
+    equality,
+    frictionloss,
+    limit,
+    contact,
+    spring,
+    damper,
+    gravity,
+    clampctrl,
+    actuation,
+    filterparent,
+    eulerdamp,
 });
 record!(Scene {
-    name, gravity, bodies, joints, geoms, sites, actuators, equalities, keys, excludes, mass_rules, features,
+    name,
+    gravity,
+    bodies,
+    joints,
+    geoms,
+    sites,
+    actuators,
+    equalities,
+    keys,
+    excludes,
+    mass_rules,
+    features,
 });

@@ -3,7 +3,9 @@
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
-use stepcore::settings::{Acceleration, Cone, Integrator, Law, Precision, Settings as Engine, Solver};
+use stepcore::settings::{
+    Acceleration, Cone, Integrator, Law, Precision, Settings as Engine, Solver,
+};
 
 use crate::errors::{nearest, raise};
 use crate::extract::{At, Read};

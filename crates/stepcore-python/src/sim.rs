@@ -35,7 +35,9 @@ impl Sim {
         match self.world.try_lock() {
             Ok(world) => Ok(world),
             Err(TryLockError::Poisoned(world)) => Ok(world.into_inner()),
-            Err(TryLockError::WouldBlock) => Err(PyRuntimeError::new_err("this Sim is busy in another thread")),
+            Err(TryLockError::WouldBlock) => {
+                Err(PyRuntimeError::new_err("this Sim is busy in another thread"))
+            }
         }
     }
 
@@ -53,10 +55,10 @@ impl Sim {
 
     fn store(&self, py: Python<'_>, world: &dyn World) {
         let [nq, nv, ..] = self.layout.lengths;
-        let mut numbers = vec![0.0; nq + nv];
-        let (qpos, qvel) = numbers.split_at_mut(nq);
-        world.take(qpos, qvel);
-        self.memory.get().write(py, 0, numbers);
+        self.memory.get().edit(py, 0..nq + nv, |numbers| {
+            let (qpos, qvel) = numbers.split_at_mut(nq);
+            world.take(qpos, qvel);
+        });
     }
 
     fn view<'py>(&self, py: Python<'py>, array: usize, shape: &[usize]) -> PyResult<Array<'py>> {
@@ -64,7 +66,8 @@ impl Sim {
     }
 
     fn placed<'py>(&self, py: Python<'py>, what: Placed, shape: &[usize]) -> PyResult<Array<'py>> {
-        let numbers = self.lock()?.placed(&self.given(py), what).map_err(|error| raise(py, error))?;
+        let numbers =
+            self.lock()?.placed(&self.given(py), what).map_err(|error| raise(py, error))?;
         shaped(py, numbers, shape)
     }
 
@@ -83,7 +86,7 @@ impl Sim {
         let layout = Layout::of(&model, 1);
         let world = gil::release(py, || world(model.clone(), &settings.0))?;
         let memory = Py::new(py, Memory::new(layout.total()))?;
-        memory.get().write(py, 0, model.qpos0.iter().copied());
+        memory.get().write(py, 0, &model.qpos0);
         Ok(Self { model, dt: settings.0.dt, layout, memory, world: Mutex::new(world) })
     }
 
@@ -109,9 +112,8 @@ impl Sim {
     }
 
     /// Advances by n steps.
-    #[pyo3(signature = (n = None))]
-    fn step(&self, py: Python<'_>, n: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
-        let n = n.map_or(Ok(1), |n| u64::read(n, &At::Root.field("n")))?;
+    fn step(&self, py: Python<'_>, n: &Bound<'_, PyAny>) -> PyResult<()> {
+        let n = u64::read(n, &At::Root.field("n"))?;
         let mut guard = self.lock()?;
         let world = &mut **guard;
         self.load(py, world)?;
@@ -164,7 +166,7 @@ impl Sim {
         let mut snapshot = decode(state, self.layout.lengths).map_err(PyValueError::new_err)?;
         snapshot.count_in(self.dt);
         world.set_memo(&snapshot.memo);
-        self.memory.get().write(py, 0, snapshot.numbers);
+        self.memory.get().write(py, 0, &snapshot.numbers);
         Ok(())
     }
 
@@ -245,7 +247,10 @@ impl Sim {
     }
     /// Kinds, names, blocks, and impulse, velocity, target, regulariser, residual, lo, hi.
     #[allow(clippy::type_complexity)]
-    fn rows<'py>(&self, py: Python<'py>) -> PyResult<(Vec<&'static str>, Vec<String>, Vec<usize>, Array<'py>)> {
+    fn rows<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(Vec<&'static str>, Vec<String>, Vec<usize>, Array<'py>)> {
         let table = self.lock()?.rows();
         let count = table.blocks.len();
         Ok((table.kinds, table.names, table.blocks, shaped(py, table.numbers, &[count, 7])?))

@@ -36,7 +36,9 @@ pub fn encode(dt: f64, memo: &Memo, given: &Given) -> Vec<u8> {
     bytes.extend((memo.warm.len() as u64).to_le_bytes());
     bytes.extend(memo.steps.to_le_bytes());
     let warm = memo.warm.iter().flat_map(|w| w.impulse);
-    for number in [dt, memo.start].into_iter().chain(arrays.into_iter().flatten().copied()).chain(warm) {
+    for number in
+        [dt, memo.start].into_iter().chain(arrays.into_iter().flatten().copied()).chain(warm)
+    {
         bytes.extend(number.to_le_bytes());
     }
     for warm in &memo.warm {
@@ -47,9 +49,11 @@ pub fn encode(dt: f64, memo: &Memo, given: &Given) -> Vec<u8> {
 
 /// The snapshot in `bytes`, or what is wrong with them.
 pub fn decode(bytes: &[u8], lengths: [usize; 5]) -> Result<Snapshot, String> {
-    let mut rest = bytes.strip_prefix(HEAD.as_slice()).ok_or("these are not the bytes of a state()")?;
+    let mut rest =
+        bytes.strip_prefix(HEAD.as_slice()).ok_or("these are not the bytes of a state()")?;
     let mut next = |count: usize| {
-        let (head, tail) = rest.split_at_checked(count).ok_or("the bytes of this state() are cut short")?;
+        let (head, tail) =
+            rest.split_at_checked(count).ok_or("the bytes of this state() are cut short")?;
         rest = tail;
         Ok::<_, &str>(head)
     };
@@ -61,7 +65,9 @@ pub fn decode(bytes: &[u8], lengths: [usize; 5]) -> Result<Snapshot, String> {
     for (name, length) in ["nq", "nv", "nu", "nv", "6 nbody"].iter().zip(lengths) {
         let theirs = u64::from_le_bytes(word(next(8)?));
         if theirs != length as u64 {
-            return Err(format!("this state() is of another model: {name} is {theirs} there, {length} here"));
+            return Err(format!(
+                "this state() is of another model: {name} is {theirs} there, {length} here"
+            ));
         }
     }
     let count = u64::from_le_bytes(word(next(8)?));

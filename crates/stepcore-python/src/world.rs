@@ -66,7 +66,10 @@ impl Memo {
     /// One lane's part of a state. An impulse of zero is as good as none, and a lane has
     /// zeros for the contacts of its neighbours.
     pub fn of<R: Real>(state: &State<R>, lane: usize) -> Self {
-        let warm = state.warm.iter().map(|w| Warm { slot: w.slot, impulse: w.impulse.map(|x| x.lane(lane)) });
+        let warm = state
+            .warm
+            .iter()
+            .map(|w| Warm { slot: w.slot, impulse: w.impulse.map(|x| x.lane(lane)) });
         let warm = warm.filter(|w| w.impulse.iter().any(|x| *x != 0.0));
         Self { start: state.start, steps: state.steps, warm: warm.collect() }
     }
@@ -138,14 +141,18 @@ impl<R: Real> World for One<R> {
         let state = &mut self.sim.state;
         (state.start, state.steps) = (memo.start, memo.steps);
         state.warm.clear();
-        state.warm.extend(memo.warm.iter().map(|w| Warm { slot: w.slot, impulse: w.impulse.map(R::of) }));
+        state
+            .warm
+            .extend(memo.warm.iter().map(|w| Warm { slot: w.slot, impulse: w.impulse.map(R::of) }));
     }
 
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>> {
         self.check(given)?;
         let reader = match &mut self.reader {
             Some(reader) => reader,
-            empty => empty.insert(Box::new(Sim::new(self.sim.model.clone(), self.sim.settings.clone())?)),
+            empty => {
+                empty.insert(Box::new(Sim::new(self.sim.model.clone(), self.sim.settings.clone())?))
+            }
         };
         reader.put(0, given);
         reader.refresh();
@@ -169,14 +176,17 @@ impl<R: Real> World for One<R> {
             table.numbers.extend(flat(&contact.pos));
             table.numbers.extend(flat(&contact.normal));
             let block = sim.rows.blocks.iter().find(|block| block.source == Source::Contact(index));
-            table.numbers.extend(block.map_or([0.0; 3], |block| sim.contact_force(block, contact, 0)));
+            table
+                .numbers
+                .extend(block.map_or([0.0; 3], |block| sim.contact_force(block, contact, 0)));
         }
         table
     }
 
     fn rows(&self) -> Rows {
         let (sim, mut table) = (&self.sim, Rows::default());
-        let residuals: Vec<Vec<f64>> = sim.rows.blocks.iter().map(|block| sim.row_residuals(block, 0)).collect();
+        let residuals: Vec<Vec<f64>> =
+            sim.rows.blocks.iter().map(|block| sim.row_residuals(block, 0)).collect();
         let mut within = 0;
         for (index, row) in sim.live_rows(0) {
             within = if table.blocks.last() == Some(&index) { within + 1 } else { 0 };
@@ -217,14 +227,32 @@ fn flat<R: Real>(v: &V3<R>) -> [f64; 3] {
 
 fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
     let model = sim.model.clone();
-    let matrix = |m: &stepcore::spatial::M3<R>| m.transpose().iter().map(|x| x.lane(0)).collect::<Vec<_>>();
+    let matrix =
+        |m: &stepcore::spatial::M3<R>| m.transpose().iter().map(|x| x.lane(0)).collect::<Vec<_>>();
     match what {
         Placed::BodyPos => sim.placed.xpos.iter().flat_map(flat).collect(),
-        Placed::BodyQuat => sim.placed.xquat.iter().flat_map(|q| [q.w, q.v.x, q.v.y, q.v.z].map(|x| x.lane(0))).collect(),
+        Placed::BodyQuat => sim
+            .placed
+            .xquat
+            .iter()
+            .flat_map(|q| [q.w, q.v.x, q.v.y, q.v.z].map(|x| x.lane(0)))
+            .collect(),
         Placed::BodyMat => sim.placed.xmat.iter().flat_map(matrix).collect(),
-        Placed::GeomPos => model.geoms.iter().flat_map(|g| flat(&sim.attached(g.body, &g.pos, &g.quat).0)).collect(),
-        Placed::GeomMat => model.geoms.iter().flat_map(|g| matrix(&sim.attached(g.body, &g.pos, &g.quat).1)).collect(),
-        Placed::SitePos => model.sites.iter().flat_map(|s| flat(&sim.attached(s.body, &s.pos, &s.quat).0)).collect(),
+        Placed::GeomPos => model
+            .geoms
+            .iter()
+            .flat_map(|g| flat(&sim.attached(g.body, &g.pos, &g.quat).0))
+            .collect(),
+        Placed::GeomMat => model
+            .geoms
+            .iter()
+            .flat_map(|g| matrix(&sim.attached(g.body, &g.pos, &g.quat).1))
+            .collect(),
+        Placed::SitePos => model
+            .sites
+            .iter()
+            .flat_map(|s| flat(&sim.attached(s.body, &s.pos, &s.quat).0))
+            .collect(),
         Placed::MassMatrix => sim.mass_matrix(0),
         Placed::Bias => numbers(&sim.placed.bias),
         Placed::Passive => numbers(&sim.placed.passive),

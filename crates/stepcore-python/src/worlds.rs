@@ -29,7 +29,13 @@ pub trait Worlds: Send {
 }
 
 /// `n` worlds in the precision that the settings ask for; in lanes where it can be.
-pub fn worlds(model: Arc<Model>, settings: &Settings, n: usize, threads: usize, lanes: bool) -> Result<Box<dyn Worlds>> {
+pub fn worlds(
+    model: Arc<Model>,
+    settings: &Settings,
+    n: usize,
+    threads: usize,
+    lanes: bool,
+) -> Result<Box<dyn Worlds>> {
     Ok(match (settings.precision, lanes) {
         (Precision::F64, true) => Box::new(Batch::<Lanes>::new(model, settings, n, threads)?),
         (Precision::F64, false) => Box::new(Batch::<f64>::new(model, settings, n, threads)?),
@@ -71,7 +77,8 @@ impl<R: Real> Worlds for Batch<R> {
     fn set_memos(&mut self, memos: &[Memo]) {
         for (state, memos) in self.states_mut().zip(memos.chunks(R::LANES)) {
             (state.start, state.steps) = (memos[0].start, memos[0].steps);
-            let mut slots: Vec<u32> = memos.iter().flat_map(|memo| memo.warm.iter().map(|w| w.slot)).collect();
+            let mut slots: Vec<u32> =
+                memos.iter().flat_map(|memo| memo.warm.iter().map(|w| w.slot)).collect();
             slots.sort_unstable();
             slots.dedup();
             state.warm.clear();

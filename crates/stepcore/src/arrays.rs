@@ -27,7 +27,12 @@ impl Given<'_> {
         let of_joint = |dof: usize| joint_name(model, model.dofs[dof].joint);
         if let Some(k) = bad(self.qpos) {
             let joint = model.joints.iter().rposition(|joint| joint.qpos <= k).unwrap_or(0);
-            return Err(refuse::<R>(format!("qpos[{k}]"), self.qpos[k], &joint_name(model, joint), world));
+            return Err(refuse::<R>(
+                format!("qpos[{k}]"),
+                self.qpos[k],
+                &joint_name(model, joint),
+                world,
+            ));
         }
         if let Some(k) = bad(self.qvel) {
             return Err(refuse::<R>(format!("qvel[{k}]"), self.qvel[k], &of_joint(k), world));
@@ -37,7 +42,12 @@ impl Given<'_> {
             return Err(refuse::<R>(format!("ctrl[{k}]"), self.ctrl[k], &actuator, world));
         }
         if let Some(k) = bad(self.qfrc_applied) {
-            return Err(refuse::<R>(format!("qfrc_applied[{k}]"), self.qfrc_applied[k], &of_joint(k), world));
+            return Err(refuse::<R>(
+                format!("qfrc_applied[{k}]"),
+                self.qfrc_applied[k],
+                &of_joint(k),
+                world,
+            ));
         }
         if let Some(k) = bad(self.xfrc_applied) {
             let (body, part) = (k / 6, k % 6);
@@ -102,7 +112,8 @@ fn put<R: Real>(to: &mut [R], lane: usize, from: &[f64]) {
 impl<R: Real> State<R> {
     /// Takes one world's positions and velocities; says whether any differed.
     pub fn put(&mut self, lane: usize, given: &Given) -> bool {
-        let differs = |now: &[R], new: &[f64]| now.iter().zip(new).any(|(now, new)| now.lane(lane) != *new);
+        let differs =
+            |now: &[R], new: &[f64]| now.iter().zip(new).any(|(now, new)| now.lane(lane) != *new);
         let changed = differs(&self.qpos, given.qpos) || differs(&self.qvel, given.qvel);
         if changed {
             put(&mut self.qpos, lane, given.qpos);

@@ -60,7 +60,12 @@ struct Part<'a> {
 }
 
 impl<R: Real> Batch<R> {
-    pub fn new(model: Arc<Model>, settings: &Settings, worlds: usize, threads: usize) -> Result<Self> {
+    pub fn new(
+        model: Arc<Model>,
+        settings: &Settings,
+        worlds: usize,
+        threads: usize,
+    ) -> Result<Self> {
         settings.check()?;
         if worlds == 0 {
             return Err(Error::value("n", worlds, "at least 1 world"));
@@ -145,7 +150,9 @@ impl<R: Real> Batch<R> {
     /// Place, detect and solve in every world. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
         let forward = |_, _, sim: &mut Sim<R>| sim.forward();
-        share(&mut self.workers, &mut self.groups, |sim, index, group| group.run(sim, index, 1, &forward));
+        share(&mut self.workers, &mut self.groups, |sim, index, group| {
+            group.run(sim, index, 1, &forward)
+        });
         self.first_failure().map_or(Ok(()), |(_, error)| Err(error))
     }
 
@@ -158,7 +165,8 @@ impl<R: Real> Batch<R> {
         let parts: Vec<Mutex<Part>> = (0..self.groups.len())
             .map(|index| {
                 let worlds = (worlds - index * R::LANES).min(R::LANES);
-                let (ctrl, qpos, qvel) = (cut(&mut ctrl, nu), cut_mut(&mut qpos, nq), cut_mut(&mut qvel, nv));
+                let (ctrl, qpos, qvel) =
+                    (cut(&mut ctrl, nu), cut_mut(&mut qpos, nq), cut_mut(&mut qvel, nv));
                 Mutex::new(Part { worlds, steps, sizes, ctrl, qpos, qvel })
             })
             .collect();
@@ -173,7 +181,11 @@ impl<R: Real> Batch<R> {
     }
 
     /// Does `n` times `one`, a step, in every world.
-    fn advance(&mut self, n: u64, one: impl Fn(usize, u64, &mut Sim<R>) -> Result<()> + Sync) -> Result<()> {
+    fn advance(
+        &mut self,
+        n: u64,
+        one: impl Fn(usize, u64, &mut Sim<R>) -> Result<()> + Sync,
+    ) -> Result<()> {
         share(&mut self.workers, &mut self.groups, |sim, index, group| {
             copy(&group.state, &mut group.start);
             group.run(sim, index, n, &one);
@@ -191,8 +203,9 @@ impl<R: Real> Batch<R> {
     fn first_failure(&mut self) -> Option<(u64, Error)> {
         let failures = self.groups.iter_mut().enumerate().filter_map(|(index, group)| {
             let (done, mut error) = group.failed.take()?;
-            if let Error::Diverged { world, .. } = &mut error {
+            if let Error::Diverged { world, quantity, .. } = &mut error {
                 *world += index * R::LANES;
+                quantity.push_str(&format!(" in world {world}"));
             }
             Some((done, error))
         });
@@ -202,7 +215,13 @@ impl<R: Real> Batch<R> {
 
 impl<R: Real> Group<R> {
     /// Runs `one` up to `n` times on this group's state in a thread's working space.
-    fn run(&mut self, sim: &mut Sim<R>, index: usize, n: u64, one: &impl Fn(usize, u64, &mut Sim<R>) -> Result<()>) {
+    fn run(
+        &mut self,
+        sim: &mut Sim<R>,
+        index: usize,
+        n: u64,
+        one: &impl Fn(usize, u64, &mut Sim<R>) -> Result<()>,
+    ) {
         std::mem::swap(&mut sim.state, &mut self.state);
         std::mem::swap(&mut sim.inputs, &mut self.inputs);
         sim.before.qpos.copy_from_slice(&sim.state.qpos);
@@ -233,13 +252,21 @@ impl Part<'_> {
         let [_, nq, nv] = self.sizes;
         for lane in 0..self.worlds {
             let at = lane * self.steps + step;
-            sim.state.take(lane, &mut self.qpos[at * nq..(at + 1) * nq], &mut self.qvel[at * nv..(at + 1) * nv]);
+            sim.state.take(
+                lane,
+                &mut self.qpos[at * nq..(at + 1) * nq],
+                &mut self.qvel[at * nv..(at + 1) * nv],
+            );
         }
     }
 }
 
 /// Lets every worker take the next group until none is left.
-fn share<R: Real>(workers: &mut [Sim<R>], groups: &mut [Group<R>], work: impl Fn(&mut Sim<R>, usize, &mut Group<R>) + Sync) {
+fn share<R: Real>(
+    workers: &mut [Sim<R>],
+    groups: &mut [Group<R>],
+    work: impl Fn(&mut Sim<R>, usize, &mut Group<R>) + Sync,
+) {
     if let [only] = workers {
         return groups.iter_mut().enumerate().for_each(|(index, group)| work(only, index, group));
     }

@@ -8,8 +8,8 @@ use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::place::Placed;
 use crate::real::{Mask, Real};
-use crate::settings::{Acceleration, Settings};
-use crate::solve::{Limits, Pgs, Report, Rows};
+use crate::settings::{Acceleration, Settings, Solver};
+use crate::solve::{Limits, Newton, Pgs, Report, Rows};
 use crate::state::{Inputs, State};
 
 /// How the last solve went.
@@ -43,6 +43,7 @@ pub struct Sim<R: Real> {
     pub effort: Effort,
     pub(crate) next: Next<R>,
     pgs: Pgs<R>,
+    newton: Newton<R>,
     /// The state before the last committed step.
     pub(crate) before: Before<R>,
 }
@@ -62,6 +63,7 @@ impl<R: Real> Sim<R> {
             effort: Effort::default(),
             next: Next::new(&model),
             pgs: Pgs::new(),
+            newton: Newton::new(),
             before: Before { qpos: vec![R::zero(); model.nq], qvel: vec![R::zero(); model.nv] },
             model,
             settings,
@@ -74,14 +76,21 @@ impl<R: Real> Sim<R> {
     pub(crate) fn solve(&mut self) -> Result<()> {
         let (model, inv_d) = (&*self.model, &self.placed.metric.inv_d);
         if self.settings.warm_start {
-            self.rows.warm_start(model, inv_d, &self.state.warm);
+            let last = if self.next.stage > 0 { &self.next.warm } else { &self.state.warm };
+            self.rows.warm_start(model, inv_d, last);
         }
         let limits = Limits {
             sweeps: self.settings.sweeps,
             tolerance: self.settings.tolerance,
             momentum: self.settings.acceleration == Acceleration::Momentum,
         };
-        let report = self.pgs.solve(&model.dof_lists, inv_d, &mut self.rows, limits);
+        let report = match self.settings.solver {
+            Solver::Pgs => self.pgs.solve(&model.dof_lists, inv_d, &mut self.rows, limits),
+            Solver::Newton => {
+                let guess = &self.placed.guess;
+                self.newton.solve(&model.dof_lists, inv_d, guess, &mut self.rows, limits)?
+            }
+        };
         self.effort.note(&report);
         Ok(())
     }

@@ -72,10 +72,14 @@ fn differing_steps(scene: &Scene, settings: &Settings, steps: usize) -> usize {
     );
     let mut differing = 0;
     for step in 0..steps {
-        pack.step(1).unwrap();
+        let refused = worlds.iter_mut().any(|alone| alone.step(1).is_err());
+        // Where one world's step is refused, so is the register's, and the comparison ends.
+        assert_eq!(pack.step(1).is_err(), refused, "{what}: step {step}");
+        if refused {
+            return differing;
+        }
         differing += usize::from(pack.rows.blocks.iter().any(|b| b.mask.any() && !b.mask.all()));
-        for (lane, alone) in worlds.iter_mut().enumerate() {
-            alone.step(1).unwrap();
+        for (lane, alone) in worlds.iter().enumerate() {
             let same = |name: &str, lanes: &[Lanes], own: &[f64]| {
                 for (k, (all, own)) in lanes.iter().zip(own).enumerate() {
                     let here = all.lane(lane);
@@ -100,25 +104,27 @@ fn settings(law: Law, integrator: Integrator, cone: Cone, tolerance: f64) -> Set
 /// The scenes, each with how many steps it is followed.
 fn all() -> [(&'static str, Scene, usize); 3] {
     [
-        ("tower", scenes::tower(3), 40),
-        ("runner", scenes::runner(), 40),
-        ("heap", scenes::heap(), 24),
+        ("tower", scenes::tower(3), 30),
+        ("runner", scenes::runner(), 30),
+        ("heap", scenes::heap(), 16),
     ]
 }
 
 fn check(law: Law, integrator: Integrator, change: impl Fn(&mut Settings)) {
     for (name, scene, steps) in all() {
-        // Midpoint iterates with the contacts in it, and refuses the step where that fails.
-        let on_guess = ON_GUESS.contains(&law);
-        if integrator == Integrator::Midpoint && !on_guess && name != "tower" {
-            continue;
-        }
+        // Midpoint iterates with soft contacts in it, up to 200 solves a step, and may refuse
+        // the first step in which the lanes differ.
+        let slow = integrator == Integrator::Midpoint && !ON_GUESS.contains(&law);
+        let steps = if slow { steps / 4 } else { steps };
         for (cone, tolerance) in [(Cone::Pyramidal, 0.0), (Cone::Elliptic, 1e-6)] {
             let mut settings = settings(law, integrator, cone, tolerance);
             change(&mut settings);
             let differing = differing_steps(&scene, &settings, steps);
             // Nothing was tested if all lanes always held the same rows.
-            assert!(law == Law::Penalty || differing > 0, "{name}: the lanes never differed");
+            assert!(
+                slow || law == Law::Penalty || differing > 0,
+                "{name}: the lanes never differed"
+            );
         }
     }
 }

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 # A printed trade shows all rows up to this many, then the ones that matter.
 FULL = 40
 MICRO = (("s", 1e6), ("ms", 1e3), ("µs", 1.0))
+# A residual of the reference that is worth saying [m/s].
+UNSOLVED = 1e-9
 # A saving below this is within what timing can tell.
 NOTABLE = 0.9
 # As wide as most windows, where the output is no terminal.
@@ -177,6 +179,9 @@ def cautions(trade: Trade) -> list[str]:
             f"than the smallest error, {metres(least)}; an error below the reference's own is "
             "shown as < the reference's"
         )
+    rest = max(path.residual for path in ref.paths)
+    if rest > UNSOLVED:
+        found.append(f"the reference's rows are solved to {rest:.0e} m/s only")
     if ref.other and ref.agreement > 4 * (ref.other_error + ref.error):
         found.append(
             f"caution: two integrators do not agree: {ref.other} is still "

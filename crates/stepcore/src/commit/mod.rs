@@ -26,6 +26,8 @@ pub struct Next<R: Real> {
     mean: Vec<R>,
     /// Impulses for the next step's start.
     pub warm: Vec<Warm<R>>,
+    /// Which stage of `rk4` runs: after the first, rows start from the stage before.
+    pub stage: usize,
     damped: damped::Damped<R>,
     stages: rk4::Stages<R>,
 }
@@ -37,6 +39,7 @@ impl<R: Real> Next<R> {
             qvel: vec![R::zero(); model.nv],
             mean: vec![R::zero(); model.nv],
             warm: Vec::new(),
+            stage: 0,
             damped: damped::Damped::new(model),
             stages: rk4::Stages::new(model),
         }

@@ -44,6 +44,7 @@ impl<R: Real> Sim<R> {
         self.next.stages.qpos.copy_from_slice(&self.state.qpos);
         self.next.stages.qvel.copy_from_slice(&self.state.qvel);
         let outcome = self.stages(rows);
+        self.next.stage = 0;
         // The stages ran on the state itself; it goes back whatever happened.
         self.state.qpos.copy_from_slice(&self.next.stages.qpos);
         self.state.qvel.copy_from_slice(&self.next.stages.qvel);
@@ -58,6 +59,7 @@ impl<R: Real> Sim<R> {
         self.next.stages.moved.fill(zero);
         self.next.stages.gained.fill(zero);
         for stage in 0..4 {
+            self.next.stage = stage;
             let s = &mut self.next.stages;
             if stage > 0 {
                 let reach = dt * R::of(A[stage]);

@@ -72,19 +72,24 @@ impl<R: Real> Sim<R> {
     /// The rows that exist in a lane, each with the index of its block.
     pub fn live_rows(&self, lane: usize) -> impl Iterator<Item = (usize, &Row<R>)> {
         let blocks = self.rows.blocks.iter().enumerate();
-        blocks
-            .filter(move |(_, block)| block.mask.lane(lane))
-            .flat_map(|(index, block)| self.rows.rows[block.rows.range()].iter().map(move |row| (index, row)))
+        blocks.filter(move |(_, block)| block.mask.lane(lane)).flat_map(|(index, block)| {
+            self.rows.rows[block.rows.range()].iter().map(move |row| (index, row))
+        })
     }
 
     /// The contacts that exist in a lane, each with its index.
     pub fn live_contacts(&self, lane: usize) -> impl Iterator<Item = (usize, &Contact<R>)> {
-        self.detected.contacts.iter().enumerate().filter(move |(_, contact)| contact.mask.lane(lane))
+        self.detected
+            .contacts
+            .iter()
+            .enumerate()
+            .filter(move |(_, contact)| contact.mask.lane(lane))
     }
 
     /// Force of a contact's block on geom 2, in world axes [N].
     pub fn contact_force(&self, block: &Block<R>, contact: &Contact<R>, lane: usize) -> [f64; 3] {
-        let impulse: Vec<f64> = self.rows.rows[block.rows.range()].iter().map(|row| row.impulse.lane(lane)).collect();
+        let impulse: Vec<f64> =
+            self.rows.rows[block.rows.range()].iter().map(|row| row.impulse.lane(lane)).collect();
         let still = self.model.pairs[contact.pair].still;
         let moving = contact.tangents.iter().zip(still).filter(|(_, still)| !still);
         // A pyramid's rows are its edges J_n ± μ J_t and, if need be, their fold.

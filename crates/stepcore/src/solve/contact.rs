@@ -74,10 +74,8 @@ impl<R: Real> Rows<R> {
                 if !pair.still[k] {
                     self.contact_row(site, contact, pair, k + 1);
                     let at = self.rows.len() - 1;
-                    // Tangents have no position to restore.
-                    let without = SolRef { kd: R::zero(), ..law };
                     let row = &mut self.rows[at];
-                    row.t = without.target(row.velocity, R::zero(), dt);
+                    row.t = law.without_position().target(row.velocity, R::zero(), dt);
                     row.c = normal_r * R::of(1.0 / impratio);
                     row.inv_s = (row.a + row.c).recip_or_zero();
                     row.lo = R::of(f64::NEG_INFINITY);

@@ -38,13 +38,9 @@ impl<R: Real> SolRef<R> {
         Self { b: R::of(b), kd: R::of(stiffness) * d, softness: (R::one() - d) / d }
     }
 
-    /// Friction loss: no position, impedance d0.
-    pub fn without_position(soft: &Softness, dt: f64, refsafe: bool) -> Self {
-        let mut law = Self::at(soft, R::zero(), dt, refsafe);
-        let d = R::of(impedance(soft.solimp[0]));
-        law.kd = R::zero();
-        law.softness = (R::one() - d) / d;
-        law
+    /// A row that restores no position: friction loss, and the tangents of a cone.
+    pub fn without_position(self) -> Self {
+        Self { kd: R::zero(), ..self }
     }
 
     /// t = u + dt·a_ref.

@@ -26,7 +26,7 @@ impl<R: Real> Rows<R> {
             row.lo = R::of(-dt * dof.frictionloss);
             row.hi = R::of(dt * dof.frictionloss);
             if settings.law == Law::SolRef {
-                let law = SolRef::without_position(&dof.friction, dt, settings.refsafe);
+                let law = SolRef::at(&dof.friction, R::zero(), dt, settings.refsafe).without_position();
                 row.t = law.target(row.velocity, R::zero(), R::of(dt));
                 row.c = law.softness * R::of(dof.invweight);
                 row.inv_s = (row.a + row.c).recip_or_zero();

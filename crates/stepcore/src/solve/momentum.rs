@@ -5,7 +5,7 @@
 //! sweep has moved λ by p₀, with p₁ … p₃ the whole moves of the last sweeps, take
 //! λ + Σ τₐpₐ with the τ that minimise f: a system of four unknowns, whose matrix
 //! pₐᵀ(A + C)p_b = Σ D δuₐδu_b + Σ c pₐp_b needs only vectors. Where the active rows
-//! stay the same this is the conjugate gradient method with a sweep as its
+//! stay the same this comes close to conjugate gradients with a sweep as their
 //! preconditioner. A step that leaves the sets is projected, and kept only if f falls.
 //!
 //! Blocks are visited in a pseudo-random order that changes from sweep to sweep.

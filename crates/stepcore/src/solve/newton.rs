@@ -12,7 +12,7 @@ mod penalty;
 mod system;
 
 use super::pgs::{alive, Limits, Order, Report};
-use super::rows::Rows;
+use super::rows::{Rows, Set};
 use crate::error::{Error, Result};
 use crate::real::{Mask, Real};
 use hessian::Pattern;
@@ -85,9 +85,16 @@ impl<R: Real> Newton<R> {
     }
 }
 
-/// Every row that something can move has a regulariser.
+/// Every block has a penalty: it is convex, and what can move it has a regulariser.
 fn check<R: Real>(rows: &Rows<R>) -> Result<()> {
     for block in &rows.blocks {
+        if matches!(block.set, Set::CoulombRound | Set::CoulombBox) {
+            return Err(Error::value(
+                "solver",
+                "'newton' with a Coulomb cone",
+                "'pgs' under a Coulomb law (it has nothing to minimise)",
+            ));
+        }
         for row in &rows.rows[block.rows.range()] {
             if block.mask.and(row.c.le(R::zero())).and(row.a.gt(R::zero())).any() {
                 return Err(Error::value(

@@ -17,7 +17,8 @@ pub struct Limits {
     pub sweeps: u32,
     /// On the scalar residual [m/s]; 0 runs every sweep.
     pub tolerance: f64,
-    /// Accelerate islands whose rows are all convex: see `momentum.rs`.
+    /// Accelerate: see `momentum.rs`. For laws whose rows are all convex; an island
+    /// with a Coulomb block runs plain.
     pub momentum: bool,
 }
 
@@ -177,10 +178,13 @@ impl<R: Real> Pgs<R> {
     fn prepare(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &Rows<R>, weigh: bool) {
         self.order.sort(&rows.blocks);
         self.z.clear();
+        self.z.resize(rows.y.len(), R::zero());
         for row in &rows.rows {
             let dofs = row.dofs.of(dof_lists);
-            let y = &rows.y[row.y..row.y + dofs.len()];
-            self.z.extend(dofs.iter().zip(y).map(|(k, y)| inv_d[*k] * *y));
+            let own = row.y..row.y + dofs.len();
+            for ((z, y), k) in self.z[own.clone()].iter_mut().zip(&rows.y[own]).zip(dofs) {
+                *z = inv_d[*k] * *y;
+            }
         }
         self.weight.clear();
         self.weight.resize(rows.rows.len(), R::zero());

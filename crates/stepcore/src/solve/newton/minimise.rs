@@ -60,7 +60,7 @@ impl<R: Real> System<R> {
                 fall -= *g * *p;
                 length += *d * *p * *p;
             }
-            let stuck = fall.gt(R::of(0.25) * last).and(fall.lt(R::of(1e-16) * floor));
+            let stuck = fall.gt(R::of(0.25) * last).and(fall.lt(R::of(R::EPSILON) * floor));
             let end = length.le(tiny(ROUNDING) * floor).or(stuck);
             let alpha = self.search(pattern, blocks, rows, fall, live.and(end.not()));
             for (u, p) in self.u.iter_mut().zip(&self.step) {

@@ -165,9 +165,13 @@ impl<R: Real> System<R> {
                 scale = R::select(block.mask, energy, scale);
                 if block.set == Set::Interval {
                     let (impulse, curve) = interval(row, self.inv_c[at], self.w[at]);
-                    self.impulse[at] = impulse;
                     let old = self.curve[at][0];
-                    changed = changed.or(bend.and(curve.le(old).and(curve.ge(old)).not()));
+                    // At a bound the impulse is constant: another one is the other bound.
+                    let jump = impulse - self.impulse[at];
+                    let slides = curve.gt(R::zero()).or(jump.abs().le(R::zero()));
+                    let same = curve.le(old).and(curve.ge(old)).and(slides);
+                    self.impulse[at] = impulse;
+                    changed = changed.or(bend.and(same.not()));
                     self.curve[at][0] = R::select(bend, curve, old);
                 }
                 at += 1;

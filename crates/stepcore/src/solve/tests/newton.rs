@@ -1,13 +1,12 @@
 //! Newton against converged PGS.
 
-use super::{close, contacts, pack, Problem, Random, EVERY, INF};
-use crate::real::{Lanes, Mask, Real, WIDTH};
+use super::{close, contacts, Problem, Random, EVERY, INF};
 use crate::solve::newton::Newton;
 use crate::solve::pgs::{Limits, Pgs};
 use crate::solve::rows::Set;
 
 /// Every kind of convex row at once.
-fn mixed(random: &mut Random) -> Problem {
+pub(super) fn mixed(random: &mut Random) -> Problem {
     let mut problem = contacts(Set::Convex, 2, 0.05, random);
     for _ in 0..3 {
         let y: Vec<f64> = (0..6).map(|_| random.next()).collect();
@@ -85,36 +84,4 @@ fn newton_needs_softness() {
     let mut rows = problem.rows::<f64>();
     assert!(Newton::new().solve(&[0], &problem.inv_d, &problem.guess, &mut rows, EVERY).is_ok());
     assert_eq!((rows.u[0], rows.rows[0].impulse), (-1.0, 0.0));
-}
-
-#[test]
-fn newton_lanes_are_worlds() {
-    let mut random = Random::new(22);
-    for tolerance in [0.0, 1e-6] {
-        let base = mixed(&mut random);
-        let worlds: Vec<Problem> = (0..WIDTH).map(|_| base.shaken(&mut random)).collect();
-        let lists = base.dof_lists();
-        let inv_d: Vec<Lanes> = base.inv_d.iter().map(|x| Lanes::of(*x)).collect();
-        let limits = Limits { sweeps: 50, tolerance, momentum: false };
-        let mut packed = pack::<Lanes>(&worlds);
-        let guess = packed.u.clone();
-        packed.blocks[1].mask.set_lane(2, false);
-        packed.blocks[3].mask.set_lane(5, false);
-        let report = Newton::new().solve(&lists, &inv_d, &guess, &mut packed, limits).unwrap();
-        for (lane, world) in worlds.iter().enumerate() {
-            let mut rows = world.rows::<f64>();
-            rows.blocks[1].mask = lane != 2;
-            rows.blocks[3].mask = lane != 5;
-            let alone =
-                Newton::new().solve(&lists, &world.inv_d, &world.guess, &mut rows, limits).unwrap();
-            assert_eq!(alone.sweeps, report.sweeps.lane(lane));
-            assert_eq!(alone.updates, report.updates.lane(lane));
-            for k in 0..6 {
-                assert_eq!(rows.u[k].to_bits(), packed.u[k].lane(lane).to_bits());
-            }
-            for (a, b) in rows.rows.iter().zip(&packed.rows) {
-                assert_eq!(a.impulse.to_bits(), b.impulse.lane(lane).to_bits());
-            }
-        }
-    }
 }

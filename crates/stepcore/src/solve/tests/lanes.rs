@@ -1,0 +1,122 @@
+//! A lane is, bit for bit, the world that it holds.
+
+use super::newton::mixed;
+use super::{contacts, pack, Problem, Random, INF};
+use crate::model::Span;
+use crate::real::{Lanes, Mask, Real, WIDTH};
+use crate::solve::newton::Newton;
+use crate::solve::pgs::{Limits, Pgs, Report};
+use crate::solve::rows::{Rows, Set};
+
+/// Who solves: PGS with these limits, or Newton.
+#[derive(Clone, Copy)]
+enum By {
+    Pgs(Limits),
+    Newton(Limits),
+}
+
+fn solve<R: Real>(by: By, lists: &[usize], inv_d: &[f64], rows: &mut Rows<R>) -> Report<R> {
+    let inv_d: Vec<R> = inv_d.iter().map(|x| R::of(*x)).collect();
+    match by {
+        By::Pgs(limits) => Pgs::new().solve(lists, &inv_d, rows, limits),
+        By::Newton(limits) => {
+            let guess = rows.u.clone();
+            Newton::new().solve(lists, &inv_d, &guess, rows, limits).unwrap()
+        }
+    }
+}
+
+/// Limits block b to the dofs `keep(b)`.
+fn thin<R: Real>(
+    rows: &mut Rows<R>,
+    inv_d: &[f64],
+    keep: impl Fn(usize) -> Vec<usize>,
+) -> Vec<usize> {
+    let mut lists = Vec::new();
+    for (b, block) in rows.blocks.iter().enumerate() {
+        let dofs = keep(b);
+        let span = Span { start: lists.len(), len: dofs.len() };
+        for row in &mut rows.rows[block.rows.range()] {
+            row.dofs = span;
+            row.a = R::zero();
+            for (at, k) in dofs.iter().enumerate() {
+                let y = rows.y[row.y + at];
+                row.a += y * y * R::of(inv_d[*k]);
+            }
+            row.inv_s = (row.a + row.c).recip_or_zero();
+        }
+        lists.extend(dofs);
+    }
+    lists
+}
+
+/// Solves perturbed copies of a problem in lanes and alone; `has(block, lane)` says
+/// which lanes a block exists in.
+fn compare(base: &Problem, by: By, random: &mut Random, has: impl Fn(usize, usize) -> bool) {
+    let worlds: Vec<Problem> = (0..WIDTH).map(|_| base.shaken(random)).collect();
+    let nv = base.inv_d.len();
+    // Block b touches dofs b.., so that a lane without it has a smaller pattern.
+    let keep = |b: usize| (0..nv).filter(|k| (k + b) % 3 != 0 || b == 0).collect::<Vec<_>>();
+    let mut packed = pack::<Lanes>(&worlds);
+    let lists = thin(&mut packed, &base.inv_d, keep);
+    for (b, block) in packed.blocks.iter_mut().enumerate() {
+        (0..WIDTH).for_each(|lane| block.mask.set_lane(lane, has(b, lane)));
+    }
+    let report = solve(by, &lists, &base.inv_d, &mut packed);
+    for (lane, world) in worlds.iter().enumerate() {
+        let mut rows = world.rows::<f64>();
+        let lists = thin(&mut rows, &base.inv_d, keep);
+        // Alone, a missing block is no block at all.
+        let mut at = 0;
+        rows.blocks.retain(|_| {
+            at += 1;
+            has(at - 1, lane)
+        });
+        let alone = solve(by, &lists, &world.inv_d, &mut rows);
+        assert_eq!(alone.sweeps, report.sweeps.lane(lane));
+        assert_eq!(alone.updates, report.updates.lane(lane));
+        assert_eq!(alone.decrement.to_bits(), report.decrement.lane(lane).to_bits());
+        for k in 0..nv {
+            assert_eq!(rows.u[k].to_bits(), packed.u[k].lane(lane).to_bits(), "u[{k}] of {lane}");
+        }
+        for block in &rows.blocks {
+            for at in block.rows.range() {
+                let (a, b) = (rows.rows[at].impulse, packed.rows[at].impulse.lane(lane));
+                assert_eq!(a.to_bits(), b.to_bits(), "row {at} of {lane}");
+            }
+        }
+    }
+}
+
+#[test]
+fn under_pgs() {
+    let mut random = Random::new(11);
+    for set in [Set::Interval, Set::Convex, Set::CoulombRound, Set::CoulombBox] {
+        let mut base = contacts(set, 3, 0.1, &mut random);
+        base.limit(&[1.0, 0.0, 0.5, 0.0, 0.0, -0.25], 0.1, 0.01);
+        base.blocks.push((Set::Interval, 0.0, vec![(vec![0.3; 6], 0.0, 0.02, -0.1, 0.1)]));
+        base.blocks.push((Set::Interval, 0.0, vec![(vec![0.2; 6], 0.0, 0.0, -INF, INF)]));
+        let cases = [(300, 1e-6, false), (3, 0.0, false), (300, 1e-6, true), (9, 0.0, true)];
+        let convex = matches!(set, Set::Interval | Set::Convex);
+        for (sweeps, tolerance, momentum) in cases.into_iter().filter(|c| convex || !c.2) {
+            let by = By::Pgs(Limits { sweeps, tolerance, momentum });
+            compare(&base, by, &mut random, |_, _| true);
+            compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
+            compare(&base, by, &mut random, |b, lane| b == lane);
+        }
+    }
+}
+
+#[test]
+fn under_newton() {
+    let mut random = Random::new(22);
+    for _ in 0..20 {
+        for tolerance in [0.0, 1e-6] {
+            let base = mixed(&mut random);
+            let by = By::Newton(Limits { sweeps: 50, tolerance, momentum: false });
+            compare(&base, by, &mut random, |_, _| true);
+            compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
+            compare(&base, by, &mut random, |b, lane| b == lane);
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! A batch is its worlds: in lanes or alone, over any number of threads, to the last
+//! step that all of them can do. And arrays from outside are checked before they count.
+
+mod scenes;
+
+use std::sync::Arc;
+
+use stepcore::arrays::Given;
+use stepcore::batch::{Batch, Play};
+use stepcore::error::Error;
+use stepcore::model::Model;
+use stepcore::real::{Lanes, Real};
+use stepcore::scene::{GeomType, JointType, Scene};
+use stepcore::settings::{Integrator, Settings, Solver};
+
+use scenes::Random;
+
+/// One world's five arrays.
+struct World {
+    qpos: Vec<f64>,
+    qvel: Vec<f64>,
+    ctrl: Vec<f64>,
+    applied: Vec<f64>,
+    wrenches: Vec<f64>,
+}
+
+impl World {
+    fn new(model: &Model) -> Self {
+        Self {
+            qpos: model.qpos0.clone(),
+            qvel: vec![0.0; model.nv],
+            ctrl: vec![0.0; model.actuators.len()],
+            applied: vec![0.0; model.nv],
+            wrenches: vec![0.0; 6 * model.bodies.len()],
+        }
+    }
+    fn given(&self) -> Given<'_> {
+        Given {
+            qpos: &self.qpos,
+            qvel: &self.qvel,
+            ctrl: &self.ctrl,
+            qfrc_applied: &self.applied,
+            xfrc_applied: &self.wrenches,
+        }
+    }
+}
+
+fn batch_of<R: Real>(
+    scene: &Scene,
+    settings: &Settings,
+    worlds: &[World],
+    threads: usize,
+) -> Batch<R> {
+    let model = Arc::new(Model::compile(scene).unwrap());
+    let mut batch = Batch::<R>::new(model, settings, worlds.len(), threads).unwrap();
+    for (index, world) in worlds.iter().enumerate() {
+        batch.check(index, &world.given()).unwrap();
+        batch.put(index, &world.given());
+    }
+    batch
+}
+
+fn states<R: Real>(batch: &Batch<R>, worlds: &mut [World]) -> Vec<u64> {
+    for (index, world) in worlds.iter_mut().enumerate() {
+        batch.take(index, &mut world.qpos, &mut world.qvel);
+    }
+    worlds.iter().flat_map(|w| w.qpos.iter().chain(&w.qvel)).map(|x| x.to_bits()).collect()
+}
+
+/// Runners at various speeds, 11 of them: one register of lanes and a part of one.
+fn runners(model: &Model) -> Vec<World> {
+    let mut random = Random(7);
+    (0..11)
+        .map(|_| {
+            let mut world = World::new(model);
+            world.qvel.iter_mut().for_each(|v| *v = random.next());
+            world.ctrl.iter_mut().for_each(|u| *u = random.next());
+            world.applied[2] = random.next();
+            world
+        })
+        .collect()
+}
+
+#[test]
+fn lanes_and_threads_change_no_bit() {
+    let scene = scenes::runner();
+    let model = Model::compile(&scene).unwrap();
+    let settings = Settings { solver: Solver::Pgs, tolerance: 1e-6, ..Settings::default() };
+    let mut seen = Vec::new();
+    for threads in [1, 3] {
+        let mut worlds = runners(&model);
+        let mut pack = batch_of::<Lanes>(&scene, &settings, &worlds, threads);
+        pack.step(200).unwrap();
+        seen.push(states(&pack, &mut worlds));
+        let mut worlds = runners(&model);
+        let mut alone = batch_of::<f64>(&scene, &settings, &worlds, threads);
+        alone.step(120).unwrap();
+        alone.step(80).unwrap();
+        seen.push(states(&alone, &mut worlds));
+    }
+    assert!(seen.iter().all(|bits| *bits == seen[0]));
+}
+
+#[test]
+fn a_play_in_portions_is_steps_with_its_controls() {
+    let scene = scenes::runner();
+    let model = Model::compile(&scene).unwrap();
+    let (nu, nq, nv, steps) = (model.actuators.len(), model.nq, model.nv, 30);
+    let mut worlds = runners(&model);
+    let mut random = Random(3);
+    let ctrl: Vec<f64> = (0..worlds.len() * steps * nu).map(|_| random.next()).collect();
+    let (mut qpos, mut qvel) =
+        (vec![0.0; worlds.len() * steps * nq], vec![0.0; worlds.len() * steps * nv]);
+    let mut pack = batch_of::<Lanes>(&scene, &Settings::default(), &worlds, 2);
+    let mut play = Play { steps, ctrl: &ctrl, qpos: &mut qpos, qvel: &mut qvel };
+    pack.play(&mut play, 0, 13).unwrap();
+    pack.play(&mut play, 13, steps - 13).unwrap();
+    let mut alone = batch_of::<f64>(&scene, &Settings::default(), &worlds, 1);
+    for step in 0..steps {
+        for (index, world) in worlds.iter_mut().enumerate() {
+            world.ctrl.copy_from_slice(&ctrl[(index * steps + step) * nu..][..nu]);
+            alone.put(index, &world.given());
+        }
+        alone.step(1).unwrap();
+        states(&alone, &mut worlds);
+        for (index, world) in worlds.iter().enumerate() {
+            assert_eq!(world.qpos, qpos[(index * steps + step) * nq..][..nq]);
+            assert_eq!(world.qvel, qvel[(index * steps + step) * nv..][..nv]);
+        }
+    }
+}
+
+/// A spring that its step is ten times too long for.
+fn unstable() -> (Scene, Settings) {
+    let mut scene = Scene::default();
+    let body = scenes::body(&mut scene, 0, [0.0; 3]);
+    scenes::geom(&mut scene, body, GeomType::Sphere, [0.1, 0.0, 0.0]).mass = Some(1.0);
+    scenes::joint(&mut scene, body, JointType::Slide, [1.0, 0.0, 0.0]).stiffness = 1e4;
+    (scene, Settings { dt: 0.1, integrator: Integrator::SemiImplicit, ..Settings::default() })
+}
+
+#[test]
+fn all_worlds_stop_before_the_first_that_diverges() {
+    let (scene, settings) = unstable();
+    let model = Model::compile(&scene).unwrap();
+    for threads in [1, 2] {
+        let mut worlds: Vec<World> = (0..20).map(|_| World::new(&model)).collect();
+        worlds[12].qpos[0] = 1.0;
+        worlds[18].qpos[0] = 1e200;
+        let mut batch = batch_of::<Lanes>(&scene, &settings, &worlds, threads);
+        let Err(Error::Diverged { step, world, .. }) = batch.step(10_000) else {
+            panic!("no error of divergence")
+        };
+        assert_eq!(world, 18);
+        assert_eq!(batch.time(), step as f64 * 0.1);
+        let mut alone = batch_of::<f64>(&scene, &settings, &worlds, 1);
+        alone.step(step).unwrap();
+        let bits = states(&batch, &mut worlds);
+        assert_eq!(bits, states(&alone, &mut worlds));
+        assert!(alone.step(1).is_err());
+    }
+}
+
+#[test]
+fn arrays_and_sizes_are_refused_by_name() {
+    let (scene, settings) = unstable();
+    let model = Arc::new(Model::compile(&scene).unwrap());
+    let mut world = World::new(&model);
+    world.qvel[0] = f64::NAN;
+    let text = world.given().check::<f64>(&model, Some(3)).unwrap_err().to_string();
+    assert!(text.starts_with("qvel[0] = NaN: must be finite (joint `joint0`, world 3)"), "{text}");
+    world.qvel[0] = 1e39;
+    assert!(world.given().check::<f64>(&model, None).is_ok());
+    assert!(world.given().check::<f32>(&model, None).is_err());
+    for (worlds, threads) in [(0, 1), (usize::MAX / 2, 1), (1, 0), (1, usize::MAX)] {
+        assert!(Batch::<f64>::new(model.clone(), &settings, worlds, threads).is_err());
+    }
+}

@@ -1,0 +1,191 @@
+"""`Batch`: many worlds are the same worlds alone, bit for bit, however they are computed."""
+
+import copy
+import pickle
+import signal
+import threading
+
+import numpy as np
+import peers
+import pytest
+from small import ball, pendulum, unstable
+
+import stepcore as sc
+
+WAYS = {
+    "pgs": {"solver": "pgs", "tolerance": 1e-6, "sweeps": 50},
+    "newton": {"solver": "newton", "tolerance": 1e-10, "sweeps": 50},
+}
+
+
+@pytest.fixture(scope="module")
+def cheetah():
+    return sc.load(peers.gym_path("half_cheetah")).compile()
+
+
+def cheetah_starts(model):
+    """Eight states and controls: from lying on its back in the floor to flying."""
+    rng = np.random.default_rng(5)
+    qpos = model.qpos0 + 0.2 * rng.normal(size=(8, model.nq))
+    qpos[:, 1] = np.linspace(-0.15, 0.6, 8)
+    qpos[:, 2] += np.linspace(0.0, 3.0, 8)
+    return qpos, rng.normal(size=(8, model.nv)), rng.uniform(-1, 1, size=(8, model.nu))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_eight_cheetahs_in_lanes_are_eight_cheetahs_alone(cheetah, way):
+    qpos, qvel, ctrl = cheetah_starts(cheetah)
+    batch = sc.Batch(cheetah, 8, **WAYS[way])
+    batch.qpos, batch.qvel, batch.ctrl = qpos, qvel, ctrl
+    sims = [sc.Sim(cheetah, **WAYS[way]) for _ in range(8)]
+    for world, sim in enumerate(sims):
+        sim.qpos, sim.qvel, sim.ctrl = qpos[world], qvel[world], ctrl[world]
+    alive = set()
+    for _ in range(5):
+        batch.step(100)
+        for world, sim in enumerate(sims):
+            sim.step(100)
+            alive.add((world, tuple(sim.contacts["geom2"])))
+            assert batch.qpos[world].tobytes() == sim.qpos.tobytes()
+            assert batch.qvel[world].tobytes() == sim.qvel.tobytes()
+            assert batch.state()[world] == sim.state()
+    # The lanes did not do the same: other contacts were alive in them.
+    assert len({contacts for _, contacts in alive}) >= 5
+
+
+@pytest.mark.parametrize("law", ["solref", "rigid", "penalty"])
+@pytest.mark.parametrize("n", [1, 7, 8, 9, 20])
+def test_neither_lanes_nor_threads_nor_size_change_a_bit(law, n):
+    model = ball(law=law, solver="pgs", sweeps=30, cone="elliptic").compile()
+    rng = np.random.default_rng(n)
+    qvel = rng.normal(size=(n, 6))
+    seen = set()
+    for lanes, threads in ((True, 1), (True, 3), (False, 1), (False, 3)):
+        batch = sc.Batch(model, n, threads, lanes=lanes)
+        batch.qvel = qvel
+        batch.step(150)
+        seen.add((batch.qpos.tobytes(), batch.qvel.tobytes(), batch.qacc.tobytes(), batch.state()))
+    assert len(seen) == 1
+
+
+def test_single_precision_is_the_sim_in_single_precision(cheetah):
+    qpos, qvel, ctrl = cheetah_starts(cheetah)
+    batch = sc.Batch(cheetah, 8, 2, "f32", solver="pgs")
+    batch.qpos, batch.qvel, batch.ctrl = qpos, qvel, ctrl
+    batch.step(50)
+    sim = sc.Sim(cheetah, precision="f32", solver="pgs")
+    sim.qpos, sim.qvel, sim.ctrl = qpos[3], qvel[3], ctrl[3]
+    sim.step(50)
+    assert batch.state()[3] == sim.state()
+    assert (batch.qpos == batch.qpos.astype(np.float32)).all()
+
+
+@pytest.mark.parametrize("lanes", [True, False])
+def test_a_rollout_is_steps_with_those_controls(lanes):
+    model = pendulum().compile()
+    rng = np.random.default_rng(2)
+    ctrl = rng.uniform(-2, 2, size=(11, 60, 1))
+    batch = sc.Batch(model, 11, 2, lanes=lanes)
+    result = batch.rollout(ctrl)
+    assert result.qpos.shape == (11, 60, 2)
+    assert result.act.shape == (11, 60, 0)
+    assert batch.time == pytest.approx(60 * model.settings.dt)
+    for world in (0, 7, 8, 10):
+        sim = sc.Sim(model)
+        for step in range(60):
+            sim.ctrl[:] = ctrl[world, step]
+            sim.step()
+            assert (result.qpos[world, step] == sim.qpos).all()
+            assert (result.qvel[world, step] == sim.qvel).all()
+        assert batch.state()[world] == sim.state()
+    assert batch.rollout(np.zeros((11, 0, 1))).qpos.shape == (11, 0, 2)
+
+
+def test_worlds_do_not_reach_each_other():
+    batch = sc.Batch(ball(), 3)
+    batch.xfrc_applied[1, 1] = [0, 0, 100, 0, 0, 0]
+    batch.step(20)
+    assert (batch.qpos[0] == batch.qpos[2]).all()
+    assert batch.qpos[1, 2] > batch.qpos[0, 2] + 0.01
+
+
+def test_reading_a_batch_reads_each_world():
+    model = pendulum().compile()
+    batch = sc.Batch(model, 9, dt=0.003)
+    batch.reset(key="bent")
+    assert batch.time == 0.5
+    batch.qpos += np.linspace(-0.1, 0.1, 9)[:, None]
+    batch.forward()
+    for world in (0, 8):
+        sim = sc.Sim(model, dt=0.003)
+        sim.reset(key="bent")
+        sim.qpos = batch.qpos[world]
+        sim.forward()
+        for name in ("xpos", "xquat", "geom_xpos", "site_xpos", "qacc", "energy"):
+            assert (getattr(batch, name)[world] == np.asarray(getattr(sim, name))).all(), name
+    assert len(batch) == 9
+    assert "9 worlds" in repr(batch)
+
+
+@pytest.mark.parametrize("lanes", [True, False])
+def test_a_restored_batch_continues_bit_for_bit(lanes):
+    batch = sc.Batch(ball(), 10, lanes=lanes, solver="pgs", sweeps=4, tolerance=0)
+    batch.qvel[:, 0] = np.linspace(-1, 1, 10)
+    batch.step(40)
+    start = batch.state()
+    twins = [pickle.loads(pickle.dumps(batch)), copy.deepcopy(batch)]
+    other = sc.Batch(ball(), 10, lanes=not lanes, solver="pgs", sweeps=4, tolerance=0)
+    other.restore(start)
+    batch.step(40)
+    later = batch.state()
+    batch.restore(start)
+    for again in (batch, other, *twins):
+        assert again.state() == start
+        again.step(40)
+        assert again.state() == later
+
+
+@pytest.mark.parametrize(("lanes", "threads"), [(True, 1), (True, 2), (False, 1), (False, 2)])
+def test_divergence_stops_every_world_at_the_same_step(lanes, threads):
+    batch = sc.Batch(unstable(), 20, threads, lanes=lanes)
+    batch.qpos[:] = [1.0, 0.0]
+    batch.qpos[17, 1] = 1e100
+    batch.qpos[13, 1] = 1.0
+    with pytest.raises(sc.SimulationError, match="`wild` in world 17") as caught:
+        batch.step(1000)
+    assert caught.value.world == 17
+    assert np.isfinite(batch.qpos).all()
+    alone = sc.Sim(unstable())
+    for world, start in ((17, 1e100), (13, 1.0), (2, 0.0)):
+        alone.reset()
+        alone.qpos = [1.0, start]
+        alone.step(caught.value.step)
+        assert batch.state()[world] == alone.state()
+    assert batch.time == alone.time
+    # The same within a rollout that already did some steps.
+    batch.reset()
+    batch.qpos[17, 1] = 1e100
+    with pytest.raises(sc.SimulationError):
+        batch.rollout(np.zeros((20, 1000, 0)))
+    assert batch.time == alone.time
+
+
+def test_an_interrupted_batch_stands_between_two_steps():
+    model = pendulum(dt=1e-4).compile()
+    batch = sc.Batch(model, 9, 2)
+    refused = []
+
+    def meddle():
+        try:
+            batch.step()
+        except RuntimeError as error:
+            refused.append(str(error))
+        signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        threading.Timer(0.1, meddle).start()
+        batch.step(10**12)
+    assert refused == ["this Batch is busy in another thread"]
+    sim = sc.Sim(model)
+    sim.step(round(batch.time / 1e-4))
+    assert set(batch.state()) == {sim.state()}

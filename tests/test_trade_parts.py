@@ -1,0 +1,67 @@
+"""The parts of a trade, each alone: its time steps, its starts, its marks."""
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore.trade.dofs import Dofs
+from stepcore.trade.errors import pareto, predictable
+from stepcore.trade.motion import motion, time_steps
+from stepcore.trade.run import Path
+
+
+def test_pareto():
+    assert pareto([1, 2, 3, 2.5], [3, 2, 1, 2]) == [True, True, True, False]
+    assert pareto([1, 1, 1], [2, 1, 1]) == [False, True, False]
+    assert pareto([float("nan"), 2], [0, 1]) == [False, True]
+    assert pareto([1, 2], [float("inf"), 1]) == [False, True]
+
+
+def test_predictable_ends_where_runs_separate():
+    def path(x):
+        return Path(com=np.array(x, float)[:, None, None] * np.ones((1, 1, 3)))
+
+    a, b = path([0, 0, 0, 0]), path([1e-10, 1e-8, 1e-3, 1e-9])
+    mask = predictable([a], [b], [1e-10], 1e4)
+    assert mask.tolist() == [[True, True, False, False]]
+
+
+def test_time_steps_divide_the_period():
+    steps, period = time_steps(0.002, None, None, 1.0)
+    assert period == steps[0] == pytest.approx(0.008) and len(steps) == 6
+    steps, period = time_steps(0.01, None, 0.05, 1.0)
+    assert 0.01 in steps and period == 0.05
+    assert all(abs(period / dt - round(period / dt)) < 1e-9 for dt in steps)
+    steps, period = time_steps(0.002, [0.003], None, 1.0)
+    assert steps == [0.003, 0.002] and period == pytest.approx(0.006)
+
+
+def test_starts_respect_quaternions_and_ranges():
+    scene = sc.Scene(gravity=(0, 0, -9.81))
+    ball = scene.add_body("ball", pos=(0, 0, 1))
+    scene.add_joint(ball, "free")
+    scene.add_geom(ball, "sphere", 0.1, mass=1.0)
+    arm = scene.add_body("arm", "ball", mass=0.1, inertia=(1e-3, 1e-3, 1e-3))
+    scene.add_joint(arm, "hinge", range=(0.0, 0.005))
+    model = scene.compile()
+    dofs = Dofs(model.scene)
+    got = motion(
+        model,
+        dofs,
+        horizon=1.0,
+        period=0.04,
+        key=None,
+        ctrl=None,
+        control=None,
+        count=8,
+        seed=3,
+    )
+    assert np.array_equal(got.starts[0].qpos, model.qpos0)
+    for start in got.starts:
+        assert np.linalg.norm(start.qpos[3:7]) == pytest.approx(1, abs=1e-14)
+        assert 0 <= start.qpos[7] <= 0.005
+    assert len({start.qpos.tobytes() for start in got.starts}) == 8
+    # A change of the dofs and its inverse.
+    change = np.random.default_rng(0).uniform(-0.5, 0.5, dofs.nv)
+    moved = dofs.moved(got.starts[1].qpos, change)
+    assert dofs.change(got.starts[1].qpos, moved) == pytest.approx(change, abs=1e-14)
