@@ -51,7 +51,7 @@ pub struct Sim<R: Real> {
 impl<R: Real> Sim<R> {
     pub fn new(model: Arc<Model>, settings: Settings) -> Result<Self> {
         settings.check()?;
-        check_masses::<R>(&model)?;
+        check_masses::<R>(&model, settings.solver)?;
         Ok(Self {
             state: State::new(&model),
             inputs: Inputs::new(&model),
@@ -82,7 +82,8 @@ impl<R: Real> Sim<R> {
         let limits = Limits {
             sweeps: self.settings.sweeps,
             tolerance: self.settings.tolerance,
-            momentum: self.settings.acceleration == Acceleration::Momentum,
+            // By the law and not by the rows at hand, so that a lane equals its world alone.
+            momentum: self.settings.acceleration == Acceleration::Momentum && !self.on_guess(),
         };
         let report = match self.settings.solver {
             Solver::Pgs => self.pgs.solve(&model.dof_lists, inv_d, &mut self.rows, limits),
@@ -101,13 +102,15 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// Every mass must be a normal number, and so its inverse, in the precision that computes.
-fn check_masses<R: Real>(model: &Model) -> Result<()> {
+/// The precision that computes must hold every mass and its inverse, and for Newton,
+/// whose costs are energies of impulses, their squares.
+fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
     for body in model.bodies.iter().filter(|body| body.mass > 0.0) {
         let mass = R::of(body.mass);
+        let mass = if solver == Solver::Newton { mass * mass } else { mass };
         let inverse = R::one() / mass;
         if mass.is_finite().none() || mass.is_zero() || inverse.is_finite().none() || inverse.is_zero() {
-            let limit = "a mass whose value and inverse the precision can hold";
+            let limit = "such that the precision can hold it and its inverse (under newton, their squares)";
             return Err(Error::value(format!("mass of body '{}'", body.name), body.mass, limit));
         }
     }
