@@ -259,6 +259,18 @@ _add(
     + _mover("1.5 0 .1", _SPHERE + ' friction="0 0 0"'),
     CONTACT,
 )
+# Pyramids of almost no friction: μ 1e-5, edges that hardly differ and R as small as 1e-12.
+_add(
+    "slippery",
+    FLOOR.replace("/>", ' friction="0"/>')
+    + _mover("0 0 .06", _CAPSULE + ' euler="0 90 0" friction="0" mass="30"')
+    + _mover("0 .1 .17", _CAPSULE + ' euler="80 5 0" friction="0"')
+    + _mover("0 -.13 .12", _SPHERE + ' friction="0" mass=".05"')
+    + '<body pos="0 .3 .1"><joint type="slide" axis="0 1 0"/><joint type="slide" axis="0 0 1"/>'
+    f'<joint axis="1 0 0" range="-10 10"/><geom {_CAPSULE} euler="90 0 0" friction="0"/></body>',
+    CONTACT,
+    spread=0.03,
+)
 _add(
     "margin_gap",
     FLOOR.replace("/>", ' margin=".01" gap=".02"/>')

@@ -83,6 +83,9 @@ def parser() -> argparse.ArgumentParser:
 def _add_lesson(commands: Any) -> None:
     lesson = commands.add_parser("lesson", help="every figure of the lesson beside its reference")
     lesson.add_argument("--engine", choices=("rust", "numpy"), default="rust")
+    lesson.add_argument(
+        "--extremes", action="store_true", help="its scenes and two models at the extremes instead"
+    )
     lesson.add_argument("--json", action="store_true", help="print data instead of text")
     lesson.set_defaults(call=_lesson)
 
@@ -120,13 +123,16 @@ def _add_trade(commands: Any) -> None:
 
 
 def _lesson(args: argparse.Namespace) -> int:
-    from stepcore import lesson
+    from stepcore import extremes, lesson
 
-    rows = lesson.run(args.engine)
+    if args.extremes and args.engine != "rust":
+        raise Usage("--extremes: runs the Rust engine only")
+    part = extremes if args.extremes else lesson
+    rows = extremes.run() if args.extremes else lesson.run(args.engine)
     if args.json:
         print(json.dumps(jsonable([row.to_dict() for row in rows]), indent=2))
     else:
-        print(lesson.report(rows))
+        print(part.report(rows))
     return 0 if all(row.ok for row in rows) else 1
 
 

@@ -40,7 +40,7 @@ class Trajectory:
         # Looked up only when there is no such attribute; `data` is not there in a copy's making.
         data = self.__dict__.get("data", {})
         if name in data:
-            return data[name]  # type: ignore[no-any-return]
+            return data[name]
         if name.startswith("__"):
             raise AttributeError(name)
         raise AttributeError(f'"{name}" was not recorded{checks.nearest(name, data)}')

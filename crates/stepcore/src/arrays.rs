@@ -138,8 +138,7 @@ impl<R: Real> Sim<R> {
     pub fn put(&mut self, lane: usize, given: &Given) {
         if self.state.put(lane, given) {
             // There is no step that led here.
-            self.before.qpos.copy_from_slice(&self.state.qpos);
-            self.before.qvel.copy_from_slice(&self.state.qvel);
+            self.past.forget();
         }
         self.inputs.put(lane, given);
     }

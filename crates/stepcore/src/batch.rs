@@ -224,8 +224,7 @@ impl<R: Real> Group<R> {
     ) {
         std::mem::swap(&mut sim.state, &mut self.state);
         std::mem::swap(&mut sim.inputs, &mut self.inputs);
-        sim.before.qpos.copy_from_slice(&sim.state.qpos);
-        sim.before.qvel.copy_from_slice(&sim.state.qvel);
+        sim.past.forget();
         self.failed = (0..n).find_map(|k| one(index, k, sim).err().map(|error| (k, error)));
         if n > 0 {
             self.qacc.copy_from_slice(&sim.qacc);

@@ -13,7 +13,11 @@ pub enum Error {
 }
 
 impl Error {
-    pub fn value(field: impl Into<String>, value: impl fmt::Display, limit: impl Into<String>) -> Self {
+    pub fn value(
+        field: impl Into<String>,
+        value: impl fmt::Display,
+        limit: impl Into<String>,
+    ) -> Self {
         Self::Value { field: field.into(), value: value.to_string(), limit: limit.into() }
     }
 }

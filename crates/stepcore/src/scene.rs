@@ -37,7 +37,13 @@ pub struct Body {
 
 impl Default for Body {
     fn default() -> Self {
-        Self { name: String::new(), parent: 0, pos: [0.0; 3], quat: [1.0, 0.0, 0.0, 0.0], inertial: None }
+        Self {
+            name: String::new(),
+            parent: 0,
+            pos: [0.0; 3],
+            quat: [1.0, 0.0, 0.0, 0.0],
+            inertial: None,
+        }
     }
 }
 

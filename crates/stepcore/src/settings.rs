@@ -50,7 +50,7 @@ named!(
     Acceleration, "acceleration" {
         /// The lesson's method: rows in order.
         None = "none",
-        /// Nesterov momentum with restart over rows in a fixed shuffled order.
+        /// Momentum over the last moves, its coefficients chosen to minimise; blocks in a shuffled order.
         Momentum = "momentum",
     }
 );
@@ -146,13 +146,25 @@ impl Settings {
         }
         number("beta", self.beta, self.beta > 0.0 && self.beta <= 1.0, "in (0, 1]")?;
         number("softness", self.softness, self.softness >= 0.0, "finite and >= 0 1/kg")?;
-        number("restitution", self.restitution, (0.0..=1.0).contains(&self.restitution), "in [0, 1]")?;
+        number(
+            "restitution",
+            self.restitution,
+            (0.0..=1.0).contains(&self.restitution),
+            "in [0, 1]",
+        )?;
         number("slop", self.slop, self.slop >= 0.0, "finite and >= 0 m")?;
-        number("penalty_stiffness", self.penalty_stiffness, self.penalty_stiffness > 0.0, "finite and > 0 N/m")?;
+        number(
+            "penalty_stiffness",
+            self.penalty_stiffness,
+            self.penalty_stiffness > 0.0,
+            "finite and > 0 N/m",
+        )?;
         let ratio = self.penalty_damping_ratio;
         number("penalty_damping_ratio", ratio, ratio >= 0.0, "finite and >= 0")?;
         number("impratio", self.impratio, self.impratio > 0.0, "finite and > 0")?;
-        if self.solver == Solver::Newton && matches!(self.law, Law::Lesson | Law::Relaxed | Law::Rigid) {
+        if self.solver == Solver::Newton
+            && matches!(self.law, Law::Lesson | Law::Relaxed | Law::Rigid)
+        {
             return Err(Error::value(
                 "solver",
                 format!("'newton' with law '{}'", self.law.name()),

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use crate::commit::Next;
 use crate::detect::Detected;
 use crate::error::{Error, Result};
+use crate::measure::Past;
 use crate::model::Model;
 use crate::place::Placed;
 use crate::real::{Mask, Real};
@@ -23,12 +24,6 @@ pub struct Effort {
     pub decrement: f64,
 }
 
-/// Positions and velocities one step ago.
-pub(crate) struct Before<R: Real> {
-    pub qpos: Vec<R>,
-    pub qvel: Vec<R>,
-}
-
 pub struct Sim<R: Real> {
     pub model: Arc<Model>,
     pub settings: Settings,
@@ -44,8 +39,7 @@ pub struct Sim<R: Real> {
     pub(crate) next: Next<R>,
     pgs: Pgs<R>,
     newton: Newton<R>,
-    /// The state before the last committed step.
-    pub(crate) before: Before<R>,
+    pub(crate) past: Past<R>,
 }
 
 impl<R: Real> Sim<R> {
@@ -64,7 +58,7 @@ impl<R: Real> Sim<R> {
             next: Next::new(&model),
             pgs: Pgs::new(),
             newton: Newton::new(),
-            before: Before { qpos: vec![R::zero(); model.nq], qvel: vec![R::zero(); model.nv] },
+            past: Past::new(&model),
             model,
             settings,
         })
@@ -109,8 +103,13 @@ fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
         let mass = R::of(body.mass);
         let mass = if solver == Solver::Newton { mass * mass } else { mass };
         let inverse = R::one() / mass;
-        if mass.is_finite().none() || mass.is_zero() || inverse.is_finite().none() || inverse.is_zero() {
-            let limit = "such that the precision can hold it and its inverse (under newton, their squares)";
+        if mass.is_finite().none()
+            || mass.is_zero()
+            || inverse.is_finite().none()
+            || inverse.is_zero()
+        {
+            let limit =
+                "such that the precision can hold it and its inverse (under newton, their squares)";
             return Err(Error::value(format!("mass of body '{}'", body.name), body.mass, limit));
         }
     }
@@ -118,6 +117,11 @@ fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
 }
 
 impl Effort {
+    /// A step without rows takes none.
+    pub(crate) fn rest(&mut self) {
+        (self.sweeps, self.decrement) = (0, 0.0);
+    }
+
     fn note<R: Real>(&mut self, report: &Report<R>) {
         let lanes = 0..R::LANES;
         self.sweeps = lanes.clone().map(|lane| report.sweeps.lane(lane) as u32).max().unwrap_or(0);

@@ -82,7 +82,8 @@ impl<R: Real> Quat<R> {
     /// Unit length; the identity where the length is zero.
     #[inline(always)]
     pub fn normalized(&self) -> Self {
-        let n = (self.w * self.w + self.v.x * self.v.x + self.v.y * self.v.y + self.v.z * self.v.z).sqrt();
+        let n = (self.w * self.w + self.v.x * self.v.x + self.v.y * self.v.y + self.v.z * self.v.z)
+            .sqrt();
         let some = n.gt(R::zero());
         let k = n.recip_or_zero();
         Self {

@@ -15,11 +15,10 @@ impl<R: Real> Sim<R> {
         for _ in 0..n {
             self.integrate()?;
             self.check_finite()?;
-            // before ← state ← next ← (space of before)
-            std::mem::swap(&mut self.before.qpos, &mut self.state.qpos);
-            std::mem::swap(&mut self.before.qvel, &mut self.state.qvel);
+            // past ← state ← next ← (room of the oldest past)
             std::mem::swap(&mut self.state.qpos, &mut self.next.qpos);
             std::mem::swap(&mut self.state.qvel, &mut self.next.qvel);
+            self.past.keep(&mut self.next.qpos, &mut self.next.qvel);
             std::mem::swap(&mut self.state.warm, &mut self.next.warm);
             self.state.steps += 1;
         }
@@ -45,12 +44,13 @@ impl<R: Real> Sim<R> {
         self.rows.make(&site, &mut self.detected);
         if self.rows.any() {
             self.solve()?;
+        } else {
+            self.effort.rest();
         }
         if self.settings.warm_start {
             self.rows.store_warm(&mut self.next.warm);
         }
-        self.velocity.copy_from_slice(&self.rows.u);
-        self.placed.metric.from_factored(&mut self.velocity);
+        self.placed.metric.from_factored(&self.rows.u, &mut self.velocity);
         let rate = R::of(1.0 / self.settings.dt);
         for k in 0..self.model.nv {
             self.qacc[k] = (self.velocity[k] - self.state.qvel[k]) * rate;

@@ -61,13 +61,18 @@ fn a_spring_under_each_integrator() {
         sim.step(2000).unwrap();
         let (x, v) = (sim.state.qpos[0], sim.state.qvel[0]);
         let energy = (0.5 * v * v + 50.0 * x * x) / 50.0;
-        assert!((energy / ratio - 1.0).abs() < tolerance, "{integrator:?}: {energy} against {ratio}");
+        assert!(
+            (energy / ratio - 1.0).abs() < tolerance,
+            "{integrator:?}: {energy} against {ratio}"
+        );
     }
 }
 
 #[test]
 fn a_dropped_ball_rests_at_s_m_g_dt2_over_beta() {
-    for (dt, softness, beta) in [(0.002, 0.5, 0.2), (0.01, 0.5, 0.2), (0.002, 5.0, 0.2), (0.002, 0.5, 1.0)] {
+    for (dt, softness, beta) in
+        [(0.002, 0.5, 0.2), (0.01, 0.5, 0.2), (0.002, 5.0, 0.2), (0.002, 0.5, 1.0)]
+    {
         let settings = Settings { dt, softness, beta, ..lesson(Law::Lesson) };
         let mut sim = sim(&balls(&[0.4]), settings);
         sim.step((2.0 / dt) as u64).unwrap();
@@ -100,9 +105,11 @@ fn a_pendulum_by_elliptic_functions() {
     let inertial = stepcore::scene::Inertial { mass: 1.0, pos: [1.0, 0.0, 0.0], inertia: [0.0; 6] };
     scene.bodies.push(Body { inertial: Some(inertial), ..Body::default() });
     scene.joints.push(Joint { body: 1, axis: [0.0, -1.0, 0.0], ..Joint::default() });
-    for (integrator, dt, tolerance) in
-        [(Integrator::Rk4, 1e-3, 1e-10), (Integrator::Midpoint, 1e-3, 2e-4), (Integrator::SemiImplicit, 1e-4, 2e-2)]
-    {
+    for (integrator, dt, tolerance) in [
+        (Integrator::Rk4, 1e-3, 1e-10),
+        (Integrator::Midpoint, 1e-3, 2e-4),
+        (Integrator::SemiImplicit, 1e-4, 2e-2),
+    ] {
         let mut sim = sim(&scene, Settings { dt, integrator, ..Settings::default() });
         sim.state.qpos[0] = std::f64::consts::PI;
         sim.step((10.0 / dt).round() as u64).unwrap();
@@ -116,11 +123,13 @@ fn a_pendulum_by_elliptic_functions() {
 #[test]
 fn a_free_body_keeps_energy_and_angular_momentum() {
     let mut scene = Scene { gravity: [0.0; 3], ..Scene::default() };
-    let inertia = [0.808_333_333_333_333_3, 0.683_333_333_333_333_3, 0.141_666_666_666_666_67, 0.0, 0.0, 0.0];
+    let inertia =
+        [0.808_333_333_333_333_3, 0.683_333_333_333_333_3, 0.141_666_666_666_666_67, 0.0, 0.0, 0.0];
     let inertial = stepcore::scene::Inertial { mass: 10.0, pos: [0.1, -0.2, 0.3], inertia };
     scene.bodies.push(Body { inertial: Some(inertial), ..Body::default() });
     scene.joints.push(Joint { body: 1, kind: JointType::Free, ..Joint::default() });
-    let mut sim = sim(&scene, Settings { dt: 1e-3, integrator: Integrator::Rk4, ..Settings::default() });
+    let mut sim =
+        sim(&scene, Settings { dt: 1e-3, integrator: Integrator::Rk4, ..Settings::default() });
     sim.state.qvel.copy_from_slice(&[0.0, 0.0, 0.0, 0.1, 5.0, 0.1]);
     let (energy, momentum) = (sim.energy().kinetic, sim.momentum());
     sim.step(10_000).unwrap();

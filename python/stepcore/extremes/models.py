@@ -90,7 +90,12 @@ def cell(name: str, axis: str, value: float, dt: float, precision: str) -> Outco
     for joint in scene.joints:
         if axis == "stiffness" and joint.type == "hinge" and joint.range is not None:
             joint.stiffness, joint.springref = value, ANKLES.get(joint.name, 0.0)
-    settings: dict[str, Any] = {"dt": dt, "precision": precision, "sweeps": sweeps, "tolerance": 0.0}
+    settings: dict[str, Any] = {
+        "dt": dt,
+        "precision": precision,
+        "sweeps": sweeps,
+        "tolerance": 0.0,
+    }
     sim = Sim(scene.compile(), solver="pgs", integrator="implicitfast", **settings)
     for joint_name, angle in ANKLES.items() if name == "ant" else ():
         sim.joint(joint_name).qpos[...] = angle

@@ -49,7 +49,8 @@ fn gyroscopic(model: &Model, tree: &Tree) -> bool {
     let body = &model.bodies[tree.bodies.start];
     let free = tree.dofs.len == 6 && body.joints.of(&model.joints)[0].kind == JointType::Free;
     let i = &body.inertia;
-    let isotropic = i.m11 == i.m22 && i.m22 == i.m33 && i.m12 == 0.0 && i.m13 == 0.0 && i.m23 == 0.0;
+    let isotropic =
+        i.m11 == i.m22 && i.m22 == i.m33 && i.m12 == 0.0 && i.m13 == 0.0 && i.m23 == 0.0;
     free && !(tree.bodies.len == 1 && isotropic && body.ipos == V3::zeros())
 }
 

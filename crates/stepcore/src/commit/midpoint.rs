@@ -56,7 +56,10 @@ impl<R: Real> Sim<R> {
         if open.any() {
             self.state.qpos.copy_from_slice(&self.next.stages.qpos);
             self.state.qvel.copy_from_slice(&self.next.stages.qvel);
-            return Err(self.diverged(open, "the midpoint iteration does not converge (take a smaller dt)".into()));
+            return Err(self.diverged(
+                open,
+                "the midpoint iteration does not converge (take a smaller dt)".into(),
+            ));
         }
         let s = &self.next.stages;
         for k in 0..model.nv {
@@ -75,13 +78,17 @@ impl<R: Real> Sim<R> {
         for k in 0..model.nv {
             let gained = dt * self.qacc[k];
             damped.change[k] = self.next.stages.qvel[k] + gained - self.next.qvel[k];
-            scale = scale.max(self.next.qvel[k].abs()).max(self.next.stages.qvel[k].abs()).max(gained.abs());
+            scale = scale
+                .max(self.next.qvel[k].abs())
+                .max(self.next.stages.qvel[k].abs())
+                .max(gained.abs());
         }
         self.placed.mul_mass(model, &damped.change, &mut damped.impulse);
         damped.metric.l.copy_from_slice(&self.placed.mass);
         for dof in &model.dofs {
             let damping = if model.features.damper { dof.damping } else { 0.0 };
-            let stiffness = if model.features.spring { model.joints[dof.joint].stiffness } else { 0.0 };
+            let stiffness =
+                if model.features.spring { model.joints[dof.joint].stiffness } else { 0.0 };
             let extra = R::of(0.5 * damping) * dt + R::of(0.25 * stiffness) * dt * dt;
             damped.metric.l[dof.row.start] += extra;
         }

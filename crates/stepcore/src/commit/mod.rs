@@ -98,14 +98,16 @@ impl<R: Real> Sim<R> {
         self.placed.place(&model, &self.state, &self.inputs, dt);
         let on_guess = self.on_guess();
         let judged = if on_guess { &self.next.mean } else { &self.next.qvel };
-        self.placed.guess.copy_from_slice(judged);
-        self.placed.metric.to_factored(&mut self.placed.guess);
+        self.placed.metric.to_factored(judged, &mut self.placed.guess);
         self.detect_and_solve()?;
         // From u, where a tree without rows has not changed at all.
         for k in 0..model.nv {
-            self.velocity[k] = self.rows.u[k] - self.placed.guess[k];
+            self.rows.u[k] -= self.placed.guess[k];
         }
-        self.placed.metric.from_factored(&mut self.velocity);
+        self.placed.metric.from_factored(&self.rows.u, &mut self.velocity);
+        for k in 0..model.nv {
+            self.rows.u[k] += self.placed.guess[k];
+        }
         let add = |x: &mut R, change: R| {
             *x = R::select(change.abs().le(R::zero()), *x, *x + change);
         };

@@ -34,7 +34,6 @@ pub struct Contact<R: Real> {
     pub pos: V3<R>,
     /// Unit, from geom 1 to geom 2.
     pub normal: V3<R>,
-    pub tangents: [V3<R>; 2],
 }
 
 /// What this stage writes.
@@ -66,21 +65,16 @@ impl<R: Real> Detected<R> {
             for (part, touch) in touches.list[..touches.count].iter().enumerate() {
                 let mask = touch.exists.and(touch.dist.lt(listed));
                 if mask.any() {
-                    self.push(model, placed, pair, index, part, touch, mask);
+                    self.push(index, part, touch, mask);
                 }
             }
         }
     }
 
-    #[allow(clippy::too_many_arguments)]
-    fn push(&mut self, model: &Model, placed: &Placed<R>, pair: &Pair, index: usize, part: usize, touch: &Touch<R>, mask: R::Mask) {
+    fn push(&mut self, index: usize, part: usize, touch: &Touch<R>, mask: R::Mask) {
         if self.contacts.len() == self.contacts.capacity() {
             self.grown += 1;
         }
-        let capsule = (model.geoms[pair.geom1].kind == GeomType::Plane
-            && model.geoms[pair.geom2].kind == GeomType::Capsule)
-            .then(|| axis(placed, pair.geom2));
-        let (y, z) = tangents(&touch.normal, capsule.as_ref());
         self.contacts.push(Contact {
             pair: index,
             part,
@@ -88,15 +82,20 @@ impl<R: Real> Detected<R> {
             dist: touch.dist,
             pos: touch.pos,
             normal: touch.normal,
-            tangents: [y, z],
         });
     }
 }
 
-/// A capsule's axis in the world.
-fn axis<R: Real>(placed: &Placed<R>, geom: usize) -> V3<R> {
-    let m = &placed.geom[geom].rot;
-    V3::new(m.m13, m.m23, m.m33)
+impl<R: Real> Contact<R> {
+    /// The two directions of friction; with the normal they are the contact's frame.
+    pub fn tangents(&self, model: &Model, placed: &Placed<R>) -> [V3<R>; 2] {
+        let pair = &model.pairs[self.pair];
+        let kinds = [model.geoms[pair.geom1].kind, model.geoms[pair.geom2].kind];
+        let capsule = (kinds == [GeomType::Plane, GeomType::Capsule])
+            .then(|| placed.geom[pair.geom2].axis(2));
+        let (y, z) = tangents(&self.normal, capsule.as_ref());
+        [y, z]
+    }
 }
 
 /// No lane can have a contact: the bounding spheres are apart.

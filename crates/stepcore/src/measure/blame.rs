@@ -1,5 +1,6 @@
-//! Which element made a run leave the finite numbers: the one whose force grew most
-//! between the last two finite states, not the first that shows a NaN.
+//! Which element made a run leave the finite numbers: the first whose force, growing,
+//! became the strongest of all on the way there; not the first that shows a NaN. Once a
+//! run explodes, inertial forces outgrow whatever started it, because they are quadratic.
 //!
 //! Forces and moments are compared by what they do: Q² / M, the rate at which a
 //! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
@@ -10,6 +11,9 @@ use crate::real::{Mask, Real};
 use crate::sim::Sim;
 use crate::solve::Source;
 
+/// An element that beats all of the step before by this factor is exploding, not moving.
+const GROWN: f64 = 2.0;
+
 /// Strength of every element in one lane.
 type Ledger = Vec<(String, f64)>;
 
@@ -18,13 +22,18 @@ impl<R: Real> Sim<R> {
     pub(crate) fn diverged(&mut self, bad: R::Mask, quantity: String) -> Error {
         let world = (0..R::LANES).find(|lane| bad.lane(*lane)).unwrap_or(0);
         let state = self.state.clone();
-        let now = self.forward().map_or(Vec::new(), |()| self.ledger(world));
-        self.state.qpos.copy_from_slice(&self.before.qpos);
-        self.state.qvel.copy_from_slice(&self.before.qvel);
-        let earlier = self.forward().map_or(Vec::new(), |()| self.ledger(world));
+        let past: Vec<_> = self.past.states().cloned().collect();
+        let mut ledgers: Vec<Ledger> = Vec::new();
+        for (qpos, qvel) in past.iter().chain([&(state.qpos.clone(), state.qvel.clone())]) {
+            self.state.qpos.copy_from_slice(qpos);
+            self.state.qvel.copy_from_slice(qvel);
+            if self.forward().is_ok() {
+                ledgers.push(self.ledger(world));
+            }
+        }
         self.state = state;
         let time = self.state.time(self.settings.dt);
-        Error::Diverged { step: self.state.steps, time, world, element: grown_most(&earlier, &now), quantity }
+        Error::Diverged { step: self.state.steps, time, world, element: blamed(&ledgers), quantity }
     }
 
     pub(crate) fn first_not_finite(&self, bad: R::Mask) -> String {
@@ -33,7 +42,10 @@ impl<R: Real> Sim<R> {
         let at = self.next.qvel.iter().position(|x| !x.is_finite().lane(lane));
         at.map_or("a position is not finite".into(), |dof| {
             let joint = model.dofs[dof].joint;
-            format!("the velocity of {} is not finite", name("joint", &model.joints[joint].name, joint))
+            format!(
+                "the velocity of {} is not finite",
+                name("joint", &model.joints[joint].name, joint)
+            )
         })
     }
 
@@ -44,8 +56,9 @@ impl<R: Real> Sim<R> {
         let inertia = |k: usize| self.placed.mass[model.dofs[k].row.start].lane(lane);
         for (index, joint) in model.joints.iter().enumerate() {
             let mut add = |kind: &str, force: &dyn Fn(usize) -> f64| {
-                let strength: f64 =
-                    (joint.dof..joint.dof + joint.dofs()).map(|k| force(k).powi(2) / inertia(k)).sum();
+                let strength: f64 = (joint.dof..joint.dof + joint.dofs())
+                    .map(|k| force(k).powi(2) / inertia(k))
+                    .sum();
                 if strength != 0.0 {
                     entries.push((name(kind, &joint.name, index), strength));
                 }
@@ -62,7 +75,8 @@ impl<R: Real> Sim<R> {
             let joint = &model.joints[motor.joint];
             let force = self.placed.actuator[index].lane(lane);
             let strength = |k: usize| (motor.gear[k] * force).powi(2) / inertia(joint.dof + k);
-            entries.push((name("motor", &motor.name, index), (0..joint.dofs()).map(strength).sum()));
+            entries
+                .push((name("motor", &motor.name, index), (0..joint.dofs()).map(strength).sum()));
         }
         for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
             let force = &self.inputs.xfrc_applied[6 * index..6 * index + 3];
@@ -72,7 +86,10 @@ impl<R: Real> Sim<R> {
         let rate = 1.0 / self.settings.dt;
         for block in self.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
             let rows = &self.rows.rows[block.rows.range()];
-            let strength = rows.iter().map(|row| (row.impulse.lane(lane) * rate).powi(2) * row.a.lane(lane)).sum();
+            let strength = rows
+                .iter()
+                .map(|row| (row.impulse.lane(lane) * rate).powi(2) * row.a.lane(lane))
+                .sum();
             entries.push((self.source_name(block.source), strength));
         }
         entries
@@ -98,7 +115,11 @@ pub fn contact_name(model: &Model, pair: usize) -> String {
     let pair = &model.pairs[pair];
     let geom = |index: usize| {
         let geom = &model.geoms[index];
-        if geom.name.is_empty() { format!("`{index}`") } else { format!("`{}`", geom.name) }
+        if geom.name.is_empty() {
+            format!("`{index}`")
+        } else {
+            format!("`{}`", geom.name)
+        }
     };
     format!("contact {}/{}", geom(pair.geom1), geom(pair.geom2))
 }
@@ -111,18 +132,20 @@ fn name(kind: &str, name: &str, index: usize) -> String {
     }
 }
 
-/// The largest growth. What is no longer finite grew beyond all that is; among such,
-/// the one that was strongest before.
-fn grown_most(earlier: &Ledger, now: &Ledger) -> String {
-    let before = |name: &str| earlier.iter().find(|(n, _)| n == name).map_or(0.0, |(_, strength)| *strength);
-    let growth = |(name, strength): &(String, f64)| {
-        let before = before(name);
-        if strength.is_finite() { (false, strength - before) } else { (true, before) }
-    };
-    now.iter()
-        .max_by(|a, b| {
-            let (a, b) = (growth(a), growth(b));
-            a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
-        })
-        .map_or_else(|| "no single element".into(), |(name, _)| name.clone())
+/// The first element that doubled its strength to more than all others together;
+/// else the strongest at the end.
+fn blamed(ledgers: &[Ledger]) -> String {
+    let finite = |ledger: &Ledger| ledger.iter().map(|(_, s)| s).filter(|s| s.is_finite()).sum();
+    for pair in ledgers.windows(2) {
+        let total: f64 = finite(&pair[1]);
+        for (name, strength) in &pair[1] {
+            let before = pair[0].iter().find(|(other, _)| other == name).map_or(0.0, |(_, s)| *s);
+            let grown = *strength > 2.0 * before && *strength > GROWN * finite(&pair[0]);
+            if grown && (*strength > 0.5 * total || !strength.is_finite()) {
+                return name.clone();
+            }
+        }
+    }
+    let last = ledgers.last().and_then(|ledger| ledger.iter().max_by(|a, b| a.1.total_cmp(&b.1)));
+    last.map_or_else(|| "no single element".into(), |(name, _)| name.clone())
 }

@@ -43,7 +43,8 @@ impl<R: Real> Sim<R> {
 
     /// Centre of mass of a body in the world [m].
     pub fn centre(&self, body: usize) -> V3<R> {
-        self.placed.xpos[body] + rotate(&self.placed.xmat[body], &splat(&self.model.bodies[body].ipos))
+        self.placed.xpos[body]
+            + rotate(&self.placed.xmat[body], &splat(&self.model.bodies[body].ipos))
     }
 
     /// Linear momentum, and angular momentum about the world's origin. Without armature.

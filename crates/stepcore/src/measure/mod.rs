@@ -2,6 +2,8 @@
 
 mod blame;
 mod energy;
+mod past;
 mod readout;
 
 pub use energy::Energy;
+pub(crate) use past::Past;

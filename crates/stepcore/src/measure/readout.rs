@@ -91,7 +91,8 @@ impl<R: Real> Sim<R> {
         let impulse: Vec<f64> =
             self.rows.rows[block.rows.range()].iter().map(|row| row.impulse.lane(lane)).collect();
         let still = self.model.pairs[contact.pair].still;
-        let moving = contact.tangents.iter().zip(still).filter(|(_, still)| !still);
+        let tangents = contact.tangents(&self.model, &self.placed);
+        let moving = tangents.iter().zip(still).filter(|(_, still)| !still);
         // A pyramid's rows are its edges J_n ± μ J_t and, if need be, their fold.
         let edges = block.set == Set::Interval;
         let normal = if edges { impulse.iter().sum() } else { impulse[0] };

@@ -2,7 +2,9 @@
 //! element, the field, the value and the limit; nothing is built before all hold.
 
 use crate::error::{Error, Result};
-use crate::scene::{Actuator, Equality, Geom, GeomType, Inertial, Joint, JointType, Scene, Softness};
+use crate::scene::{
+    Actuator, Equality, Geom, GeomType, Inertial, Joint, JointType, Scene, Softness,
+};
 use std::collections::HashSet;
 use std::fmt;
 
@@ -54,7 +56,11 @@ impl Element {
         if square.is_normal() {
             Ok(())
         } else {
-            Err(self.refuse(field, format!("{values:?}"), "of a length that is neither zero nor beyond the numbers"))
+            Err(self.refuse(
+                field,
+                format!("{values:?}"),
+                "of a length that is neither zero nor beyond the numbers",
+            ))
         }
     }
 
@@ -79,8 +85,13 @@ impl Element {
         let [a, b] = soft.solref;
         self.finite(&format!("{prefix}solref"), &soft.solref)?;
         if !(a > 0.0 && b > 0.0 || a <= 0.0 && b <= 0.0) {
-            let limit = "both > 0 (time constant, damping ratio) or both <= 0 (-stiffness, -damping)";
-            return Err(self.refuse(&format!("{prefix}solref"), format!("{:?}", soft.solref), limit));
+            let limit =
+                "both > 0 (time constant, damping ratio) or both <= 0 (-stiffness, -damping)";
+            return Err(self.refuse(
+                &format!("{prefix}solref"),
+                format!("{:?}", soft.solref),
+                limit,
+            ));
         }
         for (i, x) in soft.solimp.iter().enumerate() {
             self.not_negative(&format!("{prefix}solimp[{i}]"), *x)?;
@@ -93,7 +104,9 @@ pub fn scene(scene: &Scene) -> Result<()> {
     let whole = Element("scene".into());
     whole.finite("gravity", &scene.gravity)?;
     if scene.bodies.is_empty() || scene.joints.is_empty() {
-        return Err(Error::Scene("the scene has no joint, so nothing in it can move: add a body with a joint".into()));
+        return Err(Error::Scene(
+            "the scene has no joint, so nothing in it can move: add a body with a joint".into(),
+        ));
     }
     let rules = Element("mass rules".into());
     rules.not_negative("bound_mass", scene.mass_rules.bound_mass)?;
@@ -136,7 +149,9 @@ fn names(scene: &Scene) -> Result<()> {
         let mut seen = HashSet::new();
         for name in names {
             if !name.is_empty() && !seen.insert(name) {
-                return Err(Error::Scene(format!("two {kind} have the name '{name}': a name stands for one element")));
+                return Err(Error::Scene(format!(
+                    "two {kind} have the name '{name}': a name stands for one element"
+                )));
             }
         }
         Ok(())
@@ -196,7 +211,11 @@ fn grouped<'a>(kind: &str, elements: impl Iterator<Item = (&'a str, usize)>) -> 
     for (i, (name, body)) in elements.enumerate() {
         if body < last {
             let e = Element::new(kind, name, i);
-            return Err(e.refuse("body", body, &format!(">= {last}: {kind}s are listed in the order of their bodies")));
+            return Err(e.refuse(
+                "body",
+                body,
+                &format!(">= {last}: {kind}s are listed in the order of their bodies"),
+            ));
         }
         last = body;
     }
@@ -215,15 +234,24 @@ fn joints(scene: &Scene) -> Result<()> {
             return Err(Error::Scene(format!("{} is on the world, which does not move", e.0)));
         }
         if j.kind == JointType::Free && body.parent != 0 {
-            return Err(Error::Scene(format!("{} is free, but {owner} is not a child of the world", e.0)));
+            return Err(Error::Scene(format!(
+                "{} is free, but {owner} is not a child of the world",
+                e.0
+            )));
         }
         if ball[j.body] && matches!(j.kind, JointType::Ball | JointType::Hinge) {
-            return Err(Error::Scene(format!("{} turns {owner} after a ball joint, which already turns it", e.0)));
+            return Err(Error::Scene(format!(
+                "{} turns {owner} after a ball joint, which already turns it",
+                e.0
+            )));
         }
         ball[j.body] |= j.kind == JointType::Ball;
         dofs[j.body] += j.kind.dofs();
         if dofs[j.body] > 6 {
-            return Err(Error::Scene(format!("{} brings {owner} to {} dofs; a body has at most 6", e.0, dofs[j.body])));
+            return Err(Error::Scene(format!(
+                "{} brings {owner} to {} dofs; a body has at most 6",
+                e.0, dofs[j.body]
+            )));
         }
     }
     grouped("joint", scene.joints.iter().map(|j| (&*j.name, j.body)))
@@ -267,7 +295,12 @@ fn geom(e: &Element, g: &Geom) -> Result<()> {
     e.finite("size", &g.size)?;
     for (i, size) in g.size.iter().enumerate() {
         let ok = if i < used { *size > 0.0 } else { *size >= 0.0 };
-        e.number(&format!("size[{i}]"), *size, ok, if i < used { "finite and > 0 m" } else { "finite and >= 0 m" })?;
+        e.number(
+            &format!("size[{i}]"),
+            *size,
+            ok,
+            if i < used { "finite and > 0 m" } else { "finite and >= 0 m" },
+        )?;
     }
     if let Some(mass) = g.mass {
         e.not_negative("mass", mass)?;
@@ -313,11 +346,19 @@ fn keys(scene: &Scene) -> Result<()> {
     for (i, key) in scene.keys.iter().enumerate() {
         let e = Element::new("key", &key.name, i);
         e.finite("time", &[key.time])?;
-        let arrays = [("qpos", &key.qpos, nq), ("qvel", &key.qvel, nv), ("ctrl", &key.ctrl, scene.actuators.len())];
+        let arrays = [
+            ("qpos", &key.qpos, nq),
+            ("qvel", &key.qvel, nv),
+            ("ctrl", &key.ctrl, scene.actuators.len()),
+        ];
         for (field, values, count) in arrays {
             let Some(values) = values else { continue };
             if values.len() != count {
-                return Err(e.refuse(&format!("{field} length"), values.len(), &format!("{count}")));
+                return Err(e.refuse(
+                    &format!("{field} length"),
+                    values.len(),
+                    &format!("{count}"),
+                ));
             }
             e.finite(field, values)?;
         }

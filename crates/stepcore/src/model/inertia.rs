@@ -53,7 +53,8 @@ fn from_geoms(scene: &Scene, geoms: &[usize]) -> Option<Load> {
         .collect();
     let mass: f64 = chosen.iter().map(|(_, m)| m).sum();
     if let [(g, _)] = chosen[..] {
-        let (ipos, quat, moments) = (Vector3::from(g.pos), unit_quat(g.quat), unit_inertia(g) * mass);
+        let (ipos, quat, moments) =
+            (Vector3::from(g.pos), unit_quat(g.quat), unit_inertia(g) * mass);
         let size = (moments.sum() / mass).sqrt();
         let aligned = same_frame(&ipos, quat, size);
         return Some(Load { mass, ipos, inertia: turned(moments, &rotation(quat)), aligned });
@@ -103,23 +104,6 @@ fn nothing(scene: &Scene, body: usize) -> Load {
 
 fn same_frame(offset: &Vector3<f64>, quat: [f64; 4], size: f64) -> bool {
     offset.amax() <= SAME_FRAME * size && quat[1..].iter().all(|x| x.abs() < SAME_FRAME)
-}
-
-/// All pivots of the matrix are above the limit. No root is taken, so powers of
-/// two pass through unchanged.
-fn pivots_above(m: &Matrix3<f64>, limit: f64) -> bool {
-    let mut m = *m;
-    for k in (0..3).rev() {
-        if m[(k, k)] <= limit {
-            return false;
-        }
-        for i in 0..k {
-            for j in 0..k {
-                m[(i, j)] -= m[(i, k)] * m[(k, j)] / m[(k, k)];
-            }
-        }
-    }
-    true
 }
 
 /// Bounds from below, then no principal moment greater than the sum of the others.

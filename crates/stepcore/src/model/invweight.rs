@@ -138,7 +138,12 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
         let factor = Factor::new(model, poses, &motions, tree)?;
         let (first, n) = (tree.dofs.start, tree.dofs.len);
         for i in tree.bodies.range() {
-            bodies[i] = body_weight(&factor, &motions, &model.bodies[i], poses[i].point(model.bodies[i].ipos));
+            bodies[i] = body_weight(
+                &factor,
+                &motions,
+                &model.bodies[i],
+                poses[i].point(model.bodies[i].ipos),
+            );
         }
         for i in tree.dofs.range() {
             let mut unit = DVector::zeros(n);
@@ -146,7 +151,8 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
             dofs[i] = factor.weight(unit);
         }
     }
-    for joint in model.joints.iter().filter(|j| matches!(j.kind, JointType::Ball | JointType::Free)) {
+    for joint in model.joints.iter().filter(|j| matches!(j.kind, JointType::Ball | JointType::Free))
+    {
         for three in dofs[joint.dof..joint.dof + joint.kind.dofs()].chunks_exact_mut(3) {
             three.fill(three.iter().sum::<f64>() / 3.0);
         }
@@ -197,6 +203,11 @@ fn plain<'a>(model: &'a Model, aligned: &'a [bool]) -> impl Iterator<Item = usiz
     };
     (1..model.bodies.len()).filter(move |&i| {
         let body = &model.bodies[i];
-        body.tree != NONE && body.joints.len > 0 && leaf[i] && aligned[i] && grounded(i) && straight(i)
+        body.tree != NONE
+            && body.joints.len > 0
+            && leaf[i]
+            && aligned[i]
+            && grounded(i)
+            && straight(i)
     })
 }

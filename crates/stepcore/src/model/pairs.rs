@@ -15,8 +15,11 @@ use std::collections::HashSet;
 pub fn planes_stand_still(model: &Model) -> Result<()> {
     for (i, g) in model.geoms.iter().enumerate() {
         if g.kind == GeomType::Plane && model.bodies[g.body].tree != NONE {
-            let (plane, body) = (label("geom", &g.name, i), label("body", &model.bodies[g.body].name, g.body));
-            return Err(Error::Scene(format!("{plane} is a plane on {body}, which moves: a plane stands still")));
+            let (plane, body) =
+                (label("geom", &g.name, i), label("body", &model.bodies[g.body].name, g.body));
+            return Err(Error::Scene(format!(
+                "{plane} is a plane on {body}, which moves: a plane stands still"
+            )));
         }
     }
     Ok(())
@@ -74,10 +77,19 @@ fn candidate(scene: &Scene, a: usize, b: usize) -> Option<(usize, usize)> {
 
 fn supported(one: GeomType, two: GeomType) -> bool {
     use GeomType::{Box, Capsule, Plane, Sphere};
-    matches!((one, two), (Plane | Sphere, Sphere) | (Sphere, Box) | (Plane | Sphere | Capsule, Capsule))
+    matches!(
+        (one, two),
+        (Plane | Sphere, Sphere) | (Sphere, Box) | (Plane | Sphere | Capsule, Capsule)
+    )
 }
 
-fn pair(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Unions, (a, b): (usize, usize)) -> Result<Pair> {
+fn pair(
+    scene: &Scene,
+    model: &mut Model,
+    poses: &[Pose],
+    unions: &mut Unions,
+    (a, b): (usize, usize),
+) -> Result<Pair> {
     let (x, y) = (&scene.geoms[a], &scene.geoms[b]);
     let names = || format!("{} and {}", label("geom", &x.name, a), label("geom", &y.name, b));
     if !supported(x.kind, y.kind) {
@@ -157,7 +169,12 @@ fn touched_mass(model: &Model, body1: usize, body2: usize) -> f64 {
 }
 
 /// `connect`: the point is given on body 1; where it lies on body 2 follows from qpos0.
-pub fn fill_equalities(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Unions) -> Result<()> {
+pub fn fill_equalities(
+    scene: &Scene,
+    model: &mut Model,
+    poses: &[Pose],
+    unions: &mut Unions,
+) -> Result<()> {
     for (i, q) in scene.equalities.iter().enumerate() {
         let dofs = unions.of(model, q.body1, q.body2);
         if dofs.len == 0 {

@@ -39,13 +39,16 @@ pub fn unit_inertia(g: &Geom) -> Vector3<f64> {
         // A tube or rod, and two halves of a sphere whose centres of mass lie
         // 3/8 a (solid) or 1/2 a (shell) beyond its ends.
         (GeomType::Capsule, false) => {
-            let (rod, caps) = (2.0 * b / (2.0 * b + 4.0 / 3.0 * a), 4.0 / 3.0 * a / (2.0 * b + 4.0 / 3.0 * a));
-            let across = rod * (a * a / 4.0 + b * b / 3.0) + caps * (0.4 * a * a + b * b + 0.75 * a * b);
+            let (rod, caps) =
+                (2.0 * b / (2.0 * b + 4.0 / 3.0 * a), 4.0 / 3.0 * a / (2.0 * b + 4.0 / 3.0 * a));
+            let across =
+                rod * (a * a / 4.0 + b * b / 3.0) + caps * (0.4 * a * a + b * b + 0.75 * a * b);
             round(across, rod * a * a / 2.0 + caps * 0.4 * a * a)
         }
         (GeomType::Capsule, true) => {
             let (tube, caps) = (b / (a + b), a / (a + b));
-            let across = tube * (a * a / 2.0 + b * b / 3.0) + caps * (2.0 / 3.0 * a * a + b * b + a * b);
+            let across =
+                tube * (a * a / 2.0 + b * b / 3.0) + caps * (2.0 / 3.0 * a * a + b * b + a * b);
             round(across, tube * a * a + caps * (2.0 / 3.0 * a * a))
         }
         (GeomType::Cylinder, false) => round(a * a / 4.0 + b * b / 3.0, a * a / 2.0),
@@ -59,7 +62,8 @@ pub fn unit_inertia(g: &Geom) -> Vector3<f64> {
         // the other four its square averages a third of that.
         (GeomType::Box, true) => {
             let (x, y, z) = (b * c, c * a, a * b);
-            let mean = |s: f64, across: f64| s * s * (across + (x + y + z - across) / 3.0) / (x + y + z);
+            let mean =
+                |s: f64, across: f64| s * s * (across + (x + y + z - across) / 3.0) / (x + y + z);
             moments(mean(a, x), mean(b, y), mean(c, z))
         }
         (GeomType::Ellipsoid, false) => moments(a * a / 5.0, b * b / 5.0, c * c / 5.0),

@@ -28,7 +28,8 @@ pub fn still(model: &Model, poses: &[Pose], first: usize, second: usize) -> [boo
     if plane.kind != GeomType::Plane {
         return between_round_shapes(model, poses, plane, other);
     }
-    let axis = |body: usize, quat| -> Vector3<f64> { (poses[body].rot * rotation(quat)).column(2).into() };
+    let axis =
+        |body: usize, quat| -> Vector3<f64> { (poses[body].rot * rotation(quat)).column(2).into() };
     let normal = axis(plane.body, plane.quat);
     let Some(motion) = motion(model, poses, other.body) else {
         return [false; 2];
@@ -78,8 +79,8 @@ fn motion(model: &Model, poses: &[Pose], body: usize) -> Option<Motion> {
     let Some(n) = hinges.first().copied() else {
         return Some(Motion::Slides(slides));
     };
-    let planar =
-        hinges.iter().all(|a| a.cross(&n).norm() <= ROUNDING) && slides.iter().all(|a| a.dot(&n).abs() <= ROUNDING);
+    let planar = hinges.iter().all(|a| a.cross(&n).norm() <= ROUNDING)
+        && slides.iter().all(|a| a.dot(&n).abs() <= ROUNDING);
     planar.then_some(Motion::Planar(n))
 }
 
@@ -87,7 +88,9 @@ fn motion(model: &Model, poses: &[Pose], body: usize) -> Option<Motion> {
 fn along_capsule(motion: &Motion, normal: &Vector3<f64>, axis: &Vector3<f64>) -> [bool; 2] {
     let laid = axis - normal * normal.dot(axis);
     match motion {
-        Motion::Slides(axes) if laid.norm() < OPEN => [axes.iter().all(|a| a.cross(normal).norm() <= ROUNDING); 2],
+        Motion::Slides(axes) if laid.norm() < OPEN => {
+            [axes.iter().all(|a| a.cross(normal).norm() <= ROUNDING); 2]
+        }
         Motion::Slides(_) => {
             let first = laid.normalize();
             [motion.lacks(&first), motion.lacks(&normal.cross(&first))]
@@ -108,7 +111,9 @@ fn between_round_shapes(model: &Model, poses: &[Pose], first: &Geom, second: &Ge
     if !(round(first.kind) && round(second.kind)) {
         return [false; 2];
     }
-    let (Some(one), Some(two)) = (motion(model, poses, first.body), motion(model, poses, second.body)) else {
+    let (Some(one), Some(two)) =
+        (motion(model, poses, first.body), motion(model, poses, second.body))
+    else {
         return [false; 2];
     };
     let apart = poses[second.body].point(second.pos) - poses[first.body].point(first.pos);

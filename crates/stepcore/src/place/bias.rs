@@ -10,7 +10,11 @@ use crate::spatial::{splat, Motion};
 impl<R: Real> Placed<R> {
     /// Velocity of each body, and its acceleration when no dof accelerates.
     pub(super) fn velocities(&mut self, model: &Model, qvel: &[R], tree: &Tree) {
-        let up = if model.features.gravity { -splat::<R>(&model.gravity) } else { splat(&Default::default()) };
+        let up = if model.features.gravity {
+            -splat::<R>(&model.gravity)
+        } else {
+            splat(&Default::default())
+        };
         for index in tree.bodies.range() {
             let body = &model.bodies[index];
             let (mut v, mut a) = if body.parent >= tree.bodies.start {

@@ -60,29 +60,25 @@ impl<R: Real> Metric<R> {
         }
     }
 
-    /// x ← L x.
-    pub fn to_factored(&self, x: &mut [R]) {
-        for k in (0..x.len()).rev() {
-            let mut sum = x[k];
+    /// u ← L v.
+    pub fn to_factored(&self, v: &[R], u: &mut [R]) {
+        for k in 0..v.len() {
+            let mut sum = v[k];
             for (l, j) in self.row(k) {
-                sum += l * x[j];
+                sum += l * v[j];
             }
-            x[k] = sum;
+            u[k] = sum;
         }
     }
 
-    /// x ← L⁻¹ x.
-    pub fn from_factored(&self, x: &mut [R]) {
-        self.from_factored_dofs(0..x.len(), x);
-    }
-
-    fn from_factored_dofs(&self, dofs: Range<usize>, x: &mut [R]) {
-        for k in dofs {
-            let mut sum = x[k];
+    /// v ← L⁻¹ u.
+    pub fn from_factored(&self, u: &[R], v: &mut [R]) {
+        for k in 0..u.len() {
+            let mut sum = u[k];
             for (l, j) in self.row(k) {
-                sum -= l * x[j];
+                sum -= l * v[j];
             }
-            x[k] = sum;
+            v[k] = sum;
         }
     }
 
@@ -125,7 +121,13 @@ impl<R: Real> Metric<R> {
     /// x ← H⁻¹ x on the dofs of whole trees.
     pub fn solve_dofs(&self, dofs: Range<usize>, x: &mut [R]) {
         self.half_solve_dofs(dofs.clone(), x);
-        self.from_factored_dofs(dofs, x);
+        for k in dofs {
+            let mut sum = x[k];
+            for (l, j) in self.row(k) {
+                sum -= l * x[j];
+            }
+            x[k] = sum;
+        }
     }
 
     /// x ← H⁻¹ x.

@@ -8,7 +8,13 @@ use crate::spatial::{rotate, splat, Force, Quat, V3};
 use crate::state::Inputs;
 
 impl<R: Real> Placed<R> {
-    pub(super) fn smooth_force(&mut self, model: &Model, qpos: &[R], qvel: &[R], inputs: &Inputs<R>) {
+    pub(super) fn smooth_force(
+        &mut self,
+        model: &Model,
+        qpos: &[R],
+        qvel: &[R],
+        inputs: &Inputs<R>,
+    ) {
         self.springs_and_dampers(model, qpos, qvel);
         for k in 0..model.nv {
             self.force[k] = self.passive[k] - self.bias[k];
@@ -64,7 +70,8 @@ impl<R: Real> Placed<R> {
         for (tree_index, tree) in model.trees.iter().enumerate() {
             for index in tree.bodies.range() {
                 let body = &model.bodies[index];
-                let at = self.xpos[index] + rotate(&self.xmat[index], &splat(&body.ipos)) - self.origin[tree_index];
+                let at = self.xpos[index] + rotate(&self.xmat[index], &splat(&body.ipos))
+                    - self.origin[tree_index];
                 let w = &inputs.xfrc_applied[6 * index..6 * index + 6];
                 let lin = V3::new(w[0], w[1], w[2]);
                 let moment = V3::new(w[3], w[4], w[5]) + at.cross(&lin);

@@ -44,7 +44,8 @@ fn turn<R: Real>(m: &M3<R>, i: &M3<R>) -> M3<R> {
         rotate(i, &row)
     };
     let (a, b, c) = (column(0), column(1), column(2));
-    let dot = |k: usize, v: &nalgebra::Vector3<R>| m[(k, 0)] * v.x + m[(k, 1)] * v.y + m[(k, 2)] * v.z;
+    let dot =
+        |k: usize, v: &nalgebra::Vector3<R>| m[(k, 0)] * v.x + m[(k, 1)] * v.y + m[(k, 2)] * v.z;
     let (xy, xz, yz) = (dot(0, &b), dot(0, &c), dot(1, &c));
     M3::new(dot(0, &a), xy, xz, xy, dot(1, &b), yz, xz, yz, dot(2, &c))
 }

@@ -148,8 +148,7 @@ impl<R: Real> Placed<R> {
     pub fn place(&mut self, model: &Model, state: &State<R>, inputs: &Inputs<R>, dt: R) {
         self.positions(model, &state.qpos);
         self.dynamics(model, &state.qpos, &state.qvel, inputs);
-        self.u.copy_from_slice(&state.qvel);
-        self.metric.to_factored(&mut self.u);
+        self.metric.to_factored(&state.qvel, &mut self.u);
         self.guess.copy_from_slice(&self.force);
         self.metric.half_solve(&mut self.guess);
         for k in 0..model.nv {

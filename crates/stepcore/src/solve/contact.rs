@@ -11,43 +11,69 @@ use crate::detect::{Contact, Detected};
 use crate::model::Pair;
 use crate::real::{Mask, Real};
 use crate::settings::{Cone, Law};
+use crate::spatial::V3;
 
-/// MuJoCo's floor of every friction coefficient, under its own law.
-const LEAST_FRICTION: f64 = 1e-5;
+/// Sliding friction under `solref`: MuJoCo's floor of every coefficient.
+fn soft_friction(pair: &Pair) -> f64 {
+    pair.friction[0].max(1e-5)
+}
 
 impl<R: Real> Rows<R> {
     pub(super) fn contacts(&mut self, site: &Site<R>, detected: &mut Detected<R>) {
         for index in 0..detected.contacts.len() {
             let contact = &mut detected.contacts[index];
             let pair = &site.model.pairs[contact.pair];
+            let source = Source::Contact(index);
             match site.settings.law {
-                Law::SolRef => self.soft_contact(site, contact, pair, index),
+                Law::SolRef => self.soft_contact(site, contact, pair, source),
                 Law::Penalty => self.penalty(site, contact, pair),
-                _ => self.rigid_contact(site, contact, pair, index),
+                _ => self.rigid_contact(site, contact, pair, source),
             }
         }
     }
 
-    fn contact_row(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair, direction: usize) {
+    fn contact_row(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair, along: &V3<R>) {
         let bodies = [site.model.geoms[pair.geom1].body, site.model.geoms[pair.geom2].body];
-        let along = if direction == 0 { contact.normal } else { contact.tangents[direction - 1] };
-        self.relative_jacobian(site, bodies, pair.dofs, &contact.pos, &along);
+        self.relative_jacobian(site, bodies, pair.dofs, &contact.pos, along);
         self.push_scratch(site, pair.dofs);
     }
 
-    fn close(&mut self, site: &Site<R>, pair: &Pair, contact: &Contact<R>, first: usize, set: Set, mask: R::Mask, index: usize) {
-        let model = site.model;
+    fn normal_row(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair) {
+        self.contact_row(site, contact, pair, &contact.normal);
+    }
+
+    /// Rows along the tangents in which something can move.
+    fn tangent_rows(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair) {
+        if pair.still == [true; 2] {
+            return;
+        }
+        let tangents = contact.tangents(site.model, site.placed);
+        for (tangent, _) in tangents.iter().zip(pair.still).filter(|(_, still)| !still) {
+            self.contact_row(site, contact, pair, tangent);
+        }
+    }
+
+    /// Closes the rows from `first` on into the contact's block.
+    fn close(
+        &mut self,
+        site: &Site<R>,
+        contact: &Contact<R>,
+        first: usize,
+        set: Set,
+        mask: R::Mask,
+        source: Source,
+    ) {
+        let (model, pair) = (site.model, &site.model.pairs[contact.pair]);
         let base = model.equalities.len() + model.nv + 2 * model.joints.len();
         let slot = (base + 2 * contact.pair + contact.part) as u32;
-        let block = self.push_block(first, set, mask, Source::Contact(index), slot);
+        let block = self.push_block(first, set, mask, source, slot);
         block.mass = pair.mass;
-        let mu = pair.friction[0].max(LEAST_FRICTION);
-        block.mu = R::of(mu);
-        block.mu_soft = R::of(mu / site.settings.impratio.sqrt());
+        let soft = site.settings.law == Law::SolRef;
+        block.mu = R::of(if soft { soft_friction(pair) } else { pair.friction[0] });
     }
 
     /// MuJoCo's contact: soft normal, convex friction.
-    fn soft_contact(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair, index: usize) {
+    fn soft_contact(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair, source: Source) {
         let (settings, dt) = (site.settings, R::of(site.settings.dt));
         let mask = contact.mask.and(contact.dist.lt(R::of(pair.margin)));
         if mask.none() {
@@ -56,9 +82,9 @@ impl<R: Real> Rows<R> {
         let r = contact.dist - R::of(pair.margin);
         let law = SolRef::at(&pair.soft, r, settings.dt, settings.refsafe);
         let normal_r = law.softness * R::of(pair.invweight);
-        let (mu, impratio) = (pair.friction[0].max(LEAST_FRICTION), settings.impratio);
+        let (mu, impratio) = (soft_friction(pair), settings.impratio);
         let first = self.rows.len();
-        self.contact_row(site, contact, pair, 0);
+        self.normal_row(site, contact, pair);
         let fill = |row: &mut super::rows::Row<R>, r: R, c: R| {
             row.t = law.target(row.velocity, r, dt);
             row.c = c;
@@ -66,22 +92,18 @@ impl<R: Real> Rows<R> {
         };
         if pair.condim == 1 {
             fill(&mut self.rows[first], r, normal_r);
-            return self.close(site, pair, contact, first, Set::Interval, mask, index);
+            return self.close(site, contact, first, Set::Interval, mask, source);
         }
         if settings.cone == Cone::Elliptic {
             fill(&mut self.rows[first], r, normal_r);
-            for k in 0..2 {
-                if !pair.still[k] {
-                    self.contact_row(site, contact, pair, k + 1);
-                    let at = self.rows.len() - 1;
-                    let row = &mut self.rows[at];
-                    row.t = law.without_position().target(row.velocity, R::zero(), dt);
-                    row.c = normal_r * R::of(1.0 / impratio);
-                    row.inv_s = (row.a + row.c).recip_or_zero();
-                    row.lo = R::of(f64::NEG_INFINITY);
-                }
+            self.tangent_rows(site, contact, pair);
+            for row in &mut self.rows[first + 1..] {
+                row.t = law.without_position().target(row.velocity, R::zero(), dt);
+                row.c = normal_r * R::of(1.0 / impratio);
+                row.inv_s = (row.a + row.c).recip_or_zero();
+                row.lo = R::of(f64::NEG_INFINITY);
             }
-            return self.close(site, pair, contact, first, Set::Convex, mask, index);
+            return self.close(site, contact, first, Set::Convex, mask, source);
         }
         let edge_r = normal_r * R::of(2.0 * mu * mu / impratio * (1.0 + mu * mu));
         self.pyramid(site, contact, pair, first);
@@ -93,22 +115,15 @@ impl<R: Real> Rows<R> {
             let c = if folded { edge_r * R::of(0.5 / still as f64) } else { edge_r };
             fill(row, r, c);
         }
-        self.close(site, pair, contact, first, Set::Interval, mask, index);
+        self.close(site, contact, first, Set::Interval, mask, source);
     }
 
     /// Replaces the normal row at `first` by the edges J_n ± μ J_t, then the fold.
     fn pyramid(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair, first: usize) {
-        let mu = R::of(pair.friction[0].max(LEAST_FRICTION));
-        let mut edges = 0;
-        let normal = first;
-        let tangents = first + 1;
-        for k in 0..2 {
-            if !pair.still[k] {
-                self.contact_row(site, contact, pair, k + 1);
-                edges += 2;
-            }
-        }
-        let moving = edges / 2;
+        let mu = R::of(soft_friction(pair));
+        let (normal, tangents) = (first, first + 1);
+        self.tangent_rows(site, contact, pair);
+        let moving = self.rows.len() - tangents;
         for k in 0..moving {
             self.push_sum(site, normal, tangents + k, mu);
             self.push_sum(site, normal, tangents + k, -mu);
@@ -129,10 +144,16 @@ impl<R: Real> Rows<R> {
     }
 
     /// A contact under `lesson`, `relaxed` or `rigid`: a row where the guess overlaps.
-    fn rigid_contact(&mut self, site: &Site<R>, contact: &mut Contact<R>, pair: &Pair, index: usize) {
+    fn rigid_contact(
+        &mut self,
+        site: &Site<R>,
+        contact: &mut Contact<R>,
+        pair: &Pair,
+        source: Source,
+    ) {
         let law = OnGuess::new(site.settings);
         let first = self.rows.len();
-        self.contact_row(site, contact, pair, 0);
+        self.normal_row(site, contact, pair);
         let mask = contact.mask.and(self.violated_by_guess(site, first, contact.dist));
         contact.mask = mask;
         if mask.none() {
@@ -141,28 +162,25 @@ impl<R: Real> Rows<R> {
         }
         law.distance(&mut self.rows[first], contact.dist, site.settings.restitution);
         if pair.condim == 1 || pair.friction[0] <= 0.0 {
-            return self.close(site, pair, contact, first, Set::Interval, mask, index);
+            return self.close(site, contact, first, Set::Interval, mask, source);
         }
-        for k in 0..2 {
-            if !pair.still[k] {
-                self.contact_row(site, contact, pair, k + 1);
-                let at = self.rows.len() - 1;
-                law.friction(&mut self.rows[at]);
-                self.rows[at].lo = R::of(f64::NEG_INFINITY);
-            }
+        self.tangent_rows(site, contact, pair);
+        for row in &mut self.rows[first + 1..] {
+            law.friction(row);
+            row.lo = R::of(f64::NEG_INFINITY);
         }
         let set = match site.settings.cone {
             Cone::Elliptic => Set::CoulombRound,
             Cone::Pyramidal => Set::CoulombBox,
         };
-        self.close(site, pair, contact, first, set, mask, index);
+        self.close(site, contact, first, set, mask, source);
     }
 
     /// The trap: a spring under the surface. No row, a force on the guess.
     fn penalty(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair) {
         let settings = site.settings;
         let first = self.rows.len();
-        self.contact_row(site, contact, pair, 0);
+        self.normal_row(site, contact, pair);
         let row = self.rows[first].clone();
         let mass = row.a.recip_or_zero();
         let k = R::of(settings.penalty_stiffness);

@@ -21,11 +21,13 @@ impl<R: Real> Rows<R> {
 
     fn connect(&mut self, site: &Site<R>, index: usize, equality: &Equality) {
         let placed = site.placed;
-        let point = |body: usize, anchor| placed.xpos[body] + rotate(&placed.xmat[body], &splat(anchor));
+        let point =
+            |body: usize, anchor| placed.xpos[body] + rotate(&placed.xmat[body], &splat(anchor));
         let p1 = point(equality.body1, &equality.anchor1);
         let p2 = point(equality.body2, &equality.anchor2);
         let apart = p1 - p2;
-        let curving = self.acceleration(site, equality.body1, &p1) - self.acceleration(site, equality.body2, &p2);
+        let curving = self.acceleration(site, equality.body1, &p1)
+            - self.acceleration(site, equality.body2, &p2);
         let first = self.rows.len();
         for k in 0..3 {
             let mut axis = V3::zeros();
@@ -39,7 +41,8 @@ impl<R: Real> Rows<R> {
             row.lo = R::of(f64::NEG_INFINITY);
             if site.settings.law == Law::SolRef {
                 let dt = site.settings.dt;
-                let law = SolRef::at(&equality.soft, apart.dot(&apart).sqrt(), dt, site.settings.refsafe);
+                let law =
+                    SolRef::at(&equality.soft, apart.dot(&apart).sqrt(), dt, site.settings.refsafe);
                 row.t = law.target(row.velocity, apart[k], R::of(dt)) - R::of(dt) * curving[k];
                 row.c = law.softness * R::of(equality.invweight);
                 row.inv_s = (row.a + row.c).recip_or_zero();
@@ -47,7 +50,13 @@ impl<R: Real> Rows<R> {
                 OnGuess::new(site.settings).equality(row, apart[k]);
             }
         }
-        let block = self.push_block(first, Set::Interval, R::Mask::of(true), Source::Equality(index), index as u32);
+        let block = self.push_block(
+            first,
+            Set::Interval,
+            R::Mask::of(true),
+            Source::Equality(index),
+            index as u32,
+        );
         block.mass = equality.mass;
     }
 

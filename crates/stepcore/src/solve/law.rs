@@ -63,7 +63,15 @@ fn impedance_at<R: Real>(soft: &Softness, d0: f64, dw: f64, r: R) -> R {
     let (mid, power) = (impedance(mid), power.max(1.0));
     let one = R::one();
     let x = (r.abs() * R::of(1.0 / width)).min(one);
-    let raise = |x: R| if power == 1.0 { x } else if power == 2.0 { x * x } else { x.powf(R::of(power)) };
+    let raise = |x: R| {
+        if power == 1.0 {
+            x
+        } else if power == 2.0 {
+            x * x
+        } else {
+            x.powf(R::of(power))
+        }
+    };
     let slope = |mid: f64| if power == 2.0 { 1.0 / mid } else { 1.0 / mid.powf(power - 1.0) };
     let below = raise(x) * R::of(slope(mid));
     let above = one - raise(one - x) * R::of(slope(1.0 - mid));
@@ -92,7 +100,8 @@ impl OnGuess {
         let (zero, inv_dt) = (R::zero(), R::of(1.0 / self.dt));
         let push = R::of(-self.beta) * inv_dt;
         if self.law == Law::Rigid {
-            let back = (push * (phi + R::of(self.slop)).min(zero)).max(R::of(-restitution) * row.velocity);
+            let back =
+                (push * (phi + R::of(self.slop)).min(zero)).max(R::of(-restitution) * row.velocity);
             let arrive = -(phi * inv_dt);
             let open = if restitution == 0.0 { phi.gt(zero) } else { zero.lt(zero) };
             row.t = R::select(open, arrive, back);

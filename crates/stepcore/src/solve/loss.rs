@@ -26,7 +26,8 @@ impl<R: Real> Rows<R> {
             row.lo = R::of(-dt * dof.frictionloss);
             row.hi = R::of(dt * dof.frictionloss);
             if settings.law == Law::SolRef {
-                let law = SolRef::at(&dof.friction, R::zero(), dt, settings.refsafe).without_position();
+                let law =
+                    SolRef::at(&dof.friction, R::zero(), dt, settings.refsafe).without_position();
                 row.t = law.target(row.velocity, R::zero(), R::of(dt));
                 row.c = law.softness * R::of(dof.invweight);
                 row.inv_s = (row.a + row.c).recip_or_zero();
@@ -34,7 +35,13 @@ impl<R: Real> Rows<R> {
                 OnGuess::new(settings).friction(row);
             }
             let slot = (model.equalities.len() + k) as u32;
-            let block = self.push_block(first, Set::Interval, R::Mask::of(true), Source::FrictionLoss(k), slot);
+            let block = self.push_block(
+                first,
+                Set::Interval,
+                R::Mask::of(true),
+                Source::FrictionLoss(k),
+                slot,
+            );
             block.mass = model.trees[dof.tree].mass;
         }
     }

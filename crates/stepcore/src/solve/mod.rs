@@ -43,7 +43,14 @@ impl<R: Real> Rows<R> {
 
     /// Sets `scratch` to the Jacobian of the relative velocity of two body points at
     /// `at` (body 2 minus body 1) along `direction`, on the union `dofs` of their chains.
-    fn relative_jacobian(&mut self, site: &Site<R>, bodies: [usize; 2], dofs: Span, at: &V3<R>, direction: &V3<R>) {
+    fn relative_jacobian(
+        &mut self,
+        site: &Site<R>,
+        bodies: [usize; 2],
+        dofs: Span,
+        at: &V3<R>,
+        direction: &V3<R>,
+    ) {
         for &k in dofs.of(&site.model.dof_lists) {
             self.scratch[k] = R::zero();
         }

@@ -65,8 +65,6 @@ pub struct Block<R: Real> {
     pub mask: R::Mask,
     /// Friction of a cone.
     pub mu: R,
-    /// Under `Set::Convex`: what the regulariser makes of μ, μ/√impratio.
-    pub mu_soft: R,
     /// Mass of the trees that the block touches, for its residual.
     pub mass: f64,
     pub source: Source,
@@ -112,7 +110,14 @@ impl<R: Real> Rows<R> {
     #[cfg(test)]
     pub(super) fn empty(nv: usize) -> Self {
         let u = vec![R::zero(); nv];
-        Self { rows: Vec::new(), blocks: Vec::new(), y: Vec::new(), scratch: u.clone(), u, islands: Vec::new() }
+        Self {
+            rows: Vec::new(),
+            blocks: Vec::new(),
+            y: Vec::new(),
+            scratch: u.clone(),
+            u,
+            islands: Vec::new(),
+        }
     }
 
     pub fn clear(&mut self) {
@@ -150,7 +155,13 @@ impl<R: Real> Rows<R> {
     }
 
     /// A row whose y is y(first) + k · y(second): an edge of a pyramid.
-    pub(super) fn push_sum(&mut self, site: &Site<R>, first: usize, second: usize, k: R) -> &mut Row<R> {
+    pub(super) fn push_sum(
+        &mut self,
+        site: &Site<R>,
+        first: usize,
+        second: usize,
+        k: R,
+    ) -> &mut Row<R> {
         let (first, second) = (&self.rows[first], &self.rows[second]);
         let (dofs, y1, y2) = (first.dofs, first.y, second.y);
         let velocity = first.velocity + k * second.velocity;
@@ -183,14 +194,20 @@ impl<R: Real> Rows<R> {
     }
 
     /// Closes the rows from `first` on into one block.
-    pub(super) fn push_block(&mut self, first: usize, set: Set, mask: R::Mask, source: Source, slot: u32) -> &mut Block<R> {
+    pub(super) fn push_block(
+        &mut self,
+        first: usize,
+        set: Set,
+        mask: R::Mask,
+        source: Source,
+        slot: u32,
+    ) -> &mut Block<R> {
         let rows = Span { start: first, len: self.rows.len() - first };
         self.blocks.push(Block {
             rows,
             set,
             mask,
             mu: R::zero(),
-            mu_soft: R::zero(),
             mass: 1.0,
             source,
             slot,

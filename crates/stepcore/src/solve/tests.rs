@@ -103,7 +103,6 @@ pub(super) fn pack<R: Real>(worlds: &[Problem]) -> Rows<R> {
             set: *set,
             mask: R::Mask::of(true),
             mu: R::of(*mu),
-            mu_soft: R::of(*mu),
             mass: 1.0,
             source: Source::Contact(b),
             slot: b as u32,

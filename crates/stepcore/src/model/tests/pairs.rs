@@ -17,12 +17,17 @@ fn chains_and_rows_of_a_branching_tree() {
         .model();
     let rows: Vec<_> = model.dofs.iter().map(|d| d.row.of(&model.row_dofs).to_vec()).collect();
     assert_eq!(rows, [vec![0], vec![1, 0], vec![2, 0], vec![3]]);
-    let chains: Vec<_> = model.bodies.iter().map(|b| b.chain.of(&model.dof_lists).to_vec()).collect();
+    let chains: Vec<_> =
+        model.bodies.iter().map(|b| b.chain.of(&model.dof_lists).to_vec()).collect();
     assert_eq!(chains, [vec![], vec![0], vec![0, 1], vec![0, 1], vec![0, 2], vec![3]]);
     assert_eq!(model.bodies.iter().map(|b| b.weld).collect::<Vec<_>>(), [0, 1, 2, 2, 4, 5]);
     assert_eq!(model.bodies.iter().map(|b| b.tree).collect::<Vec<_>>(), [NONE, 0, 0, 0, 0, 1]);
     // Parents do not meet children, nor what is fixed to them; cousins and other trees do.
-    let pairs: Vec<_> = model.pairs.iter().map(|p| (p.geom1, p.geom2, p.dofs.of(&model.dof_lists).to_vec())).collect();
+    let pairs: Vec<_> = model
+        .pairs
+        .iter()
+        .map(|p| (p.geom1, p.geom2, p.dofs.of(&model.dof_lists).to_vec()))
+        .collect();
     let expected = [
         (0, 4, vec![0, 3]),
         (1, 3, vec![0, 1, 2]),
@@ -38,27 +43,48 @@ fn chains_and_rows_of_a_branching_tree() {
 #[test]
 fn filters_and_mixing() {
     let soft = |a, b| Softness { solref: [a, b], ..Softness::default() };
-    let a = Geom { friction: [0.5, 0.0, 0.2], margin: 0.1, solmix: 3.0, condim: 1, soft: soft(0.1, 1.0), ..ball() };
+    let a = Geom {
+        friction: [0.5, 0.0, 0.2],
+        margin: 0.1,
+        solmix: 3.0,
+        condim: 1,
+        soft: soft(0.1, 1.0),
+        ..ball()
+    };
     let b = Geom { friction: [0.7, 0.1, 0.0], margin: 0.2, soft: soft(0.3, 2.0), ..ball() };
     let two = |a: &Geom, b: &Geom| {
-        Build::new().body(0, &[free()], std::slice::from_ref(a)).body(0, &[free()], std::slice::from_ref(b))
+        Build::new().body(0, &[free()], std::slice::from_ref(a)).body(
+            0,
+            &[free()],
+            std::slice::from_ref(b),
+        )
     };
     let pair = two(&a, &b).model().pairs[0].clone();
     assert_eq!((pair.condim, pair.friction), (3, [0.7, 0.7, 0.1, 0.2, 0.2]));
-    assert!(near(pair.margin, 0.3) && near(pair.soft.solref[0], 0.15) && near(pair.soft.solref[1], 1.25));
+    assert!(
+        near(pair.margin, 0.3)
+            && near(pair.soft.solref[0], 0.15)
+            && near(pair.soft.solref[1], 1.25)
+    );
     assert_eq!(pair.invweight, 2.0);
     let direct = Geom { soft: soft(-100.0, -3.0), ..b.clone() };
     assert_eq!(two(&a, &direct).model().pairs[0].soft.solref, [-100.0, -3.0]);
     let first = Geom { priority: 1, ..a.clone() };
     let pair = two(&first, &b).model().pairs[0].clone();
-    assert_eq!((pair.condim, pair.friction, pair.soft.solref), (1, [0.5, 0.5, 0.0, 0.2, 0.2], [0.1, 1.0]));
+    assert_eq!(
+        (pair.condim, pair.friction, pair.soft.solref),
+        (1, [0.5, 0.5, 0.0, 0.2, 0.2], [0.1, 1.0])
+    );
     let apart = Geom { contype: 2, conaffinity: 4, ..b.clone() };
     assert!(two(&a, &apart).model().pairs.is_empty());
     let mut excluded = two(&a, &b);
     excluded.0.excludes.push([2, 1]);
     assert!(excluded.model().pairs.is_empty());
-    let mut family =
-        Build::new().floor().body(0, &[free()], &[ball()]).body(1, &[joint(JointType::Ball, [0.0; 3])], &[ball()]);
+    let mut family = Build::new().floor().body(0, &[free()], &[ball()]).body(
+        1,
+        &[joint(JointType::Ball, [0.0; 3])],
+        &[ball()],
+    );
     assert_eq!(family.model().pairs.len(), 2);
     family.0.features.filterparent = false;
     assert_eq!(family.model().pairs.len(), 3);
@@ -83,7 +109,10 @@ fn still_tangents() {
     assert_eq!(still(&[slide(x), slide(z), hinge(y)], &upright), [false, true]);
     // Upright, the first tangent becomes x, which is here the axis of the hinge.
     assert_eq!(still(&[slide(y), slide(z), hinge(x)], &upright), [false, false]);
-    assert_eq!(still(&[slide(x), slide(z), hinge(y)], &lying([1.0, 1.0, 0.0, 0.0])), [false, false]);
+    assert_eq!(
+        still(&[slide(x), slide(z), hinge(y)], &lying([1.0, 1.0, 0.0, 0.0])),
+        [false, false]
+    );
     assert_eq!(still(&[slide(x), slide(z)], &lying([1.0, 0.0, 1.0, 0.0])), [false, true]);
     assert_eq!(still(&[slide(z)], &upright), [true, true]);
     assert_eq!(still(&[slide(x), slide(z)], &upright), [false, false]);

@@ -7,7 +7,8 @@ use crate::scene::{Geom, GeomType, Joint, JointType, Key, Scene};
 #[test]
 fn what_is_refused_is_named() {
     let good = || {
-        let mut b = Build::new().floor().body(0, &[free()], &[Geom { name: "ball".into(), ..ball() }]);
+        let mut b =
+            Build::new().floor().body(0, &[free()], &[Geom { name: "ball".into(), ..ball() }]);
         b.0.joints[0].name = "root".into();
         b.0.bodies[1].name = "toy".into();
         b
@@ -28,7 +29,10 @@ fn what_is_refused_is_named() {
         (|s| s.geoms[1].condim = 4, "condim of geom 'floor' and geom 'ball'"),
         (|s| s.geoms[1].condim = 2, "geom 'ball' condim"),
         (|s| s.geoms[1].kind = GeomType::Box, "geom 'ball' size[1]"),
-        (|s| (s.geoms[1].kind, s.geoms[1].size) = (GeomType::Box, [1.0; 3]), "geom 'floor' and geom 'ball'"),
+        (
+            |s| (s.geoms[1].kind, s.geoms[1].size) = (GeomType::Box, [1.0; 3]),
+            "geom 'floor' and geom 'ball'",
+        ),
         (|s| s.geoms[1].kind = GeomType::Plane, "stands still"),
         (|s| s.geoms[1].name = "floor".into(), "'floor'"),
         (|s| s.geoms[1].body = 7, "geom 'ball' body"),
@@ -39,8 +43,14 @@ fn what_is_refused_is_named() {
         (|s| s.joints.push(s.joints[0].clone()), "two joints"),
         (|s| s.joints.push(Joint { body: 1, ..Joint::default() }), "at most 6"),
         (|s| s.joints[0].body = 0, "world"),
-        (|s| (s.joints[0].kind, s.joints[0].axis) = (JointType::Slide, [0.0; 3]), "joint 'root' axis"),
-        (|s| (s.joints[0].kind, s.joints[0].range) = (JointType::Hinge, Some([1.0, 1.0])), "joint 'root' range"),
+        (
+            |s| (s.joints[0].kind, s.joints[0].axis) = (JointType::Slide, [0.0; 3]),
+            "joint 'root' axis",
+        ),
+        (
+            |s| (s.joints[0].kind, s.joints[0].range) = (JointType::Hinge, Some([1.0, 1.0])),
+            "joint 'root' range",
+        ),
         (
             |s| {
                 s.joints[0].kind = JointType::Slide;

@@ -10,15 +10,22 @@ use crate::scene::{Geom, GeomType, Inertial, Joint, JointType, MassRules};
 fn a_shell_is_the_growth_of_its_solid() {
     use GeomType::{Box, Capsule, Cylinder, Ellipsoid, Sphere};
     let e = 1e-4;
-    let cases =
-        [(Sphere, [1, 0, 0]), (Capsule, [1, 0, 0]), (Cylinder, [1, 1, 0]), (Box, [1, 1, 1]), (Ellipsoid, [1, 1, 1])];
+    let cases = [
+        (Sphere, [1, 0, 0]),
+        (Capsule, [1, 0, 0]),
+        (Cylinder, [1, 1, 0]),
+        (Box, [1, 1, 1]),
+        (Ellipsoid, [1, 1, 1]),
+    ];
     for (kind, grows) in cases {
         let size = [0.7, 0.4, 0.9];
         let grown = |e: f64| geom(kind, std::array::from_fn(|i| size[i] + e * f64::from(grows[i])));
         let shell = Geom { shell_inertia: true, ..geom(kind, size) };
         let (more, less) = (grown(e), grown(-e));
         let area = (measure(&more) - measure(&less)) / (2.0 * e);
-        let gain = (unit_inertia(&more) * measure(&more) - unit_inertia(&less) * measure(&less)) / (2.0 * e) / area;
+        let gain = (unit_inertia(&more) * measure(&more) - unit_inertia(&less) * measure(&less))
+            / (2.0 * e)
+            / area;
         assert!((gain - unit_inertia(&shell)).amax() < 1e-7, "{kind:?}");
         // The growing ellipsoid's layer is not of even thickness; its area has another formula.
         assert!(kind == Ellipsoid || (area - measure(&shell)).abs() < 1e-6, "{kind:?}");
@@ -29,7 +36,9 @@ fn a_shell_is_the_growth_of_its_solid() {
 #[test]
 fn a_free_box_weighs_what_it_is() {
     let sides = [0.1, 0.2, 0.4];
-    let model = Build::new().body(0, &[free()], &[Geom { mass: Some(3.0), ..geom(GeomType::Box, sides) }]).model();
+    let model = Build::new()
+        .body(0, &[free()], &[Geom { mass: Some(3.0), ..geom(GeomType::Box, sides) }])
+        .model();
     let [x, y, z] = sides.map(|s| s * s);
     let mean = (1.0 / (y + z) + 1.0 / (x + z) + 1.0 / (x + y)) / 3.0;
     assert!(near(model.bodies[1].invweight[0], 1.0 / 3.0));
@@ -71,8 +80,14 @@ fn powers_of_two_scale_the_weights_bit_for_bit() {
         let mut b = Build::new();
         b.0.features.contact = false;
         for i in 0..3 {
-            let tilted = Joint { pos: [0.1 * length, 0.0, 0.3 * length], ..joint(JointType::Hinge, [0.3, 1.0, 0.2]) };
-            let box_ = Geom { mass: Some(0.7 * mass), ..geom(GeomType::Box, [0.1, 0.2, 0.3].map(|s| s * length)) };
+            let tilted = Joint {
+                pos: [0.1 * length, 0.0, 0.3 * length],
+                ..joint(JointType::Hinge, [0.3, 1.0, 0.2])
+            };
+            let box_ = Geom {
+                mass: Some(0.7 * mass),
+                ..geom(GeomType::Box, [0.1, 0.2, 0.3].map(|s| s * length))
+            };
             let arm = Geom {
                 density: 900.0 * mass / length.powi(3),
                 ..geom(GeomType::Capsule, [0.05, 0.4, 0.0].map(|s| s * length))

@@ -1,0 +1,70 @@
+//! Where a run came from: the states of its last steps, and of some long before.
+
+use crate::model::Model;
+use crate::real::Real;
+
+/// How many of the last steps are kept, and how many milestones.
+const MEMORY: usize = 16;
+/// Steps from one milestone to the next.
+const STRIDE: u64 = 64;
+
+/// Positions and velocities before each of the last steps, and at every 64th step before.
+pub(crate) struct Past<R: Real> {
+    recent: Ring<R>,
+    milestones: Ring<R>,
+    steps: u64,
+}
+
+struct Ring<R: Real> {
+    states: Vec<(Vec<R>, Vec<R>)>,
+    at: usize,
+    len: usize,
+}
+
+impl<R: Real> Ring<R> {
+    fn new(model: &Model) -> Self {
+        let empty = (vec![R::zero(); model.nq], vec![R::zero(); model.nv]);
+        Self { states: vec![empty; MEMORY], at: 0, len: 0 }
+    }
+
+    /// The place of the oldest state, which the next one takes.
+    fn room(&mut self) -> &mut (Vec<R>, Vec<R>) {
+        let at = self.at;
+        self.at = (at + 1) % MEMORY;
+        self.len = (self.len + 1).min(MEMORY);
+        &mut self.states[at]
+    }
+
+    fn oldest_first(&self) -> impl Iterator<Item = &(Vec<R>, Vec<R>)> {
+        (0..self.len).rev().map(|back| &self.states[(self.at + MEMORY - 1 - back) % MEMORY])
+    }
+}
+
+impl<R: Real> Past<R> {
+    pub fn new(model: &Model) -> Self {
+        Self { recent: Ring::new(model), milestones: Ring::new(model), steps: 0 }
+    }
+
+    /// Takes a state's numbers and leaves the room of an old one in their place.
+    pub fn keep(&mut self, qpos: &mut Vec<R>, qvel: &mut Vec<R>) {
+        if self.steps % STRIDE == 0 {
+            let room = self.milestones.room();
+            room.0.copy_from_slice(qpos);
+            room.1.copy_from_slice(qvel);
+        }
+        self.steps += 1;
+        let room = self.recent.room();
+        std::mem::swap(&mut room.0, qpos);
+        std::mem::swap(&mut room.1, qvel);
+    }
+
+    /// The state at hand did not come from a step.
+    pub fn forget(&mut self) {
+        (self.recent.len, self.milestones.len, self.steps) = (0, 0, 0);
+    }
+
+    /// Old states, oldest first.
+    pub fn states(&self) -> impl Iterator<Item = &(Vec<R>, Vec<R>)> {
+        self.milestones.oldest_first().chain(self.recent.oldest_first())
+    }
+}
