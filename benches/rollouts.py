@@ -55,7 +55,7 @@ def compare(case, options, report: record.Report) -> None:
             report.add(**entry, refused="not the same physics")
             continue
         sides = (Side("stepcore", ours, worlds * steps), Side("MuJoCo", theirs, worlds * steps))
-        found = duel(*sides, options.pairs, options.sample, threads=threads)
+        found = duel(*sides, options.pairs, options.sample, wall=threads > 1)
         low, high = found.ratio_spread
         speeds = "".join(f"{1e3 / np.median(side):9.0f} k" for side in (found.ours, found.theirs))
         report.say(f"{line:62}{speeds}{found.ratio:8.2f} ({low:.2f}–{high:.2f})")

@@ -69,6 +69,36 @@ def capsules(side: int = 3, seed: int = 1) -> str:
     return _mjcf(f"capsules{side**3}", text, memory="64M")
 
 
+def free_ball() -> str:
+    """A ball of 1 kg, free, 0.3 m over a floor."""
+    body = '<body pos="0 0 .4"><freejoint/><geom size=".1" mass="1"/></body>'
+    return _mjcf("free ball", FLOOR + body)
+
+
+def pile_centres(side: int, radius: float = 0.05, seed: int = 0) -> tuple[float, np.ndarray]:
+    """Half the width of a box, and the centres of side² columns of spheres over its floor."""
+    half = 1.15 * radius * side
+    rng = np.random.default_rng(seed)
+    grid = np.array([(x, y, z) for z in range(side) for y in range(side) for x in range(side)])
+    centres = (2 * grid + 1) * np.array([half / side, half / side, 1.2 * radius])
+    centres[:, :2] -= half
+    return half, centres + rng.uniform(-0.05 * radius, 0.05 * radius, centres.shape)
+
+
+def pile(side: int = 4, radius: float = 0.05) -> str:
+    """side³ spheres of 1 kg dropped into a box without a lid."""
+    half, centres = pile_centres(side, radius)
+    text = FLOOR
+    for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        text += (
+            f'<geom type="plane" size="5 5 .1" pos="{-x * half} {-y * half} 0" zaxis="{x} {y} 0"/>'
+        )
+    for x, y, z in centres:
+        text += f'<body pos="{x:.6f} {y:.6f} {z:.6f}"><freejoint/>'
+        text += f'<geom size="{radius}" mass="1"/></body>'
+    return _mjcf(f"pile{side**3}", text, memory="64M")
+
+
 def _sliding_ball(height: float) -> str:
     return (
         f'<body pos="0 0 {height}"><joint type="slide" axis="0 0 1"/>'

@@ -1,7 +1,7 @@
 """Two sides timed in turn, A B A B …, so that whatever slows the machine slows both.
 
 A sample is processor time of this thread per step, not wall time: on a busy machine it leaves
-out the time in which somebody else ran. Where a side uses several threads it is wall time.
+out the time in which somebody else ran. Where a side uses threads of its own it is wall time.
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ def summary(samples: np.ndarray) -> dict[str, float]:
 
 
 def duel(
-    ours: Side, theirs: Side, pairs: int = PAIRS, sample: float = 0.03, threads: int = 1
+    ours: Side, theirs: Side, pairs: int = PAIRS, sample: float = 0.03, wall: bool = False
 ) -> Duel:
-    """Times both sides in turn. sample: what one sample lasts at least [s]."""
-    clock = time.thread_time_ns if threads == 1 else time.perf_counter_ns
+    """Times both sides in turn, each sample lasting about `sample` [s]."""
+    clock = time.perf_counter_ns if wall else time.thread_time_ns
     plays = [_plays(side, sample) for side in (ours, theirs)]
     samples: list[list[float]] = [[], []]
     collecting = gc.isenabled()
@@ -81,7 +81,7 @@ def duel(
     finally:
         if collecting:
             gc.enable()
-    name = "processor time" if threads == 1 else "wall time"
+    name = "wall time" if wall else "processor time"
     return Duel(np.array(samples[0]), np.array(samples[1]), name)
 
 

@@ -171,7 +171,7 @@ def judge(
         report.say(f"{line}  no ratio: not the same physics")
         report.add(**entry, refused="not the same physics")
         return
-    found = duel(ours, theirs, options.pairs, options.sample, threads)
+    found = duel(ours, theirs, options.pairs, options.sample, wall=threads > 1)
     aim = AIM if opponent.startswith("plain") else None
     report.say(line + speeds(found, aim))
     report.add(**entry, aim=aim, settings=case.scene.options, **found.record())

@@ -13,7 +13,9 @@ use crate::solve::rows::{Rows, Set};
 const ROUNDING: f64 = 4.0;
 /// The line search ends when the slope has fallen by this factor.
 const FLAT: f64 = 1e-4;
-/// Its limit of evaluations.
+/// The most refinements of the impulses at the end.
+const REFINEMENTS: usize = 3;
+/// Limit of the line search's evaluations.
 const TRIALS: usize = 60;
 
 impl<R: Real> System<R> {
@@ -215,16 +217,20 @@ impl<R: Real> System<R> {
     /// Writes the impulses and u = û + D⁻¹ Σ yλ.
     ///
     /// −w/c magnifies the rounding of w where c is small. So the pair (λ, u) is
-    /// refined once with the last factors: the law's impulse at this u, less λ, is e;
-    /// Hδ = Σ y e, Δλ = e − s″ y·δ.
+    /// refined with the last factors, within their zones: the law's impulse at this u,
+    /// less λ, is e; Hδ = Σ y e, Δλ = e − s″ y·δ. Once is enough unless c is tiny.
     pub fn finish(&mut self, pattern: &Pattern, blocks: &[usize], rows: &mut Rows<R>) {
         if self.moved {
             self.laws(pattern, blocks, rows, R::Mask::of(false));
         }
         self.place(pattern, blocks, rows);
-        if self.fresh.any() {
+        for _ in 0..REFINEMENTS {
+            if self.fresh.none() {
+                break;
+            }
             self.along.copy_from_slice(&self.impulse);
             self.laws(pattern, blocks, rows, R::Mask::of(false));
+            self.stay_in_zones(blocks, rows);
             // `along` holds λ, `impulse` the law's: make them e and λ.
             for (impulse, along) in self.impulse.iter_mut().zip(&mut self.along) {
                 (*impulse, *along) = (*along, *impulse - *along);
@@ -240,6 +246,7 @@ impl<R: Real> System<R> {
             self.decrement = R::select(self.fresh, left, self.decrement);
             self.refine(pattern, blocks, rows);
             self.place(pattern, blocks, rows);
+            self.fresh = self.fresh.and(left.gt(R::of(R::EPSILON)));
         }
         let mut at = 0;
         for block in blocks {
@@ -251,6 +258,21 @@ impl<R: Real> System<R> {
         }
         for (k, u) in pattern.dofs.iter().zip(&self.u) {
             rows.u[*k] = *u;
+        }
+    }
+
+    /// A row at a bound stays there: rounding/c must not flip it out of its zone.
+    fn stay_in_zones(&mut self, blocks: &[usize], rows: &Rows<R>) {
+        let mut at = 0;
+        for block in blocks.iter().map(|b| &rows.blocks[*b]) {
+            for _ in block.rows.range() {
+                if block.set == Set::Interval {
+                    let active = self.curve[at][0].gt(R::zero());
+                    let free = -self.w[at] * self.inv_c[at];
+                    self.impulse[at] = R::select(active, free, self.along[at]);
+                }
+                at += 1;
+            }
         }
     }
 

@@ -1,0 +1,166 @@
+"""stepcore against Rapier (the rapier3d package), a ball drop and a pile of spheres.
+
+The two have different contact laws (Rapier: soft contacts in single precision, tuned for games;
+stepcore here: law `rigid`, double precision, PGS), so what can be compared is what they agree on.
+Checked first: the ball's fall before it lands (to 1 mm), and, once everything has come to rest,
+the mean height of all bodies (to 1 % of a radius for the ball, 10 % for the pile) and their
+speed. Otherwise there is no ratio. The deepest overlap of the pile at rest is printed for both.
+
+Both take one call from Python a step: the package has no call for several.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import rapier3d
+import record
+import scenes
+from timing import Side, duel
+
+import stepcore as sc
+
+DT = 0.002
+SWEEPS = 4  # Rapier's default number of solver iterations
+OURS = {"law": "rigid", "solver": "pgs", "integrator": "semi-implicit", "cone": "elliptic"}
+OURS |= {"sweeps": SWEEPS, "tolerance": 0.0, "warm_start": True, "dt": DT}
+AT_REST = 0.01  # mean speed [m/s]
+
+
+@dataclass(frozen=True)
+class Case:
+    name: str
+    xml: str
+    centres: np.ndarray
+    radius: float
+    walls: float  # half the width of the box; 0 for none
+    settle: int
+    same: float  # of the mean height, in radii
+
+
+def pile(side: int) -> Case:
+    half, centres = scenes.pile_centres(side)
+    return Case(f"pile of {side**3}", scenes.pile(side), centres, 0.05, half, 2000, 0.1)
+
+
+CASES = [
+    Case("ball", scenes.free_ball(), np.array([[0.0, 0.0, 0.4]]), 0.1, 0.0, 1000, 0.01),
+    pile(3),
+    pile(4),
+]
+
+
+class Rapier:
+    """Spheres over half spaces."""
+
+    def __init__(self, case: Case) -> None:
+        self.world = rapier3d.PhysicsWorld(gravity=(0.0, 0.0, -9.81))
+        self.world.set_num_threads(1)
+        self.world.integration_parameters.dt = DT
+        self.world.integration_parameters.num_solver_iterations = SWEEPS
+        sides = [((0, 0, 1), (0, 0, 0))]
+        if case.walls:
+            for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                sides.append(((x, y, 0), (-x * case.walls, -y * case.walls, 0)))
+        for normal, place in sides:
+            wall = rapier3d.Collider.halfspace(normal).friction(1.0).translation(place)
+            self.world.add_collider(wall)
+        self.bodies = []
+        for centre in case.centres:
+            body = rapier3d.RigidBody.dynamic(translation=tuple(centre)).can_sleep(False)
+            shape = rapier3d.Collider.ball(case.radius).mass(1.0).friction(1.0)
+            self.bodies.append(self.world.add_body(body, [shape]))
+
+    def step(self, n: int) -> None:
+        for _ in range(n):
+            self.world.step()
+
+    def read(self) -> tuple[np.ndarray, np.ndarray]:
+        bodies = [self.world.rigid_bodies[handle] for handle in self.bodies]
+        return (
+            np.array([[b.translation.x, b.translation.y, b.translation.z] for b in bodies]),
+            np.array([[b.linvel.x, b.linvel.y, b.linvel.z] for b in bodies]),
+        )
+
+
+class Ours:
+    def __init__(self, case: Case) -> None:
+        self.sim = sc.Sim(sc.loads(case.xml).compile(), **OURS)
+
+    def step(self, n: int) -> None:
+        for _ in range(n):
+            self.sim.step(1)
+
+    def read(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.sim.qpos.reshape(-1, 7)[:, :3].copy(), self.sim.qvel.reshape(-1, 6)[
+            :, :3
+        ].copy()
+
+
+def main() -> None:
+    options = record.arguments(__doc__.splitlines()[0])
+    note = (
+        f"dt {DT} s, {SWEEPS} sweeps; stepcore law rigid, f64; Rapier's own law and settings, f32"
+    )
+    report = record.Report("vs_rapier", options, note)
+    report.say()
+    report.say(
+        f"{'scene':14}{'mean height [mm]':>22}{'deepest overlap [mm]':>24}{'µs a step':>20}"
+        f"{'ratio (quartiles)':>22}"
+    )
+    report.say(f"{'':14}" + f"{'stepcore':>12}{'Rapier':>10}" * 3)
+    for case in CASES:
+        if options.only in case.name:
+            compare(case, options, report)
+    report.close()
+
+
+def compare(case: Case, options, report: record.Report) -> None:
+    ours, theirs = Ours(case), Rapier(case)
+    for side in (ours, theirs):
+        side.step(50)  # 0.1 s: the ball is still in the air
+    fallen = np.abs(ours.read()[0] - theirs.read()[0]).max()
+    for side in (ours, theirs):
+        side.step(case.settle // (2 if options.quick else 1))
+    heights, depths, speeds = [], [], []
+    for side in (ours, theirs):
+        places, velocities = side.read()
+        heights.append(places[:, 2].mean())
+        depths.append(overlap(places, case))
+        speeds.append(np.linalg.norm(velocities, axis=1).mean())
+    line = f"{case.name:14}" + "".join(f"{1e3 * h:11.3f}" for h in heights)
+    line += "".join(f"{1e3 * d:12.4f}" for d in depths)
+    entry = {"case": case.name, "height": heights, "overlap": depths, "speed": speeds}
+    same = abs(heights[0] - heights[1]) <= case.same * case.radius and max(speeds) <= AT_REST
+    if not same or (len(case.centres) == 1 and fallen > 1e-3):
+        moving = ", ".join(f"{speed:.1e}" for speed in speeds)
+        report.say(f"{line}  no ratio: not the same motion (mean speeds {moving} m/s)")
+        report.add(**entry, refused="not the same motion")
+        return
+    sides = (
+        Side("stepcore", lambda: ours.step(20), 20),
+        Side("Rapier", lambda: theirs.step(20), 20),
+    )
+    # Wall time: Rapier works in threads of its own.
+    found = duel(*sides, options.pairs, options.sample, wall=True)
+    low, high = found.ratio_spread
+    times = f"{np.median(found.ours):10.2f}{np.median(found.theirs):10.2f}"
+    report.say(f"{line}{times}{found.ratio:8.2f} ({low:.2f}–{high:.2f})")
+    report.add(**entry, settings=OURS, **found.record())
+
+
+def overlap(places: np.ndarray, case: Case) -> float:
+    """The deepest overlap of two spheres, or of one with a wall [m]."""
+    gaps = [places[:, 2].min() - case.radius]
+    if case.walls:
+        gaps.append(case.walls - np.abs(places[:, :2]).max() - case.radius)
+    first, second = np.triu_indices(len(places), 1)
+    if len(first):
+        apart = np.linalg.norm(places[first] - places[second], axis=1)
+        gaps.append(apart.min() - 2 * case.radius)
+    return max(0.0, -float(min(gaps)))
+
+
+if __name__ == "__main__":
+    main()
