@@ -9,7 +9,7 @@ use crate::measure::Past;
 use crate::model::Model;
 use crate::place::Placed;
 use crate::real::{Mask, Real};
-use crate::settings::{Acceleration, Settings, Solver};
+use crate::settings::{Acceleration, Law, Settings, Solver};
 use crate::solve::{Limits, Newton, Pgs, Report, Rows};
 use crate::state::{Inputs, State};
 
@@ -78,7 +78,17 @@ impl<R: Real> Sim<R> {
             tolerance: self.settings.tolerance,
             // By the law and not by the rows at hand, so that a lane equals its world alone.
             momentum: self.settings.acceleration == Acceleration::Momentum && !self.on_guess(),
+            exact: self.settings.sweeps > 0
+                && self.settings.tolerance > 0.0
+                && self.settings.law != Law::Relaxed,
         };
+        // One row on its own with its exact denominator: one update is the solution.
+        if self.settings.solver == Solver::Pgs && (limits.sweeps == 1 || limits.exact) {
+            if let Some(report) = self.rows.solve_single(&model.dof_lists, inv_d) {
+                self.effort.note(&report);
+                return Ok(());
+            }
+        }
         let report = match self.settings.solver {
             Solver::Pgs => self.pgs.solve(&model.dof_lists, inv_d, &mut self.rows, limits),
             Solver::Newton => {

@@ -60,7 +60,7 @@ impl<R: Real> Sim<R> {
 
     /// The acceleration that the smooth forces alone give.
     pub(crate) fn smooth(&mut self) {
-        self.placed.positions(&self.model, &self.state.qpos);
+        self.placed.positions_in_step(&self.model, &self.state.qpos);
         self.placed.dynamics(&self.model, &self.state.qpos, &self.state.qvel, &self.inputs);
         self.qacc.copy_from_slice(&self.placed.force);
         self.placed.metric.solve(&mut self.qacc);

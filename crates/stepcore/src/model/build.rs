@@ -16,6 +16,17 @@ impl Model {
         let mut unions = tree::Unions::default();
         pairs::fill(scene, &mut model, &poses, &mut unions)?;
         pairs::fill_equalities(scene, &mut model, &poses, &mut unions)?;
+        let tied: Vec<usize> = model.equalities.iter().flat_map(|e| [e.body1, e.body2]).collect();
+        for tree in 0..model.trees.len() {
+            let met = model
+                .geoms
+                .iter()
+                .filter(|g| g.collides)
+                .map(|g| g.body)
+                .chain(tied.iter().copied());
+            let seen = met.into_iter().any(|b| model.bodies[b].tree == tree);
+            model.trees[tree].seen = seen || !model.trees[tree].slides_only;
+        }
         Ok(model)
     }
 }

@@ -118,6 +118,8 @@ pub struct Tree {
     pub mass: f64,
     /// Only slide joints: the mass matrix, its factors and the gravity force are constant.
     pub slides_only: bool,
+    /// Its poses enter a step: something turns, collides or is tied.
+    pub seen: bool,
 }
 
 #[derive(Clone, Debug)]

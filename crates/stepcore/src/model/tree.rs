@@ -85,6 +85,7 @@ fn body(model: &mut Model, scene: &Scene, i: usize, joints: Span) {
             dofs: Span { start: model.nv, len: 0 },
             mass: 0.0,
             slides_only: true,
+            seen: true,
         });
     }
     let dofs = Span { start: model.nv, len: kinds().map(JointType::dofs).sum() };

@@ -14,7 +14,7 @@ pub use factor::Metric;
 pub use force::spring_energy;
 
 use crate::detect::Pose;
-use crate::model::Model;
+use crate::model::{Model, Tree};
 use crate::real::Real;
 use crate::spatial::{Force, Inertia, Motion, Quat, M3, V3};
 use crate::state::{Inputs, State};
@@ -112,7 +112,16 @@ impl<R: Real> Placed<R> {
 
     /// Positions only: bodies, geoms and the motion of every dof.
     pub fn positions(&mut self, model: &Model, qpos: &[R]) {
-        for tree in &model.trees {
+        self.place_trees(model, qpos, |_| true);
+    }
+
+    /// The same where a step needs it: see `Tree::seen`.
+    pub fn positions_in_step(&mut self, model: &Model, qpos: &[R]) {
+        self.place_trees(model, qpos, |tree| tree.seen);
+    }
+
+    fn place_trees(&mut self, model: &Model, qpos: &[R], needed: impl Fn(&Tree) -> bool) {
+        for tree in model.trees.iter().filter(|tree| needed(tree)) {
             for body in tree.bodies.range() {
                 self.place_body(model, qpos, body);
             }
@@ -146,7 +155,7 @@ impl<R: Real> Placed<R> {
 
     /// The whole stage, ending with the guess û.
     pub fn place(&mut self, model: &Model, state: &State<R>, inputs: &Inputs<R>, dt: R) {
-        self.positions(model, &state.qpos);
+        self.positions_in_step(model, &state.qpos);
         self.dynamics(model, &state.qpos, &state.qvel, inputs);
         self.metric.to_factored(&state.qvel, &mut self.u);
         self.guess.copy_from_slice(&self.force);

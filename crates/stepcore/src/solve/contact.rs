@@ -81,39 +81,31 @@ impl<R: Real> Rows<R> {
         }
         let r = contact.dist - R::of(pair.margin);
         let law = SolRef::at(&pair.soft, r, settings.dt, settings.refsafe);
-        let normal_r = law.softness * R::of(pair.invweight);
-        let (mu, impratio) = (soft_friction(pair), settings.impratio);
+        let (weight, mu, impratio) = (pair.invweight, soft_friction(pair), settings.impratio);
         let first = self.rows.len();
         self.normal_row(site, contact, pair);
-        let fill = |row: &mut super::rows::Row<R>, r: R, c: R| {
-            row.t = law.target(row.velocity, r, dt);
-            row.c = c;
-            row.inv_s = (row.a + c).recip_or_zero();
-        };
         if pair.condim == 1 {
-            fill(&mut self.rows[first], r, normal_r);
+            law.fill(&mut self.rows[first], r, R::of(weight), dt);
             return self.close(site, contact, first, Set::Interval, mask, source);
         }
         if settings.cone == Cone::Elliptic {
-            fill(&mut self.rows[first], r, normal_r);
+            law.fill(&mut self.rows[first], r, R::of(weight), dt);
             self.tangent_rows(site, contact, pair);
             for row in &mut self.rows[first + 1..] {
-                row.t = law.without_position().target(row.velocity, R::zero(), dt);
-                row.c = normal_r * R::of(1.0 / impratio);
-                row.inv_s = (row.a + row.c).recip_or_zero();
+                law.without_position().fill(row, R::zero(), R::of(weight / impratio), dt);
                 row.lo = R::of(f64::NEG_INFINITY);
             }
             return self.close(site, contact, first, Set::Convex, mask, source);
         }
-        let edge_r = normal_r * R::of(2.0 * mu * mu / impratio * (1.0 + mu * mu));
+        let edge = weight * 2.0 * mu * mu / impratio * (1.0 + mu * mu);
         self.pyramid(site, contact, pair, first);
         let still = pair.still.iter().filter(|still| **still).count();
         let edges = self.rows.len() - first;
         for (k, row) in self.rows[first..].iter_mut().enumerate() {
             // The fold stands last: 2 or 4 equal rows in one.
             let folded = still > 0 && k + 1 == edges;
-            let c = if folded { edge_r * R::of(0.5 / still as f64) } else { edge_r };
-            fill(row, r, c);
+            let weight = if folded { edge * 0.5 / still as f64 } else { edge };
+            law.fill(row, r, R::of(weight), dt);
         }
         self.close(site, contact, first, Set::Interval, mask, source);
     }
@@ -124,6 +116,9 @@ impl<R: Real> Rows<R> {
         let (normal, tangents) = (first, first + 1);
         self.tangent_rows(site, contact, pair);
         let moving = self.rows.len() - tangents;
+        if moving == 0 {
+            return; // The normal row is the fold.
+        }
         for k in 0..moving {
             self.push_sum(site, normal, tangents + k, mu);
             self.push_sum(site, normal, tangents + k, -mu);

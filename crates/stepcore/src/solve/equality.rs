@@ -43,9 +43,8 @@ impl<R: Real> Rows<R> {
                 let dt = site.settings.dt;
                 let law =
                     SolRef::at(&equality.soft, apart.dot(&apart).sqrt(), dt, site.settings.refsafe);
-                row.t = law.target(row.velocity, apart[k], R::of(dt)) - R::of(dt) * curving[k];
-                row.c = law.softness * R::of(equality.invweight);
-                row.inv_s = (row.a + row.c).recip_or_zero();
+                law.fill(row, apart[k], R::of(equality.invweight), R::of(dt));
+                row.t -= R::of(dt) * curving[k];
             } else {
                 OnGuess::new(site.settings).equality(row, apart[k]);
             }

@@ -43,10 +43,15 @@ impl<R: Real> SolRef<R> {
         Self { kd: R::zero(), ..self }
     }
 
-    /// t = u + dt·a_ref.
+    /// Fills a row in: t = u + dt·a_ref at the violation `r`, c = R = softness × `weight`.
+    ///
+    /// An R beside which A is nothing but rounding could not be told from zero, and would
+    /// leave Newton's Hessian without digits: it is kept above rounding.
     #[inline(always)]
-    pub fn target(&self, u: R, r: R, dt: R) -> R {
-        u - dt * (self.b * u + self.kd * r)
+    pub fn fill(&self, row: &mut Row<R>, r: R, weight: R, dt: R) {
+        row.t = row.velocity - dt * (self.b * row.velocity + self.kd * r);
+        row.c = (self.softness * weight).max(R::of(64.0 * R::EPSILON) * row.a);
+        row.inv_s = (row.a + row.c).recip_or_zero();
     }
 }
 

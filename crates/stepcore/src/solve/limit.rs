@@ -49,9 +49,7 @@ impl<R: Real> Rows<R> {
             let dof = &model.dofs[joint.dof];
             let r = phi - R::of(joint.margin);
             let law = SolRef::at(&joint.limit, r, settings.dt, settings.refsafe);
-            row.t = law.target(row.velocity, r, R::of(settings.dt));
-            row.c = law.softness * R::of(dof.invweight);
-            row.inv_s = (row.a + row.c).recip_or_zero();
+            law.fill(row, r, R::of(dof.invweight), R::of(settings.dt));
             near
         } else {
             OnGuess::new(settings).distance(row, phi, 0.0);

@@ -28,9 +28,7 @@ impl<R: Real> Rows<R> {
             if settings.law == Law::SolRef {
                 let law =
                     SolRef::at(&dof.friction, R::zero(), dt, settings.refsafe).without_position();
-                row.t = law.target(row.velocity, R::zero(), R::of(dt));
-                row.c = law.softness * R::of(dof.invweight);
-                row.inv_s = (row.a + row.c).recip_or_zero();
+                law.fill(row, R::zero(), R::of(dof.invweight), R::of(dt));
             } else {
                 OnGuess::new(settings).friction(row);
             }

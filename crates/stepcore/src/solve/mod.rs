@@ -4,6 +4,7 @@
 mod cone;
 mod contact;
 mod equality;
+mod few;
 mod law;
 mod limit;
 mod loss;
@@ -31,12 +32,16 @@ impl<R: Real> Rows<R> {
     pub fn make(&mut self, site: &Site<R>, detected: &mut Detected<R>) {
         self.clear();
         self.u.copy_from_slice(&site.placed.guess);
-        if !site.model.features.constraint {
+        if !(site.model.features.constraint && self.kinds.any) {
             return;
         }
         self.equalities(site);
-        self.losses(site);
-        self.limits(site);
+        if self.kinds.losses {
+            self.losses(site);
+        }
+        if self.kinds.limits {
+            self.limits(site);
+        }
         self.contacts(site, detected);
         self.assign_islands(site.model);
     }

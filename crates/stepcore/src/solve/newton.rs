@@ -11,6 +11,7 @@ mod minimise;
 mod penalty;
 mod system;
 
+use super::few::{Few, Island};
 use super::pgs::{alive, Limits, Order, Report};
 use super::rows::{Rows, Set};
 use crate::error::{Error, Result};
@@ -25,6 +26,7 @@ pub struct Newton<R: Real> {
     patterns: Vec<Pattern>,
     present: Vec<usize>,
     system: System<R>,
+    few: Few<R>,
 }
 
 impl<R: Real> Default for Newton<R> {
@@ -40,6 +42,7 @@ impl<R: Real> Newton<R> {
             patterns: Vec::new(),
             present: Vec::new(),
             system: System::new(),
+            few: Few::new(),
         }
     }
 
@@ -57,7 +60,7 @@ impl<R: Real> Newton<R> {
         limits: Limits,
     ) -> Result<Report<R>> {
         check(rows)?;
-        let mut report = Report::new();
+        let mut report: Report<R> = Report::new();
         self.order.sort(&rows.blocks);
         if self.patterns.len() < self.order.ends.len() {
             self.patterns.resize_with(self.order.ends.len(), Pattern::default);
@@ -72,12 +75,32 @@ impl<R: Real> Newton<R> {
             if self.present.is_empty() {
                 continue;
             }
+            let present = alive(rows, &self.present);
+            let alone = rows.alone(&self.present);
+            if alone.any() {
+                rows.solve_alone(dof_lists, inv_d, &self.present, alone);
+                let mine = alone.and(present);
+                report.sweeps = R::select(mine, report.sweeps.max(R::one()), report.sweeps);
+                report.updates = R::select(mine, report.updates + R::one(), report.updates);
+                if present.and(alone.not()).none() {
+                    continue;
+                }
+            }
+            let few = Few::fits(rows, &self.present).and(alone.not());
+            let mut open = R::Mask::of(false);
+            if few.any() {
+                let island = Island { dof_lists, inv_d, guess, blocks: &self.present };
+                open = self.few.solve(island, rows, few, &mut report);
+            }
+            let live = present.and(alone.not()).and(few.not().or(open));
+            if live.none() {
+                continue;
+            }
             let pattern = &mut self.patterns[island];
             pattern.fit(dof_lists, rows, &self.present);
             self.system.start(pattern, &self.present, inv_d, guess, rows);
-            let live = alive(rows, &self.present);
             self.system.minimise(pattern, &self.present, rows, live, limits, &mut report);
-            self.system.finish(pattern, &self.present, rows);
+            self.system.finish(pattern, &self.present, rows, live);
             report.decrement =
                 report.decrement.max(R::select(live, self.system.decrement, R::zero()));
         }

@@ -20,6 +20,8 @@ pub struct Limits {
     /// Accelerate: see `momentum.rs`. For laws whose rows are all convex; an island
     /// with a Coulomb block runs plain.
     pub momentum: bool,
+    /// One sweep solves a row that is alone, and it may end there.
+    pub exact: bool,
 }
 
 /// What a solve did, lane by lane.
@@ -153,20 +155,25 @@ impl<R: Real> Pgs<R> {
                 momentum.begin(dof_lists, inv_d, rows, blocks);
             }
             let mut live = alive(rows, blocks);
+            let single = if limits.exact { rows.alone(blocks) } else { R::Mask::of(false) };
             let mut done = R::zero();
             for sweep in 0..limits.sweeps {
                 if live.none() {
                     break;
                 }
-                let change = if let Some(momentum) = &mut momentum {
-                    let change =
-                        self.sweep(dof_lists, rows, momentum.order(sweep), live, &mut report);
-                    momentum.step(dof_lists, &self.z, rows, blocks, live);
-                    change
-                } else {
-                    self.sweep(dof_lists, rows, blocks, live, &mut report)
+                let order = match &mut momentum {
+                    Some(momentum) => momentum.order(sweep),
+                    None => blocks,
                 };
+                let change = self.sweep(dof_lists, rows, order, live, &mut report);
                 done = R::select(live, done + R::one(), done);
+                live = live.and(single.not());
+                if live.none() {
+                    break;
+                }
+                if let Some(momentum) = &mut momentum {
+                    momentum.step(dof_lists, &self.z, rows, blocks, live);
+                }
                 live = judge(dof_lists, rows, blocks, live, change, limits.tolerance);
             }
             report.sweeps = report.sweeps.max(done);

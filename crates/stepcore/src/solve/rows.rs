@@ -5,6 +5,7 @@
 //! J v = y·u and an impulse changes u by D⁻¹ y λ. The solvers read this file's
 //! data and nothing else: they cannot know what a row came from.
 
+use super::pgs::Report;
 use crate::model::{Model, Span};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
@@ -83,6 +84,28 @@ pub struct Rows<R: Real> {
     pub(super) scratch: Vec<R>,
     /// By tree: see `Model::islands`.
     islands: Vec<usize>,
+    /// Which kinds of rows the model can have at all.
+    pub(super) kinds: Kinds,
+}
+
+/// Rows that a model can have, known when it is compiled.
+#[derive(Clone, Debug, Default)]
+pub struct Kinds {
+    pub any: bool,
+    pub losses: bool,
+    pub limits: bool,
+}
+
+impl Kinds {
+    fn of(model: &Model) -> Self {
+        let losses = model.dofs.iter().any(|d| d.frictionloss > 0.0);
+        let limits = model.joints.iter().any(|j| j.range.is_some());
+        Self {
+            any: losses || limits || !model.pairs.is_empty() || !model.equalities.is_empty(),
+            losses,
+            limits,
+        }
+    }
 }
 
 /// Everything the row makers read.
@@ -103,6 +126,7 @@ impl<R: Real> Rows<R> {
             u: vec![R::zero(); model.nv],
             scratch: vec![R::zero(); model.nv],
             islands: model.islands(),
+            kinds: Kinds::of(model),
         }
     }
 
@@ -117,6 +141,7 @@ impl<R: Real> Rows<R> {
             scratch: u.clone(),
             u,
             islands: Vec::new(),
+            kinds: Kinds::default(),
         }
     }
 
@@ -215,6 +240,55 @@ impl<R: Real> Rows<R> {
         });
         let at = self.blocks.len() - 1;
         &mut self.blocks[at]
+    }
+
+    /// Lanes in which the blocks are one interval row.
+    pub(super) fn alone(&self, blocks: &[usize]) -> R::Mask {
+        let (mut count, mut interval) = (R::zero(), R::Mask::of(true));
+        for block in blocks.iter().map(|b| &self.blocks[*b]) {
+            count = R::select(block.mask, count + R::of(block.rows.len as f64), count);
+            interval = interval.and(block.mask.not().or(R::Mask::of(block.set == Set::Interval)));
+        }
+        interval.and(count.le(R::one()))
+    }
+
+    /// Solves rows that are `alone`, each by its one update.
+    pub(super) fn solve_alone(
+        &mut self,
+        dof_lists: &[usize],
+        inv_d: &[R],
+        blocks: &[usize],
+        alone: R::Mask,
+    ) {
+        for b in blocks {
+            let block = &self.blocks[*b];
+            let mask = block.mask.and(alone);
+            if mask.none() {
+                continue;
+            }
+            let row = &mut self.rows[block.rows.start];
+            let dofs = row.dofs.of(dof_lists);
+            let y = &self.y[row.y..row.y + dofs.len()];
+            let short = row.t - super::residual::dot(dofs, y, &self.u) - row.c * row.impulse;
+            let impulse = (row.impulse + short * row.inv_s).clamp(row.lo, row.hi);
+            let change = impulse - row.impulse;
+            row.impulse = R::select(mask, impulse, row.impulse);
+            Self::kick(&mut self.u, inv_d, dofs, y, change, mask);
+        }
+    }
+
+    /// The same where the whole system is one interval row.
+    pub fn solve_single(&mut self, dof_lists: &[usize], inv_d: &[R]) -> Option<Report<R>> {
+        let ([block], [_]) = (self.blocks.as_slice(), self.rows.as_slice()) else { return None };
+        if block.set != Set::Interval {
+            return None;
+        }
+        let mask = block.mask;
+        self.solve_alone(dof_lists, inv_d, &[0], mask);
+        let mut report = Report::new();
+        report.sweeps = R::select(mask, R::one(), R::zero());
+        report.updates = report.sweeps;
+        Some(report)
     }
 
     /// Tells every block its island.

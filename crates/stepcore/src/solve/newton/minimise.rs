@@ -219,7 +219,13 @@ impl<R: Real> System<R> {
     /// −w/c magnifies the rounding of w where c is small. So the pair (λ, u) is
     /// refined with the last factors, within their zones: the law's impulse at this u,
     /// less λ, is e; Hδ = Σ y e, Δλ = e − s″ y·δ. Once is enough unless c is tiny.
-    pub fn finish(&mut self, pattern: &Pattern, blocks: &[usize], rows: &mut Rows<R>) {
+    pub fn finish(
+        &mut self,
+        pattern: &Pattern,
+        blocks: &[usize],
+        rows: &mut Rows<R>,
+        mine: R::Mask,
+    ) {
         if self.moved {
             self.laws(pattern, blocks, rows, R::Mask::of(false));
         }
@@ -252,12 +258,12 @@ impl<R: Real> System<R> {
         for block in blocks {
             let block = &rows.blocks[*block];
             for row in &mut rows.rows[block.rows.range()] {
-                row.impulse = R::select(block.mask, self.impulse[at], row.impulse);
+                row.impulse = R::select(block.mask.and(mine), self.impulse[at], row.impulse);
                 at += 1;
             }
         }
         for (k, u) in pattern.dofs.iter().zip(&self.u) {
-            rows.u[*k] = *u;
+            rows.u[*k] = R::select(mine, *u, rows.u[*k]);
         }
     }
 
