@@ -146,6 +146,33 @@ impl<R: Real> Quat<R> {
     }
 }
 
+/// Where a shape is: its centre and its axes (columns of `rot`), in the world.
+#[derive(Clone, Copy, Debug)]
+pub struct Pose<R: Real> {
+    pub pos: V3<R>,
+    pub rot: M3<R>,
+}
+
+impl<R: Real> Pose<R> {
+    /// One of the shape's own axes, in the world.
+    #[inline(always)]
+    pub fn axis(&self, i: usize) -> V3<R> {
+        V3::new(self.rot[(0, i)], self.rot[(1, i)], self.rot[(2, i)])
+    }
+
+    /// A world vector along the shape's own axes.
+    #[inline(always)]
+    pub fn to_local(&self, v: &V3<R>) -> V3<R> {
+        V3::new(self.axis(0).dot(v), self.axis(1).dot(v), self.axis(2).dot(v))
+    }
+
+    /// The inverse of `to_local`.
+    #[inline(always)]
+    pub fn to_world(&self, v: &V3<R>) -> V3<R> {
+        self.axis(0) * v.x + self.axis(1) * v.y + self.axis(2) * v.z
+    }
+}
+
 /// A spatial motion: angular part, and the velocity of the point at the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion<R: Real> {

@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::real::{Mask, Real};
 use crate::settings::Law;
 use crate::sim::Sim;
-use crate::solve::Site;
+use crate::solve::Situation;
 
 impl<R: Real> Sim<R> {
     /// Advances by `n` steps, or to the last finite state before an error.
@@ -34,14 +34,14 @@ impl<R: Real> Sim<R> {
 
     pub(crate) fn detect_and_solve(&mut self) -> Result<()> {
         self.detected.detect(&self.model, &self.placed, &self.settings);
-        let site = Site {
+        let now = Situation {
             model: &self.model,
             placed: &self.placed,
             settings: &self.settings,
             qpos: &self.state.qpos,
             qvel: &self.state.qvel,
         };
-        self.rows.make(&site, &mut self.detected);
+        self.rows.make(&now, &mut self.detected);
         if self.rows.any() {
             self.solve()?;
         } else {

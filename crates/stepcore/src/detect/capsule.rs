@@ -4,8 +4,9 @@
 //! within 1e-4 rad of parallel: two, at the ends of the stretch over which the
 //! segments lie side by side, where one contact would hop from end to end.
 
-use super::touch::{balls, Ball, Pose, Touches};
+use super::touch::{balls, Ball, Touches};
 use crate::real::{Mask, Real};
+use crate::spatial::Pose;
 use nalgebra::Vector3;
 
 /// Squared sine of the angle below which two axes count as parallel.

@@ -11,7 +11,7 @@ mod shape_tests;
 mod sphere;
 mod touch;
 
-pub use touch::{tangents, Pose, Touch, Touches};
+pub use touch::{tangents, Touch, Touches};
 
 use crate::model::{Model, Pair};
 use crate::place::Placed;

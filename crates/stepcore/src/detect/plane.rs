@@ -4,8 +4,9 @@
 //! above it gives the contact; a capsule is tested as the two balls at its ends,
 //! each in a slot of its own, so that one lying flat rests on both.
 
-use super::touch::{Pose, Touch, Touches};
+use super::touch::{Touch, Touches};
 use crate::real::{Mask, Real};
+use crate::spatial::Pose;
 use nalgebra::Vector3;
 
 pub fn plane_sphere<R: Real>(plane: &Pose<R>, sphere: &Pose<R>, radius: R) -> Touches<R> {

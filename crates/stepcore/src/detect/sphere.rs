@@ -4,8 +4,9 @@
 //! a box that point is the centre itself; there the nearest face is the way out,
 //! and of equally near faces the first in the order −x, +x, −y, +y, −z, +z.
 
-use super::touch::{balls, select3, Ball, Pose, Touch, Touches};
+use super::touch::{balls, select3, Ball, Touch, Touches};
 use crate::real::{Mask, Real};
+use crate::spatial::Pose;
 use nalgebra::Vector3;
 
 /// A centre no farther than this fraction of the sizes from a box is in it.

@@ -1,38 +1,11 @@
-//! What a pair of shapes reports when they are near: poses in, contacts out.
+//! What a pair of shapes reports when they are near: contacts out of poses.
 //!
 //! A contact is a signed distance, the point halfway between the surfaces and a
 //! unit normal from geom 1 to geom 2; `tangents` completes its frame. Distances
 //! are always reported: the caller compares them with margin and gap.
 
 use crate::real::{Mask, Real};
-use nalgebra::{Matrix3, Vector3};
-
-/// Where a shape is: its centre and its axes (columns of `rot`), in the world.
-#[derive(Clone, Copy, Debug)]
-pub struct Pose<R: Real> {
-    pub pos: Vector3<R>,
-    pub rot: Matrix3<R>,
-}
-
-impl<R: Real> Pose<R> {
-    /// One of the shape's own axes, in the world.
-    #[inline(always)]
-    pub fn axis(&self, i: usize) -> Vector3<R> {
-        Vector3::new(self.rot[(0, i)], self.rot[(1, i)], self.rot[(2, i)])
-    }
-
-    /// A world vector along the shape's own axes.
-    #[inline(always)]
-    pub fn to_local(&self, v: &Vector3<R>) -> Vector3<R> {
-        Vector3::new(self.axis(0).dot(v), self.axis(1).dot(v), self.axis(2).dot(v))
-    }
-
-    /// The inverse of `to_local`.
-    #[inline(always)]
-    pub fn to_world(&self, v: &Vector3<R>) -> Vector3<R> {
-        self.axis(0) * v.x + self.axis(1) * v.y + self.axis(2) * v.z
-    }
-}
+use nalgebra::Vector3;
 
 /// One contact.
 #[derive(Clone, Copy, Debug)]

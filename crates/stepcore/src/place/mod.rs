@@ -13,10 +13,9 @@ mod kinematics;
 pub use factor::Metric;
 pub use force::spring_energy;
 
-use crate::detect::Pose;
 use crate::model::{Model, Tree};
 use crate::real::Real;
-use crate::spatial::{Force, Inertia, Motion, Quat, M3, V3};
+use crate::spatial::{Force, Inertia, Motion, Pose, Quat, M3, V3};
 use crate::state::{Inputs, State};
 
 /// What this stage writes. Lists are by body, dof, geom, tree as named.

@@ -6,7 +6,7 @@
 //! because they carry stiffness.
 
 use super::law::{OnGuess, SolRef};
-use super::rows::{Rows, Set, Site, Source};
+use super::rows::{Rows, Set, Situation, Source};
 use crate::detect::{Contact, Detected};
 use crate::model::Pair;
 use crate::real::{Mask, Real};
@@ -19,62 +19,74 @@ fn soft_friction(pair: &Pair) -> f64 {
 }
 
 impl<R: Real> Rows<R> {
-    pub(super) fn contacts(&mut self, site: &Site<R>, detected: &mut Detected<R>) {
+    pub(super) fn contacts(&mut self, now: &Situation<R>, detected: &mut Detected<R>) {
         for index in 0..detected.contacts.len() {
             let contact = &mut detected.contacts[index];
-            let pair = &site.model.pairs[contact.pair];
+            let pair = &now.model.pairs[contact.pair];
             let source = Source::Contact(index);
-            match site.settings.law {
-                Law::SolRef => self.soft_contact(site, contact, pair, source),
-                Law::Penalty => self.penalty(site, contact, pair),
-                _ => self.rigid_contact(site, contact, pair, source),
+            match now.settings.law {
+                Law::SolRef => self.soft_contact(now, contact, pair, source),
+                Law::Penalty => self.penalty(now, contact, pair),
+                _ => self.rigid_contact(now, contact, pair, source),
             }
         }
     }
 
-    fn contact_row(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair, along: &V3<R>) {
-        let bodies = [site.model.geoms[pair.geom1].body, site.model.geoms[pair.geom2].body];
-        self.relative_jacobian(site, bodies, pair.dofs, &contact.pos, along);
-        self.push_scratch(site, pair.dofs);
+    fn contact_row(
+        &mut self,
+        now: &Situation<R>,
+        contact: &Contact<R>,
+        pair: &Pair,
+        along: &V3<R>,
+    ) {
+        let bodies = [now.model.geoms[pair.geom1].body, now.model.geoms[pair.geom2].body];
+        self.relative_jacobian(now, bodies, pair.dofs, &contact.pos, along);
+        self.push_scratch(now, pair.dofs);
     }
 
-    fn normal_row(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair) {
-        self.contact_row(site, contact, pair, &contact.normal);
+    fn normal_row(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
+        self.contact_row(now, contact, pair, &contact.normal);
     }
 
     /// Rows along the tangents in which something can move.
-    fn tangent_rows(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair) {
+    fn tangent_rows(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
         if pair.still == [true; 2] {
             return;
         }
-        let tangents = contact.tangents(site.model, site.placed);
+        let tangents = contact.tangents(now.model, now.placed);
         for (tangent, _) in tangents.iter().zip(pair.still).filter(|(_, still)| !still) {
-            self.contact_row(site, contact, pair, tangent);
+            self.contact_row(now, contact, pair, tangent);
         }
     }
 
     /// Closes the rows from `first` on into the contact's block.
     fn close(
         &mut self,
-        site: &Site<R>,
+        now: &Situation<R>,
         contact: &Contact<R>,
         first: usize,
         set: Set,
         mask: R::Mask,
         source: Source,
     ) {
-        let (model, pair) = (site.model, &site.model.pairs[contact.pair]);
+        let (model, pair) = (now.model, &now.model.pairs[contact.pair]);
         let base = model.equalities.len() + model.nv + 2 * model.joints.len();
         let slot = (base + 2 * contact.pair + contact.part) as u32;
         let block = self.push_block(first, set, mask, source, slot);
         block.mass = pair.mass;
-        let soft = site.settings.law == Law::SolRef;
+        let soft = now.settings.law == Law::SolRef;
         block.mu = R::of(if soft { soft_friction(pair) } else { pair.friction[0] });
     }
 
     /// MuJoCo's contact: soft normal, convex friction.
-    fn soft_contact(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair, source: Source) {
-        let (settings, dt) = (site.settings, R::of(site.settings.dt));
+    fn soft_contact(
+        &mut self,
+        now: &Situation<R>,
+        contact: &Contact<R>,
+        pair: &Pair,
+        source: Source,
+    ) {
+        let (settings, dt) = (now.settings, R::of(now.settings.dt));
         let mask = contact.mask.and(contact.dist.lt(R::of(pair.margin)));
         if mask.none() {
             return;
@@ -83,22 +95,22 @@ impl<R: Real> Rows<R> {
         let law = SolRef::at(&pair.soft, r, settings.dt, settings.refsafe);
         let (weight, mu, impratio) = (pair.invweight, soft_friction(pair), settings.impratio);
         let first = self.rows.len();
-        self.normal_row(site, contact, pair);
+        self.normal_row(now, contact, pair);
         if pair.condim == 1 {
             law.fill(&mut self.rows[first], r, R::of(weight), dt);
-            return self.close(site, contact, first, Set::Interval, mask, source);
+            return self.close(now, contact, first, Set::Interval, mask, source);
         }
         if settings.cone == Cone::Elliptic {
             law.fill(&mut self.rows[first], r, R::of(weight), dt);
-            self.tangent_rows(site, contact, pair);
+            self.tangent_rows(now, contact, pair);
             for row in &mut self.rows[first + 1..] {
                 law.without_position().fill(row, R::zero(), R::of(weight / impratio), dt);
                 row.lo = R::of(f64::NEG_INFINITY);
             }
-            return self.close(site, contact, first, Set::Convex, mask, source);
+            return self.close(now, contact, first, Set::Convex, mask, source);
         }
         let edge = weight * 2.0 * mu * mu / impratio * (1.0 + mu * mu);
-        self.pyramid(site, contact, pair, first);
+        self.pyramid(now, contact, pair, first);
         let still = pair.still.iter().filter(|still| **still).count();
         let edges = self.rows.len() - first;
         for (k, row) in self.rows[first..].iter_mut().enumerate() {
@@ -107,24 +119,24 @@ impl<R: Real> Rows<R> {
             let weight = if folded { edge * 0.5 / still as f64 } else { edge };
             law.fill(row, r, R::of(weight), dt);
         }
-        self.close(site, contact, first, Set::Interval, mask, source);
+        self.close(now, contact, first, Set::Interval, mask, source);
     }
 
     /// Replaces the normal row at `first` by the edges J_n ± μ J_t, then the fold.
-    fn pyramid(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair, first: usize) {
+    fn pyramid(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair, first: usize) {
         let mu = R::of(soft_friction(pair));
         let (normal, tangents) = (first, first + 1);
-        self.tangent_rows(site, contact, pair);
+        self.tangent_rows(now, contact, pair);
         let moving = self.rows.len() - tangents;
         if moving == 0 {
             return; // The normal row is the fold.
         }
         for k in 0..moving {
-            self.push_sum(site, normal, tangents + k, mu);
-            self.push_sum(site, normal, tangents + k, -mu);
+            self.push_sum(now, normal, tangents + k, mu);
+            self.push_sum(now, normal, tangents + k, -mu);
         }
         if moving < 2 {
-            self.push_sum(site, normal, normal, R::zero());
+            self.push_sum(now, normal, normal, R::zero());
         }
         // The normal and the tangents were only the makings of the edges: y stays packed.
         self.rows.drain(first..first + 1 + moving);
@@ -141,51 +153,51 @@ impl<R: Real> Rows<R> {
     /// A contact under `lesson`, `relaxed` or `rigid`: a row where the guess overlaps.
     fn rigid_contact(
         &mut self,
-        site: &Site<R>,
+        now: &Situation<R>,
         contact: &mut Contact<R>,
         pair: &Pair,
         source: Source,
     ) {
-        let law = OnGuess::new(site.settings);
+        let law = OnGuess::new(now.settings);
         let first = self.rows.len();
-        self.normal_row(site, contact, pair);
-        let mask = contact.mask.and(self.violated_by_guess(site, first, contact.dist));
+        self.normal_row(now, contact, pair);
+        let mask = contact.mask.and(self.violated_by_guess(now, first, contact.dist));
         contact.mask = mask;
         if mask.none() {
             self.pop_row();
             return;
         }
-        law.distance(&mut self.rows[first], contact.dist, site.settings.restitution);
+        law.distance(&mut self.rows[first], contact.dist, now.settings.restitution);
         if pair.condim == 1 || pair.friction[0] <= 0.0 {
-            return self.close(site, contact, first, Set::Interval, mask, source);
+            return self.close(now, contact, first, Set::Interval, mask, source);
         }
-        self.tangent_rows(site, contact, pair);
+        self.tangent_rows(now, contact, pair);
         for row in &mut self.rows[first + 1..] {
             law.friction(row);
             row.lo = R::of(f64::NEG_INFINITY);
         }
-        let set = match site.settings.cone {
+        let set = match now.settings.cone {
             Cone::Elliptic => Set::CoulombRound,
             Cone::Pyramidal => Set::CoulombBox,
         };
-        self.close(site, contact, first, set, mask, source);
+        self.close(now, contact, first, set, mask, source);
     }
 
     /// The trap: a spring under the surface. No row, a force on the guess.
-    fn penalty(&mut self, site: &Site<R>, contact: &Contact<R>, pair: &Pair) {
-        let settings = site.settings;
+    fn penalty(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
+        let settings = now.settings;
         let first = self.rows.len();
-        self.normal_row(site, contact, pair);
+        self.normal_row(now, contact, pair);
         let row = self.rows[first].clone();
         let mass = row.a.recip_or_zero();
         let k = R::of(settings.penalty_stiffness);
         let damping = R::of(2.0 * settings.penalty_damping_ratio) * (k * mass).sqrt();
         let force = -(k * contact.dist) - damping * row.velocity;
         let mask = contact.mask.and(contact.dist.lt(R::zero()));
-        let dofs = row.dofs.of(&site.model.dof_lists);
+        let dofs = row.dofs.of(&now.model.dof_lists);
         let y = &self.y[row.y..row.y + dofs.len()];
         let impulse = R::of(settings.dt) * force;
-        Self::kick(&mut self.u, &site.placed.metric.inv_d, dofs, y, impulse, mask);
+        Self::kick(&mut self.u, &now.placed.metric.inv_d, dofs, y, impulse, mask);
         self.pop_row();
     }
 }

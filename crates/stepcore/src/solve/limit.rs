@@ -1,7 +1,7 @@
 //! Joint limits: a joint goes no further than its range. One row a bound.
 
 use super::law::{OnGuess, SolRef};
-use super::rows::{Rows, Set, Site, Source};
+use super::rows::{Rows, Set, Situation, Source};
 use crate::model::Joint;
 use crate::real::{Mask, Real};
 use crate::scene::JointType;
@@ -9,29 +9,29 @@ use crate::settings::Law;
 use crate::spatial::{Quat, V3};
 
 impl<R: Real> Rows<R> {
-    pub(super) fn limits(&mut self, site: &Site<R>) {
-        if !site.model.features.limit {
+    pub(super) fn limits(&mut self, now: &Situation<R>) {
+        if !now.model.features.limit {
             return;
         }
-        for (index, joint) in site.model.joints.iter().enumerate() {
+        for (index, joint) in now.model.joints.iter().enumerate() {
             let Some([lo, hi]) = joint.range else { continue };
             if joint.kind == JointType::Ball {
-                let q = Quat::of(&site.qpos[joint.qpos..joint.qpos + 4]).normalized();
+                let q = Quat::of(&now.qpos[joint.qpos..joint.qpos + 4]).normalized();
                 let (axis, angle) = q.axis_angle();
                 let away = R::select(angle.lt(R::zero()), R::one(), -R::one());
                 let direction = V3::new(axis.x * away, axis.y * away, axis.z * away);
-                self.limit(site, index, 1, R::of(hi) - angle.abs(), direction.as_slice());
+                self.limit(now, index, 1, R::of(hi) - angle.abs(), direction.as_slice());
             } else {
-                let q = site.qpos[joint.qpos];
-                self.limit(site, index, 0, q - R::of(lo), &[R::one()]);
-                self.limit(site, index, 1, R::of(hi) - q, &[-R::one()]);
+                let q = now.qpos[joint.qpos];
+                self.limit(now, index, 0, q - R::of(lo), &[R::one()]);
+                self.limit(now, index, 1, R::of(hi) - q, &[-R::one()]);
             }
         }
     }
 
     /// One bound at distance φ; `direction` is its gradient on the joint's dofs.
-    fn limit(&mut self, site: &Site<R>, index: usize, side: usize, phi: R, direction: &[R]) {
-        let (model, settings) = (site.model, site.settings);
+    fn limit(&mut self, now: &Situation<R>, index: usize, side: usize, phi: R, direction: &[R]) {
+        let (model, settings) = (now.model, now.settings);
         let joint: &Joint = &model.joints[index];
         let near = phi.lt(R::of(joint.margin));
         let by_position = matches!(settings.law, Law::SolRef | Law::Penalty);
@@ -44,7 +44,7 @@ impl<R: Real> Rows<R> {
         }
         self.scratch[joint.dof..joint.dof + direction.len()].copy_from_slice(direction);
         let first = self.rows.len();
-        let row = self.push_scratch(site, dofs);
+        let row = self.push_scratch(now, dofs);
         let mask = if by_position {
             let dof = &model.dofs[joint.dof];
             let r = phi - R::of(joint.margin);
@@ -53,7 +53,7 @@ impl<R: Real> Rows<R> {
             near
         } else {
             OnGuess::new(settings).distance(row, phi, 0.0);
-            self.violated_by_guess(site, first, phi)
+            self.violated_by_guess(now, first, phi)
         };
         if mask.none() {
             self.pop_row();
@@ -65,9 +65,9 @@ impl<R: Real> Rows<R> {
     }
 
     /// φ + dt·J v̂ < 0: the guess goes where it may not.
-    pub(super) fn violated_by_guess(&self, site: &Site<R>, row: usize, phi: R) -> R::Mask {
-        let velocity = self.dot(site.model, &self.rows[row], &site.placed.guess);
-        (phi + R::of(site.settings.dt) * velocity).lt(R::zero())
+    pub(super) fn violated_by_guess(&self, now: &Situation<R>, row: usize, phi: R) -> R::Mask {
+        let velocity = self.dot(now.model, &self.rows[row], &now.placed.guess);
+        (phi + R::of(now.settings.dt) * velocity).lt(R::zero())
     }
 
     /// Takes back the row pushed last.

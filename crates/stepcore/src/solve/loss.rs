@@ -1,16 +1,16 @@
 //! Friction loss: dry friction in a dof, an impulse of at most dt · loss.
 
 use super::law::{OnGuess, SolRef};
-use super::rows::{Rows, Set, Site, Source};
+use super::rows::{Rows, Set, Situation, Source};
 use crate::real::{Mask, Real};
 use crate::settings::Law;
 
 impl<R: Real> Rows<R> {
-    pub(super) fn losses(&mut self, site: &Site<R>) {
-        if !site.model.features.frictionloss {
+    pub(super) fn losses(&mut self, now: &Situation<R>) {
+        if !now.model.features.frictionloss {
             return;
         }
-        let (model, settings) = (site.model, site.settings);
+        let (model, settings) = (now.model, now.settings);
         let dt = settings.dt;
         for (k, dof) in model.dofs.iter().enumerate() {
             if dof.frictionloss <= 0.0 {
@@ -22,7 +22,7 @@ impl<R: Real> Rows<R> {
             }
             self.scratch[k] = R::one();
             let first = self.rows.len();
-            let row = self.push_scratch(site, dofs);
+            let row = self.push_scratch(now, dofs);
             row.lo = R::of(-dt * dof.frictionloss);
             row.hi = R::of(dt * dof.frictionloss);
             if settings.law == Law::SolRef {

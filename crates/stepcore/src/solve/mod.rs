@@ -19,7 +19,7 @@ mod tests;
 pub use law::SolRef;
 pub use newton::Newton;
 pub use pgs::{Limits, Pgs, Report};
-pub use rows::{Block, Row, Rows, Set, Site, Source};
+pub use rows::{Block, Row, Rows, Set, Situation, Source};
 
 use crate::detect::Detected;
 use crate::model::{Model, Span};
@@ -29,50 +29,50 @@ use crate::state::Warm;
 
 impl<R: Real> Rows<R> {
     /// Makes every row that exists: equalities, friction loss, limits, contacts.
-    pub fn make(&mut self, site: &Site<R>, detected: &mut Detected<R>) {
+    pub fn make(&mut self, now: &Situation<R>, detected: &mut Detected<R>) {
         self.clear();
-        self.u.copy_from_slice(&site.placed.guess);
-        if !(site.model.features.constraint && self.kinds.any) {
+        self.u.copy_from_slice(&now.placed.guess);
+        if !(now.model.features.constraint && self.kinds.any) {
             return;
         }
-        self.equalities(site);
+        self.equalities(now);
         if self.kinds.losses {
-            self.losses(site);
+            self.losses(now);
         }
         if self.kinds.limits {
-            self.limits(site);
+            self.limits(now);
         }
-        self.contacts(site, detected);
-        self.assign_islands(site.model);
+        self.contacts(now, detected);
+        self.assign_islands(now.model);
     }
 
     /// Sets `scratch` to the Jacobian of the relative velocity of two body points at
     /// `at` (body 2 minus body 1) along `direction`, on the union `dofs` of their chains.
     fn relative_jacobian(
         &mut self,
-        site: &Site<R>,
+        now: &Situation<R>,
         bodies: [usize; 2],
         dofs: Span,
         at: &V3<R>,
         direction: &V3<R>,
     ) {
-        for &k in dofs.of(&site.model.dof_lists) {
+        for &k in dofs.of(&now.model.dof_lists) {
             self.scratch[k] = R::zero();
         }
-        self.add_jacobian(site, bodies[0], at, &-direction);
-        self.add_jacobian(site, bodies[1], at, direction);
+        self.add_jacobian(now, bodies[0], at, &-direction);
+        self.add_jacobian(now, bodies[1], at, direction);
     }
 
     /// Adds the Jacobian of one body point's velocity along `direction`.
-    fn add_jacobian(&mut self, site: &Site<R>, body: usize, at: &V3<R>, direction: &V3<R>) {
-        let body = &site.model.bodies[body];
+    fn add_jacobian(&mut self, now: &Situation<R>, body: usize, at: &V3<R>, direction: &V3<R>) {
+        let body = &now.model.bodies[body];
         if body.tree == crate::model::NONE {
             return;
         }
-        let arm = at - site.placed.origin[body.tree];
+        let arm = at - now.placed.origin[body.tree];
         let wrench = Force { ang: arm.cross(direction), lin: *direction };
-        for &k in body.chain.of(&site.model.dof_lists) {
-            self.scratch[k] += site.placed.motion[k].dot(&wrench);
+        for &k in body.chain.of(&now.model.dof_lists) {
+            self.scratch[k] += now.placed.motion[k].dot(&wrench);
         }
     }
 

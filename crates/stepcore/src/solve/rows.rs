@@ -109,7 +109,7 @@ impl Kinds {
 }
 
 /// Everything the row makers read.
-pub struct Site<'a, R: Real> {
+pub struct Situation<'a, R: Real> {
     pub model: &'a Model,
     pub placed: &'a Placed<R>,
     pub settings: &'a crate::settings::Settings,
@@ -164,16 +164,16 @@ impl<R: Real> Rows<R> {
     }
 
     /// Takes J from `scratch` (set on `dofs`), lifts it to y, and measures it.
-    pub(super) fn push_scratch(&mut self, site: &Site<R>, dofs: Span) -> &mut Row<R> {
-        let model = site.model;
+    pub(super) fn push_scratch(&mut self, now: &Situation<R>, dofs: Span) -> &mut Row<R> {
+        let model = now.model;
         let list = dofs.of(&model.dof_lists);
-        site.placed.metric.lift(list, &mut self.scratch);
+        now.placed.metric.lift(list, &mut self.scratch);
         let start = self.y.len();
         let (mut a, mut velocity) = (R::zero(), R::zero());
         for &k in list {
             let y = self.scratch[k];
-            a += y * y * site.placed.metric.inv_d[k];
-            velocity += y * site.placed.u[k];
+            a += y * y * now.placed.metric.inv_d[k];
+            velocity += y * now.placed.u[k];
             self.y.push(y);
         }
         self.push_row(dofs, start, a, velocity)
@@ -182,7 +182,7 @@ impl<R: Real> Rows<R> {
     /// A row whose y is y(first) + k · y(second): an edge of a pyramid.
     pub(super) fn push_sum(
         &mut self,
-        site: &Site<R>,
+        now: &Situation<R>,
         first: usize,
         second: usize,
         k: R,
@@ -194,7 +194,7 @@ impl<R: Real> Rows<R> {
         let mut a = R::zero();
         for at in 0..dofs.len {
             let y = self.y[y1 + at] + k * self.y[y2 + at];
-            a += y * y * site.placed.metric.inv_d[site.model.dof_lists[dofs.start + at]];
+            a += y * y * now.placed.metric.inv_d[now.model.dof_lists[dofs.start + at]];
             self.y.push(y);
         }
         self.push_row(dofs, start, a, velocity)
