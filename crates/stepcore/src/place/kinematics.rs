@@ -1,10 +1,32 @@
 //! Forward kinematics: joint positions to poses, and the motion of each dof.
 
 use super::Placed;
-use crate::model::{Model, NONE};
+use crate::model::{Joint, Model, NONE};
 use crate::real::Real;
 use crate::scene::{GeomType, JointType};
 use crate::spatial::{rotate, splat, Motion, Quat, V3};
+use nalgebra::Vector3;
+
+/// A frame that lies like its parent's.
+const IDENTITY: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
+
+/// Turns a body's frame about a joint's anchor, which is returned.
+#[inline(always)]
+fn turn_about<R: Real>(
+    joint: &Joint,
+    pos: &mut V3<R>,
+    quat: &mut Quat<R>,
+    turn: &Quat<R>,
+) -> V3<R> {
+    if joint.pos == Vector3::zeros() {
+        *quat = quat.mul(turn);
+        return *pos;
+    }
+    let anchor = *pos + quat.rotate(&splat(&joint.pos));
+    *quat = quat.mul(turn);
+    *pos = anchor - quat.rotate(&splat(&joint.pos));
+    anchor
+}
 
 impl<R: Real> Placed<R> {
     /// Hangs a body on its parent and moves it through its joints in order.
@@ -29,7 +51,10 @@ impl<R: Real> Placed<R> {
         let offset = rotate(&self.xmat[parent], &splat(&body.pos));
         self.offset[index] = offset;
         let mut pos = self.xpos[parent] + offset;
-        let mut quat = self.xquat[parent].mul(&Quat::splat(&body.quat));
+        let mut quat = self.xquat[parent];
+        if body.quat != IDENTITY {
+            quat = quat.mul(&Quat::splat(&body.quat));
+        }
         for joint in joints {
             let q = qpos[joint.qpos];
             let axis = quat.rotate(&splat(&joint.axis));
@@ -40,17 +65,14 @@ impl<R: Real> Placed<R> {
                     self.motion[joint.dof] = Motion { ang: V3::zeros(), lin: axis };
                 }
                 JointType::Hinge => {
-                    let anchor = pos + quat.rotate(&splat(&joint.pos));
                     let turn = Quat::about(&splat(&joint.axis), q - R::of(joint.reference));
-                    quat = quat.mul(&turn);
-                    pos = anchor - quat.rotate(&splat(&joint.pos));
+                    let anchor = turn_about(joint, &mut pos, &mut quat, &turn);
                     // `lin` holds the anchor until the tree's origin is known.
                     self.motion[joint.dof] = Motion { ang: axis, lin: anchor };
                 }
                 JointType::Ball => {
-                    let anchor = pos + quat.rotate(&splat(&joint.pos));
-                    quat = quat.mul(&Quat::of(&qpos[joint.qpos..joint.qpos + 4]).normalized());
-                    pos = anchor - quat.rotate(&splat(&joint.pos));
+                    let turn = Quat::of(&qpos[joint.qpos..joint.qpos + 4]).normalized();
+                    let anchor = turn_about(joint, &mut pos, &mut quat, &turn);
                     let m = quat.matrix();
                     for k in 0..3 {
                         let axis = V3::new(m[(0, k)], m[(1, k)], m[(2, k)]);
