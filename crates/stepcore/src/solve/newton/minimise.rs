@@ -11,6 +11,8 @@ use crate::solve::rows::{Rows, Set};
 
 /// A step this many roundings long is rounding.
 const ROUNDING: f64 = 4.0;
+/// Below this fraction of the motion's energy, in roundings, a fall may be rounding.
+const STAGNANT: f64 = 1e-4;
 /// The line search ends when the slope has fallen by this factor.
 const FLAT: f64 = 1e-4;
 /// The most refinements of the impulses at the end.
@@ -62,9 +64,11 @@ impl<R: Real> System<R> {
                 fall -= *g * *p;
                 length += *d * *p * *p;
             }
-            let stuck = fall.gt(R::of(0.25) * last).and(fall.lt(R::of(R::EPSILON) * floor));
-            let end = length.le(tiny(ROUNDING) * floor).or(stuck);
-            let alpha = self.search(pattern, blocks, rows, fall, live.and(end.not()));
+            // Among cones Newton may close in slowly: only what no longer falls is rounding.
+            let stuck = fall.ge(last).and(fall.lt(R::of(STAGNANT) * R::of(R::EPSILON) * floor));
+            let small = length.le(tiny(ROUNDING) * floor);
+            let end = small.or(stuck);
+            let alpha = self.search(pattern, blocks, rows, fall, live.and(small.not()));
             for (u, p) in self.u.iter_mut().zip(&self.step) {
                 *u = R::select(live, *u + alpha * *p, *u);
             }
