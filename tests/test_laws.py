@@ -36,8 +36,7 @@ WAYS = {
 
 
 # The hand of `self_collision` lies inside its own arm: a law that undoes an overlap however small
-# the lever blows it up, rightly. Momentum visits rows in an order that depends on their numbers,
-# so that a second copy is visited in another one than the first.
+# the lever blows it up, rightly.
 BLOWN_UP = ("rigid", "lesson rk4")
 
 
@@ -177,7 +176,7 @@ def by_name(values, names, others):
     return [values[names.index(name)] for name in others]
 
 
-@pytest.mark.parametrize(("name", "way", "precision"), cases("momentum"))
+@pytest.mark.parametrize(("name", "way", "precision"), cases())
 def test_two_copies(name, way, precision):
     """M6: two copies that cannot meet, in one scene: each the same bits as alone."""
     scene = copy.deepcopy(scene_of(name)).with_settings(**WAYS[way])

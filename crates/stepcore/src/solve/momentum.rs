@@ -3,22 +3,37 @@
 //!
 //! The rows minimise f(λ) = ½ λᵀ(A + C)λ + λ·(J v̂ − t) over their sets. After a
 //! sweep has moved λ by p₀, with p₁ … p₃ the whole moves of the last sweeps, take
-//! λ + Σ τₐpₐ with the τ that minimise f: a system of four unknowns, whose matrix
-//! pₐᵀ(A + C)p_b = Σ D δuₐδu_b + Σ c pₐp_b needs only vectors. Where the active rows
-//! stay the same this comes close to conjugate gradients with a sweep as their
-//! preconditioner. A step that leaves the sets is projected, and kept only if f falls.
+//! λ + Σ τₐpₐ with the τ that minimise f. Where the active rows stay the same this
+//! comes close to conjugate gradients with a sweep as their preconditioner. A step
+//! that leaves the sets is projected, and kept only if f falls.
+//!
+//! That needs no pass over the rows' J. A move p changes u by δu = D⁻¹Yᵀp, which is
+//! remembered with it, so that pᵀ(A + C)q = Σ D δu_p δu_q + Σ c p q; u goes with λ by
+//! Σ τₐδuₐ, and only rows that the projection changed are kicked. The slope of f along
+//! the sweep's own move comes out of the sweep: with Δf, what the sweep gained, it is
+//! Δf + ½ p₀ᵀ(A + C)p₀. Along older moves it is carried on: a move e changes it by
+//! pᵀ(A + C)e. (∇f·p = Σ D δu_p u + … would do without, but not with rounding: δu holds
+//! errors as large as those of u, however small the move.)
+//!
+//! Each u-move so holds a few rounding errors of u, and a combination of moves inherits
+//! them. They are counted, and a step that would make them many kicks every row.
 //!
 //! Blocks are visited in a pseudo-random order that changes from sweep to sweep.
-//! Two blocks' order follows from their slots alone, so that a lane's does not
+//! Two blocks' order follows from their ranks alone, so that a lane's does not
 //! depend on which other blocks its neighbours have.
 
 use super::cone::project_round;
-use super::rows::{Rows, Set};
+use super::residual::dot;
+use super::rows::{Row, Rows, Set};
 use crate::real::{Mask, Real};
 
 /// Directions of a step: this sweep's move and the moves before it.
 const DEPTH: usize = 4;
-/// Blocks are dealt into 2^BITS heaps by their slots' hashes.
+/// A move is real when it is this many times what rounding makes of its coordinates.
+const NOISE: f64 = 16.0;
+/// Rounding errors of u that a step may add.
+const ERRORS: f64 = 16.0;
+/// Blocks are dealt into 2^BITS heaps by their ranks' hashes.
 const BITS: u32 = 4;
 
 /// Impulses by row of the island, and u by dof of the island.
@@ -28,26 +43,42 @@ struct Point<R> {
 }
 
 /// The last moves, newest first, in the same layout; zero where there is none yet.
+/// A row's moves lie side by side: sums over rows keep their order, so that a lane
+/// equals its world, and are taken for all moves at once.
 type Moves<R> = Point<[R; DEPTH]>;
+
+/// Blocks of neighbouring hashes, visited together.
+struct Heap {
+    hash: u64,
+    /// Its turn in this sweep.
+    key: u64,
+    /// Into `Momentum::hashed`.
+    start: usize,
+    end: usize,
+}
 
 /// The method's memory for the island at hand.
 pub(super) struct Momentum<R: Real> {
     moves: Moves<R>,
+    /// pₐᵀ(A + C)p_b of the moves at the last step, b ≤ a.
+    gram: [[R; DEPTH]; DEPTH],
+    /// ∇f·pₐ where λ is now.
+    slopes: [R; DEPTH],
+    /// Rounding errors of u in each move.
+    errors: [R; DEPTH],
     /// Before the sweep; while a step is made, the proposed impulses.
     before: Point<R>,
     /// After the sweep.
     after: Point<R>,
-    /// w of every row after the sweep.
-    w: Vec<R>,
     /// Row indices and dofs of the island, and D of each dof.
     rows: Vec<usize>,
     dofs: Vec<usize>,
     d: Vec<R>,
     /// By dof: already in `dofs`.
     seen: Vec<bool>,
-    /// Blocks by hash, in heaps of (hash, first, one past the last).
+    /// Blocks by hash.
     hashed: Vec<(u64, usize)>,
-    heaps: Vec<(u64, usize, usize)>,
+    heaps: Vec<Heap>,
     /// The order of one sweep.
     visit: Vec<usize>,
 }
@@ -58,22 +89,55 @@ impl<R> Point<R> {
     }
 }
 
-impl<R: Real> Point<R> {
-    fn take(&mut self, rows: &Rows<R>, list: &[usize], dofs: &[usize]) {
-        self.impulse.clear();
-        self.impulse.extend(list.iter().map(|r| rows.rows[*r].impulse));
-        self.u.clear();
-        self.u.extend(dofs.iter().map(|k| rows.u[*k]));
+/// What a step is.
+struct Step<R: Real> {
+    tau: [R; DEPTH],
+    /// Lanes in which u goes along the moves; in others every row is kicked.
+    linear: R::Mask,
+}
+
+/// Sums of weight · x · pₐ.
+struct Products<R>([R; DEPTH]);
+
+impl<R: Real> Products<R> {
+    fn new() -> Self {
+        Self([R::zero(); DEPTH])
     }
+
+    #[inline(always)]
+    fn add(&mut self, weighted: R, p: &[R; DEPTH]) {
+        for (sum, p) in self.0.iter_mut().zip(p) {
+            *sum += weighted * *p;
+        }
+    }
+}
+
+/// Σ τₐpₐ.
+#[inline(always)]
+fn along<R: Real>(tau: &[R; DEPTH], p: &[R; DEPTH]) -> R {
+    (tau[0] * p[0] + tau[1] * p[1]) + (tau[2] * p[2] + tau[3] * p[3])
+}
+
+#[inline(always)]
+fn nonzero<R: Real>(x: R) -> R::Mask {
+    x.lt(R::zero()).or(x.gt(R::zero()))
+}
+
+/// Puts the newest first; the oldest is forgotten.
+#[inline(always)]
+fn remember<R: Real>(p: &mut [R; DEPTH], newest: R) {
+    *p = [newest, p[0], p[1], p[2]];
 }
 
 impl<R: Real> Momentum<R> {
     pub fn new() -> Self {
         Self {
             moves: Point::new(),
+            gram: [[R::zero(); DEPTH]; DEPTH],
+            slopes: [R::zero(); DEPTH],
+            errors: [R::zero(); DEPTH],
             before: Point::new(),
             after: Point::new(),
-            w: Vec::new(),
             rows: Vec::new(),
             dofs: Vec::new(),
             d: Vec::new(),
@@ -92,7 +156,7 @@ impl<R: Real> Momentum<R> {
         self.seen.resize(rows.u.len(), false);
         for at in blocks {
             let block = &rows.blocks[*at];
-            self.hashed.push((hash(u64::from(block.slot)), *at));
+            self.hashed.push((hash(u64::from(block.rank)), *at));
             self.rows.extend(block.rows.range());
             for row in &rows.rows[block.rows.range()] {
                 for k in row.dofs.of(dof_lists) {
@@ -112,31 +176,39 @@ impl<R: Real> Momentum<R> {
         }
         self.hashed.sort_unstable();
         self.heaps.clear();
-        let mut start = 0;
-        while start < self.hashed.len() {
-            let heap = self.hashed[start].0 >> (64 - BITS);
-            let len =
-                self.hashed[start..].iter().take_while(|h| h.0 >> (64 - BITS) == heap).count();
-            self.heaps.push((heap, start, start + len));
-            start += len;
+        for (at, (hash, _)) in self.hashed.iter().enumerate() {
+            let hash = hash >> (64 - BITS);
+            match self.heaps.last_mut() {
+                Some(heap) if heap.hash == hash => heap.end = at + 1,
+                _ => self.heaps.push(Heap { hash, key: 0, start: at, end: at + 1 }),
+            }
         }
-        for (moves, len) in
-            [(&mut self.moves.impulse, self.rows.len()), (&mut self.moves.u, self.dofs.len())]
-        {
+        self.gram = [[R::zero(); DEPTH]; DEPTH];
+        self.slopes = [R::zero(); DEPTH];
+        self.errors = [R::zero(); DEPTH];
+        let (rows_len, dofs_len) = (self.rows.len(), self.dofs.len());
+        for (moves, len) in [(&mut self.moves.impulse, rows_len), (&mut self.moves.u, dofs_len)] {
             moves.clear();
             moves.resize(len, [R::zero(); DEPTH]);
         }
-        self.before.take(rows, &self.rows, &self.dofs);
+        self.before.impulse.clear();
+        self.before.impulse.extend(self.rows.iter().map(|r| rows.rows[*r].impulse));
+        self.before.u.clear();
+        self.before.u.extend(self.dofs.iter().map(|k| rows.u[*k]));
+        self.after.impulse.resize(rows_len, R::zero());
+        self.after.u.resize(dofs_len, R::zero());
     }
 
     /// The order of a sweep: the heaps in a new order, each forwards or backwards.
     pub fn order(&mut self, sweep: u32) -> &[usize] {
-        let key = |heap: u64| hash(heap << 32 | u64::from(sweep));
-        self.heaps.sort_unstable_by_key(|heap| key(heap.0));
+        for heap in &mut self.heaps {
+            heap.key = hash(heap.hash << 32 | u64::from(sweep));
+        }
+        self.heaps.sort_unstable_by_key(|heap| heap.key);
         self.visit.clear();
-        for (heap, start, end) in &self.heaps {
-            let blocks = self.hashed[*start..*end].iter().map(|h| h.1);
-            if key(*heap) & 1 == 0 {
+        for heap in &self.heaps {
+            let blocks = self.hashed[heap.start..heap.end].iter().map(|h| h.1);
+            if heap.key & 1 == 0 {
                 self.visit.extend(blocks);
             } else {
                 self.visit.extend(blocks.rev());
@@ -145,85 +217,87 @@ impl<R: Real> Momentum<R> {
         &self.visit
     }
 
-    /// After a sweep: the best step along the remembered moves, in lanes of `live`.
+    /// After a sweep that made f fall by −`gain`: the best step along the remembered
+    /// moves, in lanes of `live`.
     pub fn step(
         &mut self,
         dof_lists: &[usize],
         z: &[R],
         rows: &mut Rows<R>,
         blocks: &[usize],
+        gain: R,
         live: R::Mask,
     ) {
-        self.after.take(rows, &self.rows, &self.dofs);
-        self.remember();
-        self.w.clear();
-        let mut held = R::zero();
-        for block in blocks.iter().map(|b| &rows.blocks[*b]) {
-            for row in &rows.rows[block.rows.range()] {
-                self.w.push(R::select(block.mask, rows.slack(dof_lists, row), R::zero()));
-                let energy = held + row.impulse * row.impulse * (row.a + row.c);
-                held = R::select(block.mask, energy, held);
-            }
-        }
-        let tau = self.coefficients(rows, held);
-        self.propose(rows, blocks, &tau);
-        let keep = live.and(self.falls(dof_lists, z, rows, blocks));
-        // The whole move, sweep and step, is what the next sweeps remember.
-        for (at, r) in self.rows.iter().enumerate() {
-            let old = self.after.impulse[at];
-            let new = R::select(keep, self.before.impulse[at], old);
-            rows.rows[*r].impulse = new;
-            self.moves.impulse[at][0] += new - old;
-        }
-        for (at, k) in self.dofs.iter().enumerate() {
-            let old = self.after.u[at];
-            rows.u[*k] = R::select(keep, rows.u[*k], old);
-            self.moves.u[at][0] += rows.u[*k] - old;
-        }
-        self.before.take(rows, &self.rows, &self.dofs);
-    }
-
-    /// Makes the sweep's own move the newest one.
-    fn remember(&mut self) {
-        let (before, after) = (&self.before, &self.after);
-        let shift = |moves: &mut [[R; DEPTH]], before: &[R], after: &[R]| {
-            for ((p, old), new) in moves.iter_mut().zip(before).zip(after) {
-                p.rotate_right(1);
-                p[0] = *new - *old;
-            }
-        };
-        shift(&mut self.moves.impulse, &before.impulse, &after.impulse);
-        shift(&mut self.moves.u, &before.u, &after.u);
-    }
-
-    /// The τ that minimise f, by LDLᵀ; a move that depends on newer ones gets 0.
-    /// `held`, the energy of the impulses, says what is rounding.
-    fn coefficients(&self, rows: &Rows<R>, held: R) -> [R; DEPTH] {
+        let noise = self.measure(rows, blocks, gain);
+        let step = self.best(noise);
+        let change = self.propose(dof_lists, z, rows, blocks, &step, live);
+        let keep = live.and(change.le(R::zero()));
         let zero = R::zero();
-        let (mut h, mut rhs) = ([[zero; DEPTH]; DEPTH], [zero; DEPTH]);
-        let mut add = |p: &[R; DEPTH], k: R| {
-            for a in 0..DEPTH {
-                let scaled = k * p[a];
-                for b in 0..=a {
-                    h[a][b] += scaled * p[b];
-                }
-            }
-        };
-        for (p, d) in self.moves.u.iter().zip(&self.d) {
-            add(p, *d);
+        let own = self.commit(rows, blocks, keep);
+        // ∇f·e at the end of e is Δf + ½ eᵀ(A + C)e.
+        self.slopes[0] += R::select(keep, change, zero) + R::of(0.5) * own;
+        let errors = R::select(step.linear, along(&step.tau.map(R::abs), &self.errors), R::one());
+        self.errors[0] += R::select(keep, errors, zero);
+    }
+
+    /// Remembers the sweep's own move: products, slopes and errors of all moves where λ
+    /// is now. The energy of a move that is only rounding.
+    fn measure(&mut self, rows: &Rows<R>, blocks: &[usize], gain: R) -> R {
+        let (mut newest, mut second) = (Products::new(), Products::new());
+        let (zero, mut energy) = (R::zero(), R::zero());
+        let points = self.before.u.iter().zip(&mut self.after.u);
+        for (((p, k), d), (old, new)) in
+            self.moves.u.iter_mut().zip(&self.dofs).zip(&self.d).zip(points)
+        {
+            *new = rows.u[*k];
+            remember(p, *new - *old);
+            newest.add(*d * p[0], p);
+            second.add(*d * p[1], p);
+            energy = R::select(nonzero(p[0]), energy + *d * *new * *new, energy);
         }
-        for ((p, r), w) in self.moves.impulse.iter().zip(&self.rows).zip(&self.w) {
-            add(p, rows.rows[*r].c);
-            for a in 0..DEPTH {
-                rhs[a] -= p[a] * *w;
+        let mut start = 0;
+        for block in blocks.iter().map(|b| &rows.blocks[*b]) {
+            let own = start..start + block.rows.len;
+            start = own.end;
+            let points = self.before.impulse[own.clone()].iter();
+            let points = points.zip(&mut self.after.impulse[own.clone()]);
+            let moves = self.moves.impulse[own].iter_mut();
+            for ((p, row), (old, new)) in moves.zip(&rows.rows[block.rows.range()]).zip(points) {
+                *new = row.impulse;
+                remember(p, *new - *old);
+                let c = R::select(block.mask, row.c, zero);
+                newest.add(c * p[0], p);
+                second.add(c * p[1], p);
+                let more = energy + *new * *new * (row.a + row.c);
+                energy = R::select(block.mask, more, energy);
             }
         }
-        // A sweep's move at rounding has no direction.
-        let real = h[0][0].gt(R::of(4.0 * R::EPSILON * R::EPSILON) * held);
+        let (newest, second, last) = (newest.0, second.0, &self.gram);
+        // The older moves' products are those of the last step, one move on.
+        self.gram = [
+            [newest[0], zero, zero, zero],
+            [newest[1], second[1], zero, zero],
+            [newest[2], second[2], last[1][1], zero],
+            [newest[3], second[3], last[2][1], last[2][2]],
+        ];
+        remember(&mut self.slopes, gain - R::of(0.5) * newest[0]);
+        for (slope, product) in self.slopes.iter_mut().zip(newest) {
+            *slope += product;
+        }
+        remember(&mut self.errors, R::one());
+        R::of((NOISE * R::EPSILON).powi(2)) * energy
+    }
+
+    /// The τ that minimise f, by LDLᵀ; a move that depends on newer ones gets 0, and so
+    /// does one of which rounding is all that is left.
+    fn best(&self, noise: R) -> Step<R> {
+        let zero = R::zero();
+        let (mut h, mut rhs) = (self.gram, self.slopes.map(|slope| -slope));
+        let real = h[0][0].gt(noise);
         // Below the diagonal h becomes L D, above it L.
         let mut inv = [zero; DEPTH];
         for a in 0..DEPTH {
-            let own = h[a][a];
+            let own = noise.max(R::of(1e-8) * h[a][a]);
             for b in 0..a {
                 for k in 0..b {
                     h[a][b] -= h[a][k] * h[k][b];
@@ -232,8 +306,7 @@ impl<R: Real> Momentum<R> {
                 h[a][a] -= h[a][b] * h[b][a];
                 rhs[a] -= h[b][a] * rhs[b];
             }
-            inv[a] =
-                R::select(real.and(h[a][a].gt(R::of(1e-8) * own)), h[a][a].recip_or_zero(), zero);
+            inv[a] = R::select(real.and(h[a][a].gt(own)), h[a][a].recip_or_zero(), zero);
         }
         let mut tau = [zero; DEPTH];
         for a in (0..DEPTH).rev() {
@@ -243,56 +316,135 @@ impl<R: Real> Momentum<R> {
             }
             tau[a] = R::select(inv[a].gt(zero), x, zero);
         }
-        tau
+        let linear = along(&tau.map(R::abs), &self.errors).le(R::of(ERRORS));
+        Step { tau, linear }
     }
 
-    /// Sets `before.impulse` to the projection of λ + Σ τ p.
-    fn propose(&mut self, rows: &Rows<R>, blocks: &[usize], tau: &[R; DEPTH]) {
-        let out = &mut self.before.impulse;
-        for ((x, old), p) in out.iter_mut().zip(&self.after.impulse).zip(&self.moves.impulse) {
-            *x = *old + (tau[0] * p[0] + tau[1] * p[1] + tau[2] * p[2] + tau[3] * p[3]);
+    /// Sets `before.impulse` to the projection of λ + Σ τ p, and u to its effect; the
+    /// change of f.
+    fn propose(
+        &mut self,
+        dof_lists: &[usize],
+        z: &[R],
+        rows: &mut Rows<R>,
+        blocks: &[usize],
+        step: &Step<R>,
+        live: R::Mask,
+    ) -> R {
+        let (Rows { rows, blocks: all, y, u, .. }, tau) = (rows, &step.tau);
+        for ((k, old), p) in self.dofs.iter().zip(&self.after.u).zip(&self.moves.u) {
+            let way = along(tau, p);
+            // A lane without rows on this dof keeps it, even the sign of its zero.
+            u[*k] = R::select(step.linear.and(nonzero(way)), *old + way, *old);
         }
-        let mut at = 0;
-        for block in blocks.iter().map(|b| &rows.blocks[*b]) {
-            let own = &mut out[at..at + block.rows.len];
-            at += block.rows.len;
+        // Along the moves f falls by half its slope, as every quadratic.
+        let fall = R::of(0.5) * along(tau, &self.slopes);
+        let change = R::select(step.linear, fall, R::zero());
+        let mask = live;
+        let mut landing = Landing { dof_lists, y, z, u, linear: step.linear, mask, change };
+        let mut start = 0;
+        for block in blocks.iter().map(|b| &all[*b]) {
+            let own = start..start + block.rows.len;
+            start = own.end;
+            landing.mask = block.mask.and(live);
+            let rows = rows[block.rows.range()].iter();
+            let old = self.after.impulse[own.clone()].iter();
+            let old = old.zip(&self.moves.impulse[own.clone()]);
+            let out = self.before.impulse[own].iter_mut();
             if block.set == Set::Interval {
-                for (x, row) in own.iter_mut().zip(&rows.rows[block.rows.range()]) {
-                    *x = x.clamp(row.lo, row.hi);
+                for ((row, x), (old, p)) in rows.zip(out).zip(old) {
+                    let free = *old + along(tau, p);
+                    *x = landing.at(row, *old, free, free.clamp(row.lo, row.hi));
                 }
                 continue;
             }
-            let mut x = [R::zero(); 3];
-            x.iter_mut().zip(own.iter()).for_each(|(x, own)| *x = *own);
-            let x = project_round(block.mu, x);
-            own.iter_mut().zip(x).for_each(|(own, x)| *own = x);
-        }
-    }
-
-    /// Gives u the proposal's effect; lanes in which f falls:
-    /// Δf = Σ e(w + ½ c e) + ½ Σ D δu², e the change from after the sweep.
-    fn falls(&self, dof_lists: &[usize], z: &[R], rows: &mut Rows<R>, blocks: &[usize]) -> R::Mask {
-        let half = R::of(0.5);
-        let Rows { rows, blocks: all, u, .. } = rows;
-        let (mut at, mut change) = (0, R::zero());
-        for block in blocks.iter().map(|b| &all[*b]) {
-            for row in &rows[block.rows.range()] {
-                let e = self.before.impulse[at] - self.after.impulse[at];
-                let e = R::select(block.mask, e, R::zero());
-                change += e * (self.w[at] + half * row.c * e);
-                let dofs = row.dofs.of(dof_lists);
-                for (k, z) in dofs.iter().zip(&z[row.y..row.y + dofs.len()]) {
-                    let new = u[*k] + *z * e;
-                    u[*k] = R::select(block.mask, new, u[*k]);
-                }
-                at += 1;
+            let mut free = [R::zero(); 3];
+            for (free, (old, p)) in free.iter_mut().zip(old.clone()) {
+                *free = *old + along(tau, p);
+            }
+            let ends = free.into_iter().zip(project_round(block.mu, free));
+            for (((row, x), (old, _)), (free, new)) in rows.zip(out).zip(old).zip(ends) {
+                *x = landing.at(row, *old, free, new);
             }
         }
-        for ((k, old), d) in self.dofs.iter().zip(&self.after.u).zip(&self.d) {
-            let e = u[*k] - *old;
-            change += half * e * e * *d;
+        landing.change
+    }
+
+    /// Lanes of `keep` move to the proposal, others back to after the sweep. The whole
+    /// move, sweep and step, is what the next sweeps remember. eᵀ(A + C)e of the step e.
+    fn commit(&mut self, rows: &mut Rows<R>, blocks: &[usize], keep: R::Mask) -> R {
+        let (mut products, mut own) = (Products::new(), R::zero());
+        let mut start = 0;
+        for block in blocks.iter().map(|b| &rows.blocks[*b]) {
+            let range = start..start + block.rows.len;
+            start = range.end;
+            let points = self.before.impulse[range.clone()].iter_mut();
+            let points = points.zip(&self.after.impulse[range.clone()]);
+            let moves = self.moves.impulse[range].iter_mut();
+            let rows = rows.rows[block.rows.range()].iter_mut();
+            for ((p, row), (new, old)) in moves.zip(rows).zip(points) {
+                *new = R::select(keep, *new, *old);
+                row.impulse = *new;
+                let e = *new - *old;
+                let weighted = R::select(block.mask, row.c, R::zero()) * e;
+                products.add(weighted, p);
+                own += weighted * e;
+                p[0] += e;
+            }
         }
-        change.le(R::zero())
+        let points = self.before.u.iter_mut().zip(&self.after.u);
+        let moves = self.moves.u.iter_mut().zip(&self.dofs).zip(&self.d);
+        for (((p, k), d), (new, old)) in moves.zip(points) {
+            *new = R::select(keep, rows.u[*k], *old);
+            rows.u[*k] = *new;
+            let e = *new - *old;
+            let weighted = *d * e;
+            products.add(weighted, p);
+            own += weighted * e;
+            p[0] += e;
+        }
+        for (slope, product) in self.slopes.iter_mut().zip(products.0) {
+            *slope += product;
+        }
+        own
+    }
+}
+
+/// Where rows end.
+struct Landing<'a, R: Real> {
+    dof_lists: &'a [usize],
+    y: &'a [R],
+    z: &'a [R],
+    u: &'a mut [R],
+    linear: R::Mask,
+    mask: R::Mask,
+    /// Of f so far.
+    change: R,
+}
+
+impl<R: Real> Landing<'_, R> {
+    /// An impulse goes from `old` to `new`; u holds the effect of going to `free` where
+    /// the step is linear, and gets that of the rest. The impulse, `old` in lanes
+    /// without the row.
+    #[inline(always)]
+    fn at(&mut self, row: &Row<R>, old: R, free: R, new: R) -> R {
+        let from = R::select(self.linear, free, old);
+        let rest = new - from;
+        let off = self.mask.and(nonzero(rest));
+        if off.any() {
+            self.kick(row, from, rest, off);
+        }
+        R::select(self.mask, new, old)
+    }
+
+    fn kick(&mut self, row: &Row<R>, from: R, rest: R, mask: R::Mask) {
+        let dofs = row.dofs.of(self.dof_lists);
+        let w = dot(dofs, &self.y[row.y..row.y + dofs.len()], self.u) + row.c * from - row.t;
+        let change = self.change + rest * (w + R::of(0.5) * (row.a + row.c) * rest);
+        self.change = R::select(mask, change, self.change);
+        for (k, z) in dofs.iter().zip(&self.z[row.y..row.y + dofs.len()]) {
+            self.u[*k] = R::select(mask, self.u[*k] + *z * rest, self.u[*k]);
+        }
     }
 }
 

@@ -161,20 +161,21 @@ impl<R: Real> Pgs<R> {
                 if live.none() {
                     break;
                 }
-                let order = match &mut momentum {
-                    Some(momentum) => momentum.order(sweep),
-                    None => blocks,
+                let swept = if let Some(momentum) = &mut momentum {
+                    let order = momentum.order(sweep);
+                    self.sweep::<true>(dof_lists, rows, order, live, &mut report)
+                } else {
+                    self.sweep::<false>(dof_lists, rows, blocks, live, &mut report)
                 };
-                let change = self.sweep(dof_lists, rows, order, live, &mut report);
                 done = R::select(live, done + R::one(), done);
                 live = live.and(single.not());
                 if live.none() {
                     break;
                 }
                 if let Some(momentum) = &mut momentum {
-                    momentum.step(dof_lists, &self.z, rows, blocks, live);
+                    momentum.step(dof_lists, &self.z, rows, blocks, swept.gain, live);
                 }
-                live = judge(dof_lists, rows, blocks, live, change, limits.tolerance);
+                live = judge(dof_lists, rows, blocks, live, swept.change, limits.tolerance);
             }
             report.sweeps = report.sweeps.max(done);
         }
@@ -237,17 +238,19 @@ impl<R: Real> Pgs<R> {
         Cone::Coulomb { q, solver: Tangents::new(q[0], q[1], q[2]) }
     }
 
-    /// One pass over the listed blocks; the largest change of an impulse [m/s].
-    fn sweep(
+    /// One pass over the listed blocks. Not inlined: next to each other the two kinds of
+    /// sweep get slower code.
+    #[inline(never)]
+    fn sweep<const GAIN: bool>(
         &self,
         dof_lists: &[usize],
         rows: &mut Rows<R>,
         list: &[usize],
         live: R::Mask,
         report: &mut Report<R>,
-    ) -> R {
+    ) -> Swept<R> {
         let Rows { rows, blocks, y, u, .. } = rows;
-        let mut largest = R::zero();
+        let (mut largest, mut gain) = (R::zero(), R::zero());
         for at in list {
             let block = &blocks[*at];
             let mask = block.mask.and(live);
@@ -257,7 +260,7 @@ impl<R: Real> Pgs<R> {
             let own = block.rows.range();
             report.updates =
                 R::select(mask, report.updates + R::of(own.len() as f64), report.updates);
-            let mut sweep = Sweep { dof_lists, y, z: &self.z, u, mask };
+            let mut sweep = Sweep::<R, GAIN> { dof_lists, y, z: &self.z, u, mask, gain };
             let weight = &self.weight[own.clone()];
             let own = &mut rows[own];
             match &self.cones[*at] {
@@ -266,7 +269,6 @@ impl<R: Real> Pgs<R> {
                         let change = sweep.interval(row);
                         largest = largest.max(change.abs() * *weight);
                     }
-                    continue;
                 }
                 Cone::Convex { q, solver } => {
                     let change = sweep.convex(own, q, solver);
@@ -281,9 +283,18 @@ impl<R: Real> Pgs<R> {
                     }
                 }
             }
+            gain = sweep.gain;
         }
-        largest
+        Swept { change: largest, gain }
     }
+}
+
+/// What a sweep did.
+struct Swept<R> {
+    /// The largest change of an impulse [m/s].
+    change: R,
+    /// With GAIN: the change of what convex rows minimise (see `momentum.rs`).
+    gain: R,
 }
 
 /// Lanes that go on after a sweep with this largest change [m/s].
@@ -309,15 +320,16 @@ pub(super) fn alive<R: Real>(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
 }
 
 /// What one block's update reads and writes.
-struct Sweep<'a, R: Real> {
+struct Sweep<'a, R: Real, const GAIN: bool> {
     dof_lists: &'a [usize],
     y: &'a [R],
     z: &'a [R],
     u: &'a mut [R],
     mask: R::Mask,
+    gain: R,
 }
 
-impl<R: Real> Sweep<'_, R> {
+impl<R: Real, const GAIN: bool> Sweep<'_, R, GAIN> {
     /// t − Jv − cλ.
     #[inline(always)]
     fn short(&self, row: &Row<R>) -> R {
@@ -340,18 +352,25 @@ impl<R: Real> Sweep<'_, R> {
 
     #[inline(always)]
     fn interval(&mut self, row: &mut Row<R>) -> R {
-        let impulse = (row.impulse + self.short(row) * row.inv_s).clamp(row.lo, row.hi);
-        self.set(row, impulse)
+        let short = self.short(row);
+        let impulse = (row.impulse + short * row.inv_s).clamp(row.lo, row.hi);
+        let change = self.set(row, impulse);
+        if GAIN {
+            let gain = self.gain + change * (R::of(0.5) * (row.a + row.c) * change - short);
+            self.gain = R::select(self.mask, gain, self.gain);
+        }
+        change
     }
 
     fn convex(&mut self, own: &mut [Row<R>], q: &[R; 6], solver: &Convex<R>) -> [R; 3] {
-        let (mut b, mut impulse) = ([R::zero(); 3], [R::zero(); 3]);
+        let (mut w, mut impulse) = ([R::zero(); 3], [R::zero(); 3]);
         for (i, row) in own.iter().enumerate().take(3) {
-            b[i] = -self.short(row);
+            w[i] = -self.short(row);
             impulse[i] = row.impulse;
         }
         // The gradient at zero impulse of this block: w − Qλ.
         let full = [[q[0], q[1], q[3]], [q[1], q[2], q[4]], [q[3], q[4], q[5]]];
+        let mut b = w;
         for (b, q) in b.iter_mut().zip(&full) {
             *b -= q[0] * impulse[0] + q[1] * impulse[1] + q[2] * impulse[2];
         }
@@ -359,6 +378,14 @@ impl<R: Real> Sweep<'_, R> {
         let mut change = [R::zero(); 3];
         for (i, row) in own.iter_mut().enumerate().take(3) {
             change[i] = self.set(row, solution[i]);
+        }
+        if GAIN {
+            let mut gain = self.gain;
+            for (i, q) in full.iter().enumerate() {
+                let turn = q[0] * change[0] + q[1] * change[1] + q[2] * change[2];
+                gain += change[i] * (w[i] + R::of(0.5) * turn);
+            }
+            self.gain = R::select(self.mask, gain, self.gain);
         }
         change
     }

@@ -72,6 +72,8 @@ pub struct Block<R: Real> {
     /// Names the source over time, for warm starts; ascending.
     pub slot: u32,
     pub island: usize,
+    /// The slot's place among those of its island: see `Model::ranks`.
+    pub rank: u32,
 }
 
 /// The rows of one step.
@@ -86,6 +88,8 @@ pub struct Rows<R: Real> {
     islands: Vec<usize>,
     /// Which kinds of rows the model can have at all.
     pub(super) kinds: Kinds,
+    /// By slot: see `Model::ranks`.
+    ranks: Vec<u32>,
 }
 
 /// Rows that a model can have, known when it is compiled.
@@ -119,14 +123,16 @@ pub struct Situation<'a, R: Real> {
 
 impl<R: Real> Rows<R> {
     pub fn new(model: &Model) -> Self {
+        let islands = model.islands();
         Self {
             rows: Vec::new(),
             blocks: Vec::new(),
             y: Vec::new(),
             u: vec![R::zero(); model.nv],
             scratch: vec![R::zero(); model.nv],
-            islands: model.islands(),
             kinds: Kinds::of(model),
+            ranks: model.ranks(&islands),
+            islands,
         }
     }
 
@@ -142,6 +148,7 @@ impl<R: Real> Rows<R> {
             u,
             islands: Vec::new(),
             kinds: Kinds::default(),
+            ranks: Vec::new(),
         }
     }
 
@@ -237,6 +244,7 @@ impl<R: Real> Rows<R> {
             source,
             slot,
             island: 0,
+            rank: 0,
         });
         let at = self.blocks.len() - 1;
         &mut self.blocks[at]
@@ -291,11 +299,12 @@ impl<R: Real> Rows<R> {
         Some(report)
     }
 
-    /// Tells every block its island.
+    /// Tells every block its island, and its rank there.
     pub(super) fn assign_islands(&mut self, model: &Model) {
         for block in &mut self.blocks {
             let dofs = self.rows[block.rows.start].dofs.of(&model.dof_lists);
             block.island = dofs.first().map_or(0, |k| self.islands[model.dofs[*k].tree]);
+            block.rank = self.ranks[block.slot as usize];
         }
     }
 

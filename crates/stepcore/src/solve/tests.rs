@@ -107,6 +107,7 @@ pub(super) fn pack<R: Real>(worlds: &[Problem]) -> Rows<R> {
             source: Source::Contact(b),
             slot: b as u32,
             island: 0,
+            rank: b as u32,
         });
     }
     for k in 0..nv {
@@ -320,5 +321,29 @@ fn degenerate_rows_change_nothing() {
     assert!(rows.residual(&problem.dof_lists()) < 1e-12);
     for (a, b) in rows.u.iter().zip(&clean) {
         close(*a, *b, 1e-10);
+    }
+}
+
+/// Momentum moves u along remembered moves instead of row by row: that must not let u
+/// drift away from what the impulses do, however many sweeps follow the last digit.
+#[test]
+fn momentum_keeps_u_and_impulses_together() {
+    let mut random = Random::new(6);
+    for case in 0..60 {
+        let mut problem = contacts(Set::Convex, 1 + case % 4, 0.05, &mut random);
+        for _ in 0..case % 7 {
+            let y: Vec<f64> = (0..6).map(|_| random.next()).collect();
+            problem.limit(&y, 0.3 * random.next(), if case % 2 == 0 { 0.02 } else { 0.0 });
+        }
+        for sweeps in [10, 100, 3000] {
+            let mut rows = problem.rows::<f64>();
+            let limits = Limits { sweeps, tolerance: 0.0, momentum: true, ..EVERY };
+            Pgs::new().solve(&problem.dof_lists(), &problem.inv_d, &mut rows, limits);
+            for (k, guess) in problem.guess.iter().enumerate() {
+                let kicks = rows.rows.iter().map(|row| rows.y[row.y + k] * row.impulse);
+                let want = guess + problem.inv_d[k] * kicks.sum::<f64>();
+                close(rows.u[k], want, 1e-12);
+            }
+        }
     }
 }
