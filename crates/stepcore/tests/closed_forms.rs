@@ -138,3 +138,24 @@ fn a_free_body_keeps_energy_and_angular_momentum() {
     assert!((turned.ang - momentum.ang).norm() < 1e-8 * momentum.ang.norm());
     assert!((turned.lin - momentum.lin).norm() < 1e-8 * momentum.ang.norm());
 }
+
+/// L = Σ r × m v about the world's origin, also of trees that only slide, whose bodies
+/// leave the places at which the tree was weighed.
+#[test]
+fn momentum_of_a_cross_slide() {
+    let mut scene = Scene { gravity: [0.0; 3], ..Scene::default() };
+    for (parent, axis) in [(0, [1.0, 0.0, 0.0]), (1, [0.0, 1.0, 0.0])] {
+        let body = parent + 1;
+        scene.bodies.push(Body { parent, ..Body::default() });
+        let joint = Joint { body, kind: JointType::Slide, axis, ..Joint::default() };
+        scene.joints.push(joint);
+        scene.geoms.push(Geom { contype: 0, conaffinity: 0, ..sphere(body) });
+    }
+    let mut sim = sim(&scene, Settings::default());
+    sim.state.qpos = vec![0.5, 2.0];
+    sim.state.qvel = vec![3.0, 0.25];
+    let momentum = sim.momentum();
+    // Masses of 1 kg at (0.5, 0) and (0.5, 2), with velocities (3, 0) and (3, 0.25).
+    assert_eq!(momentum.lin.as_slice(), [6.0, 0.25, 0.0]);
+    assert_eq!(momentum.ang.as_slice(), [0.0, 0.0, 0.5 * 0.25 - 2.0 * 3.0]);
+}
