@@ -39,7 +39,6 @@ impl<R: Real> Sim<R> {
             placed: &self.placed,
             settings: &self.settings,
             qpos: &self.state.qpos,
-            qvel: &self.state.qvel,
         };
         self.rows.make(&now, &mut self.detected);
         if self.rows.any() {

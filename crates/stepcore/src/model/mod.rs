@@ -77,7 +77,6 @@ pub struct Joint {
     pub margin: f64,
     pub reference: f64,
     pub stiffness: f64,
-    pub damping: f64,
     pub limit: Softness,
 }
 
@@ -150,10 +149,10 @@ pub struct Site {
 pub struct Pair {
     pub geom1: usize,
     pub geom2: usize,
-    /// 1, 3, 4 or 6; 1 where the friction is zero dimensions.
+    /// 1: no friction; 3: sliding friction.
     pub condim: u32,
-    /// Sliding, sliding, torsional, rolling, rolling.
-    pub friction: [f64; 5],
+    /// Coefficient of sliding friction.
+    pub friction: f64,
     /// A contact has a row below `margin`, and is listed below `margin + gap`.
     pub margin: f64,
     pub gap: f64,

@@ -151,7 +151,6 @@ fn joint(model: &mut Model, scene: &Scene, index: usize) {
         margin: source.margin,
         reference: source.reference,
         stiffness: source.stiffness,
-        damping: source.damping,
         limit: source.limit.clone(),
     });
     // The last dof already on the chain: of this body, or of the ones above it.

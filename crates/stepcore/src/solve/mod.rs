@@ -16,7 +16,6 @@ mod rows;
 #[cfg(test)]
 mod tests;
 
-pub use law::SolRef;
 pub use newton::Newton;
 pub use pgs::{Limits, Pgs, Report};
 pub use rows::{Block, Row, Rows, Set, Situation, Source};

@@ -114,7 +114,6 @@ pub struct Situation<'a, R: Real> {
     pub placed: &'a Placed<R>,
     pub settings: &'a crate::settings::Settings,
     pub qpos: &'a [R],
-    pub qvel: &'a [R],
 }
 
 impl<R: Real> Rows<R> {
