@@ -22,6 +22,15 @@ impl Error {
     }
 }
 
+/// "joint `knee`", or "joint 3" where it has no name.
+pub(crate) fn named(kind: &str, name: &str, index: usize) -> String {
+    if name.is_empty() {
+        format!("{kind} {index}")
+    } else {
+        format!("{kind} `{name}`")
+    }
+}
+
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

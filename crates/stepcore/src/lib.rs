@@ -11,8 +11,8 @@
 //!    factors LᵀDL; the smooth forces; and the *guess*, the velocity that the
 //!    bodies would have if nothing were in the way.
 //! 2. **detect** (`detect/`): every pair of shapes that touch or are about to.
-//! 3. **solve** (`solve/`): each contact, friction direction, limit, loss and weld
-//!    is a row: a direction J, a target t, a regulariser c and a set for its
+//! 3. **solve** (`solve/`): each contact, friction direction, limit, friction loss and
+//!    connection is a row: a direction J, a target t, a regulariser c and a set for its
 //!    impulse. One system, solved by projected Gauss-Seidel or by Newton, neither of
 //!    which knows what a row came from.
 //! 4. **commit** (`commit/`): one file per integrator turns the solved velocity into

@@ -55,6 +55,29 @@ pub enum JointType {
     Hinge,
 }
 
+impl JointType {
+    /// Entries of qpos.
+    pub fn positions(self) -> usize {
+        match self {
+            Self::Free => 7,
+            Self::Ball => 4,
+            Self::Slide | Self::Hinge => 1,
+        }
+    }
+    /// Entries of qvel.
+    pub fn dofs(self) -> usize {
+        match self {
+            Self::Free => 6,
+            Self::Ball => 3,
+            Self::Slide | Self::Hinge => 1,
+        }
+    }
+    /// Changes the orientation of its body.
+    pub fn turns(self) -> bool {
+        self != Self::Slide
+    }
+}
+
 #[derive(Clone, Debug, PartialEq)]
 pub struct Joint {
     pub name: String,

@@ -60,6 +60,13 @@ named!(
         SolRef = "solref", Lesson = "lesson", Relaxed = "relaxed", Rigid = "rigid", Penalty = "penalty"
     }
 );
+impl Law {
+    /// Looks at the guess instead of the present positions: rows exist where the guess
+    /// overlaps, and their friction is Coulomb's.
+    pub fn on_guess(self) -> bool {
+        matches!(self, Self::Lesson | Self::Relaxed | Self::Rigid)
+    }
+}
 named!(
     /// The shape of the set of friction forces.
     Cone, "cone" { Pyramidal = "pyramidal", Elliptic = "elliptic" }
@@ -162,9 +169,7 @@ impl Settings {
         let ratio = self.penalty_damping_ratio;
         number("penalty_damping_ratio", ratio, ratio >= 0.0, "finite and >= 0")?;
         number("impratio", self.impratio, self.impratio > 0.0, "finite and > 0")?;
-        if self.solver == Solver::Newton
-            && matches!(self.law, Law::Lesson | Law::Relaxed | Law::Rigid)
-        {
+        if self.solver == Solver::Newton && self.law.on_guess() {
             return Err(Error::value(
                 "solver",
                 format!("'newton' with law '{}'", self.law.name()),

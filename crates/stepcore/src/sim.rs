@@ -77,12 +77,13 @@ impl<R: Real> Sim<R> {
             sweeps: self.settings.sweeps,
             tolerance: self.settings.tolerance,
             // By the law and not by the rows at hand, so that a lane equals its world alone.
-            momentum: self.settings.acceleration == Acceleration::Momentum && !self.on_guess(),
+            momentum: self.settings.acceleration == Acceleration::Momentum
+                && !self.settings.law.on_guess(),
             exact: self.settings.sweeps > 0
                 && self.settings.tolerance > 0.0
                 && self.settings.law != Law::Relaxed,
         };
-        // One row on its own with its exact denominator: one update is the solution.
+        // One row on its own, and one update all that is asked or all that it takes.
         if self.settings.solver == Solver::Pgs && (limits.sweeps == 1 || limits.exact) {
             if let Some(report) = self.rows.solve_single(&model.dof_lists, inv_d) {
                 self.effort.note(&report);

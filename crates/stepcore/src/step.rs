@@ -5,7 +5,6 @@
 
 use crate::error::Result;
 use crate::real::{Mask, Real};
-use crate::settings::Law;
 use crate::sim::Sim;
 use crate::solve::Situation;
 
@@ -76,10 +75,5 @@ impl<R: Real> Sim<R> {
             let quantity = self.first_not_finite(finite.not());
             Err(self.diverged(finite.not(), quantity))
         }
-    }
-
-    /// Laws that look at the guess instead of the present positions.
-    pub(crate) fn on_guess(&self) -> bool {
-        matches!(self.settings.law, Law::Lesson | Law::Relaxed | Law::Rigid)
     }
 }

@@ -5,7 +5,7 @@
 //! Forces and moments are compared by what they do: Q² / M, the rate at which a
 //! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
 
-use crate::error::Error;
+use crate::error::{named, Error};
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::sim::Sim;
@@ -44,7 +44,7 @@ impl<R: Real> Sim<R> {
             let joint = model.dofs[dof].joint;
             format!(
                 "the velocity of {} is not finite",
-                name("joint", &model.joints[joint].name, joint)
+                named("joint", &model.joints[joint].name, joint)
             )
         })
     }
@@ -60,7 +60,7 @@ impl<R: Real> Sim<R> {
                     .map(|k| force(k).powi(2) / inertia(k))
                     .sum();
                 if strength != 0.0 {
-                    entries.push((name(kind, &joint.name, index), strength));
+                    entries.push((named(kind, &joint.name, index), strength));
                 }
             };
             let damper = |k: usize| model.dofs[k].damping * self.state.qvel[k].lane(lane);
@@ -76,12 +76,12 @@ impl<R: Real> Sim<R> {
             let force = self.placed.actuator[index].lane(lane);
             let strength = |k: usize| (motor.gear[k] * force).powi(2) / inertia(joint.dof + k);
             entries
-                .push((name("motor", &motor.name, index), (0..joint.dofs()).map(strength).sum()));
+                .push((named("motor", &motor.name, index), (0..joint.dofs()).map(strength).sum()));
         }
         for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
             let force = &self.inputs.xfrc_applied[6 * index..6 * index + 3];
             let strength = force.iter().map(|f| f.lane(lane).powi(2)).sum::<f64>() / body.mass;
-            entries.push((name("force applied to body", &body.name, index), strength));
+            entries.push((named("force applied to body", &body.name, index), strength));
         }
         let rate = 1.0 / self.settings.dt;
         for block in self.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
@@ -99,12 +99,12 @@ impl<R: Real> Sim<R> {
     pub fn source_name(&self, source: Source) -> String {
         let model = &*self.model;
         match source {
-            Source::Equality(e) => name("connect", &model.equalities[e].name, e),
+            Source::Equality(e) => named("connect", &model.equalities[e].name, e),
             Source::FrictionLoss(dof) => {
                 let joint = model.dofs[dof].joint;
-                name("friction loss of joint", &model.joints[joint].name, joint)
+                named("friction loss of joint", &model.joints[joint].name, joint)
             }
-            Source::Limit(joint, _) => name("limit of joint", &model.joints[joint].name, joint),
+            Source::Limit(joint, _) => named("limit of joint", &model.joints[joint].name, joint),
             Source::Contact(index) => contact_name(model, self.detected.contacts[index].pair),
         }
     }
@@ -122,14 +122,6 @@ pub fn contact_name(model: &Model, pair: usize) -> String {
         }
     };
     format!("contact {}/{}", geom(pair.geom1), geom(pair.geom2))
-}
-
-fn name(kind: &str, name: &str, index: usize) -> String {
-    if name.is_empty() {
-        format!("{kind} {index}")
-    } else {
-        format!("{kind} `{name}`")
-    }
 }
 
 /// The first element that doubled its strength to more than all others together;

@@ -83,11 +83,7 @@ pub struct Joint {
 impl Joint {
     /// Number of dofs.
     pub fn dofs(&self) -> usize {
-        match self.kind {
-            JointType::Free => 6,
-            JointType::Ball => 3,
-            JointType::Slide | JointType::Hinge => 1,
-        }
+        self.kind.dofs()
     }
 }
 

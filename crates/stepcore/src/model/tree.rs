@@ -7,29 +7,6 @@ use crate::scene::{GeomType, JointType, Scene};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashMap;
 
-impl JointType {
-    /// Entries of qpos.
-    pub fn positions(self) -> usize {
-        match self {
-            Self::Free => 7,
-            Self::Ball => 4,
-            Self::Slide | Self::Hinge => 1,
-        }
-    }
-    /// Entries of qvel.
-    pub fn dofs(self) -> usize {
-        match self {
-            Self::Free => 6,
-            Self::Ball => 3,
-            Self::Slide | Self::Hinge => 1,
-        }
-    }
-    /// Changes the orientation of its body.
-    pub fn turns(self) -> bool {
-        self != Self::Slide
-    }
-}
-
 /// The model without masses, inverse weights, pairs and equalities.
 pub fn lay_out(scene: &Scene) -> Model {
     let mut model = Model {

@@ -1,5 +1,5 @@
-//! Stage 3, solve: every contact, limit, loss and weld as rows of one system,
-//! and the impulses on which they all agree.
+//! Stage 3, solve: every contact, limit, friction loss and connection as rows of one
+//! system, and the impulses on which they all agree.
 
 mod cone;
 mod contact;
