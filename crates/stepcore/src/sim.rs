@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::commit::Next;
 use crate::detect::Detected;
-use crate::error::{Error, Result};
+use crate::error::{named, Error, Result};
 use crate::measure::Past;
 use crate::model::Model;
 use crate::place::Placed;
@@ -110,7 +110,7 @@ impl<R: Real> Sim<R> {
 /// The precision that computes must hold every mass and its inverse, and for Newton,
 /// whose costs are energies of impulses, their squares.
 fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
-    for body in model.bodies.iter().filter(|body| body.mass > 0.0) {
+    for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
         let mass = R::of(body.mass);
         let mass = if solver == Solver::Newton { mass * mass } else { mass };
         let inverse = R::one() / mass;
@@ -121,7 +121,11 @@ fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
         {
             let limit =
                 "such that the precision can hold it and its inverse (under newton, their squares)";
-            return Err(Error::value(format!("mass of body '{}'", body.name), body.mass, limit));
+            return Err(Error::value(
+                format!("mass of {}", named("body", &body.name, index)),
+                body.mass,
+                limit,
+            ));
         }
     }
     Ok(())

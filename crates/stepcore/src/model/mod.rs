@@ -76,6 +76,7 @@ pub struct Joint {
     pub range: Option<[f64; 2]>,
     pub margin: f64,
     pub reference: f64,
+    /// 0 where MJCF's flag switches springs off.
     pub stiffness: f64,
     pub limit: Softness,
 }
@@ -98,6 +99,7 @@ pub struct Dof {
     /// it: this dof, then its ancestors, nearest first.
     pub row: Span,
     pub armature: f64,
+    /// 0 where MJCF's flag switches dampers off.
     pub damping: f64,
     pub frictionloss: f64,
     pub friction: Softness,

@@ -127,7 +127,7 @@ fn joint(model: &mut Model, scene: &Scene, index: usize) {
         range: source.range,
         margin: source.margin,
         reference: source.reference,
-        stiffness: source.stiffness,
+        stiffness: if scene.features.spring { source.stiffness } else { 0.0 },
         limit: source.limit.clone(),
     });
     // The last dof already on the chain: of this body, or of the ones above it.
@@ -143,7 +143,7 @@ fn joint(model: &mut Model, scene: &Scene, index: usize) {
             parent,
             row: Span::default(),
             armature: source.armature,
-            damping: source.damping,
+            damping: if scene.features.damper { source.damping } else { 0.0 },
             frictionloss: source.frictionloss,
             friction: source.friction.clone(),
             invweight: 0.0,
