@@ -18,6 +18,10 @@
 //! 4. **commit** (`commit/`): one file per integrator turns the solved velocity into
 //!    the next state. A state that is not finite is never committed.
 //!
+//! Beside the loop: `model/` compiles a scene, `measure/` reads energy, momentum and
+//! residuals and names what made a run fail, `batch.rs` steps many worlds over threads,
+//! `arrays.rs` takes a user's numbers in and gives them back.
+//!
 //! Everything is generic over [`real::Real`]: `f64`, `f32`, or [`real::Lanes`], eight
 //! worlds side by side that equal, bit for bit, the same worlds stepped alone.
 //!

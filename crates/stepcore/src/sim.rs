@@ -24,11 +24,13 @@ pub struct Effort {
     pub decrement: f64,
 }
 
+/// One world, or a register of worlds side by side. `step.rs` steps it.
 pub struct Sim<R: Real> {
     pub model: Arc<Model>,
     pub settings: Settings,
     pub state: State<R>,
     pub inputs: Inputs<R>,
+    /// What each stage wrote when it last ran.
     pub placed: Placed<R>,
     pub detected: Detected<R>,
     pub rows: Rows<R>,
@@ -37,12 +39,13 @@ pub struct Sim<R: Real> {
     pub qacc: Vec<R>,
     pub effort: Effort,
     pub(crate) next: Next<R>,
+    pub(crate) past: Past<R>,
     pgs: Pgs<R>,
     newton: Newton<R>,
-    pub(crate) past: Past<R>,
 }
 
 impl<R: Real> Sim<R> {
+    /// A world at qpos0 and at rest; refuses settings outside their limits.
     pub fn new(model: Arc<Model>, settings: Settings) -> Result<Self> {
         settings.check()?;
         check_masses::<R>(&model, settings.solver)?;
@@ -63,9 +66,7 @@ impl<R: Real> Sim<R> {
             settings,
         })
     }
-}
 
-impl<R: Real> Sim<R> {
     /// Solves the rows that were made, from the last step's impulses if they are kept.
     pub(crate) fn solve(&mut self) -> Result<()> {
         let (model, inv_d) = (&*self.model, &self.placed.metric.inv_d);

@@ -1,6 +1,7 @@
 //! `Model`: a scene once compiled, constant during a step.
 //!
-//! Numbers are `f64`; a stage turns them into its own number with `Real::of`.
+//! Numbers are `f64` in SI units; a stage turns them into its own number with `Real::of`.
+//! Fields that a `Scene` has too mean here what they mean there.
 
 mod build;
 mod check;
@@ -36,6 +37,7 @@ impl Span {
     }
 }
 
+/// A body with its place in the tree, and its mass put together.
 #[derive(Clone, Debug)]
 pub struct Body {
     pub name: String,
@@ -52,10 +54,11 @@ pub struct Body {
     pub dofs: Span,
     /// Into `Model::dof_lists`: every dof that moves this body, ascending.
     pub chain: Span,
+    /// [kg]
     pub mass: f64,
-    /// Centre of mass in body axes.
+    /// Centre of mass in body axes [m].
     pub ipos: Vector3<f64>,
-    /// About the centre of mass, in body axes.
+    /// About the centre of mass, in body axes [kg·m²].
     pub inertia: Matrix3<f64>,
     /// Mean inverse mass and inverse inertia at qpos0: MuJoCo's `body_invweight0`.
     pub invweight: [f64; 2],
@@ -63,11 +66,13 @@ pub struct Body {
     pub turns: bool,
 }
 
+/// A joint with its places in qpos and qvel.
 #[derive(Clone, Debug)]
 pub struct Joint {
     pub name: String,
     pub kind: JointType,
     pub body: usize,
+    /// Its first entry of qpos, and its first dof.
     pub qpos: usize,
     pub dof: usize,
     pub pos: Vector3<f64>,
@@ -88,6 +93,7 @@ impl Joint {
     }
 }
 
+/// One entry of qvel.
 #[derive(Clone, Debug)]
 pub struct Dof {
     pub joint: usize,
@@ -119,6 +125,7 @@ pub struct Tree {
     pub seen: bool,
 }
 
+/// A shape on a body.
 #[derive(Clone, Debug)]
 pub struct Geom {
     pub name: String,
@@ -133,6 +140,7 @@ pub struct Geom {
     pub collides: bool,
 }
 
+/// A named frame on a body.
 #[derive(Clone, Debug)]
 pub struct Site {
     pub name: String,
@@ -175,14 +183,17 @@ pub struct Equality {
     pub anchor2: Vector3<f64>,
     pub active: bool,
     pub soft: Softness,
+    /// As those of a `Pair`.
     pub invweight: f64,
     pub dofs: Span,
     pub mass: f64,
 }
 
+/// A scene, compiled.
 #[derive(Clone, Debug)]
 pub struct Model {
     pub name: String,
+    /// Entries of qpos, and of qvel.
     pub nq: usize,
     pub nv: usize,
     pub gravity: Vector3<f64>,
