@@ -104,7 +104,8 @@ pub struct Settings {
     pub integrator: Integrator,
     pub solver: Solver,
     pub acceleration: Acceleration,
-    /// The most sweeps, or Newton iterations, of one solve.
+    /// The most sweeps, or Newton iterations, of one solve; under `newton` islands of few
+    /// rows are solved whatever it says.
     pub sweeps: u32,
     /// A solve stops at this residual [m/s]; 0: after all sweeps.
     pub tolerance: f64,

@@ -1,6 +1,7 @@
 //! Stage 3, solve: every contact, limit, friction loss and connection as rows of one
 //! system, and the impulses on which they all agree.
 
+mod alone;
 mod cone;
 mod contact;
 mod equality;
