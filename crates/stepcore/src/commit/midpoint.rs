@@ -38,7 +38,7 @@ impl<R: Real> Sim<R> {
             }
             advance(&model, &s.qpos, &self.state.qvel, half * dt, &mut self.state.qpos);
             if rows {
-                self.forward()?;
+                self.place_detect_solve()?;
             } else {
                 self.smooth();
             }

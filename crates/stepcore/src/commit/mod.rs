@@ -62,7 +62,7 @@ impl<R: Real> Sim<R> {
                 self.rows_at_the_end()
             }
             _ => {
-                self.forward()?;
+                self.place_detect_solve()?;
                 self.commit();
                 Ok(())
             }

@@ -27,7 +27,7 @@ impl<R: Real> Sim<R> {
         for (qpos, qvel) in past.iter().chain([&(state.qpos.clone(), state.qvel.clone())]) {
             self.state.qpos.copy_from_slice(qpos);
             self.state.qvel.copy_from_slice(qvel);
-            if self.forward().is_ok() {
+            if self.place_detect_solve().is_ok() {
                 ledgers.push(self.ledger(world));
             }
         }
@@ -36,14 +36,15 @@ impl<R: Real> Sim<R> {
         Error::Diverged { step: self.state.steps, time, world, element: blamed(&ledgers), quantity }
     }
 
-    pub(crate) fn first_not_finite(&self, bad: R::Mask) -> String {
+    /// The first dof whose `quantity`, in `numbers`, is not finite in the first lane of `bad`.
+    pub(crate) fn first_not_finite(&self, bad: R::Mask, quantity: &str, numbers: &[R]) -> String {
         let lane = (0..R::LANES).find(|lane| bad.lane(*lane)).unwrap_or(0);
         let model = &*self.model;
-        let at = self.next.qvel.iter().position(|x| !x.is_finite().lane(lane));
+        let at = numbers.iter().position(|x| !x.is_finite().lane(lane));
         at.map_or("a position is not finite".into(), |dof| {
             let joint = model.dofs[dof].joint;
             format!(
-                "the velocity of {} is not finite",
+                "the {quantity} of {} is not finite",
                 named("joint", &model.joints[joint].name, joint)
             )
         })
@@ -138,6 +139,9 @@ fn blamed(ledgers: &[Ledger]) -> String {
             }
         }
     }
-    let last = ledgers.last().and_then(|ledger| ledger.iter().max_by(|a, b| a.1.total_cmp(&b.1)));
+    // A strength that is no number any more is beyond all that are, whatever its sign.
+    let rank = |entry: &(String, f64)| if entry.1.is_nan() { f64::INFINITY } else { entry.1 };
+    let strongest = |a: &&(String, f64), b: &&(String, f64)| rank(a).total_cmp(&rank(b));
+    let last = ledgers.last().and_then(|ledger| ledger.iter().rev().max_by(strongest));
     last.map_or_else(|| "no single element".into(), |(name, _)| name.clone())
 }
