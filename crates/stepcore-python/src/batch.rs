@@ -1,9 +1,9 @@
 //! `Batch` as Python sees it: many worlds, their arrays, and rollouts.
 
-use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use numpy::{PyArrayDyn, PyReadonlyArray3, PyUntypedArrayMethods};
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use stepcore::batch::Play;
@@ -13,7 +13,7 @@ use stepcore::settings::Settings as EngineSettings;
 use crate::errors::raise;
 use crate::extract::{At, Read};
 use crate::gil;
-use crate::memory::{Layout, Memory};
+use crate::memory::Arrays;
 use crate::model::{shaped, Model};
 use crate::settings::Settings;
 use crate::snapshot::{decode, encode, Snapshot};
@@ -27,73 +27,51 @@ type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
 pub struct Batch {
     model: Arc<EngineModel>,
     settings: EngineSettings,
-    layout: Layout,
-    memory: Py<Memory>,
+    arrays: Arrays,
     worlds: Mutex<Box<dyn Worlds>>,
 }
 
 impl Batch {
     fn lock(&self) -> PyResult<MutexGuard<'_, Box<dyn Worlds>>> {
-        match self.worlds.try_lock() {
-            Ok(worlds) => Ok(worlds),
-            Err(TryLockError::Poisoned(worlds)) => Ok(worlds.into_inner()),
-            Err(TryLockError::WouldBlock) => {
-                Err(PyRuntimeError::new_err("this Batch is busy in another thread"))
-            }
-        }
-    }
-
-    fn numbers<'a>(&'a self, py: Python<'a>) -> &'a [f64] {
-        self.memory.get().read(py, 0..self.layout.total())
+        gil::lock(&self.worlds, "Batch")
     }
 
     /// Checks all arrays, then copies them into the engine.
     fn load(&self, py: Python<'_>, worlds: &mut dyn Worlds) -> PyResult<()> {
-        let numbers = self.numbers(py);
-        for world in 0..self.layout.worlds {
-            let given = self.layout.given(numbers, world);
-            worlds.check(world, &given).map_err(|error| raise(py, error))?;
+        for world in 0..self.arrays.worlds {
+            worlds.check(world, &self.arrays.given(py, world)).map_err(|error| raise(py, error))?;
         }
-        for world in 0..self.layout.worlds {
-            worlds.put(world, &self.layout.given(numbers, world));
+        for world in 0..self.arrays.worlds {
+            worlds.put(world, &self.arrays.given(py, world));
         }
         Ok(())
     }
 
     fn store(&self, py: Python<'_>, worlds: &dyn Worlds) {
-        let [nq, nv, ..] = self.layout.lengths;
-        let n = self.layout.worlds;
-        self.memory.get().edit(py, 0..n * (nq + nv), |numbers| {
-            let (qpos, qvel) = numbers.split_at_mut(n * nq);
-            for world in 0..n {
-                worlds.take(world, &mut qpos[world * nq..][..nq], &mut qvel[world * nv..][..nv]);
-            }
-        });
+        self.arrays.store(py, |world, qpos, qvel| worlds.take(world, qpos, qvel));
     }
 
     fn view<'py>(&self, py: Python<'py>, array: usize, shape: &[usize]) -> PyResult<Array<'py>> {
-        let shape = [&[self.layout.worlds], shape].concat();
-        Memory::view(self.memory.bind(py), self.layout.range(array), &shape)
+        self.arrays.view(py, array, &[&[self.arrays.worlds], shape].concat())
     }
 
     /// Reads every world's present state in turn.
     fn placed<'py>(&self, py: Python<'py>, what: Placed, shape: &[usize]) -> PyResult<Array<'py>> {
         let guard = self.lock()?;
-        let numbers = self.numbers(py).to_vec();
         let mut all = Vec::new();
         let mut reader =
             world(self.model.clone(), &self.settings).map_err(|error| raise(py, error))?;
-        for world in 0..self.layout.worlds {
-            let given = self.layout.given(&numbers, world);
+        for world in 0..self.arrays.worlds {
+            let given = self.arrays.given(py, world);
             guard.check(world, &given).map_err(|error| raise(py, error))?;
             all.extend(reader.placed(&given, what).map_err(|error| raise(py, error))?);
         }
-        shaped(py, all, &[&[self.layout.worlds], shape].concat())
+        shaped(py, all, &[&[self.arrays.worlds], shape].concat())
     }
 
     /// The controls of a play, checked.
     fn controls(&self, ctrl: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<f64>> {
-        let (n, nu) = (self.layout.worlds, self.layout.lengths[2]);
+        let (n, nu) = (self.arrays.worlds, self.arrays.lengths[2]);
         let shape = ctrl.shape();
         if shape[0] != n || shape[2] != nu {
             let text = format!("ctrl has shape {shape:?}: must be [{n}, steps, {nu}]");
@@ -129,10 +107,8 @@ impl Batch {
         let threads = usize::read(threads, &At::Root.field("threads"))?;
         let (model, settings) = (model.0.clone(), settings.0.clone());
         let worlds = gil::release(py, || worlds(model.clone(), &settings, n, threads, lanes))?;
-        let layout = Layout::of(&model, n);
-        let memory = Py::new(py, Memory::new(layout.total()))?;
-        memory.get().write(py, 0, &model.qpos0.repeat(n));
-        Ok(Self { model, settings, layout, memory, worlds: Mutex::new(worlds) })
+        let arrays = Arrays::new(py, &model, n)?;
+        Ok(Self { model, settings, arrays, worlds: Mutex::new(worlds) })
     }
 
     #[getter]
@@ -183,8 +159,8 @@ impl Batch {
     ) -> PyResult<(Array<'py>, Array<'py>)> {
         let mut guard = self.lock()?;
         let worlds = &mut **guard;
-        let [nq, nv, nu, ..] = self.layout.lengths;
-        let (n, steps) = (self.layout.worlds, ctrl.shape()[1]);
+        let [nq, nv, nu, ..] = self.arrays.lengths;
+        let (n, steps) = (self.arrays.worlds, ctrl.shape()[1]);
         let controls = self.controls(&ctrl)?;
         let (mut qpos, mut qvel) = (room(n, steps, nq)?, room(n, steps, nv)?);
         self.load(py, worlds)?;
@@ -197,10 +173,9 @@ impl Batch {
         });
         self.store(py, worlds);
         if from > 0 {
-            let start = self.layout.range(2).start;
             for world in 0..n {
                 let last = &controls[(world * steps + from - 1) * nu..][..nu];
-                self.memory.get().write(py, start + world * nu, last);
+                self.arrays.write(py, 2, world, last);
             }
         }
         outcome?;
@@ -221,24 +196,22 @@ impl Batch {
     /// One snapshot a world.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyBytes>>> {
         let memos = self.lock()?.memos();
-        let numbers = self.numbers(py);
-        let given = |world| self.layout.given(numbers, world);
-        let snapshots = memos.iter().enumerate();
-        Ok(snapshots
-            .map(|(world, memo)| PyBytes::new(py, &encode(self.settings.dt, memo, &given(world))))
-            .collect())
+        let snapshot = |(world, memo)| {
+            PyBytes::new(py, &encode(self.settings.dt, memo, &self.arrays.given(py, world)))
+        };
+        Ok(memos.iter().enumerate().map(snapshot).collect())
     }
 
     fn restore(&self, py: Python<'_>, states: Vec<Vec<u8>>) -> PyResult<()> {
         let mut worlds = self.lock()?;
-        let n = self.layout.worlds;
+        let n = self.arrays.worlds;
         if states.len() != n {
             return Err(PyValueError::new_err(format!(
                 "this state() has {} worlds, not {n}",
                 states.len()
             )));
         }
-        let decoded = states.iter().map(|state| decode(state, self.layout.lengths));
+        let decoded = states.iter().map(|state| decode(state, self.arrays.lengths));
         let mut snapshots =
             decoded.collect::<Result<Vec<Snapshot>, String>>().map_err(PyValueError::new_err)?;
         for snapshot in &mut snapshots {
@@ -247,20 +220,14 @@ impl Batch {
         let memos: Vec<_> = snapshots.iter().map(|snapshot| snapshot.memo.clone()).collect();
         worlds.set_memos(&memos);
         for (world, snapshot) in snapshots.iter().enumerate() {
-            let mut rest = snapshot.numbers.as_slice();
-            for (array, length) in self.layout.lengths.into_iter().enumerate() {
-                let (head, tail) = rest.split_at(length);
-                let start = self.layout.range(array).start + world * length;
-                self.memory.get().write(py, start, head);
-                rest = tail;
-            }
+            self.arrays.restore(py, world, &snapshot.numbers);
         }
         Ok(())
     }
 
     #[getter]
     fn qacc<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        shaped(py, self.lock()?.qacc(), &[self.layout.worlds, self.model.nv])
+        shaped(py, self.lock()?.qacc(), &[self.arrays.worlds, self.model.nv])
     }
     #[getter]
     fn xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {

@@ -1,6 +1,7 @@
 //! The one place where the GIL is released, interrupts are served and panics stop.
 
 use std::panic::{catch_unwind, AssertUnwindSafe};
+use std::sync::{Mutex, MutexGuard, TryLockError};
 use std::time::{Duration, Instant};
 
 use pyo3::exceptions::PyRuntimeError;
@@ -25,6 +26,18 @@ pub fn release<T: Send>(
             Err(PyRuntimeError::new_err(format!(
                 "an error inside stepcore, please report it: {text}"
             )))
+        }
+    }
+}
+
+/// The engine's side of an object, for one thread at a time. It can be used again after a
+/// panic: positions, velocities and inputs are put in anew before each use.
+pub fn lock<'a, T>(engine: &'a Mutex<T>, object: &str) -> PyResult<MutexGuard<'a, T>> {
+    match engine.try_lock() {
+        Ok(guard) => Ok(guard),
+        Err(TryLockError::Poisoned(guard)) => Ok(guard.into_inner()),
+        Err(TryLockError::WouldBlock) => {
+            Err(PyRuntimeError::new_err(format!("this {object} is busy in another thread")))
         }
     }
 }

@@ -1,9 +1,9 @@
 //! `stepcore._core`: the engine as Python sees it. Thin shims; no physics here.
 //!
 //! `extract` and `scene` read what Python gives, `memory` holds the arrays that both
-//! sides see, `world` is one world of
-//! either precision and `worlds` many, `gil` the one place where the
-//! GIL is released, `errors` the one map of errors.
+//! sides see, `world` is one world of either precision and `worlds` many, `snapshot` a
+//! state as bytes, `gil` the one place where the GIL is released, `errors` the one map
+//! of errors.
 
 mod batch;
 mod errors;

@@ -13,37 +13,73 @@ use pyo3::prelude::*;
 use stepcore::arrays::Given;
 use stepcore::model::Model;
 
-/// Where the five arrays of `worlds` worlds stand in their memory: all worlds' qpos,
-/// then all worlds' qvel, and so on.
-pub struct Layout {
+/// The five arrays of `worlds` worlds: all worlds' qpos, then all worlds' qvel, and so on.
+pub struct Arrays {
     /// Numbers a world has in qpos, qvel, ctrl, qfrc_applied, xfrc_applied.
     pub lengths: [usize; 5],
     pub worlds: usize,
+    memory: Py<Memory>,
 }
 
-impl Layout {
-    pub fn of(model: &Model, worlds: usize) -> Self {
+impl Arrays {
+    /// Every world at qpos0 and at rest.
+    pub fn new(py: Python<'_>, model: &Model, worlds: usize) -> PyResult<Self> {
         let (nv, nu) = (model.nv, model.actuators.len());
-        Self { lengths: [model.nq, nv, nu, nv, 6 * model.bodies.len()], worlds }
-    }
-
-    pub fn total(&self) -> usize {
-        self.worlds * self.lengths.iter().sum::<usize>()
+        let lengths = [model.nq, nv, nu, nv, 6 * model.bodies.len()];
+        let memory = Py::new(py, Memory::new(worlds * lengths.iter().sum::<usize>()))?;
+        memory.get().write(py, 0, &model.qpos0.repeat(worlds));
+        Ok(Self { lengths, worlds, memory })
     }
 
     /// All worlds' part of one array.
-    pub fn range(&self, array: usize) -> Range<usize> {
+    fn range(&self, array: usize) -> Range<usize> {
         let start = self.worlds * self.lengths[..array].iter().sum::<usize>();
         start..start + self.worlds * self.lengths[array]
     }
 
-    /// One world's arrays among the numbers of the whole memory.
-    pub fn given<'a>(&self, numbers: &'a [f64], world: usize) -> Given<'a> {
+    /// One world's arrays; valid until Python code runs again.
+    pub fn given<'a>(&'a self, py: Python<'a>, world: usize) -> Given<'a> {
         let of = |array| {
             let start = self.range(array).start + world * self.lengths[array];
-            &numbers[start..start + self.lengths[array]]
+            self.memory.get().read(py, start..start + self.lengths[array])
         };
         Given { qpos: of(0), qvel: of(1), ctrl: of(2), qfrc_applied: of(3), xfrc_applied: of(4) }
+    }
+
+    /// Lets `take(world, qpos, qvel)` overwrite every world's positions and velocities.
+    /// It must not run Python code.
+    pub fn store(&self, py: Python<'_>, mut take: impl FnMut(usize, &mut [f64], &mut [f64])) {
+        let ([nq, nv, ..], n) = (self.lengths, self.worlds);
+        self.memory.get().edit(py, 0..n * (nq + nv), |numbers| {
+            let (qpos, qvel) = numbers.split_at_mut(n * nq);
+            for world in 0..n {
+                take(world, &mut qpos[world * nq..][..nq], &mut qvel[world * nv..][..nv]);
+            }
+        });
+    }
+
+    /// Overwrites one world's part of one array.
+    pub fn write(&self, py: Python<'_>, array: usize, world: usize, values: &[f64]) {
+        self.memory.get().write(py, self.range(array).start + world * self.lengths[array], values);
+    }
+
+    /// Overwrites all of one world's arrays with numbers that stand one after the other.
+    pub fn restore(&self, py: Python<'_>, world: usize, mut numbers: &[f64]) {
+        for (array, length) in self.lengths.into_iter().enumerate() {
+            let (head, tail) = numbers.split_at(length);
+            self.write(py, array, world, head);
+            numbers = tail;
+        }
+    }
+
+    /// A numpy view of all worlds' part of one array.
+    pub fn view<'py>(
+        &self,
+        py: Python<'py>,
+        array: usize,
+        shape: &[usize],
+    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        Memory::view(self.memory.bind(py), self.range(array), shape)
     }
 }
 
@@ -58,12 +94,12 @@ pub struct Memory {
 unsafe impl Sync for Memory {}
 
 impl Memory {
-    pub fn new(count: usize) -> Self {
+    fn new(count: usize) -> Self {
         Self { numbers: (0..count).map(|_| UnsafeCell::new(0.0)).collect() }
     }
 
     /// The numbers of a range; valid until Python code runs again.
-    pub fn read<'a>(&'a self, _py: Python<'a>, range: Range<usize>) -> &'a [f64] {
+    fn read<'a>(&'a self, _py: Python<'a>, range: Range<usize>) -> &'a [f64] {
         let cells = &self.numbers[range];
         // SAFETY: UnsafeCell<f64> has the layout of f64; nobody writes while the GIL is
         // held here, and no caller keeps the slice while it lets Python run.
@@ -71,19 +107,19 @@ impl Memory {
     }
 
     /// Lets `write` overwrite the numbers of a range. It must not run Python code.
-    pub fn edit(&self, _py: Python<'_>, range: Range<usize>, write: impl FnOnce(&mut [f64])) {
+    fn edit(&self, _py: Python<'_>, range: Range<usize>, write: impl FnOnce(&mut [f64])) {
         let cells = &self.numbers[range];
         // SAFETY: as for `read`; the slice ends with `write`, which runs no Python code.
         write(unsafe { std::slice::from_raw_parts_mut(cells.as_ptr() as *mut f64, cells.len()) });
     }
 
     /// Overwrites the numbers from `start` on.
-    pub fn write(&self, py: Python<'_>, start: usize, values: &[f64]) {
+    fn write(&self, py: Python<'_>, start: usize, values: &[f64]) {
         self.edit(py, start..start + values.len(), |numbers| numbers.copy_from_slice(values));
     }
 
     /// A numpy view of a range.
-    pub fn view<'py>(
+    fn view<'py>(
         this: &Bound<'py, Self>,
         range: Range<usize>,
         shape: &[usize],

@@ -1,9 +1,9 @@
 //! `Sim` as Python sees it: one world, its arrays, and what can be read of it.
 
-use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use numpy::PyArrayDyn;
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use stepcore::arrays::Given;
@@ -12,7 +12,7 @@ use stepcore::model::Model as EngineModel;
 use crate::errors::raise;
 use crate::extract::{At, Read};
 use crate::gil;
-use crate::memory::{Layout, Memory};
+use crate::memory::Arrays;
 use crate::model::{shaped, Model};
 use crate::settings::Settings;
 use crate::snapshot::{decode, encode};
@@ -25,24 +25,17 @@ type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
 pub struct Sim {
     model: Arc<EngineModel>,
     dt: f64,
-    layout: Layout,
-    memory: Py<Memory>,
+    arrays: Arrays,
     world: Mutex<Box<dyn World>>,
 }
 
 impl Sim {
     fn lock(&self) -> PyResult<MutexGuard<'_, Box<dyn World>>> {
-        match self.world.try_lock() {
-            Ok(world) => Ok(world),
-            Err(TryLockError::Poisoned(world)) => Ok(world.into_inner()),
-            Err(TryLockError::WouldBlock) => {
-                Err(PyRuntimeError::new_err("this Sim is busy in another thread"))
-            }
-        }
+        gil::lock(&self.world, "Sim")
     }
 
     fn given<'a>(&'a self, py: Python<'a>) -> Given<'a> {
-        self.layout.given(self.memory.get().read(py, 0..self.layout.total()), 0)
+        self.arrays.given(py, 0)
     }
 
     /// Checks the arrays and copies them into the engine.
@@ -54,15 +47,7 @@ impl Sim {
     }
 
     fn store(&self, py: Python<'_>, world: &dyn World) {
-        let [nq, nv, ..] = self.layout.lengths;
-        self.memory.get().edit(py, 0..nq + nv, |numbers| {
-            let (qpos, qvel) = numbers.split_at_mut(nq);
-            world.take(qpos, qvel);
-        });
-    }
-
-    fn view<'py>(&self, py: Python<'py>, array: usize, shape: &[usize]) -> PyResult<Array<'py>> {
-        Memory::view(self.memory.bind(py), self.layout.range(array), shape)
+        self.arrays.store(py, |_, qpos, qvel| world.take(qpos, qvel));
     }
 
     fn placed<'py>(&self, py: Python<'py>, what: Placed, shape: &[usize]) -> PyResult<Array<'py>> {
@@ -83,32 +68,30 @@ impl Sim {
     #[new]
     fn new(py: Python<'_>, model: &Model, settings: &Settings) -> PyResult<Self> {
         let model = model.0.clone();
-        let layout = Layout::of(&model, 1);
         let world = gil::release(py, || world(model.clone(), &settings.0))?;
-        let memory = Py::new(py, Memory::new(layout.total()))?;
-        memory.get().write(py, 0, &model.qpos0);
-        Ok(Self { model, dt: settings.0.dt, layout, memory, world: Mutex::new(world) })
+        let arrays = Arrays::new(py, &model, 1)?;
+        Ok(Self { model, dt: settings.0.dt, arrays, world: Mutex::new(world) })
     }
 
     #[getter]
     fn qpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, 0, &[self.model.nq])
+        self.arrays.view(py, 0, &[self.model.nq])
     }
     #[getter]
     fn qvel<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, 1, &[self.model.nv])
+        self.arrays.view(py, 1, &[self.model.nv])
     }
     #[getter]
     fn ctrl<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, 2, &[self.model.actuators.len()])
+        self.arrays.view(py, 2, &[self.model.actuators.len()])
     }
     #[getter]
     fn qfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, 3, &[self.model.nv])
+        self.arrays.view(py, 3, &[self.model.nv])
     }
     #[getter]
     fn xfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, 4, &[self.model.bodies.len(), 6])
+        self.arrays.view(py, 4, &[self.model.bodies.len(), 6])
     }
 
     /// Advances by n steps.
@@ -163,10 +146,10 @@ impl Sim {
 
     fn restore(&self, py: Python<'_>, state: &[u8]) -> PyResult<()> {
         let mut world = self.lock()?;
-        let mut snapshot = decode(state, self.layout.lengths).map_err(PyValueError::new_err)?;
+        let mut snapshot = decode(state, self.arrays.lengths).map_err(PyValueError::new_err)?;
         snapshot.count_in(self.dt);
         world.set_memo(&snapshot.memo);
-        self.memory.get().write(py, 0, &snapshot.numbers);
+        self.arrays.restore(py, 0, &snapshot.numbers);
         Ok(())
     }
 

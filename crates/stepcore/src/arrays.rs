@@ -1,12 +1,15 @@
 //! One world's arrays as the user holds them: `f64`, whatever the engine computes
 //! with. They are checked before anything moves, copied in, and copied out again.
 
-use crate::error::{Error, Result};
+use crate::error::{named, Error, Result};
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::scene::JointType;
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
+
+/// The square of a quaternion's length from which it can still be scaled to 1 in any precision.
+const SHORTEST_SQUARE: f64 = 1e-30;
 
 /// State and inputs of one world, to be read.
 #[derive(Clone, Copy)]
@@ -68,7 +71,7 @@ impl Given<'_> {
             let quat = &self.qpos[first..first + 4];
             let square = quat.iter().fold(R::zero(), |sum, x| sum + R::of(*x) * R::of(*x));
             // Too short to be divided by, or so long that its square overflows.
-            if !(square.gt(R::of(1e-30)).all() && square.is_finite().all()) {
+            if !(square.gt(R::of(SHORTEST_SQUARE)).all() && square.is_finite().all()) {
                 let place = place(&joint_name(model, index), world);
                 let field = format!("qpos[{first}:{}]", first + 4);
                 let limit = format!("a quaternion of a length that can be scaled to 1 ({place}); nothing was stepped");
@@ -93,14 +96,6 @@ fn place(element: &str, world: Option<usize>) -> String {
 
 fn joint_name(model: &Model, index: usize) -> String {
     named("joint", &model.joints[index].name, index)
-}
-
-fn named(kind: &str, name: &str, index: usize) -> String {
-    if name.is_empty() {
-        format!("{kind} {index}")
-    } else {
-        format!("{kind} `{name}`")
-    }
 }
 
 fn put<R: Real>(to: &mut [R], lane: usize, from: &[f64]) {

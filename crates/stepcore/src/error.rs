@@ -2,13 +2,15 @@
 
 use std::fmt;
 
+/// Why something was refused or went wrong.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Error {
     /// A value outside its limits, found before any state changed.
     Value { field: String, value: String, limit: String },
     /// A scene that cannot be compiled.
     Scene(String),
-    /// The simulation left the finite numbers; the last finite state is kept.
+    /// The simulation left the finite numbers; the last finite state is kept. `step`: steps
+    /// done before, `time`: of that state [s], `world`: its lane or its place in a batch.
     Diverged { step: u64, time: f64, world: usize, element: String, quantity: String },
 }
 
@@ -19,6 +21,15 @@ impl Error {
         limit: impl Into<String>,
     ) -> Self {
         Self::Value { field: field.into(), value: value.to_string(), limit: limit.into() }
+    }
+}
+
+/// "joint `knee`", or "joint 3" where it has no name.
+pub(crate) fn named(kind: &str, name: &str, index: usize) -> String {
+    if name.is_empty() {
+        format!("{kind} {index}")
+    } else {
+        format!("{kind} `{name}`")
     }
 }
 

@@ -11,12 +11,16 @@
 //!    factors LᵀDL; the smooth forces; and the *guess*, the velocity that the
 //!    bodies would have if nothing were in the way.
 //! 2. **detect** (`detect/`): every pair of shapes that touch or are about to.
-//! 3. **solve** (`solve/`): each contact, friction direction, limit, loss and weld
-//!    is a row: a direction J, a target t, a regulariser c and a set for its
+//! 3. **solve** (`solve/`): each contact, friction direction, limit, friction loss and
+//!    connection is a row: a direction J, a target t, a regulariser c and a set for its
 //!    impulse. One system, solved by projected Gauss-Seidel or by Newton, neither of
 //!    which knows what a row came from.
 //! 4. **commit** (`commit/`): one file per integrator turns the solved velocity into
 //!    the next state. A state that is not finite is never committed.
+//!
+//! Beside the loop: `model/` compiles a scene, `measure/` reads energy, momentum and
+//! residuals and names what made a run fail, `batch.rs` steps many worlds over threads,
+//! `arrays.rs` takes a user's numbers in and gives them back.
 //!
 //! Everything is generic over [`real::Real`]: `f64`, `f32`, or [`real::Lanes`], eight
 //! worlds side by side that equal, bit for bit, the same worlds stepped alone.

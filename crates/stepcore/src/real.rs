@@ -7,7 +7,7 @@
 //!
 //! Rules that keep a lane equal, bit for bit, to the same world run alone: a
 //! masked update is `select(mask, new, old)`; no fused multiply-add; no sum in
-//! another order; one sine, cosine and exponential for all.
+//! another order; one sine, cosine and power for all.
 
 use core::fmt::Debug;
 use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
@@ -29,7 +29,6 @@ pub trait Mask: Copy + Debug + Send + Sync + 'static {
         self.not().none()
     }
     fn lane(self, lane: usize) -> bool;
-    fn set_lane(&mut self, lane: usize, value: bool);
 }
 
 /// The closed set of operations a stage may use.
@@ -73,7 +72,6 @@ pub trait Real:
     fn sqrt(self) -> Self;
     fn sin_cos(self) -> (Self, Self);
     fn atan2(self, x: Self) -> Self;
-    fn exp(self) -> Self;
     fn powf(self, power: Self) -> Self;
     fn abs(self) -> Self {
         Self::select(self.lt(Self::zero()), -self, self)
@@ -119,9 +117,6 @@ impl Mask for bool {
     }
     fn lane(self, _: usize) -> bool {
         self
-    }
-    fn set_lane(&mut self, _: usize, value: bool) {
-        *self = value;
     }
 }
 
@@ -177,10 +172,6 @@ macro_rules! scalar_real {
                 <$t>::atan2(self, x)
             }
             #[inline(always)]
-            fn exp(self) -> Self {
-                <$t>::exp(self)
-            }
-            #[inline(always)]
             fn powf(self, power: Self) -> Self {
                 <$t>::powf(self, power)
             }
@@ -231,9 +222,6 @@ impl Mask for LaneMask {
     }
     fn lane(self, lane: usize) -> bool {
         self.0[lane]
-    }
-    fn set_lane(&mut self, lane: usize, value: bool) {
-        self.0[lane] = value;
     }
 }
 
@@ -337,9 +325,6 @@ impl Real for Lanes {
     }
     fn atan2(self, x: Self) -> Self {
         self.zip(x, f64::atan2)
-    }
-    fn exp(self) -> Self {
-        Self(self.0.map(f64::exp))
     }
     fn powf(self, power: Self) -> Self {
         self.zip(power, f64::powf)

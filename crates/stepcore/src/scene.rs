@@ -4,9 +4,12 @@
 //! `bodies` is the world. A parent stands before its children.
 
 /// A spring-damper pair and an impedance curve: MuJoCo's `solref`, `solimp`.
+/// MuJoCo documentation, "Solver parameters".
 #[derive(Clone, Debug, PartialEq)]
 pub struct Softness {
+    /// Time constant [s] and damping ratio, both > 0; or −stiffness and −damping, both ≤ 0.
     pub solref: [f64; 2],
+    /// d0, dwidth, width [m or rad], midpoint, power.
     pub solimp: [f64; 5],
 }
 
@@ -19,16 +22,20 @@ impl Default for Softness {
 /// A mass with its centre and its inertia about that centre, in body axes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inertial {
+    /// [kg]
     pub mass: f64,
+    /// Centre of mass [m].
     pub pos: [f64; 3],
     /// xx, yy, zz, xy, xz, yz [kg·m²].
     pub inertia: [f64; 6],
 }
 
+/// A rigid body, fixed to its parent but for its joints.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Body {
     pub name: String,
     pub parent: usize,
+    /// Frame in the parent's [m], w x y z, at the initial configuration.
     pub pos: [f64; 3],
     pub quat: [f64; 4],
     /// None: taken from the geoms.
@@ -47,6 +54,7 @@ impl Default for Body {
     }
 }
 
+/// What a joint lets its body do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointType {
     Free,
@@ -55,22 +63,53 @@ pub enum JointType {
     Hinge,
 }
 
+impl JointType {
+    /// Entries of qpos.
+    pub fn positions(self) -> usize {
+        match self {
+            Self::Free => 7,
+            Self::Ball => 4,
+            Self::Slide | Self::Hinge => 1,
+        }
+    }
+    /// Entries of qvel.
+    pub fn dofs(self) -> usize {
+        match self {
+            Self::Free => 6,
+            Self::Ball => 3,
+            Self::Slide | Self::Hinge => 1,
+        }
+    }
+    /// Changes the orientation of its body.
+    pub fn turns(self) -> bool {
+        self != Self::Slide
+    }
+}
+
+/// Dofs between a body and its parent. Lengths in m, angles in rad; forces in N or N·m by
+/// the kind of joint.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Joint {
     pub name: String,
     pub body: usize,
     pub kind: JointType,
+    /// Anchor and axis in the body's frame.
     pub pos: [f64; 3],
     pub axis: [f64; 3],
     /// Lower and upper bound; a ball joint uses the upper one. None: no limit.
     pub range: Option<[f64; 2]>,
+    /// A limit is a row from this distance on.
     pub margin: f64,
+    /// qpos at the initial configuration, and where the spring is at rest.
     pub reference: f64,
     pub springref: f64,
     pub stiffness: f64,
     pub damping: f64,
+    /// Inertia added to the dof itself [kg or kg·m²].
     pub armature: f64,
+    /// Dry friction: the largest force.
     pub frictionloss: f64,
+    /// Of the limit's rows, and of the friction loss.
     pub limit: Softness,
     pub friction: Softness,
 }
@@ -97,6 +136,7 @@ impl Default for Joint {
     }
 }
 
+/// Shapes, in MuJoCo's order: it decides which of a pair is geom 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum GeomType {
     Plane,
@@ -107,6 +147,7 @@ pub enum GeomType {
     Box,
 }
 
+/// A shape on a body: it collides, and gives mass where the body has no `Inertial`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geom {
     pub name: String,
@@ -115,20 +156,31 @@ pub struct Geom {
     /// MuJoCo's sizes: sphere r; capsule and cylinder r, half length; box and
     /// ellipsoid half sizes; plane half sizes (0: infinite), spacing.
     pub size: [f64; 3],
+    /// Frame in the body's [m], w x y z.
     pub pos: [f64; 3],
     pub quat: [f64; 4],
-    /// None: density × volume.
+    /// [kg]; None: density × volume.
     pub mass: Option<f64>,
+    /// [kg/m³], or [kg/m²] of a shell.
     pub density: f64,
+    /// The mass is on the surface.
     pub shell_inertia: bool,
+    /// Only groups in `MassRules::group_range` give mass.
     pub group: i32,
+    /// Two geoms collide where one's contype shares a bit with the other's conaffinity.
     pub contype: u32,
     pub conaffinity: u32,
+    /// Dimensions of a contact's force: 1 normal, 3 with sliding friction, 4 and 6 not built yet.
     pub condim: u32,
+    /// The geom of higher priority decides a contact's condim, friction and softness.
     pub priority: i32,
+    /// Sliding [1], torsional [m], rolling [m].
     pub friction: [f64; 3],
+    /// A contact has rows below the sum of both margins [m] and is listed up to the sum of
+    /// both gaps above that.
     pub margin: f64,
     pub gap: f64,
+    /// Weight of this geom's softness in the mixture of two.
     pub solmix: f64,
     pub soft: Softness,
 }
@@ -159,6 +211,7 @@ impl Default for Geom {
     }
 }
 
+/// A named frame on a body [m], w x y z.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Site {
     pub name: String,
@@ -172,7 +225,9 @@ pub struct Site {
 pub struct Actuator {
     pub name: String,
     pub joint: usize,
+    /// By dof of the joint.
     pub gear: [f64; 6],
+    /// Bounds of the control, and of the force before the gear. None: none.
     pub ctrlrange: Option<[f64; 2]>,
     pub forcerange: Option<[f64; 2]>,
 }
@@ -183,12 +238,13 @@ pub struct Equality {
     pub name: String,
     pub body1: usize,
     pub body2: usize,
-    /// The point, in the frame of `body1`, at the initial configuration.
+    /// The point [m], in the frame of `body1`, at the initial configuration.
     pub anchor: [f64; 3],
     pub active: bool,
     pub soft: Softness,
 }
 
+/// A keyframe: a state by name. None: qpos0, and zeros.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Key {
     pub name: String,
@@ -203,11 +259,14 @@ pub struct Key {
 pub struct MassRules {
     /// Some(true): always from geoms; Some(false): never; None: where no inertial is given.
     pub from_geoms: Option<bool>,
+    /// First and last group of geoms that give mass.
     pub group_range: [i32; 2],
+    /// The least mass [kg] and principal moment [kg·m²] of a body.
     pub bound_mass: f64,
     pub bound_inertia: f64,
+    /// Principal moments that no body can have become their mean, instead of an error.
     pub balance_inertia: bool,
-    /// Scale all masses and inertias to this total; not positive: leave them.
+    /// Scale all masses and inertias to this total [kg]; not positive: leave them.
     pub total_mass: f64,
 }
 
@@ -224,7 +283,7 @@ impl Default for MassRules {
     }
 }
 
-/// What MJCF's flags switch off in the model itself.
+/// What MJCF's flags switch off in the model itself; each is MJCF's flag of that name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features {
     pub constraint: bool,
@@ -261,9 +320,11 @@ impl Default for Features {
     }
 }
 
+/// Everything that is modelled. Elements of one kind stand in the order of their bodies.
 #[derive(Clone, Debug)]
 pub struct Scene {
     pub name: String,
+    /// [m/s²]
     pub gravity: [f64; 3],
     pub bodies: Vec<Body>,
     pub joints: Vec<Joint>,

@@ -43,7 +43,12 @@ named!(
 );
 named!(
     /// How the rows are solved.
-    Solver, "solver" { Pgs = "pgs", Newton = "newton" }
+    Solver, "solver" {
+        /// Projected Gauss-Seidel: `solve/pgs.rs`.
+        Pgs = "pgs",
+        /// Newton on the primal problem, for convex rows: `solve/newton.rs`.
+        Newton = "newton",
+    }
 );
 named!(
     /// What speeds up projected Gauss-Seidel.
@@ -57,12 +62,33 @@ named!(
 named!(
     /// Which rows a violated constraint makes; see `solve/law.rs`.
     Law, "law" {
-        SolRef = "solref", Lesson = "lesson", Relaxed = "relaxed", Rigid = "rigid", Penalty = "penalty"
+        /// MuJoCo's spring-damper and impedance, at the present positions.
+        SolRef = "solref",
+        /// Baumgarte's: softness is a regulariser.
+        Lesson = "lesson",
+        /// Softness only in the denominator of an update: under-relaxation.
+        Relaxed = "relaxed",
+        /// No softness; restitution and slop.
+        Rigid = "rigid",
+        /// Contacts as springs under the surface, without rows.
+        Penalty = "penalty",
     }
 );
+impl Law {
+    /// Looks at the guess instead of the present positions: rows exist where the guess
+    /// overlaps, and their friction is Coulomb's.
+    pub fn on_guess(self) -> bool {
+        matches!(self, Self::Lesson | Self::Relaxed | Self::Rigid)
+    }
+}
 named!(
     /// The shape of the set of friction forces.
-    Cone, "cone" { Pyramidal = "pyramidal", Elliptic = "elliptic" }
+    Cone, "cone" {
+        /// |t₁| + |t₂| ≤ μn under `solref`, the box |tᵢ| ≤ μn under the other laws.
+        Pyramidal = "pyramidal",
+        /// The round cone |t| ≤ μn.
+        Elliptic = "elliptic",
+    }
 );
 named!(
     /// The number the engine computes with.
@@ -73,25 +99,41 @@ named!(
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
     // Numerics: cannot change the limit dt → 0.
+    /// Time step [s], > 0.
     pub dt: f64,
     pub integrator: Integrator,
     pub solver: Solver,
     pub acceleration: Acceleration,
+    /// The most sweeps, or Newton iterations, of one solve; under `newton` islands of few
+    /// rows are solved whatever it says.
     pub sweeps: u32,
+    /// A solve stops at this residual [m/s]; 0: after all sweeps.
     pub tolerance: f64,
+    /// Start from the last step's impulses.
     pub warm_start: bool,
+    /// What the face chooses the engine's `Real` by.
     pub precision: Precision,
+    /// Contacts to reserve room for.
     pub max_contacts: usize,
     // Modelling overrides.
     pub law: Law,
+    /// Share of a violation undone in a step, in (0, 1], under the laws on the guess.
     pub beta: f64,
+    /// Regulariser of rows that hold a distance, under `lesson` and `relaxed`
+    /// [1/kg; 1/(kg·m²) of angular rows].
     pub softness: f64,
+    /// Share e of the normal speed kept in an impact under `rigid`, in [0, 1].
     pub restitution: f64,
+    /// Overlap left alone under `rigid` [m].
     pub slop: f64,
+    /// Spring of a contact under `penalty` [N/m].
     pub penalty_stiffness: f64,
+    /// Its damping, as a share of the critical one of the mass that the contact moves.
     pub penalty_damping_ratio: f64,
     pub cone: Cone,
+    /// Ratio of frictional to normal impedance under `solref`: MuJoCo's `impratio`.
     pub impratio: f64,
+    /// Keep the time constants of solref at 2 dt or above: MuJoCo's `refsafe`.
     pub refsafe: bool,
 }
 
@@ -162,9 +204,7 @@ impl Settings {
         let ratio = self.penalty_damping_ratio;
         number("penalty_damping_ratio", ratio, ratio >= 0.0, "finite and >= 0")?;
         number("impratio", self.impratio, self.impratio > 0.0, "finite and > 0")?;
-        if self.solver == Solver::Newton
-            && matches!(self.law, Law::Lesson | Law::Relaxed | Law::Rigid)
-        {
+        if self.solver == Solver::Newton && self.law.on_guess() {
             return Err(Error::value(
                 "solver",
                 format!("'newton' with law '{}'", self.law.name()),

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::commit::Next;
 use crate::detect::Detected;
-use crate::error::{Error, Result};
+use crate::error::{named, Error, Result};
 use crate::measure::Past;
 use crate::model::Model;
 use crate::place::Placed;
@@ -24,11 +24,13 @@ pub struct Effort {
     pub decrement: f64,
 }
 
+/// One world, or a register of worlds side by side. `step.rs` steps it.
 pub struct Sim<R: Real> {
     pub model: Arc<Model>,
     pub settings: Settings,
     pub state: State<R>,
     pub inputs: Inputs<R>,
+    /// What each stage wrote when it last ran.
     pub placed: Placed<R>,
     pub detected: Detected<R>,
     pub rows: Rows<R>,
@@ -37,12 +39,13 @@ pub struct Sim<R: Real> {
     pub qacc: Vec<R>,
     pub effort: Effort,
     pub(crate) next: Next<R>,
+    pub(crate) past: Past<R>,
     pgs: Pgs<R>,
     newton: Newton<R>,
-    pub(crate) past: Past<R>,
 }
 
 impl<R: Real> Sim<R> {
+    /// A world at qpos0 and at rest; refuses settings outside their limits.
     pub fn new(model: Arc<Model>, settings: Settings) -> Result<Self> {
         settings.check()?;
         check_masses::<R>(&model, settings.solver)?;
@@ -63,9 +66,7 @@ impl<R: Real> Sim<R> {
             settings,
         })
     }
-}
 
-impl<R: Real> Sim<R> {
     /// Solves the rows that were made, from the last step's impulses if they are kept.
     pub(crate) fn solve(&mut self) -> Result<()> {
         let (model, inv_d) = (&*self.model, &self.placed.metric.inv_d);
@@ -77,12 +78,13 @@ impl<R: Real> Sim<R> {
             sweeps: self.settings.sweeps,
             tolerance: self.settings.tolerance,
             // By the law and not by the rows at hand, so that a lane equals its world alone.
-            momentum: self.settings.acceleration == Acceleration::Momentum && !self.on_guess(),
+            momentum: self.settings.acceleration == Acceleration::Momentum
+                && !self.settings.law.on_guess(),
             exact: self.settings.sweeps > 0
                 && self.settings.tolerance > 0.0
                 && self.settings.law != Law::Relaxed,
         };
-        // One row on its own with its exact denominator: one update is the solution.
+        // One row on its own, and one update all that is asked or all that it takes.
         if self.settings.solver == Solver::Pgs && (limits.sweeps == 1 || limits.exact) {
             if let Some(report) = self.rows.solve_single(&model.dof_lists, inv_d) {
                 self.effort.note(&report);
@@ -109,7 +111,7 @@ impl<R: Real> Sim<R> {
 /// The precision that computes must hold every mass and its inverse, and for Newton,
 /// whose costs are energies of impulses, their squares.
 fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
-    for body in model.bodies.iter().filter(|body| body.mass > 0.0) {
+    for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
         let mass = R::of(body.mass);
         let mass = if solver == Solver::Newton { mass * mass } else { mass };
         let inverse = R::one() / mass;
@@ -120,7 +122,11 @@ fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
         {
             let limit =
                 "such that the precision can hold it and its inverse (under newton, their squares)";
-            return Err(Error::value(format!("mass of body '{}'", body.name), body.mass, limit));
+            return Err(Error::value(
+                format!("mass of {}", named("body", &body.name, index)),
+                body.mass,
+                limit,
+            ));
         }
     }
     Ok(())

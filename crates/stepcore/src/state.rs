@@ -6,23 +6,27 @@ use crate::real::Real;
 /// The impulses of one contact, limit or other source, kept for the next step's start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Warm<R: Real> {
-    /// Which source; ascending in the list.
+    /// Which source (see `Block::slot`); ascending in the list.
     pub slot: u32,
+    /// By row of its block [N·s or N·m·s]; zero beyond.
     pub impulse: [R; 6],
 }
 
 /// A complete snapshot: restored, a run continues bit for bit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State<R: Real> {
-    /// Steps since `start`, and the time there: time = start + steps · dt.
+    /// Steps since `start`, and the time there [s]: time = start + steps · dt.
     pub steps: u64,
     pub start: f64,
+    /// Positions [m, rad, unit quaternions w x y z], in MuJoCo's order; nq entries.
     pub qpos: Vec<R>,
+    /// Velocities [m/s, rad/s], in MuJoCo's order; nv entries.
     pub qvel: Vec<R>,
     pub warm: Vec<Warm<R>>,
 }
 
 impl<R: Real> State<R> {
+    /// At qpos0 and at rest.
     pub fn new(model: &Model) -> Self {
         Self {
             steps: 0,
@@ -32,6 +36,8 @@ impl<R: Real> State<R> {
             warm: Vec::new(),
         }
     }
+
+    /// Time [s] of this state in steps of `dt`.
     pub fn time(&self, dt: f64) -> f64 {
         self.start + self.steps as f64 * dt
     }
@@ -40,15 +46,19 @@ impl<R: Real> State<R> {
 /// Controls and applied forces: held during a step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inputs<R: Real> {
+    /// By actuator, in the unit that its gear expects.
     pub ctrl: Vec<R>,
+    /// By dof [N or N·m].
     pub qfrc_applied: Vec<R>,
-    /// Force, then moment, by body: 6 numbers each.
+    /// Force at the centre of mass [N], then moment [N·m], in world axes, by body: 6
+    /// numbers each.
     pub xfrc_applied: Vec<R>,
     /// Some applied force is not zero.
     pub applied: bool,
 }
 
 impl<R: Real> Inputs<R> {
+    /// No control, no force.
     pub fn new(model: &Model) -> Self {
         Self {
             ctrl: vec![R::zero(); model.actuators.len()],

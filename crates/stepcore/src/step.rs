@@ -5,7 +5,6 @@
 
 use crate::error::Result;
 use crate::real::{Mask, Real};
-use crate::settings::Law;
 use crate::sim::Sim;
 use crate::solve::Situation;
 
@@ -27,6 +26,16 @@ impl<R: Real> Sim<R> {
 
     /// Place, detect and solve at the present state. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
+        self.place_detect_solve()?;
+        let bad = all_finite(&self.qacc).not();
+        if bad.any() {
+            let quantity = self.first_not_finite(bad, "acceleration", &self.qacc);
+            return Err(self.diverged(bad, quantity));
+        }
+        Ok(())
+    }
+
+    pub(crate) fn place_detect_solve(&mut self) -> Result<()> {
         let dt = R::of(self.settings.dt);
         self.placed.place(&self.model, &self.state, &self.inputs, dt);
         self.detect_and_solve()
@@ -39,7 +48,6 @@ impl<R: Real> Sim<R> {
             placed: &self.placed,
             settings: &self.settings,
             qpos: &self.state.qpos,
-            qvel: &self.state.qvel,
         };
         self.rows.make(&now, &mut self.detected);
         if self.rows.any() {
@@ -67,20 +75,16 @@ impl<R: Real> Sim<R> {
     }
 
     fn check_finite(&mut self) -> Result<()> {
-        let mut finite = R::Mask::of(true);
-        for x in self.next.qvel.iter().chain(&self.next.qpos) {
-            finite = finite.and(x.is_finite());
+        let bad = all_finite(&self.next.qvel).and(all_finite(&self.next.qpos)).not();
+        if bad.any() {
+            let quantity = self.first_not_finite(bad, "velocity", &self.next.qvel);
+            return Err(self.diverged(bad, quantity));
         }
-        if finite.all() {
-            Ok(())
-        } else {
-            let quantity = self.first_not_finite(finite.not());
-            Err(self.diverged(finite.not(), quantity))
-        }
+        Ok(())
     }
+}
 
-    /// Laws that look at the guess instead of the present positions.
-    pub(crate) fn on_guess(&self) -> bool {
-        matches!(self.settings.law, Law::Lesson | Law::Relaxed | Law::Rigid)
-    }
+/// Lanes in which every number is finite.
+fn all_finite<R: Real>(numbers: &[R]) -> R::Mask {
+    numbers.iter().fold(R::Mask::of(true), |finite, x| finite.and(x.is_finite()))
 }

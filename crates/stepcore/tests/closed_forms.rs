@@ -1,6 +1,7 @@
 //! Whole scenes against closed forms, through the engine's public face.
 
 use std::sync::Arc;
+use stepcore::error::Error;
 use stepcore::model::Model;
 use stepcore::scene::{Body, Geom, GeomType, Joint, JointType, Scene};
 use stepcore::settings::{Integrator, Law, Settings, Solver};
@@ -137,4 +138,48 @@ fn a_free_body_keeps_energy_and_angular_momentum() {
     assert!((after / energy - 1.0).abs() < 1e-9, "{energy} {after}");
     assert!((turned.ang - momentum.ang).norm() < 1e-8 * momentum.ang.norm());
     assert!((turned.lin - momentum.lin).norm() < 1e-8 * momentum.ang.norm());
+}
+
+/// L = Σ r × m v about the world's origin, also of trees that only slide, whose bodies
+/// leave the places at which the tree was weighed.
+#[test]
+fn momentum_of_a_cross_slide() {
+    let mut scene = Scene { gravity: [0.0; 3], ..Scene::default() };
+    for (parent, axis) in [(0, [1.0, 0.0, 0.0]), (1, [0.0, 1.0, 0.0])] {
+        let body = parent + 1;
+        scene.bodies.push(Body { parent, ..Body::default() });
+        let joint = Joint { body, kind: JointType::Slide, axis, ..Joint::default() };
+        scene.joints.push(joint);
+        scene.geoms.push(Geom { contype: 0, conaffinity: 0, ..sphere(body) });
+    }
+    let mut sim = sim(&scene, Settings::default());
+    sim.state.qpos = vec![0.5, 2.0];
+    sim.state.qvel = vec![3.0, 0.25];
+    let momentum = sim.momentum();
+    // Masses of 1 kg at (0.5, 0) and (0.5, 2), with velocities (3, 0) and (3, 0.25).
+    assert_eq!(momentum.lin.as_slice(), [6.0, 0.25, 0.0]);
+    assert_eq!(momentum.ang.as_slice(), [0.0, 0.0, 0.5 * 0.25 - 2.0 * 3.0]);
+}
+
+/// The centrifugal force of 1e200 rad/s is beyond the numbers: no NaN is returned silently.
+#[test]
+fn forward_refuses_what_is_not_finite() {
+    let mut scene = Scene::default();
+    for parent in 0..2 {
+        let (body, name) = (parent + 1, format!("hinge{parent}"));
+        scene.bodies.push(Body { parent, pos: [1.0, 0.0, 0.0], ..Body::default() });
+        let joint = Joint { name, body, axis: [0.0, 1.0, 0.3], ..Joint::default() };
+        scene.joints.push(joint);
+        let pos = [0.2, 0.3, 0.0];
+        scene.geoms.push(Geom { pos, contype: 0, conaffinity: 0, ..sphere(body) });
+    }
+    let mut sim = sim(&scene, Settings::default());
+    sim.forward().unwrap();
+    sim.state.qvel = vec![1e200, 1.0];
+    let Err(Error::Diverged { quantity, element, .. }) = sim.forward() else {
+        panic!("{:?}", sim.qacc);
+    };
+    assert!(quantity.starts_with("the acceleration of joint `hinge"), "{quantity}");
+    assert!(element.starts_with("inertial force of joint `hinge"), "{element}");
+    assert_eq!(sim.state.qvel, [1e200, 1.0]);
 }

@@ -31,9 +31,7 @@ impl<R: Real> Damped<R> {
         let has = |test: &dyn Fn(&Tree) -> bool| {
             (0..model.trees.len()).filter(|t| test(&model.trees[*t])).collect::<Vec<_>>()
         };
-        let damping = |tree: &Tree| {
-            model.features.damper && tree.dofs.of(&model.dofs).iter().any(|dof| dof.damping != 0.0)
-        };
+        let damping = |tree: &Tree| tree.dofs.of(&model.dofs).iter().any(|dof| dof.damping != 0.0);
         Self {
             metric: Metric::new(model),
             impulse: vec![R::zero(); model.nv],
@@ -106,8 +104,7 @@ impl<R: Real> crate::place::Placed<R> {
                 matrix[i][j] = self.mass[at];
                 matrix[j][i] = self.mass[at];
             }
-            let damping = if model.features.damper { model.dofs[first + i].damping } else { 0.0 };
-            matrix[i][i] += dt * R::of(damping);
+            matrix[i][i] += dt * R::of(model.dofs[first + i].damping);
         }
         let turn = &self.xmat[root];
         let whole = &self.composite[root];

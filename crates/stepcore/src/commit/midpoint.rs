@@ -38,7 +38,7 @@ impl<R: Real> Sim<R> {
             }
             advance(&model, &s.qpos, &self.state.qvel, half * dt, &mut self.state.qpos);
             if rows {
-                self.forward()?;
+                self.place_detect_solve()?;
             } else {
                 self.smooth();
             }
@@ -86,10 +86,8 @@ impl<R: Real> Sim<R> {
         self.placed.mul_mass(model, &damped.change, &mut damped.impulse);
         damped.metric.l.copy_from_slice(&self.placed.mass);
         for dof in &model.dofs {
-            let damping = if model.features.damper { dof.damping } else { 0.0 };
-            let stiffness =
-                if model.features.spring { model.joints[dof.joint].stiffness } else { 0.0 };
-            let extra = R::of(0.5 * damping) * dt + R::of(0.25 * stiffness) * dt * dt;
+            let stiffness = model.joints[dof.joint].stiffness;
+            let extra = R::of(0.5 * dof.damping) * dt + R::of(0.25 * stiffness) * dt * dt;
             damped.metric.l[dof.row.start] += extra;
         }
         damped.metric.factor(0..model.nv);

@@ -50,7 +50,7 @@ impl<R: Real> Sim<R> {
     /// One step of the integrator, into `next`.
     pub(crate) fn integrate(&mut self) -> Result<()> {
         match self.settings.integrator {
-            Integrator::Rk4 if self.on_guess() => {
+            Integrator::Rk4 if self.settings.law.on_guess() => {
                 self.rk4(false)?;
                 self.rows_at_the_end()
             }
@@ -62,7 +62,7 @@ impl<R: Real> Sim<R> {
                 self.rows_at_the_end()
             }
             _ => {
-                self.forward()?;
+                self.place_detect_solve()?;
                 self.commit();
                 Ok(())
             }
@@ -96,18 +96,17 @@ impl<R: Real> Sim<R> {
         let model = self.model.clone();
         let dt = R::of(self.settings.dt);
         self.placed.place(&model, &self.state, &self.inputs, dt);
-        let on_guess = self.on_guess();
+        let on_guess = self.settings.law.on_guess();
         let judged = if on_guess { &self.next.mean } else { &self.next.qvel };
         self.placed.metric.to_factored(judged, &mut self.placed.guess);
         self.detect_and_solve()?;
-        // From u, where a tree without rows has not changed at all.
+        // Δv from Δu, which is exactly zero in a tree without rows.
+        let change = &mut self.next.damped.change;
         for k in 0..model.nv {
-            self.rows.u[k] -= self.placed.guess[k];
+            change[k] = self.rows.u[k] - self.placed.guess[k];
         }
-        self.placed.metric.from_factored(&self.rows.u, &mut self.velocity);
-        for k in 0..model.nv {
-            self.rows.u[k] += self.placed.guess[k];
-        }
+        self.placed.metric.from_factored(change, &mut self.velocity);
+        // What the rows do not change keeps its bits, the sign of a zero too.
         let add = |x: &mut R, change: R| {
             *x = R::select(change.abs().le(R::zero()), *x, *x + change);
         };

@@ -70,7 +70,7 @@ impl<R: Real> Sim<R> {
                 }
             }
             if rows {
-                self.forward()?;
+                self.place_detect_solve()?;
             } else {
                 self.smooth();
             }

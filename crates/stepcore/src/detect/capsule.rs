@@ -6,8 +6,7 @@
 
 use super::touch::{balls, Ball, Touches};
 use crate::real::{Mask, Real};
-use crate::spatial::Pose;
-use nalgebra::Vector3;
+use crate::spatial::{Pose, V3};
 
 /// Squared sine of the angle below which two axes count as parallel.
 const PARALLEL: f64 = 1e-8;
@@ -16,10 +15,10 @@ const POINT: f64 = 1e-15;
 
 /// A capsule's axis as a start and a whole-length direction.
 struct Segment<R: Real> {
-    start: Vector3<R>,
-    along: Vector3<R>,
+    start: V3<R>,
+    along: V3<R>,
     radius: R,
-    axis: Vector3<R>,
+    axis: V3<R>,
 }
 
 impl<R: Real> Segment<R> {

@@ -1,7 +1,8 @@
 //! Stage 2, detect: every place where shapes touch or are about to.
 //!
 //! Candidate pairs were chosen when the model was compiled; here each is tested
-//! by its bounding spheres and then exactly. Contacts come out in pair order,
+//! by its bounding spheres (where the law asks for near pairs only) and then exactly.
+//! Contacts come out in pair order,
 //! whatever the lanes hold, so that row order never depends on anything else.
 
 mod capsule;
@@ -17,7 +18,7 @@ use crate::model::{Model, Pair};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::scene::GeomType;
-use crate::settings::{Law, Settings};
+use crate::settings::Settings;
 use crate::spatial::V3;
 
 /// One contact between the two geoms of a pair.
@@ -55,12 +56,12 @@ impl<R: Real> Detected<R> {
             return;
         }
         // Laws that look at the guess need every distance; the row maker drops what stays apart.
-        let on_guess = !matches!(settings.law, Law::SolRef | Law::Penalty);
+        let on_guess = settings.law.on_guess();
         for (index, pair) in model.pairs.iter().enumerate() {
             if !on_guess && far(model, placed, pair) {
                 continue;
             }
-            let touches = touch(model, placed, pair);
+            let touches = meet(model, placed, pair);
             let listed = R::of(if on_guess { f64::INFINITY } else { pair.margin + pair.gap });
             for (part, touch) in touches.list[..touches.count].iter().enumerate() {
                 let mask = touch.exists.and(touch.dist.lt(listed));
@@ -112,7 +113,7 @@ fn far<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> bool {
 }
 
 /// The exact test of one pair. The builder lets no other pair of shapes through.
-fn touch<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> Touches<R> {
+fn meet<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> Touches<R> {
     let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
     let (p1, p2) = (&placed.geom[pair.geom1], &placed.geom[pair.geom2]);
     let (r1, h1) = (R::of(g1.size[0]), R::of(g1.size[1]));

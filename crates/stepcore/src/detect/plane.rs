@@ -6,8 +6,7 @@
 
 use super::touch::{Touch, Touches};
 use crate::real::{Mask, Real};
-use crate::spatial::Pose;
-use nalgebra::Vector3;
+use crate::spatial::{Pose, V3};
 
 pub fn plane_sphere<R: Real>(plane: &Pose<R>, sphere: &Pose<R>, radius: R) -> Touches<R> {
     Touches::one(plane_ball(plane, &sphere.pos, radius))
@@ -29,7 +28,7 @@ pub fn plane_capsule<R: Real>(
 }
 
 #[inline(always)]
-fn plane_ball<R: Real>(plane: &Pose<R>, centre: &Vector3<R>, radius: R) -> Touch<R> {
+fn plane_ball<R: Real>(plane: &Pose<R>, centre: &V3<R>, radius: R) -> Touch<R> {
     let normal = plane.axis(2);
     let dist = normal.dot(&(centre - plane.pos)) - radius;
     let pos = centre - normal * (radius + R::of(0.5) * dist);

@@ -6,8 +6,7 @@
 
 use super::touch::{balls, select3, Ball, Touch, Touches};
 use crate::real::{Mask, Real};
-use crate::spatial::Pose;
-use nalgebra::Vector3;
+use crate::spatial::{Pose, V3};
 
 /// A centre no farther than this fraction of the sizes from a box is in it.
 const IN_BOX: f64 = 1e-15;
@@ -30,9 +29,9 @@ fn ball<R: Real>(pose: &Pose<R>, radius: R) -> Ball<R> {
 }
 
 /// `half` holds the box's half lengths.
-pub fn sphere_box<R: Real>(s: &Pose<R>, r: R, b: &Pose<R>, half: Vector3<R>) -> Touches<R> {
+pub fn sphere_box<R: Real>(s: &Pose<R>, r: R, b: &Pose<R>, half: V3<R>) -> Touches<R> {
     let centre = b.to_local(&(s.pos - b.pos));
-    let nearest = Vector3::new(
+    let nearest = V3::new(
         centre.x.clamp(-half.x, half.x),
         centre.y.clamp(-half.y, half.y),
         centre.z.clamp(-half.z, half.z),
@@ -61,14 +60,14 @@ pub fn sphere_box<R: Real>(s: &Pose<R>, r: R, b: &Pose<R>, half: Vector3<R>) -> 
 
 /// Depth below the nearest face of a point in the box, and that face's outward normal.
 #[inline(always)]
-fn nearest_face<R: Real>(point: &Vector3<R>, half: &Vector3<R>) -> (R, Vector3<R>) {
+fn nearest_face<R: Real>(point: &V3<R>, half: &V3<R>) -> (R, V3<R>) {
     let mut depth = point.x + half.x;
-    let mut outward = -Vector3::x();
+    let mut outward = -V3::x();
     for i in 0..3 {
         for sign in [-R::one(), R::one()] {
             let here = (half[i] - sign * point[i]).abs();
             let nearer = here.lt(depth);
-            let mut way = Vector3::zeros();
+            let mut way = V3::zeros();
             way[i] = sign;
             depth = R::select(nearer, here, depth);
             outward = select3(nearer, &way, &outward);

@@ -5,7 +5,7 @@
 //! are always reported: the caller compares them with margin and gap.
 
 use crate::real::{Mask, Real};
-use nalgebra::Vector3;
+use crate::spatial::V3;
 
 /// One contact.
 #[derive(Clone, Copy, Debug)]
@@ -13,9 +13,9 @@ pub struct Touch<R: Real> {
     /// Signed distance of the surfaces: negative = overlap.
     pub dist: R,
     /// Halfway between the surfaces.
-    pub pos: Vector3<R>,
+    pub pos: V3<R>,
     /// Unit length, from geom 1 to geom 2.
-    pub normal: Vector3<R>,
+    pub normal: V3<R>,
     /// The lanes that have this contact at all, whatever its distance.
     pub exists: R::Mask,
 }
@@ -52,8 +52,8 @@ impl<R: Real> Touch<R> {
 
 /// `yes` where the mask holds, `no` elsewhere.
 #[inline(always)]
-pub fn select3<R: Real>(mask: R::Mask, yes: &Vector3<R>, no: &Vector3<R>) -> Vector3<R> {
-    Vector3::new(
+pub fn select3<R: Real>(mask: R::Mask, yes: &V3<R>, no: &V3<R>) -> V3<R> {
+    V3::new(
         R::select(mask, yes.x, no.x),
         R::select(mask, yes.y, no.y),
         R::select(mask, yes.z, no.z),
@@ -68,9 +68,9 @@ const NO_ANGLE: f64 = 1e-15;
 /// A ball somewhere on a shape; `axis` is the shape's z, a spare direction.
 #[derive(Clone, Copy, Debug)]
 pub struct Ball<R: Real> {
-    pub centre: Vector3<R>,
+    pub centre: V3<R>,
     pub radius: R,
-    pub axis: Vector3<R>,
+    pub axis: V3<R>,
 }
 
 /// Two balls: every round pair ends here once its nearest points are known. With
@@ -86,7 +86,7 @@ pub fn balls<R: Real>(a: &Ball<R>, b: &Ball<R>) -> Touch<R> {
     if same.any() {
         let cross = a.axis.cross(&b.axis);
         let parallel = cross.dot(&cross).lt(R::of(NO_ANGLE * NO_ANGLE));
-        let spare = select3(parallel, &Vector3::x(), &unit(&cross));
+        let spare = select3(parallel, &V3::x(), &unit(&cross));
         normal = select3(same, &spare, &normal);
     }
     let pos = a.centre + normal * (a.radius + R::of(0.5) * dist);
@@ -100,15 +100,12 @@ pub fn balls<R: Real>(a: &Ball<R>, b: &Ball<R>) -> Touch<R> {
 /// the normal. A hint along the normal gives no direction: the world's x takes
 /// its place (y where the normal is within 60° of ±x).
 #[inline(always)]
-pub fn tangents<R: Real>(
-    normal: &Vector3<R>,
-    hint: Option<&Vector3<R>>,
-) -> (Vector3<R>, Vector3<R>) {
+pub fn tangents<R: Real>(normal: &V3<R>, hint: Option<&V3<R>>) -> (V3<R>, V3<R>) {
     let half = R::of(0.5);
     let first = match hint {
         None => {
             let steep = normal.y.abs().lt(half);
-            unit(&across(normal, &select3(steep, &Vector3::y(), &Vector3::z())))
+            unit(&across(normal, &select3(steep, &V3::y(), &V3::z())))
         }
         Some(axis) => {
             let raw = across(normal, axis);
@@ -123,7 +120,7 @@ pub fn tangents<R: Real>(
                 guess
             } else {
                 let flat = normal.x.abs().lt(half);
-                let spare = unit(&across(normal, &select3(flat, &Vector3::x(), &Vector3::y())));
+                let spare = unit(&across(normal, &select3(flat, &V3::x(), &V3::y())));
                 select3(clear, &guess, &spare)
             }
         }
@@ -133,11 +130,11 @@ pub fn tangents<R: Real>(
 
 /// The part of `v` across the unit vector `normal`.
 #[inline(always)]
-fn across<R: Real>(normal: &Vector3<R>, v: &Vector3<R>) -> Vector3<R> {
+fn across<R: Real>(normal: &V3<R>, v: &V3<R>) -> V3<R> {
     v - normal * normal.dot(v)
 }
 
 #[inline(always)]
-fn unit<R: Real>(v: &Vector3<R>) -> Vector3<R> {
+fn unit<R: Real>(v: &V3<R>) -> V3<R> {
     v * (R::one() / v.dot(v).sqrt())
 }

@@ -5,7 +5,7 @@
 //! Forces and moments are compared by what they do: Q² / M, the rate at which a
 //! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
 
-use crate::error::Error;
+use crate::error::{named, Error};
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::sim::Sim;
@@ -27,7 +27,7 @@ impl<R: Real> Sim<R> {
         for (qpos, qvel) in past.iter().chain([&(state.qpos.clone(), state.qvel.clone())]) {
             self.state.qpos.copy_from_slice(qpos);
             self.state.qvel.copy_from_slice(qvel);
-            if self.forward().is_ok() {
+            if self.place_detect_solve().is_ok() {
                 ledgers.push(self.ledger(world));
             }
         }
@@ -36,15 +36,16 @@ impl<R: Real> Sim<R> {
         Error::Diverged { step: self.state.steps, time, world, element: blamed(&ledgers), quantity }
     }
 
-    pub(crate) fn first_not_finite(&self, bad: R::Mask) -> String {
+    /// The first dof whose `quantity`, in `numbers`, is not finite in the first lane of `bad`.
+    pub(crate) fn first_not_finite(&self, bad: R::Mask, quantity: &str, numbers: &[R]) -> String {
         let lane = (0..R::LANES).find(|lane| bad.lane(*lane)).unwrap_or(0);
         let model = &*self.model;
-        let at = self.next.qvel.iter().position(|x| !x.is_finite().lane(lane));
+        let at = numbers.iter().position(|x| !x.is_finite().lane(lane));
         at.map_or("a position is not finite".into(), |dof| {
             let joint = model.dofs[dof].joint;
             format!(
-                "the velocity of {} is not finite",
-                name("joint", &model.joints[joint].name, joint)
+                "the {quantity} of {} is not finite",
+                named("joint", &model.joints[joint].name, joint)
             )
         })
     }
@@ -60,7 +61,7 @@ impl<R: Real> Sim<R> {
                     .map(|k| force(k).powi(2) / inertia(k))
                     .sum();
                 if strength != 0.0 {
-                    entries.push((name(kind, &joint.name, index), strength));
+                    entries.push((named(kind, &joint.name, index), strength));
                 }
             };
             let damper = |k: usize| model.dofs[k].damping * self.state.qvel[k].lane(lane);
@@ -76,12 +77,12 @@ impl<R: Real> Sim<R> {
             let force = self.placed.actuator[index].lane(lane);
             let strength = |k: usize| (motor.gear[k] * force).powi(2) / inertia(joint.dof + k);
             entries
-                .push((name("motor", &motor.name, index), (0..joint.dofs()).map(strength).sum()));
+                .push((named("motor", &motor.name, index), (0..joint.dofs()).map(strength).sum()));
         }
         for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
             let force = &self.inputs.xfrc_applied[6 * index..6 * index + 3];
             let strength = force.iter().map(|f| f.lane(lane).powi(2)).sum::<f64>() / body.mass;
-            entries.push((name("force applied to body", &body.name, index), strength));
+            entries.push((named("force applied to body", &body.name, index), strength));
         }
         let rate = 1.0 / self.settings.dt;
         for block in self.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
@@ -99,12 +100,12 @@ impl<R: Real> Sim<R> {
     pub fn source_name(&self, source: Source) -> String {
         let model = &*self.model;
         match source {
-            Source::Equality(e) => name("connect", &model.equalities[e].name, e),
+            Source::Equality(e) => named("connect", &model.equalities[e].name, e),
             Source::FrictionLoss(dof) => {
                 let joint = model.dofs[dof].joint;
-                name("friction loss of joint", &model.joints[joint].name, joint)
+                named("friction loss of joint", &model.joints[joint].name, joint)
             }
-            Source::Limit(joint, _) => name("limit of joint", &model.joints[joint].name, joint),
+            Source::Limit(joint, _) => named("limit of joint", &model.joints[joint].name, joint),
             Source::Contact(index) => contact_name(model, self.detected.contacts[index].pair),
         }
     }
@@ -124,14 +125,6 @@ pub fn contact_name(model: &Model, pair: usize) -> String {
     format!("contact {}/{}", geom(pair.geom1), geom(pair.geom2))
 }
 
-fn name(kind: &str, name: &str, index: usize) -> String {
-    if name.is_empty() {
-        format!("{kind} {index}")
-    } else {
-        format!("{kind} `{name}`")
-    }
-}
-
 /// The first element that doubled its strength to more than all others together;
 /// else the strongest at the end.
 fn blamed(ledgers: &[Ledger]) -> String {
@@ -146,6 +139,9 @@ fn blamed(ledgers: &[Ledger]) -> String {
             }
         }
     }
-    let last = ledgers.last().and_then(|ledger| ledger.iter().max_by(|a, b| a.1.total_cmp(&b.1)));
+    // A strength that is no number any more is beyond all that are, whatever its sign.
+    let rank = |entry: &(String, f64)| if entry.1.is_nan() { f64::INFINITY } else { entry.1 };
+    let strongest = |a: &&(String, f64), b: &&(String, f64)| rank(a).total_cmp(&rank(b));
+    let last = ledgers.last().and_then(|ledger| ledger.iter().rev().max_by(strongest));
     last.map_or_else(|| "no single element".into(), |(name, _)| name.clone())
 }

@@ -51,7 +51,7 @@ impl<R: Real> Sim<R> {
     pub fn momentum(&mut self) -> Force<R> {
         self.refresh();
         let model = self.model.clone();
-        self.placed.all_velocities(&model, &self.state.qvel);
+        self.placed.all_bodies(&model, &self.state.qvel);
         let mut sum = Force::zero();
         for (index, tree) in model.trees.iter().enumerate() {
             let mut part = Force::zero();

@@ -1,6 +1,7 @@
 //! `Model`: a scene once compiled, constant during a step.
 //!
-//! Numbers are `f64`; a stage turns them into its own number with `Real::of`.
+//! Numbers are `f64` in SI units; a stage turns them into its own number with `Real::of`.
+//! Fields that a `Scene` has too mean here what they mean there.
 
 mod build;
 mod check;
@@ -36,6 +37,7 @@ impl Span {
     }
 }
 
+/// A body with its place in the tree, and its mass put together.
 #[derive(Clone, Debug)]
 pub struct Body {
     pub name: String,
@@ -52,10 +54,11 @@ pub struct Body {
     pub dofs: Span,
     /// Into `Model::dof_lists`: every dof that moves this body, ascending.
     pub chain: Span,
+    /// [kg]
     pub mass: f64,
-    /// Centre of mass in body axes.
+    /// Centre of mass in body axes [m].
     pub ipos: Vector3<f64>,
-    /// About the centre of mass, in body axes.
+    /// About the centre of mass, in body axes [kg·m²].
     pub inertia: Matrix3<f64>,
     /// Mean inverse mass and inverse inertia at qpos0: MuJoCo's `body_invweight0`.
     pub invweight: [f64; 2],
@@ -63,11 +66,13 @@ pub struct Body {
     pub turns: bool,
 }
 
+/// A joint with its places in qpos and qvel.
 #[derive(Clone, Debug)]
 pub struct Joint {
     pub name: String,
     pub kind: JointType,
     pub body: usize,
+    /// Its first entry of qpos, and its first dof.
     pub qpos: usize,
     pub dof: usize,
     pub pos: Vector3<f64>,
@@ -76,22 +81,19 @@ pub struct Joint {
     pub range: Option<[f64; 2]>,
     pub margin: f64,
     pub reference: f64,
+    /// 0 where MJCF's flag switches springs off.
     pub stiffness: f64,
-    pub damping: f64,
     pub limit: Softness,
 }
 
 impl Joint {
     /// Number of dofs.
     pub fn dofs(&self) -> usize {
-        match self.kind {
-            JointType::Free => 6,
-            JointType::Ball => 3,
-            JointType::Slide | JointType::Hinge => 1,
-        }
+        self.kind.dofs()
     }
 }
 
+/// One entry of qvel.
 #[derive(Clone, Debug)]
 pub struct Dof {
     pub joint: usize,
@@ -103,6 +105,7 @@ pub struct Dof {
     /// it: this dof, then its ancestors, nearest first.
     pub row: Span,
     pub armature: f64,
+    /// 0 where MJCF's flag switches dampers off.
     pub damping: f64,
     pub frictionloss: f64,
     pub friction: Softness,
@@ -122,6 +125,7 @@ pub struct Tree {
     pub seen: bool,
 }
 
+/// A shape on a body.
 #[derive(Clone, Debug)]
 pub struct Geom {
     pub name: String,
@@ -136,6 +140,7 @@ pub struct Geom {
     pub collides: bool,
 }
 
+/// A named frame on a body.
 #[derive(Clone, Debug)]
 pub struct Site {
     pub name: String,
@@ -150,10 +155,10 @@ pub struct Site {
 pub struct Pair {
     pub geom1: usize,
     pub geom2: usize,
-    /// 1, 3, 4 or 6; 1 where the friction is zero dimensions.
+    /// 1: no friction; 3: sliding friction.
     pub condim: u32,
-    /// Sliding, sliding, torsional, rolling, rolling.
-    pub friction: [f64; 5],
+    /// Coefficient of sliding friction.
+    pub friction: f64,
     /// A contact has a row below `margin`, and is listed below `margin + gap`.
     pub margin: f64,
     pub gap: f64,
@@ -178,14 +183,17 @@ pub struct Equality {
     pub anchor2: Vector3<f64>,
     pub active: bool,
     pub soft: Softness,
+    /// As those of a `Pair`.
     pub invweight: f64,
     pub dofs: Span,
     pub mass: f64,
 }
 
+/// A scene, compiled.
 #[derive(Clone, Debug)]
 pub struct Model {
     pub name: String,
+    /// Entries of qpos, and of qvel.
     pub nq: usize,
     pub nv: usize,
     pub gravity: Vector3<f64>,

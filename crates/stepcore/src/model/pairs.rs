@@ -108,12 +108,11 @@ fn pair(
         return Err(Error::value(format!("condim of {}", names()), condim, limit));
     }
     let dofs = unions.of(model, x.body, y.body);
-    let [slide, spin, roll] = friction;
     Ok(Pair {
         geom1: a,
         geom2: b,
         condim,
-        friction: [slide, slide, spin, roll, roll],
+        friction,
         margin: x.margin + y.margin,
         gap: x.gap + y.gap,
         soft,
@@ -126,7 +125,8 @@ fn pair(
 
 struct Mixed {
     condim: u32,
-    friction: [f64; 3],
+    /// Sliding: the others belong to condim 4 and 6.
+    friction: f64,
     soft: Softness,
 }
 
@@ -135,7 +135,7 @@ struct Mixed {
 fn mix(x: &Geom, y: &Geom) -> Mixed {
     if x.priority != y.priority {
         let g = if x.priority > y.priority { x } else { y };
-        return Mixed { condim: g.condim, friction: g.friction, soft: g.soft.clone() };
+        return Mixed { condim: g.condim, friction: g.friction[0], soft: g.soft.clone() };
     }
     let share = match (x.solmix > 0.0, y.solmix > 0.0) {
         (true, true) => x.solmix / (x.solmix + y.solmix),
@@ -156,7 +156,7 @@ fn mix(x: &Geom, y: &Geom) -> Mixed {
     });
     Mixed {
         condim: x.condim.max(y.condim),
-        friction: std::array::from_fn(|i| x.friction[i].max(y.friction[i])),
+        friction: x.friction[0].max(y.friction[0]),
         soft: Softness { solref, solimp: std::array::from_fn(|i| blend(p.solimp[i], q.solimp[i])) },
     }
 }

@@ -1,6 +1,7 @@
 //! Rotations and the poses of bodies at qpos0, in `f64`, for the builder alone.
 
 use super::Body;
+use crate::spatial::{self, Quat};
 use nalgebra::{Matrix3, Vector3};
 
 /// Length one; a quaternion that already has it keeps its bits.
@@ -10,26 +11,11 @@ pub fn unit_quat(q: [f64; 4]) -> [f64; 4] {
 }
 
 pub fn rotation(q: [f64; 4]) -> Matrix3<f64> {
-    let [w, x, y, z] = q;
-    Matrix3::new(
-        w * w + x * x - y * y - z * z,
-        2.0 * (x * y - w * z),
-        2.0 * (x * z + w * y),
-        2.0 * (x * y + w * z),
-        w * w - x * x + y * y - z * z,
-        2.0 * (y * z - w * x),
-        2.0 * (x * z - w * y),
-        2.0 * (y * z + w * x),
-        w * w - x * x - y * y + z * z,
-    )
+    Quat::of(&q).matrix()
 }
 
 /// Where a frame stands in the world.
-#[derive(Clone, Copy, Debug)]
-pub struct Pose {
-    pub pos: Vector3<f64>,
-    pub rot: Matrix3<f64>,
-}
+pub type Pose = spatial::Pose<f64>;
 
 impl Pose {
     pub fn new(pos: Vector3<f64>, quat: [f64; 4]) -> Self {

@@ -7,29 +7,6 @@ use crate::scene::{GeomType, JointType, Scene};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashMap;
 
-impl JointType {
-    /// Entries of qpos.
-    pub fn positions(self) -> usize {
-        match self {
-            Self::Free => 7,
-            Self::Ball => 4,
-            Self::Slide | Self::Hinge => 1,
-        }
-    }
-    /// Entries of qvel.
-    pub fn dofs(self) -> usize {
-        match self {
-            Self::Free => 6,
-            Self::Ball => 3,
-            Self::Slide | Self::Hinge => 1,
-        }
-    }
-    /// Changes the orientation of its body.
-    pub fn turns(self) -> bool {
-        self != Self::Slide
-    }
-}
-
 /// The model without masses, inverse weights, pairs and equalities.
 pub fn lay_out(scene: &Scene) -> Model {
     let mut model = Model {
@@ -150,8 +127,7 @@ fn joint(model: &mut Model, scene: &Scene, index: usize) {
         range: source.range,
         margin: source.margin,
         reference: source.reference,
-        stiffness: source.stiffness,
-        damping: source.damping,
+        stiffness: if scene.features.spring { source.stiffness } else { 0.0 },
         limit: source.limit.clone(),
     });
     // The last dof already on the chain: of this body, or of the ones above it.
@@ -167,7 +143,7 @@ fn joint(model: &mut Model, scene: &Scene, index: usize) {
             parent,
             row: Span::default(),
             armature: source.armature,
-            damping: source.damping,
+            damping: if scene.features.damper { source.damping } else { 0.0 },
             frictionloss: source.frictionloss,
             friction: source.friction.clone(),
             invweight: 0.0,

@@ -27,11 +27,7 @@ impl<R: Real> Placed<R> {
 
     fn springs_and_dampers(&mut self, model: &Model, qpos: &[R], qvel: &[R]) {
         for k in 0..model.nv {
-            let damping = if model.features.damper { model.dofs[k].damping } else { 0.0 };
-            self.passive[k] = -(R::of(damping) * qvel[k]);
-        }
-        if !model.features.spring {
-            return;
+            self.passive[k] = -(R::of(model.dofs[k].damping) * qvel[k]);
         }
         for joint in model.joints.iter().filter(|joint| joint.stiffness != 0.0) {
             let k = R::of(joint.stiffness);
@@ -116,12 +112,10 @@ fn stretch<R: Real>(model: &Model, joint: &Joint, qpos: &[R]) -> ([R; 6], usize)
 /// Energy in the joint springs [J].
 pub fn spring_energy<R: Real>(model: &Model, qpos: &[R]) -> R {
     let mut sum = R::zero();
-    if model.features.spring {
-        for joint in model.joints.iter().filter(|joint| joint.stiffness != 0.0) {
-            let (stretch, count) = stretch(model, joint, qpos);
-            for s in &stretch[..count] {
-                sum += R::of(0.5 * joint.stiffness) * *s * *s;
-            }
+    for joint in model.joints.iter().filter(|joint| joint.stiffness != 0.0) {
+        let (stretch, count) = stretch(model, joint, qpos);
+        for s in &stretch[..count] {
+            sum += R::of(0.5 * joint.stiffness) * *s * *s;
         }
     }
     sum

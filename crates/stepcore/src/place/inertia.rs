@@ -3,7 +3,7 @@
 use super::Placed;
 use crate::model::{Model, Tree};
 use crate::real::Real;
-use crate::spatial::{rotate, splat, Inertia, M3};
+use crate::spatial::{rotate, splat, Inertia, M3, V3};
 
 impl<R: Real> Placed<R> {
     /// Inertia of each body, of all that hangs on it, and the mass matrix of the tree.
@@ -40,12 +40,11 @@ impl<R: Real> Placed<R> {
 #[inline(always)]
 fn turn<R: Real>(m: &M3<R>, i: &M3<R>) -> M3<R> {
     let column = |k: usize| {
-        let row = nalgebra::Vector3::new(m[(k, 0)], m[(k, 1)], m[(k, 2)]);
+        let row = V3::new(m[(k, 0)], m[(k, 1)], m[(k, 2)]);
         rotate(i, &row)
     };
     let (a, b, c) = (column(0), column(1), column(2));
-    let dot =
-        |k: usize, v: &nalgebra::Vector3<R>| m[(k, 0)] * v.x + m[(k, 1)] * v.y + m[(k, 2)] * v.z;
+    let dot = |k: usize, v: &V3<R>| m[(k, 0)] * v.x + m[(k, 1)] * v.y + m[(k, 2)] * v.z;
     let (xy, xz, yz) = (dot(0, &b), dot(0, &c), dot(1, &c));
     M3::new(dot(0, &a), xy, xz, xy, dot(1, &b), yz, xz, yz, dot(2, &c))
 }

@@ -145,9 +145,11 @@ impl<R: Real> Placed<R> {
         self.smooth_force(model, qpos, qvel, inputs);
     }
 
-    /// Velocity of every body: the step needs them only where something turns.
-    pub fn all_velocities(&mut self, model: &Model, qvel: &[R]) {
+    /// Inertia and velocity of every body about its tree's origin; `dynamics` skips trees
+    /// that only slide, whose bodies move against that origin all the same.
+    pub fn all_bodies(&mut self, model: &Model, qvel: &[R]) {
         for tree in &model.trees {
+            self.weigh(model, tree);
             self.velocities(model, qvel, tree);
         }
     }

@@ -2,8 +2,9 @@
 //!
 //! Under `solref` (MuJoCo's convex friction) the pyramid's rows are its edges
 //! J_n ± μ J_t. A tangent along which nothing can move leaves two copies of the
-//! normal row; they are folded into one with half the regulariser, never dropped,
-//! because they carry stiffness.
+//! normal row; they are folded into one with half the regulariser (all four, where
+//! neither tangent moves, into one with a quarter), never dropped, because they
+//! carry stiffness.
 
 use super::law::{OnGuess, SolRef};
 use super::rows::{Rows, Set, Situation, Source};
@@ -13,9 +14,11 @@ use crate::real::{Mask, Real};
 use crate::settings::{Cone, Law};
 use crate::spatial::V3;
 
-/// Sliding friction under `solref`: MuJoCo's floor of every coefficient.
+/// MuJoCo's `mjMINMU`: under `solref` no coefficient of friction is smaller.
+const LEAST_FRICTION: f64 = 1e-5;
+
 fn soft_friction(pair: &Pair) -> f64 {
-    pair.friction[0].max(1e-5)
+    pair.friction.max(LEAST_FRICTION)
 }
 
 impl<R: Real> Rows<R> {
@@ -75,7 +78,7 @@ impl<R: Real> Rows<R> {
         let block = self.push_block(first, set, mask, source, slot);
         block.mass = pair.mass;
         let soft = now.settings.law == Law::SolRef;
-        block.mu = R::of(if soft { soft_friction(pair) } else { pair.friction[0] });
+        block.mu = R::of(if soft { soft_friction(pair) } else { pair.friction });
     }
 
     /// MuJoCo's contact: soft normal, convex friction.
@@ -168,7 +171,7 @@ impl<R: Real> Rows<R> {
             return;
         }
         law.distance(&mut self.rows[first], contact.dist, now.settings.restitution);
-        if pair.condim == 1 || pair.friction[0] <= 0.0 {
+        if pair.condim == 1 || pair.friction <= 0.0 {
             return self.close(now, contact, first, Set::Interval, mask, source);
         }
         self.tangent_rows(now, contact, pair);

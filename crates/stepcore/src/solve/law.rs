@@ -6,12 +6,15 @@
 //! Baumgarte (1972) and Stewart & Trinkle (1996).
 
 use super::rows::Row;
-use crate::real::Real;
+use crate::real::{Mask, Real};
 use crate::scene::Softness;
 use crate::settings::{Law, Settings};
 
 /// MuJoCo's `mjMINIMP`, `mjMAXIMP`: dimensionless guards of the impedance.
 const IMPEDANCE: [f64; 2] = [0.0001, 0.9999];
+
+/// The least R beside A, in roundings.
+const LEAST_SOFTNESS: f64 = 64.0;
 
 /// Spring, damper and impedance of one row or block under `solref`.
 #[derive(Clone, Copy)]
@@ -45,12 +48,12 @@ impl<R: Real> SolRef<R> {
 
     /// Fills a row in: t = u + dt·a_ref at the violation `r`, c = R = softness × `weight`.
     ///
-    /// An R beside which A is nothing but rounding could not be told from zero, and would
-    /// leave Newton's Hessian without digits: it is kept above rounding.
+    /// An R that is only rounding beside A could not be told from zero, and would leave
+    /// Newton's Hessian without digits: see `LEAST_SOFTNESS`.
     #[inline(always)]
     pub fn fill(&self, row: &mut Row<R>, r: R, weight: R, dt: R) {
         row.t = row.velocity - dt * (self.b * row.velocity + self.kd * r);
-        row.c = (self.softness * weight).max(R::of(64.0 * R::EPSILON) * row.a);
+        row.c = (self.softness * weight).max(R::of(LEAST_SOFTNESS * R::EPSILON) * row.a);
         row.inv_s = (row.a + row.c).recip_or_zero();
     }
 }
@@ -100,7 +103,7 @@ impl OnGuess {
         Self { law, dt, beta, softness, slop }
     }
 
-    /// An inequality: distance φ ≥ 0. `bounce` is e·v_n⁻ of a contact, 0 of a limit.
+    /// An inequality: distance φ ≥ 0. Limits do not bounce: their restitution is 0.
     pub fn distance<R: Real>(&self, row: &mut Row<R>, phi: R, restitution: f64) {
         let (zero, inv_dt) = (R::zero(), R::of(1.0 / self.dt));
         let push = R::of(-self.beta) * inv_dt;
@@ -108,7 +111,7 @@ impl OnGuess {
             let back =
                 (push * (phi + R::of(self.slop)).min(zero)).max(R::of(-restitution) * row.velocity);
             let arrive = -(phi * inv_dt);
-            let open = if restitution == 0.0 { phi.gt(zero) } else { zero.lt(zero) };
+            let open = phi.gt(zero).and(R::Mask::of(restitution == 0.0));
             row.t = R::select(open, arrive, back);
         } else {
             row.t = push * phi.min(zero);

@@ -5,7 +5,6 @@ use super::rows::{Rows, Set, Situation, Source};
 use crate::model::Joint;
 use crate::real::{Mask, Real};
 use crate::scene::JointType;
-use crate::settings::Law;
 use crate::spatial::{Quat, V3};
 
 impl<R: Real> Rows<R> {
@@ -34,7 +33,8 @@ impl<R: Real> Rows<R> {
         let (model, settings) = (now.model, now.settings);
         let joint: &Joint = &model.joints[index];
         let near = phi.lt(R::of(joint.margin));
-        let by_position = matches!(settings.law, Law::SolRef | Law::Penalty);
+        // `penalty` is a law of contacts alone: limits stay MuJoCo's.
+        let by_position = !settings.law.on_guess();
         if by_position && near.none() {
             return;
         }

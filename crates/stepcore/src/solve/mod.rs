@@ -1,6 +1,7 @@
-//! Stage 3, solve: every contact, limit, loss and weld as rows of one system,
-//! and the impulses on which they all agree.
+//! Stage 3, solve: every contact, limit, friction loss and connection as rows of one
+//! system, and the impulses on which they all agree.
 
+mod alone;
 mod cone;
 mod contact;
 mod equality;
@@ -16,7 +17,6 @@ mod rows;
 #[cfg(test)]
 mod tests;
 
-pub use law::SolRef;
 pub use newton::Newton;
 pub use pgs::{Limits, Pgs, Report};
 pub use rows::{Block, Row, Rows, Set, Situation, Source};

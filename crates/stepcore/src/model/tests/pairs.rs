@@ -60,7 +60,7 @@ fn filters_and_mixing() {
         )
     };
     let pair = two(&a, &b).model().pairs[0].clone();
-    assert_eq!((pair.condim, pair.friction), (3, [0.7, 0.7, 0.1, 0.2, 0.2]));
+    assert_eq!((pair.condim, pair.friction), (3, 0.7));
     assert!(
         near(pair.margin, 0.3)
             && near(pair.soft.solref[0], 0.15)
@@ -71,10 +71,7 @@ fn filters_and_mixing() {
     assert_eq!(two(&a, &direct).model().pairs[0].soft.solref, [-100.0, -3.0]);
     let first = Geom { priority: 1, ..a.clone() };
     let pair = two(&first, &b).model().pairs[0].clone();
-    assert_eq!(
-        (pair.condim, pair.friction, pair.soft.solref),
-        (1, [0.5, 0.5, 0.0, 0.2, 0.2], [0.1, 1.0])
-    );
+    assert_eq!((pair.condim, pair.friction, pair.soft.solref), (1, 0.5, [0.1, 1.0]));
     let apart = Geom { contype: 2, conaffinity: 4, ..b.clone() };
     assert!(two(&a, &apart).model().pairs.is_empty());
     let mut excluded = two(&a, &b);

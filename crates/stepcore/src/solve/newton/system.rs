@@ -117,28 +117,15 @@ impl<R: Real> System<R> {
             cost += half * *d * (*u - *guess) * (*u - *guess);
         }
         self.laws(pattern, blocks, rows, R::Mask::of(false));
-        self.each(blocks, rows, |at, row, mask, system| {
-            let s =
-                -system.impulse[at] * (system.w[at] + half * rows.rows[row].c * system.impulse[at]);
-            cost = R::select(mask, cost + s, cost);
-        });
-        cost
-    }
-
-    /// Calls `f(row here, row in `rows`, lanes, self)` for every row.
-    fn each(
-        &self,
-        blocks: &[usize],
-        rows: &Rows<R>,
-        mut f: impl FnMut(usize, usize, R::Mask, &Self),
-    ) {
         let mut at = 0;
         for block in blocks.iter().map(|b| &rows.blocks[*b]) {
-            for row in block.rows.range() {
-                f(at, row, block.mask, self);
+            for row in &rows.rows[block.rows.range()] {
+                let s = -self.impulse[at] * (self.w[at] + half * row.c * self.impulse[at]);
+                cost = R::select(block.mask, cost + s, cost);
                 at += 1;
             }
         }
+        cost
     }
 
     /// Every row's w and impulse at u; in lanes of `bend` also the curvature.

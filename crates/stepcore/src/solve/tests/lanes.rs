@@ -3,7 +3,7 @@
 use super::newton::mixed;
 use super::{contacts, pack, Problem, Random, INF};
 use crate::model::Span;
-use crate::real::{Lanes, Mask, Real, WIDTH};
+use crate::real::{Lanes, Real, WIDTH};
 use crate::solve::newton::Newton;
 use crate::solve::pgs::{Limits, Pgs, Report};
 use crate::solve::rows::{Rows, Set};
@@ -60,7 +60,7 @@ fn compare(base: &Problem, by: By, random: &mut Random, has: impl Fn(usize, usiz
     let mut packed = pack::<Lanes>(&worlds);
     let lists = thin(&mut packed, &base.inv_d, keep);
     for (b, block) in packed.blocks.iter_mut().enumerate() {
-        (0..WIDTH).for_each(|lane| block.mask.set_lane(lane, has(b, lane)));
+        (0..WIDTH).for_each(|lane| block.mask.0[lane] = has(b, lane));
     }
     let report = solve(by, &lists, &base.inv_d, &mut packed);
     for (lane, world) in worlds.iter().enumerate() {
