@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from stepcore import _core, checks
 from stepcore._core import Settings
-from stepcore.arrays import StateArray, numbers
-from stepcore.model import Model
+from stepcore.arrays import Floats, StateArray, Stepped, numbers, snapshot
+from stepcore.model import Model, compiled
 from stepcore.scene import Scene
-
-Floats = NDArray[np.float64]
 
 
 class Rollout(NamedTuple):
@@ -24,7 +22,7 @@ class Rollout(NamedTuple):
     act: Floats
 
 
-class Batch:
+class Batch(Stepped):
     """`n` worlds of a model; the arrays of a `Sim` with a leading world axis.
 
     model: a `Model`, or a `Scene` to compile. n: how many worlds. threads: how many step at once.
@@ -68,36 +66,17 @@ class Batch:
         settings: Settings | None = None,
         **overrides: Any,
     ) -> None:
-        if not isinstance(model, Model):
-            model = Model(model)
         if precision is not None:
             overrides["precision"] = precision
-        self._model = model.with_settings(settings, **overrides)
+        self._model = compiled(model).with_settings(settings, **overrides)
         self._lanes = checks.flag("Batch", "lanes", lanes)
         self._threads = threads
-        self._core = _core.Batch(model.core, self._model.settings, n, threads, self._lanes)
-        self._arrays = {
-            "qpos": self._core.qpos,
-            "qvel": self._core.qvel,
-            "act": np.zeros((n, 0)),
-            "ctrl": self._core.ctrl,
-            "qfrc_applied": self._core.qfrc_applied,
-            "xfrc_applied": self._core.xfrc_applied,
-        }
+        self._core = _core.Batch(self._model.core, self._model.settings, n, threads, self._lanes)
+        self._own(self._core)
 
     def __len__(self) -> int:
         """The number of worlds."""
         return len(self.qpos)
-
-    @property
-    def model(self) -> Model:
-        """The model, with the settings of this batch."""
-        return self._model
-
-    @property
-    def settings(self) -> Settings:
-        """How this batch computes."""
-        return self._model.settings
 
     @property
     def time(self) -> float:
@@ -124,16 +103,8 @@ class Batch:
         qpos, qvel = self._core.rollout(table)
         return Rollout(qpos, qvel, np.zeros((*qpos.shape[:2], 0)))
 
-    def reset(self, key: str | int | None = None) -> None:
-        """Puts every world where `Sim.reset` puts one."""
-        state = None if key is None else self._model.keys[self._model.index("key", key)]
-        for array in self._arrays.values():
-            array[...] = 0.0
-        self.qpos[:] = self._model.qpos0 if state is None else state.qpos
-        if state is not None:
-            self.qvel[:] = state.qvel
-            self.ctrl[:] = state.ctrl
-        self._core.restart(0.0 if state is None else state.time)
+    def _restart(self, time: float) -> None:
+        self._core.restart(time)
 
     def state(self) -> tuple[bytes, ...]:
         """A complete snapshot of every world; each is also one of a `Sim`."""
@@ -145,11 +116,10 @@ class Batch:
         Raises ValueError for anything else, and leaves everything as it was.
         """
         try:
-            states = [bytes(memoryview(world)) for world in state]
+            worlds = list(state)
         except TypeError:
-            text = "must be what state() returned"
-            raise ValueError(f"state = {checks.shown(state)}: {text}") from None
-        self._core.restore(states)
+            worlds = [state]  # type: ignore[list-item]
+        self._core.restore([snapshot(state, world) for world in worlds])
 
     @property
     def qacc(self) -> Floats:

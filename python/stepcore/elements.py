@@ -14,14 +14,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from stepcore import checks
-
-Vec = tuple[float, ...]
+from stepcore.frames import IDENTITY, ORIGIN, Vec
 
 SOLREF: Vec = (0.02, 1.0)
 SOLIMP: Vec = (0.9, 0.95, 0.001, 0.5, 2.0)
 JOINT_TYPES = ("free", "ball", "slide", "hinge")
-ORIGIN: Vec = (0.0, 0.0, 0.0)
-IDENTITY: Vec = (1.0, 0.0, 0.0, 0.0)
 FRICTION: Vec = (1.0, 0.005, 0.0001)
 GEAR: Vec = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 GEOM_TYPES = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box")

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings
+from stepcore.arrays import Floats
 from stepcore.changes import changed
 
 if TYPE_CHECKING:
     from stepcore.scene import Scene
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
@@ -333,6 +333,16 @@ class Model:
         name = f' "{self._scene.name}"' if self._scene.name else ""
         shown = ", ".join(f"{key} {count}" for key, count in counts.items())
         return f"<Model{name}: {shown}; {self._settings!r}>"
+
+
+def compiled(model: Model | Scene) -> Model:
+    """The model itself, or that of a scene; ValueError for anything else."""
+    if isinstance(model, Model):
+        return model
+    if not hasattr(model, "to_dict"):
+        limit = "a stepcore.Model or a stepcore.Scene"
+        raise ValueError(f"model = {checks.shown(model)}: must be {limit}")
+    return Model(model)
 
 
 def _merged(own: Settings, given: Settings | None, overrides: dict[str, Any]) -> Settings:

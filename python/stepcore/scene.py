@@ -18,7 +18,6 @@ from stepcore.elements import (
     Key,
     MassRules,
     Site,
-    Vec,
     fields_of,
 )
 from stepcore.layout import Layout, check, plain
@@ -72,13 +71,13 @@ class Scene:
         self.notes: list[str] = []
 
     @property
-    def gravity(self) -> Vec:
+    def gravity(self) -> frames.Vec:
         """Gravitational acceleration [m/s²], shape (3,)."""
         return self._gravity
 
     @gravity.setter
     def gravity(self, value: Sequence[float]) -> None:
-        self._gravity: Vec = checks.vector(3)("scene", "gravity", value)
+        self._gravity: frames.Vec = checks.vector(3)("scene", "gravity", value)
 
     @property
     def world(self) -> Body:

@@ -8,15 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stepcore import _core, checks
+from stepcore import _core
 from stepcore._core import Settings
-from stepcore.arrays import StateArray
-from stepcore.model import Model
+from stepcore.arrays import Floats, StateArray, Stepped, snapshot
+from stepcore.model import Model, compiled
 from stepcore.scene import Scene
 from stepcore.trajectory import Trajectory, record_run
 from stepcore.views import BodyView, GeomView, JointView, SiteView
-
-Floats = NDArray[np.float64]
 
 CONTACT = np.dtype(
     [
@@ -50,7 +48,7 @@ class Momentum(NamedTuple):
     angular: Floats
 
 
-class Sim:
+class Sim(Stepped):
     """One world of a model.
 
     model: a `Model`, or a `Scene` to compile. settings: a `Settings` in place of the model's own.
@@ -86,28 +84,9 @@ class Sim:
     def __init__(
         self, model: Model | Scene, settings: Settings | None = None, **overrides: Any
     ) -> None:
-        if not isinstance(model, Model):
-            model = Model(model)
-        self._model = model.with_settings(settings, **overrides)
-        self._core = _core.Sim(model.core, self._model.settings)
-        self._arrays = {
-            "qpos": self._core.qpos,
-            "qvel": self._core.qvel,
-            "act": np.zeros(0),
-            "ctrl": self._core.ctrl,
-            "qfrc_applied": self._core.qfrc_applied,
-            "xfrc_applied": self._core.xfrc_applied,
-        }
-
-    @property
-    def model(self) -> Model:
-        """The model, with the settings of this Sim."""
-        return self._model
-
-    @property
-    def settings(self) -> Settings:
-        """How this Sim computes."""
-        return self._model.settings
+        self._model = compiled(model).with_settings(settings, **overrides)
+        self._core = _core.Sim(self._model.core, self._model.settings)
+        self._own(self._core)
 
     @property
     def time(self) -> float:
@@ -133,19 +112,8 @@ class Sim:
         """Place, detect and solve at the present state; nothing moves."""
         self._core.forward()
 
-    def reset(self, key: str | int | None = None) -> None:
-        """Back to the scene's own pose at rest at time 0, or to a keyframe by name or index.
-
-        Controls are the keyframe's or 0; applied forces and warm-start impulses are forgotten.
-        """
-        state = None if key is None else self._model.keys[self._model.index("key", key)]
-        for array in self._arrays.values():
-            array[...] = 0.0
-        self.qpos[:] = self._model.qpos0 if state is None else state.qpos
-        if state is not None:
-            self.qvel[:] = state.qvel
-            self.ctrl[:] = state.ctrl
-        self._core.time = 0.0 if state is None else state.time
+    def _restart(self, time: float) -> None:
+        self._core.time = time
         self._core.forget()
 
     def state(self) -> bytes:
@@ -157,12 +125,7 @@ class Sim:
 
         Raises ValueError for bytes that are not one, and leaves everything as it was.
         """
-        try:
-            data = bytes(memoryview(state))
-        except TypeError:
-            text = "must be what state() returned"
-            raise ValueError(f"state = {checks.shown(state)}: {text}") from None
-        self._core.restore(data)
+        self._core.restore(snapshot(state, state))
 
     def run(
         self,

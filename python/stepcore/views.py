@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
+from stepcore.arrays import Floats
 from stepcore.layout import DOFS, QPOS
 
 if TYPE_CHECKING:
     from stepcore.sim import Sim
-
-Floats = NDArray[np.float64]
 
 
 class _View:

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from stepcore import frames
-from stepcore.elements import MassRules, Vec, fields_of
+from stepcore.elements import MassRules, fields_of
+from stepcore.frames import Vec
 from stepcore.mjcf.schema import ORIENTATION
 from stepcore.mjcf.source import Node
 from stepcore.mjcf.values import bad

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from stepcore import frames
-from stepcore.elements import SOLIMP, SOLREF, Body, Element, Vec
+from stepcore.elements import SOLIMP, SOLREF, Body, Element
+from stepcore.frames import Vec
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.schema import NOT_IN_WORLD
