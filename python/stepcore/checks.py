@@ -34,6 +34,11 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return ""
 
 
+def one_line(error: BaseException) -> str:
+    """The text of an error on one line."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 class ElementError(ValueError):
     """What is wrong with one scene element; `owner` is that element."""
 

@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from stepcore.checks import nearest
+from stepcore.checks import nearest, one_line
 from stepcore.table import Table, jsonable
 
 
@@ -50,15 +50,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ValueError, OSError, TypeError) as error:
         if isinstance(error, TypeError) and args.debug:
             raise
-        return _say(_line(error), 2)
+        return _say(one_line(error), 2)
     except Exception as error:
         if args.debug:
             raise
-        return _say(_line(error), 1)
-
-
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+        return _say(one_line(error), 1)
 
 
 def _say(text: str, status: int) -> int:
@@ -267,7 +263,7 @@ def _function(text: str) -> Callable[..., Any]:
     try:
         found = importlib.import_module(module)
     except ImportError as error:
-        raise Usage(f"--control {text}: {_line(error)}") from None
+        raise Usage(f"--control {text}: {one_line(error)}") from None
     function = getattr(found, name, None)
     if not callable(function):
         known = [key for key, value in vars(found).items() if callable(value)]

@@ -58,8 +58,8 @@ def plot_trade(trade: Trade, path: str | os.PathLike[str] | None = None) -> Any:
         axes.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6, zorder=5)
         text = f"as shipped\ndt {seconds(shipped.settings.dt)}"
         # Below and left of the front there is nothing to cover.
-        style = {"textcoords": "offset points", "ha": "right", "va": "top", "fontsize": 9}
-        axes.annotate(text, at, (-8, -10), zorder=6, **style)
+        style: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "top"}
+        axes.annotate(text, at, (-8, -10), zorder=6, fontsize=9, **style)
     error = trade.reference.error
     if error > low:
         axes.axhspan(low, error, color="#DDDDDD", zorder=0)

@@ -8,13 +8,17 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any
 
-from stepcore.checks import nearest
+from stepcore._core import SimulationError
+from stepcore.checks import nearest, one_line, shown
+from stepcore.model import Model
 from stepcore.progress import Choice, Progress
+from stepcore.scene import Scene
+from stepcore.sim import Sim
 from stepcore.table import Table
 
 
 def sweep(
-    make_or_model: Any,
+    make_or_model: Model | Scene | Callable[..., Any],
     grid: Mapping[str, Sequence[Any]],
     measure: Callable[[Any], Any],
     *,
@@ -47,10 +51,13 @@ def sweep(
             raise ValueError(f"grid['{name}'] is empty: each axis needs at least one value")
     if threads is not None and threads < 1:
         raise ValueError(f"threads = {threads}: must be >= 1")
-    if hasattr(make_or_model, "add_body"):
+    if isinstance(make_or_model, Scene):
         make_or_model = make_or_model.compile()
-    if hasattr(make_or_model, "with_values"):
+    if isinstance(make_or_model, Model):
         _check_names(make_or_model, axes)
+    elif not callable(make_or_model):
+        limit = "a Model, a Scene or a function"
+        raise ValueError(f"make_or_model = {shown(make_or_model)}: must be {limit}")
     points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
     with Progress("sweep", len(points), progress) as bar:
         results = _run(make_or_model, points, measure, threads, executor, bar)
@@ -66,7 +73,7 @@ def _is_value(name: str) -> bool:
     return "/" in name or name == "gravity"
 
 
-def _check_names(model: Any, axes: Mapping[str, Any]) -> None:
+def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
     """A misspelt setting is an error of the whole sweep, not a failure of every point."""
     fields = model.settings.as_dict()
     for name in axes:
@@ -109,38 +116,16 @@ def at_point(source: Any, point: dict[str, Any], measure: Callable[[Any], Any]) 
     """One measurement as a record, or the reason why there is none."""
     try:
         got = measure(_made(source, point))
-    except Exception as error:
-        if not isinstance(error, (ValueError, failures())):
-            raise
-        return {"failure": _reason(error)}
+    except (ValueError, SimulationError) as error:
+        return {"failure": one_line(error)}
     return dict(got) if isinstance(got, Mapping) else {"value": got}
 
 
 def _made(source: Any, point: dict[str, Any]) -> Any:
     """What is measured at a point."""
-    if hasattr(source, "with_values"):
+    if isinstance(source, Model):
         values = {name: value for name, value in point.items() if _is_value(name)}
         settings = {name: value for name, value in point.items() if not _is_value(name)}
-        return _sim(source.with_values(values) if values else source, settings)
+        return Sim(source.with_values(values) if values else source, **settings)
     made = source(**point)
-    if hasattr(made, "add_body"):
-        made = made.compile()
-    return _sim(made, {}) if hasattr(made, "with_values") else made
-
-
-def _sim(model: Any, settings: dict[str, Any]) -> Any:
-    from stepcore.sim import Sim
-
-    return Sim(model, **settings)
-
-
-def failures() -> type[Exception]:
-    """The error of a run that leaves the finite numbers."""
-    from stepcore._core import SimulationError
-
-    kind: type[Exception] = SimulationError
-    return kind
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    return Sim(made) if isinstance(made, (Model, Scene)) else made

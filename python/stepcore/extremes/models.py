@@ -6,7 +6,6 @@ import copy
 import importlib.util
 from collections.abc import Iterator
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from stepcore.extremes.cells import (
     within,
 )
 from stepcore.extremes.motion import step_is_balanced, total_energy
-from stepcore.mjcf import load
+from stepcore.lookup import find_scene
 from stepcore.scene import Scene
 from stepcore.sim import Sim
 
@@ -38,8 +37,7 @@ ANKLES = {"ankle_1": 0.9, "ankle_2": -0.9, "ankle_3": -0.9, "ankle_4": 0.9}
 
 def cases() -> Iterator[Case]:
     """For each model: sweeps, mass ratio and joint stiffness, by dt. None without gymnasium."""
-    folder = models()
-    if folder is None:
+    if importlib.util.find_spec("gymnasium") is None:
         return
     law = (
         "momentum balanced in every step, no row pulls, no energy gained, limits held; "
@@ -64,20 +62,10 @@ def cases() -> Iterator[Case]:
                         )
 
 
-def models() -> Path | None:
-    """Where gymnasium keeps its MJCF files."""
-    spec = importlib.util.find_spec("gymnasium")
-    if spec is None or not spec.submodule_search_locations:
-        return None
-    return Path(spec.submodule_search_locations[0]) / "envs" / "mujoco" / "assets"
-
-
 @cache
 def scene_of(name: str) -> Scene:
     """The file's scene."""
-    folder = models()
-    assert folder is not None
-    return load(folder / f"{name}.xml")
+    return find_scene(f"gymnasium:{name}")
 
 
 def cell(name: str, axis: str, value: float, dt: float, precision: str) -> Outcome:

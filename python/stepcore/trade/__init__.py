@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from stepcore._core import Settings
+from stepcore.model import Model, compiled
 from stepcore.progress import Choice, Progress
+from stepcore.scene import Scene
 from stepcore.trade.cost import costs
 from stepcore.trade.dofs import Dofs
 from stepcore.trade.errors import errors
-from stepcore.trade.motion import motion, time_steps
+from stepcore.trade.motion import Control, Motion, motion, time_steps
 from stepcore.trade.reference import FINER, Reference, Search, smallest
 from stepcore.trade.result import Row, Trade
 from stepcore.trade.run import Course, Path, in_threads
@@ -26,13 +29,13 @@ BUDGET = 6e6
 
 
 def trade(
-    model: Any,
+    model: Model | Scene | str | os.PathLike[str],
     *,
     horizon: float = 1.0,
     key: str | None = None,
-    control: Callable[..., Any] | None = None,
+    control: Control | None = None,
     control_dt: float | None = None,
-    ctrl: Any = None,
+    ctrl: ArrayLike | None = None,
     starts: int = 8,
     seed: int = 0,
     dts: Sequence[float] | None = None,
@@ -67,7 +70,7 @@ def trade(
 
     Raises ValueError for an argument outside its limits, or if the reference itself fails.
     """
-    model = _compiled(model)
+    model = _model(model)
     shipped = model.settings
     dofs = Dofs(model.scene)
     if not dofs.moving:
@@ -108,16 +111,16 @@ def trade(
     return Trade(name, motive.horizon, rows, reference, starts, notes)
 
 
-def _compiled(source: Any) -> Any:
-    """The Model of whatever the user gave."""
+def _model(source: Model | Scene | str | os.PathLike[str]) -> Model:
+    """The Model of what the user gave."""
     if isinstance(source, (str, os.PathLike)):
         from stepcore.lookup import find_scene
 
         source = find_scene(source)
-    return source.compile() if hasattr(source, "add_body") else source
+    return compiled(source)
 
 
-def _all_starts(course: Course, settings: Any) -> list[Path]:
+def _all_starts(course: Course, settings: Settings) -> list[Path]:
     """Runs of one setting from every start, until one fails."""
     paths = []
     for start in range(len(course.motion.starts)):
@@ -142,11 +145,11 @@ def _refine(
 
 
 def _row(
-    settings: Any,
+    settings: Settings,
     paths: Sequence[Path],
     cost: float,
     reference: Reference,
-    shipped: Any,
+    shipped: Settings,
     horizon: float,
     tau: float | None,
 ) -> Row:
@@ -167,7 +170,7 @@ def _row(
 
 
 def _notes(
-    motive: Any, reference: Reference, rows: int, tau: float | None, asked: float
+    motive: Motion, reference: Reference, rows: int, tau: float | None, asked: float
 ) -> list[str]:
     notes = []
     if motive.horizon < asked * (1 - 1e-9):

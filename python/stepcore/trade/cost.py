@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from time import get_clock_info, perf_counter, thread_time
-from typing import Any
 
 import numpy as np
 
+from stepcore._core import Settings, SimulationError
 from stepcore.progress import Progress
-from stepcore.sweep import failures
+from stepcore.sim import Sim
 from stepcore.trade.run import Course
 
 # Rounds over all settings: at least, at most; and the time to spend on them if they are quick [s].
@@ -20,7 +20,7 @@ SHORT = 1e-3
 OWN_CLOCK = get_clock_info("thread_time").resolution < 1e-5
 
 
-def costs(course: Course, settings: Sequence[Any], bar: Progress) -> list[float]:
+def costs(course: Course, settings: Sequence[Settings], bar: Progress) -> list[float]:
     """Computing time of each setting [µs per simulated second], median of interleaved rounds.
 
     One thread. Every round steps each setting once through the motion of the first start, so
@@ -51,7 +51,7 @@ def _round(runs: Sequence[_Timed], bar: Progress | None) -> float:
 class _Timed:
     """One setting, run through the motion again and again."""
 
-    def __init__(self, course: Course, settings: Any) -> None:
+    def __init__(self, course: Course, settings: Settings) -> None:
         self.course, self.settings = course, settings
         motion = course.motion
         self.count, self.periods = motion.steps(settings.dt), motion.periods
@@ -60,7 +60,7 @@ class _Timed:
             self.count, self.periods = self.count * self.periods, 1
         self.drive = course.drive(0)
         self.times: list[float] = []
-        self.sim: Any = None
+        self.sim: Sim | None = None
         self.failed = False
 
     def again(self) -> float:
@@ -71,7 +71,7 @@ class _Timed:
             times = [self._once()]
             while sum(times) < SHORT and len(times) < 20:
                 times.append(self._once())
-        except (ValueError, failures()):
+        except (ValueError, SimulationError):
             self.failed, self.times = True, []
             return 0.0
         self.times.append(float(np.median(times)))

@@ -12,7 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from stepcore.model import Model
+from stepcore.sim import Sim
 from stepcore.trade.dofs import Dofs, Start
 
 # How far the seeded starts are from the keyframe: small beside a robot, long beside a step.
@@ -24,7 +27,7 @@ SAMPLES = 50
 SINES = 3
 
 # As in `Sim.run`: of (time, sim), the controls.
-Control = Callable[[float, Any], Any]
+Control = Callable[[float, Sim], ArrayLike]
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,7 @@ def _check_divide(dts: Sequence[float], period: float) -> None:
 
 
 def motion(
-    model: Any,
+    model: Model,
     dofs: Dofs,
     *,
     horizon: float,
@@ -207,10 +210,8 @@ def _smooth(
     return values
 
 
-def _near(model: Any, dofs: Dofs, home: Start, rng: np.random.Generator) -> Start:
+def _near(model: Model, dofs: Dofs, home: Start, rng: np.random.Generator) -> Start:
     """A start near `home`, within the joints' ranges and no deeper in contact than it (0.1 mm)."""
-    from stepcore.sim import Sim
-
     sim = Sim(model)
 
     def depth(start: Start) -> float:

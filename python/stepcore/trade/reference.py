@@ -8,15 +8,15 @@ softness of contacts above all, stays the scene's.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from stepcore._core import Settings
 from stepcore.progress import Progress
 from stepcore.trade.dofs import Start
 from stepcore.trade.errors import errors, predictable
-from stepcore.trade.run import Course, Path, distance, in_threads
+from stepcore.trade.run import Course, Path, in_threads
 
 # A tenth: the reference's error may then change the last digit of an error shown, no more.
 FINER = 10.0
@@ -30,7 +30,6 @@ class Level:
     """All starts at one time step.
 
     distance: to the level of twice the step [m], measured as errors are.
-
     largest: the same of any body, sample and start [m]; angle: in orientation [rad].
     """
 
@@ -52,18 +51,16 @@ class Reference:
 
     error [m], angle [rad]: distance between it and the run at twice its step, as errors in the
     table are measured. agreement [m]: distance to a second integrator, whose own halving moved
-    it by `other_error`. scored: samples that count, (starts, n). notes: cautions.
+    it by `other_error`. scored: samples that count, (starts, n).
     """
 
-    settings: Any
+    settings: Settings
     level: Level
     levels: list[Level]
     agreement: float
     other: str
     other_error: float
     scored: np.ndarray
-    spent: float
-    notes: list[str] = field(default_factory=list)
 
     @property
     def error(self) -> float:
@@ -85,11 +82,13 @@ class Reference:
 class Search:
     """Looks for the reference of a course; counts what it spends in steps × (dofs + 2)."""
 
-    def __init__(self, course: Course, shipped: Any, finest: float, budget: float, threads: int):
+    def __init__(
+        self, course: Course, shipped: Settings, finest: float, budget: float, threads: int
+    ):
         self.course, self.shipped, self.budget, self.threads = course, shipped, budget, threads
         self.finest, self.spent = finest, 0.0
 
-    def settings(self, integrator: str, dt: float) -> Any:
+    def settings(self, integrator: str, dt: float) -> Settings:
         """Reference settings: rows solved to rounding, as the law allows."""
         solver = "newton" if self.shipped.law == "solref" else "pgs"
         sweeps = 200 if solver == "newton" else 20_000
@@ -148,7 +147,6 @@ class Search:
             other=rest[1].integrator if len(found) > 1 else "",
             other_error=rest[1].distance,
             scored=scored,
-            spent=self.spent,
         )
 
     def scored(self, level: Level, bar: Progress) -> np.ndarray:
@@ -196,7 +194,6 @@ class Search:
             return False
         self.compare(fine, coarse, reference.scored)
         reference.levels.append(fine)
-        reference.spent = self.spent
         # Past rounding a finer run is not a better one.
         if fine.distance <= coarse.distance:
             reference.level = fine
@@ -207,6 +204,3 @@ class Search:
 def smallest(values: Sequence[float]) -> float:
     """The smallest that is not zero, or 0."""
     return min((value for value in values if value > 0), default=0.0)
-
-
-__all__ = ["FINER", "Level", "Reference", "Search", "distance", "smallest"]

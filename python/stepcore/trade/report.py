@@ -172,7 +172,7 @@ def cautions(trade: Trade) -> list[str]:
     """What the reference's error means for the table."""
     ref = trade.reference
     least = smallest([row.errors.position for row in trade.rows if row.errors])
-    found = list(ref.notes)
+    found = []
     if ref.error * FINER > least > 0:
         found.append(
             f"the reference's error of {metres(ref.error)} is not {FINER:.0f} times smaller "

@@ -8,6 +8,7 @@ import os
 from dataclasses import dataclass, field
 from typing import Any
 
+from stepcore._core import Settings
 from stepcore.table import Table, jsonable
 from stepcore.trade import report
 from stepcore.trade.errors import Errors, pareto
@@ -18,7 +19,7 @@ from stepcore.trade.reference import Reference
 class Row:
     """One setting. cost [µs per simulated second], row_updates [per simulated second]."""
 
-    settings: Any
+    settings: Settings
     errors: Errors | None
     cost: float
     row_updates: float
@@ -90,7 +91,7 @@ class Trade:
         """All rows, coarsest step first; units as in `Errors` and `Row`."""
         return Table(row.record() for row in self.rows)
 
-    def best(self, error: float = 1e-3) -> Any:
+    def best(self, error: float = 1e-3) -> Settings:
         """The cheapest Settings whose position error is at most `error` [m].
 
         Raises ValueError, naming the smallest error there is, if none is that good.

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
+from stepcore._core import Settings, SimulationError
+from stepcore.checks import one_line
+from stepcore.model import Model
 from stepcore.progress import Progress
-from stepcore.sweep import failures
+from stepcore.sim import Sim
 from stepcore.trade.dofs import Dofs, product, turned
 from stepcore.trade.motion import Motion
 
@@ -45,53 +48,51 @@ class Path:
 class Course:
     """The model and the motion: everything that runs under different settings share."""
 
-    def __init__(self, model: Any, dofs: Dofs, motion: Motion) -> None:
+    def __init__(self, model: Model, dofs: Dofs, motion: Motion) -> None:
         self.model, self.dofs, self.motion = model, dofs, motion
         self.ipos = np.asarray(model.body_ipos, float)[dofs.moving]
 
-    def sim(self, settings: Any) -> Any:
+    def sim(self, settings: Settings) -> Sim:
         """A Sim of the model under these settings."""
-        from stepcore.sim import Sim
-
         return Sim(self.model, settings)
 
-    def place(self, sim: Any, start: int) -> None:
+    def place(self, sim: Sim, start: int) -> None:
         """Puts a Sim at a start of the motion, at time 0, nothing warm."""
         sim.reset()
         sim.qpos = self.motion.starts[start].qpos
         sim.qvel = self.motion.starts[start].qvel
 
-    def drive(self, start: int) -> Callable[[Any, int], None]:
+    def drive(self, start: int) -> Callable[[Sim, int], None]:
         """Sets the controls of a Sim at the beginning of a period."""
         motion = self.motion
         if motion.control is None:
             assert motion.ctrl is not None
             values = motion.ctrl[start]
 
-            def replay(sim: Any, period: int) -> None:
+            def replay(sim: Sim, period: int) -> None:
                 sim.ctrl[:] = values[period]
 
             return replay
         function = motion.control
 
-        def ask(sim: Any, period: int) -> None:
+        def ask(sim: Sim, period: int) -> None:
             sim.ctrl = function(sim.time, sim)
 
         return ask
 
-    def run(self, settings: Any, start: int) -> Path:
+    def run(self, settings: Settings, start: int) -> Path:
         """The motion from one start; a failure ends it and says why."""
         path = Path()
         try:
             sim = self.sim(settings)
             looks = _Looks(self, sim, start)
             self._steps(sim, start, looks)
-        except (ValueError, failures()) as error:
-            path.failure = " ".join(str(error).split())
+        except (ValueError, SimulationError) as error:
+            path.failure = one_line(error)
             return path
         return self.finish(looks, path)
 
-    def _steps(self, sim: Any, start: int, looks: _Looks) -> None:
+    def _steps(self, sim: Sim, start: int, looks: _Looks) -> None:
         motion = self.motion
         count = motion.steps(sim.settings.dt)
         stride = max(1, count // LOOKS)
@@ -152,7 +153,7 @@ class Course:
 class _Looks:
     """What is seen of a run while it goes on."""
 
-    def __init__(self, course: Course, sim: Any, start: int) -> None:
+    def __init__(self, course: Course, sim: Sim, start: int) -> None:
         course.place(sim, start)
         self.qpos, self.qvel = [np.array(sim.qpos)], [np.array(sim.qvel)]
         self.ctrl: list[np.ndarray] = []
@@ -161,18 +162,18 @@ class _Looks:
         self.overlap = self.residual = 0.0
         self.row_updates = self.rows = 0
 
-    def look(self, sim: Any, ctrl: np.ndarray) -> None:
+    def look(self, sim: Sim, ctrl: np.ndarray) -> None:
         self.qpos.append(np.array(sim.qpos))
         self.qvel.append(np.array(sim.qvel))
         self.ctrl.append(ctrl)
 
-    def contacts(self, sim: Any) -> None:
+    def contacts(self, sim: Sim) -> None:
         self.residual = max(self.residual, sim.residual)
         if self.meets:
             dist = sim.contacts["dist"]
             self.overlap = max(self.overlap, -float(dist.min(initial=0.0)))
 
-    def sample(self, sim: Any) -> None:
+    def sample(self, sim: Sim) -> None:
         self.samples.append(len(self.qpos) - 1)
         self.rows = max(self.rows, len(sim.rows))
         self.row_updates = sim.row_updates

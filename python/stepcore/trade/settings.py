@@ -6,6 +6,9 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
+from stepcore._core import Settings
+from stepcore.scene import Scene
+
 SMOOTH_LAW = ("semi-implicit", "euler", "implicitfast", "rk4")
 COULOMB_LAW = ("explicit", "semi-implicit", "midpoint", "rk4")
 SWEEPS_SMOOTH = (5, 20, 100)
@@ -13,14 +16,14 @@ SWEEPS_COULOMB = (1, 5, 20)
 
 
 def grid(
-    shipped: Any,
+    shipped: Settings,
     dts: Sequence[float],
     integrators: Sequence[str] | None,
     solvers: Sequence[str] | None,
     sweeps: Sequence[int] | None,
     precisions: Sequence[str] | None,
     rows: int,
-) -> list[Any]:
+) -> list[Settings]:
     """Settings to try, the shipped ones among them; all else is as shipped.
 
     rows: the most rows alive at once in the reference. Without any the solver does not matter
@@ -46,7 +49,7 @@ def grid(
 
 
 def _methods(
-    shipped: Any, solvers: Sequence[str] | None, sweeps: Sequence[int] | None, rows: int
+    shipped: Settings, solvers: Sequence[str] | None, sweeps: Sequence[int] | None, rows: int
 ) -> list[dict[str, Any]]:
     """Solvers, each with its numbers of sweeps."""
     own = {"solver": shipped.solver, "sweeps": shipped.sweeps}
@@ -78,7 +81,7 @@ def _one_each(methods: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return [some[len(some) // 2] for some in by_solver.values()]
 
 
-def clamping(scene: Any) -> float | None:
+def clamping(scene: Scene) -> float | None:
     """The shortest time constant that `refsafe` guards [s]: at a dt above half of it, rows soften.
 
     None where no solref in the scene is a time constant.
@@ -90,7 +93,7 @@ def clamping(scene: Any) -> float | None:
     return min((ref[0] for ref in softness if ref[0] > 0), default=None)
 
 
-def label(settings: Any, sweeps: bool = True) -> str:
+def label(settings: Settings, sweeps: bool = True) -> str:
     """Settings in a few words."""
     parts = [settings.integrator, settings.solver]
     if settings.solver == "pgs" and sweeps:
