@@ -1,8 +1,18 @@
-"""What several tests share."""
+"""What all tests share."""
 
+import os
 import signal
 
 import pytest
+
+
+@pytest.fixture(autouse=True, scope="session")
+def elsewhere(tmp_path_factory):
+    """Tests run in a folder of their own: MuJoCo writes its warnings to the working directory."""
+    before = os.getcwd()
+    os.chdir(tmp_path_factory.mktemp("elsewhere"))
+    yield
+    os.chdir(before)
 
 
 @pytest.fixture

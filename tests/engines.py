@@ -6,6 +6,8 @@ import stepcore
 from stepcore import reference
 
 ENGINES = ["rust", "numpy"]
+# For laws that take plain numpy minutes.
+NUMPY_LONG = ["rust", pytest.param("numpy", marks=pytest.mark.long)]
 
 # Every setting that the two do not share a default of.
 PLAIN = {
@@ -30,9 +32,3 @@ def make(engine, scene, key=None, **settings):
     if key is not None:
         sim.reset(key=key)
     return sim
-
-
-def rust_only(engine, why="slow in plain numpy"):
-    """Skips the rest of a test on the reference."""
-    if engine != "rust":
-        pytest.skip(why)

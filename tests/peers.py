@@ -1,17 +1,14 @@
-"""Two engines on one model: stepcore and MuJoCo at its most accurate, at the same states.
-
-Needs MuJoCo: a test module imports it with `pytest.importorskip` before this one.
-"""
+"""Two engines on one model: stepcore and MuJoCo at its most accurate, at the same states."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
 
 import stepcore as sc
+from stepcore.lookup import find_asset
 
 GYM = (
     "inverted_pendulum",
@@ -32,8 +29,6 @@ CONES = {
     "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
     "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
 }
-# MuJoCo would write its warnings to a file in the working directory.
-mujoco.set_mju_user_warning(lambda text: None)
 
 # Newton until it cannot improve.
 EXACT = {"solver": "newton", "sweeps": 200, "tolerance": 0.0}
@@ -41,11 +36,7 @@ EXACT = {"solver": "newton", "sweeps": 200, "tolerance": 0.0}
 
 def gym_path(name: str) -> str:
     """The MJCF file of a gymnasium model."""
-    import gymnasium
-
-    return os.path.join(
-        os.path.dirname(gymnasium.__file__), "envs", "mujoco", "assets", f"{name}.xml"
-    )
+    return str(find_asset("gymnasium", name))
 
 
 def strict(model: mujoco.MjModel, **options) -> mujoco.MjModel:

@@ -74,7 +74,6 @@ def test_trade_with_a_control_function(capsys, tmp_path, monkeypatch):
 
 
 def test_a_model_of_an_installed_package(capsys):
-    pytest.importorskip("gymnasium")
     assert find_asset("gymnasium", "half_cheetah").name == "half_cheetah.xml"
     status, out, _ = call(capsys, "run", "gymnasium:half_cheetah", "--duration", 0.1, "--json")
     assert status == 0 and len(json.loads(out)["qpos"]) == 9

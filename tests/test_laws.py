@@ -7,7 +7,6 @@ solution, and bit for bit where no two trees meet. All on every zoo scene and ha
 
 import copy
 import functools
-import importlib.util
 import pickle
 
 import numpy as np
@@ -16,6 +15,7 @@ import transforms
 import zoo
 
 import stepcore as sc
+from stepcore.lookup import find_asset
 
 PRECISIONS = ("f64", "f32")
 HEAPS = {"marbles": 12, "capsules27": 12}
@@ -55,11 +55,7 @@ def cases(*without):
 def scene_of(name):
     if name != "half_cheetah":
         return transforms.named(sc.loads(zoo.ZOO[name].text))
-    spec = importlib.util.find_spec("gymnasium")
-    if spec is None:
-        pytest.skip("gymnasium is not installed")
-    folder = spec.submodule_search_locations[0]
-    return transforms.named(sc.load(f"{folder}/envs/mujoco/assets/half_cheetah.xml"))
+    return transforms.named(sc.load(find_asset("gymnasium", name)))
 
 
 def steps_of(name):

@@ -4,17 +4,16 @@ The law: a field read from a file differs from MuJoCo's compiled one by rounding
 relative); names, types, indices and switches are equal.
 """
 
-import importlib.util
 from pathlib import Path
 from typing import Any
 
+import mujoco
+import numpy as np
 import pytest
 
+from stepcore.lookup import find_asset
 from stepcore.mjcf import MJCFError, load, loads
 from stepcore.scene import Scene
-
-np = pytest.importorskip("numpy")
-mujoco = pytest.importorskip("mujoco")
 
 MODELS = (
     *("inverted_pendulum", "inverted_double_pendulum", "reacher", "hopper", "walker2d"),
@@ -31,17 +30,8 @@ FLAGS = {
 }
 
 
-@pytest.fixture(autouse=True)
-def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """MuJoCo writes its warnings to a file in the working directory."""
-    monkeypatch.chdir(tmp_path)
-
-
 def asset(model: str) -> Path:
-    spec = importlib.util.find_spec("gymnasium")
-    if spec is None or spec.origin is None:
-        pytest.skip("gymnasium is not installed")
-    return Path(spec.origin).parent / "envs/mujoco/assets" / f"{model}.xml"
+    return find_asset("gymnasium", model)
 
 
 def close(ours: Any, theirs: Any, what: str) -> None:

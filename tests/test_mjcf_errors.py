@@ -1,6 +1,5 @@
 """Bad MJCF: one line with file, line and the nearest name, and never another exception."""
 
-import importlib.util
 import pickle
 import random
 import re
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from stepcore.lookup import find_asset
 from stepcore.mjcf import MJCFError, load, loads
 
 
@@ -308,11 +308,8 @@ def test_includes_that_cannot_end(tmp_path: Path) -> None:
 
 
 def texts() -> list[str]:
-    spec = importlib.util.find_spec("gymnasium")
-    if spec is None or spec.origin is None:
-        return [text for text, _, _ in MISTAKES.values() if isinstance(text, str)]
-    folder = Path(spec.origin).parent / "envs/mujoco/assets"
-    return [(folder / f"{name}.xml").read_text() for name in ("ant", "hopper", "half_cheetah")]
+    names = ("ant", "hopper", "half_cheetah")
+    return [find_asset("gymnasium", name).read_text(encoding="utf-8") for name in names]
 
 
 @pytest.mark.parametrize("seed", range(300))

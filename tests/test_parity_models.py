@@ -7,14 +7,11 @@ one step of every shared integrator to 1e-9.
 
 import functools
 
+import mujoco
+import peers
 import pytest
 
-mujoco = pytest.importorskip("mujoco")
-pytest.importorskip("gymnasium")
-
-import peers  # noqa: E402
-
-import stepcore as sc  # noqa: E402
+import stepcore as sc
 
 STATES = 200
 

@@ -6,16 +6,13 @@ where that is larger (a contact event moved by one step is not an error), on at
 least four seeds of five.
 """
 
+import mujoco
 import numpy as np
+import peers
 import pytest
+import zoo
 
-mujoco = pytest.importorskip("mujoco")
-pytest.importorskip("gymnasium")
-
-import peers  # noqa: E402
-import zoo  # noqa: E402
-
-import stepcore as sc  # noqa: E402
+import stepcore as sc
 
 STEPS = 200
 

@@ -7,14 +7,12 @@ import copy
 import functools
 import itertools
 
+import mujoco
+import peers
 import pytest
+import zoo
 
-mujoco = pytest.importorskip("mujoco")
-
-import peers  # noqa: E402
-import zoo  # noqa: E402
-
-import stepcore as sc  # noqa: E402
+import stepcore as sc
 
 FRICTIONS = tuple(itertools.product(("pyramidal", "elliptic"), (1.0, 10.0)))
 

@@ -1,5 +1,6 @@
 """The numpy reference by itself: its mechanics against MuJoCo, its solver against the problem."""
 
+import mujoco
 import numpy as np
 import pytest
 from engines import make
@@ -21,7 +22,6 @@ KINDS = (
 
 def random_tree(rng):
     """The same random tree of every joint type as a Scene and as MuJoCo's model."""
-    mujoco = pytest.importorskip("mujoco")
     scene, spec = Scene(), mujoco.MjSpec()
     spec.compiler.degree = False
     bodies, theirs = [scene.world], [spec.worldbody]
@@ -55,7 +55,6 @@ def random_tree(rng):
 
 def test_mechanics_against_mujoco():
     """Poses, mass matrix, bias, springs, dampers and applied forces of a random tree, 1e-12."""
-    mujoco = pytest.importorskip("mujoco")
     rng = np.random.default_rng(5)
     scene, model = random_tree(rng)
     data = mujoco.MjData(model)

@@ -4,8 +4,10 @@ import copy
 import math
 import pickle
 
+import numpy as np
 import pytest
 
+from stepcore import Settings
 from stepcore.scene import Scene
 
 NAN = math.nan
@@ -107,17 +109,16 @@ def test_several_joints_of_a_body_keep_their_order() -> None:
 
 
 def test_numpy_values_are_taken() -> None:
-    numpy = pytest.importorskip("numpy")
     scene = ball_on_floor()
-    scene.body("ball").pos = numpy.array([1, 2, 3], dtype=numpy.float32)
-    scene.geom("ball").size = numpy.float64(0.5)
-    scene.geom("ball").condim = numpy.int64(1)
-    scene.geom("ball").shellinertia = numpy.bool_(True)
+    scene.body("ball").pos = np.array([1, 2, 3], dtype=np.float32)
+    scene.geom("ball").size = np.float64(0.5)
+    scene.geom("ball").condim = np.int64(1)
+    scene.geom("ball").shellinertia = np.bool_(True)
     geom = scene.to_dict()["geoms"][1]
     assert scene.body("ball").pos == (1, 2, 3)
     assert (geom["size"], geom["condim"], geom["shell_inertia"]) == ([0.5, 0, 0], 1, True)
     with pytest.raises(ValueError, match="finite numbers"):
-        scene.body("ball").pos = numpy.zeros((3, 1))
+        scene.body("ball").pos = np.zeros((3, 1))
 
 
 def test_fromto_is_a_size_and_a_pose() -> None:
@@ -299,12 +300,11 @@ def test_with_settings_leaves_the_original() -> None:
 
 
 def test_options_are_settings() -> None:
-    core = pytest.importorskip("stepcore._core")
     scene = ball_on_floor().with_settings(dt=0.01)
-    assert scene.settings == core.Settings(dt=0.01)
-    scene.settings = core.Settings(solver="pgs")
-    assert (scene.settings.solver, scene.settings.dt) == ("pgs", core.Settings().dt)
-    assert scene.with_settings(core.Settings(dt=0.5)).settings == core.Settings(dt=0.5)
+    assert scene.settings == Settings(dt=0.01)
+    scene.settings = Settings(solver="pgs")
+    assert (scene.settings.solver, scene.settings.dt) == ("pgs", Settings().dt)
+    assert scene.with_settings(Settings(dt=0.5)).settings == Settings(dt=0.5)
     with pytest.raises(ValueError, match="sweeps"):
         _ = scene.with_settings(sweps=1).settings
 

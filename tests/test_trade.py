@@ -237,7 +237,6 @@ def test_nothing_to_move_is_an_error():
 
 
 def test_the_picture_is_drawn(tmp_path):
-    pytest.importorskip("matplotlib")
     result = few(lesson.spring(), starts=1, horizon=0.4)
     figure = result.plot(tmp_path / "trade.png")
     assert (tmp_path / "trade.png").stat().st_size > 10_000
