@@ -82,8 +82,13 @@ def test_what_is_no_failure_of_a_point_is_raised():
     model = lesson.spring().compile()
     with pytest.raises(ValueError, match=r"no 'sweps'.*sweeps"):
         sc.sweep(model, {"sweps": [1]}, height)
-    with pytest.raises(ValueError, match="empty"):
-        sc.sweep(model, {"dt": []}, height)
+    for values in ([], 0.1, "0.1"):
+        with pytest.raises(ValueError, match=r"grid\['dt'\] = .*: must be a list of at least one"):
+            sc.sweep(model, {"dt": values}, height)
+    with pytest.raises(ValueError, match=r"grid = .*: must be a dict"):
+        sc.sweep(model, [0.1], height)
+    with pytest.raises(ValueError, match="make_or_model = 3: must be a Model, a Scene or a func"):
+        sc.sweep(3, {"dt": [0.1]}, height)
     with pytest.raises(ValueError, match="threads"):
         sc.sweep(model, {"dt": [0.1]}, height, threads=0)
     with pytest.raises(ZeroDivisionError):
@@ -110,5 +115,7 @@ def test_a_table_fits_its_width_and_survives_json():
     assert "not wide enough for: why, b" in table.text(16)
     assert json.loads(table.to_json())[1] == {"a": None, "why": None, "b": 2}
     assert table.to_dict()["b"] == [None, 2]
+    assert "a  why" in Table([{"a": 1, "why": "<&>"}])._repr_html_()
+    assert "&lt;&amp;&gt;" in Table([{"a": 1, "why": "<&>"}])._repr_html_()
     with pytest.raises(KeyError, match="no column 'c'"):
         table["c"]

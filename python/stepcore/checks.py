@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -65,6 +66,41 @@ def number(value: object) -> float | None:
     except (TypeError, ValueError, OverflowError):
         return None
     return result if math.isfinite(result) else None
+
+
+# Arguments of calls, which no element owns.
+
+
+def count(name: str, value: object, least: int = 1) -> int:
+    """`value` as a whole number >= `least`."""
+    result = number(value)
+    if result is None or result != int(result) or result < least:
+        raise ValueError(f"{name} = {shown(value)}: must be a whole number >= {least}")
+    return int(result)
+
+
+def seconds(name: str, value: object) -> float:
+    """`value` as a time > 0 [s]."""
+    result = number(value)
+    if result is None or result <= 0:
+        raise ValueError(f"{name} = {shown(value)}: must be a finite number of seconds > 0")
+    return result
+
+
+def several(name: str, value: object) -> list[Any]:
+    """`value` as a list that is not empty; a text is not one."""
+    entries = listed(value)
+    if not entries:
+        raise ValueError(f"{name} = {shown(value)}: must be a list of at least one value")
+    return entries
+
+
+def threads(value: object) -> int:
+    """How many threads to use; None is one a core."""
+    return os.cpu_count() or 1 if value is None else count("threads", value)
+
+
+# Checks of fields.
 
 
 def real(low: float = -math.inf, above: float = -math.inf, high: float = math.inf) -> Check:

@@ -39,6 +39,17 @@ class Model:
 
     Raises ValueError for a scene that cannot be compiled, naming element, field and limit.
     Elements stand in MuJoCo's order; arrays are read-only; names are "" where none was given.
+
+    >>> from stepcore import Scene
+    >>> scene = Scene()
+    >>> arm = scene.add_body("arm", pos=(0, 0, 1))
+    >>> _ = scene.add_joint(arm, "hinge", name="elbow", axis=(0, 1, 0))
+    >>> _ = scene.add_geom(arm, "capsule", 0.05, fromto=(0, 0, 0, 0.4, 0, 0), name="rod", mass=2.0)
+    >>> model = scene.compile()
+    >>> model.nq, model.body_names, model.jnt_type
+    (1, ('world', 'arm'), ('hinge',))
+    >>> model.with_values({"geom/rod/mass": 3.0}).body_mass.tolist()
+    [0.0, 3.0]
     """
 
     def __init__(self, scene: Scene, settings: Settings | None = None, **overrides: Any) -> None:

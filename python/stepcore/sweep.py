@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any
 
+from stepcore import checks
 from stepcore._core import SimulationError
-from stepcore.checks import nearest, one_line, shown
 from stepcore.model import Model
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
@@ -41,26 +40,35 @@ def sweep(
     A measurement that fails (SimulationError, or a ValueError of a setting) keeps its row: its
     column "failure" says why. Any other exception is raised. The last key varies fastest.
 
-    >>> table = sweep(lambda a, b: a * b, {"a": [1, 2], "b": [10, 20]}, float, threads=1)
-    >>> table["value"]
-    [10.0, 20.0, 20.0, 40.0]
+    Raises ValueError for an unknown setting in the grid, an axis that is not a list of at least
+    one value, and threads < 1.
+
+    >>> from stepcore import lesson
+    >>> def height(sim):
+    ...     sim.reset(key="start")
+    ...     sim.step(5)
+    ...     return {"height": sim.qpos[0]}
+    >>> print(sweep(lesson.drop(), {"dt": [0.01, 0.02], "sweeps": [1, 2]}, height))
+      dt  sweeps  height
+    0.01       1  0.2853
+    0.01       2  0.2853
+    0.02       1  0.2411
+    0.02       2  0.2411
     """
-    axes = {str(name): list(values) for name, values in grid.items()}
-    for name, values in axes.items():
-        if not values:
-            raise ValueError(f"grid['{name}'] is empty: each axis needs at least one value")
-    if threads is not None and threads < 1:
-        raise ValueError(f"threads = {threads}: must be >= 1")
+    if not isinstance(grid, Mapping):
+        raise ValueError(f"grid = {checks.shown(grid)}: must be a dict of names and their values")
+    axes = {str(name): checks.several(f"grid['{name}']", grid[name]) for name in grid}
+    workers = checks.threads(threads)
     if isinstance(make_or_model, Scene):
         make_or_model = make_or_model.compile()
     if isinstance(make_or_model, Model):
         _check_names(make_or_model, axes)
     elif not callable(make_or_model):
         limit = "a Model, a Scene or a function"
-        raise ValueError(f"make_or_model = {shown(make_or_model)}: must be {limit}")
+        raise ValueError(f"make_or_model = {checks.shown(make_or_model)}: must be {limit}")
     points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
     with Progress("sweep", len(points), progress) as bar:
-        results = _run(make_or_model, points, measure, threads, executor, bar)
+        results = _run(make_or_model, points, measure, workers, executor, bar)
     own = [name for result in results for name in result if name != "failure"]
     columns = list(dict.fromkeys([*axes, *own]))
     if any("failure" in result for result in results):
@@ -78,19 +86,20 @@ def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
     fields = model.settings.as_dict()
     for name in axes:
         if not _is_value(name) and name not in fields:
-            raise ValueError(f"grid['{name}']: settings have no '{name}'{nearest(name, fields)}")
+            raise ValueError(
+                f"grid['{name}']: settings have no '{name}'{checks.nearest(name, fields)}"
+            )
 
 
 def _run(
     source: Any,
     points: list[dict[str, Any]],
     measure: Callable[[Any], Any],
-    threads: int | None,
+    threads: int,
     executor: Executor | None,
     bar: Progress,
 ) -> list[dict[str, Any]]:
     """The results in the order of the points, whoever computes them."""
-    threads = threads or os.cpu_count() or 1
     if executor is None and (threads == 1 or len(points) == 1):
         results = []
         for point in points:
@@ -117,7 +126,7 @@ def at_point(source: Any, point: dict[str, Any], measure: Callable[[Any], Any]) 
     try:
         got = measure(_made(source, point))
     except (ValueError, SimulationError) as error:
-        return {"failure": one_line(error)}
+        return {"failure": checks.one_line(error)}
     return dict(got) if isinstance(got, Mapping) else {"value": got}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import math
 import shutil
@@ -102,8 +103,17 @@ class Table:
     def __str__(self) -> str:
         return self.text()
 
+    def _repr_html_(self) -> str:
+        """The table as a notebook shows it."""
+        return pre(self.text(width=1000))
+
     def __repr__(self) -> str:
         return f"<Table: {len(self)} rows of {', '.join(self.columns)}>"
+
+
+def pre(text: str) -> str:
+    """Text in its columns as HTML, which a narrow window scrolls and does not wrap."""
+    return f'<pre style="white-space: pre; overflow-x: auto">{html.escape(text)}</pre>'
 
 
 def jsonable(value: Any) -> Any:

@@ -31,6 +31,12 @@ def load(path: str | os.PathLike[str]) -> Scene:
     Angles become radians, orientations unit quaternions; classes, includes and frames are
     resolved. Raises MJCFError (a ValueError whose text is ``file:line: …``) for what cannot be
     read, and FileNotFoundError for a file that is not there.
+
+    >>> from pathlib import Path
+    >>> text = '<mujoco><worldbody><body><freejoint/><geom size=".1"/></body></worldbody></mujoco>'
+    >>> _ = Path("ball.xml").write_text(text)
+    >>> load("ball.xml")
+    <Scene: 1 body, 1 joint (nq 7, nv 6), 1 geom>
     """
     shown = os.fsdecode(path)
     main = Path(shown)
@@ -45,6 +51,15 @@ def loads(
     """The scene in an MJCF text.
 
     base: the directory in which its includes lie. name: what error messages call the text.
+
+    Raises what `load` raises.
+
+    >>> scene = loads('<mujoco><option timestep="0.01"/><worldbody/></mujoco>')
+    >>> scene.settings.dt
+    0.01
+    >>> loads("<mujoco><wordbody/></mujoco>")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    stepcore.mjcf.source.MJCFError: <string>:1: unknown element <wordbody> in <mujoco>; nearest: ...
     """
     if not isinstance(text, (str, bytes)):
         raise MJCFError(name, 1, "an MJCF text must be a str or bytes")

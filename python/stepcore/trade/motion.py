@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stepcore import checks
 from stepcore.model import Model
 from stepcore.sim import Sim
 from stepcore.trade.dofs import Dofs, Start
@@ -66,14 +67,11 @@ def time_steps(
     shipped: float, dts: Sequence[float] | None, control_dt: float | None, horizon: float
 ) -> tuple[list[float], float]:
     """The time steps to try, coarsest first, and the period that all of them divide [s]."""
-    if not (math.isfinite(horizon) and horizon > 0):
-        raise ValueError(f"horizon = {horizon}: must be finite and > 0 s")
-    if control_dt is not None and not 0 < control_dt <= horizon:
-        raise ValueError(f"control_dt = {control_dt}: must be > 0 and at most the horizon")
+    checks.seconds("horizon", horizon)
+    if control_dt is not None and checks.seconds("control_dt", control_dt) > horizon:
+        raise ValueError(f"control_dt = {control_dt:g}: must be at most the horizon, {horizon:g} s")
     if dts is not None:
-        chosen = sorted({float(dt) for dt in dts} | {shipped}, reverse=True)
-        if not all(math.isfinite(dt) and dt > 0 for dt in chosen):
-            raise ValueError(f"dts = {list(dts)}: each must be finite and > 0 s")
+        chosen = sorted({checks.seconds("dts", dt) for dt in dts} | {shipped}, reverse=True)
         period = control_dt or _common(chosen, horizon)
         _check_divide(chosen, period)
     elif control_dt is not None:
@@ -137,8 +135,6 @@ def motion(
         raise ValueError("control and ctrl are both given: a motion has one of them")
     if control is not None and not callable(control):
         raise ValueError(f"control = {control!r}: must be a function of (time, sim)")
-    if count < 1:
-        raise ValueError(f"starts = {count}: must be >= 1")
     periods = int(horizon / period + 1e-9)
     if periods < 1:
         raise ValueError(f"horizon = {horizon:g} s: shorter than one period of {period:g} s")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stepcore._core import Settings
-from stepcore.table import Table, jsonable
+from stepcore.table import Table, jsonable, pre
 from stepcore.trade import report
 from stepcore.trade.errors import Errors, pareto
 from stepcore.trade.reference import Reference
@@ -160,6 +160,10 @@ class Trade:
 
     def __str__(self) -> str:
         return self.text()
+
+    def _repr_html_(self) -> str:
+        """The printed trade, as a notebook shows it."""
+        return pre(self.text())
 
     def __repr__(self) -> str:
         failed = sum(row.failure is not None for row in self.rows)
