@@ -140,6 +140,15 @@ class Sim(Stepped):
             one row a control period; the last row holds to the end. None: ctrl as it stands.
         control_dt: the control period [s], a whole number of steps; one step if None.
         record: names of arrays or numbers of this Sim, such as "qpos", "energy", "residual".
+
+        Raises ValueError for a duration or period that is not a whole number of steps, a control
+        of the wrong shape, and a name that cannot be recorded; and what `step` raises.
+
+        >>> from stepcore import Sim, lesson
+        >>> sim = Sim(lesson.drop(), dt=0.01)
+        >>> trajectory = sim.run(0.05, record=("qpos", "energy"))
+        >>> trajectory
+        <Trajectory: 0 to 0.05 s, 6 instants; qpos (6, 1), energy (6, 2)>
         """
         return record_run(self, duration, control, control_dt, record)
 

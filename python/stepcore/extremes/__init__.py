@@ -8,10 +8,9 @@ not, and holds when the engine does exactly that, or stops with an error that na
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from stepcore.extremes.cells import Case, Cell, report
-from stepcore.progress import Progress
+from stepcore.progress import Choice, Progress
 
 __all__ = ["Cell", "report", "run"]
 
@@ -24,7 +23,7 @@ def cases() -> Iterator[Case]:
         yield from part.cases()
 
 
-def run(progress: Any = None, chosen: Sequence[Case] | None = None) -> list[Cell]:
+def run(progress: Choice = None, chosen: Sequence[Case] | None = None) -> list[Cell]:
     """Runs the matrix.
 
     progress: as for `stepcore.sweep`: None (a bar on a terminal), False, or a function.

@@ -21,7 +21,7 @@ from stepcore.extremes.cells import (
     named_error,
     within,
 )
-from stepcore.extremes.motion import step_is_balanced, total_energy
+from stepcore.extremes.motion import step_is_balanced
 from stepcore.lookup import find_scene
 from stepcore.scene import Scene
 from stepcore.sim import Sim
@@ -105,7 +105,7 @@ def cell(name: str, axis: str, value: float, dt: float, precision: str) -> Outco
 
 def watch(sim: Sim, sweeps: int, precision: str) -> Outcome:
     """The laws along the way."""
-    mass, start = float(np.sum(sim.model.body_mass)), total_energy(sim)
+    mass, start = float(np.sum(sim.model.body_mass)), sim.energy.total
     # What the motion is about: a fall from one metre, and what the start holds.
     scale = 9.81 * mass + abs(start)
     gained, beyond, fastest = 0.0, 0.0, 0.0
@@ -118,7 +118,7 @@ def watch(sim: Sim, sweeps: int, precision: str) -> Outcome:
         sim.step()
         if sample and sweeps == 0:
             checks.append(free_flight(probe, *before, sim.qvel, mass, precision))
-        gained = max(gained, (total_energy(sim) - start) / scale)
+        gained = max(gained, (sim.energy.total - start) / scale)
         beyond = max(beyond, beyond_limits(sim))
         fastest = max(fastest, float(np.max(np.abs(sim.qvel))))
     laws = [within(gained, 1e4 * EPS[precision], "energy")]

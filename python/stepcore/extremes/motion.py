@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from stepcore.arrays import Floats
 from stepcore.extremes.cells import EPS, Outcome, within
+from stepcore.layout import DOFS
 from stepcore.sim import Sim
 
 
@@ -26,12 +26,12 @@ def balance(sim: Sim) -> float:
     return float(np.max(missing / np.maximum(size.max(), 1e-300)))
 
 
-def motors(sim: Sim) -> Any:
+def motors(sim: Sim) -> Floats:
     """The force of the actuators on each dof."""
     force = np.zeros(sim.model.nv)
     for i, joint in enumerate(sim.model.actuator_joint):
         first = sim.model.jnt_dofadr[joint]
-        count = {"free": 6, "ball": 3}.get(sim.model.jnt_type[joint], 1)
+        count = DOFS[sim.model.jnt_type[joint]]
         force[first : first + count] += sim.model.actuator_gear[i, :count] * sim.actuator_force[i]
     return force
 
@@ -45,8 +45,3 @@ def step_is_balanced(sim: Sim, precision: str) -> Outcome:
         name = rows["name"][np.argmin(inside)]
         return Outcome(False, f"pulls: {name}", "impulses push")
     return miss
-
-
-def total_energy(sim: Sim) -> float:
-    """Kinetic, gravity and springs [J]."""
-    return float(sim.energy.total)
