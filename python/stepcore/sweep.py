@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
 from stepcore._core import SimulationError
@@ -14,6 +13,9 @@ from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
 from stepcore.sim import Sim
 from stepcore.table import Table
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor, Future
 
 
 def sweep(
@@ -106,6 +108,8 @@ def _run(
             results.append(at_point(source, point, measure))
             bar.advance()
         return results
+    from concurrent.futures import ThreadPoolExecutor
+
     pool = executor or ThreadPoolExecutor(threads)
     futures: list[Future[dict[str, Any]]] = []
     try:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import html
 import json
 import math
-import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, overload
 
+# As wide as most windows, where the output is no terminal.
+WIDTH = 116
 # A text cell is never cut shorter than this to make a row fit.
 NARROW = 12
 
@@ -77,7 +77,7 @@ class Table:
 
         Text cells are cut first; then whole columns from the right, which are named below.
         """
-        width = width or shutil.get_terminal_size((100, 40)).columns
+        width = width or _window()
         spec = {name: self.formats.get(name, ".4g") for name in self.columns}
         grid = {name: [_cell(value, spec[name]) for value in self[name]] for name in self.columns}
         words = {name for name in self.columns if any(isinstance(v, str) for v in self[name])}
@@ -113,6 +113,8 @@ class Table:
 
 def pre(text: str) -> str:
     """Text in its columns as HTML, which a narrow window scrolls and does not wrap."""
+    import html  # only notebooks need it
+
     return f'<pre style="white-space: pre; overflow-x: auto">{html.escape(text)}</pre>'
 
 
@@ -129,6 +131,13 @@ def jsonable(value: Any) -> Any:
     if value is None or isinstance(value, (bool, int, str)):
         return value
     return str(value)
+
+
+def _window() -> int:
+    """Characters in a line of the terminal."""
+    import shutil
+
+    return shutil.get_terminal_size((WIDTH, 40)).columns
 
 
 def _cell(value: Any, spec: str) -> str:

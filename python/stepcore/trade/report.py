@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +20,6 @@ MICRO = (("s", 1e6), ("ms", 1e3), ("µs", 1.0))
 UNSOLVED = 1e-9
 # A saving below this is within what timing can tell.
 NOTABLE = 0.9
-# As wide as most windows, where the output is no terminal.
-WIDTH = 116
 LEGEND = """\
 * best for its cost, s as shipped, c refsafe softens rows at this dt, ref the reference
 dt ms; cost µs, and rows: row updates, per simulated second; error: of positions, rms, median of
@@ -43,7 +40,7 @@ def text(trade: Trade, width: int | None, full: bool) -> str:
         f"{trade.name}: {len(trade.rows)} settings over {seconds(trade.horizon)}, {starts}; "
         f"reference {label(ref.settings, sweeps=False)}, known to {metres(ref.error)}",
         "",
-        Table(records, names, right).text(width or _width()),
+        Table(records, names, right).text(width),
         "",
         LEGEND,
     ]
@@ -55,10 +52,6 @@ def text(trade: Trade, width: int | None, full: bool) -> str:
     if notes:
         lines += ["", *(f"note: {note}" for note in notes)]
     return "\n".join(lines)
-
-
-def _width() -> int:
-    return shutil.get_terminal_size((WIDTH, 40)).columns
 
 
 def telling(trade: Trade) -> list[Row]:
