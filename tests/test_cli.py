@@ -40,6 +40,14 @@ def test_run_prints_the_final_state(capsys, ball):
     assert status == 0 and "200 steps" in out and "rk4" in out
 
 
+def test_run_starts_at_the_first_key_though_it_has_no_name(capsys, tmp_path):
+    file = tmp_path / "keys.xml"
+    keys = '<keyframe><key qpos="0 0 5 1 0 0 0"/><key qpos="0 0 9 1 0 0 0"/></keyframe>'
+    file.write_text(BALL.replace("</mujoco>", f"{keys}</mujoco>"))
+    status, out, _ = call(capsys, "run", file, "--duration", 0, "--json")
+    assert status == 0 and json.loads(out)["qpos"][2] == 5
+
+
 def test_run_of_a_scene_of_the_lesson_starts_at_its_key(capsys):
     status, out, _ = call(capsys, "run", "lesson:drop", "--duration", 2, "--json")
     assert status == 0

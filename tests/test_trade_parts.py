@@ -36,6 +36,19 @@ def test_time_steps_divide_the_period():
     assert steps == [0.003, 0.002] and period == pytest.approx(0.006)
 
 
+def test_the_first_start_is_the_first_key_named_or_not():
+    scene = sc.Scene()
+    body = scene.add_body("body", mass=1.0, inertia=(1, 1, 1))
+    scene.add_joint(body, "slide")
+    for height in (1.0, 2.0, 3.0):
+        scene.add_key(qpos=[height])
+    model = scene.compile()
+    options = {"horizon": 0.1, "period": 0.1, "ctrl": None, "control": None, "count": 1, "seed": 0}
+    for key, height in ((None, 1.0), (1, 2.0), (-1, 3.0)):
+        start = motion(model, Dofs(scene), key=key, **options).starts[0]
+        assert start.qpos.tolist() == [height]
+
+
 def test_starts_respect_quaternions_and_ranges():
     scene = sc.Scene(gravity=(0, 0, -9.81))
     ball = scene.add_body("ball", pos=(0, 0, 1))

@@ -144,8 +144,8 @@ def _run(args: argparse.Namespace) -> None:
     if not 0 <= args.duration < float("inf"):
         raise Usage(f"--duration {args.duration:g}: must be finite and >= 0 s")
     sim = Sim(find_scene(args.file).compile(), **changes)
-    keys = sim.model.key_names
-    sim.reset(key=args.key if args.key is not None else (keys[0] if keys else None))
+    first = 0 if sim.model.keys else None
+    sim.reset(key=first if args.key is None else args.key)
     steps = round(args.duration / sim.settings.dt)
     begin = perf_counter()
     sim.step(steps)

@@ -33,7 +33,7 @@ def trade(
     model: Model | Scene | str | os.PathLike[str],
     *,
     horizon: float = 1.0,
-    key: str | None = None,
+    key: str | int | None = None,
     control: Control | None = None,
     control_dt: float | None = None,
     ctrl: ArrayLike | None = None,
@@ -55,8 +55,8 @@ def trade(
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name", see
         `stepcore.lookup`). Its settings are the shipped ones.
-    horizon: simulated time [s]. key: the keyframe to start from; by default the first, or the
-        scene's pose. starts: how many; all but the first are moved a little, by `seed`.
+    horizon: simulated time [s]. starts: how many; all but the first are moved a little, by `seed`.
+    key: the keyframe to start from, by name or index; by default the first, or the scene's pose.
     ctrl: controls, shape (n, nu), one row a control period (the last is held); or control: a
         function of (time, sim) that returns them, as in `Sim.run`, called once a period. It
         must depend on nothing else, for it is called from several threads. By default every

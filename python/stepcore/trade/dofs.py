@@ -38,8 +38,7 @@ class Dofs:
 
     def __init__(self, scene: Any) -> None:
         layout = Layout(scene)
-        self.nq, self.nv = layout.nq, layout.nv
-        self.qpos0 = np.array(layout.qpos0(), float)
+        self.nv = layout.nv
         self.joints: list[tuple[str, int, int, tuple[float, float] | None]] = []
         damping: list[float] = []
         first: dict[int, int] = {}
@@ -51,7 +50,6 @@ class Dofs:
             q, v = q + QPOS[joint.type], v + DOFS[joint.type]
         self.damping = np.array(damping, float)
         self.moving = [i for i, body in enumerate(layout.bodies) if layout.moving(body)]
-        self.names = [body.name or f"body {i}" for i, body in enumerate(layout.bodies)]
         self.motors: list[Motor] = []
         self.works = scene.features.actuation
         for i, actuator in enumerate(scene.actuators):
@@ -66,20 +64,6 @@ class Dofs:
                     actuator.forcerange,
                 )
             )
-        self._layout, self._keys = layout, {key.name: key for key in scene.keys}
-
-    def keyframe(self, name: str | None) -> tuple[Start, np.ndarray]:
-        """The named key's state and controls; by default the first key's, or the scene's pose."""
-        if name is not None and name not in self._keys:
-            known = ", ".join(f'"{key}"' for key in self._keys) or "none"
-            raise ValueError(f'no key is named "{name}"; the scene has: {known}')
-        keys = [self._keys[name]] if name is not None else list(self._keys.values())
-        key = keys[0] if keys else None
-        qpos = self.qpos0 if key is None or key.qpos is None else key.qpos
-        qvel = np.zeros(self.nv) if key is None or key.qvel is None else key.qvel
-        held = np.zeros(len(self.motors)) if key is None or key.ctrl is None else key.ctrl
-        qpos = np.array(self._layout.unit_quaternions(qpos), float)
-        return Start(qpos, np.array(qvel, float)), np.array(held, float)
 
     def drawn(self, rng: np.random.Generator, slides: float, turns: float) -> np.ndarray:
         """A uniform change of every dof, at most `slides` along and `turns` about; shape (nv,)."""

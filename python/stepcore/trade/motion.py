@@ -124,7 +124,7 @@ def motion(
     *,
     horizon: float,
     period: float,
-    key: str | None,
+    key: str | int | None,
     ctrl: Any,
     control: Control | None,
     count: int,
@@ -141,7 +141,7 @@ def motion(
     every = _every(periods)
     periods -= periods % every
     rng = np.random.default_rng(seed)
-    home, held = dofs.keyframe(key)
+    home, held = _home(model, key)
     starts = [home] + [_near(model, dofs, home, rng) for _ in range(count - 1)]
     undriven: tuple[str, ...] = ()
     if control is None and ctrl is None:
@@ -159,6 +159,14 @@ def motion(
     return Motion(
         period, periods, every, tuple(starts), None if control else values, control, undriven
     )
+
+
+def _home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
+    """A key's state and controls; by default the first key's, or the scene's pose at rest."""
+    if key is None and not model.keys:
+        return Start(model.qpos0, np.zeros(model.nv)), np.zeros(model.nu)
+    frame = model.keys[0 if key is None else model.index("key", key)]
+    return Start(frame.qpos, frame.qvel), frame.ctrl
 
 
 def _every(periods: int) -> int:
