@@ -120,14 +120,15 @@ def test_single_precision_refuses_what_it_cannot_hold(model):
 
 @pytest.mark.parametrize("quat", [(0, 0, 0, 0), (1e-200, 0, 0, 0), (0, 1e200, 0, 0)])
 def test_a_quaternion_needs_a_length(quat):
-    for precision in ("f64", "f32"):
+    # A step on the floor may turn the ball by rounding.
+    for precision, rounding in (("f64", 1e-15), ("f32", 1e-7)):
         sim = sc.Sim(ball(), precision=precision)
         sim.qpos[3:] = quat
         refuses(r"^qpos\[", sim.step)
         assert sim.time == 0.0
         sim.qpos[3:] = (0, 0, 3.0, 0)
         sim.step()
-        assert sim.xquat[1] == pytest.approx([0, 0, 1, 0], abs=1e-15)
+        assert sim.xquat[1] == pytest.approx([0, 0, 1, 0], abs=rounding)
 
 
 @pytest.mark.parametrize("name", ["qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied"])
