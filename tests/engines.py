@@ -1,13 +1,11 @@
 """The implementations that a law is tested on, and one way to make a Sim of either."""
 
-import pytest
-
 import stepcore
 from stepcore import reference
 
 ENGINES = ["rust", "numpy"]
-# For laws that take plain numpy minutes.
-NUMPY_LONG = ["rust", pytest.param("numpy", marks=pytest.mark.long)]
+# For laws whose many steps or sweeps would take plain numpy an hour.
+RUST_ONLY = ["rust"]
 
 # Every setting that the two do not share a default of.
 PLAIN = {

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from engines import ENGINES, NUMPY_LONG, make
+from engines import ENGINES, RUST_ONLY, make
 
 from stepcore import lesson
 from stepcore.scene import Scene
@@ -184,7 +184,7 @@ def test_thin_wall_stops_a_fast_ball(engine, speed):
     assert abs(sim.qvel[0]) < 1e-12
 
 
-@pytest.mark.parametrize("engine", NUMPY_LONG)
+@pytest.mark.parametrize("engine", RUST_ONLY)
 def test_c1_long_bounce(engine):
     """h = 10 m, e = 0.9: at rest after 27.129019 s, 500 bounces on."""
     dt = 1e-4

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from engines import ENGINES, NUMPY_LONG, make
+from engines import ENGINES, RUST_ONLY, make
 
 from stepcore.scene import Scene
 
@@ -215,7 +215,7 @@ def test_f6_pizza_saver(engine, cone):
         assert 0 <= sim.qvel[5] < (40 - 30) / 6.75 * dt
 
 
-@pytest.mark.parametrize("engine", NUMPY_LONG)
+@pytest.mark.parametrize("engine", RUST_ONLY)
 def test_f2_chrono(engine):
     """dt = 2e-5: within 0.5 % of 2.548420 m (Chrono's own tolerance), in fact within 0.01 %."""
     path, _ = slide(engine, 0.3, dt=2e-5, cone="elliptic")

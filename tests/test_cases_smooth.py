@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from engines import ENGINES, NUMPY_LONG, make
+from engines import ENGINES, RUST_ONLY, make
 
 from stepcore import lesson
 from stepcore.scene import Scene
@@ -155,7 +155,7 @@ def test_i10_spin_about_an_axis_is_exact(engine, integrator):
     assert np.array(sim.qpos[3:7]) == pytest.approx(turned(np.array([0, 0, 7.0])), abs=1e-13)
 
 
-@pytest.mark.parametrize("engine", NUMPY_LONG)
+@pytest.mark.parametrize("engine", RUST_ONLY)
 def test_i1_slope_of_the_error(engine):
     """The v-first error halves with dt: slope 1.00 to 0.02 over four halvings."""
     errors = []

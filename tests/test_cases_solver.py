@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from engines import ENGINES, NUMPY_LONG, make
+from engines import ENGINES, RUST_ONLY, make
 
 from stepcore import lesson
 from stepcore.lesson import measure
@@ -46,7 +46,7 @@ def test_c6_tower_contraction(engine, masses, after, law):
 
 
 @pytest.mark.parametrize("n", [50, 100])
-@pytest.mark.parametrize("engine", NUMPY_LONG)
+@pytest.mark.parametrize("engine", RUST_ONLY)
 def test_c6_tall_towers(engine, n):
     """50 balls: 13 996 sweeps for 1e-6; 100: 55 990."""
     sweeps = measure.sweeps_for(maker(engine), (1.0,) * n, 5000, 1e-6)
