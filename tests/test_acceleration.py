@@ -6,16 +6,13 @@ map δ = λ − proj(λ − w/s) of every row, as the speed max |δ| √(A/m).
 
 import functools
 
+import mujoco
 import numpy as np
+import peers
 import pytest
+import zoo
 
-mujoco = pytest.importorskip("mujoco")
-pytest.importorskip("gymnasium")
-
-import peers  # noqa: E402
-import zoo  # noqa: E402
-
-import stepcore as sc  # noqa: E402
+import stepcore as sc
 
 SWEEPS = (20, 100)
 # Least rows of a state that counts.
