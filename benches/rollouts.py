@@ -16,7 +16,7 @@ from timing import Side, duel
 import stepcore as sc
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-WORLDS, STEPS, SAME = 1024, 100, 1e-6
+WORLDS, STEPS, SAME = 1024, 25, 1e-6
 
 
 def compare(case, options, report: record.Report) -> None:
