@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from engines import make
 
+import stepcore as sc
 from stepcore import lesson
 from stepcore.reference import Sim, solve
 from stepcore.scene import Scene
@@ -18,6 +19,8 @@ KINDS = (
     (1, ("ball", "slide")),
     (0, ("slide", "hinge")),
 )
+
+INERTIAL = '<inertial mass="2" pos=".1 0 0" diaginertia="1 1 1.5"/>'
 
 
 def random_tree(rng):
@@ -73,7 +76,7 @@ def test_mechanics_against_mujoco():
         mujoco.mj_fullM(model, data, full)
         for ours, theirs in (
             (sim.xpos, data.xpos),
-            (sim.mass_matrix, full),
+            (sim.mass_matrix(), full),
             (sim.qacc, data.qacc),
         ):
             assert np.abs(ours - theirs).max() < 1e-12 * max(1.0, np.abs(theirs).max())
@@ -171,3 +174,52 @@ def test_unknown_shapes_are_refused_by_name():
     scene.add_geom(box, "box", (1, 1, 1), name="crate")
     with pytest.raises(ValueError, match="'floor' and 'crate'"):
         make("numpy", scene)
+
+
+def weighed(compiler="", geom="", inertial=""):
+    """A body of two geoms; the reference's mass matrix and the engine's."""
+    scene = sc.loads(
+        f"""<mujoco><compiler {compiler}/><worldbody><geom size="1"/><body pos="0 0 3">
+        <joint axis="0 1 0"/>{inertial}<geom size=".1" pos=".2 0 0" {geom}/>
+        <geom type="box" size=".1 .2 .3" pos="0 0 .5" group="3"/></body></worldbody></mujoco>"""
+    )
+    return Sim(scene), sc.Sim(scene)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        {"compiler": 'settotalmass="5"'},
+        {"compiler": 'inertiagrouprange="0 1"'},
+        {"compiler": 'inertiagrouprange="4 5"', "inertial": INERTIAL},
+        {"compiler": 'inertiafromgeom="true"', "inertial": INERTIAL},
+        {"compiler": 'inertiafromgeom="true" inertiagrouprange="4 5"', "inertial": INERTIAL},
+        {"compiler": 'inertiafromgeom="false" settotalmass="2"', "inertial": INERTIAL},
+    ],
+)
+def test_mass_rules_of_the_reference_are_those_of_the_engine(words):
+    ours, theirs = weighed(**words)
+    assert ours.mass_matrix() == pytest.approx(theirs.mass_matrix(), rel=1e-13)
+    assert ours.energy.potential == pytest.approx(theirs.energy.potential, rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    "words, name",
+    [
+        ({"geom": 'shellinertia="true"'}, "shell_inertia"),
+        ({"compiler": 'boundmass="3"'}, "bound_mass"),
+        ({"compiler": 'boundinertia="2"'}, "bound_inertia"),
+        ({"compiler": 'balanceinertia="true"'}, "balance_inertia"),
+    ],
+)
+def test_mass_rules_that_the_reference_lacks_are_refused_by_name(words, name):
+    with pytest.raises(ValueError, match=f"the reference has no {name}"):
+        weighed(**words)
+
+
+def test_the_mass_matrix_of_the_reference_follows_the_state():
+    scene, _ = random_tree(np.random.default_rng(6))
+    ours, theirs = Sim(scene), sc.Sim(scene)
+    ours.qpos[:] = theirs.qpos[:] = ours.qpos + np.random.default_rng(7).normal(size=ours.qpos.size)
+    mass = theirs.mass_matrix()
+    assert ours.mass_matrix() == pytest.approx(mass, rel=1e-12, abs=1e-12 * mass.max())

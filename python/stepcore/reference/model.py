@@ -29,6 +29,8 @@ def geom_mass(geom: Record) -> tuple[float, Array]:
     """Mass [kg] and inertia about the geom's own centre and axes [kg m^2], shape (3, 3)."""
     a, b, c = geom["size"]
     kind = geom["kind"]
+    if geom["shell_inertia"]:
+        raise ValueError(f"geom '{geom['name']}': the reference has no shell_inertia")
     if kind == "plane":
         return 0.0, np.zeros((3, 3))
     if kind == "sphere":
@@ -138,20 +140,29 @@ def number_joints(model: Model) -> None:
 def masses(model: Model) -> None:
     """Mass, centre and inertia of each body: as given, or the sum over its geoms."""
     scene = model.scene
-    rule = scene["mass_rules"]["from_geoms"]
+    rules = scene["mass_rules"]
+    for name in ("bound_mass", "bound_inertia", "balance_inertia"):
+        if rules[name]:
+            raise ValueError(f"mass_rules: the reference has no {name} (here {rules[name]})")
+    rule, (low, high) = rules["from_geoms"], rules["group_range"]
     n = len(scene["bodies"])
     model.mass, model.ipos, model.inertia = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
     model.tree_mass = {}
-    for b, body in enumerate(scene["bodies"]):
+    for b, body in enumerate(scene["bodies"][1:], 1):
         given = body["inertial"]
-        if given is not None and rule is not True:
+        if rule is True or (given is None and rule is None):
+            mine = [g for g in scene["geoms"] if g["body"] == b and low <= g["group"] <= high]
+            sum_geoms(model, b, mine)
+        if given is not None and model.mass[b] == 0:
             xx, yy, zz, xy, xz, yz = given["inertia"]
             model.mass[b], model.ipos[b] = given["mass"], given["pos"]
             model.inertia[b] = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
-        elif rule is not False:
-            sum_geoms(model, b, [g for g in scene["geoms"] if g["body"] == b])
-        tree = model.root[b]
-        model.tree_mass[tree] = model.tree_mass.get(tree, 0.0) + model.mass[b]
+    if rules["total_mass"] > 0 and model.mass.any():
+        scale = rules["total_mass"] / model.mass.sum()
+        model.mass *= scale
+        model.inertia *= scale
+    for tree, mass in zip(model.root, model.mass, strict=True):
+        model.tree_mass[tree] = model.tree_mass.get(tree, 0.0) + mass
 
 
 def sum_geoms(model: Model, b: int, geoms: list[Record]) -> None:

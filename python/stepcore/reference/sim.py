@@ -113,11 +113,9 @@ class Sim:
         """The smooth motion (mean velocity, last velocity), and the mean with the rows solved."""
         guess, last = commit.SMOOTH[self.settings.integrator](self, self._acceleration)
         self.placed = place.place(self.model, self.qpos)
-        self.mass_matrix = place.mass_matrix(self.model, self.placed)
+        M = place.mass_matrix(self.model, self.placed)
         self.contacts = detect.detect(self.model, self.placed)
-        self.system = rows.build(
-            self, self.placed, self.contacts, self.mass_matrix, self.qvel, guess
-        )
+        self.system = rows.build(self, self.placed, self.contacts, M, self.qvel, guess)
         warm = self._warm if self.settings.warm_start else {}
         start = np.array([warm.get(row.key, 0.0) for row in self.system.rows])
         self.guess = guess
@@ -136,6 +134,10 @@ class Sim:
             found = detect.detect(self.model, placed)
             force = force + rows.penalty_force(self, placed, found, v, M)
         return np.asarray(np.linalg.solve(M, force), float)
+
+    def mass_matrix(self) -> Array:
+        """The mass matrix at the present positions, armature included, shape (nv, nv)."""
+        return place.mass_matrix(self.model, place.place(self.model, self.qpos))
 
     @property
     def rows(self) -> np.ndarray[Any, Any]:
