@@ -9,7 +9,7 @@ use crate::spatial::{rotate, splat, Force, V3};
 #[derive(Clone, Copy, Debug)]
 pub struct Energy<R: Real> {
     pub kinetic: R,
-    /// Gravity, zero at the world's origin, and joint springs.
+    /// Gravity on every body, fixed ones too, zero at the world's origin; joint springs.
     pub potential: R,
 }
 
@@ -32,10 +32,8 @@ impl<R: Real> Sim<R> {
         let mut potential = spring_energy(model, &self.state.qpos);
         if model.features.gravity {
             let gravity = splat::<R>(&model.gravity);
-            for tree in &model.trees {
-                for body in tree.bodies.range() {
-                    potential -= R::of(model.bodies[body].mass) * gravity.dot(&self.centre(body));
-                }
+            for (index, body) in model.bodies.iter().enumerate().skip(1) {
+                potential -= R::of(body.mass) * gravity.dot(&self.centre(index));
             }
         }
         Energy { kinetic, potential }
