@@ -44,3 +44,23 @@ def test_run_draws_itself(model, tmp_path):
     run = sc.Sim(model, dt=0.01).run(0.05, record="qpos")
     run.plot(str(tmp_path / "run.png"))
     assert (tmp_path / "run.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e39])
+def test_a_refused_control_leaves_no_trace(model, bad):
+    sim = sc.Sim(model, dt=0.01, precision="f32")
+    sim.ctrl[:] = 0.25
+
+    def control(time, sim):
+        return [bad if sim.time > 0.035 else 0.5]
+
+    with pytest.raises(ValueError, match=r'ctrl\[0\] = .*finite.*"motor", at time 0.04 s'):
+        sim.run(0.1, control=control)
+    assert sim.ctrl.tolist() == [0.5]
+    assert sim.time == pytest.approx(0.04)
+    sim.step()
+    before = sim.state()
+    for refused in ([[0.5], [bad]], lambda time, sim: [0.0, 0.0], lambda time, sim: "full"):
+        with pytest.raises(ValueError, match="ctrl"):
+            sim.run(0.1, control=refused)
+        assert sim.state() == before

@@ -91,7 +91,7 @@ def record_run(
             data[name][step] = getattr(sim, name)
         if step < steps:
             if controls is not None and step % period == 0:
-                sim.ctrl = controls(step // period)
+                sim.ctrl = _finite(sim, controls(step // period), f"at time {sim.time:g} s")
             sim.step()
     return Trajectory(time, data)
 
@@ -118,7 +118,27 @@ def _controls(sim: Sim, control: Control) -> Callable[[int], ArrayLike] | None:
     if table.ndim != 2 or table.shape[1] != sim.model.nu or not len(table):
         limit = f"of shape (n, {sim.model.nu}) with n > 0"
         raise ValueError(f"control has shape {table.shape}: must be {limit}")
+    for row, ctrl in enumerate(table):
+        _finite(sim, ctrl, f"in row {row} of control")
     return lambda period: table[min(period, len(table) - 1)]
+
+
+def _finite(sim: Sim, ctrl: ArrayLike, where: str) -> NDArray[np.float64]:
+    """Controls that a step can take; refused before they are written, so that none stay behind."""
+    table = numbers("ctrl", ctrl)
+    single = sim.settings.precision == "f32"
+    with np.errstate(over="ignore"):
+        finite = np.isfinite(table.astype(np.float32) if single else table)
+    if not finite.all():
+        k = np.argwhere(~finite)[0]
+        index = ", ".join(str(i) for i in k)
+        name = sim.model.actuator_names[k[-1]] if len(k) and k[-1] < sim.model.nu else ""
+        of = f'actuator "{name}", ' if name else ""
+        limit = "finite in single precision" if single else "finite"
+        number = table[tuple(k)]
+        value = f"ctrl{f'[{index}]' if index else ''} = {'NaN' if np.isnan(number) else number}"
+        raise ValueError(f"{value}: must be {limit} ({of}{where}); the state was left as it is")
+    return table
 
 
 def _names(sim: Sim, record: Sequence[str]) -> tuple[str, ...]:
