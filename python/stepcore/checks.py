@@ -40,6 +40,22 @@ def one_line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
+class KnownNames:
+    """Base of classes whose public attributes are settled when an object is made.
+
+    What is assigned under any other name would be kept and never read: an AttributeError.
+    """
+
+    _attributes: tuple[str, ...] = ()
+
+    def __setattr__(self, name: str, value: object) -> None:
+        kind = type(self)
+        if not name.startswith("_") and name not in self._attributes and not hasattr(kind, name):
+            known = [*self._attributes, *(n for n in dir(kind) if not n.startswith("_"))]
+            raise AttributeError(f'a {kind.__name__} has no "{name}"{nearest(name, known)}')
+        object.__setattr__(self, name, value)
+
+
 class ElementError(ValueError):
     """What is wrong with one scene element; `owner` is that element."""
 

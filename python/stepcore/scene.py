@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from stepcore import checks, frames
 from stepcore.elements import (
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 E = TypeVar("E", bound=Element)
 
 
-class Scene:
+class Scene(checks.KnownNames):
     """Bodies, joints, geoms and what acts on them, in SI units.
 
     gravity: [m/s²], shape (3,). name: any text.
@@ -52,6 +52,11 @@ class Scene:
     >>> scene
     <Scene: 1 body, 1 joint (nq 7, nv 6), 2 geoms>
     """
+
+    _attributes = (
+        *("name", "bodies", "joints", "geoms", "sites", "actuators", "equalities", "keys"),
+        *("excludes", "mass_rules", "features", "options", "ignored", "notes"),
+    )
 
     def __init__(self, gravity: Sequence[float] = (0.0, 0.0, -9.81), name: str = "") -> None:
         self.gravity = gravity
@@ -210,6 +215,10 @@ class Scene:
         """
         ends = {"body1": self.body(body1), "body2": self.body(body2)}
         return self._add(self.equalities, Equality, fields, type=type, anchor=anchor, **ends)
+
+    def add_tendon(self, *args: Any, **fields: Any) -> NoReturn:
+        """Tendons are not built yet: a ValueError that says so."""
+        raise ValueError("tendons are not built yet")
 
     def add_key(self, name: str = "", **fields: Any) -> Key:
         """Adds a named state: time [s], qpos, qvel, ctrl in the compiled model's order."""
