@@ -121,8 +121,15 @@ def test_reading_a_batch_reads_each_world():
         sim.reset(key="bent")
         sim.qpos = batch.qpos[world]
         sim.forward()
-        for name in ("xpos", "xquat", "geom_xpos", "site_xpos", "qacc", "energy"):
+        for name in (
+            *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos", "energy"),
+            *("bias", "passive", "qacc"),
+        ):
             assert (getattr(batch, name)[world] == np.asarray(getattr(sim, name))).all(), name
+        assert (batch.mass_matrix()[world] == sim.mass_matrix()).all()
+        assert (batch.jacobian("lower")[world] == sim.jacobian("lower")).all()
+        for ours, alone in zip(batch.momentum, sim.momentum, strict=True):
+            assert (ours[world] == alone).all()
     assert len(batch) == 9
     assert "9 worlds" in repr(batch)
 
@@ -190,3 +197,97 @@ def test_an_interrupted_batch_stands_between_two_steps():
     sim = sc.Sim(model)
     sim.step(round(batch.time / 1e-4))
     assert set(batch.state()) == {sim.state()}
+
+
+@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+@pytest.mark.parametrize(
+    "way", [{"lanes": True}, {"lanes": False}, {"precision": "f32"}], ids=["lanes", "alone", "f32"]
+)
+def test_the_last_solve_of_each_world_is_that_of_a_sim(integrator, way):
+    model = pendulum().compile().with_settings(integrator=integrator)
+    batch = sc.Batch(model, 9, 2, **way)
+    sims = [sc.Sim(batch.model) for _ in range(9)]
+    assert batch.contacts[8].size == batch.rows[8].size == 0
+    batch.reset(key="bent")
+    batch.qpos += np.linspace(-0.1, 0.1, 9)[:, None]
+    for world, sim in enumerate(sims):
+        sim.reset(key="bent")
+        sim.qpos = batch.qpos[world]
+    seen = 0
+    for advance in (
+        lambda each: each.step(300),
+        lambda each: each.forward(),
+        lambda each: each.step(1),
+        lambda each: each.step(0),
+    ):
+        for each in (batch, *sims):
+            advance(each)
+        before = batch.state()
+        contacts, rows = batch.contacts, batch.rows
+        for world, sim in enumerate(sims):
+            assert contacts[world].tobytes() == sim.contacts.tobytes()
+            assert rows[world].tobytes() == sim.rows.tobytes()
+            seen += len(rows[world])
+            for name in ("residual", "constraint_force", "actuator_force", "qacc"):
+                assert np.array_equal(getattr(batch, name)[world], getattr(sim, name)), name
+        assert batch.state() == before
+        # What is written afterwards does not reach the last solve.
+        for each in (batch, *sims):
+            each.ctrl += 0.125
+    assert seen > 9
+
+
+def test_the_last_solve_of_a_rollout_and_of_a_step_that_failed():
+    model = pendulum().compile()
+    batch, sim = sc.Batch(model, 3), sc.Sim(model)
+    ctrl = np.random.default_rng(4).uniform(-2, 2, size=(3, 200, 1))
+    batch.rollout(ctrl)
+    for row in ctrl[1]:
+        sim.ctrl = row
+        sim.step()
+    assert batch.rows[1].tobytes() == sim.rows.tobytes()
+    assert (batch.actuator_force[1] == sim.actuator_force).all()
+    wild = sc.Batch(unstable(), 3)
+    wild.qpos[1] = 1.0
+    with pytest.raises(sc.SimulationError):
+        wild.step(100_000)
+    assert [len(rows) for rows in wild.rows] == [0, 0, 0]
+
+
+def test_views_by_name_have_a_world_axis():
+    model = pendulum().compile()
+    batch, sim = sc.Batch(model, 3), sc.Sim(model)
+    batch.joint("elbow").qpos = 0.5
+    batch.joint("elbow").qvel = [[0.0], [1.0], [2.0]]
+    batch.body("lower").xfrc_applied[1, 2] = 3.0
+    assert batch.qpos.tolist() == [[0.0, 0.5]] * 3
+    assert batch.xfrc_applied[1, 2, 2] == 3.0
+    sim.joint("elbow").qpos, sim.joint("elbow").qvel = 0.5, 2.0
+    for name in ("xpos", "xquat", "xmat", "velocity", "jacobian"):
+        ours, alone = getattr(batch.body("lower"), name), getattr(sim.body("lower"), name)
+        assert ours[2] == pytest.approx(alone, abs=1e-15) and ours.shape == (3, *alone.shape)
+    batch.forward()
+    for kind, element, name in (
+        ("joint", "elbow", "qacc"),
+        ("joint", "elbow", "constraint_force"),
+        ("geom", "tip", "xmat"),
+        ("site", "hand", "xpos"),
+    ):
+        view, alone = getattr(batch, kind)(element), getattr(sim, kind)(element)
+        assert getattr(view, name).shape == (3, *getattr(alone, name).shape)
+    with pytest.raises(ValueError, match='nearest: "elbow"'):
+        batch.joint("elbw")
+
+
+def test_the_time_of_a_batch_can_be_set():
+    batch, sim = sc.Batch(ball(), 9, dt=0.01), sc.Sim(ball(), dt=0.01)
+    for each in (batch, sim):
+        each.step(20)
+        each.time = 2.5
+        each.step(3)
+    assert batch.time == sim.time == 2.5 + 3 * 0.01
+    # Impulses are kept.
+    assert batch.state()[8] == sim.state()
+    with pytest.raises(ValueError, match="time = NaN: must be finite"):
+        batch.time = np.nan
+    assert batch.time == sim.time

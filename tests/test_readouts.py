@@ -130,3 +130,97 @@ def test_views_by_name(sim):
         sim.joint("elbo")
     with pytest.raises(ValueError, match="index below 3"):
         sim.body(3)
+
+
+def test_bodies_that_cannot_move_have_potential_energy():
+    """As in MuJoCo: the shelf, what is fixed to it, and what is fixed to the ball count."""
+    mujoco = pytest.importorskip("mujoco")
+    text = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><geom size="0.3" pos="0 0 2"/>
+    <body pos="0 0 1"><geom type="box" size=".5 .5 .1" pos="0 0 .1"/>
+    <body pos="0 0 1"><geom size=".1" mass="3"/></body></body>
+    <body pos="0 0 5"><freejoint/><geom size=".1" mass="1"/><body pos=".2 0 .3">
+    <geom size=".1" mass="2"/></body></body></worldbody></mujoco>"""
+    theirs = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(theirs)
+    mujoco.mj_forward(theirs, data)
+    mujoco.mj_energyPos(theirs, data)
+    sim = sc.Sim(sc.loads(text))
+    assert sim.energy.potential == pytest.approx(data.energy[0], rel=1e-14)
+
+
+def test_contacts_have_names_and_rows_have_forces(sim):
+    sim.reset(key="bent")
+    sim.step(300)
+    contact = sim.contacts[0]
+    names = sim.model.geom_names
+    assert contact["name1"] == names[contact["geom1"]] == "floor"
+    assert contact["name2"] == names[contact["geom2"]] == "tip"
+    rows = sim.rows
+    assert len(rows) > 0 and rows["impulse"].any()
+    assert (rows["force"] == rows["impulse"] / sim.settings.dt).all()
+    touching = rows["kind"] == "contact"
+    # A pyramid's edges each press with their whole force.
+    assert rows["force"][touching].sum() == pytest.approx(contact["force"][2], rel=1e-12)
+
+
+def test_contacts_of_geoms_without_a_name():
+    scene = sc.Scene()
+    body = scene.add_body(pos=(0, 0, 0.099))
+    scene.add_joint(body, "free")
+    scene.add_geom(body, "sphere", 0.1)
+    scene.add_geom("world", "plane")
+    sim = sc.Sim(scene)
+    sim.step()
+    assert sim.contacts["name1"].tolist() == sim.contacts["name2"].tolist() == [""]
+
+
+RESULTS = (
+    *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos", "bias", "passive"),
+    *("qacc", "constraint_force", "actuator_force", "contacts", "rows"),
+)
+
+
+def test_results_are_read_only(model):
+    sim, batch = sc.Sim(model), sc.Batch(model, 2)
+    for world in (sim, batch):
+        world.reset(key="bent")
+        world.step(300)
+        results = [getattr(world, name) for name in RESULTS]
+        results += [world.mass_matrix(), world.jacobian("lower"), *world.momentum]
+    for sim_or_batch, more in ((sim, ()), (batch, (batch.energy, batch.residual))):
+        for result in [*(getattr(sim_or_batch, name) for name in RESULTS), *more]:
+            for array in result if isinstance(result, list) else [result]:
+                assert len(array)
+                with pytest.raises(ValueError, match="read-only"):
+                    array[0] = array[0]
+    for array in results[-4:]:
+        assert not array.flags.writeable
+
+
+def test_a_view_by_name_can_be_assigned(sim):
+    sim.joint("elbow").qpos = 0.5
+    sim.joint("elbow").qvel = [0.25]
+    sim.joint("elbow").qfrc_applied = 2.0
+    sim.body("lower").xfrc_applied = np.arange(6)
+    assert sim.qpos.tolist() == [0.0, 0.5] and sim.qvel.tolist() == [0.0, 0.25]
+    assert sim.qfrc_applied.tolist() == [0.0, 2.0]
+    assert sim.xfrc_applied[2].tolist() == [0, 1, 2, 3, 4, 5]
+    with pytest.raises(ValueError, match=r'qpos of joint "elbow" has shape \(2,\)'):
+        sim.joint("elbow").qpos = [1.0, 2.0]
+    with pytest.raises(ValueError, match=r'qvel of joint "elbow" = .*numbers'):
+        sim.joint("elbow").qvel = "fast"
+    with pytest.raises(AttributeError, match='nearest: "qpos"'):
+        sim.joint("elbow").qpso = 1.0
+
+
+def test_an_attribute_that_is_not_there_cannot_be_assigned(model):
+    for thing, wrong, right in (
+        (sc.Sim(model), "crtl", "ctrl"),
+        (sc.Batch(model, 2), "qpso", "qpos"),
+        (sc.Scene(), "gravty", "gravity"),
+        (sc.Scene(), "geom_", "geom"),
+    ):
+        with pytest.raises(AttributeError, match=f'no "{wrong}"; nearest: .*"{right}"'):
+            setattr(thing, wrong, 1.0)
+    with pytest.raises(AttributeError, match="xpos"):
+        sc.Sim(model).xpos = 1.0

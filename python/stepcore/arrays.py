@@ -33,16 +33,20 @@ class StateArray:
         return array
 
     def __set__(self, sim: Any, value: ArrayLike) -> None:
-        array = sim._arrays[self.name]
-        table = numbers(self.name, value)
-        try:
-            array[...] = table
-        except ValueError:
-            limit = f"of shape {array.shape}"
-            raise ValueError(f"{self.name} has shape {table.shape}: must be {limit}") from None
+        fill(sim._arrays[self.name], self.name, value)
 
 
-class Stepped:
+def fill(array: Floats, name: str, value: ArrayLike) -> None:
+    """Overwrites an array; a ValueError for what is not real numbers of its shape."""
+    table = numbers(name, value)
+    try:
+        array[...] = table
+    except ValueError:
+        limit = f"of shape {array.shape}"
+        raise ValueError(f"{name} has shape {table.shape}: must be {limit}") from None
+
+
+class Stepped(checks.KnownNames):
     """A model with its state arrays; the number of worlds is the subclass's affair."""
 
     _model: Model

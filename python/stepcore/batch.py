@@ -5,13 +5,16 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings
 from stepcore.arrays import Floats, StateArray, Stepped, numbers, snapshot
 from stepcore.model import Model, compiled
+from stepcore.readouts import contact_table, row_table
 from stepcore.scene import Scene
+from stepcore.sim import Momentum
+from stepcore.views import BodyView, GeomView, JointView, SiteView
 
 
 class Rollout(NamedTuple):
@@ -29,6 +32,10 @@ class Batch(Stepped):
     lanes: eight worlds share a processor's vector registers; False: one by one; the results are
     the same bits, as they are at any number of threads. (Single precision runs one by one.)
     settings, overrides: as for a `Sim`.
+
+    A batch keeps only `qacc` of its worlds' last solves; what else is read of them (`contacts`,
+    `rows`, `residual`, `constraint_force`, `actuator_force`) is computed again, with the same
+    bits, at the price of a step that is not shared over lanes and threads.
 
     All worlds have the same time. If one of them leaves the finite numbers, SimulationError names
     it, and all stand before the first step in which one did.
@@ -80,8 +87,12 @@ class Batch(Stepped):
 
     @property
     def time(self) -> float:
-        """Time of all worlds [s]."""
+        """Time of all worlds [s]: where it was set or restored, plus dt for each step since."""
         return self._core.time
+
+    @time.setter
+    def time(self, value: float) -> None:
+        self._core.time = value
 
     def step(self, n: int = 1) -> None:
         """Advances every world by n steps, without the GIL; raises what `Sim.step` raises."""
@@ -120,6 +131,88 @@ class Batch(Stepped):
         except TypeError:
             worlds = [state]  # type: ignore[list-item]
         self._core.restore([snapshot(state, world) for world in worlds])
+
+    # The present states.
+
+    @property
+    def xmat(self) -> Floats:
+        """Orientation of each body's frame as a matrix, shape (n, nbody, 3, 3)."""
+        return self._core.xmat
+
+    @property
+    def geom_xmat(self) -> Floats:
+        """Orientation of each geom, shape (n, ngeom, 3, 3)."""
+        return self._core.geom_xmat
+
+    def mass_matrix(self) -> Floats:
+        """The mass matrices, armature included, shape (n, nv, nv)."""
+        return self._core.mass_matrix()
+
+    @property
+    def bias(self) -> Floats:
+        """Coriolis, centrifugal and gravity forces (on the left-hand side), shape (n, nv)."""
+        return self._core.bias
+
+    @property
+    def passive(self) -> Floats:
+        """Forces of joint springs and dampers, shape (n, nv)."""
+        return self._core.passive
+
+    @property
+    def momentum(self) -> Momentum:
+        """Linear and angular momentum of each world, shape (n, 3) each; see `Sim.momentum`."""
+        both = self._core.momentum
+        return Momentum(both[:, 0], both[:, 1])
+
+    def jacobian(self, body: str | int) -> Floats:
+        """How a body's frame moves with qvel, shape (n, 6, nv); see `Sim.jacobian`."""
+        return self._core.jacobian(self._model.index("body", body))
+
+    # The last step or forward().
+
+    @property
+    def constraint_force(self) -> Floats:
+        """Force of all rows together on the dofs, Jᵀλ/dt, shape (n, nv)."""
+        return self._core.constraint_force
+
+    @property
+    def actuator_force(self) -> Floats:
+        """Force of each actuator, before its gear, shape (n, nu)."""
+        return self._core.actuator_force
+
+    @property
+    def contacts(self) -> list[NDArray[Any]]:
+        """Contacts of each world, n structured arrays; see `Sim.contacts`."""
+        names = self._model.geom_names
+        return [contact_table(names, *table) for table in self._core.contacts()]
+
+    @property
+    def rows(self) -> list[NDArray[Any]]:
+        """Rows of each world, n structured arrays; see `Sim.rows`."""
+        return [row_table(self.settings.dt, *table) for table in self._core.rows()]
+
+    @property
+    def residual(self) -> Floats:
+        """How far each world's last solve was from the rows' laws [m/s], shape (n,)."""
+        return self._core.residual
+
+    # By name.
+
+    def body(self, name: str | int) -> BodyView:
+        """A body's part of the arrays, worlds first; ValueError for an unknown name."""
+        return BodyView(self, self._model.index("body", name))
+
+    def joint(self, name: str | int) -> JointView:
+        """A joint's part of the arrays, worlds first."""
+        return JointView(self, self._model.index("joint", name))
+
+    def geom(self, name: str | int) -> GeomView:
+        """A geom's part of the arrays, worlds first."""
+        return GeomView(self, self._model.index("geom", name))
+
+    def site(self, name: str | int) -> SiteView:
+        """A site's part of the arrays, worlds first."""
+        return SiteView(self, self._model.index("site", name))
 
     @property
     def qacc(self) -> Floats:

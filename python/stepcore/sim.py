@@ -5,32 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core
 from stepcore._core import Settings
 from stepcore.arrays import Floats, StateArray, Stepped, snapshot
 from stepcore.model import Model, compiled
+from stepcore.readouts import contact_table, row_table
 from stepcore.scene import Scene
 from stepcore.trajectory import Trajectory, record_run
 from stepcore.views import BodyView, GeomView, JointView, SiteView
 
-CONTACT = np.dtype(
-    [
-        ("geom1", np.int32),
-        ("geom2", np.int32),
-        ("dist", np.float64),
-        ("pos", np.float64, 3),
-        ("normal", np.float64, 3),
-        ("force", np.float64, 3),
-    ]
-)
-ROW_NUMBERS = ("impulse", "velocity", "target", "regulariser", "residual", "lo", "hi")
-
 
 class Energy(NamedTuple):
-    """Energy [J]: kinetic, and potential (gravity, zero at the world's origin, and springs)."""
+    """Energy [J]: kinetic, and potential: joint springs, and gravity on every body, fixed ones
+    too, zero at the world's origin."""
 
     kinetic: float
     potential: float
@@ -59,7 +48,8 @@ class Sim(Stepped):
     The state arrays are float64 whatever the precision, and are checked whenever they are used:
     an entry that is not finite is a ValueError naming it, and nothing is stepped. Poses, energy
     and matrices are those of the present state, and follow when it is written; ``qacc``,
-    ``contacts``, ``rows`` and forces are those of the last `step` or `forward`.
+    ``contacts``, ``rows`` and forces are those of the last `step` or `forward`. Only the state
+    arrays can be written; a result is read-only.
 
     >>> from stepcore import Scene, Sim
     >>> scene = Scene()
@@ -238,17 +228,11 @@ class Sim(Stepped):
     def contacts(self) -> NDArray[Any]:
         """Contacts, a structured array.
 
-        geom1, geom2 (indices), dist [m] (negative: overlap), pos [m], normal (from geom 1 to
-        geom 2), force (on geom 2, in world axes [N]; zero where there is no row).
+        geom1, geom2 (indices), name1, name2 ("" where none was given), dist [m] (negative:
+        overlap), pos [m], normal (from geom 1 to geom 2), force (on geom 2, in world axes [N];
+        zero where there is no row).
         """
-        geoms, numbers = self._core.contacts()
-        table = np.zeros(len(geoms), dtype=CONTACT)
-        pairs = np.array(geoms, dtype=np.int32).reshape(-1, 2)
-        table["geom1"], table["geom2"] = pairs.T
-        table["dist"] = numbers[:, 0]
-        for k, name in enumerate(("pos", "normal", "force")):
-            table[name] = numbers[:, 1 + 3 * k : 4 + 3 * k]
-        return table
+        return contact_table(self._model.geom_names, *self._core.contacts())
 
     @property
     def rows(self) -> NDArray[Any]:
@@ -256,16 +240,10 @@ class Sim(Stepped):
 
         kind ("equality", "friction", "limit", "contact"), name (of the element), block (rows of
         one block are solved together), impulse [N·s], velocity (J v when the step began), target,
-        regulariser, residual (s|δ|, in the row's unit of velocity), lo and hi (its bounds).
+        regulariser, residual (s|δ|, in the row's unit of velocity), lo and hi (its bounds),
+        force (impulse/dt [N]).
         """
-        kinds, names, blocks, numbers = self._core.rows()
-        width = max(map(len, names), default=1)
-        fields = [("kind", "U12"), ("name", f"U{width}"), ("block", np.int32)]
-        table = np.zeros(len(kinds), dtype=[*fields, *((name, float) for name in ROW_NUMBERS)])
-        table["kind"], table["name"], table["block"] = kinds, names, blocks
-        for k, name in enumerate(ROW_NUMBERS):
-            table[name] = numbers[:, k]
-        return table
+        return row_table(self.settings.dt, *self._core.rows())
 
     @property
     def residual(self) -> float:

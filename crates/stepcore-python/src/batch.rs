@@ -14,10 +14,11 @@ use crate::errors::raise;
 use crate::extract::{At, Read};
 use crate::gil;
 use crate::memory::Arrays;
-use crate::model::{shaped, Model};
+use crate::model::{result, shaped, Model};
 use crate::settings::Settings;
+use crate::sim::{check_body, check_time, contacts, rows, ContactTable, RowTable};
 use crate::snapshot::{decode, encode, Snapshot};
-use crate::world::{world, Placed};
+use crate::world::{world, Memo, Placed, Solved, World};
 use crate::worlds::{worlds, Worlds};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
@@ -36,11 +37,16 @@ impl Batch {
         gil::lock(&self.worlds, "Batch")
     }
 
-    /// Checks all arrays, then copies them into the engine.
-    fn load(&self, py: Python<'_>, worlds: &mut dyn Worlds) -> PyResult<()> {
+    fn check(&self, py: Python<'_>, worlds: &dyn Worlds) -> PyResult<()> {
         for world in 0..self.arrays.worlds {
             worlds.check(world, &self.arrays.given(py, world)).map_err(|error| raise(py, error))?;
         }
+        Ok(())
+    }
+
+    /// Checks all arrays, then copies them into the engine.
+    fn load(&self, py: Python<'_>, worlds: &mut dyn Worlds) -> PyResult<()> {
+        self.check(py, worlds)?;
         for world in 0..self.arrays.worlds {
             worlds.put(world, &self.arrays.given(py, world));
         }
@@ -66,7 +72,31 @@ impl Batch {
             guard.check(world, &given).map_err(|error| raise(py, error))?;
             all.extend(reader.placed(&given, what).map_err(|error| raise(py, error))?);
         }
-        shaped(py, all, &[&[self.arrays.worlds], shape].concat())
+        result(py, all, &[&[self.arrays.worlds], shape].concat())
+    }
+
+    /// Does every world's last solve again, to read what a batch does not keep of it.
+    fn again<T: Send>(
+        &self,
+        py: Python<'_>,
+        read: impl Fn(&dyn World) -> T + Sync,
+    ) -> PyResult<Vec<T>> {
+        let guard = self.lock()?;
+        let (worlds, model, settings) = (&**guard, self.model.clone(), &self.settings);
+        let n = self.arrays.worlds;
+        gil::release(py, || {
+            let mut reader = world(model, settings)?;
+            let each = (0..n).map(|world| {
+                worlds.again(world, &mut *reader)?;
+                Ok(read(&*reader))
+            });
+            each.collect()
+        })
+    }
+
+    fn solved<'py>(&self, py: Python<'py>, what: Solved, count: usize) -> PyResult<Array<'py>> {
+        let all = self.again(py, |world| world.solved(what))?;
+        result(py, all.concat(), &[self.arrays.worlds, count])
     }
 
     /// The controls of a play, checked.
@@ -137,6 +167,10 @@ impl Batch {
         let n = u64::read(n, &At::Root.field("n"))?;
         let mut guard = self.lock()?;
         let worlds = &mut **guard;
+        if n == 0 {
+            // The inputs of the last solve stay as they were.
+            return self.check(py, worlds);
+        }
         self.load(py, worlds)?;
         let outcome = gil::steps(py, n, |n| worlds.step(n));
         self.store(py, worlds);
@@ -163,7 +197,11 @@ impl Batch {
         let (n, steps) = (self.arrays.worlds, ctrl.shape()[1]);
         let controls = self.controls(&ctrl)?;
         let (mut qpos, mut qvel) = (room(n, steps, nq)?, room(n, steps, nv)?);
-        self.load(py, worlds)?;
+        if steps > 0 {
+            self.load(py, worlds)?;
+        } else {
+            self.check(py, worlds)?;
+        }
         let mut play = Play { steps, ctrl: &controls, qpos: &mut qpos, qvel: &mut qvel };
         let mut from = 0;
         let outcome = gil::steps(py, steps as u64, |count| {
@@ -185,6 +223,18 @@ impl Batch {
     #[getter]
     fn time(&self) -> PyResult<f64> {
         Ok(self.lock()?.time())
+    }
+
+    /// Sets the time [s] from which the steps of all worlds are counted.
+    #[setter]
+    fn set_time(&self, time: &Bound<'_, PyAny>) -> PyResult<()> {
+        let start = f64::read(time, &At::Root.field("time"))?;
+        check_time(start)?;
+        let mut worlds = self.lock()?;
+        let memos = worlds.memos().into_iter().map(|memo| Memo { start, steps: 0, ..memo });
+        let memos: Vec<Memo> = memos.collect();
+        worlds.set_memos(&memos);
+        Ok(())
     }
 
     /// Sets the time [s] of all worlds and forgets the impulses of the last step.
@@ -227,7 +277,7 @@ impl Batch {
 
     #[getter]
     fn qacc<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        shaped(py, self.lock()?.qacc(), &[self.arrays.worlds, self.model.nv])
+        result(py, self.lock()?.qacc(), &[self.arrays.worlds, self.model.nv])
     }
     #[getter]
     fn xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
@@ -245,10 +295,64 @@ impl Batch {
     fn geom_xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.placed(py, Placed::GeomPos, &[self.model.geoms.len(), 3])
     }
+    #[getter]
+    fn xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::BodyMat, &[self.model.bodies.len(), 3, 3])
+    }
+    #[getter]
+    fn geom_xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::GeomMat, &[self.model.geoms.len(), 3, 3])
+    }
+    fn mass_matrix<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::MassMatrix, &[self.model.nv, self.model.nv])
+    }
+    #[getter]
+    fn bias<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::Bias, &[self.model.nv])
+    }
+    #[getter]
+    fn passive<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::Passive, &[self.model.nv])
+    }
     /// Kinetic, potential.
     #[getter]
     fn energy<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.placed(py, Placed::Energy, &[2])
+    }
+    /// Linear, angular about the world's origin.
+    #[getter]
+    fn momentum<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::Momentum, &[2, 3])
+    }
+    fn jacobian<'py>(&self, py: Python<'py>, body: usize) -> PyResult<Array<'py>> {
+        check_body(&self.model, body)?;
+        self.placed(py, Placed::Jacobian(body), &[6, self.model.nv])
+    }
+
+    // Of the last solve, which is done again for them.
+
+    #[getter]
+    fn constraint_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.solved(py, Solved::ConstraintForce, self.model.nv)
+    }
+    #[getter]
+    fn actuator_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.solved(py, Solved::ActuatorForce, self.model.actuators.len())
+    }
+    /// One of `Sim.contacts` a world.
+    fn contacts<'py>(&self, py: Python<'py>) -> PyResult<Vec<ContactTable<'py>>> {
+        let tables = self.again(py, |world| world.contacts())?;
+        tables.into_iter().map(|table| contacts(py, table)).collect()
+    }
+    /// One of `Sim.rows` a world.
+    fn rows<'py>(&self, py: Python<'py>) -> PyResult<Vec<RowTable<'py>>> {
+        let tables = self.again(py, |world| world.rows())?;
+        tables.into_iter().map(|table| rows(py, table)).collect()
+    }
+    #[getter]
+    fn residual<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        let all = self.again(py, |world| world.residual())?;
+        result(py, all, &[self.arrays.worlds])
     }
 }
 

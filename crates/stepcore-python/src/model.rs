@@ -19,6 +19,17 @@ pub fn shaped<'py>(
     PyArray1::from_vec(py, values).reshape(shape.to_vec())
 }
 
+/// The same, read-only: what is written into a result would be lost in silence.
+pub fn result<'py>(
+    py: Python<'py>,
+    values: Vec<f64>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+    let array = shaped(py, values, shape)?;
+    array.readwrite().make_nonwriteable();
+    Ok(array)
+}
+
 /// A compiled scene; constant.
 #[pyclass(module = "stepcore._core", frozen)]
 pub struct Model(pub Arc<Engine>);

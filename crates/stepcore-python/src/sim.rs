@@ -13,12 +13,41 @@ use crate::errors::raise;
 use crate::extract::{At, Read};
 use crate::gil;
 use crate::memory::Arrays;
-use crate::model::{shaped, Model};
+use crate::model::{result, shaped, Model};
 use crate::settings::Settings;
 use crate::snapshot::{decode, encode};
-use crate::world::{world, Memo, Placed, Solved, World};
+use crate::world::{world, Contacts, Memo, Placed, Rows, Solved, World};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
+/// Geoms; dist, pos, normal, force.
+pub type ContactTable<'py> = (Vec<(usize, usize)>, Array<'py>);
+/// Kinds, names, blocks; impulse, velocity, target, regulariser, residual, lo, hi.
+pub type RowTable<'py> = (Vec<&'static str>, Vec<String>, Vec<usize>, Array<'py>);
+
+pub fn contacts<'py>(py: Python<'py>, table: Contacts) -> PyResult<ContactTable<'py>> {
+    let count = table.geoms.len();
+    Ok((table.geoms, shaped(py, table.numbers, &[count, 10])?))
+}
+
+pub fn rows<'py>(py: Python<'py>, table: Rows) -> PyResult<RowTable<'py>> {
+    let count = table.blocks.len();
+    Ok((table.kinds, table.names, table.blocks, shaped(py, table.numbers, &[count, 7])?))
+}
+
+pub fn check_time(time: f64) -> PyResult<()> {
+    if time.is_finite() {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("time = {time}: must be finite")))
+}
+
+pub fn check_body(model: &EngineModel, body: usize) -> PyResult<()> {
+    let count = model.bodies.len();
+    if body < count {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("body = {body}: must be below {count}")))
+}
 
 /// One world.
 #[pyclass(module = "stepcore._core", frozen)]
@@ -53,13 +82,13 @@ impl Sim {
     fn placed<'py>(&self, py: Python<'py>, what: Placed, shape: &[usize]) -> PyResult<Array<'py>> {
         let numbers =
             self.lock()?.placed(&self.given(py), what).map_err(|error| raise(py, error))?;
-        shaped(py, numbers, shape)
+        result(py, numbers, shape)
     }
 
     fn solved<'py>(&self, py: Python<'py>, what: Solved) -> PyResult<Array<'py>> {
         let numbers = self.lock()?.solved(what);
         let count = numbers.len();
-        shaped(py, numbers, &[count])
+        result(py, numbers, &[count])
     }
 }
 
@@ -122,9 +151,7 @@ impl Sim {
     #[setter]
     fn set_time(&self, time: &Bound<'_, PyAny>) -> PyResult<()> {
         let start = f64::read(time, &At::Root.field("time"))?;
-        if !start.is_finite() {
-            return Err(PyValueError::new_err(format!("time = {start}: must be finite")));
-        }
+        check_time(start)?;
         let mut world = self.lock()?;
         let memo = Memo { start, steps: 0, ..world.memo() };
         world.set_memo(&memo);
@@ -201,10 +228,7 @@ impl Sim {
         self.placed(py, Placed::Momentum, &[2, 3])
     }
     fn jacobian<'py>(&self, py: Python<'py>, body: usize) -> PyResult<Array<'py>> {
-        if body >= self.model.bodies.len() {
-            let limit = format!("body = {body}: must be below {}", self.model.bodies.len());
-            return Err(PyValueError::new_err(limit));
-        }
+        check_body(&self.model, body)?;
         self.placed(py, Placed::Jacobian(body), &[6, self.model.nv])
     }
 
@@ -223,20 +247,12 @@ impl Sim {
         self.solved(py, Solved::ActuatorForce)
     }
     /// Geoms, and dist, pos, normal, force in the columns of one array.
-    fn contacts<'py>(&self, py: Python<'py>) -> PyResult<(Vec<(usize, usize)>, Array<'py>)> {
-        let table = self.lock()?.contacts();
-        let count = table.geoms.len();
-        Ok((table.geoms, shaped(py, table.numbers, &[count, 10])?))
+    fn contacts<'py>(&self, py: Python<'py>) -> PyResult<ContactTable<'py>> {
+        contacts(py, self.lock()?.contacts())
     }
     /// Kinds, names, blocks, and impulse, velocity, target, regulariser, residual, lo, hi.
-    #[allow(clippy::type_complexity)]
-    fn rows<'py>(
-        &self,
-        py: Python<'py>,
-    ) -> PyResult<(Vec<&'static str>, Vec<String>, Vec<usize>, Array<'py>)> {
-        let table = self.lock()?.rows();
-        let count = table.blocks.len();
-        Ok((table.kinds, table.names, table.blocks, shaped(py, table.numbers, &[count, 7])?))
+    fn rows<'py>(&self, py: Python<'py>) -> PyResult<RowTable<'py>> {
+        rows(py, self.lock()?.rows())
     }
     #[getter]
     fn residual(&self) -> PyResult<f64> {

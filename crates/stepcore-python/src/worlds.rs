@@ -4,16 +4,16 @@
 use std::sync::Arc;
 
 use stepcore::arrays::Given;
-use stepcore::batch::{Batch, Play};
+use stepcore::batch::{Batch, Last, Play};
 use stepcore::error::Result;
 use stepcore::model::Model;
 use stepcore::real::{Lanes, Real};
 use stepcore::settings::{Precision, Settings};
 use stepcore::state::Warm;
 
-use crate::world::Memo;
+use crate::world::{Memo, World};
 
-pub trait Worlds: Send {
+pub trait Worlds: Send + Sync {
     fn check(&self, world: usize, given: &Given) -> Result<()>;
     fn put(&mut self, world: usize, given: &Given);
     fn take(&self, world: usize, qpos: &mut [f64], qvel: &mut [f64]);
@@ -22,6 +22,8 @@ pub trait Worlds: Send {
     fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()>;
     fn time(&self) -> f64;
     fn qacc(&self) -> Vec<f64>;
+    /// Does a world's last solve again in `into`, which then has its rows and contacts.
+    fn again(&self, world: usize, into: &mut dyn World) -> Result<()>;
     fn memos(&self) -> Vec<Memo>;
     fn set_memos(&mut self, memos: &[Memo]);
     /// Time and steps of all worlds; impulses forgotten.
@@ -67,6 +69,25 @@ impl<R: Real> Worlds for Batch<R> {
     }
     fn qacc(&self) -> Vec<f64> {
         (0..self.worlds).flat_map(|world| Batch::qacc(self, world)).collect()
+    }
+
+    fn again(&self, world: usize, into: &mut dyn World) -> Result<()> {
+        let (state, inputs, last) = self.last(world);
+        let lane = world % R::LANES;
+        let of = |numbers: &[R]| numbers.iter().map(|x| x.lane(lane)).collect::<Vec<f64>>();
+        into.put(&Given {
+            qpos: &of(&state.qpos),
+            qvel: &of(&state.qvel),
+            ctrl: &of(&inputs.ctrl),
+            qfrc_applied: &of(&inputs.qfrc_applied),
+            xfrc_applied: &of(&inputs.xfrc_applied),
+        });
+        into.set_memo(&Memo::of(state, lane));
+        match last {
+            Last::Nothing => Ok(()),
+            Last::Forward => into.forward(),
+            Last::Step => into.step(1),
+        }
     }
 
     fn memos(&self) -> Vec<Memo> {

@@ -18,6 +18,14 @@ use crate::state::{Inputs, State};
 /// The most threads that a batch may ask for.
 const MOST_THREADS: usize = 1024;
 
+/// What the last solve of the worlds belonged to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Last {
+    Nothing,
+    Forward,
+    Step,
+}
+
 /// As many worlds as a number has lanes.
 struct Group<R: Real> {
     state: State<R>,
@@ -26,6 +34,10 @@ struct Group<R: Real> {
     qacc: Vec<R>,
     /// The state when the call began.
     start: State<R>,
+    /// The state when the last solve began, from which it can be done again: its rows
+    /// are in the working space of a thread, and gone with the next group.
+    before: State<R>,
+    last: Last,
     /// Steps done in this call before one failed, and why it did.
     failed: Option<(u64, Error)>,
 }
@@ -83,6 +95,8 @@ impl<R: Real> Batch<R> {
             inputs: Inputs::new(&model),
             qacc: vec![R::zero(); model.nv],
             start: State::new(&model),
+            before: State::new(&model),
+            last: Last::Nothing,
             failed: None,
         };
         let workers = (0..threads.min(count)).map(|_| Sim::new(model.clone(), settings.clone()));
@@ -98,7 +112,7 @@ impl<R: Real> Batch<R> {
     /// A little more than a world's numbers take here and in its user's arrays.
     fn bytes_a_world(model: &Model) -> usize {
         let (nq, nv) = (model.nq, model.nv);
-        let state = 2 * (nq + nv) + model.actuators.len() + nv + 6 * model.bodies.len();
+        let state = 3 * (nq + nv) + model.actuators.len() + nv + 6 * model.bodies.len();
         1024 + 8 * (2 * state + nv)
     }
 
@@ -132,6 +146,13 @@ impl<R: Real> Batch<R> {
         self.groups[world / R::LANES].qacc.iter().map(move |a| a.lane(world % R::LANES))
     }
 
+    /// The group of a world: the state in which its last solve began, the inputs, and what
+    /// it belonged to.
+    pub fn last(&self, world: usize) -> (&State<R>, &Inputs<R>, Last) {
+        let group = &self.groups[world / R::LANES];
+        (&group.before, &group.inputs, group.last)
+    }
+
     /// The states of all groups, `R::LANES` worlds each.
     pub fn states(&self) -> impl Iterator<Item = &State<R>> {
         self.groups.iter().map(|group| &group.state)
@@ -151,7 +172,7 @@ impl<R: Real> Batch<R> {
     pub fn forward(&mut self) -> Result<()> {
         let forward = |_, _, sim: &mut Sim<R>| sim.forward();
         share(&mut self.workers, &mut self.groups, |sim, index, group| {
-            group.run(sim, index, 1, &forward)
+            group.run(sim, index, 1, Last::Forward, &forward)
         });
         self.first_failure().map_or(Ok(()), |(_, error)| Err(error))
     }
@@ -188,13 +209,15 @@ impl<R: Real> Batch<R> {
     ) -> Result<()> {
         share(&mut self.workers, &mut self.groups, |sim, index, group| {
             copy(&group.state, &mut group.start);
-            group.run(sim, index, n, &one);
+            group.run(sim, index, n, Last::Step, &one);
         });
         let Some((done, error)) = self.first_failure() else { return Ok(()) };
         // All worlds go back, and then on to where this one was still well.
         share(&mut self.workers, &mut self.groups, |sim, index, group| {
             copy(&group.start, &mut group.state);
-            group.run(sim, index, done, &one);
+            copy(&group.start, &mut group.before);
+            group.last = Last::Forward;
+            group.run(sim, index, done, Last::Step, &one);
         });
         Err(error)
     }
@@ -220,13 +243,20 @@ impl<R: Real> Group<R> {
         sim: &mut Sim<R>,
         index: usize,
         n: u64,
+        last: Last,
         one: &impl Fn(usize, u64, &mut Sim<R>) -> Result<()>,
     ) {
         std::mem::swap(&mut sim.state, &mut self.state);
         std::mem::swap(&mut sim.inputs, &mut self.inputs);
         sim.past.forget();
-        self.failed = (0..n).find_map(|k| one(index, k, sim).err().map(|error| (k, error)));
+        self.failed = (0..n).find_map(|k| {
+            if k + 1 == n {
+                copy(&sim.state, &mut self.before);
+            }
+            one(index, k, sim).err().map(|error| (k, error))
+        });
         if n > 0 {
+            self.last = last;
             self.qacc.copy_from_slice(&sim.qacc);
         }
         std::mem::swap(&mut sim.state, &mut self.state);

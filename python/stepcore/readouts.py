@@ -1,0 +1,50 @@
+"""Contacts and rows of a solve as structured arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+VECTORS = ("pos", "normal", "force")
+ROW_NUMBERS = ("impulse", "velocity", "target", "regulariser", "residual", "lo", "hi")
+
+
+def contact_table(
+    geom_names: Sequence[str], pairs: list[tuple[int, int]], numbers: Floats
+) -> NDArray[Any]:
+    """See `Sim.contacts`. numbers: dist, pos, normal, force, shape (contacts, 10)."""
+    geoms = np.array(pairs, dtype=np.int32).reshape(-1, 2).T
+    width = max(map(len, geom_names), default=0) or 1
+    fields: list[Any] = [(field, np.int32) for field in ("geom1", "geom2")]
+    fields += [(field, f"U{width}") for field in ("name1", "name2")]
+    fields += [("dist", float), *((field, float, 3) for field in VECTORS)]
+    table = np.zeros(len(pairs), dtype=fields)
+    for k in (0, 1):
+        table[f"geom{k + 1}"] = geoms[k]
+        table[f"name{k + 1}"] = [geom_names[geom] for geom in geoms[k]]
+    table["dist"] = numbers[:, 0]
+    for k, field in enumerate(VECTORS):
+        table[field] = numbers[:, 1 + 3 * k : 4 + 3 * k]
+    table.flags.writeable = False
+    return table
+
+
+def row_table(
+    dt: float, kinds: list[str], names: list[str], blocks: list[int], numbers: Floats
+) -> NDArray[Any]:
+    """See `Sim.rows`. numbers: those of `ROW_NUMBERS`, shape (rows, 7)."""
+    width = max(map(len, names), default=1)
+    fields: list[Any] = [("kind", "U12"), ("name", f"U{width}"), ("block", np.int32)]
+    fields += [(field, float) for field in (*ROW_NUMBERS, "force")]
+    table = np.zeros(len(kinds), dtype=fields)
+    table["kind"], table["name"], table["block"] = kinds, names, blocks
+    for k, field in enumerate(ROW_NUMBERS):
+        table[field] = numbers[:, k]
+    table["force"] = table["impulse"] / dt
+    table.flags.writeable = False
+    return table
