@@ -256,7 +256,7 @@ def test_the_picture_is_drawn(tmp_path):
 def test_a_run_that_is_nowhere_near_is_a_failure_with_its_reason():
     # Explicit Euler on a stiff spring: finite, and further away than any scene is large.
     scene = lesson.spring(k=1e6, dt=1e-3, integrator="rk4")
-    result = few(scene, dts=[1e-3, 1e-4], integrators="explicit", starts=2, horizon=0.1)
+    result = few(scene, dts=[1e-3, 1e-4], integrators=["explicit"], starts=2, horizon=0.1)
     bad = by(result, integrator="explicit", dt=1e-3)
     assert "far off" in bad.failure and bad.errors is None and not bad.best
     assert bad in result.rows and "far off" in str(result)
@@ -264,7 +264,7 @@ def test_a_run_that_is_nowhere_near_is_a_failure_with_its_reason():
 
 
 def test_the_sentence_counts_starts_and_names_the_worst():
-    result = few(falling(), integrators="semi-implicit", starts=3, horizon=0.4)
+    result = few(falling(), integrators=["semi-implicit"], starts=3, horizon=0.4)
     assert "(rms, median of 3 starts; at worst" in str(result)
     shipped = result.shipped
     # One start far worse than the others.
@@ -277,7 +277,7 @@ def test_the_sentence_counts_starts_and_names_the_worst():
 
 
 def test_a_largest_error_below_the_references_is_marked():
-    result = few(falling(), integrators="semi-implicit", starts=1, horizon=0.4)
+    result = few(falling(), integrators=["semi-implicit"], starts=1, horizon=0.4)
     assert not any(row.below_max for row in result.rows)
     result.reference.level.largest = 1.0
     again = sc.Trade("x", result.horizon, result.rows, result.reference, 1)
@@ -287,8 +287,8 @@ def test_a_largest_error_below_the_references_is_marked():
 
 def test_the_default_horizon_is_a_whole_number_of_samples():
     # Four steps of 20 ms do not divide a second: 0.96 s are what is traded, not a remark.
-    result = few(falling(dt=0.02), integrators="semi-implicit", starts=1)
+    result = few(falling(dt=0.02), integrators=["semi-implicit"], starts=1)
     assert result.horizon == pytest.approx(0.96)
     assert not any("horizon" in note for note in result.notes)
-    result = few(falling(dt=0.02), integrators="semi-implicit", starts=1, horizon=1.0)
+    result = few(falling(dt=0.02), integrators=["semi-implicit"], starts=1, horizon=1.0)
     assert any("horizon" in note for note in result.notes)

@@ -307,14 +307,6 @@ def inertia(owner: Any, field: str, value: object) -> tuple[float, ...]:
     return result + (0.0,) * (6 - len(result))
 
 
-def axis(owner: Any, field: str, value: object) -> list[Any]:
-    """Values to try, at least one; a single text or number is taken as one."""
-    entries = [value] if isinstance(value, str) or number(value) is not None else listed(value)
-    if not entries:
-        raise refuse(owner, field, value, "a sequence of at least one value")
-    return entries
-
-
 def function(*arguments: str) -> Check:
     """A function that can be called with these arguments."""
     limit = f"a function of ({', '.join(arguments)})"

@@ -64,8 +64,8 @@ def trade(
         motor follows a few smooth seeded sines in its range.
     control_dt: the control period [s], a multiple of every time step; default: the largest
         time step tried.
-    dts [s], integrators, solvers, sweeps, precisions: what to try, one value or several; the
-        shipped settings are always among it.
+    dts [s], integrators, solvers, sweeps, precisions: what to try; the shipped settings are
+        always among it.
     budget: what the reference may cost, in steps × (dofs + 2).
     threads: how many runs at once (default: one a core). Costs are timed on one, afterwards.
     progress: False for no bar, or a function of (label, done, total).
@@ -83,29 +83,24 @@ def trade(
     """
     model = _model(model)
     checks.told("trade", progress)
-    real = checks.real(above=0)
-    asked = None if horizon is None else real("trade", "horizon", horizon)
-    control_dt = checks.optional(real)("trade", "control_dt", control_dt)
     starts, seed = checks.count("starts", starts), checks.count("seed", seed, least=0)
     workers = checks.threads(threads)
     budget = checks.real(low=0)("trade", "budget", budget)
-    several = checks.optional(checks.axis)
-    dts = several("trade", "dts", dts)
+    axes = {"dts": dts, "integrators": integrators, "solvers": solvers, "sweeps": sweeps}
+    for name, values in (axes | {"precisions": precisions}).items():
+        if values is not None:
+            checks.several(name, values)
     for dt in dts or ():
-        real("trade", "dts", dt)
-    integrators = several("trade", "integrators", integrators)
-    solvers = several("trade", "solvers", solvers)
-    sweeps = several("trade", "sweeps", sweeps)
-    precisions = several("trade", "precisions", precisions)
+        checks.real(above=0)("trade", "dts", dt)
     shipped = model.settings
     dofs = Dofs(model.scene)
     if not dofs.moving:
         raise ValueError("nothing in the scene can move: there is no motion to trade")
-    steps, period = time_steps(shipped.dt, dts, control_dt, 1.0 if asked is None else asked)
+    steps, period = time_steps(shipped.dt, dts, control_dt, 1.0 if horizon is None else horizon)
     motive = motion(
         model,
         dofs,
-        horizon=default_horizon(period) if asked is None else asked,
+        horizon=default_horizon(period) if horizon is None else horizon,
         period=period,
         key=key,
         ctrl=ctrl,
@@ -130,7 +125,7 @@ def trade(
         _row(one, paths, cost, reference, shipped, motive.horizon, tau, size)
         for one, paths, cost in zip(tried, runs, times, strict=True)
     ]
-    notes = [*model.scene.notes, *_notes(motive, reference, alive, tau, asked)]
+    notes = [*model.scene.notes, *_notes(motive, reference, alive, tau, horizon)]
     name = model.scene.name or "scene"
     return Trade(name, motive.horizon, rows, reference, starts, notes)
 

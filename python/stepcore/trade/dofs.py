@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from stepcore import checks
 from stepcore.layout import DOFS, QPOS, Layout
 
 
