@@ -104,7 +104,6 @@ def test_info(capsys):
         (["run", "a-b:x", "--duration", "1"], "not the name of a package"),
         (["run", "BALL", "--duration", "nan"], "--duration"),
         (["run", "BALL", "--duration", "-1"], "--duration"),
-        (["run", "BALL"], "--duration"),
         (["run", "BALL", "--duration", "1", "--dt", "0"], "dt"),
         (["run", "BALL", "--duration", "1", "--key", "home"], "home"),
         (["run", "BALL", "--duration", "1", "--set", "sweps=3"], "nearest"),
@@ -155,3 +154,66 @@ def test_it_runs_as_a_module(ball):
     command = [sys.executable, "-m", "stepcore.cli", "run", ball, "--duration", "0.1"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "energy" in done.stdout
+
+
+def test_the_package_runs_as_a_module_and_tells_its_version():
+    command = [sys.executable, "-m", "stepcore", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stdout.startswith("stepcore 0.") and not done.stderr
+
+
+def test_a_run_is_one_second_by_default(capsys, ball):
+    status, out, err = call(capsys, "run", ball, "--json")
+    assert status == 0 and not err
+    data = json.loads(out)
+    assert data["steps"] == 250 and data["notes"] == []
+
+
+def test_a_run_says_what_it_makes_of_a_duration_between_steps(capsys, ball):
+    status, out, _ = call(capsys, "run", ball, "--duration", 0.0149)
+    assert status == 0 and "4 steps" in out
+    note = "note: --duration 0.0149 s is no whole number of steps of 0.004 s: 0.016 s are run"
+    assert note in out
+    assert "note" not in call(capsys, "run", ball, "--duration", 0.4)[1]
+
+
+def test_a_run_tells_the_notes_of_its_file(capsys, tmp_path):
+    file = tmp_path / "hinge.xml"
+    joint = '<joint range="1 -1"/><geom size="1"/>'
+    file.write_text(f"<mujoco><worldbody><body>{joint}</body></worldbody></mujoco>")
+    status, out, _ = call(capsys, "run", file, "--duration", 0)
+    assert status == 0 and "note:" in out and "range = 1 -1 is empty: no limit" in out
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("empty.csv", b"", "it is empty"),
+        ("words.csv", b"1,2\n3,x\n", "'x'"),
+        ("ragged.csv", b"1,2\n3\n", "columns"),
+        ("empty.npy", b"", ""),
+        ("broken.npy", b"no array", ""),
+    ],
+)
+def test_bad_controls_are_one_line_with_the_file(capsys, tmp_path, name, content, words):
+    file = tmp_path / name
+    file.write_bytes(content)
+    status, _, err = call(capsys, "trade", "lesson:grasp", "--ctrl", file)
+    assert status == 2 and err.count("\n") == 1
+    assert f"{name}: " in err and words in err
+
+
+def test_a_control_that_raises_is_named(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    source = "def grip(time, sim):\n    raise ValueError('boom')\ndef few(time):\n    return 0\n"
+    (tmp_path / "my_broken_control.py").write_text(source)
+    (tmp_path / "my_broken_module.py").write_text("1 / 0\n")
+    args = ["trade", "lesson:grasp", "--horizon", 0.016, "--starts", 1, "--control"]
+    status, _, err = call(capsys, *args, "my_broken_control:grip")
+    assert status == 1 and err.count("\n") == 1
+    assert "my_broken_control:grip: ValueError: boom (my_broken_control.py:2)" in err
+    status, _, err = call(capsys, *args, "my_broken_control:few")
+    assert status == 2 and "function of (time, sim)" in err
+    status, _, err = call(capsys, *args, "my_broken_module:f")
+    assert status == 2 and "my_broken_module:f: ZeroDivisionError" in err

@@ -210,7 +210,7 @@ def test_an_unknown_name_lists_the_nearest() -> None:
         scene.body(3)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="not a body of this scene"):
         scene.body(Scene().world)
-    with pytest.raises(TypeError, match='no field "dampng"; nearest: "damping"'):
+    with pytest.raises(ValueError, match='no field "dampng"; nearest: "damping"'):
         scene.add_joint("a", dampng=1)
     with pytest.raises(AttributeError, match='no field "frction"; nearest: "friction"'):
         scene.geom("g_a").frction = 1  # type: ignore[attr-defined]

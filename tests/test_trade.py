@@ -1,5 +1,6 @@
 """The trade's figures against closed forms, and its book-keeping. No time is judged here."""
 
+import dataclasses
 import json
 import pickle
 
@@ -250,3 +251,44 @@ def test_the_picture_is_drawn(tmp_path):
     axes = figure.axes[0]
     assert axes.get_xscale() == axes.get_yscale() == "log"
     assert "spring" in axes.get_title(loc="left")
+
+
+def test_a_run_that_is_nowhere_near_is_a_failure_with_its_reason():
+    # Explicit Euler on a stiff spring: finite, and further away than any scene is large.
+    scene = lesson.spring(k=1e6, dt=1e-3, integrator="rk4")
+    result = few(scene, dts=[1e-3, 1e-4], integrators=["explicit"], starts=2, horizon=0.1)
+    bad = by(result, integrator="explicit", dt=1e-3)
+    assert "far off" in bad.failure and bad.errors is None and not bad.best
+    assert bad in result.rows and "far off" in str(result)
+    assert result.shipped.failure is None
+
+
+def test_the_sentence_counts_starts_and_names_the_worst():
+    result = few(falling(), integrators=["semi-implicit"], starts=3, horizon=0.4)
+    assert "(rms, median of 3 starts; at worst" in str(result)
+    shipped = result.shipped
+    # One start far worse than the others.
+    errors = dataclasses.replace(shipped.errors, position_max=0.5, worst=2)
+    shipped.errors = dataclasses.replace(errors, position=1e-3)
+    text = str(result)
+    assert "positions are up to 500 mm wrong over 400 ms, in start 2; starts differ: the" in text
+    assert "median of 3 starts is 1 mm (rms)" in text and "Half that median error" in text
+    assert result.table[result.rows.index(shipped)]["worst_start"] == 2
+
+
+def test_a_largest_error_below_the_references_is_marked():
+    result = few(falling(), integrators=["semi-implicit"], starts=1, horizon=0.4)
+    assert not any(row.below_max for row in result.rows)
+    result.reference.level.largest = 1.0
+    again = sc.Trade("x", result.horizon, result.rows, result.reference, 1)
+    assert all(row.below_max for row in again.rows) and "<1.0e0" in str(again)
+    assert again.table[0]["below_max"] and "largest error of" in str(again)
+
+
+def test_the_default_horizon_is_a_whole_number_of_samples():
+    # Four steps of 20 ms do not divide a second: 0.96 s are what is traded, not a remark.
+    result = few(falling(dt=0.02), integrators=["semi-implicit"], starts=1)
+    assert result.horizon == pytest.approx(0.96)
+    assert not any("horizon" in note for note in result.notes)
+    result = few(falling(dt=0.02), integrators=["semi-implicit"], starts=1, horizon=1.0)
+    assert any("horizon" in note for note in result.notes)

@@ -23,7 +23,8 @@ from stepcore.sweep import sweep
 from stepcore.trade import Trade, trade
 
 if TYPE_CHECKING:
-    from stepcore.mjcf import load, loads
+    from stepcore.lookup import load
+    from stepcore.mjcf import loads
 
 __all__ = [
     "Batch",
@@ -41,7 +42,7 @@ __all__ = [
 ]
 
 # Names that are imported when they are first used, so that `import stepcore` is quick.
-_LATER = {"load": "stepcore.mjcf", "loads": "stepcore.mjcf"}
+_LATER = {"load": "stepcore.lookup", "loads": "stepcore.mjcf"}
 
 
 def __getattr__(name: str) -> Any:

@@ -25,7 +25,7 @@ def changed(scene: Scene, values: Mapping[str, Any], model: Model) -> Scene:
         if path == "gravity":
             scene.gravity = value
             continue
-        element, field = _find(scene, path)
+        element, field = find(scene, path)
         if field == "mass" and isinstance(element, Body) and element.mass is None:
             _scale_geoms(scene, model, element, value)
         else:
@@ -33,7 +33,8 @@ def changed(scene: Scene, values: Mapping[str, Any], model: Model) -> Scene:
     return scene
 
 
-def _find(scene: Scene, path: object) -> tuple[Element, str]:
+def find(scene: Scene, path: object) -> tuple[Element, str]:
+    """The element and the field that "kind/name/field" means."""
     parts = path.split("/") if isinstance(path, str) else []
     if len(parts) < 3:
         raise ValueError(f'{checks.shown(path)}: must be "gravity" or "kind/name/field"')

@@ -7,6 +7,7 @@ store, and raises `ValueError` naming the element, the field, the value and the 
 from __future__ import annotations
 
 import difflib
+import inspect
 import math
 import os
 from collections.abc import Callable, Iterable
@@ -17,6 +18,9 @@ Check = Callable[[Any, str, Any], Any]
 # Below this length a direction or a quaternion has no meaning (MuJoCo's own threshold).
 TINY = 1e-14
 
+# Where no name is near, so many of those that exist are listed.
+KNOWN = 10
+
 
 def shown(value: object, width: int = 80) -> str:
     """``repr`` on one line, cut to `width` characters."""
@@ -24,15 +28,19 @@ def shown(value: object, width: int = 80) -> str:
     return text if len(text) <= width else text[: width - 1] + "…"
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
-    """'; nearest: "damping"', or the known names when none is near, or nothing."""
+def nearest(name: str, known: Iterable[str], listed: int = KNOWN) -> str:
+    """'; nearest: "damping"', or where none is near the first `listed` of those that exist."""
     names = [k for k in known if k]
-    close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    # Letters count in either case, so that "rk4" is near "RK4".
+    folded = {k.lower(): k for k in reversed(names)}
+    found = difflib.get_close_matches(name.lower(), folded, n=3, cutoff=0.5)
+    close = [folded[k] for k in found]
     if close:
         return "; nearest: " + ", ".join(f'"{c}"' for c in close)
-    if 0 < len(names) <= 8:
-        return "; known: " + ", ".join(f'"{n}"' for n in names)
-    return ""
+    if not listed:
+        return ""
+    more = f" and {len(names) - listed} more" if len(names) > listed else ""
+    return "; known: " + (", ".join(f'"{n}"' for n in names[:listed]) or "none") + more
 
 
 def one_line(error: BaseException) -> str:
@@ -162,7 +170,7 @@ def one_of(*allowed: object) -> Check:
                 return candidate
         near = ""
         if isinstance(value, str):
-            near = nearest(value, [a for a in allowed if isinstance(a, str)])
+            near = nearest(value, [a for a in allowed if isinstance(a, str)], listed=0)
         raise refuse(owner, field, value, f"one of {text}{near}")
 
     return check
@@ -313,3 +321,28 @@ def inertia(owner: Any, field: str, value: object) -> tuple[float, ...]:
         limit = "3 or 6 finite numbers (xx yy zz xy xz yz), the first three >= 0"
         raise refuse(owner, field, value, limit)
     return result + (0.0,) * (6 - len(result))
+
+
+def function(*arguments: str) -> Check:
+    """A function that can be called with these arguments."""
+    limit = f"a function of ({', '.join(arguments)})"
+
+    def check(owner: Any, field: str, value: object) -> object:
+        if not callable(value):
+            raise refuse(owner, field, value, limit)
+        try:
+            inspect.signature(value).bind(*arguments)
+        except TypeError:
+            raise refuse(owner, field, value, limit) from None
+        except ValueError:
+            # Some functions written in C do not tell what they take.
+            pass
+        return value
+
+    return check
+
+
+def told(owner: Any, value: object) -> None:
+    """Checks the argument `progress`."""
+    if not (value is None or isinstance(value, bool) or callable(value)):
+        raise refuse(owner, "progress", value, "True, False, None or a function")

@@ -1,4 +1,4 @@
-"""The command line: `stepcore lesson`, `run`, `trade`, `info`.
+"""The command line: `stepcore lesson`, `run`, `trade`, `info`; also `python -m stepcore`.
 
 A FILE is the path of an MJCF file, "package:name" for a model among the files of an installed
 package (as gymnasium:half_cheetah; the package is not imported), or "lesson:name" for a scene
@@ -9,15 +9,19 @@ went wrong on the way, 130 after Ctrl-C.
 from __future__ import annotations
 
 import argparse
+import functools
 import importlib
 import json
 import os
 import platform
 import sys
+import traceback
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from stepcore._core import SimulationError
 from stepcore.checks import nearest, one_line
 from stepcore.table import Table, jsonable
 
@@ -27,6 +31,19 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}\n")
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str) -> None:
+        super().__init__(option_strings, dest, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        import stepcore
+
+        print(f"stepcore {stepcore.__version__}")
+        parser.exit()
 
 
 class Usage(ValueError):
@@ -66,6 +83,7 @@ def parser() -> argparse.ArgumentParser:
     """What the commands take."""
     top = _Parser(prog="stepcore", description="Rigid-body physics that measures itself.")
     top.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
+    top.add_argument("--version", action=_Version, help="print the version and exit")
     commands = top.add_subparsers(metavar="command", required=True, parser_class=_Parser)
     _add_lesson(commands)
     _add_run(commands)
@@ -89,7 +107,7 @@ def _add_lesson(commands: Any) -> None:
 def _add_run(commands: Any) -> None:
     run = commands.add_parser("run", help="simulate a model and print where it ends")
     run.add_argument("file", metavar="FILE", help="path, package:name or lesson:name")
-    run.add_argument("--duration", type=float, required=True, help="simulated time [s]")
+    run.add_argument("--duration", type=float, help="simulated time [s] (default: 1)")
     run.add_argument("--dt", type=float, help="time step [s]")
     run.add_argument("--key", help="keyframe to start from")
     run.add_argument(
@@ -102,7 +120,7 @@ def _add_run(commands: Any) -> None:
 def _add_trade(commands: Any) -> None:
     trade = commands.add_parser("trade", help="what speed costs in accuracy on a model")
     trade.add_argument("file", metavar="FILE", help="path, package:name or lesson:name")
-    trade.add_argument("--horizon", type=float, default=1.0, help="simulated time [s]")
+    trade.add_argument("--horizon", type=float, help="simulated time [s] (default: about 1)")
     trade.add_argument("--key", help="keyframe to start from")
     trade.add_argument("--ctrl", metavar="FILE", help="controls, .npy or .csv, one row a period")
     trade.add_argument("--control", metavar="MODULE:FUNCTION", help="a function that controls")
@@ -141,12 +159,20 @@ def _run(args: argparse.Namespace) -> None:
     changes = dict(_setting(text) for text in args.set)
     if args.dt is not None:
         changes["dt"] = args.dt
-    if not 0 <= args.duration < float("inf"):
-        raise Usage(f"--duration {args.duration:g}: must be finite and >= 0 s")
+    duration = 1.0 if args.duration is None else args.duration
+    if not 0 <= duration < float("inf"):
+        raise Usage(f"--duration {duration:g}: must be finite and >= 0 s")
     sim = Sim(find_scene(args.file).compile(), **changes)
     first = 0 if sim.model.keys else None
     sim.reset(key=first if args.key is None else args.key)
-    steps = round(args.duration / sim.settings.dt)
+    dt = sim.settings.dt
+    steps = round(duration / dt)
+    notes = list(sim.model.scene.notes)
+    if args.duration is not None and abs(steps * dt - duration) > 1e-6 * dt:
+        notes.append(
+            f"--duration {duration:g} s is no whole number of steps of {dt:g} s: "
+            f"{steps * dt:g} s are run"
+        )
     begin = perf_counter()
     sim.step(steps)
     spent = perf_counter() - begin
@@ -162,6 +188,7 @@ def _run(args: argparse.Namespace) -> None:
         "contacts": len(sim.contacts),
         "residual": float(sim.residual),
         "us_per_step": 1e6 * spent / steps if steps else None,
+        "notes": notes,
     }
     if args.json:
         print(json.dumps(jsonable(result), indent=2))
@@ -173,6 +200,8 @@ def _run(args: argparse.Namespace) -> None:
     print(f"contacts  {len(sim.contacts)}, residual {float(sim.residual):.2g} m/s")
     if steps:
         print(f"computing {1e6 * spent / steps:.3g} us a step")
+    for note in notes:
+        print(f"note: {note}")
 
 
 def _numbers(values: Any) -> str:
@@ -246,11 +275,21 @@ def _controls(path: str) -> Any:
 
     if not os.path.isfile(path):
         raise Usage(f"--ctrl {path}: no such file")
-    if path.endswith(".npy"):
-        return np.load(path, allow_pickle=False)
-    if path.endswith(".csv"):
-        return np.loadtxt(path, delimiter=",", ndmin=2)
-    raise Usage(f"--ctrl {path}: must end in .npy or .csv")
+    if not path.endswith((".npy", ".csv")):
+        raise Usage(f"--ctrl {path}: must end in .npy or .csv")
+    try:
+        with warnings.catch_warnings():
+            # An empty file is an error below, in one line.
+            warnings.simplefilter("ignore")
+            if path.endswith(".npy"):
+                values = np.load(path, allow_pickle=False)
+            else:
+                values = np.loadtxt(path, delimiter=",", ndmin=2)
+    except (ValueError, EOFError) as error:
+        raise Usage(f"--ctrl {path}: {one_line(error)}") from None
+    if values.size == 0:
+        raise Usage(f"--ctrl {path}: it is empty; must hold one row of controls a period")
+    return values
 
 
 def _function(text: str) -> Callable[..., Any]:
@@ -262,14 +301,30 @@ def _function(text: str) -> Callable[..., Any]:
         sys.path.insert(0, os.getcwd())
     try:
         found = importlib.import_module(module)
-    except ImportError as error:
-        raise Usage(f"--control {text}: {one_line(error)}") from None
+    except Exception as error:
+        raise Usage(f"--control {text}: {_blame(error)}") from None
     function = getattr(found, name, None)
     if not callable(function):
         known = [key for key, value in vars(found).items() if callable(value)]
         raise Usage(f"--control {text}: {module} has no function '{name}'{nearest(name, known)}")
-    result: Callable[..., Any] = function
-    return result
+
+    @functools.wraps(function)
+    def asked(*args: Any) -> Any:
+        try:
+            return function(*args)
+        except SimulationError:
+            raise
+        except Exception as error:
+            # No ValueError, which would be a failure of the setting that is tried.
+            raise RuntimeError(f"--control {text}: {_blame(error)}") from error
+
+    return asked
+
+
+def _blame(error: Exception) -> str:
+    """An error of the user's own code in one line: its type, its text and the line it is from."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {one_line(error)} ({Path(last.filename).name}:{last.lineno})"
 
 
 def _info(args: argparse.Namespace) -> None:

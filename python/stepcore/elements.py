@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import typing
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from stepcore import checks
 from stepcore.frames import IDENTITY, ORIGIN, Vec
@@ -61,6 +61,9 @@ def _checks_of(kind: type[Element]) -> dict[str, checks.Check]:
 
 class Element:
     """What all elements share: checked assignment, a label for messages, a short ``repr``."""
+
+    # Where its file has it, "file:line"; set by the reader, and no field of the model.
+    place: ClassVar[str] = ""
 
     def __setattr__(self, field: str, value: object) -> None:
         known = _checks_of(type(self))

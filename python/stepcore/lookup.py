@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stepcore import checks
 from stepcore.checks import nearest
 
 if TYPE_CHECKING:
@@ -28,8 +29,8 @@ def find_scene(source: str | os.PathLike[str]) -> Scene:
     from stepcore.mjcf import load
 
     text = os.fsdecode(source)
-    package, colon, name = text.partition(":")
-    if not colon or len(package) == 1 or os.path.exists(text):  # one letter: a Windows drive
+    package, _, name = text.partition(":")
+    if not _named(text):
         if not os.path.isfile(text):
             raise ValueError(f"{text}: no such file")
         return load(text)
@@ -38,6 +39,30 @@ def find_scene(source: str | os.PathLike[str]) -> Scene:
     scene = load(find_asset(package, name))
     scene.name = scene.name or name
     return scene
+
+
+def load(path: str | os.PathLike[str]) -> Scene:
+    """The scene in an MJCF file, or one that `find_scene` knows by its name.
+
+    path: of a file, or as "gymnasium:ant" (a model among an installed package's files) or
+        "lesson:stack". A file's ``<option>`` becomes ``scene.settings``. Angles become radians,
+        orientations unit quaternions; classes, includes and frames are resolved.
+
+    Raises MJCFError (a ValueError whose text is ``file:line: …``) for what cannot be read,
+    ValueError for a name that is not there, and FileNotFoundError for a file.
+    """
+    from stepcore import mjcf
+
+    if not isinstance(path, (str, bytes, os.PathLike)):
+        limit = 'the path of an MJCF file, or "package:name"'
+        raise checks.refuse("load", "path", path, limit)
+    return find_scene(path) if _named(os.fsdecode(path)) else mjcf.load(path)
+
+
+def _named(text: str) -> bool:
+    """Whether this is "package:name" and no path; one letter before a colon is a drive."""
+    package, colon, _ = text.partition(":")
+    return bool(colon) and len(package) != 1 and not os.path.exists(text)
 
 
 def _lesson(name: str) -> Scene:

@@ -14,6 +14,8 @@ from stepcore import _core, checks
 from stepcore._core import Settings
 from stepcore.arrays import Floats
 from stepcore.changes import changed
+from stepcore.layout import Layout
+from stepcore.places import located
 
 if TYPE_CHECKING:
     from stepcore.scene import Scene
@@ -57,7 +59,7 @@ class Model:
             raise ValueError(f"scene = {checks.shown(scene)}: must be a stepcore.Scene")
         self._scene = copy.deepcopy(scene)
         self._settings = _merged(self._scene.settings, settings, overrides)
-        self._core = _core.compile(self._scene.to_dict())
+        self._core = _engine(self._scene)
 
     @property
     def scene(self) -> Scene:
@@ -354,6 +356,19 @@ def compiled(model: Model | Scene) -> Model:
         limit = "a stepcore.Model or a stepcore.Scene"
         raise ValueError(f"model = {checks.shown(model)}: must be {limit}")
     return Model(model)
+
+
+def _engine(scene: Scene) -> _core.Model:
+    """The engine's model; what it refuses is said with file and line where the scene has them."""
+    try:
+        return _core.compile(scene.to_dict())
+    except checks.ElementError as error:
+        place = getattr(error.owner, "place", "")
+        if not place:
+            raise
+        raise checks.ElementError(f"{place}: {error.owner}", error.text) from None
+    except ValueError as error:
+        raise located(error, Layout(scene)) from None
 
 
 def _merged(own: Settings, given: Settings | None, overrides: dict[str, Any]) -> Settings:

@@ -324,12 +324,12 @@ def _find(elements: Sequence[E], kind: str, name: object) -> E:
 
 
 def _make(kind: type[E], fields: dict[str, Any], **own: Any) -> E:
-    """A new element; a field that it does not have is a TypeError with the nearest one."""
+    """A new element; a field that it does not have is a ValueError with the nearest one."""
     known = fields_of(kind)
     for field in fields:
         if field not in known:
             near = checks.nearest(field, known)
-            raise TypeError(f'a {kind.__name__.lower()} has no field "{field}"{near}')
+            raise ValueError(f'a {kind.__name__.lower()} has no field "{field}"{near}')
     return kind(**own, **fields)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
 from stepcore._core import SimulationError
+from stepcore.changes import find
 from stepcore.model import Model
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
@@ -61,6 +62,10 @@ def sweep(
         raise ValueError(f"grid = {checks.shown(grid)}: must be a dict of names and their values")
     axes = {str(name): checks.several(f"grid['{name}']", grid[name]) for name in grid}
     workers = checks.threads(threads)
+    checks.function("sim")("sweep", "measure", measure)
+    if executor is not None and not hasattr(executor, "submit"):
+        raise checks.refuse("sweep", "executor", executor, "a concurrent.futures executor")
+    checks.told("sweep", progress)
     if isinstance(make_or_model, Scene):
         make_or_model = make_or_model.compile()
     if isinstance(make_or_model, Model):
@@ -84,10 +89,13 @@ def _is_value(name: str) -> bool:
 
 
 def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
-    """A misspelt setting is an error of the whole sweep, not a failure of every point."""
+    """A misspelt name is an error of the whole sweep, not a failure of every point."""
     fields = model.settings.as_dict()
     for name in axes:
-        if not _is_value(name) and name not in fields:
+        if _is_value(name):
+            if name != "gravity":
+                find(model.scene, name)
+        elif name not in fields:
             raise ValueError(
                 f"grid['{name}']: settings have no '{name}'{checks.nearest(name, fields)}"
             )

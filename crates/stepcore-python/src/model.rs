@@ -6,7 +6,7 @@ use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use stepcore::model::Model as Engine;
-use stepcore::scene::{GeomType, JointType, Scene};
+use stepcore::scene::{JointType, Scene};
 
 use crate::extract::{At, Read};
 
@@ -49,17 +49,6 @@ fn joint_type(kind: JointType) -> &'static str {
         JointType::Ball => "ball",
         JointType::Slide => "slide",
         JointType::Hinge => "hinge",
-    }
-}
-
-fn geom_type(kind: GeomType) -> &'static str {
-    match kind {
-        GeomType::Plane => "plane",
-        GeomType::Sphere => "sphere",
-        GeomType::Capsule => "capsule",
-        GeomType::Ellipsoid => "ellipsoid",
-        GeomType::Cylinder => "cylinder",
-        GeomType::Box => "box",
     }
 }
 
@@ -156,7 +145,7 @@ impl Model {
     }
 
     fn geom_types(&self) -> Vec<&'static str> {
-        self.0.geoms.iter().map(|geom| geom_type(geom.kind)).collect()
+        self.0.geoms.iter().map(|geom| geom.kind.word()).collect()
     }
 
     /// Geoms that can meet, by index.

@@ -147,6 +147,20 @@ pub enum GeomType {
     Box,
 }
 
+impl GeomType {
+    /// The word that a scene uses for it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Plane => "plane",
+            Self::Sphere => "sphere",
+            Self::Capsule => "capsule",
+            Self::Ellipsoid => "ellipsoid",
+            Self::Cylinder => "cylinder",
+            Self::Box => "box",
+        }
+    }
+}
+
 /// A shape on a body: it collides, and gives mass where the body has no `Inertial`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geom {

@@ -96,6 +96,8 @@ class Tree:
     def keep(self, node: Node, element: Element) -> None:
         """Remembers the node of an element, for messages about it."""
         self.nodes[id(element)] = node
+        # Past the element's own check of fields: its place is none.
+        element.__dict__["place"] = f"{node.file}:{node.line}"
 
     def _pose(self, node: Node, values: dict[str, Any], place: Place) -> tuple[Vec, Vec]:
         """An element's pose in its body, through the frames around it."""

@@ -77,7 +77,7 @@ def _value(node: Node, name: str, text: str, kind: str) -> object:
     if "|" in kind:
         words = kind.split("|")
         if text not in words:
-            raise bad(node, name, text, f"one of {', '.join(words)}{nearest(text, words)}")
+            raise bad(node, name, text, f"one of {', '.join(words)}{nearest(text, words, 0)}")
         return {"true": True, "false": False}.get(text, text) if words[0] == "false" else text
     entries = text.split()
     if kind == "int":

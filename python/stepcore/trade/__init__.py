@@ -16,8 +16,8 @@ from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
 from stepcore.trade.cost import costs
 from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import errors
-from stepcore.trade.motion import Control, Motion, motion, time_steps
+from stepcore.trade.errors import errors, extent, far_off
+from stepcore.trade.motion import Control, Motion, default_horizon, motion, time_steps
 from stepcore.trade.reference import FINER, Reference, Search, smallest
 from stepcore.trade.result import Row, Trade
 from stepcore.trade.run import Course, Path, in_threads
@@ -32,7 +32,7 @@ BUDGET = 6e6
 def trade(
     model: Model | Scene | str | os.PathLike[str],
     *,
-    horizon: float = 1.0,
+    horizon: float | None = None,
     key: str | int | None = None,
     control: Control | None = None,
     control_dt: float | None = None,
@@ -55,8 +55,9 @@ def trade(
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name", see
         `stepcore.lookup`). Its settings are the shipped ones.
-    horizon: simulated time [s]. starts: how many; all but the first are moved a little, by `seed`.
+    horizon: simulated time [s]; by default 1 s, or a whole number of samples that is near it.
     key: the keyframe to start from, by name or index; by default the first, or the scene's pose.
+    starts: how many; all but the first are moved a little, by `seed`.
     ctrl: controls, shape (n, nu), one row a control period (the last is held); or control: a
         function of (time, sim) that returns them, as in `Sim.run`, called once a period. It
         must depend on nothing else, for it is called from several threads. By default every
@@ -81,21 +82,25 @@ def trade(
     'rk4'
     """
     model = _model(model)
-    shipped = model.settings
-    dofs = Dofs(model.scene)
-    if not dofs.moving:
-        raise ValueError("nothing in the scene can move: there is no motion to trade")
+    checks.told("trade", progress)
     starts, seed = checks.count("starts", starts), checks.count("seed", seed, least=0)
     workers = checks.threads(threads)
+    budget = checks.real(low=0)("trade", "budget", budget)
     axes = {"dts": dts, "integrators": integrators, "solvers": solvers, "sweeps": sweeps}
     for name, values in (axes | {"precisions": precisions}).items():
         if values is not None:
             checks.several(name, values)
-    steps, period = time_steps(shipped.dt, dts, control_dt, horizon)
+    for dt in dts or ():
+        checks.real(above=0)("trade", "dts", dt)
+    shipped = model.settings
+    dofs = Dofs(model.scene)
+    if not dofs.moving:
+        raise ValueError("nothing in the scene can move: there is no motion to trade")
+    steps, period = time_steps(shipped.dt, dts, control_dt, 1.0 if horizon is None else horizon)
     motive = motion(
         model,
         dofs,
-        horizon=horizon,
+        horizon=default_horizon(period) if horizon is None else horizon,
         period=period,
         key=key,
         ctrl=ctrl,
@@ -115,11 +120,12 @@ def trade(
     with Progress("costs", len(tried), progress) as bar:
         times = costs(course, tried, bar)
     tau = clamping(model.scene) if shipped.law == "solref" and shipped.refsafe else None
+    size = extent(reference.paths, model.scene)
     rows = [
-        _row(one, paths, cost, reference, shipped, motive.horizon, tau)
+        _row(one, paths, cost, reference, shipped, motive.horizon, tau, size)
         for one, paths, cost in zip(tried, runs, times, strict=True)
     ]
-    notes = _notes(motive, reference, alive, tau, horizon)
+    notes = [*model.scene.notes, *_notes(motive, reference, alive, tau, horizon)]
     name = model.scene.name or "scene"
     return Trade(name, motive.horizon, rows, reference, starts, notes)
 
@@ -165,28 +171,30 @@ def _row(
     shipped: Settings,
     horizon: float,
     tau: float | None,
+    size: float,
 ) -> Row:
-    last = paths[-1]
-    failure = last.failure
+    failure = paths[-1].failure and f"start {len(paths) - 1}: {paths[-1].failure}"
     if failure is None and math.isnan(cost):
         failure = "failed while it was timed"
+    if failure is None:
+        failure = far_off(paths, reference.paths, size)
     updates = [path.row_updates for path in paths]
     return Row(
         settings=settings,
         errors=None if failure else errors(paths, reference.paths, reference.scored),
         cost=math.nan if failure else cost,
         row_updates=math.nan if failure else float(np.mean(updates)) / horizon,
-        failure=None if failure is None else f"start {len(paths) - 1}: {failure}",
+        failure=failure,
         shipped=settings == shipped,
         clamped=tau is not None and 2 * settings.dt > tau * (1 + 1e-12),
     )
 
 
 def _notes(
-    motive: Motion, reference: Reference, rows: int, tau: float | None, asked: float
+    motive: Motion, reference: Reference, rows: int, tau: float | None, asked: float | None
 ) -> list[str]:
     notes = []
-    if motive.horizon < asked * (1 - 1e-9):
+    if asked is not None and motive.horizon < asked * (1 - 1e-9):
         notes.append(
             f"the horizon is {seconds(motive.horizon)}, a whole number of samples, not "
             f"{seconds(asked)}"

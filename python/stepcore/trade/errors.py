@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from stepcore.trade.run import Path, angle, distance
+
+# Further from the reference than this many times the scene's size is no error, but a failure.
+FAR = 100.0
 
 
 @dataclass(frozen=True)
@@ -16,8 +20,9 @@ class Errors:
 
     position [m], angle [rad]: root mean square over samples and moving bodies, of centres of
     mass and of orientations in the world; the median of the starts. …_max: the largest of any
-    body, sample and start. gained, lost [J]: the most by which the energy balance of `Path`
-    rose above its start, and fell below it, in any start.
+    body, sample and start; worst: the start that position_max is from. gained, lost [J]: the
+    most by which the energy balance of `Path` rose above its start, and fell below it, in any
+    start.
     """
 
     position: float
@@ -28,6 +33,7 @@ class Errors:
     lost: float
     overlap: float
     residual: float
+    worst: int = 0
 
 
 def errors(paths: Sequence[Path], truth: Sequence[Path], scored: np.ndarray) -> Errors:
@@ -39,16 +45,38 @@ def errors(paths: Sequence[Path], truth: Sequence[Path], scored: np.ndarray) -> 
         radians.append(angle(path, true)[mask])
         gained = max(gained, float(path.balance.max()))
         lost = max(lost, -float(path.balance.min()))
+    largest = [float(part.max(initial=0.0)) for part in metres]
     return Errors(
         position=_median(metres),
-        position_max=max(float(part.max(initial=0.0)) for part in metres),
+        position_max=max(largest),
         angle=_median(radians),
         angle_max=max(float(part.max(initial=0.0)) for part in radians),
         gained=gained,
         lost=lost,
         overlap=max(path.overlap for path in paths),
         residual=max(path.residual for path in paths),
+        worst=largest.index(max(largest)),
     )
+
+
+def far_off(paths: Sequence[Path], truth: Sequence[Path], size: float) -> str | None:
+    """Why runs that are nowhere near the reference failed, or None; size: of the scene [m].
+
+    All samples count: chaos is no reason to be far outside of the scene.
+    """
+    for start, (path, true) in enumerate(zip(paths, truth, strict=True)):
+        apart = float(distance(path, true).max(initial=0.0))
+        if not apart <= FAR * size:
+            return f"start {start}: far off ({apart:.2g} m from the reference)"
+    return None
+
+
+def extent(paths: Sequence[Path], scene: Any) -> float:
+    """How large the scene is [m]: where its bodies go, how long and how thick they are."""
+    centres = np.concatenate([path.com.reshape(-1, 3) for path in paths])
+    thick = [max(geom.size) for geom in scene.geoms if geom.type != "plane"]
+    long = [float(np.linalg.norm(body.pos)) for body in scene.bodies]
+    return float(np.linalg.norm(np.ptp(centres, axis=0))) + max(thick, default=0.0) + max(long)
 
 
 def _median(parts: Sequence[np.ndarray]) -> float:

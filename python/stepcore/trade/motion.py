@@ -91,6 +91,15 @@ def time_steps(
     return chosen, period
 
 
+def default_horizon(period: float) -> float:
+    """Close to 1 s, and a whole number of samples of whole periods."""
+    about = max(1, round(1.0 / period))
+    near = sorted(
+        range(max(1, about - about // 20), about + about // 20 + 1), key=lambda n: abs(n - about)
+    )
+    return period * next((n for n in near if n % _every(n) == 0), about)
+
+
 def _common(dts: Sequence[float], horizon: float) -> float:
     """The shortest time that is a whole number of every step, as decimals read it [s]."""
     from fractions import Fraction
@@ -133,8 +142,8 @@ def motion(
     """The motion of `count` seeded starts around a keyframe; the first is the keyframe itself."""
     if control is not None and ctrl is not None:
         raise ValueError("control and ctrl are both given: a motion has one of them")
-    if control is not None and not callable(control):
-        raise ValueError(f"control = {control!r}: must be a function of (time, sim)")
+    if control is not None:
+        checks.function("time", "sim")("trade", "control", control)
     periods = int(horizon / period + 1e-9)
     if periods < 1:
         raise ValueError(f"horizon = {horizon:g} s: shorter than one period of {period:g} s")
@@ -179,7 +188,10 @@ def _every(periods: int) -> int:
 
 def _given(ctrl: Any, periods: int, nu: int) -> np.ndarray:
     """The user's controls, one row a period; the last is held if there are too few."""
-    values = np.asarray(ctrl, float)
+    try:
+        values = np.asarray(ctrl, float)
+    except (TypeError, ValueError):
+        raise checks.refuse("trade", "ctrl", ctrl, f"numbers of shape (n, {nu})") from None
     if values.ndim == 1 and nu == 1:
         values = values[:, None]
     if values.ndim != 2 or values.shape[1] != nu or len(values) == 0:

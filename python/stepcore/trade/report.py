@@ -18,13 +18,15 @@ FULL = 40
 MICRO = (("s", 1e6), ("ms", 1e3), ("µs", 1.0))
 # A residual of the reference that is worth saying [m/s].
 UNSOLVED = 1e-9
+# From here on the largest error says something else than the median of the starts.
+DIFFER = 30.0
 # A saving below this is within what timing can tell.
 NOTABLE = 0.9
 LEGEND = """\
 * best for its cost, s as shipped, c refsafe softens rows at this dt, ref the reference
 dt ms; cost µs, and rows: row updates, per simulated second; error: of positions, rms, median of
-starts, and max: the largest, m; angle: rms, rad; gained, lost: energy beyond the work done, J;
-overlap: deepest, m; resid: worst residual, m/s"""
+starts, and max: the largest, m (<: below the reference's own, which is shown); angle: rms, rad;
+gained, lost: energy beyond the work done, J; overlap: deepest, m; resid: worst residual, m/s"""
 
 
 def text(trade: Trade, width: int | None, full: bool) -> str:
@@ -85,9 +87,11 @@ def cells(trade: Trade, row: Row) -> dict[str, Any]:
         record["solver"] += f" {s.precision}"
     if e is None:
         return record | dict.fromkeys(NUMBERS[2:], "") | {"error": "failed"}
-    numbers = (e.position_max, e.angle, e.gained, e.lost, e.overlap, e.residual)
+    numbers = (e.angle, e.gained, e.lost, e.overlap, e.residual)
     record["error"] = "<" * row.below + short(trade.error(row))
-    return record | dict(zip(NUMBERS[3:], map(short, numbers), strict=True))
+    largest = max(e.position_max, trade.reference.largest)
+    record["max"] = "<" * row.below_max + short(largest)
+    return record | dict(zip(NUMBERS[4:], map(short, numbers), strict=True))
 
 
 def truth(trade: Trade) -> dict[str, Any]:
@@ -138,16 +142,39 @@ def sentences(trade: Trade) -> list[str]:
             found.append(f"The cheapest that runs: {label(least.settings)}, {wrong} wrong.")
         return found
     error = trade.error(row)
+    what = "median error" if _differ(trade, row) else "error"
     found = [
-        f"As shipped ({label(row.settings)}) positions are {metres(error)} wrong over "
-        f"{seconds(trade.horizon)} (rms; at worst {metres(row.errors.position_max)}), for "
+        f"As shipped ({label(row.settings)}) {_wrong(trade, row, error)}, for "
         f"{quantity(row.cost, MICRO)} of computing per simulated second.",
-        _offer(trade, "Half that error", error / 2, row),
+        _offer(trade, f"Half that {what}", error / 2, row),
     ]
     same = trade.cheapest(error)
     if same.cost < NOTABLE * row.cost:
-        found.append(_offer(trade, "No more error than that", error, row))
+        found.append(_offer(trade, f"No more {what} than that", error, row))
     return found
+
+
+def _wrong(trade: Trade, row: Row, error: float) -> str:
+    """How wrong positions are; where one start is far worse than the median, that one first."""
+    assert row.errors is not None
+    worst, over = metres(row.errors.position_max), f"over {seconds(trade.horizon)}"
+    if trade.starts == 1:
+        return f"positions are {metres(error)} wrong {over} (rms; at worst {worst})"
+    start, median = f"start {row.errors.worst}", f"median of {trade.starts} starts"
+    if _differ(trade, row):
+        return (
+            f"positions are up to {worst} wrong {over}, in {start}; starts differ: the {median} "
+            f"is {metres(error)} (rms)"
+        )
+    return (
+        f"positions are {metres(error)} wrong {over} (rms, {median}; at worst {worst}, in {start})"
+    )
+
+
+def _differ(trade: Trade, row: Row) -> bool:
+    """Whether the median over starts says little about the worst of them."""
+    largest = 0.0 if row.errors is None else row.errors.position_max
+    return trade.starts > 1 and largest > DIFFER * trade.error(row)
 
 
 def _offer(trade: Trade, what: str, error: float, row: Row) -> str:
@@ -171,6 +198,12 @@ def cautions(trade: Trade) -> list[str]:
             f"the reference's error of {metres(ref.error)} is not {FINER:.0f} times smaller "
             f"than the smallest error, {metres(least)}; an error below the reference's own is "
             "shown as < the reference's"
+        )
+    marked = sum(row.best and row.below_max and not row.below for row in trade.rows)
+    if marked:
+        found.append(
+            f"the largest error of {marked} of the best rows is below the reference's own, "
+            f"{metres(ref.largest)}: no more than that is known of it"
         )
     rest = max(path.residual for path in ref.paths)
     if rest > UNSOLVED:

@@ -8,6 +8,7 @@ import os
 from dataclasses import dataclass, field
 from typing import Any
 
+from stepcore import checks
 from stepcore._core import Settings
 from stepcore.table import Table, jsonable, pre
 from stepcore.trade import report
@@ -27,10 +28,14 @@ class Row:
     shipped: bool = False
     clamped: bool = False
     below: bool = False
+    below_max: bool = False
     best: bool = False
 
     def record(self) -> dict[str, Any]:
-        """The row as plain data; an error below the reference's own is marked in `below`."""
+        """The row as plain data.
+
+        `below` and `below_max` mark a median and a largest error below the reference's own.
+        """
         s, e = self.settings, self.errors
         record = {
             "dt": s.dt,
@@ -42,6 +47,7 @@ class Row:
         names = ("position", "position_max", "angle", "angle_max", "gained", "lost")
         for name in (*names, "overlap", "residual"):
             record[name] = None if e is None else getattr(e, name)
+        record["worst_start"] = None if e is None else e.worst
         return record | {
             "cost": None if math.isnan(self.cost) else self.cost,
             "row_updates": None if math.isnan(self.row_updates) else self.row_updates,
@@ -49,6 +55,7 @@ class Row:
             "shipped": self.shipped,
             "clamped": self.clamped,
             "below": self.below,
+            "below_max": self.below_max,
             "failure": self.failure,
         }
 
@@ -70,7 +77,9 @@ class Trade:
 
     def __post_init__(self) -> None:
         for row in self.rows:
-            row.below = row.errors is not None and row.errors.position < self.reference.error
+            if row.errors is not None:
+                row.below = row.errors.position < self.reference.error
+                row.below_max = row.errors.position_max < self.reference.largest
         marks = pareto([row.cost for row in self.rows], [self.error(row) for row in self.rows])
         for row, mark in zip(self.rows, marks, strict=True):
             row.best = mark
@@ -100,6 +109,7 @@ class Trade:
 
     def cheapest(self, error: float) -> Row:
         """The row of `best`."""
+        checks.real(low=0)("best", "error", error)
         good = [r for r in self.rows if self.error(r) <= error and not math.isnan(r.cost)]
         if not good:
             least = min((self.error(row) for row in self.rows), default=math.inf)

@@ -94,12 +94,12 @@ fn pair(
     let names = || format!("{} and {}", label("geom", &x.name, a), label("geom", &y.name, b));
     if !supported(x.kind, y.kind) {
         return Err(Error::Scene(format!(
-            "{} can meet, but {:?} against {:?} is not built yet; built are plane-sphere, plane-capsule, \
+            "{} can meet, but {} against {} is not built yet; built are plane-sphere, plane-capsule, \
              sphere-sphere, sphere-capsule, sphere-box and capsule-capsule (exclude the pair, or clear bits of \
              contype and conaffinity)",
             names(),
-            x.kind,
-            y.kind
+            x.kind.word(),
+            y.kind.word()
         )));
     }
     let Mixed { condim, friction, soft } = mix(x, y);

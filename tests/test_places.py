@@ -1,0 +1,74 @@
+"""What `compile` refuses about elements of a file is said with file and line."""
+
+import copy
+import pickle
+
+import pytest
+
+import stepcore as sc
+from stepcore.mjcf import MJCFError
+
+LINES = """<mujoco><worldbody>
+<geom name="floor" type="plane" size="0 0 1"/>
+<body name="leg" pos="0 0 1">
+<freejoint/>
+<geom type="{}" size=".1 .1 .1" {}/>
+</body>
+{}
+</worldbody></mujoco>"""
+
+
+def refused(kind="sphere", more="", after=""):
+    with pytest.raises(MJCFError) as caught:
+        sc.loads(LINES.format(kind, more, after), name="robot.xml").compile()
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_pair_that_is_not_built_names_both_places():
+    says = refused("box")
+    assert says.startswith(
+        "robot.xml:2: geom 'floor' and geom 1 of body 'leg' (robot.xml:5) can meet, "
+        "but plane against box is not built yet"
+    )
+
+
+def test_every_kind_of_refusal_has_its_line():
+    says = refused(more='condim="6"')
+    assert "robot.xml:2: condim of geom 'floor'" in says and "'leg' (robot.xml:5) = 6" in says
+    assert refused(more='mass="0"').startswith("robot.xml:3: body 'leg' mass = 0")
+    twice = "<body name='arm'><joint/>\n<joint/>\n<geom size='.1'/></body>"
+    assert refused(after=twice).startswith("robot.xml:7: joint 1 of body 'arm'")
+    nameless = "<body>\n<freejoint/><geom type='box' size='1 1 1'/></body>"
+    assert "geom 2 of body 2 (robot.xml:8) can meet" in refused(after=nameless)
+
+
+def test_a_place_survives_copies_and_later_edits():
+    scene = sc.loads(LINES.format("sphere", "", ""), name="robot.xml")
+    for twin in (copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
+        assert twin.geoms[1].place == "robot.xml:5"
+        twin.joints[0].range = (0, 1)
+        with pytest.raises(ValueError, match=r"^robot.xml:4: unnamed joint .* range"):
+            twin.compile()
+    with pytest.raises(AttributeError):
+        scene.geoms[1].place = "elsewhere"
+
+
+def test_a_scene_without_a_file_names_bodies():
+    scene = sc.Scene()
+    scene.add_geom("world", "plane")
+    box = scene.add_body("box", pos=(0, 0, 1))
+    scene.add_joint(box, "free")
+    scene.add_geom(box, "box", (0.1, 0.1, 0.1))
+    with pytest.raises(ValueError, match=r"^geom 0 of the world and geom 1 of body 'box' can meet"):
+        scene.compile()
+    # A name that holds a quote is left as it is.
+    scene.geoms[1].name = "it's"
+    with pytest.raises(ValueError, match=r"geom 'it's' can meet"):
+        scene.compile()
+
+
+def test_an_empty_range_is_noted():
+    body = '<body><joint range="1 -1"/><geom size="1"/></body>'
+    scene = sc.loads(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    assert scene.notes == ["<string>:1: range = 1 -1 is empty: no limit"]
