@@ -50,6 +50,9 @@ def load(path: str | os.PathLike[str]) -> Scene:
 
     Raises MJCFError (a ValueError whose text is ``file:line: …``) for what cannot be read,
     ValueError for a name that is not there, and FileNotFoundError for a file.
+
+    >>> load("lesson:stack").compile().nv
+    2
     """
     from stepcore import mjcf
 
