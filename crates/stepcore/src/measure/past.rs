@@ -47,7 +47,7 @@ impl<R: Real> Past<R> {
 
     /// Takes a state's numbers and leaves the room of an old one in their place.
     pub fn keep(&mut self, qpos: &mut Vec<R>, qvel: &mut Vec<R>) {
-        if self.steps % STRIDE == 0 {
+        if self.steps.is_multiple_of(STRIDE) {
             let room = self.milestones.room();
             room.0.copy_from_slice(qpos);
             room.1.copy_from_slice(qvel);
