@@ -56,7 +56,8 @@ fn compare(base: &Problem, by: By, random: &mut Random, has: impl Fn(usize, usiz
     let worlds: Vec<Problem> = (0..WIDTH).map(|_| base.shaken(random)).collect();
     let nv = base.inv_d.len();
     // Block b touches dofs b.., so that a lane without it has a smaller pattern.
-    let keep = |b: usize| (0..nv).filter(|k| (k + b) % 3 != 0 || b == 0).collect::<Vec<_>>();
+    let keep =
+        |b: usize| (0..nv).filter(|k| !(k + b).is_multiple_of(3) || b == 0).collect::<Vec<_>>();
     let mut packed = pack::<Lanes>(&worlds);
     let lists = thin(&mut packed, &base.inv_d, keep);
     for (b, block) in packed.blocks.iter_mut().enumerate() {
