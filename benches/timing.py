@@ -65,7 +65,7 @@ def duel(
 ) -> Duel:
     """Times both sides in turn, each sample lasting about `sample` [s]."""
     clock = time.perf_counter_ns if wall else time.thread_time_ns
-    plays = [_plays(side, sample) for side in (ours, theirs)]
+    plays = [_plays(side, sample, clock) for side in (ours, theirs)]
     samples: list[list[float]] = [[], []]
     collecting = gc.isenabled()
     gc.disable()
@@ -85,9 +85,9 @@ def duel(
     return Duel(np.array(samples[0]), np.array(samples[1]), name)
 
 
-def _plays(side: Side, sample: float) -> int:
+def _plays(side: Side, sample: float, clock: Callable[[], int]) -> int:
     """How many plays fill a sample; warms the side up."""
     side.play()
-    start = time.thread_time()
+    start = clock()
     side.play()
-    return max(1, round(sample / max(time.thread_time() - start, 1e-9)))
+    return max(1, round(sample / max(1e-9 * (clock() - start), 1e-9)))

@@ -24,6 +24,7 @@ from stepcore import lesson, reference
 SAME = 1e-9
 AIM = 100.0  # times plain numpy
 WORLDS = 4096
+CHECKED, STEPS = 300, 400  # one world: steps that are compared, and that are timed
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,6 @@ class Case:
     plain: Callable[[np.ndarray], object]
     many: Callable[[np.ndarray], object]
     spread: float
-    steps: int = 1000
 
     @property
     def start(self) -> np.ndarray:
@@ -90,37 +90,34 @@ def main() -> None:
 
 
 def one_world(case: Case, options, report: record.Report) -> None:
-    steps = case.steps // (5 if options.quick else 1)
-    opponents = {
-        "plain numpy, generic rows": case.plain(case.start),
-        "stepcore.reference": reference.Sim(case.scene),
-    }
-    for name, theirs in opponents.items():
-        sim = sc.Sim(case.scene.compile())
-        restart = (
-            (lambda t=theirs: t.reset("start")) if name == "stepcore.reference" else theirs.reset
-        )
-        sim.reset(key="start")
+    plain = case.plain(case.start)
+    against(case, "plain numpy, generic rows", plain, plain.reset, options, report)
+    general = reference.Sim(case.scene)
+    against(case, "stepcore.reference", general, lambda: general.reset("start"), options, report)
+
+
+def against(case: Case, name: str, theirs, restart, options, report: record.Report) -> None:
+    """One world of ours and of an opponent, step by step, then timed."""
+    sim = sc.Sim(case.scene.compile())
+    sim.reset(key="start")
+    start = sim.state()
+    restart()
+    apart = 0.0
+    for _ in range(CHECKED):
+        sim.step(1)
+        theirs.step(1)
+        apart = max(apart, float(np.abs(sim.qpos - theirs.qpos).max()))
+
+    def ours_play() -> None:
+        sim.restore(start)
+        sim.step(STEPS)
+
+    def their_play() -> None:
         restart()
-        few = min(steps, 300)
-        apart = 0.0
-        for _ in range(few):
-            sim.step(1)
-            theirs.step(1)
-            apart = max(apart, float(np.abs(sim.qpos - theirs.qpos).max()))
-        sim.reset(key="start")
-        start = sim.state()
+        theirs.step(STEPS)
 
-        def ours_play(sim=sim, start=start) -> None:
-            sim.restore(start)
-            sim.step(steps)
-
-        def their_play(theirs=theirs, restart=restart) -> None:
-            restart()
-            theirs.step(steps)
-
-        ours = Side("stepcore", ours_play, steps)
-        judge(case, name, apart, ours, Side("numpy", their_play, steps), options, report)
+    sides = (Side("stepcore", ours_play, STEPS), Side("numpy", their_play, STEPS))
+    judge(case, name, apart, *sides, options, report)
 
 
 def many_worlds(case: Case, options, report: record.Report) -> None:
