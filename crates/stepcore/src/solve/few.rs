@@ -5,7 +5,8 @@
 //! λ − w/s (Hintermüller, Ito & Kunisch 2002: the primal-dual active set method is a
 //! semismooth Newton method). Where the guess repeats, λ is the solution. With fewer
 //! rows than dofs the matrix is smaller than the Hessian, and usually one guess does.
-//! A guess can return in a circle: then Gauss-Seidel sweeps lead out of it.
+//! Guesses can go round in a circle: lanes that a few did not settle are left to the
+//! primal method, whose line search cannot.
 
 use super::pgs::Report;
 use super::residual::dot;
@@ -14,14 +15,11 @@ use crate::real::{Mask, Real};
 
 /// An island of more rows is not few.
 const MOST: usize = 16;
-/// Guesses before sweeps help.
-const PATIENCE: u32 = 3;
-const SWEEPS: usize = 4;
 /// A pivot this small beside its diagonal would cost too many digits: rows that are nearly
 /// copies with a tiny regulariser go to the primal method, which sees each by itself.
 const PIVOT: f64 = 1e-5;
 /// Guesses after which the island is left to the primal method.
-const GUESSES: u32 = 30;
+const GUESSES: u32 = 6;
 
 /// The method's memory. Lists are by row of the island, matrices row by row.
 pub(super) struct Few<R: Real> {
@@ -102,7 +100,7 @@ impl<R: Real> Few<R> {
         let (mut done, mut unsolved) = (R::zero(), R::Mask::of(false));
         self.slacks();
         self.classify(rows, live);
-        for turn in 0..GUESSES {
+        for _ in 0..GUESSES {
             if live.none() {
                 break;
             }
@@ -112,10 +110,6 @@ impl<R: Real> Few<R> {
             unsolved = unsolved.or(poor);
             live = live.and(poor.not());
             self.slacks();
-            if turn >= PATIENCE {
-                // Still the projected impulses of a circle: sweep from there.
-                self.sweep(rows, live.and(moved));
-            }
             let changed = self.classify(rows, live);
             live = live.and(changed).and(moved);
         }
@@ -285,32 +279,6 @@ impl<R: Real> Few<R> {
             x[k] = R::select(free[k], sum * inv[k], x[k]);
         }
         poor
-    }
-
-    /// A few sweeps of Gauss-Seidel on (A + C)λ = b from the projected impulses.
-    fn sweep(&mut self, rows: &Rows<R>, mask: R::Mask) {
-        if mask.none() {
-            return;
-        }
-        let n = self.rows.len();
-        for turn in 0..=SWEEPS {
-            for i in 0..n {
-                let row = &rows.rows[self.rows[i]];
-                let mut sum = self.b[i];
-                for j in 0..n {
-                    let less = sum - self.a[i * n + j] * self.impulse[j];
-                    sum = R::select(self.masks[j], less, sum);
-                }
-                let step = if turn == 0 { R::zero() } else { sum * row.inv_s };
-                let new = (self.impulse[i] + step).clamp(row.lo, row.hi);
-                let mask = mask.and(self.masks[i]);
-                self.impulse[i] = R::select(mask, new, self.impulse[i]);
-            }
-        }
-        for free in &mut self.free {
-            *free = free.and(mask.not());
-        }
-        self.slacks();
     }
 
     /// Impulses within their bounds, and u = û + D⁻¹ Σ yλ.

@@ -1,5 +1,6 @@
 //! A lane is, bit for bit, the world that it holds.
 
+use super::few::intervals;
 use super::newton::mixed;
 use super::{contacts, pack, Problem, Random, INF};
 use crate::model::Span;
@@ -118,6 +119,21 @@ fn under_newton() {
             compare(&base, by, &mut random, |_, _| true);
             compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
             compare(&base, by, &mut random, |b, lane| b == lane);
+        }
+    }
+}
+
+/// Lanes with one row, with few and with many, side by side.
+#[test]
+fn under_newton_with_few_rows() {
+    let mut random = Random::new(33);
+    for count in [1, 2, 5, 16, 20] {
+        for tolerance in [0.0, 1e-6] {
+            let base = intervals(count, &mut random);
+            let by = By::Newton(Limits { sweeps: 50, tolerance, momentum: false, exact: true });
+            compare(&base, by, &mut random, |_, _| true);
+            compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
+            compare(&base, by, &mut random, |b, lane| b <= 3 * lane);
         }
     }
 }
