@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
+
+from stepcore.lookup import find_asset
 
 FLOOR = '<geom name="floor" type="plane" size="5 5 .1"/>'
 GYM = (
@@ -20,10 +20,7 @@ GYM = (
 
 def gym_path(name: str) -> str:
     """The MJCF file of a gymnasium model."""
-    import gymnasium
-
-    folder = os.path.dirname(gymnasium.__file__)
-    return os.path.join(folder, "envs", "mujoco", "assets", f"{name}.xml")
+    return str(find_asset("gymnasium", name))
 
 
 def spring() -> str:

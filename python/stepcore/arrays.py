@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,7 +47,7 @@ def fill(array: Floats, name: str, value: ArrayLike) -> None:
         raise ValueError(f"{name} has shape {table.shape}: must be {limit}") from None
 
 
-class Stepped(checks.KnownNames):
+class Stepped(checks.KnownNames, ABC):
     """A model with its state arrays; the number of worlds is the subclass's affair."""
 
     _model: Model
@@ -62,9 +63,9 @@ class Stepped(checks.KnownNames):
             "xfrc_applied": core.xfrc_applied,
         }
 
+    @abstractmethod
     def _restart(self, time: float) -> None:
         """Sets the time and forgets the impulses of the last step."""
-        raise NotImplementedError
 
     @property
     def model(self) -> Model:
