@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
 from stepcore._core import SimulationError
 from stepcore.changes import find
+from stepcore.jobs import check_executor, each
 from stepcore.model import Model
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
@@ -16,7 +18,7 @@ from stepcore.sim import Sim
 from stepcore.table import Table
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor, Future
+    from concurrent.futures import Executor
 
 
 def sweep(
@@ -63,8 +65,7 @@ def sweep(
     axes = {str(name): checks.several(f"grid['{name}']", grid[name]) for name in grid}
     workers = checks.threads(threads)
     checks.function("sim")("sweep", "measure", measure)
-    if executor is not None and not hasattr(executor, "submit"):
-        raise checks.refuse("sweep", "executor", executor, "a concurrent.futures executor")
+    check_executor("sweep", executor)
     checks.told("sweep", progress)
     if isinstance(make_or_model, Scene):
         make_or_model = make_or_model.compile()
@@ -75,7 +76,8 @@ def sweep(
         raise ValueError(f"make_or_model = {checks.shown(make_or_model)}: must be {limit}")
     points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
     with Progress("sweep", len(points), progress) as bar:
-        results = _run(make_or_model, points, measure, workers, executor, bar)
+        job = partial(at_point, make_or_model, measure)
+        results = each(job, points, bar=bar, threads=workers, executor=executor)
     own = [name for result in results for name in result if name != "failure"]
     columns = list(dict.fromkeys([*axes, *own]))
     if any("failure" in result for result in results):
@@ -101,39 +103,7 @@ def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
             )
 
 
-def _run(
-    source: Any,
-    points: list[dict[str, Any]],
-    measure: Callable[[Any], Any],
-    threads: int,
-    executor: Executor | None,
-    bar: Progress,
-) -> list[dict[str, Any]]:
-    """The results in the order of the points, whoever computes them."""
-    if executor is None and (threads == 1 or len(points) == 1):
-        results = []
-        for point in points:
-            results.append(at_point(source, point, measure))
-            bar.advance()
-        return results
-    from concurrent.futures import ThreadPoolExecutor
-
-    pool = executor or ThreadPoolExecutor(threads)
-    futures: list[Future[dict[str, Any]]] = []
-    try:
-        for point in points:
-            future = pool.submit(at_point, source, point, measure)
-            future.add_done_callback(lambda _: bar.advance())
-            futures.append(future)
-        return [future.result() for future in futures]
-    finally:
-        for future in futures:
-            future.cancel()
-        if executor is None:
-            pool.shutdown(cancel_futures=True)
-
-
-def at_point(source: Any, point: dict[str, Any], measure: Callable[[Any], Any]) -> dict[str, Any]:
+def at_point(source: Any, measure: Callable[[Any], Any], point: dict[str, Any]) -> dict[str, Any]:
     """One measurement as a record, or the reason why there is none."""
     try:
         got = measure(_made(source, point))

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.jobs import each
 from stepcore.model import Model, compiled
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
@@ -20,7 +22,7 @@ from stepcore.trade.errors import errors, extent, far_off
 from stepcore.trade.motion import Control, Motion, default_horizon, motion, time_steps
 from stepcore.trade.reference import FINER, Reference, Search, smallest
 from stepcore.trade.result import Row, Trade
-from stepcore.trade.run import Course, Path, in_threads
+from stepcore.trade.run import Course, Path
 from stepcore.trade.settings import clamping, grid, seconds
 
 __all__ = ["Row", "Trade", "trade"]
@@ -115,7 +117,7 @@ def trade(
     alive = max(path.rows for path in reference.paths)
     tried = grid(shipped, steps, integrators, solvers, sweeps, precisions, alive)
     with Progress("errors", len(tried), progress) as bar:
-        runs = in_threads(lambda one: _all_starts(course, one), tried, workers, bar)
+        runs = each(partial(_all_starts, course), tried, bar=bar, threads=workers)
     _refine(search, reference, runs, progress)
     with Progress("costs", len(tried), progress) as bar:
         times = costs(course, tried, bar)

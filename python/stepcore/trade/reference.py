@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.jobs import each
 from stepcore.progress import Progress
 from stepcore.trade.dofs import Start
 from stepcore.trade.errors import errors, predictable
-from stepcore.trade.run import Course, Path, in_threads
+from stepcore.trade.run import Course, Path
 
 # A tenth: the reference's error may then change the last digit of an error shown, no more.
 FINER = 10.0
@@ -112,7 +114,7 @@ class Search:
         settings = self.settings(integrator, dt)
         self.spent += self.cost(dt)
         starts = range(len(self.course.motion.starts))
-        paths = in_threads(lambda k: self.course.run(settings, k), starts, self.threads, bar)
+        paths = each(partial(self.course.run, settings), starts, bar=bar, threads=self.threads)
         return Level(dt, integrator, paths)
 
     def first(self, bar: Progress) -> Reference:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from dataclasses import dataclass, field
@@ -10,7 +9,8 @@ from typing import Any
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.table import Table, jsonable, pre
+from stepcore.results import Result
+from stepcore.table import Table, jsonable
 from stepcore.trade import report
 from stepcore.trade.errors import Errors, pareto
 from stepcore.trade.reference import Reference
@@ -61,7 +61,7 @@ class Row:
 
 
 @dataclass
-class Trade:
+class Trade(Result):
     """What speed costs in accuracy for one scene; made by `stepcore.trade`.
 
     rows: every setting tried, failures among them. reference: the converged motion and its
@@ -89,6 +89,11 @@ class Trade:
         if row.errors is None:
             return math.inf
         return max(row.errors.position, self.reference.error)
+
+    @property
+    def title(self) -> str:
+        """What was measured, in a few words."""
+        return f"{self.name}: what speed costs in accuracy"
 
     @property
     def shipped(self) -> Row:
@@ -121,7 +126,7 @@ class Trade:
 
         Returns the matplotlib Figure.
         """
-        from stepcore.plot import plot_trade
+        from stepcore.plot.frontier import plot_trade
 
         return plot_trade(self, path)
 
@@ -156,10 +161,6 @@ class Trade:
         )
         return plain
 
-    def to_json(self, indent: int | None = 2) -> str:
-        """`to_dict` as JSON text; what is not finite is null."""
-        return json.dumps(self.to_dict(), indent=indent)
-
     def to_pandas(self) -> Any:
         """The table as a pandas DataFrame."""
         return self.table.to_pandas()
@@ -167,13 +168,6 @@ class Trade:
     def text(self, width: int | None = None, full: bool = False) -> str:
         """The printed trade, at most `width` characters wide; `full`: every row."""
         return report.text(self, width, full)
-
-    def __str__(self) -> str:
-        return self.text()
-
-    def _repr_html_(self) -> str:
-        """The printed trade, as a notebook shows it."""
-        return pre(self.text())
 
     def __repr__(self) -> str:
         failed = sum(row.failure is not None for row in self.rows)

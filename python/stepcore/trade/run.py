@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
 from stepcore.model import Model
-from stepcore.progress import Progress
 from stepcore.sim import Sim
 from stepcore.trade.dofs import Dofs, product, turned
 from stepcore.trade.motion import Motion
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 # The state is recorded this often in a period (or every step), contacts are looked at less often.
 LOOKS = 32
@@ -198,24 +193,3 @@ def angle(a: Path, b: Path) -> np.ndarray:
     back = b.quat * np.array([1.0, -1.0, -1.0, -1.0])
     apart: np.ndarray = np.linalg.norm(turned(product(back, a.quat)), axis=-1)
     return apart
-
-
-def in_threads(
-    function: Callable[[T], R], jobs: Sequence[T], threads: int, bar: Progress
-) -> list[R]:
-    """The results in the order of the jobs; the bar advances as they are done."""
-
-    def one(job: T) -> R:
-        result = function(job)
-        bar.advance()
-        return result
-
-    if threads == 1:
-        return [one(job) for job in jobs]
-    from concurrent.futures import ThreadPoolExecutor
-
-    pool = ThreadPoolExecutor(threads)
-    try:
-        return list(pool.map(one, jobs))
-    finally:
-        pool.shutdown(cancel_futures=True)

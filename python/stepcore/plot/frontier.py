@@ -7,22 +7,12 @@ import os
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
+from stepcore.plot.style import COLOURS, GREY, bare, figure, saved
 from stepcore.trade.settings import metres, seconds
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Row, Trade
 
-# Colours that a colour-blind reader can tell apart (Okabe and Ito), in a fixed order so that an
-# integrator looks the same in every picture.
-COLOURS = {
-    "rk4": "#0072B2",
-    "implicitfast": "#009E73",
-    "euler": "#E69F00",
-    "semi-implicit": "#D55E00",
-    "explicit": "#CC79A7",
-    "midpoint": "#56B4E9",
-}
-GREY = "#666666"
 MARKERS = ("^", "s", "D", "v", "P", "X")
 # Errors this many times the shipped one are drawn as failures: they would flatten the rest.
 FAR = 1e4
@@ -35,12 +25,8 @@ def plot_trade(trade: Trade, path: str | os.PathLike[str] | None = None) -> Any:
     Pareto-best settings, a ring marks the shipped ones, crosses on the upper edge the failures.
     Returns the matplotlib Figure. Raises ImportError without matplotlib.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError("a plot needs matplotlib: pip install 'stepcore[plot]'") from None
-    figure = Figure(figsize=(8.0, 4.8), dpi=150, layout="constrained")
-    axes = figure.add_subplot()
+    drawn = figure()
+    axes = drawn.add_subplot()
     good, far = _split(trade)
     markers = _markers(row.settings for row in trade.rows)
     for row in good:
@@ -66,10 +52,8 @@ def plot_trade(trade: Trade, path: str | os.PathLike[str] | None = None) -> Any:
         text = f"below the reference's own error, {metres(error)}"
         axes.text(0.01, error, text, transform=axes.get_yaxis_transform(), va="top", fontsize=8)
     _words(axes, trade)
-    _legend(figure, trade, markers, bool(far))
-    if path is not None:
-        figure.savefig(path)
-    return figure
+    _legend(drawn, trade, markers, bool(far))
+    return saved(drawn, path)
 
 
 def _method(settings: Any) -> str:
@@ -138,14 +122,10 @@ def _words(axes: Any, trade: Trade) -> None:
     axes.set_ylabel("position error, rms [m]")
     starts = f"{trade.starts} start" + "s" * (trade.starts != 1)
     title = f"{trade.name}: error over {seconds(trade.horizon)} against cost, {starts}"
-    axes.set_title(title, loc="left", fontsize=11)
-    axes.grid(True, which="major", color="#E5E5E5", lw=0.8)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    bare(axes, title)
 
 
-def _legend(figure: Any, trade: Trade, markers: dict[str, str], failed: bool) -> None:
+def _legend(drawn: Any, trade: Trade, markers: dict[str, str], failed: bool) -> None:
     from matplotlib.lines import Line2D
 
     def entry(name: str, marker: str, **style: Any) -> Any:
@@ -161,4 +141,4 @@ def _legend(figure: Any, trade: Trade, markers: dict[str, str], failed: bool) ->
     entries.append(Line2D([], [], color="black", lw=1.1, label="best for its cost"))
     if failed:
         entries.append(entry("failed or far off", "x", color=GREY, mew=2))
-    figure.legend(handles=entries, loc="outside right center", fontsize=9, frameon=False)
+    drawn.legend(handles=entries, loc="outside right center", fontsize=9, frameon=False)

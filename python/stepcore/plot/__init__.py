@@ -1,0 +1,1 @@
+"""Pictures: one module each. matplotlib is imported only where something is drawn."""
