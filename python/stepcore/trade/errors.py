@@ -22,7 +22,7 @@ class Errors:
     mass and of orientations in the world; the median of the starts. …_max: the largest of any
     body, sample and start; worst: the start that position_max is from. gained, lost [J]: the
     most by which the energy balance of `Path` rose above its start, and fell below it, in any
-    start.
+    start. each [m]: the root mean square of positions in every start.
     """
 
     position: float
@@ -34,6 +34,12 @@ class Errors:
     overlap: float
     residual: float
     worst: int = 0
+    each: tuple[float, ...] = ()
+
+    @property
+    def high(self) -> float:
+        """The root mean square of positions in the worst start [m]."""
+        return max(self.each, default=self.position)
 
 
 def errors(paths: Sequence[Path], truth: Sequence[Path], scored: np.ndarray) -> Errors:
@@ -46,16 +52,18 @@ def errors(paths: Sequence[Path], truth: Sequence[Path], scored: np.ndarray) -> 
         gained = max(gained, float(path.balance.max()))
         lost = max(lost, -float(path.balance.min()))
     largest = [float(part.max(initial=0.0)) for part in metres]
+    roots = _roots(metres)
     return Errors(
-        position=_median(metres),
+        position=float(np.median(roots)),
         position_max=max(largest),
-        angle=_median(radians),
+        angle=float(np.median(_roots(radians))),
         angle_max=max(float(part.max(initial=0.0)) for part in radians),
         gained=gained,
         lost=lost,
         overlap=max(path.overlap for path in paths),
         residual=max(path.residual for path in paths),
         worst=largest.index(max(largest)),
+        each=tuple(roots),
     )
 
 
@@ -79,10 +87,10 @@ def extent(paths: Sequence[Path], scene: Any) -> float:
     return float(np.linalg.norm(np.ptp(centres, axis=0))) + max(thick, default=0.0) + max(long)
 
 
-def _median(parts: Sequence[np.ndarray]) -> float:
-    """The median over starts of the root mean square of each."""
+def _roots(parts: Sequence[np.ndarray]) -> list[float]:
+    """The root mean square of each part."""
     with np.errstate(over="ignore"):
-        return float(np.median([np.sqrt(np.mean(part**2)) if part.size else 0.0 for part in parts]))
+        return [float(np.sqrt(np.mean(part**2))) if part.size else 0.0 for part in parts]
 
 
 def predictable(

@@ -32,7 +32,8 @@ class Level:
     """All starts at one time step.
 
     distance: to the level of twice the step [m], measured as errors are.
-    largest: the same of any body, sample and start [m]; angle: in orientation [rad].
+    largest: the same of any body, sample and start [m]; high: root mean square of the worst
+    start [m]; angle: in orientation [rad].
     """
 
     dt: float
@@ -40,6 +41,7 @@ class Level:
     paths: list[Path]
     distance: float = np.inf
     largest: float = np.inf
+    high: float = np.inf
     angle: float = np.inf
 
     @property
@@ -71,6 +73,10 @@ class Reference:
     @property
     def largest(self) -> float:
         return self.level.largest
+
+    @property
+    def high(self) -> float:
+        return self.level.high
 
     @property
     def angle(self) -> float:
@@ -178,7 +184,7 @@ class Search:
         """Sets the distance of a level to the one at twice its step."""
         moved = errors(coarse.paths, fine.paths, scored)
         fine.distance, fine.largest = moved.position, moved.position_max
-        fine.angle = moved.angle
+        fine.high, fine.angle = moved.high, moved.angle
 
     def can_refine(self, reference: Reference) -> bool:
         """Whether a further halving is affordable and would still tell something."""
