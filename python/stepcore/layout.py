@@ -241,6 +241,24 @@ def plain(layout: Layout) -> dict[str, Any]:
     }
 
 
+def essence(layout: Layout) -> dict[str, Any]:
+    """`plain` less what has no effect: the axis of a ball, the third size of a capsule, the
+    size at which a plane is drawn. Two scenes with the same essence are the same scene."""
+    scene = plain(layout)
+    for joint in scene["joints"]:
+        if joint["kind"] not in ("hinge", "slide"):
+            joint |= {"axis": [0.0, 0.0, 1.0], "reference": 0.0, "springref": 0.0}
+        if joint["kind"] == "free":
+            joint["pos"] = list(ORIGIN)
+    for geom in scene["geoms"]:
+        used = SIZES[geom["kind"]]
+        geom["size"] = geom["size"][:used] + [0.0] * (3 - used)
+    for key in scene["keys"]:
+        # An empty list and none are the same: nothing is given.
+        key |= {field: key[field] or None for field in ("qpos", "qvel", "ctrl")}
+    return scene
+
+
 def _value(element: Element, field: str) -> Any:
     value = getattr(element, field)
     return list(value) if isinstance(value, tuple) else value

@@ -20,10 +20,13 @@ from stepcore.elements import (
     Site,
     fields_of,
 )
-from stepcore.layout import Layout, check, plain
+from stepcore.layout import Layout, check, essence, plain
 
 if TYPE_CHECKING:
+    import os
+
     from stepcore._core import Settings
+    from stepcore.mjcf.source import Source
     from stepcore.model import Model
 
 E = TypeVar("E", bound=Element)
@@ -74,6 +77,8 @@ class Scene(checks.KnownNames):
         self.options: dict[str, Any] = {}
         self.ignored: list[str] = []
         self.notes: list[str] = []
+        # The text that the scene was read from, so that saving can keep it.
+        self._source: Source | None = None
 
     @property
     def gravity(self) -> frames.Vec:
@@ -276,12 +281,65 @@ class Scene(checks.KnownNames):
         check(layout)
         return plain(layout)
 
+    def to_mjcf(self) -> str:
+        """The scene as an MJCF text: all that is modelled, and the settings.
+
+        Angles in radians, numbers exact, defaults left out. Settings that MJCF has no word for
+        stand in ``<custom>``, which `stepcore.loads` reads: ``loads(scene.to_mjcf()) == scene``.
+        What a file held that only draws or senses is not written; a comment says how much.
+
+        Raises ValueError for a scene that no MJCF file can say: one that cannot be compiled, a
+        world with a mass or another name, a name with control characters.
+
+        >>> scene = Scene(gravity=(0, 0, -1.62))
+        >>> ball = scene.add_body("ball", pos=(0, 0, 1))
+        >>> _ = scene.add_joint(ball, "free")
+        >>> _ = scene.add_geom(ball, "sphere", 0.1)
+        >>> scene.options["integrator"] = "midpoint"
+        >>> print(scene.to_mjcf())
+        <mujoco>
+          <compiler angle="radian"/>
+          <option gravity="0 0 -1.62"/>
+          <worldbody>
+            <body name="ball" pos="0 0 1">
+              <joint type="free"/>
+              <geom size="0.1"/>
+            </body>
+          </worldbody>
+          <custom>
+            <text name="stepcore" data="integrator=midpoint"/>
+          </custom>
+        </mujoco>
+        <BLANKLINE>
+        """
+        from stepcore.mjcf.write import written
+
+        return written(self)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the scene as an MJCF file, so that ``load(path) == scene``.
+
+        A scene that was read from a file and differs from it in nothing but settings (and its
+        name) keeps the file's own text: includes, comments, meshes and all, with other
+        ``<option>``, ``<flag>`` and ``<custom>`` words. If that text names other files, this
+        holds for `path` in the directory where they lie. Else the file is `to_mjcf`.
+
+        Raises what `to_mjcf` raises, and OSError.
+        """
+        from stepcore.mjcf.keep import save
+
+        save(self, path)
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Scene):
             return NotImplemented
         if self.options != other.options:
-            return False
-        return plain(Layout(self)) == plain(Layout(other))
+            from stepcore._core import Settings
+
+            default = Settings().as_dict()
+            if default | self.options != default | other.options:
+                return False
+        return essence(Layout(self)) == essence(Layout(other))
 
     __hash__ = None  # type: ignore[assignment]
 

@@ -14,11 +14,11 @@ from pathlib import Path
 
 from stepcore.checks import ElementError
 from stepcore.layout import Layout, check
-from stepcore.mjcf import drawn, option, sections, values
+from stepcore.mjcf import custom, drawn, option, sections, values
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
-from stepcore.mjcf.include import expand, read_file
-from stepcore.mjcf.source import MJCFError, Node, parse
+from stepcore.mjcf.include import expand, read_bytes
+from stepcore.mjcf.source import MJCFError, Node, Source, parse
 from stepcore.mjcf.tree import Tree
 from stepcore.scene import Scene
 
@@ -40,9 +40,10 @@ def load(path: str | os.PathLike[str]) -> Scene:
     """
     shown = os.fsdecode(path)
     main = Path(shown)
-    root = read_file(main, shown)
+    data = read_bytes(main, shown)
+    root = parse(data, shown)
     expand(root, main.parent, main)
-    return _scene(root)
+    return _scene(root, Source(data, os.path.abspath(main.parent)))
 
 
 def loads(
@@ -65,12 +66,14 @@ def loads(
         raise MJCFError(name, 1, "an MJCF text must be a str or bytes")
     root = parse(text, name)
     expand(root, None if base is None else Path(base), None)
-    return _scene(root)
+    data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
+    return _scene(root, Source(data, None if base is None else os.path.abspath(base)))
 
 
-def _scene(root: Node) -> Scene:
+def _scene(root: Node, source: Source) -> Scene:
     """Builds the scene of a whole model, its includes already in place."""
     scene = Scene(name=root.attrs.get("model", ""))
+    scene._source = source
     scene.ignored += values.check(root)
     compiler = Compiler(_sections(root, "compiler"))
     defaults = Defaults(_sections(root, "default"))
@@ -93,6 +96,8 @@ def _scene(root: Node) -> Scene:
         sections.add_empty_keys(scene, _sections(root, "size"))
         sections.check_references(tree, root)
         drawn.list_drawn(tree, layout)
+        for node in custom.found(_inside(root, "custom")):
+            _at(node, lambda node: custom.read(scene, node))
         check(layout)
     except ElementError as error:
         # Found in the whole scene: the line is that of the element it is about.

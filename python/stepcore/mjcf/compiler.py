@@ -71,6 +71,9 @@ class Compiler:
                 return frames.from_z_axis(numbers)
             if given[0] == "euler":
                 return frames.from_euler([self.radians(a) for a in numbers], self.eulerseq)
+            # A unit quaternion keeps its bits, so that reading back what was written is exact.
+            if abs(math.hypot(*numbers) - 1.0) <= 1e-15:
+                return tuple(numbers)
             return frames.normalised(numbers, "the quaternion")
         except ValueError as error:
             raise bad(node, given[0], numbers, f"a direction: {error}") from None

@@ -10,14 +10,18 @@ from stepcore.mjcf.source import MJCFError, Node, parse
 
 def read_file(path: Path, shown: str) -> Node:
     """The root of the XML file at `path`, which messages call `shown`."""
+    return parse(read_bytes(path, shown), shown)
+
+
+def read_bytes(path: Path, shown: str) -> bytes:
+    """What the file at `path` holds."""
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except FileNotFoundError:
         raise FileNotFoundError(f"there is no file {shown}") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise MJCFError(shown, 1, f"cannot be read: {reason}") from None
-    return parse(data, shown)
 
 
 def expand(root: Node, base: Path | None, main: Path | None) -> None:

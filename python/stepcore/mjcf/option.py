@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from stepcore.mjcf.source import Node
 from stepcore.mjcf.values import bad
 from stepcore.scene import Scene
@@ -101,3 +104,34 @@ def _flags(scene: Scene, node: Node) -> None:
 
 def _note(scene: Scene, node: Node, text: str) -> None:
     scene.notes.append(f"{node.file}:{node.line}: {text}")
+
+
+# How a setting is said in MJCF: attribute or flag, and its words.
+_WRITTEN: dict[str, tuple[str, dict[str, str]]] = {
+    "integrator": ("integrator", {ours: word for word, ours in INTEGRATORS.items()}),
+    "solver": ("solver", {"pgs": "PGS", "newton": "Newton"}),
+    "cone": ("cone", {"pyramidal": "pyramidal", "elliptic": "elliptic"}),
+}
+_NUMBERS = {"dt": "timestep", "impratio": "impratio", "sweeps": "iterations"}
+_FLAGS = {"warm_start": "warmstart", "refsafe": "refsafe"}
+
+
+def said(settings: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, str], dict[str, Any]]:
+    """Settings as attributes of ``<option>``, flags, and those that MJCF has no word for."""
+    attributes, flags, rest = {}, {}, {}
+    for name, value in settings.items():
+        if name in _FLAGS:
+            flags[_FLAGS[name]] = "enable" if value else "disable"
+        elif name in _NUMBERS and not isinstance(value, str) and value < 2**31:
+            attributes[_NUMBERS[name]] = shortest(value)
+        elif name in _WRITTEN and value in _WRITTEN[name][1]:
+            attributes[_WRITTEN[name][0]] = _WRITTEN[name][1][value]
+        else:
+            rest[name] = value
+    return attributes, flags, rest
+
+
+def shortest(number: float) -> str:
+    """The shortest decimal text that is read back as exactly this number."""
+    text = repr(number)
+    return text[:-2] if text.endswith(".0") else text

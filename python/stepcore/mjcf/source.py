@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 from xml.parsers import expat
 
@@ -23,6 +24,14 @@ class MJCFError(ValueError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.file, self.line, self.text)
+
+
+@dataclass(frozen=True)
+class Source:
+    """The text that a scene was read from, and the directory in which its includes lie."""
+
+    data: bytes
+    directory: str | None
 
 
 class Node:

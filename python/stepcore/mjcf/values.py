@@ -6,6 +6,7 @@ import math
 import re
 
 from stepcore.checks import nearest, shown
+from stepcore.mjcf.custom import ours
 from stepcore.mjcf.schema import ROOT, Spec
 from stepcore.mjcf.source import MJCFError, Node
 
@@ -38,7 +39,7 @@ def check(root: Node) -> list[str]:
         _check_once(node, spec)
         if spec.role == "unbuilt":
             raise node.unbuilt(f"<{node.tag}> in <{parent.tag}>" if parent else f"<{node.tag}>")
-        if spec.role and spec.role != above:
+        if spec.role and spec.role != above and not ours(node):
             ignored.append(node.listed(WHY[spec.role]))
         for child in reversed(node.children):
             inner = spec.children.get(child.tag)

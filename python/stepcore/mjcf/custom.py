@@ -1,0 +1,95 @@
+"""`<custom><text name="stepcore" data="…"/>`: what a scene says that MJCF has no word for.
+
+Words "name=value", apart by blanks: settings (``integrator=midpoint precision=f32``), features
+that no flag of MJCF switches, and ``unnamed=body/body_3,joint/joint_1``: elements whose names
+stand in the file only because MJCF refers by name. MuJoCo reads the text and ignores it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from stepcore.checks import nearest
+from stepcore.elements import Features, fields_of
+from stepcore.mjcf.schema import FLAGS
+from stepcore.mjcf.source import Node
+from stepcore.scene import Scene
+
+NAME = "stepcore"
+# Features that MJCF cannot switch.
+OWN_FEATURES = tuple(name for name in fields_of(Features) if name not in FLAGS.split())
+KINDS = ("body", "joint")
+_WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
+_REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+def ours(node: Node) -> bool:
+    """Whether this node is stepcore's own text."""
+    return node.tag == "text" and node.attrs.get("name") == NAME
+
+
+def data(words: Mapping[str, Any], unnamed: Iterable[tuple[str, str]] = ()) -> str:
+    """The text that says these settings and features; "" where there is nothing to say."""
+    parts = [f"{name}={_word(value)}" for name, value in words.items()]
+    names = [f"{kind}/{name}" for kind, name in unnamed]
+    return " ".join([*parts, *(["unnamed=" + ",".join(names)] if names else [])])
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def _value(text: str) -> Any:
+    if text in ("true", "false"):
+        return text == "true"
+    if _WHOLE.fullmatch(text) and len(text) < 20:
+        return int(text)
+    return float(text) if _REAL.fullmatch(text) else text
+
+
+def found(nodes: Iterable[Node]) -> list[Node]:
+    """stepcore's own text, if a file has one; a second is an error."""
+    texts = [node for node in nodes if ours(node)]
+    if len(texts) > 1:
+        raise texts[1].error(f'a second <text name="{NAME}">')
+    return texts
+
+
+def read(scene: Scene, node: Node) -> None:
+    """Reads stepcore's text into a scene that is otherwise whole."""
+    from stepcore._core import Settings
+
+    settings: dict[str, Any] = {}
+    known = Settings().as_dict()
+    seen = set()
+    for word in node.attrs.get("data", "").split():
+        name, equals, text = word.partition("=")
+        if not equals or not text:
+            raise node.error(f'<text name="{NAME}"> holds "{word}": must be name=value')
+        if name in seen:
+            raise node.error(f'<text name="{NAME}"> says {name} twice')
+        seen.add(name)
+        if name == "unnamed":
+            _unname(scene, node, text)
+        elif name in OWN_FEATURES:
+            setattr(scene.features, name, _value(text))
+        elif name in known:
+            settings[name] = _value(text)
+        else:
+            near = nearest(name, [*known, *OWN_FEATURES, "unnamed"])
+            raise node.error(f'<text name="{NAME}"> knows no "{name}"{near}')
+    whole = Settings(**(scene.options | settings)).as_dict()
+    scene.options.update({name: whole[name] for name in settings})
+
+
+def _unname(scene: Scene, node: Node, text: str) -> None:
+    for word in text.split(","):
+        kind, _, name = word.partition("/")
+        if kind not in KINDS:
+            raise node.error(f'unnamed={word}: must be "body/name" or "joint/name"')
+        element = getattr(scene, kind)(name)
+        element.name = ""
