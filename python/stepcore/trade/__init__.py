@@ -18,7 +18,7 @@ from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
 from stepcore.trade.cost import costs
 from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import errors, extent, far_off
+from stepcore.trade.errors import STICKS, errors, extent, far_off
 from stepcore.trade.motion import Control, Motion, default_horizon, motion, time_steps
 from stepcore.trade.reference import FINER, Reference, Search, smallest
 from stepcore.trade.result import Row, Trade
@@ -181,9 +181,10 @@ def _row(
     if failure is None:
         failure = far_off(paths, reference.paths, size)
     updates = [path.row_updates for path in paths]
+    sticks = STICKS[settings.cone]
     return Row(
         settings=settings,
-        errors=None if failure else errors(paths, reference.paths, reference.scored),
+        errors=None if failure else errors(paths, reference.paths, reference.scored, size, sticks),
         cost=math.nan if failure else cost,
         row_updates=math.nan if failure else float(np.mean(updates)) / horizon,
         failure=failure,

@@ -136,6 +136,14 @@ def rotation(vector: np.ndarray) -> np.ndarray:
     return np.concatenate([[np.cos(angle / 2)], 0.5 * np.sinc(angle / 2 / np.pi) * vector])
 
 
+def rotated(quat: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Vectors turned by quaternions, along leading axes."""
+    w, x = quat[..., :1], quat[..., 1:]
+    cross = np.cross(x, vector)
+    result: np.ndarray = vector + 2 * (w * cross + np.cross(x, cross))
+    return result
+
+
 def turned(quat: np.ndarray) -> np.ndarray:
     """The rotation vector of a quaternion, the short way round [rad]."""
     quat = np.where(quat[..., :1] < 0, -quat, quat)

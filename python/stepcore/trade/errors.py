@@ -8,10 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from stepcore.trade.looks import anisotropy, creep
 from stepcore.trade.run import Path, angle, distance
 
 # Further from the reference than this many times the scene's size is no error, but a failure.
 FAR = 100.0
+# A contact holds with friction below this share of μ × normal force: the pyramid reaches as far
+# along its tangents, and 1/√2 as far between them.
+STICKS = {"pyramidal": 0.7, "elliptic": 0.99}
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,19 @@ class Errors:
     mass and of orientations in the world; the median of the starts. …_max: the largest of any
     body, sample and start; worst: the start that position_max is from. gained, lost [J]: the
     most by which the energy balance of `Path` rose above its start, and fell below it, in any
-    start. each [m]: the root mean square of positions in every start.
+    start. each [m]: the root mean square of positions in every start. relative, relative_max:
+    position and position_max over the scene's size.
+
+    numerical, modelling [m]: what position is made of where a setting changes the model (other
+    cone, other law, f32): its distance to that model's own limit, and the distance of the two
+    limits; see `stepcore.trade.models`. Elsewhere numerical is position, and modelling 0.
+
+    The largest of any start, None where the scene has no such thing or it cannot be known:
+    momentum [kg·m/s], angular_momentum [kg·m²/s]: what internal forces and gravity do not
+    explain; joint [m]: the widest gap of a connection; limit [rad or m]: how far a joint was
+    beyond its range; overlap [m]; creep [m/s]: the fastest slip in a contact that the reference
+    holds; anisotropy [rad]: between friction and the direction against the slip, at contacts
+    that slide; residual [m/s].
     """
 
     position: float
@@ -35,6 +51,16 @@ class Errors:
     residual: float
     worst: int = 0
     each: tuple[float, ...] = ()
+    relative: float = np.nan
+    relative_max: float = np.nan
+    numerical: float = np.nan
+    modelling: float = 0.0
+    momentum: float | None = None
+    angular_momentum: float | None = None
+    joint: float | None = None
+    limit: float | None = None
+    creep: float | None = None
+    anisotropy: float | None = None
 
     @property
     def high(self) -> float:
@@ -42,29 +68,56 @@ class Errors:
         return max(self.each, default=self.position)
 
 
-def errors(paths: Sequence[Path], truth: Sequence[Path], scored: np.ndarray) -> Errors:
-    """Errors of runs against the reference's, over the samples that are scored (starts, n)."""
-    metres, radians = [], []
-    gained = lost = 0.0
+def errors(
+    paths: Sequence[Path],
+    truth: Sequence[Path],
+    scored: np.ndarray,
+    size: float = np.nan,
+    sticks: float = STICKS["pyramidal"],
+) -> Errors:
+    """Errors of runs against the reference's, over the samples that are scored (starts, n).
+
+    size: of the scene [m]; sticks: see `stepcore.trade.looks.creep`.
+    """
+    metres, radians, creeps = [], [], []
     for path, true, mask in zip(paths, truth, scored, strict=True):
         metres.append(distance(path, true)[mask])
         radians.append(angle(path, true)[mask])
-        gained = max(gained, float(path.balance.max()))
-        lost = max(lost, -float(path.balance.min()))
+        creeps.append(creep(path.slips, true.slips, mask, sticks))
     largest = [float(part.max(initial=0.0)) for part in metres]
     roots = _roots(metres)
+    position = float(np.median(roots))
     return Errors(
-        position=float(np.median(roots)),
+        position=position,
         position_max=max(largest),
         angle=float(np.median(_roots(radians))),
         angle_max=max(float(part.max(initial=0.0)) for part in radians),
-        gained=gained,
-        lost=lost,
+        gained=max(0.0, *(float(path.balance.max(initial=0.0)) for path in paths)),
+        lost=max(0.0, *(-float(path.balance.min(initial=0.0)) for path in paths)),
         overlap=max(path.overlap for path in paths),
         residual=max(path.residual for path in paths),
         worst=largest.index(max(largest)),
         each=tuple(roots),
+        relative=position / size,
+        relative_max=max(largest) / size,
+        numerical=position,
+        momentum=_worst([path.momentum for path in paths]),
+        angular_momentum=_worst([path.spin for path in paths]),
+        joint=_worst([path.joint for path in paths]),
+        limit=_worst([path.limit for path in paths]),
+        creep=_known(creeps),
+        anisotropy=_known([anisotropy(path.slips) for path in paths]),
     )
+
+
+def _worst(values: Sequence[float | None]) -> float | None:
+    """The largest; None if one of them is not known."""
+    return None if None in values else _known(values)
+
+
+def _known(values: Sequence[float | None]) -> float | None:
+    """The largest of those that are known; None if none is."""
+    return max((value for value in values if value is not None), default=None)
 
 
 def far_off(paths: Sequence[Path], truth: Sequence[Path], size: float) -> str | None:

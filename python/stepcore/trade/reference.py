@@ -167,7 +167,7 @@ class Search:
             change = NEARBY * rng.choice([-1.0, 1.0], dofs.nv)
             near.append(Start(dofs.moved(start.qpos, change), start.qvel))
             both = np.array([start.qpos, near[-1].qpos])
-            com, _, _ = course.poses(both, np.zeros((2, dofs.nv)))
+            com = course.poses(both, np.zeros((2, dofs.nv))).com
             moved = np.linalg.norm(com[1] - com[0], axis=-1).max(initial=0.0)
             apart.append(max(float(moved), NEARBY))
         shifted = type(motion)(**{**motion.__dict__, "starts": tuple(near)})

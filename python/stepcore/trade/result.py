@@ -44,9 +44,9 @@ class Row:
             "sweeps": s.sweeps,
             "precision": s.precision,
         }
-        names = ("position", "position_max", "angle", "angle_max", "gained", "lost")
-        for name in (*names, "overlap", "residual"):
-            record[name] = None if e is None else getattr(e, name)
+        for name in ERRORS:
+            value = None if e is None else getattr(e, name)
+            record[name] = None if value is None or math.isnan(value) else value
         record["worst_start"] = None if e is None else e.worst
         return record | {
             "cost": None if math.isnan(self.cost) else self.cost,
@@ -174,6 +174,11 @@ class Trade(Result):
         return f"<Trade of {self.name}: {len(self.rows)} settings, {failed} failed>"
 
 
+ERRORS = (
+    *("position", "position_max", "relative", "relative_max", "numerical", "modelling"),
+    *("angle", "angle_max", "gained", "lost", "momentum", "angular_momentum"),
+    *("overlap", "joint", "limit", "creep", "anisotropy", "residual"),
+)
 UNITS = {
     "dt": "s",
     "position": "m",
@@ -184,6 +189,14 @@ UNITS = {
     "lost": "J",
     "overlap": "m",
     "residual": "m/s",
+    "numerical": "m",
+    "modelling": "m",
+    "momentum": "kg m/s",
+    "angular_momentum": "kg m^2/s",
+    "joint": "m",
+    "limit": "rad or m",
+    "creep": "m/s",
+    "anisotropy": "rad",
     "cost": "us per simulated second",
     "row_updates": "per simulated second",
 }

@@ -9,9 +9,13 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
+from stepcore.layout import Layout
 from stepcore.model import Model
 from stepcore.sim import Sim
-from stepcore.trade.dofs import Dofs, product, turned
+from stepcore.trade.conserved import Balance
+from stepcore.trade.dofs import Dofs, product, rotated, turned
+from stepcore.trade.joints import Joints
+from stepcore.trade.looks import Looks, Rub, Slips
 from stepcore.trade.motion import Motion
 
 # The state is recorded this often in a period (or every step), contacts are looked at less often.
@@ -25,15 +29,26 @@ class Path:
 
     com: centres of mass of the moving bodies [m], (n, bodies, 3). quat: (n, bodies, 4).
     balance: energy, less that at the start, less the work of the motors, plus what the joint
-    dampers took [J], (n,). overlap: deepest [m]. residual: worst [m/s]. rows: the most at once.
-    failure: why the run ended early, in which case the arrays are short.
+    dampers took [J], (n,). kinetic: energy [J], height: of the centre of mass against gravity
+    [m], touching: contacts that touch; (n,) each. slips: contacts with friction, by sample.
+    overlap: deepest [m]. residual: worst [m/s]. rows: the most at once. momentum [kg·m/s], spin
+    [kg·m²/s]: see `stepcore.trade.conserved`. joint [m], limit [rad or m]: see
+    `stepcore.trade.joints`. failure: why the run ended early; the arrays are then short.
     """
 
     com: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3)))
     quat: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 4)))
     balance: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    kinetic: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    height: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    touching: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    slips: list[Slips] = field(default_factory=list)
     overlap: float = 0.0
     residual: float = 0.0
+    momentum: float | None = None
+    spin: float | None = None
+    joint: float | None = None
+    limit: float | None = None
     row_updates: int = 0
     rows: int = 0
     failure: str | None = None
@@ -44,7 +59,16 @@ class Course:
 
     def __init__(self, model: Model, dofs: Dofs, motion: Motion) -> None:
         self.model, self.dofs, self.motion = model, dofs, motion
+        self.layout = Layout(model.scene)
         self.ipos = np.asarray(model.body_ipos, float)[dofs.moving]
+        self.mass = np.asarray(model.body_mass, float)[dofs.moving]
+        gravity = model.scene.gravity if model.scene.features.gravity else (0.0, 0.0, 0.0)
+        self.gravity = np.asarray(gravity, float)
+        size = float(np.linalg.norm(self.gravity))
+        self.up = -self.gravity / size if size > 0 else np.array([0.0, 0.0, 1.0])
+        self.rub = Rub(self)
+        self.joints = Joints(self)
+        self.conserved = Balance(self)
 
     def sim(self, settings: Settings) -> Sim:
         """A Sim of the model under these settings."""
@@ -79,14 +103,14 @@ class Course:
         path = Path()
         try:
             sim = self.sim(settings)
-            looks = _Looks(self, sim, start)
+            looks = Looks(self, sim, start)
             self._steps(sim, start, looks)
         except (ValueError, SimulationError) as error:
             path.failure = one_line(error)
             return path
         return self.finish(looks, path)
 
-    def _steps(self, sim: Sim, start: int, looks: _Looks) -> None:
+    def _steps(self, sim: Sim, start: int, looks: Looks) -> None:
         motion = self.motion
         count = motion.steps(sim.settings.dt)
         stride = max(1, count // LOOKS)
@@ -103,16 +127,20 @@ class Course:
             if (period + 1) % motion.every == 0:
                 looks.sample(sim)
 
-    def finish(self, looks: _Looks, path: Path) -> Path:
+    def finish(self, looks: Looks, path: Path) -> Path:
         """The poses and energies at the samples, in double precision whatever the run's."""
         qpos, qvel = np.array(looks.qpos), np.array(looks.qvel)
         at = np.array(looks.samples)
         # Energies before work: a state that is finite in itself can overflow in them.
         with np.errstate(over="ignore", invalid="ignore"):
-            com, quat, energy = self.poses(qpos[[0, *at]], qvel[[0, *at]])
+            seen = self.poses(qpos[[0, *at]], qvel[[0, *at]])
             work = np.concatenate([[0.0], np.cumsum(self._work(qpos, qvel, np.array(looks.ctrl)))])
-            path.balance = energy[1:] - energy[0] - work[at]
-        path.com, path.quat = com[1:], quat[1:]
+            path.balance = seen.energy[1:] - seen.energy[0] - work[at]
+            path.height = seen.com[1:] @ self.up @ self.mass / max(self.mass.sum(), 1e-300)
+            path.momentum, path.spin = self.conserved.lost(seen, self.motion, looks.grounded)
+            path.joint, path.limit = self.joints.apart(seen), self.joints.beyond(qpos)
+        path.com, path.quat, path.kinetic = seen.com[1:], seen.quat[1:], seen.kinetic[1:]
+        path.touching, path.slips = np.array(looks.touching), looks.slips
         path.overlap, path.residual = looks.overlap, looks.residual
         path.row_updates, path.rows = looks.row_updates, looks.rows
         if not np.all(np.isfinite(path.com)):
@@ -129,56 +157,40 @@ class Course:
         work: np.ndarray = np.sum((self.dofs.motor_force(ctrl) + damped) * change, axis=-1)
         return work
 
-    def poses(
-        self, qpos: np.ndarray, qvel: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Centres of mass, orientations and energies at these states."""
+    def poses(self, qpos: np.ndarray, qvel: np.ndarray) -> Seen:
+        """What the bodies do at these states, in double precision."""
         sim = self.sim(self.model.settings.replace(precision="f64"))
-        com, quat, energy = [], [], []
+        moving = self.dofs.moving
+        com, quat, kinetic, energy, momenta, frames = [], [], [], [], [], []
         for q, v in zip(qpos, qvel, strict=True):
             sim.qpos, sim.qvel = q, v
-            turn = sim.xquat[self.dofs.moving]
-            com.append(sim.xpos[self.dofs.moving] + rotated(turn, self.ipos))
-            quat.append(turn)
-            energy.append(sim.energy.total)
-        return np.array(com), np.array(quat), np.array(energy)
+            place, turn = sim.xpos, sim.xquat
+            com.append(place[moving] + rotated(turn[moving], self.ipos))
+            quat.append(turn[moving])
+            both = sim.energy
+            kinetic.append(both.kinetic)
+            energy.append(both.total)
+            if self.conserved.known:
+                momenta.append(np.concatenate(sim.momentum))
+            if self.joints.connected:
+                frames.append(np.concatenate([place, turn], axis=-1))
+        return Seen(*map(np.array, (com, quat, kinetic, energy, momenta, frames)))
 
 
-class _Looks:
-    """What is seen of a run while it goes on."""
+@dataclass(frozen=True)
+class Seen:
+    """Bodies at n states: centres of mass [m] and orientations of those that move, energies [J].
 
-    def __init__(self, course: Course, sim: Sim, start: int) -> None:
-        course.place(sim, start)
-        self.qpos, self.qvel = [np.array(sim.qpos)], [np.array(sim.qvel)]
-        self.ctrl: list[np.ndarray] = []
-        self.samples: list[int] = []
-        self.meets = bool(course.model.pairs)
-        self.overlap = self.residual = 0.0
-        self.row_updates = self.rows = 0
+    momenta: linear and angular about the world's origin, (n, 6); frames: position and quaternion
+    of every body, (n, nbody, 7). Both are empty where the scene has no use for them.
+    """
 
-    def look(self, sim: Sim, ctrl: np.ndarray) -> None:
-        self.qpos.append(np.array(sim.qpos))
-        self.qvel.append(np.array(sim.qvel))
-        self.ctrl.append(ctrl)
-
-    def contacts(self, sim: Sim) -> None:
-        self.residual = max(self.residual, sim.residual)
-        if self.meets:
-            dist = sim.contacts["dist"]
-            self.overlap = max(self.overlap, -float(dist.min(initial=0.0)))
-
-    def sample(self, sim: Sim) -> None:
-        self.samples.append(len(self.qpos) - 1)
-        self.rows = max(self.rows, len(sim.rows))
-        self.row_updates = sim.row_updates
-
-
-def rotated(quat: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Vectors turned by quaternions, along leading axes."""
-    w, x = quat[..., :1], quat[..., 1:]
-    cross = np.cross(x, vector)
-    result: np.ndarray = vector + 2 * (w * cross + np.cross(x, cross))
-    return result
+    com: np.ndarray
+    quat: np.ndarray
+    kinetic: np.ndarray
+    energy: np.ndarray
+    momenta: np.ndarray
+    frames: np.ndarray
 
 
 def distance(a: Path, b: Path) -> np.ndarray:
