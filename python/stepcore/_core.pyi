@@ -39,7 +39,7 @@ class Settings:
         integrator: _Integrator = "euler",
         solver: _Solver = "newton",
         acceleration: _Acceleration = "none",
-        sweeps: int = 100,
+        sweeps: int | Literal["auto"] = 100,
         tolerance: float = 1e-10,
         warm_start: bool = True,
         precision: _Precision = "f64",
@@ -82,8 +82,9 @@ class Settings:
         """What speeds up projected Gauss-Seidel: "none" or "momentum"."""
 
     @property
-    def sweeps(self) -> int:
-        """The most sweeps, or Newton iterations, of one solve."""
+    def sweeps(self) -> Any:
+        """The most sweeps, or Newton iterations, of one solve; "auto": until the residual is
+        within the tolerance (which must be > 0), at most 10 000."""
 
     @property
     def tolerance(self) -> float:

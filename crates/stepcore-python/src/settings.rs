@@ -2,13 +2,13 @@
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::{PyDict, PyString, PyTuple};
 use stepcore::settings::{
-    Acceleration, Cone, Integrator, Law, Precision, Settings as Engine, Solver,
+    Acceleration, Cone, Integrator, Law, Precision, Settings as Engine, Solver, Sweeps,
 };
 
 use crate::errors::{nearest, raise};
-use crate::extract::{At, Read};
+use crate::extract::{refuse, At, Read};
 
 /// A field as Python gets it.
 trait Shown {
@@ -45,6 +45,33 @@ macro_rules! shown_by_name {
     )+};
 }
 shown_by_name!(Integrator, Solver, Acceleration, Precision, Law, Cone);
+
+/// A number or a name.
+#[derive(IntoPyObject)]
+enum Shows {
+    Count(u32),
+    Name(&'static str),
+}
+
+impl Shown for Sweeps {
+    type Out = Shows;
+    fn shown(self) -> Shows {
+        match self {
+            Self::AtMost(count) => Shows::Count(count),
+            Self::Auto => Shows::Name(Self::AUTO),
+        }
+    }
+}
+
+impl Read for Sweeps {
+    fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
+        match value.cast::<PyString>() {
+            Ok(name) if name == Self::AUTO => Ok(Self::Auto),
+            Ok(_) => Err(refuse(value, at, "'auto' or a whole number")),
+            Err(_) => Ok(Self::AtMost(u32::read(value, at)?)),
+        }
+    }
+}
 
 /// The Python class, from the one list of fields.
 macro_rules! settings {
@@ -127,8 +154,9 @@ settings! {
     solver: Solver,
     /// What speeds up projected Gauss-Seidel: "none" or "momentum".
     acceleration: Acceleration,
-    /// The most sweeps, or Newton iterations, of one solve.
-    sweeps: u32,
+    /// The most sweeps, or Newton iterations, of one solve; "auto": until the residual is
+    /// within the tolerance, at most 10 000.
+    sweeps: Sweeps,
     /// A solve stops at this residual [m/s], >= 0; 0: after all sweeps.
     tolerance: f64,
     /// Start from the last step's impulses.

@@ -95,6 +95,38 @@ named!(
     Precision, "precision" { F32 = "f32", F64 = "f64" }
 );
 
+/// The most sweeps, or Newton iterations, of one solve.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sweeps {
+    AtMost(u32),
+    /// As many as the tolerance needs, and at most `Sweeps::MOST`.
+    Auto,
+}
+
+impl Sweeps {
+    /// Where `Auto` gives up: a step has to end.
+    pub const MOST: u32 = 10_000;
+    /// The name of `Auto`.
+    pub const AUTO: &'static str = "auto";
+
+    pub fn limit(self) -> u32 {
+        match self {
+            Self::AtMost(count) => count,
+            Self::Auto => Self::MOST,
+        }
+    }
+}
+
+impl From<u32> for Sweeps {
+    fn from(count: u32) -> Self {
+        Self::AtMost(count)
+    }
+}
+
+/// The least tolerance that `Sweeps::Auto` takes in f32 [m/s]: eight units in the last place
+/// of 1 m/s. A residual below what the numbers resolve is never reached.
+const FINEST_IN_F32: f64 = 1e-6;
+
 /// How to compute. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
@@ -106,7 +138,7 @@ pub struct Settings {
     pub acceleration: Acceleration,
     /// The most sweeps, or Newton iterations, of one solve; under `newton` islands of few
     /// rows are solved whatever it says.
-    pub sweeps: u32,
+    pub sweeps: Sweeps,
     /// A solve stops at this residual [m/s]; 0: after all sweeps.
     pub tolerance: f64,
     /// Start from the last step's impulses.
@@ -144,7 +176,7 @@ impl Default for Settings {
             integrator: Integrator::Euler,
             solver: Solver::Newton,
             acceleration: Acceleration::None,
-            sweeps: 100,
+            sweeps: Sweeps::AtMost(100),
             tolerance: 1e-10,
             warm_start: true,
             precision: Precision::F64,
@@ -182,6 +214,15 @@ impl Settings {
             return Err(Error::value("dt", self.dt, "a normal number in f32, and its inverse"));
         }
         number("tolerance", self.tolerance, self.tolerance >= 0.0, "finite and >= 0 m/s")?;
+        if self.sweeps == Sweeps::Auto {
+            let (least, limit) = match self.precision {
+                Precision::F64 => {
+                    (f64::MIN_POSITIVE, "> 0 m/s with sweeps = 'auto', which stops on it")
+                }
+                Precision::F32 => (FINEST_IN_F32, ">= 1e-6 m/s with sweeps = 'auto' in f32"),
+            };
+            number("tolerance", self.tolerance, self.tolerance >= least, limit)?;
+        }
         if self.max_contacts > MOST_CONTACTS {
             let limit = format!("at most {MOST_CONTACTS} (it reserves memory)");
             return Err(Error::value("max_contacts", self.max_contacts, limit));

@@ -74,15 +74,14 @@ impl<R: Real> Sim<R> {
             let last = if self.next.stage > 0 { &self.next.warm } else { &self.state.warm };
             self.rows.warm_start(model, inv_d, last);
         }
+        let sweeps = self.settings.sweeps.limit();
         let limits = Limits {
-            sweeps: self.settings.sweeps,
+            sweeps,
             tolerance: self.settings.tolerance,
             // By the law and not by the rows at hand, so that a lane equals its world alone.
             momentum: self.settings.acceleration == Acceleration::Momentum
                 && !self.settings.law.on_guess(),
-            exact: self.settings.sweeps > 0
-                && self.settings.tolerance > 0.0
-                && self.settings.law != Law::Relaxed,
+            exact: sweeps > 0 && self.settings.tolerance > 0.0 && self.settings.law != Law::Relaxed,
         };
         // One row on its own, and one update all that is asked or all that it takes.
         if self.settings.solver == Solver::Pgs && (limits.sweeps == 1 || limits.exact) {

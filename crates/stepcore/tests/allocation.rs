@@ -79,7 +79,14 @@ fn check<R: Real>(settings: &Settings) {
 
 fn settings(law: Law, integrator: Integrator) -> Settings {
     let solver = Solver::Pgs;
-    Settings { law, integrator, solver, sweeps: 20, penalty_stiffness: 1e4, ..Settings::default() }
+    Settings {
+        law,
+        integrator,
+        solver,
+        sweeps: 20.into(),
+        penalty_stiffness: 1e4,
+        ..Settings::default()
+    }
 }
 
 #[test]

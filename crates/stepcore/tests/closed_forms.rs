@@ -91,7 +91,8 @@ fn a_stack_by_sweeps() {
     ];
     for (law, depths) in table {
         for (sweeps, depth) in [1, 2, 5, 10, 20].into_iter().zip(depths) {
-            let mut sim = sim(&balls(&[0.1, 0.3]), Settings { sweeps, ..lesson(law) });
+            let mut sim =
+                sim(&balls(&[0.1, 0.3]), Settings { sweeps: sweeps.into(), ..lesson(law) });
             sim.step(1000).unwrap();
             let found = -sim.state.qpos[0] * 1e6;
             assert!((found - depth).abs() < 6e-4, "{law:?} {sweeps}: {found} against {depth}");

@@ -97,7 +97,7 @@ fn differing_steps(scene: &Scene, settings: &Settings, steps: usize) -> usize {
 }
 
 fn settings(law: Law, integrator: Integrator, cone: Cone, tolerance: f64) -> Settings {
-    let (solver, sweeps, softness) = (Solver::Pgs, 12, 0.1);
+    let (solver, sweeps, softness) = (Solver::Pgs, 12.into(), 0.1);
     Settings { law, integrator, solver, cone, tolerance, sweeps, softness, ..Settings::default() }
 }
 
@@ -171,7 +171,7 @@ fn cold_starts() {
 #[test]
 fn newton() {
     for integrator in [Integrator::Euler, Integrator::ImplicitFast, Integrator::Rk4] {
-        check(Law::SolRef, integrator, |s| (s.solver, s.sweeps) = (Solver::Newton, 50));
+        check(Law::SolRef, integrator, |s| (s.solver, s.sweeps) = (Solver::Newton, 50.into()));
     }
 }
 

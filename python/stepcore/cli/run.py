@@ -91,6 +91,8 @@ def _setting(text: str) -> tuple[str, Any]:
     fields = Settings().as_dict()
     if name not in fields:
         raise Usage(f"--set {text}: settings have no '{name}'{nearest(name, fields)}")
+    if (name, value) == ("sweeps", "auto"):
+        return name, value
     kind = type(fields[name])
     if kind is bool:
         if value.lower() not in ("true", "false"):

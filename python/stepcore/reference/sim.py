@@ -20,7 +20,7 @@ class Settings:
     integrator: str = "semi-implicit"
     solver: str = "pgs"
     acceleration: str = "none"
-    sweeps: int = 100
+    sweeps: int | str = 100  # or "auto"
     tolerance: float = 1e-10
     warm_start: bool = True
     law: str = "lesson"
@@ -49,6 +49,8 @@ class Settings:
                 )
         if not self.dt > 0:
             raise ValueError(f"dt {self.dt}: must be > 0 s")
+        if self.sweeps == "auto" and not self.tolerance > 0:
+            raise ValueError(f"tolerance {self.tolerance}: must be > 0 with sweeps 'auto'")
 
 
 class Sim:

@@ -13,14 +13,19 @@ if TYPE_CHECKING:
     from .sim import Settings
 
 
+# Where sweeps "auto" gives up, as in the engine.
+AUTO_MOST = 10_000
+
+
 def solve(
     system: Rows, guess: Array, impulse: Array, settings: Settings
 ) -> tuple[Array, Array, int]:
     """Sweep until the residual is small enough: (velocity, impulses, sweeps done)."""
     impulse = impulse.copy()
     v = guess + system.W @ impulse
+    limit = AUTO_MOST if settings.sweeps == "auto" else int(settings.sweeps)
     done = 0
-    while done < settings.sweeps and system.rows:
+    while done < limit and system.rows:
         sweep(system, v, impulse, settings.cone)
         done += 1
         if settings.tolerance > 0 and residual(system, v, impulse, settings) <= settings.tolerance:
