@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore import _core, checks
+from stepcore import _core, checks, wire
 from stepcore._core import Settings
 from stepcore.arrays import Floats
 from stepcore.changes import changed
@@ -322,8 +322,35 @@ class Model:
         other._settings = _merged(self._settings, settings, overrides)
         return other
 
+    @functools.cached_property
+    def _packed(self) -> bytes:
+        return wire.packed(self._scene)
+
+    def to_bytes(self) -> bytes:
+        """The model as bytes, some kB, with no code in them; also what pickling it stores."""
+        return wire.to_bytes(self._packed, self._settings)
+
+    @staticmethod
+    def from_bytes(data: bytes) -> Model:
+        """The model of `to_bytes`, which steps to the same bits.
+
+        A process compiles the same scene once and keeps it, whatever the settings.
+        Raises ValueError for bytes that are not a model's, damaged, or of another version.
+
+        >>> from stepcore import lesson
+        >>> model = lesson.drop().compile()
+        >>> Model.from_bytes(model.to_bytes()).nq
+        1
+        """
+        packed, settings = wire.from_bytes(data)
+        other = object.__new__(Model)
+        other._scene, other._settings = wire.unpacked(packed), settings
+        other._core = wire.engines.get(packed, lambda: _engine(other._scene))
+        other.__dict__["_packed"] = packed
+        return other
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return Model, (self._scene, self._settings)
+        return Model.from_bytes, (self.to_bytes(),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Model:
         # Nothing of a model can change, so a copy may share all of it.
