@@ -112,7 +112,10 @@ def test_an_array_and_a_function_of_time_are_the_same_motion():
     options = {"control_dt": 0.05, "starts": 1, "integrators": ["semi-implicit"]}
     a = few(pushed(), ctrl=values, **options)
     b = few(pushed(), control=lambda t, sim: values[round(t / 0.05)], **options)
-    assert [row.errors for row in a.rows] == [row.errors for row in b.rows]
+    # The first has a closed form; what a function will ask for cannot be known beforehand.
+    assert a.reference.exact is not None and b.reference.exact is None
+    for one, other in zip(a.rows, b.rows, strict=True):
+        assert one.errors.position == pytest.approx(other.errors.position, rel=1e-9)
 
 
 def test_failures_stay_with_their_reason():
@@ -279,7 +282,7 @@ def test_the_sentence_counts_starts_and_names_the_worst():
 def test_a_largest_error_below_the_references_is_marked():
     result = few(falling(), integrators=["semi-implicit"], starts=1, horizon=0.4)
     assert not any(row.below_max for row in result.rows)
-    result.reference.level.largest = 1.0
+    result.reference.largest = 1.0
     again = sc.Trade("x", result.horizon, result.rows, result.reference, 1)
     assert all(row.below_max for row in again.rows) and "<1.0e0" in str(again)
     assert again.table[0]["below_max"] and "largest error of" in str(again)

@@ -5,9 +5,8 @@ import pytest
 
 import stepcore as sc
 from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import pareto, predictable
+from stepcore.trade.errors import pareto
 from stepcore.trade.motion import motion, time_steps
-from stepcore.trade.run import Path
 
 
 def test_pareto():
@@ -15,15 +14,6 @@ def test_pareto():
     assert pareto([1, 1, 1], [2, 1, 1]) == [False, True, False]
     assert pareto([float("nan"), 2], [0, 1]) == [False, True]
     assert pareto([1, 2], [float("inf"), 1]) == [False, True]
-
-
-def test_predictable_ends_where_runs_separate():
-    def path(x):
-        return Path(com=np.array(x, float)[:, None, None] * np.ones((1, 1, 3)))
-
-    a, b = path([0, 0, 0, 0]), path([1e-10, 1e-8, 1e-3, 1e-9])
-    mask = predictable([a], [b], [1e-10], 1e4)
-    assert mask.tolist() == [[True, True, False, False]]
 
 
 def test_time_steps_divide_the_period():

@@ -25,6 +25,7 @@ from stepcore.trade import Trade, trade
 if TYPE_CHECKING:
     from stepcore.lookup import load
     from stepcore.mjcf import loads
+    from stepcore.trade.predict import predictability
 
 __all__ = [
     "Batch",
@@ -37,12 +38,17 @@ __all__ = [
     "__version__",
     "load",
     "loads",
+    "predictability",
     "sweep",
     "trade",
 ]
 
 # Names that are imported when they are first used, so that `import stepcore` is quick.
-_LATER = {"load": "stepcore.lookup", "loads": "stepcore.mjcf"}
+_LATER = {
+    "predictability": "stepcore.trade.predict",
+    "load": "stepcore.lookup",
+    "loads": "stepcore.mjcf",
+}
 
 
 def __getattr__(name: str) -> Any:

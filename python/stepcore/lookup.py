@@ -11,6 +11,7 @@ from stepcore import checks
 from stepcore.checks import nearest
 
 if TYPE_CHECKING:
+    from stepcore.model import Model
     from stepcore.scene import Scene
 
 LESSON = ("spring", "drop", "stack", "grasp")
@@ -39,6 +40,16 @@ def find_scene(source: str | os.PathLike[str]) -> Scene:
     scene = load(find_asset(package, name))
     scene.name = scene.name or name
     return scene
+
+
+def find_model(source: Model | Scene | str | os.PathLike[str]) -> Model:
+    """The compiled model of what a user gives: a Model, a Scene, or what `find_scene` knows.
+
+    Raises ValueError for anything else.
+    """
+    from stepcore.model import compiled
+
+    return compiled(find_scene(source) if isinstance(source, (str, os.PathLike)) else source)
 
 
 def load(path: str | os.PathLike[str]) -> Scene:

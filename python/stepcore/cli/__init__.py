@@ -15,10 +15,10 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from stepcore.checks import one_line
-from stepcore.cli import info, lesson, run, trade
+from stepcore.cli import info, lesson, predict, run, trade
 
 # In the order of the help.
-COMMANDS = (lesson, run, trade, info)
+COMMANDS = (lesson, run, trade, predict, info)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -21,6 +21,7 @@ from stepcore.trade.dofs import Dofs
 from stepcore.trade.errors import STICKS, errors, extent, far_off
 from stepcore.trade.motion import Control, Motion, default_horizon, motion, time_steps
 from stepcore.trade.reference import FINER, Reference, Search, smallest
+from stepcore.trade.remarks import truths
 from stepcore.trade.result import Row, Trade
 from stepcore.trade.run import Course, Path
 from stepcore.trade.settings import clamping, grid, seconds
@@ -112,7 +113,7 @@ def trade(
     )
     course = Course(model, dofs, motive)
     search = Search(course, shipped, min(steps), budget, workers)
-    with Progress("reference", 5 * starts, progress) as bar:
+    with Progress("reference", search.runs, progress) as bar:
         reference = search.first(bar)
     alive = max(path.rows for path in reference.paths)
     tried = grid(shipped, steps, integrators, solvers, sweeps, precisions, alive)
@@ -207,16 +208,7 @@ def _notes(
     if motive.undriven:
         names = ", ".join(motive.undriven)
         notes.append(f"motors without a control range are not driven: {names}")
-    whole = reference.scored.shape[1]
-    scored = reference.scored.sum(axis=1)
-    short = int((scored < whole).sum())
-    if short:
-        least = motive.times[int(scored.min()) - 1]
-        notes.append(
-            f"{short} of {len(scored)} starts are scored over a shorter time (at least "
-            f"{seconds(float(least))}): beyond it, runs that start 1e-10 apart separate by more "
-            "than 1e4 times, and an error says nothing of the settings"
-        )
+    notes += truths(reference)
     if tau is not None:
         notes.append(
             f"refsafe keeps the time constant of contacts and limits at 2 dt or above: beyond "

@@ -67,12 +67,16 @@ class Dofs:
 
     def drawn(self, rng: np.random.Generator, slides: float, turns: float) -> np.ndarray:
         """A uniform change of every dof, at most `slides` along and `turns` about; shape (nv,)."""
-        change = rng.uniform(-1.0, 1.0, self.nv)
+        return self.scaled(rng.uniform(-1.0, 1.0, self.nv), slides, turns)
+
+    def scaled(self, change: np.ndarray, slides: float, turns: float) -> np.ndarray:
+        """A change of every dof, (nv,), times `slides` where it is along and `turns` about."""
+        result = np.array(change, float)
         for kind, _, v, _ in self.joints:
             along = {"free": 3, "slide": 1}.get(kind, 0)
-            change[v : v + along] *= slides
-            change[v + along : v + DOFS[kind]] *= turns
-        return change
+            result[v : v + along] *= slides
+            result[v + along : v + DOFS[kind]] *= turns
+        return result
 
     def moved(self, qpos: np.ndarray, change: np.ndarray) -> np.ndarray:
         """`qpos` moved by a change of the dofs; quaternions turn in body axes and stay unit."""

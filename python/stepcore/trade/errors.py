@@ -146,23 +146,6 @@ def _roots(parts: Sequence[np.ndarray]) -> list[float]:
         return [float(np.sqrt(np.mean(part**2))) if part.size else 0.0 for part in parts]
 
 
-def predictable(
-    a: Sequence[Path], b: Sequence[Path], apart: Sequence[float], limit: float
-) -> np.ndarray:
-    """Which samples of each start are before two near runs separate; shape (starts, n), bool.
-
-    apart: how far the two were at the start [m]; limit: the growth from which on a sample, and
-    all after it, only says how errors grow in the scene. The first sample always counts.
-    """
-    masks = []
-    for one, other, start in zip(a, b, apart, strict=True):
-        growth = distance(one, other).max(axis=1, initial=0.0) / max(start, 1e-300)
-        mask = np.cumsum(growth > limit) == 0
-        mask[:1] = True
-        masks.append(mask)
-    return np.array(masks)
-
-
 def pareto(cost: Sequence[float], error: Sequence[float]) -> list[bool]:
     """Which points no other beats: none is as good in both and better in one.
 

@@ -1,212 +1,320 @@
-"""The scene's own converged motion, and how well it is known.
+"""The scene's own limit dt → 0 with converged forces, and how well it is known.
 
-The step is halved until two runs of the best integrator agree to a tenth of the smallest error
-that the table shows, or the budget is spent. Rows are solved to rounding. What is modelled, the
-softness of contacts above all, stays the scene's.
+Two integrators run at halved steps, their rows solved to rounding. What is modelled, the softness
+of contacts above all, stays the scene's, and `refsafe` does not touch it. The better known of the
+two is the reference; it is halved on until its error is a tenth of the smallest that the table
+shows, or the budget is spent. How its error is known is in `stepcore.trade.order`. Where the
+motion has a closed form (`stepcore.trade.exact`), that is the truth, and checks the reference.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
 from stepcore._core import Settings
 from stepcore.jobs import each
 from stepcore.progress import Progress
-from stepcore.trade.dofs import Start
-from stepcore.trade.errors import errors, predictable
+from stepcore.trade.errors import Errors, errors, extent
+from stepcore.trade.exact import Exact, closed
+from stepcore.trade.growth import DIRECTIONS, Growth, growth
+from stepcore.trade.order import Known, known, observed, shown
 from stepcore.trade.run import Course, Path
 
 # A tenth: the reference's error may then change the last digit of an error shown, no more.
 FINER = 10.0
-NEARBY, GROWTH = 1e-10, 1e4
-# Halvings that no longer halve the distance have met rounding.
+# Halvings that no longer halve the error have met rounding, or something that does not converge.
 STALLED = 0.9
+# Of the scene's size: distances below it are rounding, grown by what a predictable scene allows.
+ROUNDING = 1e-11
+# Three halvings that begin at twice the table's finest step.
+HALVINGS = (2.0, 1.0, 0.5, 0.25)
+# From here on the other integrator, not the reference's own halving, decides what is known.
+EAGER = 4.0
+# Coarser runs that may be added where the finer ones have met rounding, in steps of the finest.
+COARSEST = 64
+
+
+# Laws whose stiffness is β/dt: there is no scene that stays the same as dt shrinks.
+DEPENDENT = ("lesson", "relaxed")
 
 
 @dataclass
 class Level:
-    """All starts at one time step.
-
-    distance: to the level of twice the step [m], measured as errors are.
-    largest: the same of any body, sample and start [m]; high: root mean square of the worst
-    start [m]; angle: in orientation [rad].
-    """
+    """All starts at one time step. moved: from the level of twice the step to this one."""
 
     dt: float
     integrator: str
     paths: list[Path]
-    distance: float = np.inf
-    largest: float = np.inf
-    high: float = np.inf
-    angle: float = np.inf
+    moved: Errors | None = None
 
     @property
     def failed(self) -> str | None:
         return next((path.failure for path in self.paths if path.failure), None)
+
+    @property
+    def distance(self) -> float:
+        """To the level of twice the step [m], measured as errors are; inf without one."""
+        return np.inf if self.moved is None else self.moved.position
 
 
 @dataclass
 class Reference:
     """The converged motion of a scene.
 
-    error [m], angle [rad]: distance between it and the run at twice its step, as errors in the
-    table are measured. agreement [m]: distance to a second integrator, whose own halving moved
-    it by `other_error`. scored: samples that count, (starts, n).
+    level: the finest run of one integrator, levels: its halvings. error, largest (of any body,
+    sample and start), high (of the worst start) [m], angle [rad]: what the truth may be wrong by,
+    measured as errors in the table are; basis: how that is known, in words. order: what Richardson
+    used (1, 2 or 4), or None. orders: what the halvings of each integrator showed, coarsest first.
+    agreement [m]: distance to the finest run of another integrator, `other`, whose own halving
+    moved it by other_error. growth: of twins. exact: the closed form, where there is one.
+    stiffens: rows act whose law grows stiffer as dt shrinks, so that the limit is a harder scene.
     """
 
     settings: Settings
     level: Level
     levels: list[Level]
-    agreement: float
-    other: str
-    other_error: float
-    scored: np.ndarray
+    growth: Growth
+    known: Known
+    orders: dict[str, list[float]]
+    agreement: float = np.nan
+    other: str = ""
+    other_error: float = np.nan
+    exact: Exact | None = None
+    stiffens: bool = False
+    stalls: int = 0
+
+    def __post_init__(self) -> None:
+        self.told()
+
+    def told(self) -> None:
+        """Takes error and its like from what is known."""
+        if self.exact is None:
+            k = self.known
+            self.error, self.largest, self.high, self.angle = k.error, k.largest, k.high, k.angle
+            self.basis, self.order = k.basis, k.order
+        else:
+            self.error = self.largest = self.high = self.exact.error
+            self.angle, self.basis, self.order = self.exact.angle, self.exact.basis, None
 
     @property
-    def error(self) -> float:
-        return self.level.distance
-
-    @property
-    def largest(self) -> float:
-        return self.level.largest
-
-    @property
-    def high(self) -> float:
-        return self.level.high
-
-    @property
-    def angle(self) -> float:
-        return self.level.angle
+    def scored(self) -> np.ndarray:
+        """Samples that count: those that can be predicted, (starts, n)."""
+        return self.growth.scored
 
     @property
     def paths(self) -> list[Path]:
-        return self.level.paths
+        """The truth: the closed form, or the finest run."""
+        return self.level.paths if self.exact is None else self.exact.paths
 
 
 class Search:
     """Looks for the reference of a course; counts what it spends in steps × (dofs + 2)."""
 
     def __init__(
-        self, course: Course, shipped: Settings, finest: float, budget: float, threads: int
+        self,
+        course: Course,
+        shipped: Settings,
+        finest: float,
+        budget: float,
+        threads: int,
+        executor: Executor | None = None,
     ):
         self.course, self.shipped, self.budget, self.threads = course, shipped, budget, threads
-        self.finest, self.spent = finest, 0.0
+        self.executor, self.finest, self.spent = executor, finest, 0.0
+        self.chains: dict[str, list[Level]] = {}
+        self.size = 1.0
+
+    @property
+    def runs(self) -> int:
+        """How many runs `first` makes, at least."""
+        return (2 * len(HALVINGS) + DIRECTIONS) * len(self.course.motion.starts)
 
     def settings(self, integrator: str, dt: float) -> Settings:
         """Reference settings: rows solved to rounding, as the law allows."""
-        solver = "newton" if self.shipped.law == "solref" else "pgs"
-        sweeps = 200 if solver == "newton" else 20_000
+        soft = self.shipped.law == "solref"
         return self.shipped.replace(
             dt=dt,
             integrator=integrator,
-            solver=solver,
-            sweeps=sweeps,
+            solver="newton" if soft else "pgs",
+            acceleration="none",
+            sweeps=200 if soft else 20_000,
             tolerance=1e-13,
             warm_start=True,
             precision="f64",
+            **({"refsafe": False} if soft else {}),
         )
 
-    def cost(self, dt: float) -> float:
+    def cost(self, integrator: str, dt: float) -> float:
+        """Of all starts at one step, in steps of rk4, which solves four times, × (dofs + 2)."""
         motion = self.course.motion
         steps = motion.periods * motion.steps(dt) * len(motion.starts)
-        return steps * (self.course.dofs.nv + 2)
+        return steps * (self.course.dofs.nv + 2) * (1.0 if integrator == "rk4" else 0.25)
 
     def level(self, integrator: str, dt: float, bar: Progress) -> Level:
         """All starts at one step."""
-        settings = self.settings(integrator, dt)
-        self.spent += self.cost(dt)
+        self.spent += self.cost(integrator, dt)
+        job = partial(self.course.run, self.settings(integrator, dt))
         starts = range(len(self.course.motion.starts))
-        paths = each(partial(self.course.run, settings), starts, bar=bar, threads=self.threads)
+        paths = each(job, starts, bar=bar, threads=self.threads, executor=self.executor)
         return Level(dt, integrator, paths)
 
     def first(self, bar: Progress) -> Reference:
-        """Two integrators at two steps; the one that its own halving moves less is refined."""
+        """Two integrators, three halvings each, and the twins; the better known one."""
         second = "implicitfast" if self.shipped.law == "solref" else "semi-implicit"
-        dt = self.finest / 2
-        found = []
-        scored: np.ndarray | None = None
-        for integrator in ("rk4", second):
-            coarse = self.level(integrator, dt, bar)
-            if coarse.failed is None and scored is None:
-                scored = self.scored(coarse, bar)
-            fine = self.level(integrator, dt / 2, bar)
-            if not coarse.failed and not fine.failed:
-                assert scored is not None
-                self.compare(fine, coarse, scored)
-                found.append((coarse, fine))
-        if not found:
+        begin = HALVINGS[0] if self._fits(HALVINGS[0] * self.finest) else 1.0
+        steps = [self.finest * begin / 2**k for k in range(len(HALVINGS))]
+        for integrator in (second, "rk4"):
+            levels = [self.level(integrator, dt, bar) for dt in steps]
+            whole = [i for i, level in enumerate(levels) if level.failed]
+            levels = levels[whole[-1] + 1 :] if whole else levels
+            if len(levels) > 1:
+                self.chains[integrator] = levels
+            failed = next((level.failed for level in levels[::-1] if level.failed), None)
+        if not self.chains:
             raise ValueError(
-                f"the reference fails at dt = {dt / 2:g} s, so there is nothing to compare with: "
-                f"{fine.failed or coarse.failed}"
+                f"the reference fails at dt = {steps[-1]:g} s, so there is nothing to compare "
+                f"with: {failed}"
             )
-        assert scored is not None
-        found.sort(key=lambda pair: pair[1].distance)
-        best, rest = found[0], found[-1]
-        apart = errors(best[1].paths, rest[1].paths, scored).position if len(found) > 1 else np.nan
-        return Reference(
-            settings=self.settings(best[1].integrator, dt / 2),
-            level=best[1],
-            levels=[*best],
-            agreement=apart,
-            other=rest[1].integrator if len(found) > 1 else "",
-            other_error=rest[1].distance,
-            scored=scored,
-        )
+        base = next(iter(self.chains.values()))[-2]
+        self.size = extent(base.paths, self.course.model.scene)
+        found = self._growth(base, bar)
+        for levels in self.chains.values():
+            for coarse, fine in pairwise(levels):
+                fine.moved = self.apart(coarse, fine, found)
+            self._coarser(levels, found, bar)
+        reference = self._reference(found)
+        if reference.known.high > EAGER * reference.level.distance:
+            self._catch_up(reference, found, bar)
+            reference = self._reference(found, reference.level.integrator)
+        reference.exact = closed(self.course, reference.level.paths)
+        if reference.exact is not None:
+            truth = Level(0.0, "", reference.exact.paths)
+            reference.exact.check = self.apart(reference.level, truth, found).position
+        reference.told()
+        return reference
 
-    def scored(self, level: Level, bar: Progress) -> np.ndarray:
-        """The samples before runs that start 1e-10 apart separate by more than 1e4 times."""
-        course = self.course
-        motion, dofs = course.motion, course.dofs
-        rng = np.random.default_rng(0)
-        near, apart = [], []
-        for start in motion.starts:
-            change = NEARBY * rng.choice([-1.0, 1.0], dofs.nv)
-            near.append(Start(dofs.moved(start.qpos, change), start.qvel))
-            both = np.array([start.qpos, near[-1].qpos])
-            com = course.poses(both, np.zeros((2, dofs.nv))).com
-            moved = np.linalg.norm(com[1] - com[0], axis=-1).max(initial=0.0)
-            apart.append(max(float(moved), NEARBY))
-        shifted = type(motion)(**{**motion.__dict__, "starts": tuple(near)})
-        other = Search(
-            Course(course.model, dofs, shifted), self.shipped, self.finest, 0, self.threads
-        )
-        runs = other.level(level.integrator, level.dt, bar)
-        self.spent += other.spent
-        if runs.failed:
-            return np.ones((len(near), len(motion.times)), bool)
-        return predictable(level.paths, runs.paths, apart, GROWTH)
-
-    def compare(self, fine: Level, coarse: Level, scored: np.ndarray) -> None:
-        """Sets the distance of a level to the one at twice its step."""
-        moved = errors(coarse.paths, fine.paths, scored)
-        fine.distance, fine.largest = moved.position, moved.position_max
-        fine.high, fine.angle = moved.high, moved.angle
+    def alone(self, bar: Progress) -> tuple[Level, Growth]:
+        """One run of every start and its twins, and no reference: how long it can be predicted."""
+        second = "implicitfast" if self.shipped.law == "solref" else "semi-implicit"
+        for dt in (self.finest / 2, self.finest / 8):
+            for integrator in ("rk4", second):
+                base = self.level(integrator, dt, bar)
+                if not base.failed:
+                    self.size = extent(base.paths, self.course.model.scene)
+                    return base, self._growth(base, bar)
+        raise ValueError(f"the scene fails at dt = {dt:g} s: {base.failed}")
 
     def can_refine(self, reference: Reference) -> bool:
         """Whether a further halving is affordable and would still tell something."""
-        level = reference.level
-        if self.spent + self.cost(level.dt / 2) > self.budget:
+        if reference.exact is not None or reference.stalls > 1:
             return False
-        before = [known.distance for known in reference.levels if np.isfinite(known.distance)]
-        return len(before) < 2 or before[-1] < STALLED * before[-2]
+        levels = [self.chains[name][-1] for name in self._coarsest(reference)]
+        cost = sum(self.cost(one.integrator, one.dt / 2) for one in levels)
+        return self.spent + cost <= self.budget
 
     def refine(self, reference: Reference, bar: Progress) -> bool:
-        """Halves the reference's step; False if that run fails."""
-        coarse = reference.level
-        fine = self.level(coarse.integrator, coarse.dt / 2, bar)
+        """Halves the step that decides the reference's error; False if that run fails.
+
+        That is the reference's own where Richardson tells its error; elsewhere that of the
+        integrator which its last halving moved more, or of both.
+        """
+        before = reference.error
+        for name in self._coarsest(reference):
+            if not self._halve(name, reference.growth, bar):
+                return False
+        better = self._reference(reference.growth, reference.level.integrator)
+        stalls = reference.stalls + 1 if better.error > STALLED * before else 0
+        reference.__dict__.update(better.__dict__ | {"stalls": stalls})
+        return True
+
+    def _catch_up(self, reference: Reference, found: Growth, bar: Progress) -> None:
+        """Halves the other integrator's step twice: cheap, where its run decides the error."""
+        for _ in range(2 if reference.other not in ("", "rk4") else 0):
+            if not self._halve(reference.other, found, bar):
+                return
+
+    def _coarsest(self, reference: Reference) -> list[str]:
+        """The integrators that a refinement halves."""
+        own = reference.level.integrator
+        if reference.order is not None or not reference.other:
+            return [own]
+        moved = {name: self.chains[name][-1].distance for name in (own, reference.other)}
+        return [name for name in moved if moved[name] >= max(moved.values()) / 2]
+
+    def _halve(self, integrator: str, found: Growth, bar: Progress) -> bool:
+        """Adds a finer level to an integrator's; False if it fails."""
+        coarse = self.chains[integrator][-1]
+        fine = self.level(integrator, coarse.dt / 2, bar)
         if fine.failed:
             return False
-        self.compare(fine, coarse, reference.scored)
-        reference.levels.append(fine)
-        # Past rounding a finer run is not a better one.
-        if fine.distance <= coarse.distance:
-            reference.level = fine
-            reference.settings = self.settings(fine.integrator, fine.dt)
+        fine.moved = self.apart(coarse, fine, found)
+        self.chains[integrator].append(fine)
         return True
+
+    def apart(self, coarse: Level, fine: Level, found: Growth) -> Errors:
+        """The distance of a level to another, as errors are measured."""
+        return errors(coarse.paths, fine.paths, found.scored)
+
+    def _fits(self, dt: float) -> bool:
+        """Whether a step divides the period."""
+        count = self.course.motion.period / dt
+        return count >= 0.5 and abs(count - round(count)) < 1e-6 * count
+
+    def _growth(self, base: Level, bar: Progress) -> Growth:
+        """That of the twins of a level."""
+        settings = self.settings(base.integrator, base.dt)
+        self.spent += DIRECTIONS * self.cost(base.integrator, base.dt)
+        return growth(
+            self.course, settings, base.paths, self.size, bar, self.threads, self.executor
+        )
+
+    def _coarser(self, levels: list[Level], found: Growth, bar: Progress) -> None:
+        """Adds coarser levels where all there are have met rounding, to see an order at all."""
+        floor = ROUNDING * self.size
+        while (
+            shown([one.distance for one in levels[1:]], floor) is None
+            and levels[1].distance < 1e3 * floor
+            and levels[0].dt < COARSEST * self.finest
+            and self._fits(2 * levels[0].dt)
+        ):
+            coarse = self.level(levels[0].integrator, 2 * levels[0].dt, bar)
+            if coarse.failed:
+                return
+            levels[0].moved = self.apart(coarse, levels[0], found)
+            levels.insert(0, coarse)
+
+    def _reference(self, found: Growth, kept: str | None = None) -> Reference:
+        """That of the integrator which its last halving moved least, or of the one `kept`."""
+        name = kept or min(self.chains, key=lambda one: self.chains[one][-1].distance)
+        levels = self.chains[name]
+        other, rival = self._rival(levels[-1], found)
+        moved = [one.moved for one in levels if one.moved is not None]
+        return Reference(
+            settings=self.settings(name, levels[-1].dt),
+            level=levels[-1],
+            levels=levels,
+            growth=found,
+            known=known(moved, ROUNDING * self.size, rival, other),
+            orders={key: observed([x.distance for x in c[1:]]) for key, c in self.chains.items()},
+            agreement=np.nan if rival is None else rival.position,
+            other=other,
+            other_error=self.chains[other][-1].distance if other else np.nan,
+            stiffens=self.shipped.law in DEPENDENT
+            and any(p.rows or p.overlap for p in levels[-1].paths),
+        )
+
+    def _rival(self, level: Level, found: Growth) -> tuple[str, Errors | None]:
+        """The other integrator, and the distance of its finest run."""
+        for name, levels in self.chains.items():
+            if name != level.integrator:
+                return name, self.apart(levels[-1], level, found)
+        return "", None
 
 
 def smallest(values: Sequence[float]) -> float:

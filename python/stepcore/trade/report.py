@@ -40,7 +40,8 @@ def text(trade: Trade, width: int | None, full: bool) -> str:
     left = len(trade.rows) - len(shown)
     lines = [
         f"{trade.name}: {len(trade.rows)} settings over {seconds(trade.horizon)}, {starts}; "
-        f"reference {label(ref.settings, sweeps=False)}, known to {metres(ref.error)}",
+        f"reference {label(ref.settings, sweeps=False)}, known to {metres(ref.error)} "
+        f"({ref.basis})",
         "",
         Table(records, names, right).text(width),
         "",

@@ -101,6 +101,14 @@ class Trade(Result):
         return next(row for row in self.rows if row.shipped)
 
     @property
+    def predictable(self) -> float:
+        """When the first of the starts can no longer be predicted [s]; inf beyond the horizon.
+
+        Trajectory errors are those before it; see `stepcore.predictability`.
+        """
+        return self.reference.growth.overall
+
+    @property
     def table(self) -> Table:
         """All rows, coarsest step first; units as in `Errors` and `Row`."""
         return Table(row.record() for row in self.rows)
@@ -141,6 +149,13 @@ class Trade(Result):
             "agreement": ref.agreement,
             "other_integrator": ref.other,
             "halvings": [{"dt": level.dt, "distance": level.distance} for level in ref.levels],
+            "basis": ref.basis,
+            "order": ref.order,
+            "orders": ref.orders,
+            "closed_form": None if ref.exact is None else ref.exact.check,
+            "stiffens": ref.stiffens,
+            "predictable": self.predictable,
+            "predictable_starts": ref.growth.ends,
         }
         truth = ref.paths
         own["overlap"] = max(path.overlap for path in truth)

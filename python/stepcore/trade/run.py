@@ -62,6 +62,9 @@ class Course:
         self.layout = Layout(model.scene)
         self.ipos = np.asarray(model.body_ipos, float)[dofs.moving]
         self.mass = np.asarray(model.body_mass, float)[dofs.moving]
+        inertia = np.asarray(model.body_inertia, float)[dofs.moving]
+        spread = np.trace(inertia, axis1=1, axis2=2) / 2 / np.maximum(self.mass, 1e-300)
+        self.gyration = np.sqrt(spread)
         gravity = model.scene.gravity if model.scene.features.gravity else (0.0, 0.0, 0.0)
         self.gravity = np.asarray(gravity, float)
         size = float(np.linalg.norm(self.gravity))
@@ -136,7 +139,7 @@ class Course:
             seen = self.poses(qpos[[0, *at]], qvel[[0, *at]])
             work = np.concatenate([[0.0], np.cumsum(self._work(qpos, qvel, np.array(looks.ctrl)))])
             path.balance = seen.energy[1:] - seen.energy[0] - work[at]
-            path.height = seen.com[1:] @ self.up @ self.mass / max(self.mass.sum(), 1e-300)
+            path.height = self._height(seen)
             path.momentum, path.spin = self.conserved.lost(seen, self.motion, looks.grounded)
             path.joint, path.limit = self.joints.apart(seen), self.joints.beyond(qpos)
         path.com, path.quat, path.kinetic = seen.com[1:], seen.quat[1:], seen.kinetic[1:]
@@ -146,6 +149,20 @@ class Course:
         if not np.all(np.isfinite(path.com)):
             path.failure = "positions overflow"
         return path
+
+    def drawn(self, qpos: np.ndarray, qvel: np.ndarray) -> Path:
+        """The path of states that are known at time 0 and at the samples, and meet nothing."""
+        seen = self.poses(qpos, qvel)
+        n = len(self.motion.times)
+        path = Path(seen.com[1:], seen.quat[1:], np.zeros(n), seen.kinetic[1:])
+        path.height, path.touching = self._height(seen), np.zeros(n)
+        path.slips = [{} for _ in range(n)]
+        return path
+
+    def _height(self, seen: Seen) -> np.ndarray:
+        """Of the centre of mass of all that moves, against gravity, at the samples [m]."""
+        height: np.ndarray = seen.com[1:] @ self.up @ self.mass / max(self.mass.sum(), 1e-300)
+        return height
 
     def _work(self, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
         """Work done on the bodies between two looks by motors and dampers [J].

@@ -1,0 +1,127 @@
+"""How long a scene can be predicted: twins of the reference that start a rounding apart.
+
+Each start is run again with its coordinates moved by 1e-9 of the scene's size, in several seeded
+directions. Until the two are more than 1e3 times as far apart as they began, an error of a setting
+says something of the setting; after that it says how errors grow in the scene, whatever began
+them. Positions alone are moved: in free motion what is moved then stays as far away as it was, and
+whatever grows in the scene soon grows from any direction.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from stepcore._core import Settings
+from stepcore.jobs import each
+from stepcore.progress import Progress
+from stepcore.trade.dofs import Start
+from stepcore.trade.motion import Motion
+from stepcore.trade.run import Course, Path, angle, distance
+
+# Of the scene's size, and of a radian.
+NEARBY = 1e-9
+GROWTH = 1e3
+DIRECTIONS = 3
+
+
+@dataclass(frozen=True)
+class Growth:
+    """How twins separate.
+
+    times [s], shape (n,). factor: how many times further apart than at the start, the largest of
+    the directions, shape (starts, n). ends: when it first passes 1e3 in each start [s], inf if it
+    never does.
+    """
+
+    times: np.ndarray
+    factor: np.ndarray
+    ends: np.ndarray
+
+    @property
+    def overall(self) -> float:
+        """When the first of the starts can no longer be predicted [s]; inf beyond the horizon."""
+        return float(self.ends.min())
+
+    @property
+    def scored(self) -> np.ndarray:
+        """Which samples of each start can be predicted, (starts, n); the first always counts."""
+        mask: np.ndarray = self.times[None, :] <= self.ends[:, None]
+        mask[:, :1] = True
+        return mask
+
+
+def growth(
+    course: Course,
+    settings: Settings,
+    paths: Sequence[Path],
+    size: float,
+    bar: Progress,
+    threads: int = 1,
+    executor: Executor | None = None,
+) -> Growth:
+    """Runs the twins of `paths`, which are those of `settings`; size: of the scene [m].
+
+    A twin that fails where its reference does not says nothing, and is left out.
+    """
+    motion = course.motion
+    count = len(motion.starts)
+    twins = Course(course.model, course.dofs, nearby(course, size))
+    job = partial(twins.run, settings)
+    runs = each(job, range(len(twins.motion.starts)), bar=bar, threads=threads, executor=executor)
+    factor = np.ones((count, len(motion.times)))
+    for k, run in enumerate(runs):
+        start = k % count
+        if not run.failure:
+            far = separation(course, paths[start], run)
+            near = _begun(course, motion.starts[start], twins.motion.starts[k])
+            factor[start] = np.maximum(factor[start], far / near)
+    ends = [_end(motion.times, one) for one in factor]
+    return Growth(motion.times, factor, np.array(ends))
+
+
+def nearby(course: Course, size: float) -> Motion:
+    """The motion from starts moved a little: all of them in one direction, then in the next."""
+    motion, dofs = course.motion, course.dofs
+    rng = np.random.default_rng(0)
+    starts = []
+    for _ in range(DIRECTIONS):
+        for start in motion.starts:
+            sign = dofs.scaled(rng.choice([-1.0, 1.0], dofs.nv), size, 1.0)
+            starts.append(Start(dofs.moved(start.qpos, NEARBY * sign), start.qvel))
+    ctrl = None if motion.ctrl is None else np.concatenate([motion.ctrl] * DIRECTIONS)
+    return dataclasses.replace(motion, starts=tuple(starts), ctrl=ctrl)
+
+
+def separation(course: Course, a: Path, b: Path) -> np.ndarray:
+    """How far the matter of two runs is apart, of the body where it is most [m], shape (n,).
+
+    The root mean square over a body of mass m and inertia I turned by a small angle: centres
+    apart, and the angle times a radius of gyration, √(tr I / 2m).
+    """
+    apart = np.hypot(distance(a, b), course.gyration * angle(a, b))
+    result: np.ndarray = apart.max(axis=1, initial=0.0)
+    return result
+
+
+def _begun(course: Course, one: Start, other: Start) -> float:
+    """How far two starts are apart [m]."""
+    seen = course.poses(np.array([one.qpos, other.qpos]), np.zeros((2, course.dofs.nv)))
+    a, b = (Path(com=seen.com[i : i + 1], quat=seen.quat[i : i + 1]) for i in (0, 1))
+    return max(float(separation(course, a, b)[0]), 1e-300)
+
+
+def _end(times: np.ndarray, factor: np.ndarray) -> float:
+    """When the growth first passes the limit, as if exponential between samples [s]."""
+    over = np.flatnonzero(~(factor <= GROWTH))
+    if not len(over):
+        return np.inf
+    k = int(over[0])
+    before, begun = (0.0, 1.0) if k == 0 else (times[k - 1], max(factor[k - 1], 1e-3))
+    rise = np.log(factor[k] / begun) if np.isfinite(factor[k]) else np.inf
+    return float(before + (times[k] - before) * np.log(GROWTH / begun) / rise)

@@ -1,0 +1,85 @@
+"""How well a converged motion is known: from the order that halvings show, or from a second way.
+
+Richardson: if the error falls as dt^p, the distance d between runs at dt and dt/2 puts the error of
+the finer at d/(2^p - 1). That holds only where p is seen, in three halvings, to be what the
+method's order can be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from stepcore.trade.errors import Errors
+
+ORDERS = (1, 2, 4)
+# An order counts that is within this share of one of them.
+CLOSE = 0.2
+
+
+def observed(distances: Sequence[float]) -> list[float]:
+    """The order between each two halvings: log2 of how much less the next moved the motion."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return [float(np.log2(np.divide(a, b))) for a, b in pairwise(distances)]
+
+
+def shown(distances: Sequence[float], floor: float) -> int | None:
+    """The order that three halvings show and the finer ones keep, or None.
+
+    distances: between a run and the next finer, coarsest first. floor: below it they are rounding.
+
+    >>> shown([4e-3, 1e-3, 2.5e-4], floor=0.0), shown([4e-3, 1e-3, 1.5e-4], floor=0.0)
+    (2, None)
+    """
+    found: int | None = None
+    orders = observed(distances)
+    for k, order in enumerate(orders):
+        kept = found is not None and order >= (1 - CLOSE) * found
+        if not (kept or distances[k + 1] <= floor):
+            found = None
+        for nominal in ORDERS:
+            close = [p for p in orders[k : k + 2] if abs(p - nominal) <= CLOSE * nominal]
+            if len(close) == 2 and distances[k + 2] > floor:
+                found = nominal
+    return found
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a converged motion may be wrong by; see `stepcore.trade.reference.Reference`."""
+
+    error: float
+    largest: float
+    high: float
+    angle: float
+    basis: str
+    order: int | None
+
+
+def known(halvings: Sequence[Errors], floor: float, rival: Errors | None, other: str) -> Known:
+    """The error of the finest run, each measure by its own order or else by the rival.
+
+    halvings: how far each moved the motion, coarsest first. rival: distance to the finest run of
+    another integrator, named `other`. Without an order the error is twice that distance, and not
+    less than the last halving moved.
+    """
+
+    def sure(name: str) -> float:
+        distances = [float(getattr(one, name)) for one in halvings]
+        order, last = shown(distances, floor), distances[-1]
+        if order is not None:
+            return last if last <= floor else last / (2**order - 1)
+        return 2 * last if rival is None else max(2 * float(getattr(rival, name)), last)
+
+    order = shown([one.position for one in halvings], floor)
+    if order is not None:
+        basis = f"Richardson, order {order}"
+    elif rival is not None:
+        basis = f"twice the distance to {other}"
+    else:
+        basis = "twice what the last halving moved it: no other integrator runs"
+    error, largest = sure("position"), sure("position_max")
+    return Known(error, largest, sure("high"), sure("angle"), basis, order)
