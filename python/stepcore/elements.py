@@ -268,7 +268,10 @@ class MassRules(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Features(Element):
-    """What MJCF's flags can switch off in the model itself; every field is True or False."""
+    """What can be switched off in the model itself; every field is True or False.
+
+    All but `coriolis` (Coriolis, centrifugal and gyroscopic forces) are MJCF's flags.
+    """
 
     constraint: Flag = True
     equality: Flag = True
@@ -282,6 +285,7 @@ class Features(Element):
     actuation: Flag = True
     filterparent: Flag = True
     eulerdamp: Flag = True
+    coriolis: Flag = True
 
     def __str__(self) -> str:
         return "features"

@@ -153,6 +153,33 @@ impl Model {
         self.0.pairs.iter().map(|pair| (pair.geom1, pair.geom2)).collect()
     }
 
+    /// What compiling decided: by pair, by tree, by body and by geom, in the model's order.
+    fn plan<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let m = &*self.0;
+        let plan = PyDict::new(py);
+        let unmet =
+            m.unmet().into_iter().map(|(why, unmet)| (why.why(), unmet.count, unmet.examples));
+        plan.set_item("unmet", unmet.collect::<Vec<_>>())?;
+        let pairs = m.pairs.iter();
+        plan.set_item("condim", pairs.clone().map(|p| p.condim).collect::<Vec<_>>())?;
+        plan.set_item("friction", pairs.clone().map(|p| p.friction).collect::<Vec<_>>())?;
+        plan.set_item("still", pairs.clone().map(|p| p.still).collect::<Vec<_>>())?;
+        plan.set_item("apart", pairs.map(|p| p.apart).collect::<Vec<_>>())?;
+        let guards = m.guards.iter().map(|g| (g.joint, g.low, g.high));
+        plan.set_item("guards", guards.collect::<Vec<_>>())?;
+        let trees = m.trees.iter();
+        let spans = trees.clone().map(|t| (t.bodies.start, t.bodies.len, t.dofs.start, t.dofs.len));
+        plan.set_item("trees", spans.collect::<Vec<_>>())?;
+        plan.set_item("slides", trees.clone().map(|t| t.slides_only).collect::<Vec<_>>())?;
+        plan.set_item("constant", trees.clone().map(|t| t.constant).collect::<Vec<_>>())?;
+        plan.set_item("seen", trees.clone().map(|t| t.seen).collect::<Vec<_>>())?;
+        plan.set_item("gyroscopic", trees.map(|t| m.gyroscopic(t)).collect::<Vec<_>>())?;
+        plan.set_item("turns", m.bodies.iter().map(|b| b.turns).collect::<Vec<_>>())?;
+        plan.set_item("collides", m.geoms.iter().map(|g| g.collides).collect::<Vec<_>>())?;
+        plan.set_item("islands", m.islands())?;
+        Ok(plan)
+    }
+
     /// Time, qpos, qvel and ctrl of every keyframe, defaults filled in.
     #[allow(clippy::type_complexity)]
     fn keys(&self) -> Vec<(f64, Vec<f64>, Vec<f64>, Vec<f64>)> {

@@ -93,6 +93,7 @@ record!(Features {
     actuation,
     filterparent,
     eulerdamp,
+    coriolis,
 });
 record!(Scene {
     name,

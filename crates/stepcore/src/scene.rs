@@ -297,7 +297,7 @@ impl Default for MassRules {
     }
 }
 
-/// What MJCF's flags switch off in the model itself; each is MJCF's flag of that name.
+/// What can be switched off in the model itself; but for `coriolis`, MJCF's flags of that name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features {
     pub constraint: bool,
@@ -313,6 +313,9 @@ pub struct Features {
     pub filterparent: bool,
     /// MJCF's `eulerdamp`: the `euler` integrator treats joint damping implicitly.
     pub eulerdamp: bool,
+    /// Coriolis, centrifugal and gyroscopic forces. MJCF has no flag for them: they are off
+    /// only where it is measured what they matter.
+    pub coriolis: bool,
 }
 
 impl Default for Features {
@@ -330,6 +333,7 @@ impl Default for Features {
             actuation: true,
             filterparent: true,
             eulerdamp: true,
+            coriolis: true,
         }
     }
 }

@@ -42,7 +42,7 @@ impl<R: Real> Sim<R> {
     }
 
     pub(crate) fn detect_and_solve(&mut self) -> Result<()> {
-        self.detected.detect(&self.model, &self.placed, &self.settings);
+        self.detected.detect(&self.model, &self.placed, &self.settings, &self.state.qpos);
         let now = Situation {
             model: &self.model,
             placed: &self.placed,

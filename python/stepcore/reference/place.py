@@ -140,7 +140,7 @@ def stretch(model: Model, joint: dict[str, Any], qpos: Array) -> Array:
 def known_forces(sim: Sim, placed: Placed, qpos: Array, v: Array) -> Array:
     """Every force that no row decides: applied, actuation, springs, dampers, minus the bias."""
     model, on = sim.model, sim.model.scene["features"]
-    force = sim.qfrc_applied - bias(model, placed, v)
+    force = sim.qfrc_applied - bias(model, placed, v if on["coriolis"] else 0 * v)
     for b in np.flatnonzero(sim.xfrc_applied.any(axis=1)):
         linear, spin = jacobians(model, placed, b, placed.com[b])
         force = force + sim.xfrc_applied[b, :3] @ linear + sim.xfrc_applied[b, 3:] @ spin

@@ -12,7 +12,6 @@
 use crate::model::{Model, Tree};
 use crate::place::Metric;
 use crate::real::Real;
-use crate::scene::JointType;
 use crate::sim::Sim;
 use crate::spatial::{rotate, rotate_back, M3, V3};
 
@@ -37,19 +36,9 @@ impl<R: Real> Damped<R> {
             impulse: vec![R::zero(); model.nv],
             change: vec![R::zero(); model.nv],
             damped: has(&damping),
-            gyroscopic: has(&|tree| gyroscopic(model, tree)),
+            gyroscopic: has(&|tree| model.gyroscopic(tree)),
         }
     }
-}
-
-/// One free joint, nothing jointed on it, and not a ball about its own centre.
-fn gyroscopic(model: &Model, tree: &Tree) -> bool {
-    let body = &model.bodies[tree.bodies.start];
-    let free = tree.dofs.len == 6 && body.joints.of(&model.joints)[0].kind == JointType::Free;
-    let i = &body.inertia;
-    let isotropic =
-        i.m11 == i.m22 && i.m22 == i.m33 && i.m12 == 0.0 && i.m13 == 0.0 && i.m23 == 0.0;
-    free && !(tree.bodies.len == 1 && isotropic && body.ipos == V3::zeros())
 }
 
 impl<R: Real> Sim<R> {

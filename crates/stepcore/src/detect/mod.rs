@@ -50,18 +50,19 @@ impl<R: Real> Detected<R> {
     }
 
     /// Lists the contacts of the present positions.
-    pub fn detect(&mut self, model: &Model, placed: &Placed<R>, settings: &Settings) {
+    pub fn detect(&mut self, model: &Model, placed: &Placed<R>, settings: &Settings, qpos: &[R]) {
         self.contacts.clear();
         if !(model.features.contact && model.features.constraint) {
             return;
         }
         // Laws that look at the guess need every distance; the row maker drops what stays apart.
         let on_guess = settings.law.on_guess();
+        let skips = !on_guess && !beyond(model, qpos);
         for (index, pair) in model.pairs.iter().enumerate() {
-            if !on_guess && far(model, placed, pair) {
+            if skips && pair.apart || !on_guess && far(model, placed, pair) {
                 continue;
             }
-            let touches = meet(model, placed, pair);
+            let touches = meet(model, placed, pair.geom1, pair.geom2);
             let listed = R::of(if on_guess { f64::INFINITY } else { pair.margin + pair.gap });
             for (part, touch) in touches.list[..touches.count].iter().enumerate() {
                 let mask = touch.exists.and(touch.dist.lt(listed));
@@ -99,6 +100,22 @@ impl<R: Real> Contact<R> {
     }
 }
 
+/// In some lane a joint is where pairs that its range keeps apart may meet after all.
+fn beyond<R: Real>(model: &Model, qpos: &[R]) -> bool {
+    model.guards.iter().any(|guard| {
+        let q = qpos[guard.at];
+        let inside = q.ge(R::of(guard.low)).and(q.le(R::of(guard.high)));
+        !inside.all()
+    })
+}
+
+/// The smallest distance of two geoms [m], for shapes that can be tested.
+pub(crate) fn distance(model: &Model, placed: &Placed<f64>, geom1: usize, geom2: usize) -> f64 {
+    let touches = meet(model, placed, geom1, geom2);
+    let there = touches.list[..touches.count].iter().filter(|touch| touch.exists);
+    there.map(|touch| touch.dist).fold(f64::INFINITY, f64::min)
+}
+
 /// No lane can have a contact: the bounding spheres are apart.
 fn far<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> bool {
     let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
@@ -113,9 +130,9 @@ fn far<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> bool {
 }
 
 /// The exact test of one pair. The builder lets no other pair of shapes through.
-fn meet<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> Touches<R> {
-    let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
-    let (p1, p2) = (&placed.geom[pair.geom1], &placed.geom[pair.geom2]);
+fn meet<R: Real>(model: &Model, placed: &Placed<R>, geom1: usize, geom2: usize) -> Touches<R> {
+    let (g1, g2) = (&model.geoms[geom1], &model.geoms[geom2]);
+    let (p1, p2) = (&placed.geom[geom1], &placed.geom[geom2]);
     let (r1, h1) = (R::of(g1.size[0]), R::of(g1.size[1]));
     let (r2, h2) = (R::of(g2.size[0]), R::of(g2.size[1]));
     use GeomType::{Box, Capsule, Plane, Sphere};

@@ -1,6 +1,6 @@
 //! From a `Scene` to a `Model`: check, lay out, weigh, pair.
 
-use super::{check, inertia, invweight, pairs, pose, tree, Model};
+use super::{apart, check, inertia, invweight, pairs, pose, tree, Model};
 use crate::error::Result;
 use crate::scene::Scene;
 
@@ -26,7 +26,11 @@ impl Model {
                 .chain(tied.iter().copied());
             let seen = met.into_iter().any(|b| model.bodies[b].tree == tree);
             model.trees[tree].seen = seen || !model.trees[tree].slides_only;
+            let ball = model.free_ball(&model.trees[tree]);
+            let loose = !tied.iter().any(|b| model.bodies[*b].tree == tree);
+            model.trees[tree].constant = model.trees[tree].slides_only || ball && loose;
         }
+        apart::fill(&mut model);
         Ok(model)
     }
 }

@@ -3,11 +3,13 @@
 //! Numbers are `f64` in SI units; a stage turns them into its own number with `Real::of`.
 //! Fields that a `Scene` has too mean here what they mean there.
 
+mod apart;
 mod build;
 mod check;
 mod inertia;
 mod invweight;
 mod pairs;
+mod plan;
 mod pose;
 mod shape;
 mod still;
@@ -15,8 +17,12 @@ mod still;
 mod tests;
 mod tree;
 
+pub use pairs::Never;
+pub use plan::Unmet;
+
 use crate::scene::{Actuator, Features, GeomType, JointType, Key, Softness};
 use nalgebra::{Matrix3, Vector3};
+use std::collections::HashSet;
 
 /// Index of something absent: the parent of a root dof, the tree of a fixed body.
 pub const NONE: usize = usize::MAX;
@@ -119,8 +125,11 @@ pub struct Tree {
     pub bodies: Span,
     pub dofs: Span,
     pub mass: f64,
-    /// Only slide joints: the mass matrix, its factors and the gravity force are constant.
+    /// Only slide joints.
     pub slides_only: bool,
+    /// The mass matrix, its factors and the bias force never change: it only slides, or it
+    /// is a free ball about its own centre, which nothing ties.
+    pub constant: bool,
     /// Its poses enter a step: something turns, collides or is tied.
     pub seen: bool,
 }
@@ -136,6 +145,9 @@ pub struct Geom {
     pub quat: [f64; 4],
     /// Radius of the sphere about `pos` that holds the shape; infinite for a plane.
     pub reach: f64,
+    /// As in the scene.
+    pub contype: u32,
+    pub conaffinity: u32,
     /// Takes part in some pair, so that its pose is needed.
     pub collides: bool,
 }
@@ -169,8 +181,21 @@ pub struct Pair {
     pub dofs: Span,
     /// Mass of the trees that the contact touches, for residuals.
     pub mass: f64,
-    /// Tangents along which nothing can move, known when compiled (see `model/pairs.rs`).
+    /// Tangents along which nothing can move, known when compiled (see `model/still.rs`).
     pub still: [bool; 2],
+    /// The ranges of joints keep the two apart: it is tested only while one of `Model::guards`
+    /// is left (see `model/apart.rs`).
+    pub apart: bool,
+}
+
+/// The positions of a joint within which pairs are apart: its range, widened.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Guard {
+    pub joint: usize,
+    /// Into qpos.
+    pub at: usize,
+    pub low: f64,
+    pub high: f64,
 }
 
 /// `connect`: a point of `body1` and a point of `body2` are one.
@@ -205,6 +230,10 @@ pub struct Model {
     pub geoms: Vec<Geom>,
     pub sites: Vec<Site>,
     pub pairs: Vec<Pair>,
+    /// Pairs of bodies whose geoms never meet, the smaller index first.
+    pub excludes: HashSet<(usize, usize)>,
+    /// What pairs that are apart rely on.
+    pub guards: Vec<Guard>,
     pub equalities: Vec<Equality>,
     pub actuators: Vec<Actuator>,
     pub keys: Vec<Key>,
@@ -218,6 +247,28 @@ pub struct Model {
 }
 
 impl Model {
+    /// One free joint and nothing jointed on it, the mass a ball's about the joint's own
+    /// centre: it has no gyroscopic force, and its mass matrix is diagonal.
+    pub fn free_ball(&self, tree: &Tree) -> bool {
+        let body = &self.bodies[tree.bodies.start];
+        let i = &body.inertia;
+        let isotropic =
+            i.m11 == i.m22 && i.m22 == i.m33 && i.m12 == 0.0 && i.m13 == 0.0 && i.m23 == 0.0;
+        let alone = tree.bodies.len == 1 && self.free_alone(tree);
+        alone && isotropic && body.ipos == Vector3::zeros()
+    }
+
+    /// A single free body, whatever is fixed to it.
+    pub fn free_alone(&self, tree: &Tree) -> bool {
+        let joints = self.bodies[tree.bodies.start].joints.of(&self.joints);
+        tree.dofs.len == 6 && joints[0].kind == JointType::Free
+    }
+
+    /// Single free bodies whose bias force has a derivative that `implicitfast` takes.
+    pub fn gyroscopic(&self, tree: &Tree) -> bool {
+        self.features.coriolis && self.free_alone(tree) && !self.free_ball(tree)
+    }
+
     /// A dof and its ancestors, ascending: the head of its body's chain.
     pub fn chain_of_dof(&self, k: usize) -> Span {
         let body = &self.bodies[self.dofs[k].body];

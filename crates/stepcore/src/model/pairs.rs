@@ -9,7 +9,6 @@ use super::{Equality, Model, Pair, NONE};
 use crate::error::{Error, Result};
 use crate::scene::{Geom, GeomType, Scene, Softness};
 use nalgebra::Vector3;
-use std::collections::HashSet;
 
 /// A plane is fixed to the world, as in MuJoCo.
 pub fn planes_stand_still(model: &Model) -> Result<()> {
@@ -25,27 +24,81 @@ pub fn planes_stand_still(model: &Model) -> Result<()> {
     Ok(())
 }
 
+/// Why two geoms never meet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Never {
+    /// Contacts are switched off.
+    Off,
+    SameBody,
+    /// No joint stands between their bodies.
+    Fixed,
+    /// One body is the parent of the other.
+    Family,
+    Excluded,
+    /// No bit of one's contype is in the other's conaffinity.
+    Bits,
+    /// Two planes.
+    Planes,
+}
+
+impl Model {
+    /// Why no geom of these two bodies can meet one of the other, or None.
+    pub fn never_between(&self, body1: usize, body2: usize) -> Option<Never> {
+        let (weld1, weld2) = (self.bodies[body1].weld, self.bodies[body2].weld);
+        let above = |weld: usize| self.bodies[self.bodies[weld].parent].weld;
+        let family = weld1 != 0 && weld2 != 0 && (weld1 == above(weld2) || weld2 == above(weld1));
+        if !(self.features.contact && self.features.constraint) {
+            Some(Never::Off)
+        } else if body1 == body2 {
+            Some(Never::SameBody)
+        } else if weld1 == weld2 {
+            Some(Never::Fixed)
+        } else if self.excludes.contains(&(body1.min(body2), body1.max(body2))) {
+            Some(Never::Excluded)
+        } else {
+            // The world is no one's family.
+            (self.features.filterparent && family).then_some(Never::Family)
+        }
+    }
+
+    /// Why these two geoms cannot meet although their bodies may, or None.
+    pub fn never(&self, a: usize, b: usize) -> Option<Never> {
+        let (x, y) = (&self.geoms[a], &self.geoms[b]);
+        if x.contype & y.conaffinity | y.contype & x.conaffinity == 0 {
+            return Some(Never::Bits);
+        }
+        let planes = x.kind == GeomType::Plane && y.kind == GeomType::Plane;
+        planes.then_some(Never::Planes)
+    }
+
+    /// Two geoms in the order of their types.
+    fn ordered(&self, a: usize, b: usize) -> (usize, usize) {
+        if self.geoms[a].kind > self.geoms[b].kind {
+            (b, a)
+        } else {
+            (a, b)
+        }
+    }
+}
+
 /// Pairs in MuJoCo's order of contacts: by the two bodies, then by the geoms.
 pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Unions) -> Result<()> {
-    if !(scene.features.contact && scene.features.constraint) {
-        return Ok(());
-    }
     let mut geoms = vec![vec![]; scene.bodies.len()];
     for (i, g) in scene.geoms.iter().enumerate() {
         if g.contype != 0 || g.conaffinity != 0 {
             geoms[g.body].push(i);
         }
     }
-    let excludes: HashSet<_> = scene.excludes.iter().map(|[a, b]| (*a.min(b), *a.max(b))).collect();
     let full: Vec<usize> = (0..geoms.len()).filter(|b| !geoms[*b].is_empty()).collect();
     for (k, &body1) in full.iter().enumerate() {
         for &body2 in &full[k + 1..] {
-            if excludes.contains(&(body1, body2)) || !may_touch(model, body1, body2) {
+            if model.never_between(body1, body2).is_some() {
                 continue;
             }
             let mut found = vec![];
             for &a in &geoms[body1] {
-                found.extend(geoms[body2].iter().filter_map(|&b| candidate(scene, a, b)));
+                let others = geoms[body2].iter().filter(|b| model.never(a, **b).is_none());
+                found.extend(others.map(|&b| model.ordered(a, b)));
             }
             found.sort_unstable();
             for (a, b) in found {
@@ -57,22 +110,6 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Union
         }
     }
     Ok(())
-}
-
-/// Not fixed to one another; nor one the parent of the other, the world excepted.
-fn may_touch(model: &Model, body1: usize, body2: usize) -> bool {
-    let (weld1, weld2) = (model.bodies[body1].weld, model.bodies[body2].weld);
-    let above = |weld: usize| model.bodies[model.bodies[weld].parent].weld;
-    let family = weld1 != 0 && weld2 != 0 && (weld1 == above(weld2) || weld2 == above(weld1));
-    weld1 != weld2 && !(model.features.filterparent && family)
-}
-
-/// The two geoms in the order of their types, if their bits let them collide.
-fn candidate(scene: &Scene, a: usize, b: usize) -> Option<(usize, usize)> {
-    let (x, y) = (&scene.geoms[a], &scene.geoms[b]);
-    let bits = x.contype & y.conaffinity | y.contype & x.conaffinity;
-    let planes = x.kind == GeomType::Plane && y.kind == GeomType::Plane;
-    (bits != 0 && !planes).then_some(if x.kind > y.kind { (b, a) } else { (a, b) })
 }
 
 fn supported(one: GeomType, two: GeomType) -> bool {
@@ -120,6 +157,7 @@ fn pair(
         dofs,
         mass: touched_mass(model, x.body, y.body),
         still: if condim == 1 { [false; 2] } else { still(model, poses, a, b) },
+        apart: false,
     })
 }
 

@@ -22,6 +22,8 @@ pub fn lay_out(scene: &Scene) -> Model {
         geoms: scene.geoms.iter().map(geom).collect(),
         sites: vec![],
         pairs: vec![],
+        excludes: scene.excludes.iter().map(|[a, b]| (*a.min(b), *a.max(b))).collect(),
+        guards: vec![],
         equalities: vec![],
         actuators: scene.actuators.clone(),
         keys: scene.keys.clone(),
@@ -62,6 +64,7 @@ fn body(model: &mut Model, scene: &Scene, i: usize, joints: Span) {
             dofs: Span { start: model.nv, len: 0 },
             mass: 0.0,
             slides_only: true,
+            constant: false,
             seen: true,
         });
     }
@@ -185,6 +188,8 @@ fn geom(source: &crate::scene::Geom) -> Geom {
         pos: Vector3::from(source.pos),
         quat: unit_quat(source.quat),
         reach,
+        contype: source.contype,
+        conaffinity: source.conaffinity,
         collides: false,
     }
 }

@@ -58,12 +58,25 @@ impl<R: Real> Placed<R> {
     /// The force on each dof that holds those accelerations.
     pub(super) fn bias_of_tree(&mut self, model: &Model, tree: usize) {
         let tree = &model.trees[tree];
+        if !model.features.coriolis {
+            return self.weight_of_tree(model, tree);
+        }
         for index in tree.bodies.range() {
             let (v, a) = (&self.velocity[index], &self.acceleration[index]);
             let inertia = &self.inertia[index];
             let mut wrench = inertia.mul(a);
             wrench.add(&v.cross_force(&inertia.mul(v)));
             self.wrench[index] = wrench;
+        }
+        self.wrench_to_dofs(model, tree);
+    }
+
+    /// The same without what velocities contribute: the force that carries the weight.
+    fn weight_of_tree(&mut self, model: &Model, tree: &Tree) {
+        let gravity = if model.features.gravity { model.gravity } else { Default::default() };
+        let up = Motion { ang: splat(&Default::default()), lin: -splat::<R>(&gravity) };
+        for index in tree.bodies.range() {
+            self.wrench[index] = self.inertia[index].mul(&up);
         }
         self.wrench_to_dofs(model, tree);
     }

@@ -132,13 +132,31 @@ impl<R: Real> Placed<R> {
         }
     }
 
+    /// The poses of some bodies, each after its parent, and of some geoms on them.
+    pub(crate) fn place_some(
+        &mut self,
+        model: &Model,
+        qpos: &[R],
+        bodies: &[usize],
+        geoms: &[usize],
+    ) {
+        for body in bodies {
+            self.place_body(model, qpos, *body);
+        }
+        for geom in geoms {
+            self.place_geom(model, *geom);
+        }
+    }
+
     /// The smooth dynamics at (qpos, qvel): M, its factors, and the forces.
     pub fn dynamics(&mut self, model: &Model, qpos: &[R], qvel: &[R], inputs: &Inputs<R>) {
         for (index, tree) in model.trees.iter().enumerate() {
-            if !tree.slides_only {
+            if !tree.constant {
                 self.weigh(model, tree);
                 self.factor_mass(model, tree);
-                self.velocities(model, qvel, tree);
+                if model.features.coriolis || !model.equalities.is_empty() {
+                    self.velocities(model, qvel, tree);
+                }
                 self.bias_of_tree(model, index);
             }
         }
@@ -146,7 +164,7 @@ impl<R: Real> Placed<R> {
     }
 
     /// Inertia and velocity of every body about its tree's origin; `dynamics` skips trees
-    /// that only slide, whose bodies move against that origin all the same.
+    /// whose dynamics are constant, and whose bodies move all the same.
     pub fn all_bodies(&mut self, model: &Model, qvel: &[R]) {
         for tree in &model.trees {
             self.weigh(model, tree);

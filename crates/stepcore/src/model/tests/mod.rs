@@ -1,5 +1,6 @@
 //! The builder against closed forms and MuJoCo's rules; here what the tests share.
 
+mod apart;
 mod pairs;
 mod refused;
 mod weights;
