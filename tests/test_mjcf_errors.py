@@ -25,6 +25,14 @@ def motor(attributes: str, before: str = "") -> str:
     )
 
 
+def servo(tag: str, attributes: str) -> str:
+    return f'<actuator><{tag} joint="j" {attributes}/></actuator>'
+
+
+def wrong_servo(tag: str, attributes: str, joint: str = "", before: str = "") -> str:
+    return body(f'<joint name="j" {joint}/>', before, servo(tag, attributes))
+
+
 # (text, line of the error, part of the message)
 MISTAKES = {
     "unknown attribute": (
@@ -122,6 +130,35 @@ MISTAKES = {
         3,
         "actrange",
     ),
+    "negative kv": (wrong_servo("position", 'kv="-1"'), 3, "kv = -1.0: must be >= 0"),
+    "negative dampratio": (wrong_servo("position", 'dampratio="-1"'), 3, "dampratio = -1.0"),
+    "negative timeconst": (wrong_servo("position", 'timeconst="-1"'), 3, "timeconst = -1.0"),
+    "two dampings": (wrong_servo("position", 'kv="1" dampratio="1"'), 3, "both kv and dampratio"),
+    "damping ratio of a pushing servo": (
+        wrong_servo("position", 'kp="-1" dampratio="1"'),
+        3,
+        "kp = -1.0: must be >= 0",
+    ),
+    "kp of a velocity servo": (wrong_servo("velocity", 'kp="1"'), 3, 'unknown attribute "kp"'),
+    "kp that is no number": (wrong_servo("position", 'kp="nan"'), 3, "1 finite number"),
+    "two ranges": (
+        wrong_servo("position", 'ctrlrange="0 1" inheritrange="1"', 'range="0 1"'),
+        3,
+        "both ctrlrange and inheritrange",
+    ),
+    "no range to inherit": (
+        wrong_servo("position", 'inheritrange="1"'),
+        3,
+        'joint "j" has no range',
+    ),
+    "an unknown dyntype": (wrong_servo("general", 'dyntype="pdi"'), 3, "pid"),
+    "activations of nothing": (wrong_servo("general", 'actdim="1"'), 3, "actdim = 1"),
+    "unknown input": (wrong_servo("general", 'input="speed"'), 3, "pos, vel or pressure"),
+    "bad gains in a class": (
+        wrong_servo("position", "", "", '<default><position kv="-1"/></default>'),
+        1,
+        "kv = -1.0",
+    ),
     "unknown body": (
         world("", "", '<contact><exclude body1="a" body2="world"/></contact>'),
         3,
@@ -180,8 +217,13 @@ UNBUILT = {
     "<fixed> in <tendon>": ("", "<tendon><fixed/></tendon>"),
     "<weld> in <equality>": ("", '<equality><weld body1="b"/></equality>'),
     "<pair> in <contact>": ("", '<contact><pair geom1="g" geom2="g"/></contact>'),
-    "<position> in <actuator>": ("", '<actuator><position joint="j"/></actuator>'),
-    "<general> in <actuator>": ("", '<actuator><general joint="j"/></actuator>'),
+    "<intvelocity> in <actuator>": ("", '<actuator><intvelocity joint="j"/></actuator>'),
+    "<muscle> in <actuator>": ("", '<actuator><muscle joint="j"/></actuator>'),
+    "(timeconst)": ('<joint name="j"/>', servo("position", 'timeconst=".1"')),
+    'dyntype="integrator"': ('<joint name="j"/>', servo("general", 'dyntype="integrator"')),
+    'gaintype="affine"': ('<joint name="j"/>', servo("general", 'gaintype="affine"')),
+    'biastype="muscle"': ('<joint name="j"/>', servo("general", 'biastype="muscle"')),
+    "<general> that acts through body": ("", '<actuator><general body="b"/></actuator>'),
     "<plugin> in <extension>": ("", '<extension><plugin plugin="a"/></extension>'),
     "<flex> in <deformable>": ("", "<deformable><flex/></deformable>"),
     "<flexcomp> in <body>": ("<flexcomp/>", ""),
@@ -253,6 +295,14 @@ def test_what_is_not_built_is_refused_by_name(what: str) -> None:
     assert str(caught.value).endswith("is not built yet")
 
 
+def test_a_servo_on_a_ball_is_refused_by_name() -> None:
+    says = r"m\.xml:3: .*a servo on a (ball|free) joint is not"
+    for joint in ('<joint name="j" type="ball"/>', '<freejoint name="j"/>'):
+        for tag in ("position", "velocity"):
+            with pytest.raises(MJCFError, match=says):
+                loads(body(joint, "", servo(tag, "")), name="m.xml")
+
+
 def test_values_without_effect_are_accepted() -> None:
     loads(
         body(
@@ -262,7 +312,11 @@ def test_values_without_effect_are_accepted() -> None:
             '<frame scale="1 1 1" massscale="0"/>',
             '<compiler alignfree="false" fusestatic="false"/><option density="0" wind="1 0 0"'
             ' noslip_iterations="0"><flag sleep="disable" multiccd="enable"/></option>',
-            '<actuator><motor joint="j" damping="0" armature="0" delay="0"/></actuator>',
+            '<actuator><motor joint="j" damping="0" armature="0" delay="0"/>'
+            '<position joint="j" timeconst="0" kv="0" inheritrange="0"/>'
+            '<general joint="j" dyntype="none" dynprm="1 2" actdim="0" actearly="true"'
+            ' input="pos"/>'
+            "</actuator>",
         )
     )
 

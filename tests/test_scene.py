@@ -93,6 +93,9 @@ def test_bodies_become_depth_first_and_indices_follow() -> None:
             "gear": [3, 0, 0, 0, 0, 0],
             "ctrlrange": [-1, 1],
             "forcerange": None,
+            "gain": 1,
+            "bias": [0, 0, 0],
+            "dampratio": 0,
         }
     ]
     assert (plain["equalities"][0]["body1"], plain["equalities"][0]["body2"]) == (2, 4)

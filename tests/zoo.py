@@ -124,6 +124,38 @@ _add(
       <motor joint="a" gear=".1"/></actuator>""",
 )
 
+# Six joints, each with a servo of another kind; their forces are often at their bounds.
+_add(
+    "servo_arm",
+    f"""
+    <body pos="0 0 .2"><joint name="j1" axis="0 0 1" damping=".5" armature=".1" range="-90 90"/>
+      <geom type="capsule" size=".06" fromto="0 0 0 0 0 .2" {INERT}/>
+      <body pos="0 0 .2"><joint name="j2" axis="0 1 0" armature=".1"/>
+        <geom type="capsule" size=".05" fromto="0 0 0 .3 0 0" {INERT}/>
+        <body pos=".3 0 0"><joint name="j3" axis="0 1 0" armature=".05" damping=".2"/>
+          <geom type="capsule" size=".04" fromto="0 0 0 .25 0 0" {INERT}/>
+          <body pos=".25 0 0"><joint name="j4" axis="1 0 0" armature=".01"/>
+            <geom type="capsule" size=".035" fromto="0 0 0 .1 0 0" {INERT}/>
+            <body pos=".1 0 0"><joint name="j5" axis="0 1 0" ref="20"/>
+              <geom type="capsule" size=".03" fromto="0 0 0 .08 0 0" {INERT}/>
+              <body pos=".08 0 0"><joint name="j6" type="slide" axis="1 0 0"/>
+                <geom type="box" size=".02 .04 .01" {INERT}/>
+              </body></body></body></body></body></body>
+    """,
+    extra="""<actuator>
+      <position name="s1" joint="j1" kp="200" dampratio="1" inheritrange=".9"/>
+      <position name="s2" joint="j2" kp="300" kv="20" forcerange="-30 30"/>
+      <position name="s3" joint="j3" kp="4" dampratio=".5" gear="5" ctrlrange="-2 2"
+        forcerange="-3 4"/>
+      <velocity name="s4" joint="j4" kv=".8" gear="2" forcerange="-.5 .5"/>
+      <general name="s5" joint="j5" gainprm="7" biastype="affine" biasprm=".1 -5 -.02"/>
+      <position name="s6" joint="j6" kp="500" dampratio="1.2" gear="-1"/>
+      <velocity name="s7" joint="j1" kv="-.3"/>
+      <motor name="m" joint="j2" gear="2"/></actuator>""",
+    speed=2.0,
+    dt=0.002,
+)
+
 # --- friction loss, limits, connect -------------------------------------------------------------
 
 _add(

@@ -21,6 +21,7 @@ SOLIMP: Vec = (0.9, 0.95, 0.001, 0.5, 2.0)
 JOINT_TYPES = ("free", "ball", "slide", "hinge")
 FRICTION: Vec = (1.0, 0.005, 0.0001)
 GEAR: Vec = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+ACTUATOR_TYPES = ("motor", "position", "velocity", "general")
 GEOM_TYPES = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box")
 
 
@@ -28,6 +29,7 @@ GEOM_TYPES = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box")
 Text = Annotated[str, checks.text]
 Flag = Annotated[bool, checks.flag]
 Real = Annotated[float, checks.real()]
+Gain = Annotated[float | None, checks.optional(checks.real())]
 NonNegative = Annotated[float, checks.real(low=0)]
 Mass = Annotated[float | None, checks.optional(checks.real(low=0))]
 Int = Annotated[int, checks.whole(-(2**31), 2**31 - 1)]
@@ -38,6 +40,7 @@ Quat = Annotated[Vec, checks.unit(4)]
 Size = Annotated[Vec, checks.vector(3, low=0, fill=(0.0, 0.0, 0.0))]
 Friction = Annotated[Vec, checks.vector(3, low=0, fill=FRICTION)]
 Gear = Annotated[Vec, checks.vector(6, fill=GEAR)]
+Bias = Annotated[Vec | None, checks.optional(checks.vector(3, fill=ORIGIN))]
 SolRef = Annotated[Vec, checks.solref]
 SolImp = Annotated[Vec, checks.vector(5, fill=SOLIMP)]
 Range = Annotated[tuple[float, float] | None, checks.optional(checks.interval)]
@@ -201,7 +204,19 @@ class Site(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Actuator(Element):
-    """A motor: gear × control, as a force on one joint.
+    """A motor or a servo on one joint: the joint feels gear × force, and force is, by type,
+
+    - "motor": the control;
+    - "position": kp × (control − length) − kv × velocity, with kp 1, kv 0 where they are None;
+      dampratio in place of kv stands for kv = 2 × dampratio × √(kp × m), m being the inertia
+      that the actuator moves in the pose of the scene, and is worked out once, when the scene
+      is compiled;
+    - "velocity": kv × (control − velocity), kv 1 where it is None;
+    - "general": gainprm × control + biasprm · (1, length, velocity), 1 and zeros where they are
+      None. With gainprm = −biasprm[1] a biasprm[2] above 0 is a damping ratio, as in MuJoCo.
+
+    length: gear × the joint's coordinate [rad or m], velocity: its rate. Servos act on hinges and
+    slides; their work is no part of a Sim's `energy`. A field of another type is refused.
 
     gear: up to 6 numbers; a hinge or slide uses the first, a ball 3, a free joint 6.
     ctrlrange, forcerange: (lower, upper) to which control and force are clamped, or None.
@@ -209,7 +224,13 @@ class Actuator(Element):
 
     name: Text = ""
     joint: AJoint
+    type: Annotated[str, checks.one_of(*ACTUATOR_TYPES)] = "motor"
     gear: Gear = GEAR
+    kp: Gain = None
+    kv: Gain = None
+    dampratio: Gain = None
+    gainprm: Gain = None
+    biasprm: Bias = None
     ctrlrange: Range = None
     forcerange: Range = None
 

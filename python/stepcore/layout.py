@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from stepcore import checks
+from stepcore import actuation, checks
 from stepcore.elements import Body, Element, Geom, Joint, MassRules, fields_of
 from stepcore.frames import IDENTITY, ORIGIN
 
@@ -145,6 +145,7 @@ def check(layout: Layout) -> None:
             raise checks.ElementError(
                 actuator, f"refers to {actuator.joint}, which is not in this scene"
             )
+        actuation.check(actuator)
     for equality in scene.equalities:
         if equality.body1 is equality.body2:
             raise checks.ElementError(equality, f"connects {equality.body1} to itself")
@@ -183,6 +184,8 @@ def _check_joints(layout: Layout, body: Body) -> None:
 
 # Fields whose name in the engine is not MuJoCo's word.
 RENAMED = {"type": "kind", "ref": "reference", "shellinertia": "shell_inertia"}
+# Fields of an actuator that reach the engine as gain, bias and dampratio.
+SERVO = ("kp", "kv", "dampratio", "gainprm", "biasprm")
 SOFTNESS = {
     Joint: {
         "limit": ("solreflimit", "solimplimit"),
@@ -217,7 +220,9 @@ def plain(layout: Layout) -> dict[str, Any]:
         "geoms": [attached(geom) for geom in layout.geoms],
         "sites": [attached(site) for site in layout.sites],
         "actuators": [
-            _record(actuator, "joint") | {"joint": joint_of.get(id(actuator.joint), -1)}
+            _record(actuator, "joint", "type", *SERVO)
+            | {"joint": joint_of.get(id(actuator.joint), -1)}
+            | actuation.plain(actuator)
             for actuator in scene.actuators
         ],
         "equalities": [

@@ -288,6 +288,24 @@ class Model:
         """Force per control along each dof of the joint, shape (nu, 6)."""
         return self._tables["actuator_gear"]
 
+    @property
+    def actuator_gain(self) -> Floats:
+        """Force per control, before the gear, shape (nu,)."""
+        return self._tables["actuator_gain"]
+
+    @property
+    def actuator_bias(self) -> Floats:
+        """Force without control, and per length and velocity, before the gear, shape (nu, 3).
+
+        A damping ratio is already in it as the damping that it stands for.
+        """
+        return self._tables["actuator_bias"]
+
+    @property
+    def actuator_forcerange(self) -> Floats:
+        """Range to which forces are clamped before the gear, ±inf without one, shape (nu, 2)."""
+        return self._tables["actuator_forcerange"]
+
     @functools.cached_property
     def pairs(self) -> tuple[tuple[str, str], ...]:
         """Geoms that can ever meet, by name (or "#index" where there is none)."""

@@ -202,9 +202,13 @@ class Scene(checks.KnownNames):
         """Adds a named place: name, pos [m], quat."""
         return self._add(self.sites, Site, fields, body=self.body(body))
 
-    def add_actuator(self, joint: str | Joint, **fields: Any) -> Actuator:
-        """Adds a motor on a joint: name, gear, ctrlrange, forcerange."""
-        return self._add(self.actuators, Actuator, fields, joint=self.joint(joint))
+    def add_actuator(self, joint: str | Joint, type: str = "motor", **fields: Any) -> Actuator:
+        """Adds a "motor", a "position" or "velocity" servo, or a "general" actuator on a joint.
+
+        fields: those of `stepcore.elements.Actuator` (name, gear, kp, kv, dampratio, ctrlrange,
+        forcerange, …).
+        """
+        return self._add(self.actuators, Actuator, fields, joint=self.joint(joint), type=type)
 
     def add_equality(
         self,

@@ -190,7 +190,7 @@ class Sim(Stepped):
 
     @property
     def energy(self) -> Energy:
-        """Kinetic and potential energy [J]."""
+        """Kinetic and potential energy [J]: of gravity and joint springs, not of servos."""
         kinetic, potential = self._core.energy
         return Energy(float(kinetic), float(potential))
 

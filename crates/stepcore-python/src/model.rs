@@ -121,6 +121,13 @@ impl Model {
             m.actuators.iter().flat_map(|a| a.ctrlrange.unwrap_or(FREE)).collect(),
             &[nu, 2],
         )?;
+        add(
+            "actuator_forcerange",
+            m.actuators.iter().flat_map(|a| a.forcerange.unwrap_or(FREE)).collect(),
+            &[nu, 2],
+        )?;
+        add("actuator_gain", m.actuators.iter().map(|a| a.gain).collect(), &[nu])?;
+        add("actuator_bias", m.actuators.iter().flat_map(|a| a.bias).collect(), &[nu, 3])?;
         add("actuator_gear", m.actuators.iter().flat_map(|a| a.gear).collect(), &[nu, 6])?;
         Ok(tables)
     }

@@ -69,7 +69,7 @@ record!(Geom {
     soft,
 });
 record!(Site { name, body, pos, quat });
-record!(Actuator { name, joint, gear, ctrlrange, forcerange });
+record!(Actuator { name, joint, gear, gain, bias, dampratio, ctrlrange, forcerange });
 record!(Equality { name, body1, body2, anchor, active, soft });
 record!(Key { name, time, qpos, qvel, ctrl });
 record!(MassRules {

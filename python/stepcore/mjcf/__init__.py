@@ -14,7 +14,7 @@ from pathlib import Path
 
 from stepcore.checks import ElementError
 from stepcore.layout import Layout, check
-from stepcore.mjcf import custom, drawn, option, sections, values
+from stepcore.mjcf import actuators, custom, drawn, option, sections, values
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.include import expand, read_bytes
@@ -89,7 +89,7 @@ def _scene(root: Node, source: Source) -> Scene:
         for node in _inside(root, "equality"):
             _at(node, lambda node: sections.connect(tree, defaults, node))
         for node in _inside(root, "actuator"):
-            _at(node, lambda node: sections.motor(tree, defaults, node))
+            _at(node, lambda node: actuators.actuator(tree, defaults, node))
         layout = Layout(scene)
         for node in _inside(root, "keyframe"):
             _at(node, lambda node: sections.key(tree, layout, node))

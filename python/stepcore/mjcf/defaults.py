@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from stepcore.checks import nearest
+from stepcore.mjcf import gains
 from stepcore.mjcf.schema import ORIENTATION
 from stepcore.mjcf.schema_rest import ACTUATORS
 from stepcore.mjcf.source import Node
@@ -14,7 +15,7 @@ Values = dict[str, Any]
 MAIN = "main"
 
 # All actuators share one set of defaults, whatever shortcut wrote it.
-_SHARED = dict.fromkeys((*ACTUATORS, "motor", "orientation"), "actuator")
+_SHARED = dict.fromkeys((*ACTUATORS, *gains.BUILT, "orientation"), "actuator")
 
 
 def overlay(under: Values, over: Values) -> Values:
@@ -39,6 +40,8 @@ class Defaults:
 
     def __init__(self, sections: Iterable[Node]) -> None:
         self.classes: dict[str, dict[str, Values]] = {MAIN: {}}
+        # Of the actuators: those of the classes around come first.
+        self.chains: dict[str, gains.Chain] = {MAIN: (gains.Gains(),)}
         for section in sections:
             if section.attrs.get("class", MAIN) != MAIN:
                 raise section.error('the outermost <default> has the class "main" and no other')
@@ -54,6 +57,10 @@ class Defaults:
                 if child.tag != "default":
                     tag = _SHARED.get(child.tag, child.tag)
                     own[tag] = overlay(own.get(tag, {}), child.values)
+                    if tag == "actuator":
+                        own[tag] = gains.without_range(own[tag], child)
+                        chain = self.chains[name]
+                        self.chains[name] = (*chain[:-1], gains.inherited(chain, child))
             inner = [child for child in node.children if child.tag == "default"]
             for child in inner:
                 inner_name = child.attrs.get("class", "")
@@ -62,6 +69,7 @@ class Defaults:
                 if inner_name in self.classes:
                     raise child.error(f'the default class "{inner_name}" is defined twice')
                 self.classes[inner_name] = dict(own)
+                self.chains[inner_name] = (*self.chains[name], self.chains[name][-1])
             pending += [(child, child.attrs["class"]) for child in reversed(inner)]
 
     def known(self, node: Node, attribute: str) -> str | None:
@@ -77,3 +85,7 @@ class Defaults:
         tag = _SHARED.get(node.tag, node.tag)
         given = {key: value for key, value in node.values.items() if key != "class"}
         return overlay(self.classes[name].get(tag, {}), given)
+
+    def gains(self, node: Node) -> gains.Gains:
+        """An actuator's gains, with those of its class."""
+        return gains.inherited(self.chains[self.known(node, "class") or MAIN], node)

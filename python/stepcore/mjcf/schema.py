@@ -94,6 +94,16 @@ ACTUATOR = (
     f"ctrllimited:{AUTO} forcelimited:{AUTO} forcerange:2 lengthrange:2 gear:1-6 damping:1-3 "
     "armature:1 cranklength:1 joint jointinparent tendon slidersite cranksite site refsite"
 )
+# What the actuators that are built have beyond that.
+GAINS = {
+    "motor": "",
+    "position": "inheritrange:1 kp:1 kv:1 dampratio:1 timeconst:1",
+    "velocity": "kv:1",
+    "general": f"actlimited:{AUTO} actrange:2 body actdim:int input velrange:2 ffrange:2 "
+    "inheritrange:1 dyntype:none|integrator|filter|filterexact|pid|dcmotor|muscle|user "
+    "gaintype:fixed|affine|muscle|dcmotor|pid|so3|user "
+    f"biastype:none|affine|muscle|dcmotor|so3|user dynprm:* gainprm:* biasprm:* actearly:{BOOL}",
+}
 # References and names have no place in a default.
 OWN = (
     "name class geom1 geom2 target lengthrange joint jointinparent tendon slidersite cranksite "
@@ -133,7 +143,7 @@ DEFAULT = spec(
         "geom": spec(without(GEOM, "name class")),
         "site": spec(without(SITE, "name class")),
         "equality": spec(without(EQUALITY, OWN)),
-        "motor": spec(without(ACTUATOR, OWN)),
+        **{tag: spec(without(f"{ACTUATOR} {more}", OWN)) for tag, more in GAINS.items()},
         # The defaults of what is not built may stand in a file: they act only where they are used.
         **{tag: spec(without(f"{ACTUATOR} {more}", OWN)) for tag, more in rest.ACTUATORS.items()},
         "orientation": spec(without(f"{ACTUATOR} {rest.ORIENTATION_SERVO}", OWN)),
@@ -180,7 +190,7 @@ COMPILER = spec(
 ACTUATORS = spec(
     "",
     {
-        "motor": spec(ACTUATOR),
+        **{tag: spec(f"{ACTUATOR} {more}") for tag, more in GAINS.items()},
         **{tag: spec(f"{ACTUATOR} {more}", role="unbuilt") for tag, more in rest.ACTUATORS.items()},
         "orientation": spec(f"{ACTUATOR} {rest.ORIENTATION_SERVO}", role="unbuilt"),
         "plugin": tree((f"{ACTUATOR} {rest.ACTUATOR_PLUGIN}", rest.CONFIG), "unbuilt"),

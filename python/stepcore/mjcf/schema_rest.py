@@ -55,10 +55,6 @@ ASSETS: dict[str, Tree] = {
 
 # Actuators that are not built: what they have beyond the attributes of a motor.
 ACTUATORS = {
-    "general": "actlimited actrange body actdim input velrange ffrange inheritrange dyntype "
-    "gaintype biastype dynprm gainprm biasprm actearly",
-    "position": "inheritrange kp kv dampratio timeconst",
-    "velocity": "kv",
     "intvelocity": "actlimited actrange inheritrange kp kv dampratio",
     "pid": "posrange velrange ffrange inheritrange kp kv dampratio ki imax slewmax input",
     "damper": "kv",

@@ -1,4 +1,4 @@
-"""The sections around the tree: excluded pairs, connects, motors and keyframes."""
+"""The sections around the tree: excluded pairs, connects and keyframes."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from stepcore.mjcf.tree import Tree, soft
 from stepcore.mjcf.values import bad
 from stepcore.scene import Scene
 
-TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "refsite")
 MAX_KEYS = 100_000
-STATEFUL = ("actlimited", "actrange")
 
 # Attributes by which sensors, cameras and lights refer to named elements.
 REFERENCES = {
@@ -50,36 +48,6 @@ def _equality_values(defaults: Defaults, node: Node) -> dict[str, Any]:
     shared = Node("equality", node.attrs, node.file, node.line)
     shared.values = node.values
     return defaults.of(shared)
-
-
-def motor(tree: Tree, defaults: Defaults, node: Node) -> None:
-    """Reads one motor on a joint."""
-    values = defaults.of(node)
-    used = [name for name in TRANSMISSIONS if name in values]
-    if not used:
-        raise node.error('<motor> needs joint="…"')
-    if len(used) > 1:
-        raise node.error(f"<motor> has two transmissions: {used[0]} and {used[1]}")
-    if used[0] not in ("joint", "jointinparent"):
-        raise node.unbuilt(f"a motor that acts through {used[0]}")
-    joint = tree.scene.joint(values[used[0]])
-    if used[0] == "jointinparent" and joint.type in ("ball", "free"):
-        raise node.unbuilt(f"jointinparent on a {joint.type} joint")
-    if values.get("delay", 0) != 0:
-        raise node.unbuilt("a delay between control and force (delay)")
-    if any(values.get("damping", ())) or values.get("armature", 0) != 0:
-        raise node.unbuilt("an actuator's own damping or armature")
-    for name in STATEFUL:
-        if values.get(name, False) not in (False, "auto"):
-            raise node.error(f"<motor> inherits {name}, but a motor has no activation")
-    actuator = tree.scene.add_actuator(
-        joint,
-        name=values.get("name", ""),
-        gear=values.get("gear", (1.0,)),
-        ctrlrange=tree.limits(node, values, "ctrllimited", "ctrlrange"),
-        forcerange=tree.limits(node, values, "forcelimited", "forcerange"),
-    )
-    tree.keep(node, actuator)
 
 
 def key(tree: Tree, layout: Layout, node: Node) -> None:

@@ -55,6 +55,8 @@ class Tree:
         self.references: list[tuple[Node, str, str]] = []
         self.shapes: list[Shape] = []
         self.with_inertial: set[int] = set()
+        # Of joints, whether they limit or not: servos may take them over.
+        self.ranges: dict[int, tuple[float, ...]] = {}
 
     def read(self, world: Node) -> None:
         """Reads one worldbody section, in document order, without recursion."""
@@ -155,6 +157,7 @@ class Tree:
         turn = place.pose[1]
         pos = frames.composed(place.pose, values.get("pos", frames.ORIGIN), frames.IDENTITY)[0]
         axis = values.get("axis", (0.0, 0.0, 1.0)) if scalar else (0.0, 0.0, 1.0)
+        angles = tuple(convert(bound) for bound in values.get("range", ()))
         joint = self.scene.add_joint(
             place.body,
             kind,
@@ -171,6 +174,8 @@ class Tree:
             **soft(values, "solreffriction", "solimpfriction"),
         )
         self.keep(node, joint)
+        if angles:
+            self.ranges[id(joint)] = angles
 
     def _refuse_joint(self, node: Node, kind: str, values: dict[str, Any]) -> None:
         for name in ("stiffness", "damping"):

@@ -233,9 +233,11 @@ def _equality(equality: Equality, names: _Names) -> Tag:
 
 
 def _actuator(actuator: Actuator, names: _Names) -> Tag:
-    given = changed(actuator, "name", "joint")
+    given = changed(actuator, "name", "joint", "type")
     first = {"name": actuator.name} if actuator.name else {}
-    return Tag("motor", **first, joint=names.of(actuator.joint), **given)
+    if actuator.biasprm is not None:
+        first["biastype"] = "affine"
+    return Tag(actuator.type, **first, joint=names.of(actuator.joint), **given)
 
 
 def _key(key: Key) -> Tag:

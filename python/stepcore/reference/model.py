@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .place import place
+from .place import mass_matrix, place
 from .rotation import Array, matrix, unit
 
 Record = dict[str, Any]  # one element of the scene
@@ -78,6 +78,7 @@ class Model:
     tree: Array = field(init=False)  # the root body of each dof's tree, shape (nv,)
     tree_mass: dict[int, float] = field(default_factory=dict)  # of all that hangs on a root [kg]
     pairs: list[Pair] = field(default_factory=list)
+    actuator_bias: list[Array] = field(default_factory=list)  # constant, per length, per velocity
     anchors: list[tuple[Array, Array]] = field(default_factory=list)  # of each equality
 
     def mass_of(self, dofs: Array) -> float:
@@ -93,9 +94,22 @@ def compile_scene(scene: Any) -> Model:
         model.gravity[:] = 0
     number_joints(model)
     masses(model)
+    model.actuator_bias = [servo_bias(model, actuator) for actuator in scene["actuators"]]
     model.pairs = candidate_pairs(model)
     model.anchors = [anchors(model, equality) for equality in scene["equalities"]]
     return model
+
+
+def servo_bias(model: Model, actuator: Record) -> Array:
+    """An actuator's bias, its damping ratio turned into damping: 2 ratio sqrt(kp m)."""
+    bias = np.array(actuator["bias"], float)
+    if actuator["dampratio"]:
+        row = np.zeros(model.nv)
+        row[model.joints[actuator["joint"]]["dof"]] = actuator["gear"][0]
+        M = mass_matrix(model, place(model, np.array(model.qpos0, float)))
+        easy = row @ np.linalg.solve(M, row)
+        bias[2] = -2 * actuator["dampratio"] * np.sqrt(-bias[1] / easy) if easy > 0 else 0.0
+    return bias
 
 
 def number_joints(model: Model) -> None:

@@ -150,11 +150,17 @@ def known_forces(sim: Sim, placed: Placed, qpos: Array, v: Array) -> Array:
         if joint["stiffness"] and on["spring"]:
             own = slice(joint["dof"], joint["dof"] + joint["width"])
             force[own] -= joint["stiffness"] * stretch(model, joint, qpos)
-    for actuator, signal in zip(model.scene["actuators"], sim.ctrl, strict=True):
+    for actuator, bias_, signal in zip(
+        model.scene["actuators"], model.actuator_bias, sim.ctrl, strict=True
+    ):
         if on["actuation"]:
             joint = model.joints[actuator["joint"]]
             if actuator["ctrlrange"] is not None and on["clampctrl"]:
                 signal = np.clip(signal, *actuator["ctrlrange"])
+            signal = actuator["gain"] * signal + bias_[0]
+            if bias_[1:].any():  # of hinges and slides only
+                gear = actuator["gear"][0]
+                signal += gear * (bias_[1] * qpos[joint["qpos"]] + bias_[2] * v[joint["dof"]])
             if actuator["forcerange"] is not None:
                 signal = np.clip(signal, *actuator["forcerange"])
             own = slice(joint["dof"], joint["dof"] + joint["width"])

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from stepcore.actuation import gains
 from stepcore.layout import DOFS, QPOS, Layout
+from stepcore.model import compiled
 
 
 @dataclass(frozen=True)
@@ -20,13 +22,19 @@ class Start:
 
 @dataclass(frozen=True)
 class Motor:
-    """gear × control on the dofs `at`; its ranges as in `stepcore.elements.Actuator`."""
+    """A motor or servo on the dofs `at`; its ranges as in `stepcore.elements.Actuator`.
+
+    q: the coordinate of a hinge or slide. gain, bias: as in `stepcore.actuation`, compiled.
+    """
 
     label: str
     at: slice
     gear: np.ndarray
     ctrlrange: tuple[float, float] | None
     forcerange: tuple[float, float] | None
+    q: int
+    gain: float
+    bias: np.ndarray
 
 
 class Dofs:
@@ -41,19 +49,21 @@ class Dofs:
         self.nv = layout.nv
         self.joints: list[tuple[str, int, int, tuple[float, float] | None]] = []
         damping: list[float] = []
-        first: dict[int, int] = {}
+        first: dict[int, tuple[int, int]] = {}
         q = v = 0
         for joint in layout.joints:
             self.joints.append((joint.type, q, v, joint.range if scene.features.limit else None))
             damping += [joint.damping if scene.features.damper else 0.0] * DOFS[joint.type]
-            first[id(joint)] = v
+            first[id(joint)] = q, v
             q, v = q + QPOS[joint.type], v + DOFS[joint.type]
         self.damping = np.array(damping, float)
         self.moving = [i for i, body in enumerate(layout.bodies) if layout.moving(body)]
         self.motors: list[Motor] = []
         self.works = scene.features.actuation
+        # Compiled, a damping ratio is a damping.
+        bias = compiled(scene).actuator_bias if scene.actuators else ()
         for i, actuator in enumerate(scene.actuators):
-            n, at = DOFS[actuator.joint.type], first[id(actuator.joint)]
+            n, (q, at) = DOFS[actuator.joint.type], first[id(actuator.joint)]
             clamped = actuator.ctrlrange if scene.features.clampctrl else None
             self.motors.append(
                 Motor(
@@ -62,6 +72,9 @@ class Dofs:
                     np.array(actuator.gear[:n]),
                     clamped,
                     actuator.forcerange,
+                    q,
+                    gains(actuator).gain,
+                    bias[i],
                 )
             )
 
@@ -114,14 +127,19 @@ class Dofs:
                 result[..., v + along : v + along + 3] = turned(product(back, after[..., at]))
         return result
 
-    def motor_force(self, ctrl: np.ndarray) -> np.ndarray:
-        """Generalised force of the motors at these controls, (…, nu) → (…, nv) [N or N·m]."""
+    def motor_force(self, ctrl: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """Generalised force of motors and servos, (…, nu) → (…, nv) [N or N·m]."""
         force = np.zeros((*np.shape(ctrl)[:-1], self.nv))
         for k, motor in enumerate(self.motors if self.works else []):
             value = np.asarray(ctrl[..., k], float)
-            for limits in (motor.ctrlrange, motor.forcerange):
-                if limits is not None:
-                    value = np.clip(value, *limits)
+            if motor.ctrlrange is not None:
+                value = np.clip(value, *motor.ctrlrange)
+            value = motor.gain * value + motor.bias[0]
+            if motor.bias[1:].any():
+                length, rate = qpos[..., motor.q], qvel[..., motor.at.start]
+                value += motor.gear[0] * (motor.bias[1] * length + motor.bias[2] * rate)
+            if motor.forcerange is not None:
+                value = np.clip(value, *motor.forcerange)
             force[..., motor.at] += value[..., None] * motor.gear
         return force
 

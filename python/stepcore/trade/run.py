@@ -167,11 +167,14 @@ class Course:
     def _work(self, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
         """Work done on the bodies between two looks by motors and dampers [J].
 
-        A motor's force is held, so force × change of the joint is exact for hinges and slides.
+        A motor's force is held, so force × change of the joint is exact for hinges and slides;
+        a servo's is the mean of both ends, which is exact for its stiffness.
         """
         change = self.dofs.change(qpos[:-1], qpos[1:])
         damped = -self.dofs.damping * (qvel[:-1] + qvel[1:]) / 2
-        work: np.ndarray = np.sum((self.dofs.motor_force(ctrl) + damped) * change, axis=-1)
+        force = self.dofs.motor_force(ctrl, qpos[:-1], qvel[:-1])
+        force = (force + self.dofs.motor_force(ctrl, qpos[1:], qvel[1:])) / 2
+        work: np.ndarray = np.sum((force + damped) * change, axis=-1)
         return work
 
     def poses(self, qpos: np.ndarray, qvel: np.ndarray) -> Seen:

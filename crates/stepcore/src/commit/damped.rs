@@ -1,7 +1,8 @@
 //! `euler` and `implicitfast`: forces first, solved in M; then damping implicitly,
 //! v⁺ = v + dt (M + dt·D)⁻¹ (f + Jᵀλ/dt). MuJoCo documentation, "Numerical integration".
 //!
-//! D is joint damping. `implicitfast` re-solves the 6×6 block of a free body on its
+//! D is joint damping, and under `implicitfast` the velocity feedback of servos too, but for
+//! those whose force is at its bound. `implicitfast` re-solves the 6×6 block of a free body on its
 //! own with the derivative B of its bias force: with body axes, R the rotation,
 //! m the mass, c the centre, I the inertia about the joint and w the angular velocity,
 //!
@@ -20,8 +21,12 @@ pub struct Damped<R: Real> {
     pub(super) metric: Metric<R>,
     pub(super) impulse: Vec<R>,
     pub(super) change: Vec<R>,
-    /// Trees with a damped dof, and single free bodies whose bias has a derivative.
+    /// Trees with a damped dof, and those under `implicitfast`, where servos damp too.
     damped: Vec<usize>,
+    damped_fast: Vec<usize>,
+    /// Actuators with velocity feedback.
+    servos: Vec<usize>,
+    /// Single free bodies whose bias has a derivative.
     gyroscopic: Vec<usize>,
 }
 
@@ -31,11 +36,18 @@ impl<R: Real> Damped<R> {
             (0..model.trees.len()).filter(|t| test(&model.trees[*t])).collect::<Vec<_>>()
         };
         let damping = |tree: &Tree| tree.dofs.of(&model.dofs).iter().any(|dof| dof.damping != 0.0);
+        let servos: Vec<usize> = (0..model.actuators.len())
+            .filter(|i| model.features.actuation && model.actuators[*i].bias[2] != 0.0)
+            .collect();
+        let dof = |servo: &usize| model.joints[model.actuators[*servo].joint].dof;
+        let served = |tree: &Tree| servos.iter().any(|s| tree.dofs.range().contains(&dof(s)));
         Self {
             metric: Metric::new(model),
             impulse: vec![R::zero(); model.nv],
             change: vec![R::zero(); model.nv],
             damped: has(&damping),
+            damped_fast: has(&|tree| damping(tree) || served(tree)),
+            servos,
             gyroscopic: has(&|tree| model.gyroscopic(tree)),
         }
     }
@@ -46,8 +58,12 @@ impl<R: Real> Sim<R> {
     pub(super) fn damp(&mut self, fast: bool) {
         let model = &*self.model;
         let damped = &mut self.next.damped;
-        let gyroscopic = if fast { damped.gyroscopic.as_slice() } else { &[] };
-        if damped.damped.is_empty() && gyroscopic.is_empty() {
+        let (trees, servos, gyroscopic) = if fast {
+            (&damped.damped_fast, damped.servos.as_slice(), damped.gyroscopic.as_slice())
+        } else {
+            (&damped.damped, [].as_slice(), [].as_slice())
+        };
+        if trees.is_empty() && gyroscopic.is_empty() {
             return;
         }
         let dt = R::of(self.settings.dt);
@@ -57,13 +73,21 @@ impl<R: Real> Sim<R> {
         }
         self.placed.metric.lower(&mut damped.impulse);
         damped.change.copy_from_slice(&damped.impulse);
-        for &tree in &damped.damped {
-            let tree = &model.trees[tree];
-            for k in tree.dofs.range() {
+        for &tree in trees {
+            for k in model.trees[tree].dofs.range() {
                 let row = model.dofs[k].row;
                 damped.metric.l[row.range()].copy_from_slice(&self.placed.mass[row.range()]);
                 damped.metric.l[row.start] += dt * R::of(model.dofs[k].damping);
             }
+        }
+        for &servo in servos {
+            let actuator = &model.actuators[servo];
+            let dof = &model.dofs[model.joints[actuator.joint].dof];
+            let [_, damping] = self.placed.feedback(actuator, servo);
+            damped.metric.l[dof.row.start] += dt * damping;
+        }
+        for &tree in trees {
+            let tree = &model.trees[tree];
             damped.metric.factor(tree.dofs.range());
             damped.metric.solve_dofs(tree.dofs.range(), &mut damped.change);
             for k in tree.dofs.range() {

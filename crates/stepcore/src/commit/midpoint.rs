@@ -1,6 +1,6 @@
 //! Implicit midpoint: v⁺ = v + dt·a(q_m, v_m), q⁺ = q ⊕ dt·v_m with v_m = (v + v⁺)/2
 //! and q_m = q ⊕ (dt/2)·v_m. Solved to rounding by a Newton-like iteration whose
-//! matrix M + dt/2·D + dt²/4·K holds the joint springs and dampers, so that a
+//! matrix M + dt/2·D + dt²/4·K holds the joint springs, dampers and servos, so that a
 //! linear spring converges at once however stiff it is.
 
 use super::advance;
@@ -89,6 +89,15 @@ impl<R: Real> Sim<R> {
             let stiffness = model.joints[dof.joint].stiffness;
             let extra = R::of(0.5 * dof.damping) * dt + R::of(0.25 * stiffness) * dt * dt;
             damped.metric.l[dof.row.start] += extra;
+        }
+        for (index, actuator) in model.actuators.iter().enumerate().filter(|(_, a)| a.feeds_back())
+        {
+            let dof = &model.dofs[model.joints[actuator.joint].dof];
+            let [stiffness, damping] = self.placed.feedback(actuator, index);
+            let extra = R::of(0.5) * dt * damping + R::of(0.25) * dt * dt * stiffness;
+            if model.features.actuation {
+                damped.metric.l[dof.row.start] += extra;
+            }
         }
         damped.metric.factor(0..model.nv);
         damped.metric.solve(&mut damped.impulse);

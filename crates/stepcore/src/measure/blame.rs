@@ -72,12 +72,13 @@ impl<R: Real> Sim<R> {
             add("inertial force of joint", &|k| self.placed.bias[k].lane(lane));
             add("force applied to joint", &|k| self.inputs.qfrc_applied[k].lane(lane));
         }
-        for (index, motor) in model.actuators.iter().enumerate() {
-            let joint = &model.joints[motor.joint];
+        for (index, actuator) in model.actuators.iter().enumerate() {
+            let joint = &model.joints[actuator.joint];
             let force = self.placed.actuator[index].lane(lane);
-            let strength = |k: usize| (motor.gear[k] * force).powi(2) / inertia(joint.dof + k);
-            entries
-                .push((named("motor", &motor.name, index), (0..joint.dofs()).map(strength).sum()));
+            let strength = |k: usize| (actuator.gear[k] * force).powi(2) / inertia(joint.dof + k);
+            let kind = if actuator.feeds_back() { "servo" } else { "motor" };
+            let name = named(kind, &actuator.name, index);
+            entries.push((name, (0..joint.dofs()).map(strength).sum()));
         }
         for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
             let force = &self.inputs.xfrc_applied[6 * index..6 * index + 3];

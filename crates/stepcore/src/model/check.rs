@@ -321,6 +321,16 @@ fn geom(e: &Element, g: &Geom) -> Result<()> {
 fn actuator(e: &Element, a: &Actuator, scene: &Scene) -> Result<()> {
     e.below("joint", a.joint, scene.joints.len(), "joint")?;
     e.finite("gear", &a.gear)?;
+    e.finite("gain", &[a.gain])?;
+    e.finite("bias", &a.bias)?;
+    e.not_negative("dampratio", a.dampratio)?;
+    if a.dampratio != 0.0 && a.bias[1] > 0.0 {
+        return Err(e.refuse("bias[1]", a.bias[1], "<= 0 with a dampratio"));
+    }
+    let kind = scene.joints[a.joint].kind;
+    if a.feeds_back() && matches!(kind, JointType::Ball | JointType::Free) {
+        return Err(e.refuse("joint", a.joint, "a hinge or a slide under a servo"));
+    }
     if let Some(range) = a.ctrlrange {
         e.range("ctrlrange", range)?;
     }

@@ -1,5 +1,6 @@
 //! Inverse weights at qpos0: how easily a force moves a body or a dof. They set the
-//! regulariser R of rows. Formulas at `fill`, MuJoCo's exception at `plain`.
+//! regulariser R of rows. Formulas at `fill`, MuJoCo's exception at `plain`. What a servo's
+//! damping ratio means is decided by the same factors.
 
 use super::check::label;
 use super::pose::Pose;
@@ -134,6 +135,7 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
     let motions = motions(model, poses);
     let mut bodies = vec![[0.0; 2]; model.bodies.len()];
     let mut dofs = vec![0.0; model.nv];
+    let mut servos = vec![];
     for tree in &model.trees {
         let factor = Factor::new(model, poses, &motions, tree)?;
         let (first, n) = (tree.dofs.start, tree.dofs.len);
@@ -150,6 +152,11 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
             unit[i - first] = 1.0;
             dofs[i] = factor.weight(unit);
         }
+        servos.extend(moved_by_servos(&factor));
+    }
+    for (index, inertia) in servos {
+        let servo = &mut model.actuators[index];
+        servo.bias[2] = -2.0 * servo.dampratio * (-servo.bias[1] * inertia).sqrt();
     }
     for joint in model.joints.iter().filter(|j| matches!(j.kind, JointType::Ball | JointType::Free))
     {
@@ -165,6 +172,25 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
     model.bodies.iter_mut().zip(bodies).for_each(|(b, x)| b.invweight = x);
     model.dofs.iter_mut().zip(dofs).for_each(|(d, x): (&mut Dof, f64)| d.invweight = x);
     Ok(())
+}
+
+/// The inertia 1 / (J M⁻¹ Jᵀ), J = gear, that each servo with a damping ratio moves in this
+/// tree [kg or kg·m² at the gear's input]; 0 where the gear is 0.
+fn moved_by_servos(factor: &Factor) -> Vec<(usize, f64)> {
+    let model = factor.model;
+    let own = |index: &usize| {
+        let actuator = &model.actuators[*index];
+        let dof = model.joints[actuator.joint].dof;
+        actuator.dampratio != 0.0 && factor.tree.range().contains(&dof)
+    };
+    let inertia = |index: usize| {
+        let actuator = &model.actuators[index];
+        let mut row = DVector::zeros(factor.tree.len);
+        row[model.joints[actuator.joint].dof - factor.tree.start] = actuator.gear[0];
+        let weight = factor.weight(row);
+        (index, if weight > 0.0 { 1.0 / weight } else { 0.0 })
+    };
+    (0..model.actuators.len()).filter(own).map(inertia).collect()
 }
 
 fn body_weight(factor: &Factor, motions: &[Motion], body: &Body, com: Vector3<f64>) -> [f64; 2] {

@@ -1,9 +1,10 @@
-//! The smooth forces on the dofs: springs, dampers, motors, and what the user applies.
+//! The smooth forces on the dofs: springs, dampers, motors and servos, and what the user
+//! applies.
 
 use super::Placed;
 use crate::model::{Joint, Model};
-use crate::real::Real;
-use crate::scene::JointType;
+use crate::real::{Mask, Real};
+use crate::scene::{Actuator, JointType};
 use crate::spatial::{rotate, splat, Force, Quat, V3};
 use crate::state::Inputs;
 
@@ -19,7 +20,7 @@ impl<R: Real> Placed<R> {
         for k in 0..model.nv {
             self.force[k] = self.passive[k] - self.bias[k];
         }
-        self.motors(model, inputs);
+        self.actuators(model, qpos, qvel, inputs);
         if inputs.applied {
             self.applied(model, inputs);
         }
@@ -38,24 +39,39 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    fn motors(&mut self, model: &Model, inputs: &Inputs<R>) {
+    fn actuators(&mut self, model: &Model, qpos: &[R], qvel: &[R], inputs: &Inputs<R>) {
         if !model.features.actuation {
             return;
         }
-        for (index, motor) in model.actuators.iter().enumerate() {
+        for (index, actuator) in model.actuators.iter().enumerate() {
             let mut force = inputs.ctrl[index];
-            if let (Some([lo, hi]), true) = (motor.ctrlrange, model.features.clampctrl) {
+            if let (Some([lo, hi]), true) = (actuator.ctrlrange, model.features.clampctrl) {
                 force = force.clamp(R::of(lo), R::of(hi));
             }
-            if let Some([lo, hi]) = motor.forcerange {
+            let joint = &model.joints[actuator.joint];
+            force = R::of(actuator.gain) * force;
+            if actuator.bias != [0.0; 3] {
+                force += bias(actuator, joint, qpos, qvel);
+            }
+            if let Some([lo, hi]) = actuator.forcerange {
                 force = force.clamp(R::of(lo), R::of(hi));
             }
             self.actuator[index] = force;
-            let joint = &model.joints[motor.joint];
             for k in 0..joint.dofs() {
-                self.force[joint.dof + k] += R::of(motor.gear[k]) * force;
+                self.force[joint.dof + k] += R::of(actuator.gear[k]) * force;
             }
         }
+    }
+
+    /// Stiffness and damping that a servo gives its dof: minus the derivatives of its force by
+    /// position and velocity. Zero at the bounds of `forcerange`, as in MuJoCo.
+    pub fn feedback(&self, actuator: &Actuator, index: usize) -> [R; 2] {
+        let squared = R::of(actuator.gear[0]) * R::of(actuator.gear[0]);
+        let slope = [1, 2].map(|i| -(squared * R::of(actuator.bias[i])));
+        let Some([lo, hi]) = actuator.forcerange else { return slope };
+        let force = self.actuator[index];
+        let free = force.gt(R::of(lo)).and(force.lt(R::of(hi)));
+        slope.map(|slope| R::select(free, slope, R::zero()))
     }
 
     /// `qfrc_applied` on dofs; `xfrc_applied` (force, moment) at centres of mass, in world axes.
@@ -85,6 +101,16 @@ impl<R: Real> Placed<R> {
             }
         }
     }
+}
+
+/// What an actuator's force has beside the control: bias₀ + bias₁·length + bias₂·velocity.
+fn bias<R: Real>(actuator: &Actuator, joint: &Joint, qpos: &[R], qvel: &[R]) -> R {
+    let [constant, length, velocity] = actuator.bias.map(R::of);
+    if !actuator.feeds_back() {
+        return constant;
+    }
+    let gear = R::of(actuator.gear[0]);
+    constant + length * (gear * qpos[joint.qpos]) + velocity * (gear * qvel[joint.dof])
 }
 
 /// How far a joint is from its spring's rest, by dof of the joint [m or rad].

@@ -49,7 +49,7 @@ pub struct Placed<R: Real> {
     pub bias: Vec<R>,
     /// Joint springs and dampers, by dof.
     pub passive: Vec<R>,
-    /// Force of each motor, by actuator.
+    /// Force of each motor and servo before its gear, by actuator.
     pub actuator: Vec<R>,
     /// All smooth forces summed, by dof: applied + actuated + passive − bias.
     pub force: Vec<R>,

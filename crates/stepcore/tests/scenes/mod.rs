@@ -95,7 +95,13 @@ pub fn runner() -> Scene {
                 joint: at,
                 gear: [20.0, 0.0, 0.0, 0.0, 0.0, 0.0],
                 ctrlrange: Some([-1.0, 1.0]),
-                forcerange: None,
+                ..Actuator::default()
+            };
+            // The shins have servos, which reach the bound of their force now and then.
+            let motor = if part == shin {
+                Actuator { bias: [0.1, -1.0, -0.02], forcerange: Some([-0.3, 0.4]), ..motor }
+            } else {
+                motor
             };
             scene.actuators.push(motor);
         }

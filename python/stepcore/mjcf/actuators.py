@@ -1,0 +1,102 @@
+"""The `<actuator>` section: motors and servos on joints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stepcore.elements import Joint
+from stepcore.mjcf.defaults import Defaults
+from stepcore.mjcf.gains import Gains
+from stepcore.mjcf.source import Node
+from stepcore.mjcf.tree import Tree
+from stepcore.mjcf.values import bad
+
+TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "refsite", "body")
+STATEFUL = ("actlimited", "actrange")
+
+
+def actuator(tree: Tree, defaults: Defaults, node: Node) -> None:
+    """Reads one motor or servo on a joint."""
+    values = defaults.of(node)
+    joint = _joint(tree, node, values)
+    _refuse(node, values)
+    gains = defaults.gains(node)
+    _refuse_gains(node, gains)
+    added = tree.scene.add_actuator(
+        joint,
+        gains.tag,
+        name=values.get("name", ""),
+        gear=values.get("gear", (1.0,)),
+        ctrlrange=_ctrlrange(tree, node, values, gains, joint),
+        forcerange=tree.limits(node, values, "forcelimited", "forcerange"),
+        **_words(gains),
+    )
+    tree.keep(node, added)
+
+
+def _joint(tree: Tree, node: Node, values: dict[str, Any]) -> Joint:
+    used = [name for name in TRANSMISSIONS if name in values]
+    if not used:
+        raise node.error(f'<{node.tag}> needs joint="…"')
+    if len(used) > 1:
+        raise node.error(f"<{node.tag}> has two transmissions: {used[0]} and {used[1]}")
+    if used[0] not in ("joint", "jointinparent"):
+        raise node.unbuilt(f"a <{node.tag}> that acts through {used[0]}")
+    joint = tree.scene.joint(values[used[0]])
+    if used[0] == "jointinparent" and joint.type in ("ball", "free"):
+        raise node.unbuilt(f"jointinparent on a {joint.type} joint")
+    return joint
+
+
+def _refuse(node: Node, values: dict[str, Any]) -> None:
+    if values.get("delay", 0) != 0:
+        raise node.unbuilt("a delay between control and force (delay)")
+    if any(values.get("damping", ())) or values.get("armature", 0) != 0:
+        raise node.unbuilt("an actuator's own damping or armature")
+    for name in STATEFUL:
+        if values.get(name, False) not in (False, "auto"):
+            raise node.error(f"<{node.tag}> inherits {name}, but a {node.tag} has no activation")
+    if values.get("actdim", -1) not in (-1, 0):
+        raise bad(node, "actdim", values["actdim"], "-1 or 0: no activation is built yet")
+    if node.values.get("input", "") not in ("", "pos", "vel", "pressure"):
+        raise bad(node, "input", node.values["input"], "pos, vel or pressure")
+
+
+def _refuse_gains(node: Node, gains: Gains) -> None:
+    if gains.tag == "position" and gains.dyntype != "none":
+        raise node.unbuilt("a filter before a servo, an activation state (timeconst)")
+    for name, built in (("dyntype", ("none",)), ("gaintype", ("fixed",))):
+        if getattr(gains, name) not in built:
+            raise node.unbuilt(f'<general> {name}="{getattr(gains, name)}"')
+    if gains.biastype not in ("none", "affine"):
+        raise node.unbuilt(f'<general> biastype="{gains.biastype}"')
+
+
+def _words(gains: Gains) -> dict[str, Any]:
+    """The gains as the fields of `stepcore.elements.Actuator`."""
+    gain, damping = gains.gainprm[0], gains.biasprm[2]
+    if gains.tag == "position":
+        return {"kp": gain, **({"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping})}
+    if gains.tag == "velocity":
+        return {"kv": gain}
+    if gains.tag == "general":
+        bias = gains.biasprm[:3] if gains.biastype == "affine" else None
+        return {"gainprm": gain, "biasprm": bias}
+    return {}
+
+
+def _ctrlrange(
+    tree: Tree, node: Node, values: dict[str, Any], gains: Gains, joint: Joint
+) -> tuple[float, ...] | None:
+    if gains.inheritrange <= 0 or not gains.is_position:
+        return tree.limits(node, values, "ctrllimited", "ctrlrange")
+    takes_over = node.values.get("inheritrange", 0.0) > 0
+    if gains.tag == "position" and "ctrlrange" in values and not takes_over:
+        raise node.error("<position> inherits both ctrlrange and inheritrange")
+    bounds = tree.ranges.get(id(joint))
+    if bounds is None or bounds[0] == bounds[1]:
+        raise node.error(f"<{node.tag}> inheritrange: {joint} has no range")
+    if values.get("ctrllimited", "auto") is False:
+        return None
+    middle, half = (bounds[0] + bounds[1]) / 2, gains.inheritrange * (bounds[1] - bounds[0]) / 2
+    return middle - half, middle + half

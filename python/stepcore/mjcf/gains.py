@@ -1,0 +1,104 @@
+"""The gains of an actuator from its element and the default classes around it.
+
+MuJoCo's rule: `<general>` inherits from its class; a shortcut (`<position>`, `<velocity>`, …)
+inherits its own words from the innermost class whose actuator was last written as the same
+shortcut or as `<general>`, and has its own table where there is none. What a class holds is kept
+as `<general>` would write it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from stepcore.frames import Vec
+from stepcore.mjcf.source import Node
+from stepcore.mjcf.values import bad
+
+BUILT = ("motor", "position", "velocity", "general")
+
+
+@dataclass(frozen=True)
+class Gains:
+    """One class's actuator. tag: what wrote it; inheritrange: the scale of the range, or 0."""
+
+    tag: str = "general"
+    gainprm: Vec = (1.0,)
+    biasprm: Vec = (0.0, 0.0, 0.0)
+    dyntype: str = "none"
+    gaintype: str = "fixed"
+    biastype: str = "none"
+    inheritrange: float = 0.0
+
+    @property
+    def is_position(self) -> bool:
+        """Drives to a length: the only kind that can take over its joint's range."""
+        return self.biastype == "affine" and self.gainprm[0] == -self.biasprm[1]
+
+
+Chain = tuple[Gains, ...]
+
+
+def inherited(chain: Chain, node: Node) -> Gains:
+    """The gains of `node`, an actuator or its default, in a class: outermost first in `chain`."""
+    if node.tag not in BUILT:
+        return Gains(node.tag)
+    # These keep it for a <general> of the same class, and have no use for it themselves.
+    kept = chain[-1].inheritrange
+    if node.tag == "motor":
+        return Gains("motor", inheritrange=kept)
+    if node.tag == "general":
+        return _general(chain[-1], node)
+    base = next((g for g in reversed(chain) if g.tag in (node.tag, "general")), Gains())
+    if node.tag == "position":
+        return _position(base, node)
+    kv = node.values.get("kv", base.gainprm[0])
+    return Gains("velocity", (kv,), (0.0, 0.0, -kv), biastype="affine", inheritrange=kept)
+
+
+def _general(base: Gains, node: Node) -> Gains:
+    if base.tag not in BUILT:
+        raise node.unbuilt(f"<general> in a class whose default is <{base.tag}>")
+    values = node.values
+    given: dict[str, Any] = {
+        name: (*values[name], *getattr(base, name)[len(values[name]) :])
+        for name in ("gainprm", "biasprm")
+        if values.get(name)
+    }
+    given |= {n: values[n] for n in ("dyntype", "gaintype", "biastype") if n in values}
+    return replace(base, tag="general", inheritrange=_inheritrange(base, node), **given)
+
+
+def _position(base: Gains, node: Node) -> Gains:
+    values = node.values
+    for name in ("kv", "dampratio", "timeconst"):
+        if values.get(name, 0.0) < 0:
+            raise bad(node, name, values[name], ">= 0")
+    if "kv" in values and "dampratio" in values:
+        raise node.error("<position> has both kv and dampratio")
+    kp = values.get("kp", base.gainprm[0])
+    # Above 0 the last one is a damping ratio.
+    damping = base.biasprm[2]
+    if "kv" in values or "dampratio" in values:
+        damping = values.get("dampratio", -values.get("kv", 0.0))
+    dyntype = base.dyntype if base.tag == "position" else "none"
+    if "timeconst" in values:
+        dyntype = "filterexact" if values["timeconst"] > 0 else "none"
+    bias = (0.0, -kp, damping)
+    return Gains("position", (kp,), bias, dyntype, "fixed", "affine", _inheritrange(base, node))
+
+
+def _inheritrange(base: Gains, node: Node) -> float:
+    """The scale with which the joint's range becomes the control's; a given range replaces it."""
+    given: float = node.values.get("inheritrange", base.inheritrange)
+    if "ctrlrange" not in node.values:
+        return given
+    if node.values.get("inheritrange", 0.0) > 0:
+        raise node.error(f"<{node.tag}> has both ctrlrange and inheritrange")
+    return 0.0
+
+
+def without_range(values: dict[str, Any], node: Node) -> dict[str, Any]:
+    """`values` of a class without its ctrlrange where `node` takes over that of the joint."""
+    takes_over = node.values.get("inheritrange", 0.0) > 0
+    return {name: v for name, v in values.items() if name != "ctrlrange" or not takes_over}
