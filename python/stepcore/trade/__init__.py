@@ -18,7 +18,8 @@ from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
 from stepcore.trade.cost import costs
 from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import STICKS, errors, extent, far_off
+from stepcore.trade.errors import errors, extent, far_off
+from stepcore.trade.models import Models
 from stepcore.trade.motion import Control, Motion, default_horizon, motion, time_steps
 from stepcore.trade.reference import FINER, Reference, Search, smallest
 from stepcore.trade.remarks import truths
@@ -124,8 +125,12 @@ def trade(
         times = costs(course, tried, bar)
     tau = clamping(model.scene) if shipped.law == "solref" and shipped.refsafe else None
     size = extent(reference.paths, model.scene)
+    models = Models(search, reference, size)
+    for one, paths in zip(tried, runs, strict=True):
+        models.keep(one, paths)
+    reference.gaps = models.gaps()
     rows = [
-        _row(one, paths, cost, reference, shipped, motive.horizon, tau, size)
+        _row(one, paths, cost, models, shipped, motive.horizon, tau)
         for one, paths, cost in zip(tried, runs, times, strict=True)
     ]
     notes = [*model.scene.notes, *_notes(motive, reference, alive, tau, horizon)]
@@ -170,22 +175,20 @@ def _row(
     settings: Settings,
     paths: Sequence[Path],
     cost: float,
-    reference: Reference,
+    models: Models,
     shipped: Settings,
     horizon: float,
     tau: float | None,
-    size: float,
 ) -> Row:
     failure = paths[-1].failure and f"start {len(paths) - 1}: {paths[-1].failure}"
     if failure is None and math.isnan(cost):
         failure = "failed while it was timed"
     if failure is None:
-        failure = far_off(paths, reference.paths, size)
+        failure = far_off(paths, models.reference.paths, models.size)
     updates = [path.row_updates for path in paths]
-    sticks = STICKS[settings.cone]
     return Row(
         settings=settings,
-        errors=None if failure else errors(paths, reference.paths, reference.scored, size, sticks),
+        errors=None if failure else models.errors(settings, paths),
         cost=math.nan if failure else cost,
         row_updates=math.nan if failure else float(np.mean(updates)) / horizon,
         failure=failure,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 
@@ -63,6 +63,19 @@ class Level:
         return np.inf if self.moved is None else self.moved.position
 
 
+@dataclass(frozen=True)
+class Gap:
+    """The distance between the limits of two models of a scene.
+
+    distance [m]: as errors of positions are measured. against: the other model, in words.
+    settled: whether a step further towards it, where there is one, changes little.
+    """
+
+    distance: float
+    against: str
+    settled: bool = True
+
+
 @dataclass
 class Reference:
     """The converged motion of a scene.
@@ -73,6 +86,7 @@ class Reference:
     used (1, 2 or 4), or None. orders: what the halvings of each integrator showed, coarsest first.
     agreement [m]: distance to the finest run of another integrator, `other`, whose own halving
     moved it by other_error. growth: of twins. exact: the closed form, where there is one.
+    gaps: to other models, see `stepcore.trade.models`.
     stiffens: rows act whose law grows stiffer as dt shrinks, so that the limit is a harder scene.
     """
 
@@ -88,6 +102,7 @@ class Reference:
     exact: Exact | None = None
     stiffens: bool = False
     stalls: int = 0
+    gaps: dict[str, Gap] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.told()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stepcore.trade.growth import GROWTH, NEARBY
-from stepcore.trade.reference import Reference
+from stepcore.trade.reference import Gap, Reference
 from stepcore.trade.settings import metres, seconds
 
 
@@ -31,4 +31,19 @@ def truths(reference: Reference) -> list[str]:
             f'the law "{reference.settings.law}" makes contacts stiffer as dt shrinks (beta/dt): '
             "the limit dt → 0 that errors are measured from is a harder scene than the shipped one"
         )
+    for name, gap in reference.gaps.items():
+        found.append(_gap(name, gap))
     return found
+
+
+def _gap(name: str, gap: Gap) -> str:
+    """What the scene's own model is away from another."""
+    what = {
+        "pyramid": "the pyramid of friction moves positions by",
+        "softness": "the softness of contacts and limits moves positions by",
+    }[name]
+    open_end = "" if gap.settled else ", and by more the harder it is: at least that"
+    return (
+        f"modelling: {what} {metres(gap.distance)} (rms, median of starts; against "
+        f"{gap.against}{open_end}); no setting of dt or solver changes that"
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from stepcore import checks
@@ -154,6 +154,7 @@ class Trade(Result):
             "orders": ref.orders,
             "closed_form": None if ref.exact is None else ref.exact.check,
             "stiffens": ref.stiffens,
+            "modelling": {name: asdict(gap) for name, gap in ref.gaps.items()},
             "predictable": self.predictable,
             "predictable_starts": ref.growth.ends,
         }
