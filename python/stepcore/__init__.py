@@ -23,12 +23,14 @@ from stepcore.sweep import sweep
 from stepcore.trade import Trade, trade
 
 if TYPE_CHECKING:
+    from stepcore.linearization import Linearization
     from stepcore.lookup import load
     from stepcore.mjcf import loads
     from stepcore.trade.predict import predictability
 
 __all__ = [
     "Batch",
+    "Linearization",
     "Model",
     "Scene",
     "Settings",
@@ -45,6 +47,7 @@ __all__ = [
 
 # Names that are imported when they are first used, so that `import stepcore` is quick.
 _LATER = {
+    "Linearization": "stepcore.linearization",
     "predictability": "stepcore.trade.predict",
     "load": "stepcore.lookup",
     "loads": "stepcore.mjcf",

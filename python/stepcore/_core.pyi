@@ -183,6 +183,9 @@ class Sim:
     def forget(self) -> None:
         """Forgets the impulses of the last step."""
 
+    def linearize(self) -> _Floats:
+        """A (2 nv, 2 nv) and B (2 nv, nu) side by side."""
+
     def state(self) -> bytes: ...
     def restore(self, state: bytes) -> None: ...
     @property

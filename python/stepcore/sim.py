@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from stepcore import _core
 from stepcore._core import Settings
 from stepcore.arrays import Floats, StateArray, Stepped, snapshot
+from stepcore.linearization import Linearization, linearized
 from stepcore.model import Model, compiled
 from stepcore.readouts import contact_table, row_table
 from stepcore.scene import Scene
@@ -101,6 +102,23 @@ class Sim(Stepped):
     def forward(self) -> None:
         """Place, detect and solve at the present state; nothing moves."""
         self._core.forward()
+
+    def linearize(self) -> Linearization:
+        """The next step as a linear map around the present state; nothing moves.
+
+        Exact: derivatives are carried through the step itself (dual numbers), contacts and solver
+        included, with this Sim's own settings, in float64 whatever the precision. ctrl and applied
+        forces are held during the step, and so are the impulses from which the solver starts: what
+        they would change in the next step is not part of the map. At a state where a law switches
+        (a contact that just touches, a limit just reached, a clamp) the derivatives are those of
+        one side: of what the step does at this very state.
+
+        Takes about (2 nv + nu)/4 steps of dual numbers, each the work of a few plain ones, and
+        working space made anew; runs without the GIL. See docs/linearize.md.
+
+        Raises what `step` raises, and ValueError where the step has an infinite derivative.
+        """
+        return linearized(self, self._core.linearize())
 
     def _restart(self, time: float) -> None:
         self._core.time = time

@@ -166,6 +166,19 @@ impl Sim {
         Ok(())
     }
 
+    /// A (2 nv × 2 nv) and B (2 nv × nu), side by side, of the step from the present state.
+    fn linearize<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        let mut linearizer = {
+            let mut guard = self.lock()?;
+            let world = &mut **guard;
+            self.load(py, world)?;
+            gil::release(py, || world.linearizer())?
+        };
+        gil::steps(py, linearizer.steps(), |n| linearizer.advance(n))?;
+        let rows = 2 * self.model.nv;
+        result(py, linearizer.matrix, &[rows, rows + self.model.actuators.len()])
+    }
+
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let memo = self.lock()?.memo();
         Ok(PyBytes::new(py, &encode(self.dt, &memo, &self.given(py))))

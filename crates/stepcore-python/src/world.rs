@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use stepcore::arrays::Given;
 use stepcore::error::Result;
+use stepcore::measure::Linearizer;
 use stepcore::model::Model;
 use stepcore::real::Real;
 use stepcore::settings::{Precision, Settings};
@@ -92,6 +93,7 @@ pub trait World: Send {
     fn effort(&self) -> Effort;
     /// How often the list of contacts had to grow.
     fn grown(&self) -> u64;
+    fn linearizer(&mut self) -> Result<Linearizer>;
 }
 
 /// A world in the precision that the settings ask for.
@@ -214,6 +216,9 @@ impl<R: Real> World for One<R> {
     }
     fn grown(&self) -> u64 {
         self.sim.detected.grown
+    }
+    fn linearizer(&mut self) -> Result<Linearizer> {
+        Linearizer::new(&self.sim)
     }
 }
 

@@ -98,6 +98,31 @@ impl<R: Real> Sim<R> {
             }
         };
         self.effort.note(&report);
+        let swept = self.settings.solver == Solver::Pgs && self.settings.tolerance > 0.0;
+        if R::DIFFERENTIATES && swept && report.open.none() {
+            self.settle(limits)?;
+        }
+        Ok(())
+    }
+
+    /// Derivatives of what PGS solved to its tolerance: a sweep moves them as it moves the
+    /// numbers, but from farther away. Soft convex rows have a minimiser, which Newton's method
+    /// differentiates; others are swept on.
+    fn settle(&mut self, limits: Limits) -> Result<()> {
+        let (dof_lists, found) = (&self.model.dof_lists, self.rows.u.clone());
+        let impulses: Vec<R> = self.rows.rows.iter().map(|row| row.impulse).collect();
+        let soft = self.rows.rows.iter().all(|row| row.c.gt(R::zero()).all());
+        if self.settings.law.on_guess() || !soft {
+            self.pgs.settle(dof_lists, &mut self.rows);
+        } else {
+            let (inv_d, guess) = (&self.placed.metric.inv_d, &self.placed.guess);
+            self.newton.solve(dof_lists, inv_d, guess, &mut self.rows, limits)?;
+        }
+        let settled = self.rows.rows.iter_mut().map(|row| &mut row.impulse);
+        let settled = self.rows.u.iter_mut().chain(settled);
+        for (settled, found) in settled.zip(found.into_iter().chain(impulses)) {
+            *settled = found.smooth(R::Mask::of(true), || *settled);
+        }
         Ok(())
     }
 

@@ -37,6 +37,9 @@ pub fn rotate_back<R: Real>(m: &M3<R>, v: &V3<R>) -> V3<R> {
     )
 }
 
+/// Square of an angle below which an axis is not used for derivatives.
+const NO_TURN: f64 = 1e-200;
+
 /// A rotation as a unit quaternion, w x y z.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quat<R: Real> {
@@ -100,14 +103,29 @@ impl<R: Real> Quat<R> {
     /// Rotation by the vector `r`: angle |r| about r.
     #[inline(always)]
     pub fn exp(r: &V3<R>) -> Self {
-        let angle = r.dot(r).sqrt();
+        let square = r.dot(r);
+        let angle = square.sqrt();
         let k = angle.recip_or_zero();
-        Self::about(&V3::new(r.x * k, r.y * k, r.z * k), angle)
+        let q = Self::about(&V3::new(r.x * k, r.y * k, r.z * k), angle);
+        // (1 − r²/8, r/2) + …: no axis is needed where there is none.
+        let small = square.lt(R::of(NO_TURN));
+        let half = |x: R| R::of(0.5) * x;
+        Self {
+            w: q.w.smooth(small, || R::one() - square * R::of(0.125)),
+            v: V3::new(
+                q.v.x.smooth(small, || half(r.x)),
+                q.v.y.smooth(small, || half(r.y)),
+                q.v.z.smooth(small, || half(r.z)),
+            ),
+        }
     }
     /// The rotation vector with angle in (-π, π].
     pub fn log(&self) -> V3<R> {
         let (axis, angle) = self.axis_angle();
-        V3::new(axis.x * angle, axis.y * angle, axis.z * angle)
+        let small = self.v.dot(&self.v).lt(R::of(NO_TURN));
+        // Near ±1 the turn is 2 v/w.
+        let entry = |axis: R, v: R| (axis * angle).smooth(small, || R::of(2.0) * v / self.w);
+        V3::new(entry(axis.x, self.v.x), entry(axis.y, self.v.y), entry(axis.z, self.v.z))
     }
     /// Unit axis and angle in (-π, π]; the axis is zero for the identity.
     pub fn axis_angle(&self) -> (V3<R>, R) {

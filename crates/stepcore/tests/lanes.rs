@@ -8,47 +8,13 @@ use std::sync::Arc;
 
 use stepcore::model::Model;
 use stepcore::real::{Lanes, Mask, Real, WIDTH};
-use stepcore::scene::{JointType, Scene};
+use stepcore::scene::Scene;
 use stepcore::settings::{Acceleration, Cone, Integrator, Law, Settings, Solver};
 use stepcore::sim::Sim;
 
-use scenes::Random;
+use scenes::{put, start};
 
 const ON_GUESS: [Law; 3] = [Law::Lesson, Law::Relaxed, Law::Rigid];
-
-/// A world's start: the scene's, with each world a little elsewhere, faster, and higher.
-fn start(model: &Model, world: usize) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
-    let mut random = Random(world as u64 + 1);
-    let mut qpos = model.qpos0.clone();
-    for joint in &model.joints {
-        match joint.kind {
-            JointType::Free => {
-                qpos[joint.qpos + 2] += 0.01 * world as f64;
-                for k in 0..4 {
-                    qpos[joint.qpos + 3 + k] += 0.1 * random.next();
-                }
-            }
-            JointType::Ball => (0..4).for_each(|k| qpos[joint.qpos + k] += 0.1 * random.next()),
-            JointType::Slide | JointType::Hinge => qpos[joint.qpos] += 0.05 * random.next(),
-        }
-    }
-    let qvel = (0..model.nv).map(|_| 0.5 * random.next()).collect();
-    let ctrl = (0..model.actuators.len()).map(|_| random.next()).collect();
-    (qpos, qvel, ctrl)
-}
-
-fn put<R: Real>(
-    sim: &mut Sim<R>,
-    lane: usize,
-    (qpos, qvel, ctrl): &(Vec<f64>, Vec<f64>, Vec<f64>),
-) {
-    let fill = |to: &mut [R], from: &[f64]| {
-        to.iter_mut().zip(from).for_each(|(to, x)| to.set_lane(lane, *x))
-    };
-    fill(&mut sim.state.qpos, qpos);
-    fill(&mut sim.state.qvel, qvel);
-    fill(&mut sim.inputs.ctrl, ctrl);
-}
 
 /// Steps both ways and compares after every step; how often the lanes held different rows.
 fn differing_steps(scene: &Scene, settings: &Settings, steps: usize) -> usize {

@@ -34,7 +34,8 @@ impl<R: Real> Sim<R> {
             for k in 0..model.nv {
                 let middle = half * (s.qvel[k] + self.next.qvel[k]);
                 // A lane that is done stays where it was done: its rows come out the same again.
-                self.state.qvel[k] = R::select(open, middle, self.state.qvel[k]);
+                let new = R::select(open, middle, self.state.qvel[k]);
+                self.state.qvel[k] = new.smooth(open.not(), || middle);
             }
             advance(&model, &s.qpos, &self.state.qvel, half * dt, &mut self.state.qpos);
             if rows {
@@ -49,7 +50,7 @@ impl<R: Real> Sim<R> {
             let unmeasured = miss.is_finite().not();
             last = R::select(open, miss, last);
             open = open.and(small.or(stalled).or(unmeasured).not());
-            if open.none() {
+            if open.none() && !self.unsettled() {
                 break;
             }
         }
@@ -68,6 +69,15 @@ impl<R: Real> Sim<R> {
         advance(&model, &s.qpos, &self.next.mean, dt, &mut self.next.qpos);
         self.velocity.copy_from_slice(&self.next.qvel);
         Ok(())
+    }
+
+    /// The last correction changed derivatives by more than rounding.
+    fn unsettled(&self) -> bool {
+        if !R::DIFFERENTIATES {
+            return false;
+        }
+        let most = |list: &[R]| list.iter().map(|x| x.steepness()).fold(0.0, f64::max);
+        most(&self.next.damped.impulse) > 16.0 * R::EPSILON * most(&self.next.qvel)
     }
 
     /// v⁺ += (M + dt/2·D + dt²/4·K)⁻¹ M (v + dt·a − v⁺); returns the correction's
@@ -105,7 +115,9 @@ impl<R: Real> Sim<R> {
         for k in 0..model.nv {
             let change = damped.impulse[k];
             let new = self.next.qvel[k] + change;
-            self.next.qvel[k] = R::select(open, new, self.next.qvel[k]);
+            let kept = R::select(open, new, self.next.qvel[k]);
+            // Derivatives go on until they stand still as well.
+            self.next.qvel[k] = kept.smooth(open.not(), || new);
             miss = R::select(change.is_finite(), miss.max(change.abs()), change);
         }
         R::select(scale.gt(R::zero()), miss / scale, miss)

@@ -108,7 +108,8 @@ impl<R: Real> Sim<R> {
         self.placed.metric.from_factored(change, &mut self.velocity);
         // What the rows do not change keeps its bits, the sign of a zero too.
         let add = |x: &mut R, change: R| {
-            *x = R::select(change.abs().le(R::zero()), *x, *x + change);
+            let none = change.abs().le(R::zero());
+            *x = R::select(none, *x, *x + change).smooth(none, || *x + change);
         };
         let rate = R::of(1.0 / self.settings.dt);
         let share = R::of(if on_guess { 1.0 } else { 0.5 });

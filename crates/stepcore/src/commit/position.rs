@@ -25,9 +25,12 @@ pub fn advance<R: Real>(model: &Model, qpos: &[R], qvel: &[R], dt: R, out: &mut 
 fn turn<R: Real>(quat: &[R], rate: &[R], dt: R, out: &mut [R]) {
     let vector = V3::new(rate[0] * dt, rate[1] * dt, rate[2] * dt);
     let still = vector.dot(&vector).le(R::zero());
-    Quat::of(quat).mul(&Quat::exp(&vector)).normalized().store(out);
+    let turned = Quat::of(quat).mul(&Quat::exp(&vector));
+    turned.normalized().store(out);
     // What does not turn keeps its bits: scaling to unit length may change the last one.
-    for (new, old) in out.iter_mut().zip(quat) {
-        *new = R::select(still, *old, *new);
+    let mut product = [R::zero(); 4];
+    turned.store(&mut product);
+    for ((new, old), product) in out.iter_mut().zip(quat).zip(product) {
+        *new = R::select(still, *old, *new).smooth(still, || product);
     }
 }

@@ -2,8 +2,10 @@
 
 mod blame;
 mod energy;
+mod linearize;
 mod past;
 mod readout;
 
 pub use energy::Energy;
+pub use linearize::Linearizer;
 pub(crate) use past::Past;

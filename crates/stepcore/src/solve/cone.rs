@@ -122,7 +122,7 @@ const STEPS: usize = 40;
 /// ξ₀/(1 − κσ₀), ξ₁/(1 + κσ₁), ξ₂/(1 + κσ₂), where ξ = −Vᵀb.
 #[derive(Clone, Copy, Debug)]
 pub struct Convex<R: Real> {
-    mu: R,
+    pub(super) mu: R,
     /// 1/Q₀₀: everything below belongs to Q/Q₀₀, which has no unit.
     scale: R,
     v: [[R; 3]; 3],

@@ -6,6 +6,7 @@ mod cone;
 mod contact;
 mod equality;
 mod few;
+mod implicit;
 mod law;
 mod limit;
 mod loss;

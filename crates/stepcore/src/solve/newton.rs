@@ -9,6 +9,7 @@
 mod hessian;
 mod minimise;
 mod penalty;
+mod settle;
 mod system;
 
 use super::few::{Few, Island};
@@ -87,20 +88,24 @@ impl<R: Real> Newton<R> {
                 }
             }
             let few = Few::fits(rows, &self.present).and(alone.not());
-            let mut open = R::Mask::of(false);
+            let mut poor = R::Mask::of(false);
             if few.any() {
                 let island = Island { dof_lists, inv_d, guess, blocks: &self.present };
-                open = self.few.solve(island, rows, few, &mut report);
+                poor = self.few.solve(island, rows, few, &mut report);
             }
-            let live = present.and(alone.not()).and(few.not().or(open));
+            let live = present.and(alone.not()).and(few.not().or(poor));
             if live.none() {
                 continue;
             }
             let pattern = &mut self.patterns[island];
             pattern.fit(dof_lists, rows, &self.present);
             self.system.start(pattern, &self.present, inv_d, guess, rows);
-            self.system.minimise(pattern, &self.present, rows, live, limits, &mut report);
+            let open =
+                self.system.minimise(pattern, &self.present, rows, live, limits, &mut report);
             self.system.finish(pattern, &self.present, rows, live);
+            if R::DIFFERENTIATES && open.none() {
+                self.system.settle(pattern, &self.present, rows);
+            }
             report.decrement =
                 report.decrement.max(R::select(live, self.system.decrement, R::zero()));
         }

@@ -5,6 +5,7 @@
 //! block. A sweep touches y and u only, never a matrix of rows.
 
 use super::cone::{Convex, Tangents};
+use super::implicit::{in_disc, on_cone};
 use super::momentum::Momentum;
 use super::residual::dot;
 use super::rows::{Block, Row, Rows, Set};
@@ -24,6 +25,11 @@ pub struct Limits {
     pub exact: bool,
 }
 
+/// Sweeps that derivatives may need after the numbers.
+const MOST_SETTLING: usize = 20_000;
+/// A change of derivatives beside the derivatives that is rounding.
+const SETTLED: f64 = 1e-15;
+
 /// What a solve did, lane by lane.
 #[derive(Clone, Copy, Debug)]
 pub struct Report<R: Real> {
@@ -33,11 +39,14 @@ pub struct Report<R: Real> {
     pub updates: R,
     /// Newton's decrement where it stopped, √(gᵀH⁻¹g) relative to the motion; 0 under PGS.
     pub decrement: R,
+    /// PGS used up its sweeps in some island.
+    pub open: R::Mask,
 }
 
 impl<R: Real> Report<R> {
     pub fn new() -> Self {
-        Self { sweeps: R::zero(), updates: R::zero(), decrement: R::zero() }
+        let zero = R::zero();
+        Self { sweeps: zero, updates: zero, decrement: zero, open: R::Mask::of(false) }
     }
 }
 
@@ -178,9 +187,29 @@ impl<R: Real> Pgs<R> {
                 live = judge(dof_lists, rows, blocks, live, swept.change, limits.tolerance);
             }
             report.sweeps = report.sweeps.max(done);
+            report.open = report.open.or(live);
         }
         (self.order, self.momentum) = (order, momentum);
         report
+    }
+
+    /// Sweeps on after a solve, until the derivatives stand still too, or for as long as is
+    /// reasonable. The numbers may lose their last bits.
+    pub fn settle(&mut self, dof_lists: &[usize], rows: &mut Rows<R>) {
+        let every: Vec<usize> = (0..rows.blocks.len()).collect();
+        let (live, mut report) = (R::Mask::of(true), Report::new());
+        for _ in 0..MOST_SETTLING {
+            let before = rows.u.clone();
+            self.sweep::<false>(dof_lists, rows, &every, live, &mut report);
+            let (mut change, mut most) = (0.0f64, 0.0f64);
+            for (new, old) in rows.u.iter().zip(before) {
+                change = change.max((*new - old).steepness());
+                most = most.max(new.steepness());
+            }
+            if change <= SETTLED * most {
+                break;
+            }
+        }
     }
 
     fn prepare(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &Rows<R>, weigh: bool) {
@@ -374,7 +403,10 @@ impl<R: Real, const GAIN: bool> Sweep<'_, R, GAIN> {
         for (b, q) in b.iter_mut().zip(&full) {
             *b -= q[0] * impulse[0] + q[1] * impulse[1] + q[2] * impulse[2];
         }
-        let solution = solver.solve(b, self.mask);
+        let mut solution = solver.solve(b, self.mask);
+        if R::DIFFERENTIATES {
+            solution = on_cone(q, solver.mu, &b, solution);
+        }
         let mut change = [R::zero(); 3];
         for (i, row) in own.iter_mut().enumerate().take(3) {
             change[i] = self.set(row, solution[i]);
@@ -411,6 +443,7 @@ impl<R: Real, const GAIN: bool> Sweep<'_, R, GAIN> {
         let bound = block.mu * normal.impulse;
         let x = match block.set {
             Set::CoulombBox => solver.square(g, bound),
+            _ if R::DIFFERENTIATES => in_disc(q, bound, &g, solver.disc(g, bound, self.mask)),
             _ => solver.disc(g, bound, self.mask),
         };
         for (i, row) in tangents.iter_mut().enumerate().take(2) {

@@ -1,9 +1,12 @@
 //! Scenes built by hand, one for each family of rows, for the tests of this folder.
 #![allow(dead_code)]
 
+use stepcore::model::Model;
+use stepcore::real::Real;
 use stepcore::scene::{
     Actuator, Body, Equality, Geom, GeomType, Inertial, Joint, JointType, Scene,
 };
+use stepcore::sim::Sim;
 
 /// One more body; its index.
 pub fn body(scene: &mut Scene, parent: usize, pos: [f64; 3]) -> usize {
@@ -176,4 +179,37 @@ impl Random {
             self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
     }
+}
+
+/// qpos, qvel, ctrl.
+pub type Start = (Vec<f64>, Vec<f64>, Vec<f64>);
+
+/// A world's start: the scene's, with each world a little elsewhere, faster, and higher.
+pub fn start(model: &Model, world: usize) -> Start {
+    let mut random = Random(world as u64 + 1);
+    let mut qpos = model.qpos0.clone();
+    for joint in &model.joints {
+        match joint.kind {
+            JointType::Free => {
+                qpos[joint.qpos + 2] += 0.01 * world as f64;
+                for k in 0..4 {
+                    qpos[joint.qpos + 3 + k] += 0.1 * random.next();
+                }
+            }
+            JointType::Ball => (0..4).for_each(|k| qpos[joint.qpos + k] += 0.1 * random.next()),
+            JointType::Slide | JointType::Hinge => qpos[joint.qpos] += 0.05 * random.next(),
+        }
+    }
+    let qvel = (0..model.nv).map(|_| 0.5 * random.next()).collect();
+    let ctrl = (0..model.actuators.len()).map(|_| random.next()).collect();
+    (qpos, qvel, ctrl)
+}
+
+pub fn put<R: Real>(sim: &mut Sim<R>, lane: usize, (qpos, qvel, ctrl): &Start) {
+    let fill = |to: &mut [R], from: &[f64]| {
+        to.iter_mut().zip(from).for_each(|(to, x)| to.set_lane(lane, *x))
+    };
+    fill(&mut sim.state.qpos, qpos);
+    fill(&mut sim.state.qvel, qvel);
+    fill(&mut sim.inputs.ctrl, ctrl);
 }

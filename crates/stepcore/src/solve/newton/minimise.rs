@@ -22,7 +22,8 @@ const TRIALS: usize = 60;
 
 impl<R: Real> System<R> {
     /// The iteration. A lane leaves it when its gradient or its step is rounding, its
-    /// residual is within the tolerance, or its last step was exact.
+    /// residual is within the tolerance, or its last step was exact. Lanes that it had to
+    /// leave unfinished.
     pub fn minimise(
         &mut self,
         pattern: &Pattern,
@@ -31,7 +32,7 @@ impl<R: Real> System<R> {
         mut live: R::Mask,
         limits: Limits,
         report: &mut Report<R>,
-    ) {
+    ) -> R::Mask {
         let zero = R::zero();
         let mut full = R::Mask::of(false);
         let (mut done, mut last) = (zero, R::of(f64::INFINITY));
@@ -84,10 +85,11 @@ impl<R: Real> System<R> {
         // An unfinished lane has nothing to refine.
         self.fresh = self.fresh.and(live.not());
         report.sweeps = report.sweeps.max(done);
+        live
     }
 
     /// g = D(u − û) − Σ yλ; |g|² in D⁻¹, and |u − û|² in D.
-    fn slope(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) -> (R, R) {
+    pub(super) fn slope(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) -> (R, R) {
         let mut moved = R::zero();
         for (((g, u), guess), d) in
             self.gradient.iter_mut().zip(&self.u).zip(&self.guess).zip(&self.d)
@@ -105,7 +107,7 @@ impl<R: Real> System<R> {
     }
 
     /// step = −H⁻¹ g.
-    fn direction(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
+    pub(super) fn direction(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
         self.hessian.reset(pattern, &self.d);
         let mut at = 0;
         for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {

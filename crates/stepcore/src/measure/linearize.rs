@@ -1,0 +1,172 @@
+//! The step as a linear map: how the state after it moves with the state before it.
+//!
+//! One step of a `Sim<Dual>`, from the same state and inputs, as often as there are
+//! directions, a few at a time. Tangent coordinates x = (dq, dv) have nv entries each: dq
+//! moves positions as a velocity of that size moves them in a unit of time (`advance`), so
+//! that a turn is a rotation vector in the body's own axes. The impulses that the solver
+//! starts from are held.
+
+use crate::arrays::Given;
+use crate::error::{named, Error, Result};
+use crate::model::Model;
+use crate::real::{Dual, Real, WAYS};
+use crate::scene::JointType;
+use crate::settings::{Precision, Settings};
+use crate::sim::Sim;
+use crate::state::{State, Warm};
+
+/// A linearisation under way: ∂x⁺/∂x and ∂x⁺/∂ctrl at one state.
+pub struct Linearizer {
+    sim: Sim<Dual>,
+    start: State<Dual>,
+    ctrl: Vec<Dual>,
+    done: usize,
+    /// 2 nv rows of 2 nv + nu numbers: A, and B beside it.
+    pub matrix: Vec<f64>,
+}
+
+/// Derivatives start and end here; every one is found by its place.
+#[derive(Clone, Copy)]
+enum Entry {
+    Position(usize),
+    Velocity(usize),
+    Control(usize),
+}
+
+impl Linearizer {
+    /// At the present state and inputs of a world, with its settings, computed in `f64`.
+    pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
+        let settings = Settings { precision: Precision::F64, ..from.settings.clone() };
+        let mut sim = Sim::<Dual>::new(from.model.clone(), settings)?;
+        let plain = |list: &[R]| list.iter().map(|x| x.lane(0)).collect::<Vec<_>>();
+        let given = [
+            plain(&from.state.qpos),
+            plain(&from.state.qvel),
+            plain(&from.inputs.ctrl),
+            plain(&from.inputs.qfrc_applied),
+            plain(&from.inputs.xfrc_applied),
+        ];
+        let [qpos, qvel, ctrl, qfrc_applied, xfrc_applied] = &given;
+        sim.put(0, &Given { qpos, qvel, ctrl, qfrc_applied, xfrc_applied });
+        let warm = from.state.warm.iter();
+        let dual =
+            |w: &Warm<R>| Warm { slot: w.slot, impulse: w.impulse.map(|x| Dual::of(x.lane(0))) };
+        sim.state.warm.extend(warm.map(dual));
+        (sim.state.steps, sim.state.start) = (from.state.steps, from.state.start);
+        let width = 2 * from.model.nv + from.model.actuators.len();
+        Ok(Self {
+            start: sim.state.clone(),
+            ctrl: sim.inputs.ctrl.clone(),
+            sim,
+            done: 0,
+            matrix: vec![0.0; 2 * from.model.nv * width],
+        })
+    }
+
+    fn width(&self) -> usize {
+        2 * self.sim.model.nv + self.ctrl.len()
+    }
+
+    /// Steps that it takes in all.
+    pub fn steps(&self) -> u64 {
+        self.width().div_ceil(WAYS) as u64
+    }
+
+    /// Takes the next `n` of them.
+    pub fn advance(&mut self, n: u64) -> Result<()> {
+        for _ in 0..n {
+            let first = self.done;
+            let ways = first..(first + WAYS).min(self.width());
+            self.sim.state.clone_from(&self.start);
+            self.sim.inputs.ctrl.copy_from_slice(&self.ctrl);
+            for way in ways.clone() {
+                self.seed(self.entry(way), way - first);
+            }
+            self.sim.step(1)?;
+            for way in ways.clone() {
+                self.read(way, way - first)?;
+            }
+            self.done = ways.end;
+        }
+        Ok(())
+    }
+
+    fn entry(&self, way: usize) -> Entry {
+        let nv = self.sim.model.nv;
+        if way < nv {
+            Entry::Position(way)
+        } else if way < 2 * nv {
+            Entry::Velocity(way - nv)
+        } else {
+            Entry::Control(way - 2 * nv)
+        }
+    }
+
+    fn seed(&mut self, entry: Entry, slot: usize) {
+        match entry {
+            Entry::Velocity(dof) => self.sim.state.qvel[dof].slopes[slot] = 1.0,
+            Entry::Control(index) => self.sim.inputs.ctrl[index].slopes[slot] = 1.0,
+            Entry::Position(dof) => {
+                let (place, axis) = place(&self.sim.model, dof);
+                let qpos = &mut self.sim.state.qpos[place..];
+                let Some(axis) = axis else {
+                    qpos[0].slopes[slot] = 1.0;
+                    return;
+                };
+                // q · (0, e/2).
+                let [w, x, y, z] = core::array::from_fn(|k| 0.5 * qpos[k].value);
+                let slopes = [[-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]][axis];
+                for (entry, slope) in qpos.iter_mut().zip(slopes) {
+                    entry.slopes[slot] = slope;
+                }
+            }
+        }
+    }
+
+    /// One column, from the state after the step.
+    fn read(&mut self, column: usize, slot: usize) -> Result<()> {
+        let (nv, width) = (self.sim.model.nv, self.width());
+        let state = &self.sim.state;
+        for dof in 0..nv {
+            let (place, axis) = place(&self.sim.model, dof);
+            let dq = match axis {
+                None => state.qpos[place].slopes[slot],
+                // 2 q̄ · dq / |q|².
+                Some(axis) => {
+                    let q: [f64; 4] = core::array::from_fn(|k| state.qpos[place + k].value);
+                    let d: [f64; 4] = core::array::from_fn(|k| state.qpos[place + k].slopes[slot]);
+                    let [i, j] = [(axis + 1) % 3 + 1, (axis + 2) % 3 + 1];
+                    let k = axis + 1;
+                    let turn = q[0] * d[k] - q[k] * d[0] - q[i] * d[j] + q[j] * d[i];
+                    2.0 * turn / q.iter().map(|x| x * x).sum::<f64>()
+                }
+            };
+            let dv = state.qvel[dof].slopes[slot];
+            if !(dq.is_finite() && dv.is_finite()) {
+                return Err(self.steep(dof));
+            }
+            self.matrix[dof * width + column] = dq;
+            self.matrix[(nv + dof) * width + column] = dv;
+        }
+        Ok(())
+    }
+
+    fn steep(&self, dof: usize) -> Error {
+        let joint = self.sim.model.dofs[dof].joint;
+        let joint = named("joint", &self.sim.model.joints[joint].name, joint);
+        let limit = "finite: the step is not differentiable at this state";
+        Error::value(format!("derivative of dof {dof} of {joint}"), "infinite", limit)
+    }
+}
+
+/// Where a dof's position is in qpos, or its quaternion and the axis of that.
+fn place(model: &Model, dof: usize) -> (usize, Option<usize>) {
+    let joint = &model.joints[model.dofs[dof].joint];
+    let within = dof - joint.dof;
+    match joint.kind {
+        JointType::Slide | JointType::Hinge => (joint.qpos, None),
+        JointType::Ball => (joint.qpos, Some(within)),
+        JointType::Free if within < 3 => (joint.qpos + within, None),
+        JointType::Free => (joint.qpos + 3, Some(within - 3)),
+    }
+}

@@ -1,0 +1,245 @@
+//! `Dual`: one `f64` world whose numbers carry derivatives along a few directions.
+//!
+//! x + Σ dᵢεᵢ with εᵢεⱼ = 0 (Clifford 1873; forward differentiation: Wengert 1964).
+//! The numbers themselves are those of `f64`, bit for bit, and alone decide every
+//! comparison; `select` takes a number with its derivatives. Where a formula is not
+//! differentiable though its number is fine, √0 say, derivatives are 0 there: the mean
+//! of both sides; stages that need better say so with `Real::smooth`.
+
+use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
+use num_traits::{One, Zero};
+
+use super::Real;
+
+/// Directions that travel together.
+pub const WAYS: usize = 4;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dual {
+    pub value: f64,
+    pub slopes: [f64; WAYS],
+}
+
+impl Dual {
+    #[inline(always)]
+    fn with(value: f64, slope: impl Fn(usize) -> f64) -> Self {
+        Self { value, slopes: core::array::from_fn(slope) }
+    }
+    /// A function's value, and its derivative times this number's own.
+    #[inline(always)]
+    fn chain(self, value: f64, rate: f64) -> Self {
+        Self::with(value, |i| rate * self.slopes[i])
+    }
+}
+
+impl Add for Dual {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, o: Self) -> Self {
+        Self::with(self.value + o.value, |i| self.slopes[i] + o.slopes[i])
+    }
+}
+
+impl Sub for Dual {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, o: Self) -> Self {
+        Self::with(self.value - o.value, |i| self.slopes[i] - o.slopes[i])
+    }
+}
+
+impl Mul for Dual {
+    type Output = Self;
+    #[inline(always)]
+    #[allow(clippy::suspicious_arithmetic_impl)] // The product rule.
+    fn mul(self, o: Self) -> Self {
+        Self::with(self.value * o.value, |i| self.slopes[i] * o.value + self.value * o.slopes[i])
+    }
+}
+
+impl Div for Dual {
+    type Output = Self;
+    #[inline(always)]
+    #[allow(clippy::suspicious_arithmetic_impl)] // The quotient rule.
+    fn div(self, o: Self) -> Self {
+        let (value, inverse) = (self.value / o.value, 1.0 / o.value);
+        Self::with(value, |i| (self.slopes[i] - value * o.slopes[i]) * inverse)
+    }
+}
+
+impl Neg for Dual {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self::with(-self.value, |i| -self.slopes[i])
+    }
+}
+
+macro_rules! assign {
+    ($op:ident, $f:ident, $sign:tt) => {
+        impl $op for Dual {
+            #[inline(always)]
+            fn $f(&mut self, other: Self) {
+                *self = *self $sign other;
+            }
+        }
+    };
+}
+assign!(AddAssign, add_assign, +);
+assign!(SubAssign, sub_assign, -);
+assign!(MulAssign, mul_assign, *);
+assign!(DivAssign, div_assign, /);
+
+impl Zero for Dual {
+    #[inline(always)]
+    fn zero() -> Self {
+        Self { value: 0.0, slopes: [0.0; WAYS] }
+    }
+    fn is_zero(&self) -> bool {
+        self.value == 0.0
+    }
+}
+
+impl One for Dual {
+    #[inline(always)]
+    fn one() -> Self {
+        Self { value: 1.0, slopes: [0.0; WAYS] }
+    }
+}
+
+impl Real for Dual {
+    type Mask = bool;
+    const LANES: usize = 1;
+    const EPSILON: f64 = f64::EPSILON;
+    const DIFFERENTIATES: bool = true;
+
+    #[inline(always)]
+    fn of(value: f64) -> Self {
+        Self { value, slopes: [0.0; WAYS] }
+    }
+    #[inline(always)]
+    fn lane(self, _: usize) -> f64 {
+        self.value
+    }
+    #[inline(always)]
+    fn set_lane(&mut self, _: usize, value: f64) {
+        *self = Self::of(value);
+    }
+    #[inline(always)]
+    fn select(mask: bool, yes: Self, no: Self) -> Self {
+        if mask {
+            yes
+        } else {
+            no
+        }
+    }
+    #[inline(always)]
+    fn lt(self, other: Self) -> bool {
+        self.value < other.value
+    }
+    #[inline(always)]
+    fn le(self, other: Self) -> bool {
+        self.value <= other.value
+    }
+    /// Of the number: a derivative that is not finite is found where it is read.
+    #[inline(always)]
+    fn is_finite(self) -> bool {
+        self.value.is_finite()
+    }
+    fn sqrt(self) -> Self {
+        let root = self.value.sqrt();
+        self.chain(root, if root > 0.0 { 0.5 / root } else { 0.0 })
+    }
+    fn sin_cos(self) -> (Self, Self) {
+        let (sin, cos) = self.value.sin_cos();
+        (self.chain(sin, cos), self.chain(cos, -sin))
+    }
+    /// d atan2(y, x) = (x dy − y dx)/(x² + y²).
+    fn atan2(self, x: Self) -> Self {
+        let square = self.value * self.value + x.value * x.value;
+        let inverse = if square > 0.0 { 1.0 / square } else { 0.0 };
+        let (along, across) = (x.value * inverse, self.value * inverse);
+        Self::with(self.value.atan2(x.value), |i| along * self.slopes[i] - across * x.slopes[i])
+    }
+    fn powf(self, power: Self) -> Self {
+        let value = self.value.powf(power.value);
+        let (base, rise) = (power.value * self.value.powf(power.value - 1.0), self.value.ln());
+        // 0 · ∞ is 0 here: what does not change adds nothing.
+        let part = |rate: f64, slope: f64| if slope == 0.0 { 0.0 } else { rate * slope };
+        let power = |i| if value == 0.0 { 0.0 } else { part(value * rise, power.slopes[i]) };
+        Self::with(value, |i| part(base, self.slopes[i]) + power(i))
+    }
+    #[inline(always)]
+    fn constant(self) -> Self {
+        Self::of(self.value)
+    }
+    #[inline(always)]
+    fn smooth(self, mask: bool, formula: impl FnOnce() -> Self) -> Self {
+        if mask {
+            Self { value: self.value, slopes: formula().slopes }
+        } else {
+            self
+        }
+    }
+    #[inline(always)]
+    fn steepness(self) -> f64 {
+        self.slopes.iter().fold(0.0, |most, slope| most.max(slope.abs()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn seeded(value: f64, slope: f64) -> Dual {
+        let mut x = Dual::of(value);
+        x.slopes[WAYS - 1] = slope;
+        x
+    }
+
+    /// Every operation against central differences, at numbers away from its corners.
+    #[test]
+    fn derivatives_are_those_of_the_formulas() {
+        type Formula = (fn(Dual, Dual) -> Dual, fn(f64, f64) -> f64);
+        let formulas: [Formula; 10] = [
+            (|x, y| x + y * x, |x, y| x + y * x),
+            (|x, y| x - y, |x, y| x - y),
+            (|x, y| x / y, |x, y| x / y),
+            (|x, y| (x * y).sqrt(), |x, y| (x * y).sqrt()),
+            (|x, y| (x * y).sin_cos().0, |x, y| (x * y).sin()),
+            (|x, y| (x * y).sin_cos().1, |x, y| (x * y).cos()),
+            (|x, y| (-x).atan2(-y), |x, y| (-x).atan2(-y)),
+            (|x, y| x.powf(y), |x, y| x.powf(y)),
+            (|x, y| (x - y).abs().max(y), |x, y| (x - y).abs().max(y)),
+            (|x, y| (x - y).recip_or_zero().clamp(-x, x), |x, y| (1.0 / (x - y)).min(x)),
+        ];
+        for (dual, plain) in formulas {
+            let (x, y, dx, dy) = (1.7, 0.6, 0.3, -1.1);
+            let got = dual(seeded(x, dx), seeded(y, dy));
+            assert_eq!(got.value.to_bits(), plain(x, y).to_bits());
+            let h = 1e-6;
+            let want = (plain(x + h * dx, y + h * dy) - plain(x - h * dx, y - h * dy)) / (2.0 * h);
+            assert!((got.slopes[WAYS - 1] - want).abs() < 1e-9, "{got:?} {want}");
+            assert_eq!(got.slopes[0], 0.0);
+        }
+    }
+
+    #[test]
+    fn corners_stay_finite() {
+        let zero = seeded(0.0, 1.0);
+        let all = [
+            zero.sqrt(),
+            (zero * zero).sqrt(),
+            zero.atan2(zero),
+            zero.atan2(seeded(-1.0, 0.0)),
+            zero.powf(Dual::of(1.5)),
+            zero.powf(Dual::of(1.0)),
+            zero.powf(seeded(2.0, 1.0)),
+            zero.recip_or_zero(),
+            Dual::select(zero.gt(Dual::of(0.0)), Dual::one() / zero, Dual::zero()),
+        ];
+        for x in all {
+            assert!(x.slopes.iter().all(|slope| slope.is_finite()), "{x:?}");
+        }
+    }
+}

@@ -1,0 +1,240 @@
+"""`Sim.linearize`: against central differences of the real step, and against closed forms."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+import tangents
+from small import ball, pendulum, unstable
+from zoo import ZOO
+
+import stepcore as sc
+from stepcore import Sim
+
+INTEGRATORS = ("explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4")
+SWEPT = {"solver": "pgs", "sweeps": 6, "tolerance": 0.0}
+TO_ROUNDING = {"solver": "pgs", "sweeps": 3000, "tolerance": 1e-13}
+NUMERICS = [
+    *({"integrator": name} for name in INTEGRATORS),
+    {"cone": "elliptic"},
+    {"integrator": "rk4", "cone": "elliptic"},
+    {"cone": "elliptic", **SWEPT},
+    SWEPT,
+    TO_ROUNDING,
+    {"cone": "elliptic", **TO_ROUNDING},
+    {"acceleration": "momentum", **TO_ROUNDING},
+    {"law": "lesson", "softness": 1e-3, **SWEPT},
+    {"law": "relaxed", "softness": 1e-3, "cone": "elliptic", **SWEPT},
+    {"law": "penalty", "penalty_stiffness": 3e3, "solver": "pgs"},
+]
+SCENES = (
+    "ball_joints",
+    "free_limb",
+    "motors",
+    "friction_loss",
+    "limits",
+    "ball_limit",
+    "connect",
+    "plane_capsule",
+    "sphere_sphere",
+    "sphere_box",
+    "capsule_capsule",
+    "all_together",
+)
+
+
+def error(sim, sizes=(1e-6, 2e-7)):
+    """Largest difference from central differences, beside the largest derivative (or 1).
+
+    The better of two sizes: within reach of a wide difference a law may switch.
+    """
+    step = sim.linearize()
+    got, errors = np.hstack([step.A, step.B]), []
+    for h in sizes:
+        wanted = tangents.differences(sim, h)
+        errors.append(abs(got - wanted).max() / max(1.0, abs(wanted).max()))
+        if errors[-1] < 1e-7:
+            break
+    return min(errors)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_smooth_steps_equal_central_differences(name):
+    """Every kind of step, in motion: differences of the real step, of fourth order."""
+    model, rng = sc.loads(ZOO[name].text).compile(), np.random.default_rng(0)
+    tried = 0
+    for numerics in NUMERICS:
+        sim = Sim(model, **numerics)
+        sim.qvel[:] = 0.3 * ZOO[name].speed * rng.normal(size=model.nv)
+        sim.ctrl[:] = 0.2
+        try:
+            sim.step(25)
+        except (sc.SimulationError, ValueError) as refused:
+            # A penalty beyond its own dt, a midpoint that does not close: no step to differentiate.
+            assert re.search("diverged|zero softness", str(refused))
+            continue
+        assert error(sim) < 1e-6, numerics
+        tried += 1
+    assert tried >= len(NUMERICS) - 2
+
+
+@pytest.mark.parametrize("name", ["half_cheetah", "ant"])
+def test_models_that_people_know(name):
+    """Robots on the ground, after a second of random controls."""
+    model = sc.load(f"gymnasium:{name}").compile()
+    for numerics in ({}, {"cone": "elliptic"}, {"integrator": "implicitfast"}, TO_ROUNDING):
+        sim, rng = Sim(model, **numerics), np.random.default_rng(1)
+        for _ in range(40):
+            sim.ctrl[:] = 0.5 * rng.uniform(-1, 1, model.nu)
+            sim.step(5)
+        while not len(sim.contacts):
+            sim.step()
+        assert error(sim) < 1e-6
+
+
+def spring(integrator, k=30.0, d=0.0, dt=0.05):
+    scene = sc.Scene(gravity=(0, 0, 0)).with_settings(dt=dt, integrator=integrator)
+    cart = scene.add_body("cart")
+    scene.add_joint(cart, "slide", name="rail", stiffness=k, damping=d)
+    scene.add_geom(cart, "sphere", 0.1, mass=2.0)
+    sim = Sim(scene)
+    sim.qpos[0], sim.qvel[0] = 0.3, -0.2
+    return sim
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_spring_and_damper(integrator):
+    """m q̈ = −k q − d q̇: each integrator's own formula, to rounding."""
+    m, k, d, h = 2.0, 30.0, 1.5, 0.05
+    rate = np.array([[0, 1], [-k / m, -d / m]])
+    one = np.eye(2)
+    # First the velocity, then the position by it.
+    late = np.array([[1, h], [0, 1]])
+    kick = np.array([[1, 0], [-h * k / m, 1 - h * d / m]])
+    implicit = np.array([[1, 0], [-h * k / (m + h * d), m / (m + h * d)]])
+    z = h * rate
+    wanted = {
+        "explicit": one + z,
+        "semi-implicit": late @ kick,
+        "euler": late @ implicit,
+        "implicitfast": late @ implicit,
+        "midpoint": np.linalg.solve(one - z / 2, one + z / 2),
+        "rk4": one + z @ (one + z @ (one / 2 + z @ (one / 6 + z / 24))),
+    }[integrator]
+    step = spring(integrator, k, d, h).linearize()
+    assert abs(step.A - wanted).max() < 1e-14
+    assert step.B.shape == (2, 0)
+    radius = max(abs(np.linalg.eigvals(wanted)))
+    assert step.spectral_radius == pytest.approx(radius, rel=1e-12)
+
+
+def test_pendulums_hang_and_stand():
+    """Semi-implicit: det A = 1 without damping; upright one mode grows as √(mgl/I) says."""
+    scene = sc.Scene().with_settings(dt=1e-3, integrator="semi-implicit")
+    rod = scene.add_body("rod")
+    scene.add_joint(rod, "hinge", name="pivot", axis=(0, 1, 0))
+    scene.add_geom(rod, "capsule", 0.02, fromto=(0, 0, 0, 0, 0, -1), mass=1.0)
+    sim = Sim(scene)
+    inertia = float(sim.mass_matrix()[0, 0])
+    for angle, sign in ((0.0, -1.0), (math.pi, 1.0)):
+        sim.qpos[0] = angle
+        step = sim.linearize()
+        stiffness = sign * 9.81 * 0.5 / inertia
+        assert abs(step.A[1, 0] - 1e-3 * stiffness) < 1e-14
+        assert abs(np.linalg.det(step.A) - 1) < 1e-14
+    assert math.log(step.spectral_radius) / 1e-3 == pytest.approx(math.sqrt(stiffness), rel=1e-3)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_free_body_at_rest_turns_with_its_velocity(integrator):
+    """Where no axis of rotation exists, ∂(turn)/∂(angular velocity) is still dt."""
+    scene = sc.Scene(gravity=(0, 0, 0)).with_settings(dt=0.01, integrator=integrator)
+    plate = scene.add_body("plate", quat=(0.5, -0.5, 0.1, 0.7))
+    scene.add_joint(plate, "free")
+    scene.add_geom(plate, "box", (0.3, 0.2, 0.01), mass=1.0)
+    sim = Sim(scene)
+    wanted = np.eye(12)
+    wanted[:6, 6:] = 0.01 * np.eye(6)
+    for speed in (0.0, 1e-320, 1e-160, 1e-100, 1e-50, 1e-12):
+        sim.qvel[3:] = speed
+        assert abs(sim.linearize().A - wanted).max() < 1e-11
+    # A quaternion that is not of unit length turns as its unit quaternion does.
+    sim.qvel[:] = 0
+    sim.qpos[3:] *= 3.0
+    assert abs(sim.linearize().A - wanted).max() < 1e-12
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_rotation_springs_at_rest(integrator):
+    """A ball spring at its rest pose: I ω̇ = −k θ about each axis."""
+    scene = sc.Scene(gravity=(0, 0, 0)).with_settings(dt=0.01, integrator=integrator)
+    bob = scene.add_body("bob")
+    scene.add_joint(bob, "ball", name="hip", stiffness=4.0)
+    scene.add_geom(bob, "box", (0.1, 0.1, 0.1), mass=3.0)
+    step = Sim(scene).linearize()
+    inertia = 3.0 * 2 * 0.1**2 / 3
+    wanted = -0.01 * 4.0 / inertia
+    share = {"midpoint": 1 / (1 - 0.25 * 0.01 * wanted), "rk4": 1 + 0.01 * wanted / 6}
+    got = step.A[3:, :3]
+    assert abs(got - wanted * share.get(integrator, 1.0) * np.eye(3)).max() < 1e-12
+    assert step.labels == ("hip turn x", "hip turn y", "hip turn z")
+
+
+@pytest.mark.parametrize("solver", ["newton", "pgs"])
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_resting_contact_is_a_spring(solver, cone):
+    """A ball at rest, though the warm start leaves the solver nothing to do: its contact's
+    stiffness and damping are those of solref, a_ref = −b v − K d r, whatever the mass."""
+    numerics = {"solver": solver, "cone": cone, "sweeps": 1000, "tolerance": 1e-15}
+    sim = Sim(ball(dt=1e-3, integrator="semi-implicit", **numerics))
+    sim.step(3000)
+    step = sim.linearize()
+    assert error(sim) < 1e-6
+    # The friction of a heavy ball at rest holds it: no slip, no spin that rolls on.
+    assert step.A[6 + 2, 2] < 0 and abs(step.spectral_radius - 1) < 0.05
+
+
+def test_controls_and_clamps():
+    """B is dt M⁻¹ gear, and nothing beyond the control range; one side at its end."""
+    sim = Sim(pendulum(dt=0.01, integrator="semi-implicit"))
+    minv = np.linalg.inv(sim.mass_matrix())
+    step = sim.linearize()
+    assert abs(step.B[2:, 0] - 0.01 * 2.0 * minv[:, 1]).max() < 1e-14
+    assert step.controls == ("motor",) and step.labels == ("shoulder", "elbow")
+    sim.ctrl[0] = 1.5
+    assert not sim.linearize().B.any()
+
+
+def test_nothing_moves_and_precision_is_double():
+    """The state's bytes are the same before and after; an f32 world gives f64's derivatives."""
+    double = Sim(pendulum())
+    double.qvel[:] = 0.3, -0.4
+    double.step(50)
+    before, work = double.state(), double.row_updates
+    step = double.linearize()
+    assert double.state() == before and double.row_updates == work
+    single = Sim(pendulum(precision="f32"))
+    single.qpos[:], single.qvel[:], single.ctrl[:] = double.qpos, double.qvel, double.ctrl
+    assert abs(single.linearize().A - step.A).max() < 1e-4
+    assert not step.A.flags.writeable
+
+
+def test_growth_of_an_unstable_step():
+    """ω² dt² = 100 under semi-implicit: the larger root of μ² − (2 − 100) μ + 1 = 0."""
+    radius = Sim(unstable()).linearize().spectral_radius
+    assert radius == pytest.approx(49 + math.sqrt(49**2 - 1), rel=1e-9)
+
+
+def test_refusals_and_printing():
+    sim = Sim(pendulum())
+    sim.qvel[0] = np.nan
+    with pytest.raises(ValueError, match=r"qvel\[0\]"):
+        sim.linearize()
+    sim.qvel[0] = 1e300
+    with pytest.raises(sc.SimulationError):
+        sim.linearize()
+    sim.qvel[0] = 0.0
+    step = sim.linearize()
+    assert repr(step).startswith("<Linearization: 2 dofs, 1 controls; a step of 0.002 s; spectral")
+    assert step.to_dict()["labels"] == ["shoulder", "elbow"]
