@@ -244,6 +244,11 @@ class Batch(Stepped):
         """Kinetic and potential energy at the present state [J], shape (n, 2)."""
         return self._core.energy
 
+    @property
+    def overlap(self) -> Floats:
+        """Deepest overlap of two geoms that can touch, at the present state [m], shape (n,)."""
+        return self._core.overlap
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self._model, len(self), self._threads, self._lanes, self.state())
 

@@ -218,6 +218,11 @@ class Sim(Stepped):
         linear, angular = self._core.momentum
         return Momentum(linear, angular)
 
+    @property
+    def overlap(self) -> float:
+        """The deepest overlap of two geoms that can touch [m], 0 where none do."""
+        return float(self._core.overlap)
+
     def jacobian(self, body: str | int) -> Floats:
         """How a body's frame moves with qvel, shape (6, nv), in world axes.
 

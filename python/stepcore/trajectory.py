@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ Control = Callable[[float, "Sim"], ArrayLike] | ArrayLike | None
 RECORDED = (
     *("qpos", "qvel", "act", "ctrl", "qfrc_applied", "xfrc_applied"),
     *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos"),
-    *("energy", "momentum", "bias", "passive"),
+    *("energy", "momentum", "overlap", "bias", "passive"),
     *("qacc", "residual", "constraint_force", "actuator_force", "sweeps_done", "row_updates"),
 )
 
@@ -53,22 +54,20 @@ class Trajectory:
         end = f"{self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else "empty"
         return f"<Trajectory: {end}, {len(self.time)} instants; {shapes}>"
 
-    def plot(self, path: str | None = None) -> Any:
-        """Draws every recorded quantity over time; returns the matplotlib figure.
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
+        """Draws the run over time; returns the matplotlib figure.
 
-        path: a file to save the picture to. Needs the extra "plot".
+        Energy (kinetic, potential, total) and deepest overlap where they were recorded; else
+        everything that was. path: a file to save the picture to. Needs the extra "plot".
+
+        >>> from stepcore import Sim, lesson
+        >>> sim = Sim(lesson.drop())
+        >>> sim.reset(key="start")
+        >>> _ = sim.run(0.5, record=("energy", "overlap")).plot("drop.png")
         """
-        from matplotlib.figure import Figure
+        from stepcore.plot.trajectory import plot_trajectory
 
-        figure = Figure(figsize=(8, 2.5 * max(len(self.data), 1)), layout="constrained")
-        axes = figure.subplots(max(len(self.data), 1), sharex=True, squeeze=False)[:, 0]
-        for ax, (name, values) in zip(axes, self.data.items(), strict=False):
-            ax.plot(self.time, values.reshape(len(self.time), -1), linewidth=1)
-            ax.set_ylabel(name)
-        axes[-1].set_xlabel("time [s]")
-        if path is not None:
-            figure.savefig(path)
-        return figure
+        return plot_trajectory(self, path)
 
 
 def record_run(

@@ -324,6 +324,11 @@ impl Batch {
     fn momentum<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.placed(py, Placed::Momentum, &[2, 3])
     }
+    /// The deepest.
+    #[getter]
+    fn overlap<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::Overlap, &[])
+    }
     fn jacobian<'py>(&self, py: Python<'py>, body: usize) -> PyResult<Array<'py>> {
         check_body(&self.model, body)?;
         self.placed(py, Placed::Jacobian(body), &[6, self.model.nv])

@@ -27,6 +27,7 @@ pub enum Placed {
     Passive,
     Energy,
     Momentum,
+    Overlap,
     Jacobian(usize),
 }
 
@@ -269,6 +270,7 @@ fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
             let momentum = sim.momentum();
             [flat(&momentum.lin), flat(&momentum.ang)].concat()
         }
+        Placed::Overlap => vec![sim.overlap().lane(0)],
         Placed::Jacobian(body) => sim.jacobian(body, 0),
     }
 }

@@ -1,5 +1,6 @@
-//! Kinetic, gravitational and spring energy, and momentum, at the present state.
+//! Kinetic, gravitational and spring energy, momentum and overlap, at the present state.
 
+use crate::detect::Contact;
 use crate::place::spring_energy;
 use crate::real::Real;
 use crate::sim::Sim;
@@ -43,6 +44,17 @@ impl<R: Real> Sim<R> {
     pub fn centre(&self, body: usize) -> V3<R> {
         self.placed.xpos[body]
             + rotate(&self.placed.xmat[body], &splat(&self.model.bodies[body].ipos))
+    }
+
+    /// The deepest overlap of two geoms that can touch, at the present positions [m]; 0 where
+    /// none do. Writes the list of contacts.
+    pub fn overlap(&mut self) -> R {
+        self.refresh();
+        let model = self.model.clone();
+        self.detected.detect(&model, &self.placed, &self.settings, &self.state.qpos);
+        let zero = R::zero();
+        let depth = |contact: &Contact<R>| R::select(contact.mask, -contact.dist, zero);
+        self.detected.contacts.iter().map(depth).fold(zero, R::max)
     }
 
     /// Linear momentum, and angular momentum about the world's origin. Without armature.
