@@ -14,7 +14,7 @@ def drop():
 
 
 def test_overlap_is_that_of_the_present_state():
-    """(radius − height) while the ball is in the floor, else 0; at rest softness m g h² / β deep."""
+    """−qpos while the ball is in the floor, else 0; at rest softness m g h² / β deep."""
     sim = drop()
     run = sim.run(1.0, record=("qpos", "overlap"))
     assert run.overlap.shape == (501,)

@@ -27,7 +27,7 @@ def plot_trajectory(run: Trajectory, path: str | os.PathLike[str] | None = None)
     Written where `path` says, in the format of its ending. Returns the matplotlib Figure. Raises
     ImportError without matplotlib, ValueError for a run that recorded nothing.
     """
-    wanted = [name for name in ("energy", "overlap") if name in run.data]
+    wanted: list[str] = [name for name in ("energy", "overlap") if name in run.data]
     names = wanted or list(run.data)
     if not names:
         raise ValueError("the run recorded nothing that could be drawn")
