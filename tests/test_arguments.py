@@ -25,6 +25,7 @@ def one_line(call, words):
         ({"seed": -1}, "seed = -1"),
         ({"threads": 0.5}, "threads = 0.5"),
         ({"budget": "much"}, "budget = 'much'"),
+        ({"effort": "much"}, "effort = 'much'"),
         ({"horizon": "long"}, "horizon = 'long'"),
         ({"horizon": [1]}, r"horizon = \[1\]"),
         ({"control_dt": "a"}, "control_dt = 'a'"),

@@ -266,17 +266,18 @@ def test_a_run_that_is_nowhere_near_is_a_failure_with_its_reason():
     assert result.shipped.failure is None
 
 
-def test_the_sentence_counts_starts_and_names_the_worst():
+def test_the_sentence_names_the_worst_start_and_what_the_others_say():
     result = few(falling(), integrators=["semi-implicit"], starts=3, horizon=0.4)
-    assert "(rms, median of 3 starts; at worst" in str(result)
+    assert "(rms; worst of 3 starts, start " in str(result)
     shipped = result.shipped
     # One start far worse than the others.
-    errors = dataclasses.replace(shipped.errors, position_max=0.5, worst=2)
+    errors = dataclasses.replace(shipped.errors, position_max=0.5, each=(1e-3, 1e-4, 0.2))
     shipped.errors = dataclasses.replace(errors, position=1e-3)
     text = str(result)
-    assert "positions are up to 500 mm wrong over 400 ms, in start 2; starts differ: the" in text
-    assert "median of 3 starts is 1 mm (rms)" in text and "Half that median error" in text
-    assert result.table[result.rows.index(shipped)]["worst_start"] == 2
+    assert "positions are 200 mm wrong over 400 ms (rms; worst of 3 starts, start 2;" in text
+    assert "starts differ: median 1 mm; at worst 500 mm)" in text
+    assert result.error(shipped) == 0.2
+    assert result.table[result.rows.index(shipped)]["position_high"] == 0.2
 
 
 def test_a_largest_error_below_the_references_is_marked():

@@ -2,76 +2,103 @@
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from functools import partial
+from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.jobs import each
+from stepcore.jobs import check_executor
 from stepcore.model import Model, compiled
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
-from stepcore.trade.cost import costs
+from stepcore.trade import frugal, units
+from stepcore.trade import mujoco as opponent
 from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import errors, extent, far_off
+from stepcore.trade.errors import errors, extent
+from stepcore.trade.finish import Finisher
 from stepcore.trade.models import Models
 from stepcore.trade.motion import Control, Motion, default_horizon, motion, time_steps
+from stepcore.trade.moves import Steps, slides
+from stepcore.trade.recommend import confirmed, others
 from stepcore.trade.reference import FINER, Reference, Search, smallest
 from stepcore.trade.remarks import truths
 from stepcore.trade.result import Row, Trade
-from stepcore.trade.run import Course, Path
+from stepcore.trade.run import Course
 from stepcore.trade.settings import clamping, grid, seconds
+from stepcore.trade.trials import Trials
 
 __all__ = ["Row", "Trade", "trade"]
 
 # What the reference may cost, in steps × (dofs + 2): some seconds on one core.
-BUDGET = 6e6
+EFFORT = 6e6
+# The further starts are drawn by a seed this far from the search's own.
+APART = 1_000_003
 
 
 def trade(
     model: Model | Scene | str | os.PathLike[str],
     *,
+    error: float | str | None = None,
+    budget: float | str | None = None,
     horizon: float | None = None,
     key: str | int | None = None,
     control: Control | None = None,
     control_dt: float | None = None,
     ctrl: ArrayLike | None = None,
     starts: int = 8,
+    further: int = 16,
     seed: int = 0,
+    search: str | None = None,
+    by: str = "time",
     dts: Sequence[float] | None = None,
     integrators: Sequence[str] | None = None,
     solvers: Sequence[str] | None = None,
     sweeps: Sequence[int] | None = None,
     precisions: Sequence[str] | None = None,
-    budget: float = BUDGET,
+    mujoco: bool = False,
+    effort: float = EFFORT,
     threads: int | None = None,
+    executor: Executor | None = None,
     progress: Choice = None,
 ) -> Trade:
-    """Measures what speed costs in accuracy: a scene under many settings.
+    """Measures what speed costs in accuracy, and recommends settings: a scene under many of them.
 
     Every setting runs the same motion and is compared with the scene's own converged motion,
-    whose error is stated. See `Errors` for what is measured.
+    whose error is stated. See `Errors` for what is measured, `stepcore.trade.search` for how the
+    settings are found.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name", see
         `stepcore.lookup`). Its settings are the shipped ones.
+    error: recommend the cheapest settings that keep to it in every start: metres, "1mm", or
+        "0.1%" of the scene's size. What counts is the root mean square of positions over
+        bodies and time.
+    budget: recommend the most accurate settings within it: "20us/step" (of computing per
+        shipped time step simulated), "5ms/s" (per simulated second), "100x" (times real time),
+        or µs per simulated second; "2kflop/step" and the like where `by` is "flops".
     horizon: simulated time [s]; by default 1 s, or a whole number of samples that is near it.
     key: the keyframe to start from, by name or index; by default the first, or the scene's pose.
-    starts: how many; all but the first are moved a little, by `seed`.
+    starts: how many; all but the first are moved a little, by `seed`. further: how many more
+        a recommendation is tried on, which the search has not seen; 0: none.
     ctrl: controls, shape (n, nu), one row a control period (the last is held); or control: a
         function of (time, sim) that returns them, as in `Sim.run`, called once a period. It
         must depend on nothing else, for it is called from several threads. By default every
         motor follows a few smooth seeded sines in its range.
     control_dt: the control period [s], a multiple of every time step; default: the largest
         time step tried.
-    dts [s], integrators, solvers, sweeps, precisions: what to try; the shipped settings are
-        always among it.
-    budget: what the reference may cost, in steps × (dofs + 2).
-    threads: how many runs at once (default: one a core). Costs are timed on one, afterwards.
+    search: "frugal", or "grid" for every combination of the axes; by default "frugal" unless
+        an axis is given: dts [s], integrators, solvers, sweeps, precisions: what to try.
+        The shipped settings are always among it.
+    by: what cheap means: "time", measured; or "flops", counted: nothing is timed, and the same
+        seed gives the same result on any machine.
+    mujoco: also run MuJoCo on the scene (needs the package mujoco); see `Trade.mujoco`.
+    effort: what the reference may cost, in steps × (dofs + 2).
+    threads: how many runs at once (default: one a core); executor: any concurrent.futures
+        executor in their place. Costs are timed on one thread, afterwards.
     progress: False for no bar, or a function of (label, done, total).
 
     Raises ValueError for an argument outside its limits, or if the reference itself fails.
@@ -85,23 +112,29 @@ def trade(
     >>> result.best(error=1e-5).integrator
     'rk4'
     """
-    model = _model(model)
+    source, model = model, _model(model)
     checks.told("trade", progress)
+    check_executor("trade", executor)
     starts, seed = checks.count("starts", starts), checks.count("seed", seed, least=0)
+    further = checks.count("further", further, least=0)
     workers = checks.threads(threads)
-    budget = checks.real(low=0)("trade", "budget", budget)
-    axes = {"dts": dts, "integrators": integrators, "solvers": solvers, "sweeps": sweeps}
-    for name, values in (axes | {"precisions": precisions}).items():
-        if values is not None:
-            checks.several(name, values)
-    for dt in dts or ():
-        checks.real(above=0)("trade", "dts", dt)
+    effort = checks.real(low=0)("trade", "effort", effort)
+    axes: dict[str, Any] = {"integrators": integrators, "solvers": solvers, "sweeps": sweeps}
+    axes["precisions"] = precisions
+    full = _full(search, {"dts": dts} | axes)
     shipped = model.settings
+    checks.one_of("time", "flops")("trade", "by", by)
+    limit = None if budget is None else units.price(budget, shipped.dt, by)
+    if error is not None:
+        units.length(error, 1.0)
+    if mujoco:
+        opponent.load(source, model)
     dofs = Dofs(model.scene)
     if not dofs.moving:
         raise ValueError("nothing in the scene can move: there is no motion to trade")
     steps, period = time_steps(shipped.dt, dts, control_dt, 1.0 if horizon is None else horizon)
-    motive = motion(
+    drawn = partial(
+        motion,
         model,
         dofs,
         horizon=default_horizon(period) if horizon is None else horizon,
@@ -109,33 +142,61 @@ def trade(
         key=key,
         ctrl=ctrl,
         control=control,
-        count=starts,
-        seed=seed,
     )
-    course = Course(model, dofs, motive)
-    search = Search(course, shipped, min(steps), budget, workers)
-    with Progress("reference", search.runs, progress) as bar:
-        reference = search.first(bar)
-    alive = max(path.rows for path in reference.paths)
-    tried = grid(shipped, steps, integrators, solvers, sweeps, precisions, alive)
-    with Progress("errors", len(tried), progress) as bar:
-        runs = each(partial(_all_starts, course), tried, bar=bar, threads=workers)
-    _refine(search, reference, runs, progress)
-    with Progress("costs", len(tried), progress) as bar:
-        times = costs(course, tried, bar)
-    tau = clamping(model.scene) if shipped.law == "solref" and shipped.refsafe else None
+    course = Course(model, dofs, drawn(count=starts, seed=seed))
+    finder = Search(course, shipped, min(steps), effort, workers, executor)
+    with Progress("reference", finder.runs, progress) as bar:
+        reference = finder.first(bar)
     size = extent(reference.paths, model.scene)
-    models = Models(search, reference, size)
-    for one, paths in zip(tried, runs, strict=True):
-        models.keep(one, paths)
+    target = None if error is None else units.length(error, size)
+    trials = Trials(course, reference, size, workers, executor, progress)
+    counts, rows = Steps(period, shipped.dt), max(path.rows for path in reference.paths)
+    if full:
+        tried = grid(shipped, steps, rows=rows, **axes)
+        trials.run(tried)
+    else:
+        wanted = frugal.Wanted(target, limit is not None)
+        tried = frugal.found(finder, trials, counts, rows, slides(model.scene), wanted)
+    _refine(finder, trials, tried, progress)
+    tau = clamping(model.scene) if shipped.law == "solref" and shipped.refsafe else None
+    models = Models(finder, reference, size)
     reference.gaps = models.gaps()
-    rows = [
-        _row(one, paths, cost, models, shipped, motive.horizon, tau)
-        for one, paths, cost in zip(tried, runs, times, strict=True)
-    ]
-    notes = [*model.scene.notes, *_notes(motive, reference, alive, tau, horizon)]
-    name = model.scene.name or "scene"
-    return Trade(name, motive.horizon, rows, reference, starts, notes)
+    finisher = Finisher(trials, models, shipped, tau, by)
+    rivals = []
+    if mujoco:
+        rivals = opponent.Opponent(source, course, reference, size).players(counts, progress)
+    result = Trade(
+        name=model.scene.name or "scene",
+        horizon=course.motion.horizon,
+        rows=finisher.rows(tried, rivals),
+        reference=reference,
+        starts=starts,
+        notes=[*model.scene.notes, *_notes(course.motion, reference, rows, tau, horizon)],
+        target=target,
+        budget=limit,
+        by=by,
+        size=size,
+        mujoco=[rival.point for rival in rivals],
+        screened=len({*trials.paths, *trials.glances}),
+        runs=trials.runs,
+    )
+    if further and (target or limit):
+        more = others(drawn(count=further + 1, seed=seed + APART))
+        confirmed(result, trials, finder, more, finisher.row, counts)
+    return result
+
+
+def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
+    """Whether a full grid is wanted; checks the axes given."""
+    checks.one_of("frugal", "grid", None)("trade", "search", search)
+    given = {name: values for name, values in axes.items() if values is not None}
+    for name, values in given.items():
+        checks.several(name, values)
+    for dt in given.get("dts", ()):
+        checks.real(above=0)("trade", "dts", dt)
+    if given and search == "frugal":
+        raise ValueError(f"search = 'frugal': {min(given)} is given, which asks for a grid")
+    return bool(given) or search == "grid"
 
 
 def _model(source: Model | Scene | str | os.PathLike[str]) -> Model:
@@ -147,21 +208,10 @@ def _model(source: Model | Scene | str | os.PathLike[str]) -> Model:
     return compiled(source)
 
 
-def _all_starts(course: Course, settings: Settings) -> list[Path]:
-    """Runs of one setting from every start, until one fails."""
-    paths = []
-    for start in range(len(course.motion.starts)):
-        paths.append(course.run(settings, start))
-        if paths[-1].failure:
-            break
-    return paths
-
-
-def _refine(
-    search: Search, reference: Reference, runs: Sequence[list[Path]], progress: Choice
-) -> None:
+def _refine(search: Search, trials: Trials, tried: Sequence[Settings], progress: Choice) -> None:
     """Halves the reference's step until its error is a tenth of the smallest in the table."""
-    whole = [paths for paths in runs if not paths[-1].failure]
+    reference = trials.reference
+    whole = [trials.paths[one] for one in tried if not trials.paths[one][-1].failure]
     while whole and search.can_refine(reference):
         found = [errors(p, reference.paths, reference.scored).position for p in whole]
         if reference.error * FINER <= smallest(found):
@@ -169,32 +219,6 @@ def _refine(
         with Progress("finer reference", len(search.course.motion.starts), progress) as bar:
             if not search.refine(reference, bar):
                 return
-
-
-def _row(
-    settings: Settings,
-    paths: Sequence[Path],
-    cost: float,
-    models: Models,
-    shipped: Settings,
-    horizon: float,
-    tau: float | None,
-) -> Row:
-    failure = paths[-1].failure and f"start {len(paths) - 1}: {paths[-1].failure}"
-    if failure is None and math.isnan(cost):
-        failure = "failed while it was timed"
-    if failure is None:
-        failure = far_off(paths, models.reference.paths, models.size)
-    updates = [path.row_updates for path in paths]
-    return Row(
-        settings=settings,
-        errors=None if failure else models.errors(settings, paths),
-        cost=math.nan if failure else cost,
-        row_updates=math.nan if failure else float(np.mean(updates)) / horizon,
-        failure=failure,
-        shipped=settings == shipped,
-        clamped=tau is not None and 2 * settings.dt > tau * (1 + 1e-12),
-    )
 
 
 def _notes(

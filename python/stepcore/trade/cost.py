@@ -1,7 +1,8 @@
-"""What a setting costs: time, measured one run at a time, and row updates, counted."""
+"""What a setting costs: time, measured one run at a time; operations and memory, counted."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from time import get_clock_info, perf_counter, thread_time
 
@@ -20,15 +21,41 @@ SHORT = 1e-3
 OWN_CLOCK = get_clock_info("thread_time").resolution < 1e-5
 
 
-def costs(course: Course, settings: Sequence[Settings], bar: Progress) -> list[float]:
+class Timed(ABC):
+    """What can be run through the motion again and again, and timed."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.failed = False
+
+    @abstractmethod
+    def once(self) -> float:
+        """One run through the motion of the first start; the time its steps took [s]."""
+
+    def again(self) -> float:
+        """Runs for long enough to be timed; the time this took [s]."""
+        if self.failed:
+            return 0.0
+        try:
+            times = [self.once()]
+            while sum(times) < SHORT and len(times) < 20:
+                times.append(self.once())
+        except (ValueError, SimulationError):
+            self.failed, self.times = True, []
+            return 0.0
+        self.times.append(float(np.median(times)))
+        return sum(times)
+
+
+def costs(course: Course, players: Sequence[Settings | Timed], bar: Progress) -> list[float]:
     """Computing time of each setting [µs per simulated second], median of interleaved rounds.
 
     One thread. Every round steps each setting once through the motion of the first start, so
     that what else the machine does meanwhile falls on all settings alike. Only `Sim.step` is
     timed, called once a control period, and of that the share of the time in which the thread
-    had a core to itself. A setting that fails gives NaN.
+    had a core to itself. A setting that fails gives NaN. Another engine's runs take their turn.
     """
-    runs = [_Timed(course, one) for one in settings]
+    runs = [one if isinstance(one, Timed) else _Ours(course, one) for one in players]
     spent = _round(runs, bar)
     more = max(ROUNDS, min(MOST, int(LONG / spent))) - 1 if spent > 0 else ROUNDS
     for _ in range(more):
@@ -39,7 +66,7 @@ def costs(course: Course, settings: Sequence[Settings], bar: Progress) -> list[f
     ]
 
 
-def _round(runs: Sequence[_Timed], bar: Progress | None) -> float:
+def _round(runs: Sequence[Timed], bar: Progress | None) -> float:
     spent = 0.0
     for run in runs:
         spent += run.again()
@@ -48,45 +75,91 @@ def _round(runs: Sequence[_Timed], bar: Progress | None) -> float:
     return spent
 
 
-class _Timed:
-    """One setting, run through the motion again and again."""
+class Watch:
+    """Times parts of a run: of their wall time the share in which this thread was computing."""
+
+    def __init__(self) -> None:
+        self.spent = 0.0
+        self._first, self._own = perf_counter(), thread_time()
+
+    def start(self) -> None:
+        self._begin = perf_counter()
+
+    def stop(self) -> None:
+        self.spent += perf_counter() - self._begin
+
+    def total(self) -> float:
+        """The time of the parts [s]."""
+        whole, own = perf_counter() - self._first, thread_time() - self._own
+        return self.spent * min(1.0, own / whole) if OWN_CLOCK and whole > 0 else self.spent
+
+
+class _Ours(Timed):
+    """One setting of stepcore."""
 
     def __init__(self, course: Course, settings: Settings) -> None:
+        super().__init__()
         self.course, self.settings = course, settings
-        motion = course.motion
-        self.count, self.periods = motion.steps(settings.dt), motion.periods
-        if not course.dofs.motors:
-            # Nothing to set between periods: one call, as a user would.
-            self.count, self.periods = self.count * self.periods, 1
+        self.count, self.periods = calls(course, settings.dt)
         self.drive = course.drive(0)
-        self.times: list[float] = []
         self.sim: Sim | None = None
-        self.failed = False
 
-    def again(self) -> float:
-        """Steps through the motion; the time this took [s]."""
-        if self.failed:
-            return 0.0
-        try:
-            times = [self._once()]
-            while sum(times) < SHORT and len(times) < 20:
-                times.append(self._once())
-        except (ValueError, SimulationError):
-            self.failed, self.times = True, []
-            return 0.0
-        self.times.append(float(np.median(times)))
-        return sum(times)
-
-    def _once(self) -> float:
+    def once(self) -> float:
         if self.sim is None:
             self.sim = self.course.sim(self.settings)
         sim, count, drive = self.sim, self.count, self.drive
         self.course.place(sim, 0)
-        spent, first, own = 0.0, perf_counter(), thread_time()
+        watch = Watch()
         for period in range(self.periods):
             drive(sim, period)
-            begin = perf_counter()
+            watch.start()
             sim.step(count)
-            spent += perf_counter() - begin
-        whole, own = perf_counter() - first, thread_time() - own
-        return spent * min(1.0, own / whole) if OWN_CLOCK and whole > 0 else spent
+            watch.stop()
+        return watch.total()
+
+
+def calls(course: Course, dt: float) -> tuple[int, int]:
+    """How many steps a call takes, and how many calls the motion."""
+    count, periods = course.motion.steps(dt), course.motion.periods
+    # Where nothing is set between periods: one call, as a user would.
+    return (count, periods) if course.dofs.motors else (count * periods, 1)
+
+
+class Counter:
+    """Floating-point operations of a run: counted for one step at every sample, by the engine,
+    and taken to hold until the next.
+    """
+
+    def __init__(self, course: Course, settings: Settings) -> None:
+        self.course, self.settings = course, settings
+        self._steps = course.motion.steps(settings.dt) * course.motion.every
+        self._sum = 0.0
+
+    def look(self, sim: Sim) -> None:
+        """Counts the next step; nothing moves."""
+        if hasattr(sim, "count_flops"):
+            self._sum += sim.count_flops(1) * self._steps
+
+    def total(self, sim: Sim) -> float:
+        """Operations per simulated second, after the run."""
+        known = self._sum / self.course.motion.horizon
+        return known or _estimate(self.course, self.settings, sim.row_updates)
+
+
+def memory(course: Course, settings: Settings) -> int:
+    """Bytes of a Sim's state and working space under these settings; 0 if unknown."""
+    return int(getattr(course.sim(settings), "nbytes", 0))
+
+
+STAGES = {"rk4": 4.0, "midpoint": 3.0}
+
+
+def _estimate(course: Course, settings: Settings, row_updates: int) -> float:
+    """Operations by a rule of thumb, for an engine that does not count them."""
+    dofs, model = course.dofs, course.model
+    steps = 1.0 / settings.dt * STAGES.get(settings.integrator, 1.0)
+    place = 150.0 * model.nbody + 30.0 * dofs.nv + 2.0 * dofs.nv**2
+    update = 4.0 * dofs.nv + 10
+    if settings.solver == "newton":
+        update = dofs.nv**2 + 6.0 * dofs.nv + 20
+    return steps * place + row_updates / course.motion.horizon * update

@@ -7,26 +7,23 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from stepcore.table import Table
+from stepcore.trade.answer import answer
 from stepcore.trade.reference import FINER, smallest
-from stepcore.trade.settings import label, metres, quantity, seconds
+from stepcore.trade.settings import label, metres, rarer, seconds
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Row, Trade
 
 # A printed trade shows all rows up to this many, then the ones that matter.
 FULL = 40
-MICRO = (("s", 1e6), ("ms", 1e3), ("µs", 1.0))
 # A residual of the reference that is worth saying [m/s].
 UNSOLVED = 1e-9
-# From here on the largest error says something else than the median of the starts.
-DIFFER = 30.0
-# A saving below this is within what timing can tell.
-NOTABLE = 0.9
 LEGEND = """\
-* best for its cost, s as shipped, c refsafe softens rows at this dt, ref the reference
-dt ms; cost µs, and rows: row updates, per simulated second; error: of positions, rms, median of
-starts, and max: the largest, m (<: below the reference's own, which is shown); angle: rms, rad;
-gained, lost: energy beyond the work done, J; overlap: deepest, m; resid: worst residual, m/s"""
+* best for its cost, s as shipped, r recommended, c refsafe softens rows at this dt, ref reference
+dt ms; cost µs, flops and rows (updates) per simulated second; error: of positions, rms, of the
+worst start, m (<: below the reference's own, which is shown); median: of the starts; max: at any
+sample; angle: rms, rad; gained, lost: energy beyond the work done, J; overlap: deepest, m; resid:
+worst residual, m/s; iteration, tolerance, cold, …: where it is not as shipped"""
 
 
 def text(trade: Trade, width: int | None, full: bool) -> str:
@@ -35,9 +32,13 @@ def text(trade: Trade, width: int | None, full: bool) -> str:
     starts = f"{trade.starts} start" + "s" * (trade.starts != 1)
     ref = trade.reference
     records = [*(cells(trade, row) for row in shown), truth(trade)]
-    names = [n for n in records[0] if n in HEADS or any(r.get(n) not in BLANK for r in records)]
+    records += [point.cells() for point in trade.mujoco if point.best]
+    names = [
+        n for n in NAMES if n in HEADS or any(record.get(n) not in BLANK for record in records)
+    ]
     right = dict.fromkeys((*NUMBERS, "dt"), "")
     left = len(trade.rows) - len(shown)
+    legend = LEGEND + ("\nm: MuJoCo's best for their cost" if trade.mujoco else "")
     lines = [
         f"{trade.name}: {len(trade.rows)} settings over {seconds(trade.horizon)}, {starts}; "
         f"reference {label(ref.settings, sweeps=False)}, known to {metres(ref.error)} "
@@ -45,10 +46,13 @@ def text(trade: Trade, width: int | None, full: bool) -> str:
         "",
         Table(records, names, right).text(width),
         "",
-        LEGEND,
+        legend,
     ]
     if left:
         lines.append(f"{left} more settings are in Trade.table, and printed with --all")
+    if trade.screened > len(trade.rows):
+        tried = f"{trade.screened} settings were tried in {trade.runs} runs"
+        lines.append(f"{tried}; those above ran from all starts")
     lines += failed(trade)
     lines += ["", *sentences(trade)]
     notes = trade.notes + cautions(trade)
@@ -59,16 +63,22 @@ def text(trade: Trade, width: int | None, full: bool) -> str:
 
 def telling(trade: Trade) -> list[Row]:
     """The Pareto-best rows, the shipped one, and those that differ from it in dt alone."""
-    own = trade.shipped.settings
+    own, chosen = trade.shipped.settings, trade.recommended
     return [
         row
         for row in trade.rows
-        if row.best or row.shipped or row.settings == own.replace(dt=row.settings.dt)
+        if row.best
+        or row.shipped
+        or row is chosen
+        or row.settings == own.replace(dt=row.settings.dt)
     ]
 
 
-HEADS = ("", "dt", "integrator", "solver", "cost", "error")
-NUMBERS = ("cost", "rows", "error", "max", "angle", "gained", "lost", "overlap", "resid")
+HEADS = ("", "dt", "integrator", "solver", "error")
+COSTS = ("cost", "flops", "rows")
+ERRORS = ("error", "median", "max", "angle", "gained", "lost", "overlap", "resid")
+NUMBERS = (*COSTS, *ERRORS)
+NAMES = ("", "dt", "integrator", "solver", "also", *NUMBERS)
 # A column with nothing else says nothing of the scene.
 BLANK = ("", None, "0")
 
@@ -76,23 +86,27 @@ BLANK = ("", None, "0")
 def cells(trade: Trade, row: Row) -> dict[str, Any]:
     """One printed row."""
     s, e = row.settings, row.errors
+    marks = "*" * row.best + "s" * row.shipped + "c" * row.clamped
     record: dict[str, Any] = {
-        "": "*" * row.best + "s" * row.shipped + "c" * row.clamped,
+        "": marks + "r" * (row is trade.recommended),
         "dt": f"{s.dt * 1e3:.4g}",
         "integrator": s.integrator,
         "solver": f"pgs {s.sweeps}" if s.solver == "pgs" else s.solver,
+        "also": ", ".join(rarer(s, trade.shipped.settings)),
         "cost": "" if math.isnan(row.cost) else f"{row.cost:.{0 if row.cost > 99 else 1}f}",
+        "flops": "" if math.isnan(row.flops) else short(row.flops),
         "rows": "" if math.isnan(row.row_updates) else short(row.row_updates),
     }
     if s.precision != "f64":
         record["solver"] += f" {s.precision}"
     if e is None:
-        return record | dict.fromkeys(NUMBERS[2:], "") | {"error": "failed"}
-    numbers = (e.angle, e.gained, e.lost, e.overlap, e.residual)
-    record["error"] = "<" * row.below + short(trade.error(row))
+        return record | dict.fromkeys(ERRORS, "") | {"error": "failed"}
     largest = max(e.position_max, trade.reference.largest)
-    record["max"] = "<" * row.below_max + short(largest)
-    return record | dict(zip(NUMBERS[4:], map(short, numbers), strict=True))
+    numbers = (e.position, largest, e.angle, e.gained, e.lost, e.overlap, e.residual)
+    record |= dict(zip(ERRORS, map(short, (trade.error(row), *numbers)), strict=True))
+    record["error"] = "<" * row.below + record["error"]
+    record["max"] = "<" * row.below_max + record["max"]
+    return record
 
 
 def truth(trade: Trade) -> dict[str, Any]:
@@ -102,13 +116,13 @@ def truth(trade: Trade) -> dict[str, Any]:
     gained = max(float(path.balance.max()) for path in ref.paths)
     overlap = max(path.overlap for path in ref.paths)
     residual = max(path.residual for path in ref.paths)
-    numbers = (ref.error, ref.largest, ref.angle, gained, lost, overlap, residual)
+    numbers = (ref.high, ref.error, ref.largest, ref.angle, gained, lost, overlap, residual)
     return {
         "": "ref",
         "dt": f"{ref.settings.dt * 1e3:.4g}",
         "integrator": ref.settings.integrator,
         "solver": ref.settings.solver,
-    } | dict(zip(NUMBERS[2:], map(short, numbers), strict=True))
+    } | dict(zip(ERRORS, map(short, numbers), strict=True))
 
 
 def short(value: float) -> str:
@@ -121,82 +135,32 @@ def short(value: float) -> str:
 
 def failed(trade: Trade) -> list[str]:
     """One line for the failures of each integrator and solver."""
-    hidden = [row for row in trade.rows if row.failure]
+    hidden = trade.failures
     kinds = [(row.settings.integrator, row.settings.solver) for row in hidden]
     lines = []
     for kind, count in Counter(kinds).items():
+        # Rows stand coarsest first: the last of a kind is the finest step that fails.
+        last = [row for row, own in zip(hidden, kinds, strict=True) if own == kind][-1]
         first = hidden[kinds.index(kind)]
         at = f"first at dt {seconds(first.settings.dt)}: {first.failure}"
-        lines.append(f"failed: {count} with {', '.join(kind)}; {at}")
+        finest = "" if last is first else f"; last at dt {seconds(last.settings.dt)}"
+        lines.append(f"failed: {count} with {', '.join(kind)}; {at}{finest}")
     return lines
 
 
 def sentences(trade: Trade) -> list[str]:
-    """How wrong the shipped settings are, and what less or more of that costs."""
-    row = trade.shipped
-    if row.errors is None:
-        found = [f"As shipped ({label(row.settings)}) it fails: {row.failure}."]
-        ran = [other for other in trade.rows if not math.isnan(other.cost)]
-        if ran:
-            least = min(ran, key=lambda other: other.cost)
-            wrong = metres(trade.error(least))
-            found.append(f"The cheapest that runs: {label(least.settings)}, {wrong} wrong.")
-        return found
-    error = trade.error(row)
-    what = "median error" if _differ(trade, row) else "error"
-    found = [
-        f"As shipped ({label(row.settings)}) {_wrong(trade, row, error)}, for "
-        f"{quantity(row.cost, MICRO)} of computing per simulated second.",
-        _offer(trade, f"Half that {what}", error / 2, row),
-    ]
-    same = trade.cheapest(error)
-    if same.cost < NOTABLE * row.cost:
-        found.append(_offer(trade, f"No more {what} than that", error, row))
-    return found
-
-
-def _wrong(trade: Trade, row: Row, error: float) -> str:
-    """How wrong positions are; where one start is far worse than the median, that one first."""
-    assert row.errors is not None
-    worst, over = metres(row.errors.position_max), f"over {seconds(trade.horizon)}"
-    if trade.starts == 1:
-        return f"positions are {metres(error)} wrong {over} (rms; at worst {worst})"
-    start, median = f"start {row.errors.worst}", f"median of {trade.starts} starts"
-    if _differ(trade, row):
-        return (
-            f"positions are up to {worst} wrong {over}, in {start}; starts differ: the {median} "
-            f"is {metres(error)} (rms)"
-        )
-    return (
-        f"positions are {metres(error)} wrong {over} (rms, {median}; at worst {worst}, in {start})"
-    )
-
-
-def _differ(trade: Trade, row: Row) -> bool:
-    """Whether the median over starts says little about the worst of them."""
-    largest = 0.0 if row.errors is None else row.errors.position_max
-    return trade.starts > 1 and largest > DIFFER * trade.error(row)
-
-
-def _offer(trade: Trade, what: str, error: float, row: Row) -> str:
-    try:
-        found = trade.cheapest(error)
-    except ValueError:
-        return f"{what} is not reached by any setting tried."
-    return (
-        f"{what} costs {found.cost / row.cost:.2f} times as much computing: "
-        f"{label(found.settings)} ({metres(trade.error(found))})."
-    )
+    """How wrong the shipped settings are, what is recommended, and what less or more costs."""
+    return answer(trade)
 
 
 def cautions(trade: Trade) -> list[str]:
     """What the reference's error means for the table."""
     ref = trade.reference
-    least = smallest([row.errors.position for row in trade.rows if row.errors])
+    least = smallest([row.errors.high for row in trade.rows if row.errors])
     found = []
-    if ref.error * FINER > least > 0:
+    if ref.high * FINER > least > 0:
         found.append(
-            f"the reference's error of {metres(ref.error)} is not {FINER:.0f} times smaller "
+            f"the reference's error of {metres(ref.high)} is not {FINER:.0f} times smaller "
             f"than the smallest error, {metres(least)}; an error below the reference's own is "
             "shown as < the reference's"
         )

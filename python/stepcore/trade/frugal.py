@@ -1,0 +1,101 @@
+"""What the frugal search runs: the targets it hunts, and the front that it draws."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stepcore._core import Settings
+from stepcore.progress import Progress
+from stepcore.trade.moves import Steps
+from stepcore.trade.reference import FINER, Search
+from stepcore.trade.search import Hunt
+from stepcore.trade.trials import Trials
+
+# What is hunted, as shares of the error asked for, or of the shipped one where none or a budget
+# is; and whether other axes are tried there. A half is the next better.
+ASKED = ((1.0, True), (0.5, False))
+UNASKED = ((1.0, True), (0.5, False), (0.1, False))
+BUDGET = ((4.0, False), (1.0, True), (0.25, False), (0.06, True), (0.015, False))
+# On the front of its integrator, a point this near in cost to the one before is not drawn.
+SPARSE = 1.6
+# Errors this many times below what is asked for are of no use.
+USELESS = 6.0
+# So many of the cheapest are also tried in single precision.
+SINGLE = 2
+# Halvings of the reference that a target may ask for.
+REFINED = 4
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """error: the target [m], or None. budget: whether there is one."""
+
+    error: float | None
+    budget: bool
+
+
+def found(
+    search: Search, trials: Trials, steps: Steps, rows: int, friction: bool, wanted: Wanted
+) -> list[Settings]:
+    """The settings that have been run from all starts, coarsest step first; failures too."""
+    hunt = Hunt(trials, steps, search.shipped, rows, friction)
+    hunt.overview()
+    chosen: list[Settings] = []
+    targets = _targets(hunt, wanted)
+    for error, climb in targets:
+        some: list[Settings] = []
+        for _ in range(REFINED):
+            if trials.reference.high * FINER > error and search.can_refine(trials.reference):
+                _finer(search, trials)
+                continue
+            some = hunt.hunt(error, climb)
+            if some or not search.can_refine(trials.reference):
+                break
+            _finer(search, trials)
+        chosen += some + [one.replace(precision="f32") for one in some[:SINGLE]]
+    least = min((error for error, _ in targets), default=0.0)
+    chosen += _drawn(hunt, least / USELESS)
+    chosen.append(search.shipped)
+    failed = [
+        one for one, paths in trials.glances.items() if paths[-1].failure or trials.far(paths)
+    ]
+    trials.run([*chosen, *failed], "front")
+    return sorted(dict.fromkeys([*chosen, *failed]), key=lambda s: -s.dt)
+
+
+def _finer(search: Search, trials: Trials) -> None:
+    with Progress("finer reference", len(search.course.motion.starts), trials.progress) as bar:
+        search.refine(trials.reference, bar)
+
+
+def _targets(hunt: Hunt, wanted: Wanted) -> list[tuple[float, bool]]:
+    """The errors to hunt [m], and whether to climb there."""
+    if wanted.error is not None:
+        return [(share * wanted.error, climb) for share, climb in ASKED]
+    own = hunt.trials.score(hunt.shipped, hunt.few).error
+    if not 0 < own < math.inf:
+        scores = [hunt.trials.score(one, hunt.few).error for one in hunt.trials.glances]
+        finite = sorted(e for e in scores if 0 < e < math.inf)
+        own = finite[len(finite) // 2] if finite else 0.0
+    shares = BUDGET if wanted.budget else UNASKED
+    return [(own * share, climb) for share, climb in shares if own > 0]
+
+
+def _drawn(hunt: Hunt, least: float) -> list[Settings]:
+    """The front of every integrator, as far as few starts tell, thinned out."""
+    by_name: dict[str, list[Settings]] = {}
+    for one in hunt.trials.glances:
+        by_name.setdefault(one.integrator, []).append(one)
+    return [s for some in by_name.values() for s in _thin(hunt, some, least)]
+
+
+def _thin(hunt: Hunt, some: Sequence[Settings], least: float) -> list[Settings]:
+    scores = [(hunt.trials.score(one, hunt.few), i) for i, one in enumerate(some)]
+    kept, best, last = [], math.inf, 0.0
+    for score, i in sorted(scores, key=lambda pair: (pair[0].price, pair[0].error, pair[1])):
+        if score.error < best and score.price > SPARSE * last and score.error >= least:
+            kept.append(some[i])
+            best, last = score.error, score.price
+    return kept
