@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore._core import Settings, SimulationError
 from stepcore.batch import Batch
+from stepcore.diagnose import Diagnosis, StiffnessWarning, diagnose
 from stepcore.model import Model
 from stepcore.scene import Scene
 from stepcore.sim import Sim
@@ -30,14 +31,17 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Batch",
+    "Diagnosis",
     "Linearization",
     "Model",
     "Scene",
     "Settings",
     "Sim",
     "SimulationError",
+    "StiffnessWarning",
     "Trade",
     "__version__",
+    "diagnose",
     "load",
     "loads",
     "predictability",

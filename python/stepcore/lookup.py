@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 LESSON = ("spring", "drop", "stack", "grasp")
 
 
-def find_scene(source: str | os.PathLike[str]) -> Scene:
-    """The scene that `source` names.
+def find_scene(source: str | os.PathLike[str], *, warn: bool = True) -> Scene:
+    """The scene that `source` names; a StiffnessWarning where its dt is near its limit.
 
     "lesson:stack": one of the lesson's scenes. "package:name": an MJCF file called name.xml
     among the files of an installed package, as "gymnasium:half_cheetah"; the package is found,
@@ -27,9 +27,17 @@ def find_scene(source: str | os.PathLike[str]) -> Scene:
 
     Raises ValueError if there is no such scene, and what `stepcore.load` raises.
     """
+    scene = _found(os.fsdecode(source))
+    if warn:
+        from stepcore.diagnose.load import warn_of_stiffness
+
+        warn_of_stiffness(scene, stacklevel=4)
+    return scene
+
+
+def _found(text: str) -> Scene:
     from stepcore.mjcf import load
 
-    text = os.fsdecode(source)
     package, _, name = text.partition(":")
     if not _named(text):
         if not os.path.isfile(text):
@@ -60,7 +68,8 @@ def load(path: str | os.PathLike[str]) -> Scene:
         orientations unit quaternions; classes, includes and frames are resolved.
 
     Raises MJCFError (a ValueError whose text is ``file:line: …``) for what cannot be read,
-    ValueError for a name that is not there, and FileNotFoundError for a file.
+    ValueError for a name that is not there, and FileNotFoundError for a file. Warns
+    (`StiffnessWarning`) of a scene whose own dt has less than a factor of two in hand.
 
     >>> load("lesson:stack").compile().nv
     2
@@ -70,7 +79,13 @@ def load(path: str | os.PathLike[str]) -> Scene:
     if not isinstance(path, (str, bytes, os.PathLike)):
         limit = 'the path of an MJCF file, or "package:name"'
         raise checks.refuse("load", "path", path, limit)
-    return find_scene(path) if _named(os.fsdecode(path)) else mjcf.load(path)
+    if _named(os.fsdecode(path)):
+        return find_scene(path)
+    from stepcore.diagnose.load import warn_of_stiffness
+
+    scene = mjcf.load(path)
+    warn_of_stiffness(scene)
+    return scene
 
 
 def _named(text: str) -> bool:

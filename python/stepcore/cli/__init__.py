@@ -11,14 +11,15 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import warnings
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 from stepcore.checks import one_line
-from stepcore.cli import info, lesson, predict, run, trade
+from stepcore.cli import diagnose, info, lesson, predict, run, trade
 
 # In the order of the help.
-COMMANDS = (lesson, run, trade, predict, info)
+COMMANDS = (lesson, run, trade, predict, diagnose, info)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -48,7 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 2
     try:
-        return int(args.call(args) or 0)
+        with warnings.catch_warnings():
+            warnings.showwarning = _warned
+            return int(args.call(args) or 0)
     except KeyboardInterrupt:
         return _say("stopped", 130)
     except BrokenPipeError:
@@ -63,6 +66,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.debug:
             raise
         return _say(one_line(error), 1)
+
+
+def _warned(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """A warning in one line, without the place in the code that no user of commands knows."""
+    _say(" ".join(str(message).split()), 0)
 
 
 def _say(text: str, status: int) -> int:

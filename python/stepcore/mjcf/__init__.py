@@ -53,7 +53,8 @@ def loads(
 
     base: the directory in which its includes lie. name: what error messages call the text.
 
-    Raises what `load` raises.
+    Raises what `load` raises. Warns (`StiffnessWarning`) of a scene whose own dt has less than a
+    factor of two in hand.
 
     >>> scene = loads('<mujoco><option timestep="0.01"/><worldbody/></mujoco>')
     >>> scene.settings.dt
@@ -62,6 +63,17 @@ def loads(
     Traceback (most recent call last):
     stepcore.mjcf.source.MJCFError: <string>:1: unknown element <wordbody> in <mujoco>; nearest: ...
     """
+    from stepcore.diagnose.load import warn_of_stiffness
+
+    scene = read_text(text, base=base, name=name)
+    warn_of_stiffness(scene)
+    return scene
+
+
+def read_text(
+    text: str | bytes, *, base: str | os.PathLike[str] | None = None, name: str = "<string>"
+) -> Scene:
+    """`loads` without its warning."""
     if not isinstance(text, (str, bytes)):
         raise MJCFError(name, 1, "an MJCF text must be a str or bytes")
     root = parse(text, name)

@@ -57,10 +57,10 @@ def kept(scene: Scene, directory: str) -> bytes | None:
 
 
 def _read(data: bytes, source: Source) -> Scene | None:
-    from stepcore.mjcf import loads
+    from stepcore.mjcf import read_text
 
     try:
-        return loads(data, base=source.directory)
+        return read_text(data, base=source.directory)
     except (ValueError, OSError):
         return None
 

@@ -1,0 +1,119 @@
+"""The largest stable dt of a model under an integrator, over all states looked at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepcore.diagnose import growth
+from stepcore.diagnose.growth import Growth
+from stepcore.diagnose.linear import State, rates_matrix, settled, step_map
+from stepcore.diagnose.softness import first_softened
+from stepcore.model import Model
+
+# The longest step tried [s], and the shortest in units of the motion's fastest time.
+LONGEST, SHORTEST = 1.0, 1e-4
+# Steps below a limit at which another state must be stable too.
+BELOW = (0.999, 0.7, 0.5, 0.25, 0.1)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The largest stable dt [s], inf where none up to `longest` is unstable, and who says so.
+
+    state: the index of the state that decides, -1 where none does.
+    """
+
+    integrator: str
+    dt: float
+    state: int
+    longest: float = LONGEST
+
+
+@dataclass(frozen=True)
+class Situation:
+    """A model at the states looked at, with the rates of its own motion there.
+
+    rates: the eigenvalues of J at each state [1/s]; horizon [s]: see `growth`. softened: the
+    least dt from which `refsafe` softens a row [s].
+    """
+
+    model: Model
+    states: Sequence[State]
+    rates: Sequence[Any]
+    horizon: float
+    softened: float
+
+    def grown(self, integrator: str, dt: float, state: int) -> Growth:
+        """The worst growth of a step at one state."""
+        return self.seen(integrator, dt, state)[1]
+
+    def seen(self, integrator: str, dt: float, state: int) -> tuple[State, Growth]:
+        """The worst growth of a step at one state, and where it was seen.
+
+        Rows that `refsafe` softens with dt come to rest elsewhere: where they seem unstable they
+        are looked at again after some steps of this dt.
+        """
+        here = self.states[state]
+        soft = dt > self.softened and bool(here.rows)
+        found = self._growth(integrator, dt, here, self.rates[state], soft)
+        if found.stable or not soft:
+            return here, found
+        rest = settled(self.model, here, integrator, dt)
+        if rest is None:
+            return here, found
+        return rest, self._growth(integrator, dt, rest, self.rates[state], soft)
+
+    def _growth(self, integrator: str, dt: float, state: State, rates: Any, soft: bool) -> Growth:
+        matrix = step_map(self.model, state, integrator, dt)
+        if soft:
+            # The motion's own rates, of rows as soft as they are at this dt.
+            own = rates_matrix(self.model, state, dt)
+            rates = rates if own is None else np.linalg.eigvals(own)
+        return growth.growth(matrix, dt, rates, self.horizon)
+
+    def stable(self, integrator: str, dt: float) -> bool:
+        """Whether a step is stable at every state."""
+        return all(self.grown(integrator, dt, k).stable for k in range(len(self.states)))
+
+    def limit(self, integrator: str, longest: float = LONGEST) -> Limit:
+        """The least of all states' largest stable steps."""
+        found = Limit(integrator, math.inf, -1, longest)
+        for k in range(len(self.states)):
+
+            def stable(dt: float, k: int = k) -> bool:
+                return self.grown(integrator, dt, k).stable
+
+            low = self.shortest(k)
+            if math.isfinite(found.dt):
+                if all(stable(found.dt * part) for part in BELOW if found.dt * part > low):
+                    continue
+                here = growth.largest_stable(stable, low, found.dt)
+                here = min(here, found.dt)
+            else:
+                here = growth.largest_stable(stable, low, longest)
+            if here < found.dt:
+                found = Limit(integrator, here, k, longest)
+        return found
+
+    def shortest(self, state: int) -> float:
+        """Where the search for a state's limit begins [s]."""
+        fastest = float(np.abs(self.rates[state]).max(initial=0.0))
+        return SHORTEST / max(fastest, 1.0)
+
+
+def situation(model: Model, states: Sequence[State], horizon: float) -> Situation:
+    """The states at which the motion has a derivative; ValueError where the start has none."""
+    kept, rates = [], []
+    for state in states:
+        matrix = rates_matrix(model, state)
+        if matrix is not None:
+            kept.append(state)
+            rates.append(np.linalg.eigvals(matrix))
+    if not kept:
+        raise ValueError("the scene cannot be linearised: its accelerations are not finite")
+    return Situation(model, kept, rates, horizon, first_softened(model))

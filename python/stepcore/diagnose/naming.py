@@ -1,0 +1,32 @@
+"""Who it is: the elements' shares in the mode that sets a limit."""
+
+from __future__ import annotations
+
+import math
+
+from stepcore.diagnose.limits import Limit, Situation
+from stepcore.diagnose.linear import step_map
+from stepcore.diagnose.parts import Shares, parts
+
+# Past a limit an eigenvalue has left its partner: there it tells what drives it.
+BEYOND = 1.05
+
+
+def shares_at(here: Situation, limit: Limit) -> Shares:
+    """What each element has in the eigenvalue that sets a limit, or in the fastest motion."""
+    if math.isinf(limit.dt):
+        every = range(len(here.rates))
+        return _fastest(here, max(every, key=lambda k: abs(here.rates[k]).max(initial=0.0)))
+    dt = max(limit.dt, here.shortest(limit.state)) * BEYOND
+    state, worst = here.seen(limit.integrator, dt, limit.state)
+    matrix = step_map(here.model, state, limit.integrator, dt)
+    all_parts = parts(here.model, state, dt)
+    if matrix is None or all_parts is None:
+        # A step that does not stay finite, or an iteration that does not converge.
+        return _fastest(here, limit.state)
+    return all_parts.shares(limit.integrator, dt, matrix, worst.value)
+
+
+def _fastest(here: Situation, state: int) -> Shares:
+    all_parts = parts(here.model, here.states[state], None)
+    return {} if all_parts is None else all_parts.fastest()

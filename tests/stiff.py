@@ -1,0 +1,107 @@
+"""Scenes whose stiff element is known, and what the real step does with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+import stepcore as sc
+
+INERT = {"contype": 0, "conaffinity": 0}
+
+
+def slider(k: float, damping: float = 0.0, mass: float = 1.0, **options) -> sc.Scene:
+    """One mass on a spring and a damper."""
+    scene = sc.Scene(gravity=(0, 0, 0), name="slider").with_settings(**options)
+    body = scene.add_body("mass")
+    scene.add_joint(body, "slide", name="slide", stiffness=k, damping=damping)
+    scene.add_geom(body, "sphere", 0.1, mass=mass, **INERT)
+    return scene
+
+
+def chain(stiffnesses, damping: float = 0.02, gravity=(0, 0, 0), **options) -> sc.Scene:
+    """Links of 0.3 m and 0.5 kg in a row, a spring in every joint."""
+    scene = sc.Scene(gravity=gravity, name="chain").with_settings(**options)
+    parent = scene.world
+    for i, stiffness in enumerate(stiffnesses):
+        parent = scene.add_body(f"link{i}", parent=parent, pos=(0, 0, 1) if i == 0 else (0.3, 0, 0))
+        axis = (0, 1, 0) if i % 2 == 0 else (0, 0, 1)
+        scene.add_joint(
+            parent, "hinge", name=f"joint{i}", axis=axis, stiffness=stiffness, damping=damping
+        )
+        ends = (0, 0, 0, 0.3, 0, 0)
+        scene.add_geom(parent, "capsule", 0.03, fromto=ends, mass=0.5, **INERT)
+    return scene
+
+
+NAMES = ("base", "shoulder", "elbow", "forearm", "wrist", "tool")
+
+
+def arm(kp=(200.0,) * 6, kv: float = 1.0, damping: float = 0.1, **options) -> sc.Scene:
+    """Six joints, a position servo on each."""
+    scene = sc.Scene(gravity=(0, 0, 0), name="arm").with_settings(**options)
+    parent, last = scene.world, 0.0
+    axes = ((0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0), (0, 1, 0), (1, 0, 0))
+    lengths = (0.15, 0.4, 0.35, 0.1, 0.1, 0.08)
+    for i, name in enumerate(NAMES):
+        parent = scene.add_body(name, parent=parent, pos=(0, 0, 0.1) if i == 0 else (last, 0, 0))
+        scene.add_joint(
+            parent, "hinge", name=name, axis=axes[i], damping=damping, armature=0.01 * 0.6**i
+        )
+        last = lengths[i]
+        scene.add_geom(
+            parent,
+            "capsule",
+            0.04 - 0.005 * i,
+            fromto=(0, 0, 0, last, 0, 0.01),
+            mass=2.0 * 0.5**i,
+            **INERT,
+        )
+        scene.add_actuator(name, type="position", name=name, kp=kp[i], kv=kv)
+    return scene
+
+
+def plate(spin: float, **options) -> sc.Scene:
+    """A thin plate that spins about its axis of symmetry, free in space."""
+    scene = sc.Scene(gravity=(0, 0, 0), name="plate").with_settings(**options)
+    body = scene.add_body("plate")
+    scene.add_joint(body, "free")
+    scene.add_geom(body, "box", (0.3, 0.3, 0.005), mass=1.0, **INERT)
+    scene.add_key("spinning", qvel=(0, 0, 0, 0, 0, spin))
+    return scene
+
+
+def pad(solref=(-1e6, -200.0), mass: float = 1.0, **options) -> sc.Scene:
+    """A ball at rest on the floor, the contact as stiff as solref says."""
+    scene = sc.Scene(name="pad").with_settings(**options)
+    body = scene.add_body("ball", pos=(0, 0, 0.1))
+    scene.add_joint(body, "slide", name="up")
+    scene.add_geom(body, "sphere", 0.1, mass=mass, name="ball", condim=1, solref=solref)
+    scene.add_geom("world", "plane", name="floor", solref=solref)
+    return scene
+
+
+def bisected(stable: Callable[[float], bool], low: float, high: float, fine: float = 2e-3) -> float:
+    """The step between one that is stable and one that is not."""
+    assert stable(low) and not stable(high)
+    while high / low > 1 + fine:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low
+
+
+def stays(model: sc.Model, integrator: str, dt: float, steps: int = 4000, grown=1e4) -> bool:
+    """Whether a small push stays small in the real step. The model's pose is an equilibrium."""
+    sim = sc.Sim(model, integrator=integrator, dt=dt)
+    rng = np.random.default_rng(1)
+    sim.qvel[:] = rng.uniform(-1, 1, model.nv) * 1e-6
+    size = [float(np.abs(sim.qvel).max())]
+    try:
+        for _ in range(20):
+            sim.step(steps // 20)
+            size.append(float(np.abs(sim.qvel).max()))
+    except sc.SimulationError:
+        return False
+    return max(size[1:]) < grown * size[0]

@@ -1,0 +1,398 @@
+"""`diagnose`: limits against closed forms and against the real step, and the element's name."""
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+import stiff
+from differences import central
+
+import stepcore as sc
+from stepcore.diagnose.alone import INTEGRATORS, oscillator
+from stepcore.diagnose.growth import growth
+from stepcore.diagnose.linear import State, exact, rates_matrix, step_map
+from stepcore.diagnose.parts import parts
+
+
+def diagnosed(scene, **options):
+    options = {"horizon": 0.1, "threads": 1, "progress": False} | options
+    return sc.diagnose(scene, **options)
+
+
+# --- closed forms -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("omega", [30.0, 1000.0])
+@pytest.mark.parametrize("ratio", [0.0, 0.01, 0.3, 1.0, 4.0])
+def test_one_spring_has_the_limit_of_its_closed_form(omega, ratio):
+    """Law: stiffness explicit, damping implicit: dt < (2ζ + 2√(ζ² + 1))/ω; both explicit: the
+    same with -2ζ; explicit Euler: 2ζ/ω while ζ < 1. To 0.2 %."""
+    d = diagnosed(stiff.slider(omega**2, 2 * ratio * omega, dt=1e-3))
+    root = 2 * math.sqrt(ratio**2 + 1)
+    implicit, explicit = (2 * ratio + root) / omega, (root - 2 * ratio) / omega
+    for name in ("euler", "implicitfast"):
+        assert d.limit(name) == pytest.approx(implicit, rel=2e-3)
+    assert d.limit("semi-implicit") == pytest.approx(explicit, rel=2e-3)
+    assert math.isinf(d.limit("midpoint"))
+    if 0 < ratio <= 1:
+        assert d.limit("explicit") == pytest.approx(2 * ratio / omega, rel=2e-3)
+    if ratio == 0:
+        assert d.limit("rk4") == pytest.approx(2 * math.sqrt(2) / omega, rel=0.03)
+    assert d.stiffest("semi-implicit") == ('damper "slide"' if ratio > 0.5 else 'spring "slide"')
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_an_element_alone_is_the_spectral_radius_of_its_two_by_two_step(integrator):
+    """Law: the closed forms of `alone` are where |μ| leaves 1. To 0.5 %."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        omega, implicit, explicit = 10 ** rng.uniform(0, 4), *10 ** rng.uniform(-1, 4, 2)
+        if integrator == "explicit" and explicit + implicit < 0.01 * omega:
+            continue
+        limit = oscillator(omega, explicit, implicit, integrator)
+
+        def radius(dt, omega=omega, explicit=explicit, implicit=implicit):
+            c = explicit + implicit
+            rates = np.array([[0, 1], [-(omega**2), -c]])
+            one = np.eye(2)
+            if integrator == "explicit":
+                step = one + dt * rates
+            elif integrator == "midpoint":
+                step = np.linalg.solve(one - dt / 2 * rates, one + dt / 2 * rates)
+            elif integrator == "rk4":
+                z = dt * rates
+                step = one + z + z @ z / 2 + z @ z @ z / 6 + z @ z @ z @ z / 24
+            else:
+                hidden = 0 if integrator == "semi-implicit" else implicit
+                new = np.array([0, 1]) + dt * rates[1] / (1 + dt * hidden)
+                step = np.array([np.array([1, 0]) + dt * new, new])
+            return abs(np.linalg.eigvals(step)).max()
+
+        if math.isinf(limit):
+            assert radius(1e3 / omega) <= 1 + 1e-9
+        else:
+            assert radius(0.995 * limit) < 1 + 1e-9 < radius(1.005 * limit)
+
+
+# --- the linearised step ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_the_elements_make_up_the_step(integrator):
+    """Law: with M, J and the implicit damping the step is what `linearize` gives, to 1e-6, and
+    what `linearize` gives is what central differences give, to 1e-6 of its size."""
+    model = exact(stiff.chain((50.0, 4000.0, 20.0), gravity=(0, 0, -9.81), dt=1e-3).compile())
+    state = State("there", 0.0, np.array([0.2, -0.4, 0.3]), np.array([0.5, 1, -1]), np.zeros(0))
+    sim = sc.Sim(model, integrator=integrator, dt=1e-4)
+    sim.qpos[:], sim.qvel[:] = state.qpos, state.qvel
+    real = step_map(model, state, integrator, 1e-4)
+    assert np.abs(real - central(sim)).max() < 1e-6 * np.abs(real).max()
+    made = parts(model, state, None).step(integrator, 1e-4)
+    # Off equilibrium the implicit rules see M + dt·D turn, and the others move within the step.
+    tolerance = {"explicit": 1e-6, "semi-implicit": 1e-6}.get(integrator, 1e-2)
+    assert np.abs(made - real).max() < tolerance * np.abs(real - np.eye(6)).max()
+
+
+def test_rates_are_those_of_the_motion():
+    """Law: a pendulum upright has the rates ±√(g m l / I), hanging ±i of the same."""
+    scene = sc.Scene()
+    rod = scene.add_body("rod")
+    scene.add_joint(rod, "hinge", axis=(0, 1, 0))
+    scene.add_geom(rod, "sphere", 0.1, pos=(0, 0, 0.5), mass=2.0)
+    model = exact(scene.compile())
+    omega = math.sqrt(2.0 * 9.81 * 0.5 / (2.0 * 0.25 + 0.4 * 2.0 * 0.01))
+    for angle, expected in ((0.0, [-omega, omega]), (math.pi, [-1j * omega, 1j * omega])):
+        state = State("there", 0.0, np.array([angle]), np.zeros(1), np.zeros(0))
+        rates = np.linalg.eigvals(rates_matrix(model, state))
+        assert np.allclose(np.sort_complex(rates), expected, atol=1e-5)
+
+
+# --- against the real step ----------------------------------------------------------------------
+
+
+def check(scene, name, integrators, steps=4000, near=2.0, within=0.02):
+    """The predicted limit is where the real step leaves the equilibrium, and `name` is named."""
+    d = diagnosed(scene)
+    model = scene.compile()
+    for integrator in integrators:
+        limit = d.limit(integrator)
+        assert d.stiffest(integrator) == name, integrator
+        real = stiff.bisected(
+            lambda dt, i=integrator: stiff.stays(model, i, dt, steps), limit / near, near * limit
+        )
+        assert limit == pytest.approx(real, rel=within), integrator
+    return d
+
+
+def test_the_stiff_spring_of_a_chain():
+    scene = stiff.chain((50.0, 20.0, 4000.0, 20.0), dt=5e-3, integrator="semi-implicit")
+    check(scene, 'spring "joint2"', ("semi-implicit", "euler", "rk4"))
+    scene = stiff.chain((50.0, 20.0, 4000.0, 20.0), damping=4.0, dt=5e-3, integrator="explicit")
+    check(scene, 'spring "joint2"', ("explicit",), steps=20_000, near=1.1)
+
+
+def test_growth_that_is_physical_is_not_the_integrators():
+    """An inverted pendulum grows under every step; a stiff spring on it is still found."""
+    scene = sc.Scene(name="upright").with_settings(dt=0.01, integrator="euler")
+    rod = scene.add_body("rod")
+    scene.add_joint(rod, "hinge", name="foot", axis=(0, 1, 0))
+    scene.add_geom(rod, "capsule", 0.02, fromto=(0, 0, 0, 0, 0, 1.0), mass=1.0)
+    free = diagnosed(scene)
+    assert all(free.limit(name) > 0.1 for name in INTEGRATORS)
+    assert free.physical == pytest.approx(3.8, abs=0.2)
+    assert "physical" in free.text()
+    tip = scene.add_body("tip", parent=rod, pos=(0, 0, 1.0))
+    scene.add_joint(tip, "hinge", name="whip", axis=(0, 1, 0), stiffness=50.0, damping=1e-3)
+    scene.add_geom(tip, "capsule", 0.01, fromto=(0, 0, 0, 0, 0, 0.2), mass=0.01)
+    d = diagnosed(scene)
+    assert d.stiffest() == 'spring "whip"'
+    assert d.physical > 3
+    # At the limit the fast mode changes sign and grows from step to step; the fall does not.
+    model = exact(scene.compile())
+    state = d.states[0]
+    rates = np.linalg.eigvals(rates_matrix(model, state))
+    limit = d.limit()
+    assert growth(step_map(model, state, "euler", 0.99 * limit), limit, rates, 0.1).stable
+    beyond = growth(step_map(model, state, "euler", 1.02 * limit), limit, rates, 0.1)
+    assert not beyond.stable and beyond.value.real < -1
+
+
+def test_a_spinning_plate():
+    """Law: explicit gyroscopic torque makes the nutation κΩ grow by (κΩ)² dt/2; implicit not."""
+    scene = stiff.plate(200.0, dt=5e-3, integrator="euler")
+    d = diagnosed(scene, horizon=1.0)
+    inertia = scene.compile().body_inertia[1].diagonal()
+    omega = 200.0 * (inertia[2] - inertia[0]) / inertia[0]
+    for name in ("semi-implicit", "euler", "explicit"):
+        assert d.limit(name) == pytest.approx(2 / omega**2, rel=0.02)
+        assert d.stiffest(name) == 'spin "plate"'
+    assert math.isinf(d.limit("implicitfast"))
+    assert "explodes under euler" in d.sentences[0]
+    model = scene.compile()
+
+    def less_than_e_fold(dt):
+        sim = sc.Sim(model, integrator="euler", dt=dt)
+        sim.reset(key="spinning")
+        sim.qvel[3] = 1e-6
+        sim.step(round(1.0 / dt))
+        return np.hypot(*sim.qvel[3:5]) < math.e * 1e-6
+
+    real = stiff.bisected(less_than_e_fold, 2e-5, 2e-4)
+    assert d.limit("euler") == pytest.approx(real, rel=0.02)
+
+
+# --- contacts -----------------------------------------------------------------------------------
+
+
+def rattles(model, integrator, dt, depth):
+    """Whether a ball at rest on the floor starts to bounce."""
+    sim = sc.Sim(model, integrator=integrator, dt=dt)
+    # Little deeper than it rests: a rebound would be another motion.
+    sim.qpos[:] = depth
+    sim.step(3000)
+    fastest = 0.0
+    for _ in range(200):
+        sim.step()
+        fastest = max(fastest, abs(float(sim.qvel[0])))
+    return fastest > 1e-6
+
+
+@pytest.mark.parametrize("solref", [(-1e6, -200.0), (-1e6, -1000.0), (-1e5, -1500.0)])
+def test_a_stiff_contact_in_direct_form(solref):
+    """Within 20 % of where the ball begins to bounce on the real step."""
+    scene = stiff.pad(solref, dt=5e-3, integrator="euler")
+    d = diagnosed(scene)
+    assert d.stiffest("euler") == 'contact "floor"/"ball"'
+    model = scene.compile()
+    limit = d.limit("euler")
+    # At rest R carries a share 1 - d, here 0.1, of the weight: k·d·r + g·(1 - d) = g.
+    depth = 1.01 * 9.81 * 0.1 * 0.95**2 / (0.9**2 * solref[0])
+    real = stiff.bisected(lambda dt: not rattles(model, "euler", dt, depth), 0.3 * limit, 3 * limit)
+    assert limit == pytest.approx(real, rel=0.2)
+
+
+def test_refsafe_is_told_as_it_is():
+    """A contact that refsafe softens limits nothing; without refsafe it does."""
+    soft = diagnosed(stiff.pad((0.02, 1.0), dt=5e-3))
+    assert math.isinf(soft.limit("euler"))
+    assert 'refsafe softens contact "floor"/"ball" beyond dt 10 ms' in soft.text()
+    hard = diagnosed(stiff.pad((0.02, 1.0), dt=5e-3, refsafe=False))
+    assert 0.005 < hard.limit("euler") < 0.05
+    assert hard.stiffest("euler") == 'contact "floor"/"ball"'
+
+
+# --- advice -------------------------------------------------------------------------------------
+
+
+def test_advice_is_true():
+    """Every value named is stable at the wanted dt on the real step, and 3 % less change is not."""
+    scene = stiff.chain((50.0, 20.0, 4e4, 20.0), dt=1e-3, integrator="semi-implicit")
+    d = diagnosed(scene, dt=5e-3)
+    assert d.limit() < 5e-3
+    met = {advice.what: advice for advice in d.advice if advice.met}
+    assert {"stiffness", "armature", "integrator"} <= met.keys()
+    value = met["stiffness"].values[0]
+    assert value.element == 'spring "joint2"' and value.before == (4e4,)
+    model = scene.compile()
+    changed = model.with_values({"joint/joint2/stiffness": value.after[0]})
+    assert stiff.stays(changed, "semi-implicit", 5e-3)
+    nearly = model.with_values({"joint/joint2/stiffness": 1.03 * value.after[0]})
+    assert not stiff.stays(nearly, "semi-implicit", 5e-3)
+    value = met["armature"].values[0]
+    changed = model.with_values({"joint/joint2/armature": value.after[0]})
+    assert stiff.stays(changed, "semi-implicit", 5e-3)
+    assert not stiff.stays(
+        model.with_values({"joint/joint2/armature": 0.95 * value.after[0]}), "semi-implicit", 5e-3
+    )
+    assert "5 ms would be met by any one of:" in d.text()
+
+
+def test_two_stiff_springs_are_changed_together():
+    scene = stiff.chain((4e5, 20.0, 4e4, 20.0), dt=8e-3, integrator="euler")
+    d = diagnosed(scene)
+    stiffness = next(a for a in d.advice if a.what == "stiffness")
+    assert stiffness.met
+    assert {value.element for value in stiffness.values} == {'spring "joint0"', 'spring "joint2"'}
+    values = {
+        f"joint/{v.element.split(chr(34))[1]}/stiffness": v.after[0] for v in stiffness.values
+    }
+    assert stiff.stays(scene.compile().with_values(values), "euler", 8e-3)
+
+
+def test_a_scene_without_anything_stiff_says_so():
+    d = diagnosed(stiff.slider(0.0, 0.0))
+    assert all(math.isinf(d.limit(name)) for name in INTEGRATORS)
+    assert d.sentences == ["Nothing here limits dt below 1 s under euler."]
+    assert d.stiffest("euler") == ""
+
+
+# --- the face -----------------------------------------------------------------------------------
+
+
+def test_it_prints_exports_and_plots(tmp_path):
+    d = diagnosed(stiff.chain((50.0, 4000.0), dt=5e-3, integrator="semi-implicit"))
+    for width in (60, 80, 160):
+        assert all(len(line) <= width for line in d.text(width).splitlines() if "(not" not in line)
+    data = d.to_dict()
+    assert data["limits"]["semi-implicit"]["stiffest"] == 'spring "joint1"'
+    assert data["limits"]["midpoint"]["limited"] is False
+    assert sum(data["limits"]["semi-implicit"]["shares"].values()) == pytest.approx(1.0)
+    d.plot(tmp_path / "bars.png")
+    assert (tmp_path / "bars.png").stat().st_size > 10_000
+    assert "<html" in d.to_html(tmp_path / "page.html")
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"dt": 0}, "dt = 0: must be"),
+        ({"horizon": -1}, "horizon = -1: must be"),
+        ({"executor": 3}, "executor = 3: must be"),
+        ({"key": "away"}, 'no key is named "away"'),
+    ],
+)
+def test_bad_input_is_refused(options, text):
+    with pytest.raises(ValueError, match=text):
+        diagnosed(stiff.slider(1.0), **options)
+
+
+def test_an_unknown_integrator_is_refused():
+    with pytest.raises(ValueError, match=r"integrator = 'eulr'.*nearest: \"euler\""):
+        diagnosed(stiff.slider(1.0)).limit("eulr")
+
+
+def test_what_cannot_move_is_refused():
+    with pytest.raises(ValueError, match="nothing in"):
+        sc.diagnose(sc.Scene())
+
+
+# --- at load ------------------------------------------------------------------------------------
+
+KNEE = """<mujoco><option timestep="{dt}" integrator="{integrator}"/><worldbody><body>
+<joint name="knee" type="slide" stiffness="1e6"/><geom size=".1" mass="1"/></body></worldbody>
+</mujoco>"""
+
+
+def test_a_stiff_scene_warns_once_with_the_name():
+    text = KNEE.format(dt=0.0015, integrator="Euler")
+    with pytest.warns(sc.StiffnessWarning, match='factor of 1.3 in hand.*spring "knee"') as caught:
+        sc.loads(text)
+    assert len(caught) == 1
+    assert caught[0].filename == __file__
+    assert "\n" not in str(caught[0].message)
+    with pytest.warns(sc.StiffnessWarning, match="dt 5 ms explodes under euler"):
+        sc.loads(KNEE.format(dt=0.005, integrator="Euler"))
+
+
+def test_a_file_warns_as_a_text_does(tmp_path):
+    path = tmp_path / "knee.xml"
+    path.write_text(KNEE.format(dt=0.005, integrator="Euler"))
+    with pytest.warns(sc.StiffnessWarning, match='spring "knee"') as caught:
+        sc.load(path)
+    assert caught[0].filename == __file__
+
+
+def test_a_scene_with_a_factor_of_two_in_hand_is_silent():
+    """A warning would be an error here."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sc.loads(KNEE.format(dt=0.0009, integrator="Euler"))
+        for name in ("ant", "half_cheetah", "hopper", "inverted_pendulum", "reacher", "walker2d"):
+            sc.load(f"gymnasium:{name}")
+
+
+def test_a_scene_that_does_not_compile_loads_as_before():
+    text = KNEE.format(dt=0.005, integrator="Euler").replace('mass="1"', 'mass="0"')
+    scene = sc.loads(text)
+    with pytest.raises(ValueError):
+        scene.compile()
+
+
+# --- servos -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.7, 3.0])
+@pytest.mark.parametrize("omega", [40.0, 900.0])
+def test_one_servo_has_the_limit_of_its_closed_form(omega, ratio):
+    """Law: kp explicit, kv implicit under implicitfast: dt < (2ζ + 2√(ζ² + 1))/ω; kv explicit
+    under euler: with -2ζ. The gear counts twice. To 0.2 %."""
+    scene = sc.Scene(gravity=(0, 0, 0)).with_settings(dt=1e-3)
+    body = scene.add_body("mass")
+    scene.add_joint(body, "slide", name="slide")
+    scene.add_geom(body, "sphere", 0.1, mass=2.0, **stiff.INERT)
+    gains = {"kp": 2 * omega**2 / 9, "kv": 2 * 2 * ratio * omega / 9}
+    scene.add_actuator("slide", type="position", name="elbow", gear=(3.0,), **gains)
+    d = diagnosed(scene)
+    root = 2 * math.sqrt(ratio**2 + 1)
+    assert d.limit("implicitfast") == pytest.approx((2 * ratio + root) / omega, rel=2e-3)
+    assert d.limit("euler") == pytest.approx((root - 2 * ratio) / omega, rel=2e-3)
+    assert d.stiffest("implicitfast") == 'servo "elbow"'
+    figures = d.element('servo "elbow"')
+    assert figures.omega == pytest.approx(omega, rel=1e-6)
+    assert figures.ratio == pytest.approx(ratio, rel=1e-6)
+    assert figures.limits["implicitfast"] == pytest.approx(d.limit("implicitfast"), rel=2e-3)
+
+
+def test_the_stiff_servo_of_a_six_joint_arm():
+    """A position gain a thousand times the others'; then a velocity gain on the lightest link."""
+    kp = (200.0, 200.0, 2e5, 200.0, 200.0, 200.0)
+    scene = stiff.arm(kp, kv=0.02, dt=5e-3, integrator="implicitfast")
+    d = check(scene, 'servo "elbow"', ("implicitfast", "euler", "semi-implicit", "rk4"))
+    assert 'At 5 ms this explodes under implicitfast: servo "elbow"' in d.sentences[0]
+    scene = stiff.arm(kv=5.0, dt=5e-3, integrator="euler")
+    check(scene, 'servo "tool"', ("euler", "semi-implicit"))
+
+
+def test_a_servo_at_the_end_of_its_force_has_no_stiffness():
+    scene = stiff.slider(0.0, 1.0, dt=1e-3)
+    servo = {"kp": 1e6, "forcerange": (-1.0, 1.0), "ctrlrange": (-5.0, 5.0)}
+    scene.add_actuator("slide", type="position", name="weak", **servo)
+    scene.add_key("far", ctrl=(5.0,))
+    model = exact(scene.compile())
+    state = State("far", 0.0, np.zeros(1), np.zeros(1), np.array([5.0]))
+    assert np.abs(np.linalg.eigvals(rates_matrix(model, state))).max() == pytest.approx(1.0)
+    near = State("near", 0.0, np.zeros(1), np.zeros(1), np.zeros(1))
+    assert np.abs(np.linalg.eigvals(rates_matrix(model, near))).max() == pytest.approx(
+        1e3, rel=1e-3
+    )
