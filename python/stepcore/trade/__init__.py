@@ -30,6 +30,7 @@ from stepcore.trade.remarks import truths
 from stepcore.trade.result import Row, Trade
 from stepcore.trade.run import Course
 from stepcore.trade.settings import clamping, grid, seconds
+from stepcore.trade.statistics import LEAST, after
 from stepcore.trade.trials import Trials
 
 __all__ = ["Row", "Trade", "trade"]
@@ -180,6 +181,8 @@ def trade(
         screened=len({*trials.paths, *trials.glances}),
         runs=trials.runs,
     )
+    many = partial(drawn, count=max(LEAST, starts), seed=seed)
+    after(result.rows, finder, reference, many, progress)
     if further and (target or limit):
         more = others(drawn(count=further + 1, seed=seed + APART))
         confirmed(result, trials, finder, more, finisher.row, counts)

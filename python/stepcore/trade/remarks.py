@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from stepcore.table import Table
 from stepcore.trade.growth import GROWTH, NEARBY
 from stepcore.trade.reference import Gap, Reference
-from stepcore.trade.settings import metres, seconds
+from stepcore.trade.settings import label, metres, seconds
+from stepcore.trade.statistics import QUANTITIES
+
+if TYPE_CHECKING:
+    from stepcore.trade.result import Trade
 
 
 def truths(reference: Reference) -> list[str]:
@@ -34,6 +41,32 @@ def truths(reference: Reference) -> list[str]:
     for name, gap in reference.gaps.items():
         found.append(_gap(name, gap))
     return found
+
+
+def after(trade: Trade, width: int | None) -> list[str]:
+    """The statistics of a trade as lines; none where all of it can be predicted."""
+    told = [row for row in trade.rows if row.after is not None]
+    if not told:
+        return []
+    first = told[0].after
+    assert first is not None
+    means = {name: getattr(first, name).reference for name in QUANTITIES}
+    heads = {"height": "height m", "kinetic": "kinetic J", "touching": "contacts"}
+    heads = {name: head for name, head in heads.items() if name != "touching" or means[name]}
+    said = ", ".join(f"{head} {means[name]:.3g}" for name, head in heads.items())
+    records = []
+    for row in told:
+        record = {"": "*" * row.best + "s" * row.shipped, "setting": label(row.settings)}
+        for name, head in heads.items():
+            one = getattr(row.after, name)
+            record[head] = f"{one.mean:+.1e} ± {one.interval:.0e}" + " !" * one.seen
+        records.append(record)
+    return [
+        "",
+        f"After {seconds(first.since)}: difference from the reference's means ({said}), with 95 % "
+        f"intervals over {first.starts} starts; !: seen",
+        Table(records).text(width),
+    ]
 
 
 def _gap(name: str, gap: Gap) -> str:

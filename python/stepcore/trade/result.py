@@ -15,6 +15,7 @@ from stepcore.trade import report
 from stepcore.trade.errors import Errors, pareto
 from stepcore.trade.mujoco import Point
 from stepcore.trade.reference import Reference
+from stepcore.trade.statistics import QUANTITIES, Statistics
 
 FIELDS = (
     "dt",
@@ -51,7 +52,8 @@ class Further:
 @dataclass
 class Row:
     """One setting. cost [µs per simulated second]; row_updates, flops [per simulated second];
-    nbytes: memory of state and working space; further: tried on further starts.
+    nbytes: memory of state and working space; further: tried on further starts. after:
+    differences of means once the motion cannot be predicted, where they were measured.
     """
 
     settings: Settings
@@ -67,6 +69,7 @@ class Row:
     flops: float = math.nan
     nbytes: int = 0
     further: Further | None = None
+    after: Statistics | None = None
 
     def record(self) -> dict[str, Any]:
         """The row as plain data.
@@ -94,6 +97,7 @@ class Row:
             "further_held": None if self.further is None else self.further.held,
             "further_high": None if self.further is None else self.further.high,
             "failure": self.failure,
+            **({} if self.after is None else self.after.record()),
         }
 
 
@@ -327,6 +331,11 @@ UNITS = {
     "lost": "J",
     "overlap": "m",
     "residual": "m/s",
+    **{
+        f"{name}_{part}": unit
+        for name, unit in QUANTITIES.items()
+        for part in ("difference", "interval")
+    },
     "numerical": "m",
     "modelling": "m",
     "momentum": "kg m/s",
