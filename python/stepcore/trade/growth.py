@@ -1,16 +1,19 @@
 """How long a scene can be predicted: twins of the reference that start a rounding apart.
 
 Each start is run again with its coordinates moved by 1e-9 of the scene's size, in several seeded
-directions. Until the two are more than 1e3 times as far apart as they began, an error of a setting
-says something of the setting; after that it says how errors grow in the scene, whatever began
-them. Positions alone are moved: in free motion what is moved then stays as far away as it was, and
-whatever grows in the scene soon grows from any direction.
+directions. Until two such runs are more than 1e3 times as far apart as they began, an error of a
+setting says something of the setting; after that it says how errors grow in the scene, whatever
+began them. Positions alone are moved: in free motion what is moved then stays as far away as it
+was, and whatever grows in the scene soon grows from any direction.
+
+All twins of a start, the first of them too, are moved by one common 1e-6 of the scene's size. A
+scene in round numbers often has an impact exactly at the end of a step, and there a twin a rounding
+away meets it one step later: a jump of the method's, not of the scene's.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -20,12 +23,13 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.jobs import each
 from stepcore.progress import Progress
-from stepcore.trade.dofs import Start
+from stepcore.trade.dofs import Dofs, Start
 from stepcore.trade.motion import Motion
 from stepcore.trade.run import Course, Path, angle, distance
 
 # Of the scene's size, and of a radian.
 NEARBY = 1e-9
+ASIDE = 1e-6
 GROWTH = 1e3
 DIRECTIONS = 3
 
@@ -59,42 +63,42 @@ class Growth:
 def growth(
     course: Course,
     settings: Settings,
-    paths: Sequence[Path],
     size: float,
     bar: Progress,
     threads: int = 1,
     executor: Executor | None = None,
 ) -> Growth:
-    """Runs the twins of `paths`, which are those of `settings`; size: of the scene [m].
+    """Runs the twins of a course under `settings`; size: of the scene [m].
 
-    A twin that fails where its reference does not says nothing, and is left out.
+    A twin that fails says nothing, and is left out.
     """
-    motion = course.motion
-    count = len(motion.starts)
-    twins = Course(course.model, course.dofs, nearby(course, size))
+    motion = nearby(course.motion, course.dofs, size)
+    twins = Course(course.model, course.dofs, motion)
     job = partial(twins.run, settings)
-    runs = each(job, range(len(twins.motion.starts)), bar=bar, threads=threads, executor=executor)
+    each_start = range(len(motion.starts))
+    runs = each(job, each_start, bar=bar, threads=threads, executor=executor)
+    count = len(course.motion.starts)
     factor = np.ones((count, len(motion.times)))
-    for k, run in enumerate(runs):
+    for k in range(count, len(runs)):
         start = k % count
-        if not run.failure:
-            far = separation(course, paths[start], run)
-            near = _begun(course, motion.starts[start], twins.motion.starts[k])
+        if not (runs[k].failure or runs[start].failure):
+            far = separation(course, runs[start], runs[k])
+            near = _begun(course, motion.starts[start], motion.starts[k])
             factor[start] = np.maximum(factor[start], far / near)
     ends = [_end(motion.times, one) for one in factor]
     return Growth(motion.times, factor, np.array(ends))
 
 
-def nearby(course: Course, size: float) -> Motion:
-    """The motion from starts moved a little: all of them in one direction, then in the next."""
-    motion, dofs = course.motion, course.dofs
+def nearby(motion: Motion, dofs: Dofs, size: float) -> Motion:
+    """The motion from starts all moved aside, then from them moved in one direction, the next …"""
     rng = np.random.default_rng(0)
-    starts = []
+    aside = ASIDE * dofs.drawn(rng, size, 1.0)
+    starts = [Start(dofs.moved(start.qpos, aside), start.qvel) for start in motion.starts]
     for _ in range(DIRECTIONS):
-        for start in motion.starts:
+        for start in starts[: len(motion.starts)]:
             sign = dofs.scaled(rng.choice([-1.0, 1.0], dofs.nv), size, 1.0)
             starts.append(Start(dofs.moved(start.qpos, NEARBY * sign), start.qvel))
-    ctrl = None if motion.ctrl is None else np.concatenate([motion.ctrl] * DIRECTIONS)
+    ctrl = None if motion.ctrl is None else np.concatenate([motion.ctrl] * (1 + DIRECTIONS))
     return dataclasses.replace(motion, starts=tuple(starts), ctrl=ctrl)
 
 

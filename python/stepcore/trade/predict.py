@@ -134,10 +134,10 @@ def predictability(
 ) -> Predictability:
     """How long a scene can be predicted: until twins a rounding apart separate.
 
-    Every start is run again with its coordinates moved by 1e-9 of the scene's size, in three
-    seeded directions, under rk4 at a 16th of the shipped time step (or the first of its halvings
-    that runs), rows solved to rounding. The scene can be predicted until twins are 1e3 times as
-    far apart as they began; beyond it only statistics of its motion mean anything.
+    From every start runs begin 1e-9 of the scene's size apart in three seeded directions, under
+    rk4 at a 16th of the shipped time step (a quarter of that, or another integrator, where that
+    fails), rows solved to rounding. The scene can be predicted until they are 1e3 times as far
+    apart as they began; beyond that only statistics of its motion mean anything.
 
     horizon: simulated time [s], by default 10 s. The other arguments are those of
     `stepcore.trade`; executor: in place of threads, any `concurrent.futures.Executor`.
@@ -171,7 +171,7 @@ def predictability(
         seed=seed,
     )
     search = Search(Course(model, dofs, motive), model.settings, min(steps), 0.0, workers, executor)
-    with Progress("predictability", (1 + DIRECTIONS) * starts, progress) as bar:
+    with Progress("predictability", (2 + DIRECTIONS) * starts, progress) as bar:
         level, found = search.alone(bar)
     name = model.scene.name or "scene"
     return Predictability(name, motive.horizon, level.dt, level.integrator, found)

@@ -148,7 +148,7 @@ class Search:
     @property
     def runs(self) -> int:
         """How many runs `first` makes, at least."""
-        return (2 * len(HALVINGS) + DIRECTIONS) * len(self.course.motion.starts)
+        return (2 * len(HALVINGS) + 1 + DIRECTIONS) * len(self.course.motion.starts)
 
     def settings(self, integrator: str, dt: float) -> Settings:
         """Reference settings: rows solved to rounding, as the law allows."""
@@ -285,10 +285,8 @@ class Search:
     def _growth(self, base: Level, bar: Progress) -> Growth:
         """That of the twins of a level."""
         settings = self.settings(base.integrator, base.dt)
-        self.spent += DIRECTIONS * self.cost(base.integrator, base.dt)
-        return growth(
-            self.course, settings, base.paths, self.size, bar, self.threads, self.executor
-        )
+        self.spent += (1 + DIRECTIONS) * self.cost(base.integrator, base.dt)
+        return growth(self.course, settings, self.size, bar, self.threads, self.executor)
 
     def _coarser(self, levels: list[Level], found: Growth, bar: Progress) -> None:
         """Adds coarser levels where all there are have met rounding, to see an order at all."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stepcore._core import Settings
 from stepcore.jobs import each
@@ -113,10 +114,11 @@ def difference(mine: ArrayLike, true: ArrayLike) -> Difference:
     >>> round(found.mean, 3), round(found.interval, 2), found.seen
     (0.667, 1.43, False)
     """
-    apart = np.asarray(mine, float) - np.asarray(true, float)
+    true = np.asarray(true, float)
+    apart = np.asarray(mine, float) - true
     count = len(apart)
     spread = float(np.std(apart, ddof=1)) / np.sqrt(count) if count > 1 else np.inf
-    return Difference(float(apart.mean()), float(student(count - 1) * spread), float(np.mean(true)))
+    return Difference(float(apart.mean()), float(student(count - 1) * spread), float(true.mean()))
 
 
 def student(freedom: int) -> float:
