@@ -65,9 +65,9 @@ class Confirmation:
             self.scored = np.ones((count, len(others.times)), bool)
             return
         settings = own.settings(level.integrator, level.dt)
-        with Progress("further twins", DIRECTIONS * count, self.progress) as bar:
+        with Progress("further twins", (1 + DIRECTIONS) * count, self.progress) as bar:
             runs = (search.threads, search.executor)
-            found = growth(self.course, settings, self.truth.paths, trials.size, bar, *runs)
+            found = growth(self.course, settings, trials.size, bar, *runs)
         self.scored = found.scored
 
     def test(self, settings: Settings, error: float) -> Further:

@@ -9,18 +9,23 @@ two runs of a pair still resemble each other). An interval that contains 0 is no
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore._core import Settings
 from stepcore.jobs import each
-from stepcore.progress import Progress
+from stepcore.progress import Choice, Progress
 from stepcore.trade.motion import Motion
 from stepcore.trade.reference import Reference, Search
 from stepcore.trade.run import Course, Path
+
+if TYPE_CHECKING:
+    from stepcore.trade.result import Row
 
 LEAST = 32
 # Names of `Statistics`, and of `Path`, with their units.
@@ -143,3 +148,26 @@ def student(freedom: int) -> float:
         (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
     )
     return z + sum(term / freedom ** (k + 1) for k, term in enumerate(terms))
+
+
+def after(
+    rows: Sequence[Row],
+    search: Search,
+    reference: Reference,
+    many: Callable[[], Motion],
+    progress: Choice,
+) -> None:
+    """Sets `after` of the shipped row and the best ones, where some of the horizon is lost.
+
+    many: draws the motion from at least 32 starts.
+    """
+    if not np.isfinite(reference.growth.overall):
+        return
+    found = After(search, reference, many())
+    if not found.needed:
+        return
+    told = [row for row in rows if row.errors and (row.best or row.shipped)]
+    runs = (1 + len(told)) * len(found.course.motion.starts)
+    with Progress("statistics", runs, progress) as bar:
+        for row in told:
+            row.after = found.measure(row.settings, bar)
