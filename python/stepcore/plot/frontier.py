@@ -46,7 +46,7 @@ def plot_trade(trade: Trade, path: str | os.PathLike[str] | None = None) -> Any:
         # Below and left of the front there is nothing to cover.
         style: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "top"}
         axes.annotate(text, at, (-8, -10), zorder=6, fontsize=9, **style)
-    error = trade.reference.error
+    error = trade.reference.high
     if error > low:
         axes.axhspan(low, error, color="#DDDDDD", zorder=0)
         text = f"below the reference's own error, {metres(error)}"
@@ -73,7 +73,7 @@ def _split(trade: Trade) -> tuple[list[Row], list[Row]]:
     """Rows that are drawn where they are, and those that failed or are far off."""
     errors = sorted(trade.error(row) for row in trade.rows if row.errors)
     middle = trade.error(trade.shipped) if trade.shipped.errors else errors[len(errors) // 2]
-    limit = FAR * max(middle, trade.reference.error, 1e-300)
+    limit = FAR * max(middle, trade.reference.high, 1e-300)
     good = [row for row in trade.rows if row.errors and trade.error(row) <= limit]
     return good, [row for row in trade.rows if not row.errors or trade.error(row) > limit]
 

@@ -216,8 +216,8 @@ def _refine(search: Search, trials: Trials, tried: Sequence[Settings], progress:
     reference = trials.reference
     whole = [trials.paths[one] for one in tried if not trials.paths[one][-1].failure]
     while whole and search.can_refine(reference):
-        found = [errors(p, reference.paths, reference.scored).position for p in whole]
-        if reference.error * FINER <= smallest(found):
+        found = [errors(p, reference.paths, reference.scored).high for p in whole]
+        if reference.high * FINER <= smallest(found):
             return
         with Progress("finer reference", len(search.course.motion.starts), progress) as bar:
             if not search.refine(reference, bar):

@@ -49,14 +49,21 @@ def shown(distances: Sequence[float], floor: float) -> int | None:
 
 @dataclass(frozen=True)
 class Known:
-    """What a converged motion may be wrong by; see `stepcore.trade.reference.Reference`."""
+    """What a converged motion may be wrong by, in four measures of `Errors`.
+
+    error, largest, high [m], angle [rad]: see `stepcore.trade.reference.Reference`. orders: what
+    Richardson used for each (1, 2 or 4), None where no order is shown; bases: the same in words.
+    """
 
     error: float
     largest: float
     high: float
     angle: float
-    basis: str
-    order: int | None
+    orders: dict[str, int | None]
+    bases: dict[str, str]
+
+
+MEASURES = {"error": "position", "largest": "position_max", "high": "high", "angle": "angle"}
 
 
 def known(halvings: Sequence[Errors], floor: float, rival: Errors | None, other: str) -> Known:
@@ -66,20 +73,23 @@ def known(halvings: Sequence[Errors], floor: float, rival: Errors | None, other:
     another integrator, named `other`. Without an order the error is twice that distance, and not
     less than the last halving moved.
     """
-
-    def sure(name: str) -> float:
-        distances = [float(getattr(one, name)) for one in halvings]
+    sure: dict[str, float] = {}
+    orders: dict[str, int | None] = {}
+    bases: dict[str, str] = {}
+    for name, measure in MEASURES.items():
+        distances = [float(getattr(one, measure)) for one in halvings]
         order, last = shown(distances, floor), distances[-1]
+        orders[name] = order
         if order is not None:
-            return last if last <= floor else last / (2**order - 1)
-        return 2 * last if rival is None else max(2 * float(getattr(rival, name)), last)
-
-    order = shown([one.position for one in halvings], floor)
-    if order is not None:
-        basis = f"Richardson, order {order}"
-    elif rival is not None:
-        basis = f"twice the distance to {other}"
-    else:
-        basis = "twice what the last halving moved it: no other integrator runs"
-    error, largest = sure("position"), sure("position_max")
-    return Known(error, largest, sure("high"), sure("angle"), basis, order)
+            sure[name] = last if last <= floor else last / (2**order - 1)
+            bases[name] = f"Richardson, order {order}"
+        elif rival is not None:
+            sure[name] = max(2 * float(getattr(rival, measure)), last)
+            bases[name] = f"twice the distance to {other}"
+        else:
+            sure[name] = 2 * last
+            bases[name] = "twice what the last halving moved it: no other integrator runs"
+    # No start is worse than the worst, so neither is their median.
+    if sure["high"] < sure["error"]:
+        sure["error"], orders["error"], bases["error"] = sure["high"], orders["high"], bases["high"]
+    return Known(**sure, orders=orders, bases=bases)

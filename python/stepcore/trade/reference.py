@@ -62,6 +62,11 @@ class Level:
         """To the level of twice the step [m], measured as errors are; inf without one."""
         return np.inf if self.moved is None else self.moved.position
 
+    @property
+    def high(self) -> float:
+        """The same of the worst start [m]."""
+        return np.inf if self.moved is None else self.moved.high
+
 
 @dataclass(frozen=True)
 class Gap:
@@ -82,8 +87,9 @@ class Reference:
 
     level: the finest run of one integrator, levels: its halvings. error, largest (of any body,
     sample and start), high (of the worst start) [m], angle [rad]: what the truth may be wrong by,
-    measured as errors in the table are; basis: how that is known, in words. order: what Richardson
-    used (1, 2 or 4), or None. orders: what the halvings of each integrator showed, coarsest first.
+    measured as errors in the table are. basis: how `high` is known, in words; order: what
+    Richardson used for it (1, 2 or 4), or None; known: the same of every measure. orders:
+    what the halvings of each integrator showed of the median start, coarsest first.
     agreement [m]: distance to the finest run of another integrator, `other`, whose own halving
     moved it by other_error. growth: of twins. exact: the closed form, where there is one.
     gaps: to other models, see `stepcore.trade.models`.
@@ -112,7 +118,7 @@ class Reference:
         if self.exact is None:
             k = self.known
             self.error, self.largest, self.high, self.angle = k.error, k.largest, k.high, k.angle
-            self.basis, self.order = k.basis, k.order
+            self.basis, self.order = k.bases["high"], k.orders["high"]
         else:
             self.error = self.largest = self.high = self.exact.error
             self.angle, self.basis, self.order = self.exact.angle, self.exact.basis, None
@@ -205,7 +211,7 @@ class Search:
                 fine.moved = self.apart(coarse, fine, found)
             self._coarser(levels, found, bar)
         reference = self._reference(found)
-        if reference.known.high > EAGER * reference.level.distance:
+        if reference.known.high > EAGER * reference.level.high:
             self._catch_up(reference, found, bar)
             reference = self._reference(found, reference.level.integrator)
         reference.exact = closed(self.course, reference.level.paths)
@@ -240,12 +246,12 @@ class Search:
         That is the reference's own where Richardson tells its error; elsewhere that of the
         integrator which its last halving moved more, or of both.
         """
-        before = reference.error
+        before = reference.high
         for name in self._coarsest(reference):
             if not self._halve(name, reference.growth, bar):
                 return False
         better = self._reference(reference.growth, reference.level.integrator)
-        stalls = reference.stalls + 1 if better.error > STALLED * before else 0
+        stalls = reference.stalls + 1 if better.high > STALLED * before else 0
         reference.__dict__.update(better.__dict__ | {"stalls": stalls})
         return True
 
@@ -260,7 +266,7 @@ class Search:
         own = reference.level.integrator
         if reference.order is not None or not reference.other:
             return [own]
-        moved = {name: self.chains[name][-1].distance for name in (own, reference.other)}
+        moved = {name: self.chains[name][-1].high for name in (own, reference.other)}
         return [name for name in moved if moved[name] >= max(moved.values()) / 2]
 
     def _halve(self, integrator: str, found: Growth, bar: Progress) -> bool:
@@ -305,7 +311,7 @@ class Search:
 
     def _reference(self, found: Growth, kept: str | None = None) -> Reference:
         """That of the integrator which its last halving moved least, or of the one `kept`."""
-        name = kept or min(self.chains, key=lambda one: self.chains[one][-1].distance)
+        name = kept or min(self.chains, key=lambda one: self.chains[one][-1].high)
         levels = self.chains[name]
         other, rival = self._rival(levels[-1], found)
         moved = [one.moved for one in levels if one.moved is not None]

@@ -42,7 +42,7 @@ def text(trade: Trade, width: int | None, full: bool) -> str:
     legend = LEGEND + ("\nm: MuJoCo's best for their cost" if trade.mujoco else "")
     lines = [
         f"{trade.name}: {len(trade.rows)} settings over {seconds(trade.horizon)}, {starts}; "
-        f"reference {label(ref.settings, sweeps=False)}, known to {metres(ref.error)} "
+        f"reference {label(ref.settings, sweeps=False)}, known to {metres(ref.high)} "
         f"({ref.basis})",
         "",
         Table(records, names, right).text(width),

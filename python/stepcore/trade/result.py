@@ -296,6 +296,7 @@ class Trade(Result):
             "halvings": [{"dt": level.dt, "distance": level.distance} for level in ref.levels],
             "basis": ref.basis,
             "order": ref.order,
+            "known": None if ref.exact else {"orders": ref.known.orders, "bases": ref.known.bases},
             "orders": ref.orders,
             "closed_form": None if ref.exact is None else ref.exact.check,
             "stiffens": ref.stiffens,
