@@ -24,6 +24,7 @@ from stepcore.sweep import sweep
 from stepcore.trade import Trade, trade
 
 if TYPE_CHECKING:
+    from stepcore.convergence import Convergence, converge
     from stepcore.linearization import Linearization
     from stepcore.lookup import load
     from stepcore.mjcf import loads
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Batch",
+    "Convergence",
     "Diagnosis",
     "Linearization",
     "Model",
@@ -41,6 +43,7 @@ __all__ = [
     "StiffnessWarning",
     "Trade",
     "__version__",
+    "converge",
     "diagnose",
     "load",
     "loads",
@@ -51,6 +54,8 @@ __all__ = [
 
 # Names that are imported when they are first used, so that `import stepcore` is quick.
 _LATER = {
+    "Convergence": "stepcore.convergence",
+    "converge": "stepcore.convergence",
     "Linearization": "stepcore.linearization",
     "predictability": "stepcore.trade.predict",
     "load": "stepcore.lookup",

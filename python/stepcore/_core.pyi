@@ -218,6 +218,10 @@ class Sim:
     def constraint_force(self) -> _Floats: ...
     @property
     def actuator_force(self) -> _Floats: ...
+    def coupling(self) -> tuple[_Floats, _Floats]:
+        """J H⁻¹ Jᵀ of the rows; by row: 1/s, mass, friction, and 0 for an interval, 1 for a
+        convex cone, 2 and 3 for a Coulomb cone, round or box."""
+
     @property
     def residual(self) -> float: ...
     @property

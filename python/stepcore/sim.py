@@ -268,6 +268,22 @@ class Sim(Stepped):
         """
         return row_table(self.settings.dt, *self._core.rows())
 
+    def delassus(self) -> Floats:
+        """How the rows of the last solve push each other, J M⁻¹ Jᵀ, shape (rows, rows) [1/kg].
+
+        Entry (i, j) is the velocity that an impulse of 1 on row j gives row i, in the order of
+        `rows`; regularisers are not in it.
+
+        >>> from stepcore import Sim, lesson
+        >>> sim = Sim(lesson.stack(masses=(1.0, 4.0)))
+        >>> sim.qvel[:] = -0.1, -0.2
+        >>> sim.forward()
+        >>> print(sim.delassus())
+        [[ 1.   -1.  ]
+         [-1.    1.25]]
+        """
+        return self._core.coupling()[0]
+
     @property
     def residual(self) -> float:
         """How far the last solve was from the rows' laws: the worst row, a speed [m/s]."""

@@ -272,6 +272,13 @@ impl Sim {
     fn rows<'py>(&self, py: Python<'py>) -> PyResult<RowTable<'py>> {
         rows(py, self.lock()?.rows())
     }
+    /// J H⁻¹ Jᵀ of the rows, and by row: 1/s, mass, friction, kind of set.
+    fn coupling<'py>(&self, py: Python<'py>) -> PyResult<(Array<'py>, Array<'py>)> {
+        let found = self.lock()?.coupling();
+        let count = found.rows.len();
+        let own = result(py, found.rows.concat(), &[count, 4])?;
+        Ok((result(py, found.a, &[count, count])?, own))
+    }
     #[getter]
     fn residual(&self) -> PyResult<f64> {
         Ok(self.lock()?.residual())

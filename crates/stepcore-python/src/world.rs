@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use stepcore::arrays::Given;
 use stepcore::error::Result;
-use stepcore::measure::Linearizer;
+use stepcore::measure::{Coupling, Linearizer};
 use stepcore::model::Model;
 use stepcore::real::Real;
 use stepcore::settings::{Precision, Settings};
@@ -90,6 +90,7 @@ pub trait World: Send {
     fn solved(&self, what: Solved) -> Vec<f64>;
     fn contacts(&self) -> Contacts;
     fn rows(&self) -> Rows;
+    fn coupling(&self) -> Coupling;
     fn residual(&self) -> f64;
     fn effort(&self) -> Effort;
     /// How often the list of contacts had to grow.
@@ -209,6 +210,9 @@ impl<R: Real> World for One<R> {
         table
     }
 
+    fn coupling(&self) -> Coupling {
+        self.sim.coupling(0)
+    }
     fn residual(&self) -> f64 {
         self.sim.residual().lane(0)
     }

@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
 from stepcore.checks import one_line
-from stepcore.cli import diagnose, info, lesson, predict, run, trade
+from stepcore.cli import converge, diagnose, info, lesson, predict, run, trade
 
 # In the order of the help.
-COMMANDS = (lesson, run, trade, predict, diagnose, info)
+COMMANDS = (lesson, run, trade, predict, diagnose, converge, info)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -73,6 +73,10 @@ class Course:
         self.joints = Joints(self)
         self.conserved = Balance(self)
 
+    def __reduce__(self) -> tuple[type[Course], tuple[Model, Dofs, Motion]]:
+        # What is looked up by identity is made anew in another process.
+        return Course, (self.model, self.dofs, self.motion)
+
     def sim(self, settings: Settings) -> Sim:
         """A Sim of the model under these settings."""
         return Sim(self.model, settings)

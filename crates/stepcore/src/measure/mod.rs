@@ -9,3 +9,4 @@ mod readout;
 pub use energy::Energy;
 pub use linearize::Linearizer;
 pub(crate) use past::Past;
+pub use readout::Coupling;

@@ -109,6 +109,35 @@ impl<R: Real> Sim<R> {
         force
     }
 
+    /// How the rows that exist in a lane push each other, at the last solve.
+    pub fn coupling(&self, lane: usize) -> Coupling {
+        let dof_lists = &self.model.dof_lists;
+        let live: Vec<(usize, &Row<R>)> = self.live_rows(lane).collect();
+        let entries = |row: &Row<R>| {
+            let dofs = row.dofs.of(dof_lists);
+            dofs.iter().copied().zip(self.rows.y[row.y..].iter().map(|y| y.lane(lane)))
+        };
+        let mut coupling = Coupling::default();
+        let mut spread = vec![0.0; self.model.nv];
+        for (index, row) in &live {
+            spread.fill(0.0);
+            for (k, y) in entries(row) {
+                spread[k] = y * self.placed.metric.inv_d[k].lane(lane);
+            }
+            let products = live.iter().map(|(_, other)| entries(other).map(|(k, y)| y * spread[k]));
+            coupling.a.extend(products.map(|parts| parts.sum::<f64>()));
+            let block = &self.rows.blocks[*index];
+            let set = match block.set {
+                Set::Interval => 0.0,
+                Set::Convex => 1.0,
+                Set::CoulombRound => 2.0,
+                Set::CoulombBox => 3.0,
+            };
+            coupling.rows.push([row.inv_s.lane(lane), block.mass, block.mu.lane(lane), set]);
+        }
+        coupling
+    }
+
     /// How far each row of a block is from its law at the impulses it holds: s·|δ|, in
     /// the row's own unit of velocity (see `solve/residual.rs`).
     pub fn row_residuals(&self, block: &Block<R>, lane: usize) -> Vec<f64> {
@@ -118,6 +147,17 @@ impl<R: Real> Sim<R> {
         });
         residuals
     }
+}
+
+/// What the sweeps see of the rows: how they push each other, and each row's own part.
+#[derive(Clone, Debug, Default)]
+pub struct Coupling {
+    /// J H⁻¹ Jᵀ, row by row (rows × rows).
+    pub a: Vec<f64>,
+    /// By row: one over the denominator of its update; the mass of the trees that it touches;
+    /// the friction of its cone; and 0 for an interval, 1 for a row of a convex cone, 2 and 3
+    /// for one of a Coulomb cone, round or box.
+    pub rows: Vec<[f64; 4]>,
 }
 
 fn scaled<R: Real>(v: &V3<R>, k: f64, lane: usize) -> [f64; 3] {
