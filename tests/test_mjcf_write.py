@@ -127,7 +127,18 @@ def drawn(seed: int) -> Scene:
     scene.exclude(moving[3], scene.world)
     for joint in scene.joints[:3]:
         scene.add_actuator(joint, name=named("motor"), gear=vec(6), ctrlrange=(-1 / 3, 2))
-    scene.add_key(named("key"), time=1 / 3, ctrl=vec(3))
+    servos: list[dict[str, Any]] = [
+        *({"type": "position", "kp": rng.random()}, {"type": "position", "kv": 1 / 3}),
+        *({"type": "position", "kp": 2.0, "dampratio": 0.7}, {"type": "velocity", "kv": 1e-3}),
+        *({"type": "position"}, {"type": "velocity"}, {"type": "general"}),
+        {"type": "general", "gainprm": -1 / 3, "biasprm": vec(3)},
+        {"type": "general", "gainprm": 3.0, "biasprm": (0.1, -3.0, 0.5)},
+    ]
+    for servo in servos:
+        joint = scene.add_joint(scene.add_body(named("servo")), rng.choice(["hinge", "slide"]))
+        scene.add_geom(joint.body, "sphere", 0.1, contype=0, conaffinity=0)
+        scene.add_actuator(joint, name=named("servo"), forcerange=(-1 / 3, 1), **servo)
+    scene.add_key(named("key"), time=1 / 3, ctrl=vec(len(scene.actuators)))
     scene.mass_rules.boundmass = 1e-7
     scene.mass_rules.inertiafromgeom = rng.choice([None, False])
     scene.features.damper = False

@@ -24,6 +24,7 @@ from stepcore.sweep import sweep
 from stepcore.trade import Trade, trade
 
 if TYPE_CHECKING:
+    from stepcore.ablation import Ablation, ablate
     from stepcore.convergence import Convergence, converge
     from stepcore.linearization import Linearization
     from stepcore.lookup import load
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from stepcore.trade.predict import predictability
 
 __all__ = [
+    "Ablation",
     "Batch",
     "Convergence",
     "Diagnosis",
@@ -43,6 +45,7 @@ __all__ = [
     "StiffnessWarning",
     "Trade",
     "__version__",
+    "ablate",
     "converge",
     "diagnose",
     "load",
@@ -57,6 +60,8 @@ _LATER = {
     "Convergence": "stepcore.convergence",
     "converge": "stepcore.convergence",
     "Linearization": "stepcore.linearization",
+    "Ablation": "stepcore.ablation",
+    "ablate": "stepcore.ablation",
     "predictability": "stepcore.trade.predict",
     "load": "stepcore.lookup",
     "loads": "stepcore.mjcf",

@@ -85,7 +85,7 @@ def read_text(
 def _scene(root: Node, source: Source) -> Scene:
     """Builds the scene of a whole model, its includes already in place."""
     scene = Scene(name=root.attrs.get("model", ""))
-    scene._source = source
+    scene._source = source.of(root)
     scene.ignored += values.check(root)
     compiler = Compiler(_sections(root, "compiler"))
     defaults = Defaults(_sections(root, "default"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from xml.parsers import expat
 
@@ -28,10 +28,27 @@ class MJCFError(ValueError):
 
 @dataclass(frozen=True)
 class Source:
-    """The text that a scene was read from, and the directory in which its includes lie."""
+    """The text that a scene was read from, and the directory in which its includes lie.
+
+    files: those that were read, the main one first; unread: those that the text names and that
+    only draw, which are never opened.
+    """
 
     data: bytes
     directory: str | None
+    files: tuple[str, ...] = ()
+    unread: tuple[str, ...] = ()
+
+    def of(self, root: Node) -> Source:
+        """The same with the files of a whole model, its includes already in place."""
+        files, unread = [root.file], []
+        pending = [root]
+        while pending:
+            node = pending.pop()
+            files.append(node.file)
+            unread += [value for name, value in node.attrs.items() if name.startswith("file")]
+            pending += reversed(node.children)
+        return replace(self, files=tuple(dict.fromkeys(files)), unread=tuple(dict.fromkeys(unread)))
 
 
 class Node:

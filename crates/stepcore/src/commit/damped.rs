@@ -35,19 +35,13 @@ impl<R: Real> Damped<R> {
         let has = |test: &dyn Fn(&Tree) -> bool| {
             (0..model.trees.len()).filter(|t| test(&model.trees[*t])).collect::<Vec<_>>()
         };
-        let damping = |tree: &Tree| tree.dofs.of(&model.dofs).iter().any(|dof| dof.damping != 0.0);
-        let servos: Vec<usize> = (0..model.actuators.len())
-            .filter(|i| model.features.actuation && model.actuators[*i].bias[2] != 0.0)
-            .collect();
-        let dof = |servo: &usize| model.joints[model.actuators[*servo].joint].dof;
-        let served = |tree: &Tree| servos.iter().any(|s| tree.dofs.range().contains(&dof(s)));
         Self {
             metric: Metric::new(model),
             impulse: vec![R::zero(); model.nv],
             change: vec![R::zero(); model.nv],
-            damped: has(&damping),
-            damped_fast: has(&|tree| damping(tree) || served(tree)),
-            servos,
+            damped: has(&|tree| model.damped(tree)),
+            damped_fast: has(&|tree| model.damped(tree) || model.served(tree)),
+            servos: model.damping_servos().collect(),
             gyroscopic: has(&|tree| model.gyroscopic(tree)),
         }
     }

@@ -269,6 +269,23 @@ impl Model {
         self.features.coriolis && self.free_alone(tree) && !self.free_ball(tree)
     }
 
+    /// A joint of the tree is damped.
+    pub fn damped(&self, tree: &Tree) -> bool {
+        tree.dofs.of(&self.dofs).iter().any(|dof| dof.damping != 0.0)
+    }
+
+    /// Actuators with velocity feedback.
+    pub fn damping_servos(&self) -> impl Iterator<Item = usize> + '_ {
+        let all = 0..self.actuators.len();
+        all.filter(|i| self.features.actuation && self.actuators[*i].bias[2] != 0.0)
+    }
+
+    /// One of them acts on the tree.
+    pub fn served(&self, tree: &Tree) -> bool {
+        let dof = |servo: usize| self.joints[self.actuators[servo].joint].dof;
+        self.damping_servos().any(|servo| tree.dofs.range().contains(&dof(servo)))
+    }
+
     /// A dof and its ancestors, ascending: the head of its body's chain.
     pub fn chain_of_dof(&self, k: usize) -> Span {
         let body = &self.bodies[self.dofs[k].body];

@@ -1,0 +1,180 @@
+"""`ablate`: what each modelled feature costs, and what error leaving it out adds."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stepcore import checks
+from stepcore.ablation.changes import Change, Features, made
+from stepcore.ablation.result import Ablation, Row
+from stepcore.ablation.run import Measured, Motive, measured, timed, watched
+from stepcore.ablation.smallest import confirmed, greedy
+from stepcore.jobs import check_executor, each
+from stepcore.lookup import find_scene
+from stepcore.model import Model, compiled
+from stepcore.progress import Choice, Progress
+from stepcore.scene import Scene
+from stepcore.trade.dofs import Dofs
+from stepcore.trade.motion import Control, Motion, default_horizon, motion, time_steps
+from stepcore.trade.reference import Reference, Search
+from stepcore.trade.run import Course
+
+__all__ = ["Ablation", "Row", "ablate"]
+
+# What the reference may cost, in steps × (dofs + 2).
+BUDGET = 3e6
+
+
+def ablate(
+    model: Model | Scene | str | os.PathLike[str],
+    *,
+    error: float = 1e-3,
+    horizon: float | None = None,
+    key: str | int | None = None,
+    control: Control | None = None,
+    control_dt: float | None = None,
+    ctrl: ArrayLike | None = None,
+    starts: int = 8,
+    seed: int = 0,
+    threads: int | None = None,
+    executor: Executor | None = None,
+    progress: Choice = None,
+) -> Ablation:
+    """Switches off one modelled feature at a time: the work this saves, the error it adds.
+
+    Then as many of them together as leave the motion within `error`: the smallest model, chosen
+    on some starts and confirmed on as many others.
+
+    model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Everything runs
+        under its own settings.
+    error: what the smallest model may add in the worst start [m]: the root mean square, over
+        samples and bodies, of the distance from the whole model's motion.
+    horizon, key, control, control_dt, ctrl, starts, seed: the motion, as in `stepcore.trade`.
+    threads: how many runs at once (default: one a core). executor: any `concurrent.futures`
+        executor in place of threads. progress: False, or a function of (label, done, total).
+
+    Raises ValueError for an argument outside its limits, or if the whole model fails.
+
+    >>> from stepcore import loads
+    >>> result = ablate(loads('''<mujoco><worldbody><body><joint axis="0 1 0" range="-90 90"/>
+    ...   <geom type="capsule" size=".02" fromto="0 0 0 .3 0 -.1"/></body></worldbody></mujoco>'''),
+    ...   horizon=0.2, starts=2)
+    >>> [row.measured.worst for row in result.rows if row.change.kind == "limits"]
+    [0.0]
+    >>> result.smallest.joints[0].range is None
+    True
+    """
+    model = compiled(find_scene(model) if isinstance(model, (str, os.PathLike)) else model)
+    checks.told("ablate", progress)
+    check_executor("ablate", executor)
+    checks.real(above=0)("ablate", "error", error)
+    starts, seed = checks.count("starts", starts), checks.count("seed", seed, least=0)
+    workers = checks.threads(threads)
+    dofs = Dofs(model.scene)
+    if not dofs.moving:
+        raise ValueError("nothing in the scene can move: there is no motion to keep")
+    dt = model.settings.dt
+    _, period = time_steps(dt, None, control_dt, 1.0 if horizon is None else horizon)
+    # Twice the starts: half of them are kept to confirm on.
+    both = motion(
+        model,
+        dofs,
+        horizon=default_horizon(period) if horizon is None else horizon,
+        period=period,
+        key=key,
+        ctrl=ctrl,
+        control=control,
+        count=2 * starts,
+        seed=seed,
+    )
+    tuned, others = _part(both, 0, starts), _part(both, starts, 2 * starts)
+    course = Course(model, dofs, tuned)
+    notes: list[str] = []
+    search = Search(course, model.settings, dt, BUDGET, workers, executor)
+    with Progress("reference", search.runs, progress) as bar:
+        reference = _reference(search, bar, notes)
+    motive = _motive(course, reference)
+    seen = watched(course, model.settings)
+    changes = Features(model).changes(seen, model.settings)
+    with Progress("features", len(changes) + 1, progress) as bar:
+        points = [(), *((change,) for change in changes)]
+        job = partial(measured, motive)
+        whole, *alone = each(job, points, bar=bar, threads=workers, executor=executor)
+    by_change = dict(zip(changes, alone, strict=True))
+    with Progress("smallest", len(changes), progress) as bar:
+
+        def tell(chosen: Sequence[Change]) -> Measured:
+            bar.advance()
+            return measured(motive, chosen)
+
+        chosen, _ = greedy(changes, alone, whole, error, tell)
+        far = _motive(Course(model, dofs, others), None)
+        kept, held, back = confirmed(chosen, by_change, error, partial(measured, far))
+        best = measured(motive, kept) if back else tell(kept)
+    times = timed(motive, [(), *((change,) for change in changes), kept])
+    rows = [Row(c, m, t) for c, m, t in zip(changes, alone, times[1:-1], strict=True)]
+    return Ablation(
+        name=model.scene.name or "scene",
+        settings=model.settings,
+        horizon=tuned.horizon,
+        starts=starts,
+        error=error,
+        whole=Row(Change("whole model", "", ()), whole, times[0]),
+        rows=rows,
+        chosen=kept,
+        best=Row(Change("smallest model", "", ()), best, times[-1]),
+        held=held,
+        back=back,
+        smallest=made(model.scene.with_settings(model.settings), kept),
+        reference=reference.error if reference else None,
+        notes=[*notes, *_notes(reference, motive)],
+    )
+
+
+def _part(both: Motion, first: int, last: int) -> Motion:
+    """Some of the starts of a motion."""
+    values = dict(both.__dict__)
+    values["starts"] = both.starts[first:last]
+    values["ctrl"] = None if both.ctrl is None else both.ctrl[first:last]
+    return Motion(**values)
+
+
+def _reference(search: Search, bar: Progress, notes: list[str]) -> Reference | None:
+    try:
+        return search.first(bar)
+    except ValueError as error:
+        notes.append(f"no converged motion to compare with: {checks.one_line(error)}")
+        return None
+
+
+def _motive(course: Course, reference: Reference | None) -> Motive:
+    """The whole model's own motion at its settings; ValueError if it fails."""
+    paths = []
+    for start in range(len(course.motion.starts)):
+        path = course.run(course.model.settings, start)
+        if path.failure:
+            raise ValueError(f"the whole model fails from start {start}: {path.failure}")
+        paths.append(path)
+    if reference is None:
+        scored = np.ones((len(paths), len(course.motion.times)), bool)
+        return Motive(course.model, course.motion, tuple(paths), None, scored)
+    truth = tuple(reference.paths)
+    return Motive(course.model, course.motion, tuple(paths), truth, reference.scored)
+
+
+def _notes(reference: Reference | None, motive: Motive) -> list[str]:
+    notes = ["torsional and rolling friction are not built yet: there is nothing to switch off"]
+    short = int((~motive.scored).any(axis=1).sum())
+    if short:
+        count = f"{short} of {len(motive.paths)} starts"
+        notes.append(f"{count} are scored only as long as they can be predicted")
+    if motive.motion.undriven:
+        names = ", ".join(motive.motion.undriven)
+        notes.append(f"motors without a control range are not driven: {names}")
+    return notes

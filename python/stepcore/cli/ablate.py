@@ -1,0 +1,42 @@
+"""`stepcore ablate`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from stepcore.cli.options import (
+    Usage,
+    add_file,
+    add_motion,
+    add_output,
+    check_output,
+    deliver,
+    motion_of,
+)
+
+
+def add(commands: Any) -> None:
+    ablate = commands.add_parser("ablate", help="what each feature of a model costs and matters")
+    add_file(ablate)
+    add_motion(ablate)
+    ablate.add_argument(
+        "--error", type=float, default=1e-3, help="what the smallest model may add [m]"
+    )
+    ablate.add_argument("--save", metavar="OUT.xml", help="write the smallest model as MJCF")
+    add_output(ablate)
+    ablate.set_defaults(call=call)
+
+
+def call(args: argparse.Namespace) -> None:
+    from stepcore.ablation import ablate
+    from stepcore.lookup import find_scene
+
+    check_output(args)
+    if args.save is not None and not Path(args.save).resolve().parent.is_dir():
+        raise Usage(f"{args.save}: no such folder")
+    result = ablate(find_scene(args.file), error=args.error, **motion_of(args))
+    if args.save is not None:
+        result.smallest.save(args.save)
+    deliver(result, args)
