@@ -174,15 +174,16 @@ class Elements:
     def _spins(self, sim: Sim, add: Add) -> None:
         """-ω × I ω of every body, in world axes."""
         everywhere = slice(0, self.model.nv)
-        moving = bool(np.any(sim.qvel))
-        for body in self.spins if moving else ():
+        if not np.any(sim.qvel):
+            return
+        for body in self.spins:
             turning = sim.jacobian(body)[3:]
             spin = turning @ sim.qvel
             if not np.any(spin):
                 continue
             axes = sim.xmat[body]
             inertia = axes @ self.model.body_inertia[body] @ axes.T
-            torque = -np.cross(spin, inertia @ spin)
+            torque = cross_matrix(inertia @ spin) @ spin
             add(
                 Key("spin", (body,), _name(self.model.body_names, body, "body")),
                 everywhere,
@@ -193,8 +194,13 @@ class Elements:
 def point_jacobian(sim: Sim, body: int, at: Floats) -> Floats:
     """How a point [m] fixed to a body moves with qvel, in world axes, shape (3, nv)."""
     jacobian = sim.jacobian(body)
-    arm = at - sim.xpos[body]
-    return jacobian[:3] + np.cross(jacobian[3:].T, arm).T
+    return jacobian[:3] - cross_matrix(at - sim.xpos[body]) @ jacobian[3:]
+
+
+def cross_matrix(v: Floats) -> Floats:
+    """The matrix of v × ·."""
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _isotropic(inertia: Floats) -> bool:

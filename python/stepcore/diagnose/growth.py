@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -75,7 +75,19 @@ def growth(matrix: Floats | None, dt: float, rates: Floats, horizon: float) -> G
     return Growth(complex(values[worst]), float(found[worst].real), float(excess[worst]), worst)
 
 
-def largest_stable(stable: Callable[[float], bool], low: float, high: float) -> float:
+def beyond(found: Growth, shorter: Floats, dt: float) -> Growth:
+    """The growth beyond what the same motion does over dt in shorter steps, `shorter`.
+
+    Growth of a rule falls with its step, growth of the motion does not.
+    """
+    radius = float(np.abs(np.linalg.eigvals(shorter)).max())
+    own = FASTER * max(math.log(radius), 0.0) / dt if radius > 0 else 0.0
+    return replace(found, excess=min(found.excess, found.rate - own))
+
+
+def largest_stable(
+    stable: Callable[[float], bool], low: float, high: float, fine: float = FINE
+) -> float:
     """The largest dt below which all steps are stable: 0 where none is, inf where all are [s].
 
     stable: whether a step is; asked of steps from `low` to `high`, then between two of them.
@@ -84,7 +96,7 @@ def largest_stable(stable: Callable[[float], bool], low: float, high: float) -> 
     below = 0.0
     for dt in np.geomspace(low, high, count):
         if not stable(float(dt)):
-            return between(stable, below, float(dt)) if below else 0.0
+            return between(stable, below, float(dt), fine) if below else 0.0
         below = float(dt)
     return math.inf
 

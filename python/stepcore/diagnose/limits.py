@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from stepcore.diagnose import growth
 from stepcore.diagnose.growth import Growth
-from stepcore.diagnose.linear import State, rates_matrix, settled, step_map
+from stepcore.diagnose.linear import ON_GUESS, State, flow, rates_matrix, settled, step_map
 from stepcore.diagnose.softness import first_softened
 from stepcore.model import Model
 
 # The longest step tried [s], and the shortest in units of the motion's fastest time.
 LONGEST, SHORTEST = 1.0, 1e-4
+# How finely a state's limit is told until it is known to be the least.
+COARSE = 0.03
 # Steps below a limit at which another state must be stable too.
 BELOW = (0.999, 0.7, 0.5, 0.25, 0.1)
+# An eigenvalue of this size is an explosion whatever the motion does.
+CLEAR = 1.5
+# How many shorter steps tell what a motion does within one.
+SHORTER = 4
+# Angle of an eigenvalue [rad] from which it is a motion that the step makes up.
+ALTERNATING = 0.5
 
 
 @dataclass(frozen=True)
@@ -74,7 +83,17 @@ class Situation:
             # The motion's own rates, of rows as soft as they are at this dt.
             own = rates_matrix(self.model, state, dt)
             rates = rates if own is None else np.linalg.eigvals(own)
-        return growth.growth(matrix, dt, rates, self.horizon)
+        found = growth.growth(matrix, dt, rates, self.horizon)
+        if found.stable or abs(found.value) > CLEAR:
+            return found
+        on_guess = self.model.settings.law in ON_GUESS and bool(state.rows)
+        if on_guess and abs(cmath.phase(found.value)) < ALTERNATING:
+            # What the motion does along its rows is not known from the motion without them.
+            return replace(found, excess=-math.inf)
+        # Where the state itself moves within the step, or a row begins or ends to act, the rates
+        # at its start do not tell: the same time in shorter steps does.
+        shorter = flow(self.model, state, integrator, dt, SHORTER)
+        return found if shorter is None else growth.beyond(found, shorter, dt)
 
     def stable(self, integrator: str, dt: float) -> bool:
         """Whether a step is stable at every state."""
@@ -82,23 +101,33 @@ class Situation:
 
     def limit(self, integrator: str, longest: float = LONGEST) -> Limit:
         """The least of all states' largest stable steps."""
-        found = Limit(integrator, math.inf, -1, longest)
+        least, worst = math.inf, -1
         for k in range(len(self.states)):
+            here = self._coarse(integrator, k, min(least, longest))
+            if here < least:
+                least, worst = here, k
 
-            def stable(dt: float, k: int = k) -> bool:
-                return self.grown(integrator, dt, k).stable
+        def stable(dt: float) -> bool:
+            return self.grown(integrator, dt, worst).stable
 
-            low = self.shortest(k)
-            if math.isfinite(found.dt):
-                if all(stable(found.dt * part) for part in BELOW if found.dt * part > low):
-                    continue
-                here = growth.largest_stable(stable, low, found.dt)
-                here = min(here, found.dt)
-            else:
-                here = growth.largest_stable(stable, low, longest)
-            if here < found.dt:
-                found = Limit(integrator, here, k, longest)
-        return found
+        if worst >= 0 and least > 0:
+            near = least * (1 + COARSE)
+            if not stable(near):
+                least = growth.between(stable, least, near)
+        return Limit(integrator, least, worst, longest)
+
+    def _coarse(self, integrator: str, state: int, high: float) -> float:
+        """A state's largest stable step to a few parts in a hundred; inf where it is not below
+        `high`."""
+
+        def stable(dt: float) -> bool:
+            return self.grown(integrator, dt, state).stable
+
+        low = self.shortest(state)
+        others = state > 0 and high < LONGEST
+        if others and all(stable(high * part) for part in BELOW if high * part > low):
+            return math.inf
+        return growth.largest_stable(stable, low, high, COARSE)
 
     def shortest(self, state: int) -> float:
         """Where the search for a state's limit begins [s]."""

@@ -91,6 +91,19 @@ def step_map(model: Model, state: State, integrator: str, dt: float) -> Floats |
     return matrix if np.isfinite(matrix).all() else None
 
 
+def flow(model: Model, state: State, integrator: str, dt: float, count: int) -> Floats | None:
+    """The linearised motion over dt in `count` shorter steps of the same rule; None as above."""
+    sim = placed(model, state, integrator=integrator, dt=dt / count)
+    whole = np.eye(2 * model.nv)
+    try:
+        for _ in range(count):
+            whole = sim.linearize().A @ whole
+            sim.step()
+    except (SimulationError, ValueError):
+        return None
+    return whole if np.isfinite(whole).all() else None
+
+
 def rates_matrix(model: Model, state: State, dt: float | None = None) -> Floats | None:
     """J, shape (2 nv, 2 nv) [1/s]: x' = J x of the motion itself.
 
