@@ -85,7 +85,9 @@ def _servos(model: Model, layout: Layout, integrator: str) -> Iterator[_Element]
         hidden = integrator == "implicitfast"
         if stiffness > 0 or rate > 0:
             key = Key("servo", (i,), elements.actuators[i])
-            yield _Element(key, tree, stiffness * weight, rate * (not hidden), own + rate * hidden)
+            # A servo that pushes away from its target grows physically, at any dt.
+            square = max(stiffness, 0.0) * weight
+            yield _Element(key, tree, square, rate * (not hidden), own + rate * hidden)
 
 
 def gains(model: Model, actuator: int) -> tuple[float, float]:
