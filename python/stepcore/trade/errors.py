@@ -133,11 +133,15 @@ def far_off(paths: Sequence[Path], truth: Sequence[Path], size: float) -> str | 
 
 
 def extent(paths: Sequence[Path], scene: Any) -> float:
-    """How large the scene is [m]: where its bodies go, how long and how thick they are."""
+    """How large the scene is [m]: where its bodies go, how long and how thick they are.
+
+    1 where nothing of it has a length.
+    """
     centres = np.concatenate([path.com.reshape(-1, 3) for path in paths])
     thick = [max(geom.size) for geom in scene.geoms if geom.type != "plane"]
     long = [float(np.linalg.norm(body.pos)) for body in scene.bodies]
-    return float(np.linalg.norm(np.ptp(centres, axis=0))) + max(thick, default=0.0) + max(long)
+    gone = float(np.linalg.norm(np.ptp(centres, axis=0)))
+    return gone + max(thick, default=0.0) + max(long) or 1.0
 
 
 def _roots(parts: Sequence[np.ndarray]) -> list[float]:
