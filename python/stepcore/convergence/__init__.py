@@ -168,16 +168,32 @@ def _curves(
 ) -> list[Closing]:
     """Sweeps at states along the settings' own motion, at each time step."""
     own = course.model.settings
-    found = [m for start in range(len(course.motion.starts)) for m in moments(course, own, start)]
-    chosen = (
-        [found[i] for i in np.unique(np.linspace(0, len(found) - 1, states).round().astype(int))]
-        if found
-        else []
-    )
+    starts = range(len(course.motion.starts))
+    found = [
+        moment
+        for some in each(
+            partial(moments, course, own),
+            starts,
+            bar=Progress("", len(starts), False),
+            threads=workers,
+            executor=executor,
+        )
+        for moment in some
+    ]
+    chosen = _chosen(found, states)
     jobs = [(s, MOST if s == own else FEWER, m) for s in todo.dts for m in chosen]
     with Progress("sweeps", len(jobs), progress) as bar:
         work = partial(_close, course.model)
         return each(work, jobs, bar=bar, threads=workers, executor=executor)
+
+
+def _chosen(found: list[Moment], states: int) -> list[Moment]:
+    """Spread over all starts, and the one with the worst residual."""
+    if len(found) <= states:
+        return found
+    even = np.linspace(0, len(found) - 1, states - 1).round().astype(int)
+    worst = int(np.argmax([moment.residual for moment in found]))
+    return [found[i] for i in np.unique([*even, worst])]
 
 
 def _close(model: Model, job: tuple[Settings, int, Moment]) -> Closing:

@@ -16,22 +16,26 @@ from stepcore.sim import Sim
 
 # Numbers of sweeps at which the residual is read; and the distance besides.
 SWEEPS = tuple(2**k for k in range(13))
-FIRST = tuple(range(33))
+BETWEEN = (*range(33), *(2**k * n // 4 for k in range(5, 12) for n in (5, 6, 7)))
 # The solution is swept to this residual, over the speeds in the rows, or so many row updates.
 ROUNDING, DEAREST = 1e-12, 4e6
 # Beyond this, over the speeds in the rows, it is too far off to measure distances to it.
 FAR = 1e-8
 # What is left of an error, over its start, is read down to here: rounding is far below.
 READABLE = 1e-9
+# Rows that let go late change the slope: it is read from this share of the sweeps on.
+LATE = 0.6
 
 
 @dataclass(frozen=True)
 class Moment:
-    """A state along the motion. start: which one; snapshot: as of `Sim.state`."""
+    """A state along the motion. start: which one; snapshot: as of `Sim.state`; residual: that
+    of the step from there [m/s]."""
 
     start: int
     time: float
     snapshot: bytes
+    residual: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -99,7 +103,7 @@ def closing(model: Model, settings: Settings, most: int, moment: Moment) -> Clos
 
     # What momentum leaves is no power of anything: distances are those of plain sweeps.
     far = solution.residual > FAR * speed
-    read = sorted({*FIRST, *counts})
+    read = sorted({*(n for n in BETWEEN if n < most), *counts})
     sims = [swept(n, acceleration="none") for n in read]
     left = [sim.residual if far else distance(sim) for sim in sims]
     cold = [swept(n).residual for n in counts]
@@ -138,7 +142,7 @@ def _force(rows: np.ndarray, set: float) -> float:
 
 
 def contraction(sweeps: Sequence[int], left: Sequence[float]) -> float | None:
-    """What a sweep leaves in the end: the mean slope over the last half that can be read.
+    """What a sweep leaves in the end: the mean slope over the last that can be read.
 
     left: of the distance, after each number of sweeps, the first of which is 0.
 
@@ -153,8 +157,9 @@ def contraction(sweeps: Sequence[int], left: Sequence[float]) -> float | None:
     if readable[-1][0] == 0:
         # One sweep is all it takes.
         return left[1] / most
-    late = [(n, math.log(e)) for n, e in readable if 2 * n >= readable[-1][0]]
-    n, e = np.transpose(late)
+    late = [pair for pair in readable if pair[0] >= LATE * readable[-1][0]]
+    n, e = np.transpose(late if len(late) > 1 else readable[-2:])
+    e = np.log(e)
     n = n - n.mean()
     return float(np.exp(n @ e / (n @ n)))
 

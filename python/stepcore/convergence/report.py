@@ -171,6 +171,8 @@ def _closing(found: Convergence) -> str:
 
 def _share(value: float) -> str:
     """Enough digits to tell a number near 1 from 1."""
+    if 0 < value < 1e-3:
+        return f"{value:.1e}"
     digits = 4 if value < 0.99 else 2 + math.ceil(-math.log10(max(1 - value, 1e-12)))
     return f"{value:.{digits}f}"
 

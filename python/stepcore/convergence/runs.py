@@ -161,25 +161,31 @@ def ride(course: Course, job: Job) -> Path:
 
 
 def moments(course: Course, settings: Settings, start: int) -> list[Moment]:
-    """Snapshots at the samples of one start at which there are rows; until it fails."""
+    """Snapshots where there are rows, until one start fails: one a sample, and last the step
+    with the worst residual."""
     sim = course.sim(settings)
     course.place(sim, start)
     drive = course.drive(start)
-    found = []
+    found, worst = [], None
     steps = course.motion.steps(settings.dt)
-    for period in range(course.motion.periods):
-        drive(sim, period)
-        if period % course.motion.every == 0:
-            snapshot, time = sim.state(), float(sim.time)
-        else:
-            snapshot = b""
-        try:
-            sim.step(steps)
-        except SimulationError:
-            break
-        if snapshot and len(sim.rows):
-            found.append(Moment(start, time, snapshot))
-    return found
+    try:
+        for period in range(course.motion.periods):
+            drive(sim, period)
+            sought = period % course.motion.every == 0
+            for _ in range(steps):
+                snapshot, time = sim.state(), float(sim.time)
+                sim.step()
+                if not sim.row_updates:
+                    continue
+                residual = sim.residual
+                if sought and len(sim.rows):
+                    found.append(Moment(start, time, snapshot, residual))
+                    sought = False
+                if residual > (worst.residual if worst else 0.0):
+                    worst = Moment(start, time, snapshot, residual)
+    except SimulationError:
+        pass
+    return [*found, *([worst] if worst else [])]
 
 
 @dataclass
