@@ -13,6 +13,7 @@ def test_pareto():
     assert pareto([1, 2, 3, 2.5], [3, 2, 1, 2]) == [True, True, True, False]
     assert pareto([1, 1, 1], [2, 1, 1]) == [False, True, False]
     assert pareto([float("nan"), 2], [0, 1]) == [False, True]
+    assert pareto([3, float("nan"), 2, 1], [5, 0, 1, 2]) == [False, False, True, True]
     assert pareto([1, 2], [float("inf"), 1]) == [False, True]
 
 

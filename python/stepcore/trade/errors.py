@@ -158,9 +158,10 @@ def pareto(cost: Sequence[float], error: Sequence[float]) -> list[bool]:
     >>> pareto([1.0, 2.0, 3.0, 2.5], [3.0, 2.0, 1.0, 2.0])
     [True, True, True, False]
     """
-    order = sorted(range(len(cost)), key=lambda i: (cost[i], error[i], i))
+    # NaN has no place in an order: sorted with one, the rest would not be either.
+    finite = [i for i in range(len(cost)) if np.isfinite(cost[i])]
     best, marks = np.inf, [False] * len(cost)
-    for i in order:
-        if np.isfinite(cost[i]) and error[i] < best:
+    for i in sorted(finite, key=lambda i: (cost[i], error[i], i)):
+        if error[i] < best:
             best, marks[i] = error[i], True
     return marks

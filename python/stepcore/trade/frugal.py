@@ -45,15 +45,13 @@ def found(
     chosen: list[Settings] = []
     targets = _targets(hunt, wanted)
     for error, climb in targets:
-        some: list[Settings] = []
-        for _ in range(REFINED):
-            if trials.reference.high * FINER > error and search.can_refine(trials.reference):
-                _finer(search, trials)
-                continue
+        halvings = REFINED
+        while halvings and trials.reference.high * FINER > error and _finer(search, trials):
+            halvings -= 1
+        some = hunt.hunt(error, climb)
+        while not some and halvings and _finer(search, trials):
+            halvings -= 1
             some = hunt.hunt(error, climb)
-            if some or not search.can_refine(trials.reference):
-                break
-            _finer(search, trials)
         chosen += some + [one.replace(precision="f32") for one in some[:SINGLE]]
     least = min((error for error, _ in targets), default=0.0)
     chosen += _drawn(hunt, least / USELESS)
@@ -65,9 +63,12 @@ def found(
     return sorted(dict.fromkeys([*chosen, *failed]), key=lambda s: -s.dt)
 
 
-def _finer(search: Search, trials: Trials) -> None:
+def _finer(search: Search, trials: Trials) -> bool:
+    """Halves the reference's step once more; False where that is of no use."""
+    if not search.can_refine(trials.reference):
+        return False
     with Progress("finer reference", len(search.course.motion.starts), trials.progress) as bar:
-        search.refine(trials.reference, bar)
+        return search.refine(trials.reference, bar)
 
 
 def _targets(hunt: Hunt, wanted: Wanted) -> list[tuple[float, bool]]:

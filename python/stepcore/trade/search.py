@@ -28,15 +28,17 @@ CLIMBS = 4
 # Steps are told apart to this ratio: in the first rounds, at the end.
 COARSE, FINE = 1.3, 1.08
 ROUNDS = 8
-# A step this many times shorter that helps less than this has met the method's own floor.
-FLOOR, HELPS = 2.0, 1.3
+# A step takes no less work than this share of a longer one's.
+CHEAPER = 0.8
+# Steps up to this many times shorter that all help less than this: the method's own floor.
+FLOOR, HELPS = 4.0, 1.3
 
 
 @dataclass
 class Bracket:
     """What is known of a method's step: how many pieces of the control period it needs.
 
-    known: pieces to score. The order is that of its two points nearest to the target.
+    known: pieces to score.
     """
 
     base: Settings
@@ -55,6 +57,12 @@ class Bracket:
             (n for n, s in self.known.items() if s.error > error and (good is None or n < good)),
             default=0,
         )
+
+    def at_least(self, pieces: int) -> float:
+        """What so many pieces cost at least, as far as fewer tell: work is in proportion."""
+        fewer = [n for n in self.known if n < pieces and self.known[n].price < math.inf]
+        n = max(fewer, default=0)
+        return self.known[n].price * pieces / n * CHEAPER if n else 0.0
 
     def order(self, error: float) -> float:
         """How fast the error falls with the step, near the target; between 1/2 and 4."""
@@ -109,8 +117,8 @@ class Hunt:
         """A few steps of every family, on few starts: where the shipped settings stand."""
         some = families(self.shipped, self.rows)
         own = self.steps.own
-        counts = sorted({1, max(1, own // 4), own, min(self.finest, 4 * own)})
-        tried = [self.steps.at(base, n) for base in some for n in counts]
+        counts = {max(1, own // 4), max(1, own // 2), own, 2 * own, 4 * own, 8 * own, 1}
+        tried = [self.steps.at(base, n) for base in some for n in sorted(counts)]
         self.trials.glance([self.shipped, *tried], self.few, "overview")
         return tried
 
@@ -164,7 +172,8 @@ class Hunt:
         """Finds the fewest pieces that meet the error, to a ratio, for all methods in step."""
         for _ in range(ROUNDS):
             asked = [(one, self.propose(one, error, ratio)) for one in brackets]
-            wanted = [(one, n) for one, n in asked if n is not None]
+            least = min((one.price(error) for one in brackets if one.meets(error)), default=math.inf)
+            wanted = [(one, n) for one, n in asked if n and one.at_least(n) <= FIRST * least]
             if not wanted:
                 return
             settings = [self.steps.at(one.base, n) for one, n in wanted]
@@ -200,11 +209,12 @@ class Hunt:
 
     def floored(self, one: Bracket) -> bool:
         """Whether shorter steps have stopped helping."""
-        known = sorted(n for n, s in one.known.items() if s.error < math.inf)
-        for n in known[:-1]:
-            last = known[-1]
-            if last >= FLOOR * n and one.known[n].error < HELPS * one.known[last].error:
-                one.floored = True
+        errors = {n: s.error for n, s in one.known.items() if s.error < math.inf}
+        last = max(errors, default=0)
+        one.floored = any(
+            last >= FLOOR * n and min(e for m, e in errors.items() if m > n) > error / HELPS
+            for n, error in errors.items()
+        )
         return one.floored
 
     def climb(self, brackets: Sequence[Bracket], error: float) -> list[Bracket]:
