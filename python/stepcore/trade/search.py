@@ -172,7 +172,8 @@ class Hunt:
         """Finds the fewest pieces that meet the error, to a ratio, for all methods in step."""
         for _ in range(ROUNDS):
             asked = [(one, self.propose(one, error, ratio)) for one in brackets]
-            least = min((one.price(error) for one in brackets if one.meets(error)), default=math.inf)
+            prices = [one.price(error) for one in brackets if one.meets(error)]
+            least = min(prices, default=math.inf)
             wanted = [(one, n) for one, n in asked if n and one.at_least(n) <= FIRST * least]
             if not wanted:
                 return
