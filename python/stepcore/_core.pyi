@@ -186,6 +186,11 @@ class Sim:
     def linearize(self) -> _Floats:
         """A (2 nv, 2 nv) and B (2 nv, nu) side by side."""
 
+    def count(self, n: int) -> list[tuple[str, int]]:
+        """Floating-point operations of the next n steps, by stage."""
+
+    @property
+    def nbytes(self) -> int: ...
     def state(self) -> bytes: ...
     def restore(self, state: bytes) -> None: ...
     @property

@@ -8,6 +8,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use stepcore::arrays::Given;
 use stepcore::model::Model as EngineModel;
+use stepcore::real::Stage;
 
 use crate::errors::raise;
 use crate::extract::{At, Read};
@@ -177,6 +178,25 @@ impl Sim {
         gil::steps(py, linearizer.steps(), |n| linearizer.advance(n))?;
         let rows = 2 * self.model.nv;
         result(py, linearizer.matrix, &[rows, rows + self.model.actuators.len()])
+    }
+
+    /// Floating-point operations of the next n steps, by stage.
+    fn count(&self, py: Python<'_>, n: &Bound<'_, PyAny>) -> PyResult<Vec<(&'static str, u64)>> {
+        let n = u64::read(n, &At::Root.field("n"))?;
+        let mut counter = {
+            let mut guard = self.lock()?;
+            let world = &mut **guard;
+            self.load(py, world)?;
+            gil::release(py, || world.counter())?
+        };
+        gil::steps(py, n, |n| counter.advance(n))?;
+        Ok(Stage::ALL.iter().map(|stage| stage.name()).zip(counter.counts).collect())
+    }
+
+    /// Memory of state and working space in the engine.
+    #[getter]
+    fn nbytes(&self) -> PyResult<usize> {
+        Ok(self.lock()?.bytes())
     }
 
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {

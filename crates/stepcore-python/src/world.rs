@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use stepcore::arrays::Given;
 use stepcore::error::Result;
-use stepcore::measure::{Coupling, Linearizer};
+use stepcore::measure::{Counter, Coupling, Linearizer};
 use stepcore::model::Model;
 use stepcore::real::Real;
 use stepcore::settings::{Precision, Settings};
@@ -96,6 +96,8 @@ pub trait World: Send {
     /// How often the list of contacts had to grow.
     fn grown(&self) -> u64;
     fn linearizer(&mut self) -> Result<Linearizer>;
+    fn counter(&mut self) -> Result<Counter>;
+    fn bytes(&self) -> usize;
 }
 
 /// A world in the precision that the settings ask for.
@@ -224,6 +226,12 @@ impl<R: Real> World for One<R> {
     }
     fn linearizer(&mut self) -> Result<Linearizer> {
         Linearizer::new(&self.sim)
+    }
+    fn counter(&mut self) -> Result<Counter> {
+        Counter::new(&self.sim)
+    }
+    fn bytes(&self) -> usize {
+        self.sim.bytes()
     }
 }
 

@@ -5,8 +5,9 @@ use crate::error::{named, Error, Result};
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::scene::JointType;
+use crate::settings::{Precision, Settings};
 use crate::sim::Sim;
-use crate::state::{Inputs, State};
+use crate::state::{Inputs, State, Warm};
 
 /// The square of a quaternion's length from which it can still be scaled to 1 in any precision.
 const SHORTEST_SQUARE: f64 = 1e-30;
@@ -136,6 +137,31 @@ impl<R: Real> Sim<R> {
             self.past.forget();
         }
         self.inputs.put(lane, given);
+    }
+}
+
+impl<R: Real> Sim<R> {
+    /// The world of lane 0 in other numbers, as accurate as `f64`: the same model, settings,
+    /// state and inputs.
+    pub fn in_doubles<Q: Real>(&self) -> Result<Sim<Q>> {
+        let settings = Settings { precision: Precision::F64, ..self.settings.clone() };
+        let mut sim = Sim::<Q>::new(self.model.clone(), settings)?;
+        let plain = |list: &[R]| list.iter().map(|x| x.lane(0)).collect::<Vec<_>>();
+        let given = [
+            plain(&self.state.qpos),
+            plain(&self.state.qvel),
+            plain(&self.inputs.ctrl),
+            plain(&self.inputs.qfrc_applied),
+            plain(&self.inputs.xfrc_applied),
+        ];
+        let [qpos, qvel, ctrl, qfrc_applied, xfrc_applied] = &given;
+        sim.put(0, &Given { qpos, qvel, ctrl, qfrc_applied, xfrc_applied });
+        let number = |x: R| Q::of(x.lane(0));
+        let warm = self.state.warm.iter();
+        let warm = warm.map(|w| Warm { slot: w.slot, impulse: w.impulse.map(number) });
+        sim.state.warm.extend(warm);
+        (sim.state.steps, sim.state.start) = (self.state.steps, self.state.start);
+        Ok(sim)
     }
 }
 

@@ -49,6 +49,7 @@ pub mod measure;
 pub mod model;
 pub mod place;
 pub mod real;
+mod room;
 pub mod scene;
 pub mod settings;
 pub mod sim;

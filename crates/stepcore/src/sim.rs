@@ -1,5 +1,6 @@
 //! `Sim`: one model, one state (or a lane register of states), and its working space.
 
+use crate::room::{room, Room};
 use std::sync::Arc;
 
 use crate::commit::Next;
@@ -43,6 +44,8 @@ pub struct Sim<R: Real> {
     pgs: Pgs<R>,
     newton: Newton<R>,
 }
+
+room!(Sim<R>: velocity, qacc; state, inputs, placed, detected, rows, next, past, pgs, newton);
 
 impl<R: Real> Sim<R> {
     /// A world at qpos0 and at rest; refuses settings outside their limits.
@@ -124,6 +127,11 @@ impl<R: Real> Sim<R> {
             *settled = found.smooth(R::Mask::of(true), || *settled);
         }
         Ok(())
+    }
+
+    /// Memory of the state and of all working space [bytes]; the model is not in it.
+    pub fn bytes(&self) -> usize {
+        size_of::<Self>() + self.room()
     }
 
     /// The worst miss of the last solve, a speed [m/s]; 0 without rows.

@@ -2,6 +2,7 @@
 
 use crate::model::Model;
 use crate::real::Real;
+use crate::room::room;
 
 /// The impulses of one contact, limit or other source, kept for the next step's start.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,6 +25,8 @@ pub struct State<R: Real> {
     pub qvel: Vec<R>,
     pub warm: Vec<Warm<R>>,
 }
+
+room!(State<R>: qpos, qvel, warm;);
 
 impl<R: Real> State<R> {
     /// At qpos0 and at rest.
@@ -56,6 +59,8 @@ pub struct Inputs<R: Real> {
     /// Some applied force is not zero.
     pub applied: bool,
 }
+
+room!(Inputs<R>: ctrl, qfrc_applied, xfrc_applied;);
 
 impl<R: Real> Inputs<R> {
     /// No control, no force.

@@ -4,7 +4,7 @@
 //! `commit/`. What is written here is the whole of a step.
 
 use crate::error::Result;
-use crate::real::{Mask, Real};
+use crate::real::{Mask, Real, Stage};
 use crate::sim::Sim;
 use crate::solve::Situation;
 
@@ -12,6 +12,7 @@ impl<R: Real> Sim<R> {
     /// Advances by `n` steps, or to the last finite state before an error.
     pub fn step(&mut self, n: u64) -> Result<()> {
         for _ in 0..n {
+            R::enter(Stage::Commit);
             self.integrate()?;
             self.check_finite()?;
             // past ← state ← next ← (room of the oldest past)
@@ -42,6 +43,7 @@ impl<R: Real> Sim<R> {
     }
 
     pub(crate) fn detect_and_solve(&mut self) -> Result<()> {
+        R::enter(Stage::Detect);
         self.detected.detect(&self.model, &self.placed, &self.settings, &self.state.qpos);
         let now = Situation {
             model: &self.model,
@@ -49,7 +51,9 @@ impl<R: Real> Sim<R> {
             settings: &self.settings,
             qpos: &self.state.qpos,
         };
+        R::enter(Stage::Rows);
         self.rows.make(&now, &mut self.detected);
+        R::enter(Stage::Impulses);
         if self.rows.any() {
             self.solve()?;
         } else {
@@ -63,6 +67,7 @@ impl<R: Real> Sim<R> {
         for k in 0..self.model.nv {
             self.qacc[k] = (self.velocity[k] - self.state.qvel[k]) * rate;
         }
+        R::enter(Stage::Commit);
         Ok(())
     }
 
@@ -70,8 +75,10 @@ impl<R: Real> Sim<R> {
     pub(crate) fn smooth(&mut self) {
         self.placed.positions_in_step(&self.model, &self.state.qpos);
         self.placed.dynamics(&self.model, &self.state.qpos, &self.state.qvel, &self.inputs);
+        R::enter(Stage::Guess);
         self.qacc.copy_from_slice(&self.placed.force);
         self.placed.metric.solve(&mut self.qacc);
+        R::enter(Stage::Commit);
     }
 
     fn check_finite(&mut self) -> Result<()> {

@@ -20,24 +20,28 @@ struct Counting;
 thread_local! {
     /// Allocations of this thread; each test runs on one of its own.
     static COUNT: Cell<u64> = const { Cell::new(0) };
+    /// Bytes that it holds.
+    static HELD: Cell<i64> = const { Cell::new(0) };
 }
 
-fn note() {
+fn note(count: u64, bytes: i64) {
     // A thread that is being torn down has no counter left, and nothing to count.
-    let _ = COUNT.try_with(|count| count.set(count.get() + 1));
+    let _ = COUNT.try_with(|total| total.set(total.get() + count));
+    let _ = HELD.try_with(|total| total.set(total.get() + bytes));
 }
 
 // SAFETY: every call goes to the system's allocator unchanged; the counter holds no memory.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        note();
+        note(1, layout.size() as i64);
         System.alloc(layout)
     }
     unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        note(0, -(layout.size() as i64));
         System.dealloc(at, layout);
     }
     unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        note();
+        note(1, size as i64 - layout.size() as i64);
         System.realloc(at, layout, size)
     }
 }
@@ -133,4 +137,25 @@ fn no_number_allocates() {
     let settings = settings(Law::SolRef, Integrator::Euler);
     check::<f32>(&settings);
     check::<Lanes>(&settings);
+}
+
+/// `Sim::bytes` is what the allocator has given out, whatever ran before.
+#[test]
+fn a_sim_knows_its_memory() {
+    let euler = settings(Law::SolRef, Integrator::Euler);
+    for settings in [
+        settings(Law::Rigid, Integrator::Rk4),
+        Settings { acceleration: Acceleration::Momentum, ..euler.clone() },
+        Settings { solver: Solver::Newton, ..euler.clone() },
+        Settings { solver: Solver::Newton, cone: Cone::Elliptic, ..euler },
+    ] {
+        for scene in [scenes::tower(4), scenes::runner(), scenes::heap()] {
+            let model = Arc::new(Model::compile(&scene).unwrap());
+            let own = model.clone();
+            let before = HELD.with(Cell::get);
+            let mut sim = Box::new(Sim::<f64>::new(own, settings.clone()).unwrap());
+            sim.step(STEPS).unwrap();
+            assert_eq!((HELD.with(Cell::get) - before) as usize, sim.bytes());
+        }
+    }
 }

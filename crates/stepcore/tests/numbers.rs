@@ -1,12 +1,13 @@
-//! Numbers that know more than their value (`Dual`: their derivatives) compute the same
-//! values as `f64`, bit for bit, under every integrator, law, solver and cone.
+//! Numbers that know more than their value (`Dual`: their derivatives; `Counted`: what was
+//! done with them) compute the same values as `f64`, bit for bit, under every integrator,
+//! law, solver and cone.
 
 mod scenes;
 
 use std::sync::Arc;
 
 use stepcore::model::Model;
-use stepcore::real::{Dual, Real};
+use stepcore::real::{Counted, Dual, Real};
 use stepcore::scene::Scene;
 use stepcore::settings::{Acceleration, Cone, Integrator, Law, Settings, Solver};
 use stepcore::sim::Sim;
@@ -82,4 +83,9 @@ fn check<R: Real>(mark: impl Fn(&mut R, usize)) {
 #[test]
 fn derivatives_change_no_value() {
     check::<Dual>(|x, k| x.slopes[k % x.slopes.len()] += 1.0);
+}
+
+#[test]
+fn counting_changes_no_value() {
+    check::<Counted>(|_, _| ());
 }

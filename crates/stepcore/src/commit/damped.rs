@@ -13,6 +13,7 @@
 use crate::model::{Model, Tree};
 use crate::place::Metric;
 use crate::real::Real;
+use crate::room::room;
 use crate::sim::Sim;
 use crate::spatial::{rotate, rotate_back, M3, V3};
 
@@ -29,6 +30,8 @@ pub struct Damped<R: Real> {
     /// Single free bodies whose bias has a derivative.
     gyroscopic: Vec<usize>,
 }
+
+room!(Damped<R>: impulse, change, damped, damped_fast, servos, gyroscopic; metric);
 
 impl<R: Real> Damped<R> {
     pub fn new(model: &Model) -> Self {

@@ -14,6 +14,7 @@ pub use position::advance;
 use crate::error::Result;
 use crate::model::Model;
 use crate::real::Real;
+use crate::room::room;
 use crate::settings::{Integrator, Law};
 use crate::sim::Sim;
 use crate::state::Warm;
@@ -31,6 +32,8 @@ pub struct Next<R: Real> {
     damped: damped::Damped<R>,
     stages: rk4::Stages<R>,
 }
+
+room!(Next<R>: qpos, qvel, mean, warm; damped, stages);
 
 impl<R: Real> Next<R> {
     pub fn new(model: &Model) -> Self {

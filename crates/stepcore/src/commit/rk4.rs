@@ -6,6 +6,7 @@ use super::advance;
 use crate::error::Result;
 use crate::model::Model;
 use crate::real::Real;
+use crate::room::room;
 use crate::scene::JointType;
 use crate::sim::Sim;
 use crate::spatial::{Quat, V3};
@@ -23,6 +24,8 @@ pub struct Stages<R: Real> {
     moved: Vec<R>,
     gained: Vec<R>,
 }
+
+room!(Stages<R>: qpos, qvel, rate, turned, moved, gained;);
 
 impl<R: Real> Stages<R> {
     pub fn new(model: &Model) -> Self {

@@ -17,6 +17,7 @@ pub use touch::{tangents, Touch, Touches};
 use crate::model::{Model, Pair};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
+use crate::room::room;
 use crate::scene::GeomType;
 use crate::settings::Settings;
 use crate::spatial::V3;
@@ -43,6 +44,8 @@ pub struct Detected<R: Real> {
     /// How often the list had to grow: 0 in a run with enough `max_contacts`.
     pub grown: u64,
 }
+
+room!(Detected<R>: contacts;);
 
 impl<R: Real> Detected<R> {
     pub fn new(max_contacts: usize) -> Self {

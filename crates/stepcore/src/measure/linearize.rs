@@ -6,14 +6,12 @@
 //! that a turn is a rotation vector in the body's own axes. The impulses that the solver
 //! starts from are held.
 
-use crate::arrays::Given;
 use crate::error::{named, Error, Result};
 use crate::model::Model;
 use crate::real::{Dual, Real, WAYS};
 use crate::scene::JointType;
-use crate::settings::{Precision, Settings};
 use crate::sim::Sim;
-use crate::state::{State, Warm};
+use crate::state::State;
 
 /// A linearisation under way: ∂x⁺/∂x and ∂x⁺/∂ctrl at one state.
 pub struct Linearizer {
@@ -36,23 +34,7 @@ enum Entry {
 impl Linearizer {
     /// At the present state and inputs of a world, with its settings, computed in `f64`.
     pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
-        let settings = Settings { precision: Precision::F64, ..from.settings.clone() };
-        let mut sim = Sim::<Dual>::new(from.model.clone(), settings)?;
-        let plain = |list: &[R]| list.iter().map(|x| x.lane(0)).collect::<Vec<_>>();
-        let given = [
-            plain(&from.state.qpos),
-            plain(&from.state.qvel),
-            plain(&from.inputs.ctrl),
-            plain(&from.inputs.qfrc_applied),
-            plain(&from.inputs.xfrc_applied),
-        ];
-        let [qpos, qvel, ctrl, qfrc_applied, xfrc_applied] = &given;
-        sim.put(0, &Given { qpos, qvel, ctrl, qfrc_applied, xfrc_applied });
-        let warm = from.state.warm.iter();
-        let dual =
-            |w: &Warm<R>| Warm { slot: w.slot, impulse: w.impulse.map(|x| Dual::of(x.lane(0))) };
-        sim.state.warm.extend(warm.map(dual));
-        (sim.state.steps, sim.state.start) = (from.state.steps, from.state.start);
+        let sim = from.in_doubles::<Dual>()?;
         let width = 2 * from.model.nv + from.model.actuators.len();
         Ok(Self {
             start: sim.state.clone(),

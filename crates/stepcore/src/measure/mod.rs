@@ -1,11 +1,13 @@
 //! What a run is worth: energy, momentum, and which element made it fail.
 
 mod blame;
+mod count;
 mod energy;
 mod linearize;
 mod past;
 mod readout;
 
+pub use count::Counter;
 pub use energy::Energy;
 pub use linearize::Linearizer;
 pub(crate) use past::Past;

@@ -2,6 +2,7 @@
 
 use crate::model::Model;
 use crate::real::Real;
+use crate::room::{listed, room, Room};
 
 /// How many of the last steps are kept, and how many milestones.
 const MEMORY: usize = 16;
@@ -15,10 +16,19 @@ pub(crate) struct Past<R: Real> {
     steps: u64,
 }
 
+room!(Past<R>: ; recent, milestones);
+
 struct Ring<R: Real> {
     states: Vec<(Vec<R>, Vec<R>)>,
     at: usize,
     len: usize,
+}
+
+impl<R: Real> Room for Ring<R> {
+    fn room(&self) -> usize {
+        let each = self.states.iter().map(|(qpos, qvel)| listed(qpos) + listed(qvel));
+        listed(&self.states) + each.sum::<usize>()
+    }
 }
 
 impl<R: Real> Ring<R> {
@@ -28,7 +38,7 @@ impl<R: Real> Ring<R> {
     }
 
     /// The place of the oldest state, which the next one takes.
-    fn room(&mut self) -> &mut (Vec<R>, Vec<R>) {
+    fn oldest(&mut self) -> &mut (Vec<R>, Vec<R>) {
         let at = self.at;
         self.at = (at + 1) % MEMORY;
         self.len = (self.len + 1).min(MEMORY);
@@ -48,12 +58,12 @@ impl<R: Real> Past<R> {
     /// Takes a state's numbers and leaves the room of an old one in their place.
     pub fn keep(&mut self, qpos: &mut Vec<R>, qvel: &mut Vec<R>) {
         if self.steps.is_multiple_of(STRIDE) {
-            let room = self.milestones.room();
+            let room = self.milestones.oldest();
             room.0.copy_from_slice(qpos);
             room.1.copy_from_slice(qvel);
         }
         self.steps += 1;
-        let room = self.recent.room();
+        let room = self.recent.oldest();
         std::mem::swap(&mut room.0, qpos);
         std::mem::swap(&mut room.1, qvel);
     }

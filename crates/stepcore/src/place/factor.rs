@@ -5,6 +5,7 @@
 //! on the same dofs: J v = y·u, and H⁻¹Jᵀλ becomes D⁻¹ y λ.
 
 use super::Placed;
+use crate::room::room;
 use std::ops::Range;
 
 use crate::model::{Model, Span, Tree};
@@ -21,6 +22,8 @@ pub struct Metric<R: Real> {
     dofs: Vec<usize>,
     above: Vec<usize>,
 }
+
+room!(Metric<R>: l, inv_d, rows, dofs, above;);
 
 impl<R: Real> Metric<R> {
     pub fn new(model: &Model) -> Self {

@@ -14,7 +14,8 @@ pub use factor::Metric;
 pub use force::spring_energy;
 
 use crate::model::{Model, Tree};
-use crate::real::Real;
+use crate::real::{Real, Stage};
+use crate::room::room;
 use crate::spatial::{Force, Inertia, Motion, Pose, Quat, M3, V3};
 use crate::state::{Inputs, State};
 
@@ -57,6 +58,9 @@ pub struct Placed<R: Real> {
     pub u: Vec<R>,
     pub guess: Vec<R>,
 }
+
+room!(Placed<R>: xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, mass,
+    velocity, acceleration, wrench, bias, passive, actuator, force, u, guess; metric);
 
 impl<R: Real> Placed<R> {
     pub fn new(model: &Model) -> Self {
@@ -120,6 +124,7 @@ impl<R: Real> Placed<R> {
     }
 
     fn place_trees(&mut self, model: &Model, qpos: &[R], needed: impl Fn(&Tree) -> bool) {
+        R::enter(Stage::Kinematics);
         for tree in model.trees.iter().filter(|tree| needed(tree)) {
             for body in tree.bodies.range() {
                 self.place_body(model, qpos, body);
@@ -152,14 +157,18 @@ impl<R: Real> Placed<R> {
     pub fn dynamics(&mut self, model: &Model, qpos: &[R], qvel: &[R], inputs: &Inputs<R>) {
         for (index, tree) in model.trees.iter().enumerate() {
             if !tree.constant {
+                R::enter(Stage::Inertia);
                 self.weigh(model, tree);
+                R::enter(Stage::Factor);
                 self.factor_mass(model, tree);
+                R::enter(Stage::Bias);
                 if model.features.coriolis || !model.equalities.is_empty() {
                     self.velocities(model, qvel, tree);
                 }
                 self.bias_of_tree(model, index);
             }
         }
+        R::enter(Stage::Forces);
         self.smooth_force(model, qpos, qvel, inputs);
     }
 
@@ -176,6 +185,7 @@ impl<R: Real> Placed<R> {
     pub fn place(&mut self, model: &Model, state: &State<R>, inputs: &Inputs<R>, dt: R) {
         self.positions_in_step(model, &state.qpos);
         self.dynamics(model, &state.qpos, &state.qvel, inputs);
+        R::enter(Stage::Guess);
         self.metric.to_factored(&state.qvel, &mut self.u);
         self.guess.copy_from_slice(&self.force);
         self.metric.half_solve(&mut self.guess);

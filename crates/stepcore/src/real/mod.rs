@@ -2,7 +2,7 @@
 //!
 //! Every stage is written once against this trait. `f64` and `f32` are one
 //! world; `Lanes` is eight worlds side by side; `Dual` is one world whose numbers
-//! carry derivatives. A comparison gives a mask and `select` chooses where lanes may
+//! carry derivatives, `Counted` one that counts its operations. A comparison gives a mask and `select` chooses where lanes may
 //! differ. With a scalar a mask is a `bool`, so `if mask.none() { continue }` is an
 //! ordinary branch.
 //!
@@ -15,11 +15,15 @@ use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAss
 use nalgebra::Scalar;
 use num_traits::{One, Zero};
 
+mod counted;
 mod dual;
 mod lanes;
+mod stage;
 
+pub use counted::{Counted, FUNCTION};
 pub use dual::{Dual, WAYS};
 pub use lanes::{LaneMask, Lanes, WIDTH};
+pub use stage::Stage;
 
 /// One truth value a lane.
 pub trait Mask: Copy + Debug + Send + Sync + 'static {
@@ -98,6 +102,9 @@ pub trait Real:
     fn steepness(self) -> f64 {
         0.0
     }
+    /// What follows belongs to this stage: only a number that counts asks.
+    #[inline(always)]
+    fn enter(_: Stage) {}
     fn abs(self) -> Self {
         Self::select(self.lt(Self::zero()), -self, self)
     }

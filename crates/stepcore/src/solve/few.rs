@@ -12,6 +12,7 @@ use super::pgs::Report;
 use super::residual::dot;
 use super::rows::{Rows, Set};
 use crate::real::{Mask, Real};
+use crate::room::room;
 
 /// An island of more rows is not few.
 const MOST: usize = 16;
@@ -40,6 +41,8 @@ pub(super) struct Few<R: Real> {
     /// D⁻¹ y of one row, by dof.
     z: Vec<R>,
 }
+
+room!(Few<R>: rows, masks, a, b, impulse, w, free, high, m, inv, x, z;);
 
 /// What one solve reads.
 #[derive(Clone, Copy)]

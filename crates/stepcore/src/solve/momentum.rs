@@ -26,6 +26,7 @@ use super::cone::project_round;
 use super::residual::dot;
 use super::rows::{Row, Rows, Set};
 use crate::real::{Mask, Real};
+use crate::room::{listed, room, Room};
 
 /// Directions of a step: this sweep's move and the moves before it.
 const DEPTH: usize = 4;
@@ -40,6 +41,12 @@ const BITS: u32 = 4;
 struct Point<R> {
     impulse: Vec<R>,
     u: Vec<R>,
+}
+
+impl<R> Room for Point<R> {
+    fn room(&self) -> usize {
+        listed(&self.impulse) + listed(&self.u)
+    }
 }
 
 /// The last moves, newest first, in the same layout; zero where there is none yet.
@@ -82,6 +89,8 @@ pub(super) struct Momentum<R: Real> {
     /// The order of one sweep.
     visit: Vec<usize>,
 }
+
+room!(Momentum<R>: rows, dofs, d, seen, hashed, heaps, visit; moves, before, after);
 
 impl<R> Point<R> {
     fn new() -> Self {

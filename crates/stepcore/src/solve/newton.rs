@@ -17,6 +17,7 @@ use super::pgs::{alive, Limits, Order, Report};
 use super::rows::{Rows, Set};
 use crate::error::{Error, Result};
 use crate::real::{Mask, Real};
+use crate::room::room;
 use hessian::Pattern;
 use system::System;
 
@@ -29,6 +30,8 @@ pub struct Newton<R: Real> {
     system: System<R>,
     few: Few<R>,
 }
+
+room!(Newton<R>: present; order, patterns, system, few);
 
 impl<R: Real> Default for Newton<R> {
     fn default() -> Self {

@@ -10,6 +10,7 @@ use super::momentum::Momentum;
 use super::residual::dot;
 use super::rows::{Block, Row, Rows, Set};
 use crate::real::{Mask, Real};
+use crate::room::room;
 use std::mem;
 
 /// How long to sweep.
@@ -64,6 +65,8 @@ pub(super) struct Order {
     /// One past the last entry of each island in `blocks`.
     pub ends: Vec<usize>,
 }
+
+room!(Order: blocks, ends);
 
 impl Order {
     /// A counting sort: stable, and free of allocation once it has room.
@@ -121,6 +124,8 @@ pub struct Pgs<R: Real> {
     /// Absent only while a solve holds it.
     momentum: Option<Momentum<R>>,
 }
+
+room!(Pgs<R>: z, weight, cones; order, momentum);
 
 impl<R: Real> Default for Pgs<R> {
     fn default() -> Self {

@@ -9,6 +9,7 @@ use super::residual::dot;
 use crate::model::{Model, Span};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
+use crate::room::room;
 
 /// One row. Impulses in N·s or N·m·s.
 #[derive(Clone, Debug)]
@@ -91,6 +92,8 @@ pub struct Rows<R: Real> {
     /// By slot: see `Model::ranks`.
     ranks: Vec<u32>,
 }
+
+room!(Rows<R>: rows, blocks, y, u, scratch, islands, ranks;);
 
 /// Rows that a model can have, known when it is compiled.
 #[derive(Clone, Debug, Default)]

@@ -7,6 +7,7 @@
 
 use crate::model::Span;
 use crate::real::Real;
+use crate::room::room;
 use crate::solve::rows::Rows;
 
 const NOWHERE: usize = usize::MAX;
@@ -33,6 +34,8 @@ pub(super) struct Pattern {
     bits: Vec<u64>,
     local: Vec<usize>,
 }
+
+room!(Pattern: key, dofs, blocks, lists, places, start, cols, below_start, below, bits, local);
 
 impl Pattern {
     /// Makes the pattern of these blocks, unless it is the one at hand.
@@ -188,6 +191,8 @@ pub(super) struct Hessian<R> {
     inverse: Vec<R>,
     work: Vec<R>,
 }
+
+room!(Hessian<R>: entries, diagonal, inverse, work;);
 
 impl<R: Real> Hessian<R> {
     pub fn new() -> Self {

@@ -3,6 +3,7 @@
 use super::hessian::{Hessian, Pattern};
 use super::penalty::{interval, Cone};
 use crate::real::{Mask, Real};
+use crate::room::room;
 use crate::solve::residual::dot;
 use crate::solve::rows::{Rows, Set};
 
@@ -36,6 +37,9 @@ pub(super) struct System<R: Real> {
     /// u has moved since the impulses were computed, in some lane.
     pub(super) moved: bool,
 }
+
+room!(System<R>: inv_c, w, along, impulse, curve, cones, guess, u, d, inv_d, gradient, step,
+    bent; hessian);
 
 impl<R: Real> System<R> {
     pub fn new() -> Self {

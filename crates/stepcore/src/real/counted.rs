@@ -1,0 +1,151 @@
+//! `Counted`: an `f64` that counts what is done with it, by stage of the step.
+//!
+//! An operation +, −, ×, ÷ or √ counts 1; sine and cosine together, an arctangent and a
+//! power count `FUNCTION`. Comparisons, signs and copies do not count. What is counted is
+//! what the method does, and not what a compiler makes of it: the count is the same on
+//! every machine. Numbers are those of `f64`, bit for bit.
+
+use core::cell::Cell;
+use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
+use num_traits::{One, Zero};
+
+use super::{Real, Stage};
+
+/// What a sine with its cosine, an arctangent or a power counts.
+pub const FUNCTION: u64 = 20;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Counted(pub f64);
+
+/// Operations by stage, and the stage at hand.
+struct Tally {
+    at: Cell<usize>,
+    counts: [Cell<u64>; Stage::ALL.len()],
+}
+
+thread_local! {
+    static TALLY: Tally =
+        const { Tally { at: Cell::new(0), counts: [const { Cell::new(0) }; Stage::ALL.len()] } };
+}
+
+#[inline(always)]
+fn note(operations: u64) {
+    TALLY.with(|tally| {
+        let count = &tally.counts[tally.at.get()];
+        count.set(count.get() + operations);
+    });
+}
+
+impl Counted {
+    /// What this thread has counted since it was last asked, in the order of `Stage::ALL`.
+    pub fn take() -> [u64; Stage::ALL.len()] {
+        TALLY.with(|tally| core::array::from_fn(|stage| tally.counts[stage].take()))
+    }
+}
+
+macro_rules! operator {
+    ($op:ident, $f:ident, $assign:ident, $g:ident, $sign:tt) => {
+        impl $op for Counted {
+            type Output = Self;
+            #[inline(always)]
+            fn $f(self, other: Self) -> Self {
+                note(1);
+                Self(self.0 $sign other.0)
+            }
+        }
+        impl $assign for Counted {
+            #[inline(always)]
+            fn $g(&mut self, other: Self) {
+                *self = *self $sign other;
+            }
+        }
+    };
+}
+operator!(Add, add, AddAssign, add_assign, +);
+operator!(Sub, sub, SubAssign, sub_assign, -);
+operator!(Mul, mul, MulAssign, mul_assign, *);
+operator!(Div, div, DivAssign, div_assign, /);
+
+impl Neg for Counted {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self(-self.0)
+    }
+}
+
+impl Zero for Counted {
+    #[inline(always)]
+    fn zero() -> Self {
+        Self(0.0)
+    }
+    fn is_zero(&self) -> bool {
+        self.0 == 0.0
+    }
+}
+
+impl One for Counted {
+    #[inline(always)]
+    fn one() -> Self {
+        Self(1.0)
+    }
+}
+
+impl Real for Counted {
+    type Mask = bool;
+    const LANES: usize = 1;
+    const EPSILON: f64 = f64::EPSILON;
+
+    #[inline(always)]
+    fn of(value: f64) -> Self {
+        Self(value)
+    }
+    #[inline(always)]
+    fn lane(self, _: usize) -> f64 {
+        self.0
+    }
+    #[inline(always)]
+    fn set_lane(&mut self, _: usize, value: f64) {
+        self.0 = value;
+    }
+    #[inline(always)]
+    fn select(mask: bool, yes: Self, no: Self) -> Self {
+        if mask {
+            yes
+        } else {
+            no
+        }
+    }
+    #[inline(always)]
+    fn lt(self, other: Self) -> bool {
+        self.0 < other.0
+    }
+    #[inline(always)]
+    fn le(self, other: Self) -> bool {
+        self.0 <= other.0
+    }
+    #[inline(always)]
+    fn is_finite(self) -> bool {
+        self.0.is_finite()
+    }
+    fn sqrt(self) -> Self {
+        note(1);
+        Self(self.0.sqrt())
+    }
+    fn sin_cos(self) -> (Self, Self) {
+        note(FUNCTION);
+        let (sin, cos) = self.0.sin_cos();
+        (Self(sin), Self(cos))
+    }
+    fn atan2(self, x: Self) -> Self {
+        note(FUNCTION);
+        Self(self.0.atan2(x.0))
+    }
+    fn powf(self, power: Self) -> Self {
+        note(FUNCTION);
+        Self(self.0.powf(power.0))
+    }
+    fn enter(stage: Stage) {
+        TALLY.with(|tally| tally.at.set(stage as usize));
+    }
+}

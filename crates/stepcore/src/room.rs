@@ -1,0 +1,42 @@
+//! How much memory a world holds beside its own struct: the room of all its lists.
+
+/// Bytes on the heap.
+pub(crate) trait Room {
+    fn room(&self) -> usize;
+}
+
+/// Of a list of plain numbers.
+pub(crate) fn listed<T>(list: &Vec<T>) -> usize {
+    list.capacity() * size_of::<T>()
+}
+
+impl<T: Room> Room for Vec<T> {
+    fn room(&self) -> usize {
+        listed(self) + self.iter().map(Room::room).sum::<usize>()
+    }
+}
+
+impl<T: Room> Room for Option<T> {
+    fn room(&self) -> usize {
+        self.as_ref().map_or(0, Room::room)
+    }
+}
+
+/// `Room` of a struct: its lists of plain numbers; then what has a `Room` of its own.
+macro_rules! room {
+    ($type:ident<R>: $($list:ident),*; $($part:ident),*) => {
+        impl<R: crate::real::Real> crate::room::Room for $type<R> {
+            fn room(&self) -> usize {
+                0 $(+ crate::room::listed(&self.$list))* $(+ self.$part.room())*
+            }
+        }
+    };
+    ($type:ident: $($list:ident),*) => {
+        impl crate::room::Room for $type {
+            fn room(&self) -> usize {
+                0 $(+ crate::room::listed(&self.$list))*
+            }
+        }
+    };
+}
+pub(crate) use room;
