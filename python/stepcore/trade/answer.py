@@ -123,8 +123,8 @@ def _wrong(trade: Trade, row: Row) -> str:
     if trade.starts == 1:
         return f"positions are {error} wrong {over} (rms; {worst})"
     start = f"worst of {trade.starts} starts, start {row.errors.each.index(row.errors.high)}"
-    median = f"median {metres(row.errors.position)}"
-    if row.errors.high > DIFFER * row.errors.position:
+    median = f"median {metres(row.errors.median)}"
+    if row.errors.high > DIFFER * row.errors.median:
         return (
             f"positions are {error} wrong {over} (rms; {start}; starts differ: {median}; {worst})"
         )

@@ -26,7 +26,8 @@ class Errors:
     mass and of orientations in the world; the median of the starts. …_max: the largest of any
     body, sample and start; worst: the start that position_max is from. gained, lost [J]: the
     most by which the energy balance of `Path` rose above its start, and fell below it, in any
-    start. each [m]: the root mean square of positions in every start. relative, relative_max:
+    start. each [m]: how far matter is off, in every start: the root mean square of centres of
+    mass, and of orientations times the body's radius of gyration. relative, relative_max:
     position and position_max over the scene's size.
 
     numerical, modelling [m]: what position is made of where a setting changes the model (other
@@ -64,8 +65,13 @@ class Errors:
 
     @property
     def high(self) -> float:
-        """The root mean square of positions in the worst start [m]."""
+        """How far matter is off in the worst start [m]; see `each`."""
         return max(self.each, default=self.position)
+
+    @property
+    def median(self) -> float:
+        """How far matter is off in the median of the starts [m]."""
+        return float(np.median(self.each)) if self.each else self.position
 
 
 def errors(
@@ -79,14 +85,14 @@ def errors(
 
     size: of the scene [m]; sticks: see `stepcore.trade.looks.creep`.
     """
-    metres, radians, creeps = [], [], []
+    metres, radians, matter, creeps = [], [], [], []
     for path, true, mask in zip(paths, truth, scored, strict=True):
         metres.append(distance(path, true)[mask])
         radians.append(angle(path, true)[mask])
+        matter.append(np.hypot(metres[-1], turned(path, true) * radians[-1]))
         creeps.append(creep(path.slips, true.slips, mask, sticks))
     largest = [float(part.max(initial=0.0)) for part in metres]
-    roots = _roots(metres)
-    position = float(np.median(roots))
+    position = float(np.median(_roots(metres)))
     return Errors(
         position=position,
         position_max=max(largest),
@@ -97,7 +103,7 @@ def errors(
         overlap=max(path.overlap for path in paths),
         residual=max(path.residual for path in paths),
         worst=largest.index(max(largest)),
-        each=tuple(roots),
+        each=tuple(_roots(matter)),
         relative=position / size,
         relative_max=max(largest) / size,
         numerical=position,
@@ -108,6 +114,12 @@ def errors(
         creep=_known(creeps),
         anisotropy=_known([anisotropy(path.slips) for path in paths]),
     )
+
+
+def turned(path: Path, true: Path) -> np.ndarray | float:
+    """Radii of gyration [m] of the bodies of two runs, by which angles become lengths."""
+    known = true.gyration if len(true.gyration) else path.gyration
+    return known if len(known) else 0.0
 
 
 def _worst(values: Sequence[float | None]) -> float | None:

@@ -43,7 +43,7 @@ def glance(
     except (ValueError, SimulationError) as error:
         path.failure = one_line(error)
         return path, math.nan
-    path.quat = np.array(quat)
+    path.quat, path.gyration = np.array(quat), course.gyration
     with np.errstate(over="ignore", invalid="ignore"):
         path.com = np.array(xpos) + rotated(path.quat, course.ipos)
     if not np.all(np.isfinite(path.com)):

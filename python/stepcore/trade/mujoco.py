@@ -73,7 +73,7 @@ class Point:
         if self.errors is None:
             return record | {"error": "failed"}
         e = self.errors
-        numbers = (self.error, e.position, e.position_max)
+        numbers = (self.error, e.median, e.position_max)
         return record | {
             name: f"{value:.1e}".replace("e-0", "e-").replace("e+0", "e")
             for name, value in zip(("error", "median", "max"), numbers, strict=True)
@@ -244,6 +244,7 @@ class Opponent:
         if path.failure is None:
             seen = self.course.poses(np.array(qpos), np.array(qvel))
             path.com, path.quat = seen.com, seen.quat
+            path.gyration = self.course.gyration
         return path
 
     def place(self, data: Any, start: int) -> None:

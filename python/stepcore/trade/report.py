@@ -21,10 +21,11 @@ FULL = 40
 UNSOLVED = 1e-9
 LEGEND = """\
 * best for its cost, s as shipped, r recommended, c refsafe softens rows at this dt, ref reference
-dt ms; cost µs, flops and rows (updates) per simulated second; error: of positions, rms, of the
-worst start, m (<: below the reference's own, which is shown); median: of the starts; max: at any
-sample; angle: rms, rad; gained, lost: energy beyond the work done, J; overlap: deepest, m; resid:
-worst residual, m/s; iteration, tolerance, cold, …: where it is not as shipped"""
+dt ms; cost µs, flops and rows (updates) per simulated second; error: how far matter is off (centres
+of mass, and turning × radius of gyration), rms, of the worst start, m (<: below what the reference
+knows, which is shown); median: of the starts; max: of centres, any sample; angle: rms, rad; gained,
+lost: energy beyond the work done, J; overlap: deepest, m; resid: worst residual, m/s; iterations,
+tolerance, cold, …: where it is not as shipped"""
 
 
 def text(trade: Trade, width: int | None, full: bool) -> str:
@@ -103,7 +104,7 @@ def cells(trade: Trade, row: Row) -> dict[str, Any]:
     if e is None:
         return record | dict.fromkeys(ERRORS, "") | {"error": "failed"}
     largest = max(e.position_max, trade.reference.largest)
-    numbers = (e.position, largest, e.angle, e.gained, e.lost, e.overlap, e.residual)
+    numbers = (e.median, largest, e.angle, e.gained, e.lost, e.overlap, e.residual)
     record |= dict(zip(ERRORS, map(short, (trade.error(row), *numbers)), strict=True))
     record["error"] = "<" * row.below + record["error"]
     record["max"] = "<" * row.below_max + record["max"]

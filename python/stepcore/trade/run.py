@@ -28,6 +28,7 @@ class Path:
     """What one run did, at the samples.
 
     com: centres of mass of the moving bodies [m], (n, bodies, 3). quat: (n, bodies, 4).
+    gyration: the bodies' radii of gyration [m], (bodies,).
     balance: energy, less that at the start, less the work of the motors, plus what the joint
     dampers took [J], (n,). kinetic: energy [J], height: of the centre of mass against gravity
     [m], touching: contacts that touch; (n,) each. slips: contacts with friction, by sample.
@@ -52,6 +53,7 @@ class Path:
     row_updates: int = 0
     rows: int = 0
     failure: str | None = None
+    gyration: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 class Course:
@@ -147,6 +149,7 @@ class Course:
             path.momentum, path.spin = self.conserved.lost(seen, self.motion, looks.grounded)
             path.joint, path.limit = self.joints.apart(seen), self.joints.beyond(qpos)
         path.com, path.quat, path.kinetic = seen.com[1:], seen.quat[1:], seen.kinetic[1:]
+        path.gyration = self.gyration
         path.touching, path.slips = np.array(looks.touching), looks.slips
         path.overlap, path.residual = looks.overlap, looks.residual
         path.row_updates, path.rows = looks.row_updates, looks.rows
@@ -160,7 +163,7 @@ class Course:
         n = len(self.motion.times)
         path = Path(seen.com[1:], seen.quat[1:], np.zeros(n), seen.kinetic[1:])
         path.height, path.touching = self._height(seen), np.zeros(n)
-        path.slips = [{} for _ in range(n)]
+        path.slips, path.gyration = [{} for _ in range(n)], self.gyration
         return path
 
     def _height(self, seen: Seen) -> np.ndarray:

@@ -1,0 +1,263 @@
+"""Scenes on which recommendations are put to the test, and the best settings by brute force.
+
+Every scene is named with the error that is asked for [m]: where the shipped settings are far off,
+where they are far too good, and between.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import scenes
+
+import stepcore as sc
+from stepcore import lesson
+from stepcore.progress import Progress
+from stepcore.trade.dofs import Dofs
+from stepcore.trade.errors import errors, far_off
+from stepcore.trade.glance import glance
+from stepcore.trade.motion import default_horizon, motion, time_steps
+from stepcore.trade.moves import Steps
+from stepcore.trade.reference import Search
+from stepcore.trade.run import Course, Path
+from stepcore.trade.settings import COULOMB_LAW, SMOOTH_LAW
+
+G = (0, 0, -9.81)
+SWEEPS = (1, 2, 3, 5, 8, 12, 20, 32, 50, 100)
+# Neighbours on the ladder of steps: a ratio of about √2.
+LADDER = (1, 2, 3, 4, 6, 8, 11, 16, 23, 32, 45, 64, 91, 128)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene, the error to be kept to [m], and how long it runs [s]."""
+
+    name: str
+    make: Callable[[], sc.Scene]
+    error: float
+    horizon: float | None = None
+
+
+def chain(links: int = 8, stiff: float = 0.0) -> sc.Scene:
+    """Links on hinges, let go from the horizontal; `stiff`: a spring in the third [N·m/rad]."""
+    scene = sc.Scene(gravity=G, name="chain")
+    body: Any = "world"
+    for k in range(links):
+        body = scene.add_body(f"link{k}", body, pos=(0.1 if k else 0, 0, 0))
+        spring = stiff if k == 2 else 0.0
+        scene.add_joint(
+            body, "hinge", name=f"hinge{k}", axis=(0, 1, 0), stiffness=spring, damping=1e-3
+        )
+        scene.add_geom(
+            body,
+            "capsule",
+            0.02,
+            fromto=(0, 0, 0, 0.1, 0, 0),
+            contype=0,
+            conaffinity=0,
+        )
+    scene.options = {"dt": 0.002}
+    return scene
+
+
+def balls(masses: tuple[float, ...], solref: tuple[float, float], **options: Any) -> sc.Scene:
+    """Free balls [kg] one on the other, let go just above the floor."""
+    scene = sc.Scene(gravity=G, name="balls")
+    scene.add_geom("world", "plane", size=(5, 5, 0.1), solref=solref)
+    for k, mass in enumerate(masses):
+        body = scene.add_body(f"ball{k}", pos=(0, 0, 0.101 + 0.201 * k))
+        scene.add_joint(body, "slide", axis=(0, 0, 1))
+        scene.add_geom(body, "sphere", 0.1, mass=mass, solref=solref)
+    scene.options = {"dt": 0.002} | options
+    return scene
+
+
+def plate() -> sc.Scene:
+    """A thin plate that spins about its middle axis, free."""
+    scene = sc.Scene(gravity=(0, 0, 0), name="plate")
+    body = scene.add_body("plate", pos=(0, 0, 1), mass=1.0, inertia=(1e-3, 4e-3, 5e-3))
+    scene.add_joint(body, "free")
+    scene.add_geom(body, "box", (0.1, 0.05, 0.002), mass=0.0, contype=0, conaffinity=0)
+    scene.options = {"dt": 0.005}
+    scene.add_key("spin", qvel=[0.1, 0, 0, 0.3, 12.0, 0.2])
+    return scene
+
+
+def slider(cone: str) -> sc.Scene:
+    """A ball thrown along a floor with friction: it slides, then rolls."""
+    scene = sc.Scene(gravity=G, name=f"slider {cone}")
+    scene.add_geom("world", "plane", size=(5, 5, 0.1))
+    body = scene.add_body("ball", pos=(0, 0, 0.0999))
+    scene.add_joint(body, "free")
+    scene.add_geom(body, "sphere", 0.1, mass=1.0, friction=(0.4, 0, 0))
+    scene.options = {"dt": 0.004, "cone": cone}
+    scene.add_key("thrown", qvel=[2.0, 0.7, 0, 0, 0, 0])
+    return scene
+
+
+def arm() -> sc.Scene:
+    """Three joints held by position servos, the last one stiff."""
+    scene = sc.Scene(gravity=G, name="servo arm")
+    body: Any = "world"
+    for k, gain in enumerate((200.0, 100.0, 2000.0)):
+        body = scene.add_body(f"link{k}", body, pos=(0.3 if k else 0, 0, 0))
+        joint = scene.add_joint(body, "hinge", name=f"j{k}", axis=(0, 1, 0), armature=0.01)
+        scene.add_geom(body, "capsule", 0.03, fromto=(0, 0, 0, 0.3, 0, 0), contype=0, conaffinity=0)
+        scene.add_actuator(joint, "position", kp=gain, kv=gain / 20, ctrlrange=(-0.5, 0.5))
+    scene.options = {"dt": 0.002, "integrator": "implicitfast"}
+    return scene
+
+
+def limit() -> sc.Scene:
+    """A pendulum that falls against its stop."""
+    scene = sc.Scene(gravity=G, name="limit")
+    body = scene.add_body("rod", pos=(0, 0, 1))
+    scene.add_joint(body, "hinge", axis=(0, 1, 0), range=(-0.5, 0.6), damping=0.01)
+    scene.add_geom(body, "capsule", 0.03, fromto=(0, 0, 0, 0.5, 0, 0), contype=0, conaffinity=0)
+    scene.options = {"dt": 0.002}
+    return scene
+
+
+def bridge() -> sc.Scene:
+    """A chain of five links tied to the world at its end."""
+    scene = chain(5)
+    scene.name = "bridge"
+    scene.add_equality("connect", "link4", "world", anchor=(0.1, 0, 0))
+    return scene
+
+
+def capsules() -> sc.Scene:
+    """Four capsules that fall on one another."""
+    rng = np.random.default_rng(2)
+    scene = sc.Scene(gravity=G, name="capsules")
+    scene.add_geom("world", "plane", size=(5, 5, 0.1))
+    for k in range(4):
+        quat = rng.normal(size=4)
+        body = scene.add_body(f"c{k}", pos=(0.06 * k, 0, 0.15 + 0.12 * k), quat=tuple(quat))
+        scene.add_joint(body, "free")
+        scene.add_geom(body, "capsule", (0.05, 0.08))
+    scene.options = {"dt": 0.002}
+    return scene
+
+
+def text(name: str, **values: Any) -> sc.Scene:
+    return sc.loads(getattr(scenes, name)(**values))
+
+
+def gym(name: str) -> sc.Scene:
+    return sc.load(f"gymnasium:{name}")
+
+
+CASES = (
+    Case("lesson spring", lesson.spring, 1e-3),
+    Case("lesson drop", lesson.drop, 2e-3),
+    Case("lesson stack", lesson.stack, 1e-4),
+    Case("lesson grasp", lesson.grasp, 2e-4, 0.32),
+    Case("stiff spring", partial(lesson.spring, k=1e4, dt=0.002), 1e-3),
+    Case("stiff spring in a chain", partial(chain, 6, stiff=300.0), 1e-3, 0.48),
+    Case("chain", partial(chain, 8), 1e-3, 0.48),
+    Case("bridge", bridge, 1e-4, 0.48),
+    Case("spinning plate", plate, 1e-5),
+    Case("soft contact", partial(balls, (1.0, 1.0), (0.1, 0.5)), 1e-4),
+    Case("stiff contact", partial(balls, (1.0, 1.0), (0.004, 1.0)), 3e-5, 0.48),
+    Case("mass ratio 100", partial(balls, (1.0, 100.0), (0.02, 1.0)), 1e-4),
+    Case("slider, pyramid", partial(slider, "pyramidal"), 2e-3),
+    Case("slider, cone", partial(slider, "elliptic"), 2e-3),
+    Case("servo arm", arm, 1e-4),
+    Case("limit", limit, 3e-4),
+    Case("capsules", capsules, 5e-3, 0.32),
+    Case("inverted_pendulum", partial(gym, "inverted_pendulum"), 1e-3),
+    Case("inverted_double_pendulum", partial(gym, "inverted_double_pendulum"), 1e-2, 0.48),
+    Case("reacher", partial(gym, "reacher"), 1e-4),
+    Case("hopper", partial(gym, "hopper"), 5e-3, 0.48),
+    Case("walker2d", partial(gym, "walker2d"), 5e-3, 0.48),
+    Case("half_cheetah", partial(gym, "half_cheetah"), 1e-2),
+    Case("ant", partial(gym, "ant"), 1e-2, 0.48),
+)
+
+
+class Judge:
+    """Starts of its own, their converged motion, and what settings do on them."""
+
+    def __init__(self, case: Case, count: int, seed: int, finest: float) -> None:
+        model = case.make().compile()
+        self.shipped = model.settings
+        _, self.period = time_steps(self.shipped.dt, None, None, case.horizon or 1.0)
+        dofs = Dofs(model.scene)
+        made = motion(
+            model,
+            dofs,
+            horizon=case.horizon or default_horizon(self.period),
+            period=self.period,
+            key=None,
+            ctrl=None,
+            control=None,
+            count=count + 1,
+            seed=seed,
+        )
+        ctrl = None if made.ctrl is None else made.ctrl[1:]
+        made = type(made)(**{**made.__dict__, "starts": made.starts[1:], "ctrl": ctrl})
+        self.course, self.count = Course(model, dofs, made), count
+        self.search = Search(self.course, self.shipped, finest, 1e9, 2)
+        self.integrator = "rk4"
+        with Progress("", 1, False) as bar:
+            self.truth = self.search.level("rk4", finest, bar)
+
+    def wrong(self, settings: sc.Settings, start: int) -> float:
+        """The error from one start [m]; inf for a failure."""
+        path, _ = glance(self.course, settings, start)
+        true: Path = self.truth.paths[start]
+        if path.failure or far_off([path], [true], 1e3):
+            return math.inf
+        every = np.ones((1, len(self.course.motion.times)), bool)
+        return errors([path], [true], every).high
+
+    def price(self, settings: sc.Settings) -> float:
+        """Operations per simulated second, on the motion of the first start."""
+        return glance(self.course, settings, 0, priced=True)[1]
+
+
+def every(shipped: sc.Settings, steps: Steps, rows: int) -> Iterator[sc.Settings]:
+    """What brute force tries."""
+    smooth = shipped.law == "solref"
+    integrators = SMOOTH_LAW if smooth else COULOMB_LAW
+    methods: list[dict[str, Any]] = [{}]
+    if rows:
+        few = SWEEPS if rows > 1 else (1,)
+        methods = [{"solver": "pgs", "sweeps": n} for n in few]
+        methods += [m | {"warm_start": not shipped.warm_start} for m in methods]
+    if rows and smooth:
+        methods += [{"solver": "newton", "sweeps": n} for n in (2, 100)]
+    for pieces, name, method in itertools.product(LADDER, integrators, methods):
+        yield shipped.replace(dt=steps.dt(pieces), integrator=name, **method)
+
+
+def best(judge: Judge, error: float, rows: int) -> tuple[sc.Settings, float] | None:
+    """The cheapest of `every` that keeps to an error in all of the judge's starts, and its price.
+
+    Ordered by price, as far as one step's tells, and tried until the rest cannot be cheaper.
+    """
+    steps = Steps(judge.period, judge.shipped.dt)
+    tried = list(every(judge.shipped, steps, rows))
+    per_step = {}
+    for one in tried:
+        key = one.replace(dt=judge.shipped.dt)
+        if key not in per_step:
+            price = judge.price(key)
+            per_step[key] = price * key.dt if price == price else 0.0
+    guess = {one: per_step[one.replace(dt=judge.shipped.dt)] / one.dt for one in tried}
+    found: tuple[sc.Settings, float] | None = None
+    for one in sorted(tried, key=lambda s: guess[s]):
+        if found is not None and guess[one] > 1.6 * found[1]:
+            break
+        if all(judge.wrong(one, start) <= error for start in range(judge.count)):
+            price = judge.price(one)
+            if found is None or price < found[1]:
+                found = (one, price)
+    return found
