@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from stepcore.linearization import Linearization
     from stepcore.lookup import load
     from stepcore.mjcf import loads
+    from stepcore.postmortem import PostMortem, Replay, replay
     from stepcore.trade.predict import predictability
 
 __all__ = [
@@ -38,6 +39,8 @@ __all__ = [
     "Diagnosis",
     "Linearization",
     "Model",
+    "PostMortem",
+    "Replay",
     "Scene",
     "Settings",
     "Sim",
@@ -51,6 +54,7 @@ __all__ = [
     "load",
     "loads",
     "predictability",
+    "replay",
     "sweep",
     "trade",
 ]
@@ -63,8 +67,11 @@ _LATER = {
     "Ablation": "stepcore.ablation",
     "ablate": "stepcore.ablation",
     "predictability": "stepcore.trade.predict",
+    "PostMortem": "stepcore.postmortem",
+    "Replay": "stepcore.postmortem",
     "load": "stepcore.lookup",
     "loads": "stepcore.mjcf",
+    "replay": "stepcore.postmortem",
 }
 
 

@@ -6,6 +6,8 @@ from typing import Any, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
+from stepcore.postmortem import Replay
+
 __all__ = ["Batch", "Model", "Settings", "Sim", "SimulationError", "compile"]
 
 _Floats = NDArray[np.float64]
@@ -17,7 +19,10 @@ _Law = Literal["solref", "lesson", "relaxed", "rigid", "penalty"]
 _Cone = Literal["pyramidal", "elliptic"]
 
 class SimulationError(RuntimeError):
-    """The simulation left the finite numbers; the last finite state is kept."""
+    """A run left the finite numbers, or has energy that it cannot have gained (`ledger`).
+
+    The last finite state is kept; the text is the post-mortem, one paragraph.
+    """
 
     step: int
     """Steps done before it."""
@@ -26,7 +31,17 @@ class SimulationError(RuntimeError):
     world: int
     """Its index in a Batch, 0 in a Sim."""
     element: str
-    """The element whose power grew most over the last steps."""
+    """The element that drove it."""
+    gained: bool
+    """Energy that cannot have been gained; False: something is not finite in the next step."""
+    shares: dict[str, float]
+    """Part of the energy fed in over the last steps, by element, the largest first."""
+    growth: float | None
+    """Rate at which the energy of motion and springs grew [1/s]."""
+    stable_dt: float | None
+    """A step that would have been stable [s], where one is known."""
+    replay: Replay
+    """The failure, to be saved and run again."""
 
 @final
 class Settings:
@@ -44,6 +59,7 @@ class Settings:
         warm_start: bool = True,
         precision: _Precision = "f64",
         max_contacts: int = 0,
+        ledger: bool = False,
         law: _Law = "solref",
         beta: float = 0.2,
         softness: float = 0.0,
@@ -101,6 +117,10 @@ class Settings:
     @property
     def max_contacts(self) -> int:
         """Contacts to reserve room for."""
+
+    @property
+    def ledger(self) -> bool:
+        """Balance the account of energy every 64 steps, and keep what a post-mortem needs."""
 
     @property
     def law(self) -> str:
@@ -179,6 +199,9 @@ class Sim:
     @property
     def xfrc_applied(self) -> _Floats: ...
     def step(self, n: int) -> None: ...
+    def taped_step(self) -> tuple[float, float, dict[str, float]]:
+        """Steps once: energy of motion and springs before and after, what each element fed in."""
+
     def forward(self) -> None: ...
     def forget(self) -> None:
         """Forgets the impulses of the last step."""

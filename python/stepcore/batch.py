@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
-from stepcore._core import Settings
+from stepcore._core import Settings, SimulationError
 from stepcore.arrays import Floats, StateArray, Stepped, numbers, snapshot
 from stepcore.model import Model, compiled
+from stepcore.postmortem.file import attach
 from stepcore.readouts import contact_table, row_table
 from stepcore.scene import Scene
 from stepcore.sim import Momentum
@@ -96,11 +99,13 @@ class Batch(Stepped):
 
     def step(self, n: int = 1) -> None:
         """Advances every world by n steps, without the GIL; raises what `Sim.step` raises."""
-        self._core.step(n)
+        with self._told():
+            self._core.step(n)
 
     def forward(self) -> None:
         """Place, detect and solve at the present states; nothing moves."""
-        self._core.forward()
+        with self._told():
+            self._core.forward()
 
     def rollout(self, ctrl: ArrayLike) -> Rollout:
         """Steps with given controls and keeps every state.
@@ -111,8 +116,18 @@ class Batch(Stepped):
         if table.ndim != 3:
             limit = f"({len(self)}, steps, {self._model.nu})"
             raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
-        qpos, qvel = self._core.rollout(table)
+        with self._told():
+            qpos, qvel = self._core.rollout(table)
         return Rollout(qpos, qvel, np.zeros((*qpos.shape[:2], 0)))
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Gives an error the replay of the world that failed."""
+        try:
+            yield
+        except SimulationError as error:
+            attach(error, self._model, self.qpos[error.world], self.qvel[error.world])
+            raise
 
     def _restart(self, time: float) -> None:
         self._core.restart(time)

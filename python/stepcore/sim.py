@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core
-from stepcore._core import Settings
+from stepcore._core import Settings, SimulationError
 from stepcore.arrays import Floats, StateArray, Stepped, snapshot
 from stepcore.linearization import Linearization, linearized
 from stepcore.model import Model, compiled
+from stepcore.postmortem.file import attach
 from stepcore.readouts import contact_table, row_table
 from stepcore.scene import Scene
 from stepcore.trajectory import Trajectory, record_run
@@ -94,14 +95,23 @@ class Sim(Stepped):
         """Advances by n steps, without the GIL.
 
         Raises ValueError for a state or input that is not finite (nothing is stepped),
-        SimulationError if the motion stops being finite (the last finite state is kept), and
-        KeyboardInterrupt between two steps of a long call.
+        SimulationError if the motion stops being finite, or with the setting ``ledger`` if it has
+        energy that it cannot have gained (the last finite state is kept), and KeyboardInterrupt
+        between two steps of a long call.
         """
-        self._core.step(n)
+        try:
+            self._core.step(n)
+        except SimulationError as error:
+            attach(error, self._model, self.qpos, self.qvel)
+            raise
 
     def forward(self) -> None:
         """Place, detect and solve at the present state; nothing moves."""
-        self._core.forward()
+        try:
+            self._core.forward()
+        except SimulationError as error:
+            attach(error, self._model, self.qpos, self.qvel)
+            raise
 
     def linearize(self) -> Linearization:
         """The next step as a linear map around the present state; nothing moves.

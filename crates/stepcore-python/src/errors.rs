@@ -1,16 +1,27 @@
 //! One map from the engine's errors to Python's.
 
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyBaseException, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+use stepcore::arrays::Given;
 use stepcore::error::Error;
+use stepcore::measure::ledger::{PostMortem, Stable};
+use stepcore::state::Inputs;
+
+use crate::snapshot::encode;
+use crate::world::Memo;
 
 pyo3::create_exception!(
     stepcore,
     SimulationError,
     PyRuntimeError,
-    "The simulation left the finite numbers; the last finite state is kept.\n\n\
-     step: steps done before it, time: of that state [s], world: its index in a Batch (0 in a Sim),\n\
-     element: what grew most over the last steps."
+    "A run left the finite numbers, or (settings with ledger=True) has energy that it cannot have\n\
+     gained; the last finite state is kept. Its text is the post-mortem, one paragraph.\n\n\
+     step: steps done before it; time: of that state [s]; world: its index in a Batch (0 in a Sim);\n\
+     gained: True for energy that cannot have been gained, False for what is not finite;\n\
+     element: what drove it; shares: what part of the energy fed in over the last steps each\n\
+     element gave, by name; growth: rate at which the energy grew [1/s], or None; stable_dt: a\n\
+     step that would have been stable [s], or None; replay: a `stepcore.Replay` of the failure."
 );
 
 /// The Python exception of an engine error.
@@ -18,17 +29,51 @@ pub fn raise(py: Python<'_>, error: Error) -> PyErr {
     let text = error.to_string();
     match error {
         Error::Value { .. } | Error::Scene(_) => PyValueError::new_err(text),
-        Error::Diverged { step, time, world, element, .. } => {
+        Error::Diverged { step, time, world, element, post, .. } => {
             let raised = SimulationError::new_err(text);
             let value = raised.value(py);
             let attributes = value
                 .setattr("step", step)
                 .and_then(|()| value.setattr("time", time))
                 .and_then(|()| value.setattr("world", world))
-                .and_then(|()| value.setattr("element", element));
+                .and_then(|()| value.setattr("element", element))
+                .and_then(|()| tell(value, &post));
             attributes.err().unwrap_or(raised)
         }
     }
+}
+
+/// What a post-mortem found, and from where its failure comes again.
+fn tell(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> PyResult<()> {
+    let py = error.py();
+    error.setattr("gained", post.gained)?;
+    let shares = PyDict::new(py);
+    for (name, share) in &post.shares {
+        shares.set_item(name, share)?;
+    }
+    error.setattr("shares", shares)?;
+    error.setattr("growth", post.growth.map(|growth| growth / post.dt))?;
+    let stable = match post.stable {
+        Stable::Springs { dt, .. } | Stable::Halved { dt } => Some(dt),
+        Stable::Unknown | Stable::Never { .. } | Stable::NotFound => None,
+    };
+    error.setattr("stable_dt", stable)?;
+    let (start, inputs) = (&post.start, &post.inputs);
+    let memo = Memo { start: start.start, steps: start.steps, warm: start.warm.clone() };
+    let given = Given {
+        qpos: &start.qpos,
+        qvel: &start.qvel,
+        ctrl: &inputs.ctrl,
+        qfrc_applied: &inputs.qfrc_applied,
+        xfrc_applied: &inputs.xfrc_applied,
+    };
+    error.setattr("_start", PyBytes::new(py, &encode(post.dt, &memo, &given)))?;
+    let change = |(step, inputs): &(u64, Inputs<f64>)| {
+        (*step, inputs.ctrl.clone(), inputs.qfrc_applied.clone(), inputs.xfrc_applied.clone())
+    };
+    let changes: Vec<_> = post.changes.iter().map(change).collect();
+    error.setattr("_changes", changes)?;
+    error.setattr("_steps", post.steps)
 }
 
 /// "; nearest: a, b" out of the known names, for a name that is not among them.

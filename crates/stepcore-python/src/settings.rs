@@ -165,6 +165,8 @@ settings! {
     precision: Precision,
     /// Contacts to reserve room for.
     max_contacts: usize,
+    /// Balance the account of energy every 64 steps, and keep what a post-mortem needs.
+    ledger: bool,
     /// What a violated constraint asks for: "solref", "lesson", "relaxed", "rigid", "penalty".
     law: Law,
     /// Share of a violation undone in a step, in (0, 1].

@@ -1,5 +1,6 @@
 //! `Sim` as Python sees it: one world, its arrays, and what can be read of it.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use numpy::PyArrayDyn;
@@ -24,6 +25,9 @@ type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
 pub type ContactTable<'py> = (Vec<(usize, usize)>, Array<'py>);
 /// Kinds, names, blocks; impulse, velocity, target, regulariser, residual, lo, hi.
 pub type RowTable<'py> = (Vec<&'static str>, Vec<String>, Vec<usize>, Array<'py>);
+
+/// Energy before and after, and gains by element.
+type TapedStep = (f64, f64, BTreeMap<String, f64>);
 
 pub fn contacts<'py>(py: Python<'py>, table: Contacts) -> PyResult<ContactTable<'py>> {
     let count = table.geoms.len();
@@ -133,6 +137,17 @@ impl Sim {
         let outcome = gil::steps(py, n, |n| world.step(n));
         self.store(py, world);
         outcome
+    }
+
+    /// Steps once; returns the energy of motion and springs before and after, and what each
+    /// element fed in.
+    fn taped_step(&self, py: Python<'_>) -> PyResult<TapedStep> {
+        let mut guard = self.lock()?;
+        let world = &mut **guard;
+        self.load(py, world)?;
+        let outcome = gil::release(py, || world.taped_step());
+        self.store(py, world);
+        outcome.map(|entry| (entry.before, entry.after, entry.gains))
     }
 
     /// Place, detect and solve at the present state.

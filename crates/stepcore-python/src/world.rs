@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use stepcore::arrays::Given;
 use stepcore::error::Result;
+use stepcore::measure::ledger::Entry;
 use stepcore::measure::{Counter, Coupling, Linearizer};
 use stepcore::model::Model;
 use stepcore::real::Real;
@@ -83,6 +84,8 @@ pub trait World: Send {
     fn take(&self, qpos: &mut [f64], qvel: &mut [f64]);
     fn step(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
+    /// Steps once, and says what each element fed in meanwhile.
+    fn taped_step(&mut self) -> Result<Entry>;
     fn time(&self) -> f64;
     fn memo(&self) -> Memo;
     fn set_memo(&mut self, memo: &Memo);
@@ -137,6 +140,9 @@ impl<R: Real> World for One<R> {
     fn forward(&mut self) -> Result<()> {
         self.sim.forward()
     }
+    fn taped_step(&mut self) -> Result<Entry> {
+        self.sim.taped_step(0)
+    }
     fn time(&self) -> f64 {
         self.sim.state.time(self.sim.settings.dt)
     }
@@ -150,6 +156,7 @@ impl<R: Real> World for One<R> {
         state
             .warm
             .extend(memo.warm.iter().map(|w| Warm { slot: w.slot, impulse: w.impulse.map(R::of) }));
+        self.sim.forget_ledger();
     }
 
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>> {

@@ -135,6 +135,7 @@ impl<R: Real> Sim<R> {
         if self.state.put(lane, given) {
             // There is no step that led here.
             self.past.forget();
+            self.forget_ledger();
         }
         self.inputs.put(lane, given);
     }

@@ -208,14 +208,14 @@ impl<R: Real> Batch<R> {
         one: impl Fn(usize, u64, &mut Sim<R>) -> Result<()> + Sync,
     ) -> Result<()> {
         share(&mut self.workers, &mut self.groups, |sim, index, group| {
-            copy(&group.state, &mut group.start);
+            group.state.copy_to(&mut group.start);
             group.run(sim, index, n, Last::Step, &one);
         });
         let Some((done, error)) = self.first_failure() else { return Ok(()) };
         // All worlds go back, and then on to where this one was still well.
         share(&mut self.workers, &mut self.groups, |sim, index, group| {
-            copy(&group.start, &mut group.state);
-            copy(&group.start, &mut group.before);
+            group.start.copy_to(&mut group.state);
+            group.start.copy_to(&mut group.before);
             group.last = Last::Forward;
             group.run(sim, index, done, Last::Step, &one);
         });
@@ -251,7 +251,7 @@ impl<R: Real> Group<R> {
         sim.past.forget();
         self.failed = (0..n).find_map(|k| {
             if k + 1 == n {
-                copy(&sim.state, &mut self.before);
+                sim.state.copy_to(&mut self.before);
             }
             one(index, k, sim).err().map(|error| (k, error))
         });
@@ -311,13 +311,6 @@ fn share<R: Real>(
             });
         }
     });
-}
-
-fn copy<R: Real>(from: &State<R>, to: &mut State<R>) {
-    (to.steps, to.start) = (from.steps, from.start);
-    to.qpos.copy_from_slice(&from.qpos);
-    to.qvel.copy_from_slice(&from.qvel);
-    to.warm.clone_from(&from.warm);
 }
 
 /// Takes up to `count` entries off the front.

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::measure::ledger::PostMortem;
+
 /// Why something was refused or went wrong.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Error {
@@ -11,7 +13,15 @@ pub enum Error {
     Scene(String),
     /// The simulation left the finite numbers; the last finite state is kept. `step`: steps
     /// done before, `time`: of that state [s], `world`: its lane or its place in a batch.
-    Diverged { step: u64, time: f64, world: usize, element: String, quantity: String },
+    /// `post`: where the energy came from.
+    Diverged {
+        step: u64,
+        time: f64,
+        world: usize,
+        element: String,
+        quantity: String,
+        post: Box<PostMortem>,
+    },
 }
 
 impl Error {
@@ -38,10 +48,11 @@ impl fmt::Display for Error {
         match self {
             Self::Value { field, value, limit } => write!(f, "{field} = {value}: must be {limit}"),
             Self::Scene(text) => f.write_str(text),
-            Self::Diverged { step, time, element, quantity, .. } => write!(
+            Self::Diverged { step, time, element, quantity, post, .. } => write!(
                 f,
-                "diverged in step {step} at time {time:.6} s: {quantity}; the force that grew most is {element}; \
-                 the last finite state is kept"
+                "diverged in step {step} at time {time:.6} s: {quantity}; what drove it is {element}{}; the last \
+                 finite state is kept",
+                post.sentence()
             ),
         }
     }

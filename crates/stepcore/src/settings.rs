@@ -147,6 +147,8 @@ pub struct Settings {
     pub precision: Precision,
     /// Contacts to reserve room for.
     pub max_contacts: usize,
+    /// Balance the account of energy every 64 steps, and write down what a post-mortem needs.
+    pub ledger: bool,
     // Modelling overrides.
     pub law: Law,
     /// Share of a violation undone in a step, in (0, 1], under the laws on the guess.
@@ -181,6 +183,7 @@ impl Default for Settings {
             warm_start: true,
             precision: Precision::F64,
             max_contacts: 0,
+            ledger: false,
             law: Law::SolRef,
             beta: 0.2,
             softness: 0.0,

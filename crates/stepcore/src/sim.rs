@@ -6,6 +6,7 @@ use std::sync::Arc;
 use crate::commit::Next;
 use crate::detect::Detected;
 use crate::error::{named, Error, Result};
+use crate::measure::ledger::{Ledger, Tape};
 use crate::measure::Past;
 use crate::model::Model;
 use crate::place::Placed;
@@ -41,6 +42,10 @@ pub struct Sim<R: Real> {
     pub effort: Effort,
     pub(crate) next: Next<R>,
     pub(crate) past: Past<R>,
+    /// There while `Settings::ledger` is on.
+    pub(crate) ledger: Option<Box<Ledger<R>>>,
+    /// There while a step is written down.
+    pub(crate) tape: Option<Box<Tape>>,
     pgs: Pgs<R>,
     newton: Newton<R>,
 }
@@ -65,6 +70,8 @@ impl<R: Real> Sim<R> {
             pgs: Pgs::new(),
             newton: Newton::new(),
             past: Past::new(&model),
+            ledger: settings.ledger.then(|| Box::new(Ledger::new(&model))),
+            tape: None,
             model,
             settings,
         })

@@ -40,6 +40,14 @@ impl<R: Real> State<R> {
         }
     }
 
+    /// Copies into a state of the same model, whose room is used again.
+    pub(crate) fn copy_to(&self, to: &mut Self) {
+        (to.steps, to.start) = (self.steps, self.start);
+        to.qpos.copy_from_slice(&self.qpos);
+        to.qvel.copy_from_slice(&self.qvel);
+        to.warm.clone_from(&self.warm);
+    }
+
     /// Time [s] of this state in steps of `dt`.
     pub fn time(&self, dt: f64) -> f64 {
         self.start + self.steps as f64 * dt
@@ -63,6 +71,27 @@ pub struct Inputs<R: Real> {
 room!(Inputs<R>: ctrl, qfrc_applied, xfrc_applied;);
 
 impl<R: Real> Inputs<R> {
+    /// ctrl, qfrc_applied, xfrc_applied.
+    pub(crate) fn arrays(&self) -> [&[R]; 3] {
+        [&self.ctrl, &self.qfrc_applied, &self.xfrc_applied]
+    }
+
+    pub(crate) fn arrays_mut(&mut self) -> [&mut [R]; 3] {
+        [&mut self.ctrl, &mut self.qfrc_applied, &mut self.xfrc_applied]
+    }
+
+    pub(crate) fn any_applied(&self) -> bool {
+        self.qfrc_applied.iter().chain(&self.xfrc_applied).any(|x| !x.is_zero())
+    }
+
+    /// Copies into inputs of the same model, whose room is used again.
+    pub(crate) fn copy_to(&self, to: &mut Self) {
+        for (to, from) in to.arrays_mut().into_iter().zip(self.arrays()) {
+            to.copy_from_slice(from);
+        }
+        to.applied = self.applied;
+    }
+
     /// No control, no force.
     pub fn new(model: &Model) -> Self {
         Self {

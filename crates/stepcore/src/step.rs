@@ -11,10 +11,13 @@ use crate::solve::Situation;
 impl<R: Real> Sim<R> {
     /// Advances by `n` steps, or to the last finite state before an error.
     pub fn step(&mut self, n: u64) -> Result<()> {
+        self.open_ledger();
         for _ in 0..n {
+            self.balance()?;
             R::enter(Stage::Commit);
             self.integrate()?;
             self.check_finite()?;
+            self.pay();
             // past ← state ← next ← (room of the oldest past)
             std::mem::swap(&mut self.state.qpos, &mut self.next.qpos);
             std::mem::swap(&mut self.state.qvel, &mut self.next.qvel);

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 from typing import Any
 
+from stepcore._core import SimulationError
 from stepcore.checks import nearest
 from stepcore.cli.options import Usage, add_file
 from stepcore.table import jsonable
@@ -19,6 +21,7 @@ def add(commands: Any) -> None:
     run.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="any field of Settings"
     )
+    run.add_argument("--replay", metavar="OUT", help="where a failure is written, to be replayed")
     run.add_argument("--json", action="store_true", help="print data instead of text")
     run.set_defaults(call=call)
 
@@ -29,13 +32,16 @@ def call(args: argparse.Namespace) -> None:
     from stepcore.lookup import find_scene
     from stepcore.sim import Sim
 
+    if args.replay is not None and not Path(args.replay).resolve().parent.is_dir():
+        raise Usage(f"--replay {args.replay}: no such folder")
     changes = dict(_setting(text) for text in args.set)
     if args.dt is not None:
         changes["dt"] = args.dt
     duration = 1.0 if args.duration is None else args.duration
     if not 0 <= duration < float("inf"):
         raise Usage(f"--duration {duration:g}: must be finite and >= 0 s")
-    sim = Sim(find_scene(args.file).compile(), **changes)
+    # A failure that is told in full costs a run a few percent.
+    sim = Sim(find_scene(args.file).compile(), **({"ledger": True} | changes))
     first = 0 if sim.model.keys else None
     sim.reset(key=first if args.key is None else args.key)
     dt = sim.settings.dt
@@ -47,7 +53,10 @@ def call(args: argparse.Namespace) -> None:
             f"{steps * dt:g} s are run"
         )
     begin = perf_counter()
-    sim.step(steps)
+    try:
+        sim.step(steps)
+    except SimulationError as error:
+        raise RuntimeError(f"{error}; stepcore replay {_written(error, args.replay)}") from None
     spent = perf_counter() - begin
     kinetic, potential = (float(part) for part in sim.energy)
     result = {
@@ -75,6 +84,15 @@ def call(args: argparse.Namespace) -> None:
         print(f"computing {1e6 * spent / steps:.3g} us a step")
     for note in notes:
         print(f"note: {note}")
+
+
+def _written(error: SimulationError, path: str | None) -> str:
+    """Writes the failure where it was asked for, or under a name of its own here."""
+    if path is None:
+        name = "".join(c if c.isalnum() or c in "-_." else "-" for c in error.replay.name)
+        path = f"{name or 'run'}-step{error.step}.replay.json"
+    error.replay.save(path)
+    return path
 
 
 def _numbers(values: Any) -> str:

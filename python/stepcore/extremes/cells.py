@@ -93,7 +93,7 @@ def named_error(error: SimulationError, among: Iterable[str] | None = None) -> O
     among: words of which its text must hold one; None: any element's kind and name.
     """
     text = str(error)
-    blamed = re.search(r"force that grew most is ([^;]*)", text)
+    blamed = re.search(r"what drove it is ([^;]*)", text)
     name = blamed.group(1) if blamed else ""
     ok = "`" in name if among is None else any(word in name for word in among)
     short = name.replace("`", "")

@@ -62,6 +62,7 @@ impl<R: Real> Sim<R> {
                 "the midpoint iteration does not converge (take a smaller dt)".into(),
             ));
         }
+        self.tape_stage(1.0, rows);
         let s = &self.next.stages;
         for k in 0..model.nv {
             self.next.mean[k] = half * (s.qvel[k] + self.next.qvel[k]);

@@ -66,6 +66,7 @@ impl<R: Real> Sim<R> {
             }
             _ => {
                 self.place_detect_solve()?;
+                self.tape_stage(1.0, true);
                 self.commit();
                 Ok(())
             }
@@ -103,6 +104,7 @@ impl<R: Real> Sim<R> {
         let judged = if on_guess { &self.next.mean } else { &self.next.qvel };
         self.placed.metric.to_factored(judged, &mut self.placed.guess);
         self.detect_and_solve()?;
+        self.tape_solve();
         // Δv from Δu, which is exactly zero in a tree without rows.
         let change = &mut self.next.damped.change;
         for k in 0..model.nv {

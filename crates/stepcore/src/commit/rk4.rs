@@ -77,6 +77,7 @@ impl<R: Real> Sim<R> {
             } else {
                 self.smooth();
             }
+            self.tape_stage(B[stage], rows);
             let s = &mut self.next.stages;
             s.rate.copy_from_slice(&self.state.qvel);
             rates_on_the_group(&model, &s.turned, &mut s.rate);

@@ -6,6 +6,7 @@
 //! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
 
 use crate::error::{named, Error};
+use crate::measure::ledger::first_lane;
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::sim::Sim;
@@ -15,30 +16,36 @@ use crate::solve::Source;
 const GROWN: f64 = 2.0;
 
 /// Strength of every element in one lane.
-type Ledger = Vec<(String, f64)>;
+type Strengths = Vec<(String, f64)>;
 
 impl<R: Real> Sim<R> {
     /// The error for the lanes in `bad`, whose next state cannot be committed.
     pub(crate) fn diverged(&mut self, bad: R::Mask, quantity: String) -> Error {
-        let world = (0..R::LANES).find(|lane| bad.lane(*lane)).unwrap_or(0);
+        let ledger = self.ledger.take();
+        let error = self.found(ledger.as_deref(), first_lane::<R>(bad), quantity, false);
+        self.ledger = ledger;
+        error
+    }
+
+    /// The element that became the strongest on the way to the present state of a lane.
+    pub(crate) fn strongest(&mut self, lane: usize) -> String {
         let state = self.state.clone();
         let past: Vec<_> = self.past.states().cloned().collect();
-        let mut ledgers: Vec<Ledger> = Vec::new();
+        let mut strengths: Vec<Strengths> = Vec::new();
         for (qpos, qvel) in past.iter().chain([&(state.qpos.clone(), state.qvel.clone())]) {
             self.state.qpos.copy_from_slice(qpos);
             self.state.qvel.copy_from_slice(qvel);
             if self.place_detect_solve().is_ok() {
-                ledgers.push(self.ledger(world));
+                strengths.push(self.strengths(lane));
             }
         }
         self.state = state;
-        let time = self.state.time(self.settings.dt);
-        Error::Diverged { step: self.state.steps, time, world, element: blamed(&ledgers), quantity }
+        blamed(&strengths)
     }
 
     /// The first dof whose `quantity`, in `numbers`, is not finite in the first lane of `bad`.
     pub(crate) fn first_not_finite(&self, bad: R::Mask, quantity: &str, numbers: &[R]) -> String {
-        let lane = (0..R::LANES).find(|lane| bad.lane(*lane)).unwrap_or(0);
+        let lane = first_lane::<R>(bad);
         let model = &*self.model;
         let at = numbers.iter().position(|x| !x.is_finite().lane(lane));
         at.map_or("a position is not finite".into(), |dof| {
@@ -51,7 +58,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// Strength of each element at the state of the last solve.
-    fn ledger(&self, lane: usize) -> Ledger {
+    fn strengths(&self, lane: usize) -> Strengths {
         let model = &*self.model;
         let mut entries = Vec::new();
         let inertia = |k: usize| self.placed.mass[model.dofs[k].row.start].lane(lane);
@@ -128,8 +135,8 @@ pub fn contact_name(model: &Model, pair: usize) -> String {
 
 /// The first element that doubled its strength to more than all others together;
 /// else the strongest at the end.
-fn blamed(ledgers: &[Ledger]) -> String {
-    let finite = |ledger: &Ledger| ledger.iter().map(|(_, s)| s).filter(|s| s.is_finite()).sum();
+fn blamed(ledgers: &[Strengths]) -> String {
+    let finite = |ledger: &Strengths| ledger.iter().map(|(_, s)| s).filter(|s| s.is_finite()).sum();
     for pair in ledgers.windows(2) {
         let total: f64 = finite(&pair[1]);
         for (name, strength) in &pair[1] {

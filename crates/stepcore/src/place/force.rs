@@ -114,7 +114,7 @@ fn bias<R: Real>(actuator: &Actuator, joint: &Joint, qpos: &[R], qvel: &[R]) -> 
 }
 
 /// How far a joint is from its spring's rest, by dof of the joint [m or rad].
-fn stretch<R: Real>(model: &Model, joint: &Joint, qpos: &[R]) -> ([R; 6], usize) {
+pub fn stretch<R: Real>(model: &Model, joint: &Joint, qpos: &[R]) -> ([R; 6], usize) {
     let mut out = [R::zero(); 6];
     let rest = |k: usize| R::of(model.qpos_spring[joint.qpos + k]);
     let turn = |at: usize| {

@@ -11,7 +11,7 @@ mod inertia;
 mod kinematics;
 
 pub use factor::Metric;
-pub use force::spring_energy;
+pub use force::{spring_energy, stretch};
 
 use crate::model::{Model, Tree};
 use crate::real::{Real, Stage};

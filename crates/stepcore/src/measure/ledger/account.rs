@@ -1,0 +1,79 @@
+//! The account of one world: what its energy is, and what a passive scene could have.
+//!
+//! E is kinetic energy, springs and gravity; W what motors and applied forces put in. E − W
+//! can only fall, but for what bent rows give back: |λ|/dt·|r| at most, the force of a
+//! row through the whole of its violation. So E − W never rises above its least value so far,
+//! bent rows counted there and not now. An integrator's own error rises with the energy
+//! that circulates, and so does what it may be: `scale`, the most that moved or was bent
+//! without being a gain itself. No number here has a unit of its own.
+
+use crate::real::Real;
+
+/// Energies of one world [J].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Level {
+    /// Kinetic, and of joint springs: never below zero.
+    pub moving: f64,
+    pub gravity: f64,
+    /// The most that rows bent at this state give back.
+    pub bent: f64,
+    /// The size of the numbers that were summed, for rounding.
+    pub size: f64,
+}
+
+/// What one world may have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Account {
+    /// Work of motors and applied forces since the account was opened [J].
+    pub paid: f64,
+    /// Least E − W so far, bent rows counted [J].
+    least: f64,
+    /// Energy that circulated [J].
+    pub scale: f64,
+    /// How many times `scale` may be gained.
+    allowed: f64,
+    throughput: f64,
+}
+
+/// What an account says of a level.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Verdict {
+    /// Energy that no element can have given [J]; negative: none.
+    pub gained: f64,
+    /// The most that is not suspicious [J].
+    pub limit: f64,
+}
+
+impl Account {
+    pub fn open(level: &Level) -> Self {
+        Self {
+            paid: 0.0,
+            least: level.moving + level.gravity + level.bent,
+            scale: level.moving + level.bent,
+            allowed: 1.0,
+            throughput: 0.0,
+        }
+    }
+
+    /// Takes the work done since the last level, and judges the present one.
+    pub fn judge<R: Real>(&mut self, level: &Level, work: f64) -> Verdict {
+        self.paid += work;
+        self.throughput += work.abs();
+        let free = level.moving + level.gravity - self.paid;
+        // What was gained and is gone again is nothing that there is too much of.
+        self.least = self.least.max(free - level.moving);
+        let gained = free - self.least;
+        self.scale = self.scale.max(level.moving + level.bent - gained.max(0.0));
+        self.least = self.least.min(free + level.bent);
+        // A world at rest has nothing that circulates, and rounding all the same.
+        let rounding = 1024.0 * R::EPSILON * (level.size + self.throughput);
+        Verdict { gained, limit: self.allowed * self.scale + rounding }
+    }
+
+    /// A gain that was looked into, and is none of the step's making, is allowed; the next
+    /// to be looked into is twice as large.
+    pub fn allow(&mut self, gained: f64, times: f64) {
+        let reached = if self.scale > 0.0 { gained / self.scale } else { 0.0 };
+        self.allowed = self.allowed.max(2.0 * reached).max(times);
+    }
+}

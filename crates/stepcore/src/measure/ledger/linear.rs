@@ -1,0 +1,237 @@
+//! The step of joint springs and dampers alone, as a matrix: is it stable, up to which dt,
+//! and how far does a healthy run swing?
+//!
+//! With M, K and D of one tree at the present state, F = [0 1; −M⁻¹K −M⁻¹D] and each
+//! integrator's own map A(dt), measured in the energy norm ½ vᵀMv + ½ xᵀKx. A symplectic
+//! method keeps another energy than this one: it may swing by (1 + z/2)/(1 − z/2),
+//! z = ω dt, and be healthy. ‖Aⁿ‖ for n = 1, 2, 4, … tells that from growth.
+
+use nalgebra::DMatrix;
+
+use crate::model::{Model, Tree};
+use crate::real::Real;
+use crate::settings::Integrator;
+use crate::sim::Sim;
+
+/// Squarings of a map: 2¹⁸ steps.
+const SQUARINGS: u32 = 18;
+/// A spectral radius is above 1 beyond what 2¹⁸ steps of bounded or linear growth can show.
+const GROWS: f64 = 1e-4;
+/// The most dofs of a tree that is looked into.
+const MOST_DOFS: usize = 48;
+
+/// Mass, stiffness and damping of one tree.
+struct Oscillator {
+    mass: DMatrix<f64>,
+    stiffness: Vec<f64>,
+    damping: Vec<f64>,
+}
+
+impl<R: Real> Sim<R> {
+    /// How many times the energy at hand a healthy run of these springs may show; 1 where
+    /// the springs themselves diverge, or do not swing.
+    pub(super) fn swing(&mut self, lane: usize, dt: f64) -> f64 {
+        let integrator = self.settings.integrator;
+        if integrator == Integrator::Explicit {
+            return 1.0;
+        }
+        let all = self.oscillators(lane);
+        let swings = all.iter().map(|one| one.map(integrator, dt)).map(|map| {
+            let [radius, most] = growth(map);
+            if radius > GROWS {
+                1.0
+            } else {
+                // The powers in between may swing further.
+                4.0 * most
+            }
+        });
+        swings.fold(1.0, f64::max)
+    }
+
+    /// The largest stable dt of springs and dampers that are unstable now: None if none is;
+    /// zero if no dt is stable.
+    pub(super) fn spring_limit(&mut self, lane: usize, integrator: Integrator) -> Option<f64> {
+        let dt = self.settings.dt;
+        let limits = self.oscillators(lane).into_iter().filter_map(|one| {
+            if integrator == Integrator::Explicit {
+                return one.explicit_limit().filter(|limit| *limit <= dt);
+            }
+            let unstable = |dt: f64| growth(one.map(integrator, dt))[0] > GROWS;
+            if !unstable(dt) {
+                return None;
+            }
+            let (mut low, mut high) = (0.0, dt);
+            for _ in 0..14 {
+                if !unstable(0.5 * high) {
+                    low = 0.5 * high;
+                    break;
+                }
+                high *= 0.5;
+            }
+            if low == 0.0 {
+                return Some(0.0);
+            }
+            while high - low > 1e-4 * low {
+                let middle = 0.5 * (low + high);
+                if unstable(middle) {
+                    high = middle;
+                } else {
+                    low = middle;
+                }
+            }
+            Some(low)
+        });
+        limits.reduce(f64::min)
+    }
+
+    /// Every tree with a spring or a damper, at the present state.
+    fn oscillators(&mut self, lane: usize) -> Vec<Oscillator> {
+        self.refresh();
+        let model = self.model.clone();
+        let wanted = |tree: &&Tree| {
+            let dofs = tree.dofs.of(&model.dofs);
+            let linear =
+                dofs.iter().any(|dof| dof.damping != 0.0 || stiffness(&model, dof.joint) != 0.0);
+            linear && dofs.len() <= MOST_DOFS
+        };
+        let trees = model.trees.iter().filter(wanted);
+        trees
+            .map(|tree| {
+                let n = tree.dofs.len;
+                let mut mass = DMatrix::zeros(n, n);
+                for (i, dof) in tree.dofs.of(&model.dofs).iter().enumerate() {
+                    for at in dof.row.range() {
+                        let j = model.row_dofs[at] - tree.dofs.start;
+                        let entry = self.placed.mass[at].lane(lane);
+                        (mass[(i, j)], mass[(j, i)]) = (entry, entry);
+                    }
+                }
+                let dofs = tree.dofs.of(&model.dofs);
+                Oscillator {
+                    mass,
+                    stiffness: dofs.iter().map(|dof| stiffness(&model, dof.joint)).collect(),
+                    damping: dofs.iter().map(|dof| dof.damping).collect(),
+                }
+            })
+            .collect()
+    }
+}
+
+fn stiffness(model: &Model, joint: usize) -> f64 {
+    model.joints[joint].stiffness.max(0.0)
+}
+
+impl Oscillator {
+    /// |1 + dt s| < 1 for every eigenvalue s of F: dt < −2 Re s / |s|².
+    fn explicit_limit(&self) -> Option<f64> {
+        let n = self.damping.len();
+        // One step of dt = 1 of the explicit map is 1 + F.
+        let rate = self.map(Integrator::Explicit, 1.0) - DMatrix::identity(2 * n, 2 * n);
+        // What neither swings nor decays stands still, and has no limit.
+        let limit = |s: &nalgebra::Complex<f64>| {
+            let (size, damped) = (s.norm(), -s.re);
+            (size > 1e-9).then_some(if damped < 1e-9 * size {
+                0.0
+            } else {
+                2.0 * damped / size / size
+            })
+        };
+        rate.complex_eigenvalues().iter().filter_map(limit).reduce(f64::min)
+    }
+
+    /// The step in coordinates (√K x, Lᵀ v), M = L Lᵀ, whose square is twice the energy.
+    fn map(&self, integrator: Integrator, dt: f64) -> DMatrix<f64> {
+        let n = self.damping.len();
+        let one = DMatrix::identity(n, n);
+        let root = DMatrix::from_diagonal(&nalgebra::DVector::from_iterator(
+            n,
+            self.stiffness.iter().map(|k| k.sqrt()),
+        ));
+        let damping = DMatrix::from_diagonal(&nalgebra::DVector::from_vec(self.damping.clone()));
+        let Some(factor) = self.mass.clone().cholesky() else { return DMatrix::identity(1, 1) };
+        let lower = factor.l();
+        let Some(inverse) = lower.clone().try_inverse() else { return DMatrix::identity(1, 1) };
+        // ẏ = S w, ẇ = −Sᵀ y − C w with y = √K x, w = Lᵀ v.
+        let s = &root * inverse.transpose();
+        let c = &inverse * &damping * inverse.transpose();
+        let join = |yy: &DMatrix<f64>, yw: DMatrix<f64>, wy: DMatrix<f64>, ww: DMatrix<f64>| {
+            let mut map = DMatrix::zeros(2 * n, 2 * n);
+            map.view_mut((0, 0), (n, n)).copy_from(yy);
+            map.view_mut((0, n), (n, n)).copy_from(&yw);
+            map.view_mut((n, 0), (n, n)).copy_from(&wy);
+            map.view_mut((n, n), (n, n)).copy_from(&ww);
+            map
+        };
+        let implicit = matches!(integrator, Integrator::Euler | Integrator::ImplicitFast);
+        match integrator {
+            Integrator::Midpoint | Integrator::Rk4 => {
+                let zero = DMatrix::zeros(n, n);
+                let rate = join(&zero, s.clone(), -s.transpose(), -c) * dt;
+                let whole = DMatrix::identity(2 * n, 2 * n);
+                if integrator == Integrator::Midpoint {
+                    let left = (&whole - &rate * 0.5).try_inverse();
+                    return left.map_or(whole.clone(), |left| left * (&whole + &rate * 0.5));
+                }
+                let square = &rate * &rate;
+                let cube = &square * &rate;
+                let fourth = &square * &square;
+                whole + rate + square / 2.0 + cube / 6.0 + fourth / 24.0
+            }
+            _ => {
+                // w⁺ = w + dt H (−Sᵀ y − C w), H = (1 + dt C)⁻¹ where damping is implicit.
+                let h = if implicit {
+                    (&one + &c * dt).try_inverse().unwrap_or(one.clone())
+                } else {
+                    one.clone()
+                };
+                let wy = -(&h * s.transpose()) * dt;
+                let ww = &one - &h * &c * dt;
+                if integrator == Integrator::Explicit {
+                    return join(&one, &s * dt, wy, ww);
+                }
+                let yy = &one + &s * &wy * dt;
+                let yw = &s * &ww * dt;
+                join(&yy, yw, wy, ww)
+            }
+        }
+    }
+}
+
+/// ln of the spectral radius, and the most that the energy grows by on the way.
+fn growth(mut map: DMatrix<f64>) -> [f64; 2] {
+    let (mut log, mut most) = (0.0_f64, 1.0_f64);
+    let mut steps = 1.0;
+    for _ in 0..SQUARINGS {
+        let norm = norm(&map);
+        if !norm.is_finite() || norm == 0.0 {
+            return [if norm == 0.0 { 0.0 } else { f64::INFINITY }, most];
+        }
+        log += norm.ln();
+        if 2.0 * log < 600.0 {
+            most = most.max((2.0 * log).exp());
+        }
+        map /= norm;
+        map = &map * &map;
+        log *= 2.0;
+        steps *= 2.0;
+    }
+    [(log + norm(&map).ln()) / steps, most]
+}
+
+/// The 2-norm, by power iteration on AᵀA.
+fn norm(a: &DMatrix<f64>) -> f64 {
+    let n = a.ncols();
+    let mut x = nalgebra::DVector::from_fn(n, |i, _| 1.0 + 0.37 * i as f64);
+    let mut size = 0.0;
+    for _ in 0..20 {
+        let length = x.norm();
+        if length == 0.0 || !length.is_finite() {
+            return length;
+        }
+        x /= length;
+        let y = a * &x;
+        size = y.norm();
+        x = a.transpose() * y;
+    }
+    size
+}

@@ -1,0 +1,352 @@
+//! What each element did in one step: its impulse, the work of that impulse, and what it
+//! stored meanwhile. Written only when a step is gone through again after a failure.
+//!
+//! With v̄ = (v + v⁺)/2 and an impulse P = M (v⁺ − v) made of the parts P_e, the change of
+//! ½ vᵀMv is exactly Σ v̄ᵀP_e where M does not move. An element's *gain* is v̄ᵀP_e plus the
+//! change of what it stores (½ k s² of a spring, −m g·c of gravity, ½ k φ² of a penalty
+//! contact): zero in an exact motion, negative where it dissipates. What is left of ΔE in a
+//! tree is the integrator's own, charged to the tree's inertial forces, which exactly do none.
+
+use std::collections::BTreeMap;
+
+use crate::error::{named, Result};
+use crate::model::{Model, NONE};
+use crate::place::stretch;
+use crate::real::{Mask, Real};
+use crate::settings::{Integrator, Law};
+use crate::sim::Sim;
+use crate::solve::Source;
+use crate::spatial::V3;
+
+/// Generalised impulses by element, while a step is written down.
+pub(crate) struct Tape {
+    lane: usize,
+    impulses: BTreeMap<String, Vec<f64>>,
+    /// Of the bias forces, by dof.
+    bias: Vec<f64>,
+}
+
+/// One step: what every element fed in [J], and the energies before and after.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Entry {
+    pub gains: BTreeMap<String, f64>,
+    /// Kinetic and stored energy, gravity's left out [J].
+    pub before: f64,
+    pub after: f64,
+}
+
+/// Energies at a state: kinetic by tree, stored by element, and what gravity has.
+pub(crate) struct Levels {
+    kinetic: Vec<f64>,
+    stored: BTreeMap<String, f64>,
+}
+
+const GRAVITY: &str = "gravity";
+/// Of sums of a few hundred terms, and what f32 adds is left as it is.
+const ROUNDING: f64 = 1e-13;
+
+impl Levels {
+    /// Kinetic and stored energy without gravity's, which has no natural zero.
+    pub fn circulating(&self) -> f64 {
+        let stored = self.stored.iter().filter(|(name, _)| *name != GRAVITY).map(|(_, x)| x);
+        self.kinetic.iter().chain(stored).sum()
+    }
+}
+
+impl Tape {
+    fn add(&mut self, name: String, nv: usize, from: usize, parts: &[f64]) {
+        if parts.iter().all(|x| *x == 0.0) {
+            return;
+        }
+        let impulse = self.impulses.entry(name).or_insert_with(|| vec![0.0; nv]);
+        for (sum, part) in impulse[from..].iter_mut().zip(parts) {
+            *sum += part;
+        }
+    }
+}
+
+impl<R: Real> Sim<R> {
+    /// Takes one step and writes down what each element did in it, in one lane.
+    pub fn taped_step(&mut self, lane: usize) -> Result<Entry> {
+        let model = self.model.clone();
+        let v0: Vec<f64> = self.state.qvel.iter().map(|v| v.lane(lane)).collect();
+        let before = self.levels(lane);
+        self.tape =
+            Some(Box::new(Tape { lane, impulses: BTreeMap::new(), bias: vec![0.0; model.nv] }));
+        let outcome = self.step(1);
+        let tape = self.tape.take();
+        outcome?;
+        let (mut impulses, bias) = tape.map(|tape| (tape.impulses, tape.bias)).unwrap_or_default();
+        let v1: Vec<f64> = self.state.qvel.iter().map(|v| v.lane(lane)).collect();
+        if self.damps_implicitly() {
+            for (index, joint) in model.joints.iter().enumerate() {
+                if let Some(impulse) =
+                    impulses.get_mut(&named("damper of joint", &joint.name, index))
+                {
+                    for k in joint.dof..joint.dof + joint.dofs() {
+                        impulse[k] = -self.settings.dt * model.dofs[k].damping * v1[k];
+                    }
+                }
+            }
+        }
+        let after = self.levels(lane);
+        let mean: Vec<f64> = v0.iter().zip(&v1).map(|(a, b)| 0.5 * (a + b)).collect();
+        Ok(entry(&model, &impulses, &bias, &mean, &before, &after))
+    }
+
+    fn damps_implicitly(&self) -> bool {
+        match self.settings.integrator {
+            Integrator::Euler => self.model.features.eulerdamp,
+            integrator => integrator == Integrator::ImplicitFast,
+        }
+    }
+
+    /// A stage that counts `weight` of the step was solved, with rows or without.
+    #[inline]
+    pub(crate) fn tape_stage(&mut self, weight: f64, rows: bool) {
+        if self.tape.is_some() {
+            self.tape_smooth(weight);
+            if rows {
+                self.tape_rows(weight);
+            }
+        }
+    }
+
+    /// The rows of a whole step were solved.
+    #[inline]
+    pub(crate) fn tape_solve(&mut self) {
+        if self.tape.is_some() {
+            self.tape_rows(1.0);
+        }
+    }
+
+    /// Adds the impulses of the smooth forces.
+    #[cold]
+    fn tape_smooth(&mut self, weight: f64) {
+        let Some(mut tape) = self.tape.take() else { return };
+        let (model, lane) = (self.model.clone(), tape.lane);
+        let share = weight * self.settings.dt;
+        let nv = model.nv;
+        for (sum, bias) in tape.bias.iter_mut().zip(&self.placed.bias) {
+            *sum -= share * bias.lane(lane);
+        }
+        for (index, joint) in model.joints.iter().enumerate() {
+            let dofs = joint.dof..joint.dof + joint.dofs();
+            let damping = |k: usize| model.dofs[k].damping * self.state.qvel[k].lane(lane);
+            let damper: Vec<f64> = dofs.clone().map(|k| -share * damping(k)).collect();
+            tape.add(named("damper of joint", &joint.name, index), nv, joint.dof, &damper);
+            let passive = |k: usize| self.placed.passive[k].lane(lane);
+            let spring: Vec<f64> =
+                dofs.clone().map(|k| share * (passive(k) + damping(k))).collect();
+            if joint.stiffness != 0.0 {
+                tape.add(named("spring of joint", &joint.name, index), nv, joint.dof, &spring);
+            }
+            let applied = |k: usize| share * self.inputs.qfrc_applied[k].lane(lane);
+            let applied: Vec<f64> = dofs.map(applied).collect();
+            tape.add(named("force applied to joint", &joint.name, index), nv, joint.dof, &applied);
+        }
+        for (index, motor) in model.actuators.iter().enumerate() {
+            let joint = &model.joints[motor.joint];
+            let force = share * self.placed.actuator[index].lane(lane);
+            let parts: Vec<f64> = (0..joint.dofs()).map(|k| motor.gear[k] * force).collect();
+            tape.add(named("motor", &motor.name, index), nv, joint.dof, &parts);
+        }
+        let still = V3::<f64>::zeros();
+        for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.tree != NONE) {
+            if model.features.gravity && body.mass > 0.0 {
+                let weight = model.gravity * (share * body.mass);
+                tape.add(GRAVITY.into(), nv, 0, &self.on_dofs(index, lane, &weight, &still));
+            }
+            let given = &self.inputs.xfrc_applied[6 * index..6 * index + 6];
+            let given: Vec<f64> = given.iter().map(|x| share * x.lane(lane)).collect();
+            if given.iter().any(|x| *x != 0.0) {
+                let (force, moment) = given.split_at(3);
+                let force = V3::new(force[0], force[1], force[2]);
+                let moment = V3::new(moment[0], moment[1], moment[2]);
+                let parts = self.on_dofs(index, lane, &force, &moment);
+                tape.add(named("force applied to body", &body.name, index), nv, 0, &parts);
+            }
+        }
+        self.tape = Some(tape);
+    }
+
+    /// Adds the impulses of the rows and penalty contacts that were solved just now.
+    #[cold]
+    fn tape_rows(&mut self, weight: f64) {
+        let Some(mut tape) = self.tape.take() else { return };
+        let (model, lane) = (self.model.clone(), tape.lane);
+        for block in self.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
+            let mut impulse = vec![R::zero(); model.nv];
+            for row in &self.rows.rows[block.rows.range()] {
+                let dofs = row.dofs.of(&model.dof_lists);
+                for (k, y) in dofs.iter().zip(&self.rows.y[row.y..]) {
+                    impulse[*k] += *y * row.impulse;
+                }
+            }
+            self.placed.metric.lower(&mut impulse);
+            let impulse: Vec<f64> = impulse.iter().map(|x| weight * x.lane(lane)).collect();
+            tape.add(self.source_name(block.source), model.nv, 0, &impulse);
+        }
+        if self.settings.law == Law::Penalty {
+            for index in 0..self.detected.contacts.len() {
+                let mut impulse = self.penalty_force(index, lane);
+                impulse.iter_mut().for_each(|x| *x *= weight * self.settings.dt);
+                tape.add(self.source_name(Source::Contact(index)), model.nv, 0, &impulse);
+            }
+        }
+        self.tape = Some(tape);
+    }
+
+    /// A force at a body's centre of mass and a moment, in world axes, on the dofs.
+    fn on_dofs(&self, body: usize, lane: usize, force: &V3<f64>, moment: &V3<f64>) -> Vec<f64> {
+        let model = &*self.model;
+        let mut out = vec![0.0; model.nv];
+        let arm = self.centre(body) - self.placed.origin[model.bodies[body].tree];
+        let arm = lane_of(&arm, lane);
+        for &k in model.bodies[body].chain.of(&model.dof_lists) {
+            let motion = &self.placed.motion[k];
+            let (ang, lin) = (lane_of(&motion.ang, lane), lane_of(&motion.lin, lane));
+            out[k] = force.dot(&(lin + ang.cross(&arm))) + moment.dot(&ang);
+        }
+        out
+    }
+
+    /// How a contact's normal distance changes with every dof.
+    pub(crate) fn contact_jacobian(&self, index: usize, lane: usize) -> Vec<f64> {
+        let model = &*self.model;
+        let contact = &self.detected.contacts[index];
+        let pair = &model.pairs[contact.pair];
+        let (normal, pos) = (lane_of(&contact.normal, lane), lane_of(&contact.pos, lane));
+        let mut out = vec![0.0; model.nv];
+        for (geom, sign) in [(pair.geom1, -1.0), (pair.geom2, 1.0)] {
+            let body = &model.bodies[model.geoms[geom].body];
+            if body.tree == NONE {
+                continue;
+            }
+            let arm = pos - lane_of(&self.placed.origin[body.tree], lane);
+            for &k in body.chain.of(&model.dof_lists) {
+                let motion = &self.placed.motion[k];
+                let (ang, lin) = (lane_of(&motion.ang, lane), lane_of(&motion.lin, lane));
+                out[k] += sign * normal.dot(&(lin + ang.cross(&arm)));
+            }
+        }
+        out
+    }
+
+    /// Stiffness [N/m] and damping [N·s/m] of a penalty contact along its normal.
+    pub(crate) fn penalty_law(&self, jacobian: &[f64]) -> [f64; 2] {
+        let mut x: Vec<R> = jacobian.iter().map(|x| R::of(*x)).collect();
+        self.placed.metric.solve(&mut x);
+        let a: f64 = x.iter().zip(jacobian).map(|(x, j)| x.lane(0) * j).sum();
+        let k = self.settings.penalty_stiffness;
+        let mass = if a > 0.0 { 1.0 / a } else { 0.0 };
+        [k, 2.0 * self.settings.penalty_damping_ratio * (k * mass).sqrt()]
+    }
+
+    /// The generalised force of a penalty contact: see `solve/contact.rs`.
+    fn penalty_force(&self, index: usize, lane: usize) -> Vec<f64> {
+        let contact = &self.detected.contacts[index];
+        let dist = contact.dist.lane(lane);
+        if !contact.mask.lane(lane) || dist >= 0.0 {
+            return vec![0.0; self.model.nv];
+        }
+        let mut jacobian = self.contact_jacobian(index, lane);
+        let [k, damping] = self.penalty_law(&jacobian);
+        let speed: f64 = jacobian.iter().zip(&self.state.qvel).map(|(j, v)| j * v.lane(lane)).sum();
+        let force = -k * dist - damping * speed;
+        jacobian.iter_mut().for_each(|x| *x *= force);
+        jacobian
+    }
+
+    /// Energies at the present state of one lane.
+    pub(crate) fn levels(&mut self, lane: usize) -> Levels {
+        self.refresh();
+        let model = self.model.clone();
+        let mut kinetic = vec![0.0; model.trees.len()];
+        for (k, dof) in model.dofs.iter().enumerate() {
+            let v = self.state.qvel[k].lane(lane);
+            for (nth, at) in dof.row.range().enumerate() {
+                let other = self.state.qvel[model.row_dofs[at]].lane(lane);
+                let half = if nth == 0 { 0.5 } else { 1.0 };
+                kinetic[dof.tree] += half * self.placed.mass[at].lane(lane) * v * other;
+            }
+        }
+        let mut stored = BTreeMap::new();
+        for (index, joint) in model.joints.iter().enumerate().filter(|(_, j)| j.stiffness != 0.0) {
+            let (away, count) = stretch(&model, joint, &self.state.qpos);
+            let square: f64 = away[..count].iter().map(|s| s.lane(lane).powi(2)).sum();
+            stored.insert(
+                named("spring of joint", &joint.name, index),
+                0.5 * joint.stiffness * square,
+            );
+        }
+        if model.features.gravity {
+            let moving = model.bodies.iter().enumerate().filter(|(_, body)| body.tree != NONE);
+            let weigh = |(index, body): (usize, &crate::model::Body)| {
+                -body.mass * model.gravity.dot(&lane_of(&self.centre(index), lane))
+            };
+            stored.insert(GRAVITY.into(), moving.map(weigh).sum());
+        }
+        if self.settings.law == Law::Penalty {
+            self.detected.detect(&model, &self.placed, &self.settings);
+            for index in 0..self.detected.contacts.len() {
+                let contact = &self.detected.contacts[index];
+                let depth = contact.dist.lane(lane).min(0.0);
+                let name = self.source_name(Source::Contact(index));
+                if contact.mask.lane(lane) {
+                    *stored.entry(name).or_insert(0.0) +=
+                        0.5 * self.settings.penalty_stiffness * depth * depth;
+                }
+            }
+        }
+        Levels { kinetic, stored }
+    }
+}
+
+/// Gains out of impulses and levels; what is left in a tree goes to its inertial forces.
+fn entry(
+    model: &Model,
+    impulses: &BTreeMap<String, Vec<f64>>,
+    bias: &[f64],
+    mean: &[f64],
+    before: &Levels,
+    after: &Levels,
+) -> Entry {
+    let mut gains: BTreeMap<String, f64> = BTreeMap::new();
+    // What was taken off, in size: a difference that is only rounding beside it is none.
+    let mut size: Vec<f64> =
+        after.kinetic.iter().zip(&before.kinetic).map(|(after, before)| after + before).collect();
+    let mut left: Vec<f64> =
+        after.kinetic.iter().zip(&before.kinetic).map(|(after, before)| after - before).collect();
+    for (name, impulse) in impulses {
+        for (k, (impulse, mean)) in impulse.iter().zip(mean).enumerate() {
+            *gains.entry(name.clone()).or_insert(0.0) += impulse * mean;
+            left[model.dofs[k].tree] -= impulse * mean;
+            size[model.dofs[k].tree] += (impulse * mean).abs();
+        }
+    }
+    for name in before.stored.keys().chain(after.stored.keys()) {
+        gains.entry(name.clone()).or_insert(0.0);
+    }
+    for (name, gain) in &mut gains {
+        let of = |levels: &Levels| levels.stored.get(name).copied().unwrap_or(0.0);
+        *gain += of(after) - of(before);
+    }
+    for ((tree, left), size) in model.trees.iter().zip(left).zip(size) {
+        if left.abs() <= ROUNDING * size {
+            continue;
+        }
+        // Named by the joint on which they worked most.
+        let weight = |k: usize| impulses.get(GRAVITY).map_or(0.0, |gravity| gravity[k]);
+        let worked = |k: &usize| ((bias[*k] - weight(*k)) * mean[*k]).abs();
+        let most = tree.dofs.range().max_by(|a, b| worked(a).total_cmp(&worked(b)));
+        let joint = model.dofs[most.unwrap_or(tree.dofs.start)].joint;
+        let name = named("inertial force of joint", &model.joints[joint].name, joint);
+        *gains.entry(name).or_insert(0.0) += left;
+    }
+    Entry { gains, before: before.circulating(), after: after.circulating() }
+}
+
+fn lane_of<R: Real>(v: &V3<R>, lane: usize) -> V3<f64> {
+    V3::new(v.x.lane(lane), v.y.lane(lane), v.z.lane(lane))
+}

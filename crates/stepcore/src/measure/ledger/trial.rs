@@ -1,0 +1,175 @@
+//! The last steps again, from a milestone and with other steps: is a gain of the step's making?
+
+use super::{Ledger, Milestone};
+use crate::model::Model;
+use crate::real::Real;
+use crate::settings::Settings;
+use crate::sim::Sim;
+use crate::state::{Inputs, State};
+
+/// A gain beside `scale` below which all is well.
+const WELL: f64 = 0.1;
+/// Steps that the search for a stable dt may take.
+const MOST_STEPS: f64 = 40_000.0;
+
+/// A stretch of one world's run: where it starts, and its inputs by step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Course<R: Real> {
+    pub state: State<R>,
+    pub inputs: Inputs<R>,
+    /// Steps done since the start before each change of the inputs.
+    pub changes: Vec<(u64, Inputs<R>)>,
+    pub steps: u64,
+}
+
+impl<R: Real> Ledger<R> {
+    /// One world's run from the last milestone at which all was well to step `until`.
+    pub(crate) fn course(&self, model: &Model, lane: usize, until: u64) -> Option<Course<R>> {
+        let mut kept: Vec<&Milestone<R>> = Vec::new();
+        for milestone in self.newest_first() {
+            kept.push(milestone);
+            if milestone.gained[lane] <= WELL && milestone.state.steps < until {
+                break;
+            }
+        }
+        let first = kept.pop()?;
+        let (mut inputs, mut changes) = (first.inputs.clone(), Vec::new());
+        for milestone in [first].into_iter().chain(kept.into_iter().rev()) {
+            if milestone.state.steps > first.state.steps {
+                inputs = milestone.inputs.clone();
+                changes.push((milestone.state.steps - first.state.steps, inputs.clone()));
+            }
+            let mut at = 0;
+            for (steps, changed) in &milestone.changes {
+                for (array, changed) in inputs.arrays_mut().into_iter().zip(changed) {
+                    if *changed {
+                        let count = array.len();
+                        array.copy_from_slice(&milestone.numbers[at..at + count]);
+                        at += count;
+                    }
+                }
+                inputs.applied = inputs.any_applied();
+                changes.push((steps - first.state.steps, inputs.clone()));
+            }
+        }
+        let mut course = Course {
+            state: first.state.clone(),
+            inputs: first.inputs.clone(),
+            changes,
+            steps: until.checked_sub(first.state.steps)?,
+        };
+        course.spread(lane);
+        course.changes.retain(|(step, _)| *step < course.steps.max(1));
+        debug_assert_eq!(model.nv, course.state.qvel.len());
+        Some(course)
+    }
+}
+
+impl<R: Real> Course<R> {
+    /// One lane's numbers into all lanes.
+    pub(crate) fn spread(&mut self, lane: usize) {
+        let all = |list: &mut [R]| list.iter_mut().for_each(|x| *x = R::of(x.lane(lane)));
+        all(&mut self.state.qpos);
+        all(&mut self.state.qvel);
+        for warm in &mut self.state.warm {
+            all(&mut warm.impulse);
+        }
+        for inputs in
+            [&mut self.inputs].into_iter().chain(self.changes.iter_mut().map(|c| &mut c.1))
+        {
+            inputs.arrays_mut().into_iter().for_each(all);
+        }
+    }
+
+    /// A world of its own that stands at the start.
+    pub(crate) fn world(&self, of: &Sim<R>) -> Option<Sim<R>> {
+        let settings = Settings { ledger: false, ..of.settings.clone() };
+        let mut sim = Sim::new(of.model.clone(), settings).ok()?;
+        sim.state = self.state.clone();
+        sim.inputs = self.inputs.clone();
+        Some(sim)
+    }
+
+    /// The inputs that hold before step `step`.
+    fn inputs_at(&self, step: u64) -> &Inputs<R> {
+        let last = self.changes.iter().rev().find(|(from, _)| *from <= step);
+        last.map_or(&self.inputs, |(_, inputs)| inputs)
+    }
+
+    /// Lets `each` do every step, with the inputs in place.
+    pub(crate) fn play<T>(
+        &self,
+        sim: &mut Sim<R>,
+        mut each: impl FnMut(&mut Sim<R>) -> Option<T>,
+    ) -> Option<Vec<T>> {
+        let mut done = Vec::new();
+        for step in 0..self.steps {
+            if let Some((_, inputs)) = self.changes.iter().rev().find(|(from, _)| *from == step) {
+                sim.inputs = inputs.clone();
+            }
+            done.push(each(sim)?);
+        }
+        Some(done)
+    }
+
+    /// What the whole stretch gains with steps of dt / `parts`, and the energy that
+    /// circulates; None if it leaves the finite numbers.
+    fn gain(&self, of: &Sim<R>, dt: f64, lane: usize) -> Option<[f64; 2]> {
+        let settings = Settings { ledger: true, dt, ..of.settings.clone() };
+        let mut sim = Sim::new(of.model.clone(), settings).ok()?;
+        sim.state = self.state.clone();
+        sim.state.warm.clear();
+        sim.ledger.as_mut()?.quiet = true;
+        let whole = self.steps as f64 * of.settings.dt;
+        let steps = (whole / dt).round() as u64;
+        for step in 0..steps {
+            let before = ((step as f64 + 0.5) * dt / of.settings.dt) as u64;
+            sim.inputs.clone_from(self.inputs_at(before));
+            sim.step(1).ok()?;
+        }
+        sim.total(lane)
+    }
+
+    /// The largest of dt/2, dt/4, … with which the stretch gains nothing to speak of.
+    pub(crate) fn halved(&self, of: &Sim<R>, lane: usize) -> Option<f64> {
+        let dt = of.settings.dt;
+        let now = self.gain(of, dt, lane).map(|[gained, _]| gained);
+        let mut left = MOST_STEPS;
+        for halvings in 1..=8 {
+            let smaller = dt / f64::from(1 << halvings);
+            left -= self.steps as f64 * dt / smaller;
+            if left < 0.0 {
+                return None;
+            }
+            if self.holds(of, smaller, lane, now) {
+                return Some(smaller);
+            }
+        }
+        None
+    }
+
+    /// With steps of `dt` it stays within `swing` times the energy that circulates.
+    pub(crate) fn swings(&self, of: &Sim<R>, dt: f64, lane: usize, swing: f64) -> bool {
+        self.gain(of, dt, lane).is_some_and(|[gained, scale]| gained <= swing * scale)
+    }
+
+    /// With steps of `dt` nothing is gained to speak of,
+    /// and little beside what is gained `now`.
+    pub(crate) fn holds(&self, of: &Sim<R>, dt: f64, lane: usize, now: Option<f64>) -> bool {
+        let little = 0.05 * now.unwrap_or(f64::INFINITY);
+        let small = |[gained, scale]: [f64; 2]| gained <= (0.25 * scale).min(little);
+        self.gain(of, dt, lane).is_some_and(small)
+    }
+}
+
+impl<R: Real> Sim<R> {
+    /// Whether the gain of the last stretch comes from the size of the step.
+    pub(super) fn smaller_steps_gain_less(&self, ledger: &Ledger<R>, lane: usize) -> bool {
+        let Some(course) = ledger.course(&self.model, lane, self.state.steps) else { return true };
+        let dt = self.settings.dt;
+        let Some([now, _]) = course.gain(self, dt, lane) else { return true };
+        [4.0, 16.0].iter().any(|parts| {
+            course.gain(self, dt / parts, lane).is_some_and(|[less, _]| less < 0.5 * now)
+        })
+    }
+}

@@ -1,0 +1,269 @@
+"""A run that fails says which step, which element, how fast, which dt; and can be run again."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from small import ball, pendulum, unstable
+
+import stepcore as sc
+from stepcore import lesson
+from stepcore.cli import main
+
+
+def fails(scene, steps=100_000, start=None, key=None, **settings):
+    """The error of a run that must fail, and its Sim."""
+    sim = sc.Sim(scene, **settings)
+    if key:
+        sim.reset(key)
+    if start:
+        start(sim)
+    with pytest.raises(sc.SimulationError) as caught:
+        sim.step(steps)
+    return caught.value, sim
+
+
+def spring(z, **settings):
+    """The lesson's spring (ω = 10 /s) at ω dt = z."""
+    return fails(lesson.spring(), key="start", dt=z / 10, **({"ledger": True} | settings))
+
+
+# What is said.
+
+
+@pytest.mark.parametrize("z", [2.02, 2.05, 2.5])
+def test_a_spring_beyond_its_limit(z):
+    """Semi-implicit: the energy grows by exp(2 acosh(z²/2 − 1)) a step; stable below z = 2."""
+    error, sim = spring(z, integrator="semi-implicit")
+    assert error.gained and error.element == "spring of joint `spring`"
+    assert error.shares[error.element] > 0.99
+    assert error.growth == pytest.approx(2 * math.acosh(z * z / 2 - 1) / (z / 10), rel=0.02)
+    assert error.stable_dt == pytest.approx(0.2, rel=2e-4)
+    assert error.time == sim.time and np.isfinite(sim.qpos).all()
+    text = str(error)
+    assert "\n" not in text and f"step {error.step}" in text and "spring of joint `spring`" in text
+
+
+def test_damping_moves_the_limit():
+    """Semi-implicit with an explicit damper: z² + 4 ζ z < 4."""
+    zeta = 0.1
+    scene = lesson.spring(damping=2 * zeta * 10)
+    error, _ = fails(scene, key="start", dt=0.185, integrator="semi-implicit", ledger=True)
+    assert error.stable_dt == pytest.approx((math.sqrt(4 + 4 * zeta**2) - 2 * zeta) / 10, rel=2e-4)
+
+
+def test_explicit_euler_feeds_an_oscillator_at_every_dt():
+    """The energy grows by 1 + z² a step, and doubles long before anything overflows."""
+    z = 0.05
+    error, sim = spring(z, integrator="explicit")
+    assert error.gained and error.element == "spring of joint `spring`"
+    assert 2.0 <= (1 + z * z) ** error.step < 3.0
+    assert error.growth == pytest.approx(math.log(1 + z * z) / (z / 10), rel=0.02)
+    assert error.stable_dt is None and "no dt is stable" in str(error)
+    assert sum(sim.energy) == pytest.approx(50 * (1 + z * z) ** error.step)
+
+
+def test_the_penalty_contact_of_the_lesson():
+    error, _ = fails(
+        lesson.drop(law="penalty"), key="start", penalty_stiffness=1e6, dt=2e-3, ledger=True
+    )
+    assert error.element == "contact `floor`/`shape0`" and error.shares[error.element] > 0.9
+    assert error.stable_dt is not None and error.stable_dt <= 1e-3
+
+
+@pytest.mark.parametrize("integrator", ["semi-implicit", "explicit"])
+def test_a_spinning_plate_is_fed_by_the_integrator_itself(integrator):
+    scene = sc.Scene(gravity=(0, 0, 0))
+    plate = scene.add_body("plate", mass=1.0, inertia=(1.0, 2.0, 2.9))
+    scene.add_joint(plate, "free", name="root")
+
+    def spin(sim):
+        sim.qvel[3:] = [0.01, 30.0, 0.01]
+
+    error, _ = fails(scene, start=spin, dt=0.01, integrator=integrator, ledger=True)
+    assert error.gained and error.element == "inertial force of joint `root`"
+    assert error.shares[error.element] > 0.99
+    assert error.stable_dt is not None and error.stable_dt < 0.01
+
+
+def test_without_a_ledger_the_kept_states_tell():
+    error, sim = fails(unstable(), start=lambda sim: sim.qpos.fill(1.0))
+    assert not error.gained and error.element == "spring of joint `wild`"
+    # ω dt = 10: exp(2 acosh(49)) a step.
+    assert error.growth == pytest.approx(2 * math.acosh(49) / 0.1, rel=1e-3)
+    assert error.stable_dt == pytest.approx(0.02, rel=2e-4)
+    again = error.replay.run()
+    assert again.same and error.replay.steps == 0
+    assert error.step == round(sim.time / 0.1)
+
+
+def test_a_force_that_overflows_is_named_in_its_first_step():
+    sim = sc.Sim(ball(), ledger=True)
+    sim.step(10)
+    sim.qfrc_applied[:] = 1e300
+    with pytest.raises(sc.SimulationError) as caught:
+        sim.step(50)
+    assert caught.value.element == "force applied to joint `root`"
+    assert caught.value.replay.run().same
+
+
+# The account.
+
+
+def test_gains_add_up_to_the_change_of_energy():
+    """In every step, whatever acts: Σ gains = ΔE to rounding."""
+    for integrator in ("explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4"):
+        sim = sc.Sim(pendulum(), dt=0.01, integrator=integrator)
+        sim.ctrl[:] = 0.4
+        sim.qfrc_applied[:] = [0.3, -0.1]
+        sim.xfrc_applied[2] = [1, 2, 3, 0.1, 0.2, 0.3]
+        seen = set()
+        for _ in range(60):
+            before = sum(sim.energy)
+            gains = sim._core.taped_step()[2]
+            assert sum(gains.values()) == pytest.approx(sum(sim.energy) - before, abs=1e-12)
+            seen |= set(gains)
+        assert {"motor `motor`", "gravity", "damper of joint `shoulder`"} <= seen
+        assert {"force applied to joint `elbow`", "force applied to body `lower`"} <= seen
+        assert "contact `tip`/`floor`" in seen or "contact `floor`/`tip`" in seen
+
+
+def test_midpoint_makes_no_energy_of_its_own():
+    """Implicit midpoint on a spring: the spring takes back exactly what it gave."""
+    sim = sc.Sim(lesson.spring(), dt=0.05, integrator="midpoint")
+    sim.reset("start")
+    for _ in range(50):
+        before, after, gains = sim._core.taped_step()
+        assert after == pytest.approx(before, rel=1e-13)
+        assert abs(gains["spring of joint `spring`"]) < 1e-12 * before
+
+
+@pytest.mark.parametrize("integrator", ["semi-implicit", "implicitfast", "rk4"])
+def test_the_motion_does_not_depend_on_the_ledger(integrator):
+    twins = [sc.Sim(pendulum(), integrator=integrator, ledger=on) for on in (False, True)]
+    rng = np.random.default_rng(1)
+    for _ in range(150):
+        ctrl = rng.uniform(-1, 1)
+        for sim in twins:
+            sim.ctrl[:] = ctrl
+            sim.step(3)
+    assert twins[0].state() == twins[1].state()
+
+
+# No false alarms: none of these may raise.
+
+
+@pytest.mark.parametrize("z", [0.5, 1.9, 1.99, 1.999, 1.9999])
+def test_a_spring_below_its_limit_swings_and_stays(z):
+    sim = sc.Sim(lesson.spring(), dt=z / 10, integrator="semi-implicit", ledger=True)
+    sim.reset("start")
+    sim.step(20_000)
+
+
+@pytest.mark.parametrize("law", ["solref", "lesson", "rigid", "penalty"])
+def test_what_is_pressed_in_comes_out(law):
+    sim = sc.Sim(ball(law=law, solver="pgs"), dt=1e-3, ledger=True)
+    sim.qpos[2] = 0.02
+    sim.step(3000)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_bounces(restitution):
+    scene = ball(law="rigid", solver="pgs", restitution=restitution)
+    sim = sc.Sim(scene, dt=1e-3, ledger=True)
+    sim.qpos[2] = 1.0
+    sim.qvel[3:] = [3.0, 0.0, 5.0]
+    sim.step(5000)
+
+
+def test_what_falls_for_ever():
+    sim = sc.Sim(pendulum(), integrator="explicit", ledger=True)
+    sim.step(2000)
+    free = sc.Sim(unstable(dt=1e-3), ledger=True)
+    free.step(2000)
+
+
+# Running again.
+
+
+def controlled(sim, steps):
+    rng = np.random.default_rng(5)
+    for _ in range(steps):
+        sim.ctrl[:] = rng.uniform(-1, 1)
+        sim.qfrc_applied[1] = rng.uniform(-0.1, 0.1)
+        sim.step()
+
+
+def wild_pendulum(**settings):
+    scene = pendulum(dt=0.01, integrator="semi-implicit", **settings)
+    scene.joint("elbow").stiffness = 2e4
+    return scene
+
+
+@pytest.mark.parametrize("precision", ["f64", "f32"])
+def test_a_replay_is_the_same_failure(tmp_path, precision):
+    sim = sc.Sim(wild_pendulum(), ledger=True, precision=precision)
+    with pytest.raises(sc.SimulationError) as caught:
+        controlled(sim, 5000)
+    error = caught.value
+    assert error.element == "spring of joint `elbow`"
+    path = tmp_path / "failure.json"
+    error.replay.save(path)
+    again = sc.replay(path)
+    assert again.same and again.paragraph == str(error)
+    assert again.time[-1] == pytest.approx(error.time, abs=1e-12)
+    assert len(again.time) == error.replay.steps > 0
+    # Told otherwise, it is not the same.
+    error.replay.happened["state"] = "0" * 64
+    assert not error.replay.run().same
+
+
+def test_an_error_and_its_replay_pickle():
+    error, _ = spring(2.05)
+    twin = pickle.loads(pickle.dumps(error))
+    assert twin.replay == error.replay and twin.replay.run().same
+    assert (str(twin), twin.shares, twin.growth) == (str(error), error.shares, error.growth)
+
+
+def test_a_file_that_is_none_or_damaged_or_of_another_version(tmp_path):
+    error, _ = spring(2.05)
+    text = error.replay.to_json()
+    path = tmp_path / "failure.json"
+    damaged = [
+        ("", "not a replay file"),
+        (text[: len(text) // 2], "not a replay file, or cut short"),
+        ("[]", "not a replay file"),
+        ('{"kind": "something"}', "not a replay file"),
+        (text.replace('"version": 1', '"version": 99'), "version 99"),
+        (text.replace('"steps": 64', '"steps": 63'), "changed or damaged"),
+        (text.replace('"state": "c3Rl', '"state": "d3Rl'), "changed or damaged"),
+        (text.replace('"gravity"', '"levity"'), "changed or damaged"),
+    ]
+    for bad, reason in damaged:
+        path.write_text(bad)
+        with pytest.raises(ValueError, match=reason) as caught:
+            sc.replay(path)
+        assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+    with pytest.raises(FileNotFoundError):
+        sc.replay(tmp_path / "none.json")
+    with pytest.raises(ValueError, match="must be a path or a Replay"):
+        sc.replay(3)
+
+
+def test_the_command_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = ["run", "lesson:spring", "--dt", "0.205", "--duration", "100"]
+    assert main([*run, "--set", "integrator=semi-implicit"]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "stepcore replay spring-step64.replay.json" in said
+    assert main([*run, "--replay", "chosen.json"]) == 1
+    capsys.readouterr()
+    assert main(["replay", "chosen.json", "--plot", "work.png", "--json"]) == 0
+    assert '"same": true' in capsys.readouterr().out
+    assert (tmp_path / "work.png").stat().st_size > 10_000
+    assert main(["replay", "chosen.json"]) == 0
+    assert "with the same bits" in capsys.readouterr().out
+    assert main(["replay", "work.png"]) == 2
+    assert main([*run, "--replay", "nowhere/x.json"]) == 2
+    assert main([*run, "--set", "ledger=false", "--duration", "2.05"]) == 0
