@@ -145,7 +145,8 @@ impl<R: Real> Sim<R> {
     /// The world of lane 0 in other numbers, as accurate as `f64`: the same model, settings,
     /// state and inputs.
     pub fn in_doubles<Q: Real>(&self) -> Result<Sim<Q>> {
-        let settings = Settings { precision: Precision::F64, ..self.settings.clone() };
+        let settings =
+            Settings { precision: Precision::F64, ledger: false, ..self.settings.clone() };
         let mut sim = Sim::<Q>::new(self.model.clone(), settings)?;
         let plain = |list: &[R]| list.iter().map(|x| x.lane(0)).collect::<Vec<_>>();
         let given = [

@@ -22,7 +22,13 @@ KIND = "stepcore replay"
 # Goes up when the layout of the file changes.
 VERSION = 1
 # The fields of a file, with what JSON makes of them.
-FIELDS = {"name": str, "scene": dict, "settings": dict, "state": str, "inputs": list}
+FIELDS: dict[str, type] = {
+    "name": str,
+    "scene": dict,
+    "settings": dict,
+    "state": str,
+    "inputs": list,
+}
 FIELDS |= {"steps": int, "happened": dict}
 
 

@@ -32,6 +32,16 @@ class PostMortem(Result):
     motion and the change of what it stores, so that the sum of all is the change of the whole
     energy, gravity's included; an exact motion of a conservative element feeds in nothing.
     shares: its part of the growth, the largest first.
+
+    >>> import stepcore as sc
+    >>> sim = sc.Sim(sc.lesson.spring(), dt=0.1, integrator="explicit", ledger=True)
+    >>> sim.reset("start")
+    >>> try:
+    ...     sim.step(1000)
+    ... except sc.SimulationError as error:
+    ...     again = error.replay.run()
+    >>> bool(again.energy[-1] > 1e9 * again.energy[0]), list(again.shares)
+    (True, ['spring of joint `spring`'])
     """
 
     replay: Replay

@@ -27,10 +27,12 @@ impl<R: Real> Sim<R> {
         error
     }
 
-    /// The element that became the strongest on the way to the present state of a lane.
-    pub(crate) fn strongest(&mut self, lane: usize) -> String {
+    /// The element that became the strongest on the way to the present state of a lane, or,
+    /// where all was well until then, that is the strongest now.
+    pub(crate) fn strongest(&mut self, lane: usize, was_well: bool) -> String {
         let state = self.state.clone();
-        let past: Vec<_> = self.past.states().cloned().collect();
+        let past = self.past.states().filter(|_| !was_well);
+        let past: Vec<_> = past.cloned().collect();
         let mut strengths: Vec<Strengths> = Vec::new();
         for (qpos, qvel) in past.iter().chain([&(state.qpos.clone(), state.qvel.clone())]) {
             self.state.qpos.copy_from_slice(qpos);

@@ -3,14 +3,14 @@
 mod blame;
 mod count;
 mod energy;
-mod linearize;
 pub mod ledger;
+mod linearize;
 mod past;
 mod readout;
 
 pub use count::Counter;
 pub use energy::Energy;
-pub use linearize::Linearizer;
 pub use ledger::Ledger;
+pub use linearize::Linearizer;
 pub(crate) use past::Past;
 pub use readout::Coupling;

@@ -83,10 +83,14 @@ impl<R: Real> Sim<R> {
         };
         let (from, window) = feeding(&entries, scale, gained);
         let shares = shares(window);
-        let strongest = self.strongest(lane);
+        let strongest = self.strongest(lane, exact && window.is_empty());
         let leading = shares.first().filter(|(_, share)| exact && *share > 0.3);
         let element = leading.map_or(strongest, |(name, _)| name.clone());
-        let stable = self.stable(&course, lane, exact);
+        let stable = if exact && window.is_empty() {
+            Stable::Unknown
+        } else {
+            self.stable(&course, lane, exact)
+        };
         let post = PostMortem {
             start: one_lane(&course.state, lane),
             inputs: one_lane_of(&course.inputs, lane),

@@ -149,7 +149,8 @@ impl<R: Real> Sim<R> {
             let joint = &model.joints[motor.joint];
             let force = share * self.placed.actuator[index].lane(lane);
             let parts: Vec<f64> = (0..joint.dofs()).map(|k| motor.gear[k] * force).collect();
-            tape.add(named("motor", &motor.name, index), nv, joint.dof, &parts);
+            let kind = if motor.feeds_back() { "servo" } else { "motor" };
+            tape.add(named(kind, &motor.name, index), nv, joint.dof, &parts);
         }
         let still = V3::<f64>::zeros();
         for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.tree != NONE) {
@@ -288,7 +289,7 @@ impl<R: Real> Sim<R> {
             stored.insert(GRAVITY.into(), moving.map(weigh).sum());
         }
         if self.settings.law == Law::Penalty {
-            self.detected.detect(&model, &self.placed, &self.settings);
+            self.detected.detect(&model, &self.placed, &self.settings, &self.state.qpos);
             for index in 0..self.detected.contacts.len() {
                 let contact = &self.detected.contacts[index];
                 let depth = contact.dist.lane(lane).min(0.0);

@@ -59,7 +59,7 @@ impl<R: Real> Ledger<R> {
             steps: until.checked_sub(first.state.steps)?,
         };
         course.spread(lane);
-        course.changes.retain(|(step, _)| *step < course.steps.max(1));
+        course.changes.retain(|(step, _)| *step <= course.steps);
         debug_assert_eq!(model.nv, course.state.qvel.len());
         Some(course)
     }
