@@ -147,6 +147,7 @@ def test_the_reference_keeps_to_its_promise():
 
 def test_errors_do_not_depend_on_threads_and_seed_decides():
     options = {"starts": 2, "integrators": ["semi-implicit"], "dts": [0.002, 0.001], "horizon": 0.2}
+    options["effort"] = 1e5
     one = few(lesson.stack(), **options)
     two = few(lesson.stack(), **(options | {"threads": 2}))
     other = few(lesson.stack(), seed=1, **options)

@@ -217,7 +217,8 @@ def _refine(search: Search, trials: Trials, tried: Sequence[Settings], progress:
     whole = [trials.paths[one] for one in tried if not trials.paths[one][-1].failure]
     while whole and search.can_refine(reference):
         found = [errors(p, reference.paths, reference.scored).high for p in whole]
-        if reference.high * FINER <= smallest(found):
+        least = smallest(found, search.size)
+        if not least or reference.high * FINER <= least:
             return
         with Progress("finer reference", len(search.course.motion.starts), progress) as bar:
             if not search.refine(reference, bar):

@@ -3,15 +3,16 @@
 A *numerical* error is the distance of a run from the limit dt → 0 of its own model; a *modelling*
 error is the distance of that limit from another model's. Models differ in the law, the cone and the
 softness; single precision counts as one, whose distance is that of a run from the same run in
-double precision. Limits are taken with one integrator at one step, so that what is left of their
-numerical errors is much the same on both sides.
+double precision. Two limits are taken with one integrator at one step, so that what is left of
+their numerical errors is much the same on both sides: the reference's at twice its step where runs
+are measured from them, the cheaper one's where only they are compared.
 """
 
 from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from stepcore._core import Settings
@@ -20,6 +21,9 @@ from stepcore.progress import Progress
 from stepcore.trade.errors import STICKS, Errors, errors
 from stepcore.trade.reference import Gap, Level, Reference, Search
 from stepcore.trade.run import Course, Path
+from stepcore.trade.settings import clamping
+
+Ref = tuple[float, ...]
 
 # Settings that say what is modelled, not how it is computed.
 MODELLED = (
@@ -42,8 +46,10 @@ class Models:
         chains = search.chains
         names = sorted(chains, key=lambda name: name == "rk4")
         near = [level for level in chains[names[0]] if level.dt <= search.finest / 2]
-        self.base: Level = near[0] if near else chains[names[0]][-1]
-        self.limits: dict[tuple[Any, ...], Level] = {_modelled(search.shipped): self.base}
+        self.cheap: Level = near[0] if near else chains[names[0]][-1]
+        self.acts = any(path.rows or path.overlap for path in self.cheap.paths)
+        self.base: Level = reference.levels[-2]
+        self.limits: dict[tuple[Any, ...], Level] = {}
         self.doubles: dict[Settings, list[Path]] = {}
 
     def keep(self, settings: Settings, paths: list[Path]) -> None:
@@ -67,7 +73,8 @@ class Models:
             modelling = self._apart(paths, double).position
             numerical = self._apart(double, self.reference.paths).position
             paths = double
-        if _modelled(exact) != _modelled(self.search.shipped):
+        own = self.search.shipped
+        if _modelled(exact) != _modelled(own) or self._clamp(exact):
             limit = self.limit(exact)
             if limit.failed:
                 return dataclasses.replace(whole, modelling=float("nan"))
@@ -77,12 +84,22 @@ class Models:
 
     def limit(self, settings: Settings) -> Level:
         """The limit of the model that settings stand for."""
-        key = _modelled(settings)
+        key = (*_modelled(settings), self._clamp(settings))
         if key not in self.limits:
-            pairs = zip(MODELLED, key, strict=True)
-            fields = {name: value for name, value in pairs if value is not None}
-            self.limits[key] = self._level(self.search.course, fields)
+            course = self.search.course
+            if self._clamp(settings):
+                scene = clamped(course.model.scene, 2 * settings.dt)
+                model = Model(scene, course.model.settings)
+                course = Course(model, course.dofs, course.motion)
+            self.limits[key] = self._level(course, settings, self.base)
         return self.limits[key]
+
+    def _clamp(self, settings: Settings) -> float:
+        """The step at which `refsafe` makes the scene softer [s], 0 where it does not."""
+        if settings.law != "solref" or not settings.refsafe or not self.acts:
+            return 0.0
+        shortest = clamping(self.search.course.model.scene)
+        return settings.dt if shortest and 2 * settings.dt > shortest * (1 + 1e-12) else 0.0
 
     def gaps(self) -> dict[str, Gap]:
         """How far the scene as shipped is from one with round cones, and from a rigid one.
@@ -92,22 +109,23 @@ class Models:
         """
         found: dict[str, Gap] = {}
         course, shipped = self.search.course, self.search.shipped
-        if not any(path.rows or path.overlap for path in self.base.paths):
+        here = self.cheap.paths
+        if not self.acts:
             return found
-        if shipped.cone == "pyramidal" and any(any(path.slips) for path in self.base.paths):
-            limit = self.limit(shipped.replace(cone="elliptic"))
+        if shipped.cone == "pyramidal" and any(any(path.slips) for path in here):
+            limit = self._level(course, shipped.replace(cone="elliptic"), self.cheap)
             if not limit.failed:
-                apart = self._apart(limit.paths, self.base.paths).position
+                apart = self._apart(limit.paths, here).position
                 found["pyramid"] = Gap(apart, "elliptic cones")
         if shipped.law == "solref":
             apart_by = []
             for factor in STIFFER:
                 scene = stiffer(course.model.scene, factor)
                 stiff = Course(Model(scene, course.model.settings), course.dofs, course.motion)
-                level = self._level(stiff, {})
+                level = self._level(stiff, shipped, self.cheap)
                 if level.failed:
                     break
-                apart_by.append(self._apart(level.paths, self.base.paths).position)
+                apart_by.append(self._apart(level.paths, here).position)
             if apart_by:
                 last = apart_by[-1]
                 steady = len(apart_by) > 1 and abs(last - apart_by[-2]) <= SETTLED * last
@@ -115,16 +133,16 @@ class Models:
                 found["softness"] = Gap(last, words, steady)
         return found
 
-    def _level(self, course: Course, fields: dict[str, Any]) -> Level:
-        """All starts of a course at the step of the base, with some settings changed."""
-        search, name = self.search, self.base.integrator
-        soft = fields.get("law", search.shipped.law) == "solref"
+    def _level(self, course: Course, settings: Settings, like: Level) -> Level:
+        """All starts of a course and a model, at the step and with the integrator of a level."""
+        search, name = self.search, like.integrator
+        soft = settings.law == "solref"
         if not soft and name in SMOOTH:
             name = "semi-implicit"
         solver = "newton" if soft else "pgs"
-        shipped = search.shipped.replace(**fields, integrator=name, solver=solver)
+        shipped = settings.replace(integrator=name, solver=solver, acceleration="none")
         other = Search(course, shipped, search.finest, 0.0, search.threads, search.executor)
-        level = other.level(name, self.base.dt, Progress("", 1, False))
+        level = other.level(name, like.dt, Progress("", 1, False))
         search.spent += other.spent
         return level
 
@@ -150,20 +168,30 @@ def stiffer(scene: Any, factor: float) -> Any:
     Time constants of solref are divided by `factor`; a stiffness given directly is multiplied by
     its square and a damping by it, which is the same.
     """
-    made = copy.deepcopy(scene)
 
-    def hard(ref: Sequence[float]) -> tuple[float, float]:
+    def hard(ref: Ref) -> Ref:
         if ref[0] > 0:
             return (ref[0] / factor, ref[1])
         return (ref[0] * factor**2, ref[1] * factor)
 
+    return _softened(scene, hard)
+
+
+def clamped(scene: Any, least: float) -> Any:
+    """A copy of a scene none of whose time constants of solref is below `least` [s]."""
+    return _softened(scene, lambda ref: (max(ref[0], least) if ref[0] > 0 else ref[0], ref[1]))
+
+
+def _softened(scene: Any, change: Callable[[Ref], Ref]) -> Any:
+    """A copy of a scene with every solref changed."""
+    made = copy.deepcopy(scene)
     for geom in made.geoms:
-        geom.solref = hard(geom.solref)
+        geom.solref = change(geom.solref)
     for joint in made.joints:
-        joint.solreflimit = hard(joint.solreflimit)
-        joint.solreffriction = hard(joint.solreffriction)
+        joint.solreflimit = change(joint.solreflimit)
+        joint.solreffriction = change(joint.solreffriction)
     for equality in made.equalities:
-        equality.solref = hard(equality.solref)
+        equality.solref = change(equality.solref)
     return made
 
 

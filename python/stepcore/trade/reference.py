@@ -234,7 +234,8 @@ class Search:
 
     def can_refine(self, reference: Reference) -> bool:
         """Whether a further halving is affordable and would still tell something."""
-        if reference.exact is not None or reference.stalls > 1:
+        done = reference.exact is not None or reference.high <= ROUNDING * self.size
+        if done or reference.stalls > 1:
             return False
         levels = [self.chains[name][-1] for name in self._coarsest(reference)]
         cost = sum(self.cost(one.integrator, one.dt / 2) for one in levels)
@@ -337,6 +338,6 @@ class Search:
         return "", None
 
 
-def smallest(values: Sequence[float]) -> float:
-    """The smallest that is not zero, or 0."""
-    return min((value for value in values if value > 0), default=0.0)
+def smallest(values: Sequence[float], size: float = 0.0) -> float:
+    """The smallest that is more than rounding in a scene of this size, or 0."""
+    return min((value for value in values if value > ROUNDING * size), default=0.0)

@@ -158,7 +158,7 @@ def sentences(trade: Trade) -> list[str]:
 def cautions(trade: Trade) -> list[str]:
     """What the reference's error means for the table."""
     ref = trade.reference
-    least = smallest([row.errors.high for row in trade.rows if row.errors])
+    least = smallest([row.errors.high for row in trade.rows if row.errors], trade.size)
     found = []
     if ref.high * FINER > least > 0:
         found.append(
