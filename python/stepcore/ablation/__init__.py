@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
-from stepcore.ablation.changes import Change, Features, made
+from stepcore.ablation.changes import Change, Features, Seen, made
 from stepcore.ablation.result import Ablation, Row
 from stepcore.ablation.run import Measured, Motive, measured, timed, watched
 from stepcore.ablation.smallest import confirmed, greedy
@@ -27,6 +28,7 @@ from stepcore.trade.run import Course
 
 __all__ = ["Ablation", "Row", "ablate"]
 
+SETS = 3
 # What the reference may cost, in steps × (dofs + 2).
 BUDGET = 3e6
 
@@ -81,7 +83,7 @@ def ablate(
         raise ValueError("nothing in the scene can move: there is no motion to keep")
     dt = model.settings.dt
     _, period = time_steps(dt, None, control_dt, 1.0 if horizon is None else horizon)
-    # Twice the starts: half of them are kept to confirm on.
+    # Three sets of starts: to choose on, to confirm on, and to confirm what is left then.
     both = motion(
         model,
         dofs,
@@ -90,10 +92,10 @@ def ablate(
         key=key,
         ctrl=ctrl,
         control=control,
-        count=2 * starts,
+        count=SETS * starts,
         seed=seed,
     )
-    tuned, others = _part(both, 0, starts), _part(both, starts, 2 * starts)
+    tuned = _part(both, 0, starts)
     course = Course(model, dofs, tuned)
     notes: list[str] = []
     search = Search(course, model.settings, dt, BUDGET, workers, executor)
@@ -101,7 +103,8 @@ def ablate(
         reference = _reference(search, bar, notes)
     motive = _motive(course, reference)
     seen = watched(course, model.settings)
-    changes = Features(model).changes(seen, model.settings)
+    features = Features(model)
+    changes = features.changes(seen, model.settings)
     with Progress("features", len(changes) + 1, progress) as bar:
         points = [(), *((change,) for change in changes)]
         job = partial(measured, motive)
@@ -113,12 +116,29 @@ def ablate(
             bar.advance()
             return measured(motive, chosen)
 
-        chosen, _ = greedy(changes, alone, whole, error, tell)
-        far = _motive(Course(model, dofs, others), None)
-        kept, held, back = confirmed(chosen, by_change, error, partial(measured, far))
-        best = measured(motive, kept) if back else tell(kept)
+        kept, best = greedy(changes, alone, whole, error, tell)
+    back: list[Change] = []
+
+    def once(change: Change) -> Measured:
+        if change not in by_change:
+            by_change[change] = measured(motive, [change])
+        return by_change[change]
+
+    for part in range(1, SETS):
+        others = Course(model, dofs, _part(both, part * starts, (part + 1) * starts))
+        far = partial(measured, _motive(others, None))
+        # Looked at only where something has to come back.
+        used = functools.cache(partial(watched, others, model.settings))
+        less = partial(_lessened, features, used)
+        kept, held, more = confirmed(kept, once, error, far, less)
+        back += more
+        if not more:
+            break
+    if back:
+        best = measured(motive, kept)
+    changes += [change for change in kept if change not in changes]
     times = timed(motive, [(), *((change,) for change in changes), kept])
-    rows = [Row(c, m, t) for c, m, t in zip(changes, alone, times[1:-1], strict=True)]
+    rows = [Row(c, once(c), t) for c, t in zip(changes, times[1:-1], strict=True)]
     return Ablation(
         name=model.scene.name or "scene",
         settings=model.settings,
@@ -135,6 +155,10 @@ def ablate(
         reference=reference.error if reference else None,
         notes=[*notes, *_notes(reference, motive)],
     )
+
+
+def _lessened(features: Features, used: Callable[[], Seen], change: Change) -> Change | None:
+    return features.lessened(change, used())
 
 
 def _part(both: Motion, first: int, last: int) -> Motion:

@@ -219,6 +219,21 @@ class Features:
             pairs.setdefault(key, []).append((a, b))
         return pairs
 
+    def lessened(self, change: Change, seen: Seen) -> Change | None:
+        """A group of what was never used, less what another motion uses; None if that is all."""
+        if change.kind not in ("limits", "colliders"):
+            return change
+        ((what, values),) = change.edits
+        if change.kind == "limits":
+            used = {self.joint[i] for i in seen.limited}
+            left = tuple(joint for joint in values if joint not in used)
+            name = f"{_count(left, 'joint')} that never reached one"
+        else:
+            met = {tuple(sorted((self.body[a], self.body[b]))) for a, b in seen.touched}
+            left = tuple(pair for pair in values if tuple(sorted(pair)) not in met)
+            name = f"{_count(left, 'pair')} of bodies that never met"
+        return Change(change.kind, name, ((what, left),)) if left else None
+
     def _excluded(self, kind: str, name: str, pairs: Iterable[tuple[int, int]]) -> Change:
         value = tuple((self.body[a], self.body[b]) for a, b in pairs)
         return Change(kind, name, (("exclude", value),))

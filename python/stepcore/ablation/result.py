@@ -190,8 +190,8 @@ class Ablation(Result):
                 f"The smallest model within {metres(self.error)} goes without "
                 f"{'; '.join(change.label for change in self.chosen)}: "
                 f"{_percent(self.saved(self.best))} less work{quicker}, "
-                f"{metres(self.best.measured.worst)} added in the worst start, "
-                f"{metres(self.held.worst)} in the worst of {len(self.held.added)} starts that it "
+                f"{length(self.best.measured.worst)} added in the worst start, "
+                f"{length(self.held.worst)} in the worst of {len(self.held.added)} starts that it "
                 "was not chosen on."
             )
         else:
@@ -201,7 +201,7 @@ class Ablation(Result):
             )
         if self.back:
             said.append(
-                "On other starts more was needed, and came back: "
+                "Other starts needed more, and it came back from: "
                 f"{'; '.join(change.label for change in self.back)}."
             )
         idle = [
@@ -230,6 +230,13 @@ class Ablation(Result):
             f"<Ablation {self.name}: {len(self.rows)} features, {len(self.chosen)} left out "
             f"within {metres(self.error)}>"
         )
+
+
+def length(value: float) -> str:
+    """An error in words; what is below 1 pm is rounding."""
+    if 0 < value < 1e-12:
+        return "< 1 pm"
+    return "0" if value == 0 else metres(value)
 
 
 def _percent(share: float) -> str:

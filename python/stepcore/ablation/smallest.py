@@ -50,24 +50,31 @@ def _less(one: Measured, other: Measured, idle: bool) -> bool:
 
 def confirmed(
     chosen: Sequence[Change],
-    alone: dict[Change, Measured],
+    alone: Callable[[Change], Measured],
     error: float,
     measure: Measure,
+    lessened: Callable[[Change], Change | None],
 ) -> tuple[list[Change], Measured, list[Change]]:
     """What also holds on starts it was not chosen on, how well, and what had to come back.
 
-    `measure` runs those starts. As long as the error is beyond the tolerance, the feature that
-    adds most comes back.
+    `measure` runs those starts. Where the error is beyond the tolerance, what they use after all
+    comes back from the groups (`lessened`); then, as long as that is not enough, the feature that
+    adds most.
     """
     kept: list[Change] = list(chosen)
+    found = measure(kept)
     back: list[Change] = []
-    while True:
-        found = measure(kept)
-        if found.worst <= error or not kept:
-            return kept, found, back
-        worst = max(kept, key=lambda change: alone[change].worst)
+    if found.worst > error:
+        less = [(change, lessened(change)) for change in kept]
+        back = [change for change, smaller in less if smaller != change]
+        kept = [smaller for _, smaller in less if smaller is not None]
+        found = measure(kept) if back else found
+    while found.worst > error and kept:
+        worst = max(kept, key=lambda change: alone(change).worst)
         kept.remove(worst)
         back.append(worst)
+        found = measure(kept)
+    return kept, found, back
 
 
 def saved(measured: Measured, whole: Measured) -> float:

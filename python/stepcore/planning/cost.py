@@ -52,6 +52,8 @@ class Cost:
 
     def priced(self, entry: Entry, change: Change | None) -> Entry:
         """The entry with what leaving it out saves, if that can be measured."""
+        if entry.parts and self.stages:
+            return replace(entry, flops=float(sum(self.stages[part] for part in entry.parts)))
         if change is None or not entry.used or (self.flops is None and not self.time):
             return entry
         scene = self.model.scene.with_settings(self.settings)

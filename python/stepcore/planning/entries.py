@@ -59,7 +59,8 @@ class _Listing:
         seen, turns = self.plan["seen"], self.plan["turns"]
         placed = [i for i, tree in self.tree_of.items() if seen[tree]]
         names = self.body
-        yield _entry("place", "term", "poses of bodies", _of(names, placed))
+        part = ("place/kinematics",)
+        yield _entry("place", "term", "poses of bodies", _of(names, placed), parts=part)
         fixed = [i for i in range(1, len(names)) if i not in self.tree_of]
         hidden = [i for i, tree in self.tree_of.items() if not seen[tree]]
         yield _out("place", "poses of bodies", _of(names, fixed), "cannot move: placed once")
@@ -83,7 +84,12 @@ class _Listing:
         constant, slides = self.plan["constant"], self.plan["slides"]
         trees = [self.body[first] for first, *_ in self.plan["trees"]]
         changing = [name for name, fixed in zip(trees, constant, strict=True) if not fixed]
-        yield _entry("place", "term", "mass matrix and its factors, of trees", changing)
+        parts = ("place/inertia", "place/factor")
+        yield _entry(
+            "place", "term", "mass matrix and its factors, of trees", changing, parts=parts
+        )
+        name = "bias force (gravity, velocities), of trees"
+        yield _entry("place", "term", name, changing, parts=("place/bias",))
         sliding = [n for n, s in zip(trees, slides, strict=True) if s]
         balls = [n for n, c, s in zip(trees, constant, slides, strict=True) if c and not s]
         gone = "mass matrix, factors and bias force, of trees"
@@ -91,7 +97,7 @@ class _Listing:
         yield _out("place", gone, balls, "isotropic: constant, and no gyroscopic term")
         by_kind = {change.kind: change for change in self.features.terms()}
         on = self.scene.features
-        name = "Coriolis, centrifugal, gyroscopic forces, of trees"
+        name = "of that: Coriolis, centrifugal, gyroscopic"
         if on.coriolis:
             change = by_kind.get("velocity forces")
             yield _entry("place", "term", name, changing, change=change)
@@ -116,6 +122,8 @@ class _Listing:
             yield _entry("place", "term", "actuators", motors, change=off)
         else:
             yield _out("place", "actuators", motors, "switched off (actuation)")
+        name = "guess: velocity with nothing in the way, dofs of"
+        yield _entry("place", "term", name, self.joints, parts=("place/guess",))
         if not on.gravity or not any(self.scene.gravity):
             yield _out("place", "gravity", [], "switched off" if not on.gravity else "0", 1)
 
@@ -257,7 +265,10 @@ class _Listing:
     def commit(self) -> Iterator[Priced]:
         """What the integrator adds, and quaternions."""
         s, on, plan = self.settings, self.scene.features, self.plan
-        yield _entry("solve", "term", f"{s.solver}, islands", self._islands())
+        name = f"impulses: {s.solver}, by islands"
+        yield _entry("solve", "term", name, self._islands(), parts=("solve/impulses",))
+        name = f"integrator: {s.integrator}, dofs of"
+        yield _entry("commit", "term", name, self.joints, parts=("commit",))
         if not s.warm_start:
             yield _out("solve", "warm start", [], "switched off", 1)
         names = [self.body[first] for first, *_ in plan["trees"]]
@@ -308,10 +319,11 @@ def _entry(
     used: bool = True,
     rows: int | None = None,
     change: Change | None = None,
+    parts: tuple[str, ...] = (),
 ) -> Priced:
     listed = tuple(names)
     number = len(listed) if count is None else count
-    return Entry(stage, kind, name, listed, used, why, number, rows), change
+    return Entry(stage, kind, name, listed, used, why, number, rows, parts), change
 
 
 def _out(

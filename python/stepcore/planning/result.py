@@ -14,8 +14,8 @@ from stepcore.table import Table, jsonable
 # So many names stand in the printed plan.
 NAMES = 4
 LEGEND = """\
-flops: floating-point operations of one step at {at} that the step is rid of without the entry;
-they do not add up to the whole, because some work serves several entries"""
+flops: floating-point operations of one step at {at}: of the entry's part of the step, or what the
+step is rid of without the entry; they do not add up, because some work serves several entries"""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,8 @@ class Entry:
     stage: "files", "place", "detect", "solve" or "commit"; kind: "file", "term", "pair" or
     "row"; name: what; count: of `names`, all of them; used: whether the step does it; why: what
     there is to know, or the reason for leaving it out; rows: of the state that was looked at.
-    flops: operations per step, micros [µs per step]: None where they were not measured.
+    parts: of `Sim.stage_flops`, where they are the entry's cost. flops: operations per step,
+    micros [µs per step]: None where they were not measured.
     """
 
     stage: str
@@ -36,6 +37,7 @@ class Entry:
     why: str = ""
     count: int = 0
     rows: int | None = None
+    parts: tuple[str, ...] = ()
     flops: float | None = None
     micros: float | None = None
 
@@ -102,8 +104,6 @@ class Plan(Result):
         cost += [] if self.micros is None else [f"{self.micros:.2f} µs"]
         if cost:
             head += f"\na step at {self.at}: {', '.join(cost)}"
-        if self.stages:
-            head += "; " + ", ".join(f"{k} {v:.0f}" for k, v in self.stages.items())
         parts = [head, "", "A step does:", self._table(self.used, full, width)]
         parts += ["", "It leaves out:", self._table(self.left_out, full, width)]
         if self.flops is not None:

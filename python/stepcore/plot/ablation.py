@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from stepcore.ablation.result import length
 from stepcore.plot.style import COLOURS, GREY, bare, figure, saved
 from stepcore.trade.settings import metres
 
@@ -26,7 +28,7 @@ def plot_ablation(result: Ablation, path: str | os.PathLike[str] | None = None) 
     """
     rows = [row for row in result.sorted() if not row.measured.failure][:BARS]
     rows = [result.best, *rows]
-    drawn = figure(9.0, 1.6 + 0.27 * (len(rows) + 1))
+    drawn = figure(9.0, 2.0 + 0.27 * (len(rows) + 1))
     work, error = drawn.subplots(1, 2, sharey=True)
     places = list(range(len(rows)))[::-1]
     for place, row in zip(places, rows, strict=True):
@@ -43,13 +45,13 @@ def plot_ablation(result: Ablation, path: str | os.PathLike[str] | None = None) 
             fontsize=8,
         )
     added = [row.measured.worst for row in rows]
-    low = _floor([*added, result.error])
+    low = _floor(added, result.error)
     for place, row, value in zip(places, rows, added, strict=True):
         out = row.change in result.chosen
         colour = "black" if row is result.best else LEFT_OUT if out else KEPT
         if value > low:
             error.barh(place, value - low, left=low, color=colour, height=0.7)
-        text = "0" if value == 0 else metres(value)
+        text = length(value)
         error.annotate(
             text,
             (max(value, low), place),
@@ -59,9 +61,12 @@ def plot_ablation(result: Ablation, path: str | os.PathLike[str] | None = None) 
             fontsize=8,
         )
     error.set_xscale("log")
-    error.set_xlim(low, 20 * max(*added, result.error))
+    error.set_xlim(low, 40 * max(*added, result.error))
     error.axvline(result.error, color=GREY, ls="--", lw=1)
-    names = [f"all {len(result.chosen)} in green", *(row.change.label for row in rows[1:])]
+    names = [
+        f"all {len(result.chosen)} that are not needed",
+        *(row.change.label for row in rows[1:]),
+    ]
     work.set_yticks(places, [_short(name) for name in names], fontsize=8)
     work.set_xlim(right=1.25 * max(1.0, *(100 * result.saved(row) for row in rows)))
     kind = "operations" if result.counted else "row updates"
@@ -70,13 +75,26 @@ def plot_ablation(result: Ablation, path: str | os.PathLike[str] | None = None) 
     error.tick_params(axis="y", length=0)
     bare(work, f"{result.name}: without …")
     bare(error)
+    _legend(drawn, result)
     return saved(drawn, path)
 
 
-def _floor(values: list[float]) -> float:
-    """Where the axis of errors begins: below the smallest that is not zero, in decades."""
-    least = min(value for value in values if value > 0)
-    return float(10.0 ** max(math.floor(math.log10(least)) - 1, -16))
+def _floor(values: Sequence[float], tolerance: float) -> float:
+    """Where the axis of errors begins: a decade below the smallest, but not far below what
+    matters; a smaller error has no bar, only its number."""
+    least = min([value for value in values if value > 0], default=tolerance)
+    return float(10.0 ** math.floor(math.log10(max(least, 1e-3 * tolerance)) - 1))
+
+
+def _legend(drawn: Any, result: Ablation) -> None:
+    from matplotlib.patches import Patch
+
+    patches = [
+        Patch(color=LEFT_OUT, label=f"not needed within {metres(result.error)}"),
+        Patch(color=KEPT, label="kept"),
+        Patch(color="black", label="the smallest model"),
+    ]
+    drawn.legend(handles=patches, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
 
 
 def _short(name: str) -> str:

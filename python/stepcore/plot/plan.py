@@ -28,8 +28,8 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str] | None = None) -> Any:
     entries = [entry for entry in plan.used if entry.stage in STAGES]
     kind = "micros" if plan.micros is not None else "flops" if plan.flops is not None else "count"
     words = {
-        "micros": "µs a step is rid of without it",
-        "flops": "floating-point operations a step is rid of without it",
+        "micros": "µs per step",
+        "flops": "floating-point operations per step",
         "count": "how many",
     }
     bars = [(entry, getattr(entry, kind)) for entry in entries]
