@@ -222,6 +222,52 @@ def test_refsafe_is_told_as_it_is():
     assert hard.stiffest("euler") == 'contact "floor"/"ball"'
 
 
+def rows_scene(kind):
+    """One row of a kind, as stiff as it says and damped enough not to rebound."""
+    scene = sc.Scene(gravity=(0, 0, 0)).with_settings(dt=5e-3)
+    body = scene.add_body("body", pos=(0, 0, 1))
+    stiffly = (-1e6, -1500.0)
+    if kind == "limit":
+        # Pressed into its bound.
+        scene.add_joint(
+            body, "hinge", name="knee", axis=(0, 1, 0), range=(-1, 0), solreflimit=stiffly
+        )
+        scene.gravity = (0, 0, -9.81)
+    elif kind == "friction loss":
+        scene.add_joint(
+            body, "slide", name="knee", frictionloss=1e3, solreffriction=(-1.0, -1500.0)
+        )
+    else:
+        scene.add_joint(body, "free")
+        scene.add_equality("connect", body, anchor=(0.1, 0, 0), name="knee", solref=stiffly)
+    scene.add_geom(body, "box", (0.1, 0.2, 0.05), pos=(0.1, 0, 0), mass=1.0, **stiff.INERT)
+    return scene
+
+
+@pytest.mark.parametrize("kind", ["limit", "friction loss", "connect"])
+@pytest.mark.parametrize("integrator", ["euler", "rk4"])
+def test_other_rows_are_named_and_limit_where_the_real_step_does(kind, integrator):
+    """Within 2 %: these do not open."""
+    scene = rows_scene(kind)
+    d = diagnosed(scene, horizon=0.5)
+    assert d.stiffest(integrator) == f'{kind} "knee"'
+    model, rest = scene.compile(), d.states[-1]
+
+    def stays(dt):
+        sim = sc.Sim(model, integrator=integrator, dt=dt)
+        sim.qpos[:] = rest.qpos
+        sim.qvel[-1] = 1e-7
+        try:
+            sim.step(3000)
+        except sc.SimulationError:
+            return False
+        return abs(sim.qvel[-1]) < 1e-4
+
+    limit = d.limit(integrator)
+    real = stiff.bisected(stays, 0.5 * limit, 2 * limit)
+    assert limit == pytest.approx(real, rel=0.02)
+
+
 # --- advice -------------------------------------------------------------------------------------
 
 

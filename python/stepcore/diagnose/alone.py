@@ -6,7 +6,7 @@ With h the step, s the roots of s² + c s + ω², and c = c_explicit + c_implici
     semi-implicit    ω² h² + 2 c h < 4
     damping implicit ω² h² + 2 (c_explicit - c_implicit) h < 4
     rk4              |1 + z + z²/2 + z³/6 + z⁴/24| ≤ 1, z = h s
-    midpoint         always
+    midpoint         always; a row of `solref`, which acts after it: h < 2/c and h < 2c/ω²
 
 The third with c_explicit = 0 and c = 2ζω is h < (2ζ + 2√(ζ² + 1))/ω. The conditions are those of
 Jury (1964) for the characteristic polynomial of the step.
@@ -41,6 +41,13 @@ def oscillator(
     if integrator == "semi-implicit":
         explicit, implicit = damping, 0.0
     return _jury(omega, explicit - implicit)
+
+
+def row_after_midpoint(omega: float, damping: float) -> float:
+    """The largest stable dt [s] of a `solref` row under midpoint: v⁺ = v + Δ, q⁺ = q + h(v + Δ/2)
+    with Δ = -h(c v + ω² q)."""
+    limit = 2 / damping if damping > 0 else math.inf
+    return min(limit, 2 * damping / omega**2) if omega > 0 else limit
 
 
 def gyration(omega: float, integrator: str, implicit: bool, horizon: float) -> float:

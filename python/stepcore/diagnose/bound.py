@@ -14,9 +14,12 @@ from dataclasses import dataclass
 
 from stepcore.diagnose.alone import oscillator
 from stepcore.diagnose.forces import Elements, Key
-from stepcore.diagnose.softness import softened_beyond, solref_of
+from stepcore.diagnose.softness import may_limit, softened_beyond, solref_of
 from stepcore.layout import DOFS, Layout
 from stepcore.model import Model
+
+# The most pairs of geoms that are looked at.
+MOST_PAIRS = 1000
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,11 @@ def _rows(model: Model, layout: Layout) -> Iterator[_Element]:
     if not features.constraint:
         return
     keys = [key for key in elements.rows.values() if _exists(layout, key)]
-    keys += [Key("contact", (a, b), _pair(model, a, b)) for a, b in model.core.pairs()]
+    refsafe = model.settings.refsafe
+    hard = [may_limit(geom.solref, refsafe) for geom in layout.geoms]
+    pairs = model.core.pairs() if any(hard) else []
+    found = [(a, b) for a, b in pairs if hard[a] or hard[b]][:MOST_PAIRS]
+    keys += [Key("contact", (a, b), _pair(model, a, b)) for a, b in found]
     for key in keys:
         solref = solref_of(model, layout, key)
         if solref is None:

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore.arrays import Floats
-from stepcore.diagnose.alone import INTEGRATORS, gyration, oscillator
+from stepcore.diagnose.alone import INTEGRATORS, gyration, oscillator, row_after_midpoint
 from stepcore.diagnose.forces import Key
 from stepcore.diagnose.limits import LONGEST
 from stepcore.diagnose.parts import Parts
 
+ROWS = ("contact", "limit", "connect", "friction loss")
 # Of the largest of its kind: less is the rounding of a difference.
 NOTHING = 1e-6
 
@@ -76,6 +77,8 @@ def figures(key: Key, all_parts: Parts, softened: float, horizon: float, state: 
         return float(sum(direction @ damping @ direction for damping in dampings))
 
     def alone(name: str, omega: float, direction: Floats) -> float:
+        if name == "midpoint" and key.kind in ROWS:
+            return row_after_midpoint(omega, along(direction, {key}))
         implicit = set(all_parts.implicit.get(name, ()))
         # Under `explicit` damping only helps an oscillation, whoever gives it.
         helps = set(all_parts.elements) if name == "explicit" and omega > 0 else implicit | {key}

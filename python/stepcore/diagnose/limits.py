@@ -12,7 +12,15 @@ import numpy as np
 
 from stepcore.diagnose import growth
 from stepcore.diagnose.growth import Growth
-from stepcore.diagnose.linear import ON_GUESS, State, flow, rates_matrix, settled, step_map
+from stepcore.diagnose.linear import (
+    ON_GUESS,
+    State,
+    flow,
+    later,
+    rates_matrix,
+    step_map,
+    without_rows,
+)
 from stepcore.diagnose.softness import first_softened
 from stepcore.model import Model
 
@@ -26,6 +34,9 @@ BELOW = (0.999, 0.7, 0.5, 0.25, 0.1)
 CLEAR = 1.5
 # How many shorter steps tell what a motion does within one.
 SHORTER = 4
+# Steps that a row may take to begin to act, and after which one that refsafe softens, to a time
+# constant of 2 dt, is at rest.
+MEETINGS, SETTLING = 3, 30
 # Angle of an eigenvalue [rad] from which it is a motion that the step makes up.
 ALTERNATING = 0.5
 
@@ -64,25 +75,43 @@ class Situation:
     def seen(self, integrator: str, dt: float, state: int) -> tuple[State, Growth]:
         """The worst growth of a step at one state, and where it was seen.
 
-        Rows that `refsafe` softens with dt come to rest elsewhere: where they seem unstable they
-        are looked at again after some steps of this dt.
+        Rows that begin to act within the step are looked at once they do: meeting them is no
+        growth. Rows that `refsafe` softens with dt come to rest elsewhere: where they seem
+        unstable they are looked at again after some steps of this dt.
         """
         here = self.states[state]
-        soft = dt > self.softened and bool(here.rows)
-        found = self._growth(integrator, dt, here, self.rates[state], soft)
-        if found.stable or not soft:
+        found = self._growth(integrator, dt, here, self.rates[state])
+        for _ in range(MEETINGS):
+            after = None if found.stable else later(self.model, here, integrator, dt, 1)
+            if after is None or after[1] <= set(here.rows):
+                break
+            here, found = after[0], self._growth(integrator, dt, after[0])
+        if found.stable or not self._soft(here, dt):
             return here, found
-        rest = settled(self.model, here, integrator, dt)
+        rest = later(self.model, here, integrator, dt, SETTLING)
         if rest is None:
             return here, found
-        return rest, self._growth(integrator, dt, rest, self.rates[state], soft)
+        return rest[0], self._growth(integrator, dt, rest[0])
 
-    def _growth(self, integrator: str, dt: float, state: State, rates: Any, soft: bool) -> Growth:
-        matrix = step_map(self.model, state, integrator, dt)
-        if soft:
-            # The motion's own rates, of rows as soft as they are at this dt.
-            own = rates_matrix(self.model, state, dt)
-            rates = rates if own is None else np.linalg.eigvals(own)
+    def _soft(self, state: State, dt: float) -> bool:
+        """Whether `refsafe` makes rows that act there softer than the scene."""
+        return dt > self.softened and bool(state.rows)
+
+    def _growth(self, integrator: str, dt: float, state: State, rates: Any = None) -> Growth:
+        """At a state whose rates of the motion are these, or are found here."""
+        model = self.model
+        if not state.rows and model.settings.law != "penalty":
+            # A row that only begins to act within the step belongs to the states where it acts.
+            model = without_rows(model)
+        matrix = step_map(model, state, integrator, dt)
+        soft = self._soft(state, dt)
+        if soft or rates is None:
+            # Of rows as soft as they are at this dt.
+            own = rates_matrix(model, state, dt if soft else None)
+            if own is not None:
+                rates = np.linalg.eigvals(own)
+        if rates is None:
+            return growth.growth(None, dt, np.zeros(1), self.horizon)
         found = growth.growth(matrix, dt, rates, self.horizon)
         if found.stable or abs(found.value) > CLEAR:
             return found
@@ -92,7 +121,7 @@ class Situation:
             return replace(found, excess=-math.inf)
         # Where the state itself moves within the step, or a row begins or ends to act, the rates
         # at its start do not tell: the same time in shorter steps does.
-        shorter = flow(self.model, state, integrator, dt, SHORTER)
+        shorter = flow(model, state, integrator, dt, SHORTER)
         return found if shorter is None else growth.beyond(found, shorter, dt)
 
     def stable(self, integrator: str, dt: float) -> bool:

@@ -22,8 +22,6 @@ from stepcore.sim import Sim
 
 # The step from which J is read [s]: free rotations, which turn by dt·v, leave an error of its size.
 TINY_STEP = 1e-7
-# Steps after which a row that refsafe softens, to a time constant of 2 dt, is at rest.
-SETTLING = 30
 # Laws whose rows act on velocities: their stiffness is 1/dt², whatever the scene.
 ON_GUESS = ("lesson", "relaxed", "rigid")
 
@@ -68,16 +66,31 @@ def placed(model: Model, state: State, **settings: Any) -> Sim:
     return sim
 
 
-def settled(model: Model, state: State, integrator: str, dt: float) -> State | None:
-    """The state some steps later; None where they do not stay finite."""
+def later(
+    model: Model, state: State, integrator: str, dt: float, count: int
+) -> tuple[State, set[str]] | None:
+    """The state `count` steps later, and the elements whose rows pushed in the last of them or
+    push there; None where they do not stay finite."""
     sim = placed(model, state, integrator=integrator, dt=dt)
     try:
-        sim.step(SETTLING)
+        sim.step(count)
+        met = set(acting(sim))
+        sim.forward()
     except SimulationError:
         return None
+    steps = "a step" if count == 1 else f"{count} steps"
+    label = f"{state.label} and {steps} of {dt:.3g} s"
     qpos, qvel = np.array(sim.qpos), np.array(sim.qvel)
-    label = f"{state.label} and {SETTLING} steps of dt"
-    return State(label, state.time, qpos, qvel, state.ctrl, state.rows)
+    now = State(label, state.time + count * dt, qpos, qvel, state.ctrl, acting(sim))
+    return now, met | set(now.rows)
+
+
+def acting(sim: Sim) -> tuple[str, ...]:
+    """The elements whose rows act: all connects and friction losses, and what pushes."""
+    rows = sim.rows
+    both_ways = (rows["kind"] == "equality") | (rows["kind"] == "friction")
+    found = rows["name"][both_ways | (rows["impulse"] != 0)]
+    return tuple(dict.fromkeys(found.tolist()))
 
 
 def step_map(model: Model, state: State, integrator: str, dt: float) -> Floats | None:

@@ -71,6 +71,8 @@ def _may_be_stiff(scene: Scene) -> bool:
     """Whether any element could limit dt; without one nothing is compiled."""
     if len(scene.joints) + len(scene.geoms) + len(scene.actuators) > MOST_ELEMENTS:
         return False
+    from stepcore.diagnose.softness import may_limit
+
     refsafe = scene.options.get("refsafe", True)
     soft = [geom.solref for geom in scene.geoms] + [e.solref for e in scene.equalities]
     for joint in scene.joints:
@@ -78,7 +80,7 @@ def _may_be_stiff(scene: Scene) -> bool:
         soft += [joint.solreffriction] * (joint.frictionloss > 0)
     springs = any(joint.stiffness > 0 or joint.damping > 0 for joint in scene.joints)
     servos = any(actuator.type != "motor" for actuator in scene.actuators)
-    return springs or servos or not refsafe or any(solref[0] <= 0 for solref in soft)
+    return springs or servos or any(may_limit(solref, refsafe) for solref in soft)
 
 
 def _linearised(model: Model) -> str:

@@ -43,6 +43,9 @@ def answer(d: Diagnosis) -> str:
 
 def _verb(d: Diagnosis) -> str:
     """What happens beyond the limit: a fast growth explodes, a slow one is told as such."""
+    if d.stiffest().startswith("friction loss"):
+        # Its force has an end.
+        return "chatters"
     if d.rate is None or not d.rate * d.horizon < SLOW:
         return "explodes"
     return f"gains energy (e-fold in {seconds(1 / d.rate)}) by the integrator's doing"

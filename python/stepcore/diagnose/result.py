@@ -64,7 +64,13 @@ class Diagnosis(Result):
         shares = dict(self.shares[name])
         if math.isinf(self.limits[name].dt):
             shares.pop(INERTIAL.label, None)
-        return max(shares, key=lambda name: shares[name]) if any(shares.values()) else ""
+        if any(shares.values()):
+            return max(shares, key=lambda name: shares[name])
+        # A row that begins to act within the step has no share at its start.
+        alone = [one for one in self.elements if math.isfinite(one.limits[name])]
+        if math.isinf(self.limits[name].dt) or not alone:
+            return ""
+        return min(alone, key=lambda one: one.limits[name]).key.label
 
     def _known(self, integrator: str | None) -> str:
         name = self.settings.integrator if integrator is None else integrator

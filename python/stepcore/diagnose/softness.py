@@ -44,6 +44,12 @@ def mixed(x: Geom, y: Geom) -> Vec:
     return tuple(share * p + (1 - share) * q for p, q in zip(x.solref, y.solref, strict=True))
 
 
+def may_limit(solref: Vec, refsafe: bool) -> bool:
+    """Whether a row with this solref could limit dt: refsafe keeps those of the standard form
+    stable, h²/(tc ζ)² + 4h/tc < 4 at h = tc/2, where ζ > 1/√8."""
+    return not refsafe or solref[0] <= 0 or solref[1] < math.sqrt(1 / 8)
+
+
 def softened_beyond(model: Model, layout: Layout, key: Key) -> float:
     """The dt [s] from which `refsafe` softens an element; inf where it never does."""
     solref = solref_of(model, layout, key)

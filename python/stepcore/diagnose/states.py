@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore._core import SimulationError
-from stepcore.diagnose.linear import State, placed
+from stepcore.diagnose.linear import State, acting, placed
 from stepcore.model import Model
 from stepcore.sim import Sim
 from stepcore.trade.motion import Motion
@@ -39,7 +39,7 @@ def start(model: Model, motion: Motion) -> State:
     state = State("the start", 0.0, np.array(first.qpos), np.array(first.qvel), np.array(ctrl))
     sim = placed(model, state)
     sim.forward()
-    return State(state.label, 0.0, state.qpos, state.qvel, state.ctrl, _acting(sim))
+    return State(state.label, 0.0, state.qpos, state.qvel, state.ctrl, acting(sim))
 
 
 def visited(model: Model, motion: Motion, safe: float) -> Visit:
@@ -71,13 +71,7 @@ def visited(model: Model, motion: Motion, safe: float) -> Visit:
 
 def _now(sim: Sim) -> State:
     qpos, qvel, ctrl = (np.array(x) for x in (sim.qpos, sim.qvel, sim.ctrl))
-    return State(f"t = {sim.time:.3g} s", sim.time, qpos, qvel, ctrl, _acting(sim))
-
-
-def _acting(sim: Sim) -> tuple[str, ...]:
-    """The elements whose rows push."""
-    pushing = sim.rows["name"][sim.rows["impulse"] != 0]
-    return tuple(dict.fromkeys(pushing.tolist()))
+    return State(f"t = {sim.time:.3g} s", sim.time, qpos, qvel, ctrl, acting(sim))
 
 
 def _chosen(seen: Sequence[State]) -> list[State]:
