@@ -1,5 +1,8 @@
 """Counted work: `Sim.count_flops`, `Sim.stage_flops` and `Sim.nbytes`."""
 
+import signal
+import threading
+
 import numpy as np
 import pytest
 from small import ball, pendulum
@@ -105,3 +108,21 @@ def test_memory():
     held = resting.nbytes
     resting.step(500)
     assert resting.nbytes == held
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_an_interrupt_stops_it_and_the_sim_stays_free_meanwhile():
+    """What is counted is a copy: other threads read and step the Sim itself."""
+    sim, seen = Sim(pendulum()), []
+
+    def meddle():
+        sim.step(3)
+        seen.append((sim.time, sim.linearize().nv))
+        signal.raise_signal(signal.SIGINT)
+
+    started = threading.Timer(0.1, meddle)
+    with pytest.raises(KeyboardInterrupt):
+        started.start()
+        sim.count_flops(10**9)
+    started.join()
+    assert seen == [(pytest.approx(0.006), 2)]

@@ -3,7 +3,9 @@
 import math
 import re
 
+import mujoco
 import numpy as np
+import peers
 import pytest
 import tangents
 from small import ball, pendulum, unstable
@@ -238,3 +240,26 @@ def test_refusals_and_printing():
     step = sim.linearize()
     assert repr(step).startswith("<Linearization: 2 dofs, 1 controls; a step of 0.002 s; spectral")
     assert step.to_dict()["labels"] == ["shoulder", "elbow"]
+
+
+@pytest.mark.parametrize("name", ["half_cheetah", "hopper", "walker2d"])
+@pytest.mark.parametrize("integrator", ["euler", "implicitfast"])
+def test_mujoco_differences_its_own_step_to_the_same(name, integrator):
+    """A and B of `mjd_transitionFD`, which has the same coordinates, on the ground: to what
+    central differences of size 1e-6 can tell."""
+    theirs = peers.strict(mujoco.MjModel.from_xml_path(peers.gym_path(name)), integrator=integrator)
+    sim = Sim(sc.load(f"gymnasium:{name}"), integrator=integrator, tolerance=0.0)
+    rng = np.random.default_rng(3)
+    for _ in range(30):
+        sim.ctrl[:] = 0.4 * rng.uniform(-1, 1, theirs.nu)
+        sim.step(5)
+    while not len(sim.contacts):
+        sim.step()
+    data = mujoco.MjData(theirs)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = sim.qpos, sim.qvel, sim.ctrl
+    mujoco.mj_forward(theirs, data)
+    A, B = np.zeros((2 * theirs.nv, 2 * theirs.nv)), np.zeros((2 * theirs.nv, theirs.nu))
+    mujoco.mjd_transitionFD(theirs, data, 1e-6, True, A, B, None, None)
+    step = sim.linearize()
+    assert abs(step.A - A).max() < 1e-6 * abs(A).max()
+    assert abs(step.B - B).max() < 1e-6 * abs(B).max()
