@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
-PACKAGES = ("stepcore", "numpy", "mujoco", "gymnasium", "rapier3d")
+PACKAGES = ("stepcore", "numpy", "mujoco", "gymnasium", "rapier3d", "distributed")
 
 
 def arguments(description: str) -> argparse.Namespace:
@@ -68,9 +68,9 @@ class Report:
         for key in ("machine", "versions"):
             pairs = (f"{k} {_short(v)}" for k, v in self.data[key].items())
             self.say(f"{key}: " + ", ".join(pairs))
-        self.say(
-            f"{options.pairs} interleaved pairs a line, samples of {options.sample * 1e3:.0f} ms"
-        )
+        if options.pairs:
+            samples = f"samples of {options.sample * 1e3:.0f} ms"
+            self.say(f"{options.pairs} interleaved pairs a line, {samples}")
         self.say(note)
 
     def say(self, text: str = "") -> None:

@@ -112,8 +112,8 @@ class Forgetful(ThreadPoolExecutor):
 
 
 def test_points_of_a_lost_worker_are_tried_again():
-    count = 2 * jobs.HANDFULS
     with Forgetful(2) as pool:
+        count = 2 * jobs.handfuls(pool)
         bar = Progress("", count, False)
         assert jobs.each(float, range(count), bar=bar, executor=pool) == list(range(count))
         assert bar.done == count

@@ -26,9 +26,10 @@ from stepcore.progress import Progress
 T = TypeVar("T")
 R = TypeVar("R")
 
-# Into so many handfuls many points are split: enough for a few hundred workers, for progress
-# that moves, and for little to be done again when a worker is lost.
-HANDFULS = 512
+# Into so many handfuls many points are split for each worker, or in all where nobody knows how many
+# there are: enough for all to end together, for progress that moves, and for little to be done
+# again when a worker is lost.
+EACH, HANDFULS = 32, 512
 # How often a point is tried again whose worker was lost.
 AGAIN = 3
 
@@ -86,7 +87,7 @@ class _Work(Generic[T, R]):
     def done(self) -> list[R]:
         """All results; whatever ends this early cancels what has not begun."""
         total = len(self.points)
-        size = -(-total // HANDFULS) or 1
+        size = -(-total // handfuls(self.executor)) or 1
         try:
             for first in range(0, total, size):
                 self._submit(range(first, min(first + size, total)))
@@ -135,6 +136,15 @@ class _Work(Generic[T, R]):
                     f"times: {checks.one_line(error)}"
                 ) from error
             self._submit(range(i, i + 1), self.lost[i])
+
+
+def handfuls(executor: Executor) -> int:
+    """Into how many handfuls many points are split."""
+    workers = getattr(executor, "_max_workers", None)
+    threads = getattr(getattr(executor, "_client", None), "nthreads", None)  # of a Dask client
+    if workers is None and callable(threads):
+        workers = sum(threads().values())
+    return min(HANDFULS, EACH * workers) if isinstance(workers, int) and workers else HANDFULS
 
 
 def _all(function: Callable[[T], R], points: Sequence[T], name: str) -> list[R]:
