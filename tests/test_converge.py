@@ -3,7 +3,9 @@
 import json
 import math
 import multiprocessing
+import re
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -258,3 +260,11 @@ def test_what_it_refuses():
             sc.converge(lesson.drop(), **wrong)
     with pytest.raises(ValueError, match="nothing in it can move"):
         sc.converge(Scene())
+
+
+def test_the_page_says_what_is_so():
+    """docs/converge.md: where sweeps are the better buy."""
+    page = Path(__file__).parent.parent / "docs" / "converge.md"
+    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) == 1
+    exec(blocks[0], {})
