@@ -8,7 +8,7 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.trade.growth import Growth
+from stepcore.trade.growth import Growth, _end
 from stepcore.trade.statistics import difference, student
 
 QUIET = {"threads": 1, "progress": False}
@@ -86,6 +86,19 @@ def test_growth_ends_between_samples_and_masks_what_follows():
     growth = Growth(np.array([1.0, 2.0, 3.0]), np.ones((2, 3)), np.array([1.5, np.inf]))
     assert growth.scored.tolist() == [[True, False, False], [True, True, True]]
     assert growth.overall == 1.5
+
+
+def test_twins_that_close_again_are_not_lost():
+    def end(*factor):
+        times = np.arange(1.0, 1 + len(factor))
+        return _end(times, np.array(factor))
+
+    assert end(1, 10, 1e2, 20, 1) == math.inf
+    assert end(1, 1e4, 1e2, 20, 1) == math.inf
+    # As if exponential between 1 at 1 s and 1e6 at 2 s.
+    assert end(1, 1e6, 1e2, 1e7) == pytest.approx(1.5)
+    assert end(1, 1e6, 1.0, 1e6) == pytest.approx(3.5)
+    assert end(1e6) == pytest.approx(0.5) and end(1, np.nan) == pytest.approx(1.0)
 
 
 def test_a_predictability_prints_exports_and_plots(tmp_path):

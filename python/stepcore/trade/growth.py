@@ -121,8 +121,13 @@ def _begun(course: Course, one: Start, other: Start) -> float:
 
 
 def _end(times: np.ndarray, factor: np.ndarray) -> float:
-    """When the growth first passes the limit, as if exponential between samples [s]."""
-    over = np.flatnonzero(~(factor <= GROWTH))
+    """When the growth passes the limit for good, as if exponential between samples [s].
+
+    For good: it does not come back below the limit's square root. Twins that meet something one
+    step apart are far apart for a moment, and where the scene dissipates close again after it.
+    """
+    later = np.minimum.accumulate(np.nan_to_num(factor, nan=np.inf)[::-1])[::-1]
+    over = np.flatnonzero(~(factor <= GROWTH) & (later >= np.sqrt(GROWTH)))
     if not len(over):
         return np.inf
     k = int(over[0])

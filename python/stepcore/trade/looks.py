@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 # A slower slip than this share of the fastest seen says little about the direction of friction.
 SLOW = 1e-2
+# A contact slides with more friction than this share of μ × normal force; 1/√2 is what the
+# pyramid reaches between its tangents.
+SLIDES = 0.65
 
 
 @dataclass(frozen=True)
@@ -155,7 +158,9 @@ def anisotropy(slips: list[Slips]) -> float | None:
 
     Over contacts that slide; None where none does.
     """
-    sliding = [slip for sample in slips for slip in sample.values() if slip.share > 0.65]
+    # A contact that comes to rest within a step may be found moving with its friction: no slide.
+    every = [slip for sample in slips for slip in sample.values()]
+    sliding = [slip for slip in every if slip.share > SLIDES and slip.astray < np.pi / 2]
     fastest = max((slip.speed for slip in sliding), default=0.0)
     wide = [slip.astray for slip in sliding if slip.speed > SLOW * fastest]
     return max(wide, default=None)

@@ -32,8 +32,8 @@ FINER = 10.0
 STALLED = 0.9
 # Of the scene's size: distances below it are rounding, grown by what a predictable scene allows.
 ROUNDING = 1e-11
-# Three halvings that begin at twice the table's finest step.
-HALVINGS = (2.0, 1.0, 0.5, 0.25)
+# To see an order.
+HALVINGS = 3
 # From here on the other integrator, not the reference's own halving, decides what is known.
 EAGER = 4.0
 # Coarser runs that may be added where the finer ones have met rounding, in steps of the finest.
@@ -154,7 +154,7 @@ class Search:
     @property
     def runs(self) -> int:
         """How many runs `first` makes, at least."""
-        return (2 * len(HALVINGS) + 1 + DIRECTIONS) * len(self.course.motion.starts)
+        return (2 * (HALVINGS + 1) + 1 + DIRECTIONS) * len(self.course.motion.starts)
 
     def settings(self, integrator: str, dt: float) -> Settings:
         """Reference settings: rows solved to rounding, as the law allows."""
@@ -188,8 +188,7 @@ class Search:
     def first(self, bar: Progress) -> Reference:
         """Two integrators, three halvings each, and the twins; the better known one."""
         second = "implicitfast" if self.shipped.law == "solref" else "semi-implicit"
-        begin = HALVINGS[0] if self._fits(HALVINGS[0] * self.finest) else 1.0
-        steps = [self.finest * begin / 2**k for k in range(len(HALVINGS))]
+        steps = self._steps()
         for integrator in (second, "rk4"):
             levels = [self.level(integrator, dt, bar) for dt in steps]
             whole = [i for i, level in enumerate(levels) if level.failed]
@@ -220,6 +219,15 @@ class Search:
             reference.exact.check = self.apart(reference.level, truth, found).position
         reference.told()
         return reference
+
+    def _steps(self) -> list[float]:
+        """Three halvings, from twice the finest step; from four times where that costs too much."""
+        for begin in (4.0, 2.0, 1.0):
+            steps = [self.finest * begin / 2**k for k in range(HALVINGS + 1)]
+            dear = sum(self.cost("rk4", dt / 2) for dt in steps) > self.budget
+            if self._fits(steps[0]) and (begin < 4 or dear):
+                break
+        return steps
 
     def alone(self, bar: Progress) -> tuple[Level, Growth]:
         """One run of every start and its twins, and no reference: how long it can be predicted."""

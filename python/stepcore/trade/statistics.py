@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from stepcore.trade.result import Row
 
 LEAST = 32
+# Best rows that are told of: all, or about so many along the front.
+MOST = 10
 # Names of `Statistics`, and of `Path`, with their units.
 QUANTITIES = {"height": "m", "kinetic": "J", "touching": "1"}
 # The normal distribution's 97.5 % point.
@@ -157,7 +159,7 @@ def after(
     many: Callable[[], Motion],
     progress: Choice,
 ) -> None:
-    """Sets `after` of the shipped row and the best ones, where some of the horizon is lost.
+    """Sets `after` of the shipped row and of best ones, where some of the horizon is lost.
 
     many: draws the motion from at least 32 starts.
     """
@@ -166,7 +168,9 @@ def after(
     found = After(search, reference, many())
     if not found.needed:
         return
-    told = [row for row in rows if row.errors and (row.best or row.shipped)]
+    best = [row for row in rows if row.errors and row.best]
+    some = best[:: 1 + (len(best) - 1) // MOST] if best else []
+    told = [row for row in rows if row.errors and (row.shipped or row in some)]
     runs = (1 + len(told)) * len(found.course.motion.starts)
     with Progress("statistics", runs, progress) as bar:
         for row in told:
