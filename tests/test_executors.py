@@ -174,3 +174,23 @@ def test_what_is_no_model_is_refused():
     ):
         with pytest.raises(ValueError, match=words):
             sc.Model.from_bytes(bad)
+
+
+def short(what, executor):
+    """A small measurement, as data that no clock is in."""
+    scene, some = lesson.spring(damping=0.3), {"executor": executor, "progress": False}
+    if what == "diagnose":
+        return sc.diagnose(scene, **some).to_dict()
+    motion = {"horizon": 0.2, "starts": 2}
+    if what == "trade":
+        found = sc.trade(scene, **motion, dts=[0.01, 0.02], **some)
+        return [(row.settings, row.errors, row.failure) for row in found.rows]
+    if what == "ablate":
+        found = sc.ablate(scene, **motion, **some)
+        return {k: v for k, v in found.to_dict().items() if k in ("name", "horizon", "starts")}
+    return getattr(sc, what)(scene, **motion, **some).to_dict()
+
+
+@pytest.mark.parametrize("what", ["trade", "predictability", "diagnose", "ablate", "converge"])
+def test_everything_long_takes_an_executor(pool, what):
+    assert repr(short(what, pool)) == repr(short(what, None))
