@@ -75,6 +75,7 @@ def plot_ablation(result: Ablation, path: str | os.PathLike[str] | None = None) 
     error.tick_params(axis="y", length=0)
     bare(work, f"{result.name}: without …")
     bare(error)
+    drawn.get_layout_engine().set(wspace=0.06)
     _legend(drawn, result)
     return saved(drawn, path)
 
