@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from stepcore.lookup import load
     from stepcore.mjcf import loads
     from stepcore.postmortem import PostMortem, Replay, replay
+    from stepcore.stability import StabilityMap, stability_map
     from stepcore.trade.predict import predictability
 
 __all__ = [
@@ -45,6 +46,7 @@ __all__ = [
     "Settings",
     "Sim",
     "SimulationError",
+    "StabilityMap",
     "StiffnessWarning",
     "Trade",
     "__version__",
@@ -55,6 +57,7 @@ __all__ = [
     "loads",
     "predictability",
     "replay",
+    "stability_map",
     "sweep",
     "trade",
 ]
@@ -66,6 +69,8 @@ _LATER = {
     "Linearization": "stepcore.linearization",
     "Ablation": "stepcore.ablation",
     "ablate": "stepcore.ablation",
+    "StabilityMap": "stepcore.stability",
+    "stability_map": "stepcore.stability",
     "predictability": "stepcore.trade.predict",
     "PostMortem": "stepcore.postmortem",
     "Replay": "stepcore.postmortem",

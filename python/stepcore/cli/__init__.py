@@ -16,10 +16,22 @@ from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
 from stepcore.checks import one_line
-from stepcore.cli import ablate, converge, diagnose, info, lesson, plan, predict, replay, run, trade
+from stepcore.cli import (
+    ablate,
+    converge,
+    diagnose,
+    info,
+    lesson,
+    map,
+    plan,
+    predict,
+    replay,
+    run,
+    trade,
+)
 
 # In the order of the help.
-COMMANDS = (lesson, run, replay, trade, predict, diagnose, converge, plan, ablate, info)
+COMMANDS = (lesson, run, replay, trade, predict, diagnose, map, converge, plan, ablate, info)
 
 
 class _Parser(argparse.ArgumentParser):
