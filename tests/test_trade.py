@@ -72,6 +72,7 @@ def test_the_orders_of_the_integrators_on_a_spring():
     for name, order in orders.items():
         errors = [by(result, integrator=name, dt=dt).errors.position for dt in (0.005, 0.0025)]
         assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.12)
+        assert result.orders[name] == pytest.approx(order, abs=0.12)
     assert any("solver does not matter" in note for note in result.notes)
 
 

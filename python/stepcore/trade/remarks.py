@@ -43,6 +43,12 @@ def truths(reference: Reference) -> list[str]:
     return found
 
 
+def observed(trade: Trade) -> list[str]:
+    """The order of each integrator, where the table shows one."""
+    found = ", ".join(f"{name} {order:.2g}" for name, order in trade.orders.items())
+    return [f"observed order of accuracy (worst start): {found}"] if found else []
+
+
 def after(trade: Trade, width: int | None) -> list[str]:
     """The statistics of a trade as lines; none where all of it can be predicted."""
     told = [row for row in trade.rows if row.after is not None]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from stepcore.table import Table
 from stepcore.trade.answer import answer
 from stepcore.trade.reference import FINER, smallest
-from stepcore.trade.remarks import after
+from stepcore.trade.remarks import after, observed
 from stepcore.trade.settings import label, metres, rarer, seconds
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def text(trade: Trade, width: int | None, full: bool) -> str:
     if trade.screened > len(trade.rows):
         tried = f"{trade.screened} settings were tried in {trade.runs} runs"
         lines.append(f"{tried}; those above ran from all starts")
-    lines += [*after(trade, width), *failed(trade)]
+    lines += [*observed(trade), *after(trade, width), *failed(trade)]
     lines += ["", *sentences(trade)]
     notes = trade.notes + cautions(trade)
     if notes:

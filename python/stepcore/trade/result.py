@@ -14,7 +14,8 @@ from stepcore.table import Table, jsonable
 from stepcore.trade import report
 from stepcore.trade.errors import Errors, pareto
 from stepcore.trade.mujoco import Point
-from stepcore.trade.reference import Reference
+from stepcore.trade.order import orders
+from stepcore.trade.reference import FINER, Reference
 from stepcore.trade.statistics import QUANTITIES, Statistics
 
 FIELDS = (
@@ -171,6 +172,11 @@ class Trade(Result):
     def shipped(self) -> Row:
         """The settings that came with the scene."""
         return next(row for row in self.rows if row.shipped)
+
+    @property
+    def orders(self) -> dict[str, float]:
+        """The order of accuracy that each integrator shows in the table (worst start)."""
+        return orders(self.rows, FINER * self.reference.high)
 
     @property
     def predictable(self) -> float:
