@@ -30,9 +30,9 @@ class Errors:
     mass, and of orientations times the body's radius of gyration. relative, relative_max:
     position and position_max over the scene's size.
 
-    numerical, modelling [m]: what position is made of where a setting changes the model (other
-    cone, other law, f32): its distance to that model's own limit, and the distance of the two
-    limits; see `stepcore.trade.models`. Elsewhere numerical is position, and modelling 0.
+    numerical, modelling [m]: what `high` is made of where a setting changes the model (other cone,
+    other law, f32): its distance to that model's own limit, and the distance of the two limits;
+    see `stepcore.trade.models`. Elsewhere numerical is `high`, and modelling 0.
 
     The largest of any start, None where the scene has no such thing or it cannot be known:
     momentum [kg·m/s], angular_momentum [kg·m²/s]: what internal forces and gravity do not
@@ -92,7 +92,7 @@ def errors(
         matter.append(np.hypot(metres[-1], turned(path, true) * radians[-1]))
         creeps.append(creep(path.slips, true.slips, mask, sticks))
     largest = [float(part.max(initial=0.0)) for part in metres]
-    position = float(np.median(_roots(metres)))
+    position, each = float(np.median(_roots(metres))), tuple(_roots(matter))
     return Errors(
         position=position,
         position_max=max(largest),
@@ -103,10 +103,10 @@ def errors(
         overlap=max(path.overlap for path in paths),
         residual=max(path.residual for path in paths),
         worst=largest.index(max(largest)),
-        each=tuple(_roots(matter)),
+        each=each,
         relative=position / size,
         relative_max=max(largest) / size,
-        numerical=position,
+        numerical=max(each),
         momentum=_worst([path.momentum for path in paths]),
         angular_momentum=_worst([path.spin for path in paths]),
         joint=_worst([path.joint for path in paths]),

@@ -58,28 +58,28 @@ class Models:
             self.doubles[settings] = paths
 
     def errors(self, settings: Settings, paths: Sequence[Path]) -> Errors:
-        """Errors of one setting, its position error split.
+        """Errors of one setting, that of its worst start split.
 
         Where another model's own limit fails, or the run in double precision does, nothing can
         be told apart: modelling is then NaN, and numerical the whole error.
         """
         whole = self._apart(paths, self.reference.paths, settings.cone)
-        numerical, modelling = whole.position, 0.0
+        numerical, modelling = whole.high, 0.0
         exact = settings.replace(precision="f64")
         if settings.precision != "f64":
             double = self._double(exact)
             if double is None:
                 return dataclasses.replace(whole, modelling=float("nan"))
-            modelling = self._apart(paths, double).position
-            numerical = self._apart(double, self.reference.paths).position
+            modelling = self._apart(paths, double).high
+            numerical = self._apart(double, self.reference.paths).high
             paths = double
         own = self.search.shipped
         if _modelled(exact) != _modelled(own) or self._clamp(exact):
             limit = self.limit(exact)
             if limit.failed:
                 return dataclasses.replace(whole, modelling=float("nan"))
-            modelling += self._apart(limit.paths, self.base.paths).position
-            numerical = self._apart(paths, limit.paths).position
+            modelling += self._apart(limit.paths, self.base.paths).high
+            numerical = self._apart(paths, limit.paths).high
         return dataclasses.replace(whole, numerical=numerical, modelling=modelling)
 
     def limit(self, settings: Settings) -> Level:
@@ -115,7 +115,7 @@ class Models:
         if shipped.cone == "pyramidal" and any(any(path.slips) for path in here):
             limit = self._level(course, shipped.replace(cone="elliptic"), self.cheap)
             if not limit.failed:
-                apart = self._apart(limit.paths, here).position
+                apart = self._apart(limit.paths, here).median
                 found["pyramid"] = Gap(apart, "elliptic cones")
         if shipped.law == "solref":
             apart_by = []
@@ -125,7 +125,7 @@ class Models:
                 level = self._level(stiff, shipped, self.cheap)
                 if level.failed:
                     break
-                apart_by.append(self._apart(level.paths, here).position)
+                apart_by.append(self._apart(level.paths, here).median)
             if apart_by:
                 last = apart_by[-1]
                 steady = len(apart_by) > 1 and abs(last - apart_by[-2]) <= SETTLED * last

@@ -68,7 +68,7 @@ class Known:
     bases: dict[str, str]
 
 
-MEASURES = {"error": "position", "largest": "position_max", "high": "high", "angle": "angle"}
+MEASURES = {"error": "median", "largest": "position_max", "high": "high", "angle": "angle"}
 
 
 def known(halvings: Sequence[Errors], floor: float, rival: Errors | None, other: str) -> Known:

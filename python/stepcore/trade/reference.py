@@ -59,8 +59,8 @@ class Level:
 
     @property
     def distance(self) -> float:
-        """To the level of twice the step [m], measured as errors are; inf without one."""
-        return np.inf if self.moved is None else self.moved.position
+        """To the level of twice the step, of the median start [m]; inf without one."""
+        return np.inf if self.moved is None else self.moved.median
 
     @property
     def high(self) -> float:
@@ -216,7 +216,7 @@ class Search:
         reference.exact = closed(self.course, reference.level.paths)
         if reference.exact is not None:
             truth = Level(0.0, "", reference.exact.paths)
-            reference.exact.check = self.apart(reference.level, truth, found).position
+            reference.exact.check = self.apart(reference.level, truth, found).median
         reference.told()
         return reference
 
@@ -331,7 +331,7 @@ class Search:
             growth=found,
             known=known(moved, ROUNDING * self.size, rival, other),
             orders={key: observed([x.distance for x in c[1:]]) for key, c in self.chains.items()},
-            agreement=np.nan if rival is None else rival.position,
+            agreement=np.nan if rival is None else rival.median,
             other=other,
             other_error=self.chains[other][-1].distance if other else np.nan,
             stiffens=self.shipped.law in DEPENDENT

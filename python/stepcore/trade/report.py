@@ -23,9 +23,10 @@ LEGEND = """\
 * best for its cost, s as shipped, r recommended, c refsafe softens rows at this dt, ref reference
 dt ms; cost µs, flops and rows (updates) per simulated second; error: how far matter is off (centres
 of mass, and turning × radius of gyration), rms, of the worst start, m (<: below what the reference
-knows, which is shown); median: of the starts; max: of centres, any sample; angle: rms, rad; gained,
-lost: energy beyond the work done, J; overlap: deepest, m; resid: worst residual, m/s; iterations,
-tolerance, cold, …: where it is not as shipped"""
+knows, which is shown); median: of the starts; numeric, model: what error is made of where a setting
+changes the model; max: of centres, any sample; angle: rms, rad; gained, lost: energy beyond the
+work done, J; overlap: deepest, m; resid: worst residual, m/s; iterations, tolerance, cold, …: where
+it is not as shipped"""
 
 
 def text(trade: Trade, width: int | None, full: bool) -> str:
@@ -78,7 +79,18 @@ def telling(trade: Trade) -> list[Row]:
 
 HEADS = ("", "dt", "integrator", "solver", "error")
 COSTS = ("cost", "flops", "rows")
-ERRORS = ("error", "median", "max", "angle", "gained", "lost", "overlap", "resid")
+ERRORS = (
+    "error",
+    "median",
+    "numeric",
+    "model",
+    "max",
+    "angle",
+    "gained",
+    "lost",
+    "overlap",
+    "resid",
+)
 NUMBERS = (*COSTS, *ERRORS)
 NAMES = ("", "dt", "integrator", "solver", "also", *NUMBERS)
 # A column with nothing else says nothing of the scene.
@@ -104,8 +116,11 @@ def cells(trade: Trade, row: Row) -> dict[str, Any]:
     if e is None:
         return record | dict.fromkeys(ERRORS, "") | {"error": "failed"}
     largest = max(e.position_max, trade.reference.largest)
-    numbers = (e.median, largest, e.angle, e.gained, e.lost, e.overlap, e.residual)
+    split = (e.numerical, e.modelling) if e.modelling else (0.0, 0.0)
+    numbers = (e.median, *split, largest, e.angle, e.gained, e.lost, e.overlap, e.residual)
     record |= dict(zip(ERRORS, map(short, (trade.error(row), *numbers)), strict=True))
+    if not e.modelling:
+        record["numeric"] = record["model"] = ""
     record["error"] = "<" * row.below + record["error"]
     record["max"] = "<" * row.below_max + record["max"]
     return record
@@ -118,7 +133,18 @@ def truth(trade: Trade) -> dict[str, Any]:
     gained = max(float(path.balance.max()) for path in ref.paths)
     overlap = max(path.overlap for path in ref.paths)
     residual = max(path.residual for path in ref.paths)
-    numbers = (ref.high, ref.error, ref.largest, ref.angle, gained, lost, overlap, residual)
+    numbers = (
+        ref.high,
+        ref.error,
+        0.0,
+        0.0,
+        ref.largest,
+        ref.angle,
+        gained,
+        lost,
+        overlap,
+        residual,
+    )
     return {
         "": "ref",
         "dt": f"{ref.settings.dt * 1e3:.4g}",
