@@ -48,6 +48,8 @@ class Case:
 
 INTEGRATORS = ("explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4")
 STABLE = "motion grows beyond"
+# ω·dt at that boundary, undamped, where there is one.
+PHASE = {"semi-implicit": "2", "euler": "2", "implicitfast": "2", "rk4": "2√2"}
 
 
 def spring(size: float | None) -> Case:
@@ -68,8 +70,13 @@ def spring(size: float | None) -> Case:
 
         return of
 
+    def says(integrator: str) -> str:
+        phase = PHASE.get(integrator)
+        return f"{STABLE} ω dt = {phase}" if phase else STABLE
+
     settings = [
-        Setting(name, {"integrator": name}, truth, boundary(name), STABLE) for name in INTEGRATORS
+        Setting(name, {"integrator": name}, truth, boundary(name), says(name))
+        for name in INTEGRATORS
     ]
     values = np.geomspace(1.0, 1e6, 19).tolist()
     dts = np.geomspace(1e-4, 1e-1, 25).tolist()
