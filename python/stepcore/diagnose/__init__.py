@@ -22,7 +22,7 @@ from stepcore.diagnose.parts import parts
 from stepcore.diagnose.report import notes
 from stepcore.diagnose.result import Diagnosis
 from stepcore.diagnose.softness import softened_beyond
-from stepcore.diagnose.states import start, visited
+from stepcore.diagnose.states import eased, held, start, visited
 from stepcore.jobs import check_executor, each
 from stepcore.layout import Layout
 from stepcore.lookup import find_scene
@@ -63,7 +63,8 @@ def diagnose(
         suggestion is made on a copy of the model and its step linearised again.
     horizon: length of the motion that is looked along [s]. What neither grows nor decays by
         itself counts as unstable where a step makes it grow e-fold in this time.
-    key, control, control_dt, ctrl, seed: the motion, as in `trade`.
+    key, control, control_dt, ctrl, seed: the motion, as in `trade`; without controls it begins
+        at the keyframe's own (zero without one) and goes over to smooth seeded ones.
     threads, executor: integrators at once, or elsewhere. progress: as in `trade`.
 
     Raises ValueError for an argument outside its limits, a scene in which nothing can move, and
@@ -78,7 +79,10 @@ def diagnose(
     >>> print(f"{1e3 * d.limit('semi-implicit'):.2f} ms by {d.stiffest('semi-implicit')}")
     2.00 ms by spring "knee"
     """
-    model = compiled(find_scene(model) if isinstance(model, (str, os.PathLike)) else model)
+    if isinstance(model, (str, os.PathLike)):
+        # What it would warn of is told here in full.
+        model = find_scene(model, warn=False)
+    model = compiled(model)
     checks.told("diagnose", progress)
     wanted = model.settings.dt if dt is None else checks.seconds("dt", dt)
     checks.seconds("horizon", horizon)
@@ -100,6 +104,8 @@ def diagnose(
         count=1,
         seed=seed,
     )
+    if ctrl is None and control is None:
+        path = eased(path, held(model, key))
     with Progress("states", 1, progress) as bar:
         visit = visited(model, path, _safe(model, situation(model, [start(model, path)], horizon)))
         here = situation(model, visit.states, horizon)

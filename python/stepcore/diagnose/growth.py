@@ -12,9 +12,11 @@ grows no faster than that rate allows:
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +30,9 @@ UNRESOLVED = 1e-4
 # |μ| - 1 of any other that may be rounding.
 ROUNDING = 1e-9
 
+# Angle of an eigenvalue [rad] below which it may be any slow motion.
+SLOW_TURN = 0.5
+
 # The search for a limit: how the steps tried grow, and how finely the limit is told.
 FACTOR, FINE = 1.5, 1e-3
 
@@ -36,13 +41,13 @@ FACTOR, FINE = 1.5, 1e-3
 class Growth:
     """The worst eigenvalue of a step: μ, its growth rate and the excess over what is allowed [1/s].
 
-    index: which eigenvalue, in the order of numpy's `eigvals`; -1 where there is no matrix.
+    own: the rate of the motion itself that it belongs to.
     """
 
     value: complex
     rate: float
     excess: float
-    index: int
+    own: complex = 0j
 
     @property
     def stable(self) -> bool:
@@ -50,38 +55,53 @@ class Growth:
         return self.excess <= 0
 
 
-def allowed(rates: Floats, horizon: float) -> Floats:
+def allowed(rates: Any, horizon: float) -> Floats:
     """How fast [1/s] a numerical motion may grow where the physical one has these rates."""
     size = np.abs(rates)
-    neutral = np.minimum(1 / horizon, PER_RADIAN * np.maximum(size, 1 / horizon))
+    neutral = _neutral(size, horizon)
     decaying = rates.real < -DAMPED * size
     growing = FASTER * np.maximum(rates.real, 0)
     return np.where(decaying, 0.0, np.maximum(growing, neutral))
 
 
-def growth(matrix: Floats | None, dt: float, rates: Floats, horizon: float) -> Growth:
+def _neutral(size: Any, horizon: float) -> Any:
+    """How fast [1/s] what neither grows nor decays may grow, of rates of this size."""
+    return np.minimum(1 / horizon, PER_RADIAN * np.maximum(size, 1 / horizon))
+
+
+def growth(matrix: Floats | None, dt: float, rates: Any, horizon: float) -> Growth:
     """The eigenvalue that grows most beyond what is physical."""
     if matrix is None:
-        return Growth(math.inf, math.inf, math.inf, -1)
+        return Growth(math.inf, math.inf, math.inf)
     values = np.linalg.eigvals(matrix)
     # An eigenvalue of zero decays at once.
     values = np.where(values == 0, 1e-300, values).astype(complex)
     found = np.log(values) / dt
     apart = np.abs(found[:, None] - rates[None, :])
-    limit = allowed(rates, horizon)[apart.argmin(axis=1)]
+    nearest = apart.argmin(axis=1)
+    limit = allowed(rates, horizon)[nearest]
     excess = found.real - np.maximum(limit, ROUNDING / dt)
     excess[np.abs(found) * dt < UNRESOLVED] = -np.inf
     worst = int(excess.argmax())
-    return Growth(complex(values[worst]), float(found[worst].real), float(excess[worst]), worst)
+    own = complex(rates[nearest[worst]])
+    return Growth(complex(values[worst]), float(found[worst].real), float(excess[worst]), own)
 
 
-def beyond(found: Growth, shorter: Floats, dt: float) -> Growth:
+def beyond(found: Growth, shorter: Floats, dt: float, horizon: float) -> Growth:
     """The growth beyond what the same motion does over dt in shorter steps, `shorter`.
 
-    Growth of a rule falls with its step, growth of the motion does not.
+    Growth of a rule falls with its step, growth of the motion does not. A decay that the shorter
+    steps do not show either (the state moves, and its rates with it) is no measure of a growth.
     """
-    radius = float(np.abs(np.linalg.eigvals(shorter)).max())
-    own = FASTER * max(math.log(radius), 0.0) / dt if radius > 0 else 0.0
+    values = np.linalg.eigvals(shorter).astype(complex)
+    rates = np.log(np.where(values == 0, 1e-300, values)) / dt
+    here = cmath.log(found.value) / dt
+    same = complex(rates[np.abs(rates - here).argmin()])
+    own = FASTER * max(same.real, 0.0)
+    if abs(cmath.phase(found.value)) < SLOW_TURN:
+        own = max(own, FASTER * float(rates.real.max()))
+        if same.real > 0.5 * found.own.real:
+            own = max(own, float(_neutral(abs(found.own), horizon)))
     return replace(found, excess=min(found.excess, found.rate - own))
 
 

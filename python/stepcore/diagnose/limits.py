@@ -37,8 +37,6 @@ SHORTER = 4
 # Steps that a row may take to begin to act, and after which one that refsafe softens, to a time
 # constant of 2 dt, is at rest.
 MEETINGS, SETTLING = 3, 30
-# Angle of an eigenvalue [rad] from which it is a motion that the step makes up.
-ALTERNATING = 0.5
 
 
 @dataclass(frozen=True)
@@ -116,13 +114,13 @@ class Situation:
         if found.stable or abs(found.value) > CLEAR:
             return found
         on_guess = self.model.settings.law in ON_GUESS and bool(state.rows)
-        if on_guess and abs(cmath.phase(found.value)) < ALTERNATING:
+        if on_guess and abs(cmath.phase(found.value)) < growth.SLOW_TURN:
             # What the motion does along its rows is not known from the motion without them.
             return replace(found, excess=-math.inf)
         # Where the state itself moves within the step, or a row begins or ends to act, the rates
         # at its start do not tell: the same time in shorter steps does.
         shorter = flow(model, state, integrator, dt, SHORTER)
-        return found if shorter is None else growth.beyond(found, shorter, dt)
+        return found if shorter is None else growth.beyond(found, shorter, dt, self.horizon)
 
     def stable(self, integrator: str, dt: float) -> bool:
         """Whether a step is stable at every state."""

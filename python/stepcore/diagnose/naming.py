@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from stepcore.diagnose.growth import growth
 from stepcore.diagnose.limits import Limit, Situation
 from stepcore.diagnose.linear import step_map
 from stepcore.diagnose.parts import Shares, parts
@@ -24,6 +27,11 @@ def shares_at(here: Situation, limit: Limit) -> Shares:
     if matrix is None or all_parts is None:
         # A step that does not stay finite, or an iteration that does not converge.
         return _fastest(here, limit.state)
+    # The elements' own step, where it tells of the same: what it leaves out is no element's.
+    made = all_parts.step(limit.integrator, dt)
+    same = growth(made, dt, np.linalg.eigvals(all_parts.rates), here.horizon)
+    if not same.stable:
+        return all_parts.shares(limit.integrator, dt, made, same.value)
     return all_parts.shares(limit.integrator, dt, matrix, worst.value)
 
 

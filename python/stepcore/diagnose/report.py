@@ -117,8 +117,8 @@ def notes(
     growing = max(float(rates.real.max(initial=0.0)) for rates in here.rates)
     if growing > NOTABLE:
         said.append(
-            f"the motion itself grows (up to e-fold in {seconds(1 / growing)}: falling, or "
-            "balanced upright): that is physical, and no dt changes it"
+            f"the motion itself grows (up to e-fold in {seconds(1 / growing)}: falling, "
+            "balanced, or driven): that is physical, and no dt changes it"
         )
     soft = {key: one.softened for key, one in elements.items() if math.isfinite(one.softened)}
     if soft:

@@ -20,6 +20,8 @@ from stepcore.diagnose.linear import State
 from stepcore.results import Result
 from stepcore.table import Table
 
+DT = "largest stable dt [s]"
+
 
 @dataclass
 class Diagnosis(Result):
@@ -127,7 +129,7 @@ class Diagnosis(Result):
         rows = [
             {
                 "integrator": name + (" *" if name == own else ""),
-                "largest stable dt [s]": limit.dt,
+                DT: limit.dt,
                 "by": self.stiffest(name) if math.isfinite(limit.dt) else "",
                 "share": max(self.shares[name].values(), default=None)
                 if math.isfinite(limit.dt)
@@ -136,7 +138,9 @@ class Diagnosis(Result):
             }
             for name, limit in self.limits.items()
         ]
-        formats = {"frequency": ".4g", "share": ".2f", "ratio": ".2g"}
+        # A name is not cut: columns are left out first.
+        formats = {"element": "", "frequency": ".4g", "share": ".2f", "ratio": ".2g"}
+        formats |= dict.fromkeys(self.limits, ".3g")
         elements = Table(self.table, columns=self._columns(), formats=formats)
         parts = [
             wrapped(
@@ -147,7 +151,7 @@ class Diagnosis(Result):
             elements.text(width) if len(elements) else "none",
             "",
             "All together (* the scene's own)",
-            Table(rows, formats={"share": ".2f"}).text(width),
+            Table(rows, formats={"share": ".2f", "by": "", DT: ".3g"}).text(width),
             "",
             *(wrapped(line, width) for line in self.sentences),
             *(wrapped(f"Note: {note}.", width) for note in self.notes),

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stepcore._core import SimulationError
+from stepcore.arrays import Floats
 from stepcore.diagnose.linear import State, acting, placed
 from stepcore.model import Model
 from stepcore.sim import Sim
@@ -20,6 +21,8 @@ from stepcore.trade.motion import Motion
 
 # The most states, steps and looks at the rows of one run.
 STATES, STEPS, LOOKS = 8, 20_000, 200
+# Part of the motion in which controls that nobody gave come in.
+EASING = 0.25
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,22 @@ class Visit:
     dt: float
     reached: float
     failure: str = ""
+
+
+def held(model: Model, key: str | int | None) -> Floats:
+    """The controls of the keyframe, shape (nu,): zero without one."""
+    if key is None and not model.keys:
+        return np.zeros(model.nu)
+    return model.keys[0 if key is None else model.index("key", key)].ctrl
+
+
+def eased(motion: Motion, ctrl: Floats) -> Motion:
+    """The motion with its controls coming in from `ctrl`: a jump would be no motion of the user's,
+    and a stiff servo answers it with a blow."""
+    if motion.ctrl is None:
+        return motion
+    share = np.minimum(1.0, np.arange(motion.periods) / (EASING * motion.periods))[:, None]
+    return replace(motion, ctrl=ctrl + share * (motion.ctrl - ctrl))
 
 
 def start(model: Model, motion: Motion) -> State:
