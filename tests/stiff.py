@@ -83,6 +83,19 @@ def pad(solref=(-1e6, -200.0), mass: float = 1.0, **options) -> sc.Scene:
     return scene
 
 
+def table(solref=(-1e5, -500.0), **options) -> sc.Scene:
+    """A board on four balls on the floor."""
+    scene = sc.Scene(name="table").with_settings(**options)
+    board = scene.add_body("board", pos=(0, 0, 0.1))
+    scene.add_joint(board, "free")
+    for i, (x, y) in enumerate(((0.2, 0.1), (-0.2, 0.1), (0.2, -0.1), (-0.2, -0.1))):
+        scene.add_geom(
+            board, "sphere", 0.1, pos=(x, y, 0), mass=0.5, name=f"foot{i}", solref=solref
+        )
+    scene.add_geom("world", "plane", name="floor", solref=solref)
+    return scene
+
+
 def bisected(stable: Callable[[float], bool], low: float, high: float, fine: float = 2e-3) -> float:
     """The step between one that is stable and one that is not."""
     assert stable(low) and not stable(high)
