@@ -23,7 +23,7 @@ from stepcore.trade.errors import errors, extent
 from stepcore.trade.finish import Finisher
 from stepcore.trade.models import Models
 from stepcore.trade.motion import Control, Motion, default_horizon, motion, time_steps
-from stepcore.trade.moves import Steps, slides
+from stepcore.trade.moves import Steps, longest, slides
 from stepcore.trade.recommend import confirmed, others
 from stepcore.trade.reference import FINER, Reference, Search, smallest
 from stepcore.trade.remarks import truths
@@ -134,6 +134,8 @@ def trade(
     if not dofs.moving:
         raise ValueError("nothing in the scene can move: there is no motion to trade")
     steps, period = time_steps(shipped.dt, dts, control_dt, 1.0 if horizon is None else horizon)
+    if not (full or dofs.motors or control or control_dt):
+        period = longest(period, 1.0 if horizon is None else horizon)
     drawn = partial(
         motion,
         model,

@@ -16,6 +16,9 @@ from stepcore.trade.settings import COULOMB_LAW, SMOOTH_LAW
 
 SWEEPS = (1, 2, 3, 5, 8, 12, 20, 32, 50, 100, 200)
 TOLERANCES = (0.0, 1e-10, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+# Where nothing is driven, steps up to this many times the largest of the default ones are tried, as
+# long as so many samples are left in the horizon.
+LONGER, LEFT = 4, 25
 # Few enough rows, or iterations, that plain Newton is bounded by them.
 ITERATIONS = (1, 2, 3, 5, 100)
 
@@ -42,6 +45,14 @@ class Steps:
     def at(self, settings: Settings, pieces: int) -> Settings:
         """The settings with another time step."""
         return settings.replace(dt=self.dt(pieces))
+
+
+def longest(period: float, horizon: float) -> float:
+    """The longest step to try on a motion without controls [s], a multiple of the period."""
+    times = LONGER
+    while times > 1 and horizon < LEFT * times * period * (1 - 1e-9):
+        times //= 2
+    return times * period
 
 
 def families(shipped: Settings, rows: int) -> list[Settings]:

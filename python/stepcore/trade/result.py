@@ -240,7 +240,9 @@ class Trade(Result):
         if not good:
             least = min((self.error(row) for row in self.rows), default=math.inf)
             raise ValueError(f"error = {error:g} m: the smallest in this trade is {least:.3g} m")
-        return min(good, key=lambda row: (self.price(row), row.nbytes, self.error(row)))
+        # Single precision does the same operations: of two alike the double one.
+        single = {row.settings: row.settings.precision == "f32" for row in good}
+        return min(good, key=lambda r: (self.price(r), single[r.settings], self.error(r)))
 
     def most_accurate(self, budget: float) -> Row:
         """The row with the smallest error whose price is at most `budget`.
