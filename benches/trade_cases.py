@@ -222,7 +222,7 @@ class Judge:
 
     def price(self, settings: sc.Settings) -> float:
         """Operations per simulated second, on the motion of the first start."""
-        return glance(self.course, settings, 0, priced=True)[1]
+        return glance(self.course, settings, 0, priced=True)[1].flops
 
 
 def every(shipped: sc.Settings, steps: Steps, rows: int) -> Iterator[sc.Settings]:

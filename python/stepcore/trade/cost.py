@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from time import get_clock_info, perf_counter, thread_time
+from typing import NamedTuple
 
 import numpy as np
 
@@ -125,41 +127,30 @@ def calls(course: Course, dt: float) -> tuple[int, int]:
     return (count, periods) if course.dofs.motors else (count * periods, 1)
 
 
+class Work(NamedTuple):
+    """What is counted: floating-point operations per simulated second, and bytes of memory."""
+
+    flops: float
+    nbytes: int
+
+
+UNKNOWN = Work(math.nan, 0)
+
+
 class Counter:
-    """Floating-point operations of a run: counted for one step at every sample, by the engine,
-    and taken to hold until the next.
+    """Counts the work of a run: operations of one step at every sample, by the engine itself,
+    taken to hold until the next; memory at the end, where all contacts have had room.
     """
 
     def __init__(self, course: Course, settings: Settings) -> None:
-        self.course, self.settings = course, settings
+        self._horizon = course.motion.horizon
         self._steps = course.motion.steps(settings.dt) * course.motion.every
         self._sum = 0.0
 
     def look(self, sim: Sim) -> None:
         """Counts the next step; nothing moves."""
-        if hasattr(sim, "count_flops"):
-            self._sum += sim.count_flops(1) * self._steps
+        self._sum += sim.count_flops() * self._steps
 
-    def total(self, sim: Sim) -> float:
-        """Operations per simulated second, after the run."""
-        known = self._sum / self.course.motion.horizon
-        return known or _estimate(self.course, self.settings, sim.row_updates)
-
-
-def memory(course: Course, settings: Settings) -> int:
-    """Bytes of a Sim's state and working space under these settings; 0 if unknown."""
-    return int(getattr(course.sim(settings), "nbytes", 0))
-
-
-STAGES = {"rk4": 4.0, "midpoint": 3.0}
-
-
-def _estimate(course: Course, settings: Settings, row_updates: int) -> float:
-    """Operations by a rule of thumb, for an engine that does not count them."""
-    dofs, model = course.dofs, course.model
-    steps = 1.0 / settings.dt * STAGES.get(settings.integrator, 1.0)
-    place = 150.0 * model.nbody + 30.0 * dofs.nv + 2.0 * dofs.nv**2
-    update = 4.0 * dofs.nv + 10
-    if settings.solver == "newton":
-        update = dofs.nv**2 + 6.0 * dofs.nv + 20
-    return steps * place + row_updates / course.motion.horizon * update
+    def total(self, sim: Sim) -> Work:
+        """The work, after the run."""
+        return Work(self._sum / self._horizon, sim.nbytes)

@@ -9,7 +9,7 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.progress import Progress
-from stepcore.trade.cost import Timed, costs, memory
+from stepcore.trade.cost import Timed, costs
 from stepcore.trade.models import Models
 from stepcore.trade.mujoco import Player
 from stepcore.trade.result import Row
@@ -65,7 +65,6 @@ class Finisher:
         )
         if failure is None:
             row.errors = self.models.errors(settings, paths)
-            row.cost, row.flops = cost, trials.prices[settings]
+            row.cost, (row.flops, row.nbytes) = cost, trials.work[settings]
             row.row_updates = float(np.mean([path.row_updates for path in paths])) / horizon
-            row.nbytes = memory(trials.course, settings)
         return row

@@ -5,21 +5,19 @@ What the search looks at hundreds of times. The errors in the table are of `Cour
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
-from stepcore.trade.cost import Counter
+from stepcore.trade.cost import UNKNOWN, Counter, Work
 from stepcore.trade.dofs import rotated
 from stepcore.trade.run import Course, Path
 
 
 def glance(
     course: Course, settings: Settings, start: int, priced: bool = False
-) -> tuple[Path, float]:
-    """The motion from one start; if priced, its operations per simulated second, else NaN.
+) -> tuple[Path, Work]:
+    """The motion from one start; if priced, what work that is, else unknown.
 
     Of the path only com, quat, row_updates and failure are known.
     """
@@ -42,10 +40,10 @@ def glance(
         path.row_updates = sim.row_updates
     except (ValueError, SimulationError) as error:
         path.failure = one_line(error)
-        return path, math.nan
+        return path, UNKNOWN
     path.quat, path.gyration = np.array(quat), course.gyration
     with np.errstate(over="ignore", invalid="ignore"):
         path.com = np.array(xpos) + rotated(path.quat, course.ipos)
     if not np.all(np.isfinite(path.com)):
         path.failure = "positions overflow"
-    return path, math.nan if counter is None else counter.total(sim)
+    return path, UNKNOWN if counter is None else counter.total(sim)

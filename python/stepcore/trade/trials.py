@@ -15,14 +15,15 @@ from typing import TypeVar
 from stepcore._core import Settings
 from stepcore.jobs import each
 from stepcore.progress import Choice, Progress
+from stepcore.trade.cost import UNKNOWN, Work
 from stepcore.trade.errors import errors, far_off
 from stepcore.trade.glance import glance
 from stepcore.trade.reference import Reference
 from stepcore.trade.run import Course, Path
 
 T = TypeVar("T")
-# Runs of a setting, and its price.
-Ran = tuple[list[Path], float]
+# Runs of a setting, and the work of the first.
+Ran = tuple[list[Path], Work]
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class Trials:
         self.threads, self.executor, self.progress = threads, executor, progress
         self.glances: dict[Settings, list[Path]] = {}
         self.paths: dict[Settings, list[Path]] = {}
-        self.prices: dict[Settings, float] = {}
+        self.work: dict[Settings, Work] = {}
         self.runs = 0
 
     def glance(self, settings: Sequence[Settings], starts: int, label: str) -> None:
@@ -69,17 +70,17 @@ class Trials:
             if len(done) < starts and not (done and done[-1].failure):
                 jobs.append((one, len(done), starts))
         found = self._each(partial(glances, self.course), jobs, label)
-        for (one, first, _), (paths, price) in zip(jobs, found, strict=True):
+        for (one, first, _), (paths, work) in zip(jobs, found, strict=True):
             self.glances.setdefault(one, []).extend(paths)
             if first == 0:
-                self.prices[one] = price
+                self.work[one] = work
 
     def run(self, settings: Sequence[Settings], label: str = "errors") -> None:
         """Runs settings from every start and looks closely; what has been run is not run again."""
         missing = [one for one in dict.fromkeys(settings) if one not in self.paths]
         found = self._each(partial(all_starts, self.course), missing, label)
-        for one, (paths, price) in zip(missing, found, strict=True):
-            self.paths[one], self.prices[one] = paths, price
+        for one, (paths, work) in zip(missing, found, strict=True):
+            self.paths[one], self.work[one] = paths, work
 
     def _each(self, work: Callable[[T], Ran], jobs: Sequence[T], label: str) -> list[Ran]:
         with Progress(label, len(jobs), self.progress) as bar:
@@ -93,7 +94,7 @@ class Trials:
         if paths[-1].failure or self.far(paths):
             return FAILED
         truth, scored = self.reference.paths[: len(paths)], self.reference.scored[: len(paths)]
-        return Score(self.prices[settings], errors(paths, truth, scored).high)
+        return Score(self.work[settings].flops, errors(paths, truth, scored).high)
 
     def failure(self, settings: Settings) -> str | None:
         """Why a setting that has been run failed, if it did."""
@@ -108,23 +109,23 @@ class Trials:
 
 
 def glances(course: Course, job: tuple[Settings, int, int]) -> Ran:
-    """Glances at one setting from start `first` to before `last`, until one fails; its price."""
+    """Glances at one setting from start `first` to before `last`, until one fails; the work."""
     settings, first, last = job
-    paths, price = [], math.nan
+    paths, work = [], UNKNOWN
     for start in range(first, last):
         path, counted = glance(course, settings, start, priced=start == 0)
         paths.append(path)
-        price = counted if start == 0 else price
+        work = counted if start == 0 else work
         if path.failure:
             break
-    return paths, price
+    return paths, work
 
 
 def all_starts(course: Course, settings: Settings) -> Ran:
-    """Runs of one setting from every start, until one fails; and its price."""
+    """Runs of one setting from every start, until one fails; and the work."""
     paths = []
     for start in range(len(course.motion.starts)):
         paths.append(course.run(settings, start))
         if paths[-1].failure:
-            return paths, math.nan
+            return paths, UNKNOWN
     return paths, glance(course, settings, 0, priced=True)[1]
