@@ -5,8 +5,10 @@ import pytest
 
 import stepcore as sc
 from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import pareto
+from stepcore.trade.errors import Errors, pareto
 from stepcore.trade.motion import motion, time_steps
+from stepcore.trade.order import orders
+from stepcore.trade.result import Row
 
 
 def test_pareto():
@@ -69,3 +71,18 @@ def test_starts_respect_quaternions_and_ranges():
     change = np.random.default_rng(0).uniform(-0.5, 0.5, dofs.nv)
     moved = dofs.moved(got.starts[1].qpos, change)
     assert dofs.change(got.starts[1].qpos, moved) == pytest.approx(change, abs=1e-14)
+
+
+def test_the_order_of_a_table_is_the_slope_of_errors_over_steps():
+    def row(dt, error, **options):
+        settings = sc.Settings(dt=dt, integrator="euler", **options)
+        errors = Errors(error, error, 0, 0, 0, 0, 0, 0, each=(error,))
+        return Row(settings, errors, 1.0, 1.0)
+
+    second = [row(dt, 3 * dt**2) for dt in (0.01, 0.008, 0.004, 0.001)]
+    assert orders(second, 0.0)["euler"] == pytest.approx(2)
+    # At the reference's own error a slope says nothing, and neither does it over a short span.
+    assert orders(second[:2], 0.0) == {}
+    assert orders([row(0.01, 1e-3), row(0.001, 1e-9)], 1e-6) == {}
+    # Rows that differ in more than dt are no line.
+    assert orders([row(0.01, 1e-3), row(0.001, 1e-5, sweeps=3)], 0.0) == {}

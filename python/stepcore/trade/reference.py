@@ -213,12 +213,19 @@ class Search:
         if reference.known.high > EAGER * reference.level.high:
             self._catch_up(reference, found, bar)
             reference = self._reference(found, reference.level.integrator)
-        reference.exact = closed(self.course, reference.level.paths)
-        if reference.exact is not None:
-            truth = Level(0.0, "", reference.exact.paths)
-            reference.exact.check = self.apart(reference.level, truth, found).median
+        reference.exact = self._exact(reference, found)
         reference.told()
         return reference
+
+    def _exact(self, reference: Reference, found: Growth) -> Exact | None:
+        """The closed form, unless the converged run says that something was met on the way."""
+        exact = closed(self.course, reference.level.paths)
+        if exact is None:
+            return None
+        truth = Level(0.0, "", exact.paths)
+        exact.check = self.apart(reference.level, truth, found).median
+        meets = exact.check > FINER * reference.error + 1e-9 * self.size
+        return None if meets else exact
 
     def _steps(self) -> list[float]:
         """Three halvings, from twice the finest step; from four times where that costs too much."""

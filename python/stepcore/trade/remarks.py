@@ -44,9 +44,17 @@ def truths(reference: Reference) -> list[str]:
 
 
 def observed(trade: Trade) -> list[str]:
-    """The order of each integrator, where the table shows one."""
+    """How long the motion can be predicted, and the order that each integrator shows."""
+    growth = trade.reference.growth
+    if np.isfinite(trade.predictable):
+        lines = [f"predictable: {seconds(trade.predictable)} of {seconds(trade.horizon)}"]
+    else:
+        most = float(growth.factor.max())
+        lines = [
+            f"predictable: all of {seconds(trade.horizon)} (twins grow {most:.2g} times apart)"
+        ]
     found = ", ".join(f"{name} {order:.2g}" for name, order in trade.orders.items())
-    return [f"observed order of accuracy (worst start): {found}"] if found else []
+    return lines + ([f"observed order of accuracy (worst start): {found}"] if found else [])
 
 
 def after(trade: Trade, width: int | None) -> list[str]:
