@@ -115,7 +115,7 @@ class Models:
         if shipped.cone == "pyramidal" and any(any(path.slips) for path in here):
             limit = self._level(course, shipped.replace(cone="elliptic"), self.cheap)
             if not limit.failed:
-                apart = self._apart(limit.paths, here).median
+                apart = self._apart(limit.paths, here).high
                 found["pyramid"] = Gap(apart, "elliptic cones")
         if shipped.law == "solref":
             apart_by = []
@@ -125,7 +125,7 @@ class Models:
                 level = self._level(stiff, shipped, self.cheap)
                 if level.failed:
                     break
-                apart_by.append(self._apart(level.paths, here).median)
+                apart_by.append(self._apart(level.paths, here).high)
             if apart_by:
                 last = apart_by[-1]
                 steady = len(apart_by) > 1 and abs(last - apart_by[-2]) <= SETTLED * last

@@ -91,6 +91,6 @@ def _gap(name: str, gap: Gap) -> str:
     }[name]
     open_end = "" if gap.settled else ", and by more the harder it is: at least that"
     return (
-        f"modelling: {what} {metres(gap.distance)} (rms, median of starts; against "
+        f"modelling: {what} {metres(gap.distance)} (rms, worst start; against "
         f"{gap.against}{open_end}); no setting of dt or solver changes that"
     )
