@@ -25,6 +25,7 @@ from stepcore.trade.dofs import Dofs
 from stepcore.trade.motion import Control, Motion, default_horizon, motion, time_steps
 from stepcore.trade.reference import Reference, Search
 from stepcore.trade.run import Course
+from stepcore.trade.settings import metres
 
 __all__ = ["Ablation", "Row", "ablate"]
 
@@ -153,7 +154,7 @@ def ablate(
         back=back,
         smallest=made(model.scene.with_settings(model.settings), kept),
         reference=reference.error if reference else None,
-        notes=[*notes, *_notes(reference, motive)],
+        notes=[*notes, *_notes(reference, motive, error)],
     )
 
 
@@ -192,8 +193,13 @@ def _motive(course: Course, reference: Reference | None) -> Motive:
     return Motive(course.model, course.motion, tuple(paths), truth, reference.scored)
 
 
-def _notes(reference: Reference | None, motive: Motive) -> list[str]:
+def _notes(reference: Reference | None, motive: Motive, tolerance: float) -> list[str]:
     notes = ["torsional and rolling friction are not built yet: there is nothing to switch off"]
+    if reference is not None and reference.error > tolerance:
+        notes.append(
+            f"the converged motion is known to {metres(reference.error)} only: the column error "
+            "says no more than that, the column added does not need it"
+        )
     short = int((~motive.scored).any(axis=1).sum())
     if short:
         count = f"{short} of {len(motive.paths)} starts"

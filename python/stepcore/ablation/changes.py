@@ -61,7 +61,8 @@ def _feature(scene: Scene, name: str) -> None:
 
 def _exclude(scene: Scene, pairs: Iterable[tuple[int, int]]) -> None:
     for a, b in pairs:
-        scene.exclude(scene.bodies[a], scene.bodies[b])
+        # Not by `Scene.exclude`, which looks the two up among all bodies.
+        scene.excludes.append((scene.bodies[a], scene.bodies[b]))
 
 
 def _no_range(scene: Scene, joints: Iterable[int]) -> None:
@@ -105,6 +106,8 @@ class Features:
     def __init__(self, model: Model) -> None:
         self.model, self.scene = model, model.scene
         self.plan: dict[str, Any] = model.core.plan()
+        # Of geoms, in the model's order.
+        self.pairs: list[tuple[int, int]] = model.core.pairs()
         # From the order of the compiled model to that of the scene's lists.
         from stepcore.layout import Layout
 
@@ -145,7 +148,7 @@ class Features:
 
     def rubbing(self) -> tuple[int, ...]:
         """Geoms of pairs with friction, in the scene's order."""
-        pairs = zip(self.model.core.pairs(), self.plan["condim"], strict=True)
+        pairs = zip(self.pairs, self.plan["condim"], strict=True)
         geoms = {self.geom[g] for pair, condim in pairs if condim > 1 for g in pair}
         return tuple(sorted(geoms))
 
@@ -214,7 +217,7 @@ class Features:
         """Pairs of geoms by their pair of bodies, the smaller index first."""
         pairs: dict[tuple[int, int], list[tuple[int, int]]] = {}
         owner = self.model.geom_body.tolist()
-        for a, b in self.model.core.pairs():
+        for a, b in self.pairs:
             key = (min(owner[a], owner[b]), max(owner[a], owner[b]))
             pairs.setdefault(key, []).append((a, b))
         return pairs

@@ -130,7 +130,7 @@ class _Listing:
     def pairs(self) -> Iterator[Priced]:
         """Pairs of geoms by the shapes that meet."""
         tests: dict[str, list[int]] = {}
-        pairs = self.model.core.pairs()
+        pairs = self.features.pairs
         skips = self.settings.law in ("solref", "penalty")
         for index, (a, b) in enumerate(pairs):
             if not (skips and self.plan["apart"][index]):
@@ -153,7 +153,7 @@ class _Listing:
         yield _out("detect", "geoms in any pair", ghosts, why, kind="pair")
 
     def _pairs(self, indices: Iterable[int]) -> list[str]:
-        pairs = self.model.core.pairs()
+        pairs = self.features.pairs
         return [f"{self.geoms[a]}/{self.geoms[b]}" for a, b in (pairs[i] for i in indices)]
 
     def _without(self, indices: Sequence[int]) -> Change | None:
@@ -161,7 +161,7 @@ class _Listing:
         owner = self.model.geom_body.tolist()
         bodies = {
             tuple(sorted((owner[a], owner[b])))
-            for a, b in (self.model.core.pairs()[i] for i in indices)
+            for a, b in (self.features.pairs[i] for i in indices)
         }
         own = self.features.body_pairs()
         if sum(len(own[pair]) for pair in bodies) != len(indices):

@@ -124,6 +124,9 @@ fn walk(model: &Model, geom: usize, other: usize) -> Option<Vec<Between>> {
                 f64::max((low - joint.reference).abs(), (high - joint.reference).abs())
             };
         }
+        if found.len() > JOINTS {
+            return None;
+        }
         far += model.bodies[body].pos.norm();
         body = model.bodies[body].parent;
     }
