@@ -1,5 +1,6 @@
 """How long scenes can be predicted, against known growth; what is said of them after that."""
 
+import json
 import math
 from concurrent.futures import ProcessPoolExecutor
 
@@ -8,6 +9,7 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.cli import main
 from stepcore.trade.growth import Growth, _end
 from stepcore.trade.statistics import difference, student
 
@@ -149,3 +151,12 @@ def test_after_it_means_over_32_starts_are_compared():
     assert record["height_interval"] == shipped.after.height.interval
     assert "difference from the reference's means" in str(result)
     assert result.to_dict()["reference"]["predictable"] == result.predictable
+
+
+def test_the_command_predicts(capsys, tmp_path):
+    arguments = ["predict", "lesson:spring", "--horizon", "0.5", "--starts", "1"]
+    assert main([*arguments, "--json", "--plot", str(tmp_path / "growth.png")]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["predictable"] is None and data["limit"] == 1e3
+    assert len(data["growth"][0]) == len(data["times"])
+    assert main([*arguments, "--key", "nowhere"]) == 2

@@ -163,3 +163,34 @@ def test_the_reference_keeps_the_softness_that_the_scene_asks_for():
     result = trade(scene, **(options | {"integrators": ["semi-implicit"]}))
     assert result.reference.stiffens and 'the law "lesson" makes contacts stiffer' in str(result)
     assert not trade(lesson.spring(), horizon=0.1).reference.stiffens
+
+
+def test_a_servo_has_a_closed_form_until_its_force_is_clamped():
+    scene = sc.Scene(gravity=(0, 0, 0))
+    scene.add_body("cart", mass=2.0, inertia=(1, 1, 1))
+    joint = scene.add_joint("cart", "slide", axis=(1, 0, 0))
+    scene.add_actuator(joint, type="position", kp=50.0, kv=20.0)
+    scene.options = {"dt": 0.01, "integrator": "semi-implicit"}
+    options = {"ctrl": [[0.5]], "dts": [0.01], "integrators": ["rk4"], "horizon": 0.4}
+    result = trade(scene, **options)
+    # 2 x'' + 20 x' + 50 x = 25: critically damped, 5 rad/s.
+    t = np.arange(1, 41) * 0.01
+    wanted = 0.5 * (1 - (1 + 5 * t) * np.exp(-5 * t))
+    assert result.reference.paths[0].com[:, 0, 0] == pytest.approx(wanted, abs=1e-13)
+    scene.actuators[0].forcerange = (-10.0, 10.0)
+    assert trade(scene, **options).reference.exact is None
+
+
+def test_what_bounces_between_two_looks_has_no_closed_form():
+    # Up and down again to the floor and off it, with nothing touching at any sample.
+    scene = sc.Scene(gravity=(0, 0, -10.0))
+    scene.add_geom("world", "plane", condim=1)
+    scene.add_body("ball", pos=(0, 0, 0.15))
+    scene.add_joint("ball", "slide", axis=(0, 0, 1))
+    scene.add_geom("ball", "sphere", 0.1, mass=1.0, condim=1)
+    scene.options = {"dt": 0.002, "integrator": "semi-implicit", "solver": "pgs"}
+    scene.options |= {"law": "rigid", "restitution": 1.0, "sweeps": 1}
+    options = {"dts": [0.002], "integrators": ["semi-implicit"], "control_dt": 0.16}
+    assert trade(scene, horizon=0.16, **options).reference.exact is None
+    scene.body("ball").pos = (0, 0, 2.0)
+    assert trade(scene, horizon=0.16, **options).reference.exact is not None
