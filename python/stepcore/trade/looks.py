@@ -101,39 +101,56 @@ class Rub:
 
     def slips(self, sim: Sim, contacts: np.ndarray) -> Slips:
         """Every contact that friction acts in."""
-        found: Slips = {}
         if not self.rubs or not len(contacts):
-            return found
-        twists: dict[int, np.ndarray] = {}
+            return {}
+        pairs = list(zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True))
+        mu = np.array([self.friction(a, b) for a, b in pairs])
+        force, normal = contacts["force"], contacts["normal"]
+        pushed = np.einsum("ci,ci->c", force, normal)
+        rubs = np.flatnonzero((mu > 0) & (pushed > 0))
+        if not len(rubs):
+            return {}
         seen: dict[tuple[int, int], int] = {}
+        keys = []
+        for pair in pairs:
+            seen[pair] = seen.get(pair, -1) + 1
+            keys.append((*pair, seen[pair]))
+        some = [pairs[k] for k in rubs]
+        speed = self._speed(sim, contacts["pos"][rubs], [self.body[b] for _, b in some])
+        speed -= self._speed(sim, contacts["pos"][rubs], [self.body[a] for a, _ in some])
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = _slips(speed, force[rubs], normal[rubs], mu[rubs] * pushed[rubs])
+        return {keys[k]: slip for k, slip in zip(rubs, found, strict=True)}
+
+    def _speed(self, sim: Sim, points: np.ndarray, bodies: list[int]) -> np.ndarray:
+        """Velocities of points that are fixed to bodies [m/s], (n, 3)."""
         qvel, place = np.array(sim.qvel), sim.xpos
-        for contact in contacts:
-            a, b = int(contact["geom1"]), int(contact["geom2"])
-            seen[a, b] = k = seen.get((a, b), -1) + 1
-            force, normal = contact["force"], contact["normal"]
-            pushed, mu = float(force @ normal), self.friction(a, b)
-            if mu <= 0 or pushed <= 0:
-                continue
-            speed = np.zeros(3)
-            for sign, body in ((-1.0, self.body[a]), (1.0, self.body[b])):
-                if body not in self.moving:
-                    continue
-                if body not in twists:
-                    twists[body] = sim.jacobian(body) @ qvel
-                arm = contact["pos"] - place[body]
-                speed += sign * (twists[body][:3] + np.cross(twists[body][3:], arm))
-            with np.errstate(over="ignore", invalid="ignore"):
-                found[a, b, k] = _slip(speed, force, normal, mu * pushed)
-        return found
+        still = np.zeros(6)
+        twists = {
+            body: sim.jacobian(body) @ qvel if body in self.moving else still
+            for body in set(bodies)
+        }
+        twist = np.array([twists[body] for body in bodies])
+        speed: np.ndarray = twist[:, :3] + np.cross(twist[:, 3:], points - place[bodies])
+        return speed
 
 
-def _slip(speed: np.ndarray, force: np.ndarray, normal: np.ndarray, most: float) -> Slip:
-    """speed: of geom 2 past geom 1; force: on geom 2; most: μ × normal force."""
-    along = speed - (speed @ normal) * normal
-    rubbed = force - (force @ normal) * normal
-    fast, strong = float(np.linalg.norm(along)), float(np.linalg.norm(rubbed))
-    against = -float(along @ rubbed) / (fast * strong) if fast > 0 and strong > 0 else 1.0
-    return Slip(fast, strong / most, float(np.arccos(np.clip(against, -1.0, 1.0))))
+def _slips(
+    speed: np.ndarray, force: np.ndarray, normal: np.ndarray, most: np.ndarray
+) -> list[Slip]:
+    """speed: of geom 2 past geom 1; force: on geom 2, (n, 3) each; most: μ × normal force."""
+
+    def tangent(vector: np.ndarray) -> np.ndarray:
+        along: np.ndarray = vector - np.einsum("ci,ci->c", vector, normal)[:, None] * normal
+        return along
+
+    along, rubbed = tangent(speed), tangent(force)
+    fast, strong = np.linalg.norm(along, axis=1), np.linalg.norm(rubbed, axis=1)
+    both = fast * strong
+    against = -np.einsum("ci,ci->c", along, rubbed) / np.where(both > 0, both, 1.0)
+    astray = np.arccos(np.clip(np.where(both > 0, against, 1.0), -1.0, 1.0))
+    parts = (fast.tolist(), (strong / most).tolist(), astray.tolist())
+    return [Slip(*one) for one in zip(*parts, strict=True)]
 
 
 def creep(slips: list[Slips], truth: list[Slips], mask: np.ndarray, sticks: float) -> float | None:
