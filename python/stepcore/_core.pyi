@@ -100,7 +100,7 @@ class Settings:
     @property
     def sweeps(self) -> Any:
         """The most sweeps, or Newton iterations, of one solve; "auto": until the residual is
-        within the tolerance (which must be > 0), at most 10 000."""
+        within the tolerance (which must be > 0) or at rounding, at most 10 000."""
 
     @property
     def tolerance(self) -> float:

@@ -99,7 +99,7 @@ named!(
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sweeps {
     AtMost(u32),
-    /// As many as the tolerance needs, and at most `Sweeps::MOST`.
+    /// As many as the tolerance needs, or as rounding lets be of use; at most `Sweeps::MOST`.
     Auto,
 }
 
@@ -122,10 +122,6 @@ impl From<u32> for Sweeps {
         Self::AtMost(count)
     }
 }
-
-/// The least tolerance that `Sweeps::Auto` takes in f32 [m/s]: eight units in the last place
-/// of 1 m/s. A residual below what the numbers resolve is never reached.
-const FINEST_IN_F32: f64 = 1e-6;
 
 /// How to compute. SI units.
 #[derive(Clone, Debug, PartialEq)]
@@ -218,13 +214,8 @@ impl Settings {
         }
         number("tolerance", self.tolerance, self.tolerance >= 0.0, "finite and >= 0 m/s")?;
         if self.sweeps == Sweeps::Auto {
-            let (least, limit) = match self.precision {
-                Precision::F64 => {
-                    (f64::MIN_POSITIVE, "> 0 m/s with sweeps = 'auto', which stops on it")
-                }
-                Precision::F32 => (FINEST_IN_F32, ">= 1e-6 m/s with sweeps = 'auto' in f32"),
-            };
-            number("tolerance", self.tolerance, self.tolerance >= least, limit)?;
+            let limit = "> 0 m/s with sweeps = 'auto', which stops on it";
+            number("tolerance", self.tolerance, self.tolerance > 0.0, limit)?;
         }
         if self.max_contacts > MOST_CONTACTS {
             let limit = format!("at most {MOST_CONTACTS} (it reserves memory)");

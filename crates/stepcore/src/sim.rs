@@ -11,7 +11,7 @@ use crate::measure::Past;
 use crate::model::Model;
 use crate::place::Placed;
 use crate::real::{Mask, Real};
-use crate::settings::{Acceleration, Law, Settings, Solver};
+use crate::settings::{Acceleration, Law, Settings, Solver, Sweeps};
 use crate::solve::{Limits, Newton, Pgs, Report, Rows};
 use crate::state::{Inputs, State};
 
@@ -92,6 +92,7 @@ impl<R: Real> Sim<R> {
             momentum: self.settings.acceleration == Acceleration::Momentum
                 && !self.settings.law.on_guess(),
             exact: sweeps > 0 && self.settings.tolerance > 0.0 && self.settings.law != Law::Relaxed,
+            rounding: self.settings.sweeps == Sweeps::Auto,
         };
         // One row on its own, and one update all that is asked or all that it takes.
         if self.settings.solver == Solver::Pgs && (limits.sweeps == 1 || limits.exact) {

@@ -51,7 +51,7 @@ def exact(model: Model) -> Model:
     return model.with_settings(
         precision="f64",
         solver=solver,
-        sweeps=max(s.sweeps, 200),
+        sweeps="auto" if s.sweeps == "auto" else max(s.sweeps, 200),
         acceleration="none",
         tolerance=1e-14,
     )

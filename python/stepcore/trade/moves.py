@@ -66,7 +66,8 @@ def families(shipped: Settings, rows: int) -> list[Settings]:
     methods: list[dict[str, Any]] = [{}]
     if rows:
         own = shipped.sweeps if shipped.solver == "pgs" else 20
-        methods = [{"solver": "pgs", "sweeps": own if rows > 1 else min(own, 1)}]
+        single = min(own, 1) if own != "auto" else 1
+        methods = [{"solver": "pgs", "sweeps": own if rows > 1 else single}]
         if smooth:
             count = shipped.sweeps if shipped.solver == "newton" else 100
             methods.append({"solver": "newton", "sweeps": count})
@@ -87,16 +88,17 @@ def moves(settings: Settings, rows: int, friction: bool) -> list[Settings]:
 
 def _moves(s: Settings, rows: int, friction: bool) -> Iterator[Settings]:
     if s.solver == "pgs" and rows > 1:
-        for sweeps in _near(SWEEPS, s.sweeps, 2):
+        for sweeps in _near(SWEEPS, 20 if s.sweeps == "auto" else s.sweeps, 2):
             yield s.replace(sweeps=sweeps)
         yield s.replace(acceleration="none" if s.acceleration == "momentum" else "momentum")
     if s.solver == "newton":
-        for sweeps in _near(ITERATIONS, s.sweeps, 2):
+        for sweeps in _near(ITERATIONS, 100 if s.sweeps == "auto" else s.sweeps, 2):
             yield s.replace(sweeps=sweeps)
     if rows > 1 or s.solver == "newton":
         yield s.replace(warm_start=not s.warm_start)
         for tolerance in _near(TOLERANCES, s.tolerance, 2):
-            yield s.replace(tolerance=tolerance)
+            if tolerance > 0 or s.sweeps != "auto":
+                yield s.replace(tolerance=tolerance)
     if friction:
         yield s.replace(cone="elliptic" if s.cone == "pyramidal" else "pyramidal")
 

@@ -69,8 +69,13 @@ def _methods(
             counts = {1}
         elif rows > 1:
             counts |= set(SWEEPS_SMOOTH if smooth else SWEEPS_COULOMB)
-        methods += [{"solver": solver, "sweeps": count} for count in sorted(counts)]
+        methods += [{"solver": solver, "sweeps": count} for count in sorted(counts, key=_many)]
     return methods or [own]
+
+
+def _many(sweeps: int | str) -> float:
+    """Sweeps in their order, "auto" last."""
+    return float("inf") if isinstance(sweeps, str) else sweeps
 
 
 def _one_each(methods: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

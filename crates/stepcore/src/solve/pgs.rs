@@ -24,7 +24,12 @@ pub struct Limits {
     pub momentum: bool,
     /// One sweep solves a row that is alone, and it may end there.
     pub exact: bool,
+    /// A tolerance below what rounding leaves of a residual is raised to that.
+    pub rounding: bool,
 }
+
+/// What rounding leaves of a residual: this many units in the last place of its terms.
+const UNITS: f64 = 32.0;
 
 /// Sweeps that derivatives may need after the numbers.
 const MOST_SETTLING: usize = 20_000;
@@ -170,6 +175,7 @@ impl<R: Real> Pgs<R> {
             }
             let mut live = alive(rows, blocks);
             let single = if limits.exact { rows.alone(blocks) } else { R::Mask::of(false) };
+            let tolerance = self.reachable(dof_lists, rows, blocks, limits);
             let mut done = R::zero();
             for sweep in 0..limits.sweeps {
                 if live.none() {
@@ -189,7 +195,7 @@ impl<R: Real> Pgs<R> {
                 if let Some(momentum) = &mut momentum {
                     momentum.step(dof_lists, &self.z, rows, blocks, swept.gain, live);
                 }
-                live = judge(dof_lists, rows, blocks, live, swept.change, limits.tolerance);
+                live = judge(dof_lists, rows, blocks, live, swept.change, tolerance);
             }
             report.sweeps = report.sweeps.max(done);
             report.open = report.open.or(live);
@@ -240,6 +246,33 @@ impl<R: Real> Pgs<R> {
             }
             self.cones.push(self.cone(dof_lists, rows, block));
         }
+    }
+
+    /// The tolerance, but no less than rounding lets any row reach.
+    fn reachable(
+        &self,
+        dof_lists: &[usize],
+        rows: &Rows<R>,
+        blocks: &[usize],
+        limits: Limits,
+    ) -> R {
+        let mut tolerance = R::of(limits.tolerance);
+        if !limits.rounding {
+            return tolerance;
+        }
+        for block in blocks.iter().map(|b| &rows.blocks[*b]) {
+            for at in block.rows.range() {
+                let row = &rows.rows[at];
+                let dofs = row.dofs.of(dof_lists);
+                let mut terms = row.t.abs() + (row.c * row.impulse).abs();
+                for (k, y) in dofs.iter().zip(&rows.y[row.y..]) {
+                    terms += (*y * rows.u[*k]).abs();
+                }
+                let least = R::of(UNITS * R::EPSILON) * terms * row.inv_s * self.weight[at];
+                tolerance = R::select(block.mask, tolerance.max(least), tolerance);
+            }
+        }
+        tolerance
     }
 
     fn cone(&self, dof_lists: &[usize], rows: &Rows<R>, block: &Block<R>) -> Cone<R> {
@@ -338,14 +371,14 @@ fn judge<R: Real>(
     blocks: &[usize],
     live: R::Mask,
     change: R,
-    tolerance: f64,
+    tolerance: R,
 ) -> R::Mask {
-    let close = live.and(change.le(R::of(tolerance)));
-    if tolerance <= 0.0 || close.none() {
+    let close = live.and(change.le(tolerance)).and(R::zero().lt(tolerance));
+    if close.none() {
         return live;
     }
     let residual = rows.residual_of(dof_lists, blocks);
-    live.and(close.and(residual.le(R::of(tolerance))).not())
+    live.and(close.and(residual.le(tolerance)).not())
 }
 
 /// Lanes in which an island has some block.

@@ -38,7 +38,8 @@ fn few_rows_equal_converged_pgs() {
                 }
             }
         }
-        let limits = Limits { sweeps: 50, tolerance: 0.0, momentum: false, exact: true };
+        let limits =
+            Limits { sweeps: 50, tolerance: 0.0, momentum: false, exact: true, rounding: false };
         let report =
             Newton::new().solve(&lists, &problem.inv_d, &problem.guess, &mut rows, limits).unwrap();
         assert!(report.sweeps < 25.0, "{} turns in case {case}", report.sweeps);

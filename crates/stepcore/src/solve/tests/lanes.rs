@@ -101,7 +101,7 @@ fn under_pgs() {
         let cases = [(300, 1e-6, false), (3, 0.0, false), (300, 1e-6, true), (9, 0.0, true)];
         let convex = matches!(set, Set::Interval | Set::Convex);
         for (sweeps, tolerance, momentum) in cases.into_iter().filter(|c| convex || !c.2) {
-            let by = By::Pgs(Limits { sweeps, tolerance, momentum, exact: false });
+            let by = By::Pgs(Limits { sweeps, tolerance, momentum, exact: false, rounding: false });
             compare(&base, by, &mut random, |_, _| true);
             compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
             compare(&base, by, &mut random, |b, lane| b == lane);
@@ -115,7 +115,13 @@ fn under_newton() {
     for _ in 0..20 {
         for tolerance in [0.0, 1e-6] {
             let base = mixed(&mut random);
-            let by = By::Newton(Limits { sweeps: 50, tolerance, momentum: false, exact: false });
+            let by = By::Newton(Limits {
+                sweeps: 50,
+                tolerance,
+                momentum: false,
+                exact: false,
+                rounding: false,
+            });
             compare(&base, by, &mut random, |_, _| true);
             compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
             compare(&base, by, &mut random, |b, lane| b == lane);
@@ -130,7 +136,13 @@ fn under_newton_with_few_rows() {
     for count in [1, 2, 5, 16, 20] {
         for tolerance in [0.0, 1e-6] {
             let base = intervals(count, &mut random);
-            let by = By::Newton(Limits { sweeps: 50, tolerance, momentum: false, exact: true });
+            let by = By::Newton(Limits {
+                sweeps: 50,
+                tolerance,
+                momentum: false,
+                exact: true,
+                rounding: false,
+            });
             compare(&base, by, &mut random, |_, _| true);
             compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
             compare(&base, by, &mut random, |b, lane| b <= 3 * lane);

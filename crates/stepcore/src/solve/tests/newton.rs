@@ -43,7 +43,8 @@ fn newton_equals_converged_pgs() {
                 }
             }
         }
-        let limits = Limits { sweeps: 50, tolerance: 0.0, momentum: false, exact: false };
+        let limits =
+            Limits { sweeps: 50, tolerance: 0.0, momentum: false, exact: false, rounding: false };
         let report =
             Newton::new().solve(&lists, &problem.inv_d, &problem.guess, &mut rows, limits).unwrap();
         assert!(report.sweeps < 15.0);
@@ -65,7 +66,8 @@ fn newton_stops_at_its_tolerance() {
         let lists = problem.dof_lists();
         for tolerance in [1e-2, 1e-5, 1e-9] {
             let mut rows = problem.rows::<f64>();
-            let limits = Limits { sweeps: 50, tolerance, momentum: false, exact: false };
+            let limits =
+                Limits { sweeps: 50, tolerance, momentum: false, exact: false, rounding: false };
             Newton::new().solve(&lists, &problem.inv_d, &problem.guess, &mut rows, limits).unwrap();
             assert!(rows.residual(&lists) <= tolerance);
         }
