@@ -81,6 +81,19 @@ def test_softness_against_rigid_is_how_deep_it_rests():
     assert "pyramid" not in found.gaps()
 
 
+def test_a_penalty_is_soft_by_its_spring():
+    # It sinks to m g / k, critically damped: x = m g / k (1 - (1 + ω t) e^(-ω t)).
+    options = {"law": "penalty", "integrator": "semi-implicit", "solver": "pgs", "dt": 0.002}
+    options |= {"penalty_stiffness": 1e4, "penalty_damping_ratio": 1.0}
+    found = models(resting(**options), horizon=0.4)
+    gap = found.gaps()["softness"]
+    turn = math.sqrt(1e4 / 2.0) * found.search.course.motion.times
+    depth = 2.0 * G / 1e4 * (1 - (1 + turn) * np.exp(-turn))
+    rms = math.sqrt(np.mean(depth**2))
+    assert gap.distance == pytest.approx(rms * (1 - 1 / 256), rel=0.02) and gap.settled
+    assert gap.against == "penalty_stiffness × 256"
+
+
 def test_what_refsafe_clamps_is_another_model():
     # At dt 20 ms the time constant is 40 ms: it rests (40/20)² times as deep.
     found = models(resting(dt=0.02), horizon=0.64, period=0.04)

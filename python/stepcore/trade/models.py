@@ -34,6 +34,8 @@ MODELLED = (
 SMOOTH = ("euler", "implicitfast")
 # Time constants of solref are divided by these, one after the other, towards a rigid scene.
 STIFFER = (4.0, 16.0)
+# Laws whose limit is soft, and how they are made harder, in words.
+HARDER = {"solref": "solref time constants / {0:g}", "penalty": "penalty_stiffness × {1:g}"}
 # The last two may differ by this share of the last for softness to be told at all.
 SETTLED = 0.25
 
@@ -104,12 +106,12 @@ class Models:
     def gaps(self) -> dict[str, Gap]:
         """How far the scene as shipped is from one with round cones, and from a rigid one.
 
-        "pyramid": where friction acts under pyramidal cones. "softness": under solref, with all
-        time constants shorter until that changes little. Empty where no row acts.
+        "pyramid": where friction acts under pyramidal cones. "softness": under solref and penalty,
+        harder and harder until that changes little. Empty where no row acts; the other laws are
+        rigid in their limit.
         """
         found: dict[str, Gap] = {}
-        course, shipped = self.search.course, self.search.shipped
-        here = self.cheap.paths
+        course, shipped, here = self.search.course, self.search.shipped, self.cheap.paths
         if not self.acts:
             return found
         if shipped.cone == "pyramidal" and any(any(path.slips) for path in here):
@@ -117,21 +119,26 @@ class Models:
             if not limit.failed:
                 apart = self._apart(limit.paths, here).high
                 found["pyramid"] = Gap(apart, "elliptic cones")
-        if shipped.law == "solref":
-            apart_by = []
-            for factor in STIFFER:
-                scene = stiffer(course.model.scene, factor)
-                stiff = Course(Model(scene, course.model.settings), course.dofs, course.motion)
-                level = self._level(stiff, shipped, self.cheap)
-                if level.failed:
-                    break
-                apart_by.append(self._apart(level.paths, here).high)
-            if apart_by:
-                last = apart_by[-1]
-                steady = len(apart_by) > 1 and abs(last - apart_by[-2]) <= SETTLED * last
-                words = f"solref time constants / {STIFFER[len(apart_by) - 1]:g}"
-                found["softness"] = Gap(last, words, steady)
+        apart_by: list[float] = []
+        for factor in STIFFER if shipped.law in HARDER else ():
+            level = self._harder(factor)
+            if level.failed:
+                break
+            apart_by.append(self._apart(level.paths, here).high)
+        if apart_by:
+            last, factor = apart_by[-1], STIFFER[len(apart_by) - 1]
+            steady = len(apart_by) > 1 and abs(last - apart_by[-2]) <= SETTLED * last
+            found["softness"] = Gap(last, HARDER[shipped.law].format(factor, factor**2), steady)
         return found
+
+    def _harder(self, factor: float) -> Level:
+        """The limit of the scene with contacts whose time constants are shorter."""
+        course, shipped = self.search.course, self.search.shipped
+        if shipped.law == "penalty":
+            hard = shipped.replace(penalty_stiffness=shipped.penalty_stiffness * factor**2)
+            return self._level(course, hard, self.cheap)
+        model = Model(stiffer(course.model.scene, factor), course.model.settings)
+        return self._level(Course(model, course.dofs, course.motion), shipped, self.cheap)
 
     def _level(self, course: Course, settings: Settings, like: Level) -> Level:
         """All starts of a course and a model, at the step and with the integrator of a level."""
