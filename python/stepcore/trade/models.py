@@ -136,7 +136,9 @@ class Models:
         course, shipped = self.search.course, self.search.shipped
         if shipped.law == "penalty":
             hard = shipped.replace(penalty_stiffness=shipped.penalty_stiffness * factor**2)
-            return self._level(course, hard, self.cheap)
+            # Explicit: the step must follow the spring.
+            like = Level(self.cheap.dt / factor, self.cheap.integrator, [])
+            return self._level(course, hard, like)
         model = Model(stiffer(course.model.scene, factor), course.model.settings)
         return self._level(Course(model, course.dofs, course.motion), shipped, self.cheap)
 
