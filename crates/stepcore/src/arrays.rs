@@ -142,6 +142,12 @@ impl<R: Real> Sim<R> {
 }
 
 impl<R: Real> Sim<R> {
+    /// Why the next step of an accompanying copy failed: the same step in plain numbers says.
+    pub(crate) fn explained(&self, error: Error) -> Error {
+        let plain = self.in_doubles::<f64>().and_then(|mut plain| plain.step(1));
+        plain.err().unwrap_or(error)
+    }
+
     /// The world of lane 0 in other numbers, as accurate as `f64`: the same model, settings,
     /// state and inputs.
     pub fn in_doubles<Q: Real>(&self) -> Result<Sim<Q>> {

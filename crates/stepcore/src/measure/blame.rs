@@ -21,6 +21,9 @@ type Strengths = Vec<(String, f64)>;
 impl<R: Real> Sim<R> {
     /// The error for the lanes in `bad`, whose next state cannot be committed.
     pub(crate) fn diverged(&mut self, bad: R::Mask, quantity: String) -> Error {
+        if !R::INVESTIGATED {
+            return Error::value("state", quantity, "one from which a step stays finite");
+        }
         let ledger = self.ledger.take();
         let error = self.found(ledger.as_deref(), first_lane::<R>(bad), quantity, false);
         self.ledger = ledger;

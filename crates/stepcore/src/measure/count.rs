@@ -24,6 +24,6 @@ impl Counter {
         for (count, more) in self.counts.iter_mut().zip(Counted::take()) {
             *count += more;
         }
-        outcome
+        outcome.map_err(|error| self.sim.explained(error))
     }
 }

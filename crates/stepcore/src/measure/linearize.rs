@@ -64,7 +64,7 @@ impl Linearizer {
             for way in ways.clone() {
                 self.seed(self.entry(way), way - first);
             }
-            self.sim.step(1)?;
+            self.sim.step(1).map_err(|error| self.sim.explained(error))?;
             for way in ways.clone() {
                 self.read(way, way - first)?;
             }

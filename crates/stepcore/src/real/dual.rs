@@ -111,6 +111,7 @@ impl Real for Dual {
     type Mask = bool;
     const LANES: usize = 1;
     const EPSILON: f64 = f64::EPSILON;
+    const INVESTIGATED: bool = false;
     const DIFFERENTIATES: bool = true;
 
     #[inline(always)]

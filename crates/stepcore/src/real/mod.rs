@@ -65,6 +65,9 @@ pub trait Real:
     const LANES: usize;
     /// Unit roundoff of one lane, as an `f64`.
     const EPSILON: f64;
+    /// A failed run in these numbers is investigated. One in numbers that only accompany a
+    /// run need not be: the run itself is.
+    const INVESTIGATED: bool = true;
     /// Derivatives travel with the number: what is solved by iteration must see to them.
     const DIFFERENTIATES: bool = false;
 

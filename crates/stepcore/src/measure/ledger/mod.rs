@@ -145,6 +145,9 @@ impl<R: Real> Sim<R> {
     /// Before a step: balances the account at a milestone.
     #[inline]
     pub(crate) fn balance(&mut self) -> Result<()> {
+        if !R::INVESTIGATED {
+            return Ok(());
+        }
         let Some(ledger) = &self.ledger else { return Ok(()) };
         let since = ledger.newest_first().next().map(|m| self.state.steps - m.state.steps);
         if since.is_some_and(|since| since < STRIDE) {
@@ -192,7 +195,7 @@ impl<R: Real> Sim<R> {
     /// After a step that can be committed: the work of what drove it.
     #[inline]
     pub(crate) fn pay(&mut self) {
-        if self.ledger.is_none() {
+        if self.ledger.is_none() || !R::INVESTIGATED {
             return;
         }
         let work = if self.model.actuators.is_empty() && !self.inputs.applied {

@@ -104,7 +104,7 @@ impl<R: Real> Sim<R> {
     /// A stage that counts `weight` of the step was solved, with rows or without.
     #[inline]
     pub(crate) fn tape_stage(&mut self, weight: f64, rows: bool) {
-        if self.tape.is_some() {
+        if R::INVESTIGATED && self.tape.is_some() {
             self.tape_smooth(weight);
             if rows {
                 self.tape_rows(weight);
@@ -115,7 +115,7 @@ impl<R: Real> Sim<R> {
     /// The rows of a whole step were solved.
     #[inline]
     pub(crate) fn tape_solve(&mut self) {
-        if self.tape.is_some() {
+        if R::INVESTIGATED && self.tape.is_some() {
             self.tape_rows(1.0);
         }
     }
