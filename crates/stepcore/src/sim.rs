@@ -139,7 +139,9 @@ impl<R: Real> Sim<R> {
 
     /// Memory of the state and of all working space [bytes]; the model is not in it.
     pub fn bytes(&self) -> usize {
-        size_of::<Self>() + self.room()
+        let ledger = self.ledger.as_ref();
+        let ledger = ledger.map_or(0, |ledger| size_of::<Ledger<R>>() + ledger.room());
+        size_of::<Self>() + self.room() + ledger
     }
 
     /// The worst miss of the last solve, a speed [m/s]; 0 without rows.

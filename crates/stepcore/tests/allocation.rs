@@ -145,6 +145,7 @@ fn a_sim_knows_its_memory() {
     let euler = settings(Law::SolRef, Integrator::Euler);
     for settings in [
         settings(Law::Rigid, Integrator::Rk4),
+        Settings { ledger: true, ..euler.clone() },
         Settings { acceleration: Acceleration::Momentum, ..euler.clone() },
         Settings { solver: Solver::Newton, ..euler.clone() },
         Settings { solver: Solver::Newton, cone: Cone::Elliptic, ..euler },

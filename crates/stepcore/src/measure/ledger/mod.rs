@@ -23,6 +23,7 @@ use account::{Account, Level};
 use crate::error::Result;
 use crate::model::Model;
 use crate::real::Real;
+use crate::room::room;
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
 
@@ -43,6 +44,8 @@ pub(crate) struct Milestone<R: Real> {
     numbers: Vec<R>,
 }
 
+room!(Milestone<R>: levels, gained, changes, numbers; state, inputs);
+
 /// What a `Sim` keeps while `Settings::ledger` is on.
 pub struct Ledger<R: Real> {
     milestones: Vec<Milestone<R>>,
@@ -60,6 +63,8 @@ pub struct Ledger<R: Real> {
     /// Keeps the account and says nothing.
     quiet: bool,
 }
+
+room!(Ledger<R>: accounts, levels; milestones, seen);
 
 impl<R: Real> Ledger<R> {
     pub fn new(model: &Model) -> Self {
