@@ -23,7 +23,9 @@
 //! `arrays.rs` takes a user's numbers in and gives them back.
 //!
 //! Everything is generic over [`real::Real`]: `f64`, `f32`, or [`real::Lanes`], eight
-//! worlds side by side that equal, bit for bit, the same worlds stepped alone.
+//! worlds side by side that equal, bit for bit, the same worlds stepped alone. Two more
+//! accompany a world: [`real::Dual`] carries derivatives through the step
+//! ([`measure::Linearizer`]), [`real::Counted`] counts its operations ([`measure::Counter`]).
 //!
 //! ```
 //! use std::sync::Arc;

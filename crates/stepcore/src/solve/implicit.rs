@@ -21,7 +21,7 @@ pub(super) fn on_cone<R: Real>(q: &[R; 6], mu: R, b: &[R; 3], impulse: [R; 3]) -
     let w = [turned[0] + b[0], turned[1] + b[1], turned[2] + b[2]];
     let length = norm(x[1], x[2]);
     let some = x[0].gt(zero);
-    // A solution inside has no w; rounding leaves one on the surface with nearly none.
+    // The surface is met up to rounding.
     let inside = length.lt(mu * x[0] * R::of(1.0 - 8.0 * R::EPSILON));
     let free = minus_solved(&full, &w);
     let e = unit(x[1], x[2], length);
