@@ -116,6 +116,19 @@ def scaled(scene, length, mass, time):
     for actuator in scene.actuators:
         force, moment = unit(1, 1, -2), unit(2, 1, -2)
         kind = actuator.joint.type
+        if actuator.type != "motor":
+            # A servo's length, or its rate, stays a number that a control can be compared with.
+            per = 1 / unit(1) if kind == "slide" else 1.0
+            per *= unit(0, 0, 1) if actuator.type == "velocity" else 1.0
+            actuator.gear = tuple(x * per for x in actuator.gear)
+            force = (force if kind == "slide" else moment) / per
+            by(actuator, force, "kp", "gainprm", "forcerange", "biasprm")
+            rate = force if actuator.type == "velocity" else force * unit(0, 0, 1)
+            by(actuator, rate, "kv")
+            if actuator.biasprm is not None:
+                zero, one, two = actuator.biasprm
+                actuator.biasprm = (zero, one, two * unit(0, 0, 1))
+            continue
         parts = [moment] * 6 if kind in TURNS else [force] * 3 + [moment] * 3
         actuator.gear = [x * y for x, y in zip(actuator.gear, parts, strict=True)]
     for equality in scene.equalities:
