@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -240,26 +241,41 @@ def every(shipped: sc.Settings, steps: Steps, rows: int) -> Iterator[sc.Settings
         yield shipped.replace(dt=steps.dt(pieces), integrator=name, **method)
 
 
-def best(judge: Judge, error: float, rows: int) -> tuple[sc.Settings, float] | None:
+def best(
+    judge: Judge, error: float, rows: int, patience: float = math.inf
+) -> tuple[sc.Settings, float] | None:
     """The cheapest of `every` that keeps to an error in all of the judge's starts, and its price.
 
-    Ordered by price, as far as one step's tells, and tried until the rest cannot be cheaper.
+    Ordered by price, as far as a short run tells, and tried until the rest cannot be cheaper; first
+    from the starts that others failed on. None if there is none, or `patience` [s of processor
+    time] is over before.
     """
+    begun = time.process_time()
     steps = Steps(judge.period, judge.shipped.dt)
-    tried = list(every(judge.shipped, steps, rows))
+    guess, found = _guesses(judge, list(every(judge.shipped, steps, rows))), None
+    order = list(range(judge.count))
+    for one in sorted(guess, key=lambda s: guess[s]):
+        if found is not None and guess[one] > 1.4 * found[1]:
+            return found
+        if time.process_time() - begun > patience:
+            return None
+        bad = next((k for k in order if judge.wrong(one, k) > error), None)
+        if bad is not None:
+            order.remove(bad)
+            order.insert(0, bad)
+            continue
+        price = judge.price(one)
+        if found is None or price < found[1]:
+            found = (one, price)
+    return found
+
+
+def _guesses(judge: Judge, tried: list[sc.Settings]) -> dict[sc.Settings, float]:
+    """What settings will cost: the work of a step, from a run at the shipped one."""
     per_step = {}
     for one in tried:
         key = one.replace(dt=judge.shipped.dt)
         if key not in per_step:
             price = judge.price(key)
-            per_step[key] = price * key.dt if price == price else 0.0
-    guess = {one: per_step[one.replace(dt=judge.shipped.dt)] / one.dt for one in tried}
-    found: tuple[sc.Settings, float] | None = None
-    for one in sorted(tried, key=lambda s: guess[s]):
-        if found is not None and guess[one] > 1.6 * found[1]:
-            break
-        if all(judge.wrong(one, start) <= error for start in range(judge.count)):
-            price = judge.price(one)
-            if found is None or price < found[1]:
-                found = (one, price)
-    return found
+            per_step[key] = 0.0 if math.isnan(price) else price * key.dt
+    return {one: per_step[one.replace(dt=judge.shipped.dt)] / one.dt for one in tried}

@@ -160,7 +160,7 @@ def _words(axes: Any, trade: Trade) -> None:
     axes.set_xlabel("computing time per simulated second [ms]")
     if trade.by == "flops":
         axes.set_xlabel("floating-point operations per simulated second")
-    axes.set_ylabel("position error, rms, of the worst start [m]")
+    axes.set_ylabel("error, rms over time and bodies, of the worst start [m]")
     starts = f"{trade.starts} start" + "s" * (trade.starts != 1)
     title = f"{trade.name}: error over {seconds(trade.horizon)} against cost, {starts}"
     bare(axes, title)

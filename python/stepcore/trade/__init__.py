@@ -158,7 +158,7 @@ def trade(
         tried = grid(shipped, steps, rows=rows, **axes)
         trials.run(tried)
     else:
-        wanted = frugal.Wanted(target, limit is not None)
+        wanted = frugal.Wanted(target, limit is not None, mujoco)
         tried = frugal.found(finder, trials, counts, rows, slides(model.scene), wanted)
     _refine(finder, trials, tried, progress)
     tau = clamping(model.scene) if shipped.law == "solref" and shipped.refsafe else None

@@ -13,9 +13,11 @@ from stepcore.trade.reference import FINER, Search
 from stepcore.trade.search import Hunt
 from stepcore.trade.trials import Trials
 
+# The share of an error asked for that everything tried is held to: further starts differ.
+MARGIN = 0.9
 # What is hunted, as shares of the error asked for, or of the shipped one where none or a budget
 # is; and whether other axes are tried there. A half is the next better.
-ASKED = ((1.0, True), (0.5, False))
+ASKED = ((MARGIN, True), (0.5, False))
 UNASKED = ((1.0, True), (0.5, False), (0.1, False))
 BUDGET = ((4.0, False), (1.0, True), (0.25, False), (0.06, True), (0.015, False))
 # On the front of its integrator, a point this near in cost to the one before is not drawn.
@@ -30,10 +32,11 @@ REFINED = 4
 
 @dataclass(frozen=True)
 class Wanted:
-    """error: the target [m], or None. budget: whether there is one."""
+    """error: the target [m], or None. budget: is there one? whole: is all of the front drawn?"""
 
     error: float | None
     budget: bool
+    whole: bool
 
 
 def found(
@@ -53,8 +56,8 @@ def found(
             halvings -= 1
             some = hunt.hunt(error, climb)
         chosen += some + [one.replace(precision="f32") for one in some[:SINGLE]]
-    least = min((error for error, _ in targets), default=0.0)
-    chosen += _drawn(hunt, least / USELESS)
+    least = 0.0 if wanted.whole else min((error for error, _ in targets), default=0.0) / USELESS
+    chosen += _drawn(hunt, least)
     chosen.append(search.shipped)
     failed = [
         one for one, paths in trials.glances.items() if paths[-1].failure or trials.far(paths)

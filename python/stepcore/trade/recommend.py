@@ -18,6 +18,7 @@ from stepcore._core import Settings
 from stepcore.jobs import each
 from stepcore.progress import Progress
 from stepcore.trade.errors import errors, far_off
+from stepcore.trade.frugal import MARGIN
 from stepcore.trade.glance import glance
 from stepcore.trade.growth import DIRECTIONS, growth
 from stepcore.trade.motion import Motion
@@ -70,19 +71,25 @@ class Confirmation:
             found = growth(self.course, settings, trials.size, bar, *runs)
         self.scored = found.scored
 
-    def test(self, settings: Settings, error: float) -> Further:
-        """Runs settings from every further start; error: what they should keep to [m].
+    @property
+    def count(self) -> int:
+        """How many further starts there are."""
+        return len(self.course.motion.starts)
 
-        First from those where others have failed; if these fail there too, that is all.
+    def test(self, settings: Settings, limit: float, error: float) -> Further:
+        """Runs settings from every further start; limit: what they should keep to [m].
+
+        First from those where others have failed; if these fail there too, that is all. error:
+        what is asked for [m], to count those that keep to it.
         """
         if self.scored is None:
             return Further(0, 0, 0.0, f"the reference fails on them: {self.truth.failed}")
-        rest = [i for i in range(len(self.course.motion.starts)) if i not in self.hard]
+        rest = [i for i in range(self.count) if i not in self.hard]
         found = self._runs(settings, self.hard)
-        if not self._bad(found, error):
+        if not self._bad(found, limit):
             found += self._runs(settings, rest)
         worst = max(found, key=lambda one: one[1])
-        if worst[1] > error and worst[0] not in self.hard:
+        if worst[1] > limit and worst[0] not in self.hard:
             self.hard.append(worst[0])
         failure = next((f"further start {i}: {text}" for i, _, text in found if text), None)
         held = sum(wrong <= error for _, wrong, _ in found)
@@ -139,34 +146,40 @@ def confirmed(
 def within_error(trade: Trade, confirm: Confirmation, finish: Finish, steps: Steps) -> None:
     """Tests the cheapest rows that meet the trade's error, until the cheapest has been tested.
 
-    Of those that do not meet it there, some are tried with shorter steps.
+    They are held to a little less than it. Of those that do not keep to that, some are tried with
+    shorter steps. Where none keeps to it, what keeps to the error itself will do.
     """
-    target, repairs = trade.target, REPAIRED
-    assert target is not None
+    assert trade.target is not None
+    limit, repairs = MARGIN * trade.target, REPAIRED
     for _ in range(TRIES):
         try:
-            row = trade.cheapest(target)
+            row = trade.cheapest(limit)
         except ValueError:
+            if limit == trade.target:
+                return
+            limit = trade.target
+            continue
+        if row.further is not None and row.further.starts in (0, confirm.count):
+            trade.chosen = row
             return
-        if row.further is not None:
-            return
-        row.further = confirm.test(row.settings, target)
+        row.further = confirm.test(row.settings, limit, trade.target)
         trade.mark()
-        if trade.error(row) > target and repairs and confirm.scored is not None:
+        if trade.error(row) > limit and repairs and confirm.scored is not None:
             repairs -= 1
-            _repair(trade, confirm, finish, steps, row)
+            _repair(trade, confirm, finish, steps, row, limit)
 
 
-def _repair(trade: Trade, confirm: Confirmation, finish: Finish, steps: Steps, row: Row) -> None:
+def _repair(
+    trade: Trade, confirm: Confirmation, finish: Finish, steps: Steps, row: Row, limit: float
+) -> None:
     """Adds a row like one that failed on further starts, with a step short enough for them."""
-    assert trade.target is not None
     pieces = steps.pieces(row.settings)
     for _ in range(TIMES):
         pieces = math.ceil(pieces * SHORTER)
         settings = steps.at(row.settings, pieces)
         if any(other.settings == settings for other in trade.rows):
             return
-        if confirm.holds(settings, trade.target):
+        if confirm.holds(settings, limit):
             _add(trade, finish, settings)
             return
 
@@ -188,7 +201,7 @@ def within_budget(trade: Trade, confirm: Confirmation, finish: Finish, steps: St
             continue
         if row.further is not None:
             return
-        row.further = confirm.test(row.settings, math.inf)
+        row.further = confirm.test(row.settings, math.inf, math.inf)
         trade.mark()
 
 

@@ -114,7 +114,8 @@ class Trade(Result):
     converged motion and its error. horizon: simulated time [s]. notes: what to bear in mind.
     target [m], budget: what was asked for. by: what cheap means, "time" [µs] or "flops", per
     simulated second. size: of the scene [m]. mujoco: MuJoCo's points, where asked for.
-    screened: how many settings were tried at all; runs: how many runs that took.
+    screened: how many settings were tried at all; runs: how many runs that took. chosen: the row
+    for `target` that further starts confirmed.
     """
 
     name: str
@@ -130,6 +131,7 @@ class Trade(Result):
     mujoco: list[Point] = field(default_factory=list)
     screened: int = 0
     runs: int = 0
+    chosen: Row | None = None
 
     def __post_init__(self) -> None:
         self.mark()
@@ -199,6 +201,8 @@ class Trade(Result):
     @property
     def recommended(self) -> Row | None:
         """The row for the error or budget that was asked for; None where no row is, or no ask."""
+        if self.chosen is not None:
+            return self.chosen
         try:
             if self.target is not None:
                 return self.cheapest(self.target)
@@ -215,7 +219,10 @@ class Trade(Result):
         """
         if error is None and self.target is None and self.budget is not None:
             return self.most_accurate(self.budget).settings
-        return self.cheapest(self._asked(error)).settings
+        asked = self._asked(error)
+        if self.chosen is not None and asked == self.target:
+            return self.chosen.settings
+        return self.cheapest(asked).settings
 
     def next_better(self, error: float | None = None) -> Row | None:
         """The cheapest row with at most half of that error; None if there is none.
