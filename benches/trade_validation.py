@@ -19,8 +19,8 @@ from stepcore.trade.cost import costs
 NOTE = (
     "Each scene is traded for an error; the recommendation then runs from 24 starts that neither "
     "search nor confirmation has seen, and against the cheapest of a full grid (steps by √2, "
-    "integrators, PGS by sweeps cold and warm, Newton) that keeps to the error on as many starts of its "
-    "own, the number that the recommendation was held to. Prices are counted operations; times are interleaved."
+    "integrators, PGS by sweeps cold and warm, Newton) that keeps to the error on 24 starts of its "
+    "own, as many as the recommendation was held to. Prices are counted; times are interleaved."
 )
 UNSEEN, OWN = 24, 24
 # Brute force is given this long a scene [s of processor time].
