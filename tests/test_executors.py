@@ -181,6 +181,9 @@ def short(what, executor):
     scene, some = lesson.spring(damping=0.3), {"executor": executor, "progress": False}
     if what == "diagnose":
         return sc.diagnose(scene, **some).to_dict()
+    if what == "stability_map":
+        path, axes = "joint/spring/stiffness", ([50.0, 400.0], [0.002, 0.02, 0.2])
+        return sc.stability_map(scene, path, *axes, horizon=0.4, **some).to_dict()
     motion = {"horizon": 0.2, "starts": 2}
     if what == "trade":
         found = sc.trade(scene, **motion, dts=[0.01, 0.02], **some)
@@ -191,6 +194,9 @@ def short(what, executor):
     return getattr(sc, what)(scene, **motion, **some).to_dict()
 
 
-@pytest.mark.parametrize("what", ["trade", "predictability", "diagnose", "ablate", "converge"])
+LONG = ["trade", "predictability", "diagnose", "ablate", "converge", "stability_map"]
+
+
+@pytest.mark.parametrize("what", LONG)
 def test_everything_long_takes_an_executor(pool, what):
     assert repr(short(what, pool)) == repr(short(what, None))
