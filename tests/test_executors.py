@@ -9,6 +9,7 @@ from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 import numpy as np
 import pytest
 import workers
+import zoo
 
 import stepcore as sc
 from stepcore import jobs, lesson, wire
@@ -200,3 +201,12 @@ LONG = ["trade", "predictability", "diagnose", "ablate", "converge", "stability_
 @pytest.mark.parametrize("what", LONG)
 def test_everything_long_takes_an_executor(pool, what):
     assert repr(short(what, pool)) == repr(short(what, None))
+
+
+@pytest.mark.parametrize("name", sorted(zoo.ZOO))
+def test_bytes_hold_every_kind_of_scene(name):
+    """The zoo: equal scenes, the same bytes again, the same MJCF."""
+    model = sc.loads(zoo.ZOO[name].text).compile()
+    again = sc.Model.from_bytes(model.to_bytes())
+    assert again.scene == model.scene and again.to_bytes() == model.to_bytes()
+    assert wire.packed(again.scene) == wire.packed(model.scene)

@@ -366,7 +366,10 @@ class Model:
         return wire.packed(self._scene)
 
     def to_bytes(self) -> bytes:
-        """The model as bytes, some kB, with no code in them; also what pickling it stores."""
+        """The model as bytes, some kB, with no code in them; also what pickling it stores.
+
+        What a file holds beside the model (meshes that only draw, comments) is not among them.
+        """
         return wire.to_bytes(self._packed, self._settings)
 
     @staticmethod

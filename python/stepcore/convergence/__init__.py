@@ -131,7 +131,9 @@ def converge(
         reference=todo.references[0],
         reference_error=true.error,
         size=true.size,
-        rest=_rest(model, done[own], done[todo.solved], true, motive.times),
+        rest=None
+        if runs[own].failure or runs[todo.solved].failure
+        else _rest(model, done[own], done[todo.solved], true, motive.times),
         notes=[*true.notes, *model.scene.notes],
     )
 
@@ -203,12 +205,10 @@ def _close(model: Model, job: tuple[Settings, int, Moment]) -> Closing:
 
 def _rest(
     model: Model, own: Sequence[Path], solved: Sequence[Path], true: Truth, times: np.ndarray
-) -> Rest | None:
+) -> Rest:
     """Where the motion ends, beside where it ends with converged forces."""
-    if any(path.failure for path in (*own, *solved)):
-        return None
     bodies = Dofs(model.scene).moving
-    worst: Rest | None = None
+    found: list[Rest] = []
     for start, (one, other) in enumerate(zip(own, solved, strict=True)):
         gap = np.linalg.norm(one.com[-1] - other.com[-1], axis=-1)
         at = int(gap.argmax())
@@ -222,9 +222,6 @@ def _rest(
         else:
             moved = [np.nan, np.nan]
         name = model.body_names[bodies[at]] or f"body {bodies[at]}"
-        found = Rest(
-            start, name, float(gap[at]), moved[0], moved[1], error(own, solved, true.scored)
-        )
-        if worst is None or found.apart > worst.apart:
-            worst = found
-    return worst
+        over = error(own, solved, true.scored)
+        found.append(Rest(start, name, float(gap[at]), moved[0], moved[1], over))
+    return max(found, key=lambda rest: rest.apart)
