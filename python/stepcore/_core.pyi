@@ -272,7 +272,13 @@ class Batch:
 
     time: float
     def __new__(
-        cls, model: Model, settings: Settings, n: int, threads: int, lanes: bool
+        cls,
+        model: Model,
+        settings: Settings,
+        n: int,
+        threads: int,
+        lanes: bool,
+        goes_on: bool,
     ) -> Batch: ...
     @property
     def qpos(self) -> _Floats: ...
@@ -287,6 +293,9 @@ class Batch:
     def step(self, n: int) -> None: ...
     def forward(self) -> None: ...
     def rollout(self, ctrl: _Floats) -> tuple[_Floats, _Floats]: ...
+    def failures(self, known: list[int]) -> tuple[list[int], list[SimulationError]]:
+        """The worlds that failed while the others went on; errors of those that are not known."""
+
     def restart(self, time: float) -> None:
         """Sets the time of all worlds and forgets the impulses of the last step."""
 

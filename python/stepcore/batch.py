@@ -28,6 +28,10 @@ class Rollout(NamedTuple):
     act: Floats
 
 
+# What the other worlds do when one fails.
+ON_FAILURE = ("stop", "go on")
+
+
 class Batch(Stepped):
     """`n` worlds of a model; the arrays of a `Sim` with a leading world axis.
 
@@ -40,8 +44,12 @@ class Batch(Stepped):
     `rows`, `residual`, `constraint_force`, `actuator_force`) is computed again, with the same
     bits, at the price of a step that is not shared over lanes and threads.
 
-    All worlds have the same time. If one of them leaves the finite numbers, SimulationError names
-    it, and all stand before the first step in which one did.
+    on_failure: "stop": if a world fails (see `Sim.step`), SimulationError names it, and all stand
+    before the first step in which one did. "go on": the others go on, with the same bits as if
+    nothing had happened; a world that failed stands in its last finite state, `failures` has its
+    error, and it moves again when its qpos or qvel are written (or by `reset` or `restore`).
+
+    All worlds have the same time.
 
     >>> from stepcore import Batch, Scene
     >>> scene = Scene()
@@ -73,6 +81,7 @@ class Batch(Stepped):
         precision: str | None = None,
         *,
         lanes: bool = True,
+        on_failure: str = "stop",
         settings: Settings | None = None,
         **overrides: Any,
     ) -> None:
@@ -81,7 +90,10 @@ class Batch(Stepped):
         self._model = compiled(model).with_settings(settings, **overrides)
         self._lanes = checks.flag("Batch", "lanes", lanes)
         self._threads = threads
-        self._core = _core.Batch(self._model.core, self._model.settings, n, threads, self._lanes)
+        self._on_failure: str = checks.one_of(*ON_FAILURE)("Batch", "on_failure", on_failure)
+        self._failures: dict[int, SimulationError] = {}
+        own, goes_on = self._model.settings, self._on_failure == "go on"
+        self._core = _core.Batch(self._model.core, own, n, threads, self._lanes, goes_on)
         self._own(self._core)
 
     def __len__(self) -> int:
@@ -128,6 +140,17 @@ class Batch(Stepped):
         except SimulationError as error:
             attach(error, self._model, self.qpos[error.world], self.qvel[error.world])
             raise
+
+    @property
+    def failures(self) -> dict[int, SimulationError]:
+        """The errors of worlds that failed while the others went on, by world."""
+        known = self._failures
+        failed, new = self._core.failures(list(known))
+        for error in new:
+            attach(error, self._model, self.qpos[error.world], self.qvel[error.world])
+        errors = {error.world: error for error in new}
+        self._failures = {world: known.get(world) or errors[world] for world in failed}
+        return dict(self._failures)
 
     def _restart(self, time: float) -> None:
         self._core.restart(time)
@@ -265,7 +288,8 @@ class Batch(Stepped):
         return self._core.overlap
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (self._model, len(self), self._threads, self._lanes, self.state())
+        how = (self._threads, self._lanes, self._on_failure)
+        return _restored, (self._model, len(self), *how, self.state())
 
     def __repr__(self) -> str:
         scene = self._model.scene.name
@@ -273,7 +297,9 @@ class Batch(Stepped):
         return f"<Batch{name}: {len(self)} worlds, time {self.time:g} s; {self.settings!r}>"
 
 
-def _restored(model: Model, n: int, threads: int, lanes: bool, state: tuple[bytes, ...]) -> Batch:
-    batch = Batch(model, n, threads, lanes=lanes)
+def _restored(
+    model: Model, n: int, threads: int, lanes: bool, on_failure: str, state: tuple[bytes, ...]
+) -> Batch:
+    batch = Batch(model, n, threads, lanes=lanes, on_failure=on_failure)
     batch.restore(state)
     return batch

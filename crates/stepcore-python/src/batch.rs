@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use numpy::{PyArrayDyn, PyReadonlyArray3, PyUntypedArrayMethods};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyBaseException, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use stepcore::batch::Play;
@@ -132,11 +132,13 @@ impl Batch {
         n: &Bound<'_, PyAny>,
         threads: &Bound<'_, PyAny>,
         lanes: bool,
+        goes_on: bool,
     ) -> PyResult<Self> {
         let n = usize::read(n, &At::Root.field("n"))?;
         let threads = usize::read(threads, &At::Root.field("threads"))?;
         let (model, settings) = (model.0.clone(), settings.0.clone());
-        let worlds = gil::release(py, || worlds(model.clone(), &settings, n, threads, lanes))?;
+        let worlds =
+            gil::release(py, || worlds(model.clone(), &settings, n, threads, lanes, goes_on))?;
         let arrays = Arrays::new(py, &model, n)?;
         Ok(Self { model, settings, arrays, worlds: Mutex::new(worlds) })
     }
@@ -218,6 +220,22 @@ impl Batch {
         }
         outcome?;
         Ok((shaped(py, qpos, &[n, steps, nq])?, shaped(py, qvel, &[n, steps, nv])?))
+    }
+
+    /// The errors of the worlds that failed while the others went on; `known` are left out.
+    fn failures<'py>(
+        &self,
+        py: Python<'py>,
+        known: Vec<usize>,
+    ) -> PyResult<(Vec<usize>, Vec<Bound<'py, PyBaseException>>)> {
+        let guard = self.lock()?;
+        let failed = (0..self.arrays.worlds).filter(|world| guard.failed(*world).is_some());
+        let failed: Vec<usize> = failed.collect();
+        let new = failed.iter().filter(|world| !known.contains(world));
+        let errors = new.filter_map(|world| guard.failed(*world));
+        let errors = errors.map(|error| raise(py, error.clone()).into_value(py).into_bound(py));
+        let errors = errors.collect();
+        Ok((failed, errors))
     }
 
     #[getter]

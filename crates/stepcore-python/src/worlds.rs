@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use stepcore::arrays::Given;
 use stepcore::batch::{Batch, Last, Play};
-use stepcore::error::Result;
+use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::{Lanes, Real};
 use stepcore::settings::{Precision, Settings};
@@ -20,6 +20,8 @@ pub trait Worlds: Send + Sync {
     fn step(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
     fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()>;
+    /// The error of a world that failed while the others went on.
+    fn failed(&self, world: usize) -> Option<&Error>;
     fn time(&self) -> f64;
     fn qacc(&self) -> Vec<f64>;
     /// Does a world's last solve again in `into`, which then has its rows and contacts.
@@ -37,12 +39,25 @@ pub fn worlds(
     n: usize,
     threads: usize,
     lanes: bool,
+    goes_on: bool,
 ) -> Result<Box<dyn Worlds>> {
     Ok(match (settings.precision, lanes) {
-        (Precision::F64, true) => Box::new(Batch::<Lanes>::new(model, settings, n, threads)?),
-        (Precision::F64, false) => Box::new(Batch::<f64>::new(model, settings, n, threads)?),
-        (Precision::F32, _) => Box::new(Batch::<f32>::new(model, settings, n, threads)?),
+        (Precision::F64, true) => made::<Lanes>(model, settings, n, threads, goes_on)?,
+        (Precision::F64, false) => made::<f64>(model, settings, n, threads, goes_on)?,
+        (Precision::F32, _) => made::<f32>(model, settings, n, threads, goes_on)?,
     })
+}
+
+fn made<R: Real>(
+    model: Arc<Model>,
+    settings: &Settings,
+    n: usize,
+    threads: usize,
+    goes_on: bool,
+) -> Result<Box<dyn Worlds>> {
+    let mut batch = Batch::<R>::new(model, settings, n, threads)?;
+    batch.goes_on = goes_on;
+    Ok(Box::new(batch))
 }
 
 impl<R: Real> Worlds for Batch<R> {
@@ -64,6 +79,9 @@ impl<R: Real> Worlds for Batch<R> {
     fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()> {
         Batch::play(self, play, from, n)
     }
+    fn failed(&self, world: usize) -> Option<&Error> {
+        Batch::failed(self, world).map(|failed| &failed.error)
+    }
     fn time(&self) -> f64 {
         Batch::time(self)
     }
@@ -75,6 +93,18 @@ impl<R: Real> Worlds for Batch<R> {
         let (state, inputs, last) = self.last(world);
         let lane = world % R::LANES;
         let of = |numbers: &[R]| numbers.iter().map(|x| x.lane(lane)).collect::<Vec<f64>>();
+        if let Some(failed) = Batch::failed(self, world) {
+            // Its last solve led nowhere: what is read is that of the state it stands in.
+            into.put(&Given {
+                qpos: &failed.qpos,
+                qvel: &failed.qvel,
+                ctrl: &of(&inputs.ctrl),
+                qfrc_applied: &of(&inputs.qfrc_applied),
+                xfrc_applied: &of(&inputs.xfrc_applied),
+            });
+            let _ = into.forward();
+            return Ok(());
+        }
         into.put(&Given {
             qpos: &of(&state.qpos),
             qvel: &of(&state.qvel),
@@ -92,7 +122,15 @@ impl<R: Real> Worlds for Batch<R> {
 
     fn memos(&self) -> Vec<Memo> {
         let states = self.states().flat_map(|state| (0..R::LANES).map(move |lane| (state, lane)));
-        states.take(self.worlds).map(|(state, lane)| Memo::of(state, lane)).collect()
+        let mut memos: Vec<Memo> =
+            states.take(self.worlds).map(|(state, lane)| Memo::of(state, lane)).collect();
+        for (world, memo) in memos.iter_mut().enumerate() {
+            // A failed world's lane holds another's impulses.
+            if Batch::failed(self, world).is_some() {
+                memo.warm.clear();
+            }
+        }
+        memos
     }
 
     fn set_memos(&mut self, memos: &[Memo]) {

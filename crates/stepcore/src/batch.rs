@@ -9,6 +9,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::arrays::Given;
 use crate::error::{Error, Result};
+use crate::failed::{Failed, Standing};
+use crate::measure::Ledger;
 use crate::model::Model;
 use crate::real::Real;
 use crate::settings::Settings;
@@ -40,6 +42,9 @@ struct Group<R: Real> {
     last: Last,
     /// Steps done in this call before one failed, and why it did.
     failed: Option<(u64, Error)>,
+    /// Worlds that failed while the others went on.
+    standing: Standing,
+    ledger: Option<Box<Ledger<R>>>,
 }
 
 pub struct Batch<R: Real> {
@@ -49,6 +54,8 @@ pub struct Batch<R: Real> {
     groups: Vec<Group<R>>,
     /// One a thread.
     workers: Vec<Sim<R>>,
+    /// A world that fails stands still, and the others go on; else all stop with it.
+    pub goes_on: bool,
 }
 
 /// Controls for every world and step, and room for the states after each step: world,
@@ -90,7 +97,7 @@ impl<R: Real> Batch<R> {
         if bytes.is_none_or(|bytes| Vec::<u8>::new().try_reserve_exact(bytes).is_err()) {
             return Err(Error::value("n", worlds, "a number of worlds that the memory can hold"));
         }
-        let group = || Group {
+        let group = |index: usize| Group {
             state: State::new(&model),
             inputs: Inputs::new(&model),
             qacc: vec![R::zero(); model.nv],
@@ -98,13 +105,16 @@ impl<R: Real> Batch<R> {
             before: State::new(&model),
             last: Last::Nothing,
             failed: None,
+            standing: Standing::new((worlds - index * R::LANES).min(R::LANES)),
+            ledger: settings.ledger.then(|| Box::new(Ledger::new(&model))),
         };
         let workers = (0..threads.min(count)).map(|_| Sim::new(model.clone(), settings.clone()));
         Ok(Self {
             worlds,
             dt: settings.dt,
-            groups: (0..count).map(|_| group()).collect(),
+            groups: (0..count).map(group).collect(),
             workers: workers.collect::<Result<_>>()?,
+            goes_on: false,
             model,
         })
     }
@@ -129,16 +139,37 @@ impl<R: Real> Batch<R> {
     /// world of their own repeat the last one.
     pub fn put(&mut self, world: usize, given: &Given) {
         let group = &mut self.groups[world / R::LANES];
+        if let Some(failed) = &mut group.standing.lanes[world % R::LANES] {
+            if failed.stands(given) {
+                failed.done = 0;
+                return;
+            }
+            group.standing.lanes[world % R::LANES] = None;
+        }
         let last = if world + 1 == self.worlds { R::LANES } else { world % R::LANES + 1 };
         for lane in world % R::LANES..last {
-            group.state.put(lane, given);
+            if group.state.put(lane, given) {
+                group.ledger.iter_mut().for_each(|ledger| ledger.forget());
+            }
             group.inputs.put(lane, given);
         }
     }
 
     /// Gives a world's positions and velocities.
     pub fn take(&self, world: usize, qpos: &mut [f64], qvel: &mut [f64]) {
-        self.groups[world / R::LANES].state.take(world % R::LANES, qpos, qvel);
+        let group = &self.groups[world / R::LANES];
+        match &group.standing.lanes[world % R::LANES] {
+            None => group.state.take(world % R::LANES, qpos, qvel),
+            Some(failed) => {
+                qpos.copy_from_slice(&failed.qpos);
+                qvel.copy_from_slice(&failed.qvel);
+            }
+        }
+    }
+
+    /// A world that failed while the others went on.
+    pub fn failed(&self, world: usize) -> Option<&Failed> {
+        self.groups[world / R::LANES].standing.lanes[world % R::LANES].as_ref()
     }
 
     /// A world's acceleration in its last solve.
@@ -159,7 +190,12 @@ impl<R: Real> Batch<R> {
     }
 
     pub fn states_mut(&mut self) -> impl Iterator<Item = &mut State<R>> {
-        self.groups.iter_mut().map(|group| &mut group.state)
+        self.groups.iter_mut().map(|group| {
+            // Whoever writes a state starts anew.
+            group.ledger.iter_mut().for_each(|ledger| ledger.forget());
+            group.standing.lanes.fill(None);
+            &mut group.state
+        })
     }
 
     /// Advances every world by `n` steps. If one leaves the finite numbers, all stand
@@ -171,8 +207,9 @@ impl<R: Real> Batch<R> {
     /// Place, detect and solve in every world. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
         let forward = |_, _, sim: &mut Sim<R>| sim.forward();
+        let goes_on = self.goes_on;
         share(&mut self.workers, &mut self.groups, |sim, index, group| {
-            group.run(sim, index, 1, Last::Forward, &forward)
+            group.run(sim, index, 1, Last::Forward, goes_on, &forward)
         });
         self.first_failure().map_or(Ok(()), |(_, error)| Err(error))
     }
@@ -198,7 +235,22 @@ impl<R: Real> Batch<R> {
             sim.step(1)?;
             part.record(step, sim);
             Ok(())
-        })
+        })?;
+        self.stand(play, from, n);
+        Ok(())
+    }
+
+    /// In a play's states, worlds that failed stand where they failed.
+    fn stand(&self, play: &mut Play, from: usize, n: usize) {
+        let (nq, nv) = (self.model.nq, self.model.nv);
+        for world in 0..self.worlds {
+            let Some(failed) = self.failed(world) else { continue };
+            for step in from + failed.done as usize..from + n {
+                let at = world * play.steps + step;
+                play.qpos[at * nq..(at + 1) * nq].copy_from_slice(&failed.qpos);
+                play.qvel[at * nv..(at + 1) * nv].copy_from_slice(&failed.qvel);
+            }
+        }
     }
 
     /// Does `n` times `one`, a step, in every world.
@@ -207,9 +259,10 @@ impl<R: Real> Batch<R> {
         n: u64,
         one: impl Fn(usize, u64, &mut Sim<R>) -> Result<()> + Sync,
     ) -> Result<()> {
+        let goes_on = self.goes_on;
         share(&mut self.workers, &mut self.groups, |sim, index, group| {
             group.state.copy_to(&mut group.start);
-            group.run(sim, index, n, Last::Step, &one);
+            group.run(sim, index, n, Last::Step, goes_on, &one);
         });
         let Some((done, error)) = self.first_failure() else { return Ok(()) };
         // All worlds go back, and then on to where this one was still well.
@@ -217,7 +270,8 @@ impl<R: Real> Batch<R> {
             group.start.copy_to(&mut group.state);
             group.start.copy_to(&mut group.before);
             group.last = Last::Forward;
-            group.run(sim, index, done, Last::Step, &one);
+            group.ledger.iter_mut().for_each(|ledger| ledger.forget());
+            group.run(sim, index, done, Last::Step, goes_on, &one);
         });
         Err(error)
     }
@@ -244,8 +298,15 @@ impl<R: Real> Group<R> {
         index: usize,
         n: u64,
         last: Last,
+        goes_on: bool,
         one: &impl Fn(usize, u64, &mut Sim<R>) -> Result<()>,
     ) {
+        if self.standing.any() && !self.standing.mirror(&mut self.state, &mut self.inputs) {
+            // Nobody is left; time goes on.
+            self.state.steps += if last == Last::Step { n } else { 0 };
+            return;
+        }
+        std::mem::swap(&mut sim.ledger, &mut self.ledger);
         std::mem::swap(&mut sim.state, &mut self.state);
         std::mem::swap(&mut sim.inputs, &mut self.inputs);
         sim.past.forget();
@@ -253,14 +314,39 @@ impl<R: Real> Group<R> {
             if k + 1 == n {
                 sim.state.copy_to(&mut self.before);
             }
-            one(index, k, sim).err().map(|error| (k, error))
+            loop {
+                let error = one(index, k, sim).err()?;
+                if !(goes_on && self.set_aside(sim, index, k, &error)) {
+                    return Some((k, error));
+                }
+                if self.standing.healthy().is_none() {
+                    sim.state.steps += if last == Last::Step { n - k } else { 0 };
+                    return Some((u64::MAX, error));
+                }
+            }
         });
+        self.failed = self.failed.take().filter(|(k, _)| *k != u64::MAX);
+        std::mem::swap(&mut sim.ledger, &mut self.ledger);
         if n > 0 {
             self.last = last;
             self.qacc.copy_from_slice(&sim.qacc);
         }
         std::mem::swap(&mut sim.state, &mut self.state);
         std::mem::swap(&mut sim.inputs, &mut self.inputs);
+    }
+}
+
+impl<R: Real> Group<R> {
+    /// Takes the world that failed out of the run, if one did; false for other errors.
+    fn set_aside(&mut self, sim: &mut Sim<R>, index: usize, done: u64, error: &Error) -> bool {
+        let mut error = error.clone();
+        let Error::Diverged { world, quantity, .. } = &mut error else { return false };
+        let lane = *world;
+        *world += index * R::LANES;
+        quantity.push_str(&format!(" in world {world}"));
+        self.standing.take(sim, lane, done, error);
+        self.standing.mirror_in(sim);
+        true
     }
 }
 

@@ -47,6 +47,7 @@ pub mod batch;
 pub mod commit;
 pub mod detect;
 pub mod error;
+pub mod failed;
 pub mod measure;
 pub mod model;
 pub mod place;

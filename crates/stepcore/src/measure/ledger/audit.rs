@@ -1,4 +1,4 @@
-//! The present energies of every lane, and the work of what drives from outside.
+//! The present energies of every lane.
 
 use super::account::Level;
 use crate::model::NONE;
@@ -29,6 +29,7 @@ impl<R: Real> Sim<R> {
             kinetic += half * self.placed.u[k] * self.placed.u[k] / self.placed.metric.inv_d[k];
         }
         let mut moving = kinetic + spring_energy(&model, &self.state.qpos);
+        moving += self.stored_in_servos(&self.inputs);
         if self.settings.law == Law::Penalty {
             let stiffness = R::of(0.5 * self.settings.penalty_stiffness);
             for contact in &self.detected.contacts {
@@ -111,43 +112,5 @@ impl<R: Real> Sim<R> {
             self.placed.xpos[body] + rotate(&self.placed.xmat[body], &splat(anchor))
         };
         point(equality.body1, &equality.anchor1) - point(equality.body2, &equality.anchor2)
-    }
-
-    /// Work of motors and applied forces in the step from `state` to `next`: what they did on
-    /// the mean of both velocities.
-    pub(super) fn driven(&self) -> R {
-        let model = &*self.model;
-        let (half, dt) = (R::of(0.5), R::of(self.settings.dt));
-        let mean = |k: usize| half * (self.state.qvel[k] + self.next.qvel[k]);
-        let mut power = R::zero();
-        if model.features.actuation {
-            for (index, motor) in model.actuators.iter().enumerate() {
-                let joint = &model.joints[motor.joint];
-                for k in 0..joint.dofs() {
-                    let speed = R::of(motor.gear[k]) * mean(joint.dof + k);
-                    power += self.placed.actuator[index] * speed;
-                }
-            }
-        }
-        if self.inputs.applied {
-            for k in 0..model.nv {
-                power += self.inputs.qfrc_applied[k] * mean(k);
-            }
-            for (index, body) in model.bodies.iter().enumerate().filter(|(_, b)| b.tree != NONE) {
-                let given = &self.inputs.xfrc_applied[6 * index..6 * index + 6];
-                if given.iter().all(|x| x.is_zero()) {
-                    continue;
-                }
-                let force = V3::new(given[0], given[1], given[2]);
-                let moment = V3::new(given[3], given[4], given[5]);
-                let arm = self.centre(index) - self.placed.origin[body.tree];
-                for &k in body.chain.of(&model.dof_lists) {
-                    let motion = &self.placed.motion[k];
-                    let along = force.dot(&(motion.lin + motion.ang.cross(&arm)));
-                    power += (along + moment.dot(&motion.ang)) * mean(k);
-                }
-            }
-        }
-        dt * power
     }
 }

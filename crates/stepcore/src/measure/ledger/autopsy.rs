@@ -277,7 +277,7 @@ impl PostMortem {
             Stable::Unknown => Ok(()),
             Stable::Springs { dt, tried } => write!(
                 text,
-                "; under {name} the springs and dampers here are stable below dt = {} s ({})",
+                "; under {name} the springs, dampers and servos here are stable below dt = {} s ({})",
                 times(dt),
                 if tried {
                     "from their own linear step; the same stretch run again just below it stays bounded"

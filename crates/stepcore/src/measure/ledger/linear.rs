@@ -1,4 +1,4 @@
-//! The step of joint springs and dampers alone, as a matrix: is it stable, up to which dt,
+//! The step of joint springs, dampers and servos alone, as a matrix: is it stable, up to which dt,
 //! and how far does a healthy run swing?
 //!
 //! With M, K and D of one tree at the present state, F = [0 1; −M⁻¹K −M⁻¹D] and each
@@ -8,7 +8,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::model::{Model, Tree};
+use crate::model::Tree;
 use crate::real::Real;
 use crate::settings::Integrator;
 use crate::sim::Sim;
@@ -25,13 +25,15 @@ struct Oscillator {
     mass: DMatrix<f64>,
     stiffness: Vec<f64>,
     damping: Vec<f64>,
+    /// Of servos; taken at the end of the step by `implicitfast` alone.
+    feedback: Vec<f64>,
 }
 
 impl<R: Real> Sim<R> {
     /// How many times the energy at hand a healthy run of these springs may show; 1 where
     /// the springs themselves diverge, or do not swing.
     pub(super) fn swing(&mut self, lane: usize, dt: f64) -> f64 {
-        let integrator = self.settings.integrator;
+        let integrator = self.damped_by(self.settings.integrator);
         if integrator == Integrator::Explicit {
             return 1.0;
         }
@@ -51,7 +53,7 @@ impl<R: Real> Sim<R> {
     /// The largest stable dt of springs and dampers that are unstable now: None if none is;
     /// zero if no dt is stable.
     pub(super) fn spring_limit(&mut self, lane: usize, integrator: Integrator) -> Option<f64> {
-        let dt = self.settings.dt;
+        let (dt, integrator) = (self.settings.dt, self.damped_by(integrator));
         let limits = self.oscillators(lane).into_iter().filter_map(|one| {
             if integrator == Integrator::Explicit {
                 return one.explicit_limit().filter(|limit| *limit <= dt);
@@ -84,14 +86,33 @@ impl<R: Real> Sim<R> {
         limits.reduce(f64::min)
     }
 
+    /// Without MJCF's eulerdamp, Euler is semi-implicit.
+    fn damped_by(&self, integrator: Integrator) -> Integrator {
+        match integrator {
+            Integrator::Euler if !self.model.features.eulerdamp => Integrator::SemiImplicit,
+            other => other,
+        }
+    }
+
     /// Every tree with a spring or a damper, at the present state.
     fn oscillators(&mut self, lane: usize) -> Vec<Oscillator> {
         self.refresh();
         let model = self.model.clone();
+        let mut servos = vec![[0.0; 2]; model.nv];
+        let acting = model.actuators.iter().enumerate().filter(|_| model.features.actuation);
+        for (index, servo) in acting.filter(|(_, servo)| servo.feeds_back()) {
+            let slopes = self.placed.feedback(servo, index);
+            let dof = model.joints[servo.joint].dof;
+            servos[dof][0] += slopes[0].lane(lane);
+            servos[dof][1] += slopes[1].lane(lane);
+        }
         let wanted = |tree: &&Tree| {
             let dofs = tree.dofs.of(&model.dofs);
-            let linear =
-                dofs.iter().any(|dof| dof.damping != 0.0 || stiffness(&model, dof.joint) != 0.0);
+            let linear = tree.dofs.range().any(|k| {
+                let dof = &model.dofs[k];
+                let fed_back = servos[k] != [0.0; 2];
+                dof.damping != 0.0 || model.joints[dof.joint].stiffness > 0.0 || fed_back
+            });
             linear && dofs.len() <= MOST_DOFS
         };
         let trees = model.trees.iter().filter(wanted);
@@ -107,18 +128,20 @@ impl<R: Real> Sim<R> {
                     }
                 }
                 let dofs = tree.dofs.of(&model.dofs);
+                let servos = tree.dofs.of(&servos);
+                let stiffness = dofs
+                    .iter()
+                    .zip(servos)
+                    .map(|(dof, servo)| (model.joints[dof.joint].stiffness + servo[0]).max(0.0));
                 Oscillator {
                     mass,
-                    stiffness: dofs.iter().map(|dof| stiffness(&model, dof.joint)).collect(),
+                    stiffness: stiffness.collect(),
                     damping: dofs.iter().map(|dof| dof.damping).collect(),
+                    feedback: servos.iter().map(|servo| servo[1]).collect(),
                 }
             })
             .collect()
     }
-}
-
-fn stiffness(model: &Model, joint: usize) -> f64 {
-    model.joints[joint].stiffness.max(0.0)
 }
 
 impl Oscillator {
@@ -147,13 +170,16 @@ impl Oscillator {
             n,
             self.stiffness.iter().map(|k| k.sqrt()),
         ));
-        let damping = DMatrix::from_diagonal(&nalgebra::DVector::from_vec(self.damping.clone()));
+        let diagonal =
+            |list: &[f64]| DMatrix::from_diagonal(&nalgebra::DVector::from_column_slice(list));
         let Some(factor) = self.mass.clone().cholesky() else { return DMatrix::identity(1, 1) };
         let lower = factor.l();
         let Some(inverse) = lower.clone().try_inverse() else { return DMatrix::identity(1, 1) };
         // ẏ = S w, ẇ = −Sᵀ y − C w with y = √K x, w = Lᵀ v.
         let s = &root * inverse.transpose();
-        let c = &inverse * &damping * inverse.transpose();
+        let in_w = |damping: &[f64]| &inverse * diagonal(damping) * inverse.transpose();
+        let (joints, servos) = (in_w(&self.damping), in_w(&self.feedback));
+        let c = &joints + &servos;
         let join = |yy: &DMatrix<f64>, yw: DMatrix<f64>, wy: DMatrix<f64>, ww: DMatrix<f64>| {
             let mut map = DMatrix::zeros(2 * n, 2 * n);
             map.view_mut((0, 0), (n, n)).copy_from(yy);
@@ -162,7 +188,11 @@ impl Oscillator {
             map.view_mut((n, n), (n, n)).copy_from(&ww);
             map
         };
-        let implicit = matches!(integrator, Integrator::Euler | Integrator::ImplicitFast);
+        let late = match integrator {
+            Integrator::Euler => joints,
+            Integrator::ImplicitFast => c.clone(),
+            _ => DMatrix::zeros(n, n),
+        };
         match integrator {
             Integrator::Midpoint | Integrator::Rk4 => {
                 let zero = DMatrix::zeros(n, n);
@@ -178,12 +208,8 @@ impl Oscillator {
                 whole + rate + square / 2.0 + cube / 6.0 + fourth / 24.0
             }
             _ => {
-                // w⁺ = w + dt H (−Sᵀ y − C w), H = (1 + dt C)⁻¹ where damping is implicit.
-                let h = if implicit {
-                    (&one + &c * dt).try_inverse().unwrap_or(one.clone())
-                } else {
-                    one.clone()
-                };
+                // w⁺ = w + dt H (−Sᵀ y − C w), H = (1 + dt C')⁻¹, C' what is implicit of C.
+                let h = (&one + &late * dt).try_inverse().unwrap_or(one.clone());
                 let wy = -(&h * s.transpose()) * dt;
                 let ww = &one - &h * &c * dt;
                 if integrator == Integrator::Explicit {

@@ -8,6 +8,7 @@
 mod account;
 mod audit;
 mod autopsy;
+mod drive;
 mod linear;
 mod tape;
 mod trial;
@@ -94,6 +95,20 @@ impl<R: Real> Ledger<R> {
         self.expected = None;
     }
 
+    /// A lane became a copy of another.
+    pub(crate) fn repeat(&mut self, lane: usize, from: usize) {
+        if let [.., _] = self.accounts[..] {
+            self.accounts[lane] = self.accounts[from];
+        }
+    }
+
+    /// After a failure the other lanes go on with the same account.
+    pub(crate) fn go_on(&mut self, state: &State<R>) {
+        if self.len > 0 {
+            self.expected = Some((state.steps, state.start));
+        }
+    }
+
     /// Milestones, newest first.
     pub(crate) fn newest_first(&self) -> impl Iterator<Item = &Milestone<R>> {
         (0..self.len).map(|back| &self.milestones[(self.at + MEMORY - back) % MEMORY])
@@ -143,8 +158,19 @@ impl<R: Real> Sim<R> {
             ledger.expected = None;
             ledger.len = 0;
         } else if ledger.len > 0 {
-            ledger.note_inputs(self.state.steps, &self.inputs);
+            self.note_inputs();
         }
+    }
+
+    /// Writes the inputs down where they changed, and what a moved control put in.
+    fn note_inputs(&mut self) {
+        let Some(mut ledger) = self.ledger.take() else { return };
+        if ledger.seen.ctrl != self.inputs.ctrl {
+            ledger.work += self.stored_in_servos(&self.inputs);
+            ledger.work += -self.stored_in_servos(&ledger.seen);
+        }
+        ledger.note_inputs(self.state.steps, &self.inputs);
+        self.ledger = Some(ledger);
     }
 
     /// Before a step: balances the account at a milestone.

@@ -89,9 +89,30 @@ impl<R: Real> Sim<R> {
                 }
             }
         }
+        if self.settings.integrator == Integrator::ImplicitFast {
+            self.feed_back_late(&mut impulses, &v0, &v1, lane);
+        }
         let after = self.levels(lane);
         let mean: Vec<f64> = v0.iter().zip(&v1).map(|(a, b)| 0.5 * (a + b)).collect();
         Ok(entry(&model, &impulses, &bias, &mean, &before, &after))
+    }
+
+    /// `implicitfast` takes a servo's velocity feedback at the end of the step.
+    fn feed_back_late(
+        &self,
+        impulses: &mut BTreeMap<String, Vec<f64>>,
+        v0: &[f64],
+        v1: &[f64],
+        lane: usize,
+    ) {
+        let servos = self.model.actuators.iter().enumerate();
+        for (index, servo) in servos.filter(|(_, servo)| servo.bias[2] != 0.0) {
+            let k = self.model.joints[servo.joint].dof;
+            let [_, damping] = self.placed.feedback(servo, index);
+            if let Some(impulse) = impulses.get_mut(&named("servo", &servo.name, index)) {
+                impulse[k] -= self.settings.dt * damping.lane(lane) * (v1[k] - v0[k]);
+            }
+        }
     }
 
     fn damps_implicitly(&self) -> bool {
@@ -280,6 +301,14 @@ impl<R: Real> Sim<R> {
                 named("spring of joint", &joint.name, index),
                 0.5 * joint.stiffness * square,
             );
+        }
+        if model.features.actuation {
+            for (index, servo) in model.actuators.iter().enumerate() {
+                let energy = self.stored_in_servo(index, self.inputs.ctrl[index]).lane(lane);
+                if servo.bias[1] < 0.0 {
+                    stored.insert(named("servo", &servo.name, index), energy);
+                }
+            }
         }
         if model.features.gravity {
             let moving = model.bodies.iter().enumerate().filter(|(_, body)| body.tree != NONE);

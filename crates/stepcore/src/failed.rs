@@ -1,0 +1,88 @@
+//! Worlds of a batch that failed while the others go on.
+//!
+//! A failed world keeps its last finite state here. Its lane repeats a healthy world of the
+//! group from then on, as the lanes without a world of their own do, so that nothing that is
+//! not finite is ever computed again and the other lanes keep their bits.
+
+use crate::arrays::Given;
+use crate::error::Error;
+use crate::real::Real;
+use crate::sim::Sim;
+use crate::state::{Inputs, State};
+
+/// A world that stands still.
+#[derive(Clone, Debug)]
+pub struct Failed {
+    pub qpos: Vec<f64>,
+    pub qvel: Vec<f64>,
+    /// Steps of the present call before it failed; 0 where it had failed before.
+    pub done: u64,
+    pub error: Error,
+}
+
+impl Failed {
+    /// The state that its user holds is still the one in which it failed.
+    pub fn stands(&self, given: &Given) -> bool {
+        self.qpos == given.qpos && self.qvel == given.qvel
+    }
+}
+
+/// By lane of a group: those that failed.
+pub(crate) struct Standing {
+    pub lanes: Vec<Option<Failed>>,
+}
+
+impl Standing {
+    pub fn new(worlds: usize) -> Self {
+        Self { lanes: vec![None; worlds] }
+    }
+
+    /// A lane whose world is well.
+    pub fn healthy(&self) -> Option<usize> {
+        self.lanes.iter().position(Option::is_none)
+    }
+
+    pub fn any(&self) -> bool {
+        self.lanes.iter().any(Option::is_some)
+    }
+
+    /// Takes a lane's state aside; a lane that stands already, or that has no world, is only
+    /// a copy that went astray.
+    pub fn take<R: Real>(&mut self, sim: &Sim<R>, lane: usize, done: u64, error: Error) {
+        let Some(place) = self.lanes.get_mut(lane).filter(|place| place.is_none()) else { return };
+        let (mut qpos, mut qvel) =
+            (vec![0.0; sim.state.qpos.len()], vec![0.0; sim.state.qvel.len()]);
+        sim.state.take(lane, &mut qpos, &mut qvel);
+        *place = Some(Failed { qpos, qvel, done, error });
+    }
+
+    /// Lanes that repeat the healthy one: of failed worlds, and of none.
+    fn copies<R: Real>(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..R::LANES).filter(|lane| self.lanes.get(*lane).is_none_or(Option::is_some))
+    }
+
+    /// Lets every copy repeat a healthy lane. False if there is none.
+    pub fn mirror<R: Real>(&self, state: &mut State<R>, inputs: &mut Inputs<R>) -> bool {
+        let Some(from) = self.healthy() else { return false };
+        let copy = |list: &mut [R]| {
+            for lane in self.copies::<R>() {
+                list.iter_mut().for_each(|x| x.set_lane(lane, x.lane(from)));
+            }
+        };
+        copy(&mut state.qpos);
+        copy(&mut state.qvel);
+        state.warm.iter_mut().for_each(|warm| copy(&mut warm.impulse));
+        inputs.arrays_mut().into_iter().for_each(copy);
+        true
+    }
+
+    /// The same in the working space of a thread, which has the group's ledger.
+    pub fn mirror_in<R: Real>(&self, sim: &mut Sim<R>) -> bool {
+        let some = self.mirror(&mut sim.state, &mut sim.inputs);
+        if let (Some(from), Some(ledger)) = (self.healthy(), &mut sim.ledger) {
+            self.copies::<R>().for_each(|lane| ledger.repeat(lane, from));
+            ledger.go_on(&sim.state);
+        }
+        some
+    }
+}
