@@ -267,3 +267,128 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
     assert main(["replay", "work.png"]) == 2
     assert main([*run, "--replay", "nowhere/x.json"]) == 2
     assert main([*run, "--set", "ledger=false", "--duration", "2.05"]) == 0
+
+
+# Servos.
+
+
+def arm(kp, kv, **options):
+    """A body of 1 kg on a slide, held by a position servo."""
+    scene = sc.Scene(gravity=(0, 0, 0)).with_settings(**options)
+    body = scene.add_body("load")
+    scene.add_joint(body, "slide", name="rail")
+    scene.add_geom(body, "sphere", 0.1, mass=1.0)
+    scene.add_actuator("rail", type="position", name="stiff", kp=kp, kv=kv)
+    return scene
+
+
+@pytest.mark.parametrize("zeta", [0.05, 0.3])
+def test_a_stiff_servo_and_its_limit(zeta):
+    """implicitfast takes kv implicitly: stable while dt < (2ζ + 2√(ζ² + 1))/ω; euler does not."""
+    omega = 1000.0
+    scene = arm(omega**2, 2 * zeta * omega)
+    limits = {
+        "implicitfast": (2 * zeta + 2 * math.sqrt(zeta**2 + 1)) / omega,
+        "euler": (2 * math.sqrt(zeta**2 + 1) - 2 * zeta) / omega,
+    }
+    for integrator, limit in limits.items():
+        error, _ = fails(
+            scene,
+            start=lambda sim: sim.ctrl.fill(0.1),
+            dt=1.02 * limit,
+            integrator=integrator,
+            ledger=True,
+        )
+        assert error.element == "servo `stiff`" and error.shares[error.element] > 0.99
+        assert error.stable_dt == pytest.approx(limit, rel=1e-3)
+        below = sc.Sim(scene, dt=0.98 * limit, integrator=integrator, ledger=True)
+        below.ctrl[:] = 0.1
+        below.step(5000)
+
+
+def test_what_a_moved_control_puts_in_is_no_gain():
+    """A stiff servo thrown from end to end, with a bounded force and without."""
+    rng = np.random.default_rng(2)
+    for forcerange in (None, (-50.0, 50.0)):
+        scene = arm(1e4, 1.0, dt=1e-3)
+        scene.actuators[0].forcerange = forcerange
+        sim = sc.Sim(scene, ledger=True)
+        for _ in range(300):
+            sim.ctrl[:] = rng.uniform(-1, 1)
+            sim.step(int(rng.integers(1, 40)))
+
+
+# Batches.
+
+
+def wild_batch(**how):
+    batch = sc.Batch(unstable(), 20, on_failure="go on", **how)
+    batch.qpos[:] = [1.0, 0.0]
+    batch.qpos[17, 1] = 1e100
+    batch.qpos[13, 1] = 1.0
+    return batch
+
+
+def alone(start, steps, ledger):
+    sim = sc.Sim(unstable(), ledger=ledger)
+    sim.qpos[:] = start
+    try:
+        sim.step(steps)
+    except sc.SimulationError as error:
+        return sim, error
+    return sim, None
+
+
+@pytest.mark.parametrize("lanes", [True, False])
+@pytest.mark.parametrize("ledger", [True, False])
+def test_the_others_go_on(lanes, ledger):
+    batch = wild_batch(lanes=lanes, ledger=ledger, threads=2)
+    batch.step(600)
+    batch.step(400)
+    assert list(batch.failures) == [13, 17] and batch.failures is not batch.failures
+    well = alone([1.0, 0.0], 1000, ledger)[0]
+    assert all(batch.state()[world] == well.state() for world in range(20) if world not in (13, 17))
+    assert batch.time == well.time
+    for world, start in ((13, 1.0), (17, 1e100)):
+        error, (sim, same) = batch.failures[world], alone([1.0, start], 1000, ledger)
+        assert (error.world, error.step, error.element) == (world, same.step, same.element)
+        assert (batch.qpos[world] == sim.qpos).all() and (batch.qvel[world] == sim.qvel).all()
+        assert f"in world {world};" in str(error) and error.replay.run().same
+        assert batch.failures[world] is error
+    assert [len(rows) for rows in batch.rows] == [0] * 20 and np.isfinite(batch.energy[:13]).all()
+    # Written anew, a world moves again.
+    batch.qpos[13], batch.qvel[13] = [1.0, 0.0], 0.0
+    batch.step(10)
+    assert list(batch.failures) == [17]
+    batch.reset()
+    assert batch.failures == {}
+
+
+def test_a_rollout_goes_on():
+    batch = wild_batch(ledger=True)
+    states = batch.rollout(np.zeros((20, 300, 0)))
+    assert np.isfinite(states.qpos).all() and np.isfinite(states.qvel).all()
+    step = batch.failures[13].step
+    assert (states.qpos[13, step - 1 :] == batch.qpos[13]).all()
+    assert (states.qpos[13, step - 2] != batch.qpos[13]).any()
+    well = sc.Sim(unstable())
+    well.qpos[:] = [1.0, 0.0]
+    well.step(300)
+    assert (states.qpos[5, -1] == well.qpos).all()
+
+
+def test_a_batch_that_stops_tells_as_much():
+    batch = sc.Batch(unstable(), 9, ledger=True)
+    batch.qpos[4, 1] = 1.0
+    with pytest.raises(sc.SimulationError, match=r"in world 4; .*`wild`") as caught:
+        batch.step(1000)
+    assert caught.value.world == 4 and caught.value.replay.run().same
+    with pytest.raises(ValueError, match="on_failure = 'ignore': must be one of"):
+        sc.Batch(unstable(), 2, on_failure="ignore")
+
+
+def test_every_world_fails_and_time_goes_on():
+    batch = sc.Batch(unstable(), 3, on_failure="go on")
+    batch.qpos[:] = 1.0
+    batch.step(1000)
+    assert list(batch.failures) == [0, 1, 2] and batch.time == pytest.approx(100.0)

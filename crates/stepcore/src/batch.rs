@@ -139,9 +139,8 @@ impl<R: Real> Batch<R> {
     /// world of their own repeat the last one.
     pub fn put(&mut self, world: usize, given: &Given) {
         let group = &mut self.groups[world / R::LANES];
-        if let Some(failed) = &mut group.standing.lanes[world % R::LANES] {
+        if let Some(failed) = &group.standing.lanes[world % R::LANES] {
             if failed.stands(given) {
-                failed.done = 0;
                 return;
             }
             group.standing.lanes[world % R::LANES] = None;
@@ -301,11 +300,13 @@ impl<R: Real> Group<R> {
         goes_on: bool,
         one: &impl Fn(usize, u64, &mut Sim<R>) -> Result<()>,
     ) {
+        self.standing.lanes.iter_mut().flatten().for_each(|failed| failed.done = 0);
         if self.standing.any() && !self.standing.mirror(&mut self.state, &mut self.inputs) {
             // Nobody is left; time goes on.
             self.state.steps += if last == Last::Step { n } else { 0 };
             return;
         }
+        sim.copies = self.standing.mask::<R>();
         std::mem::swap(&mut sim.ledger, &mut self.ledger);
         std::mem::swap(&mut sim.state, &mut self.state);
         std::mem::swap(&mut sim.inputs, &mut self.inputs);
@@ -354,8 +355,10 @@ impl Part<'_> {
     /// Puts the controls of a step in; lanes without a world repeat the last one.
     fn control<R: Real>(&self, step: usize, sim: &mut Sim<R>) {
         let nu = self.sizes[0];
+        let own = (0..R::LANES).find(|lane| sim.is_world(*lane)).unwrap_or(0);
         for lane in 0..R::LANES {
-            let start = (lane.min(self.worlds - 1) * self.steps + step) * nu;
+            let world = if sim.is_world(lane) { lane.min(self.worlds - 1) } else { own };
+            let start = (world * self.steps + step) * nu;
             for (to, from) in sim.inputs.ctrl.iter_mut().zip(&self.ctrl[start..start + nu]) {
                 to.set_lane(lane, *from);
             }

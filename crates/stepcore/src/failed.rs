@@ -61,6 +61,14 @@ impl Standing {
         (0..R::LANES).filter(|lane| self.lanes.get(*lane).is_none_or(Option::is_some))
     }
 
+    /// The copies as bits: those of nobody until a world has failed.
+    pub fn mask<R: Real>(&self) -> u64 {
+        if !self.any() {
+            return 0;
+        }
+        self.copies::<R>().fold(0, |mask, lane| mask | 1 << lane)
+    }
+
     /// Lets every copy repeat a healthy lane. False if there is none.
     pub fn mirror<R: Real>(&self, state: &mut State<R>, inputs: &mut Inputs<R>) -> bool {
         let Some(from) = self.healthy() else { return false };
@@ -79,6 +87,7 @@ impl Standing {
     /// The same in the working space of a thread, which has the group's ledger.
     pub fn mirror_in<R: Real>(&self, sim: &mut Sim<R>) -> bool {
         let some = self.mirror(&mut sim.state, &mut sim.inputs);
+        sim.copies = self.mask::<R>();
         if let (Some(from), Some(ledger)) = (self.healthy(), &mut sim.ledger) {
             self.copies::<R>().for_each(|lane| ledger.repeat(lane, from));
             ledger.go_on(&sim.state);

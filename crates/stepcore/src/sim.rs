@@ -44,6 +44,8 @@ pub struct Sim<R: Real> {
     pub(crate) past: Past<R>,
     /// There while `Settings::ledger` is on.
     pub(crate) ledger: Option<Box<Ledger<R>>>,
+    /// Lanes (bits) that only repeat another, whose failures are told there.
+    pub(crate) copies: u64,
     /// There while a step is written down.
     pub(crate) tape: Option<Box<Tape>>,
     pgs: Pgs<R>,
@@ -71,6 +73,7 @@ impl<R: Real> Sim<R> {
             newton: Newton::new(),
             past: Past::new(&model),
             ledger: settings.ledger.then(|| Box::new(Ledger::new(&model))),
+            copies: 0,
             tape: None,
             model,
             settings,
@@ -142,6 +145,11 @@ impl<R: Real> Sim<R> {
         let ledger = self.ledger.as_ref();
         let ledger = ledger.map_or(0, |ledger| size_of::<Ledger<R>>() + ledger.room());
         size_of::<Self>() + self.room() + ledger
+    }
+
+    /// A lane that stands for a world of its own.
+    pub(crate) fn is_world(&self, lane: usize) -> bool {
+        self.copies >> lane & 1 == 0
     }
 
     /// The worst miss of the last solve, a speed [m/s]; 0 without rows.

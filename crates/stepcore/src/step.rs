@@ -11,13 +11,21 @@ use crate::solve::Situation;
 impl<R: Real> Sim<R> {
     /// Advances by `n` steps, or to the last finite state before an error.
     pub fn step(&mut self, n: u64) -> Result<()> {
-        self.open_ledger();
+        if self.ledger.is_none() || !R::INVESTIGATED {
+            return self.advance(n, false);
+        }
+        self.step_in_ledger(n)
+    }
+
+    /// `driven`: something from outside does work, and the ledger wants to know.
+    pub(crate) fn advance(&mut self, n: u64, driven: bool) -> Result<()> {
         for _ in 0..n {
-            self.balance()?;
             R::enter(Stage::Commit);
             self.integrate()?;
             self.check_finite()?;
-            self.pay();
+            if driven {
+                self.pay();
+            }
             // past ← state ← next ← (room of the oldest past)
             std::mem::swap(&mut self.state.qpos, &mut self.next.qpos);
             std::mem::swap(&mut self.state.qvel, &mut self.next.qvel);

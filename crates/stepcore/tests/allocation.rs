@@ -160,3 +160,11 @@ fn a_sim_knows_its_memory() {
         }
     }
 }
+
+#[test]
+fn no_ledger_allocates() {
+    let on = Settings { ledger: true, ..settings(Law::SolRef, Integrator::Euler) };
+    check::<f64>(&on);
+    check::<Lanes>(&Settings { integrator: Integrator::Rk4, ..on.clone() });
+    check::<f64>(&Settings { law: Law::Penalty, ..on });
+}

@@ -6,7 +6,6 @@
 //! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
 
 use crate::error::{named, Error};
-use crate::measure::ledger::first_lane;
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::sim::Sim;
@@ -25,9 +24,16 @@ impl<R: Real> Sim<R> {
             return Error::value("state", quantity, "one from which a step stays finite");
         }
         let ledger = self.ledger.take();
-        let error = self.found(ledger.as_deref(), first_lane::<R>(bad), quantity, false);
+        let lane = self.first_world(bad);
+        let error = self.found(ledger.as_deref(), lane, quantity, false);
         self.ledger = ledger;
         error
+    }
+
+    /// The first lane of a mask, if possible one that is a world of its own.
+    fn first_world(&self, bad: R::Mask) -> usize {
+        let lanes = || (0..R::LANES).filter(|lane| bad.lane(*lane));
+        lanes().find(|lane| self.is_world(*lane)).or(lanes().next()).unwrap_or(0)
     }
 
     /// The element that became the strongest on the way to the present state of a lane, or,
@@ -50,7 +56,7 @@ impl<R: Real> Sim<R> {
 
     /// The first dof whose `quantity`, in `numbers`, is not finite in the first lane of `bad`.
     pub(crate) fn first_not_finite(&self, bad: R::Mask, quantity: &str, numbers: &[R]) -> String {
-        let lane = first_lane::<R>(bad);
+        let lane = self.first_world(bad);
         let model = &*self.model;
         let at = numbers.iter().position(|x| !x.is_finite().lane(lane));
         at.map_or("a position is not finite".into(), |dof| {
@@ -143,6 +149,10 @@ pub fn contact_name(model: &Model, pair: usize) -> String {
 fn blamed(ledgers: &[Strengths]) -> String {
     let finite = |ledger: &Strengths| ledger.iter().map(|(_, s)| s).filter(|s| s.is_finite()).sum();
     for pair in ledgers.windows(2) {
+        // Beside what has no number any more, nothing else is strong.
+        if let Some((name, _)) = pair[0].iter().find(|(_, s)| !s.is_finite()) {
+            return name.clone();
+        }
         let total: f64 = finite(&pair[1]);
         for (name, strength) in &pair[1] {
             let before = pair[0].iter().find(|(other, _)| other == name).map_or(0.0, |(_, s)| *s);

@@ -7,7 +7,7 @@ use super::tape::Entry;
 use super::trial::Course;
 use super::Ledger;
 use crate::error::Error;
-use crate::real::{Mask, Real};
+use crate::real::Real;
 use crate::settings::Integrator;
 use crate::sim::Sim;
 use crate::state::{Inputs, State, Warm};
@@ -312,9 +312,4 @@ pub(crate) fn times(x: f64) -> String {
     } else {
         format!("{x:.2e}")
     }
-}
-
-/// The first lane of a mask.
-pub(crate) fn first_lane<R: Real>(bad: R::Mask) -> usize {
-    (0..R::LANES).find(|lane| bad.lane(*lane)).unwrap_or(0)
 }

@@ -13,7 +13,7 @@ mod linear;
 mod tape;
 mod trial;
 
-pub(crate) use autopsy::{first_lane, times};
+pub(crate) use autopsy::times;
 pub use autopsy::{PostMortem, Stable};
 pub use tape::Entry;
 
@@ -115,7 +115,8 @@ impl<R: Real> Ledger<R> {
     }
 
     fn keep(&mut self, state: &State<R>, inputs: &Inputs<R>) {
-        self.at = (self.at + 1) % MEMORY;
+        // A new account starts in the room that the last one has filled.
+        self.at = if self.len == 0 { 0 } else { (self.at + 1) % MEMORY };
         self.len = (self.len + 1).min(MEMORY);
         let milestone = &mut self.milestones[self.at];
         state.copy_to(&mut milestone.state);
@@ -151,8 +152,31 @@ impl<R: Real> Sim<R> {
         }
     }
 
+    /// Advances from milestone to milestone.
+    pub(crate) fn step_in_ledger(&mut self, n: u64) -> Result<()> {
+        self.open_ledger();
+        let driven = !self.model.actuators.is_empty() || self.inputs.applied;
+        let mut left = n;
+        let mut outcome = Ok(());
+        while left > 0 && outcome.is_ok() {
+            outcome = match self.balance() {
+                Ok(room) => {
+                    let portion = left.min(room);
+                    left -= portion;
+                    self.advance(portion, driven)
+                }
+                Err(error) => Err(error),
+            };
+        }
+        let now = (self.state.steps, self.state.start);
+        if let Some(expected) = self.ledger.as_mut().and_then(|ledger| ledger.expected.as_mut()) {
+            *expected = now;
+        }
+        outcome
+    }
+
     /// Before a call's first step: is this still the run that the ledger knows?
-    pub(crate) fn open_ledger(&mut self) {
+    fn open_ledger(&mut self) {
         let Some(ledger) = &mut self.ledger else { return };
         if ledger.expected != Some((self.state.steps, self.state.start)) {
             ledger.expected = None;
@@ -173,21 +197,17 @@ impl<R: Real> Sim<R> {
         self.ledger = Some(ledger);
     }
 
-    /// Before a step: balances the account at a milestone.
-    #[inline]
-    pub(crate) fn balance(&mut self) -> Result<()> {
-        if !R::INVESTIGATED {
-            return Ok(());
+    /// Balances the account at a milestone; returns the steps to the next one.
+    fn balance(&mut self) -> Result<u64> {
+        let Some(mut ledger) = self.ledger.take() else { return Ok(u64::MAX) };
+        let newest = ledger.newest_first().next();
+        let since = newest.map_or(STRIDE, |newest| self.state.steps - newest.state.steps);
+        let mut outcome = Ok(());
+        if since >= STRIDE {
+            outcome = self.balance_now(&mut ledger);
         }
-        let Some(ledger) = &self.ledger else { return Ok(()) };
-        let since = ledger.newest_first().next().map(|m| self.state.steps - m.state.steps);
-        if since.is_some_and(|since| since < STRIDE) {
-            return Ok(());
-        }
-        let Some(mut ledger) = self.ledger.take() else { return Ok(()) };
-        let outcome = self.balance_now(&mut ledger);
         self.ledger = Some(ledger);
-        outcome
+        outcome.map(|()| if since >= STRIDE { STRIDE } else { STRIDE - since })
     }
 
     fn balance_now(&mut self, ledger: &mut Ledger<R>) -> Result<()> {
@@ -205,8 +225,10 @@ impl<R: Real> Sim<R> {
             for lane in 0..R::LANES {
                 let work = ledger.work.lane(lane);
                 let verdict = ledger.accounts[lane].judge::<R>(&ledger.levels[lane], work);
-                gained[lane] = verdict.gained / ledger.accounts[lane].scale;
-                if verdict.gained > verdict.limit && !ledger.quiet && outcome.is_ok() {
+                let scale = ledger.accounts[lane].scale;
+                gained[lane] = if scale > 0.0 { verdict.gained / scale } else { 0.0 };
+                let told = !ledger.quiet && self.is_world(lane);
+                if verdict.gained > verdict.limit && told && outcome.is_ok() {
                     outcome = self.suspect(ledger, lane, verdict.gained);
                 }
             }
@@ -224,21 +246,10 @@ impl<R: Real> Sim<R> {
     }
 
     /// After a step that can be committed: the work of what drove it.
-    #[inline]
     pub(crate) fn pay(&mut self) {
-        if self.ledger.is_none() || !R::INVESTIGATED {
-            return;
-        }
-        let work = if self.model.actuators.is_empty() && !self.inputs.applied {
-            R::zero()
-        } else {
-            self.driven()
-        };
+        let work = self.driven();
         if let Some(ledger) = &mut self.ledger {
             ledger.work += work;
-            if let Some(expected) = &mut ledger.expected {
-                expected.0 += 1;
-            }
         }
     }
 
