@@ -12,7 +12,7 @@ from stepcore import checks
 from stepcore.diagnose.advice import advise
 from stepcore.diagnose.alone import INTEGRATORS
 from stepcore.diagnose.bound import closed_form
-from stepcore.diagnose.figures import Figures, figures
+from stepcore.diagnose.figures import Alone, Figures
 from stepcore.diagnose.forces import INERTIAL, Key
 from stepcore.diagnose.limits import LONGEST, Limit, Situation, situation
 from stepcore.diagnose.linear import exact
@@ -167,11 +167,11 @@ def _elements(here: Situation) -> dict[Key, Figures]:
         all_parts = parts(here.model, state, None)
         if all_parts is None:
             continue
+        alone = Alone(all_parts, here.horizon, k)
         for key in all_parts.elements:
             if key == INERTIAL:
                 continue
-            softened = softened_beyond(here.model, layout, key)
-            one = figures(key, all_parts, softened, here.horizon, k)
+            one = alone.figures(key, softened_beyond(here.model, layout, key))
             if one.acts and (key not in found or _stiffness(one) > _stiffness(found[key])):
                 found[key] = one
     return dict(sorted(found.items(), key=lambda pair: -_stiffness(pair[1])))

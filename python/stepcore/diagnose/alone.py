@@ -29,6 +29,7 @@ def oscillator(
 
     horizon: what growth counts where nothing damps, as in `gyration` [s].
     """
+    explicit, implicit = max(explicit, 0.0), max(implicit, 0.0)
     damping = explicit + implicit
     if integrator == "midpoint" or (omega <= 0 and damping <= 0):
         return math.inf

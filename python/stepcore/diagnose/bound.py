@@ -47,11 +47,11 @@ class _Element:
 def closed_form(model: Model, integrator: str | None = None) -> Bound:
     """The bound under an integrator (default: the model's own)."""
     integrator = integrator or model.settings.integrator
-    layout = Layout(model.scene)
-    joints = [*_springs(model, layout, integrator), *_servos(model, layout, integrator)]
+    layout, elements = Layout(model.scene), Elements(model)
+    joints = [*_springs(elements, integrator), *_servos(elements, integrator)]
     safe = alone = math.inf
     stiffest = None
-    for one in [*joints, *_rows(model, layout)]:
+    for one in [*joints, *_rows(elements, layout)]:
         limit = oscillator(math.sqrt(one.square), one.explicit, one.implicit, integrator)
         if limit < alone:
             alone, stiffest = limit, one.key
@@ -64,8 +64,8 @@ def closed_form(model: Model, integrator: str | None = None) -> Bound:
     return Bound(safe, alone, stiffest)
 
 
-def _springs(model: Model, layout: Layout, integrator: str) -> Iterator[_Element]:
-    elements = Elements(model)
+def _springs(elements: Elements, integrator: str) -> Iterator[_Element]:
+    model = elements.model
     for j in range(model.njnt):
         weight, tree = _weight(model, j), _root(model, int(model.jnt_body[j]))
         rate = elements.damping[j] * weight
@@ -77,8 +77,8 @@ def _springs(model: Model, layout: Layout, integrator: str) -> Iterator[_Element
             yield _Element(Key("damper", (j,), elements.joints[j]), tree, 0.0, rate)
 
 
-def _servos(model: Model, layout: Layout, integrator: str) -> Iterator[_Element]:
-    elements = Elements(model)
+def _servos(elements: Elements, integrator: str) -> Iterator[_Element]:
+    model = elements.model
     for i in elements.servos:
         joint = int(model.actuator_joint[i])
         weight, tree = _weight(model, joint), _root(model, int(model.jnt_body[joint]))
@@ -100,9 +100,9 @@ def gains(model: Model, actuator: int) -> tuple[float, float]:
     return -square * length, -square * velocity
 
 
-def _rows(model: Model, layout: Layout) -> Iterator[_Element]:
+def _rows(elements: Elements, layout: Layout) -> Iterator[_Element]:
     """Limits, connects, friction losses and contacts that nothing softens with dt."""
-    elements = Elements(model)
+    model = elements.model
     features = model.scene.features
     if not features.constraint:
         return

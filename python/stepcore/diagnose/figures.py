@@ -14,7 +14,7 @@ import numpy as np
 
 from stepcore.arrays import Floats
 from stepcore.diagnose.alone import INTEGRATORS, gyration, oscillator, row_after_midpoint
-from stepcore.diagnose.forces import Key
+from stepcore.diagnose.forces import INERTIAL, Key
 from stepcore.diagnose.limits import LONGEST
 from stepcore.diagnose.parts import Parts
 
@@ -49,54 +49,74 @@ class Figures:
         return max(self.omega, self.rate) > 0
 
 
-def figures(key: Key, all_parts: Parts, softened: float, horizon: float, state: int) -> Figures:
-    """The figures of an element; see the module."""
-    root = np.linalg.cholesky(all_parts.mass)
+class Alone:
+    """The figures of a state's elements, each alone on the mass matrix.
 
-    def scaled(matrix: Floats) -> Floats:
-        """L⁻¹ X L⁻ᵀ, M = L Lᵀ: per mass."""
-        half = np.linalg.solve(root, matrix)
-        return np.linalg.solve(root, half.T).T
+    horizon [s]: see `growth`. state: which of the states this is.
+    """
 
-    part = all_parts.elements[key]
-    if key.kind == "spin":
-        turning = scaled(part.damping)
-        omega = float(np.abs(np.linalg.eigvals(turning).imag).max(initial=0.0))
-        limits = {
-            name: gyration(omega, name, key in all_parts.implicit.get(name, ()), horizon)
-            for name in INTEGRATORS
+    def __init__(self, all_parts: Parts, horizon: float, state: int) -> None:
+        self.parts, self.horizon, self.state = all_parts, horizon, state
+        self.root = np.linalg.inv(np.linalg.cholesky(all_parts.mass))
+        none = np.zeros_like(all_parts.mass)
+        elements = all_parts.elements
+        self.damping = sum((p.damping for k, p in elements.items() if k != INERTIAL), none)
+        self.implicit = {
+            name: sum((elements[key].damping for key in keys), none)
+            for name, keys in all_parts.implicit.items()
         }
-        limits = {name: dt if dt <= LONGEST else math.inf for name, dt in limits.items()}
-        return Figures(key, omega, 0.0, 0.0, limits, softened, state)
-    square, mode = _largest(scaled(part.stiffness))
-    own_most, own_mode = _largest(scaled(part.damping))
-    omega = math.sqrt(max(square, 0.0))
 
-    def along(direction: Floats, keys: set[Key]) -> float:
-        dampings = (scaled(all_parts.elements[k].damping) for k in keys if k.kind != "inertial")
-        return float(sum(direction @ damping @ direction for damping in dampings))
+    def figures(self, key: Key, softened: float) -> Figures:
+        """Those of one element; `softened`: the dt [s] from which `refsafe` softens it."""
+        part = self.parts.elements[key]
+        if key.kind == "spin":
+            return self._spin(key, self._per_mass(part.damping), softened)
+        square, mode = self._stiffest(part.stiffness)
+        most, direction = self._stiffest(part.damping)
+        omega = math.sqrt(square)
+        limits = {}
+        for name in INTEGRATORS:
+            found = self._limit(name, key, omega, mode) if omega > 0 else math.inf
+            if most > 0:
+                found = min(found, self._limit(name, key, 0.0, direction))
+            # Softened with dt from there on, it limits nothing that it did not limit before.
+            limits[name] = found if found <= min(softened, LONGEST) else math.inf
+        ratio = float(mode @ self.damping @ mode) / (2 * omega) if omega > 0 else math.nan
+        return Figures(key, omega, ratio, most, limits, softened, self.state)
 
-    def alone(name: str, omega: float, direction: Floats) -> float:
+    def _spin(self, key: Key, turning: Floats, softened: float) -> Figures:
+        omega = float(np.abs(np.linalg.eigvals(turning).imag).max(initial=0.0))
+        limits = {}
+        for name in INTEGRATORS:
+            hidden = key in self.parts.implicit.get(name, ())
+            dt = gyration(omega, name, hidden, self.horizon)
+            limits[name] = dt if dt <= LONGEST else math.inf
+        return Figures(key, omega, 0.0, 0.0, limits, softened, self.state)
+
+    def _limit(self, name: str, key: Key, omega: float, direction: Floats) -> float:
+        """The largest stable dt of an oscillation along a direction of unit mass."""
+
+        def along(damping: Floats) -> float:
+            return max(float(direction @ damping @ direction), 0.0)
+
+        own = along(self.parts.elements[key].damping)
         if name == "midpoint" and key.kind in ROWS:
-            return row_after_midpoint(omega, along(direction, {key}))
-        implicit = set(all_parts.implicit.get(name, ()))
-        # Under `explicit` damping only helps an oscillation, whoever gives it.
-        helps = set(all_parts.elements) if name == "explicit" and omega > 0 else implicit | {key}
-        hidden = along(direction, implicit)
-        shown = along(direction, helps) - hidden
-        return oscillator(omega, max(shown, 0.0), max(hidden, 0.0), name, horizon)
+            return row_after_midpoint(omega, own)
+        if name == "explicit" and omega > 0:
+            # Damping only helps an oscillation here, whoever gives it.
+            return oscillator(omega, along(self.damping), 0.0, name, self.horizon)
+        hidden = along(self.implicit[name]) if name in self.implicit else 0.0
+        shown = 0.0 if key in self.parts.implicit.get(name, ()) else own
+        return oscillator(omega, shown, hidden, name, self.horizon)
 
-    limits = {}
-    for name in INTEGRATORS:
-        found = math.inf
-        if omega > 0:
-            found = alone(name, omega, mode)
-        if own_most > 0:
-            found = min(found, alone(name, 0.0, own_mode))
-        # Softened with dt from there on, it limits nothing that it did not limit before.
-        limits[name] = found if found <= min(softened, LONGEST) else math.inf
-    ratio = along(mode, set(all_parts.elements)) / (2 * omega) if omega > 0 else math.nan
-    return Figures(key, omega, ratio, max(own_most, 0.0), limits, softened, state)
+    def _per_mass(self, matrix: Floats) -> Floats:
+        """L⁻¹ X L⁻ᵀ, M = L Lᵀ."""
+        return self.root @ matrix @ self.root.T
+
+    def _stiffest(self, matrix: Floats) -> tuple[float, Floats]:
+        """The largest eigenvalue of M⁻¹X, X made symmetric, and its direction of unit mass."""
+        value, vector = _largest(self._per_mass(matrix))
+        return value, self.root.T @ vector
 
 
 def _largest(matrix: Floats) -> tuple[float, Floats]:

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 IN_HAND = 2.0
 # Growth that counts where nothing damps: e-fold in this time [s].
 HORIZON = 1.0
-# Elements beyond which a scene is not looked at, and dofs beyond which its step is not
-# linearised: the element that is stiffest alone decides then.
-MOST_ELEMENTS, MOST_DOFS = 2000, 30
+# Joints and geoms beyond which a scene is not looked at, and dofs beyond which its step is not
+# linearised: the element that is stiffest alone decides then. Each is some milliseconds.
+MOST_JOINTS, MOST_GEOMS, MOST_DOFS = 100, 1000, 12
 
 
 class StiffnessWarning(UserWarning):
@@ -69,7 +69,7 @@ def stiffness(scene: Scene) -> str:
 
 def _may_be_stiff(scene: Scene) -> bool:
     """Whether any element could limit dt; without one nothing is compiled."""
-    if len(scene.joints) + len(scene.geoms) + len(scene.actuators) > MOST_ELEMENTS:
+    if len(scene.joints) > MOST_JOINTS or len(scene.geoms) > MOST_GEOMS:
         return False
     from stepcore.diagnose.softness import may_limit
 

@@ -21,6 +21,8 @@ from stepcore.trade.motion import Motion
 
 # The most states, steps and looks at the rows of one run.
 STATES, STEPS, LOOKS = 8, 20_000, 200
+# So many dofs at all states together, and at least two states.
+DOFS = 200
 # Part of the motion in which controls that nobody gave come in.
 EASING = 0.25
 
@@ -94,13 +96,17 @@ def _now(sim: Sim) -> State:
 
 
 def _chosen(seen: Sequence[State]) -> list[State]:
-    """The first; the last with each set of rows, the largest sets first; then evenly in time."""
+    """The first; the last with each set of rows, the largest sets first; then evenly in time.
+
+    Fewer of a large model, whose linearised step takes long.
+    """
+    most = max(2, min(STATES, DOFS // len(seen[0].qvel)))
     kept = {0}
     sets = {frozenset(state.rows): k for k, state in enumerate(seen)}
-    for k in sorted(sets.values(), key=lambda k: -len(seen[k].rows))[: STATES - 3]:
+    for k in sorted(sets.values(), key=lambda k: -len(seen[k].rows))[: max(1, most - 3)]:
         kept.add(k)
-    for k in np.linspace(0, len(seen) - 1, STATES).round().astype(int):
-        if len(kept) >= STATES:
+    for k in np.linspace(0, len(seen) - 1, most).round().astype(int):
+        if len(kept) >= most:
             break
         kept.add(int(k))
     return [seen[k] for k in sorted(kept)]
