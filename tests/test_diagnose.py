@@ -211,6 +211,17 @@ def test_a_stiff_contact_in_direct_form(solref):
     assert limit == pytest.approx(real, rel=0.2)
 
 
+def test_a_penalty_contact_is_the_spring_that_it_is():
+    """Law: k on 1 kg, 2ζ√(k m) with it, both explicit: dt < 2(√(ζ² + 1) - ζ)/ω, to 1 %; the ball
+    falls on it from above."""
+    law = {"law": "penalty", "penalty_stiffness": 1e6, "penalty_damping_ratio": 0.1}
+    scene = stiff.pad(dt=5e-3, integrator="semi-implicit", **law)
+    scene.body("ball").pos = (0, 0, 0.101)
+    d = diagnosed(scene, horizon=0.2)
+    assert d.stiffest("semi-implicit") == 'contact "floor"/"ball"'
+    assert d.limit("semi-implicit") == pytest.approx(2 * (math.sqrt(1.01) - 0.1) / 1e3, rel=0.01)
+
+
 def test_refsafe_is_told_as_it_is():
     """A contact that refsafe softens limits nothing; without refsafe it does."""
     soft = diagnosed(stiff.pad((0.02, 1.0), dt=5e-3))

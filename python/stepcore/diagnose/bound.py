@@ -51,7 +51,7 @@ def closed_form(model: Model, integrator: str | None = None) -> Bound:
     joints = [*_springs(elements, integrator), *_servos(elements, integrator)]
     safe = alone = math.inf
     stiffest = None
-    for one in [*joints, *_rows(elements, layout)]:
+    for one in [*joints, *_rows(elements, layout), *_penalties(model)]:
         limit = oscillator(math.sqrt(one.square), one.explicit, one.implicit, integrator)
         if limit < alone:
             alone, stiffest = limit, one.key
@@ -127,6 +127,16 @@ def _rows(elements: Elements, layout: Layout) -> Iterator[_Element]:
         if key.kind == "friction loss":
             square = 0.0
         yield _Element(key, -1, max(square, 0.0), max(rate, 0.0))
+
+
+def _penalties(model: Model) -> Iterator[_Element]:
+    """The spring of a contact under the law `penalty`, on the masses of both bodies."""
+    s = model.settings
+    for a, b in model.core.pairs()[:MOST_PAIRS] if s.law == "penalty" else ():
+        bodies = [int(model.geom_body[geom]) for geom in (a, b)]
+        square = s.penalty_stiffness * float(model.body_invweight0[bodies, 0].sum())
+        rate = 2 * s.penalty_damping_ratio * math.sqrt(square)
+        yield _Element(Key("contact", (a, b), _pair(model, a, b)), -1, square, rate)
 
 
 def _exists(layout: Layout, key: Key) -> bool:

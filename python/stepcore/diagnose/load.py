@@ -80,6 +80,8 @@ def _may_be_stiff(scene: Scene) -> bool:
         soft += [joint.solreffriction] * (joint.frictionloss > 0)
     springs = any(joint.stiffness > 0 or joint.damping > 0 for joint in scene.joints)
     servos = any(actuator.type != "motor" for actuator in scene.actuators)
+    if scene.options.get("law") == "penalty":
+        return True
     return springs or servos or any(may_limit(solref, refsafe) for solref in soft)
 
 
