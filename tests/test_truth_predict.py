@@ -150,7 +150,7 @@ def test_after_it_means_over_32_starts_are_compared():
     record = result.table[result.rows.index(shipped)]
     assert record["height_interval"] == shipped.after.height.interval
     assert "difference from the reference's means" in str(result)
-    assert result.to_dict()["reference"]["predictable"] == result.predictable
+    assert result.to_dict()["predictable"] == result.predictable
 
 
 def test_the_command_predicts(capsys, tmp_path):

@@ -1,5 +1,7 @@
 """How well the truth of a trade is known: orders, closed forms, and the rule without either."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,15 @@ def test_without_an_order_the_error_is_twice_the_distance_of_two_integrators():
     sure = known(apart(4e-3, 3e-3, 2.5e-4), 0.0, apart(1e-9)[0], "euler")
     assert sure.largest == 2.5e-4
     assert known(apart(4e-3, 3e-3), 0.0, None, "").angle == 6e-3
+
+
+def test_no_sample_is_further_off_than_all_of_them_together():
+    halvings = apart(4e-3, 1e-3, 2.5e-4)
+    halvings[1] = replace(halvings[1], position_max=3.9e-3)
+    sure = known(halvings, 0.0, apart(5e-3)[0], "euler")
+    assert sure.largest == 1e-2 and sure.orders["largest"] is None
+    sure = known(halvings, 0.0, apart(5e-3)[0], "euler", count=100)
+    assert sure.largest == pytest.approx(10 * 2.5e-4 / 3) and sure.orders["largest"] == 2
 
 
 def test_the_matrix_exponential():

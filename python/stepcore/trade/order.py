@@ -71,12 +71,19 @@ class Known:
 MEASURES = {"error": "median", "largest": "position_max", "high": "high", "angle": "angle"}
 
 
-def known(halvings: Sequence[Errors], floor: float, rival: Errors | None, other: str) -> Known:
+def known(
+    halvings: Sequence[Errors],
+    floor: float,
+    rival: Errors | None,
+    other: str,
+    count: float = np.inf,
+) -> Known:
     """The error of the finest run, each measure by its own order or else by the rival.
 
     halvings: how far each moved the motion, coarsest first. rival: distance to the finest run of
     another integrator, named `other`. Without an order the error is twice that distance, and not
-    less than the last halving moved.
+    less than the last halving moved. count: samples × bodies, of which none is further off than
+    √count times their root mean square.
     """
     sure: dict[str, float] = {}
     orders: dict[str, int | None] = {}
@@ -97,6 +104,10 @@ def known(halvings: Sequence[Errors], floor: float, rival: Errors | None, other:
     # No start is worse than the worst, so neither is their median.
     if sure["high"] < sure["error"]:
         sure["error"], orders["error"], bases["error"] = sure["high"], orders["high"], bases["high"]
+    bound = np.sqrt(count) * sure["high"]
+    if bound < sure["largest"]:
+        sure["largest"], orders["largest"] = float(bound), orders["high"]
+        bases["largest"] = f"{bases['high']}; √(samples × bodies) times the worst start's"
     return Known(**sure, orders=orders, bases=bases)
 
 

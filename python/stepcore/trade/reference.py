@@ -331,12 +331,15 @@ class Search:
         levels = self.chains[name]
         other, rival = self._rival(levels[-1], found)
         moved = [one.moved for one in levels if one.moved is not None]
+        count = levels[-1].paths[0].com[..., 0].size
         return Reference(
             settings=self.settings(name, levels[-1].dt),
             level=levels[-1],
             levels=levels,
             growth=found,
-            known=known(moved, ROUNDING * self.size, rival, other),
+            known=known(
+                moved, ROUNDING * self.size, rival, other, levels[-1].paths[0].com[..., 0].size
+            ),
             orders={key: observed([x.distance for x in c[1:]]) for key, c in self.chains.items()},
             agreement=np.nan if rival is None else rival.median,
             other=other,

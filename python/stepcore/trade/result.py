@@ -284,6 +284,8 @@ class Trade(Result):
                 "size": self.size,
                 "shipped": self.shipped.settings.as_dict(),
                 "reference": self._reference(),
+                "orders": self.orders,
+                "predictable": self.predictable,
                 "asked": {"error": self.target, "budget": self.budget, "by": self.by},
                 "recommended": None if chosen is None else chosen.settings.as_dict(),
                 "units": UNITS,
