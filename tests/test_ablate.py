@@ -221,6 +221,8 @@ def test_the_command_writes_data_a_picture_a_page_and_the_model(tmp_path: Path, 
     args += ["--html", out["html"], "--save", out["xml"]]
     assert main(["ablate", str(model), *args]) == 0
     printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= 116
+    printed = " ".join(printed.split())
     assert "The smallest model within 1 mm goes without" in printed
     assert "torsional and rolling friction are not built yet" in printed
     data = json.loads(Path(out["json"]).read_text())

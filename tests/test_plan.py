@@ -111,6 +111,18 @@ def test_rows_of_the_state_are_those_of_the_step() -> None:
     assert plan.at == "t = 1 s"
 
 
+def test_the_page_quotes_the_half_cheetah() -> None:
+    """docs/plan.md."""
+    plan = sc.load("gymnasium:half_cheetah").compile().plan()
+    page = (Path(__file__).parents[1] / "docs/plan.md").read_text()
+    cost = {entry.name.split(",")[0]: entry.flops for entry in plan.used if entry.flops is not None}
+    names = ("poses of bodies", "mass matrix and its factors", "of that: Coriolis")
+    for value in (plan.flops, cost["plane-capsule pairs"], *(cost[name] for name in names)):
+        assert f"{value:.0f}" in page
+    pairs = sum(entry.count for entry in plan.entries if entry.kind == "pair")
+    assert f"8 pairs of {pairs} " in page
+
+
 def test_folded_tangents_are_told() -> None:
     """In a planar model nothing moves across the plane: three rows a contact, not four."""
     plan = sc.load("gymnasium:half_cheetah").compile().plan()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
+import textwrap
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,13 +15,15 @@ from stepcore.ablation.run import Measured
 from stepcore.ablation.smallest import saved, work
 from stepcore.results import Result
 from stepcore.scene import Scene
-from stepcore.table import Table, jsonable
+from stepcore.table import WIDTH, Table, jsonable
 from stepcore.trade.settings import label, metres, seconds
 
-LEGEND = """\
-saved: share of the work per simulated second ({work}), negative: it costs more; µs: computing time
-saved per simulated second; added: error added to the motion, rms of positions in the worst start,
-m; max: of any body and sample, m; error: against the converged motion, rms, worst start, m"""
+LEGEND = (
+    "saved: share of the work per simulated second ({work}), negative: it costs more; µs: "
+    "computing time saved per simulated second; added: error added to the motion, rms of positions in the "
+    "worst start, m; max: of any body and sample, m; error: against the converged motion, rms, "
+    "worst start, m"
+)
 
 
 @dataclass(frozen=True)
@@ -141,23 +145,22 @@ class Ablation(Result):
         """The printed ablation, at most `width` characters wide."""
         starts = f"{self.starts} start" + "s" * (self.starts != 1)
         known = "" if self.reference is None else f"; reference known to {metres(self.reference)}"
-        lines = [
+        kind = "floating-point operations" if self.counted else "row updates"
+        table = Table(
+            [self._cells(row) for row in [self.whole, *self.sorted(), self.best]],
+            formats=dict.fromkeys(("saved", "µs", "added", "max", "error"), ""),
+        )
+        head = (
             f"{self.name}: {len(self.rows)} features over {seconds(self.horizon)}, {starts}, "
-            f"{label(self.settings)}{known}",
-            "",
-            Table(
-                [self._cells(row) for row in [self.whole, *self.sorted(), self.best]],
-                formats=dict.fromkeys(("saved", "µs", "added", "max", "error"), ""),
-            ).text(width),
-            "",
-            LEGEND.format(work="floating-point operations" if self.counted else "row updates"),
-            "",
-            *self.sentences(),
-        ]
-        lines += [f"failed: {row.change.label}: {row.measured.failure}" for row in self._failed()]
-        if self.notes:
-            lines += ["", *(f"note: {note}" for note in self.notes)]
-        return "\n".join(lines)
+            f"{label(self.settings)}{known}"
+        )
+        said = self.sentences()
+        said += [f"failed: {row.change.label}: {row.measured.failure}" for row in self._failed()]
+        notes = [f"note: {note}" for note in self.notes]
+        parts = [head, "", table.text(width), "", LEGEND.format(work=kind), "", *said, "", *notes]
+        size = width or shutil.get_terminal_size((WIDTH, 40)).columns
+        # The table is as wide as it was made.
+        return "\n".join(part if "\n" in part else textwrap.fill(part, size) for part in parts)
 
     def _failed(self) -> list[Row]:
         return [row for row in self.rows if row.measured.failure]

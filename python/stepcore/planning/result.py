@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from stepcore._core import Settings
 from stepcore.results import Result
-from stepcore.table import Table, jsonable
+from stepcore.table import WIDTH, Table, jsonable
 
 # So many names stand in the printed plan.
 NAMES = 4
-LEGEND = """\
-flops: floating-point operations of one step at {at}: of the entry's part of the step, or what the
-step is rid of without the entry; they do not add up, because some work serves several entries"""
+LEGEND = (
+    "flops: floating-point operations of one step at {at}: of the entry's part of the step, or "
+    "what the step is rid of without the entry; they do not add up, because some work serves several "
+    "entries"
+)
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,7 @@ class Plan(Result):
         parts = [head, "", "A step does:", self._table(self.used, full, width)]
         parts += ["", "It leaves out:", self._table(self.left_out, full, width)]
         if self.flops is not None:
-            parts += ["", LEGEND.format(at=self.at)]
+            parts += ["", textwrap.fill(LEGEND.format(at=self.at), width or WIDTH)]
         return "\n".join(parts)
 
     def _table(self, entries: Sequence[Entry], full: bool, width: int | None) -> str:
