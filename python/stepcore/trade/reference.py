@@ -337,9 +337,7 @@ class Search:
             level=levels[-1],
             levels=levels,
             growth=found,
-            known=known(
-                moved, ROUNDING * self.size, rival, other, levels[-1].paths[0].com[..., 0].size
-            ),
+            known=known(moved, ROUNDING * self.size, rival, other, count),
             orders={key: observed([x.distance for x in c[1:]]) for key, c in self.chains.items()},
             agreement=np.nan if rival is None else rival.median,
             other=other,
