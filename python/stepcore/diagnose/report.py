@@ -46,6 +46,9 @@ def _verb(d: Diagnosis) -> str:
     if d.stiffest().startswith("friction loss"):
         # Its force has an end.
         return "chatters"
+    if d.stiffest().startswith(("contact", "limit")):
+        # What opens may come to rest again, and open again.
+        return "explodes or rattles"
     if d.rate is None or not d.rate * d.horizon < SLOW:
         return "explodes"
     return f"gains energy (e-fold in {seconds(1 / d.rate)}) by the integrator's doing"
