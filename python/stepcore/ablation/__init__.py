@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
 from concurrent.futures import Executor
 from functools import partial
 
@@ -12,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
-from stepcore.ablation.changes import Change, Features, Seen, made
+from stepcore.ablation.changes import Change, Features, made
 from stepcore.ablation.result import Ablation, Row
-from stepcore.ablation.run import Measured, Motive, measured, timed, watched
-from stepcore.ablation.smallest import confirmed, greedy
+from stepcore.ablation.run import Motive, measured, timed, watched
+from stepcore.ablation.selection import Selection
 from stepcore.jobs import check_executor, each
 from stepcore.lookup import find_scene
 from stepcore.model import Model, compiled
@@ -85,7 +84,7 @@ def ablate(
     dt = model.settings.dt
     _, period = time_steps(dt, None, control_dt, 1.0 if horizon is None else horizon)
     # Three sets of starts: to choose on, to confirm on, and to confirm what is left then.
-    both = motion(
+    motions = motion(
         model,
         dofs,
         horizon=default_horizon(period) if horizon is None else horizon,
@@ -96,7 +95,7 @@ def ablate(
         count=SETS * starts,
         seed=seed,
     )
-    tuned = _part(both, 0, starts)
+    tuned = _part(motions, 0, starts)
     course = Course(model, dofs, tuned)
     notes: list[str] = []
     search = Search(course, model.settings, dt, BUDGET, workers, executor)
@@ -104,42 +103,20 @@ def ablate(
         reference = _reference(search, bar, notes)
     motive = _motive(course, reference)
     seen = watched(course, model.settings)
-    features = Features(model)
-    changes = features.changes(seen, model.settings)
+    selection = Selection(motive, Features(model), error)
+    changes = selection.features.changes(seen, model.settings)
     with Progress("features", len(changes) + 1, progress) as bar:
         points = [(), *((change,) for change in changes)]
         job = partial(measured, motive)
         whole, *alone = each(job, points, bar=bar, threads=workers, executor=executor)
-    by_change = dict(zip(changes, alone, strict=True))
+    selection.known = dict(zip(changes, alone, strict=True))
     with Progress("smallest", len(changes), progress) as bar:
-
-        def tell(chosen: Sequence[Change]) -> Measured:
-            bar.advance()
-            return measured(motive, chosen)
-
-        kept, best = greedy(changes, alone, whole, error, tell)
-    back: list[Change] = []
-
-    def once(change: Change) -> Measured:
-        if change not in by_change:
-            by_change[change] = measured(motive, [change])
-        return by_change[change]
-
-    for part in range(1, SETS):
-        others = Course(model, dofs, _part(both, part * starts, (part + 1) * starts))
-        far = partial(measured, _motive(others, None))
-        # Looked at only where something has to come back.
-        used = functools.cache(partial(watched, others, model.settings))
-        less = partial(_lessened, features, used)
-        kept, held, more = confirmed(kept, once, error, far, less)
-        back += more
-        if not more:
-            break
-    if back:
-        best = measured(motive, kept)
+        selection.choose(changes, whole, bar)
+    selection.confirm(_others(model, dofs, motions, starts))
+    kept = selection.kept
     changes += [change for change in kept if change not in changes]
     times = timed(motive, [(), *((change,) for change in changes), kept])
-    rows = [Row(c, once(c), t) for c, t in zip(changes, times[1:-1], strict=True)]
+    rows = [Row(c, selection.alone(c), t) for c, t in zip(changes, times[1:-1], strict=True)]
     return Ablation(
         name=model.scene.name or "scene",
         settings=model.settings,
@@ -149,24 +126,29 @@ def ablate(
         whole=Row(Change("whole model", "", ()), whole, times[0]),
         rows=rows,
         chosen=kept,
-        best=Row(Change("smallest model", "", ()), best, times[-1]),
-        held=held,
-        back=back,
+        best=Row(Change("smallest model", "", ()), selection.best, times[-1]),
+        held=selection.held,
+        back=selection.back,
         smallest=made(model.scene.with_settings(model.settings), kept),
         reference=reference.error if reference else None,
         notes=[*notes, *_notes(reference, motive, error)],
     )
 
 
-def _lessened(features: Features, used: Callable[[], Seen], change: Change) -> Change | None:
-    return features.lessened(change, used())
+def _others(
+    model: Model, dofs: Dofs, motions: Motion, starts: int
+) -> Iterator[tuple[Course, Motive]]:
+    """The sets of starts that nothing was chosen on."""
+    for part in range(1, SETS):
+        course = Course(model, dofs, _part(motions, part * starts, (part + 1) * starts))
+        yield course, _motive(course, None)
 
 
-def _part(both: Motion, first: int, last: int) -> Motion:
+def _part(motions: Motion, first: int, last: int) -> Motion:
     """Some of the starts of a motion."""
-    values = dict(both.__dict__)
-    values["starts"] = both.starts[first:last]
-    values["ctrl"] = None if both.ctrl is None else both.ctrl[first:last]
+    values = dict(motions.__dict__)
+    values["starts"] = motions.starts[first:last]
+    values["ctrl"] = None if motions.ctrl is None else motions.ctrl[first:last]
     return Motion(**values)
 
 

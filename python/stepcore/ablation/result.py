@@ -20,9 +20,9 @@ from stepcore.trade.settings import label, metres, seconds
 
 LEGEND = (
     "saved: share of the work per simulated second ({work}), negative: it costs more; µs: "
-    "computing time saved per simulated second; added: error added to the motion, rms of positions in the "
-    "worst start, m; max: of any body and sample, m; error: against the converged motion, rms, "
-    "worst start, m"
+    "computing time saved per simulated second; added: error added to the motion, rms of "
+    "positions in the worst start, m; max: of any body and sample, m; error: against the "
+    "converged motion, rms, worst start, m"
 )
 
 

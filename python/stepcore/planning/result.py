@@ -16,8 +16,8 @@ from stepcore.table import WIDTH, Table, jsonable
 NAMES = 4
 LEGEND = (
     "flops: floating-point operations of one step at {at}: of the entry's part of the step, or "
-    "what the step is rid of without the entry; they do not add up, because some work serves several "
-    "entries"
+    "what the step is rid of without the entry; they do not add up, because some work serves "
+    "several entries"
 )
 
 
