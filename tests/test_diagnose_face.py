@@ -66,6 +66,23 @@ def test_a_scene_without_anything_stiff_says_so():
 # --- the face -----------------------------------------------------------------------------------
 
 
+def test_a_result_is_short_to_look_at_and_equals_itself_alone():
+    d = diagnosed(stiff.slider(0.0, 0.0))
+    assert repr(d) == f"<Diagnosis: {d.title}>"
+    assert d == d and d != diagnosed(stiff.slider(0.0, 0.0))
+
+
+def test_softened_elements_are_named_whole():
+    """Six limits that act at the start, all of the default solref: four, and two more."""
+    scene = stiff.chain((20.0,) * 6)
+    for joint in scene.joints:
+        joint.range = (0.1, 1.0)
+        joint.name = f"a rather long name of {joint.name}"
+    note = next(n for n in diagnosed(scene).notes if n.startswith("refsafe softens"))
+    assert note.count('limit "a rather long name of joint') == 4
+    assert note.count('"') == 8 and " and 2 more beyond dt 10 ms" in note
+
+
 def test_it_prints_exports_and_plots(tmp_path):
     d = diagnosed(stiff.chain((50.0, 4000.0), dt=5e-3, integrator="semi-implicit"))
     for width in (60, 80, 160):

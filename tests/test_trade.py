@@ -210,6 +210,10 @@ def test_refsafe_is_said_to_soften():
     marks = {row.settings.dt: row.clamped for row in result.rows}
     assert marks == {0.008: False, 0.016: True}
     assert any("refsafe" in note for note in result.notes)
+    # Before the ball lands there is nothing to soften.
+    above = few(scene, starts=1, horizon=0.08, dts=[0.008, 0.016], integrators=["euler"])
+    assert not any(row.clamped for row in above.rows)
+    assert not any("refsafe" in note for note in above.notes)
 
 
 @pytest.mark.parametrize(
@@ -277,7 +281,7 @@ def test_the_sentence_names_the_worst_start_and_what_the_others_say():
     shipped.errors = errors
     text = str(result)
     assert "positions are 200 mm wrong over 400 ms (rms; worst of 3 starts, start 2;" in text
-    assert "starts differ: median 1 mm; at worst 500 mm)" in text
+    assert "starts differ: median 1 mm; centres at worst 500 mm)" in text
     assert result.error(shipped) == 0.2
     assert result.table[result.rows.index(shipped)]["position_high"] == 0.2
 

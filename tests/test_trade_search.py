@@ -83,6 +83,24 @@ def test_it_keeps_to_the_error_and_says_what_less_would_cost(ball):
     assert "The next better costs" in text
 
 
+def test_the_next_better_is_better_than_what_was_found():
+    """The longest step tried of rk4 is ten times better than asked for: a half of that is told."""
+    scene = sc.Scene(gravity=(0.0, 0.0, 0.0))
+    scene.settings = sc.Settings(dt=0.002, integrator="semi-implicit")
+    ball = scene.add_body("ball")
+    scene.add_joint(ball, "slide", axis=(1.0, 0.0, 0.0), stiffness=100.0)
+    scene.add_geom(ball, "sphere", 0.1, mass=1.0)
+    scene.add_key(qpos=[0.3])
+    options = {"error": 1e-3, "by": "flops", "starts": 2, "further": 0, "progress": False}
+    result = sc.trade(scene, **options)
+    best, better = result.recommended, result.next_better()
+    assert best.settings.integrator == "rk4" and result.error(best) < 2e-4
+    # Fourth order: twice the work, a sixteenth of the error.
+    assert better.settings.integrator == "rk4"
+    assert better.flops == pytest.approx(2 * best.flops, rel=0.02)
+    assert 12 < result.error(best) / result.error(better) < 20
+
+
 def test_the_same_seed_finds_the_same_by_threads_and_by_an_executor(ball):
     options = COUNTED | {"error": 1e-4, "starts": 4, "further": 8, "threads": 2}
     assert sc.trade(sc.loads(BALL), **options).to_json() == ball.to_json()

@@ -56,6 +56,9 @@ class Result(ABC):
     def __str__(self) -> str:
         return self.text()
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.title}>"
+
     def _repr_html_(self) -> str:
         """The printed result, as a notebook shows it."""
         return pre(self.text())

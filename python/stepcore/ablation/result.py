@@ -35,7 +35,7 @@ class Row:
     cost: float
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Ablation(Result):
     """What each modelled feature costs and matters; made by `stepcore.ablate`.
 

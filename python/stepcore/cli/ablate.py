@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from stepcore.cli.options import (
-    Usage,
     add_file,
     add_motion,
     add_output,
     check_output,
+    check_path,
     deliver,
     motion_of,
 )
@@ -34,8 +33,8 @@ def call(args: argparse.Namespace) -> None:
     from stepcore.lookup import find_scene
 
     check_output(args)
-    if args.save is not None and not Path(args.save).resolve().parent.is_dir():
-        raise Usage(f"{args.save}: no such folder")
+    if args.save is not None:
+        check_path(args.save)
     result = ablate(find_scene(args.file), error=args.error, **motion_of(args))
     if args.save is not None:
         result.smallest.save(args.save)

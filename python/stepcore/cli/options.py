@@ -65,12 +65,20 @@ def add_output(command: argparse.ArgumentParser) -> None:
 def check_output(args: argparse.Namespace) -> None:
     """Before minutes of work: can everything be written at the end?"""
     for out in (args.plot, args.html, args.json if args.json != "-" else None):
-        if out is not None and not Path(out).resolve().parent.is_dir():
-            raise Usage(f"{out}: no such folder")
+        if out is not None:
+            check_path(out)
     if args.plot is not None:
         _need_matplotlib("--plot", args.plot)
     if args.html is not None:
         _need_matplotlib("--html")
+
+
+def check_path(out: str, option: str = "") -> None:
+    """Whether a file can be written there, as far as folders tell."""
+    path = Path(out).resolve()
+    if not path.parent.is_dir() or path.is_dir():
+        wrong = "a folder, not a file" if path.is_dir() else "no such folder"
+        raise Usage(f"{option} {out}: {wrong}".lstrip())
 
 
 def deliver(result: Result, args: argparse.Namespace, **text: Any) -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 from typing import Any
 
 from stepcore._core import SimulationError
 from stepcore.checks import nearest
-from stepcore.cli.options import Usage, add_file
+from stepcore.cli.options import Usage, add_file, check_path
 from stepcore.table import jsonable
 
 
@@ -32,8 +31,8 @@ def call(args: argparse.Namespace) -> None:
     from stepcore.lookup import find_scene
     from stepcore.sim import Sim
 
-    if args.replay is not None and not Path(args.replay).resolve().parent.is_dir():
-        raise Usage(f"--replay {args.replay}: no such folder")
+    if args.replay is not None:
+        check_path(args.replay, "--replay")
     changes = dict(_setting(text) for text in args.set)
     if args.dt is not None:
         changes["dt"] = args.dt

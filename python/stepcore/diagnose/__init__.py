@@ -86,6 +86,9 @@ def diagnose(
     checks.told("diagnose", progress)
     wanted = model.settings.dt if dt is None else checks.seconds("dt", dt)
     checks.seconds("horizon", horizon)
+    if control_dt is not None:
+        checks.seconds("control_dt", control_dt)
+    seed = checks.count("seed", seed, least=0)
     workers = checks.threads(threads)
     check_executor("diagnose", executor)
     dofs = Dofs(model.scene)

@@ -126,7 +126,7 @@ def notes(
     soft = {key: one.softened for key, one in elements.items() if math.isfinite(one.softened)}
     if soft:
         least = min(soft.values())
-        names = ", ".join(k.label for k, beyond in soft.items() if beyond == least)[:90]
+        names = _some([k.label for k, beyond in soft.items() if beyond == least])
         said.append(
             f"refsafe softens {names} beyond dt {seconds(least)}: it limits no dt, and asks for "
             "less than the scene does instead (refsafe=False, or solref in direct form, keep it)"
@@ -143,6 +143,12 @@ def notes(
             "and limit none"
         )
     return said
+
+
+def _some(names: list[str], most: int = 4) -> str:
+    """The first names, whole, and how many more there are."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def hertz(omega: float) -> str:

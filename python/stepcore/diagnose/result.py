@@ -23,7 +23,7 @@ from stepcore.table import Table
 DT = "largest stable dt [s]"
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Diagnosis(Result):
     """Which element limits the time step of one scene; made by `stepcore.diagnose`.
 

@@ -50,7 +50,7 @@ class Panel:
         return [cell for cell in self.cells if cell.value == value]
 
 
-@dataclass
+@dataclass(repr=False)
 class StabilityMap(Result):
     """A map of stability; made by `stepcore.stability_map`.
 

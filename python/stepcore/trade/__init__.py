@@ -161,7 +161,8 @@ def trade(
         wanted = frugal.Wanted(target, limit is not None, mujoco)
         tried = frugal.found(finder, trials, counts, rows, slides(model.scene), wanted)
     _refine(finder, trials, tried, progress)
-    tau = clamping(model.scene) if shipped.law == "solref" and shipped.refsafe else None
+    softens = rows > 0 and shipped.law == "solref" and shipped.refsafe
+    tau = clamping(model.scene) if softens else None
     models = Models(finder, reference, size)
     reference.gaps = models.gaps()
     finisher = Finisher(trials, models, shipped, tau, by)

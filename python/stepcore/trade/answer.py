@@ -119,7 +119,8 @@ def _wrong(trade: Trade, row: Row) -> str:
     """How wrong positions are: in the worst start, and in the median of the starts."""
     assert row.errors is not None
     error, over = metres(trade.error(row)), f"over {seconds(trade.horizon)}"
-    worst = f"at worst {metres(row.errors.position_max)}"
+    # The error counts turning as well, so that the largest of centres may be below it.
+    worst = f"centres at worst {metres(row.errors.position_max)}"
     if trade.starts == 1:
         return f"positions are {error} wrong {over} (rms; {worst})"
     start = f"worst of {trade.starts} starts, start {row.errors.each.index(row.errors.high)}"

@@ -26,8 +26,9 @@ SPARSE = 1.6
 USELESS = 6.0
 # So many of the cheapest are also tried in single precision.
 SINGLE = 2
-# Halvings of the reference that a target may ask for.
-REFINED = 4
+# Halvings of the reference that a target may ask for, and the share of the error asked for below
+# which none are made for the next better.
+REFINED, FAR = 4, 20.0
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,13 @@ def found(
     hunt.overview()
     chosen: list[Settings] = []
     targets = _targets(hunt, wanted)
-    for error, climb in targets:
+    for k, (error, climb) in enumerate(targets):
         halvings = REFINED
+        if k and chosen and wanted.error is not None:
+            error = _next_better(trials, chosen[0], error)
+            halvings = REFINED if error * FAR >= wanted.error else 0
+            if error <= trials.reference.high:
+                break
         while halvings and trials.reference.high * FINER > error and _finer(search, trials):
             halvings -= 1
         some = hunt.hunt(error, climb)
@@ -72,6 +78,14 @@ def _finer(search: Search, trials: Trials) -> bool:
         return False
     with Progress("finer reference", len(search.course.motion.starts), trials.progress) as bar:
         return search.refine(trials.reference, bar)
+
+
+def _next_better(trials: Trials, chosen: Settings, error: float) -> float:
+    """Half the error of the settings chosen, where that is less: the next better is judged by it.
+
+    What the longest step tried gives can be far better than what was asked for.
+    """
+    return min(error, trials.score(chosen, len(trials.course.motion.starts)).error / 2)
 
 
 def _targets(hunt: Hunt, wanted: Wanted) -> list[tuple[float, bool]]:

@@ -27,7 +27,7 @@ from stepcore.trade.run import Course
 from stepcore.trade.settings import seconds
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Predictability(Result):
     """How fast small differences grow in a scene; made by `stepcore.predictability`.
 

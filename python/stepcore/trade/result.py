@@ -106,7 +106,7 @@ def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Trade(Result):
     """What speed costs in accuracy for one scene; made by `stepcore.trade`.
 
