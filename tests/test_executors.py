@@ -4,6 +4,7 @@ import copy
 import functools
 import multiprocessing
 import pickle
+import time
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
@@ -96,6 +97,21 @@ def test_ctrl_c_cancels_what_has_not_begun():
         with pytest.raises(KeyboardInterrupt):
             jobs.each(workers.asleep, range(20), bar=Progress("", 20, False), executor=pool)
         assert sum(future.cancelled() for future in pool.made) >= 3
+
+
+def test_threads_end_a_handful_that_has_begun():
+    """Of 640 points two threads take ten at a time; after an error none goes on to the next."""
+    called = []
+
+    def first_fails(point):
+        called.append(point)
+        if point == 0:
+            raise ValueError("zero")
+        time.sleep(0.1)
+
+    with pytest.raises(ValueError, match="zero"):
+        jobs.each(first_fails, range(640), bar=Progress("", 640, False), threads=2)
+    assert len(called) < 10
 
 
 class Forgetful(ThreadPoolExecutor):

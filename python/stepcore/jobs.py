@@ -17,7 +17,9 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
+from functools import partial
 from queue import SimpleQueue
+from threading import Event
 from typing import Any, Generic, TypeVar
 
 from stepcore import checks
@@ -61,8 +63,13 @@ def each(
             bar.advance()
         return results
     if executor is None:
+        ended = Event()
         with ThreadPoolExecutor(threads) as pool:
-            return _Work(function, points, pool, bar).done()
+            try:
+                return _Work(partial(_unless, ended, function), points, pool, bar).done()
+            finally:
+                # Handfuls that have begun end with their present point.
+                ended.set()
     _check_sendable(function, points, executor)
     return _Work(function, points, executor, bar).done()
 
@@ -150,6 +157,13 @@ def handfuls(executor: Executor) -> int:
 def _all(function: Callable[[T], R], points: Sequence[T], name: str) -> list[R]:
     """What a worker does with a handful."""
     return [function(point) for point in points]
+
+
+def _unless(ended: Event, function: Callable[[T], R], point: T) -> R:
+    """One point of threads here, unless all is over."""
+    if ended.is_set():
+        raise CancelledError
+    return function(point)
 
 
 def _worker_lost(error: BaseException) -> bool:
