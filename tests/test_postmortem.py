@@ -392,3 +392,43 @@ def test_every_world_fails_and_time_goes_on():
     batch.qpos[:] = 1.0
     batch.step(1000)
     assert list(batch.failures) == [0, 1, 2] and batch.time == pytest.approx(100.0)
+
+
+def test_a_motor_that_only_drives_is_not_blamed():
+    """From rest all energy is the motor's at first; the spring makes it explode in 19 steps."""
+    scene = pendulum(dt=0.01, integrator="semi-implicit")
+    scene.joint("elbow").stiffness = 800.0
+    sim, rng = sc.Sim(scene, ledger=True), np.random.default_rng(0)
+    with pytest.raises(sc.SimulationError) as caught:
+        for _ in range(3000):
+            sim.ctrl[:] = rng.uniform(-1, 1)
+            sim.step()
+    assert caught.value.element == "spring of joint `elbow`"
+    assert caught.value.replay.run().same
+
+
+def test_an_unstable_controller_is_named_by_its_motor():
+    """A spring of one's own, applied by ctrl with ω dt = 2.5: the motor does have that energy."""
+    scene = sc.Scene(gravity=(0, 0, 0))
+    body = scene.add_body("load")
+    scene.add_joint(body, "slide", name="rail")
+    scene.add_geom(body, "sphere", 0.1, mass=1.0)
+    scene.add_actuator("rail", name="drive", gear=(1e6,))
+    sim = sc.Sim(scene, dt=0.01, integrator="semi-implicit", ledger=True)
+    sim.qpos[0] = 1.0
+    with pytest.raises(sc.SimulationError) as caught:
+        for _ in range(5000):
+            sim.ctrl[0] = -(250.0**2) / 1e6 * sim.qpos[0]
+            sim.step()
+    assert not caught.value.gained and caught.value.element == "motor `drive`"
+    assert caught.value.replay.run().same
+
+
+def test_the_picture_of_what_overflowed(tmp_path):
+    pytest.importorskip("matplotlib")
+    sim = sc.Sim(wild_pendulum(), ledger=True)
+    with pytest.raises(sc.SimulationError) as caught:
+        controlled(sim, 5000)
+    again = caught.value.replay.run()
+    again.plot(tmp_path / "work.png")
+    assert "</html>" in again.to_html() and '"same": true' in again.to_json()

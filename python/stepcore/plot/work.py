@@ -21,8 +21,8 @@ STEPS = 128
 def plot_work(result: PostMortem, path: str | os.PathLike[str] | None = None) -> Any:
     """Draws a `PostMortem`; returns the matplotlib Figure. Raises ImportError without matplotlib.
 
-    Above, the energy of motion and springs after each step (log scale). Below, what each of the
-    leading elements fed in in that step, as a part of that energy.
+    Above, the energy of motion and springs after each step, in powers of ten. Below, what each of
+    the leading elements fed in in that step, as a part of that energy.
     """
     if not len(result.time):
         return _shares_alone(result, path)
@@ -32,8 +32,12 @@ def plot_work(result: PostMortem, path: str | os.PathLike[str] | None = None) ->
     last = int(result.replay.happened["step"])
     steps = np.arange(last - count, last + 1)
     energy = result.energy[-count - 1 :]
-    above.plot(steps, np.where(energy > 0, energy, np.nan), color="black", lw=1.4)
-    above.set_yscale("log")
+    # The powers themselves: a log axis overflows where energies do.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        powers = np.log10(np.where(np.isfinite(energy) & (energy > 0), energy, np.nan))
+    above.plot(steps, powers, color="black", lw=1.4)
+    above.yaxis.set_major_formatter(lambda power, _: f"$10^{{{power:g}}}$")
+    above.yaxis.get_major_locator().set_params(integer=True, nbins=7)
     above.set_ylabel("energy of motion\nand springs [J]")
     bare(above, _heading(result))
     size = np.maximum(energy[1:], energy[:-1])

@@ -169,22 +169,46 @@ impl<R: Real> Sim<R> {
     }
 }
 
-/// The steps in which it began: from the last one within `scale` until far beyond it.
+/// The steps in which it began: from the last one in which there was no more than can have
+/// been put in, until far beyond that.
 fn feeding(entries: &[Entry], scale: Option<f64>, gained: bool) -> (usize, &[Entry]) {
     let Some(scale) = scale else { return (0, entries) };
     let last = entries.last().map_or(0.0, |entry| entry.after);
-    if !gained && last <= 2.0 * scale {
-        // All was well until the step that failed.
-        return (0, &[]);
+    // Or what drives from outside has fed all of it.
+    for driven in [1.0, 0.0] {
+        let can_be = put_in(entries, scale, driven);
+        let most = can_be.last().copied().unwrap_or(scale);
+        if last <= 2.0 * most && !(gained && driven == 0.0) {
+            continue;
+        }
+        let within = |k: &usize| entries[*k].before <= can_be[*k];
+        let start = (0..entries.len()).rev().find(within).unwrap_or(0);
+        let far = |k: &usize| entries[*k].before > AFTERMATH * can_be[start];
+        let end = (start + 1..entries.len()).find(far).unwrap_or(entries.len());
+        return (start, &entries[start..end]);
     }
-    let within = |entry: &Entry| entry.before <= scale;
-    let mut start = 0;
-    if last > 2.0 * scale {
-        start = entries.iter().rposition(within).unwrap_or(0);
-    }
-    let far = entries[start..].iter().position(|entry| entry.before > AFTERMATH * scale);
-    let end = far.map_or(entries.len(), |at| start + at.max(1));
-    (start, &entries[start..end])
+    // All was well until the step that failed.
+    (0, &[])
+}
+
+/// The most energy that there can be after each step: what circulated, what gravity gave, and,
+/// `driven` times, what motors and applied forces did.
+fn put_in(entries: &[Entry], scale: f64, driven: f64) -> Vec<f64> {
+    let (mut drives, mut fallen, mut deepest) = (0.0, 0.0, 0.0_f64);
+    let put_in = |entry: &Entry| {
+        let outside = |name: &str| name.starts_with("motor") || name.starts_with("force applied");
+        let fed = entry.gains.iter().filter(|(name, _)| outside(name));
+        let fed: f64 = fed.map(|(_, gain)| gain.max(0.0)).sum();
+        fallen += entry.after - entry.before - entry.gains.values().sum::<f64>();
+        // Rounding of what explodes is nothing that fell.
+        let here = AFTERMATH * (scale + drives + fed + deepest.max(fallen));
+        if fed.is_finite() && fallen.is_finite() && entry.after < here {
+            drives += fed;
+            deepest = deepest.max(fallen);
+        }
+        scale + driven * drives + deepest
+    };
+    entries.iter().map(put_in).collect()
 }
 
 /// Each element's part of the growth: a step counts by how much it adds, relative to what
