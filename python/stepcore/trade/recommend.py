@@ -23,17 +23,16 @@ from stepcore.trade.glance import glance
 from stepcore.trade.growth import DIRECTIONS, growth
 from stepcore.trade.motion import Motion
 from stepcore.trade.moves import Steps
-from stepcore.trade.reference import Level, Reference, Search
+from stepcore.trade.reference import Search
 from stepcore.trade.result import Further, Row, Trade
 from stepcore.trade.run import Course
 from stepcore.trade.trials import Trials
 
-# The further starts' own reference is this many times finer than what it judges.
-FINER = 20.0
 # Candidates tried on the further starts before the search gives up.
 TRIES = 30
-# For so many of those that fail there, shorter steps are tried: each by this, so many times.
-REPAIRED, SHORTER, TIMES = 4, 1.15, 8
+# For so many of those that fail there, shorter steps are tried: by this at first, then by more each
+# time, so many times.
+REPAIRED, SHORTER, MORE, TIMES = 8, 1.15, 0.1, 8
 
 # Where twins of the search's starts grow apart by less than this, further starts can be predicted.
 CALM = 30.0
@@ -47,7 +46,7 @@ Ran = tuple[int, float, str | None]
 class Confirmation:
     """Further starts, with their own reference, and what settings do on them."""
 
-    def __init__(self, trials: Trials, search: Search, others: Motion, error: float) -> None:
+    def __init__(self, trials: Trials, search: Search, others: Motion) -> None:
         self.trials, self.progress = trials, trials.progress
         course = search.course
         self.course = Course(course.model, course.dofs, others)
@@ -56,7 +55,8 @@ class Confirmation:
         )
         self.hard: list[int] = []
         self.scored: np.ndarray | None = None
-        level = _level(trials.reference, error)
+        # As fine as the search's own: a further start may be harder than all of those.
+        level = trials.reference.level
         count = len(others.starts)
         with Progress("further starts", count, self.progress) as bar:
             self.truth = own.level(level.integrator, level.dt, bar)
@@ -122,21 +122,13 @@ class Confirmation:
         return found
 
 
-def _level(reference: Reference, error: float) -> Level:
-    """The coarsest level of the reference that can judge an error, or its finest."""
-    good = [one for one in reference.levels if one.moved and one.moved.high * FINER <= error]
-    return max(good, key=lambda level: level.dt) if good else reference.level
-
-
 def confirmed(
     trade: Trade, trials: Trials, search: Search, others: Motion, finish: Finish, steps: Steps
 ) -> None:
     """Tries what is recommended on other starts; goes on to the next until it holds."""
-    chosen = trade.recommended
-    if chosen is None:
+    if trade.recommended is None:
         return
-    goal = trade.target or trade.error(chosen)
-    confirm = Confirmation(trials, search, others, goal)
+    confirm = Confirmation(trials, search, others)
     if trade.target is not None:
         within_error(trade, confirm, finish, steps)
     else:
@@ -174,8 +166,11 @@ def _repair(
 ) -> None:
     """Adds a row like one that failed on further starts, with a step short enough for them."""
     pieces = steps.pieces(row.settings)
-    for _ in range(TIMES):
-        pieces = math.ceil(pieces * SHORTER)
+    finest = int(steps.period / confirm.trials.reference.settings.dt / 2 + 1e-9)
+    for k in range(TIMES):
+        pieces = math.ceil(pieces * (SHORTER + MORE * k))
+        if pieces > finest:
+            return
         settings = steps.at(row.settings, pieces)
         if any(other.settings == settings for other in trade.rows):
             return
