@@ -1,12 +1,16 @@
 """Each error of a trade against what is known of it: momentum, joints, friction, models."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.layout import Layout
+from stepcore.trade.dofs import Dofs
+from stepcore.trade.looks import Rub
 
 G = 9.81
 
@@ -166,3 +170,19 @@ def test_errors_are_relative_to_the_size_of_the_scene():
     e = result.shipped.errors
     assert e.relative == pytest.approx(e.position / result.size, rel=1e-12)
     assert e.relative_max == pytest.approx(e.position_max / result.size, rel=1e-12)
+
+
+def test_a_contact_that_is_about_to_overflow_is_looked_at_in_silence():
+    """A run that diverges is finite until its last step: 1e308 m/s times 10 m is not."""
+    scene = sc.loads(
+        '<mujoco><worldbody><geom type="plane" size="5 5 .1"/><body pos="0 0 9.99"><freejoint/>'
+        '<geom size="10" mass="1"/></body></worldbody></mujoco>'
+    )
+    model = scene.compile()
+    sim = sc.Sim(model)
+    sim.forward()
+    contacts = sim.contacts
+    owner = SimpleNamespace(model=model, layout=Layout(scene), dofs=Dofs(scene))
+    sim.qvel = [0.0, 0.0, 0.0, 1e307, 1e308, 0.0]
+    (slip,) = Rub(owner).slips(sim, contacts).values()
+    assert not np.isfinite(slip.speed)

@@ -116,9 +116,10 @@ class Rub:
             seen[pair] = seen.get(pair, -1) + 1
             keys.append((*pair, seen[pair]))
         some = [pairs[k] for k in rubs]
-        speed = self._speed(sim, contacts["pos"][rubs], [self.body[b] for _, b in some])
-        speed -= self._speed(sim, contacts["pos"][rubs], [self.body[a] for a, _ in some])
+        # What diverges is finite until the step that it fails in, and may be too large to multiply.
         with np.errstate(over="ignore", invalid="ignore"):
+            speed = self._speed(sim, contacts["pos"][rubs], [self.body[b] for _, b in some])
+            speed -= self._speed(sim, contacts["pos"][rubs], [self.body[a] for a, _ in some])
             found = _slips(speed, force[rubs], normal[rubs], mu[rubs] * pushed[rubs])
         return {keys[k]: slip for k, slip in zip(rubs, found, strict=True)}
 
