@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 # Elements that are drawn by name.
 DRAWN = 5
+# Parts beyond this are cut off.
+CUT = 1.5
 # Steps that are drawn: the last ones.
 STEPS = 128
 
@@ -47,6 +49,9 @@ def plot_work(result: PostMortem, path: str | os.PathLike[str] | None = None) ->
         with np.errstate(divide="ignore", invalid="ignore"):
             part = np.where(size > 0, fed / size, np.nan)
         below.step(steps[1:], part, where="mid", color=colour, lw=1.6, label=_label(result, name))
+    # In the end inertial forces and rows feed in and take out many times what there is.
+    low, high = below.get_ylim()
+    below.set_ylim(max(low, -CUT), min(high, CUT))
     below.axhline(0.0, color=GREY, lw=0.8)
     below.set_ylabel("fed in per step, as a\npart of that energy")
     below.set_xlabel("step")
