@@ -128,6 +128,7 @@ def test_a_budget_buys_the_least_error_it_can():
     assert result.error(row) == min(result.error(r) for r in affordable)
     assert result.best() == row.settings
     assert "Within 200 kflop per simulated second: " in str(result)
+    assert "4 further starts are among them." in str(result)
 
 
 def test_nothing_within_reach_is_said():

@@ -80,7 +80,8 @@ def _point(axes: Any, trade: Trade, row: Row) -> None:
         mec=colour,
         mew=1.2,
         alpha=1.0 if row.best else 0.55,
-        zorder=4 if row.best else 3,
+        # Two integrators can be the same here: the shipped one is seen.
+        zorder=4.5 if row.shipped else 4 if row.best else 3,
     )
 
 

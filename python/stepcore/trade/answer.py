@@ -69,7 +69,7 @@ def _for_budget(trade: Trade, budget: float) -> list[str]:
     found = [
         f"Within {within} per simulated second: {named(trade, row)}: "
         f"{metres(trade.error(row))} wrong in the worst start, for {priced(trade, row)}"
-        f"{_compared(trade, row)}.{_confirmed(row)}"
+        f"{_compared(trade, row)}.{_included(row)}"
     ]
     return found + _better(trade, row)
 
@@ -151,6 +151,14 @@ def _compared(trade: Trade, row: Row) -> str:
     if math.isnan(trade.price(shipped)):
         return ""
     return f", {trade.price(row) / trade.price(shipped):.2f} times the shipped settings"
+
+
+def _included(row: Row) -> str:
+    """What starts a budget's error is the worst of."""
+    tried = row.further
+    if tried is None or tried.starts == 0:
+        return _confirmed(row)
+    return f" {tried.starts} further starts are among them."
 
 
 def _confirmed(row: Row) -> str:
