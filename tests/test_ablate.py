@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small import unstable
 
 import stepcore as sc
 from stepcore.ablation.changes import Change, Features, Seen, made
@@ -244,6 +245,15 @@ def test_the_command_writes_data_a_picture_a_page_and_the_model(tmp_path: Path, 
 def test_bad_arguments_are_refused(arguments: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         sc.ablate(sc.loads(KNOWN.format(mu=0.5, v=1.0)), **({"horizon": 0.2} | arguments))
+
+
+def test_a_model_that_explodes_at_its_own_step_is_refused() -> None:
+    """Finite at the end of the motion, and 1e30 m away: nothing could be said of its features."""
+    scene = unstable().with_settings(dt=0.02)
+    scene.add_key(qpos=[0.01, 0.01])
+    scene.joints[1].stiffness = 1e5
+    with pytest.raises(ValueError, match=r"fails at its dt of 20 ms: start 0: far off .*diagnose"):
+        sc.ablate(scene, horizon=0.6, starts=1, progress=False)
 
 
 def test_a_scene_without_motion_is_refused(tmp_path: Path, capsys) -> None:

@@ -21,10 +21,11 @@ from stepcore.model import Model, compiled
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
 from stepcore.trade.dofs import Dofs
+from stepcore.trade.errors import extent, far_off
 from stepcore.trade.motion import Control, Motion, default_horizon, motion, time_steps
 from stepcore.trade.reference import Reference, Search
 from stepcore.trade.run import Course
-from stepcore.trade.settings import metres
+from stepcore.trade.settings import metres, seconds
 
 __all__ = ["Ablation", "Row", "ablate"]
 
@@ -172,6 +173,10 @@ def _motive(course: Course, reference: Reference | None) -> Motive:
         scored = np.ones((len(paths), len(course.motion.times)), bool)
         return Motive(course.model, course.motion, tuple(paths), None, scored)
     truth = tuple(reference.paths)
+    wrong = far_off(paths, truth, extent(truth, course.model.scene))
+    if wrong:
+        dt = seconds(course.model.settings.dt)
+        raise ValueError(f"the whole model fails at its dt of {dt}: {wrong}; see stepcore diagnose")
     return Motive(course.model, course.motion, tuple(paths), truth, reference.scored)
 
 
