@@ -9,6 +9,7 @@ from stepcore.trade.errors import Errors, pareto
 from stepcore.trade.motion import motion, time_steps
 from stepcore.trade.order import orders
 from stepcore.trade.result import Row
+from stepcore.trade.settings import metres, seconds
 
 
 def test_pareto():
@@ -86,3 +87,11 @@ def test_the_order_of_a_table_is_the_slope_of_errors_over_steps():
     assert orders([row(0.01, 1e-3), row(0.001, 1e-9)], 1e-6) == {}
     # Rows that differ in more than dt are no line.
     assert orders([row(0.01, 1e-3), row(0.001, 1e-5, sweeps=3)], 0.0) == {}
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(9.996e-4, "1 mm"), (9.99e-4, "999 µm"), (0.9996, "1 m"), (12.0, "12 m")]
+)
+def test_a_length_is_told_in_the_unit_that_it_is_rounded_to(value, text):
+    assert metres(value) == text
+    assert seconds(value) == text[:-1] + "s"

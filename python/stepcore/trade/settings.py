@@ -143,9 +143,9 @@ def metres(value: float) -> str:
 
 
 def quantity(value: float, units: Sequence[tuple[str, float]], digits: int = 3) -> str:
-    """A number in the largest unit that leaves it at least 1."""
+    """A number in the largest unit that leaves it at least 1, as it is printed."""
     for unit, size in units:
-        if abs(value) >= size * (1 - 1e-12):
+        if abs(value) >= size * (1 - 0.5 * 10**-digits):
             return f"{value / size:.{digits}g} {unit}"
     unit, size = units[-1]
     return f"{value / size:.{digits}g} {unit}" if value else f"0 {units[0][0]}"
