@@ -199,3 +199,23 @@ def test_the_command_refuses_in_one_line(options, text, capsys):
     assert main(["diagnose", ARM, *options]) == 2
     told = capsys.readouterr().err
     assert text in told and told.count("\n") == 1
+
+
+def test_a_point_of_a_contact_that_is_about_to_open_is_no_stiff_one():
+    """A capsule on the floor, one end 2e-4 m deep, the other 5e-7 m and then 1e-4 m: the forces of
+    the second jump when it opens, which is no stiffness of the contact."""
+    found = []
+    for shallow in (5e-7, 1e-4):
+        scene = sc.Scene(gravity=(0.0, 0.0, 0.0)).with_settings(dt=0.002)
+        scene.add_geom("world", "plane", (5.0, 5.0, 0.1), name="floor")
+        foot = scene.add_body("foot")
+        scene.add_joint(foot, "slide", axis=(0.0, 0.0, 1.0))
+        scene.add_joint(foot, "hinge", axis=(0.0, 1.0, 0.0))
+        ends = (-0.2, 0.0, 0.0, 0.2, 0.0, 0.0)
+        scene.add_geom(foot, "capsule", 0.05, fromto=ends, mass=1.0, name="sole")
+        tilt = math.asin((2e-4 - shallow) / 0.4)
+        scene.add_key(qpos=[0.05 - (2e-4 + shallow) / 2, tilt])
+        d = diagnosed(scene, horizon=0.004)
+        found.append(d.element('contact "floor"/"sole"').omega / (2 * math.pi))
+    # The solref of the default is a time constant of 20 ms: about 8 Hz at damping ratio 1.
+    assert found[0] == pytest.approx(found[1], rel=0.2) and 4 < found[0] < 16

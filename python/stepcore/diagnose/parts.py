@@ -137,22 +137,24 @@ def parts(model: Model, state: State, dt: float | None) -> Parts | None:
 def _differences(elements: Elements, dofs: Dofs, sim: Sim, state: State) -> dict[Key, Part]:
     """Minus the derivatives of every element's force.
 
-    A contact or limit that opens on one side of the state is differenced on the other: the
-    engine's rows begin to push with a jump.
+    Where a row opens or closes on one side of the state (a contact, one point of it, a limit), all
+    is differenced on the other: the engine's rows begin to push with a jump.
     """
     n = elements.model.nv
-    base = elements.forces(sim)
+    base, acting = elements.forces(sim), _acting(sim)
     found = {key: Part(np.zeros((n, n)), np.zeros((n, n))) for key in base}
     for column in range(2 * n):
         change = np.zeros(n)
         change[column % n] = SMALL
-        sides = []
+        sides, same = [], []
         for sign in (1, -1):
             if column < n:
                 sim.qpos[:], sim.qvel[:] = dofs.moved(state.qpos, sign * change), state.qvel
             else:
                 sim.qpos[:], sim.qvel[:] = state.qpos, state.qvel + sign * change
             sides.append(elements.forces(sim))
+            same.append(_acting(sim) == acting)
+        sides = [side if one else {} for side, one in zip(sides, same, strict=True)]
         for key, part in found.items():
             ends = [side.get(key, base[key]) for side in sides]
             apart = SMALL * sum(key in side for side in sides)
@@ -160,6 +162,12 @@ def _differences(elements: Elements, dofs: Dofs, sim: Sim, state: State) -> dict
             if apart:
                 into[:, column % n] = (ends[1] - ends[0]) / apart
     return found
+
+
+def _acting(sim: Sim) -> list[str]:
+    """The element of every row at hand, in order."""
+    names: list[str] = sim.rows["name"].tolist()
+    return names
 
 
 def _implicit(model: Model, found: dict[Key, Part]) -> dict[str, frozenset[Key]]:
