@@ -20,13 +20,13 @@ import scenes
 import stepcore as sc
 from stepcore import lesson
 from stepcore.progress import Progress
-from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import errors, far_off
+from stepcore.course.dofs import Dofs
+from stepcore.truth.errors import errors, far_off
 from stepcore.trade.glance import glance
-from stepcore.trade.motion import default_horizon, motion, time_steps
+from stepcore.course.motion import default_horizon, motion, time_steps
 from stepcore.trade.moves import Steps, longest
-from stepcore.trade.reference import Search
-from stepcore.trade.run import Course, Path
+from stepcore.truth.reference import Search
+from stepcore.course.run import Course, Path
 from stepcore.trade.settings import COULOMB_LAW, SMOOTH_LAW
 
 G = (0, 0, -9.81)

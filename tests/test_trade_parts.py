@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import Errors, pareto
-from stepcore.trade.motion import motion, time_steps
-from stepcore.trade.order import orders
+from stepcore.course.dofs import Dofs
+from stepcore.truth.errors import Errors, pareto
+from stepcore.course.motion import motion, time_steps
+from stepcore.truth.order import orders
 from stepcore.trade.result import Row
-from stepcore.trade.settings import metres, seconds
+from stepcore.quantities import metres, seconds
 
 
 def test_pareto():

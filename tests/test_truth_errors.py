@@ -9,8 +9,8 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.layout import Layout
-from stepcore.trade.dofs import Dofs
-from stepcore.trade.looks import Rub
+from stepcore.course.dofs import Dofs
+from stepcore.course.looks import Rub
 
 G = 9.81
 

@@ -8,11 +8,11 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.progress import Progress
-from stepcore.trade.dofs import Dofs
-from stepcore.trade.models import Models, stiffer
-from stepcore.trade.motion import motion
-from stepcore.trade.reference import Search
-from stepcore.trade.run import Course
+from stepcore.course.dofs import Dofs
+from stepcore.truth.models import Models, stiffer
+from stepcore.course.motion import motion
+from stepcore.truth.reference import Search
+from stepcore.course.run import Course
 
 G = 9.81
 

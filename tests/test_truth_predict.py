@@ -10,8 +10,8 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.cli import main
-from stepcore.trade.growth import Growth, _end
-from stepcore.trade.statistics import difference, student
+from stepcore.truth.growth import Growth, _end
+from stepcore.truth.statistics import difference, student
 
 QUIET = {"threads": 1, "progress": False}
 

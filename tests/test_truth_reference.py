@@ -7,9 +7,9 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.trade.errors import Errors
-from stepcore.trade.expm import expm
-from stepcore.trade.order import known, observed, shown
+from stepcore.truth.errors import Errors
+from stepcore.truth.expm import expm
+from stepcore.truth.order import known, observed, shown
 
 
 def trade(scene, **options):

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from stepcore.mjcf import loads
     from stepcore.postmortem import PostMortem, Replay, replay
     from stepcore.stability import StabilityMap, stability_map
-    from stepcore.trade.predict import predictability
+    from stepcore.truth.predict import predictability
 
 __all__ = [
     "Ablation",
@@ -71,7 +71,7 @@ _LATER = {
     "ablate": "stepcore.ablation",
     "StabilityMap": "stepcore.stability",
     "stability_map": "stepcore.stability",
-    "predictability": "stepcore.trade.predict",
+    "predictability": "stepcore.truth.predict",
     "PostMortem": "stepcore.postmortem",
     "Replay": "stepcore.postmortem",
     "load": "stepcore.lookup",

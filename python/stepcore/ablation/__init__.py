@@ -20,12 +20,12 @@ from stepcore.lookup import find_scene
 from stepcore.model import Model, compiled
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
-from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import extent, far_off
-from stepcore.trade.motion import Control, Motion, default_horizon, motion, time_steps
-from stepcore.trade.reference import Reference, Search
-from stepcore.trade.run import Course
-from stepcore.trade.settings import metres, seconds
+from stepcore.course.dofs import Dofs
+from stepcore.truth.errors import extent, far_off
+from stepcore.course.motion import Control, Motion, default_horizon, motion, time_steps
+from stepcore.truth.reference import Reference, Search
+from stepcore.course.run import Course
+from stepcore.quantities import metres, seconds
 
 __all__ = ["Ablation", "Row", "ablate"]
 

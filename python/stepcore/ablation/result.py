@@ -16,7 +16,8 @@ from stepcore.ablation.smallest import saved, work
 from stepcore.results import Result
 from stepcore.scene import Scene
 from stepcore.table import WIDTH, Table, jsonable
-from stepcore.trade.settings import label, metres, seconds
+from stepcore.trade.settings import label
+from stepcore.quantities import metres, seconds
 
 LEGEND = (
     "saved: share of the work per simulated second ({work}), negative: it costs more; µs: "

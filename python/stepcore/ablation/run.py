@@ -12,10 +12,10 @@ from stepcore._core import Settings, SimulationError
 from stepcore.ablation.changes import Change, Seen, made
 from stepcore.checks import one_line
 from stepcore.model import Model
-from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import errors
-from stepcore.trade.motion import Motion
-from stepcore.trade.run import Course, Path
+from stepcore.course.dofs import Dofs
+from stepcore.truth.errors import errors
+from stepcore.course.motion import Motion
+from stepcore.course.run import Course, Path
 
 # Steps of the first start whose operations are counted, spread over the motion.
 COUNTED = 40

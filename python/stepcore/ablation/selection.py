@@ -10,7 +10,7 @@ from stepcore.ablation.changes import Change, Features, Seen
 from stepcore.ablation.run import Measured, Motive, measured, watched
 from stepcore.ablation.smallest import confirmed, greedy
 from stepcore.progress import Progress
-from stepcore.trade.run import Course
+from stepcore.course.run import Course
 
 
 class Selection:

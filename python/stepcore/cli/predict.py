@@ -18,7 +18,7 @@ def add(commands: Any) -> None:
 
 def call(args: argparse.Namespace) -> None:
     from stepcore.lookup import find_scene
-    from stepcore.trade.predict import predictability
+    from stepcore.truth.predict import predictability
 
     check_output(args)
     deliver(predictability(find_scene(args.file), **motion_of(args)), args)

@@ -30,10 +30,10 @@ from stepcore.jobs import check_executor, each
 from stepcore.model import Model, compiled
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
-from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import extent
-from stepcore.trade.motion import Control, default_horizon, motion
-from stepcore.trade.run import Course, Path
+from stepcore.course.dofs import Dofs
+from stepcore.truth.errors import extent
+from stepcore.course.motion import Control, default_horizon, motion
+from stepcore.course.run import Course, Path
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

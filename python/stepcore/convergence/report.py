@@ -6,7 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 from stepcore.table import Table
-from stepcore.trade.settings import label, metres, seconds
+from stepcore.trade.settings import label
+from stepcore.quantities import metres, seconds
 
 if TYPE_CHECKING:
     from stepcore.convergence.result import Convergence

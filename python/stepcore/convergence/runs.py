@@ -12,7 +12,7 @@ import numpy as np
 from stepcore._core import Settings, SimulationError
 from stepcore.arrays import Floats
 from stepcore.convergence.closing import Moment, converged
-from stepcore.trade.run import Course, Path, distance
+from stepcore.course.run import Course, Path, distance
 
 # Sweeps in a period of equal work, and how they are split: steps × sweeps.
 WORK = 64

@@ -29,8 +29,8 @@ from stepcore.lookup import find_scene
 from stepcore.model import Model, compiled
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
-from stepcore.trade.dofs import Dofs
-from stepcore.trade.motion import Control, motion
+from stepcore.course.dofs import Dofs
+from stepcore.course.motion import Control, motion
 
 __all__ = ["Diagnosis", "StiffnessWarning", "diagnose"]
 

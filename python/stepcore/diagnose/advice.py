@@ -20,7 +20,7 @@ from stepcore.diagnose.limits import Limit, Situation, situation
 from stepcore.diagnose.linear import step_map
 from stepcore.diagnose.parts import parts
 from stepcore.model import Model
-from stepcore.trade.settings import seconds
+from stepcore.quantities import seconds
 
 # The most elements that one piece of advice changes, and how finely its factor is told.
 TOGETHER, FINE = 8, 1.01

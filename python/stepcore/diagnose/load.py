@@ -122,7 +122,7 @@ def _linearised(model: Model) -> str:
 
 def _text(settings: Settings, limit: float, name: str) -> str:
     """One line: by how much the step is too long, or nearly so, and who says so."""
-    from stepcore.trade.settings import seconds
+    from stepcore.quantities import seconds
 
     dt, allows = settings.dt, f"{name} allows {seconds(limit)} (stepcore diagnose tells more)"
     if dt > limit:

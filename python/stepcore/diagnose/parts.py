@@ -23,7 +23,7 @@ from stepcore.diagnose.linear import ON_GUESS, TINY_STEP, State, placed, rates_m
 from stepcore.layout import Layout
 from stepcore.model import Model
 from stepcore.sim import Sim
-from stepcore.trade.dofs import Dofs
+from stepcore.course.dofs import Dofs
 
 # Change of a position or velocity for the differences: forces are exact to rounding.
 SMALL = 1e-6

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from stepcore.trade.settings import seconds
+from stepcore.quantities import seconds
 
 if TYPE_CHECKING:
     from stepcore.diagnose.figures import Figures

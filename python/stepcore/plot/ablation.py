@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore.ablation.result import length
 from stepcore.plot.style import COLOURS, GREY, bare, figure, saved
-from stepcore.trade.settings import metres
+from stepcore.quantities import metres
 
 if TYPE_CHECKING:
     from stepcore.ablation.result import Ablation

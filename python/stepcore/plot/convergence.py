@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stepcore.plot.style import COLOURS, GREY, bare, figure, saved
-from stepcore.trade.settings import metres, seconds
+from stepcore.quantities import metres, seconds
 
 if TYPE_CHECKING:
     from stepcore.convergence.result import Convergence

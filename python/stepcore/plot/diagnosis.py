@@ -7,7 +7,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from stepcore.plot.style import COLOURS, GREY, bare, figure, saved
-from stepcore.trade.settings import seconds
+from stepcore.quantities import seconds
 
 if TYPE_CHECKING:
     from stepcore.diagnose.result import Diagnosis

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stepcore.plot.style import COLOURS, GREY, bare, figure, saved
-from stepcore.trade.growth import GROWTH
-from stepcore.trade.settings import seconds
+from stepcore.truth.growth import GROWTH
+from stepcore.quantities import seconds
 
 if TYPE_CHECKING:
-    from stepcore.trade.predict import Predictability
+    from stepcore.truth.predict import Predictability
 
 
 def plot_growth(found: Predictability, path: str | os.PathLike[str] | None = None) -> Any:

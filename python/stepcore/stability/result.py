@@ -10,7 +10,7 @@ from typing import Any
 
 from stepcore.results import Result
 from stepcore.table import Table, jsonable
-from stepcore.trade.settings import seconds
+from stepcore.quantities import seconds
 
 FINITE, INACCURATE, EXPLODED = "finite", "inaccurate", "exploded"
 SYMBOLS = {FINITE: "·", INACCURATE: "o", EXPLODED: "X"}

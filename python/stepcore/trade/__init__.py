@@ -18,19 +18,21 @@ from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
 from stepcore.trade import frugal, units
 from stepcore.trade import mujoco as opponent
-from stepcore.trade.dofs import Dofs
-from stepcore.trade.errors import errors, extent
+from stepcore.course.dofs import Dofs
+from stepcore.truth.errors import errors, extent
 from stepcore.trade.finish import Finisher
-from stepcore.trade.models import Models
-from stepcore.trade.motion import Control, Motion, default_horizon, motion, time_steps
+from stepcore.truth.models import Models
+from stepcore.course.motion import Control, Motion, default_horizon, motion, time_steps
 from stepcore.trade.moves import Steps, longest, slides
 from stepcore.trade.recommend import confirmed, others
-from stepcore.trade.reference import FINER, Reference, Search, smallest
+from stepcore.truth.reference import FINER, Reference, Search, smallest
 from stepcore.trade.remarks import truths
 from stepcore.trade.result import Row, Trade
-from stepcore.trade.run import Course
-from stepcore.trade.settings import clamping, grid, seconds
-from stepcore.trade.statistics import LEAST, after
+from stepcore.course.run import Course
+from stepcore.trade.settings import grid
+from stepcore.quantities import seconds
+from stepcore.truth.models import clamping
+from stepcore.truth.statistics import LEAST, after
 from stepcore.trade.trials import Trials
 
 __all__ = ["Row", "Trade", "trade"]

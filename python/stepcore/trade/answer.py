@@ -6,7 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 from stepcore.trade.mujoco import against
-from stepcore.trade.settings import label, metres, quantity, seconds
+from stepcore.trade.settings import label
+from stepcore.quantities import metres, quantity, seconds
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Row, Trade

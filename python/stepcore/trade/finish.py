@@ -10,7 +10,7 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.progress import Progress
 from stepcore.trade.cost import Timed, costs
-from stepcore.trade.models import Models
+from stepcore.truth.models import Models
 from stepcore.trade.mujoco import Player
 from stepcore.trade.result import Row
 from stepcore.trade.trials import Trials

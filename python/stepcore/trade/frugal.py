@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from stepcore._core import Settings
 from stepcore.progress import Progress
 from stepcore.trade.moves import Steps
-from stepcore.trade.reference import FINER, Search
+from stepcore.truth.reference import FINER, Search
 from stepcore.trade.search import Hunt
 from stepcore.trade.trials import Trials
 

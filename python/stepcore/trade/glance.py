@@ -10,8 +10,8 @@ import numpy as np
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
 from stepcore.trade.cost import UNKNOWN, Counter, Work
-from stepcore.trade.dofs import rotated
-from stepcore.trade.run import Course, Path
+from stepcore.course.dofs import rotated
+from stepcore.course.run import Course, Path
 
 
 def glance(

@@ -21,11 +21,11 @@ from stepcore.lookup import find_asset
 from stepcore.model import Model
 from stepcore.progress import Choice, Progress
 from stepcore.trade.cost import Timed, Watch, calls
-from stepcore.trade.errors import Errors, errors, far_off
+from stepcore.truth.errors import Errors, errors, far_off
 from stepcore.trade.moves import Steps
-from stepcore.trade.reference import Reference
-from stepcore.trade.run import Course, Path
-from stepcore.trade.settings import metres, seconds
+from stepcore.truth.reference import Reference
+from stepcore.course.run import Course, Path
+from stepcore.quantities import metres, seconds
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Trade

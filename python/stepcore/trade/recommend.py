@@ -17,15 +17,15 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.jobs import each
 from stepcore.progress import Progress
-from stepcore.trade.errors import errors, far_off
+from stepcore.truth.errors import errors, far_off
 from stepcore.trade.frugal import MARGIN
 from stepcore.trade.glance import glance
-from stepcore.trade.growth import DIRECTIONS, growth
-from stepcore.trade.motion import Motion
+from stepcore.truth.growth import DIRECTIONS, growth
+from stepcore.course.motion import Motion
 from stepcore.trade.moves import Steps
-from stepcore.trade.reference import Search
+from stepcore.truth.reference import Search
 from stepcore.trade.result import Further, Row, Trade
-from stepcore.trade.run import Course
+from stepcore.course.run import Course
 from stepcore.trade.trials import Trials
 
 # Candidates tried on the further starts before the search gives up.

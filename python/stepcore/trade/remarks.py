@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stepcore.table import Table
-from stepcore.trade.growth import GROWTH, NEARBY
-from stepcore.trade.reference import Gap, Reference
-from stepcore.trade.settings import label, metres, seconds
-from stepcore.trade.statistics import QUANTITIES
+from stepcore.truth.growth import GROWTH, NEARBY
+from stepcore.truth.reference import Gap, Reference
+from stepcore.trade.settings import label
+from stepcore.quantities import metres, seconds
+from stepcore.truth.statistics import QUANTITIES
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Trade

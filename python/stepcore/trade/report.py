@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore.table import Table
 from stepcore.trade.answer import answer
-from stepcore.trade.reference import FINER, smallest
+from stepcore.truth.reference import FINER, smallest
 from stepcore.trade.remarks import after, observed
-from stepcore.trade.settings import label, metres, rarer, seconds
+from stepcore.trade.settings import label, rarer
+from stepcore.quantities import metres, seconds
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Row, Trade

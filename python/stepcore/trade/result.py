@@ -12,11 +12,11 @@ from stepcore._core import Settings
 from stepcore.results import Result
 from stepcore.table import Table, jsonable
 from stepcore.trade import report
-from stepcore.trade.errors import Errors, pareto
+from stepcore.truth.errors import Errors, pareto
 from stepcore.trade.mujoco import Point
-from stepcore.trade.order import orders
-from stepcore.trade.reference import FINER, Reference
-from stepcore.trade.statistics import QUANTITIES, Statistics
+from stepcore.truth.order import orders
+from stepcore.truth.reference import FINER, Reference
+from stepcore.truth.statistics import QUANTITIES, Statistics
 
 FIELDS = (
     "dt",

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from stepcore._core import Settings
+from stepcore.quantities import seconds
 from stepcore.scene import Scene
 
 SMOOTH_LAW = ("semi-implicit", "euler", "implicitfast", "rk4")
@@ -86,18 +87,6 @@ def _one_each(methods: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return [some[len(some) // 2] for some in by_solver.values()]
 
 
-def clamping(scene: Scene) -> float | None:
-    """The shortest time constant that `refsafe` guards [s]: at a dt above half of it, rows soften.
-
-    None where no solref in the scene is a time constant.
-    """
-    softness = [g.solref for g in scene.geoms if g.contype or g.conaffinity]
-    softness += [j.solreflimit for j in scene.joints if j.range is not None]
-    softness += [j.solreffriction for j in scene.joints if j.frictionloss > 0]
-    softness += [e.solref for e in scene.equalities if e.active]
-    return min((ref[0] for ref in softness if ref[0] > 0), default=None)
-
-
 def label(settings: Settings, shipped: Settings | None = None, sweeps: bool = True) -> str:
     """Settings in a few words; with `shipped`, what differs from it in the rarer fields too."""
     parts = [settings.integrator, solver_words(settings) if sweeps else settings.solver]
@@ -129,23 +118,3 @@ def rarer(settings: Settings, shipped: Settings) -> list[str]:
     if s.cone != shipped.cone:
         found.append(s.cone)
     return found
-
-
-def seconds(value: float) -> str:
-    """A time with the unit that makes it readable."""
-    return quantity(value, (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)))
-
-
-def metres(value: float) -> str:
-    """A length with the unit that makes it readable."""
-    units = (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9), ("pm", 1e-12))
-    return quantity(value, units)
-
-
-def quantity(value: float, units: Sequence[tuple[str, float]], digits: int = 3) -> str:
-    """A number in the largest unit that leaves it at least 1, as it is printed."""
-    for unit, size in units:
-        if abs(value) >= size * (1 - 0.5 * 10**-digits):
-            return f"{value / size:.{digits}g} {unit}"
-    unit, size = units[-1]
-    return f"{value / size:.{digits}g} {unit}" if value else f"0 {units[0][0]}"

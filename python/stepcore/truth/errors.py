@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from stepcore.trade.looks import anisotropy, creep
-from stepcore.trade.run import Path, angle, distance
+from stepcore.course.looks import anisotropy, creep
+from stepcore.course.run import Path, angle, distance
 
 # Further from the reference than this many times the scene's size is no error, but a failure.
 FAR = 100.0
@@ -32,7 +32,7 @@ class Errors:
 
     numerical, modelling [m]: what `high` is made of where a setting changes the model (other cone,
     other law, f32): its distance to that model's own limit, and the distance of the two limits;
-    see `stepcore.trade.models`. Elsewhere numerical is `high`, and modelling 0.
+    see `stepcore.truth.models`. Elsewhere numerical is `high`, and modelling 0.
 
     The largest of any start, None where the scene has no such thing or it cannot be known:
     momentum [kg·m/s], angular_momentum [kg·m²/s]: what internal forces and gravity do not
@@ -83,7 +83,7 @@ def errors(
 ) -> Errors:
     """Errors of runs against the reference's, over the samples that are scored (starts, n).
 
-    size: of the scene [m]; sticks: see `stepcore.trade.looks.creep`.
+    size: of the scene [m]; sticks: see `stepcore.course.looks.creep`.
     """
     metres, radians, matter, creeps = [], [], [], []
     for path, true, mask in zip(paths, truth, scored, strict=True):

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from stepcore.trade.motion import Motion
-    from stepcore.trade.run import Course, Seen
+    from stepcore.course.motion import Motion
+    from stepcore.course.run import Course, Seen
 
 
 class Balance:

@@ -12,11 +12,11 @@ from stepcore.checks import one_line
 from stepcore.layout import Layout
 from stepcore.model import Model
 from stepcore.sim import Sim
-from stepcore.trade.conserved import Balance
-from stepcore.trade.dofs import Dofs, product, rotated, turned
-from stepcore.trade.joints import Joints
-from stepcore.trade.looks import Looks, Rub, Slips
-from stepcore.trade.motion import Motion
+from stepcore.course.conserved import Balance
+from stepcore.course.dofs import Dofs, product, rotated, turned
+from stepcore.course.joints import Joints
+from stepcore.course.looks import Looks, Rub, Slips
+from stepcore.course.motion import Motion
 
 # The state is recorded this often in a period (or every step), contacts are looked at less often.
 LOOKS = 32
@@ -33,8 +33,8 @@ class Path:
     dampers took [J], (n,). kinetic: energy [J], height: of the centre of mass against gravity
     [m], touching: contacts that touch; (n,) each. slips: contacts with friction, by sample.
     overlap: deepest [m]. residual: worst [m/s]. rows: the most at once. momentum [kg·m/s], spin
-    [kg·m²/s]: see `stepcore.trade.conserved`. joint [m], limit [rad or m]: see
-    `stepcore.trade.joints`. failure: why the run ended early; the arrays are then short.
+    [kg·m²/s]: see `stepcore.course.conserved`. joint [m], limit [rad or m]: see
+    `stepcore.course.joints`. failure: why the run ended early; the arrays are then short.
     """
 
     com: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3)))

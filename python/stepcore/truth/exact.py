@@ -23,11 +23,11 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.sim import Sim
-from stepcore.trade.dofs import Start, product, rotated, rotation
-from stepcore.trade.expm import expm
+from stepcore.course.dofs import Start, product, rotated, rotation
+from stepcore.truth.expm import expm
 
 if TYPE_CHECKING:
-    from stepcore.trade.run import Course, Path
+    from stepcore.course.run import Course, Path
 
 # What accelerations may differ by from the form's, over the largest seen: rounding, generously.
 AGREES = 1e-9

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stepcore._core import Settings
-from stepcore.trade.errors import Errors
+from stepcore.truth.errors import Errors
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Row
@@ -56,7 +56,7 @@ def shown(distances: Sequence[float], floor: float) -> int | None:
 class Known:
     """What a converged motion may be wrong by, in four measures of `Errors`.
 
-    error, largest, high [m], angle [rad]: see `stepcore.trade.reference.Reference`. orders: what
+    error, largest, high [m], angle [rad]: see `stepcore.truth.reference.Reference`. orders: what
     Richardson used for each (1, 2 or 4), None where no order is shown; bases: the same in words.
     """
 

@@ -3,8 +3,8 @@
 Two integrators run at halved steps, their rows solved to rounding. What is modelled, the softness
 of contacts above all, stays the scene's, and `refsafe` does not touch it. The better known of the
 two is the reference; it is halved on until its error is a tenth of the smallest that the table
-shows, or the budget is spent. How its error is known is in `stepcore.trade.order`. Where the
-motion has a closed form (`stepcore.trade.exact`), that is the truth, and checks the reference.
+shows, or the budget is spent. How its error is known is in `stepcore.truth.order`. Where the
+motion has a closed form (`stepcore.truth.exact`), that is the truth, and checks the reference.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.jobs import each
 from stepcore.progress import Progress
-from stepcore.trade.errors import Errors, errors, extent
-from stepcore.trade.exact import Exact, closed
-from stepcore.trade.growth import DIRECTIONS, Growth, growth
-from stepcore.trade.order import Known, known, observed, shown
-from stepcore.trade.run import Course, Path
+from stepcore.truth.errors import Errors, errors, extent
+from stepcore.truth.exact import Exact, closed
+from stepcore.truth.growth import DIRECTIONS, Growth, growth
+from stepcore.truth.order import Known, known, observed, shown
+from stepcore.course.run import Course, Path
 
 # A tenth: the reference's error may then change the last digit of an error shown, no more.
 FINER = 10.0
@@ -92,7 +92,7 @@ class Reference:
     what the halvings of each integrator showed of the median start, coarsest first.
     agreement [m]: distance to the finest run of another integrator, `other`, whose own halving
     moved it by other_error. growth: of twins. exact: the closed form, where there is one.
-    gaps: to other models, see `stepcore.trade.models`.
+    gaps: to other models, see `stepcore.truth.models`.
     stiffens: rows act whose law grows stiffer as dt shrinks, so that the limit is a harder scene.
     """
 

@@ -18,10 +18,11 @@ from typing import Any
 from stepcore._core import Settings
 from stepcore.model import Model
 from stepcore.progress import Progress
-from stepcore.trade.errors import STICKS, Errors, errors
-from stepcore.trade.reference import Gap, Level, Reference, Search
-from stepcore.trade.run import Course, Path
-from stepcore.trade.settings import clamping
+from stepcore.scene import Scene
+from stepcore.truth.errors import STICKS, Errors, errors
+from stepcore.truth.reference import Gap, Level, Reference, Search
+from stepcore.course.run import Course, Path
+
 
 Ref = tuple[float, ...]
 
@@ -217,3 +218,15 @@ def _modelled(settings: Settings) -> tuple[Any, ...]:
         if unused:
             values[name] = None
     return tuple(values.values())
+
+
+def clamping(scene: Scene) -> float | None:
+    """The shortest time constant that `refsafe` guards [s]: at a dt above half of it, rows soften.
+
+    None where no solref in the scene is a time constant.
+    """
+    softness = [g.solref for g in scene.geoms if g.contype or g.conaffinity]
+    softness += [j.solreflimit for j in scene.joints if j.range is not None]
+    softness += [j.solreffriction for j in scene.joints if j.frictionloss > 0]
+    softness += [e.solref for e in scene.equalities if e.active]
+    return min((ref[0] for ref in softness if ref[0] > 0), default=None)

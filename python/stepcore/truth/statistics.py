@@ -1,6 +1,6 @@
 """What can still be said of a run after its motion cannot be predicted: means over many starts.
 
-From when the first start is lost (`stepcore.trade.growth`) to the horizon, each run has a mean
+From when the first start is lost (`stepcore.truth.growth`) to the horizon, each run has a mean
 height of its centre of mass, kinetic energy and number of contacts. Over at least 32 seeded
 starts, each run under the setting and under the reference's, the differences have a mean and a
 95 % confidence interval (Student's t on the differences of pairs, which holds whether or not the
@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike
 from stepcore._core import Settings
 from stepcore.jobs import each
 from stepcore.progress import Choice, Progress
-from stepcore.trade.motion import Motion
-from stepcore.trade.reference import Reference, Search
-from stepcore.trade.run import Course, Path
+from stepcore.course.motion import Motion
+from stepcore.truth.reference import Reference, Search
+from stepcore.course.run import Course, Path
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Row

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stepcore.layout import QPOS
-from stepcore.trade.dofs import rotated, turned
+from stepcore.course.dofs import rotated, turned
 
 if TYPE_CHECKING:
-    from stepcore.trade.run import Course, Seen
+    from stepcore.course.run import Course, Seen
 
 
 class Joints:

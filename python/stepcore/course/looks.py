@@ -10,7 +10,7 @@ import numpy as np
 from stepcore.sim import Sim
 
 if TYPE_CHECKING:
-    from stepcore.trade.run import Course
+    from stepcore.course.run import Course
 
 # A slower slip than this share of the fastest seen says little about the direction of friction.
 SLOW = 1e-2

@@ -19,12 +19,12 @@ from stepcore.progress import Choice, Progress
 from stepcore.results import Result
 from stepcore.scene import Scene
 from stepcore.table import Table, jsonable
-from stepcore.trade.dofs import Dofs
-from stepcore.trade.growth import DIRECTIONS, GROWTH, NEARBY, Growth
-from stepcore.trade.motion import Control, motion, time_steps
-from stepcore.trade.reference import Search
-from stepcore.trade.run import Course
-from stepcore.trade.settings import seconds
+from stepcore.course.dofs import Dofs
+from stepcore.truth.growth import DIRECTIONS, GROWTH, NEARBY, Growth
+from stepcore.course.motion import Control, motion, time_steps
+from stepcore.truth.reference import Search
+from stepcore.course.run import Course
+from stepcore.quantities import seconds
 
 
 @dataclass(eq=False, repr=False)
@@ -32,7 +32,7 @@ class Predictability(Result):
     """How fast small differences grow in a scene; made by `stepcore.predictability`.
 
     name: of the scene. horizon, dt [s], integrator: what was run. growth: see
-    `stepcore.trade.growth.Growth`. time: when the first start can no longer be predicted [s],
+    `stepcore.truth.growth.Growth`. time: when the first start can no longer be predicted [s],
     inf if all can over the horizon.
     """
 

@@ -23,9 +23,9 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.jobs import each
 from stepcore.progress import Progress
-from stepcore.trade.dofs import Dofs, Start
-from stepcore.trade.motion import Motion
-from stepcore.trade.run import Course, Path, angle, distance
+from stepcore.course.dofs import Dofs, Start
+from stepcore.course.motion import Motion
+from stepcore.course.run import Course, Path, angle, distance
 
 # Of the scene's size, and of a radian.
 NEARBY = 1e-9

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from stepcore import checks
 from stepcore.model import Model
 from stepcore.sim import Sim
-from stepcore.trade.dofs import Dofs, Start
+from stepcore.course.dofs import Dofs, Start
 
 # How far the seeded starts are from the keyframe: small beside a robot, long beside a step.
 SHIFT, TURN = 1e-3, 1e-2  # [m], [rad]
