@@ -5,11 +5,11 @@ import pytest
 
 import stepcore as sc
 from stepcore.course.dofs import Dofs
-from stepcore.truth.errors import Errors, pareto
 from stepcore.course.motion import motion, time_steps
-from stepcore.truth.order import orders
-from stepcore.trade.result import Row
 from stepcore.quantities import metres, seconds
+from stepcore.trade.result import Row
+from stepcore.truth.errors import Errors, pareto
+from stepcore.truth.order import orders
 
 
 def test_pareto():

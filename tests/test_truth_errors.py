@@ -8,9 +8,9 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.layout import Layout
 from stepcore.course.dofs import Dofs
 from stepcore.course.looks import Rub
+from stepcore.layout import Layout
 
 G = 9.81
 

@@ -7,12 +7,12 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.progress import Progress
 from stepcore.course.dofs import Dofs
-from stepcore.truth.models import Models, stiffer
 from stepcore.course.motion import motion
-from stepcore.truth.reference import Search
 from stepcore.course.run import Course
+from stepcore.progress import Progress
+from stepcore.truth.models import Models, stiffer
+from stepcore.truth.reference import Search
 
 G = 9.81
 

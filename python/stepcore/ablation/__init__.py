@@ -15,17 +15,17 @@ from stepcore.ablation.changes import Change, Features, made
 from stepcore.ablation.result import Ablation, Row
 from stepcore.ablation.run import Motive, measured, timed, watched
 from stepcore.ablation.selection import Selection
+from stepcore.course.dofs import Dofs
+from stepcore.course.motion import Control, Motion, default_horizon, motion, time_steps
+from stepcore.course.run import Course
 from stepcore.jobs import check_executor, each
 from stepcore.lookup import find_scene
 from stepcore.model import Model, compiled
 from stepcore.progress import Choice, Progress
-from stepcore.scene import Scene
-from stepcore.course.dofs import Dofs
-from stepcore.truth.errors import extent, far_off
-from stepcore.course.motion import Control, Motion, default_horizon, motion, time_steps
-from stepcore.truth.reference import Reference, Search
-from stepcore.course.run import Course
 from stepcore.quantities import metres, seconds
+from stepcore.scene import Scene
+from stepcore.truth.errors import extent, far_off
+from stepcore.truth.reference import Reference, Search
 
 __all__ = ["Ablation", "Row", "ablate"]
 

@@ -13,11 +13,11 @@ from stepcore._core import Settings
 from stepcore.ablation.changes import Change
 from stepcore.ablation.run import Measured
 from stepcore.ablation.smallest import saved, work
+from stepcore.quantities import metres, seconds
 from stepcore.results import Result
 from stepcore.scene import Scene
 from stepcore.table import WIDTH, Table, jsonable
 from stepcore.trade.settings import label
-from stepcore.quantities import metres, seconds
 
 LEGEND = (
     "saved: share of the work per simulated second ({work}), negative: it costs more; µs: "

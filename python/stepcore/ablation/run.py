@@ -11,11 +11,11 @@ import numpy as np
 from stepcore._core import Settings, SimulationError
 from stepcore.ablation.changes import Change, Seen, made
 from stepcore.checks import one_line
-from stepcore.model import Model
 from stepcore.course.dofs import Dofs
-from stepcore.truth.errors import errors
 from stepcore.course.motion import Motion
 from stepcore.course.run import Course, Path
+from stepcore.model import Model
+from stepcore.truth.errors import errors
 
 # Steps of the first start whose operations are counted, spread over the motion.
 COUNTED = 40

@@ -9,8 +9,8 @@ from functools import partial
 from stepcore.ablation.changes import Change, Features, Seen
 from stepcore.ablation.run import Measured, Motive, measured, watched
 from stepcore.ablation.smallest import confirmed, greedy
-from stepcore.progress import Progress
 from stepcore.course.run import Course
+from stepcore.progress import Progress
 
 
 class Selection:

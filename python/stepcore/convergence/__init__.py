@@ -26,14 +26,14 @@ from stepcore.convergence.runs import (
     run_of,
     truth,
 )
+from stepcore.course.dofs import Dofs
+from stepcore.course.motion import Control, default_horizon, motion
+from stepcore.course.run import Course, Path
 from stepcore.jobs import check_executor, each
 from stepcore.model import Model, compiled
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
-from stepcore.course.dofs import Dofs
 from stepcore.truth.errors import extent
-from stepcore.course.motion import Control, default_horizon, motion
-from stepcore.course.run import Course, Path
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

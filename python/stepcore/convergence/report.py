@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from stepcore.quantities import metres, seconds
 from stepcore.table import Table
 from stepcore.trade.settings import label
-from stepcore.quantities import metres, seconds
 
 if TYPE_CHECKING:
     from stepcore.convergence.result import Convergence

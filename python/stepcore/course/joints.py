@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stepcore.layout import QPOS
 from stepcore.course.dofs import rotated, turned
+from stepcore.layout import QPOS
 
 if TYPE_CHECKING:
     from stepcore.course.run import Course, Seen

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
+from stepcore.course.dofs import Dofs, Start
 from stepcore.model import Model
 from stepcore.sim import Sim
-from stepcore.course.dofs import Dofs, Start
 
 # How far the seeded starts are from the keyframe: small beside a robot, long beside a step.
 SHIFT, TURN = 1e-3, 1e-2  # [m], [rad]

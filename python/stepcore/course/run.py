@@ -9,14 +9,14 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
-from stepcore.layout import Layout
-from stepcore.model import Model
-from stepcore.sim import Sim
 from stepcore.course.conserved import Balance
 from stepcore.course.dofs import Dofs, product, rotated, turned
 from stepcore.course.joints import Joints
 from stepcore.course.looks import Looks, Rub, Slips
 from stepcore.course.motion import Motion
+from stepcore.layout import Layout
+from stepcore.model import Model
+from stepcore.sim import Sim
 
 # The state is recorded this often in a period (or every step), contacts are looked at less often.
 LOOKS = 32

@@ -9,6 +9,8 @@ from functools import partial
 from numpy.typing import ArrayLike
 
 from stepcore import checks
+from stepcore.course.dofs import Dofs
+from stepcore.course.motion import Control, motion
 from stepcore.diagnose.advice import advise
 from stepcore.diagnose.alone import INTEGRATORS
 from stepcore.diagnose.bound import closed_form
@@ -29,8 +31,6 @@ from stepcore.lookup import find_scene
 from stepcore.model import Model, compiled
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
-from stepcore.course.dofs import Dofs
-from stepcore.course.motion import Control, motion
 
 __all__ = ["Diagnosis", "StiffnessWarning", "diagnose"]
 

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 
 from stepcore.arrays import Floats
+from stepcore.course.dofs import Dofs
 from stepcore.diagnose.forces import INERTIAL, Elements, Key
 from stepcore.diagnose.linear import ON_GUESS, TINY_STEP, State, placed, rates_matrix, without_rows
 from stepcore.layout import Layout
 from stepcore.model import Model
 from stepcore.sim import Sim
-from stepcore.course.dofs import Dofs
 
 # Change of a position or velocity for the differences: forces are exact to rounding.
 SMALL = 1e-6

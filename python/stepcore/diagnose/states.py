@@ -14,10 +14,10 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.arrays import Floats
+from stepcore.course.motion import Motion
 from stepcore.diagnose.linear import State, acting, placed
 from stepcore.model import Model
 from stepcore.sim import Sim
-from stepcore.course.motion import Motion
 
 # The most states, steps and looks at the rows of one run.
 STATES, STEPS, LOOKS = 8, 20_000, 200

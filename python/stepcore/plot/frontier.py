@@ -7,8 +7,8 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from stepcore.plot.style import COLOURS, GREY, bare, figure, saved
-from stepcore.trade.settings import label
 from stepcore.quantities import metres, seconds
+from stepcore.trade.settings import label
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Row, Trade

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stepcore.plot.style import COLOURS, GREY, bare, figure, saved
-from stepcore.truth.growth import GROWTH
 from stepcore.quantities import seconds
+from stepcore.truth.growth import GROWTH
 
 if TYPE_CHECKING:
     from stepcore.truth.predict import Predictability

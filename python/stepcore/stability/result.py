@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from stepcore.quantities import seconds
 from stepcore.results import Result
 from stepcore.table import Table, jsonable
-from stepcore.quantities import seconds
 
 FINITE, INACCURATE, EXPLODED = "finite", "inaccurate", "exploded"
 SYMBOLS = {FINITE: "·", INACCURATE: "o", EXPLODED: "X"}

@@ -12,28 +12,27 @@ from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.course.dofs import Dofs
+from stepcore.course.motion import Control, Motion, default_horizon, motion, time_steps
+from stepcore.course.run import Course
 from stepcore.jobs import check_executor
 from stepcore.model import Model, compiled
 from stepcore.progress import Choice, Progress
+from stepcore.quantities import seconds
 from stepcore.scene import Scene
 from stepcore.trade import frugal, units
 from stepcore.trade import mujoco as opponent
-from stepcore.course.dofs import Dofs
-from stepcore.truth.errors import errors, extent
 from stepcore.trade.finish import Finisher
-from stepcore.truth.models import Models
-from stepcore.course.motion import Control, Motion, default_horizon, motion, time_steps
 from stepcore.trade.moves import Steps, longest, slides
 from stepcore.trade.recommend import confirmed, others
-from stepcore.truth.reference import FINER, Reference, Search, smallest
 from stepcore.trade.remarks import truths
 from stepcore.trade.result import Row, Trade
-from stepcore.course.run import Course
 from stepcore.trade.settings import grid
-from stepcore.quantities import seconds
-from stepcore.truth.models import clamping
-from stepcore.truth.statistics import LEAST, after
 from stepcore.trade.trials import Trials
+from stepcore.truth.errors import errors, extent
+from stepcore.truth.models import Models, clamping
+from stepcore.truth.reference import FINER, Reference, Search, smallest
+from stepcore.truth.statistics import LEAST, after
 
 __all__ = ["Row", "Trade", "trade"]
 

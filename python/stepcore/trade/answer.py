@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from stepcore.quantities import metres, quantity, seconds
 from stepcore.trade.mujoco import against
 from stepcore.trade.settings import label
-from stepcore.quantities import metres, quantity, seconds
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Row, Trade

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from stepcore._core import Settings, SimulationError
+from stepcore.course.run import Course
 from stepcore.progress import Progress
 from stepcore.sim import Sim
-from stepcore.course.run import Course
 
 # Rounds over all settings: at least, at most; and the time to spend on them if they are quick [s].
 ROUNDS, MOST, LONG = 3, 9, 4.0

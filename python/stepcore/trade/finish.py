@@ -10,10 +10,10 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.progress import Progress
 from stepcore.trade.cost import Timed, costs
-from stepcore.truth.models import Models
 from stepcore.trade.mujoco import Player
 from stepcore.trade.result import Row
 from stepcore.trade.trials import Trials
+from stepcore.truth.models import Models
 
 
 class Finisher:

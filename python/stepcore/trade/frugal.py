@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from stepcore._core import Settings
 from stepcore.progress import Progress
 from stepcore.trade.moves import Steps
-from stepcore.truth.reference import FINER, Search
 from stepcore.trade.search import Hunt
 from stepcore.trade.trials import Trials
+from stepcore.truth.reference import FINER, Search
 
 # The share of an error asked for that everything tried is held to: further starts differ.
 MARGIN = 0.9

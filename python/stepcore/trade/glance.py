@@ -9,9 +9,9 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
-from stepcore.trade.cost import UNKNOWN, Counter, Work
 from stepcore.course.dofs import rotated
 from stepcore.course.run import Course, Path
+from stepcore.trade.cost import UNKNOWN, Counter, Work
 
 
 def glance(

@@ -17,15 +17,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stepcore.course.run import Course, Path
 from stepcore.lookup import find_asset
 from stepcore.model import Model
 from stepcore.progress import Choice, Progress
-from stepcore.trade.cost import Timed, Watch, calls
-from stepcore.truth.errors import Errors, errors, far_off
-from stepcore.trade.moves import Steps
-from stepcore.truth.reference import Reference
-from stepcore.course.run import Course, Path
 from stepcore.quantities import metres, seconds
+from stepcore.trade.cost import Timed, Watch, calls
+from stepcore.trade.moves import Steps
+from stepcore.truth.errors import Errors, errors, far_off
+from stepcore.truth.reference import Reference
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Trade

@@ -15,18 +15,18 @@ from functools import partial
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.course.motion import Motion
+from stepcore.course.run import Course
 from stepcore.jobs import each
 from stepcore.progress import Progress
-from stepcore.truth.errors import errors, far_off
 from stepcore.trade.frugal import MARGIN
 from stepcore.trade.glance import glance
-from stepcore.truth.growth import DIRECTIONS, growth
-from stepcore.course.motion import Motion
 from stepcore.trade.moves import Steps
-from stepcore.truth.reference import Search
 from stepcore.trade.result import Further, Row, Trade
-from stepcore.course.run import Course
 from stepcore.trade.trials import Trials
+from stepcore.truth.errors import errors, far_off
+from stepcore.truth.growth import DIRECTIONS, growth
+from stepcore.truth.reference import Search
 
 # Candidates tried on the further starts before the search gives up.
 TRIES = 30

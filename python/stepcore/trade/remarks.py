@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stepcore.quantities import metres, seconds
 from stepcore.table import Table
+from stepcore.trade.settings import label
 from stepcore.truth.growth import GROWTH, NEARBY
 from stepcore.truth.reference import Gap, Reference
-from stepcore.trade.settings import label
-from stepcore.quantities import metres, seconds
 from stepcore.truth.statistics import QUANTITIES
 
 if TYPE_CHECKING:

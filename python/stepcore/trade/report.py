@@ -6,12 +6,12 @@ import math
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
+from stepcore.quantities import metres, seconds
 from stepcore.table import Table
 from stepcore.trade.answer import answer
-from stepcore.truth.reference import FINER, smallest
 from stepcore.trade.remarks import after, observed
 from stepcore.trade.settings import label, rarer
-from stepcore.quantities import metres, seconds
+from stepcore.truth.reference import FINER, smallest
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Row, Trade

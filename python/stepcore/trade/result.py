@@ -12,8 +12,8 @@ from stepcore._core import Settings
 from stepcore.results import Result
 from stepcore.table import Table, jsonable
 from stepcore.trade import report
-from stepcore.truth.errors import Errors, pareto
 from stepcore.trade.mujoco import Point
+from stepcore.truth.errors import Errors, pareto
 from stepcore.truth.order import orders
 from stepcore.truth.reference import FINER, Reference
 from stepcore.truth.statistics import QUANTITIES, Statistics

@@ -8,7 +8,6 @@ from typing import Any
 
 from stepcore._core import Settings
 from stepcore.quantities import seconds
-from stepcore.scene import Scene
 
 SMOOTH_LAW = ("semi-implicit", "euler", "implicitfast", "rk4")
 COULOMB_LAW = ("explicit", "semi-implicit", "midpoint", "rk4")

@@ -13,13 +13,13 @@ from functools import partial
 from typing import TypeVar
 
 from stepcore._core import Settings
+from stepcore.course.run import Course, Path
 from stepcore.jobs import each
 from stepcore.progress import Choice, Progress
 from stepcore.trade.cost import UNKNOWN, Work
-from stepcore.truth.errors import errors, far_off
 from stepcore.trade.glance import glance
+from stepcore.truth.errors import errors, far_off
 from stepcore.truth.reference import Reference
-from stepcore.course.run import Course, Path
 
 T = TypeVar("T")
 # Runs of a setting, and the work of the first.

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from stepcore._core import SimulationError
-from stepcore.sim import Sim
 from stepcore.course.dofs import Start, product, rotated, rotation
+from stepcore.sim import Sim
 from stepcore.truth.expm import expm
 
 if TYPE_CHECKING:

@@ -21,11 +21,11 @@ from functools import partial
 import numpy as np
 
 from stepcore._core import Settings
-from stepcore.jobs import each
-from stepcore.progress import Progress
 from stepcore.course.dofs import Dofs, Start
 from stepcore.course.motion import Motion
 from stepcore.course.run import Course, Path, angle, distance
+from stepcore.jobs import each
+from stepcore.progress import Progress
 
 # Of the scene's size, and of a radian.
 NEARBY = 1e-9

@@ -16,13 +16,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from stepcore._core import Settings
+from stepcore.course.run import Course, Path
 from stepcore.model import Model
 from stepcore.progress import Progress
 from stepcore.scene import Scene
 from stepcore.truth.errors import STICKS, Errors, errors
 from stepcore.truth.reference import Gap, Level, Reference, Search
-from stepcore.course.run import Course, Path
-
 
 Ref = tuple[float, ...]
 

@@ -12,19 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
+from stepcore.course.dofs import Dofs
+from stepcore.course.motion import Control, motion, time_steps
+from stepcore.course.run import Course
 from stepcore.jobs import check_executor
 from stepcore.lookup import find_model
 from stepcore.model import Model
 from stepcore.progress import Choice, Progress
+from stepcore.quantities import seconds
 from stepcore.results import Result
 from stepcore.scene import Scene
 from stepcore.table import Table, jsonable
-from stepcore.course.dofs import Dofs
 from stepcore.truth.growth import DIRECTIONS, GROWTH, NEARBY, Growth
-from stepcore.course.motion import Control, motion, time_steps
 from stepcore.truth.reference import Search
-from stepcore.course.run import Course
-from stepcore.quantities import seconds
 
 
 @dataclass(eq=False, repr=False)

@@ -18,13 +18,13 @@ from itertools import pairwise
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.course.run import Course, Path
 from stepcore.jobs import each
 from stepcore.progress import Progress
 from stepcore.truth.errors import Errors, errors, extent
 from stepcore.truth.exact import Exact, closed
 from stepcore.truth.growth import DIRECTIONS, Growth, growth
 from stepcore.truth.order import Known, known, observed, shown
-from stepcore.course.run import Course, Path
 
 # A tenth: the reference's error may then change the last digit of an error shown, no more.
 FINER = 10.0

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore._core import Settings
+from stepcore.course.motion import Motion
+from stepcore.course.run import Course, Path
 from stepcore.jobs import each
 from stepcore.progress import Choice, Progress
-from stepcore.course.motion import Motion
 from stepcore.truth.reference import Reference, Search
-from stepcore.course.run import Course, Path
 
 if TYPE_CHECKING:
     from stepcore.trade.result import Row
