@@ -219,3 +219,17 @@ def test_a_point_of_a_contact_that_is_about_to_open_is_no_stiff_one():
         found.append(d.element('contact "floor"/"sole"').omega / (2 * math.pi))
     # The solref of the default is a time constant of 20 ms: about 8 Hz at damping ratio 1.
     assert found[0] == pytest.approx(found[1], rel=0.2) and 4 < found[0] < 16
+
+
+@pytest.mark.parametrize("rate", [10.0, 30.0, 40.0])
+def test_a_thin_plate_is_named_at_every_rate(rate):
+    """Its nutation is as fast as its spin: two equal eigenvalues, which no vectors tell apart."""
+    scene = sc.Scene(gravity=(0.0, 0.0, 0.0)).with_settings(dt=0.02, integrator="explicit")
+    plate = scene.add_body("plate")
+    scene.add_joint(plate, "free")
+    scene.add_geom(plate, "box", (0.5, 0.5, 0.005), mass=1.0)
+    spin = (0.0, 0.0, 0.0, 0.01, 0.0, rate)
+    scene.add_key(qpos=(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0), qvel=spin)
+    d = diagnosed(scene)
+    for name in ("explicit", "semi-implicit", "rk4", "midpoint"):
+        assert d.stiffest(name) == 'spin "plate"'

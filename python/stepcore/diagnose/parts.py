@@ -11,6 +11,7 @@ Each integrator's step is then a function of M, J and the damping that it treats
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,8 @@ from stepcore.sim import Sim
 SMALL = 1e-6
 # Change of an element's gain for the derivative of an eigenvalue.
 NUDGE = 1e-4
+# Eigenvalues as near as this part of their distance from 1 are equal; points around them.
+EQUAL, AROUND = 1e-2, 16
 
 Shares = dict[Key, float]
 
@@ -95,20 +98,38 @@ class Parts:
     ) -> Shares:
         """The derivatives of log |value| by each element's gain, as parts of their sum.
 
-        Elements that hold the eigenvalue back count 0.
+        Of several equal eigenvalues the mean's. Elements that hold it back count 0.
         """
-        values, vectors = np.linalg.eig(matrix)
-        nearest = int(np.abs(values - value).argmin())
-        value, right = values[nearest], vectors[:, nearest]
-        # The left eigenvector is a null vector of Aᵀ - μ.
-        left: Any = np.linalg.svd(matrix.T - value * np.eye(len(matrix)))[2][-1].conj()
-        norm = (left @ right) * value
+        values = np.linalg.eigvals(matrix).astype(complex)
+        if not np.any(values):
+            return dict.fromkeys(self.elements, 0.0)
+        mean, onto = _cluster(matrix, values, value)
         found: dict[Key, float] = {}
         for key in self.elements:
-            slope = left @ (changed(key, NUDGE) - changed(key, -NUDGE)) @ right
-            found[key] = max(0.0, float((slope / norm).real)) if norm else 0.0
+            slope = np.sum(onto.T * (changed(key, NUDGE) - changed(key, -NUDGE))) / mean
+            found[key] = max(0.0, float(slope.real))
         whole = sum(found.values())
         return {key: share / whole if whole > 0 else 0.0 for key, share in found.items()}
+
+
+def _cluster(matrix: Floats, values: Any, value: complex) -> tuple[complex, Any]:
+    """The mean of the eigenvalues equal to `value`, and the projector onto their vectors.
+
+    A change dA moves the mean by trace(P dA) / trace P, also where no eigenvectors tell the values
+    apart (the nutation of a thin plate is as fast as its spin). P is the mean of (z - A)⁻¹ (z - c)
+    around a circle that holds these values and no other.
+    """
+    centre = values[np.abs(values - value).argmin()]
+    apart = np.sort(np.abs(values - centre))
+    near = max(EQUAL * min(1.0, abs(centre - 1)), 1e-12)
+    count = int(np.sum(apart <= near))
+    centre = values[np.abs(values - centre) <= near].mean()
+    others = apart[count] if count < len(apart) else 1.0
+    radius = math.sqrt(max(apart[count - 1], others / 100) * others)
+    around = radius * np.exp(2j * np.pi * (np.arange(AROUND) + 0.5) / AROUND)
+    one = np.eye(len(matrix))
+    onto = sum(z * np.linalg.inv((centre + z) * one - matrix) for z in around) / AROUND
+    return complex(centre or 1.0) * count, onto
 
 
 def parts(model: Model, state: State, dt: float | None) -> Parts | None:
