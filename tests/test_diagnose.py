@@ -8,9 +8,11 @@ import stiff
 from tangents import differences
 
 import stepcore as sc
+from stepcore.course.dofs import Dofs
 from stepcore.diagnose.alone import INTEGRATORS, oscillator
 from stepcore.diagnose.growth import growth
 from stepcore.diagnose.linear import State, exact, rates_matrix, step_map
+from stepcore.diagnose.midpoint import midpoint_map
 from stepcore.diagnose.parts import parts
 
 
@@ -107,6 +109,29 @@ def test_rates_are_those_of_the_motion():
         assert np.allclose(np.sort_complex(rates), expected, atol=1e-5)
 
 
+def test_the_midpoint_step_is_one_linear_system():
+    """Law: without rows A of the midpoint rule, from one linearised acceleration, is what
+    `linearize` iterates to, on free, ball and hinge joints that turn fast; to 1e-8 of its size."""
+    scene = sc.Scene().with_settings(integrator="midpoint", dt=0.02)
+    parent = scene.world
+    for kind in ("free", "ball", "hinge"):
+        parent = scene.add_body(kind, parent=parent, pos=(0.3, 0, 0))
+        given = {} if kind == "free" else {"stiffness": 20.0, "damping": 0.1}
+        scene.add_joint(parent, kind, name=kind, **given)
+        scene.add_geom(parent, "box", (0.1, 0.2, 0.3), pos=(0.1, 0.05, 0), mass=1.0)
+    scene.add_actuator("hinge", type="position", kp=30.0, kv=0.2)
+    scene.features.constraint = False
+    model = exact(scene.compile())
+    rng = np.random.default_rng(0)
+    for speed in (0.0, 1.0, 8.0):
+        sim = sc.Sim(model)
+        change = rng.normal(size=model.nv)
+        sim.qpos[:] = Dofs(scene).moved(model.qpos0, change)
+        sim.qvel[:], sim.ctrl[:] = speed * rng.normal(size=model.nv), 0.4
+        real = sim.linearize().A
+        assert np.abs(midpoint_map(sim) - real).max() < 1e-8 * np.abs(real).max()
+
+
 # --- against the real step ----------------------------------------------------------------------
 
 
@@ -181,6 +206,19 @@ def test_a_spinning_plate():
     assert d.limit("euler") == pytest.approx(real, rel=0.02)
 
 
+def test_sixty_hinges_take_few_linearisations(monkeypatch):
+    """Law: at most 250 linearised steps a state over all integrators (300 and more before, those
+    of the midpoint rule a hundred times as long); and the midpoint rule, whose iteration ends in
+    the rounding of an ill-conditioned mass matrix, limits nothing below 50 ms."""
+    counted = []
+    real = sc.Sim.linearize
+    monkeypatch.setattr(sc.Sim, "linearize", lambda sim: (counted.append(sim), real(sim))[1])
+    d = diagnosed(stiff.chain((50.0, 100.0, 150.0) * 20, damping=0.1, dt=1e-3), horizon=0.01)
+    assert len(counted) < 250 * len(d.states)
+    assert d.limit("midpoint") > 0.05
+    assert not any(sim.settings.integrator == "midpoint" for sim in counted)
+
+
 # --- contacts -----------------------------------------------------------------------------------
 
 
@@ -209,6 +247,25 @@ def test_a_stiff_contact_in_direct_form(solref):
     depth = 1.01 * 9.81 * 0.1 * 0.95**2 / (0.9**2 * solref[0])
     real = stiff.bisected(lambda dt: not rattles(model, "euler", dt, depth), 0.3 * limit, 3 * limit)
     assert limit == pytest.approx(real, rel=0.2)
+
+
+@pytest.mark.parametrize("joint", ["slide", "free"])
+def test_a_state_at_a_switch_does_not_decide(joint):
+    """Two balls that begin exactly on the floor and rebound: a step in which a row ends to act is
+    no step that could be repeated. Within 20 % of the contact's own limit, and named after it."""
+    scene = sc.Scene(name="two").with_settings(dt=1e-3)
+    scene.add_geom("world", "plane", name="floor", solref=(-1e8, -100.0))
+    for i in range(2):
+        body = scene.add_body(f"ball{i}", pos=(i, 0, 0.1))
+        scene.add_joint(body, joint)
+        scene.add_geom(body, "sphere", 0.1, mass=1.0, name=f"ball{i}", solref=(-1e8, -100.0))
+    d = diagnosed(scene, horizon=1.0)
+    assert d.limits["rk4"].state > 0
+    assert d.stiffest("rk4").startswith('contact "floor"/"ball')
+    # solimp's 0.9 at no depth: the row is as stiff as k/0.95², times 0.9 for R.
+    omega = 0.9 / 0.95 * 1e4
+    assert d.limit("rk4") == pytest.approx(2 * math.sqrt(2) / omega, rel=0.2)
+    assert d.stiffest("midpoint").startswith('contact "floor"/"ball')
 
 
 def test_a_penalty_contact_is_the_spring_that_it_is():

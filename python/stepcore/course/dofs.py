@@ -97,7 +97,7 @@ class Dofs:
         for kind, q, v, _ in self.joints:
             along = {"free": 3, "slide": 1, "hinge": 1}.get(kind, 0)
             result[q : q + along] += change[v : v + along]
-            if kind in ("free", "ball"):
+            if kind in ("free", "ball") and change[v + along : v + along + 3].any():
                 turn = rotation(change[v + along : v + along + 3])
                 result[q + along : q + along + 4] = product(qpos[q + along : q + along + 4], turn)
         return result

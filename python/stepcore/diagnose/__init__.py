@@ -20,7 +20,6 @@ from stepcore.diagnose.limits import LONGEST, Limit, Situation, situation
 from stepcore.diagnose.linear import exact
 from stepcore.diagnose.load import StiffnessWarning
 from stepcore.diagnose.naming import shares_at
-from stepcore.diagnose.parts import parts
 from stepcore.diagnose.report import notes
 from stepcore.diagnose.result import Diagnosis
 from stepcore.diagnose.softness import softened_beyond
@@ -167,7 +166,7 @@ def _elements(here: Situation) -> dict[Key, Figures]:
     layout = Layout(here.model.scene)
     found: dict[Key, Figures] = {}
     for k, state in enumerate(here.states):
-        all_parts = parts(here.model, state, None)
+        all_parts = here.parts(state)
         if all_parts is None:
             continue
         alone = Alone(all_parts, here.horizon, k)

@@ -14,11 +14,10 @@ import numpy as np
 
 from stepcore.arrays import Floats
 from stepcore.diagnose.alone import INTEGRATORS, gyration, oscillator, row_after_midpoint
-from stepcore.diagnose.forces import INERTIAL, Key
+from stepcore.diagnose.forces import INERTIAL, ROWS, Key
 from stepcore.diagnose.limits import LONGEST
 from stepcore.diagnose.parts import Parts
 
-ROWS = ("contact", "limit", "connect", "friction loss")
 # Of the largest of its kind: less is the rounding of a difference.
 NOTHING = 1e-6
 

@@ -35,6 +35,10 @@ class Key:
     index: tuple[int, ...]
     name: str
 
+    def __hash__(self) -> int:
+        # The name says nothing more; this is asked for very often.
+        return hash((self.kind, self.index))
+
     @property
     def label(self) -> str:
         """As a report names it."""
@@ -45,6 +49,9 @@ class Key:
 
 # What is left of the motion's derivative: gravity, Coriolis and centrifugal forces.
 INERTIAL = Key("inertial", (), "")
+
+# Kinds that are rows of the solver (contacts but under the law `penalty`).
+ROWS = ("contact", "limit", "connect", "friction loss")
 
 
 class Elements:
@@ -80,6 +87,22 @@ class Elements:
 
     def forces(self, sim: Sim) -> dict[Key, Floats]:
         """The generalised force of every element that acts, shape (nv,) each [N or N·m]."""
+        return self.of_joints(sim) | self.across(sim)
+
+    def of_joints(self, sim: Sim) -> dict[Key, Floats]:
+        """Those of springs, dampers and servos: each depends on its own joint alone."""
+        return self._found(sim, self._passive, self._servos)
+
+    def across(self, sim: Sim) -> dict[Key, Floats]:
+        """Those of rows, contacts and spins, which may depend on every dof."""
+        return self._found(sim, self._rows, self._contacts, self._spins)
+
+    def joint_dofs(self, key: Key) -> slice:
+        """The dofs of the joint of a spring, damper or servo."""
+        joint = key.index[0]
+        return self.dofs[self.model.actuator_joint[joint] if key.kind == "servo" else joint]
+
+    def _found(self, sim: Sim, *kinds: Callable[[Sim, Add], None]) -> dict[Key, Floats]:
         sim.forward()
         found: dict[Key, Floats] = {}
 
@@ -88,11 +111,8 @@ class Elements:
                 found[key] = np.zeros(self.model.nv)
             found[key][at] += force
 
-        self._passive(sim, add)
-        self._servos(sim, add)
-        self._rows(sim, add)
-        self._contacts(sim, add)
-        self._spins(sim, add)
+        for kind in kinds:
+            kind(sim, add)
         return found
 
     def _passive(self, sim: Sim, add: Add) -> None:
@@ -176,19 +196,16 @@ class Elements:
         everywhere = slice(0, self.model.nv)
         if not np.any(sim.qvel):
             return
+        velocity, axes = sim.qvel, sim.xmat
         for body in self.spins:
             turning = sim.jacobian(body)[3:]
-            spin = turning @ sim.qvel
-            if not np.any(spin):
+            spin = turning @ velocity
+            if not spin.any():
                 continue
-            axes = sim.xmat[body]
-            inertia = axes @ self.model.body_inertia[body] @ axes.T
-            torque = cross_matrix(inertia @ spin) @ spin
-            add(
-                Key("spin", (body,), _name(self.model.body_names, body, "body")),
-                everywhere,
-                turning.T @ torque,
-            )
+            along = axes[body]
+            moment = along @ (self.model.body_inertia[body] @ (along.T @ spin))
+            force = (cross_matrix(moment) @ spin) @ turning
+            add(Key("spin", (body,), _name(self.model.body_names, body, "body")), everywhere, force)
 
 
 def point_jacobian(sim: Sim, body: int, at: Floats) -> Floats:

@@ -73,7 +73,11 @@ def growth(matrix: Floats | None, dt: float, rates: Any, horizon: float) -> Grow
     """The eigenvalue that grows most beyond what is physical."""
     if matrix is None:
         return Growth(math.inf, math.inf, math.inf)
-    values = np.linalg.eigvals(matrix)
+    return worst_of(np.linalg.eigvals(matrix), dt, rates, horizon)
+
+
+def worst_of(values: Any, dt: float, rates: Any, horizon: float) -> Growth:
+    """The one of a step's eigenvalues that grows most beyond what is physical."""
     # An eigenvalue of zero decays at once.
     values = np.where(values == 0, 1e-300, values).astype(complex)
     found = np.log(values) / dt
@@ -85,6 +89,21 @@ def growth(matrix: Floats | None, dt: float, rates: Any, horizon: float) -> Grow
     worst = int(excess.argmax())
     own = complex(rates[nearest[worst]])
     return Growth(complex(values[worst]), float(found[worst].real), float(excess[worst]), own)
+
+
+def expected(integrator: str, dt: float, rates: Any) -> Any:
+    """The eigenvalues of a step whose A is a function of dt·J; None where it is not.
+
+    That is so where the state hardly moves within the step.
+    """
+    z = dt * rates
+    if integrator == "explicit":
+        return 1 + z
+    if integrator == "midpoint":
+        return (1 + z / 2) / (1 - z / 2)
+    if integrator == "rk4":
+        return 1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))
+    return None
 
 
 def beyond(found: Growth, shorter: Floats, dt: float, horizon: float) -> Growth:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from stepcore.diagnose.linear import (
     step_map,
     without_rows,
 )
+from stepcore.diagnose.parts import Parts, parts
 from stepcore.diagnose.softness import first_softened
 from stepcore.model import Model
 
@@ -28,6 +29,8 @@ from stepcore.model import Model
 LONGEST, SHORTEST = 1.0, 1e-4
 # How finely a state's limit is told until it is known to be the least.
 COARSE = 0.03
+# How finely the motion's own rates tell it, and how close beside it an unstable step must be.
+GUESSED, TIGHT = 1e-4, 1 + 2 * growth.FINE
 # Steps below a limit at which another state must be stable too.
 BELOW = (0.999, 0.7, 0.5, 0.25, 0.1)
 # An eigenvalue of this size is an explosion whatever the motion does.
@@ -65,6 +68,25 @@ class Situation:
     rates: Sequence[Any]
     horizon: float
     softened: float
+    _parts: dict[int, Parts | None] = field(default_factory=dict, repr=False, compare=False)
+    _seen: dict[tuple[str, float, int], tuple[State, Growth]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
+
+    def parts(self, state: State, dt: float | None = None) -> Parts | None:
+        """The elements at a state, with rows as soft as they are at this step (None: as the scene
+        asks); None where its accelerations are not finite."""
+        as_asked = dt is None or not (self._soft(state, dt) or self._on_guess(state))
+        index = next((k for k, own in enumerate(self.states) if own is state), None)
+        if not as_asked or index is None:
+            return parts(self.model, state, dt)
+        if index not in self._parts:
+            self._parts[index] = parts(self.model, state, None)
+        return self._parts[index]
+
+    def _on_guess(self, state: State) -> bool:
+        """Whether rows act there that are as stiff as the step is short."""
+        return self.model.settings.law in ON_GUESS and bool(state.rows)
 
     def grown(self, integrator: str, dt: float, state: int) -> Growth:
         """The worst growth of a step at one state."""
@@ -77,6 +99,12 @@ class Situation:
         growth. Rows that `refsafe` softens with dt come to rest elsewhere: where they seem
         unstable they are looked at again after some steps of this dt.
         """
+        at = (integrator, dt, state)
+        if at not in self._seen:
+            self._seen[at] = self._look(integrator, dt, state)
+        return self._seen[at]
+
+    def _look(self, integrator: str, dt: float, state: int) -> tuple[State, Growth]:
         here = self.states[state]
         found = self._growth(integrator, dt, here, self.rates[state])
         for _ in range(MEETINGS):
@@ -91,16 +119,22 @@ class Situation:
             return here, found
         return rest[0], self._growth(integrator, dt, rest[0])
 
+    def model_at(self, state: State) -> Model:
+        """The model without its rows where none acts: one that only begins to act within the step
+        belongs to the states where it acts."""
+        return without_rows(self.model) if self._smooth(state) else self.model
+
+    def _smooth(self, state: State) -> bool:
+        """Whether no row and no contact acts there."""
+        return not state.rows and self.model.settings.law != "penalty"
+
     def _soft(self, state: State, dt: float) -> bool:
         """Whether `refsafe` makes rows that act there softer than the scene."""
         return dt > self.softened and bool(state.rows)
 
     def _growth(self, integrator: str, dt: float, state: State, rates: Any = None) -> Growth:
         """At a state whose rates of the motion are these, or are found here."""
-        model = self.model
-        if not state.rows and model.settings.law != "penalty":
-            # A row that only begins to act within the step belongs to the states where it acts.
-            model = without_rows(model)
+        model = self.model_at(state)
         matrix = step_map(model, state, integrator, dt)
         soft = self._soft(state, dt)
         if soft or rates is None:
@@ -113,14 +147,30 @@ class Situation:
         found = growth.growth(matrix, dt, rates, self.horizon)
         if found.stable or abs(found.value) > CLEAR:
             return found
-        on_guess = self.model.settings.law in ON_GUESS and bool(state.rows)
-        if on_guess and abs(cmath.phase(found.value)) < growth.SLOW_TURN:
+        if self._on_guess(state) and abs(cmath.phase(found.value)) < growth.SLOW_TURN:
             # What the motion does along its rows is not known from the motion without them.
+            return replace(found, excess=-math.inf)
+        if self._opens(integrator, dt, state):
             return replace(found, excess=-math.inf)
         # Where the state itself moves within the step, or a row begins or ends to act, the rates
         # at its start do not tell: the same time in shorter steps does.
         shorter = flow(model, state, integrator, dt, SHORTER)
         return found if shorter is None else growth.beyond(found, shorter, dt, self.horizon)
+
+    def _opens(self, integrator: str, dt: float, state: State) -> bool:
+        """Whether a row ends to act within the time of the step, in shorter steps too: a map from
+        one side of a switch to the other is no step that could be repeated."""
+        if not state.rows or self._soft(state, dt):
+            return False
+        here = state
+        for _ in range(SHORTER):
+            after = later(self.model, here, integrator, dt / SHORTER, 1)
+            if after is None:
+                return False
+            here = after[0]
+            if not set(state.rows) <= set(here.rows):
+                return True
+        return False
 
     def stable(self, integrator: str, dt: float) -> bool:
         """Whether a step is stable at every state."""
@@ -137,10 +187,10 @@ class Situation:
         def stable(dt: float) -> bool:
             return self.grown(integrator, dt, worst).stable
 
-        if worst >= 0 and least > 0:
+        if worst >= 0 and least > 0 and stable(least * TIGHT):
             near = least * (1 + COARSE)
             if not stable(near):
-                least = growth.between(stable, least, near)
+                least = growth.between(stable, least * TIGHT, near)
         return Limit(integrator, least, worst, longest)
 
     def _coarse(self, integrator: str, state: int, high: float) -> float:
@@ -150,11 +200,44 @@ class Situation:
         def stable(dt: float) -> bool:
             return self.grown(integrator, dt, state).stable
 
+        def far(limit: float) -> bool:
+            return all(stable(limit * part) for part in BELOW if limit * part > low)
+
         low = self.shortest(state)
-        others = state > 0 and high < LONGEST
-        if others and all(stable(high * part) for part in BELOW if high * part > low):
+        guess = self._guess(integrator, state, low, high)
+        if guess is None:
+            others = state > 0 and high < LONGEST
+            if others and far(high):
+                return math.inf
+            return growth.largest_stable(stable, low, high, COARSE)
+        # What the rates do not know (the state moves within the step) is looked for downwards.
+        bound = min(guess, high)
+        while bound > low and not far(bound):
+            bound /= growth.FACTOR
+        if bound == high:
             return math.inf
+        if bound > low:
+            low = bound * BELOW[0]
+        if bound == guess and not stable(low * TIGHT):
+            return low
         return growth.largest_stable(stable, low, high, COARSE)
+
+    def _guess(self, integrator: str, state: int, low: float, high: float) -> float | None:
+        """The limit that the rates of the motion give where no row acts, without linearising a
+        step; None of other states and integrators."""
+        rates, here = self.rates[state], self.states[state]
+        if not self._smooth(here) or growth.expected(integrator, low, rates) is None:
+            return None
+        model = without_rows(self.model)
+
+        def stable(dt: float) -> bool:
+            values = growth.expected(integrator, dt, rates)
+            if not growth.worst_of(values, dt, rates, self.horizon).stable:
+                return False
+            # An iteration may not converge.
+            return later(model, here, integrator, dt, 1) is not None
+
+        return growth.largest_stable(stable, low, high, GUESSED)
 
     def shortest(self, state: int) -> float:
         """Where the search for a state's limit begins [s]."""

@@ -9,6 +9,7 @@ itself grows, decays and turns.
 from __future__ import annotations
 
 import copy
+import dataclasses
 import functools
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,7 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.arrays import Floats
+from stepcore.diagnose.midpoint import midpoint_map
 from stepcore.model import Model
 from stepcore.sim import Sim
 
@@ -97,11 +99,18 @@ def step_map(model: Model, state: State, integrator: str, dt: float) -> Floats |
     """A of one step, shape (2 nv, 2 nv); None where the step does not stay finite."""
     sim = placed(model, state, integrator=integrator, dt=dt)
     try:
-        matrix = sim.linearize().A
+        matrix = tangent(sim)
     except (SimulationError, ValueError):
         # The step leaves the finite numbers, or its derivative does.
         return None
     return matrix if np.isfinite(matrix).all() else None
+
+
+def tangent(sim: Sim) -> Floats:
+    """A of the next step of a Sim, which stays where it is."""
+    if sim.settings.integrator == "midpoint" and not sim.model.scene.features.constraint:
+        return midpoint_map(sim)
+    return sim.linearize().A
 
 
 def flow(model: Model, state: State, integrator: str, dt: float, count: int) -> Floats | None:
@@ -110,7 +119,7 @@ def flow(model: Model, state: State, integrator: str, dt: float, count: int) -> 
     whole = np.eye(2 * model.nv)
     try:
         for _ in range(count):
-            whole = sim.linearize().A @ whole
+            whole = tangent(sim) @ whole
             sim.step()
     except (SimulationError, ValueError):
         return None
@@ -142,6 +151,7 @@ def rates_matrix(model: Model, state: State, dt: float | None = None) -> Floats 
 @functools.lru_cache(maxsize=4)
 def without_rows(model: Model) -> Model:
     """The model without contacts, limits, friction losses and connects."""
-    scene = copy.deepcopy(model.scene)
-    scene.features.constraint = False
+    # The model copies its scene, all else of which is the same.
+    scene = copy.copy(model.scene)
+    scene.features = dataclasses.replace(scene.features, constraint=False)
     return Model(scene, model.settings)

@@ -9,7 +9,7 @@ import numpy as np
 from stepcore.diagnose.growth import growth
 from stepcore.diagnose.limits import Limit, Situation
 from stepcore.diagnose.linear import step_map
-from stepcore.diagnose.parts import Shares, parts
+from stepcore.diagnose.parts import Shares
 
 # Past a limit an eigenvalue has left its partner: there it tells what drives it.
 BEYOND = 1.05
@@ -22,19 +22,23 @@ def shares_at(here: Situation, limit: Limit) -> Shares:
         return _fastest(here, max(every, key=lambda k: abs(here.rates[k]).max(initial=0.0)))
     dt = max(limit.dt, here.shortest(limit.state)) * BEYOND
     state, worst = here.seen(limit.integrator, dt, limit.state)
-    matrix = step_map(here.model, state, limit.integrator, dt)
-    all_parts = parts(here.model, state, dt)
-    if matrix is None or all_parts is None:
-        # A step that does not stay finite, or an iteration that does not converge.
+    all_parts = here.parts(state, dt)
+    if all_parts is None:
         return _fastest(here, limit.state)
     # The elements' own step, where it tells of the same: what it leaves out is no element's.
     made = all_parts.step(limit.integrator, dt)
     same = growth(made, dt, np.linalg.eigvals(all_parts.rates), here.horizon)
     if not same.stable:
         return all_parts.shares(limit.integrator, dt, made, same.value)
+    if math.isinf(worst.rate):
+        # A step that does not stay finite, or an iteration that does not converge.
+        return _fastest(here, limit.state)
+    matrix = step_map(here.model_at(state), state, limit.integrator, dt)
+    if matrix is None:
+        return _fastest(here, limit.state)
     return all_parts.shares(limit.integrator, dt, matrix, worst.value)
 
 
 def _fastest(here: Situation, state: int) -> Shares:
-    all_parts = parts(here.model, here.states[state], None)
+    all_parts = here.parts(here.states[state])
     return {} if all_parts is None else all_parts.fastest()

@@ -14,13 +14,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from stepcore.arrays import Floats
 from stepcore.course.dofs import Dofs
-from stepcore.diagnose.forces import INERTIAL, Elements, Key
+from stepcore.diagnose.forces import INERTIAL, ROWS, Elements, Key
 from stepcore.diagnose.linear import ON_GUESS, TINY_STEP, State, placed, rates_matrix, without_rows
 from stepcore.layout import Layout
 from stepcore.model import Model
@@ -34,6 +35,7 @@ NUDGE = 1e-4
 EQUAL, AROUND = 1e-2, 16
 
 Shares = dict[Key, float]
+Forces = dict[Key, Floats]
 
 
 @dataclass(frozen=True)
@@ -43,71 +45,119 @@ class Part:
     stiffness: Floats
     damping: Floats
 
+    def by(self, column: int) -> Floats:
+        """What the position (0) or the velocity (1) gives."""
+        return self.damping if column else self.stiffness
+
 
 @dataclass(frozen=True)
 class Parts:
-    """The linearised motion at a state, by elements. implicit: damping by integrator."""
+    """The linearised motion at a state, by elements.
+
+    implicit: whose damping each integrator treats implicitly; after: what acts after the midpoint.
+    """
 
     mass: Floats
     rates: Floats
     elements: dict[Key, Part]
     implicit: dict[str, frozenset[Key]]
+    after: frozenset[Key] = frozenset()
 
-    def step(self, integrator: str, dt: float, scaled: Key | None = None, by: float = 0.0) -> Any:
-        """A of a step, shape (2 nv, 2 nv); one element's stiffness and damping times 1 + by."""
+    def step(
+        self,
+        integrator: str,
+        dt: float,
+        scaled: Key | None = None,
+        by: float = 0.0,
+        of: Any = None,
+    ) -> Any:
+        """A of a step, shape (2 nv, 2 nv); one element's stiffness and damping times 1 + by.
+
+        of: A times this, which is less work.
+        """
         n = len(self.mass)
-        rates = self.rates if scaled is None else self.rescaled(scaled, by)
-        one = np.eye(2 * n)
+        x = np.eye(2 * n) if of is None else of
+
+        def rates(y: Any) -> Any:
+            return self.moving(scaled, by, y)
+
         if integrator == "explicit":
-            return one + dt * rates
+            return x + dt * rates(x)
         if integrator == "midpoint":
-            return np.linalg.solve(one - dt / 2 * rates, one + dt / 2 * rates)
+            return self._midpoint(dt, scaled, by, x)
         if integrator == "rk4":
-            z = dt * rates
-            return one + z @ (one + z / 2 @ (one + z / 3 @ (one + z / 4)))
+            y = x
+            for order in (4, 3, 2, 1):
+                y = x + dt / order * rates(y)
+            return y
         damping = np.zeros((n, n))
         for key in self.implicit.get(integrator, ()):
             damping += self.elements[key].damping * (1 + by if key == scaled else 1.0)
-        new = np.eye(n, 2 * n, n) + dt * np.linalg.solve(
-            self.mass + dt * damping, self.mass @ rates[n:]
-        )
-        move = (
-            np.hstack([np.eye(n) + dt * rates[:n, :n], np.zeros((n, n))]) + dt * rates[:n, n:] @ new
-        )
-        return np.vstack([move, new])
+        gained = np.linalg.solve(self.mass + dt * damping, self.mass @ rates(x)[n:])
+        new = x[n:] + dt * gained
+        move = x[:n] + dt * (self.rates[:n, :n] @ x[:n] + self.rates[:n, n:] @ new)
+        return np.concatenate([move, new])
 
-    def rescaled(self, key: Key, by: float) -> Floats:
-        """J with one element's stiffness and damping times 1 + by."""
+    def _midpoint(self, dt: float, scaled: Key | None, by: float, x: Any) -> Any:
+        """The implicit step of all but `after`, whose impulses come on top of it."""
         n = len(self.mass)
-        part = self.elements[key]
-        rates = self.rates.copy()
-        rates[n:] -= by * np.linalg.solve(self.mass, np.hstack([part.stiffness, part.damping]))
-        return rates
+
+        def pushed(y: Any) -> Any:
+            force = np.zeros_like(y[:n])
+            for key in self.after:
+                part, gain = self.elements[key], 1 + by if key == scaled else 1.0
+                force = force - gain * (part.stiffness @ y[:n] + part.damping @ y[n:])
+            return np.linalg.solve(self.mass, force)
+
+        def smooth(y: Any) -> Any:
+            found = self.moving(scaled, by, y)
+            found[n:] -= pushed(y)
+            return found
+
+        whole = np.eye(2 * n)
+        made = np.linalg.solve(whole - dt / 2 * smooth(whole), x + dt / 2 * smooth(x))
+        change = dt * pushed(x)
+        return made + np.concatenate([dt / 2 * change, change])
+
+    def moving(self, scaled: Key | None, by: float, x: Any) -> Any:
+        """J x, with one element's stiffness and damping times 1 + by."""
+        found = self.rates @ x
+        if scaled is not None:
+            n = len(self.mass)
+            part = self.elements[scaled]
+            force = part.stiffness @ x[:n] + part.damping @ x[n:]
+            found[n:] -= by * np.linalg.solve(self.mass, force)
+        return found
 
     def shares(self, integrator: str, dt: float, matrix: Floats, value: complex) -> Shares:
         """What part of the growth of an eigenvalue of a step's `matrix` each element has."""
-        return self._shares(matrix, value, lambda key, by: self.step(integrator, dt, key, by))
+        return self._shares(matrix, value, lambda *at: self.step(integrator, dt, *at))
 
     def fastest(self) -> Shares:
         """What part of the motion's fastest rate each element has."""
         values = np.linalg.eigvals(self.rates)
-        return self._shares(self.rates, values[np.abs(values).argmax()], self.rescaled)
+        return self._shares(self.rates, values[np.abs(values).argmax()], self.moving)
 
     def _shares(
-        self, matrix: Floats, value: complex, changed: Callable[[Key, float], Floats]
+        self, matrix: Floats, value: complex, changed: Callable[[Key, float, Any], Any]
     ) -> Shares:
         """The derivatives of log |value| by each element's gain, as parts of their sum.
 
-        Of several equal eigenvalues the mean's. Elements that hold it back count 0.
+        changed: the matrix times a block, of an element's gain times 1 + the number given. Of
+        several equal eigenvalues the mean's. Elements that hold it back count 0.
         """
         values = np.linalg.eigvals(matrix).astype(complex)
         if not np.any(values):
             return dict.fromkeys(self.elements, 0.0)
         mean, onto = _cluster(matrix, values, value)
+        # Of little rank: the trace of P dA is that of its left factor times dA times its right.
+        right, sizes, left = np.linalg.svd(onto)
+        rank = int(np.sum(sizes > 1e-9 * sizes[0]))
+        right, left = right[:, :rank] * sizes[:rank], left[:rank]
         found: dict[Key, float] = {}
         for key in self.elements:
-            slope = np.sum(onto.T * (changed(key, NUDGE) - changed(key, -NUDGE))) / mean
-            found[key] = max(0.0, float(slope.real))
+            slope = np.sum(left.T * (changed(key, NUDGE, right) - changed(key, -NUDGE, right)))
+            found[key] = max(0.0, float((slope / mean).real))
         whole = sum(found.values())
         return {key: share / whole if whole > 0 else 0.0 for key, share in found.items()}
 
@@ -152,7 +202,9 @@ def parts(model: Model, state: State, dt: float | None) -> Parts | None:
     known = sum((np.hstack([p.stiffness, p.damping]) for p in found.values()), np.zeros((n, 2 * n)))
     rest = -mass @ rates[n:] - known
     found[INERTIAL] = Part(rest[:, :n], rest[:, n:])
-    return Parts(mass, rates, found, _implicit(model, found))
+    penalty = model.settings.law == "penalty"
+    rows = {key for key in found if key.kind in ROWS and (key.kind != "contact" or not penalty)}
+    return Parts(mass, rates, found, _implicit(model, found), frozenset(rows))
 
 
 def _differences(elements: Elements, dofs: Dofs, sim: Sim, state: State) -> dict[Key, Part]:
@@ -161,27 +213,43 @@ def _differences(elements: Elements, dofs: Dofs, sim: Sim, state: State) -> dict
     Where a row opens or closes on one side of the state (a contact, one point of it, a limit), all
     is differenced on the other: the engine's rows begin to push with a jump.
     """
-    n = elements.model.nv
-    base, acting = elements.forces(sim), _acting(sim)
-    found = {key: Part(np.zeros((n, n)), np.zeros((n, n))) for key in base}
-    for column in range(2 * n):
-        change = np.zeros(n)
-        change[column % n] = SMALL
-        sides, same = [], []
+
+    def sides(column: int, change: Floats, forces: Callable[[Sim], Forces]) -> list[Forces]:
+        """The forces with positions (column 0) or velocities (1) changed, and changed back."""
+        found = []
         for sign in (1, -1):
-            if column < n:
-                sim.qpos[:], sim.qvel[:] = dofs.moved(state.qpos, sign * change), state.qvel
+            sim.qpos[:], sim.qvel[:] = state.qpos, state.qvel
+            if column == 0:
+                sim.qpos[:] = dofs.moved(state.qpos, sign * change)
             else:
-                sim.qpos[:], sim.qvel[:] = state.qpos, state.qvel + sign * change
-            sides.append(elements.forces(sim))
-            same.append(_acting(sim) == acting)
-        sides = [side if one else {} for side, one in zip(sides, same, strict=True)]
-        for key, part in found.items():
-            ends = [side.get(key, base[key]) for side in sides]
-            apart = SMALL * sum(key in side for side in sides)
-            into = part.stiffness if column < n else part.damping
-            if apart:
-                into[:, column % n] = (ends[1] - ends[0]) / apart
+                sim.qvel[:] = state.qvel + sign * change
+            found.append(forces(sim))
+        return found
+
+    def same(sim: Sim) -> Forces:
+        """The forces across where the rows are those of the state."""
+        forces = elements.across(sim)
+        return forces if _acting(sim) == acting else {}
+
+    n = elements.model.nv
+    local, across, acting = elements.of_joints(sim), elements.across(sim), _acting(sim)
+    found = {key: Part(np.zeros((n, n)), np.zeros((n, n))) for key in local | across}
+    # All joints at once, one dof of each: nothing of another joint comes in.
+    for nth, column in product(range(max(_count(at) for at in elements.dofs)), (0, 1)):
+        change = np.zeros(n)
+        change[[at.start + nth for at in elements.dofs if _count(at) > nth]] = SMALL
+        after, before = sides(column, change, elements.of_joints)
+        for key, force in local.items():
+            at = elements.joint_dofs(key)
+            if _count(at) > nth:
+                slope = _slope(key, force, after, before)
+                found[key].by(column)[at, at.start + nth] = slope[at]
+    for dof, column in product(range(n if across else 0), (0, 1)):
+        change = np.zeros(n)
+        change[dof] = SMALL
+        after, before = sides(column, change, same)
+        for key, force in across.items():
+            found[key].by(column)[:, dof] = _slope(key, force, after, before)
     return found
 
 
@@ -189,6 +257,16 @@ def _acting(sim: Sim) -> list[str]:
     """The element of every row at hand, in order."""
     names: list[str] = sim.rows["name"].tolist()
     return names
+
+
+def _count(at: slice) -> int:
+    return int(at.stop - at.start)
+
+
+def _slope(key: Key, here: Floats, after: Forces, before: Forces) -> Floats:
+    """Minus the derivative of a force: 0 where it acts on neither side."""
+    count = (key in after) + (key in before)
+    return (before.get(key, here) - after.get(key, here)) / (SMALL * count or 1.0)
 
 
 def _implicit(model: Model, found: dict[Key, Part]) -> dict[str, frozenset[Key]]:
