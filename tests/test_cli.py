@@ -89,6 +89,22 @@ def test_a_model_of_an_installed_package(capsys):
     assert status == 2 and "half_cheetah" in err
 
 
+def test_a_package_s_tests_come_last(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    package = tmp_path / "a_package_of_models"
+    for folder in ("suite", "testing/assets", "tests"):
+        (package / folder).mkdir(parents=True)
+        (package / folder / "cart.xml").touch()
+    (package / "__init__.py").touch()
+    (package / "tests" / "pole.xml").touch()
+    assert find_asset(package.name, "cart") == package / "suite" / "cart.xml"
+    assert find_asset(package.name, "tests/cart") == package / "tests" / "cart.xml"
+    assert find_asset(package.name, "pole") == package / "tests" / "pole.xml"
+    (package / "cart.xml").touch()
+    with pytest.raises(ValueError, match="which one"):
+        find_asset(package.name, "cart")
+
+
 def test_info(capsys):
     status, out, _ = call(capsys, "info", "--json")
     assert status == 0 and {"stepcore", "numpy", "python", "cores"} <= json.loads(out).keys()
@@ -104,6 +120,8 @@ def test_info(capsys):
         (["run", "a-b:x", "--duration", "1"], "not the name of a package"),
         (["run", "BALL", "--duration", "nan"], "--duration"),
         (["run", "BALL", "--duration", "-1"], "--duration"),
+        (["run", "BALL", "--duration", "1e300"], "--duration 1e+300 s: must be below"),
+        (["diagnose", "BALL", "--starts", "3"], "--starts"),
         (["run", "BALL", "--duration", "1", "--dt", "0"], "dt"),
         (["run", "BALL", "--duration", "1", "--key", "home"], "home"),
         (["run", "BALL", "--duration", "1", "--set", "sweps=3"], "nearest"),
@@ -153,6 +171,22 @@ def test_ctrl_c_is_exit_130(capsys, monkeypatch):
     monkeypatch.setattr("stepcore.lookup.find_scene", interrupted)
     status, _, err = call(capsys, "run", "x", "--duration", 1)
     assert status == 130 and err.count("\n") == 1
+
+
+def interrupted_at_start(name):
+    """A process that is called `name` and gets Ctrl-C while stepcore is read in."""
+    code = (
+        "import sys, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        f"sys.argv = [{name!r}]; import stepcore.starting; signal.raise_signal(signal.SIGINT)"
+    )
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+
+def test_ctrl_c_before_a_command_has_begun_ends_it_without_a_word():
+    for name in ("-m", "/somewhere/bin/stepcore"):
+        done = interrupted_at_start(name)
+        assert done.returncode == 130 and not done.stderr
+    assert "KeyboardInterrupt" in interrupted_at_start("mine.py").stderr
 
 
 def test_it_runs_as_a_module(ball):

@@ -99,6 +99,21 @@ def test_ctrl_c_cancels_what_has_not_begun():
         assert sum(future.cancelled() for future in pool.made) >= 3
 
 
+def test_a_long_point_ends_at_its_next_checkpoint():
+    """Of two points at once one fails, and the other would never end."""
+
+    def point(fails):
+        if fails:
+            raise ValueError("this one")
+        while True:
+            jobs.checkpoint()
+            time.sleep(1e-3)
+
+    with pytest.raises(ValueError, match="this one"):
+        jobs.each(point, [False, True], bar=Progress("", 2, False), threads=2)
+    jobs.checkpoint()  # outside of a pool there is nothing to end
+
+
 def test_threads_end_a_handful_that_has_begun():
     """Of 640 points two threads take ten at a time; after an error none goes on to the next."""
     called = []

@@ -1,5 +1,7 @@
 """The parts of a trade, each alone: its time steps, its starts, its marks."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from stepcore.course.dofs import Dofs
 from stepcore.course.motion import motion, time_steps
 from stepcore.quantities import metres, seconds
 from stepcore.trade.result import Row
-from stepcore.truth.errors import Errors, pareto
+from stepcore.truth.errors import Errors, moved, pareto
 from stepcore.truth.order import orders
 
 
@@ -85,6 +87,11 @@ def test_the_order_of_a_table_is_the_slope_of_errors_over_steps():
     # At the reference's own error a slope says nothing, and neither does it over a short span.
     assert orders(second[:2], 0.0) == {}
     assert orders([row(0.01, 1e-3), row(0.001, 1e-9)], 1e-6) == {}
+    # Nor where errors are as large as the motion, or refsafe softens the rows.
+    saturated = [row(0.01, 0.9), row(0.005, 0.7), row(0.0025, 0.05)]
+    assert orders(saturated, 0.0, 0.1) == {}
+    soft = [dataclasses.replace(one, clamped=True) for one in second[:3]]
+    assert orders([*soft, second[3]], 0.0) == {}
     # Rows that differ in more than dt are no line.
     assert orders([row(0.01, 1e-3), row(0.001, 1e-5, sweeps=3)], 0.0) == {}
 
@@ -95,3 +102,26 @@ def test_the_order_of_a_table_is_the_slope_of_errors_over_steps():
 def test_a_length_is_told_in_the_unit_that_it_is_rounded_to(value, text):
     assert metres(value) == text
     assert seconds(value) == text[:-1] + "s"
+
+
+def test_a_horizon_that_cannot_end_is_refused_up_front():
+    spring = sc.load("lesson:spring")
+    said = r"horizon = 1e\+09: .* dt = 0.01 s that is 8e\+11 steps; must be at most 1e\+09"
+    for measured in (sc.trade, sc.predictability):
+        with pytest.raises(ValueError, match=said):
+            measured(spring, horizon=1e9, progress=False)
+    with pytest.raises(ValueError, match=r"in 6 cells .* that is 1.2e\+12 steps"):
+        sc.stability_map(values=[10], dts=[0.01], horizon=2e9, progress=False)
+
+
+def test_how_far_matter_moves_is_its_error_if_it_stood_still():
+    """A mass on a spring from its keyframe: x = a cos ωt, less where it is first seen."""
+    scene = sc.Scene(gravity=(0, 0, 0))
+    mass = scene.add_body("mass", mass=1, inertia=(1, 1, 1))
+    scene.add_joint(mass, "slide", stiffness=(2 * np.pi) ** 2)
+    scene.add_key(qpos=[0.1])
+    scene.options = {"dt": 0.01, "integrator": "rk4"}
+    found = sc.trade(scene, horizon=1.0, starts=1, dts=[0.01, 0.02], by="flops", progress=False)
+    x = 0.1 * np.cos(2 * np.pi * np.linspace(0.02, 1.0, 50))
+    true = np.sqrt(np.mean((x - x[0]) ** 2))
+    assert moved(found.reference.paths) == pytest.approx(true, rel=1e-6)

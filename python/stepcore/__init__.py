@@ -14,6 +14,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from stepcore import starting as starting  # before all that takes time
 from stepcore._core import Settings, SimulationError
 from stepcore.batch import Batch
 from stepcore.diagnose import Diagnosis, StiffnessWarning, diagnose

@@ -111,6 +111,20 @@ def seconds(name: str, value: object) -> float:
     return result
 
 
+# No motion that anybody waits for has so many steps: each of them is recorded.
+MOST_STEPS = 1e9
+
+
+def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST_STEPS) -> None:
+    """Before anything is made: can this many runs of a horizon [s] end at all?"""
+    total = horizon / dt * runs
+    if not total <= most:
+        raise ValueError(
+            f"horizon = {horizon:g}: {words} of dt = {dt:g} s that is {total:.2g} steps; must be "
+            f"at most {most:g}"
+        )
+
+
 def several(name: str, value: object) -> list[Any]:
     """`value` as a list that is not empty; a text is not one."""
     entries = listed(value)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import (
     BrokenExecutor,
@@ -19,11 +20,13 @@ from concurrent.futures import (
 )
 from functools import partial
 from queue import SimpleQueue
-from threading import Event
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from stepcore import checks
 from stepcore.progress import Progress
+
+if TYPE_CHECKING:
+    from stepcore.sim import Sim
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -32,8 +35,12 @@ R = TypeVar("R")
 # there are: enough for all to end together, for progress that moves, and for little to be done
 # again when a worker is lost.
 EACH, HANDFULS = 32, 512
+# Steps after which a long run looks whether all is over.
+PORTION = 1000
 # How often a point is tried again whose worker was lost.
 AGAIN = 3
+
+_here = threading.local()
 
 
 def each(
@@ -63,12 +70,12 @@ def each(
             bar.advance()
         return results
     if executor is None:
-        ended = Event()
+        ended = threading.Event()
         with ThreadPoolExecutor(threads) as pool:
             try:
                 return _Work(partial(_unless, ended, function), points, pool, bar).done()
             finally:
-                # Handfuls that have begun end with their present point.
+                # Handfuls that have begun end with their present point, or at its next checkpoint.
                 ended.set()
     _check_sendable(function, points, executor)
     return _Work(function, points, executor, bar).done()
@@ -159,11 +166,29 @@ def _all(function: Callable[[T], R], points: Sequence[T], name: str) -> list[R]:
     return [function(point) for point in points]
 
 
-def _unless(ended: Event, function: Callable[[T], R], point: T) -> R:
+def _unless(ended: threading.Event, function: Callable[[T], R], point: T) -> R:
     """One point of threads here, unless all is over."""
     if ended.is_set():
         raise CancelledError
-    return function(point)
+    _here.ended = ended
+    try:
+        return function(point)
+    finally:
+        _here.ended = None
+
+
+def checkpoint() -> None:
+    """For long points: ends this one if all is over, as after Ctrl-C, which only main sees."""
+    ended = getattr(_here, "ended", None)
+    if ended is not None and ended.is_set():
+        raise CancelledError
+
+
+def steps(sim: Sim, n: int) -> None:
+    """`sim.step(n)`, with a checkpoint now and then."""
+    for done in range(0, n, PORTION):
+        checkpoint()
+        sim.step(min(PORTION, n - done))
 
 
 def _worker_lost(error: BaseException) -> bool:

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from stepcore.model import Model
     from stepcore.scene import Scene
 
+# Where packages keep scenes that only their own tests are for.
+TESTS = {"test", "tests", "testing", "test_assets"}
 LESSON = ("spring", "drop", "stack", "grasp")
 
 
@@ -22,7 +24,8 @@ def find_scene(source: str | os.PathLike[str], *, warn: bool = True) -> Scene:
 
     "lesson:stack": one of the lesson's scenes. "package:name": an MJCF file called name.xml
     among the files of an installed package, as "gymnasium:half_cheetah"; the package is found,
-    not imported. Where several files have the name, give more of the path: "package:folder/name".
+    not imported. Where several files have the name, give more of the path: "package:folder/name";
+    files in a folder of tests count only where there is no other.
     Anything else is the path of an MJCF file.
 
     Raises ValueError if there is no such scene, and what `stepcore.load` raises.
@@ -119,6 +122,15 @@ def find_asset(package: str, name: str) -> Path:
         near = nearest(wanted.stem, [file.stem for file in files])
         raise ValueError(f"{package}:{name}: the package has no {wanted}{near}")
     if len(found) > 1:
+        shipped = [file for file in found if not _is_test(file, roots)]
+        found = shipped or found
+    if len(found) > 1:
         several = ", ".join(str(file.relative_to(roots[0]).with_suffix("")) for file in found[:6])
         raise ValueError(f"{package}:{name}: which one? {several}")
     return found[0]
+
+
+def _is_test(file: Path, roots: list[str]) -> bool:
+    """Whether a package keeps a file for its own tests."""
+    root = next(root for root in roots if file.is_relative_to(root))
+    return not TESTS.isdisjoint(file.relative_to(root).parts[:-1])

@@ -3,18 +3,34 @@
 from __future__ import annotations
 
 import base64
+import functools
 import io
 import json
 import os
+import textwrap
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from stepcore import checks
 from stepcore.table import jsonable, pre
+
+# No line can be of use that is narrower.
+NARROWEST = 20
 
 
 class Result(ABC):
-    """A measurement that prints itself, plots itself and exports itself."""
+    """A measurement that prints itself, plots itself and exports itself.
+
+    What a subclass gives as `text` is held to the width asked for: lines that are longer go on in
+    the next. A width that is no whole number >= 20 is a ValueError.
+    """
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if "text" in cls.__dict__:
+            cls.text = _held(cls.text)  # type: ignore[method-assign]
 
     @property
     @abstractmethod
@@ -62,6 +78,27 @@ class Result(ABC):
     def _repr_html_(self) -> str:
         """The printed result, as a notebook shows it."""
         return pre(self.text())
+
+
+def _held(text: Callable[..., str]) -> Callable[..., str]:
+    """A method `text` whose width is checked, and kept to."""
+
+    @functools.wraps(text)
+    def held(self: Result, width: int | None = None, *args: Any, **kwargs: Any) -> str:
+        if width is None:
+            return text(self, None, *args, **kwargs)
+        width = checks.count("width", width, NARROWEST)
+        lines = text(self, width, *args, **kwargs).splitlines()
+        return "\n".join(part for line in lines for part in _parts(line, width))
+
+    return held
+
+
+def _parts(line: str, width: int) -> list[str]:
+    """A line in pieces of at most `width` characters."""
+    if len(line) <= width:
+        return [line]
+    return textwrap.wrap(line, width, break_on_hyphens=False)
 
 
 PAGE = """<!doctype html>

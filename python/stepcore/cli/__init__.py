@@ -15,6 +15,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
+from stepcore import starting
 from stepcore.checks import one_line
 from stepcore.cli import (
     ablate,
@@ -56,6 +57,7 @@ class _Version(argparse.Action):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; returns the exit status."""
+    starting.restore()
     try:
         args = parser().parse_args(argv)
     except SystemExit as stop:

@@ -12,7 +12,8 @@ def add(commands: Any) -> None:
     diagnose = commands.add_parser("diagnose", help="which element limits the time step")
     add_file(diagnose)
     diagnose.add_argument("--dt", type=float, help="the step that is wanted [s]")
-    add_motion(diagnose)
+    # One start is looked along.
+    add_motion(diagnose, several=False)
     add_output(diagnose)
     diagnose.set_defaults(call=call)
 
@@ -22,8 +23,6 @@ def call(args: argparse.Namespace) -> None:
 
     check_output(args)
     motion = motion_of(args)
-    # One start is looked along.
-    motion.pop("starts")
     if motion["horizon"] is None:
         motion.pop("horizon")
     deliver(diagnose(args.file, dt=args.dt, **motion), args)

@@ -28,29 +28,32 @@ def add_file(command: argparse.ArgumentParser) -> None:
     command.add_argument("--key", help="keyframe to start from")
 
 
-def add_motion(command: argparse.ArgumentParser) -> None:
-    """The motion that is measured: how long, what drives it, from where."""
+def add_motion(command: argparse.ArgumentParser, *, several: bool = True) -> None:
+    """The motion that is measured: how long, what drives it, from where; one start or several."""
     command.add_argument("--horizon", type=float, help="simulated time [s] (default: about 1)")
     command.add_argument("--ctrl", metavar="FILE", help="controls, .npy or .csv, one row a period")
     command.add_argument("--control", metavar="MODULE:FUNCTION", help="a function that controls")
     command.add_argument("--control-dt", type=float, help="control period [s]")
-    command.add_argument("--starts", type=int, default=8, help="seeded starts")
+    if several:
+        command.add_argument("--starts", type=int, default=8, help="seeded starts")
     command.add_argument("--seed", type=int, default=0)
     command.add_argument("--threads", type=int, help="runs at once (default: one a core)")
 
 
 def motion_of(args: argparse.Namespace) -> dict[str, Any]:
     """What `add_motion` took, as arguments of `trade` and its like."""
-    return {
+    motion = {
         "horizon": args.horizon,
         "key": args.key,
         "ctrl": None if args.ctrl is None else _controls(args.ctrl),
         "control": None if args.control is None else _function(args.control),
         "control_dt": args.control_dt,
-        "starts": args.starts,
         "seed": args.seed,
         "threads": args.threads,
     }
+    if "starts" in args:
+        motion["starts"] = args.starts
+    return motion
 
 
 def add_output(command: argparse.ArgumentParser) -> None:

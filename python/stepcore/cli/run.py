@@ -11,6 +11,9 @@ from stepcore.checks import nearest
 from stepcore.cli.options import Usage, add_file, check_path
 from stepcore.table import jsonable
 
+# No counter of steps goes further.
+MOST_STEPS = 2.0**64
+
 
 def add(commands: Any) -> None:
     run = commands.add_parser("run", help="simulate a model and print where it ends")
@@ -44,7 +47,7 @@ def call(args: argparse.Namespace) -> None:
     first = 0 if sim.model.keys else None
     sim.reset(key=first if args.key is None else args.key)
     dt = sim.settings.dt
-    steps = round(duration / dt)
+    steps = _steps(duration, dt)
     notes = list(sim.model.scene.notes)
     if args.duration is not None and abs(steps * dt - duration) > 1e-6 * dt:
         notes.append(
@@ -83,6 +86,14 @@ def call(args: argparse.Namespace) -> None:
         print(f"computing {1e6 * spent / steps:.3g} us a step")
     for note in notes:
         print(f"note: {note}")
+
+
+def _steps(duration: float, dt: float) -> int:
+    """Steps in a duration."""
+    if not duration / dt < MOST_STEPS:
+        limit = f"below {MOST_STEPS * dt:g} s at dt = {dt:g} s"
+        raise Usage(f"--duration {duration:g} s: must be {limit} (2^64 steps)")
+    return round(duration / dt)
 
 
 def _written(error: SimulationError, path: str | None) -> str:

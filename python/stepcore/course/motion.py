@@ -144,6 +144,9 @@ def motion(
         raise ValueError("control and ctrl are both given: a motion has one of them")
     if control is not None:
         checks.function("time", "sim")("trade", "control", control)
+    checks.steps(
+        horizon, model.settings.dt, count, f"from {count} start{'s' * (count > 1)} in steps"
+    )
     periods = int(horizon / period + 1e-9)
     if periods < 1:
         raise ValueError(f"horizon = {horizon:g} s: shorter than one period of {period:g} s")

@@ -14,6 +14,7 @@ from stepcore.course.dofs import Dofs, product, rotated, turned
 from stepcore.course.joints import Joints
 from stepcore.course.looks import Looks, Rub, Slips
 from stepcore.course.motion import Motion
+from stepcore.jobs import checkpoint
 from stepcore.layout import Layout
 from stepcore.model import Model
 from stepcore.sim import Sim
@@ -126,6 +127,7 @@ class Course:
         often = max(1, count // stride // CONTACTS)
         drive = self.drive(start)
         for period in range(motion.periods):
+            checkpoint()
             drive(sim, period)
             ctrl = np.array(sim.ctrl)
             for first in range(0, count, stride):

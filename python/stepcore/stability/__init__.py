@@ -31,6 +31,8 @@ __all__ = ["StabilityMap", "stability_map"]
 FAR = 10.0
 # The horizon is at least so many of the largest steps, so that growth has time to show.
 STEPS = 25
+# All cells together: above half an hour of the smallest scene.
+MOST_STEPS = 1e10
 LESSON = {"lesson:spring": "spring", "lesson:stack": "stack"}
 
 
@@ -102,6 +104,11 @@ def stability_map(
     course = Course(span if horizon is None else checks.seconds("horizon", horizon), case.key)
     if course.horizon < max(case.dts):
         raise ValueError(f"horizon = {course.horizon:g}: must be >= the largest dt")
+    finest, rows = min(case.dts), len(case.values) * len(case.settings)
+    runs = rows * sum(finest / dt for dt in case.dts)
+    cells = rows * len(case.dts)
+    words = f"in {cells} cells of which the finest have steps"
+    checks.steps(course.horizon, finest, runs, words, MOST_STEPS)
     truths: dict[str, list[Truth]] = {}
     panels = [_panel(case, one, course, tolerance, truths, workers) for one in case.settings]
     name = case.model.scene.name or "scene"

@@ -9,6 +9,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore._core import SimulationError
+from stepcore.jobs import steps
 from stepcore.model import Model
 from stepcore.sim import Sim
 
@@ -80,7 +81,7 @@ def run(course: Course, sim: Sim) -> dict[str, Any]:
     seen, stopped, done = [bodies.points(sim)], None, 0
     try:
         for mark in course.marks(sim.settings.dt):
-            sim.step(mark - done)
+            steps(sim, mark - done)
             done = mark
             seen.append(bodies.points(sim))
     except SimulationError as error:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from stepcore._core import SimulationError
+from stepcore.jobs import steps
 from stepcore.model import Model
 from stepcore.sim import Sim
 from stepcore.stability.course import Bodies, Course
@@ -164,7 +165,7 @@ def dense(course: Course, model: Model, dt: float, times: np.ndarray) -> np.ndar
                 if after is not None:
                     done, here, after = done + 1, after, None
                 else:
-                    sim.step(int(step) - done)
+                    steps(sim, int(step) - done)
                     done, here = int(step), bodies.points(sim)
             if share < 1e-6:
                 result[k] = here

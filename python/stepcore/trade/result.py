@@ -13,7 +13,7 @@ from stepcore.results import Result
 from stepcore.table import Table, jsonable
 from stepcore.trade import report
 from stepcore.trade.mujoco import Point
-from stepcore.truth.errors import Errors, pareto
+from stepcore.truth.errors import Errors, moved, pareto
 from stepcore.truth.order import orders
 from stepcore.truth.reference import FINER, Reference
 from stepcore.truth.statistics import QUANTITIES, Statistics
@@ -34,6 +34,8 @@ ERRORS = (
     *("angle", "angle_max", "gained", "lost", "momentum", "angular_momentum"),
     *("overlap", "joint", "limit", "creep", "anisotropy", "residual"),
 )
+# An error above this share of how far matter moves no longer falls as a power of dt.
+SATURATED = 0.1
 
 
 @dataclass
@@ -177,8 +179,12 @@ class Trade(Result):
 
     @property
     def orders(self) -> dict[str, float]:
-        """The order of accuracy that each integrator shows in the table (worst start)."""
-        return orders(self.rows, FINER * self.reference.high)
+        """The order of accuracy that each integrator shows in the table (worst start).
+
+        From errors below a tenth of how far matter moves; see `stepcore.truth.order.orders`.
+        """
+        ref = self.reference
+        return orders(self.rows, FINER * ref.high, SATURATED * moved(ref.paths))
 
     @property
     def predictable(self) -> float:

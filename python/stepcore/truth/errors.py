@@ -156,6 +156,18 @@ def extent(paths: Sequence[Path], scene: Any) -> float:
     return gone + max(thick, default=0.0) + max(long) or 1.0
 
 
+def moved(paths: Sequence[Path]) -> float:
+    """How far matter moves [m], as an error would be of a run in which it stands still.
+
+    Of the start in which it moves least: the root mean square of the way from the first sample.
+    """
+    ways = []
+    for path in paths:
+        still = Path(com=path.com[:1], quat=path.quat[:1])
+        ways.append(np.hypot(distance(path, still), turned(path, path) * angle(path, still)))
+    return min(_roots(ways))
+
+
 def _roots(parts: Sequence[np.ndarray]) -> list[float]:
     """The root mean square of each part."""
     with np.errstate(over="ignore"):

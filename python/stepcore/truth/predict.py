@@ -78,6 +78,8 @@ class Predictability(Result):
                 f"It can be predicted for {seconds(self.time)}; {int(lost.sum())} of "
                 f"{len(lost)} starts are lost within {over}."
             )
+            if self.horizon < 2 * self.time:
+                said += " Over a longer horizon twins may come back together, and be forgiven."
         how = (
             f"Twins begin {NEARBY:g} of the scene's size apart, in {DIRECTIONS} directions; a "
             f"start is lost when they are more than {GROWTH:g} times as far apart "
