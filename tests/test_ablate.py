@@ -13,6 +13,7 @@ import stepcore as sc
 from stepcore.ablation.changes import Change, Features, Seen, made
 from stepcore.ablation.smallest import saved, work
 from stepcore.cli import main
+from stepcore.table import WIDTH
 
 # A block that slides on the floor, a pendulum that neither meets it nor its own limit, and a
 # ball far away that meets nothing.
@@ -222,7 +223,7 @@ def test_the_command_writes_data_a_picture_a_page_and_the_model(tmp_path: Path, 
     args += ["--html", out["html"], "--save", out["xml"]]
     assert main(["ablate", str(model), *args]) == 0
     printed = capsys.readouterr().out
-    assert max(map(len, printed.splitlines())) <= 116
+    assert max(map(len, printed.splitlines())) <= WIDTH
     printed = " ".join(printed.split())
     assert "The smallest model within 1 mm goes without" in printed
     assert "torsional and rolling friction are not built yet" in printed

@@ -8,6 +8,7 @@ import pytest
 
 import stepcore as sc
 from stepcore.cli import main
+from stepcore.table import WIDTH
 
 # Everything that can be left out is in it once.
 SCENE = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
@@ -191,7 +192,7 @@ def test_the_command_prints_and_writes(tmp_path: Path, capsys) -> None:
     assert main(["plan", "gymnasium:ant", *args]) == 0
     printed = capsys.readouterr().out
     assert "A step does:" in printed and "It leaves out:" in printed
-    assert max(map(len, printed.splitlines())) <= 116
+    assert max(map(len, printed.splitlines())) <= WIDTH
     data = json.loads(Path(out["json"]).read_text())
     assert {"used", "left_out"} <= set(data)
     assert "<img" in Path(out["html"]).read_text()

@@ -7,8 +7,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, overload
 
-# As wide as most windows, where the output is no terminal.
-WIDTH = 116
+# Where the output is no terminal: every column of a trade has room.
+WIDTH = 160
 # A text cell is never cut shorter than this to make a row fit.
 NARROW = 12
 

@@ -58,7 +58,8 @@ def _sweeps(axes: Any, found: Convergence) -> None:
     axes.set_ylim(0.5 * LEAST * top if _reaches(table, top) else None, 3 * top)
     done = [n for n in table if max(n["cold worst"], n["warm worst"]) <= LEAST * top]
     axes.set_xlim(0.8, 1.25 * (max(4 * done[0]["sweeps"], 8) if done else sweeps[-1]))
-    axes.legend(fontsize=8.5, framealpha=1.0, edgecolor="none", loc="lower left")
+    # Below, where nothing is drawn.
+    axes.legend(fontsize=8.5, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.14), ncols=2)
 
 
 def _reaches(table: Any, top: float) -> bool:
