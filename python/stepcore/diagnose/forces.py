@@ -72,6 +72,7 @@ class Elements:
         self.actuators = [_name(model.actuator_names, i, "actuator") for i in range(model.nu)]
         # Bodies whose spin makes a torque: a ball turns about any axis alike.
         self.spins = [b for b in range(1, model.nbody) if not _isotropic(model.body_inertia[b])]
+        self.spin_keys = [Key("spin", (b,), _name(model.body_names, b, "body")) for b in self.spins]
         # What the engine calls a row's element, to its joint or equality.
         self.rows: dict[str, Key] = {}
         for j, name in enumerate(model.joint_names):
@@ -85,17 +86,14 @@ class Elements:
             (bodies[id(pair.body1)], bodies[id(pair.body2)]) for pair in model.scene.equalities
         ]
 
-    def forces(self, sim: Sim) -> dict[Key, Floats]:
-        """The generalised force of every element that acts, shape (nv,) each [N or N·m]."""
-        return self.of_joints(sim) | self.across(sim)
-
     def of_joints(self, sim: Sim) -> dict[Key, Floats]:
-        """Those of springs, dampers and servos: each depends on its own joint alone."""
+        """The generalised forces of springs, dampers and servos that act, shape (nv,) each [N or
+        N·m]: each depends on its own joint alone."""
         return self._found(sim, self._passive, self._servos)
 
     def across(self, sim: Sim) -> dict[Key, Floats]:
-        """Those of rows, contacts and spins, which may depend on every dof."""
-        return self._found(sim, self._rows, self._contacts, self._spins)
+        """Those of rows and contacts, which may depend on every dof."""
+        return self._found(sim, self._rows, self._contacts)
 
     def joint_dofs(self, key: Key) -> slice:
         """The dofs of the joint of a spring, damper or servo."""
@@ -191,21 +189,40 @@ class Elements:
         size = -s.penalty_stiffness * contact["dist"] - damping * (along @ sim.qvel)
         return normal * size
 
-    def _spins(self, sim: Sim, add: Add) -> None:
-        """-ω × I ω of every body, in world axes."""
-        everywhere = slice(0, self.model.nv)
-        if not np.any(sim.qvel):
-            return
-        velocity, axes = sim.qvel, sim.xmat
-        for body in self.spins:
-            turning = sim.jacobian(body)[3:]
-            spin = turning @ velocity
-            if not spin.any():
-                continue
-            along = axes[body]
-            moment = along @ (self.model.body_inertia[body] @ (along.T @ spin))
-            force = (cross_matrix(moment) @ spin) @ turning
-            add(Key("spin", (body,), _name(self.model.body_names, body, "body")), everywhere, force)
+    def spinning(self, sim: Sim) -> Spins:
+        """-ω × I ω of every body whose spin makes a torque, in world axes."""
+        sim.forward()
+        n = len(self.spins)
+        turning = np.array([sim.jacobian(body)[3:] for body in self.spins])
+        turning = turning.reshape(n, 3, self.model.nv)
+        axes = sim.xmat[self.spins].reshape(n, 3, 3)
+        own = np.array([self.model.body_inertia[body] for body in self.spins]).reshape(n, 3, 3)
+        return Spins(turning, axes @ own @ axes.transpose(0, 2, 1), turning @ sim.qvel)
+
+
+@dataclass(frozen=True)
+class Spins:
+    """turning (n, 3, nv): how the bodies turn with qvel; inertia (n, 3, 3); spin ω (n, 3)."""
+
+    turning: Floats
+    inertia: Floats
+    spin: Floats
+
+    @property
+    def force(self) -> Floats:
+        """Their generalised forces, shape (n, nv)."""
+        moment = np.einsum("bij,bj->bi", self.inertia, self.spin)
+        return np.einsum("bi,bin->bn", np.cross(moment, self.spin), self.turning)
+
+    @property
+    def damping(self) -> Floats:
+        """Minus the derivatives of the forces by qvel, shape (n, nv, nv)."""
+        moment = np.einsum("bij,bj->bi", self.inertia, self.spin)
+        one = np.eye(3)
+        # Column by column: ω × I e - (I ω) × e.
+        across = np.cross(self.spin[:, None], self.inertia.transpose(0, 2, 1))
+        across -= np.cross(moment[:, None], one[None])
+        return self.turning.transpose(0, 2, 1) @ (across.transpose(0, 2, 1) @ self.turning)
 
 
 def point_jacobian(sim: Sim, body: int, at: Floats) -> Floats:

@@ -21,7 +21,7 @@ import numpy as np
 
 from stepcore.arrays import Floats
 from stepcore.course.dofs import Dofs
-from stepcore.diagnose.forces import INERTIAL, ROWS, Elements, Key
+from stepcore.diagnose.forces import INERTIAL, ROWS, Elements, Key, Spins
 from stepcore.diagnose.linear import ON_GUESS, TINY_STEP, State, placed, rates_matrix, without_rows
 from stepcore.layout import Layout
 from stepcore.model import Model
@@ -214,7 +214,7 @@ def _differences(elements: Elements, dofs: Dofs, sim: Sim, state: State) -> dict
     is differenced on the other: the engine's rows begin to push with a jump.
     """
 
-    def sides(column: int, change: Floats, forces: Callable[[Sim], Forces]) -> list[Forces]:
+    def sides(column: int, change: Floats, forces: Callable[[Sim], Any]) -> list[Any]:
         """The forces with positions (column 0) or velocities (1) changed, and changed back."""
         found = []
         for sign in (1, -1):
@@ -245,12 +245,25 @@ def _differences(elements: Elements, dofs: Dofs, sim: Sim, state: State) -> dict
                 slope = _slope(key, force, after, before)
                 found[key].by(column)[at, at.start + nth] = slope[at]
     for dof, column in product(range(n if across else 0), (0, 1)):
-        change = np.zeros(n)
-        change[dof] = SMALL
-        after, before = sides(column, change, same)
+        after, before = sides(column, SMALL * np.eye(1, n, dof)[0], same)
         for key, force in across.items():
             found[key].by(column)[:, dof] = _slope(key, force, after, before)
+    if np.any(state.qvel):
+        sim.qpos[:], sim.qvel[:] = state.qpos, state.qvel
+        found |= _spins(elements, elements.spinning(sim), lambda *at: sides(0, *at))
     return found
+
+
+def _spins(elements: Elements, spins: Spins, sides: Callable[..., list[Any]]) -> dict[Key, Part]:
+    """Those of spinning bodies. sides: forces with positions changed, and changed back."""
+    n = elements.model.nv
+    stiffness = np.zeros((len(spins.spin), n, n))
+    for dof in range(n):
+        change = SMALL * np.eye(1, n, dof)[0]
+        after, before = sides(change, lambda sim: elements.spinning(sim).force)
+        stiffness[:, :, dof] = (before - after) / (2 * SMALL)
+    turns = zip(elements.spin_keys, spins.spin, stiffness, spins.damping, strict=True)
+    return {key: Part(k, d) for key, spin, k, d in turns if np.any(spin)}
 
 
 def _acting(sim: Sim) -> list[str]:
