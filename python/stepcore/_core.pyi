@@ -199,6 +199,9 @@ class Sim:
     @property
     def xfrc_applied(self) -> _Floats: ...
     def step(self, n: int) -> None: ...
+    def balance(self) -> None:
+        """Balances the ledger at the present state."""
+
     def taped_step(self) -> tuple[float, float, dict[str, float]]:
         """Steps once: energy of motion and springs before and after, what each element fed in."""
 

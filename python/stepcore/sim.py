@@ -105,6 +105,19 @@ class Sim(Stepped):
             attach(error, self._model, self.qpos, self.qvel)
             raise
 
+    def balance(self) -> None:
+        """Balances the account of the setting ``ledger`` now; without a ledger, does nothing.
+
+        A loop of short calls to `step` is looked into every 64 steps; `run`, and a `step` of 128 or
+        more, end with this. Raises SimulationError if there is energy that the motion cannot have
+        gained.
+        """
+        try:
+            self._core.balance()
+        except SimulationError as error:
+            attach(error, self._model, self.qpos, self.qvel)
+            raise
+
     def forward(self) -> None:
         """Place, detect and solve at the present state; nothing moves."""
         try:

@@ -92,6 +92,7 @@ def record_run(
             if controls is not None and step % period == 0:
                 sim.ctrl = _finite(sim, controls(step // period), f"at time {sim.time:g} s")
             sim.step()
+    sim.balance()
     return Trajectory(time, data)
 
 

@@ -134,7 +134,21 @@ impl Sim {
         let mut guard = self.lock()?;
         let world = &mut **guard;
         self.load(py, world)?;
-        let outcome = gil::steps(py, n, |n| world.step(n));
+        let mut outcome = gil::steps(py, n, |n| world.step(n));
+        if n > 1 && outcome.is_ok() {
+            // Not in each portion: how many there are depends on the machine.
+            outcome = gil::release(py, || world.balance_at_end(n));
+        }
+        self.store(py, world);
+        outcome
+    }
+
+    /// Balances the ledger at the present state.
+    fn balance(&self, py: Python<'_>) -> PyResult<()> {
+        let mut guard = self.lock()?;
+        let world = &mut **guard;
+        self.load(py, world)?;
+        let outcome = gil::release(py, || world.balance_at_end(u64::MAX));
         self.store(py, world);
         outcome
     }

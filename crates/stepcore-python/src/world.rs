@@ -83,6 +83,8 @@ pub trait World: Send {
     fn put(&mut self, given: &Given);
     fn take(&self, qpos: &mut [f64], qvel: &mut [f64]);
     fn step(&mut self, n: u64) -> Result<()>;
+    /// A call of so many steps ends: balances the ledger if they are enough.
+    fn balance_at_end(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
     /// Steps once, and says what each element fed in meanwhile.
     fn taped_step(&mut self) -> Result<Entry>;
@@ -136,6 +138,9 @@ impl<R: Real> World for One<R> {
     }
     fn step(&mut self, n: u64) -> Result<()> {
         self.sim.step(n)
+    }
+    fn balance_at_end(&mut self, n: u64) -> Result<()> {
+        self.sim.balance_at_end(n)
     }
     fn forward(&mut self) -> Result<()> {
         self.sim.forward()

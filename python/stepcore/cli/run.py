@@ -57,6 +57,7 @@ def call(args: argparse.Namespace) -> None:
     begin = perf_counter()
     try:
         sim.step(steps)
+        sim.balance()
     except SimulationError as error:
         raise RuntimeError(f"{error}; stepcore replay {_written(error, args.replay)}") from None
     spent = perf_counter() - begin

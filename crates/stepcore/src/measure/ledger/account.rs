@@ -63,10 +63,14 @@ impl Account {
         // What was gained and is gone again is nothing that there is too much of.
         self.least = self.least.max(free - level.moving);
         let gained = free - self.least;
-        self.scale = self.scale.max(level.moving + level.bent - gained.max(0.0));
+        // What bent rows hold may be gained as well.
+        let unearned = (free + level.bent - self.least).max(0.0);
+        self.scale = self.scale.max(level.moving + level.bent - unearned);
         self.least = self.least.min(free + level.bent);
         // A world at rest has nothing that circulates, and rounding all the same.
         let rounding = 1024.0 * R::EPSILON * (level.size + self.throughput);
+        // An energy beyond all numbers is none that was rounded.
+        let rounding = if rounding.is_finite() { rounding } else { 0.0 };
         Verdict { gained, limit: self.allowed * self.scale + rounding }
     }
 

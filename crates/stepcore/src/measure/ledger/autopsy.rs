@@ -83,9 +83,10 @@ impl<R: Real> Sim<R> {
         };
         let (from, window) = feeding(&entries, scale, gained);
         let shares = shares(window);
-        let strongest = self.strongest(lane, exact && window.is_empty());
-        let leading = shares.first().filter(|(_, share)| exact && *share > 0.3);
-        let element = leading.map_or(strongest, |(name, _)| name.clone());
+        let element = match shares.first() {
+            Some((name, _)) => name.clone(),
+            None => self.strongest(lane, exact && window.is_empty()),
+        };
         let stable = if exact && window.is_empty() {
             Stable::Unknown
         } else {
@@ -330,7 +331,11 @@ impl PostMortem {
 
 /// A number of a few digits, in whichever way is short.
 pub(crate) fn times(x: f64) -> String {
-    if (1e-3..1e4).contains(&x) {
+    if x.is_infinite() {
+        format!("more than {:.1e}", f64::MAX)
+    } else if x == 0.0 {
+        "0".into()
+    } else if (1e-3..1e4).contains(&x) {
         let digits = (3 - x.log10().floor() as i32).clamp(0, 6) as usize;
         format!("{x:.digits$}")
     } else {

@@ -24,13 +24,17 @@ use account::{Account, Level};
 use crate::error::Result;
 use crate::model::Model;
 use crate::real::Real;
-use crate::room::room;
+use crate::room::{room, Room};
+use crate::settings::Settings;
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
 
 /// How many milestones are kept, and the steps from one to the next.
 const MEMORY: usize = 8;
 const STRIDE: u64 = 64;
+/// A call of so many steps can afford to be balanced at its end; of so many, once an account.
+const LONG: u64 = 128;
+const SHORT: u64 = 8;
 
 /// A complete state, its inputs, and how these changed until the next one.
 pub(crate) struct Milestone<R: Real> {
@@ -63,9 +67,19 @@ pub struct Ledger<R: Real> {
     expected: Option<(u64, f64)>,
     /// Keeps the account and says nothing.
     quiet: bool,
+    /// Balanced since it was opened.
+    balanced: bool,
+    /// Where a call's last state is looked at: what was solved last stays readable.
+    aside: Option<Box<Sim<R>>>,
 }
 
-room!(Ledger<R>: accounts, levels; milestones, seen);
+room!(Ledger<R>: accounts, levels; milestones, seen, aside);
+
+impl<R: Real> Room for Box<Sim<R>> {
+    fn room(&self) -> usize {
+        self.bytes()
+    }
+}
 
 impl<R: Real> Ledger<R> {
     pub fn new(model: &Model) -> Self {
@@ -87,6 +101,8 @@ impl<R: Real> Ledger<R> {
             seen: Inputs::new(model),
             expected: None,
             quiet: false,
+            balanced: false,
+            aside: None,
         }
     }
 
@@ -221,17 +237,9 @@ impl<R: Real> Sim<R> {
         if new {
             ledger.accounts.clear();
             ledger.accounts.extend(ledger.levels.iter().map(Account::open));
+            ledger.balanced = false;
         } else {
-            for lane in 0..R::LANES {
-                let work = ledger.work.lane(lane);
-                let verdict = ledger.accounts[lane].judge::<R>(&ledger.levels[lane], work);
-                let scale = ledger.accounts[lane].scale;
-                gained[lane] = if scale > 0.0 { verdict.gained / scale } else { 0.0 };
-                let told = !ledger.quiet && self.is_world(lane);
-                if verdict.gained > verdict.limit && told && outcome.is_ok() {
-                    outcome = self.suspect(ledger, lane, verdict.gained);
-                }
-            }
+            outcome = self.judge(ledger, &mut gained);
         }
         ledger.work = R::zero();
         ledger.keep(&self.state, &self.inputs);
@@ -240,6 +248,65 @@ impl<R: Real> Sim<R> {
         ledger.milestones[newest].gained.copy_from_slice(&gained[..R::LANES]);
         if outcome.is_err() {
             // Whoever goes on from here opens a new account.
+            ledger.forget();
+        }
+        outcome
+    }
+
+    /// Judges every lane by the levels at hand; `gained` beside what circulated.
+    fn judge(&mut self, ledger: &mut Ledger<R>, gained: &mut [f64; 64]) -> Result<()> {
+        ledger.balanced = true;
+        let mut outcome = Ok(());
+        for lane in 0..R::LANES {
+            let work = ledger.work.lane(lane);
+            let verdict = ledger.accounts[lane].judge::<R>(&ledger.levels[lane], work);
+            let scale = ledger.accounts[lane].scale;
+            gained[lane] = if scale > 0.0 { verdict.gained / scale } else { 0.0 };
+            let told = !ledger.quiet && self.is_world(lane);
+            if verdict.gained > verdict.limit && told && outcome.is_ok() {
+                outcome = self.suspect(ledger, lane, verdict.gained);
+            }
+        }
+        outcome
+    }
+
+    /// At the end of a call of `n` steps, in however many portions these were made: balances
+    /// the account if the call was long, or the account never was balanced. No milestone is
+    /// made, and nothing that can be read changes.
+    pub fn balance_at_end(&mut self, n: u64) -> Result<()> {
+        let due = |ledger: &Ledger<R>| n >= LONG || (n >= SHORT && !ledger.balanced);
+        if !self.ledger.as_deref().is_some_and(due) {
+            return Ok(());
+        }
+        self.open_ledger();
+        let Some(mut ledger) = self.ledger.take() else { return Ok(()) };
+        let newest = ledger.newest_first().next().map(|newest| newest.state.steps);
+        let mut outcome = Ok(());
+        if newest.is_some_and(|steps| steps < self.state.steps) {
+            outcome = self.balance_aside(&mut ledger);
+        }
+        self.ledger = Some(ledger);
+        outcome
+    }
+
+    fn balance_aside(&mut self, ledger: &mut Ledger<R>) -> Result<()> {
+        let mut aside = match ledger.aside.take() {
+            Some(aside) => aside,
+            None => {
+                let settings = Settings { ledger: false, ..self.settings.clone() };
+                Box::new(Sim::new(self.model.clone(), settings)?)
+            }
+        };
+        self.state.copy_to(&mut aside.state);
+        self.inputs.copy_to(&mut aside.inputs);
+        let summed = aside.audit(&mut ledger.levels);
+        ledger.aside = Some(aside);
+        if !summed {
+            return Ok(());
+        }
+        let outcome = self.judge(ledger, &mut [0.0; 64]);
+        ledger.work = R::zero();
+        if outcome.is_err() {
             ledger.forget();
         }
         outcome
