@@ -26,7 +26,11 @@ def shares_at(here: Situation, limit: Limit) -> Shares:
     if all_parts is None:
         return _fastest(here, limit.state)
     # The elements' own step, where it tells of the same: what it leaves out is no element's.
-    made = all_parts.step(limit.integrator, dt)
+    with np.errstate(over="ignore", invalid="ignore"):
+        made = all_parts.step(limit.integrator, dt)
+    if not np.all(np.isfinite(made)):
+        # So long a step leaves for a state where nothing can be told.
+        return _fastest(here, limit.state)
     same = growth(made, dt, np.linalg.eigvals(all_parts.rates), here.horizon)
     if not same.stable:
         return all_parts.shares(limit.integrator, dt, made, same.value)
