@@ -63,21 +63,9 @@ def test_a_recommendation_holds_and_is_within_a_third_of_the_best(name):
     check(name)
 
 
-# Where it is known to fall short, and how (docs/trade.md).
-SHORT = {
-    "slider, pyramid": "1.31 times brute force",
-    "inverted_pendulum": "1.54 times brute force",
-    "walker2d": "2.9 times brute force",
-    "reacher": "holds on 88 % of unseen starts",
-    "ant": "0.9 to 1.32 times brute force",
-}
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("name", [case.name for case in cases().CASES])
-def test_every_recommendation_holds_and_is_within_a_third_of_the_best(name, request):
-    if name in SHORT:
-        request.applymarker(pytest.mark.xfail(reason=SHORT[name], strict=False))
+def test_every_recommendation_holds_and_is_within_a_third_of_the_best(name):
     check(name)
 
 
