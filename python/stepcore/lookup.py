@@ -53,14 +53,16 @@ def _found(text: str) -> Scene:
     return scene
 
 
-def find_model(source: Model | Scene | str | os.PathLike[str]) -> Model:
+def find_model(source: Model | Scene | str | os.PathLike[str], warn: bool = True) -> Model:
     """The compiled model of what a user gives: a Model, a Scene, or what `find_scene` knows.
 
     Raises ValueError for anything else.
     """
     from stepcore.model import compiled
 
-    return compiled(find_scene(source) if isinstance(source, (str, os.PathLike)) else source)
+    if isinstance(source, (str, os.PathLike)):
+        source = find_scene(source, warn=warn)
+    return compiled(source)
 
 
 def load(path: str | os.PathLike[str]) -> Scene:

@@ -15,12 +15,12 @@ from stepcore.ablation.changes import Change, Features, made
 from stepcore.ablation.result import Ablation, Row
 from stepcore.ablation.run import Motive, measured, timed, watched
 from stepcore.ablation.selection import Selection
-from stepcore.course.dofs import Dofs
-from stepcore.course.motion import Control, Motion, default_horizon, motion, time_steps
+from stepcore.course.dofs import Dofs, movable
+from stepcore.course.motion import Control, Motion, motion, time_steps
 from stepcore.course.run import Course
 from stepcore.jobs import check_executor, each
-from stepcore.lookup import find_scene
-from stepcore.model import Model, compiled
+from stepcore.lookup import find_model
+from stepcore.model import Model
 from stepcore.progress import Choice, Progress
 from stepcore.quantities import metres, seconds
 from stepcore.scene import Scene
@@ -73,22 +73,20 @@ def ablate(
     >>> result.smallest.joints[0].range is None
     True
     """
-    model = compiled(find_scene(model) if isinstance(model, (str, os.PathLike)) else model)
+    model = find_model(model)
     checks.told("ablate", progress)
     check_executor("ablate", executor)
     checks.real(above=0)("ablate", "error", error)
     starts, seed = checks.count("starts", starts), checks.count("seed", seed, least=0)
     workers = checks.threads(threads)
-    dofs = Dofs(model.scene)
-    if not dofs.moving:
-        raise ValueError("nothing in the scene can move: there is no motion to keep")
+    dofs = movable(model.scene, "no motion to keep")
     dt = model.settings.dt
     _, period = time_steps(dt, None, control_dt, 1.0 if horizon is None else horizon)
     # Three sets of starts: to choose on, to confirm on, and to confirm what is left then.
     motions = motion(
         model,
         dofs,
-        horizon=default_horizon(period) if horizon is None else horizon,
+        horizon=horizon,
         period=period,
         key=key,
         ctrl=ctrl,

@@ -26,11 +26,12 @@ from stepcore.convergence.runs import (
     run_of,
     truth,
 )
-from stepcore.course.dofs import Dofs
-from stepcore.course.motion import Control, default_horizon, motion
+from stepcore.course.dofs import Dofs, movable
+from stepcore.course.motion import Control, motion
 from stepcore.course.run import Course, Path
 from stepcore.jobs import check_executor, each
-from stepcore.model import Model, compiled
+from stepcore.lookup import find_model
+from stepcore.model import Model
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
 from stepcore.truth.errors import extent
@@ -82,14 +83,12 @@ def converge(
     >>> print(f"{found.contraction:.4f} {found.theory.closed:.4f}")
     0.9990 0.9990
     """
-    model = _model(model)
+    model = find_model(model)
     checks.told("converge", progress)
     check_executor("converge", executor)
     starts, seed = checks.count("starts", starts), checks.count("seed", seed, least=0)
     states, workers = checks.count("states", states), checks.threads(threads)
-    dofs = Dofs(model.scene)
-    if not dofs.moving:
-        raise ValueError("nothing in the scene can move: there is nothing to solve")
+    dofs = movable(model.scene, "nothing to solve")
     if horizon is not None:
         checks.seconds("horizon", horizon)
     if control_dt is not None:
@@ -99,7 +98,7 @@ def converge(
     motive = motion(
         model,
         dofs,
-        horizon=default_horizon(todo.period) if horizon is None else horizon,
+        horizon=horizon,
         period=todo.period,
         key=key,
         ctrl=ctrl,
@@ -136,14 +135,6 @@ def converge(
         else _rest(model, done[own], done[todo.solved], true, motive.times),
         notes=[*true.notes, *model.scene.notes],
     )
-
-
-def _model(source: Model | Scene | str | os.PathLike[str]) -> Model:
-    if isinstance(source, (str, os.PathLike)):
-        from stepcore.lookup import find_scene
-
-        source = find_scene(source)
-    return compiled(source)
 
 
 def _check_divides(dt: float, period: float) -> None:

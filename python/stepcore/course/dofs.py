@@ -172,3 +172,11 @@ def turned(quat: np.ndarray) -> np.ndarray:
     sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(sine, quat[..., :1])
     return quat[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
+
+
+def movable(scene: Any, missing: str) -> Dofs:
+    """The coordinates of a scene; ValueError that says what is missing where nothing can move."""
+    dofs = Dofs(scene)
+    if not dofs.moving:
+        raise ValueError(f"nothing in the scene can move: there is {missing}")
+    return dofs

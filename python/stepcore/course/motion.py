@@ -131,7 +131,7 @@ def motion(
     model: Model,
     dofs: Dofs,
     *,
-    horizon: float,
+    horizon: float | None,
     period: float,
     key: str | int | None,
     ctrl: Any,
@@ -139,7 +139,12 @@ def motion(
     count: int,
     seed: int,
 ) -> Motion:
-    """The motion of `count` seeded starts around a keyframe; the first is the keyframe itself."""
+    """The motion of `count` seeded starts around a keyframe; the first is the keyframe itself.
+
+    horizon: its length [s], about 1 s if None. period: of control [s].
+    """
+    if horizon is None:
+        horizon = default_horizon(period)
     if control is not None and ctrl is not None:
         raise ValueError("control and ctrl are both given: a motion has one of them")
     if control is not None:

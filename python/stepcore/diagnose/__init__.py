@@ -9,7 +9,7 @@ from functools import partial
 from numpy.typing import ArrayLike
 
 from stepcore import checks
-from stepcore.course.dofs import Dofs
+from stepcore.course.dofs import movable
 from stepcore.course.motion import Control, motion
 from stepcore.diagnose.advice import advise
 from stepcore.diagnose.alone import INTEGRATORS
@@ -26,8 +26,8 @@ from stepcore.diagnose.softness import softened_beyond
 from stepcore.diagnose.states import eased, held, start, visited
 from stepcore.jobs import check_executor, each
 from stepcore.layout import Layout
-from stepcore.lookup import find_scene
-from stepcore.model import Model, compiled
+from stepcore.lookup import find_model
+from stepcore.model import Model
 from stepcore.progress import Choice, Progress
 from stepcore.scene import Scene
 
@@ -78,10 +78,8 @@ def diagnose(
     >>> print(f"{1e3 * d.limit('semi-implicit'):.2f} ms by {d.stiffest('semi-implicit')}")
     2.00 ms by spring "knee"
     """
-    if isinstance(model, (str, os.PathLike)):
-        # What it would warn of is told here in full.
-        model = find_scene(model, warn=False)
-    model = compiled(model)
+    # What loading would warn of is told here in full.
+    model = find_model(model, warn=False)
     checks.told("diagnose", progress)
     wanted = model.settings.dt if dt is None else checks.seconds("dt", dt)
     checks.seconds("horizon", horizon)
@@ -90,9 +88,7 @@ def diagnose(
     seed = checks.count("seed", seed, least=0)
     workers = checks.threads(threads)
     check_executor("diagnose", executor)
-    dofs = Dofs(model.scene)
-    if not dofs.moving:
-        raise ValueError("nothing in the scene can move: there is no step to diagnose")
+    dofs = movable(model.scene, "no step to diagnose")
     model = exact(model)
     period = min(horizon, control_dt or max(model.settings.dt, horizon / 200))
     path = motion(

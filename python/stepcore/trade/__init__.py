@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.course.dofs import Dofs
-from stepcore.course.motion import Control, Motion, default_horizon, motion, time_steps
+from stepcore.course.dofs import movable
+from stepcore.course.motion import Control, Motion, motion, time_steps
 from stepcore.course.run import Course
 from stepcore.jobs import check_executor
-from stepcore.model import Model, compiled
+from stepcore.lookup import find_model
+from stepcore.model import Model
 from stepcore.progress import Choice, Progress
 from stepcore.quantities import seconds
 from stepcore.scene import Scene
@@ -114,7 +115,7 @@ def trade(
     >>> result.best(error=1e-5).integrator
     'rk4'
     """
-    source, model = model, _model(model)
+    source, model = model, find_model(model)
     checks.told("trade", progress)
     check_executor("trade", executor)
     starts, seed = checks.count("starts", starts), checks.count("seed", seed, least=0)
@@ -131,9 +132,7 @@ def trade(
         units.length(error, 1.0)
     if mujoco:
         opponent.load(source, model)
-    dofs = Dofs(model.scene)
-    if not dofs.moving:
-        raise ValueError("nothing in the scene can move: there is no motion to trade")
+    dofs = movable(model.scene, "no motion to trade")
     steps, period = time_steps(shipped.dt, dts, control_dt, 1.0 if horizon is None else horizon)
     if not (full or dofs.motors or control or control_dt):
         period = longest(period, 1.0 if horizon is None else horizon)
@@ -141,7 +140,7 @@ def trade(
         motion,
         model,
         dofs,
-        horizon=default_horizon(period) if horizon is None else horizon,
+        horizon=horizon,
         period=period,
         key=key,
         ctrl=ctrl,
@@ -204,15 +203,6 @@ def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
     if given and search == "frugal":
         raise ValueError(f"search = 'frugal': {min(given)} is given, which asks for a grid")
     return bool(given) or search == "grid"
-
-
-def _model(source: Model | Scene | str | os.PathLike[str]) -> Model:
-    """The Model of what the user gave."""
-    if isinstance(source, (str, os.PathLike)):
-        from stepcore.lookup import find_scene
-
-        source = find_scene(source)
-    return compiled(source)
 
 
 def _refine(search: Search, trials: Trials, tried: Sequence[Settings], progress: Choice) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
-from stepcore.course.dofs import Dofs
+from stepcore.course.dofs import movable
 from stepcore.course.motion import Control, motion, time_steps
 from stepcore.course.run import Course
 from stepcore.jobs import check_executor
@@ -156,9 +156,7 @@ def predictability(
     starts, seed = checks.count("starts", starts), checks.count("seed", seed, least=0)
     workers = checks.threads(threads)
     check_executor("predictability", executor)
-    dofs = Dofs(model.scene)
-    if not dofs.moving:
-        raise ValueError("nothing in the scene can move: there is no motion to predict")
+    dofs = movable(model.scene, "no motion to predict")
     horizon = 10.0 if horizon is None else horizon
     steps, period = time_steps(model.settings.dt, None, control_dt, horizon)
     motive = motion(
