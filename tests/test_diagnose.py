@@ -9,11 +9,11 @@ from tangents import differences
 
 import stepcore as sc
 from stepcore.course.dofs import Dofs
-from stepcore.diagnose.alone import INTEGRATORS, oscillator
-from stepcore.diagnose.growth import growth
-from stepcore.diagnose.linear import State, exact, rates_matrix, step_map
-from stepcore.diagnose.midpoint import midpoint_map
-from stepcore.diagnose.parts import parts
+from stepcore.diagnosis.alone import INTEGRATORS, oscillator
+from stepcore.diagnosis.growth import growth
+from stepcore.diagnosis.linear import State, exact, rates_matrix, step_map
+from stepcore.diagnosis.midpoint import midpoint_map
+from stepcore.diagnosis.parts import parts
 
 
 def diagnosed(scene, **options):

@@ -10,7 +10,7 @@ import stiff
 
 import stepcore as sc
 from stepcore.cli import main
-from stepcore.diagnose.alone import INTEGRATORS
+from stepcore.diagnosis.alone import INTEGRATORS
 
 
 def diagnosed(scene, **options):

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 from stepcore import starting as starting  # before all that takes time
 from stepcore._core import Settings, SimulationError
 from stepcore.batch import Batch
-from stepcore.diagnose import Diagnosis, StiffnessWarning, diagnose
 from stepcore.model import Model
 from stepcore.scene import Scene
 from stepcore.sim import Sim
@@ -27,6 +26,7 @@ from stepcore.trade import Trade, trade
 if TYPE_CHECKING:
     from stepcore.ablation import Ablation, ablate
     from stepcore.convergence import Convergence, converge
+    from stepcore.diagnosis import Diagnosis, StiffnessWarning, diagnose
     from stepcore.linearization import Linearization
     from stepcore.lookup import load
     from stepcore.mjcf import loads
@@ -67,6 +67,9 @@ __all__ = [
 _LATER = {
     "Convergence": "stepcore.convergence",
     "converge": "stepcore.convergence",
+    "Diagnosis": "stepcore.diagnosis",
+    "StiffnessWarning": "stepcore.diagnosis",
+    "diagnose": "stepcore.diagnosis",
     "Linearization": "stepcore.linearization",
     "Ablation": "stepcore.ablation",
     "ablate": "stepcore.ablation",

@@ -32,7 +32,7 @@ def find_scene(source: str | os.PathLike[str], *, warn: bool = True) -> Scene:
     """
     scene = _found(os.fsdecode(source))
     if warn:
-        from stepcore.diagnose.load import warn_of_stiffness
+        from stepcore.diagnosis.load import warn_of_stiffness
 
         warn_of_stiffness(scene, stacklevel=4)
     return scene
@@ -86,7 +86,7 @@ def load(path: str | os.PathLike[str]) -> Scene:
         raise checks.refuse("load", "path", path, limit)
     if _named(os.fsdecode(path)):
         return find_scene(path)
-    from stepcore.diagnose.load import warn_of_stiffness
+    from stepcore.diagnosis.load import warn_of_stiffness
 
     scene = mjcf.load(path)
     warn_of_stiffness(scene)

@@ -63,7 +63,7 @@ def loads(
     Traceback (most recent call last):
     stepcore.mjcf.source.MJCFError: <string>:1: unknown element <wordbody> in <mujoco>; nearest: ...
     """
-    from stepcore.diagnose.load import warn_of_stiffness
+    from stepcore.diagnosis.load import warn_of_stiffness
 
     scene = read_text(text, base=base, name=name)
     warn_of_stiffness(scene)

@@ -10,7 +10,7 @@ from stepcore.plot.style import COLOURS, GREY, bare, figure, saved
 from stepcore.quantities import seconds
 
 if TYPE_CHECKING:
-    from stepcore.diagnose.result import Diagnosis
+    from stepcore.diagnosis.result import Diagnosis
 
 # The elements drawn, stiffest first, and how many letters of a name.
 MOST, LETTERS = 10, 28

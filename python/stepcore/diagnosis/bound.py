@@ -12,9 +12,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from stepcore.diagnose.alone import oscillator
-from stepcore.diagnose.forces import Elements, Key
-from stepcore.diagnose.softness import may_limit, softened_beyond, solref_of
+from stepcore.diagnosis.alone import oscillator
+from stepcore.diagnosis.forces import Elements, Key
+from stepcore.diagnosis.softness import may_limit, softened_beyond, solref_of
 from stepcore.layout import DOFS, Layout
 from stepcore.model import Model
 

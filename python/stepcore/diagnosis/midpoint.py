@@ -19,7 +19,7 @@ import numpy as np
 
 from stepcore.arrays import Floats
 from stepcore.course.dofs import Dofs
-from stepcore.diagnose.forces import cross_matrix
+from stepcore.diagnosis.forces import cross_matrix
 from stepcore.sim import Sim
 
 # The step from which the acceleration's derivative is read [s]: of an explicit step, which is

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from stepcore.diagnose.figures import Figures
-from stepcore.diagnose.softness import solref_of
+from stepcore.diagnosis.figures import Figures
+from stepcore.diagnosis.softness import solref_of
 from stepcore.elements import Actuator, Joint
 from stepcore.layout import Layout
 from stepcore.model import Model

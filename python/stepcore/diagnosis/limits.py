@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from stepcore.diagnose import growth
-from stepcore.diagnose.growth import Growth
-from stepcore.diagnose.linear import (
+from stepcore.diagnosis import growth
+from stepcore.diagnosis.growth import Growth
+from stepcore.diagnosis.linear import (
     ON_GUESS,
     State,
     flow,
@@ -21,8 +21,8 @@ from stepcore.diagnose.linear import (
     step_map,
     without_rows,
 )
-from stepcore.diagnose.parts import Parts, parts
-from stepcore.diagnose.softness import first_softened
+from stepcore.diagnosis.parts import Parts, parts
+from stepcore.diagnosis.softness import first_softened
 from stepcore.model import Model
 
 # The longest step tried [s], and the shortest in units of the motion's fastest time.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from stepcore.diagnose.forces import Key
+from stepcore.diagnosis.forces import Key
 from stepcore.elements import Geom
 from stepcore.frames import Vec
 from stepcore.layout import Layout

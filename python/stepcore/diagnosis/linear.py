@@ -18,7 +18,7 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.arrays import Floats
-from stepcore.diagnose.midpoint import midpoint_map
+from stepcore.diagnosis.midpoint import midpoint_map
 from stepcore.model import Model
 from stepcore.sim import Sim
 

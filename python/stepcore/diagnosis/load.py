@@ -50,7 +50,7 @@ def stiffness(scene: Scene) -> str:
     """What is to be said of a scene at load; "" for nothing."""
     if not _may_be_stiff(scene):
         return ""
-    from stepcore.diagnose.bound import closed_form
+    from stepcore.diagnosis.bound import closed_form
     from stepcore.model import Model
 
     try:
@@ -71,7 +71,7 @@ def _may_be_stiff(scene: Scene) -> bool:
     """Whether any element could limit dt; without one nothing is compiled."""
     if len(scene.joints) > MOST_JOINTS or len(scene.geoms) > MOST_GEOMS:
         return False
-    from stepcore.diagnose.softness import may_limit
+    from stepcore.diagnosis.softness import may_limit
 
     refsafe = scene.options.get("refsafe", True)
     soft = [geom.solref for geom in scene.geoms] + [e.solref for e in scene.equalities]
@@ -89,10 +89,10 @@ def _linearised(model: Model) -> str:
     """The step itself at the first key or qpos0, and who limits it."""
     import numpy as np
 
-    from stepcore.diagnose import limits
-    from stepcore.diagnose.growth import between
-    from stepcore.diagnose.linear import State, exact
-    from stepcore.diagnose.naming import shares_at
+    from stepcore.diagnosis import limits
+    from stepcore.diagnosis.growth import between
+    from stepcore.diagnosis.linear import State, exact
+    from stepcore.diagnosis.naming import shares_at
 
     model = exact(model)
     settings = model.settings

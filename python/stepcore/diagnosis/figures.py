@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore.arrays import Floats
-from stepcore.diagnose.alone import INTEGRATORS, gyration, oscillator, row_after_midpoint
-from stepcore.diagnose.forces import INERTIAL, ROWS, Key
-from stepcore.diagnose.limits import LONGEST
-from stepcore.diagnose.parts import Parts
+from stepcore.diagnosis.alone import INTEGRATORS, gyration, oscillator, row_after_midpoint
+from stepcore.diagnosis.forces import INERTIAL, ROWS, Key
+from stepcore.diagnosis.limits import LONGEST
+from stepcore.diagnosis.parts import Parts
 
 # Of the largest of its kind: less is the rounding of a difference.
 NOTHING = 1e-6

@@ -15,7 +15,7 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.arrays import Floats
 from stepcore.course.motion import Motion
-from stepcore.diagnose.linear import State, acting, placed
+from stepcore.diagnosis.linear import State, acting, placed
 from stepcore.model import Model
 from stepcore.sim import Sim
 

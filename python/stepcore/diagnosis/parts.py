@@ -21,8 +21,8 @@ import numpy as np
 
 from stepcore.arrays import Floats
 from stepcore.course.dofs import Dofs
-from stepcore.diagnose.forces import INERTIAL, ROWS, Elements, Key, Spins
-from stepcore.diagnose.linear import ON_GUESS, TINY_STEP, State, placed, rates_matrix, without_rows
+from stepcore.diagnosis.forces import INERTIAL, ROWS, Elements, Key, Spins
+from stepcore.diagnosis.linear import ON_GUESS, TINY_STEP, State, placed, rates_matrix, without_rows
 from stepcore.layout import Layout
 from stepcore.model import Model
 from stepcore.sim import Sim

@@ -11,19 +11,19 @@ from numpy.typing import ArrayLike
 from stepcore import checks
 from stepcore.course.dofs import movable
 from stepcore.course.motion import Control, motion
-from stepcore.diagnose.advice import advise
-from stepcore.diagnose.alone import INTEGRATORS
-from stepcore.diagnose.bound import closed_form
-from stepcore.diagnose.figures import Alone, Figures
-from stepcore.diagnose.forces import INERTIAL, Key
-from stepcore.diagnose.limits import LONGEST, Limit, Situation, situation
-from stepcore.diagnose.linear import exact
-from stepcore.diagnose.load import StiffnessWarning
-from stepcore.diagnose.naming import shares_at
-from stepcore.diagnose.report import notes
-from stepcore.diagnose.result import Diagnosis
-from stepcore.diagnose.softness import softened_beyond
-from stepcore.diagnose.states import eased, held, start, visited
+from stepcore.diagnosis.advice import advise
+from stepcore.diagnosis.alone import INTEGRATORS
+from stepcore.diagnosis.bound import closed_form
+from stepcore.diagnosis.figures import Alone, Figures
+from stepcore.diagnosis.forces import INERTIAL, Key
+from stepcore.diagnosis.limits import LONGEST, Limit, Situation, situation
+from stepcore.diagnosis.linear import exact
+from stepcore.diagnosis.load import StiffnessWarning
+from stepcore.diagnosis.naming import shares_at
+from stepcore.diagnosis.report import notes
+from stepcore.diagnosis.result import Diagnosis
+from stepcore.diagnosis.softness import softened_beyond
+from stepcore.diagnosis.states import eased, held, start, visited
 from stepcore.jobs import check_executor, each
 from stepcore.layout import Layout
 from stepcore.lookup import find_model

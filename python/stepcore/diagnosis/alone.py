@@ -17,7 +17,7 @@ from __future__ import annotations
 import cmath
 import math
 
-from stepcore.diagnose.growth import DAMPED, PER_RADIAN, largest_stable
+from stepcore.diagnosis.growth import DAMPED, PER_RADIAN, largest_stable
 
 INTEGRATORS = ("explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4")
 

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from stepcore.diagnose.growth import growth
-from stepcore.diagnose.limits import Limit, Situation
-from stepcore.diagnose.linear import step_map
-from stepcore.diagnose.parts import Shares
+from stepcore.diagnosis.growth import growth
+from stepcore.diagnosis.limits import Limit, Situation
+from stepcore.diagnosis.linear import step_map
+from stepcore.diagnosis.parts import Shares
 
 # Past a limit an eigenvalue has left its partner: there it tells what drives it.
 BEYOND = 1.05

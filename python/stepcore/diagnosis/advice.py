@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from stepcore._core import Settings
-from stepcore.diagnose.changes import CHANGES, DAMPING, GAINS, Change, Value, changed
-from stepcore.diagnose.figures import Figures
-from stepcore.diagnose.forces import Key
-from stepcore.diagnose.limits import Limit, Situation, situation
-from stepcore.diagnose.linear import step_map
-from stepcore.diagnose.parts import parts
+from stepcore.diagnosis.changes import CHANGES, DAMPING, GAINS, Change, Value, changed
+from stepcore.diagnosis.figures import Figures
+from stepcore.diagnosis.forces import Key
+from stepcore.diagnosis.limits import Limit, Situation, situation
+from stepcore.diagnosis.linear import step_map
+from stepcore.diagnosis.parts import parts
 from stepcore.model import Model
 from stepcore.quantities import seconds
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 from stepcore.quantities import seconds
 
 if TYPE_CHECKING:
-    from stepcore.diagnose.figures import Figures
-    from stepcore.diagnose.forces import Key
-    from stepcore.diagnose.limits import Situation
-    from stepcore.diagnose.result import Diagnosis
-    from stepcore.diagnose.states import Visit
+    from stepcore.diagnosis.figures import Figures
+    from stepcore.diagnosis.forces import Key
+    from stepcore.diagnosis.limits import Situation
+    from stepcore.diagnosis.result import Diagnosis
+    from stepcore.diagnosis.states import Visit
     from stepcore.model import Model
 
 # Growth of the motion itself that is worth a word [1/s].

@@ -11,12 +11,12 @@ from typing import Any
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.diagnose import report
-from stepcore.diagnose.advice import Advice
-from stepcore.diagnose.figures import Figures
-from stepcore.diagnose.forces import INERTIAL
-from stepcore.diagnose.limits import Limit
-from stepcore.diagnose.linear import State
+from stepcore.diagnosis import report
+from stepcore.diagnosis.advice import Advice
+from stepcore.diagnosis.figures import Figures
+from stepcore.diagnosis.forces import INERTIAL
+from stepcore.diagnosis.limits import Limit
+from stepcore.diagnosis.linear import State
 from stepcore.results import Result
 from stepcore.table import Table
 
