@@ -173,20 +173,29 @@ def test_ctrl_c_is_exit_130(capsys, monkeypatch):
     assert status == 130 and err.count("\n") == 1
 
 
-def interrupted_at_start(name):
-    """A process that is called `name` and gets Ctrl-C while stepcore is read in."""
+def interrupted_at_start(name, *asked):
+    """A process that is called `name` and gets Ctrl-C while stepcore is read in.
+
+    asked: what stands behind the interpreter on its command line.
+    """
     code = (
         "import sys, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-        f"sys.argv = [{name!r}]; import stepcore.starting; signal.raise_signal(signal.SIGINT)"
+        f"sys.argv, sys.orig_argv[1:] = [{name!r}], {list(asked)}; "
+        "import stepcore.starting; signal.raise_signal(signal.SIGINT)"
     )
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
 
 def test_ctrl_c_before_a_command_has_begun_ends_it_without_a_word():
-    for name in ("-m", "/somewhere/bin/stepcore"):
-        done = interrupted_at_start(name)
+    as_module = (["-m", "-m", "stepcore", "run"], ["-m", "-mstepcore.cli"])
+    for asked in (*as_module, ["/somewhere/bin/stepcore"]):
+        done = interrupted_at_start(*asked)
         assert done.returncode == 130 and not done.stderr
     assert "KeyboardInterrupt" in interrupted_at_start("mine.py").stderr
+
+
+def test_ctrl_c_is_left_to_other_packages_that_run_as_a_module():
+    assert "KeyboardInterrupt" in interrupted_at_start("-m", "-m", "mine.app").stderr
 
 
 def test_it_runs_as_a_module(ball):

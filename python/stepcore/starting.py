@@ -26,7 +26,11 @@ def restore() -> None:
 def _is_command() -> bool:
     """Whether this is `stepcore …`, or `python -m stepcore …` before it has found its module."""
     first = sys.argv[0] if getattr(sys, "argv", None) else ""
-    return first == "-m" or PurePath(first).name in ("stepcore", "stepcore.exe")
+    if first == "-m":
+        # Another package may import this one on the way to its own module.
+        asked = (part.removeprefix("-m").partition(".")[0] for part in sys.orig_argv[1:])
+        return "stepcore" in asked
+    return PurePath(first).name in ("stepcore", "stepcore.exe")
 
 
 if _is_command() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
