@@ -5,8 +5,8 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use stepcore::arrays::Given;
 use stepcore::error::Error;
-use stepcore::measure::ledger::{PostMortem, Stable};
 use stepcore::state::Inputs;
+use stepcore::watch::ledger::{PostMortem, Stable};
 
 use crate::snapshot::encode;
 use crate::world::Memo;

@@ -4,8 +4,6 @@ use std::sync::Arc;
 
 use stepcore::arrays::Given;
 use stepcore::error::Result;
-use stepcore::measure::ledger::Entry;
-use stepcore::measure::{Counter, Coupling, Linearizer};
 use stepcore::model::Model;
 use stepcore::real::Real;
 use stepcore::settings::{Precision, Settings};
@@ -13,6 +11,8 @@ use stepcore::sim::{Effort, Sim};
 use stepcore::solve::Source;
 use stepcore::spatial::V3;
 use stepcore::state::{State, Warm};
+use stepcore::watch::ledger::StepGains;
+use stepcore::watch::{Counter, Coupling, Linearizer};
 
 /// What is read of the present state.
 #[derive(Clone, Copy)]
@@ -87,7 +87,7 @@ pub trait World: Send {
     fn balance_at_end(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
     /// Steps once, and says what each element fed in meanwhile.
-    fn taped_step(&mut self) -> Result<Entry>;
+    fn taped_step(&mut self) -> Result<StepGains>;
     fn time(&self) -> f64;
     fn memo(&self) -> Memo;
     fn set_memo(&mut self, memo: &Memo);
@@ -145,7 +145,7 @@ impl<R: Real> World for One<R> {
     fn forward(&mut self) -> Result<()> {
         self.sim.forward()
     }
-    fn taped_step(&mut self) -> Result<Entry> {
+    fn taped_step(&mut self) -> Result<StepGains> {
         self.sim.taped_step(0)
     }
     fn time(&self) -> f64 {

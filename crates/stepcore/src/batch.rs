@@ -10,12 +10,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crate::arrays::Given;
 use crate::error::{Error, Result};
 use crate::failed::{Failed, Standing};
-use crate::measure::Ledger;
 use crate::model::Model;
 use crate::real::Real;
 use crate::settings::Settings;
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
+use crate::watch::Ledger;
 
 /// The most threads that a batch may ask for.
 const MOST_THREADS: usize = 1024;

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::measure::ledger::PostMortem;
+use crate::watch::ledger::PostMortem;
 
 /// Why something was refused or went wrong.
 #[derive(Clone, Debug, PartialEq)]

@@ -18,14 +18,14 @@
 //! 4. **commit** (`commit/`): one file per integrator turns the solved velocity into
 //!    the next state. A state that is not finite is never committed.
 //!
-//! Beside the loop: `model/` compiles a scene, `measure/` reads energy, momentum and
+//! Beside the loop: `model/` compiles a scene, `watch/` reads energy, momentum and
 //! residuals and names what made a run fail, `batch.rs` steps many worlds over threads,
 //! `arrays.rs` takes a user's numbers in and gives them back.
 //!
 //! Everything is generic over [`real::Real`]: `f64`, `f32`, or [`real::Lanes`], eight
 //! worlds side by side that equal, bit for bit, the same worlds stepped alone. Two more
 //! accompany a world: [`real::Dual`] carries derivatives through the step
-//! ([`measure::Linearizer`]), [`real::Counted`] counts its operations ([`measure::Counter`]).
+//! ([`watch::Linearizer`]), [`real::Counted`] counts its operations ([`watch::Counter`]).
 //!
 //! ```
 //! use std::sync::Arc;
@@ -48,7 +48,6 @@ pub mod commit;
 pub mod detect;
 pub mod error;
 pub mod failed;
-pub mod measure;
 pub mod model;
 pub mod place;
 pub mod real;
@@ -60,3 +59,4 @@ pub mod solve;
 pub mod spatial;
 pub mod state;
 mod step;
+pub mod watch;

@@ -6,14 +6,14 @@ use std::sync::Arc;
 use crate::commit::Next;
 use crate::detect::Detected;
 use crate::error::{named, Error, Result};
-use crate::measure::ledger::{Ledger, Tape};
-use crate::measure::Past;
 use crate::model::Model;
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::settings::{Acceleration, Law, Settings, Solver, Sweeps};
 use crate::solve::{Limits, Newton, Pgs, Report, Rows};
 use crate::state::{Inputs, State};
+use crate::watch::ledger::{Ledger, Tape};
+use crate::watch::Past;
 
 /// How the last solve went.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use super::tape::Entry;
-use super::trial::Course;
+use super::tape::StepGains;
+use super::trial::Segment;
 use super::Ledger;
 use crate::error::Error;
 use crate::real::Real;
@@ -67,18 +67,18 @@ impl<R: Real> Sim<R> {
         gained: bool,
     ) -> Error {
         let until = self.state.steps;
-        let replayed = ledger
-            .and_then(|ledger| ledger.course(&self.model, lane, until))
-            .and_then(|course| self.written_down(&course, lane).map(|entries| (course, entries)));
+        let replayed = ledger.and_then(|ledger| ledger.segment(&self.model, lane, until)).and_then(
+            |segment| self.written_down(&segment, lane).map(|entries| (segment, entries)),
+        );
         let scale = ledger.and_then(|ledger| ledger.accounts.get(lane)).map(|a| a.scale);
-        let (course, entries, exact) = match replayed {
-            Some((course, entries)) => (course, entries, true),
+        let (segment, entries, exact) = match replayed {
+            Some((segment, entries)) => (segment, entries, true),
             None => {
                 let entries = self.kept_steps(lane);
                 let (state, inputs) = (self.state.clone(), self.inputs.clone());
-                let mut course = Course { state, inputs, changes: Vec::new(), steps: 0 };
-                course.spread(lane);
-                (course, entries, false)
+                let mut segment = Segment { state, inputs, changes: Vec::new(), steps: 0 };
+                segment.spread(lane);
+                (segment, entries, false)
             }
         };
         let (from, window) = feeding(&entries, scale, gained);
@@ -90,16 +90,16 @@ impl<R: Real> Sim<R> {
         let stable = if exact && window.is_empty() {
             Stable::Unknown
         } else {
-            self.stable(&course, lane, exact)
+            self.stable(&segment, lane, exact)
         };
         let post = PostMortem {
-            start: one_lane(&course.state, lane),
-            inputs: one_lane_of(&course.inputs, lane),
-            changes: course.changes.iter().map(|(k, i)| (*k, one_lane_of(i, lane))).collect(),
-            steps: course.steps,
+            start: one_lane(&segment.state, lane),
+            inputs: one_lane_of(&segment.inputs, lane),
+            changes: segment.changes.iter().map(|(k, i)| (*k, one_lane_of(i, lane))).collect(),
+            steps: segment.steps,
             gained,
             shares,
-            since: exact.then(|| course.state.steps + from as u64),
+            since: exact.then(|| segment.state.steps + from as u64),
             growth: growth(window, exact),
             stable,
             dt: self.settings.dt,
@@ -116,9 +116,9 @@ impl<R: Real> Sim<R> {
     }
 
     /// The stretch step by step; None where it does not end in the state at hand.
-    fn written_down(&self, course: &Course<R>, lane: usize) -> Option<Vec<Entry>> {
-        let mut sim = course.world(self)?;
-        let entries = course.play(&mut sim, |sim| sim.taped_step(lane).ok())?;
+    fn written_down(&self, segment: &Segment<R>, lane: usize) -> Option<Vec<StepGains>> {
+        let mut sim = segment.world(self)?;
+        let entries = segment.play(&mut sim, |sim| sim.taped_step(lane).ok())?;
         let same = |a: &[R], b: &[R]| {
             a.iter().zip(b).all(|(a, b)| a.lane(lane).to_bits() == b.lane(lane).to_bits())
         };
@@ -127,11 +127,11 @@ impl<R: Real> Sim<R> {
     }
 
     /// Without a ledger: the steps from the last states, started without their impulses.
-    fn kept_steps(&self, lane: usize) -> Vec<Entry> {
+    fn kept_steps(&self, lane: usize) -> Vec<StepGains> {
         let (state, inputs) = (self.state.clone(), self.inputs.clone());
-        let mut course = Course { state, inputs, changes: Vec::new(), steps: 0 };
-        course.spread(lane);
-        let Some(mut sim) = course.world(self) else { return Vec::new() };
+        let mut segment = Segment { state, inputs, changes: Vec::new(), steps: 0 };
+        segment.spread(lane);
+        let Some(mut sim) = segment.world(self) else { return Vec::new() };
         let all = |to: &mut [R], from: &[R]| {
             to.iter_mut().zip(from).for_each(|(to, from)| *to = R::of(from.lane(lane)));
         };
@@ -146,8 +146,8 @@ impl<R: Real> Sim<R> {
     }
 
     /// Which dt would have been stable, as far as it can be told cheaply.
-    fn stable(&mut self, course: &Course<R>, lane: usize, exact: bool) -> Stable {
-        let Some(mut start) = course.world(self) else { return Stable::Unknown };
+    fn stable(&mut self, segment: &Segment<R>, lane: usize, exact: bool) -> Stable {
+        let Some(mut start) = segment.world(self) else { return Stable::Unknown };
         if !exact && self.model.trees.iter().any(|tree| tree.dofs.len > SMALL) {
             return Stable::Unknown;
         }
@@ -160,10 +160,10 @@ impl<R: Real> Sim<R> {
             Some(dt) => {
                 let below = 0.95 * dt;
                 let swing = start.swing(lane, below);
-                Stable::Springs { dt, tried: exact && course.swings(self, below, lane, swing) }
+                Stable::Springs { dt, tried: exact && segment.swings(self, below, lane, swing) }
             }
             None if exact => {
-                course.halved(self, lane).map_or(Stable::NotFound, |dt| Stable::Halved { dt })
+                segment.halved(self, lane).map_or(Stable::NotFound, |dt| Stable::Halved { dt })
             }
             None => Stable::Unknown,
         }
@@ -172,7 +172,7 @@ impl<R: Real> Sim<R> {
 
 /// The steps in which it began: from the last one in which there was no more than can have
 /// been put in, until far beyond that.
-fn feeding(entries: &[Entry], scale: Option<f64>, gained: bool) -> (usize, &[Entry]) {
+fn feeding(entries: &[StepGains], scale: Option<f64>, gained: bool) -> (usize, &[StepGains]) {
     let Some(scale) = scale else { return (0, entries) };
     let last = entries.last().map_or(0.0, |entry| entry.after);
     // Or what drives from outside has fed all of it.
@@ -194,9 +194,9 @@ fn feeding(entries: &[Entry], scale: Option<f64>, gained: bool) -> (usize, &[Ent
 
 /// The most energy that there can be after each step: what circulated, what gravity gave, and,
 /// `driven` times, what motors and applied forces did.
-fn put_in(entries: &[Entry], scale: f64, driven: f64) -> Vec<f64> {
+fn put_in(entries: &[StepGains], scale: f64, driven: f64) -> Vec<f64> {
     let (mut drives, mut fallen, mut deepest) = (0.0, 0.0, 0.0_f64);
-    let put_in = |entry: &Entry| {
+    let put_in = |entry: &StepGains| {
         let outside = |name: &str| name.starts_with("motor") || name.starts_with("force applied");
         let fed = entry.gains.iter().filter(|(name, _)| outside(name));
         let fed: f64 = fed.map(|(_, gain)| gain.max(0.0)).sum();
@@ -214,7 +214,7 @@ fn put_in(entries: &[Entry], scale: f64, driven: f64) -> Vec<f64> {
 
 /// Each element's part of the growth: a step counts by how much it adds, relative to what
 /// there is, so that the last doublings count no more than the first.
-fn shares(entries: &[Entry]) -> Vec<(String, f64)> {
+fn shares(entries: &[StepGains]) -> Vec<(String, f64)> {
     let mut sums: BTreeMap<&str, f64> = BTreeMap::new();
     for entry in entries {
         let size = entry.before.max(entry.after);
@@ -237,7 +237,7 @@ fn shares(entries: &[Entry]) -> Vec<(String, f64)> {
 
 /// What ln E gains in a step: the mean of the later half of a stretch, after what it began
 /// with; of single steps the median.
-fn growth(entries: &[Entry], stretch: bool) -> Option<f64> {
+fn growth(entries: &[StepGains], stretch: bool) -> Option<f64> {
     let half = if stretch { entries.len() / 2 } else { 0 };
     let from = half.max(entries.len().saturating_sub(FITTED));
     let mut rates: Vec<f64> = entries[from..]

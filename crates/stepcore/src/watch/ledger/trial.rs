@@ -14,7 +14,7 @@ const MOST_STEPS: f64 = 40_000.0;
 
 /// A stretch of one world's run: where it starts, and its inputs by step.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Course<R: Real> {
+pub struct Segment<R: Real> {
     pub state: State<R>,
     pub inputs: Inputs<R>,
     /// Steps done since the start before each change of the inputs.
@@ -24,7 +24,7 @@ pub struct Course<R: Real> {
 
 impl<R: Real> Ledger<R> {
     /// One world's run from the last milestone at which all was well to step `until`.
-    pub(crate) fn course(&self, model: &Model, lane: usize, until: u64) -> Option<Course<R>> {
+    pub(crate) fn segment(&self, model: &Model, lane: usize, until: u64) -> Option<Segment<R>> {
         let mut kept: Vec<&Milestone<R>> = Vec::new();
         for milestone in self.newest_first() {
             kept.push(milestone);
@@ -52,20 +52,20 @@ impl<R: Real> Ledger<R> {
                 changes.push((steps - first.state.steps, inputs.clone()));
             }
         }
-        let mut course = Course {
+        let mut segment = Segment {
             state: first.state.clone(),
             inputs: first.inputs.clone(),
             changes,
             steps: until.checked_sub(first.state.steps)?,
         };
-        course.spread(lane);
-        course.changes.retain(|(step, _)| *step <= course.steps);
-        debug_assert_eq!(model.nv, course.state.qvel.len());
-        Some(course)
+        segment.spread(lane);
+        segment.changes.retain(|(step, _)| *step <= segment.steps);
+        debug_assert_eq!(model.nv, segment.state.qvel.len());
+        Some(segment)
     }
 }
 
-impl<R: Real> Course<R> {
+impl<R: Real> Segment<R> {
     /// One lane's numbers into all lanes.
     pub(crate) fn spread(&mut self, lane: usize) {
         let all = |list: &mut [R]| list.iter_mut().for_each(|x| *x = R::of(x.lane(lane)));
@@ -165,11 +165,13 @@ impl<R: Real> Course<R> {
 impl<R: Real> Sim<R> {
     /// Whether the gain of the last stretch comes from the size of the step.
     pub(super) fn smaller_steps_gain_less(&self, ledger: &Ledger<R>, lane: usize) -> bool {
-        let Some(course) = ledger.course(&self.model, lane, self.state.steps) else { return true };
+        let Some(segment) = ledger.segment(&self.model, lane, self.state.steps) else {
+            return true;
+        };
         let dt = self.settings.dt;
-        let Some([now, _]) = course.gain(self, dt, lane) else { return true };
+        let Some([now, _]) = segment.gain(self, dt, lane) else { return true };
         [4.0, 16.0].iter().any(|parts| {
-            course.gain(self, dt / parts, lane).is_some_and(|[less, _]| less < 0.5 * now)
+            segment.gain(self, dt / parts, lane).is_some_and(|[less, _]| less < 0.5 * now)
         })
     }
 }

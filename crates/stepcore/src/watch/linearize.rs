@@ -25,7 +25,7 @@ pub struct Linearizer {
 
 /// Derivatives start and end here; every one is found by its place.
 #[derive(Clone, Copy)]
-enum Entry {
+enum Direction {
     Position(usize),
     Velocity(usize),
     Control(usize),
@@ -62,7 +62,7 @@ impl Linearizer {
             self.sim.state.clone_from(&self.start);
             self.sim.inputs.ctrl.copy_from_slice(&self.ctrl);
             for way in ways.clone() {
-                self.seed(self.entry(way), way - first);
+                self.seed(self.direction(way), way - first);
             }
             self.sim.step(1).map_err(|error| self.sim.explained(error))?;
             for way in ways.clone() {
@@ -73,22 +73,22 @@ impl Linearizer {
         Ok(())
     }
 
-    fn entry(&self, way: usize) -> Entry {
+    fn direction(&self, way: usize) -> Direction {
         let nv = self.sim.model.nv;
         if way < nv {
-            Entry::Position(way)
+            Direction::Position(way)
         } else if way < 2 * nv {
-            Entry::Velocity(way - nv)
+            Direction::Velocity(way - nv)
         } else {
-            Entry::Control(way - 2 * nv)
+            Direction::Control(way - 2 * nv)
         }
     }
 
-    fn seed(&mut self, entry: Entry, slot: usize) {
-        match entry {
-            Entry::Velocity(dof) => self.sim.state.qvel[dof].slopes[slot] = 1.0,
-            Entry::Control(index) => self.sim.inputs.ctrl[index].slopes[slot] = 1.0,
-            Entry::Position(dof) => {
+    fn seed(&mut self, direction: Direction, slot: usize) {
+        match direction {
+            Direction::Velocity(dof) => self.sim.state.qvel[dof].slopes[slot] = 1.0,
+            Direction::Control(index) => self.sim.inputs.ctrl[index].slopes[slot] = 1.0,
+            Direction::Position(dof) => {
                 let (place, axis) = place(&self.sim.model, dof);
                 let qpos = &mut self.sim.state.qpos[place..];
                 let Some(axis) = axis else {

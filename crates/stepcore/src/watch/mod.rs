@@ -1,4 +1,4 @@
-//! What a run is worth: energy, momentum, and which element made it fail.
+//! The watchers: energy, the ledger, post-mortems, linearisation and counts, around a `Sim`.
 
 mod blame;
 mod count;

@@ -7,15 +7,15 @@
 
 mod account;
 mod audit;
-mod autopsy;
 mod drive;
 mod linear;
+mod post_mortem;
 mod tape;
 mod trial;
 
-pub(crate) use autopsy::times;
-pub use autopsy::{PostMortem, Stable};
-pub use tape::Entry;
+pub(crate) use post_mortem::times;
+pub use post_mortem::{PostMortem, Stable};
+pub use tape::StepGains;
 
 pub(crate) use tape::Tape;
 

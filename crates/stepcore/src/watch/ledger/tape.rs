@@ -28,7 +28,7 @@ pub(crate) struct Tape {
 
 /// One step: what every element fed in [J], and the energies before and after.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Entry {
+pub struct StepGains {
     pub gains: BTreeMap<String, f64>,
     /// Kinetic and stored energy, gravity's left out [J].
     pub before: f64,
@@ -67,7 +67,7 @@ impl Tape {
 
 impl<R: Real> Sim<R> {
     /// Takes one step and writes down what each element did in it, in one lane.
-    pub fn taped_step(&mut self, lane: usize) -> Result<Entry> {
+    pub fn taped_step(&mut self, lane: usize) -> Result<StepGains> {
         let model = self.model.clone();
         let v0: Vec<f64> = self.state.qvel.iter().map(|v| v.lane(lane)).collect();
         let before = self.levels(lane);
@@ -341,7 +341,7 @@ fn entry(
     mean: &[f64],
     before: &Levels,
     after: &Levels,
-) -> Entry {
+) -> StepGains {
     let mut gains: BTreeMap<String, f64> = BTreeMap::new();
     // What was taken off, in size: a difference that is only rounding beside it is none.
     let mut size: Vec<f64> =
@@ -374,7 +374,7 @@ fn entry(
         let name = named("inertial force of joint", &model.joints[joint].name, joint);
         *gains.entry(name).or_insert(0.0) += left;
     }
-    Entry { gains, before: before.circulating(), after: after.circulating() }
+    StepGains { gains, before: before.circulating(), after: after.circulating() }
 }
 
 fn lane_of<R: Real>(v: &V3<R>, lane: usize) -> V3<f64> {
