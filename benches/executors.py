@@ -23,8 +23,9 @@ from functools import partial
 import record
 
 import stepcore as sc
-from stepcore import jobs, lesson
-from stepcore.sweep import at_point
+from stepcore import executors as jobs
+from stepcore import lesson
+from stepcore.measure.sweep import at_point
 
 RUNS, WORKERS = 10_000, 4
 

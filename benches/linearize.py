@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 
 import stepcore as sc
-from stepcore.table import Table
+from stepcore.report.table import Table
 
 TURNS, STEPS = 9, 400
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stepcore.lookup import find_asset
+from stepcore.loading import find_asset
 
 FLOOR = '<geom name="floor" type="plane" size="5 5 .1"/>'
 GYM = (

@@ -19,15 +19,15 @@ import scenes
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.course.dofs import Dofs
-from stepcore.course.motion import default_horizon, motion, time_steps
-from stepcore.course.run import Course, Path
-from stepcore.progress import Progress
-from stepcore.trade.glance import glance
-from stepcore.trade.moves import Steps, longest
-from stepcore.trade.settings import COULOMB_LAW, SMOOTH_LAW
-from stepcore.truth.errors import errors, far_off
-from stepcore.truth.reference import Search
+from stepcore.experiment.coordinates import Dofs
+from stepcore.experiment.errors import errors, far_off
+from stepcore.experiment.motion import default_horizon, motion, time_steps
+from stepcore.experiment.reference import Search
+from stepcore.experiment.runner import Course, Path
+from stepcore.measure.trade.glance import glance
+from stepcore.measure.trade.moves import Steps, longest
+from stepcore.measure.trade.settings import COULOMB_LAW, SMOOTH_LAW
+from stepcore.report.progress import Progress
 
 G = (0, 0, -9.81)
 SWEEPS = (1, 2, 3, 5, 8, 12, 20, 50)

@@ -13,8 +13,8 @@ import trade_cases
 from trade_cases import CASES, Judge
 
 import stepcore as sc
-from stepcore.progress import Progress
-from stepcore.trade.cost import costs
+from stepcore.experiment.cost import costs
+from stepcore.report.progress import Progress
 
 NOTE = (
     "Each scene is traded for an error; the recommendation then runs from 24 starts that neither "

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 import stepcore as sc
-from stepcore.lookup import find_asset
+from stepcore.loading import find_asset
 
 GYM = (
     "inverted_pendulum",

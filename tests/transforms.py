@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import stepcore as sc
-from stepcore.elements import fields_of
+from stepcore.scene.elements import fields_of
 
 NQ = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 NV = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}

@@ -16,23 +16,23 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore import starting as starting  # before all that takes time
 from stepcore._core import Settings, SimulationError
-from stepcore.batch import Batch
-from stepcore.model import Model
-from stepcore.scene import Scene
-from stepcore.sim import Sim
-from stepcore.sweep import sweep
-from stepcore.trade import Trade, trade
+from stepcore.engine.batch import Batch
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.measure.sweep import sweep
+from stepcore.measure.trade import Trade, trade
+from stepcore.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from stepcore.ablation import Ablation, ablate
-    from stepcore.convergence import Convergence, converge
-    from stepcore.diagnosis import Diagnosis, StiffnessWarning, diagnose
-    from stepcore.linearization import Linearization
-    from stepcore.lookup import load
+    from stepcore.engine.linearization import Linearization
+    from stepcore.loading import load
+    from stepcore.measure.ablation import Ablation, ablate
+    from stepcore.measure.convergence import Convergence, converge
+    from stepcore.measure.diagnosis import Diagnosis, StiffnessWarning, diagnose
+    from stepcore.measure.postmortem import PostMortem, Replay, replay
+    from stepcore.measure.predictability import predictability
+    from stepcore.measure.stability import StabilityMap, stability_map
     from stepcore.mjcf import loads
-    from stepcore.postmortem import PostMortem, Replay, replay
-    from stepcore.stability import StabilityMap, stability_map
-    from stepcore.truth.predict import predictability
 
 __all__ = [
     "Ablation",
@@ -65,22 +65,22 @@ __all__ = [
 
 # Names that are imported when they are first used, so that `import stepcore` is quick.
 _LATER = {
-    "Convergence": "stepcore.convergence",
-    "converge": "stepcore.convergence",
-    "Diagnosis": "stepcore.diagnosis",
-    "StiffnessWarning": "stepcore.diagnosis",
-    "diagnose": "stepcore.diagnosis",
-    "Linearization": "stepcore.linearization",
-    "Ablation": "stepcore.ablation",
-    "ablate": "stepcore.ablation",
-    "StabilityMap": "stepcore.stability",
-    "stability_map": "stepcore.stability",
-    "predictability": "stepcore.truth.predict",
-    "PostMortem": "stepcore.postmortem",
-    "Replay": "stepcore.postmortem",
-    "load": "stepcore.lookup",
+    "Convergence": "stepcore.measure.convergence",
+    "converge": "stepcore.measure.convergence",
+    "Diagnosis": "stepcore.measure.diagnosis",
+    "StiffnessWarning": "stepcore.measure.diagnosis",
+    "diagnose": "stepcore.measure.diagnosis",
+    "Linearization": "stepcore.engine.linearization",
+    "Ablation": "stepcore.measure.ablation",
+    "ablate": "stepcore.measure.ablation",
+    "StabilityMap": "stepcore.measure.stability",
+    "stability_map": "stepcore.measure.stability",
+    "predictability": "stepcore.measure.predictability",
+    "PostMortem": "stepcore.measure.postmortem",
+    "Replay": "stepcore.measure.postmortem",
+    "load": "stepcore.loading",
     "loads": "stepcore.mjcf",
-    "replay": "stepcore.postmortem",
+    "replay": "stepcore.measure.postmortem",
 }
 
 

@@ -29,8 +29,8 @@ def add(commands: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore.ablation import ablate
-    from stepcore.lookup import find_scene
+    from stepcore.loading import find_scene
+    from stepcore.measure.ablation import ablate
 
     check_output(args)
     if args.save is not None:

@@ -22,8 +22,8 @@ def add(commands: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore.convergence import converge
-    from stepcore.lookup import find_scene
+    from stepcore.loading import find_scene
+    from stepcore.measure.convergence import converge
 
     check_output(args)
     deliver(converge(find_scene(args.file), states=args.states, **motion_of(args)), args)

@@ -19,7 +19,7 @@ def add(commands: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore.diagnosis import diagnose
+    from stepcore.measure.diagnosis import diagnose
 
     check_output(args)
     motion = motion_of(args)

@@ -8,7 +8,7 @@ import os
 import platform
 from typing import Any
 
-from stepcore.table import Table
+from stepcore.report.table import Table
 
 
 def add(commands: Any) -> None:

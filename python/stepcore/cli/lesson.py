@@ -7,7 +7,7 @@ import json
 from typing import Any
 
 from stepcore.cli.options import Usage
-from stepcore.table import jsonable
+from stepcore.report.table import jsonable
 
 
 def add(commands: Any) -> None:
@@ -21,7 +21,8 @@ def add(commands: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
-    from stepcore import extremes, lesson
+    from stepcore import lesson
+    from stepcore.lesson import extremes
 
     if args.extremes and args.engine != "rust":
         raise Usage("--extremes: runs the Rust engine only")

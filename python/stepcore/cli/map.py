@@ -34,7 +34,7 @@ def add(commands: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore.stability import stability_map
+    from stepcore.measure.stability import stability_map
 
     check_output(args)
     result = stability_map(

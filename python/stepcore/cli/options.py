@@ -15,7 +15,7 @@ from typing import Any
 
 from stepcore._core import SimulationError
 from stepcore.checks import nearest, one_line
-from stepcore.results import Result
+from stepcore.report.result import Result
 
 
 class Usage(ValueError):

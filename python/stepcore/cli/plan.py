@@ -18,8 +18,8 @@ def add(commands: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore.lookup import find_scene
-    from stepcore.sim import Sim
+    from stepcore.engine.sim import Sim
+    from stepcore.loading import find_scene
 
     check_output(args)
     model = find_scene(args.file).compile()

@@ -17,8 +17,8 @@ def add(commands: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore.lookup import find_scene
-    from stepcore.truth.predict import predictability
+    from stepcore.loading import find_scene
+    from stepcore.measure.predictability import predictability
 
     check_output(args)
     deliver(predictability(find_scene(args.file), **motion_of(args)), args)

@@ -9,7 +9,7 @@ from typing import Any
 from stepcore._core import SimulationError
 from stepcore.checks import nearest
 from stepcore.cli.options import Usage, add_file, check_path
-from stepcore.table import jsonable
+from stepcore.report.table import jsonable
 
 # No counter of steps goes further.
 MOST_STEPS = 2.0**64
@@ -31,8 +31,8 @@ def add(commands: Any) -> None:
 def call(args: argparse.Namespace) -> None:
     from time import perf_counter
 
-    from stepcore.lookup import find_scene
-    from stepcore.sim import Sim
+    from stepcore.engine.sim import Sim
+    from stepcore.loading import find_scene
 
     if args.replay is not None:
         check_path(args.replay, "--replay")

@@ -31,7 +31,7 @@ def add(commands: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore.trade import trade
+    from stepcore.measure.trade import trade
 
     check_output(args)
     result = trade(

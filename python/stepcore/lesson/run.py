@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stepcore.lesson import measure
-from stepcore.scene import Scene
+from stepcore.scene.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from stepcore.scene import Scene
+from stepcore.scene.scene import Scene
 
 G = 9.81  # [m/s²]
 HEIGHT = 0.3  # of the drop [m]

@@ -13,14 +13,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from stepcore.checks import ElementError
-from stepcore.layout import Layout, check
 from stepcore.mjcf import actuators, custom, drawn, option, sections, values
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.include import expand, read_bytes
 from stepcore.mjcf.source import MJCFError, Node, Source, parse
 from stepcore.mjcf.tree import Tree
-from stepcore.scene import Scene
+from stepcore.scene.layout import Layout, check
+from stepcore.scene.scene import Scene
 
 __all__ = ["MJCFError", "load", "loads"]
 
@@ -63,7 +63,7 @@ def loads(
     Traceback (most recent call last):
     stepcore.mjcf.source.MJCFError: <string>:1: unknown element <wordbody> in <mujoco>; nearest: ...
     """
-    from stepcore.diagnosis.load import warn_of_stiffness
+    from stepcore.measure.diagnosis.load import warn_of_stiffness
 
     scene = read_text(text, base=base, name=name)
     warn_of_stiffness(scene)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from stepcore.elements import Joint
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.gains import Gains
 from stepcore.mjcf.source import Node
 from stepcore.mjcf.tree import Tree
 from stepcore.mjcf.values import bad
+from stepcore.scene.elements import Joint
 
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "refsite", "body")
 STATEFUL = ("actlimited", "actrange")
@@ -73,7 +73,7 @@ def _refuse_gains(node: Node, gains: Gains) -> None:
 
 
 def _words(gains: Gains) -> dict[str, Any]:
-    """The gains as the fields of `stepcore.elements.Actuator`."""
+    """The gains as the fields of `stepcore.scene.elements.Actuator`."""
     gain, damping = gains.gainprm[0], gains.biasprm[2]
     if gains.tag == "position":
         return {"kp": gain, **({"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping})}

@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from stepcore import frames
-from stepcore.elements import MassRules, fields_of
-from stepcore.frames import Vec
 from stepcore.mjcf.schema import ORIENTATION
 from stepcore.mjcf.source import Node
 from stepcore.mjcf.values import bad
+from stepcore.scene import frames
+from stepcore.scene.elements import MassRules, fields_of
+from stepcore.scene.frames import Vec
 
 # Accepted without effect: where files lie, how a model is saved, how fast it compiles.
 _UNBUILT = {

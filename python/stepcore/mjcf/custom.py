@@ -12,10 +12,10 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from stepcore.checks import nearest
-from stepcore.elements import Features, fields_of
 from stepcore.mjcf.schema import FLAGS
 from stepcore.mjcf.source import Node
-from stepcore.scene import Scene
+from stepcore.scene.elements import Features, fields_of
+from stepcore.scene.scene import Scene
 
 NAME = "stepcore"
 # Features that MJCF cannot switch.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stepcore.layout import Layout
 from stepcore.mjcf.tree import Shape, Tree
+from stepcore.scene.layout import Layout
 
 
 def list_drawn(tree: Tree, layout: Layout) -> None:

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from stepcore.frames import Vec
 from stepcore.mjcf.source import Node
 from stepcore.mjcf.values import bad
+from stepcore.scene.frames import Vec
 
 BUILT = ("motor", "position", "velocity", "general")
 

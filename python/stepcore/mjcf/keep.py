@@ -17,7 +17,7 @@ from stepcore._core import Settings
 from stepcore.mjcf import custom
 from stepcore.mjcf.option import said
 from stepcore.mjcf.write import Tag, escaped, written
-from stepcore.scene import Scene
+from stepcore.scene.scene import Scene
 
 if TYPE_CHECKING:
     from stepcore.mjcf.source import Source

@@ -7,7 +7,7 @@ from typing import Any
 
 from stepcore.mjcf.source import Node
 from stepcore.mjcf.values import bad
-from stepcore.scene import Scene
+from stepcore.scene.scene import Scene
 
 INTEGRATORS = {"Euler": "euler", "RK4": "rk4", "implicitfast": "implicitfast"}
 SOLVERS = {"PGS": "pgs", "Newton": "newton", "CG": "newton"}

@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from typing import Any
 
 from stepcore.checks import nearest
-from stepcore.layout import Layout
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.source import Node
 from stepcore.mjcf.tree import Tree, soft
 from stepcore.mjcf.values import bad
-from stepcore.scene import Scene
+from stepcore.scene.layout import Layout
+from stepcore.scene.scene import Scene
 
 MAX_KEYS = 100_000
 

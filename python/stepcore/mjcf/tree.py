@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from stepcore import frames
-from stepcore.elements import SOLIMP, SOLREF, Body, Element
-from stepcore.frames import Vec
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.schema import NOT_IN_WORLD
 from stepcore.mjcf.source import MJCFError, Node
 from stepcore.mjcf.values import bad
-from stepcore.scene import Scene
+from stepcore.scene import frames
+from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element
+from stepcore.scene.frames import Vec
+from stepcore.scene.scene import Scene
 
 AT_ORIGIN = (frames.ORIGIN, frames.IDENTITY)
 

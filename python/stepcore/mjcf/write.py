@@ -8,7 +8,10 @@ from collections.abc import Iterable
 from typing import Any
 
 from stepcore._core import Settings
-from stepcore.elements import (
+from stepcore.mjcf import custom
+from stepcore.mjcf.option import said, shortest
+from stepcore.mjcf.source import DEPTH
+from stepcore.scene.elements import (
     Actuator,
     Body,
     Element,
@@ -19,11 +22,8 @@ from stepcore.elements import (
     MassRules,
     Site,
 )
-from stepcore.layout import SIZES, Layout, check
-from stepcore.mjcf import custom
-from stepcore.mjcf.option import said, shortest
-from stepcore.mjcf.source import DEPTH
-from stepcore.scene import Scene
+from stepcore.scene.layout import SIZES, Layout, check
+from stepcore.scene.scene import Scene
 
 # What XML 1.0 cannot hold, even escaped.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")

@@ -1,1 +1,0 @@
-"""The motion that is measured: its starts and controls, a run of it, what is seen on the way."""

@@ -1,0 +1,1 @@
+"""What is stepped: the compiled model, one world, many worlds, views by name."""

@@ -1,0 +1,100 @@
+"""`Linearization`: the step as a linear map around one state."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore.engine.arrays import Floats
+
+if TYPE_CHECKING:
+    from stepcore.engine.sim import Sim
+
+AXES = {
+    "slide": ("",),
+    "hinge": ("",),
+    "ball": (" turn x", " turn y", " turn z"),
+    "free": (" x", " y", " z", " turn x", " turn y", " turn z"),
+}
+
+
+class Linearization:
+    """How the state after one step moves with the state and the controls before it.
+
+    x⁺ = A x + B u to the first order, x = (dq, dv) being small changes of position and velocity
+    and u of ctrl. dq has nv entries [m, rad]: it moves qpos as a velocity dq moves it in one
+    second, so that a ball or free joint turns by a rotation vector in its body's own axes.
+
+    >>> from stepcore import Scene, Sim
+    >>> scene = Scene()
+    >>> cart = scene.add_body("cart")
+    >>> _ = scene.add_joint(cart, "slide", name="rail", axis=(1, 0, 0), stiffness=100.0)
+    >>> _ = scene.add_geom(cart, "sphere", 0.1, mass=1.0)
+    >>> step = Sim(scene, dt=0.1, integrator="semi-implicit").linearize()
+    >>> step.A.round(12).tolist()
+    [[0.0, 0.1], [-10.0, 1.0]]
+    >>> step.labels
+    ('rail',)
+    >>> round(step.spectral_radius, 6)
+    1.0
+    """
+
+    def __init__(
+        self,
+        A: Floats,
+        B: Floats,
+        dt: float,
+        labels: tuple[str, ...],
+        controls: tuple[str, ...] = (),
+    ) -> None:
+        self.A, self.B = A, B
+        self.dt = dt
+        self.labels = labels
+        self.controls = controls
+
+    @property
+    def nv(self) -> int:
+        """The number of dofs: half the length of x."""
+        return len(self.labels)
+
+    @property
+    def eigenvalues(self) -> NDArray[np.complex128]:
+        """Eigenvalues of A, largest first, shape (2 nv,): one step multiplies a mode by its own."""
+        values: NDArray[np.complex128] = np.linalg.eigvals(self.A).astype(complex)
+        return values[np.argsort(-np.abs(values), kind="stable")]
+
+    @property
+    def spectral_radius(self) -> float:
+        """The largest factor by which one step multiplies a mode: above 1, it grows."""
+        return float(np.abs(self.eigenvalues).max(initial=0.0))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as plain data."""
+        return {
+            "A": self.A.tolist(),
+            "B": self.B.tolist(),
+            "dt": self.dt,
+            "labels": list(self.labels),
+            "controls": list(self.controls),
+            "spectral_radius": self.spectral_radius,
+        }
+
+    def __repr__(self) -> str:
+        count = f"{self.nv} dofs, {len(self.controls)} controls"
+        radius = f"spectral radius {self.spectral_radius:.6g}"
+        return f"<Linearization: {count}; a step of {self.dt:g} s; {radius}>"
+
+
+def linearized(sim: Sim, numbers: Floats) -> Linearization:
+    """`numbers` is A with B beside it, as the engine gives it."""
+    model = sim.model
+    split = 2 * model.nv
+    labels = tuple(
+        (name or f"joint {index}") + axis
+        for index, (name, kind) in enumerate(zip(model.joint_names, model.jnt_type, strict=True))
+        for axis in AXES[kind]
+    )
+    controls = tuple(name or f"actuator {i}" for i, name in enumerate(model.actuator_names))
+    return Linearization(numbers[:, :split], numbers[:, split:], sim.settings.dt, labels, controls)

@@ -1,0 +1,152 @@
+"""`Trajectory`: what `Sim.run` recorded, and the loop that records it."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stepcore import checks
+from stepcore.engine.arrays import numbers
+
+if TYPE_CHECKING:
+    from stepcore.engine.sim import Sim
+
+Control = Callable[[float, "Sim"], ArrayLike] | ArrayLike | None
+
+RECORDED = (
+    *("qpos", "qvel", "act", "ctrl", "qfrc_applied", "xfrc_applied"),
+    *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos"),
+    *("energy", "momentum", "overlap", "bias", "passive"),
+    *("qacc", "residual", "constraint_force", "actuator_force", "sweeps_done", "row_updates"),
+)
+
+
+@dataclass(repr=False)
+class Trajectory:
+    """A recorded run: ``trajectory.time`` [s], and ``trajectory.qpos`` and so on, time first.
+
+    data: arrays by name, shape (steps + 1, …); the first entry is the state at the start.
+    """
+
+    time: NDArray[np.float64]
+    data: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        # Looked up only when there is no such attribute; `data` is not there in a copy's making.
+        data = self.__dict__.get("data", {})
+        if name in data:
+            return data[name]
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise AttributeError(f'"{name}" was not recorded{checks.nearest(name, data)}')
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __repr__(self) -> str:
+        shapes = ", ".join(f"{name} {array.shape}" for name, array in self.data.items())
+        end = f"{self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else "empty"
+        return f"<Trajectory: {end}, {len(self.time)} instants; {shapes}>"
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
+        """Draws the run over time; returns the matplotlib figure.
+
+        Energy (kinetic, potential, total) and deepest overlap where they were recorded; else
+        everything that was. path: a file to save the picture to. Needs the extra "plot".
+
+        >>> from stepcore import Sim, lesson
+        >>> sim = Sim(lesson.drop())
+        >>> sim.reset(key="start")
+        >>> _ = sim.run(0.5, record=("energy", "overlap")).plot("drop.png")
+        """
+        from stepcore.report.plot.trajectory import plot_trajectory
+
+        return plot_trajectory(self, path)
+
+
+def record_run(
+    sim: Sim, duration: float, control: Control, control_dt: float | None, record: Sequence[str]
+) -> Trajectory:
+    """See `Sim.run`."""
+    dt = sim.settings.dt
+    steps = whole_steps("duration", duration, dt)
+    period = 1 if control_dt is None else whole_steps("control_dt", control_dt, dt, least=1)
+    controls = _controls(sim, control)
+    names = _names(sim, record)
+    time = np.empty(steps + 1)
+    data = {}
+    for name in names:
+        value = np.asarray(getattr(sim, name))
+        data[name] = np.empty((steps + 1, *value.shape), dtype=value.dtype)
+    for step in range(steps + 1):
+        time[step] = sim.time
+        for name in names:
+            data[name][step] = getattr(sim, name)
+        if step < steps:
+            if controls is not None and step % period == 0:
+                sim.ctrl = _finite(sim, controls(step // period), f"at time {sim.time:g} s")
+            sim.step()
+    sim.balance()
+    return Trajectory(time, data)
+
+
+def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
+    """`value` [s] in steps of `dt`; ValueError if that is not a whole number."""
+    number = checks.number(value)
+    if number is None or number < 0:
+        raise ValueError(f"{name} = {checks.shown(value)}: must be a finite number of seconds >= 0")
+    steps = round(number / dt)
+    if steps < least or not math.isclose(steps * dt, number, rel_tol=1e-6, abs_tol=1e-9 * dt):
+        limit = f"a whole number of steps of dt = {dt:g} s"
+        raise ValueError(f"{name} = {number:g}: must be {limit}")
+    return steps
+
+
+def _controls(sim: Sim, control: Control) -> Callable[[int], ArrayLike] | None:
+    """ctrl of each control period."""
+    if control is None:
+        return None
+    if callable(control):
+        return lambda period: control(sim.time, sim)
+    table = numbers("control", control)
+    if table.ndim != 2 or table.shape[1] != sim.model.nu or not len(table):
+        limit = f"of shape (n, {sim.model.nu}) with n > 0"
+        raise ValueError(f"control has shape {table.shape}: must be {limit}")
+    for row, ctrl in enumerate(table):
+        _finite(sim, ctrl, f"in row {row} of control")
+    return lambda period: table[min(period, len(table) - 1)]
+
+
+def _finite(sim: Sim, ctrl: ArrayLike, where: str) -> NDArray[np.float64]:
+    """Controls that a step can take; refused before they are written, so that none stay behind."""
+    table = numbers("ctrl", ctrl)
+    single = sim.settings.precision == "f32"
+    with np.errstate(over="ignore"):
+        finite = np.isfinite(table.astype(np.float32) if single else table)
+    if not finite.all():
+        k = np.argwhere(~finite)[0]
+        index = ", ".join(str(i) for i in k)
+        name = sim.model.actuator_names[k[-1]] if len(k) and k[-1] < sim.model.nu else ""
+        of = f'actuator "{name}", ' if name else ""
+        limit = "finite in single precision" if single else "finite"
+        number = table[tuple(k)]
+        value = f"ctrl{f'[{index}]' if index else ''} = {'NaN' if np.isnan(number) else number}"
+        raise ValueError(f"{value}: must be {limit} ({of}{where}); the state was left as it is")
+    return table
+
+
+def _names(sim: Sim, record: Sequence[str]) -> tuple[str, ...]:
+    if isinstance(record, str):
+        record = (record,)
+    for name in record:
+        if name not in RECORDED:
+            raise ValueError(
+                f'record: there is no "{name}" to keep{checks.nearest(name, RECORDED)}'
+            )
+    return tuple(record)

@@ -1,0 +1,217 @@
+"""Motions that have a closed form, as the truth, and to check the reference against.
+
+Two kinds, which may stand side by side in one scene, without a row at any time:
+
+- slides and hinges whose accelerations are affine in their coordinates, velocities and controls:
+  masses on springs and dampers, motors and servos, a hinge that gravity does not turn. With
+  z = (q, v) and a control that is held, z' = F z + g, so z after a time is e^{Ft} z + ∫e^{Fs}ds g:
+  exact for every control period.
+- free bodies on their own whose inertia is the same about every axis: the centre of mass falls,
+  the spin stays.
+
+Whether a scene is of these kinds is not read off its elements but seen: the accelerations that the
+engine gives are compared with the form's at the beginning and the end of every control period.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from stepcore._core import SimulationError
+from stepcore.engine.sim import Sim
+from stepcore.experiment.coordinates import Start, product, rotated, rotation
+from stepcore.experiment.expm import expm
+
+if TYPE_CHECKING:
+    from stepcore.experiment.runner import Course, Path
+
+# What accelerations may differ by from the form's, over the largest seen: rounding, generously.
+AGREES = 1e-9
+
+
+@dataclass
+class Exact:
+    """The truth in closed form.
+
+    error [m], angle [rad]: rounding, seen by going in half periods. check [m]: how far the
+    reference is from it, as errors are measured.
+    """
+
+    paths: list[Path]
+    error: float
+    angle: float
+    basis: str = "closed form"
+    check: float = np.nan
+
+
+class Unfit(Exception):
+    """The scene has no such form."""
+
+
+def closed(course: Course, paths: Sequence[Path]) -> Exact | None:
+    """The closed form of a course, or None; paths: the converged runs."""
+    if course.motion.control is not None or any(path.rows for path in paths):
+        return None
+    if any(joint[0] == "ball" for joint in course.dofs.joints):
+        return None
+    try:
+        form = _Form(course)
+        found, error, angle = [], 0.0, 0.0
+        for start in range(len(course.motion.starts)):
+            one = form.motion(start, 1)
+            two = form.motion(start, 2)
+            a, b = course.poses(*one), course.poses(*two)
+            error = max(error, float(np.abs(a.com - b.com).max(initial=0.0)))
+            angle = max(angle, float(np.abs(one[0] - two[0]).max(initial=0.0)))
+            found.append(course.drawn(*one))
+    except (Unfit, ValueError, SimulationError):
+        return None
+    size = max(float(np.abs(path.com).max(initial=0.0)) for path in found)
+    return Exact(found, 2 * error + 1e-15 * size, 2 * angle + 1e-15)
+
+
+class _Free(NamedTuple):
+    """A free body on its own; c: its centre of mass in its frame [m]; fall: [m/s²], (3,)."""
+
+    q: int
+    v: int
+    c: np.ndarray
+    fall: np.ndarray
+
+
+class _Form:
+    """What the accelerations of a scene are made of."""
+
+    def __init__(self, course: Course) -> None:
+        self.course = course
+        settings = course.model.settings.replace(precision="f64", integrator="rk4")
+        self.sim = course.sim(settings)
+        kinds = course.dofs.joints
+        self.q = np.array([q for kind, q, _, _ in kinds if kind != "free"], int)
+        self.v = np.array([v for kind, _, v, _ in kinds if kind != "free"], int)
+        self.largest = 1e-300
+        begin = course.motion.starts[0]
+        self.frees = [self._alone(begin, q, v) for kind, q, v, _ in kinds if kind == "free"]
+        n = len(self.q)
+        whole = np.zeros((3 * n, 3 * n))
+        whole[:n, n : 2 * n] = np.eye(n)
+        whole[n : 2 * n, : 2 * n] = self._slopes(begin)
+        whole[n : 2 * n, 2 * n :] = np.eye(n)
+        self.whole = whole
+
+    def motion(self, start: int, parts: int) -> tuple[np.ndarray, np.ndarray]:
+        """qpos and qvel at time 0 and at the samples; parts: of a period at a time."""
+        motion, n = self.course.motion, len(self.q)
+        step = expm(self.whole * (motion.period / parts))[: 2 * n]
+        begin = motion.starts[start]
+        state = np.concatenate([begin.qpos[self.q], begin.qvel[self.v]])
+        qpos, qvel = [begin.qpos], [begin.qvel]
+        slopes = self.whole[n : 2 * n, : 2 * n]
+        for period in range(motion.periods):
+            ctrl = None if motion.ctrl is None else motion.ctrl[start][period]
+            time = period * motion.period
+            push = self._qacc(self._at(begin, state, time), ctrl)[self.v] - slopes @ state
+            for _ in range(parts):
+                state = step @ np.concatenate([state, push])
+            here = self._at(begin, state, time + motion.period)
+            self._agree(self._qacc(here, ctrl), slopes @ state + push, here)
+            if (period + 1) % motion.every == 0:
+                qpos.append(here.qpos)
+                qvel.append(here.qvel)
+        return np.array(qpos), np.array(qvel)
+
+    def _at(self, begin: Start, state: np.ndarray, time: float) -> Start:
+        """The whole scene at a time; state: that of the slides and hinges."""
+        n = len(self.q)
+        qpos, qvel = np.array(begin.qpos), np.array(begin.qvel)
+        qpos[self.q], qvel[self.v] = state[:n], state[n:]
+        for q, v, c, fall in self.frees:
+            before, spin = begin.qpos[q + 3 : q + 7], begin.qvel[v + 3 : v + 6]
+            speed = begin.qvel[v : v + 3] + rotated(before, np.cross(spin, c))
+            centre = begin.qpos[q : q + 3] + rotated(before, c)
+            turn = product(before, rotation(spin * time))
+            centre = centre + speed * time + fall * time**2 / 2
+            qpos[q : q + 3] = centre - rotated(turn, c)
+            qpos[q + 3 : q + 7] = turn / np.linalg.norm(turn)
+            qvel[v : v + 3] = speed + fall * time - rotated(turn, np.cross(spin, c))
+        return Start(qpos, qvel)
+
+    def _agree(self, qacc: np.ndarray, wanted: np.ndarray, here: Start) -> None:
+        """Raises Unfit where the engine's accelerations are not the form's."""
+        wrong = np.abs(qacc[self.v] - wanted).max(initial=0.0)
+        for free in self.frees:
+            fall, turn = _fall(free, here, qacc)
+            wrong = max(wrong, np.abs(fall - free.fall).max(), np.abs(turn).max())
+        self.largest = max(self.largest, float(np.abs(qacc).max(initial=0.0)))
+        if not wrong <= AGREES * self.largest:
+            raise Unfit
+
+    def _qacc(self, here: Start, ctrl: np.ndarray | None) -> np.ndarray:
+        """The engine's accelerations; Unfit where a row is alive."""
+        sim: Sim = self.sim
+        sim.qpos, sim.qvel = here.qpos, here.qvel
+        if ctrl is not None:
+            sim.ctrl[:] = ctrl
+        sim.forward()
+        if len(sim.rows):
+            raise Unfit
+        return np.array(sim.qacc)
+
+    def _slopes(self, begin: Start) -> np.ndarray:
+        """How accelerations change with coordinates and velocities, (n, 2n)."""
+        ctrl = None if self.course.motion.ctrl is None else self.course.motion.ctrl[0][0]
+        base = self._qacc(begin, ctrl)[self.v]
+        columns = []
+        for k in range(2 * len(self.q)):
+            # An affine law may be asked as far away as no contact or limit is in the way.
+            for step in 2.0 ** -np.arange(0, 12, 2):
+                moved = Start(np.array(begin.qpos), np.array(begin.qvel))
+                if k < len(self.q):
+                    moved.qpos[self.q[k]] += step
+                else:
+                    moved.qvel[self.v[k - len(self.q)]] += step
+                try:
+                    columns.append((self._qacc(moved, ctrl)[self.v] - base) / step)
+                    break
+                except Unfit:
+                    continue
+            else:
+                raise Unfit
+        return np.array(columns).T.reshape(len(self.q), 2 * len(self.q))
+
+    def _alone(self, begin: Start, q: int, v: int) -> _Free:
+        """A free joint whose body hangs on nothing, carries nothing that moves, and is isotropic.
+
+        Its block of the mass matrix, with R the orientation and c the centre of mass, is
+        [m, -m R [c]×; m [c]× Rᵀ, I], I about its origin and in its own axes.
+        """
+        at = slice(v, v + 6)
+        self.sim.qpos, self.sim.qvel = begin.qpos, begin.qvel
+        mass = self.sim.mass_matrix()
+        block, rest = mass[at, at], np.delete(mass[at], np.s_[at], axis=1)
+        m = block[0, 0]
+        back = begin.qpos[q + 3 : q + 7] * np.array([1.0, -1.0, -1.0, -1.0])
+        lever = -np.array([rotated(back, column) for column in block[:3, 3:].T]).T / m
+        c = np.array([lever[2, 1], lever[0, 2], lever[1, 0]])
+        about = block[3:, 3:] - m * (c @ c * np.eye(3) - np.outer(c, c))
+        spread = np.abs(about - np.trace(about) / 3 * np.eye(3)).max()
+        linear = np.abs(block[:3, :3] - m * np.eye(3)).max()
+        if np.abs(rest).max(initial=0.0) > 0 or spread > 1e-12 * np.trace(about):
+            raise Unfit
+        if linear > 1e-12 * m:
+            raise Unfit
+        free = _Free(q, v, c, np.zeros(3))
+        fall, _ = _fall(free, begin, self._qacc(begin, None))
+        return free._replace(fall=fall)
+
+
+def _fall(free: _Free, here: Start, qacc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Acceleration of the centre of mass [m/s²] and angular [rad/s²] of a free body."""
+    q, v, c, _ = free
+    spin, turn = here.qvel[v + 3 : v + 6], qacc[v + 3 : v + 6]
+    round_it = np.cross(turn, c) + np.cross(spin, np.cross(spin, c))
+    return qacc[v : v + 3] + rotated(here.qpos[q + 3 : q + 7], round_it), turn

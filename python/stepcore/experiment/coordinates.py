@@ -1,0 +1,182 @@
+"""Where each joint's coordinates lie, and what its motors and dampers do: read from the scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepcore.engine.model import compiled
+from stepcore.scene.actuation import gains
+from stepcore.scene.layout import DOFS, QPOS, Layout
+
+
+@dataclass(frozen=True)
+class Start:
+    """One initial state. qpos: shape (nq,); qvel: shape (nv,)."""
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+
+
+@dataclass(frozen=True)
+class Motor:
+    """A motor or servo on the dofs `at`; its ranges as in `stepcore.scene.elements.Actuator`.
+
+    q: the coordinate of a hinge or slide. gain, bias: as in `stepcore.scene.actuation`, compiled.
+    """
+
+    label: str
+    at: slice
+    gear: np.ndarray
+    ctrlrange: tuple[float, float] | None
+    forcerange: tuple[float, float] | None
+    q: int
+    gain: float
+    bias: np.ndarray
+
+
+class Dofs:
+    """The coordinates of a scene once compiled.
+
+    joints: (type, first coordinate, first dof, range) of each. damping: shape (nv,).
+    moving: indices of the bodies that a joint moves.
+    """
+
+    def __init__(self, scene: Any) -> None:
+        layout = Layout(scene)
+        self.nv = layout.nv
+        self.joints: list[tuple[str, int, int, tuple[float, float] | None]] = []
+        damping: list[float] = []
+        first: dict[int, tuple[int, int]] = {}
+        q = v = 0
+        for joint in layout.joints:
+            self.joints.append((joint.type, q, v, joint.range if scene.features.limit else None))
+            damping += [joint.damping if scene.features.damper else 0.0] * DOFS[joint.type]
+            first[id(joint)] = q, v
+            q, v = q + QPOS[joint.type], v + DOFS[joint.type]
+        self.damping = np.array(damping, float)
+        self.moving = [i for i, body in enumerate(layout.bodies) if layout.moving(body)]
+        self.motors: list[Motor] = []
+        self.works = scene.features.actuation
+        # Compiled, a damping ratio is a damping.
+        bias = compiled(scene).actuator_bias if scene.actuators else ()
+        for i, actuator in enumerate(scene.actuators):
+            n, (q, at) = DOFS[actuator.joint.type], first[id(actuator.joint)]
+            clamped = actuator.ctrlrange if scene.features.clampctrl else None
+            self.motors.append(
+                Motor(
+                    actuator.name or f"actuator {i}",
+                    slice(at, at + n),
+                    np.array(actuator.gear[:n]),
+                    clamped,
+                    actuator.forcerange,
+                    q,
+                    gains(actuator).gain,
+                    bias[i],
+                )
+            )
+
+    def drawn(self, rng: np.random.Generator, slides: float, turns: float) -> np.ndarray:
+        """A uniform change of every dof, at most `slides` along and `turns` about; shape (nv,)."""
+        return self.scaled(rng.uniform(-1.0, 1.0, self.nv), slides, turns)
+
+    def scaled(self, change: np.ndarray, slides: float, turns: float) -> np.ndarray:
+        """A change of every dof, (nv,), times `slides` where it is along and `turns` about."""
+        result = np.array(change, float)
+        for kind, _, v, _ in self.joints:
+            along = {"free": 3, "slide": 1}.get(kind, 0)
+            result[v : v + along] *= slides
+            result[v + along : v + DOFS[kind]] *= turns
+        return result
+
+    def moved(self, qpos: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """`qpos` moved by a change of the dofs; quaternions turn in body axes and stay unit."""
+        result = np.array(qpos, float)
+        for kind, q, v, _ in self.joints:
+            along = {"free": 3, "slide": 1, "hinge": 1}.get(kind, 0)
+            result[q : q + along] += change[v : v + along]
+            if kind in ("free", "ball") and change[v + along : v + along + 3].any():
+                turn = rotation(change[v + along : v + along + 3])
+                result[q + along : q + along + 4] = product(qpos[q + along : q + along + 4], turn)
+        return result
+
+    def inside(self, qpos: np.ndarray) -> np.ndarray:
+        """`qpos` with every limited hinge and slide brought into its range.
+
+        Not onto its end: there the last bit of a position would decide whether a limit acts.
+        """
+        result = np.array(qpos, float)
+        for kind, q, _, limits in self.joints:
+            if limits is not None and kind in ("hinge", "slide"):
+                low, high = limits
+                short = min(1e-3, 0.1 * (high - low))
+                result[q] = np.clip(result[q], low + short, high - short)
+        return result
+
+    def change(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """The change of the dofs from one qpos to another, along leading axes: (…, nv)."""
+        result = np.empty((*np.shape(after)[:-1], self.nv))
+        for kind, q, v, _ in self.joints:
+            along = {"free": 3, "slide": 1, "hinge": 1}.get(kind, 0)
+            result[..., v : v + along] = after[..., q : q + along] - before[..., q : q + along]
+            if kind in ("free", "ball"):
+                at = slice(q + along, q + along + 4)
+                back = before[..., at] * np.array([1.0, -1.0, -1.0, -1.0])
+                result[..., v + along : v + along + 3] = turned(product(back, after[..., at]))
+        return result
+
+    def motor_force(self, ctrl: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """Generalised force of motors and servos, (…, nu) → (…, nv) [N or N·m]."""
+        force = np.zeros((*np.shape(ctrl)[:-1], self.nv))
+        for k, motor in enumerate(self.motors if self.works else []):
+            value = np.asarray(ctrl[..., k], float)
+            if motor.ctrlrange is not None:
+                value = np.clip(value, *motor.ctrlrange)
+            value = motor.gain * value + motor.bias[0]
+            if motor.bias[1:].any():
+                length, rate = qpos[..., motor.q], qvel[..., motor.at.start]
+                value += motor.gear[0] * (motor.bias[1] * length + motor.bias[2] * rate)
+            if motor.forcerange is not None:
+                value = np.clip(value, *motor.forcerange)
+            force[..., motor.at] += value[..., None] * motor.gear
+        return force
+
+
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Quaternion product, w x y z, along leading axes."""
+    w, x = a[..., :1], a[..., 1:]
+    s, y = b[..., :1], b[..., 1:]
+    real = w * s - np.sum(x * y, axis=-1, keepdims=True)
+    return np.concatenate([real, w * y + s * x + np.cross(x, y)], axis=-1)
+
+
+def rotation(vector: np.ndarray) -> np.ndarray:
+    """The quaternion of a rotation vector [rad]."""
+    angle = float(np.linalg.norm(vector))
+    return np.concatenate([[np.cos(angle / 2)], 0.5 * np.sinc(angle / 2 / np.pi) * vector])
+
+
+def rotated(quat: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Vectors turned by quaternions, along leading axes."""
+    w, x = quat[..., :1], quat[..., 1:]
+    cross = np.cross(x, vector)
+    result: np.ndarray = vector + 2 * (w * cross + np.cross(x, cross))
+    return result
+
+
+def turned(quat: np.ndarray) -> np.ndarray:
+    """The rotation vector of a quaternion, the short way round [rad]."""
+    quat = np.where(quat[..., :1] < 0, -quat, quat)
+    sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(sine, quat[..., :1])
+    return quat[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
+
+
+def movable(scene: Any, missing: str) -> Dofs:
+    """The coordinates of a scene; ValueError that says what is missing where nothing can move."""
+    dofs = Dofs(scene)
+    if not dofs.moving:
+        raise ValueError(f"nothing in the scene can move: there is {missing}")
+    return dofs

@@ -1,0 +1,191 @@
+"""How far a run is from the reference, in numbers that mean the same in every scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepcore.experiment.probes import anisotropy, creep
+from stepcore.experiment.runner import Path, angle, distance
+
+# Further from the reference than this many times the scene's size is no error, but a failure.
+FAR = 100.0
+# A contact holds with friction below this share of μ × normal force: the pyramid reaches as far
+# along its tangents, and 1/√2 as far between them.
+STICKS = {"pyramidal": 0.7, "elliptic": 0.99}
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of one setting over all starts.
+
+    position [m], angle [rad]: root mean square over samples and moving bodies, of centres of
+    mass and of orientations in the world; the median of the starts. …_max: the largest of any
+    body, sample and start; worst: the start that position_max is from. gained, lost [J]: the
+    most by which the energy balance of `Path` rose above its start, and fell below it, in any
+    start. each [m]: how far matter is off, in every start: the root mean square of centres of
+    mass, and of orientations times the body's radius of gyration. relative, relative_max:
+    position and position_max over the scene's size.
+
+    numerical, modelling [m]: what `high` is made of where a setting changes the model (other cone,
+    other law, f32): its distance to that model's own limit, and the distance of the two limits;
+    see `stepcore.experiment.other_models`. Elsewhere numerical is `high`, and modelling 0.
+
+    The largest of any start, None where the scene has no such thing or it cannot be known:
+    momentum [kg·m/s], angular_momentum [kg·m²/s]: what internal forces and gravity do not
+    explain; joint [m]: the widest gap of a connection; limit [rad or m]: how far a joint was
+    beyond its range; overlap [m]; creep [m/s]: the fastest slip in a contact that the reference
+    holds; anisotropy [rad]: between friction and the direction against the slip, at contacts
+    that slide; residual [m/s].
+    """
+
+    position: float
+    position_max: float
+    angle: float
+    angle_max: float
+    gained: float
+    lost: float
+    overlap: float
+    residual: float
+    worst: int = 0
+    each: tuple[float, ...] = ()
+    relative: float = np.nan
+    relative_max: float = np.nan
+    numerical: float = np.nan
+    modelling: float = 0.0
+    momentum: float | None = None
+    angular_momentum: float | None = None
+    joint: float | None = None
+    limit: float | None = None
+    creep: float | None = None
+    anisotropy: float | None = None
+
+    @property
+    def high(self) -> float:
+        """How far matter is off in the worst start [m]; see `each`."""
+        return max(self.each, default=self.position)
+
+    @property
+    def median(self) -> float:
+        """How far matter is off in the median of the starts [m]."""
+        return float(np.median(self.each)) if self.each else self.position
+
+
+def errors(
+    paths: Sequence[Path],
+    truth: Sequence[Path],
+    scored: np.ndarray,
+    size: float = np.nan,
+    sticks: float = STICKS["pyramidal"],
+) -> Errors:
+    """Errors of runs against the reference's, over the samples that are scored (starts, n).
+
+    size: of the scene [m]; sticks: see `stepcore.experiment.probes.creep`.
+    """
+    metres, radians, matter, creeps = [], [], [], []
+    for path, true, mask in zip(paths, truth, scored, strict=True):
+        metres.append(distance(path, true)[mask])
+        radians.append(angle(path, true)[mask])
+        matter.append(np.hypot(metres[-1], turned(path, true) * radians[-1]))
+        creeps.append(creep(path.slips, true.slips, mask, sticks))
+    largest = [float(part.max(initial=0.0)) for part in metres]
+    position, each = float(np.median(_roots(metres))), tuple(_roots(matter))
+    return Errors(
+        position=position,
+        position_max=max(largest),
+        angle=float(np.median(_roots(radians))),
+        angle_max=max(float(part.max(initial=0.0)) for part in radians),
+        gained=max(0.0, *(float(path.balance.max(initial=0.0)) for path in paths)),
+        lost=max(0.0, *(-float(path.balance.min(initial=0.0)) for path in paths)),
+        overlap=max(path.overlap for path in paths),
+        residual=max(path.residual for path in paths),
+        worst=largest.index(max(largest)),
+        each=each,
+        relative=position / size,
+        relative_max=max(largest) / size,
+        numerical=max(each),
+        momentum=_worst([path.momentum for path in paths]),
+        angular_momentum=_worst([path.spin for path in paths]),
+        joint=_worst([path.joint for path in paths]),
+        limit=_worst([path.limit for path in paths]),
+        creep=_known(creeps),
+        anisotropy=_known([anisotropy(path.slips) for path in paths]),
+    )
+
+
+def turned(path: Path, true: Path) -> np.ndarray | float:
+    """Radii of gyration [m] of the bodies of two runs, by which angles become lengths."""
+    known = true.gyration if len(true.gyration) else path.gyration
+    return known if len(known) else 0.0
+
+
+def _worst(values: Sequence[float | None]) -> float | None:
+    """The largest; None if one of them is not known."""
+    return None if None in values else _known(values)
+
+
+def _known(values: Sequence[float | None]) -> float | None:
+    """The largest of those that are known; None if none is."""
+    return max((value for value in values if value is not None), default=None)
+
+
+def far_off(paths: Sequence[Path], truth: Sequence[Path], size: float) -> str | None:
+    """Why runs that are nowhere near the reference failed, or None; size: of the scene [m].
+
+    All samples count: chaos is no reason to be far outside of the scene.
+    """
+    for start, (path, true) in enumerate(zip(paths, truth, strict=True)):
+        apart = float(distance(path, true).max(initial=0.0))
+        if not apart <= FAR * size:
+            return f"start {start}: far off ({apart:.2g} m from the reference)"
+    return None
+
+
+def extent(paths: Sequence[Path], scene: Any) -> float:
+    """How large the scene is [m]: where its bodies go, how long and how thick they are.
+
+    1 where nothing of it has a length.
+    """
+    centres = np.concatenate([path.com.reshape(-1, 3) for path in paths])
+    thick = [max(geom.size) for geom in scene.geoms if geom.type != "plane"]
+    long = [float(np.linalg.norm(body.pos)) for body in scene.bodies]
+    gone = float(np.linalg.norm(np.ptp(centres, axis=0)))
+    return gone + max(thick, default=0.0) + max(long) or 1.0
+
+
+def moved(paths: Sequence[Path]) -> float:
+    """How far matter moves [m], as an error would be of a run in which it stands still.
+
+    Of the start in which it moves least: the root mean square of the way from the first sample.
+    """
+    ways = []
+    for path in paths:
+        still = Path(com=path.com[:1], quat=path.quat[:1])
+        ways.append(np.hypot(distance(path, still), turned(path, path) * angle(path, still)))
+    return min(_roots(ways))
+
+
+def _roots(parts: Sequence[np.ndarray]) -> list[float]:
+    """The root mean square of each part."""
+    with np.errstate(over="ignore"):
+        return [float(np.sqrt(np.mean(part**2))) if part.size else 0.0 for part in parts]
+
+
+def pareto(cost: Sequence[float], error: Sequence[float]) -> list[bool]:
+    """Which points no other beats: none is as good in both and better in one.
+
+    Of equal points the first counts; one that is not finite never does.
+
+    >>> pareto([1.0, 2.0, 3.0, 2.5], [3.0, 2.0, 1.0, 2.0])
+    [True, True, True, False]
+    """
+    # NaN has no place in an order: sorted with one, the rest would not be either.
+    finite = [i for i in range(len(cost)) if np.isfinite(cost[i])]
+    best, marks = np.inf, [False] * len(cost)
+    for i in sorted(finite, key=lambda i: (cost[i], error[i], i)):
+        if error[i] < best:
+            best, marks[i] = error[i], True
+    return marks

@@ -1,0 +1,57 @@
+"""How far connections come apart and joints go beyond their limits."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stepcore.experiment.coordinates import rotated, turned
+from stepcore.scene.layout import QPOS
+
+if TYPE_CHECKING:
+    from stepcore.experiment.runner import Course, Seen
+
+
+class Joints:
+    """The connections and the limits of a scene. connected: it has any of the former."""
+
+    def __init__(self, course: Course) -> None:
+        scene, layout, dofs = course.model.scene, course.layout, course.dofs
+        self.ranges = [(kind, q, limits) for kind, q, _, limits in dofs.joints if limits]
+        works = scene.features.equality and scene.features.constraint
+        ties = [e for e in scene.equalities if e.active and e.type == "connect" and works]
+        self.connected = bool(ties)
+        # (body 1, the point in its frame, body 2, the point in its frame).
+        self.ties: list[tuple[int, np.ndarray, int, np.ndarray]] = []
+        if ties:
+            sim = course.sim(course.model.settings.replace(precision="f64"))
+            place, turn = sim.xpos, sim.xmat
+            for tie in ties:
+                a, b = layout.index[id(tie.body1)], layout.index[id(tie.body2)]
+                point = place[a] + turn[a] @ np.array(tie.anchor)
+                self.ties.append((a, np.array(tie.anchor), b, turn[b].T @ (point - place[b])))
+
+    def apart(self, seen: Seen) -> float | None:
+        """The widest gap of a connection [m], None without one."""
+        if not self.connected:
+            return None
+        gaps = []
+        for a, one, b, other in self.ties:
+            here = seen.frames[:, a, :3] + rotated(seen.frames[:, a, 3:], one)
+            there = seen.frames[:, b, :3] + rotated(seen.frames[:, b, 3:], other)
+            gaps.append(np.linalg.norm(here - there, axis=1).max())
+        return float(max(gaps))
+
+    def beyond(self, qpos: np.ndarray) -> float | None:
+        """The furthest that a joint was outside of its range [rad or m], None without ranges."""
+        most = []
+        for kind, q, (low, high) in self.ranges:
+            if kind in ("hinge", "slide"):
+                value = qpos[:, q]
+            else:
+                quat = qpos[:, q + QPOS[kind] - 4 : q + QPOS[kind]]
+                value = np.linalg.norm(turned(quat), axis=1)
+            over = np.maximum(low - value, value - high).max()
+            most.append(max(0.0, float(over)))
+        return max(most, default=None)

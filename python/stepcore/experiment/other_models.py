@@ -1,0 +1,231 @@
+"""What a model is wrong by, apart from what its numbers are wrong by.
+
+A *numerical* error is the distance of a run from the limit dt → 0 of its own model; a *modelling*
+error is the distance of that limit from another model's. Models differ in the law, the cone and the
+softness; single precision counts as one, whose distance is that of a run from the same run in
+double precision. Two limits are taken with one integrator at one step, so that what is left of
+their numerical errors is much the same on both sides: the reference's at twice its step where runs
+are measured from them, the cheaper one's where only they are compared.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from stepcore._core import Settings
+from stepcore.engine.model import Model
+from stepcore.experiment.errors import STICKS, Errors, errors
+from stepcore.experiment.reference import Gap, Level, Reference, Search
+from stepcore.experiment.runner import Course, Path
+from stepcore.report.progress import Progress
+from stepcore.scene.scene import Scene
+
+Ref = tuple[float, ...]
+
+# Settings that say what is modelled, not how it is computed.
+MODELLED = (
+    *("law", "beta", "softness", "restitution", "slop", "cone", "impratio"),
+    *("penalty_stiffness", "penalty_damping_ratio"),
+)
+# Integrators that only solref knows.
+SMOOTH = ("euler", "implicitfast")
+# Time constants of solref are divided by these, one after the other, towards a rigid scene.
+STIFFER = (4.0, 16.0)
+# Laws whose limit is soft, and how they are made harder, in words.
+HARDER = {"solref": "solref time constants / {0:g}", "penalty": "penalty_stiffness × {1:g}"}
+# The last two may differ by this share of the last for softness to be told at all.
+SETTLED = 0.25
+
+
+class Models:
+    """Splits errors into numerical and modelling ones; keeps the limits that it finds."""
+
+    def __init__(self, search: Search, reference: Reference, size: float) -> None:
+        self.search, self.reference, self.size = search, reference, size
+        chains = search.chains
+        names = sorted(chains, key=lambda name: name == "rk4")
+        near = [level for level in chains[names[0]] if level.dt <= search.finest / 2]
+        self.cheap: Level = near[0] if near else chains[names[0]][-1]
+        self.acts = any(path.rows or path.overlap for path in self.cheap.paths)
+        self.base: Level = reference.levels[-2]
+        self.limits: dict[tuple[Any, ...], Level] = {}
+        self.doubles: dict[Settings, list[Path]] = {}
+
+    def keep(self, settings: Settings, paths: list[Path]) -> None:
+        """Remembers runs, so that those in single precision can be compared with them."""
+        if settings.precision == "f64" and not paths[-1].failure:
+            self.doubles[settings] = paths
+
+    def errors(self, settings: Settings, paths: Sequence[Path]) -> Errors:
+        """Errors of one setting, that of its worst start split.
+
+        Where another model's own limit fails, or the run in double precision does, nothing can
+        be told apart: modelling is then NaN, and numerical the whole error.
+        """
+        whole = self._apart(paths, self.reference.paths, settings.cone)
+        numerical, modelling = whole.high, 0.0
+        exact = settings.replace(precision="f64")
+        if settings.precision != "f64":
+            double = self._double(exact)
+            if double is None:
+                return dataclasses.replace(whole, modelling=float("nan"))
+            modelling = self._apart(paths, double).high
+            numerical = self._apart(double, self.reference.paths).high
+            paths = double
+        own = self.search.shipped
+        if _modelled(exact) != _modelled(own) or self._clamp(exact):
+            limit = self.limit(exact)
+            if limit.failed:
+                return dataclasses.replace(whole, modelling=float("nan"))
+            modelling += self._apart(limit.paths, self.base.paths).high
+            numerical = self._apart(paths, limit.paths).high
+        return dataclasses.replace(whole, numerical=numerical, modelling=modelling)
+
+    def limit(self, settings: Settings) -> Level:
+        """The limit of the model that settings stand for."""
+        key = (*_modelled(settings), self._clamp(settings))
+        if key not in self.limits:
+            course = self.search.course
+            if self._clamp(settings):
+                scene = clamped(course.model.scene, 2 * settings.dt)
+                model = Model(scene, course.model.settings)
+                course = Course(model, course.dofs, course.motion)
+            self.limits[key] = self._level(course, settings, self.base)
+        return self.limits[key]
+
+    def _clamp(self, settings: Settings) -> float:
+        """The step at which `refsafe` makes the scene softer [s], 0 where it does not."""
+        if settings.law != "solref" or not settings.refsafe or not self.acts:
+            return 0.0
+        shortest = clamping(self.search.course.model.scene)
+        return settings.dt if shortest and 2 * settings.dt > shortest * (1 + 1e-12) else 0.0
+
+    def gaps(self) -> dict[str, Gap]:
+        """How far the scene as shipped is from one with round cones, and from a rigid one.
+
+        "pyramid": where friction acts under pyramidal cones. "softness": under solref and penalty,
+        harder and harder until that changes little. Empty where no row acts; the other laws are
+        rigid in their limit.
+        """
+        found: dict[str, Gap] = {}
+        course, shipped, here = self.search.course, self.search.shipped, self.cheap.paths
+        if not self.acts:
+            return found
+        if shipped.cone == "pyramidal" and any(any(path.slips) for path in here):
+            limit = self._level(course, shipped.replace(cone="elliptic"), self.cheap)
+            if not limit.failed:
+                apart = self._apart(limit.paths, here).high
+                found["pyramid"] = Gap(apart, "elliptic cones")
+        apart_by: list[float] = []
+        for factor in STIFFER if shipped.law in HARDER else ():
+            level = self._harder(factor)
+            if level.failed:
+                break
+            apart_by.append(self._apart(level.paths, here).high)
+        if apart_by:
+            last, factor = apart_by[-1], STIFFER[len(apart_by) - 1]
+            steady = len(apart_by) > 1 and abs(last - apart_by[-2]) <= SETTLED * last
+            found["softness"] = Gap(last, HARDER[shipped.law].format(factor, factor**2), steady)
+        return found
+
+    def _harder(self, factor: float) -> Level:
+        """The limit of the scene with contacts whose time constants are shorter."""
+        course, shipped = self.search.course, self.search.shipped
+        if shipped.law == "penalty":
+            hard = shipped.replace(penalty_stiffness=shipped.penalty_stiffness * factor**2)
+            # Explicit: the step must follow the spring.
+            like = Level(self.cheap.dt / factor, self.cheap.integrator, [])
+            return self._level(course, hard, like)
+        model = Model(stiffer(course.model.scene, factor), course.model.settings)
+        return self._level(Course(model, course.dofs, course.motion), shipped, self.cheap)
+
+    def _level(self, course: Course, settings: Settings, like: Level) -> Level:
+        """All starts of a course and a model, at the step and with the integrator of a level."""
+        search, name = self.search, like.integrator
+        soft = settings.law == "solref"
+        if not soft and name in SMOOTH:
+            name = "semi-implicit"
+        solver = "newton" if soft else "pgs"
+        shipped = settings.replace(integrator=name, solver=solver, acceleration="none")
+        other = Search(course, shipped, search.finest, 0.0, search.threads, search.executor)
+        level = other.level(name, like.dt, Progress("", 1, False))
+        search.spent += other.spent
+        return level
+
+    def _double(self, settings: Settings) -> list[Path] | None:
+        """The same runs in double precision, None if they fail."""
+        if settings not in self.doubles:
+            starts = range(len(self.search.course.motion.starts))
+            paths = [self.search.course.run(settings, start) for start in starts]
+            if any(path.failure for path in paths):
+                return None
+            self.doubles[settings] = paths
+        return self.doubles[settings]
+
+    def _apart(
+        self, paths: Sequence[Path], truth: Sequence[Path], cone: str = "pyramidal"
+    ) -> Errors:
+        return errors(paths, truth, self.reference.scored, self.size, STICKS[cone])
+
+
+def stiffer(scene: Any, factor: float) -> Any:
+    """A copy of a scene whose contacts, limits and connections are harder.
+
+    Time constants of solref are divided by `factor`; a stiffness given directly is multiplied by
+    its square and a damping by it, which is the same.
+    """
+
+    def hard(ref: Ref) -> Ref:
+        if ref[0] > 0:
+            return (ref[0] / factor, ref[1])
+        return (ref[0] * factor**2, ref[1] * factor)
+
+    return _softened(scene, hard)
+
+
+def clamped(scene: Any, least: float) -> Any:
+    """A copy of a scene none of whose time constants of solref is below `least` [s]."""
+    return _softened(scene, lambda ref: (max(ref[0], least) if ref[0] > 0 else ref[0], ref[1]))
+
+
+def _softened(scene: Any, change: Callable[[Ref], Ref]) -> Any:
+    """A copy of a scene with every solref changed."""
+    made = copy.deepcopy(scene)
+    for geom in made.geoms:
+        geom.solref = change(geom.solref)
+    for joint in made.joints:
+        joint.solreflimit = change(joint.solreflimit)
+        joint.solreffriction = change(joint.solreffriction)
+    for equality in made.equalities:
+        equality.solref = change(equality.solref)
+    return made
+
+
+def _modelled(settings: Settings) -> tuple[Any, ...]:
+    """What settings say of the model; what a law does not use is left out."""
+    values = {name: getattr(settings, name) for name in MODELLED}
+    soft = settings.law == "solref"
+    for name in MODELLED:
+        unused = (
+            (name in ("beta", "softness", "restitution", "slop") and soft)
+            or (name == "impratio" and not soft)
+            or (name.startswith("penalty") and settings.law != "penalty")
+        )
+        if unused:
+            values[name] = None
+    return tuple(values.values())
+
+
+def clamping(scene: Scene) -> float | None:
+    """The shortest time constant that `refsafe` guards [s]: at a dt above half of it, rows soften.
+
+    None where no solref in the scene is a time constant.
+    """
+    softness = [g.solref for g in scene.geoms if g.contype or g.conaffinity]
+    softness += [j.solreflimit for j in scene.joints if j.range is not None]
+    softness += [j.solreffriction for j in scene.joints if j.frictionloss > 0]
+    softness += [e.solref for e in scene.equalities if e.active]
+    return min((ref[0] for ref in softness if ref[0] > 0), default=None)

@@ -1,0 +1,360 @@
+"""The scene's own limit dt → 0 with converged forces, and how well it is known.
+
+Two integrators run at halved steps, their rows solved to rounding. What is modelled, the softness
+of contacts above all, stays the scene's, and `refsafe` does not touch it. The better known of the
+two is the reference; it is halved on until its error is a tenth of the smallest that the table
+shows, or the budget is spent. How its error is known is in `stepcore.experiment.order`. Where the
+motion has a closed form (`stepcore.experiment.closed_form`), that is the truth, and checks the
+reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+
+from stepcore._core import Settings
+from stepcore.executors import each
+from stepcore.experiment.closed_form import Exact, closed
+from stepcore.experiment.errors import Errors, errors, extent
+from stepcore.experiment.growth import DIRECTIONS, Growth, growth
+from stepcore.experiment.order import Known, known, observed, shown
+from stepcore.experiment.runner import Course, Path
+from stepcore.report.progress import Progress
+
+# A tenth: the reference's error may then change the last digit of an error shown, no more.
+FINER = 10.0
+# Halvings that no longer halve the error have met rounding, or something that does not converge.
+STALLED = 0.9
+# Of the scene's size: distances below it are rounding, grown by what a predictable scene allows.
+ROUNDING = 1e-11
+# To see an order.
+HALVINGS = 3
+# From here on the other integrator, not the reference's own halving, decides what is known.
+EAGER = 4.0
+# Coarser runs that may be added where the finer ones have met rounding, in steps of the finest.
+COARSEST = 64
+
+
+# Laws whose stiffness is β/dt: there is no scene that stays the same as dt shrinks.
+DEPENDENT = ("lesson", "relaxed")
+
+
+@dataclass
+class Level:
+    """All starts at one time step. moved: from the level of twice the step to this one."""
+
+    dt: float
+    integrator: str
+    paths: list[Path]
+    moved: Errors | None = None
+
+    @property
+    def failed(self) -> str | None:
+        return next((path.failure for path in self.paths if path.failure), None)
+
+    @property
+    def distance(self) -> float:
+        """To the level of twice the step, of the median start [m]; inf without one."""
+        return np.inf if self.moved is None else self.moved.median
+
+    @property
+    def high(self) -> float:
+        """The same of the worst start [m]."""
+        return np.inf if self.moved is None else self.moved.high
+
+
+@dataclass(frozen=True)
+class Gap:
+    """The distance between the limits of two models of a scene.
+
+    distance [m]: as errors of positions are measured. against: the other model, in words.
+    settled: whether a step further towards it, where there is one, changes little.
+    """
+
+    distance: float
+    against: str
+    settled: bool = True
+
+
+@dataclass
+class Reference:
+    """The converged motion of a scene.
+
+    level: the finest run of one integrator, levels: its halvings. error, largest (of any body,
+    sample and start), high (of the worst start) [m], angle [rad]: what the truth may be wrong by,
+    measured as errors in the table are. basis: how `high` is known, in words; order: what
+    Richardson used for it (1, 2 or 4), or None; known: the same of every measure. orders:
+    what the halvings of each integrator showed of the median start, coarsest first.
+    agreement [m]: distance to the finest run of another integrator, `other`, whose own halving
+    moved it by other_error. growth: of twins. exact: the closed form, where there is one.
+    gaps: to other models, see `stepcore.experiment.other_models`.
+    stiffens: rows act whose law grows stiffer as dt shrinks, so that the limit is a harder scene.
+    """
+
+    settings: Settings
+    level: Level
+    levels: list[Level]
+    growth: Growth
+    known: Known
+    orders: dict[str, list[float]]
+    agreement: float = np.nan
+    other: str = ""
+    other_error: float = np.nan
+    exact: Exact | None = None
+    stiffens: bool = False
+    stalls: int = 0
+    gaps: dict[str, Gap] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.told()
+
+    def told(self) -> None:
+        """Takes error and its like from what is known."""
+        if self.exact is None:
+            k = self.known
+            self.error, self.largest, self.high, self.angle = k.error, k.largest, k.high, k.angle
+            self.basis, self.order = k.bases["high"], k.orders["high"]
+        else:
+            self.error = self.largest = self.high = self.exact.error
+            self.angle, self.basis, self.order = self.exact.angle, self.exact.basis, None
+
+    @property
+    def scored(self) -> np.ndarray:
+        """Samples that count: those that can be predicted, (starts, n)."""
+        return self.growth.scored
+
+    @property
+    def paths(self) -> list[Path]:
+        """The truth: the closed form, or the finest run."""
+        return self.level.paths if self.exact is None else self.exact.paths
+
+
+class Search:
+    """Looks for the reference of a course; counts what it spends in steps × (dofs + 2)."""
+
+    def __init__(
+        self,
+        course: Course,
+        shipped: Settings,
+        finest: float,
+        budget: float,
+        threads: int,
+        executor: Executor | None = None,
+    ):
+        self.course, self.shipped, self.budget, self.threads = course, shipped, budget, threads
+        self.executor, self.finest, self.spent = executor, finest, 0.0
+        self.chains: dict[str, list[Level]] = {}
+        self.size = 1.0
+
+    @property
+    def runs(self) -> int:
+        """How many runs `first` makes, at least."""
+        return (2 * (HALVINGS + 1) + 1 + DIRECTIONS) * len(self.course.motion.starts)
+
+    def settings(self, integrator: str, dt: float) -> Settings:
+        """Reference settings: rows solved to rounding, as the law allows."""
+        soft = self.shipped.law == "solref"
+        return self.shipped.replace(
+            dt=dt,
+            integrator=integrator,
+            solver="newton" if soft else "pgs",
+            acceleration="none",
+            sweeps=200 if soft else 20_000,
+            tolerance=1e-13,
+            warm_start=True,
+            precision="f64",
+            **({"refsafe": False} if soft else {}),
+        )
+
+    def cost(self, integrator: str, dt: float) -> float:
+        """Of all starts at one step, in steps of rk4, which solves four times, × (dofs + 2)."""
+        motion = self.course.motion
+        steps = motion.periods * motion.steps(dt) * len(motion.starts)
+        return steps * (self.course.dofs.nv + 2) * (1.0 if integrator == "rk4" else 0.25)
+
+    def level(self, integrator: str, dt: float, bar: Progress) -> Level:
+        """All starts at one step."""
+        self.spent += self.cost(integrator, dt)
+        job = partial(self.course.run, self.settings(integrator, dt))
+        starts = range(len(self.course.motion.starts))
+        paths = each(job, starts, bar=bar, threads=self.threads, executor=self.executor)
+        return Level(dt, integrator, paths)
+
+    def first(self, bar: Progress) -> Reference:
+        """Two integrators, three halvings each, and the twins; the better known one."""
+        second = "implicitfast" if self.shipped.law == "solref" else "semi-implicit"
+        steps = self._steps()
+        for integrator in (second, "rk4"):
+            levels = [self.level(integrator, dt, bar) for dt in steps]
+            whole = [i for i, level in enumerate(levels) if level.failed]
+            levels = levels[whole[-1] + 1 :] if whole else levels
+            if len(levels) > 1:
+                self.chains[integrator] = levels
+            failed = next((level.failed for level in levels[::-1] if level.failed), None)
+        if not self.chains:
+            raise ValueError(
+                f"the reference fails at dt = {steps[-1]:g} s, so there is nothing to compare "
+                f"with: {failed}"
+            )
+        # The finer of two where there are only those; rk4's, where it runs.
+        base = list(self.chains.values())[-1][-3:][0]
+        self.size = extent(base.paths, self.course.model.scene)
+        found = self._growth(base, bar)
+        for levels in self.chains.values():
+            for coarse, fine in pairwise(levels):
+                fine.moved = self.apart(coarse, fine, found)
+            self._coarser(levels, found, bar)
+        reference = self._reference(found)
+        if reference.known.high > EAGER * reference.level.high:
+            self._catch_up(reference, found, bar)
+            reference = self._reference(found, reference.level.integrator)
+        reference.exact = self._exact(reference, found)
+        reference.told()
+        return reference
+
+    def _exact(self, reference: Reference, found: Growth) -> Exact | None:
+        """The closed form, unless the converged run says that something was met on the way."""
+        exact = closed(self.course, reference.level.paths)
+        if exact is None:
+            return None
+        truth = Level(0.0, "", exact.paths)
+        exact.check = self.apart(reference.level, truth, found).median
+        meets = exact.check > FINER * reference.error + 1e-9 * self.size
+        return None if meets else exact
+
+    def _steps(self) -> list[float]:
+        """Three halvings, from twice the finest step; from four times where that costs too much."""
+        for begin in (4.0, 2.0, 1.0):
+            steps = [self.finest * begin / 2**k for k in range(HALVINGS + 1)]
+            dear = sum(self.cost("rk4", dt / 2) for dt in steps) > self.budget
+            if self._fits(steps[0]) and (begin < 4 or dear):
+                break
+        return steps
+
+    def alone(self, bar: Progress) -> tuple[Level, Growth]:
+        """One run of every start and its twins, and no reference: how long it can be predicted."""
+        second = "implicitfast" if self.shipped.law == "solref" else "semi-implicit"
+        for dt in (self.finest / 2, self.finest / 8):
+            for integrator in ("rk4", second):
+                base = self.level(integrator, dt, bar)
+                if not base.failed:
+                    self.size = extent(base.paths, self.course.model.scene)
+                    return base, self._growth(base, bar)
+        raise ValueError(f"the scene fails at dt = {dt:g} s: {base.failed}")
+
+    def can_refine(self, reference: Reference) -> bool:
+        """Whether a further halving is affordable and would still tell something."""
+        done = reference.exact is not None or reference.high <= ROUNDING * self.size
+        if done or reference.stalls > 1:
+            return False
+        levels = [self.chains[name][-1] for name in self._coarsest(reference)]
+        cost = sum(self.cost(one.integrator, one.dt / 2) for one in levels)
+        return self.spent + cost <= self.budget
+
+    def refine(self, reference: Reference, bar: Progress) -> bool:
+        """Halves the step that decides the reference's error; False if that run fails.
+
+        That is the reference's own where Richardson tells its error; elsewhere that of the
+        integrator which its last halving moved more, or of both.
+        """
+        before = reference.high
+        for name in self._coarsest(reference):
+            if not self._halve(name, reference.growth, bar):
+                return False
+        better = self._reference(reference.growth, reference.level.integrator)
+        stalls = reference.stalls + 1 if better.high > STALLED * before else 0
+        reference.__dict__.update(better.__dict__ | {"stalls": stalls})
+        return True
+
+    def _catch_up(self, reference: Reference, found: Growth, bar: Progress) -> None:
+        """Halves the other integrator's step twice: cheap, where its run decides the error."""
+        for _ in range(2 if reference.other not in ("", "rk4") else 0):
+            if not self._halve(reference.other, found, bar):
+                return
+
+    def _coarsest(self, reference: Reference) -> list[str]:
+        """The integrators that a refinement halves."""
+        own = reference.level.integrator
+        if reference.order is not None or not reference.other:
+            return [own]
+        moved = {name: self.chains[name][-1].high for name in (own, reference.other)}
+        return [name for name in moved if moved[name] >= max(moved.values()) / 2]
+
+    def _halve(self, integrator: str, found: Growth, bar: Progress) -> bool:
+        """Adds a finer level to an integrator's; False if it fails."""
+        coarse = self.chains[integrator][-1]
+        fine = self.level(integrator, coarse.dt / 2, bar)
+        if fine.failed:
+            return False
+        fine.moved = self.apart(coarse, fine, found)
+        self.chains[integrator].append(fine)
+        return True
+
+    def apart(self, coarse: Level, fine: Level, found: Growth) -> Errors:
+        """The distance of a level to another, as errors are measured."""
+        return errors(coarse.paths, fine.paths, found.scored)
+
+    def _fits(self, dt: float) -> bool:
+        """Whether a step divides the period."""
+        count = self.course.motion.period / dt
+        return count >= 0.5 and abs(count - round(count)) < 1e-6 * count
+
+    def _growth(self, base: Level, bar: Progress) -> Growth:
+        """That of the twins of a level."""
+        settings = self.settings(base.integrator, base.dt)
+        self.spent += (1 + DIRECTIONS) * self.cost(base.integrator, base.dt)
+        return growth(self.course, settings, self.size, bar, self.threads, self.executor)
+
+    def _coarser(self, levels: list[Level], found: Growth, bar: Progress) -> None:
+        """Adds coarser levels where all there are have met rounding, to see an order at all."""
+        floor = ROUNDING * self.size
+        while (
+            shown([one.distance for one in levels[1:]], floor) is None
+            and levels[1].distance < 1e3 * floor
+            and levels[0].dt < COARSEST * self.finest
+            and self._fits(2 * levels[0].dt)
+        ):
+            coarse = self.level(levels[0].integrator, 2 * levels[0].dt, bar)
+            if coarse.failed:
+                return
+            levels[0].moved = self.apart(coarse, levels[0], found)
+            levels.insert(0, coarse)
+
+    def _reference(self, found: Growth, kept: str | None = None) -> Reference:
+        """That of the integrator which its last halving moved least, or of the one `kept`."""
+        name = kept or min(self.chains, key=lambda one: self.chains[one][-1].high)
+        levels = self.chains[name]
+        other, rival = self._rival(levels[-1], found)
+        moved = [one.moved for one in levels if one.moved is not None]
+        count = levels[-1].paths[0].com[..., 0].size
+        return Reference(
+            settings=self.settings(name, levels[-1].dt),
+            level=levels[-1],
+            levels=levels,
+            growth=found,
+            known=known(moved, ROUNDING * self.size, rival, other, count),
+            orders={key: observed([x.distance for x in c[1:]]) for key, c in self.chains.items()},
+            agreement=np.nan if rival is None else rival.median,
+            other=other,
+            other_error=self.chains[other][-1].distance if other else np.nan,
+            stiffens=self.shipped.law in DEPENDENT
+            and any(p.rows or p.overlap for p in levels[-1].paths),
+        )
+
+    def _rival(self, level: Level, found: Growth) -> tuple[str, Errors | None]:
+        """The other integrator, and the distance of its finest run."""
+        for name, levels in self.chains.items():
+            if name != level.integrator:
+                return name, self.apart(levels[-1], level, found)
+        return "", None
+
+
+def smallest(values: Sequence[float], size: float = 0.0) -> float:
+    """The smallest that is more than rounding in a scene of this size, or 0."""
+    return min((value for value in values if value > ROUNDING * size), default=0.0)

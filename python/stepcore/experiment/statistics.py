@@ -1,0 +1,177 @@
+"""What can still be said of a run after its motion cannot be predicted: means over many starts.
+
+From when the first start is lost (`stepcore.experiment.growth`) to the horizon, each run has a mean
+height of its centre of mass, kinetic energy and number of contacts. Over at least 32 seeded
+starts, each run under the setting and under the reference's, the differences have a mean and a
+95 % confidence interval (Student's t on the differences of pairs, which holds whether or not the
+two runs of a pair still resemble each other). An interval that contains 0 is no difference seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from stepcore._core import Settings
+from stepcore.executors import each
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.reference import Reference, Search
+from stepcore.experiment.runner import Course, Path
+from stepcore.report.progress import Choice, Progress
+
+if TYPE_CHECKING:
+    from stepcore.measure.trade.result import Row
+
+LEAST = 32
+# Best rows that are told of: all, or about so many along the front.
+MOST = 10
+# Names of `Statistics`, and of `Path`, with their units.
+QUANTITIES = {"height": "m", "kinetic": "J", "touching": "1"}
+# The normal distribution's 97.5 % point.
+POINT = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class Difference:
+    """mean: of setting less reference. interval: half the width of its 95 % interval.
+
+    reference: the mean under the reference's setting.
+    """
+
+    mean: float
+    interval: float
+    reference: float
+
+    @property
+    def seen(self) -> bool:
+        """Whether the interval leaves 0 out: the setting changes what is found."""
+        return abs(self.mean) > self.interval
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Differences of means over `starts` starts, from `since` [s] to the horizon.
+
+    height: of the centre of mass [m]. kinetic: energy [J]. touching: contacts.
+    """
+
+    starts: int
+    since: float
+    height: Difference
+    kinetic: Difference
+    touching: Difference
+
+    def record(self) -> dict[str, float]:
+        """Flat, as a table has it."""
+        flat = {}
+        for name in QUANTITIES:
+            one: Difference = getattr(self, name)
+            flat[f"{name}_difference"], flat[f"{name}_interval"] = one.mean, one.interval
+        return flat
+
+
+class After:
+    """Measures settings after the motion cannot be predicted; many: at least 32 starts."""
+
+    def __init__(self, search: Search, reference: Reference, many: Motion) -> None:
+        self.search, self.since = search, reference.growth.overall
+        self.course = Course(search.course.model, search.course.dofs, many)
+        self.window = many.times > self.since
+        self.settings = search.settings(reference.level.integrator, search.finest / 2)
+        self.truth: np.ndarray | None = None
+
+    @property
+    def needed(self) -> bool:
+        """Whether some of the horizon cannot be predicted."""
+        return bool(self.window.any())
+
+    def measure(self, settings: Settings, bar: Progress) -> Statistics | None:
+        """The differences of one setting; None where a run under it or the reference fails."""
+        if self.truth is None:
+            self.truth = self._means(self.settings, bar)
+        found = self._means(settings, bar)
+        if found is None or self.truth is None:
+            return None
+        apart = [difference(mine, true) for mine, true in zip(found.T, self.truth.T, strict=True)]
+        return Statistics(len(found), self.since, *apart)
+
+    def _means(self, settings: Settings, bar: Progress) -> np.ndarray | None:
+        """Means over the window of every start, (starts, 3)."""
+        search = self.search
+        job = partial(self.course.run, settings)
+        starts = range(len(self.course.motion.starts))
+        paths = each(job, starts, bar=bar, threads=search.threads, executor=search.executor)
+        if any(path.failure for path in paths):
+            return None
+        return np.array([self._mean(path) for path in paths])
+
+    def _mean(self, path: Path) -> list[float]:
+        return [float(np.mean(getattr(path, name)[self.window])) for name in QUANTITIES]
+
+
+def difference(mine: ArrayLike, true: ArrayLike) -> Difference:
+    """The mean difference of pairs with its 95 % interval.
+
+    >>> found = difference([1.0, 2.0, 3.0], [0.0, 2.0, 2.0])
+    >>> round(found.mean, 3), round(found.interval, 2), found.seen
+    (0.667, 1.43, False)
+    """
+    true = np.asarray(true, float)
+    apart = np.asarray(mine, float) - true
+    count = len(apart)
+    spread = float(np.std(apart, ddof=1)) / np.sqrt(count) if count > 1 else np.inf
+    return Difference(float(apart.mean()), float(student(count - 1) * spread), float(true.mean()))
+
+
+def student(freedom: int) -> float:
+    """Student's t at 97.5 %: for 1 and 2 degrees of freedom exact, else to 0.3 % or better.
+
+    Source: the expansion in 1/ν of Abramowitz and Stegun 26.7.5.
+
+    >>> round(student(31), 4)
+    2.0395
+    """
+    if freedom < 1:
+        return np.inf
+    if freedom == 1:
+        return float(np.tan(np.pi * 0.475))
+    if freedom == 2:
+        return float(0.95 * np.sqrt(2 / (1 - 0.95**2)))
+    z = POINT
+    terms = (
+        (z**3 + z) / 4,
+        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
+        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
+        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
+    )
+    return z + sum(term / freedom ** (k + 1) for k, term in enumerate(terms))
+
+
+def after(
+    rows: Sequence[Row],
+    search: Search,
+    reference: Reference,
+    many: Callable[[], Motion],
+    progress: Choice,
+) -> None:
+    """Sets `after` of the shipped row and of best ones, where some of the horizon is lost.
+
+    many: draws the motion from at least 32 starts.
+    """
+    if not np.isfinite(reference.growth.overall):
+        return
+    found = After(search, reference, many())
+    if not found.needed:
+        return
+    best = [row for row in rows if row.errors and row.best]
+    some = best[:: 1 + (len(best) - 1) // MOST] if best else []
+    told = [row for row in rows if row.errors and (row.shipped or row in some)]
+    runs = (1 + len(told)) * len(found.course.motion.starts)
+    with Progress("statistics", runs, progress) as bar:
+        for row in told:
+            row.after = found.measure(row.settings, bar)

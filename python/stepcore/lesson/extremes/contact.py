@@ -1,0 +1,156 @@
+"""A ball on a floor and on another ball: resting depth, the trap of penalties, convergence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from stepcore._core import SimulationError
+from stepcore.engine.sim import Sim
+from stepcore.lesson import measure, scenes
+from stepcore.lesson.extremes.cells import (
+    EPS,
+    PRECISIONS,
+    STEPS_OF_TIME,
+    Case,
+    Outcome,
+    named_error,
+    within,
+)
+from stepcore.lesson.scenes import RADIUS, G
+
+MASSES = (1e-6, 1e-3, 1.0, 1e3, 1e6)
+STIFFNESSES = (1.0, 1e3, 1e6, 1e9, 1e12)
+RATIOS = (1e-6, 1e-3, 1.0, 1e3, 1e6)
+SWEEPS = (0, 1, 2, 5, 10, 100, 1000)
+SOFTNESS, BETA, DAMPING = 0.5, 0.2, 0.1
+
+
+def cases() -> Iterator[Case]:
+    """Three tables: a soft constraint, a penalty, a stack."""
+    for precision in PRECISIONS:
+        for dt in STEPS_OF_TIME:
+            for m in MASSES:
+                table = (
+                    "drop on a soft constraint\n  law: rests at depth s m g dt²/β, "
+                    f"s = {SOFTNESS} 1/kg, β = {BETA}; shown: the relative error"
+                )
+                yield Case(
+                    table,
+                    f"dt {dt:.0e}",
+                    f"m {m:.0e}",
+                    precision,
+                    partial(rest, dt, m, precision),
+                )
+    for precision in PRECISIONS:
+        for dt in STEPS_OF_TIME:
+            for k in STIFFNESSES:
+                table = (
+                    "drop on a penalty\n  law: stays at depth m g/k while "
+                    f"(ω dt)² + 4 ζ ω dt < 4, ζ = {DAMPING}; beyond, it gains energy; "
+                    "shown: the farthest it went, over the push it got"
+                )
+                yield Case(
+                    table,
+                    f"dt {dt:.0e}",
+                    f"k {k:.0e}",
+                    precision,
+                    partial(penalty, dt, k, precision),
+                )
+    for precision in PRECISIONS:
+        for dt in (1e-6, 1e-3, 1e-1):
+            for sweeps in SWEEPS:
+                for ratio in RATIOS:
+                    table = (
+                        "stack of two\n  law: each sweep leaves m_top/(m_top + m_bottom) of "
+                        "the error, 0 sweeps are free fall; shown: the error left"
+                    )
+                    yield Case(
+                        table,
+                        f"dt {dt:.0e}, {sweeps} sweeps",
+                        f"top/bottom {ratio:.0e}",
+                        precision,
+                        partial(stack, dt, sweeps, ratio, precision),
+                    )
+
+
+def position_rounding(precision: str) -> float:
+    """What the distance of two surfaces is rounded to [m]: the ball's centre is 0.1 m high."""
+    return EPS[precision] * RADIUS
+
+
+def rest(dt: float, m: float, precision: str) -> Outcome:
+    """A ball of m [kg] under the lesson's law, at rest or on the way there."""
+    scene = scenes.drop(m=m, dt=dt, softness=SOFTNESS, beta=BETA, precision=precision)
+    sim = Sim(scene.compile())
+    sim.reset("start")
+    depth, slow = SOFTNESS * m * G * dt**2 / BETA, 1 + SOFTNESS * m
+    # It settles as (1 - 1/slow)^(n/2) or (1 - β)^n; where that takes too long, it must stay where
+    # it is put.
+    settles = slow < 600
+    sim.qpos[0] = 0.0 if settles else -depth
+    sim.step(int(80 * slow + 40 / BETA) if settles else 2000)
+    error = abs(float(sim.qpos[0]) + depth)
+    bound = 100 * EPS[precision] * slow * depth + 8 * position_rounding(precision)
+    outcome = within(error / max(depth, bound), bound / max(depth, bound), "depth")
+    return outcome if depth > bound else within(error, bound, "depth within rounding", "<ulp")
+
+
+def penalty(dt: float, k: float, precision: str) -> Outcome:
+    """1 kg on a floor spring k [N/m], put a thousandth off its rest."""
+    settings = {"penalty_stiffness": k, "penalty_damping_ratio": DAMPING}
+    sim = Sim(scenes.drop("penalty", dt=dt, precision=precision, **settings).compile())
+    depth, phase = G / k, math.sqrt(k) * dt
+    stable = phase**2 + 4 * DAMPING * phase < 4
+    ulp = position_rounding(precision)
+    push = max(1e-3 * depth, 4 * ulp)
+    sim.qpos[0] = -depth - push
+    farthest, most = 0.0, 0.0
+    # As a spring that is drawn out: what it can hold, and what one rounding of the overlap puts in.
+    scale = 0.5 * k * max(push, 2 * ulp) ** 2
+    try:
+        for _ in range(1500):
+            sim.step()
+            y, v = float(sim.qpos[0]), float(sim.qvel[0])
+            farthest = max(farthest, abs(y + depth))
+            if not stable and farthest > 1e3 * push:
+                return Outcome(True, "gain", "gains energy beyond the limit")
+            most = max(most, 0.5 * v * v)
+    except SimulationError as error:
+        return named_error(error)
+    if not stable:
+        return Outcome(False, "no gain", "gains energy beyond the limit")
+    if depth < 16 * ulp:
+        # A rest that the numbers cannot resolve: no more than the roundings' own energy.
+        return within(most / scale, 64.0, "energy within rounding", "<ulp")
+    return within(farthest / push, 1.6, "stays at its depth")
+
+
+def stack(dt: float, sweeps: int, ratio: float, precision: str) -> Outcome:
+    """Impulses after n cold sweeps against the exact course of Gauss-Seidel on two balls.
+
+    Rows floor, ball on ball. With q = m_top/(m_top + m_bottom) and e the error of the upper
+    impulse at the start, after n sweeps e_upper = qⁿ e and e_floor = qⁿ⁻¹ e.
+    """
+    bottom, top = 1.0, ratio
+    settings = {"slop": 1e-4, "dt": dt, "precision": precision}
+    sim = Sim(scenes.stack(sweeps, "rigid", (bottom, top), **settings).compile())
+    # Overlaps within the slop, so that both rows exist and neither pushes apart.
+    sim.qpos[:] = (-1e-5, -2e-5)
+    sim.forward()
+    if sweeps == 0:
+        fall = float(np.max(np.abs(np.asarray(sim.qacc) / -G - 1)))
+        return within(fall, 16 * EPS[precision], "free fall")
+    exact = measure.statics((bottom, top), dt)
+    q, start = top / (top + bottom), -exact[1]
+    expected = exact + start * np.array([q ** (sweeps - 1), q**sweeps])
+    got = np.asarray(sim.rows["impulse"])
+    left = float(np.max(np.abs(got / exact - 1)))
+    # A sweep rounds once an update; a row's velocity is the difference of two large ones.
+    bound = 16 * EPS[precision] * min(sweeps, 1 / (1 - q) if q < 1 else sweeps) * exact[0]
+    miss = float(np.max(np.abs(got - expected)))
+    outcome = within(miss, bound + 16 * EPS[precision] * exact[0], "contraction")
+    return Outcome(outcome.ok, f"left {left:.0e}" if outcome.ok else outcome.text, "contraction")

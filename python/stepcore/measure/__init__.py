@@ -1,0 +1,1 @@
+"""The questions: each is asked of the same experiment."""

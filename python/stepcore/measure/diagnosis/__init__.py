@@ -1,0 +1,179 @@
+"""`diagnose`: which element limits the time step, by name, and what to change."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import Executor
+from functools import partial
+
+from numpy.typing import ArrayLike
+
+from stepcore import checks
+from stepcore.engine.model import Model
+from stepcore.executors import check_executor, each
+from stepcore.experiment.coordinates import movable
+from stepcore.experiment.motion import Control, motion
+from stepcore.loading import find_model
+from stepcore.measure.diagnosis.advice import advise
+from stepcore.measure.diagnosis.alone import INTEGRATORS
+from stepcore.measure.diagnosis.bound import closed_form
+from stepcore.measure.diagnosis.figures import Alone, Figures
+from stepcore.measure.diagnosis.forces import INERTIAL, Key
+from stepcore.measure.diagnosis.limits import LONGEST, Limit, Situation, situation
+from stepcore.measure.diagnosis.linear import exact
+from stepcore.measure.diagnosis.load import StiffnessWarning
+from stepcore.measure.diagnosis.naming import shares_at
+from stepcore.measure.diagnosis.report import notes
+from stepcore.measure.diagnosis.result import Diagnosis
+from stepcore.measure.diagnosis.softness import softened_beyond
+from stepcore.measure.diagnosis.states import eased, held, start, visited
+from stepcore.report.progress import Choice, Progress
+from stepcore.scene.layout import Layout
+from stepcore.scene.scene import Scene
+
+__all__ = ["Diagnosis", "StiffnessWarning", "diagnose"]
+
+# The run to other states is made at this part of the least step that limits the start.
+SAFE = 0.25
+
+
+def diagnose(
+    model: Model | Scene | str | os.PathLike[str],
+    *,
+    dt: float | None = None,
+    horizon: float = 1.0,
+    key: str | int | None = None,
+    control: Control | None = None,
+    control_dt: float | None = None,
+    ctrl: ArrayLike | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    executor: Executor | None = None,
+    progress: Choice = None,
+) -> Diagnosis:
+    """Finds the element that limits the time step, by name, and what to change.
+
+    The step is linearised (`Sim.linearize`) at the start and at some states along the motion; the
+    largest stable dt is that at which an eigenvalue grows beyond what the motion itself does,
+    found by bisection, for each integrator. The worst state decides.
+
+    model: a Model, a Scene, or the path of an MJCF file (or "package:name").
+    dt: the step that is wanted [s]; by default the scene's own. Where it is not stable, each
+        suggestion is made on a copy of the model and its step linearised again.
+    horizon: length of the motion that is looked along [s]. What neither grows nor decays by
+        itself counts as unstable where a step makes it grow e-fold in this time.
+    key, control, control_dt, ctrl, seed: the motion, as in `trade`; without controls it begins
+        at the keyframe's own (zero without one) and goes over to smooth seeded ones.
+    threads, executor: integrators at once, or elsewhere. progress: as in `trade`.
+
+    Raises ValueError for an argument outside its limits, a scene in which nothing can move, and
+    one whose accelerations are not finite at the start.
+
+    >>> from stepcore import Scene
+    >>> scene = Scene().with_settings(dt=0.005, integrator="semi-implicit")
+    >>> arm = scene.add_body("arm", pos=(0, 0, 1))
+    >>> _ = scene.add_joint(arm, "slide", name="knee", stiffness=1e6)
+    >>> _ = scene.add_geom(arm, "sphere", 0.1, mass=1.0)
+    >>> d = diagnose(scene)
+    >>> print(f"{1e3 * d.limit('semi-implicit'):.2f} ms by {d.stiffest('semi-implicit')}")
+    2.00 ms by spring "knee"
+    """
+    # What loading would warn of is told here in full.
+    model = find_model(model, warn=False)
+    checks.told("diagnose", progress)
+    wanted = model.settings.dt if dt is None else checks.seconds("dt", dt)
+    checks.seconds("horizon", horizon)
+    if control_dt is not None:
+        checks.seconds("control_dt", control_dt)
+    seed = checks.count("seed", seed, least=0)
+    workers = checks.threads(threads)
+    check_executor("diagnose", executor)
+    dofs = movable(model.scene, "no step to diagnose")
+    model = exact(model)
+    period = min(horizon, control_dt or max(model.settings.dt, horizon / 200))
+    path = motion(
+        model,
+        dofs,
+        horizon=horizon,
+        period=period,
+        key=key,
+        ctrl=ctrl,
+        control=control,
+        count=1,
+        seed=seed,
+    )
+    if ctrl is None and control is None:
+        path = eased(path, held(model, key))
+    with Progress("states", 1, progress) as bar:
+        visit = visited(model, path, _safe(model, situation(model, [start(model, path)], horizon)))
+        here = situation(model, visit.states, horizon)
+        bar.advance()
+    longest = max(LONGEST, 2 * wanted, 2 * model.settings.dt)
+    with Progress("limits", len(INTEGRATORS), progress) as bar:
+        found = each(
+            partial(_limit, here, longest), INTEGRATORS, bar=bar, threads=workers, executor=executor
+        )
+    limits = {limit.integrator: limit for limit in found}
+    elements = _elements(here)
+    with Progress("shares", len(limits), progress) as bar:
+        shares = dict(zip(limits, each(partial(shares_at, here), found, bar=bar), strict=True))
+    own = model.settings.integrator
+    advice = []
+    if limits[own].dt < wanted and shares[own]:
+        with Progress("advice", 1, progress) as bar:
+            stiffest = max(shares[own], key=lambda k: shares[own][k])
+            advice = advise(here, limits, elements, wanted, stiffest)
+            bar.advance()
+    return Diagnosis(
+        name=model.scene.name or "scene",
+        settings=model.settings,
+        wanted=wanted,
+        horizon=horizon,
+        states=list(here.states),
+        limits=limits,
+        shares={name: {k.label: v for k, v in part.items()} for name, part in shares.items()},
+        elements=list(elements.values()),
+        advice=advice,
+        notes=notes(model, visit, here, elements, horizon),
+        rate=_rate(here, limits[own], wanted),
+        physical=max(float(r.real.max(initial=0.0)) for r in here.rates),
+    )
+
+
+def _rate(here: Situation, limit: Limit, wanted: float) -> float | None:
+    """How fast [1/s] the integrator makes the wanted step grow, where it is beyond the limit."""
+    if wanted <= limit.dt:
+        return None
+    return here.grown(limit.integrator, wanted, limit.state).rate
+
+
+def _limit(here: Situation, longest: float, integrator: str) -> Limit:
+    return here.limit(integrator, longest)
+
+
+def _safe(model: Model, first: Situation) -> float:
+    """A step [s] at which the run to other states can be made."""
+    limits = [first.limit("implicitfast").dt, closed_form(model).dt, model.settings.dt / SAFE]
+    return max(SAFE * min(limits), 1e-9)
+
+
+def _elements(here: Situation) -> dict[Key, Figures]:
+    """Every element's figures, at the state at which it is stiffest."""
+    layout = Layout(here.model.scene)
+    found: dict[Key, Figures] = {}
+    for k, state in enumerate(here.states):
+        all_parts = here.parts(state)
+        if all_parts is None:
+            continue
+        alone = Alone(all_parts, here.horizon, k)
+        for key in all_parts.elements:
+            if key == INERTIAL:
+                continue
+            one = alone.figures(key, softened_beyond(here.model, layout, key))
+            if one.acts and (key not in found or _stiffness(one) > _stiffness(found[key])):
+                found[key] = one
+    return dict(sorted(found.items(), key=lambda pair: -_stiffness(pair[1])))
+
+
+def _stiffness(one: Figures) -> float:
+    return max(one.omega, one.rate)

@@ -1,0 +1,81 @@
+"""The linearised step of the midpoint rule without rows, from one linearised acceleration.
+
+With h = dt/2, v_m = (v + v⁺)/2 and q_m = q ⊕ h v_m the step is v⁺ = v + dt a(q_m, v_m),
+q⁺ = q ⊕ dt v_m. Its derivative is the solution of one linear system,
+
+    (1 - h² a_q T - h a_v) δv_m = δv + h a_q E δq,
+
+with a_q and a_v those of the acceleration at (q_m, v_m), and q ⊕ h v moved by E δq + h T δv: both
+are 1 but for rotations, whose T is the right Jacobian of SO(3). `Sim.linearize` iterates, and takes
+the longer the nearer the step is to where the iteration ends to converge.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from stepcore.engine.arrays import Floats
+from stepcore.engine.sim import Sim
+from stepcore.experiment.coordinates import Dofs
+from stepcore.measure.diagnosis.forces import cross_matrix
+
+# The step from which the acceleration's derivative is read [s]: of an explicit step, which is
+# linear in dt.
+SHORT = 1e-7
+
+
+def midpoint_map(sim: Sim) -> Floats:
+    """A of the midpoint step of a Sim without rows, shape (2 nv, 2 nv).
+
+    SimulationError where the iteration does not converge.
+    """
+    n, h = sim.model.nv, sim.settings.dt / 2
+    dofs = Dofs(sim.model.scene)
+    qpos, qvel = np.array(sim.qpos), np.array(sim.qvel)
+    stepped = _at(sim, qpos, qvel)
+    stepped.step()
+    mean = (qvel + np.array(stepped.qvel)) / 2
+    middle = _at(sim, dofs.moved(qpos, h * mean), mean, integrator="explicit", dt=SHORT)
+    slopes = (middle.linearize().A - np.eye(2 * n))[n:] / SHORT
+    by_position, by_velocity = slopes[:, :n], slopes[:, n:]
+    turn, gain = _moving(dofs, h * mean)
+    system = np.eye(n) - h * h * by_position @ gain - h * by_velocity
+    mean_by = np.linalg.solve(system, np.hstack([h * by_position @ turn, np.eye(n)]))
+    turn, gain = _moving(dofs, 2 * h * mean)
+    whole = np.vstack([2 * h * gain @ mean_by, 2 * mean_by])
+    whole[:n, :n] += turn
+    whole[n:, n:] -= np.eye(n)
+    return whole
+
+
+def _at(sim: Sim, qpos: Floats, qvel: Floats, **settings: Any) -> Sim:
+    """A Sim of the same model and controls in this state."""
+    found = Sim(sim.model.with_settings(**settings))
+    found.qpos[:], found.qvel[:], found.ctrl[:] = qpos, qvel, sim.ctrl
+    return found
+
+
+def _moving(dofs: Dofs, change: Floats) -> tuple[Floats, Floats]:
+    """How q ⊕ change moves with q and with the change, shape (nv, nv) each."""
+    turn, gain = np.eye(dofs.nv), np.eye(dofs.nv)
+    for kind, _, first, _ in dofs.joints:
+        if kind not in ("free", "ball"):
+            continue
+        start = first + (3 if kind == "free" else 0)
+        at = slice(start, start + 3)
+        axis = cross_matrix(change[at])
+        square = axis @ axis
+        # sin x / x, (1 - cos x) / x² and (1 - sin x / x) / x², without a difference of equals.
+        x = float(np.linalg.norm(change[at]))
+        half = _sinc(x / 2)
+        third = 1 / 6 - x * x / 120 if x < 1e-2 else (1 - _sinc(x)) / (x * x)
+        turn[at, at] += -_sinc(x) * axis + half * half / 2 * square
+        gain[at, at] += -half * half / 2 * axis + third * square
+    return turn, gain
+
+
+def _sinc(x: float) -> float:
+    return math.sin(x) / x if x else 1.0

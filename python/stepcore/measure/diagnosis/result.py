@@ -1,0 +1,201 @@
+"""`Diagnosis`: what `diagnose` found."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import textwrap
+from dataclasses import dataclass, field
+from typing import Any
+
+from stepcore import checks
+from stepcore._core import Settings
+from stepcore.measure.diagnosis import report
+from stepcore.measure.diagnosis.advice import Advice
+from stepcore.measure.diagnosis.figures import Figures
+from stepcore.measure.diagnosis.forces import INERTIAL
+from stepcore.measure.diagnosis.limits import Limit
+from stepcore.measure.diagnosis.linear import State
+from stepcore.report.result import Result
+from stepcore.report.table import Table
+
+DT = "largest stable dt [s]"
+
+
+@dataclass(eq=False, repr=False)
+class Diagnosis(Result):
+    """Which element limits the time step of one scene; made by `stepcore.diagnose`.
+
+    wanted: the step asked about [s]. horizon [s]: see `diagnose`. states: where the step was
+    linearised. limits: by integrator. shares: by integrator, each element's part in the mode that
+    sets the limit (or in the fastest motion where nothing does). elements: their figures, the
+    stiffest first. advice: ways to the wanted step. physical: the fastest growth of the motion
+    itself [1/s]. rate: growth at the wanted step that the integrator makes [1/s].
+    """
+
+    name: str
+    settings: Settings
+    wanted: float
+    horizon: float
+    states: list[State]
+    limits: dict[str, Limit]
+    shares: dict[str, dict[str, float]]
+    elements: list[Figures]
+    advice: list[Advice] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    physical: float = 0.0
+    rate: float | None = None
+
+    @property
+    def title(self) -> str:
+        """What was measured, in a few words."""
+        return f"{self.name}: what limits the time step"
+
+    def limit(self, integrator: str | None = None) -> float:
+        """The largest stable dt [s] under an integrator (default: the scene's); inf: nothing
+        limits it, 0: no step is stable."""
+        return self.limits[self._known(integrator)].dt
+
+    def stiffest(self, integrator: str | None = None) -> str:
+        """The element with the largest share in the mode that sets the limit, by name.
+
+        Where nothing limits dt: in the fastest motion. "" where no element has a part in it.
+        """
+        name = self._known(integrator)
+        shares = dict(self.shares[name])
+        if math.isinf(self.limits[name].dt):
+            shares.pop(INERTIAL.label, None)
+        if any(shares.values()):
+            return max(shares, key=lambda name: shares[name])
+        # A row that begins to act within the step has no share at its start.
+        alone = [one for one in self.elements if math.isfinite(one.limits[name])]
+        if math.isinf(self.limits[name].dt) or not alone:
+            return ""
+        return min(alone, key=lambda one: one.limits[name]).key.label
+
+    def _known(self, integrator: str | None) -> str:
+        name = self.settings.integrator if integrator is None else integrator
+        if name not in self.limits:
+            near = checks.nearest(str(name), self.limits)
+            raise ValueError(f"integrator = {checks.shown(name)}: was not diagnosed{near}")
+        return name
+
+    def element(self, name: str) -> Figures | None:
+        """The figures of an element, by name."""
+        return next((one for one in self.elements if one.key.label == name), None)
+
+    @property
+    def table(self) -> Table:
+        """The elements, stiffest first.
+
+        frequency [Hz], omega [rad/s], ratio (damping ratio), rate (its own damping over the mass
+        that it moves [1/s]), share (in the mode that limits the scene's integrator), one column
+        an integrator with the largest stable dt alone [s], softened (the dt [s] from which
+        refsafe softens it), state (at which it is stiffest).
+        """
+        shares = self.shares[self.settings.integrator]
+        return Table((self._record(one, shares) for one in self.elements), columns=self._columns())
+
+    def _columns(self) -> list[str]:
+        own = self.settings.integrator
+        rest = [name for name in self.limits if name != own]
+        return [
+            *("element", "frequency", "ratio", "share", own, *rest),
+            *("omega", "rate", "softened", "state"),
+        ]
+
+    def _record(self, one: Figures, shares: dict[str, float]) -> dict[str, Any]:
+        record: dict[str, Any] = {
+            "element": one.key.label,
+            "frequency": one.omega / (2 * math.pi),
+            "omega": one.omega,
+            "ratio": None if math.isnan(one.ratio) else one.ratio,
+            "rate": one.rate,
+            "share": shares.get(one.key.label, 0.0),
+            "softened": one.softened if math.isfinite(one.softened) else None,
+            "state": self.states[one.state].label,
+        }
+        return record | {name: one.limits[name] for name in self.limits}
+
+    @property
+    def sentences(self) -> list[str]:
+        """The answer, the advice and the state that decides, in words."""
+        return report.sentences(self)
+
+    def text(self, width: int | None = None) -> str:
+        """The elements, the limits and the answer."""
+        own = self.settings.integrator
+        rows = [
+            {
+                "integrator": name + (" *" if name == own else ""),
+                DT: limit.dt,
+                "by": self.stiffest(name) if math.isfinite(limit.dt) else "",
+                "share": max(self.shares[name].values(), default=None)
+                if math.isfinite(limit.dt)
+                else None,
+                "at": self.states[limit.state].label if limit.state >= 0 else "",
+            }
+            for name, limit in self.limits.items()
+        ]
+        # A name is not cut: columns are left out first.
+        formats = {"element": "", "frequency": ".4g", "share": ".2f", "ratio": ".2g"}
+        formats |= dict.fromkeys(self.limits, ".3g")
+        elements = Table(self.table, columns=self._columns(), formats=formats)
+        parts = [
+            wrapped(
+                "Elements, each alone: frequency [Hz], damping ratio, share in the mode that "
+                f"limits {own}, largest stable dt [s]",
+                width,
+            ),
+            elements.text(width) if len(elements) else "none",
+            "",
+            "All together (* the scene's own)",
+            Table(rows, formats={"share": ".2f", "by": "", DT: ".3g"}).text(width),
+            "",
+            *(wrapped(line, width) for line in self.sentences),
+            *(wrapped(f"Note: {note}.", width) for note in self.notes),
+        ]
+        return "\n".join(parts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as plain data; times in seconds."""
+        return {
+            "name": self.name,
+            "settings": self.settings.as_dict(),
+            "wanted": self.wanted,
+            "horizon": self.horizon,
+            "limits": {
+                name: {
+                    "dt": limit.dt,
+                    "limited": math.isfinite(limit.dt),
+                    "stiffest": self.stiffest(name),
+                    "state": limit.state,
+                    "longest": limit.longest,
+                    "shares": self.shares[name],
+                }
+                for name, limit in self.limits.items()
+            },
+            "elements": self.table.records,
+            "states": [
+                {"label": s.label, "time": s.time, "rows": list(s.rows)} for s in self.states
+            ],
+            "advice": [advice.to_dict() for advice in self.advice],
+            "physical": self.physical,
+            "rate": self.rate,
+            "sentences": self.sentences,
+            "notes": self.notes,
+        }
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
+        """Bars: the largest stable dt of each element and of all together, by integrator."""
+        from stepcore.report.plot.diagnosis import plot_diagnosis
+
+        return plot_diagnosis(self, path)
+
+
+def wrapped(line: str, width: int | None) -> str:
+    """A sentence in lines of at most `width` characters (default: the terminal's)."""
+    size = width or shutil.get_terminal_size((100, 40)).columns
+    inset = "    " if line.startswith("  ") else ""
+    return textwrap.fill(line, size, subsequent_indent=inset, break_long_words=False)

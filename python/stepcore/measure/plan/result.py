@@ -1,0 +1,145 @@
+"""`Plan`: what a step does, what it leaves out, and why, as text, data and a picture."""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from stepcore._core import Settings
+from stepcore.report.result import Result
+from stepcore.report.table import WIDTH, Table, jsonable
+
+# So many names stand in the printed plan.
+NAMES = 4
+LEGEND = (
+    "flops: floating-point operations of one step at {at}: of the entry's part of the step, or "
+    "what the step is rid of without the entry; they do not add up, because some work serves "
+    "several entries"
+)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One thing that a step does, or leaves out.
+
+    stage: "files", "place", "detect", "solve" or "commit"; kind: "file", "term", "pair" or
+    "row"; name: what; count: of `names`, all of them; used: whether the step does it; why: what
+    there is to know, or the reason for leaving it out; rows: of the state that was looked at.
+    parts: of `Sim.stage_flops`, where they are the entry's cost. flops: operations per step,
+    micros [µs per step]: None where they were not measured.
+    """
+
+    stage: str
+    kind: str
+    name: str
+    names: tuple[str, ...] = ()
+    used: bool = True
+    why: str = ""
+    count: int = 0
+    rows: int | None = None
+    parts: tuple[str, ...] = ()
+    flops: float | None = None
+    micros: float | None = None
+
+
+@dataclass
+class Plan(Result):
+    """What a step does and leaves out; made by `Model.plan`.
+
+    entries: all of it. flops: of a whole step at the state that was looked at, None where they
+    were not counted; stages: the same by stage. micros: [µs] of a whole step, None if not timed.
+    at: which state.
+    """
+
+    name: str
+    settings: Settings
+    entries: list[Entry]
+    flops: float | None = None
+    stages: dict[str, float] = field(default_factory=dict)
+    micros: float | None = None
+    at: str = "the initial pose"
+
+    @property
+    def title(self) -> str:
+        """What was listed, in a few words."""
+        return f"{self.name}: what a step does, and what it leaves out"
+
+    @property
+    def used(self) -> list[Entry]:
+        """What the step does."""
+        return [entry for entry in self.entries if entry.used]
+
+    @property
+    def left_out(self) -> list[Entry]:
+        """What the step leaves out, with the reasons."""
+        return [entry for entry in self.entries if not entry.used]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as plain data."""
+        plain: dict[str, Any] = jsonable(
+            {
+                "model": self.name,
+                "settings": self.settings.as_dict(),
+                "at": self.at,
+                "flops": self.flops,
+                "stages": self.stages,
+                "micros": self.micros,
+                "used": [entry.__dict__ for entry in self.used],
+                "left_out": [entry.__dict__ for entry in self.left_out],
+            }
+        )
+        return plain
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
+        """Bars of what each entry costs; written to `path` if given. Needs matplotlib."""
+        from stepcore.report.plot.plan import plot_plan
+
+        return plot_plan(self, path)
+
+    def text(self, width: int | None = None, full: bool = False) -> str:
+        """The printed plan, at most `width` characters wide; `full`: with every name."""
+        s = self.settings
+        head = f"{self.name}: {s.integrator}, {s.solver}, law {s.law}, {s.cone} cone, dt {s.dt:g} s"
+        cost = [] if self.flops is None else [f"{self.flops:.0f} floating-point operations"]
+        cost += [] if self.micros is None else [f"{self.micros:.2f} µs"]
+        if cost:
+            head += f"\na step at {self.at}: {', '.join(cost)}"
+        parts = [head, "", "A step does:", self._table(self.used, full, width)]
+        parts += ["", "It leaves out:", self._table(self.left_out, full, width)]
+        if self.flops is not None:
+            parts += ["", textwrap.fill(LEGEND.format(at=self.at), width or WIDTH)]
+        return "\n".join(parts)
+
+    def _table(self, entries: Sequence[Entry], full: bool, width: int | None) -> str:
+        formats = dict.fromkeys(("n", "rows", "flops", "µs"), "")
+        rows = [self._cells(entry, full) for entry in entries]
+        for name in ("rows", "flops", "µs"):
+            if not any(row[name] for row in rows):
+                for row in rows:
+                    del row[name]
+        return Table(rows, formats=formats).text(10_000 if full else width)
+
+    def _cells(self, entry: Entry, full: bool) -> dict[str, Any]:
+        names = entry.names if full else entry.names[:NAMES]
+        if entry.kind == "file" and not full:
+            names = tuple(os.path.basename(name) for name in names)
+        which = ", ".join(names)
+        more = entry.count - len(names)
+        if which and more > 0:
+            which += f" and {more} more"
+        why = entry.why + (f" ({which})" if which and entry.why else which)
+        return {
+            "stage": entry.stage,
+            "what": entry.name,
+            "n": str(entry.count),
+            "rows": "" if entry.rows is None else str(entry.rows),
+            "flops": "" if entry.flops is None else f"{entry.flops:.0f}",
+            "µs": "" if entry.micros is None else f"{entry.micros:.2f}",
+            "why" if not entry.used else "which": why,
+        }
+
+    def __repr__(self) -> str:
+        return f"<Plan of {self.name}: {len(self.used)} used, {len(self.left_out)} left out>"

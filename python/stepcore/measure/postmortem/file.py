@@ -1,0 +1,174 @@
+"""`Replay`: a failure in one file: scene, settings, a complete state, inputs by step."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import hashlib
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stepcore._core import Settings, SimulationError
+from stepcore.engine.arrays import Floats
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
+    from stepcore.measure.postmortem.result import PostMortem
+
+KIND = "stepcore replay"
+# Goes up when the layout of the file changes.
+VERSION = 1
+# The fields of a file, with what JSON makes of them.
+FIELDS: dict[str, type] = {
+    "name": str,
+    "scene": dict,
+    "settings": dict,
+    "state": str,
+    "inputs": list,
+}
+FIELDS |= {"steps": int, "happened": dict}
+
+
+@dataclass(frozen=True, repr=False)
+class Replay:
+    """A run from its last good state to its failure; found as `SimulationError.replay`.
+
+    settings: how it was computed. state: the complete state (`Sim.state`) from which it fails
+    again. inputs: (step, ctrl, qfrc_applied, xfrc_applied) wherever they change, steps counted
+    from that state. steps: how many end in the last state that was kept: in the next one
+    something is not finite, or (ledger on) that state has energy that it cannot have gained.
+    happened: what the error said.
+
+    >>> import stepcore as sc
+    >>> sim = sc.Sim(sc.lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)
+    >>> sim.reset("start")
+    >>> try:
+    ...     sim.step(1000)
+    ... except sc.SimulationError as error:
+    ...     failure = error.replay
+    >>> failure
+    <Replay of "spring": 64 steps, driven by spring of joint `spring`>
+    >>> failure.run().same
+    True
+    """
+
+    name: str
+    settings: Settings
+    state: bytes
+    inputs: list[tuple[int, list[float], list[float], list[float]]]
+    steps: int
+    happened: dict[str, Any]
+    # The compiled model's own scene, or the plain data that a file has.
+    _scene: Any = field(compare=False)
+
+    @property
+    def scene(self) -> dict[str, Any]:
+        """The scene as plain data: what `Scene.to_dict` returns."""
+        scene: dict[str, Any] = self._scene
+        return scene if isinstance(scene, dict) else self._scene.to_dict()
+
+    def run(self) -> PostMortem:
+        """Runs it again, and tells what each element did in every step."""
+        from stepcore.measure.postmortem.result import run_again
+
+        return run_again(self)
+
+    def to_json(self) -> str:
+        """The file's text."""
+        body = {
+            "name": self.name,
+            "scene": self.scene,
+            "settings": self.settings.as_dict(),
+            "state": base64.b64encode(self.state).decode("ascii"),
+            "inputs": [list(change) for change in self.inputs],
+            "steps": self.steps,
+            "happened": self.happened,
+        }
+        head = {"kind": KIND, "version": VERSION, "check": _check(body)}
+        return json.dumps(head | body, indent=1)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the file that `stepcore.replay` and ``stepcore replay FILE`` read."""
+        Path(path).write_text(self.to_json() + "\n", encoding="utf-8")
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Replay:
+        """Reads a file; ValueError in one line for one that is none, damaged or of another version.
+
+        Raises FileNotFoundError where there is none.
+        """
+        shown = os.fsdecode(path)
+        try:
+            data = json.loads(Path(path).read_text(encoding="utf-8"))
+        except (ValueError, RecursionError):
+            raise ValueError(f"{shown}: not a replay file, or cut short") from None
+        if not isinstance(data, dict) or data.pop("kind", None) != KIND:
+            raise ValueError(f"{shown}: not a replay file")
+        version = data.pop("version", None)
+        if version != VERSION:
+            text = f"written in version {version!r}, this stepcore reads {VERSION}"
+            raise ValueError(f"{shown}: a replay file {text}")
+        check = data.pop("check", None)
+        typed = all(isinstance(data.get(key), kind) for key, kind in FIELDS.items())
+        if set(data) != set(FIELDS) or not typed or check != _check(data):
+            raise ValueError(f"{shown}: this replay file was changed or damaged")
+        return _made(shown, data)
+
+    def __repr__(self) -> str:
+        of = f' of "{self.name}"' if self.name else ""
+        return f"<Replay{of}: {self.steps} steps, driven by {self.happened['element']}>"
+
+
+def _made(shown: str, data: dict[str, Any]) -> Replay:
+    try:
+        return Replay(
+            name=data["name"],
+            settings=Settings(**data["settings"]),
+            state=base64.b64decode(data["state"], validate=True),
+            inputs=[(step, *arrays) for step, *arrays in data["inputs"]],
+            steps=data["steps"],
+            happened=data["happened"],
+            _scene=data["scene"],
+        )
+    except (ValueError, TypeError, binascii.Error) as error:
+        raise ValueError(f"{shown}: this replay file cannot be used: {error}") from None
+
+
+def _check(body: dict[str, Any]) -> str:
+    """A checksum of everything that the file holds."""
+    text = json.dumps(body, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def bits(qpos: Floats, qvel: Floats) -> str:
+    """Names a state's bits."""
+    return hashlib.sha256(qpos.tobytes() + qvel.tobytes()).hexdigest()
+
+
+def attach(error: SimulationError, model: Model, qpos: Floats, qvel: Floats) -> None:
+    """Gives an error its `replay`. qpos, qvel: the last state of the world that failed."""
+    told = error.__dict__
+    happened = {
+        "text": str(error),
+        "step": error.step,
+        "time": error.time,
+        "world": error.world,
+        "element": error.element,
+        "gained": error.gained,
+        "shares": error.shares,
+        "growth": error.growth,
+        "stable_dt": error.stable_dt,
+        "state": bits(qpos, qvel),
+    }
+    error.replay = Replay(
+        name=model.scene.name,
+        settings=model.settings,
+        state=told.pop("_start"),
+        inputs=told.pop("_changes"),
+        steps=told.pop("_steps"),
+        happened=happened,
+        _scene=model.scene,
+    )

@@ -1,0 +1,107 @@
+"""The largest stable step of a linear system, M a = −K x − D v, under each integrator.
+
+The step of an integrator is a matrix; a motion stays bounded while its spectral radius is at
+most 1. The matrices are written here from the integrators' definitions (docs/method.md), and
+not taken from the engine.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.scene.layout import DOFS, Layout
+
+# Beyond this the radius counts as growth: a rounding moves a double eigenvalue by its root.
+GROWS = 1.0 + 1e-6
+
+
+def step_matrix(
+    integrator: str,
+    dt: float,
+    mass: np.ndarray,
+    stiffness: np.ndarray,
+    damping: np.ndarray,
+    implicit: np.ndarray,
+) -> np.ndarray:
+    """The step from (x, v) to (x⁺, v⁺), shape (2n, 2n).
+
+    damping: all of it. implicit: the part of it that `euler` or `implicitfast` take implicitly.
+    """
+    n = len(mass)
+    one, none = np.eye(n), np.zeros((n, n))
+    pull, drag = -np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)
+    flow = np.block([[none, one], [pull, drag]])
+    whole = np.eye(2 * n)
+    if integrator == "rk4":
+        z = dt * flow
+        return whole + z @ (whole + z / 2 @ (whole + z / 3 @ (whole + z / 4)))
+    if integrator == "midpoint":
+        return np.linalg.solve(whole - dt / 2 * flow, whole + dt / 2 * flow)
+    if integrator == "explicit":
+        return whole + dt * flow
+    inertia = mass
+    if integrator in ("euler", "implicitfast"):
+        inertia = mass + dt * implicit
+    kick = np.linalg.solve(inertia, np.hstack([-stiffness, -damping]))
+    after = np.hstack([none, one]) + dt * kick
+    return np.vstack([np.hstack([one, none]) + dt * after, after])
+
+
+def limit(
+    integrator: str,
+    mass: np.ndarray,
+    stiffness: np.ndarray,
+    damping: np.ndarray,
+    implicit: np.ndarray,
+) -> float:
+    """The dt [s] from which motions grow: 0 where they grow at any dt, inf where at none."""
+
+    def grows(dt: float) -> bool:
+        matrix = step_matrix(integrator, dt, mass, stiffness, damping, implicit)
+        return bool(np.abs(np.linalg.eigvals(matrix)).max() > GROWS)
+
+    rates = np.abs(np.linalg.eigvals(np.linalg.solve(mass, stiffness)))
+    drags = np.abs(np.linalg.eigvals(np.linalg.solve(mass, damping)))
+    fastest = max(float(np.sqrt(rates.max())), float(drags.max()))
+    if fastest == 0.0:
+        return np.inf
+    steps = np.geomspace(2e-2, 1e3, 200) / fastest
+    if grows(steps[0]):
+        return 0.0
+    first = next((k for k, dt in enumerate(steps) if grows(dt)), None)
+    if first is None:
+        return np.inf
+    low, high = steps[first - 1], steps[first]
+    while high - low > 1e-9 * high:
+        middle = (low + high) / 2
+        low, high = (low, middle) if grows(middle) else (middle, high)
+    return float(low)
+
+
+def of_scene(model: Model, key: str | int | None, integrator: str) -> float | None:
+    """The limit of a scene's joint springs, dampers and servos in its start pose [s].
+
+    None where the scene has none of them. Contacts, limits, gravity and Coriolis terms are left
+    out, and a ball or free joint's spring is taken at its rest.
+    """
+    stiffness, joint, servo = np.zeros(model.nv), np.zeros(model.nv), np.zeros(model.nv)
+    scene = model.scene
+    for element, first in zip(Layout(scene).joints, model.jnt_dofadr, strict=True):
+        own = slice(first, first + DOFS[element.type])
+        stiffness[own] += element.stiffness if scene.features.spring else 0.0
+        joint[own] += element.damping if scene.features.damper else 0.0
+    for i, j in enumerate(model.actuator_joint if scene.features.actuation else ()):
+        squared = model.actuator_gear[i, 0] ** 2
+        stiffness[model.jnt_dofadr[j]] -= squared * model.actuator_bias[i, 1]
+        servo[model.jnt_dofadr[j]] -= squared * model.actuator_bias[i, 2]
+    if not (stiffness.any() or joint.any() or servo.any()):
+        return None
+    sim = Sim(model)
+    sim.reset(key=key)
+    implicit = joint + servo if integrator == "implicitfast" else joint
+    if integrator == "euler" and not scene.features.eulerdamp:
+        implicit = np.zeros(model.nv)
+    parts = (np.diag(stiffness), np.diag(joint + servo), np.diag(implicit))
+    return limit(integrator, sim.mass_matrix(), *parts)

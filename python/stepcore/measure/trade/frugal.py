@@ -1,0 +1,119 @@
+"""What the frugal search runs: the targets it hunts, and the front that it draws."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stepcore._core import Settings
+from stepcore.experiment.reference import FINER, Search
+from stepcore.measure.trade.moves import Steps
+from stepcore.measure.trade.search import Hunt
+from stepcore.measure.trade.trials import Trials
+from stepcore.report.progress import Progress
+
+# The share of an error asked for that everything tried is held to: further starts differ.
+MARGIN = 0.9
+# What is hunted, as shares of the error asked for, or of the shipped one where none or a budget
+# is; and whether other axes are tried there. A half is the next better.
+ASKED = ((MARGIN, True), (0.5, False))
+UNASKED = ((1.0, True), (0.5, False), (0.1, False))
+BUDGET = ((4.0, False), (1.0, True), (0.25, False), (0.06, True), (0.015, False))
+# On the front of its integrator, a point this near in cost to the one before is not drawn.
+SPARSE = 1.6
+# Errors this many times below what is asked for are of no use.
+USELESS = 6.0
+# So many of the cheapest are also tried in single precision.
+SINGLE = 2
+# Halvings of the reference that a target may ask for, and the share of the error asked for below
+# which none are made for the next better.
+REFINED, FAR = 4, 20.0
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """error: the target [m], or None. budget: is there one? whole: is all of the front drawn?"""
+
+    error: float | None
+    budget: bool
+    whole: bool
+
+
+def found(
+    search: Search, trials: Trials, steps: Steps, rows: int, friction: bool, wanted: Wanted
+) -> list[Settings]:
+    """The settings that have been run from all starts, coarsest step first; failures too."""
+    hunt = Hunt(trials, steps, search.shipped, rows, friction)
+    hunt.overview()
+    chosen: list[Settings] = []
+    targets = _targets(hunt, wanted)
+    for k, (error, climb) in enumerate(targets):
+        halvings = REFINED
+        if k and chosen and wanted.error is not None:
+            error = _next_better(trials, chosen[0], error)
+            halvings = REFINED if error * FAR >= wanted.error else 0
+            if error <= trials.reference.high:
+                break
+        while halvings and trials.reference.high * FINER > error and _finer(search, trials):
+            halvings -= 1
+        some = hunt.hunt(error, climb)
+        while not some and halvings and _finer(search, trials):
+            halvings -= 1
+            some = hunt.hunt(error, climb)
+        chosen += some + [one.replace(precision="f32") for one in some[:SINGLE]]
+    least = 0.0 if wanted.whole else min((error for error, _ in targets), default=0.0) / USELESS
+    chosen += _drawn(hunt, least)
+    chosen.append(search.shipped)
+    failed = [
+        one for one, paths in trials.glances.items() if paths[-1].failure or trials.far(paths)
+    ]
+    trials.run([*chosen, *failed], "front")
+    return sorted(dict.fromkeys([*chosen, *failed]), key=lambda s: -s.dt)
+
+
+def _finer(search: Search, trials: Trials) -> bool:
+    """Halves the reference's step once more; False where that is of no use."""
+    if not search.can_refine(trials.reference):
+        return False
+    with Progress("finer reference", len(search.course.motion.starts), trials.progress) as bar:
+        return search.refine(trials.reference, bar)
+
+
+def _next_better(trials: Trials, chosen: Settings, error: float) -> float:
+    """Half the error of the settings chosen, where that is less: the next better is judged by it.
+
+    What the longest step tried gives can be far better than what was asked for.
+    """
+    return min(error, trials.score(chosen, len(trials.course.motion.starts)).error / 2)
+
+
+def _targets(hunt: Hunt, wanted: Wanted) -> list[tuple[float, bool]]:
+    """The errors to hunt [m], and whether to climb there."""
+    if wanted.error is not None:
+        return [(share * wanted.error, climb) for share, climb in ASKED]
+    own = hunt.trials.score(hunt.shipped, hunt.few).error
+    if not 0 < own < math.inf:
+        scores = [hunt.trials.score(one, hunt.few).error for one in hunt.trials.glances]
+        finite = sorted(e for e in scores if 0 < e < math.inf)
+        own = finite[len(finite) // 2] if finite else 0.0
+    shares = BUDGET if wanted.budget else UNASKED
+    return [(own * share, climb) for share, climb in shares if own > 0]
+
+
+def _drawn(hunt: Hunt, least: float) -> list[Settings]:
+    """The front of every integrator, as far as few starts tell, thinned out."""
+    by_name: dict[str, list[Settings]] = {}
+    for one in hunt.trials.glances:
+        by_name.setdefault(one.integrator, []).append(one)
+    return [s for some in by_name.values() for s in _thin(hunt, some, least)]
+
+
+def _thin(hunt: Hunt, some: Sequence[Settings], least: float) -> list[Settings]:
+    scores = [(hunt.trials.score(one, hunt.few), i) for i, one in enumerate(some)]
+    kept, best, last = [], math.inf, 0.0
+    for score, i in sorted(scores, key=lambda pair: (pair[0].price, pair[0].error, pair[1])):
+        if score.error < best and score.price > SPARSE * last and score.error >= least:
+            kept.append(some[i])
+            best, last = score.error, score.price
+    return kept

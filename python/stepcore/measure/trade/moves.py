@@ -1,0 +1,115 @@
+"""Where the search goes: families of settings to begin with, and one axis changed at a time.
+
+Substeps against sweeps are no axis of their own: k substeps are a time step k times shorter, and at
+equal row updates a k-th of the sweeps. The two axes dt and sweeps hold them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from stepcore._core import Settings
+from stepcore.measure.trade.settings import COULOMB_LAW, SMOOTH_LAW
+from stepcore.scene.scene import Scene
+
+SWEEPS = (1, 2, 3, 5, 8, 12, 20, 32, 50, 100, 200)
+TOLERANCES = (0.0, 1e-10, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+# Where nothing is driven, steps up to this many times the largest of the default ones are tried, as
+# long as so many samples are left in the horizon.
+LONGER, LEFT = 4, 25
+# Few enough rows, or iterations, that plain Newton is bounded by them.
+ITERATIONS = (1, 2, 3, 5, 100)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Time steps that divide the control period; `shipped` is one of them. Pieces: how many."""
+
+    period: float
+    shipped: float
+
+    def dt(self, pieces: int) -> float:
+        """The time step [s] of so many pieces; the shipped one to the bit."""
+        return self.shipped if pieces == self.own else self.period / pieces
+
+    @property
+    def own(self) -> int:
+        """Pieces of the shipped step."""
+        return round(self.period / self.shipped)
+
+    def pieces(self, settings: Settings) -> int:
+        return round(self.period / settings.dt)
+
+    def at(self, settings: Settings, pieces: int) -> Settings:
+        """The settings with another time step."""
+        return settings.replace(dt=self.dt(pieces))
+
+
+def longest(period: float, horizon: float) -> float:
+    """The longest step to try on a motion without controls [s], a multiple of the period."""
+    times = LONGER
+    while times > 1 and horizon < LEFT * times * period * (1 - 1e-9):
+        times //= 2
+    return times * period
+
+
+def families(shipped: Settings, rows: int) -> list[Settings]:
+    """Each integrator with each kind of solver, all else as shipped.
+
+    rows: the most alive at once in the reference; without any the solver stays as shipped, and
+    for one alone one sweep is all.
+    """
+    smooth = shipped.law == "solref"
+    names = SMOOTH_LAW if smooth else COULOMB_LAW
+    methods: list[dict[str, Any]] = [{}]
+    if rows:
+        own = shipped.sweeps if shipped.solver == "pgs" else 20
+        single = min(own, 1) if own != "auto" else 1
+        methods = [{"solver": "pgs", "sweeps": own if rows > 1 else single}]
+        if smooth:
+            count = shipped.sweeps if shipped.solver == "newton" else 100
+            methods.append({"solver": "newton", "sweeps": count})
+    found = [
+        shipped.replace(integrator=name, precision="f64", **method)
+        for name in dict.fromkeys([*names, shipped.integrator])
+        for method in methods
+    ]
+    return list(dict.fromkeys(found))
+
+
+def moves(settings: Settings, rows: int, friction: bool) -> list[Settings]:
+    """Settings that differ in one axis other than time step, integrator and kind of solver."""
+    if not rows:
+        return []
+    return list(dict.fromkeys(one for one in _moves(settings, rows, friction) if one != settings))
+
+
+def _moves(s: Settings, rows: int, friction: bool) -> Iterator[Settings]:
+    if s.solver == "pgs" and rows > 1:
+        for sweeps in _near(SWEEPS, 20 if s.sweeps == "auto" else s.sweeps, 2):
+            yield s.replace(sweeps=sweeps)
+        yield s.replace(acceleration="none" if s.acceleration == "momentum" else "momentum")
+    if s.solver == "newton":
+        for sweeps in _near(ITERATIONS, 100 if s.sweeps == "auto" else s.sweeps, 2):
+            yield s.replace(sweeps=sweeps)
+    if rows > 1 or s.solver == "newton":
+        yield s.replace(warm_start=not s.warm_start)
+        for tolerance in _near(TOLERANCES, s.tolerance, 2):
+            if tolerance > 0 or s.sweeps != "auto":
+                yield s.replace(tolerance=tolerance)
+    if friction:
+        yield s.replace(cone="elliptic" if s.cone == "pyramidal" else "pyramidal")
+
+
+def _near(ladder: Sequence[Any], value: Any, reach: int) -> list[Any]:
+    """The rungs next to a value, so many on either side."""
+    rungs = sorted({*ladder, value})
+    at = rungs.index(value)
+    return rungs[max(0, at - reach) : at + reach + 1]
+
+
+def slides(scene: Scene) -> bool:
+    """Whether some contact of the scene could have friction in more than one direction."""
+    return any(g.condim > 1 for g in scene.geoms if g.contype or g.conaffinity)

@@ -1,0 +1,126 @@
+"""The picture of a convergence: residual against sweeps, and what equal work buys."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stepcore.report.plot.style import COLOURS, GREY, bare, figure, saved
+from stepcore.report.units import metres, seconds
+
+if TYPE_CHECKING:
+    from stepcore.measure.convergence.result import Convergence
+
+COLD, WARM, WORK = COLOURS["rk4"], COLOURS["semi-implicit"], COLOURS["implicitfast"]
+# Residuals below this share of the largest are rounding.
+LEAST = 1e-13
+
+
+def plot_convergence(found: Convergence, path: str | os.PathLike[str] | None = None) -> Any:
+    """Draws a convergence; writes it where `path` says, in the format of its ending.
+
+    Left: the median residual of the states by sweeps, from nothing and from the impulses that
+    the motion carried, up to the worst state; dashed: what theory leaves. Right: the error of
+    equal row updates, split into steps and sweeps. Returns the matplotlib Figure. Raises
+    ImportError without matplotlib.
+    """
+    drawn = figure(10.0, 4.4)
+    left, right = drawn.subplots(1, 2, width_ratios=(1.25, 1.0))
+    _sweeps(left, found)
+    _work(right, found)
+    return saved(drawn, path)
+
+
+def _sweeps(axes: Any, found: Convergence) -> None:
+    table = found.sweeps
+    bare(axes, f"{found.name}: {found.verdict}")
+    axes.set_xlabel("sweeps")
+    axes.set_ylabel("residual [m/s]")
+    if not len(table):
+        _say(axes, "no contact, limit or other row")
+        return
+    sweeps = np.array(table["sweeps"], float)
+    top = max(max(table["cold worst"]), max(table["warm worst"]), 1e-300)
+    for kind, colour, width in (("cold", COLD, 3.0), ("warm", WARM, 1.4)):
+        middle, worst = (np.maximum(table[name], LEAST * top) for name in (kind, f"{kind} worst"))
+        axes.plot(sweeps, middle, color=colour, lw=width, marker="o", ms=3.5, label=f"{kind} start")
+        axes.fill_between(sweeps, middle, worst, color=colour, alpha=0.18, lw=0)
+    _theory(axes, found, sweeps, top)
+    own = found.settings
+    if own.solver == "pgs" and own.sweeps != "auto" and own.sweeps > 0:
+        axes.axvline(own.sweeps, color=GREY, lw=1, ls=":", label=f"as shipped, {own.sweeps}")
+    axes.set_xscale("log", base=2)
+    axes.set_yscale("log")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.set_ylim(0.5 * LEAST * top if _reaches(table, top) else None, 3 * top)
+    done = [n for n in table if max(n["cold worst"], n["warm worst"]) <= LEAST * top]
+    axes.set_xlim(0.8, 1.25 * (max(4 * done[0]["sweeps"], 8) if done else sweeps[-1]))
+    # Below, where nothing is drawn.
+    axes.legend(fontsize=8.5, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.14), ncols=2)
+
+
+def _reaches(table: Any, top: float) -> bool:
+    """Whether some residual is at rounding."""
+    return min(min(table["cold"]), min(table["warm"])) <= LEAST * top
+
+
+def _theory(axes: Any, found: Convergence, sweeps: Any, top: float) -> None:
+    """The slope that theory gives, through the slowest state's middle."""
+    theory, slowest = found.theory, found.slowest
+    rate = theory.radius
+    if slowest is None or rate is None or not 0 < rate < 1:
+        return
+    # Anchored where the measured curve is on its slope and not yet rounding.
+    cold = np.array(slowest.cold)
+    at = [k for k, value in enumerate(cold) if value > 1e-7 * cold.max()]
+    if not at:
+        return
+    k = at[-1]
+    grid = np.geomspace(sweeps[0], sweeps[-1], 400)
+    line = 1.8 * cold[k] * rate ** (grid - sweeps[k])
+    seen = (line > LEAST * top) & (line < 3 * top)
+    text = f"theory, {_percent(rate)} a sweep"
+    axes.plot(grid[seen], line[seen], color="black", lw=1.2, ls="--", label=text)
+
+
+def _percent(rate: float) -> str:
+    digits = 3 if rate < 0.99 else 2 + math.ceil(-math.log10(1 - rate))
+    return f"{rate:.{digits}f}"
+
+
+def _work(axes: Any, found: Convergence) -> None:
+    bare(axes, "equal row updates, steps × sweeps")
+    axes.set_xlabel("position error, rms [m]")
+    splits = found.plan.splits
+    runs = [found.runs[split.settings] for split in splits]
+    errors = [run.error for run in runs]
+    known = [error for error in errors if math.isfinite(error) and error > 0]
+    if not known:
+        _say(axes, "no run of these has an error")
+        return
+    solved = found.solved.error
+    low = 0.3 * min([*known, *([solved] if solved > 0 else [])])
+    high = 12 * max(known)
+    for k, (run, error) in enumerate(zip(runs, errors, strict=True)):
+        if run.failure:
+            axes.text(low * 1.3, k, "fails", va="center", color=GREY)
+            continue
+        axes.barh(k, max(error, low) - low, left=low, height=0.62, color=WORK)
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
+        axes.text(max(error, low) * 1.15, k, metres(error), va="center", fontsize=9, bbox=box)
+    labels = [f"{s.steps} × {s.sweeps}\ndt {seconds(s.settings.dt)}" for s in splits]
+    axes.set_yticks(range(len(splits)), labels, fontsize=9)
+    axes.set_ylim(len(splits) - 0.4, -0.6)
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    if math.isfinite(solved) and solved > 0:
+        text = f"dt {seconds(found.settings.dt)}, converged"
+        axes.axvline(solved, color="black", lw=1.2, ls="--", label=text)
+        axes.legend(fontsize=8.5, frameon=False, loc="upper right", bbox_to_anchor=(1.0, -0.14))
+
+
+def _say(axes: Any, text: str) -> None:
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color=GREY)

@@ -1,0 +1,190 @@
+"""The picture of a trade: log cost against log error. matplotlib is needed only here."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import TYPE_CHECKING, Any
+
+from stepcore.measure.trade.settings import label
+from stepcore.report.plot.style import COLOURS, GREY, bare, figure, saved
+from stepcore.report.units import metres, seconds
+
+if TYPE_CHECKING:
+    from stepcore.measure.trade.result import Row, Trade
+
+MARKERS = {"newton": "o", "pgs": "s"}
+# MuJoCo's points, in the same colours.
+THEIRS = "*"
+# Errors this many times the shipped one are drawn as failures: they would flatten the rest.
+FAR = 1e4
+
+
+def plot_trade(trade: Trade, path: str | os.PathLike[str] | None = None) -> Any:
+    """Draws a trade; writes it where `path` says, in the format of its ending.
+
+    Colours are integrators, markers solvers, hollow ones single precision, stars MuJoCo; lines
+    join the settings that are best for their cost, of each engine; rings mark the shipped and the
+    recommended settings, crosses on the upper edge the failures. Returns the matplotlib Figure.
+    Raises ImportError without matplotlib.
+    """
+    drawn = figure(9.0, 5.2)
+    axes = drawn.add_subplot()
+    good, far = _split(trade)
+    for row in good:
+        _point(axes, trade, row)
+    front = sorted((_cost(trade, row), trade.error(row)) for row in good if row.best)
+    axes.plot(*zip(*front, strict=True), color="black", lw=1.3, alpha=0.8, zorder=2)
+    limit = max(trade.error(row) for row in good)
+    theirs = _mujoco(axes, trade, limit)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    low, high = _limits([trade.error(row) for row in good] + theirs)
+    axes.set_ylim(low, high)
+    axes.margins(x=0.08)
+    _failures(axes, trade, far, high)
+    _asked(axes, trade)
+    _rings(axes, trade, good)
+    error = trade.reference.high
+    if error > low:
+        axes.axhspan(low, error, color="#DDDDDD", zorder=0)
+        text = f"below the reference's own error, {metres(error)}"
+        axes.text(0.01, error, text, transform=axes.get_yaxis_transform(), va="top", fontsize=8)
+    _words(axes, trade)
+    _legend(drawn, trade, good, bool(far))
+    return saved(drawn, path)
+
+
+def _cost(trade: Trade, row: Row) -> float:
+    """What is drawn along: ms per simulated second, or operations."""
+    return trade.price(row) if trade.by == "flops" else row.cost / 1e3
+
+
+def _split(trade: Trade) -> tuple[list[Row], list[Row]]:
+    """Rows that are drawn where they are, and those that failed or are far off."""
+    errors = sorted(trade.error(row) for row in trade.rows if row.errors)
+    middle = trade.error(trade.shipped) if trade.shipped.errors else errors[len(errors) // 2]
+    limit = FAR * max(middle, trade.reference.high, 1e-300)
+    good = [row for row in trade.rows if row.errors and trade.error(row) <= limit]
+    return good, [row for row in trade.rows if not row.errors or trade.error(row) > limit]
+
+
+def _point(axes: Any, trade: Trade, row: Row) -> None:
+    s = row.settings
+    colour = COLOURS.get(s.integrator, GREY)
+    axes.plot(
+        _cost(trade, row),
+        trade.error(row),
+        MARKERS.get(s.solver, "^"),
+        ms=7 if row.best else 5.5,
+        mfc=colour if s.precision == "f64" else "white",
+        mec=colour,
+        mew=1.2,
+        alpha=1.0 if row.best else 0.55,
+        # Two integrators can be the same here: the shipped one is seen.
+        zorder=4.5 if row.shipped else 4 if row.best else 3,
+    )
+
+
+def _mujoco(axes: Any, trade: Trade, limit: float) -> list[float]:
+    """MuJoCo's points, and a line through its best; returns their errors."""
+    points = [p for p in trade.mujoco if p.error <= limit and not math.isnan(p.cost)]
+    for p in points:
+        axes.plot(
+            p.cost / 1e3,
+            p.error,
+            THEIRS,
+            ms=11 if p.best else 8,
+            mfc=COLOURS.get(p.integrator, GREY),
+            mec="black",
+            mew=0.7,
+            alpha=1.0 if p.best else 0.5,
+            zorder=4 if p.best else 3,
+        )
+    front = sorted((p.cost / 1e3, p.error) for p in points if p.best)
+    if front:
+        axes.plot(*zip(*front, strict=True), color="black", lw=1.1, ls=":", zorder=2)
+    return [p.error for p in points]
+
+
+def _limits(errors: list[float]) -> tuple[float, float]:
+    """The range of errors [m], with room above for the failures."""
+    some = [max(error, 1e-18) for error in errors]
+    low, high = math.log10(min(some)), math.log10(max(some))
+    room = max(0.06 * (high - low), 0.15)
+    return 10 ** (low - room), 10 ** (high + 2.5 * room)
+
+
+def _failures(axes: Any, trade: Trade, rows: list[Row], high: float) -> None:
+    """Crosses on the upper edge, at what they cost, or where their like with success would be."""
+    done = [row for row in trade.rows if not math.isnan(trade.price(row))]
+    for row in rows:
+        cost = _cost(trade, row)
+        if math.isnan(cost):
+            like = [r for r in done if r.settings.integrator == row.settings.integrator] or done
+            near = min(like, key=lambda r: abs(math.log(r.settings.dt / row.settings.dt)))
+            cost = _cost(trade, near) * near.settings.dt / row.settings.dt
+        colour = COLOURS.get(row.settings.integrator, GREY)
+        axes.plot(cost, high, "x", ms=8, mew=2, color=colour, clip_on=False, zorder=6)
+
+
+def _asked(axes: Any, trade: Trade) -> None:
+    """The error or the budget that was asked for, as a dashed line."""
+    line = {"color": GREY, "ls": "--", "lw": 1.0, "zorder": 1}
+    if trade.target is not None:
+        axes.axhline(trade.target, **line)
+        text, at = f"{metres(trade.target)} asked for", (0.995, trade.target)
+        style: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "ha": "right"}
+        axes.text(*at, text, va="bottom", fontsize=8, color=GREY, **style)
+    elif trade.budget is not None:
+        axes.axvline(trade.budget if trade.by == "flops" else trade.budget / 1e3, **line)
+
+
+def _rings(axes: Any, trade: Trade, good: list[Row]) -> None:
+    """Rings about the shipped and the recommended settings, with their names."""
+    marked = [(trade.shipped, f"as shipped\ndt {seconds(trade.shipped.settings.dt)}", -1)]
+    chosen = trade.recommended
+    if chosen is not None and chosen is not trade.shipped:
+        words = label(chosen.settings).replace(", dt", ",\ndt")
+        marked.append((chosen, f"recommended\n{words}", -1))
+    for row, text, _ in marked:
+        if row not in good:
+            continue
+        at = (_cost(trade, row), trade.error(row))
+        axes.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6, zorder=5)
+        # Below and left of the front there is nothing to cover.
+        style: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "top"}
+        axes.annotate(text, at, (-9, -9), zorder=6, fontsize=9, **style)
+
+
+def _words(axes: Any, trade: Trade) -> None:
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.set_xlabel("computing time per simulated second [ms]")
+    if trade.by == "flops":
+        axes.set_xlabel("floating-point operations per simulated second")
+    axes.set_ylabel("error, rms over time and bodies, of the worst start [m]")
+    starts = f"{trade.starts} start" + "s" * (trade.starts != 1)
+    title = f"{trade.name}: error over {seconds(trade.horizon)} against cost, {starts}"
+    bare(axes, title)
+
+
+def _legend(drawn: Any, trade: Trade, good: list[Row], failed: bool) -> None:
+    from matplotlib.lines import Line2D
+
+    def entry(name: str, marker: str, **style: Any) -> Any:
+        return Line2D([], [], marker=marker, ls="none", label=name, **({"ms": 6} | style))
+
+    used = {row.settings.integrator for row in trade.rows} | {p.integrator for p in trade.mujoco}
+    entries = [entry(name, "o", color=colour) for name, colour in COLOURS.items() if name in used]
+    solvers = {row.settings.solver for row in good}
+    entries += [entry(name, m, color=GREY) for name, m in MARKERS.items() if name in solvers]
+    if any(row.settings.precision == "f32" for row in good):
+        entries.append(entry("single precision", "o", mfc="white", mec=GREY))
+    entries.append(Line2D([], [], color="black", lw=1.3, label="best for its cost"))
+    if trade.mujoco:
+        name = f"MuJoCo {trade.mujoco[0].check.version}"
+        entries.append(entry(name, THEIRS, ms=11, mfc="white", mec="black"))
+        entries.append(Line2D([], [], color="black", lw=1.1, ls=":", label="its best"))
+    if failed:
+        entries.append(entry("failed or far off", "x", color=GREY, mew=2))
+    drawn.legend(handles=entries, loc="outside right center", fontsize=9, frameon=False)

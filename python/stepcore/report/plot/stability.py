@@ -1,0 +1,135 @@
+"""The picture of a stability map: finite, inaccurate and exploded cells, and theory's boundary."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stepcore.measure.stability.result import EXPLODED, FINITE, INACCURATE
+from stepcore.report.plot.style import figure, saved
+
+if TYPE_CHECKING:
+    from stepcore.measure.stability.result import Panel, StabilityMap
+
+# Light, middle, dark: told apart without colour too.
+FILLS = {FINITE: "#A9D8F5", INACCURATE: "#E69F00", EXPLODED: "#4A3B52"}
+UNJUDGED = "finite, not judged"
+COLUMNS = 3
+DASHES = (0, (4, 2))
+
+
+def plot_map(found: StabilityMap, path: str | os.PathLike[str] | None = None) -> Any:
+    """Draws one panel a setting, value across and dt up, both on log axes.
+
+    Written where `path` says, in the format of its ending. Returns the matplotlib Figure. Raises
+    ImportError without matplotlib.
+    """
+    count = len(found.panels)
+    columns = count if count <= COLUMNS else 2 if count == 4 else COLUMNS
+    rows = math.ceil(count / columns)
+    drawn = figure(width=max(5.5, 3.0 * columns + 0.8), height=2.5 * rows + 1.5)
+    axes = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for panel, ax in zip(found.panels, axes.flat, strict=False):
+        _panel(ax, found, panel)
+    for ax in axes.flat[count:]:
+        ax.set_visible(False)
+    for k, ax in enumerate(axes.flat[:count]):
+        if k + columns >= count:
+            ax.set_xlabel(found.words)
+            ax.tick_params(labelbottom=True)
+        if k % columns == 0:
+            ax.set_ylabel("dt [s]")
+    drawn.suptitle(_title(found), fontsize=11, x=0.01, ha="left")
+    _legend(drawn, found)
+    return saved(drawn, path)
+
+
+def _panel(axes: Any, found: StabilityMap, panel: Panel) -> None:
+    from matplotlib.colors import ListedColormap
+
+    shape = (len(found.values), len(found.dts))
+    states = list(FILLS)
+    grid = np.array([states.index(cell.state) for cell in panel.cells]).reshape(shape).T
+    across, up = _edges(found.values), _edges(found.dts)
+    colours = ListedColormap(list(FILLS.values()))
+    axes.pcolormesh(across, up, grid, cmap=colours, vmin=-0.5, vmax=2.5, edgecolors="none")
+    unknown = np.array([not c.judged and c.state == FINITE for c in panel.cells]).reshape(shape).T
+    if unknown.any():
+        masked = np.ma.masked_where(~unknown, grid)
+        axes.pcolor(across, up, masked, hatch="///", alpha=0.0, zorder=2)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(across[0], across[-1])
+    axes.set_ylim(up[0], up[-1])
+    if panel.boundary is not None:
+        line = _line(found.values, across, up, panel.boundary)
+        # White under black shows on every fill.
+        axes.plot(*line, color="white", lw=3.5, zorder=4, solid_capstyle="butt")
+        axes.plot(*line, color="black", lw=1.5, ls=DASHES, zorder=4)
+    axes.set_title(_named(panel, found), loc="left", fontsize=9.5)
+
+
+def _line(
+    values: Any, across: np.ndarray, up: np.ndarray, boundary: list[float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The boundary as points; where it leaps from any dt to none, upright between two cells."""
+    x, y = np.asarray(values, float), np.asarray(boundary, float)
+    leaps = [k for k in range(1, len(y)) if {y[k - 1], y[k]} == {0.0, np.inf}]
+    upright = [(across[k], dt) for k in leaps for dt in (up[0], up[-1])]
+    y = np.where((y > 0) & np.isfinite(y), y, np.nan)
+    if not upright:
+        return x, y
+    ends = np.array([(np.nan, np.nan), *upright])
+    return np.concatenate([x, ends[:, 0]]), np.concatenate([y, ends[:, 1]])
+
+
+def _says(found: StabilityMap) -> list[str]:
+    """What the lines that are drawn mean, each once."""
+    return list(dict.fromkeys(p.says for p in found.panels if _drawn(p)))
+
+
+def _drawn(panel: Panel) -> bool:
+    """Whether its boundary crosses the picture: not where it is at any dt or at none."""
+    return panel.boundary is not None and set(panel.boundary) not in ({0.0}, {np.inf})
+
+
+def _title(found: StabilityMap) -> str:
+    """What was measured, and what the dashed lines are, if they are all the same."""
+    title = f"{found.title}, {found.horizon:g} s"
+    says = _says(found)
+    return f"{title}\ndashed, by theory: {says[0]}" if len(says) == 1 else title
+
+
+def _named(panel: Panel, found: StabilityMap) -> str:
+    """The setting, and what its theory says: in words where there is no line to draw."""
+    if panel.boundary and set(panel.boundary) == {0.0}:
+        return f"{panel.label} (theory: grows at any dt)"
+    if panel.boundary and set(panel.boundary) == {np.inf}:
+        return f"{panel.label} (theory: never grows)"
+    if len(_says(found)) > 1:
+        return f"{panel.label}\ndashed: {panel.says}"
+    return panel.label
+
+
+def _edges(points: Any) -> np.ndarray:
+    """Borders between points on a log axis, each half-way to its neighbours."""
+    logs = np.log(np.asarray(points, float))
+    if len(logs) == 1:
+        return np.exp(np.array([logs[0] - 0.3, logs[0] + 0.3]))
+    middle = (logs[1:] + logs[:-1]) / 2
+    first, last = logs[0] - (middle[0] - logs[0]), logs[-1] + (logs[-1] - middle[-1])
+    return np.exp(np.concatenate([[first], middle, [last]]))
+
+
+def _legend(drawn: Any, found: StabilityMap) -> None:
+    from matplotlib.patches import Patch
+
+    entries: list[Any] = [Patch(fc=fill, ec="black", lw=0.4, label=s) for s, fill in FILLS.items()]
+    if any(not c.judged and c.state == FINITE for p in found.panels for c in p.cells):
+        entries.append(Patch(fc=FILLS[FINITE], ec="black", lw=0.4, hatch="///", label=UNJUDGED))
+    columns = len(entries) if len(entries) < 4 or drawn.get_figwidth() > 7 else 2
+    place = {"loc": "outside lower center", "ncols": columns}
+    drawn.legend(handles=entries, fontsize=9, frameon=False, **place)

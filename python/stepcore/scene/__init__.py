@@ -1,0 +1,1 @@
+"""What people write: elements, frames, layout, checked values."""

@@ -1,0 +1,295 @@
+"""From a `Scene`, in whatever order it was written, to the plain data that the engine compiles.
+
+Bodies stand depth first, joints, geoms and sites body by body: MuJoCo's order of qpos, qvel and
+geoms. Names become indices. What one element alone cannot tell (a plane on a moving body, a
+range without room, a key of the wrong length) is checked here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from stepcore import checks
+from stepcore.scene import actuation
+from stepcore.scene.elements import Body, Element, Geom, Joint, MassRules, fields_of
+from stepcore.scene.frames import IDENTITY, ORIGIN
+
+if TYPE_CHECKING:
+    from stepcore.scene.scene import Scene
+
+QPOS = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
+DOFS = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
+SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3, "plane": 0}
+SIZE_WORDS = {
+    "sphere": "a radius > 0",
+    "capsule": "a radius and a half length > 0",
+    "cylinder": "a radius and a half length > 0",
+    "ellipsoid": "3 radii > 0",
+    "box": "3 half sizes > 0",
+}
+
+
+class Layout:
+    """The order of a scene's elements once compiled."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.bodies = _depth_first(scene.bodies)
+        self.index = {id(body): i for i, body in enumerate(self.bodies)}
+        self.joints: list[Joint] = self._by_body(scene.joints)
+        self.geoms: list[Geom] = self._by_body(scene.geoms)
+        self.sites = self._by_body(scene.sites)
+        self.joints_of: dict[int, list[Joint]] = {}
+        for joint in self.joints:
+            self.joints_of.setdefault(id(joint.body), []).append(joint)
+
+    def _by_body(self, elements: Iterable[Any]) -> list[Any]:
+        return sorted(elements, key=lambda e: self.body(e, e.body))
+
+    def body(self, owner: Element | str, body: Body) -> int:
+        """The index of a body that `owner` refers to."""
+        found = self.index.get(id(body))
+        if found is None:
+            raise checks.ElementError(owner, f"refers to {body}, which is not in this scene")
+        return found
+
+    @property
+    def nq(self) -> int:
+        return sum(QPOS[joint.type] for joint in self.joints)
+
+    @property
+    def nv(self) -> int:
+        return sum(DOFS[joint.type] for joint in self.joints)
+
+    def moving(self, body: Body | None) -> bool:
+        """Whether a joint stands between this body and the world."""
+        while body is not None:
+            if id(body) in self.joints_of:
+                return True
+            body = body.parent
+        return False
+
+    def qpos0(self) -> list[float]:
+        """The coordinates of the pose in which the scene is described, length nq."""
+        qpos: list[float] = []
+        for joint in self.joints:
+            if joint.type == "free":
+                qpos += [*joint.body.pos, *joint.body.quat]
+            elif joint.type == "ball":
+                qpos += [1.0, 0.0, 0.0, 0.0]
+            else:
+                qpos.append(joint.ref)
+        return qpos
+
+    def unit_quaternions(self, qpos: Iterable[float]) -> list[float]:
+        """`qpos` with its quaternions at unit length (zero: no turn)."""
+        result = list(qpos)
+        at = 0
+        for joint in self.joints:
+            if joint.type in ("free", "ball"):
+                start = at + (3 if joint.type == "free" else 0)
+                quat = result[start : start + 4]
+                norm = math.hypot(*quat)
+                if norm < checks.TINY:
+                    quat = [1.0, 0.0, 0.0, 0.0]
+                elif abs(norm - 1) > 1e-15:
+                    quat = [x / norm for x in quat]
+                result[start : start + 4] = quat
+            at += QPOS[joint.type]
+        return result
+
+
+def _depth_first(bodies: list[Body]) -> list[Body]:
+    children: dict[int, list[Body]] = {}
+    for body in bodies[1:]:
+        if body.parent is None:
+            raise checks.ElementError(body, "parent = None: only the world has no parent")
+        children.setdefault(id(body.parent), []).append(body)
+    order: list[Body] = []
+    stack = [bodies[0]]
+    while stack:
+        body = stack.pop()
+        order.append(body)
+        stack.extend(reversed(children.get(id(body), [])))
+    if len(order) != len(bodies):
+        seen = {id(body) for body in order}
+        lost = next(body for body in bodies if id(body) not in seen)
+        raise checks.ElementError(lost, "is not connected to the world through its parents")
+    return order
+
+
+def check(layout: Layout) -> None:
+    """Checks what spans several fields or elements; a ValueError names the element."""
+    scene = layout.scene
+    world = layout.bodies[0]
+    if (world.pos, world.quat) != (ORIGIN, IDENTITY) or id(world) in layout.joints_of:
+        raise ValueError("the world stays where it is: no pos, no quat, no joint")
+    for body in layout.bodies[1:]:
+        if body.mass is None and any((*body.inertia, *body.ipos)):
+            raise checks.refuse(body, "mass", None, "given where ipos or inertia is")
+        _check_joints(layout, body)
+    for geom in layout.geoms:
+        need = SIZES[geom.type]
+        if any(size <= 0 for size in geom.size[:need]):
+            raise checks.refuse(
+                geom, "size", geom.size, f"{SIZE_WORDS[geom.type]} for a {geom.type}"
+            )
+        if geom.type == "plane" and layout.moving(geom.body):
+            raise checks.ElementError(
+                geom, "a plane must be on the world or on a body that cannot move"
+            )
+    inside = {id(joint) for joint in layout.joints}
+    for actuator in scene.actuators:
+        if id(actuator.joint) not in inside:
+            raise checks.ElementError(
+                actuator, f"refers to {actuator.joint}, which is not in this scene"
+            )
+        actuation.check(actuator)
+    for equality in scene.equalities:
+        if equality.body1 is equality.body2:
+            raise checks.ElementError(equality, f"connects {equality.body1} to itself")
+    sizes = {"qpos": layout.nq, "qvel": layout.nv, "ctrl": len(scene.actuators)}
+    for key in scene.keys:
+        for field, count in sizes.items():
+            value = getattr(key, field)
+            if value is not None and len(value) != count:
+                raise checks.refuse(key, field, value, f"{count} numbers, not {len(value)}")
+    for elements in scene.named():
+        seen: set[str] = set()
+        for element in elements:
+            name = getattr(element, "name", "")
+            if name and name in seen:
+                raise checks.ElementError(element, "the name is used twice")
+            seen.add(name)
+
+
+def _check_joints(layout: Layout, body: Body) -> None:
+    joints = layout.joints_of.get(id(body), [])
+    if sum(DOFS[joint.type] for joint in joints) > 6:
+        raise checks.ElementError(body, "its joints have more than 6 dofs")
+    turned_by_ball = False
+    for joint in joints:
+        if turned_by_ball and joint.type in ("ball", "hinge"):
+            raise checks.ElementError(joint, "a ball joint must be a body's last joint that turns")
+        turned_by_ball |= joint.type == "ball"
+        if joint.type == "free" and body.parent is not layout.bodies[0]:
+            raise checks.ElementError(joint, "a free joint needs a body whose parent is the world")
+        if joint.range is not None:
+            if joint.type == "free":
+                raise checks.refuse(joint, "range", joint.range, "None for a free joint")
+            if joint.type == "ball" and joint.range[0] != 0:
+                raise checks.refuse(joint, "range", joint.range, "(0, angle) for a ball joint")
+
+
+# Fields whose name in the engine is not MuJoCo's word.
+RENAMED = {"type": "kind", "ref": "reference", "shellinertia": "shell_inertia"}
+# Fields of an actuator that reach the engine as gain, bias and dampratio.
+SERVO = ("kp", "kv", "dampratio", "gainprm", "biasprm")
+SOFTNESS = {
+    Joint: {
+        "limit": ("solreflimit", "solimplimit"),
+        "friction": ("solreffriction", "solimpfriction"),
+    },
+    Geom: {"soft": ("solref", "solimp")},
+}
+MASS_RULES = {
+    "inertiafromgeom": "from_geoms",
+    "inertiagrouprange": "group_range",
+    "boundmass": "bound_mass",
+    "boundinertia": "bound_inertia",
+    "balanceinertia": "balance_inertia",
+    "settotalmass": "total_mass",
+}
+
+
+def plain(layout: Layout) -> dict[str, Any]:
+    """The whole scene as dicts, lists and numbers: exactly the engine's fields."""
+    scene = layout.scene
+    body_of = {id(body): i for i, body in enumerate(layout.bodies)}
+    joint_of = {id(joint): i for i, joint in enumerate(layout.joints)}
+
+    def attached(element: Any, *skip: str) -> dict[str, Any]:
+        return _record(element, "body", *skip) | {"body": body_of[id(element.body)]}
+
+    return {
+        "name": scene.name,
+        "gravity": list(scene.gravity),
+        "bodies": [_body(body, body_of) for body in layout.bodies],
+        "joints": [attached(joint) for joint in layout.joints],
+        "geoms": [attached(geom) for geom in layout.geoms],
+        "sites": [attached(site) for site in layout.sites],
+        "actuators": [
+            _record(actuator, "joint", "type", *SERVO)
+            | {"joint": joint_of.get(id(actuator.joint), -1)}
+            | actuation.plain(actuator)
+            for actuator in scene.actuators
+        ],
+        "equalities": [
+            {
+                "name": equality.name,
+                "body1": layout.body(equality, equality.body1),
+                "body2": layout.body(equality, equality.body2),
+                "anchor": list(equality.anchor),
+                "active": equality.active,
+                "soft": {"solref": list(equality.solref), "solimp": list(equality.solimp)},
+            }
+            for equality in scene.equalities
+        ],
+        "keys": [
+            _record(key) | {"qpos": key.qpos and layout.unit_quaternions(key.qpos)}
+            for key in scene.keys
+        ],
+        "excludes": [[layout.body("exclude", b) for b in pair] for pair in scene.excludes],
+        "mass_rules": {MASS_RULES[f]: _value(scene.mass_rules, f) for f in fields_of(MassRules)},
+        "features": _record(scene.features),
+    }
+
+
+def essence(layout: Layout) -> dict[str, Any]:
+    """`plain` less what has no effect: the axis of a ball, the third size of a capsule, the
+    size at which a plane is drawn. Two scenes with the same essence are the same scene."""
+    scene = plain(layout)
+    for joint in scene["joints"]:
+        if joint["kind"] not in ("hinge", "slide"):
+            joint |= {"axis": [0.0, 0.0, 1.0], "reference": 0.0, "springref": 0.0}
+        if joint["kind"] == "free":
+            joint["pos"] = list(ORIGIN)
+    for geom in scene["geoms"]:
+        used = SIZES[geom["kind"]]
+        geom["size"] = geom["size"][:used] + [0.0] * (3 - used)
+    for key in scene["keys"]:
+        # An empty list and none are the same: nothing is given.
+        key |= {field: key[field] or None for field in ("qpos", "qvel", "ctrl")}
+    return scene
+
+
+def _value(element: Element, field: str) -> Any:
+    value = getattr(element, field)
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _record(element: Element, *skip: str) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    groups = SOFTNESS.get(type(element), {})
+    grouped = {field for pair in groups.values() for field in pair}
+    for field in fields_of(type(element)):
+        if field not in grouped and field not in skip:
+            result[RENAMED.get(field, field)] = _value(element, field)
+    for group, (solref, solimp) in groups.items():
+        result[group] = {"solref": _value(element, solref), "solimp": _value(element, solimp)}
+    return result
+
+
+def _body(body: Body, index: dict[int, int]) -> dict[str, Any]:
+    inertial = None
+    if body.mass is not None:
+        inertial = {"mass": body.mass, "pos": list(body.ipos), "inertia": list(body.inertia)}
+    return {
+        "name": body.name,
+        "parent": 0 if body.parent is None else index[id(body.parent)],
+        "pos": list(body.pos),
+        "quat": list(body.quat),
+        "inertial": inertial,
+    }

@@ -1,0 +1,79 @@
+"""`with_values`: a scene with some of its values changed, by "kind/name/field"."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from stepcore import checks
+from stepcore.scene.elements import Body, Element, fields_of
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
+    from stepcore.scene.scene import Scene
+
+KINDS = ("body", "joint", "geom", "site", "actuator", "equality", "key")
+
+
+def changed(scene: Scene, values: Mapping[str, Any], model: Model) -> Scene:
+    """A copy of `scene`, which `model` was compiled from, with these values."""
+    if not isinstance(values, Mapping):
+        raise ValueError(f"values = {checks.shown(values)}: must be a dict of paths and values")
+    scene = copy.deepcopy(scene)
+    for path, value in values.items():
+        if path == "gravity":
+            scene.gravity = value
+            continue
+        element, field = find(scene, path)
+        if field == "mass" and isinstance(element, Body) and element.mass is None:
+            _scale_geoms(scene, model, element, value)
+        else:
+            _set(element, field, value)
+    return scene
+
+
+def find(scene: Scene, path: object) -> tuple[Element, str]:
+    """The element and the field that "kind/name/field" means."""
+    parts = path.split("/") if isinstance(path, str) else []
+    if len(parts) < 3:
+        raise ValueError(f'{checks.shown(path)}: must be "gravity" or "kind/name/field"')
+    # A name may hold slashes itself.
+    kind, name, field = parts[0], "/".join(parts[1:-1]), parts[-1]
+    if kind not in KINDS:
+        raise ValueError(f'{path}: no kind of element is "{kind}"{checks.nearest(kind, KINDS)}')
+    try:
+        element: Element = getattr(scene, kind)(name)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    known = [f for f in fields_of(type(element)) if f not in ("name", "body", "parent", "joint")]
+    if field not in known:
+        raise ValueError(f'{path}: a {kind} has no value "{field}"{checks.nearest(field, known)}')
+    return element, field
+
+
+def _set(element: Element, field: str, value: Any) -> None:
+    """A number for a field of several is the first of them, the others stay."""
+    old = getattr(element, field)
+    first = checks.number(value)
+    if isinstance(old, tuple) and first is not None:
+        value = (first, *old[1:])
+    setattr(element, field, value)
+
+
+def _scale_geoms(scene: Scene, model: Model, body: Body, value: Any) -> None:
+    """Gives a body that its geoms weigh another mass, spread as before."""
+    mass: float = checks.real(above=0)(body, "mass", value)
+    index = model.index("body", body.name)
+    factor = mass / float(model.body_mass[index])
+    low, high = scene.mass_rules.inertiagrouprange
+    for geom in scene.geoms:
+        if geom.body is body and low <= geom.group <= high:
+            if geom.mass is not None:
+                geom.mass *= factor
+            else:
+                geom.density *= factor
+    rules = scene.mass_rules
+    if rules.settotalmass > 0 or rules.boundmass > 0:
+        text = "cannot be set where settotalmass or boundmass decide masses"
+        raise ValueError(f"{body}: mass = {checks.shown(value)}: {text}")

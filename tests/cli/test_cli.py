@@ -1,0 +1,267 @@
+"""The command line: what it prints, its exit statuses, and errors of one line."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from stepcore.cli import main
+from stepcore.loading import find_asset
+
+BALL = """<mujoco model="ball"><option timestep="0.004"/>
+<worldbody><body pos="0 0 1"><freejoint/><geom size="0.1" mass="1"/></body></worldbody></mujoco>
+"""
+
+
+@pytest.fixture
+def ball(tmp_path):
+    file = tmp_path / "ball.xml"
+    file.write_text(BALL)
+    return str(file)
+
+
+def call(capsys, *args):
+    status = main([str(arg) for arg in args])
+    said = capsys.readouterr()
+    return status, said.out, said.err
+
+
+def test_run_prints_the_final_state(capsys, ball):
+    status, out, err = call(capsys, "run", ball, "--duration", 0.4, "--json")
+    assert status == 0 and not err
+    data = json.loads(out)
+    assert data["steps"] == 100 and data["time"] == pytest.approx(0.4)
+    # v-first: 1 - g dt² n (n + 1) / 2
+    assert data["qpos"][2] == pytest.approx(1 - 9.81 * 0.004**2 * 5050, abs=1e-12)
+    status, out, err = call(
+        capsys, "run", ball, "--duration", "0.4", "--dt", "0.002", "--set", "integrator=rk4"
+    )
+    assert status == 0 and "200 steps" in out and "rk4" in out
+
+
+def test_run_starts_at_the_first_key_though_it_has_no_name(capsys, tmp_path):
+    file = tmp_path / "keys.xml"
+    keys = '<keyframe><key qpos="0 0 5 1 0 0 0"/><key qpos="0 0 9 1 0 0 0"/></keyframe>'
+    file.write_text(BALL.replace("</mujoco>", f"{keys}</mujoco>"))
+    status, out, _ = call(capsys, "run", file, "--duration", 0, "--json")
+    assert status == 0 and json.loads(out)["qpos"][2] == 5
+
+
+def test_run_of_a_scene_of_the_lesson_starts_at_its_key(capsys):
+    status, out, _ = call(capsys, "run", "lesson:drop", "--duration", 2, "--json")
+    assert status == 0
+    assert json.loads(out)["qpos"][0] == pytest.approx(-98.1e-6, abs=1e-12)
+
+
+def test_trade_prints_and_writes(capsys, tmp_path, ball):
+    out_json, ctrl = tmp_path / "trade.json", tmp_path / "ctrl.csv"
+    ctrl.write_text("")
+    options = ["--horizon", 0.1, "--starts", 1, "--threads", 1]
+    status, out, err = call(capsys, "trade", ball, *options, "--json", out_json)
+    assert status == 0 and not err
+    assert "reference" in out and "As shipped (euler, newton, dt 4 ms)" in out
+    data = json.loads(out_json.read_text())
+    assert data["model"] == "ball" and data["horizon"] == pytest.approx(0.096)
+    status, out, _ = call(capsys, "trade", ball, *options, "--json")
+    assert status == 0 and json.loads(out)["rows"]
+
+
+def test_trade_with_a_control_function(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "my_control_of_a_grasp.py").write_text("def grip(time, sim):\n    return [3, 3]\n")
+    options = ["--horizon", 0.016, "--starts", 1, "--control-dt", 0.008]
+    control = ["--control", "my_control_of_a_grasp:grip"]
+    status, out, err = call(capsys, "trade", "lesson:grasp", *options, *control)
+    assert status == 0, err
+    assert "grasp:" in out
+    control = ["--control", "my_control_of_a_grasp:grab"]
+    status, _, err = call(capsys, "trade", "lesson:grasp", *options, *control)
+    assert status == 2 and "nearest" in err and "grip" in err
+
+
+def test_a_model_of_an_installed_package(capsys):
+    assert find_asset("gymnasium", "half_cheetah").name == "half_cheetah.xml"
+    status, out, _ = call(capsys, "run", "gymnasium:half_cheetah", "--duration", 0.1, "--json")
+    assert status == 0 and len(json.loads(out)["qpos"]) == 9
+    status, _, err = call(capsys, "run", "gymnasium:half_cheeta", "--duration", 0.1)
+    assert status == 2 and "half_cheetah" in err
+
+
+def test_a_package_s_tests_come_last(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    package = tmp_path / "a_package_of_models"
+    for folder in ("suite", "testing/assets", "tests"):
+        (package / folder).mkdir(parents=True)
+        (package / folder / "cart.xml").touch()
+    (package / "__init__.py").touch()
+    (package / "tests" / "pole.xml").touch()
+    assert find_asset(package.name, "cart") == package / "suite" / "cart.xml"
+    assert find_asset(package.name, "tests/cart") == package / "tests" / "cart.xml"
+    assert find_asset(package.name, "pole") == package / "tests" / "pole.xml"
+    (package / "cart.xml").touch()
+    with pytest.raises(ValueError, match="which one"):
+        find_asset(package.name, "cart")
+
+
+def test_info(capsys):
+    status, out, _ = call(capsys, "info", "--json")
+    assert status == 0 and {"stepcore", "numpy", "python", "cores"} <= json.loads(out).keys()
+    assert call(capsys, "info")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["run", "no.xml", "--duration", "1"], "no such file"),
+        (["run", "lesson:slide", "--duration", "1"], "spring, drop, stack, grasp"),
+        (["run", "no_such_package:x", "--duration", "1"], "no package"),
+        (["run", "a-b:x", "--duration", "1"], "not the name of a package"),
+        (["run", "BALL", "--duration", "nan"], "--duration"),
+        (["run", "BALL", "--duration", "-1"], "--duration"),
+        (["run", "BALL", "--duration", "1e300"], "--duration 1e+300 s: must be below"),
+        (["diagnose", "BALL", "--starts", "3"], "--starts"),
+        (["run", "BALL", "--duration", "1", "--dt", "0"], "dt"),
+        (["run", "BALL", "--duration", "1", "--key", "home"], "home"),
+        (["run", "BALL", "--duration", "1", "--set", "sweps=3"], "nearest"),
+        (["run", "BALL", "--duration", "1", "--set", "sweeps"], "NAME=VALUE"),
+        (["run", "BALL", "--duration", "1", "--set", "sweeps=few"], "not a number"),
+        (["run", "BALL", "--duration", "1", "--set", "refsafe=maybe"], "true or false"),
+        (["run", "BROKEN", "--duration", "1"], "broken.xml:1"),
+        (["trade", "BALL", "--horizon", "-1"], "horizon"),
+        (["trade", "BALL", "--starts", "none"], "--starts"),
+        (["trade", "BALL", "--ctrl", "no.npy"], "no such file"),
+        (["trade", "BALL", "--ctrl", "BALL"], ".npy or .csv"),
+        (["trade", "BALL", "--control", "json"], "MODULE:FUNCTION"),
+        (["trade", "BALL", "--control", "no_such_module:f"], "no_such_module"),
+        (["trade", "BALL", "--json", "no/such/folder/x.json"], "no such folder"),
+        (["trade", "BALL", "--html", "."], "a folder"),
+        (["run", "BALL", "--replay", "."], "a folder"),
+        (["ablate", "BALL", "--save", "."], "a folder"),
+        (["diagnose", "BALL", "--seed", "-1"], "seed = -1"),
+        (["diagnose", "BALL", "--control-dt", "-1"], "control_dt = -1"),
+        (["lesson", "--engine", "abacus"], "abacus"),
+        (["dance"], "dance"),
+        ([], "command"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(capsys, tmp_path, ball, args, words):
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<mujoco><wordbody/></mujoco>")
+    named = {"BALL": ball, "BROKEN": str(broken)}
+    status, out, err = call(capsys, *(named.get(arg, arg) for arg in args))
+    assert status == 2 and not out
+    assert words in err and err.count("\n") == 1 and "Traceback" not in err
+
+
+def test_a_run_that_diverges_is_exit_1(capsys):
+    args = ["--duration", 100, "--set", "integrator=explicit", "--dt", 10]
+    status, _, err = call(capsys, "run", "lesson:spring", *args)
+    assert status == 0, "ten steps stay finite"
+    args[1] = 100_000
+    status, _, err = call(capsys, "run", "lesson:spring", *args)
+    assert status == 1 and "diverged" in err and err.count("\n") == 1
+
+
+def test_ctrl_c_is_exit_130(capsys, monkeypatch):
+    def interrupted(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stepcore.loading.find_scene", interrupted)
+    status, _, err = call(capsys, "run", "x", "--duration", 1)
+    assert status == 130 and err.count("\n") == 1
+
+
+def interrupted_at_start(name, *asked):
+    """A process that is called `name` and gets Ctrl-C while stepcore is read in.
+
+    asked: what stands behind the interpreter on its command line.
+    """
+    code = (
+        "import sys, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        f"sys.argv, sys.orig_argv[1:] = [{name!r}], {list(asked)}; "
+        "import stepcore.starting; signal.raise_signal(signal.SIGINT)"
+    )
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+
+def test_ctrl_c_before_a_command_has_begun_ends_it_without_a_word():
+    as_module = (["-m", "-m", "stepcore", "run"], ["-m", "-mstepcore.cli"])
+    for asked in (*as_module, ["/somewhere/bin/stepcore"]):
+        done = interrupted_at_start(*asked)
+        assert done.returncode == 130 and not done.stderr
+    assert "KeyboardInterrupt" in interrupted_at_start("mine.py").stderr
+
+
+def test_ctrl_c_is_left_to_other_packages_that_run_as_a_module():
+    assert "KeyboardInterrupt" in interrupted_at_start("-m", "-m", "mine.app").stderr
+
+
+def test_it_runs_as_a_module(ball):
+    command = [sys.executable, "-m", "stepcore.cli", "run", ball, "--duration", "0.1"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "energy" in done.stdout
+
+
+def test_the_package_runs_as_a_module_and_tells_its_version():
+    command = [sys.executable, "-m", "stepcore", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stdout.startswith("stepcore 0.") and not done.stderr
+
+
+def test_a_run_is_one_second_by_default(capsys, ball):
+    status, out, err = call(capsys, "run", ball, "--json")
+    assert status == 0 and not err
+    data = json.loads(out)
+    assert data["steps"] == 250 and data["notes"] == []
+
+
+def test_a_run_says_what_it_makes_of_a_duration_between_steps(capsys, ball):
+    status, out, _ = call(capsys, "run", ball, "--duration", 0.0149)
+    assert status == 0 and "4 steps" in out
+    note = "note: --duration 0.0149 s is no whole number of steps of 0.004 s: 0.016 s are run"
+    assert note in out
+    assert "note" not in call(capsys, "run", ball, "--duration", 0.4)[1]
+
+
+def test_a_run_tells_the_notes_of_its_file(capsys, tmp_path):
+    file = tmp_path / "hinge.xml"
+    joint = '<joint range="1 -1"/><geom size="1"/>'
+    file.write_text(f"<mujoco><worldbody><body>{joint}</body></worldbody></mujoco>")
+    status, out, _ = call(capsys, "run", file, "--duration", 0)
+    assert status == 0 and "note:" in out and "range = 1 -1 is empty: no limit" in out
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("empty.csv", b"", "it is empty"),
+        ("words.csv", b"1,2\n3,x\n", "'x'"),
+        ("ragged.csv", b"1,2\n3\n", "columns"),
+        ("empty.npy", b"", ""),
+        ("broken.npy", b"no array", ""),
+    ],
+)
+def test_bad_controls_are_one_line_with_the_file(capsys, tmp_path, name, content, words):
+    file = tmp_path / name
+    file.write_bytes(content)
+    status, _, err = call(capsys, "trade", "lesson:grasp", "--ctrl", file)
+    assert status == 2 and err.count("\n") == 1
+    assert f"{name}: " in err and words in err
+
+
+def test_a_control_that_raises_is_named(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    source = "def grip(time, sim):\n    raise ValueError('boom')\ndef few(time):\n    return 0\n"
+    (tmp_path / "my_broken_control.py").write_text(source)
+    (tmp_path / "my_broken_module.py").write_text("1 / 0\n")
+    args = ["trade", "lesson:grasp", "--horizon", 0.016, "--starts", 1, "--control"]
+    status, _, err = call(capsys, *args, "my_broken_control:grip")
+    assert status == 1 and err.count("\n") == 1
+    assert "my_broken_control:grip: ValueError: boom (my_broken_control.py:2)" in err
+    status, _, err = call(capsys, *args, "my_broken_control:few")
+    assert status == 2 and "function of (time, sim)" in err
+    status, _, err = call(capsys, *args, "my_broken_module:f")
+    assert status == 2 and "my_broken_module:f: ZeroDivisionError" in err

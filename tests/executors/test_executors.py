@@ -1,0 +1,245 @@
+"""Work in other processes: the same bits, failures in their rows, lost workers, clear errors."""
+
+import copy
+import functools
+import multiprocessing
+import pickle
+import time
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import workers
+import zoo
+
+import stepcore as sc
+from stepcore import executors as jobs
+from stepcore import lesson
+from stepcore.engine import wire
+from stepcore.report.progress import Progress
+
+SPAWN = multiprocessing.get_context("spawn")
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with ProcessPoolExecutor(2, mp_context=SPAWN) as pool:
+        yield pool
+
+
+def test_two_processes_give_the_bits_of_one(pool):
+    """300 runs over settings, values of the scene, and steps that fail; in the grid's order."""
+    model = lesson.stack().compile()
+    grid = {
+        "dt": [1e-4 * k for k in range(1, 15)] + [-1.0],
+        "sweeps": [1, 2, 5, "auto"],
+        "geom/shape1/mass": [0.1, 1.0, 10.0, 1e3, -2.0],
+    }
+    model = model.with_settings(tolerance=1e-9)
+    alone = sc.sweep(model, grid, workers.height, threads=1, progress=False)
+    seen = []
+    others = sc.sweep(
+        model, grid, workers.height, executor=pool, progress=lambda *told: seen.append(told[1:])
+    )
+    assert others.records == alone.records
+    assert len(alone) == 300
+    failed = [record for record in alone if record["failure"]]
+    assert len(failed) == 20 + 56
+    assert seen[-1] == (300, 300)
+    assert [done for done, _ in seen] == sorted({done for done, _ in seen})
+
+
+def test_a_worker_compiles_a_scene_once(pool):
+    """What crosses for a point is its values; for a handful, some kB of model besides."""
+    model = lesson.stack().compile()
+    sc.sweep(model, {"sweeps": list(range(1, 40))}, workers.where, executor=pool)
+    again = pickle.loads(pickle.dumps(model))
+    assert again.core is pickle.loads(pickle.dumps(model.with_settings(dt=0.5))).core
+    assert again.scene is not pickle.loads(pickle.dumps(model)).scene
+    work = functools.partial(jobs._all, functools.partial(print, model))
+    sent = [len(pickle.dumps((work, [{"dt": 0.1, "sweeps": 3}] * n))) for n in (1, 20)]
+    assert sent[0] < 2500
+    assert sent[1] - sent[0] < 20 * 100
+
+
+def test_errors_of_the_users_own_are_raised(pool):
+    model = lesson.drop().compile()
+    with pytest.raises(ZeroDivisionError, match="a mistake of the user"):
+        sc.sweep(model, {"sweeps": [1, 2, 3]}, workers.broken, executor=pool)
+    with pytest.raises(ValueError, match=r"cannot be sent this work.*functions of a module"):
+        sc.sweep(model, {"sweeps": [1]}, lambda sim: 1.0, executor=pool)
+    with pytest.raises(ValueError, match="executor = 3: must be"):
+        sc.sweep(model, {"sweeps": [1]}, workers.where, executor=3)
+
+
+def test_a_pool_whose_process_dies_says_so():
+    with ProcessPoolExecutor(2, mp_context=SPAWN) as pool:
+        with pytest.raises(RuntimeError, match=r"workers died .* of 8 points to do"):
+            jobs.each(workers.dies, range(8), bar=Progress("", 8, False), executor=pool)
+        with pytest.raises(RuntimeError, match="8 points to do; it cannot be used again"):
+            jobs.each(workers.dies, range(8), bar=Progress("", 8, False), executor=pool)
+
+
+class Interrupted(ThreadPoolExecutor):
+    """Ctrl-C while the work is handed out."""
+
+    def __init__(self):
+        super().__init__(1)
+        self.made = []
+
+    def submit(self, *work):
+        if len(self.made) == 5:
+            raise KeyboardInterrupt
+        self.made.append(super().submit(*work))
+        return self.made[-1]
+
+
+def test_ctrl_c_cancels_what_has_not_begun():
+    with Interrupted() as pool:
+        with pytest.raises(KeyboardInterrupt):
+            jobs.each(workers.asleep, range(20), bar=Progress("", 20, False), executor=pool)
+        assert sum(future.cancelled() for future in pool.made) >= 3
+
+
+def test_a_long_point_ends_at_its_next_checkpoint():
+    """Of two points at once one fails, and the other would never end."""
+
+    def point(fails):
+        if fails:
+            raise ValueError("this one")
+        while True:
+            jobs.checkpoint()
+            time.sleep(1e-3)
+
+    with pytest.raises(ValueError, match="this one"):
+        jobs.each(point, [False, True], bar=Progress("", 2, False), threads=2)
+    jobs.checkpoint()  # outside of a pool there is nothing to end
+
+
+def test_threads_end_a_handful_that_has_begun():
+    """Of 640 points two threads take ten at a time; after an error none goes on to the next."""
+    called = []
+
+    def first_fails(point):
+        called.append(point)
+        if point == 0:
+            raise ValueError("zero")
+        time.sleep(0.1)
+
+    with pytest.raises(ValueError, match="zero"):
+        jobs.each(first_fails, range(640), bar=Progress("", 640, False), threads=2)
+    assert len(called) < 10
+
+
+class Forgetful(ThreadPoolExecutor):
+    """Loses the worker of every handful that holds more than one point, as Dask would say it."""
+
+    def submit(self, function, work, points, name):
+        if len(points) > 1 or points[0] in self.never:
+            future = Future()
+            future.set_exception(self.KilledWorker("gone"))
+            return future
+        return super().submit(function, work, points, name)
+
+    never = ()
+    KilledWorker = type("KilledWorker", (Exception,), {"__module__": "distributed.scheduler"})
+
+
+def test_points_of_a_lost_worker_are_tried_again():
+    with Forgetful(2) as pool:
+        count = 2 * jobs.handfuls(pool)
+        bar = Progress("", count, False)
+        assert jobs.each(float, range(count), bar=bar, executor=pool) == list(range(count))
+        assert bar.done == count
+        pool.never = (7,)
+        with pytest.raises(RuntimeError, match=r"point 7 \(7\) lost its worker 4 times: gone"):
+            jobs.each(float, range(9), bar=bar, executor=pool)
+
+
+@pytest.mark.parametrize("name", ["grasp", "stack"])
+def test_bytes_hold_the_whole_model(name):
+    """Scene, settings, the numbers to the last bit; the bytes are the same again."""
+    scene = getattr(lesson, name)()
+    body = scene.bodies[-1]
+    body.quat = (0.1, 0.7, -0.3, 0.2)
+    scene.ignored, scene.notes = ["a mesh"], ["a note"]
+    scene.options["dt"] = np.float64(0.003)
+    model = scene.with_settings(tolerance=1e-7, sweeps="auto").compile()
+    data = model.to_bytes()
+    again = sc.Model.from_bytes(data)
+    assert again.to_bytes() == data and wire.packed(again.scene) == wire.packed(model.scene)
+    assert again.scene == model.scene and again.settings == model.settings
+    assert again.scene.bodies[-1].quat == body.quat
+    assert (again.scene.ignored, again.scene.notes) == (["a mesh"], ["a note"])
+    sims = [sc.Sim(one) for one in (model, again, copy.deepcopy(again))]
+    for sim in sims:
+        sim.reset(key="start")
+        sim.step(100)
+    assert sims[0].state() == sims[1].state() == sims[2].state()
+    changed = [one.with_values({"gravity": (0, 0, -1.0)}).to_bytes() for one in (model, again)]
+    assert changed[0] == changed[1] != data
+
+
+def test_excluded_pairs_and_places_survive():
+    scene = sc.loads(
+        """<mujoco><worldbody><body name="a"><freejoint/><geom name="g" size="1"/></body>
+        <body name="b" pos="3 0 0"><freejoint/><geom size="1"/></body></worldbody>
+        <contact><exclude body1="a" body2="b"/></contact></mujoco>"""
+    )
+    again = wire.unpacked(wire.packed(scene))
+    assert again == scene
+    assert [(a.name, b.name) for a, b in again.excludes] == [("a", "b")]
+    assert again.excludes[0][0] is again.bodies[1]
+    assert again.geom("g").place == scene.geom("g").place != ""
+    assert sc.Model(again).pairs == ()
+
+
+def test_what_is_no_model_is_refused():
+    data = lesson.drop().compile().to_bytes()
+    version = len(wire.MAGIC) - 1
+    newer = data[:version] + b"\x09" + data[version + 1 :]
+    for bad, words in (
+        (b"", "must be the bytes of a model"),
+        (data[:-1], "damaged or cut short"),
+        (data[:60] + b"?" + data[61:], "damaged or cut short"),
+        (newer, "data of version 9: this stepcore reads version 1"),
+        ("text", "must be the bytes of a model"),
+        (None, "must be the bytes of a model"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            sc.Model.from_bytes(bad)
+
+
+def short(what, executor):
+    """A small measurement, as data that no clock is in."""
+    scene, some = lesson.spring(damping=0.3), {"executor": executor, "progress": False}
+    if what == "diagnose":
+        return sc.diagnose(scene, **some).to_dict()
+    if what == "stability_map":
+        path, axes = "joint/spring/stiffness", ([50.0, 400.0], [0.002, 0.02, 0.2])
+        return sc.stability_map(scene, path, *axes, horizon=0.4, **some).to_dict()
+    motion = {"horizon": 0.2, "starts": 2}
+    if what == "trade":
+        found = sc.trade(scene, **motion, dts=[0.01, 0.02], **some)
+        return [(row.settings, row.errors, row.failure) for row in found.rows]
+    if what == "ablate":
+        found = sc.ablate(scene, **motion, **some)
+        return {k: v for k, v in found.to_dict().items() if k in ("name", "horizon", "starts")}
+    return getattr(sc, what)(scene, **motion, **some).to_dict()
+
+
+LONG = ["trade", "predictability", "diagnose", "ablate", "converge", "stability_map"]
+
+
+@pytest.mark.parametrize("what", LONG)
+def test_everything_long_takes_an_executor(pool, what):
+    assert repr(short(what, pool)) == repr(short(what, None))
+
+
+@pytest.mark.parametrize("name", sorted(zoo.ZOO))
+def test_bytes_hold_every_kind_of_scene(name):
+    """The zoo: equal scenes, the same bytes again, the same MJCF."""
+    model = sc.loads(zoo.ZOO[name].text).compile()
+    again = sc.Model.from_bytes(model.to_bytes())
+    assert again.scene == model.scene and again.to_bytes() == model.to_bytes()
+    assert wire.packed(again.scene) == wire.packed(model.scene)

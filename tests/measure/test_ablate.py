@@ -1,0 +1,264 @@
+"""`ablate` on scenes whose answers are known before it runs."""
+
+import functools
+import json
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small import unstable
+
+import stepcore as sc
+from stepcore.cli import main
+from stepcore.measure.ablation.changes import Change, Features, Seen, made
+from stepcore.measure.ablation.smallest import saved, work
+from stepcore.report.table import WIDTH
+
+# A block that slides on the floor, a pendulum that neither meets it nor its own limit, and a
+# ball far away that meets nothing.
+KNOWN = """<mujoco><option timestep="0.005" cone="elliptic"/><worldbody>
+  <geom name="floor" type="plane" size="5 5 .1" friction="{mu}"/>
+  <body name="sledge" pos="0 0 .1"><joint name="x" type="slide" axis="1 0 0"/>
+    <joint name="z" type="slide" axis="0 0 1"/><geom size=".1" mass="1" friction="{mu}"/></body>
+  <body name="pendulum" pos="0 3 2"><joint name="swing" axis="1 0 0" range="-170 170"/>
+    <geom name="bob" size=".1" pos="0 0 -.5" mass="1"/></body>
+  <body name="far" pos="0 -50 9"><joint type="slide" axis="0 0 1" stiffness="100"/>
+    <geom size=".1" mass="1"/></body>
+</worldbody>
+<keyframe><key qpos="0 0 .5 0" qvel="{v} 0 0 0"/></keyframe></mujoco>"""
+SHORT = {"horizon": 0.4, "starts": 2, "progress": False}
+
+
+@functools.cache
+def known(mu: float = 0.5, v: float = 1.0) -> sc.Ablation:
+    return sc.ablate(sc.loads(KNOWN.format(mu=mu, v=v)), **SHORT)
+
+
+def row(result: sc.Ablation, kind: str):
+    (found,) = [row for row in result.rows if row.change.kind == kind]
+    return found
+
+
+def test_a_limit_that_is_never_reached_matters_nothing() -> None:
+    limits = row(known(), "limits")
+    assert limits.change.name == "1 joint that never reached one"
+    assert limits.measured.added == (0.0, 0.0)
+    assert limits.change in known().chosen
+
+
+def test_pairs_that_never_meet_matter_nothing() -> None:
+    """The sledge meets the floor; the other bodies meet nothing."""
+    colliders = row(known(), "colliders")
+    assert colliders.measured.worst == 0.0
+    assert colliders.change in known().chosen
+    met = [row.change.name for row in known().rows if row.change.kind == "collider"]
+    assert met == ["world/sledge"]
+
+
+def test_friction_that_brakes_matters_as_much_as_it_brakes() -> None:
+    """Without friction the sledge goes on: the rms of μ g t²/2 over the samples, a third of the
+    bodies; soft contact lets it settle, which moves this by less than a tenth."""
+    friction = row(known(mu=0.2), "friction")
+    times = np.linspace(0.02, 0.4, 20)
+    expected = np.sqrt(np.mean((0.5 * 0.2 * 9.81 * times**2) ** 2) / 3)
+    assert friction.measured.worst == pytest.approx(expected, rel=0.1)
+    assert friction.change not in known(mu=0.2).chosen
+
+
+def test_friction_of_what_stands_never_acts() -> None:
+    """Nothing pushes the sledge along: without friction it stays as well. (A start moves it by
+    5 cm/s at most, and the floor stops it within millimetres.)"""
+    result = sc.ablate(sc.loads(KNOWN.format(mu=0.5, v=0)), error=2e-2, **SHORT)
+    friction = row(result, "friction")
+    assert friction.measured.added[0] < 1e-12
+    assert friction.change in result.chosen
+    assert result.smallest.geoms[1].condim == 1
+
+
+def test_a_collider_that_carries_cannot_go() -> None:
+    """Without the floor the sledge falls: the rms of g t²/2, a third of the bodies."""
+    fallen = row(known(v=0.0), "collider")
+    times = np.linspace(0.02, 0.4, 20)
+    expected = np.sqrt(np.mean((0.5 * 9.81 * times**2) ** 2) / 3)
+    assert fallen.measured.worst == pytest.approx(expected, rel=0.1)
+
+
+def test_the_smallest_model_is_a_file_that_moves_alike(tmp_path: Path) -> None:
+    result = known()
+    path = tmp_path / "small.xml"
+    result.smallest.save(path)
+    scene = sc.load(path)
+    assert scene == result.smallest
+    assert scene.settings == result.smallest.settings
+    assert result.held.worst <= result.error
+    runs = []
+    for one in (sc.loads(KNOWN.format(mu=0.5, v=1.0)), scene):
+        sim = sc.Sim(one.compile())
+        sim.reset(key=0)
+        runs.append(sim.run(0.4).qpos)
+    assert np.sqrt(np.mean((runs[0] - runs[1]) ** 2)) <= result.error
+    assert work(result.best.measured) < work(result.whole.measured)
+    assert saved(result.whole.measured, result.whole.measured) == 0
+
+
+@pytest.mark.skipif(not hasattr(sc.Sim, "count_flops"), reason="operations are not counted")
+def test_what_two_features_need_together_is_seen() -> None:
+    """Two springs in parallel that hold one mass: either may go within 30 cm, not both. What is
+    chosen is measured together."""
+    result = sc.ablate(sc.loads(KNOWN.format(mu=0.5, v=1.0)), error=10.0, **SHORT)
+    # With no tolerance to speak of everything that costs anything goes, and it still runs.
+    assert len(result.chosen) >= 4
+    assert result.best.measured.worst <= 10.0
+
+
+def test_what_does_not_hold_on_other_starts_comes_back() -> None:
+    from stepcore.measure.ablation.run import Measured
+    from stepcore.measure.ablation.smallest import confirmed
+
+    a, b = Change("a", "", ()), Change("b", "", ())
+    alone = {a: Measured(added=(0.1,)), b: Measured(added=(0.2,))}.__getitem__
+
+    def measure(changes):
+        return Measured(added=(2.0 if b in changes else 0.5,))
+
+    kept, held, back = confirmed([a, b], alone, 1.0, measure, lambda change: change)
+    assert (kept, back, held.worst) == ([a], [b], 0.5)
+
+
+def test_of_a_group_only_that_comes_back_which_other_starts_use() -> None:
+    model = sc.loads(EVERYTHING).compile()
+    features = Features(model)
+    idle = Seen(frozenset(), frozenset())
+    limits, colliders = features.limits(idle)[0], features.colliders(idle)[0]
+    used = Seen(frozenset({(0, 1)}), frozenset({2}))
+    fewer = features.lessened(limits, used), features.lessened(colliders, used)
+    assert [change.name for change in fewer if change] == [
+        "1 joint that never reached one",
+        "3 pairs of bodies that never met",
+    ]
+    assert made(model.scene, [fewer[0]]).joint("k").range is not None
+    assert features.lessened(limits, Seen(frozenset(), frozenset({1, 2}))) is None
+
+
+EVERYTHING = """<mujoco><option cone="elliptic"/><worldbody>
+  <geom type="plane" size="1 1 1" group="2"/>
+  <body name="a" pos="0 0 1"><freejoint/><geom size=".1" pos=".1 0 0"/>
+    <body name="b" pos=".3 0 0"><joint name="j" axis="0 1 0" range="-20 20" damping="1"
+      armature=".1" frictionloss=".1" stiffness="2"/><geom size=".1"/>
+      <body name="c" pos=".3 0 0"><joint name="k" range="-1 1"/><geom size=".1"/></body></body>
+  </body></worldbody>
+  <equality><connect name="tie" body1="c" anchor="0 0 0"/></equality></mujoco>"""
+
+
+def test_every_feature_is_found_and_switched_off() -> None:
+    model = sc.loads(EVERYTHING).compile()
+    seen = Seen(frozenset({(0, 1)}), frozenset({1}))
+    changes = Features(model).changes(seen, model.settings)
+    assert [change.label for change in changes] == [
+        "cone: elliptic → pyramidal",
+        "friction: condim 1",
+        "friction loss: 1 joint",
+        "armature: 1 joint",
+        "joint damping: 1 joint",
+        "joint springs: 1 joint",
+        "velocity forces: Coriolis, gyroscopic",
+        "limits: 1 joint that never reached one",
+        "limit: j",
+        "colliders: 3 pairs of bodies that never met",
+        "collider: world/a",
+        "self-collision: 1 pair of bodies",
+        "collider group: group 0 (3 geoms)",
+        "collider group: group 2 (1 geom)",
+        "equality: tie",
+        "warm start",
+    ]
+    for change in changes:
+        scene = made(model.scene, [change])
+        # Each is another scene, with the same states, that can be saved and read.
+        assert scene != model.scene
+        assert scene.compile().nq == model.nq
+        assert sc.loads(scene.to_mjcf()) == scene
+    assert made(model.scene, []) == model.scene
+
+
+@pytest.mark.parametrize("kind", ["armature", "joint damping", "velocity forces", "limits"])
+def test_a_change_reaches_the_model(kind: str) -> None:
+    model = sc.loads(EVERYTHING).compile()
+    (change,) = [
+        c
+        for c in Features(model).changes(Seen(frozenset(), frozenset()), model.settings)
+        if c.kind == kind
+    ]
+    scene = made(model.scene, [change])
+    less = scene.compile()
+    if kind == "armature":
+        mass = sc.Sim(model).mass_matrix() - sc.Sim(less).mass_matrix()
+        np.testing.assert_allclose(mass, np.diag([0.0] * 6 + [0.1, 0.0]), atol=1e-12)
+    elif kind == "limits":
+        assert np.all(np.isinf(less.jnt_range))
+    else:
+        sim = sc.Sim(less)
+        sim.qvel[:] = 1.0
+        (still,) = [np.array([sc.Sim(less).bias, sc.Sim(less).passive])]
+        part = 0 if kind == "velocity forces" else 1
+        moving = np.array([sim.bias, sim.passive])
+        np.testing.assert_allclose(moving[part], still[part], atol=1e-12)
+
+
+def test_processes_find_the_same() -> None:
+    scene = sc.loads(KNOWN.format(mu=0.5, v=1.0))
+    with ProcessPoolExecutor(1) as pool:
+        result = sc.ablate(scene, executor=pool, **SHORT)
+    for one, other in zip(result.rows, known().rows, strict=True):
+        assert one.measured == other.measured
+    assert result.chosen == known().chosen
+
+
+def test_the_command_writes_data_a_picture_a_page_and_the_model(tmp_path: Path, capsys) -> None:
+    model = tmp_path / "model.xml"
+    model.write_text(KNOWN.format(mu=0.5, v=1.0))
+    out = {name: str(tmp_path / f"out.{name}") for name in ("json", "png", "html", "xml")}
+    args = ["--horizon", "0.2", "--starts", "1", "--json", out["json"], "--plot", out["png"]]
+    args += ["--html", out["html"], "--save", out["xml"]]
+    assert main(["ablate", str(model), *args]) == 0
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= WIDTH
+    printed = " ".join(printed.split())
+    assert "The smallest model within 1 mm goes without" in printed
+    assert "torsional and rolling friction are not built yet" in printed
+    data = json.loads(Path(out["json"]).read_text())
+    assert data["smallest"]["without"] == data["smallest"]["without"]
+    assert sc.loads(data["smallest"]["mjcf"]) == sc.load(out["xml"])
+    assert Path(out["png"]).stat().st_size > 10_000
+    assert "<img" in Path(out["html"]).read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"error": 0}, "error = 0: must be"),
+        ({"starts": 0}, "starts = 0"),
+        ({"executor": 3}, "executor = 3"),
+        ({"key": "nowhere"}, "nowhere"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        sc.ablate(sc.loads(KNOWN.format(mu=0.5, v=1.0)), **({"horizon": 0.2} | arguments))
+
+
+def test_a_model_that_explodes_at_its_own_step_is_refused() -> None:
+    """Finite at the end of the motion, and 1e30 m away: nothing could be said of its features."""
+    scene = unstable().with_settings(dt=0.02)
+    scene.add_key(qpos=[0.01, 0.01])
+    scene.joints[1].stiffness = 1e5
+    with pytest.raises(ValueError, match=r"fails at its dt of 20 ms: start 0: far off .*diagnose"):
+        sc.ablate(scene, horizon=0.6, starts=1, progress=False)
+
+
+def test_a_scene_without_motion_is_refused(tmp_path: Path, capsys) -> None:
+    with pytest.raises(ValueError, match="no joint"):
+        sc.ablate(sc.Scene())
+    assert main(["ablate", "lesson:stack", "--save", str(tmp_path / "no/where.xml")]) == 2
+    assert "no such folder" in capsys.readouterr().err

@@ -1,0 +1,278 @@
+"""`converge`: contraction against theory, verdicts, rows by name, equal work, every output."""
+
+import json
+import math
+import multiprocessing
+import re
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore import lesson
+from stepcore.cli import main
+from stepcore.measure.convergence.closing import Moment, closing
+from stepcore.measure.convergence.theory import spectral_radius, speeds
+from stepcore.scene.scene import Scene
+
+
+def tower(masses, **settings):
+    """A tower whose balls move into each other, at its start."""
+    chosen = {"law": "rigid", "solver": "pgs", "sweeps": 10, "tolerance": 0.0} | settings
+    model = sc.Model(lesson.tower(masses), **chosen)
+    sim = sc.Sim(model)
+    sim.qpos[:] = -1e-5 * np.arange(1, len(masses) + 1)
+    sim.qvel[:] = -0.01 * np.arange(1, len(masses) + 1)
+    return model, Moment(0, 0.0, sim.state())
+
+
+def decimals(rate):
+    """Sweeps for a factor of ten."""
+    return math.log(10) / -math.log(rate)
+
+
+@pytest.mark.parametrize(
+    ("masses", "law"),
+    [
+        ((1.0, 0.1), 0.1 / 1.1),
+        ((1.0, 1.0), 0.5),
+        ((1.0, 10.0), 0.90909),
+        ((1.0, 1000.0), 0.999001),
+        ((1.0,) * 3, 0.75),
+        ((1.0,) * 10, 0.975528),
+        ((1.0,) * 20, math.cos(math.pi / 40) ** 2),
+    ],
+)
+def test_c6_measured_theory_and_closed_form(masses, law):
+    """Two balls m_top/(m_top + m_bottom), N equal ones cos²(π/2N): to 1 % in sweeps a decimal."""
+    model, moment = tower(masses)
+    found = closing(model, model.settings, 4096, moment)
+    assert found.theory.closed == pytest.approx(law, rel=1e-5)
+    assert decimals(found.theory.radius) == pytest.approx(decimals(found.theory.closed), rel=1e-6)
+    assert decimals(found.contraction) == pytest.approx(decimals(found.theory.closed), rel=0.01)
+
+
+@pytest.mark.parametrize("law", ["lesson", "relaxed", "solref"])
+@pytest.mark.parametrize("masses", [(1.0, 3.0, 20.0), (1.0, 100.0), (5.0, 1.0, 1.0, 8.0)])
+def test_soft_rows_have_their_own_matrix(law, masses):
+    """Regularisers and under-relaxation count; the closed form of rigid rows is only a bound."""
+    model, moment = tower(masses, law=law, softness=0.3)
+    found = closing(model, model.settings, 4096, moment)
+    assert decimals(found.contraction) == pytest.approx(decimals(found.theory.radius), rel=0.01)
+    if found.theory.closed is not None and law != "relaxed":
+        assert found.theory.radius < found.theory.closed
+
+
+@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
+@pytest.mark.parametrize("law", ["lesson", "solref"])
+def test_cones_that_stick_are_blocks_of_it(law, cone):
+    """The grasp: two contacts with friction, a limit and a knock."""
+    scene = lesson.grasp(law=law, cone=cone, softness=0.1, solver="pgs", sweeps=20)
+    sim = sc.Sim(scene.compile())
+    sim.reset(key="start")
+    sim.step(50)
+    moment = Moment(0, 0.0, sim.state())
+    found = closing(sim.model, sim.settings, 4096, moment)
+    if found.theory.radius is None:
+        assert "slides" in found.theory.why
+    else:
+        assert decimals(found.contraction) == pytest.approx(decimals(found.theory.radius), rel=0.04)
+
+
+def test_a_combination_that_pushes_nothing_is_left_out():
+    """Two copies of one row: what they do not share stays for ever, and is nothing."""
+    A = np.array([[2.0, 2.0, 0.5], [2.0, 2.0, 0.5], [0.5, 0.5, 1.0]])
+    zero = np.zeros(3)
+    radius = spectral_radius(A, zero, np.diagonal(A).copy(), [[0], [1], [2]])
+    assert radius == pytest.approx(0.5**2 / (2 * 1), rel=1e-9)
+
+
+def test_the_matrix_of_the_rows():
+    """J M⁻¹ Jᵀ: of a tower by hand; symmetric; and it maps impulses to velocities."""
+    model, moment = tower((1.0, 4.0, 0.5))
+    sim = sc.Sim(model)
+    sim.restore(moment.snapshot)
+    sim.forward()
+    expected = [[1, -1, 0], [-1, 1.25, -0.25], [0, -0.25, 2.25]]
+    assert sim.delassus() == pytest.approx(np.array(expected), abs=1e-15)
+    grasp = sc.Sim(lesson.grasp())
+    grasp.reset(key="start")
+    grasp.step(20)
+    A, rows = grasp.delassus(), grasp.rows
+    assert np.allclose(A, A.T, atol=1e-12)
+    # Jᵀλ in generalised coordinates has the same energy as A has it.
+    force = np.array(grasp.constraint_force) * grasp.settings.dt
+    energy = force @ np.linalg.solve(grasp.mass_matrix(), force)
+    assert rows["impulse"] @ A @ rows["impulse"] == pytest.approx(energy, rel=1e-9)
+
+
+@pytest.mark.parametrize("sweeps", [1, 3])
+@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
+def test_row_speeds_are_what_the_residual_is_made_of(cone, sweeps):
+    sim = sc.Sim(lesson.grasp(), cone=cone, sweeps=sweeps, tolerance=0.0, warm_start=False)
+    sim.reset(key="start")
+    sim.step(3)
+    assert speeds(sim).max() == pytest.approx(sim.residual, rel=1e-12)
+    assert sim.residual > 1e-6
+
+
+@pytest.fixture(scope="module")
+def heavy():
+    """A thousand times the mass on top, cold, five sweeps."""
+    scene = lesson.stack(5, "rigid", (1.0, 1000.0), warm_start=False)
+    return sc.converge(scene, horizon=0.512, starts=1, states=4, progress=False)
+
+
+def test_heavy_on_light_is_under_solved(heavy):
+    """It sinks, and more sweeps change that; the rows are named with what they lack."""
+    assert heavy.verdict == "under-solved"
+    assert heavy.contraction == pytest.approx(0.999001, rel=1e-5)
+    names = heavy.rows["name"]
+    assert set(names) == {"contact `floor`/`shape0`", "contact `shape0`/`shape1`"}
+    assert all(0 <= row["force"] < 0.1 * row["solved"] for row in heavy.rows)
+    text = str(heavy)
+    assert "Under-solved: body ball" in text and "Held back by contact `floor`/`shape0`" in text
+    assert "m_top/(m_top + m_bottom) = 1000/(1000 + 1)" in text
+
+
+def test_equal_work_is_equal(heavy):
+    """Row updates of the four splits agree; smaller steps win, as for every slow contraction."""
+    updates = [r["updates"] for r in heavy.work.records[:3]]
+    assert max(updates) < 1.1 * min(updates)
+    assert heavy.better == "smaller steps"
+    errors = [r["error"] for r in heavy.work.records[:4]]
+    assert errors[0] < errors[1] < errors[2]
+    # The residual by sweeps falls, and that of the median by the theory's factor.
+    late = heavy.residual(heavy.settings.dt, 4096) / heavy.residual(heavy.settings.dt, 2048)
+    assert late == pytest.approx(0.999001**2048, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        lesson.stack(200, "rigid", (1.0, 1000.0), solver="pgs", acceleration="none", dt=1e-3),
+        lesson.stack(50, "lesson", (1.0, 1.0), warm_start=True),
+        lesson.tower((1.0, 1000.0)).with_settings(solver="newton"),
+    ],
+    ids=["warm and many", "equal", "newton"],
+)
+def test_well_solved_is_said_so(scene):
+    if scene.options["solver"] == "pgs" and scene.options["sweeps"] == 200:
+        scene.options |= {"sweeps": "auto", "tolerance": 1e-9, "warm_start": True}
+    found = sc.converge(scene, horizon=0.2, starts=1, states=3, progress=False)
+    assert found.verdict == "solved"
+    assert "Held back" not in str(found)
+
+
+def test_diverging_says_what_helps():
+    """A spring that explicit Euler blows up: neither sweeps; a limit, so that there are rows."""
+    scene = lesson.spring(k=4e4, damping=0.5, integrator="semi-implicit", dt=0.0125)
+    found = sc.converge(scene, horizon=0.5, starts=1, progress=False)
+    assert found.verdict == "diverging"
+    text = str(found)
+    assert "Diverging: start 0" in text and "a smaller time step does, from" in text
+
+
+def test_few_sweeps_can_hide_what_diverges():
+    """Soft connections at 17 ms: with ten sweeps the chain hangs on, with all of them it flies."""
+    scene = heavy_end(8).with_settings(law="solref", integrator="euler", dt=1 / 60, sweeps=10)
+    found = sc.converge(scene, horizon=1.0, starts=1, states=2, progress=False)
+    assert found.verdict == "diverging"
+    assert found.own.failure or "only few sweeps hide it" in str(found)
+
+
+def heavy_end(balls=4, ratio=1000.0):
+    """J2: light balls on a string of points, a heavy one at the end; the first hangs fixed."""
+    scene = Scene(name="chain")
+    before = scene.world
+    for i in range(balls):
+        last = i == balls - 1
+        reach = 0.4 if not last else 1.0
+        ball = scene.add_body(f"ball{i}", pos=(0.4 * i + reach - 0.2, 0, 0))
+        scene.add_joint(ball, "free")
+        mass = ratio if last else 1.0
+        scene.add_geom(ball, "sphere", reach / 2, mass=mass, contype=0, conaffinity=0)
+        scene.add_equality("connect", ball, before, anchor=(-reach / 2, 0, 0), name=f"link{i}")
+        before = ball
+    chosen = {"solver": "pgs", "law": "lesson", "integrator": "semi-implicit", "dt": 1 / 128}
+    scene.options = chosen | {"sweeps": 4, "tolerance": 0.0}
+    return scene
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return sc.converge(heavy_end(), horizon=0.125, starts=1, states=3, progress=False)
+
+
+def test_j2_heavy_end_chain(chain):
+    """Smaller steps close the anchors' gaps; as many more sweeps do not."""
+    assert chain.verdict == "under-solved"
+    assert all(name.startswith("connect `link") for name in chain.rows["name"])
+    work = {record["steps x sweeps"]: record for record in chain.work}
+    assert work["own, 1/4 dt"]["joint"] < 0.5 * work["own, 4 x sweeps"]["joint"]
+    assert work["own, 1/4 dt"]["error"] < 0.5 * work["own, 4 x sweeps"]["error"]
+    assert work["16x4"]["joint"] < 0.1 * work["1x64"]["joint"]
+    assert chain.better == "smaller steps"
+    assert decimals(chain.contraction) == pytest.approx(decimals(chain.theory.radius), rel=0.01)
+
+
+def test_what_has_no_rows_and_one_row():
+    found = sc.converge(lesson.spring(), horizon=0.3, starts=1, progress=False)
+    assert found.verdict == "no rows" and found.better == "neither"
+    assert "sweeps do not matter" in str(found)
+    found = sc.converge(lesson.drop(), horizon=0.512, starts=1, states=2, progress=False)
+    assert found.verdict == "solved" and found.contraction is None
+    assert "No two rows push at once" in str(found)
+
+
+def test_another_process_gives_the_same(heavy):
+    seen = []
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        again = sc.converge(
+            lesson.stack(5, "rigid", (1.0, 1000.0), warm_start=False),
+            horizon=0.512,
+            starts=1,
+            states=4,
+            executor=pool,
+            progress=lambda *told: seen.append(told),
+        )
+    assert again.to_dict() == heavy.to_dict()
+    assert {label for label, *_ in seen} == {"runs", "converged runs", "sweeps"}
+
+
+def test_outputs(heavy, tmp_path, capsys):
+    """Text within its width, JSON, a picture and a page; the command line."""
+    assert max(map(len, heavy.text(90).splitlines()[15:])) <= 100
+    data = json.loads(heavy.to_json())
+    assert data["verdict"] == "under-solved" and len(data["work"]) == 8
+    page = heavy.to_html(tmp_path / "a.html")
+    assert (tmp_path / "a.html").read_text() == page and "Under-solved" in page
+    ask = ["converge", "lesson:spring", "--horizon", "0.2", "--starts", "1", "--states", "2"]
+    assert main([*ask, "--json", "--plot", str(tmp_path / "b.png")]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "no rows"
+    assert (tmp_path / "b.png").stat().st_size > 10_000
+
+
+def test_what_it_refuses():
+    for wrong, words in (
+        ({"states": 0}, "states = 0: must be a whole number >= 1"),
+        ({"horizon": -1.0}, "horizon = -1.0"),
+        ({"control_dt": 0.003}, "control_dt = 0.003: must be a whole number of steps of 0.002 s"),
+        ({"executor": 3}, "executor = 3: must be"),
+        ({"starts": 0}, "starts = 0"),
+        ({"threads": 0}, "threads"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            sc.converge(lesson.drop(), **wrong)
+    with pytest.raises(ValueError, match="nothing in it can move"):
+        sc.converge(Scene())
+
+
+def test_the_page_says_what_is_so():
+    """docs/converge.md: where sweeps are the better buy."""
+    page = Path(__file__).parents[2] / "docs" / "converge.md"
+    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) == 1
+    exec(blocks[0], {})

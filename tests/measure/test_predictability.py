@@ -1,0 +1,176 @@
+"""How long scenes can be predicted, against known growth; what is said of them after that."""
+
+import json
+import math
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore import lesson
+from stepcore.cli import main
+from stepcore.experiment.growth import Growth, _end
+from stepcore.experiment.statistics import difference, student
+
+QUIET = {"threads": 1, "progress": False}
+
+
+def pendulum(links=2, **options):
+    """Point masses of 1 kg on rods of 1 m, all horizontal."""
+    scene = sc.Scene(gravity=(0, 0, -9.81), name="pendulum")
+    parent = "world"
+    for i in range(links):
+        at = (0, 0, -1.0) if i else (0, 0, 0)
+        body = scene.add_body(f"rod{i}", parent, pos=at, mass=1.0, ipos=(0, 0, -1))
+        body.inertia = (1e-9, 1e-9, 1e-9)
+        # The axis for which a growing angle is to the right of one who looks along +y.
+        scene.add_joint(body, "hinge", axis=(0, -1, 0))
+        parent = body
+    scene.add_key(qpos=[math.pi / 2, *[0.0] * (links - 1)])
+    scene.options = {"dt": 0.01, "integrator": "rk4"} | options
+    return scene
+
+
+def test_the_double_pendulum_from_the_horizontal():
+    # Twins of point masses: 13 times apart at 8 s, 1.4e2 at 10 s, 1.5e4 at 15 s, 9.4e5 at 20 s,
+    # to a factor of three, for how far depends on how they began.
+    found = sc.predictability(pendulum(), horizon=20.0, starts=1, **QUIET)
+    factor, times = found.growth.factor[0], found.growth.times
+    for time, wanted in ((8, 13), (10, 1.4e2), (20, 9.4e5)):
+        near = np.abs(times - time) <= 0.81
+        assert wanted / 3 < factor[near].max() < 3 * wanted
+    assert 10 < found.time < 15
+    # The scene is the one that the figures are of: its angles from below at 5 s.
+    sim = sc.Sim(pendulum(), dt=1e-3)
+    sim.reset(key=0)
+    sim.step(5000)
+    angles = np.cumsum(sim.qpos)
+    assert angles == pytest.approx([-0.62718670507, -1.30131553021], abs=1e-7)
+
+
+def test_a_single_pendulum_can_be_predicted():
+    # Periods differ with the amplitude: twins part as t, not as an exponential.
+    found = sc.predictability(pendulum(1), horizon=20.0, starts=2, **QUIET)
+    assert found.time == math.inf
+    assert 5 < found.growth.factor.max() < 50
+    half = found.growth.factor[0][found.growth.times <= 10].max()
+    assert found.growth.factor[0].max() == pytest.approx(2 * half, rel=0.25)
+
+
+def billiard():
+    """A ball between two fixed ones of its size, 1 m away; everything elastic, no friction."""
+    scene = sc.Scene(gravity=(0, 0, 0), name="billiard")
+    for x in (-1.5, 1.5):
+        scene.add_geom("world", "sphere", 0.5, pos=(x, 0, 0), condim=1)
+    scene.add_body("ball", mass=1.0, inertia=(1, 1, 1))
+    for axis in ((1, 0, 0), (0, 1, 0)):
+        scene.add_joint("ball", "slide", axis=axis)
+    scene.add_geom("ball", "sphere", 0.5, condim=1)
+    scene.add_key(qvel=[1.0, 0.0])
+    scene.options = {"dt": 0.01, "integrator": "semi-implicit", "solver": "pgs"}
+    scene.options |= {"law": "rigid", "restitution": 1.0, "sweeps": 20}
+    return scene
+
+
+def test_bounces_part_twins_as_mirrors_part_rays():
+    # The round mirror's matrix: y' = y + l θ', θ' = θ + 2 y / ρ, with the flight l = 1 m and the
+    # sum of radii ρ = 1 m: eigenvalue 2 + √3 a bounce. Impacts fall exactly on ends of steps.
+    found = sc.predictability(billiard(), horizon=8.0, starts=1, **QUIET)
+    factor, times = found.growth.factor[0], found.growth.times
+    at = [float(np.interp(t, times, factor)) for t in (4.0, 5.0, 6.0, 7.0)]
+    assert np.array(at[1:]) / at[:-1] == pytest.approx([2 + math.sqrt(3)] * 3, rel=0.02)
+    # About 1.5 of them have gone by when growth begins at the first bounce, 0.5 s.
+    assert found.time == pytest.approx(0.5 + math.log(1e3) / math.log(2 + math.sqrt(3)), abs=0.6)
+
+
+def test_growth_ends_between_samples_and_masks_what_follows():
+    growth = Growth(np.array([1.0, 2.0, 3.0]), np.ones((2, 3)), np.array([1.5, np.inf]))
+    assert growth.scored.tolist() == [[True, False, False], [True, True, True]]
+    assert growth.overall == 1.5
+
+
+def test_twins_that_close_again_are_not_lost():
+    def end(*factor):
+        times = np.arange(1.0, 1 + len(factor))
+        return _end(times, np.array(factor))
+
+    assert end(1, 10, 1e2, 20, 1) == math.inf
+    assert end(1, 1e4, 1e2, 20, 1) == math.inf
+    # As if exponential between 1 at 1 s and 1e6 at 2 s.
+    assert end(1, 1e6, 1e2, 1e7) == pytest.approx(1.5)
+    assert end(1, 1e6, 1.0, 1e6) == pytest.approx(3.5)
+    assert end(1e6) == pytest.approx(0.5) and end(1, np.nan) == pytest.approx(1.0)
+
+
+def test_a_predictability_prints_exports_and_plots(tmp_path):
+    found = sc.predictability("lesson:spring", horizon=1.0, starts=2, **QUIET)
+    assert "over all of 1 s" in str(found) and found.to_dict()["predictable"] is None
+    assert len(found.to_dict()["growth"]) == 2
+    figure = found.plot(tmp_path / "growth.png")
+    assert figure.axes[0].get_yscale() == "log"
+    with pytest.raises(ValueError, match="nothing in it can move"):
+        sc.predictability(sc.Scene(), **QUIET)
+    with pytest.raises(ValueError, match="horizon"):
+        sc.predictability(lesson.spring(), horizon=-1.0, **QUIET)
+
+
+def test_processes_find_the_same():
+    options = {"horizon": 0.4, "starts": 2, "progress": False}
+    here = sc.predictability(lesson.drop(), threads=1, **options)
+    with ProcessPoolExecutor(1) as pool:
+        there = sc.predictability(lesson.drop(), executor=pool, **options)
+    assert here.to_json() == there.to_json()
+
+
+def test_students_t_and_intervals_that_cover():
+    table = {1: 12.7062, 2: 4.3027, 4: 2.7764, 9: 2.2622, 31: 2.0395, 63: 1.9983}
+    for freedom, wanted in table.items():
+        assert student(freedom) == pytest.approx(wanted, rel=4e-3)
+    assert student(31) == pytest.approx(2.03951, abs=1e-5)
+    rng = np.random.default_rng(0)
+    found = [difference(rng.normal(0.3, 1, 32), rng.normal(0, 1, 32)) for _ in range(2000)]
+    held = np.mean([abs(one.mean - 0.3) <= one.interval for one in found])
+    # A binomial share of 2000: 0.95 within four of its standard deviations.
+    assert held == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / 2000))
+
+
+def test_after_it_means_over_32_starts_are_compared():
+    scene = pendulum(dt=0.02)
+    options = {"horizon": 16.0, "starts": 1, "dts": [0.02], "control_dt": 0.32}
+    options |= {"integrators": ["rk4"], "precisions": ["f64"], "by": "flops"}
+    result = sc.trade(scene, **options, **QUIET)
+    assert 10 < result.predictable < 15
+    shipped = result.shipped
+    assert shipped.after.starts == 32 and shipped.after.since == result.predictable
+    # Scored before it, rk4 is far better than its motion is after it.
+    assert shipped.errors.position < 1e-2
+    # Energies swing about E/2 more or less; means of rk4 are those of the reference.
+    assert not shipped.after.height.seen and shipped.after.height.interval < 0.2
+    record = result.table[result.rows.index(shipped)]
+    assert record["height_interval"] == shipped.after.height.interval
+    assert "difference from the reference's means" in str(result)
+    assert result.to_dict()["predictable"] == result.predictable
+
+
+def test_the_command_predicts(capsys, tmp_path):
+    arguments = ["predict", "lesson:spring", "--horizon", "0.5", "--starts", "1"]
+    assert main([*arguments, "--json", "--plot", str(tmp_path / "growth.png")]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["predictable"] is None and data["limit"] == 1e3
+    assert len(data["growth"][0]) == len(data["times"])
+    assert main([*arguments, "--key", "nowhere"]) == 2
+
+
+def test_twins_that_come_back_are_forgiven():
+    """Near the top of a pendulum each passage parts twins by e^λt, and closes them again."""
+    scene = sc.Scene(gravity=(0, 0, -9.81))
+    bob = scene.add_body("bob", mass=1.0, ipos=(0, 0, -1), inertia=(1e-9, 1e-9, 1e-9))
+    scene.add_joint(bob, "hinge", axis=(0, 1, 0))
+    scene.add_key(qpos=[math.pi - 1e-4])
+    scene.options = {"dt": 0.01}
+    short, long = (
+        sc.predictability(scene, horizon=t, starts=1, progress=False) for t in (10.0, 16.0)
+    )
+    assert short.time == pytest.approx(9.3, abs=0.05) and "forgiven" in short.text()
+    assert long.time == math.inf and long.growth.factor.max() > 1e4

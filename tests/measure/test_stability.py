@@ -1,0 +1,289 @@
+"""Stability maps: cells against theory and closed forms, theory against the engine's own step."""
+
+import itertools
+import json
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore import lesson
+from stepcore.cli import main
+from stepcore.measure.stability import defaults, stability_map, theory, truth
+
+ONE, NONE = np.eye(1), np.zeros((1, 1))
+
+
+def states(panel):
+    return [cell.state for cell in panel.cells]
+
+
+# --- the boundary that theory gives -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("omega", (1.0, 300.0))
+def test_limits_of_an_undamped_oscillator(omega):
+    """ω dt = 2 for the Eulers that move by the new velocity, 2√2 for rk4, none, any; to 1e-5."""
+    stiffness = omega**2 * ONE
+    for name in ("semi-implicit", "euler", "implicitfast"):
+        found = theory.limit(name, ONE, stiffness, NONE, NONE)
+        assert omega * found == pytest.approx(2, rel=1e-5)
+    rk4 = theory.limit("rk4", ONE, stiffness, NONE, NONE)
+    assert omega * rk4 == pytest.approx(2 * np.sqrt(2), rel=1e-5)
+    assert theory.limit("explicit", ONE, stiffness, NONE, NONE) == 0
+    assert theory.limit("midpoint", ONE, stiffness, NONE, NONE) == np.inf
+
+
+@pytest.mark.parametrize("ratio", (0.05, 0.5, 2.0))
+def test_limits_of_a_damped_oscillator(ratio):
+    """2√(ζ² + 1) + 2ζ with damping implicit, − 2ζ explicit; `explicit` itself 2ζ below ζ = 1."""
+    damping, root = 2 * ratio * ONE, 2 * np.sqrt(ratio**2 + 1)
+    implicit = theory.limit("implicitfast", ONE, ONE, damping, damping)
+    assert implicit == pytest.approx(root + 2 * ratio, rel=1e-5)
+    split = theory.limit("semi-implicit", ONE, ONE, damping, NONE)
+    assert split == pytest.approx(root - 2 * ratio, rel=1e-5)
+    if ratio < 1:
+        explicit = theory.limit("explicit", ONE, ONE, damping, NONE)
+        assert explicit == pytest.approx(2 * ratio, rel=1e-3)
+
+
+@pytest.mark.parametrize("integrator", defaults.INTEGRATORS)
+def test_the_step_matrix_is_the_engines(integrator):
+    """Two coupled slides with spring, damper and servo: M, K and D alone give the step, 1e-12."""
+    scene = sc.Scene(gravity=(0, 0, 0))
+    cart = scene.add_body("cart", mass=2, inertia=(1, 1, 1))
+    scene.add_joint(cart, "slide", name="a", axis=(1, 0, 0), stiffness=30, damping=0.7)
+    rider = scene.add_body("rider", cart, mass=1, inertia=(1, 1, 1))
+    scene.add_joint(rider, "slide", name="b", axis=(1, 0, 0), armature=0.3)
+    scene.add_actuator("b", "position", kp=5, kv=0.2, gear=2)
+    sim = sc.Sim(scene, dt=0.03, integrator=integrator, law="lesson", solver="pgs")
+    mass = np.array([[3.0, 1.0], [1.0, 1.3]])
+    assert sim.mass_matrix() == pytest.approx(mass)
+    stiffness, joint, servo = np.diag([30.0, 20.0]), np.diag([0.7, 0]), np.diag([0, 0.8])
+    implicit = joint + servo if integrator == "implicitfast" else joint
+    ours = theory.step_matrix(integrator, 0.03, mass, stiffness, joint + servo, implicit)
+    assert pytest.approx(ours, abs=1e-12) == sim.linearize().A
+    expected = theory.limit(integrator, mass, stiffness, joint + servo, implicit)
+    assert theory.of_scene(sim.model, None, integrator) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_scene_without_springs_has_no_boundary():
+    assert theory.of_scene(lesson.drop().compile(), None, "euler") is None
+
+
+# --- the lesson's maps --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("integrator", "limit"),
+    (("semi-implicit", 2.0), ("implicitfast", 2.0), ("rk4", np.sqrt(8)), ("midpoint", np.inf)),
+)
+def test_the_spring_explodes_where_theory_says(integrator, limit):
+    """A twentieth below ω dt it does not explode, a twentieth above it does, at any stiffness."""
+    for stiffness in (25.0, 1e4):
+        dts = np.array([0.01, 0.95, 1.05]) * min(limit, 100.0) / np.sqrt(stiffness)
+        found = stability_map(values=[stiffness], dts=dts, integrator=integrator, threads=1)
+        (panel,) = found.panels
+        last = "exploded" if np.isfinite(limit) else "inaccurate"
+        assert states(panel)[1:] == ["inaccurate", last]
+        if np.isfinite(limit):
+            assert panel.boundary == pytest.approx([limit / np.sqrt(stiffness)], rel=1e-5)
+            assert states(panel)[0] == "finite"
+
+
+def test_the_error_of_a_cell_is_the_closed_forms():
+    """v-first turns by φ a step, sin(φ/2) = ω dt/2, and starts 1/2 ω dt behind: its own formula."""
+    dt, omega = 0.01, 10.0
+    found = stability_map(values=[omega**2], dts=[dt], integrator="semi-implicit", horizon=1.0)
+    turn = 2 * np.arcsin(omega * dt / 2)
+    n = np.array(sorted({round(100 * k / 32) for k in range(1, 33)}))
+    ours = np.cos((n + 0.5) * turn) / np.cos(turn / 2)
+    off = np.abs(ours - np.cos(omega * n * dt)).max()
+    exact = np.cos(omega * np.concatenate([[0], n]) * dt)
+    (cell,) = found.panels[0].cells
+    assert cell.error == pytest.approx(off / np.abs(exact - 1).max(), rel=1e-9)
+
+
+@pytest.mark.parametrize(("ratio", "sweeps"), ((10.0, 4), (20.0, 4), (20.0, 64)))
+def test_a_stack_sinks_as_deep_as_its_closed_form(ratio, sweeps):
+    """At the boundary's dt the heavy ball comes to rest 1 mm deep, to 1e-4, by cold sweeps."""
+    case = defaults.stack(0.1, None)
+    dt = defaults.sinking(ratio, sweeps, 1e-3)
+    settings = {"law": "rigid", "beta": 0.2, "sweeps": sweeps, "warm_start": False}
+    sim = sc.Sim(case.model.with_values({case.path: ratio}), dt=dt, **settings)
+    sim.reset(key="start")
+    sim.step(4000)
+    assert sim.qpos[1] == pytest.approx(-1e-3, rel=1e-4)
+
+
+def test_the_map_of_the_stack_has_that_boundary():
+    """Suddenly let go it sinks deeper on the way: finite below 0.6 of it, inaccurate above."""
+    limit = defaults.sinking(2.0, 4, 1e-3)
+    dts = [0.6 * limit, 1.5 * limit]
+    found = stability_map("lesson:stack", values=[2.0], dts=dts, horizon=1.0, threads=1)
+    cold = found.panels[1]
+    assert cold.label == "rows, 4 sweeps, cold"
+    assert cold.boundary == pytest.approx([limit])
+    assert states(cold) == ["finite", "inaccurate"]
+
+
+def test_impulses_carried_over_grow_beyond_a_ratio():
+    """Warm-started and under-solved, the heavier stack throws itself up however small dt is."""
+    assert [defaults.carried(ratio, 4) for ratio in (1, 20, 23, 1000)] == [np.inf, np.inf, 0, 0]
+    dts = [2e-4, 1e-3]
+    found = stability_map("lesson:stack", values=[5, 300], dts=dts, horizon=1.0, threads=1)
+    warm = found.panels[3]
+    assert warm.boundary == [np.inf, 0.0]
+    assert states(warm) == ["finite"] * 2 + ["exploded"] * 2
+    # Penalised contacts shake beyond their own limit, and not below it.
+    stiff = found.panels[0]
+    assert states(stiff)[:2] == ["finite"] * 2 and stiff.boundary[0] > max(dts)
+
+
+# --- scenes of the user's own -------------------------------------------------------------------
+
+
+def test_a_converged_run_is_as_good_as_the_closed_form():
+    """The lesson's spring as any scene: the same states and errors, to the truth's own error."""
+    grid = {"values": [10.0, 1000.0], "dts": [0.002, 0.02, 0.05, 0.1]}
+    closed = stability_map(**grid, integrator="semi-implicit", threads=1)
+    own = stability_map(
+        "lesson:spring", "joint/spring/stiffness", **grid, horizon=closed.horizon, threads=1
+    )
+    assert [p.truth for p in (*closed.panels, *own.panels)] == [
+        "its closed form",
+        "its own converged run",
+    ]
+    assert states(closed.panels[0]) == states(own.panels[0])
+    for ours, theirs in zip(own.panels[0].cells, closed.panels[0].cells, strict=True):
+        assert ours.error == pytest.approx(theirs.error, rel=1e-3, abs=0.01)
+    assert own.panels[0].boundary == pytest.approx(closed.panels[0].boundary, rel=1e-6)
+
+
+def test_turns_count_as_ways():
+    """A hinge through the centre of mass moves no centre: its turning is seen all the same."""
+    scene = sc.Scene(gravity=(0, 0, 0))
+    wheel = scene.add_body("wheel", mass=1, inertia=(0.1, 0.1, 0.1))
+    scene.add_joint(wheel, "hinge", name="axle", stiffness=10, damping=0.01)
+    scene.add_key("turned", qpos=[0.5])
+    dts = [0.001, 0.05, 0.25]
+    found = stability_map(scene, "joint/axle/stiffness", [10.0], dts, integrator="euler")
+    assert states(found.panels[0]) == ["finite", "inaccurate", "exploded"]
+    assert found.panels[0].boundary == pytest.approx([0.2 + 0.001], rel=2e-3)
+
+
+def test_contacts_are_judged_by_a_converged_run():
+    """A soft contact, ever heavier: the damping of solref keeps it finite at small dt."""
+    found = stability_map(
+        lesson.drop("solref", solver="newton", sweeps=50),
+        "geom/shape0/mass",
+        [1.0, 10.0],
+        [1e-3, 4e-3],
+        horizon=0.4,
+        threads=1,
+    )
+    assert states(found.panels[0]) == ["finite"] * 4
+    assert found.panels[0].boundary is None
+
+
+def test_what_has_no_converged_run_is_not_judged(monkeypatch):
+    """One run alone shows no convergence: finite cells get a question mark, and no error."""
+    monkeypatch.setattr(truth, "HALVINGS", 0)
+    found = stability_map("lesson:spring", "joint/spring/stiffness", [100.0], [0.01, 0.3])
+    cells = found.panels[0].cells
+    assert [cell.state for cell in cells] == ["finite", "exploded"]
+    assert not cells[0].judged and np.isnan(cells[0].error)
+    assert "without a converged run" in found.text() and "unknown" in found.text()
+    words = [text.get_text() for text in found.plot().legends[0].get_texts()]
+    assert "finite, not judged" in words
+
+
+def test_an_executor_gives_the_same_map():
+    args = ("lesson:spring", "joint/spring/stiffness", [10.0, 1e4], [0.005, 0.05])
+    alone = stability_map(*args, threads=1)
+    with ProcessPoolExecutor(2) as pool:
+        assert stability_map(*args, executor=pool).table.records == alone.table.records
+    seen = []
+    stability_map(*args, progress=lambda *told: seen.append(told))
+    assert seen[-1][1:] == (4, 4)
+
+
+# --- what leaves ---------------------------------------------------------------------------------
+
+
+def test_text_data_and_picture(tmp_path):
+    found = stability_map(values=[1.0, 1e5], dts=[1e-4, 1e-3, 1e-1])
+    text = found.text()
+    assert "· finite, o inaccurate, X exploded" in text and "midpoint" in text
+    assert "1e+05  ··X" in text or "1e+05  ·oX" in text
+    data = json.loads(found.to_json())
+    assert len(data["cells"]) == 6 * 2 * 3 and data["units"]["dt"] == "s"
+    assert {"setting", "value", "dt", "state", "error", "theory"} <= set(data["cells"][0])
+    figure = found.plot(tmp_path / "map.png")
+    assert (tmp_path / "map.png").stat().st_size > 20_000
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert titles[0] == "explicit (theory: grows at any dt)" and len(titles) == 6
+    page = found.to_html(tmp_path / "map.html")
+    assert page.count("<img") == 1 and "stiffness" in page
+    assert repr(found) == "<StabilityMap of spring: 36 cells in 6 panels>"
+
+
+def test_fills_are_told_apart_without_colour():
+    """Luminance (WCAG) differs by a factor of 1.4 or more between any two states."""
+    from stepcore.report.plot.stability import FILLS
+
+    def luminance(fill):
+        rgb = np.array([int(fill[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        return float(linear @ [0.2126, 0.7152, 0.0722]) + 0.05
+
+    light = sorted(map(luminance, FILLS.values()))
+    assert all(b / a > 1.4 for a, b in itertools.pairwise(light))
+
+
+SPRING = "joint/spring/stiffness"
+
+
+@pytest.mark.parametrize(
+    ("args", "options", "says"),
+    (
+        (("lesson:drop",), {}, "path = None: must name the value"),
+        (("lesson:spring", "joint/sprig/stiffness"), {}, 'nearest: "spring"'),
+        (("lesson:spring", SPRING, []), {}, "values"),
+        (("lesson:spring", SPRING, [1, -1]), {}, r"values\[1\] = -1: must be a finite number > 0"),
+        (("lesson:spring", SPRING, [1, 1]), {}, "the same number twice"),
+        (("lesson:spring", SPRING, [1], [0]), {}, r"dts\[0\] = 0"),
+        (("lesson:spring", SPRING), {"integrator": "rk5"}, "rk5"),
+        (("lesson:spring", SPRING), {"integrator": []}, "at least one"),
+        (("lesson:spring", SPRING), {"horizon": 1e-9}, "the largest dt"),
+        (("lesson:spring", SPRING), {"error": 0}, "error = 0"),
+        (("lesson:spring", SPRING), {"size": -1}, "size = -1"),
+        (("lesson:spring", SPRING), {"key": "nowhere"}, "nowhere"),
+        (("lesson:spring", SPRING), {"executor": 3}, "executor"),
+        (("lesson:spring", SPRING), {"progress": 3}, "progress"),
+        (("lesson:spring", "joint/spring/damping"), {}, "is 0.0, so give them"),
+        (("lesson:stack",), {"integrator": "rk4"}, "by law and sweeps"),
+        ((), {"key": "start"}, "their own start"),
+        (("lesson:spring", SPRING, [1]), {"integrator": "explicit", "threads": 0}, "threads"),
+    ),
+)
+def test_bad_arguments_are_refused(args, options, says):
+    with pytest.raises(ValueError, match=says):
+        stability_map(*args, **options)
+
+
+def test_the_command(capsys, tmp_path):
+    grid = ["--values", "10,1e4", "--dts", "1e-3:1e-1:3", "--threads", "1"]
+    command = ["map", "lesson:spring", SPRING, *grid, "--integrator", "rk4"]
+    assert main([*command, "--json", "--plot", str(tmp_path / "m.png")]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["dts"] == pytest.approx([1e-3, 1e-2, 1e-1])
+    assert [panel["setting"] for panel in data["panels"]] == ["rk4"]
+    assert main([*command, "--html", str(tmp_path / "m.html")]) == 0
+    assert "largest finite" in capsys.readouterr().out
+    assert main(["map", *grid, "--integrator", "euler"]) == 0
+    assert "stiffness [N/m]" in capsys.readouterr().out
+    for wrong in ("a,b", "1:2", "2:1:3", "1:2:1"):
+        assert main(["map", "--values", wrong]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
