@@ -8,8 +8,9 @@ import stiff
 from tangents import differences
 
 import stepcore as sc
+from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.experiment.coordinates import Dofs
-from stepcore.measure.diagnosis.alone import INTEGRATORS, oscillator
+from stepcore.measure.diagnosis.alone import oscillator
 from stepcore.measure.diagnosis.growth import growth
 from stepcore.measure.diagnosis.linear import State, exact, rates_matrix, step_map
 from stepcore.measure.diagnosis.midpoint import midpoint_map

@@ -10,7 +10,7 @@ import stiff
 
 import stepcore as sc
 from stepcore.cli import main
-from stepcore.measure.diagnosis.alone import INTEGRATORS
+from stepcore.engine.linear_maps import INTEGRATORS
 
 
 def diagnosed(scene, **options):

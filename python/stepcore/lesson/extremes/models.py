@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from stepcore._core import SimulationError
+from stepcore.engine.linear_maps import step_matrix
 from stepcore.engine.sim import Sim
 from stepcore.lesson.extremes.cells import (
     EPS,
@@ -143,10 +144,7 @@ def free_flight(
 
 
 def growth(sim: Sim) -> float:
-    """Spectral radius of one step of the joints' springs and dampers alone, at the start.
-
-    v⁺ = v - dt (M + dt D)⁻¹ (K x + D v), x⁺ = x + dt v⁺.
-    """
+    """Spectral radius of one step of the joints' springs and dampers alone, at the start."""
     sim.forward()
     dt, m, n = sim.settings.dt, sim.mass_matrix(), sim.model.nv
     k, d = np.zeros(n), np.zeros(n)
@@ -154,9 +152,7 @@ def growth(sim: Sim) -> float:
         joint = sim.model.scene.joint(name)
         if joint.type in ("hinge", "slide"):
             k[first], d[first] = joint.stiffness, joint.damping
-    inverse = np.linalg.inv(m + dt * np.diag(d))
-    kick, keep = -dt * inverse * k, np.eye(n) - dt * inverse * d
-    step = np.block([[np.eye(n) + dt * kick, dt * keep], [kick, keep]])
+    step = step_matrix("euler", dt, m, np.diag(k), np.diag(d), np.diag(d))
     return float(np.max(np.abs(np.linalg.eigvals(step))))
 
 

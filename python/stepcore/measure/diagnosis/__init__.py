@@ -9,13 +9,13 @@ from functools import partial
 from numpy.typing import ArrayLike
 
 from stepcore import checks
+from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.engine.model import Model
 from stepcore.executors import check_executor, each
 from stepcore.experiment.coordinates import movable
 from stepcore.experiment.motion import Control, motion
 from stepcore.loading import find_model
 from stepcore.measure.diagnosis.advice import advise
-from stepcore.measure.diagnosis.alone import INTEGRATORS
 from stepcore.measure.diagnosis.bound import closed_form
 from stepcore.measure.diagnosis.figures import Alone, Figures
 from stepcore.measure.diagnosis.forces import INERTIAL, Key

@@ -17,9 +17,8 @@ from __future__ import annotations
 import cmath
 import math
 
+from stepcore.engine.linear_maps import amplification
 from stepcore.measure.diagnosis.growth import DAMPED, PER_RADIAN, largest_stable
-
-INTEGRATORS = ("explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4")
 
 
 def oscillator(
@@ -84,7 +83,6 @@ def _jury(omega: float, damping: float) -> float:
 
 def _rk4(s: complex) -> float:
     def stable(h: float) -> bool:
-        z = h * s
-        return abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))) <= 1 + 1e-9
+        return bool(abs(amplification("rk4", h * s)) <= 1 + 1e-9)
 
     return largest_stable(stable, 1e-2 / abs(s), 4 / abs(s))

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.measure.diagnosis.alone import INTEGRATORS, gyration, oscillator, row_after_midpoint
+from stepcore.engine.linear_maps import INTEGRATORS
+from stepcore.measure.diagnosis.alone import gyration, oscillator, row_after_midpoint
 from stepcore.measure.diagnosis.forces import INERTIAL, ROWS, Key
 from stepcore.measure.diagnosis.limits import LONGEST
 from stepcore.measure.diagnosis.parts import Parts

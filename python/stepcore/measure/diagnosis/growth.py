@@ -91,21 +91,6 @@ def worst_of(values: Any, dt: float, rates: Any, horizon: float) -> Growth:
     return Growth(complex(values[worst]), float(found[worst].real), float(excess[worst]), own)
 
 
-def expected(integrator: str, dt: float, rates: Any) -> Any:
-    """The eigenvalues of a step whose A is a function of dt·J; None where it is not.
-
-    That is so where the state hardly moves within the step.
-    """
-    z = dt * rates
-    if integrator == "explicit":
-        return 1 + z
-    if integrator == "midpoint":
-        return (1 + z / 2) / (1 - z / 2)
-    if integrator == "rk4":
-        return 1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))
-    return None
-
-
 def beyond(found: Growth, shorter: Floats, dt: float, horizon: float) -> Growth:
     """The growth beyond what the same motion does over dt in shorter steps, `shorter`.
 

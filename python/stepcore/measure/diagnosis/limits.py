@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from stepcore.engine.linear_maps import amplification
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis import growth
 from stepcore.measure.diagnosis.growth import Growth
@@ -226,12 +227,12 @@ class Situation:
         """The limit that the rates of the motion give where no row acts, without linearising a
         step; None of other states and integrators."""
         rates, here = self.rates[state], self.states[state]
-        if not self._smooth(here) or growth.expected(integrator, low, rates) is None:
+        if not self._smooth(here) or amplification(integrator, low * rates) is None:
             return None
         model = without_rows(self.model)
 
         def stable(dt: float) -> bool:
-            values = growth.expected(integrator, dt, rates)
+            values = amplification(integrator, dt * rates)
             if not growth.worst_of(values, dt, rates, self.horizon).stable:
                 return False
             # An iteration may not converge.

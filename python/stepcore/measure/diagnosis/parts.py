@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from stepcore.engine.arrays import Floats
+from stepcore.engine.linear_maps import stepped
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Dofs
@@ -83,48 +84,26 @@ class Parts:
         of: A times this, which is less work.
         """
         n = len(self.mass)
-        x = np.eye(2 * n) if of is None else of
-
-        def rates(y: Any) -> Any:
-            return self.moving(scaled, by, y)
-
-        if integrator == "explicit":
-            return x + dt * rates(x)
-        if integrator == "midpoint":
-            return self._midpoint(dt, scaled, by, x)
-        if integrator == "rk4":
-            y = x
-            for order in (4, 3, 2, 1):
-                y = x + dt / order * rates(y)
-            return y
-        damping = np.zeros((n, n))
+        implicit = np.zeros((n, n))
         for key in self.implicit.get(integrator, ()):
-            damping += self.elements[key].damping * (1 + by if key == scaled else 1.0)
-        gained = np.linalg.solve(self.mass + dt * damping, self.mass @ rates(x)[n:])
-        new = x[n:] + dt * gained
-        move = x[:n] + dt * (self.rates[:n, :n] @ x[:n] + self.rates[:n, n:] @ new)
-        return np.concatenate([move, new])
+            implicit += self.elements[key].damping * (1 + by if key == scaled else 1.0)
 
-    def _midpoint(self, dt: float, scaled: Key | None, by: float, x: Any) -> Any:
-        """The implicit step of all but `after`, whose impulses come on top of it."""
-        n = len(self.mass)
-
-        def pushed(y: Any) -> Any:
+        def after(y: Any) -> Any:
             force = np.zeros_like(y[:n])
             for key in self.after:
                 part, gain = self.elements[key], 1 + by if key == scaled else 1.0
                 force = force - gain * (part.stiffness @ y[:n] + part.damping @ y[n:])
             return np.linalg.solve(self.mass, force)
 
-        def smooth(y: Any) -> Any:
-            found = self.moving(scaled, by, y)
-            found[n:] -= pushed(y)
-            return found
-
-        whole = np.eye(2 * n)
-        made = np.linalg.solve(whole - dt / 2 * smooth(whole), x + dt / 2 * smooth(x))
-        change = dt * pushed(x)
-        return made + np.concatenate([dt / 2 * change, change])
+        return stepped(
+            integrator,
+            dt,
+            lambda y: self.moving(scaled, by, y),
+            np.eye(2 * n) if of is None else of,
+            self.mass,
+            implicit,
+            after if self.after else None,
+        )
 
     def moving(self, scaled: Key | None, by: float, x: Any) -> Any:
         """J x, with one element's stiffness and damping times 1 + by."""

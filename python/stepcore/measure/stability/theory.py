@@ -9,44 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from stepcore.engine.linear_maps import step_matrix
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.scene.layout import DOFS, Layout
 
 # Beyond this the radius counts as growth: a rounding moves a double eigenvalue by its root.
 GROWS = 1.0 + 1e-6
-
-
-def step_matrix(
-    integrator: str,
-    dt: float,
-    mass: np.ndarray,
-    stiffness: np.ndarray,
-    damping: np.ndarray,
-    implicit: np.ndarray,
-) -> np.ndarray:
-    """The step from (x, v) to (x⁺, v⁺), shape (2n, 2n).
-
-    damping: all of it. implicit: the part of it that `euler` or `implicitfast` take implicitly.
-    """
-    n = len(mass)
-    one, none = np.eye(n), np.zeros((n, n))
-    pull, drag = -np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)
-    flow = np.block([[none, one], [pull, drag]])
-    whole = np.eye(2 * n)
-    if integrator == "rk4":
-        z = dt * flow
-        return whole + z @ (whole + z / 2 @ (whole + z / 3 @ (whole + z / 4)))
-    if integrator == "midpoint":
-        return np.linalg.solve(whole - dt / 2 * flow, whole + dt / 2 * flow)
-    if integrator == "explicit":
-        return whole + dt * flow
-    inertia = mass
-    if integrator in ("euler", "implicitfast"):
-        inertia = mass + dt * implicit
-    kick = np.linalg.solve(inertia, np.hstack([-stiffness, -damping]))
-    after = np.hstack([none, one]) + dt * kick
-    return np.vstack([np.hstack([one, none]) + dt * after, after])
 
 
 def limit(
