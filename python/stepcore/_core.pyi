@@ -11,6 +11,8 @@ from stepcore.measure.postmortem import Replay
 __all__ = ["Batch", "Model", "Settings", "Sim", "SimulationError", "compile"]
 
 _Floats = NDArray[np.float64]
+# Kind, index, part; part -1 is the whole element.
+_Element = tuple[str, int, int]
 _Integrator = Literal["explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4"]
 _Solver = Literal["pgs", "newton"]
 _Acceleration = Literal["none", "momentum"]
@@ -31,11 +33,15 @@ class SimulationError(RuntimeError):
     world: int
     """Its index in a Batch, 0 in a Sim."""
     element: str
-    """The element that drove it."""
+    """The element that drove it, by name."""
+    element_id: tuple[str, int, int] | None
+    """The same as (kind, index, part); None where no single element stands out."""
     gained: bool
     """Energy that cannot have been gained; False: something is not finite in the next step."""
     shares: dict[str, float]
-    """Part of the energy fed in over the last steps, by element, the largest first."""
+    """Part of the energy fed in over the last steps, by element's name, the largest first."""
+    share_ids: list[tuple[str, int, int]]
+    """(kind, index, part) of each element in `shares`, in the same order."""
     growth: float | None
     """Rate at which the energy of motion and springs grew [1/s]."""
     stable_dt: float | None
@@ -171,6 +177,9 @@ class Model:
     @property
     def nv(self) -> int: ...
     def names(self) -> dict[str, list[str]]: ...
+    def element_name(self, kind: str, index: int, part: int = -1) -> str:
+        """What an element is called; `part` -1 is the whole element."""
+
     def tables(self) -> dict[str, _Floats]: ...
     def addresses(self) -> dict[str, list[int]]: ...
     def joint_types(self) -> list[str]: ...
@@ -202,7 +211,7 @@ class Sim:
     def balance(self) -> None:
         """Balances the ledger at the present state."""
 
-    def taped_step(self) -> tuple[float, float, dict[str, float]]:
+    def taped_step(self) -> tuple[float, float, list[tuple[_Element, float]]]:
         """Steps once: energy of motion and springs before and after, what each element fed in."""
 
     def forward(self) -> None: ...
@@ -263,11 +272,11 @@ class Sim:
     def row_updates(self) -> int: ...
     @property
     def contacts_grown(self) -> int: ...
-    def contacts(self) -> tuple[list[tuple[int, int]], _Floats]:
-        """Geoms, and dist, pos, normal, force in the columns of one array."""
+    def contacts(self) -> tuple[list[_Element], list[tuple[int, int]], _Floats]:
+        """Elements, geoms, and dist, pos, normal, force in the columns of one array."""
 
-    def rows(self) -> tuple[list[str], list[str], list[int], _Floats]:
-        """Kinds, names, blocks; impulse, velocity, target, regulariser, residual, lo, hi."""
+    def rows(self) -> tuple[list[_Element], list[str], list[int], _Floats]:
+        """Elements, names, blocks; impulse, velocity, target, regulariser, residual, lo, hi."""
 
 @final
 class Batch:
@@ -336,8 +345,8 @@ class Batch:
     def actuator_force(self) -> _Floats: ...
     @property
     def residual(self) -> _Floats: ...
-    def contacts(self) -> list[tuple[list[tuple[int, int]], _Floats]]:
+    def contacts(self) -> list[tuple[list[_Element], list[tuple[int, int]], _Floats]]:
         """`Sim.contacts` of every world."""
 
-    def rows(self) -> list[tuple[list[str], list[str], list[int], _Floats]]:
+    def rows(self) -> list[tuple[list[_Element], list[str], list[int], _Floats]]:
         """`Sim.rows` of every world."""

@@ -84,7 +84,7 @@ def test_settings_refuse(fields, text):
 ARRAYS = [
     ("qpos", 1, r"qpos\[1\] = .*: must be finite \(joint `elbow`"),
     ("qvel", 0, r"qvel\[0\] = .*: must be finite \(joint `shoulder`"),
-    ("ctrl", 0, r"ctrl\[0\] = .*: must be finite \(actuator `motor`"),
+    ("ctrl", 0, r"ctrl\[0\] = .*: must be finite \(motor `motor`"),
     ("qfrc_applied", 1, r"qfrc_applied\[1\] = .*joint `elbow`"),
     ("xfrc_applied", (2, 4), r"xfrc_applied\[2, 4\] = .*body `lower`"),
 ]

@@ -4,10 +4,12 @@ use pyo3::exceptions::{PyBaseException, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use stepcore::arrays::Given;
+use stepcore::elements::Mention;
 use stepcore::error::Error;
 use stepcore::state::Inputs;
 use stepcore::watch::ledger::{PostMortem, Stable};
 
+use crate::element::id;
 use crate::snapshot::encode;
 use crate::world::Memo;
 
@@ -19,8 +21,9 @@ pyo3::create_exception!(
      gained; the last finite state is kept. Its text is the post-mortem, one paragraph.\n\n\
      step: steps done before it; time: of that state [s]; world: its index in a Batch (0 in a Sim);\n\
      gained: True for energy that cannot have been gained, False for what is not finite;\n\
-     element: what drove it; shares: what part of the energy fed in over the last steps each\n\
-     element gave, by name; growth: rate at which the energy grew [1/s], or None; stable_dt: a\n\
+     element: the name of what drove it; element_id: the same as (kind, index, part), or None;\n\
+     shares: what part of the energy fed in over the last steps each element gave, by name;\n\
+     share_ids: the (kind, index, part) of each; growth: rate at which the energy grew [1/s], or None; stable_dt: a\n\
      step that would have been stable [s], or None; replay: a `stepcore.Replay` of the failure."
 );
 
@@ -28,7 +31,15 @@ pyo3::create_exception!(
 pub fn raise(py: Python<'_>, error: Error) -> PyErr {
     let text = error.to_string();
     match error {
-        Error::Value { .. } | Error::Scene(_) => PyValueError::new_err(text),
+        Error::Value { .. } | Error::Scene(_) => {
+            let raised = PyValueError::new_err(text.clone());
+            let mentions: Vec<_> = error.mentions().iter().map(|m| mention(&text, m)).collect();
+            if mentions.is_empty() {
+                return raised;
+            }
+            let attribute = raised.value(py).setattr("mentions", mentions);
+            attribute.err().unwrap_or(raised)
+        }
         Error::Diverged { step, time, world, element, post, .. } => {
             let raised = SimulationError::new_err(text);
             let value = raised.value(py);
@@ -36,11 +47,22 @@ pub fn raise(py: Python<'_>, error: Error) -> PyErr {
                 .setattr("step", step)
                 .and_then(|()| value.setattr("time", time))
                 .and_then(|()| value.setattr("world", world))
-                .and_then(|()| value.setattr("element", element))
+                .and_then(|()| value.setattr("element_id", element.as_ref().map(|e| id(e.element))))
+                .and_then(|()| value.setattr("element", element.map_or(NONE.into(), |e| e.name)))
                 .and_then(|()| tell(value, &post));
             attributes.err().unwrap_or(raised)
         }
     }
+}
+
+/// `SimulationError.element` where no element stands out.
+const NONE: &str = "no single element";
+
+/// Where an element stands in a text, in characters, and its kind and index.
+fn mention(text: &str, mention: &Mention) -> (usize, usize, &'static str, u32) {
+    let count = |bytes: usize| text.get(..bytes).map_or(0, |head| head.chars().count());
+    let (kind, index, _) = id(mention.element);
+    (count(mention.at.start), count(mention.at.end), kind, index)
 }
 
 /// What a post-mortem found, and from where its failure comes again.
@@ -48,10 +70,12 @@ fn tell(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> PyResult<()> {
     let py = error.py();
     error.setattr("gained", post.gained)?;
     let shares = PyDict::new(py);
-    for (name, share) in &post.shares {
-        shares.set_item(name, share)?;
+    for (named, share) in &post.shares {
+        shares.set_item(&named.name, share)?;
     }
     error.setattr("shares", shares)?;
+    let ids: Vec<_> = post.shares.iter().map(|(named, _)| id(named.element)).collect();
+    error.setattr("share_ids", ids)?;
     error.setattr("growth", post.growth.map(|growth| growth / post.dt))?;
     let stable = match post.stable {
         Stable::Springs { dt, .. } | Stable::Halved { dt } => Some(dt),

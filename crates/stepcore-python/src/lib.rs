@@ -6,6 +6,7 @@
 //! of errors.
 
 mod batch;
+mod element;
 mod errors;
 mod extract;
 mod gil;

@@ -8,6 +8,7 @@ use pyo3::types::PyDict;
 use stepcore::model::Model as Engine;
 use stepcore::scene::{JointType, Scene};
 
+use crate::element::read;
 use crate::extract::{At, Read};
 
 /// An array of this shape that owns its numbers.
@@ -78,6 +79,12 @@ impl Model {
         names.set_item("equality", m.equalities.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         names.set_item("key", m.keys.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         Ok(names)
+    }
+
+    /// What an element is called: kind, index and part as in rows, contacts and errors.
+    #[pyo3(signature = (kind, index, part = -1))]
+    fn element_name(&self, kind: &str, index: usize, part: i64) -> PyResult<String> {
+        Ok(self.0.element_name(read(&self.0, kind, index, part)?))
     }
 
     /// Numbers by name, each an array whose first axis is the element.

@@ -8,9 +8,11 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use stepcore::arrays::Given;
+use stepcore::elements::Element;
 use stepcore::model::Model as EngineModel;
 use stepcore::real::Stage;
 
+use crate::element::{id, Id};
 use crate::errors::raise;
 use crate::extract::{At, Read};
 use crate::gil;
@@ -21,22 +23,24 @@ use crate::snapshot::{decode, encode};
 use crate::world::{world, Contacts, Memo, Placed, Rows, Solved, World};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
-/// Geoms; dist, pos, normal, force.
-pub type ContactTable<'py> = (Vec<(usize, usize)>, Array<'py>);
-/// Kinds, names, blocks; impulse, velocity, target, regulariser, residual, lo, hi.
-pub type RowTable<'py> = (Vec<&'static str>, Vec<String>, Vec<usize>, Array<'py>);
+/// Elements, geoms; dist, pos, normal, force.
+pub type ContactTable<'py> = (Vec<Id>, Vec<(usize, usize)>, Array<'py>);
+/// Elements, names, blocks; impulse, velocity, target, regulariser, residual, lo, hi.
+pub type RowTable<'py> = (Vec<Id>, Vec<String>, Vec<usize>, Array<'py>);
 
 /// Energy before and after, and gains by element.
-type TapedStep = (f64, f64, BTreeMap<String, f64>);
+type TapedStep = (f64, f64, Vec<(Id, f64)>);
 
 pub fn contacts<'py>(py: Python<'py>, table: Contacts) -> PyResult<ContactTable<'py>> {
     let count = table.geoms.len();
-    Ok((table.geoms, shaped(py, table.numbers, &[count, 10])?))
+    let elements = table.elements.into_iter().map(id).collect();
+    Ok((elements, table.geoms, shaped(py, table.numbers, &[count, 10])?))
 }
 
 pub fn rows<'py>(py: Python<'py>, table: Rows) -> PyResult<RowTable<'py>> {
     let count = table.blocks.len();
-    Ok((table.kinds, table.names, table.blocks, shaped(py, table.numbers, &[count, 7])?))
+    let elements = table.elements.into_iter().map(id).collect();
+    Ok((elements, table.names, table.blocks, shaped(py, table.numbers, &[count, 7])?))
 }
 
 pub fn check_time(time: f64) -> PyResult<()> {
@@ -161,7 +165,10 @@ impl Sim {
         self.load(py, world)?;
         let outcome = gil::release(py, || world.taped_step());
         self.store(py, world);
-        outcome.map(|entry| (entry.before, entry.after, entry.gains))
+        let gains = |gains: BTreeMap<Element, f64>| {
+            gains.into_iter().map(|(element, gain)| (id(element), gain)).collect()
+        };
+        outcome.map(|entry| (entry.before, entry.after, gains(entry.gains)))
     }
 
     /// Place, detect and solve at the present state.
@@ -313,11 +320,11 @@ impl Sim {
     fn actuator_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.solved(py, Solved::ActuatorForce)
     }
-    /// Geoms, and dist, pos, normal, force in the columns of one array.
+    /// Elements, geoms, and dist, pos, normal, force in the columns of one array.
     fn contacts<'py>(&self, py: Python<'py>) -> PyResult<ContactTable<'py>> {
         contacts(py, self.lock()?.contacts())
     }
-    /// Kinds, names, blocks, and impulse, velocity, target, regulariser, residual, lo, hi.
+    /// Elements, names, blocks, and impulse, velocity, target, regulariser, residual, lo, hi.
     fn rows<'py>(&self, py: Python<'py>) -> PyResult<RowTable<'py>> {
         rows(py, self.lock()?.rows())
     }

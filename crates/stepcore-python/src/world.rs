@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use stepcore::arrays::Given;
+use stepcore::elements::Element;
 use stepcore::error::Result;
 use stepcore::model::Model;
 use stepcore::real::Real;
 use stepcore::settings::{Precision, Settings};
 use stepcore::sim::{Effort, Sim};
-use stepcore::solve::Source;
 use stepcore::spatial::V3;
 use stepcore::state::{State, Warm};
 use stepcore::watch::ledger::StepGains;
@@ -43,15 +43,16 @@ pub enum Solved {
 /// Contacts of the last solve: two geoms, and dist, pos, normal, force (10 numbers) each.
 #[derive(Default)]
 pub struct Contacts {
+    pub elements: Vec<Element>,
     pub geoms: Vec<(usize, usize)>,
     pub numbers: Vec<f64>,
 }
 
-/// Rows of the last solve: kind, name and block, and 7 numbers each: impulse, velocity,
+/// Rows of the last solve: element, its name, block, and 7 numbers each: impulse, velocity,
 /// target, regulariser, residual, lo, hi.
 #[derive(Default)]
 pub struct Rows {
-    pub kinds: Vec<&'static str>,
+    pub elements: Vec<Element>,
     pub names: Vec<String>,
     pub blocks: Vec<usize>,
     pub numbers: Vec<f64>,
@@ -187,13 +188,15 @@ impl<R: Real> World for One<R> {
 
     fn contacts(&self) -> Contacts {
         let (sim, mut table) = (&self.sim, Contacts::default());
-        for (index, contact) in sim.live_contacts(0) {
+        for (_, contact) in sim.live_contacts(0) {
             let pair = &sim.model.pairs[contact.pair];
+            let element = contact.element();
+            table.elements.push(element);
             table.geoms.push((pair.geom1, pair.geom2));
             table.numbers.push(contact.dist.lane(0));
             table.numbers.extend(flat(&contact.pos));
             table.numbers.extend(flat(&contact.normal));
-            let block = sim.rows.blocks.iter().find(|block| block.source == Source::Contact(index));
+            let block = sim.rows.blocks.iter().find(|block| block.element == element);
             table
                 .numbers
                 .extend(block.map_or([0.0; 3], |block| sim.contact_force(block, contact, 0)));
@@ -208,14 +211,9 @@ impl<R: Real> World for One<R> {
         let mut within = 0;
         for (index, row) in sim.live_rows(0) {
             within = if table.blocks.last() == Some(&index) { within + 1 } else { 0 };
-            let source = sim.rows.blocks[index].source;
-            table.kinds.push(match source {
-                Source::Equality(_) => "equality",
-                Source::FrictionLoss(_) => "friction",
-                Source::Limit(..) => "limit",
-                Source::Contact(_) => "contact",
-            });
-            table.names.push(sim.source_name(source));
+            let element = sim.rows.blocks[index].element;
+            table.elements.push(element);
+            table.names.push(sim.model.element_name(element));
             table.blocks.push(index);
             let residual = residuals[index].get(within).copied().unwrap_or(0.0);
             table.numbers.extend([row.impulse, row.velocity, row.t, row.c].map(|x| x.lane(0)));

@@ -1,7 +1,8 @@
 //! One world's arrays as the user holds them: `f64`, whatever the engine computes
 //! with. They are checked before anything moves, copied in, and copied out again.
 
-use crate::error::{named, Error, Result};
+use crate::elements::{Element, Kind};
+use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::scene::JointType;
@@ -42,7 +43,7 @@ impl Given<'_> {
             return Err(refuse::<R>(format!("qvel[{k}]"), self.qvel[k], &of_joint(k), world));
         }
         if let Some(k) = bad(self.ctrl) {
-            let actuator = named("actuator", &model.actuators[k].name, k);
+            let actuator = model.element_name(Element::whole(Kind::Actuator, k));
             return Err(refuse::<R>(format!("ctrl[{k}]"), self.ctrl[k], &actuator, world));
         }
         if let Some(k) = bad(self.qfrc_applied) {
@@ -55,7 +56,7 @@ impl Given<'_> {
         }
         if let Some(k) = bad(self.xfrc_applied) {
             let (body, part) = (k / 6, k % 6);
-            let name = named("body", &model.bodies[body].name, body);
+            let name = model.element_name(Element::whole(Kind::Body, body));
             let field = format!("xfrc_applied[{body}, {part}]");
             return Err(refuse::<R>(field, self.xfrc_applied[k], &name, world));
         }
@@ -96,7 +97,7 @@ fn place(element: &str, world: Option<usize>) -> String {
 }
 
 fn joint_name(model: &Model, index: usize) -> String {
-    named("joint", &model.joints[index].name, index)
+    model.element_name(Element::whole(Kind::Joint, index))
 }
 
 fn put<R: Real>(to: &mut [R], lane: usize, from: &[f64]) {

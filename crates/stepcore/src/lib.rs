@@ -46,6 +46,7 @@ pub mod arrays;
 pub mod batch;
 pub mod commit;
 pub mod detect;
+pub mod elements;
 pub mod error;
 pub mod failed;
 pub mod model;

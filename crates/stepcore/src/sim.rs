@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use crate::commit::Next;
 use crate::detect::Detected;
-use crate::error::{named, Error, Result};
+use crate::elements::{Element, Kind};
+use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::place::Placed;
 use crate::real::{Mask, Real};
@@ -173,7 +174,7 @@ fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
             let limit =
                 "such that the precision can hold it and its inverse (under newton, their squares)";
             return Err(Error::value(
-                format!("mass of {}", named("body", &body.name, index)),
+                format!("mass of {}", model.element_name(Element::whole(Kind::Body, index))),
                 body.mass,
                 limit,
             ));

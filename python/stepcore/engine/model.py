@@ -138,6 +138,14 @@ class Model:
         """Names of the joints."""
         return self.names["joint"]
 
+    def element_name(self, kind: str, index: int, part: int = -1) -> str:
+        """What an element is called: "spring of joint `knee`", "contact `floor`/`foot`".
+
+        kind, index, part: as in `Sim.rows`, `Sim.contacts` and a `SimulationError`; part -1 is
+        the whole element. An unknown kind or an index too large is a ValueError.
+        """
+        return self._core.element_name(kind, index, part)
+
     @property
     def geom_names(self) -> tuple[str, ...]:
         """Names of the geoms."""

@@ -305,7 +305,8 @@ class Sim(Stepped):
     def contacts(self) -> NDArray[Any]:
         """Contacts, a structured array.
 
-        geom1, geom2 (indices), name1, name2 ("" where none was given), dist [m] (negative:
+        kind ("contact"), index (of the pair of geoms in the model), part (which contact of the
+        pair), geom1, geom2 (indices), name1, name2 ("" where none was given), dist [m] (negative:
         overlap), pos [m], normal (from geom 1 to geom 2), force (on geom 2, in world axes [N];
         zero where there is no row).
         """
@@ -315,8 +316,11 @@ class Sim(Stepped):
     def rows(self) -> NDArray[Any]:
         """Rows in the order in which they are solved, a structured array.
 
-        kind ("equality", "friction", "limit", "contact"), name (of the element), block (rows of
-        one block are solved together), impulse [N·s], velocity (J v when the step began), target,
+        kind ("connect", "friction loss", "limit", "contact"), index (of the equality; of the joint
+        under friction loss and limit; of the pair of geoms), part (which dof of the joint; 0 for
+        the lower bound, 1 for the upper one; which contact of the pair; -1 for the whole
+        element), name (`Model.element_name` of these), block
+        (rows of one block are solved together), impulse [N·s], velocity (J v when the step began), target,
         regulariser, residual (s|δ|, in the row's unit of velocity), lo and hi (its bounds),
         force (impulse/dt [N]).
         """

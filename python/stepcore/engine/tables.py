@@ -11,19 +11,25 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 VECTORS = ("pos", "normal", "force")
+# kind, index and part of an element, as `Model.element_name` takes them.
+ELEMENT: list[Any] = [("kind", "U16"), ("index", np.int32), ("part", np.int32)]
 ROW_NUMBERS = ("impulse", "velocity", "target", "regulariser", "residual", "lo", "hi")
 
 
 def contact_table(
-    geom_names: Sequence[str], pairs: list[tuple[int, int]], numbers: Floats
+    geom_names: Sequence[str],
+    elements: list[tuple[str, int, int]],
+    pairs: list[tuple[int, int]],
+    numbers: Floats,
 ) -> NDArray[Any]:
     """See `Sim.contacts`. numbers: dist, pos, normal, force, shape (contacts, 10)."""
     geoms = np.array(pairs, dtype=np.int32).reshape(-1, 2).T
     width = max(map(len, geom_names), default=0) or 1
-    fields: list[Any] = [(field, np.int32) for field in ("geom1", "geom2")]
+    fields = ELEMENT + [(field, np.int32) for field in ("geom1", "geom2")]
     fields += [(field, f"U{width}") for field in ("name1", "name2")]
     fields += [("dist", float), *((field, float, 3) for field in VECTORS)]
     table = np.zeros(len(pairs), dtype=fields)
+    _put_elements(table, elements)
     for k in (0, 1):
         table[f"geom{k + 1}"] = geoms[k]
         table[f"name{k + 1}"] = [geom_names[geom] for geom in geoms[k]]
@@ -35,16 +41,26 @@ def contact_table(
 
 
 def row_table(
-    dt: float, kinds: list[str], names: list[str], blocks: list[int], numbers: Floats
+    dt: float,
+    elements: list[tuple[str, int, int]],
+    names: list[str],
+    blocks: list[int],
+    numbers: Floats,
 ) -> NDArray[Any]:
     """See `Sim.rows`. numbers: those of `ROW_NUMBERS`, shape (rows, 7)."""
     width = max(map(len, names), default=1)
-    fields: list[Any] = [("kind", "U12"), ("name", f"U{width}"), ("block", np.int32)]
+    fields = [*ELEMENT, ("name", f"U{width}"), ("block", np.int32)]
     fields += [(field, float) for field in (*ROW_NUMBERS, "force")]
-    table = np.zeros(len(kinds), dtype=fields)
-    table["kind"], table["name"], table["block"] = kinds, names, blocks
+    table = np.zeros(len(elements), dtype=fields)
+    _put_elements(table, elements)
+    table["name"], table["block"] = names, blocks
     for k, field in enumerate(ROW_NUMBERS):
         table[field] = numbers[:, k]
     table["force"] = table["impulse"] / dt
     table.flags.writeable = False
     return table
+
+
+def _put_elements(table: NDArray[Any], elements: list[tuple[str, int, int]]) -> None:
+    for k, field in enumerate(("kind", "index", "part")):
+        table[field] = [element[k] for element in elements]

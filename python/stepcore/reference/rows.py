@@ -130,7 +130,7 @@ def equality_rows(sim: Sim, placed: Placed) -> Iterator[Row]:
         dofs = model.moves[one] | model.moves[two]
         for k in range(3):
             t = -settings.beta * (point1 - point2)[k] / settings.dt
-            yield Row(("equality", index, k), J[k], dofs, t, c, soft, -INF, INF)
+            yield Row(("connect", index, k), J[k], dofs, t, c, soft, -INF, INF)
 
 
 def friction_loss_rows(sim: Sim) -> Iterator[Row]:
@@ -141,7 +141,7 @@ def friction_loss_rows(sim: Sim) -> Iterator[Row]:
             if joint["frictionloss"] > 0:
                 bound = sim.settings.dt * joint["frictionloss"]
                 unit_row = np.eye(model.nv)[dof]
-                yield Row(("friction", dof, 0), unit_row, unit_row > 0, lo=-bound, hi=bound)
+                yield Row(("friction loss", dof, 0), unit_row, unit_row > 0, lo=-bound, hi=bound)
 
 
 def limit_rows(sim: Sim, v: Array, guess: Array) -> Iterator[Row]:

@@ -12,8 +12,9 @@ mod shape_tests;
 mod sphere;
 mod touch;
 
-pub use touch::{tangents, Touch, Touches};
+pub use touch::{tangents, Touch, Touches, MOST_TOUCHES};
 
+use crate::elements::{Element, Kind};
 use crate::model::{Model, Pair};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
@@ -92,6 +93,11 @@ impl<R: Real> Detected<R> {
 }
 
 impl<R: Real> Contact<R> {
+    /// Which contact it is.
+    pub fn element(&self) -> Element {
+        Element::part(Kind::Contact, self.pair, self.part)
+    }
+
     /// The two directions of friction; with the normal they are the contact's frame.
     pub fn tangents(&self, model: &Model, placed: &Placed<R>) -> [V3<R>; 2] {
         let pair = &model.pairs[self.pair];

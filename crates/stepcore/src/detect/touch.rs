@@ -20,11 +20,14 @@ pub struct Touch<R: Real> {
     pub exists: R::Mask,
 }
 
-/// Up to two contacts of a pair. A slot keeps its meaning from step to step, so
+/// The most contacts of a pair.
+pub const MOST_TOUCHES: usize = 2;
+
+/// The contacts of a pair. A slot keeps its meaning from step to step, so
 /// that its impulse can start the next solve.
 #[derive(Clone, Copy, Debug)]
 pub struct Touches<R: Real> {
-    pub list: [Touch<R>; 2],
+    pub list: [Touch<R>; MOST_TOUCHES],
     /// Slots that any lane can fill: fixed by the shapes, not by their poses.
     pub count: usize,
 }

@@ -1,5 +1,6 @@
 //! From a `Scene` to a `Model`: check, lay out, weigh, pair.
 
+use super::slots::Slots;
 use super::{apart, check, inertia, invweight, pairs, pose, tree, Model};
 use crate::error::Result;
 use crate::scene::Scene;
@@ -30,6 +31,7 @@ impl Model {
             let loose = !tied.iter().any(|b| model.bodies[*b].tree == tree);
             model.trees[tree].constant = model.trees[tree].slides_only || ball && loose;
         }
+        model.slots = Slots::of(&model);
         apart::fill(&mut model);
         Ok(model)
     }

@@ -1,6 +1,7 @@
 //! What a scene must satisfy before it is compiled. Every error names the
 //! element, the field, the value and the limit; nothing is built before all hold.
 
+use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{
     Actuator, Equality, Geom, GeomType, Inertial, Joint, JointType, Scene, Softness,
@@ -8,25 +9,16 @@ use crate::scene::{
 use std::collections::HashSet;
 use std::fmt;
 
-/// `geom 'floor'`, or `geom 3` where it has no name.
-pub fn label(kind: &str, name: &str, index: usize) -> String {
-    if name.is_empty() {
-        format!("{kind} {index}")
-    } else {
-        format!("{kind} '{name}'")
-    }
-}
+/// What is being looked at, as an error names it.
+struct Subject(Text);
 
-/// The element that is being looked at.
-struct Element(String);
-
-impl Element {
-    fn new(kind: &str, name: &str, index: usize) -> Self {
-        Self(label(kind, name, index))
+impl Subject {
+    fn new(kind: Kind, name: &str, index: usize) -> Self {
+        Self(Text::label(kind, name, index))
     }
 
     fn refuse(&self, field: &str, value: impl fmt::Display, limit: &str) -> Error {
-        Error::value(format!("{} {field}", self.0), value, limit)
+        Error::value(text![&self.0, " ", field], value, limit)
     }
 
     fn number(&self, field: &str, value: f64, ok: bool, limit: &str) -> Result<()> {
@@ -101,14 +93,14 @@ impl Element {
 }
 
 pub fn scene(scene: &Scene) -> Result<()> {
-    let whole = Element("scene".into());
+    let whole = Subject("scene".into());
     whole.finite("gravity", &scene.gravity)?;
     if scene.bodies.is_empty() || scene.joints.is_empty() {
         return Err(Error::Scene(
             "the scene has no joint, so nothing in it can move: add a body with a joint".into(),
         ));
     }
-    let rules = Element("mass rules".into());
+    let rules = Subject("mass rules".into());
     rules.not_negative("bound_mass", scene.mass_rules.bound_mass)?;
     rules.not_negative("bound_inertia", scene.mass_rules.bound_inertia)?;
     rules.finite("total_mass", &[scene.mass_rules.total_mass])?;
@@ -118,26 +110,26 @@ pub fn scene(scene: &Scene) -> Result<()> {
     let nbody = scene.bodies.len();
     joints(scene)?;
     for (i, g) in scene.geoms.iter().enumerate() {
-        let e = Element::new("geom", &g.name, i);
+        let e = Subject::new(Kind::Geom, &g.name, i);
         e.below("body", g.body, nbody, "body")?;
         geom(&e, g)?;
     }
-    grouped("geom", scene.geoms.iter().map(|g| (&*g.name, g.body)))?;
+    grouped(Kind::Geom, scene.geoms.iter().map(|g| (&*g.name, g.body)))?;
     for (i, s) in scene.sites.iter().enumerate() {
-        let e = Element::new("site", &s.name, i);
+        let e = Subject::new(Kind::Site, &s.name, i);
         e.below("body", s.body, nbody, "body")?;
         e.finite("pos", &s.pos)?;
         e.direction("quat", &s.quat)?;
     }
-    grouped("site", scene.sites.iter().map(|s| (&*s.name, s.body)))?;
+    grouped(Kind::Site, scene.sites.iter().map(|s| (&*s.name, s.body)))?;
     for (i, a) in scene.actuators.iter().enumerate() {
-        actuator(&Element::new("actuator", &a.name, i), a, scene)?;
+        actuator(&Subject::new(Kind::Actuator, &a.name, i), a, scene)?;
     }
     for (i, q) in scene.equalities.iter().enumerate() {
-        equality(&Element::new("equality", &q.name, i), q, nbody)?;
+        equality(&Subject::new(Kind::Equality, &q.name, i), q, nbody)?;
     }
     for (i, pair) in scene.excludes.iter().enumerate() {
-        let e = Element::new("exclude", "", i);
+        let e = Subject(format!("exclude {i}").into());
         e.below("body1", pair[0], nbody, "body")?;
         e.below("body2", pair[1], nbody, "body")?;
     }
@@ -149,9 +141,10 @@ fn names(scene: &Scene) -> Result<()> {
         let mut seen = HashSet::new();
         for name in names {
             if !name.is_empty() && !seen.insert(name) {
-                return Err(Error::Scene(format!(
-                    "two {kind} have the name '{name}': a name stands for one element"
-                )));
+                return Err(Error::Scene(
+                    format!("two {kind} have the name '{name}': a name stands for one element")
+                        .into(),
+                ));
             }
         }
         Ok(())
@@ -170,7 +163,7 @@ fn names(scene: &Scene) -> Result<()> {
 fn bodies(scene: &Scene) -> Result<()> {
     let mut path = vec![0];
     for (i, b) in scene.bodies.iter().enumerate() {
-        let e = Element::new("body", &b.name, i);
+        let e = Subject::new(Kind::Body, &b.name, i);
         e.finite("pos", &b.pos)?;
         e.direction("quat", &b.quat)?;
         if let Some(x) = &b.inertial {
@@ -195,7 +188,7 @@ fn bodies(scene: &Scene) -> Result<()> {
     Ok(())
 }
 
-fn inertial(e: &Element, x: &Inertial) -> Result<()> {
+fn inertial(e: &Subject, x: &Inertial) -> Result<()> {
     e.not_negative("inertial mass", x.mass)?;
     e.finite("inertial pos", &x.pos)?;
     e.finite("inertial inertia", &x.inertia)?;
@@ -206,15 +199,15 @@ fn inertial(e: &Element, x: &Inertial) -> Result<()> {
 }
 
 /// Elements of one kind stand in the order of their bodies.
-fn grouped<'a>(kind: &str, elements: impl Iterator<Item = (&'a str, usize)>) -> Result<()> {
+fn grouped<'a>(kind: Kind, elements: impl Iterator<Item = (&'a str, usize)>) -> Result<()> {
     let mut last = 0;
     for (i, (name, body)) in elements.enumerate() {
         if body < last {
-            let e = Element::new(kind, name, i);
+            let e = Subject::new(kind, name, i);
             return Err(e.refuse(
                 "body",
                 body,
-                &format!(">= {last}: {kind}s are listed in the order of their bodies"),
+                &format!(">= {last}: {}s are listed in the order of their bodies", kind.word()),
             ));
         }
         last = body;
@@ -225,39 +218,45 @@ fn grouped<'a>(kind: &str, elements: impl Iterator<Item = (&'a str, usize)>) -> 
 fn joints(scene: &Scene) -> Result<()> {
     let (mut dofs, mut ball) = (vec![0; scene.bodies.len()], vec![false; scene.bodies.len()]);
     for (i, j) in scene.joints.iter().enumerate() {
-        let e = Element::new("joint", &j.name, i);
+        let e = Subject::new(Kind::Joint, &j.name, i);
         e.below("body", j.body, scene.bodies.len(), "body")?;
         joint(&e, j)?;
         let body = &scene.bodies[j.body];
-        let owner = label("body", &body.name, j.body);
+        let owner = Text::label(Kind::Body, &body.name, j.body);
         if j.body == 0 {
-            return Err(Error::Scene(format!("{} is on the world, which does not move", e.0)));
+            return Err(Error::Scene(text![&e.0, " is on the world, which does not move"]));
         }
         if j.kind == JointType::Free && body.parent != 0 {
-            return Err(Error::Scene(format!(
-                "{} is free, but {owner} is not a child of the world",
-                e.0
-            )));
+            return Err(Error::Scene(text![
+                &e.0,
+                " is free, but ",
+                owner,
+                " is not a child of the world"
+            ]));
         }
         if ball[j.body] && matches!(j.kind, JointType::Ball | JointType::Hinge) {
-            return Err(Error::Scene(format!(
-                "{} turns {owner} after a ball joint, which already turns it",
-                e.0
-            )));
+            return Err(Error::Scene(text![
+                &e.0,
+                " turns ",
+                owner,
+                " after a ball joint, which already turns it"
+            ]));
         }
         ball[j.body] |= j.kind == JointType::Ball;
         dofs[j.body] += j.kind.dofs();
         if dofs[j.body] > 6 {
-            return Err(Error::Scene(format!(
-                "{} brings {owner} to {} dofs; a body has at most 6",
-                e.0, dofs[j.body]
-            )));
+            return Err(Error::Scene(text![
+                &e.0,
+                " brings ",
+                owner,
+                format!(" to {} dofs; a body has at most 6", dofs[j.body])
+            ]));
         }
     }
-    grouped("joint", scene.joints.iter().map(|j| (&*j.name, j.body)))
+    grouped(Kind::Joint, scene.joints.iter().map(|j| (&*j.name, j.body)))
 }
 
-fn joint(e: &Element, j: &Joint) -> Result<()> {
+fn joint(e: &Subject, j: &Joint) -> Result<()> {
     e.finite("pos", &j.pos)?;
     if matches!(j.kind, JointType::Hinge | JointType::Slide) {
         e.direction("axis", &j.axis)?;
@@ -283,7 +282,7 @@ fn joint(e: &Element, j: &Joint) -> Result<()> {
     e.softness("friction ", &j.friction)
 }
 
-fn geom(e: &Element, g: &Geom) -> Result<()> {
+fn geom(e: &Subject, g: &Geom) -> Result<()> {
     e.finite("pos", &g.pos)?;
     e.direction("quat", &g.quat)?;
     let used = match g.kind {
@@ -318,7 +317,7 @@ fn geom(e: &Element, g: &Geom) -> Result<()> {
     e.softness("", &g.soft)
 }
 
-fn actuator(e: &Element, a: &Actuator, scene: &Scene) -> Result<()> {
+fn actuator(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
     e.below("joint", a.joint, scene.joints.len(), "joint")?;
     e.finite("gear", &a.gear)?;
     e.finite("gain", &[a.gain])?;
@@ -340,7 +339,7 @@ fn actuator(e: &Element, a: &Actuator, scene: &Scene) -> Result<()> {
     Ok(())
 }
 
-fn equality(e: &Element, q: &Equality, nbody: usize) -> Result<()> {
+fn equality(e: &Subject, q: &Equality, nbody: usize) -> Result<()> {
     e.below("body1", q.body1, nbody, "body")?;
     e.below("body2", q.body2, nbody, "body")?;
     if q.body1 == q.body2 {
@@ -354,7 +353,7 @@ fn keys(scene: &Scene) -> Result<()> {
     let nq = scene.joints.iter().map(|j| j.kind.positions()).sum();
     let nv = scene.joints.iter().map(|j| j.kind.dofs()).sum();
     for (i, key) in scene.keys.iter().enumerate() {
-        let e = Element::new("key", &key.name, i);
+        let e = Subject::new(Kind::Key, &key.name, i);
         e.finite("time", &[key.time])?;
         let arrays = [
             ("qpos", &key.qpos, nq),

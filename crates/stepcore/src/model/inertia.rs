@@ -1,9 +1,9 @@
 //! Masses of bodies: given, or put together from their geoms, under MJCF's rules.
 
-use super::check::label;
 use super::pose::{rotation, unit_quat};
 use super::shape::{measure, unit_inertia};
 use super::{Model, NONE};
+use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{Geom, GeomType, Scene};
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
@@ -109,7 +109,7 @@ fn same_frame(offset: &Vector3<f64>, quat: [f64; 4], size: f64) -> bool {
 /// Bounds from below, then no principal moment greater than the sum of the others.
 fn apply_rules(scene: &Scene, body: usize, load: &mut Load) -> Result<()> {
     let rules = &scene.mass_rules;
-    let element = label("body", &scene.bodies[body].name, body);
+    let element = Text::label(Kind::Body, &scene.bodies[body].name, body);
     finite(&element, load)?;
     load.mass = load.mass.max(rules.bound_mass);
     if rules.bound_inertia > 0.0 {
@@ -129,7 +129,7 @@ fn apply_rules(scene: &Scene, body: usize, load: &mut Load) -> Result<()> {
     if !rules.balance_inertia {
         let m = SymmetricEigen::new(load.inertia).eigenvalues;
         return Err(Error::value(
-            format!("{element} inertia"),
+            text![element, " inertia"],
             format!("[{}, {}, {}]", m[0], m[1], m[2]),
             "principal moments of which none is greater than the sum of the others (or balance_inertia set)",
         ));
@@ -173,11 +173,11 @@ pub fn weigh(scene: &Scene, model: &mut Model) -> Result<Vec<bool>> {
     Ok(loads.iter().map(|x| x.aligned).collect())
 }
 
-fn finite(element: &str, x: &Load) -> Result<()> {
+fn finite(element: &Text, x: &Load) -> Result<()> {
     if x.mass.is_finite() && x.inertia.iter().all(|m| m.is_finite()) {
         return Ok(());
     }
-    Err(Error::value(format!("{element} mass"), x.mass, "finite, with a finite inertia"))
+    Err(Error::value(text![element, " mass"], x.mass, "finite, with a finite inertia"))
 }
 
 /// What moves has mass, of its own or of a body that is fixed to it. A point mass may
@@ -187,7 +187,7 @@ fn check(scene: &Scene, model: &Model, loads: &[Load]) -> Result<()> {
     let heavy = |x: &Load| x.mass > 0.0 && (1.0 / x.mass).is_finite();
     for (i, body) in model.bodies.iter().enumerate() {
         let x = &loads[i];
-        let element = label("body", &scene.bodies[i].name, i);
+        let element = Text::label(Kind::Body, &scene.bodies[i].name, i);
         finite(&element, x)?;
         if body.joints.len == 0 {
             continue;
@@ -195,7 +195,7 @@ fn check(scene: &Scene, model: &Model, loads: &[Load]) -> Result<()> {
         let welded = || (i..loads.len()).filter(|j| model.bodies[*j].weld == i).map(|j| &loads[j]);
         if !welded().any(heavy) {
             let limit = "> 0 kg with a finite inverse, because it moves (give it a geom with mass, or an inertial)";
-            return Err(Error::value(format!("{element} mass"), x.mass, limit));
+            return Err(Error::value(text![element, " mass"], x.mass, limit));
         }
     }
     Ok(())

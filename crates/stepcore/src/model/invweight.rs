@@ -2,9 +2,9 @@
 //! regulariser R of rows. Formulas at `fill`, MuJoCo's exception at `plain`. What a servo's
 //! damping ratio means is decided by the same factors.
 
-use super::check::label;
 use super::pose::Pose;
 use super::{Body, Dof, Model, Span, Tree, NONE};
+use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::JointType;
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -92,12 +92,19 @@ impl<'a> Factor<'a> {
             let pivot = self.matrix[(k, k)];
             if pivot.is_nan() || pivot <= SINGULAR * diagonal[k] {
                 let joint = &self.model.joints[self.model.dofs[self.tree.start + k].joint];
-                let name = label("joint", &joint.name, self.model.dofs[self.tree.start + k].joint);
-                let body = label("body", &self.model.bodies[joint.body].name, joint.body);
-                return Err(Error::Scene(format!(
-                    "{name} of {body} moves nothing that the joints after it do not move alike: \
+                let name = Text::label(
+                    Kind::Joint,
+                    &joint.name,
+                    self.model.dofs[self.tree.start + k].joint,
+                );
+                let body = Text::label(Kind::Body, &self.model.bodies[joint.body].name, joint.body);
+                return Err(Error::Scene(text![
+                    name,
+                    " of ",
+                    body,
+                    " moves nothing that the joints after it do not move alike: \
                      the mass matrix has no inverse at the initial configuration"
-                )));
+                ]));
             }
             for i in self.ancestors(k) {
                 let ratio = self.matrix[(k, i)] / pivot;

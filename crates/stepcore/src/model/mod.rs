@@ -12,6 +12,7 @@ mod pairs;
 mod plan;
 mod pose;
 mod shape;
+mod slots;
 mod still;
 #[cfg(test)]
 mod tests;
@@ -244,6 +245,7 @@ pub struct Model {
     pub dof_lists: Vec<usize>,
     /// The mass matrix's pattern: see `Dof::row`.
     pub row_dofs: Vec<usize>,
+    slots: slots::Slots,
 }
 
 impl Model {
@@ -306,31 +308,5 @@ impl Model {
             }
         }
         island
-    }
-
-    /// By slot (equalities, then the losses of dofs, two limits a joint, two contacts a
-    /// pair): its place among the slots of its island. Copies of an island that stand
-    /// beside each other in one scene have the same ranks.
-    pub fn ranks(&self, islands: &[usize]) -> Vec<u32> {
-        let tree = |body: usize| self.bodies[body].tree;
-        let either = |a: usize, b: usize| tree(if tree(a) == NONE { b } else { a });
-        let ties = self.equalities.iter().map(|e| either(e.body1, e.body2));
-        let losses = self.dofs.iter().map(|dof| dof.tree);
-        let limits = self.joints.iter().flat_map(|joint| [tree(joint.body); 2]);
-        let meets = self
-            .pairs
-            .iter()
-            .flat_map(|p| [either(self.geoms[p.geom1].body, self.geoms[p.geom2].body); 2]);
-        let mut used = vec![0; islands.len()];
-        ties.chain(losses)
-            .chain(limits)
-            .chain(meets)
-            .map(|tree| {
-                // What ties the world to itself has no rows.
-                let Some(island) = islands.get(tree) else { return 0 };
-                used[*island] += 1;
-                used[*island] - 1
-            })
-            .collect()
     }
 }

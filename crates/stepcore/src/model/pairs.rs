@@ -1,11 +1,11 @@
 //! Which geoms can ever meet, and what their contacts share. MuJoCo's filter and
 //! mixing rules; the filter is applied once, here, and never during a step.
 
-use super::check::label;
 use super::pose::Pose;
 use super::still::still;
 use super::tree::Unions;
 use super::{Equality, Model, Pair, NONE};
+use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{Geom, GeomType, Scene, Softness};
 use nalgebra::Vector3;
@@ -14,11 +14,12 @@ use nalgebra::Vector3;
 pub fn planes_stand_still(model: &Model) -> Result<()> {
     for (i, g) in model.geoms.iter().enumerate() {
         if g.kind == GeomType::Plane && model.bodies[g.body].tree != NONE {
-            let (plane, body) =
-                (label("geom", &g.name, i), label("body", &model.bodies[g.body].name, g.body));
-            return Err(Error::Scene(format!(
-                "{plane} is a plane on {body}, which moves: a plane stands still"
-            )));
+            return Err(Error::Scene(text![
+                Text::label(Kind::Geom, &g.name, i),
+                " is a plane on ",
+                Text::label(Kind::Body, &model.bodies[g.body].name, g.body),
+                ", which moves: a plane stands still"
+            ]));
         }
     }
     Ok(())
@@ -128,21 +129,23 @@ fn pair(
     (a, b): (usize, usize),
 ) -> Result<Pair> {
     let (x, y) = (&scene.geoms[a], &scene.geoms[b]);
-    let names = || format!("{} and {}", label("geom", &x.name, a), label("geom", &y.name, b));
+    let names =
+        || text![Text::label(Kind::Geom, &x.name, a), " and ", Text::label(Kind::Geom, &y.name, b)];
     if !supported(x.kind, y.kind) {
-        return Err(Error::Scene(format!(
-            "{} can meet, but {} against {} is not built yet; built are plane-sphere, plane-capsule, \
+        return Err(Error::Scene(text![
+            names(),
+            format!(
+            " can meet, but {} against {} is not built yet; built are plane-sphere, plane-capsule, \
              sphere-sphere, sphere-capsule, sphere-box and capsule-capsule (exclude the pair, or clear bits of \
              contype and conaffinity)",
-            names(),
             x.kind.word(),
             y.kind.word()
-        )));
+        )]));
     }
     let Mixed { condim, friction, soft } = mix(x, y);
     if !matches!(condim, 1 | 3) {
         let limit = "1 or 3: torsional and rolling friction are not built yet";
-        return Err(Error::value(format!("condim of {}", names()), condim, limit));
+        return Err(Error::value(text!["condim of ", names()], condim, limit));
     }
     let dofs = unions.of(model, x.body, y.body);
     Ok(Pair {
@@ -216,8 +219,8 @@ pub fn fill_equalities(
     for (i, q) in scene.equalities.iter().enumerate() {
         let dofs = unions.of(model, q.body1, q.body2);
         if dofs.len == 0 {
-            let name = label("equality", &q.name, i);
-            return Err(Error::Scene(format!("{name} connects two bodies that cannot move")));
+            let name = Text::label(Kind::Equality, &q.name, i);
+            return Err(Error::Scene(text![name, " connects two bodies that cannot move"]));
         }
         let anchor1 = Vector3::from(q.anchor);
         let (one, two) = (&poses[q.body1], &poses[q.body2]);

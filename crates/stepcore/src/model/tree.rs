@@ -2,6 +2,7 @@
 //! pattern of the mass matrix.
 
 use super::pose::unit_quat;
+use super::slots::Slots;
 use super::{Body, Dof, Geom, Joint, Model, Site, Span, Tree, NONE};
 use crate::scene::{GeomType, JointType, Scene};
 use nalgebra::{Matrix3, Vector3};
@@ -31,6 +32,7 @@ pub fn lay_out(scene: &Scene) -> Model {
         qpos_spring: vec![],
         dof_lists: vec![],
         row_dofs: vec![],
+        slots: Slots::default(),
     };
     for s in &scene.sites {
         let (name, pos) = (s.name.clone(), Vector3::from(s.pos));

@@ -7,7 +7,7 @@
 //! carry stiffness.
 
 use super::law::{OnGuess, SolRef};
-use super::rows::{Rows, Set, Situation, Source};
+use super::rows::{Rows, Set, Situation};
 use crate::detect::{Contact, Detected};
 use crate::model::Pair;
 use crate::real::{Mask, Real};
@@ -26,11 +26,10 @@ impl<R: Real> Rows<R> {
         for index in 0..detected.contacts.len() {
             let contact = &mut detected.contacts[index];
             let pair = &now.model.pairs[contact.pair];
-            let source = Source::Contact(index);
             match now.settings.law {
-                Law::SolRef => self.soft_contact(now, contact, pair, source),
+                Law::SolRef => self.soft_contact(now, contact, pair),
                 Law::Penalty => self.penalty(now, contact, pair),
-                _ => self.rigid_contact(now, contact, pair, source),
+                _ => self.rigid_contact(now, contact, pair),
             }
         }
     }
@@ -70,25 +69,16 @@ impl<R: Real> Rows<R> {
         first: usize,
         set: Set,
         mask: R::Mask,
-        source: Source,
     ) {
-        let (model, pair) = (now.model, &now.model.pairs[contact.pair]);
-        let base = model.equalities.len() + model.nv + 2 * model.joints.len();
-        let slot = (base + 2 * contact.pair + contact.part) as u32;
-        let block = self.push_block(first, set, mask, source, slot);
+        let pair = &now.model.pairs[contact.pair];
+        let block = self.push_block(first, set, mask, now, contact.element());
         block.mass = pair.mass;
         let soft = now.settings.law == Law::SolRef;
         block.mu = R::of(if soft { soft_friction(pair) } else { pair.friction });
     }
 
     /// MuJoCo's contact: soft normal, convex friction.
-    fn soft_contact(
-        &mut self,
-        now: &Situation<R>,
-        contact: &Contact<R>,
-        pair: &Pair,
-        source: Source,
-    ) {
+    fn soft_contact(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
         let (settings, dt) = (now.settings, R::of(now.settings.dt));
         let mask = contact.mask.and(contact.dist.lt(R::of(pair.margin)));
         if mask.none() {
@@ -101,7 +91,7 @@ impl<R: Real> Rows<R> {
         self.normal_row(now, contact, pair);
         if pair.condim == 1 {
             law.fill(&mut self.rows[first], r, R::of(weight), dt);
-            return self.close(now, contact, first, Set::Interval, mask, source);
+            return self.close(now, contact, first, Set::Interval, mask);
         }
         if settings.cone == Cone::Elliptic {
             law.fill(&mut self.rows[first], r, R::of(weight), dt);
@@ -110,7 +100,7 @@ impl<R: Real> Rows<R> {
                 law.without_position().fill(row, R::zero(), R::of(weight / impratio), dt);
                 row.lo = R::of(f64::NEG_INFINITY);
             }
-            return self.close(now, contact, first, Set::Convex, mask, source);
+            return self.close(now, contact, first, Set::Convex, mask);
         }
         let edge = weight * 2.0 * mu * mu / impratio * (1.0 + mu * mu);
         self.pyramid(now, contact, pair, first);
@@ -122,7 +112,7 @@ impl<R: Real> Rows<R> {
             let weight = if folded { edge * 0.5 / still as f64 } else { edge };
             law.fill(row, r, R::of(weight), dt);
         }
-        self.close(now, contact, first, Set::Interval, mask, source);
+        self.close(now, contact, first, Set::Interval, mask);
     }
 
     /// Replaces the normal row at `first` by the edges J_n ± μ J_t, then the fold.
@@ -154,13 +144,7 @@ impl<R: Real> Rows<R> {
     }
 
     /// A contact under `lesson`, `relaxed` or `rigid`: a row where the guess overlaps.
-    fn rigid_contact(
-        &mut self,
-        now: &Situation<R>,
-        contact: &mut Contact<R>,
-        pair: &Pair,
-        source: Source,
-    ) {
+    fn rigid_contact(&mut self, now: &Situation<R>, contact: &mut Contact<R>, pair: &Pair) {
         let law = OnGuess::new(now.settings);
         let first = self.rows.len();
         self.normal_row(now, contact, pair);
@@ -172,7 +156,7 @@ impl<R: Real> Rows<R> {
         }
         law.distance(&mut self.rows[first], contact.dist, now.settings.restitution);
         if pair.condim == 1 || pair.friction <= 0.0 {
-            return self.close(now, contact, first, Set::Interval, mask, source);
+            return self.close(now, contact, first, Set::Interval, mask);
         }
         self.tangent_rows(now, contact, pair);
         for row in &mut self.rows[first + 1..] {
@@ -183,7 +167,7 @@ impl<R: Real> Rows<R> {
             Cone::Elliptic => Set::CoulombRound,
             Cone::Pyramidal => Set::CoulombBox,
         };
-        self.close(now, contact, first, set, mask, source);
+        self.close(now, contact, first, set, mask);
     }
 
     /// The trap: a spring under the surface. No row, a force on the guess.

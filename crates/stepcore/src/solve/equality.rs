@@ -1,7 +1,8 @@
 //! `connect`: a point of one body stays on a point of another. Three equality rows.
 
 use super::law::{OnGuess, SolRef};
-use super::rows::{Rows, Set, Situation, Source};
+use super::rows::{Rows, Set, Situation};
+use crate::elements::{Element, Kind};
 use crate::model::{Equality, NONE};
 use crate::real::{Mask, Real};
 use crate::settings::Law;
@@ -49,13 +50,8 @@ impl<R: Real> Rows<R> {
                 OnGuess::new(now.settings).equality(row, apart[k]);
             }
         }
-        let block = self.push_block(
-            first,
-            Set::Interval,
-            R::Mask::of(true),
-            Source::Equality(index),
-            index as u32,
-        );
+        let element = Element::whole(Kind::Connect, index);
+        let block = self.push_block(first, Set::Interval, R::Mask::of(true), now, element);
         block.mass = equality.mass;
     }
 

@@ -52,6 +52,7 @@ impl<R: Real> SolRef<R> {
     /// Newton's Hessian without digits: see `LEAST_SOFTNESS`.
     #[inline(always)]
     pub fn fill(&self, row: &mut Row<R>, r: R, weight: R, dt: R) {
+        row.gap = r;
         row.t = row.velocity - dt * (self.b * row.velocity + self.kd * r);
         row.c = (self.softness * weight).max(R::of(LEAST_SOFTNESS * R::EPSILON) * row.a);
         row.inv_s = (row.a + row.c).recip_or_zero();
@@ -106,6 +107,7 @@ impl OnGuess {
     /// An inequality: distance φ ≥ 0. Limits do not bounce: their restitution is 0.
     pub fn distance<R: Real>(&self, row: &mut Row<R>, phi: R, restitution: f64) {
         let (zero, inv_dt) = (R::zero(), R::of(1.0 / self.dt));
+        row.gap = phi;
         let push = R::of(-self.beta) * inv_dt;
         if self.law == Law::Rigid {
             let back =
@@ -121,6 +123,7 @@ impl OnGuess {
 
     /// An equality: φ = 0.
     pub fn equality<R: Real>(&self, row: &mut Row<R>, phi: R) {
+        row.gap = phi;
         row.t = R::of(-self.beta / self.dt) * phi;
         self.soften(row);
     }

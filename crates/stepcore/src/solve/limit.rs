@@ -1,7 +1,8 @@
 //! Joint limits: a joint goes no further than its range. One row a bound.
 
 use super::law::{OnGuess, SolRef};
-use super::rows::{Rows, Set, Situation, Source};
+use super::rows::{Rows, Set, Situation};
+use crate::elements::{Element, Kind};
 use crate::model::Joint;
 use crate::real::{Mask, Real};
 use crate::scene::JointType;
@@ -59,8 +60,8 @@ impl<R: Real> Rows<R> {
             self.pop_row();
             return;
         }
-        let slot = (model.equalities.len() + model.nv + 2 * index + side) as u32;
-        let block = self.push_block(first, Set::Interval, mask, Source::Limit(index, side), slot);
+        let element = Element::part(Kind::Limit, index, side);
+        let block = self.push_block(first, Set::Interval, mask, now, element);
         block.mass = model.trees[model.dofs[joint.dof].tree].mass;
     }
 

@@ -1,7 +1,8 @@
 //! Friction loss: dry friction in a dof, an impulse of at most dt · loss.
 
 use super::law::{OnGuess, SolRef};
-use super::rows::{Rows, Set, Situation, Source};
+use super::rows::{Rows, Set, Situation};
+use crate::elements::{Element, Kind};
 use crate::real::{Mask, Real};
 use crate::settings::Law;
 
@@ -32,14 +33,9 @@ impl<R: Real> Rows<R> {
             } else {
                 OnGuess::new(settings).friction(row);
             }
-            let slot = (model.equalities.len() + k) as u32;
-            let block = self.push_block(
-                first,
-                Set::Interval,
-                R::Mask::of(true),
-                Source::FrictionLoss(k),
-                slot,
-            );
+            let part = k - model.joints[dof.joint].dof;
+            let element = Element::part(Kind::FrictionLoss, dof.joint, part);
+            let block = self.push_block(first, Set::Interval, R::Mask::of(true), now, element);
             block.mass = model.trees[dof.tree].mass;
         }
     }

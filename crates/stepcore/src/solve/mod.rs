@@ -20,7 +20,7 @@ mod tests;
 
 pub use newton::Newton;
 pub use pgs::{Limits, Pgs, Report};
-pub use rows::{Block, Row, Rows, Set, Situation, Source};
+pub use rows::{Block, Row, Rows, Set, Situation};
 
 use crate::detect::Detected;
 use crate::model::{Model, Span};

@@ -6,6 +6,7 @@
 //! data and nothing else: they cannot know what a row came from.
 
 use super::residual::dot;
+use crate::elements::Element;
 use crate::model::{Model, Span};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
@@ -32,6 +33,9 @@ pub struct Row<R: Real> {
     pub impulse: R,
     /// J v at the start of the step, for reports.
     pub velocity: R,
+    /// The distance that the row holds, its margin taken off [m or rad]; 0 of a row that
+    /// restores none.
+    pub gap: R,
 }
 
 /// The law that ties a block's impulses to its residual velocities.
@@ -47,17 +51,6 @@ pub enum Set {
     CoulombBox,
 }
 
-/// What a block came from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Source {
-    Equality(usize),
-    FrictionLoss(usize),
-    /// Joint, and 0 for the lower bound, 1 for the upper one.
-    Limit(usize, usize),
-    /// Index in `Detected::contacts`.
-    Contact(usize),
-}
-
 /// Consecutive rows solved together.
 #[derive(Clone, Debug)]
 pub struct Block<R: Real> {
@@ -69,8 +62,9 @@ pub struct Block<R: Real> {
     pub mu: R,
     /// Mass of the trees that the block touches, for its residual.
     pub mass: f64,
-    pub source: Source,
-    /// Names the source over time, for warm starts; ascending.
+    /// What the block came from.
+    pub element: Element,
+    /// Its number over time, for warm starts; ascending.
     pub slot: u32,
     pub island: usize,
     /// The slot's place among those of its island: see `Model::ranks`.
@@ -217,6 +211,7 @@ impl<R: Real> Rows<R> {
             hi: R::of(f64::INFINITY),
             impulse: zero,
             velocity,
+            gap: zero,
         });
         let at = self.rows.len() - 1;
         &mut self.rows[at]
@@ -228,8 +223,8 @@ impl<R: Real> Rows<R> {
         first: usize,
         set: Set,
         mask: R::Mask,
-        source: Source,
-        slot: u32,
+        now: &Situation<R>,
+        element: Element,
     ) -> &mut Block<R> {
         let rows = Span { start: first, len: self.rows.len() - first };
         self.blocks.push(Block {
@@ -238,8 +233,8 @@ impl<R: Real> Rows<R> {
             mask,
             mu: R::zero(),
             mass: 1.0,
-            source,
-            slot,
+            element,
+            slot: now.model.slot(element),
             island: 0,
             rank: 0,
         });

@@ -6,7 +6,8 @@ mod lanes;
 mod newton;
 
 use super::pgs::{Limits, Pgs};
-use super::rows::{Block, Row, Rows, Set, Source};
+use super::rows::{Block, Row, Rows, Set};
+use crate::elements::{Element, Kind};
 use crate::model::Span;
 use crate::real::{Mask, Real};
 
@@ -97,6 +98,7 @@ pub(super) fn pack<R: Real>(worlds: &[Problem]) -> Rows<R> {
                 hi: R::of(*hi),
                 impulse: R::zero(),
                 velocity: R::zero(),
+                gap: R::zero(),
             });
         }
         rows.blocks.push(Block {
@@ -105,7 +107,7 @@ pub(super) fn pack<R: Real>(worlds: &[Problem]) -> Rows<R> {
             mask: R::Mask::of(true),
             mu: R::of(*mu),
             mass: 1.0,
-            source: Source::Contact(b),
+            element: Element::part(Kind::Contact, b, 0),
             slot: b as u32,
             island: 0,
             rank: b as u32,

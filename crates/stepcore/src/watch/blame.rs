@@ -5,17 +5,16 @@
 //! Forces and moments are compared by what they do: Q² / M, the rate at which a
 //! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
 
-use crate::error::{named, Error};
-use crate::model::Model;
+use crate::elements::{Element, Kind};
+use crate::error::Error;
 use crate::real::{Mask, Real};
 use crate::sim::Sim;
-use crate::solve::Source;
 
 /// An element that beats all of the step before by this factor is exploding, not moving.
 const GROWN: f64 = 2.0;
 
 /// Strength of every element in one lane.
-type Strengths = Vec<(String, f64)>;
+type Strengths = Vec<(Element, f64)>;
 
 impl<R: Real> Sim<R> {
     /// The error for the lanes in `bad`, whose next state cannot be committed.
@@ -38,7 +37,7 @@ impl<R: Real> Sim<R> {
 
     /// The element that became the strongest on the way to the present state of a lane, or,
     /// where all was well until then, that is the strongest now.
-    pub(crate) fn strongest(&mut self, lane: usize, was_well: bool) -> String {
+    pub(crate) fn strongest(&mut self, lane: usize, was_well: bool) -> Option<Element> {
         let state = self.state.clone();
         let past = self.past.states().filter(|_| !was_well);
         let past: Vec<_> = past.cloned().collect();
@@ -61,10 +60,8 @@ impl<R: Real> Sim<R> {
         let at = numbers.iter().position(|x| !x.is_finite().lane(lane));
         at.map_or("a position is not finite".into(), |dof| {
             let joint = model.dofs[dof].joint;
-            format!(
-                "the {quantity} of {} is not finite",
-                named("joint", &model.joints[joint].name, joint)
-            )
+            let joint = model.element_name(Element::whole(Kind::Joint, joint));
+            format!("the {quantity} of {joint} is not finite")
         })
     }
 
@@ -74,34 +71,33 @@ impl<R: Real> Sim<R> {
         let mut entries = Vec::new();
         let inertia = |k: usize| self.placed.mass[model.dofs[k].row.start].lane(lane);
         for (index, joint) in model.joints.iter().enumerate() {
-            let mut add = |kind: &str, force: &dyn Fn(usize) -> f64| {
+            let mut add = |kind: Kind, force: &dyn Fn(usize) -> f64| {
                 let strength: f64 = (joint.dof..joint.dof + joint.dofs())
                     .map(|k| force(k).powi(2) / inertia(k))
                     .sum();
                 if strength != 0.0 {
-                    entries.push((named(kind, &joint.name, index), strength));
+                    entries.push((Element::whole(kind, index), strength));
                 }
             };
             let damper = |k: usize| model.dofs[k].damping * self.state.qvel[k].lane(lane);
-            add("damper of joint", &damper);
+            add(Kind::Damper, &damper);
             if joint.stiffness != 0.0 {
-                add("spring of joint", &|k| self.placed.passive[k].lane(lane) + damper(k));
+                add(Kind::Spring, &|k| self.placed.passive[k].lane(lane) + damper(k));
             }
-            add("inertial force of joint", &|k| self.placed.bias[k].lane(lane));
-            add("force applied to joint", &|k| self.inputs.qfrc_applied[k].lane(lane));
+            add(Kind::Inertia, &|k| self.placed.bias[k].lane(lane));
+            add(Kind::JointForce, &|k| self.inputs.qfrc_applied[k].lane(lane));
         }
         for (index, actuator) in model.actuators.iter().enumerate() {
             let joint = &model.joints[actuator.joint];
             let force = self.placed.actuator[index].lane(lane);
             let strength = |k: usize| (actuator.gear[k] * force).powi(2) / inertia(joint.dof + k);
-            let kind = if actuator.feeds_back() { "servo" } else { "motor" };
-            let name = named(kind, &actuator.name, index);
-            entries.push((name, (0..joint.dofs()).map(strength).sum()));
+            let element = Element::whole(Kind::Actuator, index);
+            entries.push((element, (0..joint.dofs()).map(strength).sum()));
         }
         for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
             let force = &self.inputs.xfrc_applied[6 * index..6 * index + 3];
             let strength = force.iter().map(|f| f.lane(lane).powi(2)).sum::<f64>() / body.mass;
-            entries.push((named("force applied to body", &body.name, index), strength));
+            entries.push((Element::whole(Kind::BodyForce, index), strength));
         }
         let rate = 1.0 / self.settings.dt;
         for block in self.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
@@ -110,61 +106,34 @@ impl<R: Real> Sim<R> {
                 .iter()
                 .map(|row| (row.impulse.lane(lane) * rate).powi(2) * row.a.lane(lane))
                 .sum();
-            entries.push((self.source_name(block.source), strength));
+            entries.push((block.element.of_part(), strength));
         }
         entries
     }
-
-    /// The element that a block of rows came from, as a user knows it.
-    pub fn source_name(&self, source: Source) -> String {
-        let model = &*self.model;
-        match source {
-            Source::Equality(e) => named("connect", &model.equalities[e].name, e),
-            Source::FrictionLoss(dof) => {
-                let joint = model.dofs[dof].joint;
-                named("friction loss of joint", &model.joints[joint].name, joint)
-            }
-            Source::Limit(joint, _) => named("limit of joint", &model.joints[joint].name, joint),
-            Source::Contact(index) => contact_name(model, self.detected.contacts[index].pair),
-        }
-    }
-}
-
-/// "contact `a`/`b`".
-pub fn contact_name(model: &Model, pair: usize) -> String {
-    let pair = &model.pairs[pair];
-    let geom = |index: usize| {
-        let geom = &model.geoms[index];
-        if geom.name.is_empty() {
-            format!("`{index}`")
-        } else {
-            format!("`{}`", geom.name)
-        }
-    };
-    format!("contact {}/{}", geom(pair.geom1), geom(pair.geom2))
 }
 
 /// The first element that doubled its strength to more than all others together;
 /// else the strongest at the end.
-fn blamed(ledgers: &[Strengths]) -> String {
+fn blamed(ledgers: &[Strengths]) -> Option<Element> {
     let finite = |ledger: &Strengths| ledger.iter().map(|(_, s)| s).filter(|s| s.is_finite()).sum();
     for pair in ledgers.windows(2) {
         // Beside what has no number any more, nothing else is strong.
-        if let Some((name, _)) = pair[0].iter().find(|(_, s)| !s.is_finite()) {
-            return name.clone();
+        if let Some((element, _)) = pair[0].iter().find(|(_, s)| !s.is_finite()) {
+            return Some(*element);
         }
         let total: f64 = finite(&pair[1]);
-        for (name, strength) in &pair[1] {
-            let before = pair[0].iter().find(|(other, _)| other == name).map_or(0.0, |(_, s)| *s);
+        for (element, strength) in &pair[1] {
+            let before =
+                pair[0].iter().find(|(other, _)| other == element).map_or(0.0, |(_, s)| *s);
             let grown = *strength > 2.0 * before && *strength > GROWN * finite(&pair[0]);
             if grown && (*strength > 0.5 * total || !strength.is_finite()) {
-                return name.clone();
+                return Some(*element);
             }
         }
     }
     // A strength that is no number any more is beyond all that are, whatever its sign.
-    let rank = |entry: &(String, f64)| if entry.1.is_nan() { f64::INFINITY } else { entry.1 };
-    let strongest = |a: &&(String, f64), b: &&(String, f64)| rank(a).total_cmp(&rank(b));
+    let rank = |entry: &(Element, f64)| if entry.1.is_nan() { f64::INFINITY } else { entry.1 };
+    let strongest = |a: &&(Element, f64), b: &&(Element, f64)| rank(a).total_cmp(&rank(b));
     let last = ledgers.last().and_then(|ledger| ledger.iter().rev().max_by(strongest));
-    last.map_or_else(|| "no single element".into(), |(name, _)| name.clone())
+    last.map(|(element, _)| *element)
 }

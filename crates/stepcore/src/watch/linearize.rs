@@ -6,7 +6,8 @@
 //! that a turn is a rotation vector in the body's own axes. The impulses that the solver
 //! starts from are held.
 
-use crate::error::{named, Error, Result};
+use crate::elements::{Element, Kind};
+use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::{Dual, Real, WAYS};
 use crate::scene::JointType;
@@ -135,7 +136,7 @@ impl Linearizer {
 
     fn steep(&self, dof: usize) -> Error {
         let joint = self.sim.model.dofs[dof].joint;
-        let joint = named("joint", &self.sim.model.joints[joint].name, joint);
+        let joint = self.sim.model.element_name(Element::whole(Kind::Joint, joint));
         let limit = "finite: the step is not differentiable at this state";
         Error::value(format!("derivative of dof {dof} of {joint}"), "infinite", limit)
     }

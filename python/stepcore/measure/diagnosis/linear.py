@@ -90,7 +90,7 @@ def later(
 def acting(sim: Sim) -> tuple[str, ...]:
     """The elements whose rows act: all connects and friction losses, and what pushes."""
     rows = sim.rows
-    both_ways = (rows["kind"] == "equality") | (rows["kind"] == "friction")
+    both_ways = (rows["kind"] == "connect") | (rows["kind"] == "friction loss")
     found = rows["name"][both_ways | (rows["impulse"] != 0)]
     return tuple(dict.fromkeys(found.tolist()))
 

@@ -184,7 +184,7 @@ class _Listing:
         off = [n for n, e in zip(names, ties, strict=True) if not e.active]
         if features.equality and features.constraint:
             change = Change("equality", "", (("feature", "equality"),))
-            rows = self.now["equality"]
+            rows = self.now["connect"]
             name = "connections, 3 rows each"
             yield _entry("solve", "row", name, on, rows=rows, change=change)
             yield _out("solve", "connections", off, "not active", kind="row")
@@ -197,7 +197,7 @@ class _Listing:
         if features.frictionloss and features.constraint:
             change = Change(kind, "", (("feature", field),))
             name = f"{kind}, a row a dof"
-            rows = self.now["friction"]
+            rows = self.now["friction loss"]
             yield _entry("solve", "row", name, have, rows=rows, change=change)
         else:
             yield _out("solve", kind, have, "switched off", kind="row")

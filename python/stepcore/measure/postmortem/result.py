@@ -144,7 +144,8 @@ def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
 def run_again(failure: Replay) -> PostMortem:
     """See `Replay.run`."""
     settings = failure.settings.replace(ledger=False)
-    sim = _core.Sim(_core.compile(failure.scene), settings)
+    model = _core.compile(failure.scene)
+    sim = _core.Sim(model, settings)
     sim.restore(failure.state)
     changes = {step: arrays for step, *arrays in failure.inputs}
     time, energy, steps = [], [], []
@@ -153,15 +154,18 @@ def run_again(failure: Replay) -> PostMortem:
         before, after, fed = sim.taped_step()
         energy += [before, after] if step == 0 else [after]
         time.append(sim.time)
-        steps.append(fed)
+        steps.append(dict(fed))
     _put(sim, changes.get(failure.steps))
-    names = sorted({name for fed in steps for name in fed})
+    elements = sorted({element for fed in steps for element in fed})
     return PostMortem(
         replay=failure,
         same=_fails(failure, sim),
         time=np.array(time),
         energy=np.array(energy),
-        work={name: np.array([fed.get(name, 0.0) for fed in steps]) for name in names},
+        work={
+            model.element_name(*element): np.array([fed.get(element, 0.0) for fed in steps])
+            for element in elements
+        },
     )
 
 

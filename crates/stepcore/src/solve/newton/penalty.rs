@@ -94,6 +94,7 @@ mod tests {
             hi: f64::INFINITY,
             impulse: 0.0,
             velocity: 0.0,
+            gap: 0.0,
         }
     }
 

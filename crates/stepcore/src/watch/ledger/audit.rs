@@ -4,11 +4,10 @@ use super::account::Level;
 use crate::model::NONE;
 use crate::place::spring_energy;
 use crate::real::{Mask, Real};
-use crate::scene::JointType;
 use crate::settings::Law;
 use crate::sim::Sim;
-use crate::solve::{Block, Set, Source};
-use crate::spatial::{rotate, splat, Quat, V3};
+use crate::solve::Block;
+use crate::spatial::splat;
 
 impl<R: Real> Sim<R> {
     /// Places, detects and solves at the present state, as the next step will, and sums up.
@@ -60,57 +59,15 @@ impl<R: Real> Sim<R> {
         true
     }
 
-    /// What a block's rows give back at most: the force through the whole violation [J].
+    /// What a block's rows give back at most: their force through the whole violation [J].
     fn bent(&self, block: &Block<R>, lane: usize) -> f64 {
-        let rows = &self.rows.rows[block.rows.range()];
-        let impulse = |at: usize| rows[at].impulse.lane(lane).abs();
-        let rate = 1.0 / self.settings.dt;
-        let law = self.settings.law;
-        match block.source {
-            Source::FrictionLoss(_) => 0.0,
-            Source::Contact(index) => {
-                let contact = &self.detected.contacts[index];
-                let pair = &self.model.pairs[contact.pair];
-                let margin = if law.on_guess() { 0.0 } else { pair.margin };
-                let depth = (margin - contact.dist.lane(lane)).max(0.0);
-                let edges = block.set == Set::Interval;
-                let normal: f64 =
-                    if edges { (0..rows.len()).map(impulse).sum() } else { impulse(0) };
-                depth * normal * rate
-            }
-            Source::Limit(joint, side) => {
-                let margin = if law.on_guess() { 0.0 } else { self.model.joints[joint].margin };
-                (margin - self.to_limit(joint, side, lane)).max(0.0) * impulse(0) * rate
-            }
-            Source::Equality(index) => {
-                let apart = self.apart(index);
-                (0..rows.len().min(3)).map(|k| apart[k].lane(lane).abs() * impulse(k) * rate).sum()
-            }
-        }
-    }
-
-    /// How far a joint is from its bound; negative beyond.
-    fn to_limit(&self, joint: usize, side: usize, lane: usize) -> f64 {
-        let joint = &self.model.joints[joint];
-        let Some([lo, hi]) = joint.range else { return 0.0 };
-        if joint.kind == JointType::Ball {
-            let q = Quat::of(&self.state.qpos[joint.qpos..joint.qpos + 4]);
-            let turned = q.normalized().log();
-            return hi - turned.dot(&turned).sqrt().lane(lane);
-        }
-        let q = self.state.qpos[joint.qpos].lane(lane);
-        if side == 0 {
-            q - lo
-        } else {
-            hi - q
-        }
-    }
-
-    fn apart(&self, index: usize) -> V3<R> {
-        let equality = &self.model.equalities[index];
-        let point = |body: usize, anchor| {
-            self.placed.xpos[body] + rotate(&self.placed.xmat[body], &splat(anchor))
-        };
-        point(equality.body1, &equality.anchor1) - point(equality.body2, &equality.anchor2)
+        let rows = self.rows.rows[block.rows.range()].iter();
+        let held = rows.map(|row| {
+            let gap = row.gap.lane(lane);
+            let both_ways = row.lo.lane(lane) < 0.0;
+            let depth = if both_ways { gap.abs() } else { (-gap).max(0.0) };
+            depth * row.impulse.lane(lane).abs()
+        });
+        held.sum::<f64>() / self.settings.dt
     }
 }

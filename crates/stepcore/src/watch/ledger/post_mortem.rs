@@ -6,7 +6,9 @@ use std::fmt::Write;
 use super::tape::StepGains;
 use super::trial::Segment;
 use super::Ledger;
+use crate::elements::{Element, Named};
 use crate::error::Error;
+use crate::model::Model;
 use crate::real::Real;
 use crate::settings::Integrator;
 use crate::sim::Sim;
@@ -47,7 +49,7 @@ pub struct PostMortem {
     /// More energy than there can be; else something is not finite in the step that follows.
     pub gained: bool,
     /// Part of the growth by element, the largest first.
-    pub shares: Vec<(String, f64)>,
+    pub shares: Vec<(Named, f64)>,
     /// The step from which it grew.
     pub since: Option<u64>,
     /// Kinetic and stored energy grow by exp(growth) a step.
@@ -81,12 +83,15 @@ impl<R: Real> Sim<R> {
                 (segment, entries, false)
             }
         };
-        let (from, window) = feeding(&entries, scale, gained);
+        let (from, window) = feeding(&self.model, &entries, scale, gained);
         let shares = shares(window);
         let element = match shares.first() {
-            Some((name, _)) => name.clone(),
+            Some((element, _)) => Some(*element),
             None => self.strongest(lane, exact && window.is_empty()),
         };
+        let model = self.model.clone();
+        let element = element.map(|element| model.named(element));
+        let shares = shares.into_iter().map(|(element, share)| (model.named(element), share));
         let stable = if exact && window.is_empty() {
             Stable::Unknown
         } else {
@@ -98,7 +103,7 @@ impl<R: Real> Sim<R> {
             changes: segment.changes.iter().map(|(k, i)| (*k, one_lane_of(i, lane))).collect(),
             steps: segment.steps,
             gained,
-            shares,
+            shares: shares.collect(),
             since: exact.then(|| segment.state.steps + from as u64),
             growth: growth(window, exact),
             stable,
@@ -172,12 +177,17 @@ impl<R: Real> Sim<R> {
 
 /// The steps in which it began: from the last one in which there was no more than can have
 /// been put in, until far beyond that.
-fn feeding(entries: &[StepGains], scale: Option<f64>, gained: bool) -> (usize, &[StepGains]) {
+fn feeding<'a>(
+    model: &Model,
+    entries: &'a [StepGains],
+    scale: Option<f64>,
+    gained: bool,
+) -> (usize, &'a [StepGains]) {
     let Some(scale) = scale else { return (0, entries) };
     let last = entries.last().map_or(0.0, |entry| entry.after);
     // Or what drives from outside has fed all of it.
     for driven in [1.0, 0.0] {
-        let can_be = put_in(entries, scale, driven);
+        let can_be = put_in(model, entries, scale, driven);
         let most = can_be.last().copied().unwrap_or(scale);
         if last <= 2.0 * most && !(gained && driven == 0.0) {
             continue;
@@ -194,11 +204,10 @@ fn feeding(entries: &[StepGains], scale: Option<f64>, gained: bool) -> (usize, &
 
 /// The most energy that there can be after each step: what circulated, what gravity gave, and,
 /// `driven` times, what motors and applied forces did.
-fn put_in(entries: &[StepGains], scale: f64, driven: f64) -> Vec<f64> {
+fn put_in(model: &Model, entries: &[StepGains], scale: f64, driven: f64) -> Vec<f64> {
     let (mut drives, mut fallen, mut deepest) = (0.0, 0.0, 0.0_f64);
     let put_in = |entry: &StepGains| {
-        let outside = |name: &str| name.starts_with("motor") || name.starts_with("force applied");
-        let fed = entry.gains.iter().filter(|(name, _)| outside(name));
+        let fed = entry.gains.iter().filter(|(element, _)| model.drives(**element));
         let fed: f64 = fed.map(|(_, gain)| gain.max(0.0)).sum();
         fallen += entry.after - entry.before - entry.gains.values().sum::<f64>();
         // Rounding of what explodes is nothing that fell.
@@ -214,22 +223,22 @@ fn put_in(entries: &[StepGains], scale: f64, driven: f64) -> Vec<f64> {
 
 /// Each element's part of the growth: a step counts by how much it adds, relative to what
 /// there is, so that the last doublings count no more than the first.
-fn shares(entries: &[StepGains]) -> Vec<(String, f64)> {
-    let mut sums: BTreeMap<&str, f64> = BTreeMap::new();
+fn shares(entries: &[StepGains]) -> Vec<(Element, f64)> {
+    let mut sums: BTreeMap<Element, f64> = BTreeMap::new();
     for entry in entries {
         let size = entry.before.max(entry.after);
-        for (name, gain) in &entry.gains {
+        for (element, gain) in &entry.gains {
             let part = gain / size;
             if size > 0.0 && size.is_finite() && part.is_finite() {
-                *sums.entry(name).or_insert(0.0) += part;
+                *sums.entry(*element).or_insert(0.0) += part;
             }
         }
     }
     let fed: f64 = sums.values().filter(|x| **x > 0.0).sum();
-    let mut shares: Vec<(String, f64)> = sums
+    let mut shares: Vec<(Element, f64)> = sums
         .into_iter()
         .filter(|(_, sum)| fed > 0.0 && *sum > 0.0)
-        .map(|(name, sum)| (name.to_owned(), sum / fed))
+        .map(|(element, sum)| (element, sum / fed))
         .collect();
     shares.sort_by(|a, b| b.1.total_cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
     shares

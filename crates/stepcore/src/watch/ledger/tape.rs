@@ -9,19 +9,19 @@
 
 use std::collections::BTreeMap;
 
-use crate::error::{named, Result};
+use crate::elements::{Element, Kind};
+use crate::error::Result;
 use crate::model::{Model, NONE};
 use crate::place::stretch;
 use crate::real::{Mask, Real};
 use crate::settings::{Integrator, Law};
 use crate::sim::Sim;
-use crate::solve::Source;
 use crate::spatial::V3;
 
 /// Generalised impulses by element, while a step is written down.
 pub(crate) struct Tape {
     lane: usize,
-    impulses: BTreeMap<String, Vec<f64>>,
+    impulses: BTreeMap<Element, Vec<f64>>,
     /// Of the bias forces, by dof.
     bias: Vec<f64>,
 }
@@ -29,7 +29,7 @@ pub(crate) struct Tape {
 /// One step: what every element fed in [J], and the energies before and after.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepGains {
-    pub gains: BTreeMap<String, f64>,
+    pub gains: BTreeMap<Element, f64>,
     /// Kinetic and stored energy, gravity's left out [J].
     pub before: f64,
     pub after: f64,
@@ -38,27 +38,27 @@ pub struct StepGains {
 /// Energies at a state: kinetic by tree, stored by element, and what gravity has.
 pub(crate) struct Levels {
     kinetic: Vec<f64>,
-    stored: BTreeMap<String, f64>,
+    stored: BTreeMap<Element, f64>,
 }
 
-const GRAVITY: &str = "gravity";
+const GRAVITY: Element = Element { kind: Kind::Gravity, index: 0, part: Element::WHOLE };
 /// Of sums of a few hundred terms, and what f32 adds is left as it is.
 const ROUNDING: f64 = 1e-13;
 
 impl Levels {
     /// Kinetic and stored energy without gravity's, which has no natural zero.
     pub fn circulating(&self) -> f64 {
-        let stored = self.stored.iter().filter(|(name, _)| *name != GRAVITY).map(|(_, x)| x);
+        let stored = self.stored.iter().filter(|(element, _)| **element != GRAVITY).map(|(_, x)| x);
         self.kinetic.iter().chain(stored).sum()
     }
 }
 
 impl Tape {
-    fn add(&mut self, name: String, nv: usize, from: usize, parts: &[f64]) {
+    fn add(&mut self, element: Element, nv: usize, from: usize, parts: &[f64]) {
         if parts.iter().all(|x| *x == 0.0) {
             return;
         }
-        let impulse = self.impulses.entry(name).or_insert_with(|| vec![0.0; nv]);
+        let impulse = self.impulses.entry(element).or_insert_with(|| vec![0.0; nv]);
         for (sum, part) in impulse[from..].iter_mut().zip(parts) {
             *sum += part;
         }
@@ -80,9 +80,7 @@ impl<R: Real> Sim<R> {
         let v1: Vec<f64> = self.state.qvel.iter().map(|v| v.lane(lane)).collect();
         if self.damps_implicitly() {
             for (index, joint) in model.joints.iter().enumerate() {
-                if let Some(impulse) =
-                    impulses.get_mut(&named("damper of joint", &joint.name, index))
-                {
+                if let Some(impulse) = impulses.get_mut(&Element::whole(Kind::Damper, index)) {
                     for k in joint.dof..joint.dof + joint.dofs() {
                         impulse[k] = -self.settings.dt * model.dofs[k].damping * v1[k];
                     }
@@ -100,7 +98,7 @@ impl<R: Real> Sim<R> {
     /// `implicitfast` takes a servo's velocity feedback at the end of the step.
     fn feed_back_late(
         &self,
-        impulses: &mut BTreeMap<String, Vec<f64>>,
+        impulses: &mut BTreeMap<Element, Vec<f64>>,
         v0: &[f64],
         v1: &[f64],
         lane: usize,
@@ -109,7 +107,7 @@ impl<R: Real> Sim<R> {
         for (index, servo) in servos.filter(|(_, servo)| servo.bias[2] != 0.0) {
             let k = self.model.joints[servo.joint].dof;
             let [_, damping] = self.placed.feedback(servo, index);
-            if let Some(impulse) = impulses.get_mut(&named("servo", &servo.name, index)) {
+            if let Some(impulse) = impulses.get_mut(&Element::whole(Kind::Actuator, index)) {
                 impulse[k] -= self.settings.dt * damping.lane(lane) * (v1[k] - v0[k]);
             }
         }
@@ -155,29 +153,28 @@ impl<R: Real> Sim<R> {
             let dofs = joint.dof..joint.dof + joint.dofs();
             let damping = |k: usize| model.dofs[k].damping * self.state.qvel[k].lane(lane);
             let damper: Vec<f64> = dofs.clone().map(|k| -share * damping(k)).collect();
-            tape.add(named("damper of joint", &joint.name, index), nv, joint.dof, &damper);
+            tape.add(Element::whole(Kind::Damper, index), nv, joint.dof, &damper);
             let passive = |k: usize| self.placed.passive[k].lane(lane);
             let spring: Vec<f64> =
                 dofs.clone().map(|k| share * (passive(k) + damping(k))).collect();
             if joint.stiffness != 0.0 {
-                tape.add(named("spring of joint", &joint.name, index), nv, joint.dof, &spring);
+                tape.add(Element::whole(Kind::Spring, index), nv, joint.dof, &spring);
             }
             let applied = |k: usize| share * self.inputs.qfrc_applied[k].lane(lane);
             let applied: Vec<f64> = dofs.map(applied).collect();
-            tape.add(named("force applied to joint", &joint.name, index), nv, joint.dof, &applied);
+            tape.add(Element::whole(Kind::JointForce, index), nv, joint.dof, &applied);
         }
         for (index, motor) in model.actuators.iter().enumerate() {
             let joint = &model.joints[motor.joint];
             let force = share * self.placed.actuator[index].lane(lane);
             let parts: Vec<f64> = (0..joint.dofs()).map(|k| motor.gear[k] * force).collect();
-            let kind = if motor.feeds_back() { "servo" } else { "motor" };
-            tape.add(named(kind, &motor.name, index), nv, joint.dof, &parts);
+            tape.add(Element::whole(Kind::Actuator, index), nv, joint.dof, &parts);
         }
         let still = V3::<f64>::zeros();
         for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.tree != NONE) {
             if model.features.gravity && body.mass > 0.0 {
                 let weight = model.gravity * (share * body.mass);
-                tape.add(GRAVITY.into(), nv, 0, &self.on_dofs(index, lane, &weight, &still));
+                tape.add(GRAVITY, nv, 0, &self.on_dofs(index, lane, &weight, &still));
             }
             let given = &self.inputs.xfrc_applied[6 * index..6 * index + 6];
             let given: Vec<f64> = given.iter().map(|x| share * x.lane(lane)).collect();
@@ -186,7 +183,7 @@ impl<R: Real> Sim<R> {
                 let force = V3::new(force[0], force[1], force[2]);
                 let moment = V3::new(moment[0], moment[1], moment[2]);
                 let parts = self.on_dofs(index, lane, &force, &moment);
-                tape.add(named("force applied to body", &body.name, index), nv, 0, &parts);
+                tape.add(Element::whole(Kind::BodyForce, index), nv, 0, &parts);
             }
         }
         self.tape = Some(tape);
@@ -207,13 +204,13 @@ impl<R: Real> Sim<R> {
             }
             self.placed.metric.lower(&mut impulse);
             let impulse: Vec<f64> = impulse.iter().map(|x| weight * x.lane(lane)).collect();
-            tape.add(self.source_name(block.source), model.nv, 0, &impulse);
+            tape.add(block.element.of_part(), model.nv, 0, &impulse);
         }
         if self.settings.law == Law::Penalty {
             for index in 0..self.detected.contacts.len() {
                 let mut impulse = self.penalty_force(index, lane);
                 impulse.iter_mut().for_each(|x| *x *= weight * self.settings.dt);
-                tape.add(self.source_name(Source::Contact(index)), model.nv, 0, &impulse);
+                tape.add(self.detected.contacts[index].element().of_part(), model.nv, 0, &impulse);
             }
         }
         self.tape = Some(tape);
@@ -297,16 +294,13 @@ impl<R: Real> Sim<R> {
         for (index, joint) in model.joints.iter().enumerate().filter(|(_, j)| j.stiffness != 0.0) {
             let (away, count) = stretch(&model, joint, &self.state.qpos);
             let square: f64 = away[..count].iter().map(|s| s.lane(lane).powi(2)).sum();
-            stored.insert(
-                named("spring of joint", &joint.name, index),
-                0.5 * joint.stiffness * square,
-            );
+            stored.insert(Element::whole(Kind::Spring, index), 0.5 * joint.stiffness * square);
         }
         if model.features.actuation {
             for (index, servo) in model.actuators.iter().enumerate() {
                 let energy = self.stored_in_servo(index, self.inputs.ctrl[index]).lane(lane);
                 if servo.bias[1] < 0.0 {
-                    stored.insert(named("servo", &servo.name, index), energy);
+                    stored.insert(Element::whole(Kind::Actuator, index), energy);
                 }
             }
         }
@@ -315,14 +309,14 @@ impl<R: Real> Sim<R> {
             let weigh = |(index, body): (usize, &crate::model::Body)| {
                 -body.mass * model.gravity.dot(&lane_of(&self.centre(index), lane))
             };
-            stored.insert(GRAVITY.into(), moving.map(weigh).sum());
+            stored.insert(GRAVITY, moving.map(weigh).sum());
         }
         if self.settings.law == Law::Penalty {
             self.detected.detect(&model, &self.placed, &self.settings, &self.state.qpos);
             for index in 0..self.detected.contacts.len() {
                 let contact = &self.detected.contacts[index];
                 let depth = contact.dist.lane(lane).min(0.0);
-                let name = self.source_name(Source::Contact(index));
+                let name = self.detected.contacts[index].element().of_part();
                 if contact.mask.lane(lane) {
                     *stored.entry(name).or_insert(0.0) +=
                         0.5 * self.settings.penalty_stiffness * depth * depth;
@@ -336,30 +330,30 @@ impl<R: Real> Sim<R> {
 /// Gains out of impulses and levels; what is left in a tree goes to its inertial forces.
 fn entry(
     model: &Model,
-    impulses: &BTreeMap<String, Vec<f64>>,
+    impulses: &BTreeMap<Element, Vec<f64>>,
     bias: &[f64],
     mean: &[f64],
     before: &Levels,
     after: &Levels,
 ) -> StepGains {
-    let mut gains: BTreeMap<String, f64> = BTreeMap::new();
+    let mut gains: BTreeMap<Element, f64> = BTreeMap::new();
     // What was taken off, in size: a difference that is only rounding beside it is none.
     let mut size: Vec<f64> =
         after.kinetic.iter().zip(&before.kinetic).map(|(after, before)| after + before).collect();
     let mut left: Vec<f64> =
         after.kinetic.iter().zip(&before.kinetic).map(|(after, before)| after - before).collect();
-    for (name, impulse) in impulses {
+    for (element, impulse) in impulses {
         for (k, (impulse, mean)) in impulse.iter().zip(mean).enumerate() {
-            *gains.entry(name.clone()).or_insert(0.0) += impulse * mean;
+            *gains.entry(*element).or_insert(0.0) += impulse * mean;
             left[model.dofs[k].tree] -= impulse * mean;
             size[model.dofs[k].tree] += (impulse * mean).abs();
         }
     }
-    for name in before.stored.keys().chain(after.stored.keys()) {
-        gains.entry(name.clone()).or_insert(0.0);
+    for element in before.stored.keys().chain(after.stored.keys()) {
+        gains.entry(*element).or_insert(0.0);
     }
-    for (name, gain) in &mut gains {
-        let of = |levels: &Levels| levels.stored.get(name).copied().unwrap_or(0.0);
+    for (element, gain) in &mut gains {
+        let of = |levels: &Levels| levels.stored.get(element).copied().unwrap_or(0.0);
         *gain += of(after) - of(before);
     }
     for ((tree, left), size) in model.trees.iter().zip(left).zip(size) {
@@ -367,12 +361,11 @@ fn entry(
             continue;
         }
         // Named by the joint on which they worked most.
-        let weight = |k: usize| impulses.get(GRAVITY).map_or(0.0, |gravity| gravity[k]);
+        let weight = |k: usize| impulses.get(&GRAVITY).map_or(0.0, |gravity| gravity[k]);
         let worked = |k: &usize| ((bias[*k] - weight(*k)) * mean[*k]).abs();
         let most = tree.dofs.range().max_by(|a, b| worked(a).total_cmp(&worked(b)));
         let joint = model.dofs[most.unwrap_or(tree.dofs.start)].joint;
-        let name = named("inertial force of joint", &model.joints[joint].name, joint);
-        *gains.entry(name).or_insert(0.0) += left;
+        *gains.entry(Element::whole(Kind::Inertia, joint)).or_insert(0.0) += left;
     }
     StepGains { gains, before: before.circulating(), after: after.circulating() }
 }

@@ -1,0 +1,116 @@
+//! What a scene is made of, as data: everything that pushes, stores, takes or constrains.
+//!
+//! An `Element` says which one. It is what a row, a contact, a share of a post-mortem and an
+//! error carry; its text is made in `name.rs` and nowhere else.
+
+mod name;
+
+pub(crate) use name::text;
+pub use name::{Mention, Named, Text};
+
+/// What kind of thing an element is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Kind {
+    // What stands in the scene's lists, by its index there.
+    Body,
+    Joint,
+    Geom,
+    Site,
+    Equality,
+    Key,
+    /// A motor or a servo.
+    Actuator,
+    // Of a joint, by its index.
+    Spring,
+    Damper,
+    /// Part: which of the joint's dofs.
+    FrictionLoss,
+    /// Part: 0 for the lower bound, 1 for the upper one.
+    Limit,
+    /// The inertial forces of a tree, told by the joint on which they work most.
+    Inertia,
+    /// `qfrc_applied` on a joint.
+    JointForce,
+    /// `xfrc_applied` on a body, by the body's index.
+    BodyForce,
+    Gravity,
+    /// A point that two bodies share, by the index of its equality.
+    Connect,
+    /// By the index of its pair of geoms. Part: which of the pair's contacts.
+    Contact,
+}
+
+impl Kind {
+    /// Every kind, in the order of the enum.
+    pub const ALL: [Self; 17] = [
+        Self::Body,
+        Self::Joint,
+        Self::Geom,
+        Self::Site,
+        Self::Equality,
+        Self::Key,
+        Self::Actuator,
+        Self::Spring,
+        Self::Damper,
+        Self::FrictionLoss,
+        Self::Limit,
+        Self::Inertia,
+        Self::JointForce,
+        Self::BodyForce,
+        Self::Gravity,
+        Self::Connect,
+        Self::Contact,
+    ];
+
+    /// The word by which data outside the engine calls it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Body => "body",
+            Self::Joint => "joint",
+            Self::Geom => "geom",
+            Self::Site => "site",
+            Self::Equality => "equality",
+            Self::Key => "key",
+            Self::Actuator => "actuator",
+            Self::Spring => "spring",
+            Self::Damper => "damper",
+            Self::FrictionLoss => "friction loss",
+            Self::Limit => "limit",
+            Self::Inertia => "inertia",
+            Self::JointForce => "qfrc_applied",
+            Self::BodyForce => "xfrc_applied",
+            Self::Gravity => "gravity",
+            Self::Connect => "connect",
+            Self::Contact => "contact",
+        }
+    }
+}
+
+/// One element of a model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Element {
+    pub kind: Kind,
+    /// Its place in the list that its kind belongs to; see `Kind`.
+    pub index: u32,
+    /// Which part of it; `Element::WHOLE`: all of it.
+    pub part: u32,
+}
+
+impl Element {
+    /// Not one part of an element but the element.
+    pub const WHOLE: u32 = u32::MAX;
+
+    /// The whole of an element.
+    pub fn whole(kind: Kind, index: usize) -> Self {
+        Self { kind, index: index as u32, part: Self::WHOLE }
+    }
+
+    pub fn part(kind: Kind, index: usize, part: usize) -> Self {
+        Self { kind, index: index as u32, part: part as u32 }
+    }
+
+    /// The element of which this is a part.
+    pub fn of_part(self) -> Self {
+        Self { part: Self::WHOLE, ..self }
+    }
+}

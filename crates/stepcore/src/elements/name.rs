@@ -1,0 +1,178 @@
+//! What an element is called: the one place where text about elements is made.
+
+use std::fmt;
+use std::ops::Range;
+
+use super::{Element, Kind};
+use crate::model::Model;
+
+/// An element with its name, where no model is at hand to ask for it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Named {
+    pub element: Element,
+    pub name: String,
+}
+
+impl fmt::Display for Named {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.name)
+    }
+}
+
+/// "joint `knee`", or "joint 3" where it has no name.
+fn quoted(words: &str, name: &str, index: usize) -> String {
+    if name.is_empty() {
+        format!("{words} {index}")
+    } else {
+        format!("{words} `{name}`")
+    }
+}
+
+impl Model {
+    /// What a user calls an element; it must be one of this model.
+    pub fn element_name(&self, element: Element) -> String {
+        let index = element.index as usize;
+        let joint = |words: &str| quoted(words, &self.joints[index].name, index);
+        match element.kind {
+            Kind::Body => quoted("body", &self.bodies[index].name, index),
+            Kind::Joint => joint("joint"),
+            Kind::Geom => quoted("geom", &self.geoms[index].name, index),
+            Kind::Site => quoted("site", &self.sites[index].name, index),
+            Kind::Equality => quoted("equality", &self.equalities[index].name, index),
+            Kind::Key => quoted("key", &self.keys[index].name, index),
+            Kind::Actuator => {
+                let actuator = &self.actuators[index];
+                let words = if actuator.feeds_back() { "servo" } else { "motor" };
+                quoted(words, &actuator.name, index)
+            }
+            Kind::Spring => joint("spring of joint"),
+            Kind::Damper => joint("damper of joint"),
+            Kind::FrictionLoss => joint("friction loss of joint"),
+            Kind::Limit => joint("limit of joint"),
+            Kind::Inertia => joint("inertial force of joint"),
+            Kind::JointForce => joint("force applied to joint"),
+            Kind::BodyForce => quoted("force applied to body", &self.bodies[index].name, index),
+            Kind::Gravity => "gravity".into(),
+            Kind::Connect => quoted("connect", &self.equalities[index].name, index),
+            Kind::Contact => {
+                let pair = &self.pairs[index];
+                let geom = |index: usize| match &*self.geoms[index].name {
+                    "" => format!("`{index}`"),
+                    name => format!("`{name}`"),
+                };
+                format!("contact {}/{}", geom(pair.geom1), geom(pair.geom2))
+            }
+        }
+    }
+
+    /// How many elements of a kind the model has.
+    pub fn count(&self, kind: Kind) -> usize {
+        match kind {
+            Kind::Body | Kind::BodyForce => self.bodies.len(),
+            Kind::Joint
+            | Kind::Spring
+            | Kind::Damper
+            | Kind::FrictionLoss
+            | Kind::Limit
+            | Kind::Inertia
+            | Kind::JointForce => self.joints.len(),
+            Kind::Geom => self.geoms.len(),
+            Kind::Site => self.sites.len(),
+            Kind::Equality | Kind::Connect => self.equalities.len(),
+            Kind::Key => self.keys.len(),
+            Kind::Actuator => self.actuators.len(),
+            Kind::Gravity => 1,
+            Kind::Contact => self.pairs.len(),
+        }
+    }
+
+    /// Its work is put in from outside: a motor's, or an applied force's.
+    pub fn drives(&self, element: Element) -> bool {
+        match element.kind {
+            Kind::Actuator => !self.actuators[element.index as usize].feeds_back(),
+            Kind::JointForce | Kind::BodyForce => true,
+            _ => false,
+        }
+    }
+
+    /// An element with its name.
+    pub fn named(&self, element: Element) -> Named {
+        Named { element, name: self.element_name(element) }
+    }
+}
+
+/// Text in which elements of a scene are named; where each stands in it is data beside it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Text {
+    words: String,
+    mentions: Vec<Mention>,
+}
+
+/// An element in a `Text`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mention {
+    /// In bytes.
+    pub at: Range<usize>,
+    pub element: Element,
+}
+
+impl Text {
+    /// `geom 'floor'`, or `geom 3` where it has no name.
+    pub(crate) fn label(kind: Kind, name: &str, index: usize) -> Self {
+        let words = match name {
+            "" => format!("{} {index}", kind.word()),
+            name => format!("{} '{name}'", kind.word()),
+        };
+        let at = 0..words.len();
+        Self { words, mentions: vec![Mention { at, element: Element::whole(kind, index) }] }
+    }
+
+    pub(crate) fn push(&mut self, piece: impl Into<Self>) {
+        let (piece, start) = (piece.into(), self.words.len());
+        self.words.push_str(&piece.words);
+        let moved = |m: Mention| Mention { at: start + m.at.start..start + m.at.end, ..m };
+        self.mentions.extend(piece.mentions.into_iter().map(moved));
+    }
+
+    pub fn words(&self) -> &str {
+        &self.words
+    }
+
+    pub fn mentions(&self) -> &[Mention] {
+        &self.mentions
+    }
+}
+
+impl fmt::Display for Text {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.words)
+    }
+}
+
+impl From<String> for Text {
+    fn from(words: String) -> Self {
+        Self { words, mentions: Vec::new() }
+    }
+}
+
+impl From<&str> for Text {
+    fn from(words: &str) -> Self {
+        words.to_owned().into()
+    }
+}
+
+impl From<&Self> for Text {
+    fn from(text: &Self) -> Self {
+        text.clone()
+    }
+}
+
+/// A `Text` out of pieces: strings and other texts.
+macro_rules! text {
+    ($($piece:expr),+ $(,)?) => {{
+        let mut text = $crate::elements::Text::default();
+        $(text.push($piece);)+
+        text
+    }};
+}
+pub(crate) use text;

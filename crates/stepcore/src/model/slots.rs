@@ -1,0 +1,66 @@
+//! The numbers by which whatever can have rows is known from step to step: one slot each,
+//! in the order in which their rows are made.
+
+use super::{Model, NONE};
+use crate::detect::MOST_TOUCHES;
+use crate::elements::{Element, Kind};
+
+/// Bounds of a joint.
+pub const SIDES: usize = 2;
+
+/// Where each kind's slots begin: connections, then the friction losses of dofs, the limits
+/// of joints, the contacts of pairs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Slots {
+    losses: usize,
+    limits: usize,
+    contacts: usize,
+}
+
+impl Slots {
+    pub(super) fn of(model: &Model) -> Self {
+        let losses = model.equalities.len();
+        let limits = losses + model.nv;
+        Self { losses, limits, contacts: limits + SIDES * model.joints.len() }
+    }
+}
+
+impl Model {
+    /// The slot of a connection, friction loss, limit or contact.
+    pub fn slot(&self, element: Element) -> u32 {
+        let (index, part) = (element.index as usize, element.part as usize);
+        let slot = match element.kind {
+            Kind::FrictionLoss => self.slots.losses + self.joints[index].dof + part,
+            Kind::Limit => self.slots.limits + SIDES * index + part,
+            Kind::Contact => self.slots.contacts + MOST_TOUCHES * index + part,
+            // Connections stand first; nothing else has rows.
+            _ => index,
+        };
+        slot as u32
+    }
+
+    /// By slot: its place among the slots of its island. Copies of an island that stand
+    /// beside each other in one scene have the same ranks.
+    pub fn ranks(&self, islands: &[usize]) -> Vec<u32> {
+        let tree = |body: usize| self.bodies[body].tree;
+        let either = |a: usize, b: usize| tree(if tree(a) == NONE { b } else { a });
+        let connects = self.equalities.iter().map(|e| either(e.body1, e.body2));
+        let losses = self.dofs.iter().map(|dof| dof.tree);
+        let limits = self.joints.iter().flat_map(|joint| [tree(joint.body); SIDES]);
+        let contacts = self.pairs.iter().flat_map(|p| {
+            [either(self.geoms[p.geom1].body, self.geoms[p.geom2].body); MOST_TOUCHES]
+        });
+        let mut used = vec![0; islands.len()];
+        connects
+            .chain(losses)
+            .chain(limits)
+            .chain(contacts)
+            .map(|tree| {
+                // What ties the world to itself has no rows.
+                let Some(island) = islands.get(tree) else { return 0 };
+                used[*island] += 1;
+                used[*island] - 1
+            })
+            .collect()
+    }
+}
