@@ -10,11 +10,11 @@ from tangents import differences
 import stepcore as sc
 from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.experiment.coordinates import Dofs
-from stepcore.measure.diagnosis.alone import oscillator
 from stepcore.measure.diagnosis.growth import growth
-from stepcore.measure.diagnosis.linear import State, exact, rates_matrix, step_map
-from stepcore.measure.diagnosis.midpoint import midpoint_map
-from stepcore.measure.diagnosis.parts import parts
+from stepcore.measure.diagnosis.linear_motion import parts
+from stepcore.measure.diagnosis.linear_step import State, exact, rates_matrix, step_map
+from stepcore.measure.diagnosis.midpoint_map import midpoint_map
+from stepcore.measure.diagnosis.oscillator import oscillator
 
 
 def diagnosed(scene, **options):

@@ -16,17 +16,17 @@ from stepcore.experiment.coordinates import movable
 from stepcore.experiment.motion import Control, motion
 from stepcore.loading import find_model
 from stepcore.measure.diagnosis.advice import advise
-from stepcore.measure.diagnosis.bound import closed_form
-from stepcore.measure.diagnosis.figures import Alone, Figures
-from stepcore.measure.diagnosis.forces import INERTIAL, Key
-from stepcore.measure.diagnosis.limits import LONGEST, Limit, Situation, situation
-from stepcore.measure.diagnosis.linear import exact
+from stepcore.measure.diagnosis.closed_form_bound import closed_form
+from stepcore.measure.diagnosis.dt_limits import LONGEST, Limit, Situation, situation
+from stepcore.measure.diagnosis.element_forces import INERTIAL, Key
+from stepcore.measure.diagnosis.element_limits import ElementLimits, IsolatedElements
+from stepcore.measure.diagnosis.linear_step import exact
 from stepcore.measure.diagnosis.load import StiffnessWarning
-from stepcore.measure.diagnosis.naming import shares_at
-from stepcore.measure.diagnosis.report import notes
 from stepcore.measure.diagnosis.result import Diagnosis
-from stepcore.measure.diagnosis.softness import softened_beyond
-from stepcore.measure.diagnosis.states import eased, held, start, visited
+from stepcore.measure.diagnosis.sentences import notes
+from stepcore.measure.diagnosis.shares import shares_at
+from stepcore.measure.diagnosis.solref import softened_beyond
+from stepcore.measure.diagnosis.visited_states import eased, held, start, visited
 from stepcore.report.progress import Choice, Progress
 from stepcore.scene.layout import Layout
 from stepcore.scene.scene import Scene
@@ -157,16 +157,16 @@ def _safe(model: Model, first: Situation) -> float:
     return max(SAFE * min(limits), 1e-9)
 
 
-def _elements(here: Situation) -> dict[Key, Figures]:
+def _elements(here: Situation) -> dict[Key, ElementLimits]:
     """Every element's figures, at the state at which it is stiffest."""
     layout = Layout(here.model.scene)
-    found: dict[Key, Figures] = {}
+    found: dict[Key, ElementLimits] = {}
     for k, state in enumerate(here.states):
-        all_parts = here.parts(state)
-        if all_parts is None:
+        motion = here.parts(state)
+        if motion is None:
             continue
-        alone = Alone(all_parts, here.horizon, k)
-        for key in all_parts.elements:
+        alone = IsolatedElements(motion, here.horizon, k)
+        for key in motion.elements:
             if key == INERTIAL:
                 continue
             one = alone.figures(key, softened_beyond(here.model, layout, key))
@@ -175,5 +175,5 @@ def _elements(here: Situation) -> dict[Key, Figures]:
     return dict(sorted(found.items(), key=lambda pair: -_stiffness(pair[1])))
 
 
-def _stiffness(one: Figures) -> float:
+def _stiffness(one: ElementLimits) -> float:
     return max(one.omega, one.rate)

@@ -15,11 +15,11 @@ from typing import Any
 from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.changes import CHANGES, DAMPING, GAINS, Change, Value, changed
-from stepcore.measure.diagnosis.figures import Figures
-from stepcore.measure.diagnosis.forces import Key
-from stepcore.measure.diagnosis.limits import Limit, Situation, situation
-from stepcore.measure.diagnosis.linear import step_map
-from stepcore.measure.diagnosis.parts import parts
+from stepcore.measure.diagnosis.dt_limits import Limit, Situation, situation
+from stepcore.measure.diagnosis.element_forces import Key
+from stepcore.measure.diagnosis.element_limits import ElementLimits
+from stepcore.measure.diagnosis.linear_motion import parts
+from stepcore.measure.diagnosis.linear_step import step_map
 from stepcore.report.units import seconds
 
 # The most elements that one piece of advice changes, and how finely its factor is told.
@@ -55,7 +55,7 @@ class Advice:
 def advise(
     now: Situation,
     limits: dict[str, Limit],
-    elements: dict[Key, Figures],
+    elements: dict[Key, ElementLimits],
     wanted: float,
     stiffest: Key,
 ) -> list[Advice]:
@@ -92,7 +92,7 @@ class _Search:
     """The least change that is stable at the wanted dt."""
 
     now: Situation
-    elements: dict[Key, Figures]
+    elements: dict[Key, ElementLimits]
     integrator: str
     wanted: float
     worst: int
@@ -115,14 +115,14 @@ class _Search:
         return Advice(change.what, values, {}, True, text)
 
     def _made(
-        self, group: Sequence[Figures], change: Change, x: float
+        self, group: Sequence[ElementLimits], change: Change, x: float
     ) -> tuple[Situation, list[Value]]:
         """The model with the change made, at the same states."""
         scene, values = changed(self.now.model, group, change, x)
         model = Model(scene, self.now.model.settings)
         return situation(model, self.now.states, self.now.horizon), values
 
-    def _stable(self, group: Sequence[Figures], change: Change, x: float) -> bool:
+    def _stable(self, group: Sequence[ElementLimits], change: Change, x: float) -> bool:
         try:
             made, _ = self._made(group, change, x)
         except ValueError:
@@ -136,7 +136,7 @@ class _Search:
             return False
         return made.stable(self.integrator, self.wanted)
 
-    def _factor(self, group: Sequence[Figures], change: Change) -> float | None:
+    def _factor(self, group: Sequence[ElementLimits], change: Change) -> float | None:
         """The first x that is enough, told finely; None where none is."""
         enough = self._first(group, change)
         if enough is None:
@@ -148,7 +148,7 @@ class _Search:
             good, bad = (middle, bad) if self._stable(group, change, middle) else (good, middle)
         return good
 
-    def _first(self, group: Sequence[Figures], change: Change) -> int | None:
+    def _first(self, group: Sequence[ElementLimits], change: Change) -> int | None:
         """The index of the first x that is enough."""
         xs = change.xs
         if change is DAMPING:
@@ -162,18 +162,18 @@ class _Search:
             low, high = (low, middle) if self._stable(group, change, xs[middle]) else (middle, high)
         return high
 
-    def _next(self, group: Sequence[Figures], change: Change) -> Figures | None:
+    def _next(self, group: Sequence[ElementLimits], change: Change) -> ElementLimits | None:
         """What limits once these are changed by a lot."""
         made, _ = self._made(group, change, change.xs[-1])
         every = range(len(made.states))
         grown = [made.grown(self.integrator, self.wanted, k) for k in every]
         worst = max(every, key=lambda k: grown[k].excess)
         state = made.states[worst]
-        all_parts = parts(made.model, state, self.wanted)
+        motion = parts(made.model, state, self.wanted)
         matrix = step_map(made.model, state, self.integrator, self.wanted)
-        if all_parts is None or matrix is None or grown[worst].stable:
+        if motion is None or matrix is None or grown[worst].stable:
             return None
-        shares = all_parts.shares(self.integrator, self.wanted, matrix, grown[worst].value)
+        shares = motion.shares(self.integrator, self.wanted, matrix, grown[worst].value)
         have = {figure.key for figure in group}
         for key in sorted(shares, key=lambda key: -shares[key]):
             if shares[key] > 0.1 and key in self.elements and key not in have:
@@ -181,7 +181,9 @@ class _Search:
                 return self.elements[key] if possible else None
         return None
 
-    def _missed(self, change: Change, group: Sequence[Figures], after: Figures | None) -> Advice:
+    def _missed(
+        self, change: Change, group: Sequence[ElementLimits], after: ElementLimits | None
+    ) -> Advice:
         names = " and ".join(figure.key.label for figure in group)
         text = f"{change.what} of {names} alone does not meet it"
         return Advice(change.what, (), {}, False, text)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.figures import Figures
-from stepcore.measure.diagnosis.softness import solref_of
+from stepcore.measure.diagnosis.element_limits import ElementLimits
+from stepcore.measure.diagnosis.solref import solref_of
 from stepcore.scene.elements import Actuator, Joint
 from stepcore.scene.layout import Layout
 from stepcore.scene.scene import Scene
@@ -89,7 +89,7 @@ class Value:
 
 
 def changed(
-    model: Model, elements: Sequence[Figures], change: Change, x: float
+    model: Model, elements: Sequence[ElementLimits], change: Change, x: float
 ) -> tuple[Scene, list[Value]]:
     """A copy of the model's scene with `change` made to some elements, and what is new in it."""
     scene = copy.deepcopy(model.scene)
@@ -108,7 +108,7 @@ def changed(
     return scene, values
 
 
-def _scaled(layout: Layout, element: Figures, field: str, x: float) -> list[Value]:
+def _scaled(layout: Layout, element: ElementLimits, field: str, x: float) -> list[Value]:
     """A gain of the element times x."""
     joint = _joint(layout, element)
     owner: Joint | Actuator = joint
@@ -131,7 +131,7 @@ def _scaled(layout: Layout, element: Figures, field: str, x: float) -> list[Valu
     return [Value(element.key.label, field, (old,), (new,), _unit(field, joint))]
 
 
-def _general(servo: Actuator, element: Figures, field: str, x: float) -> list[Value]:
+def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> list[Value]:
     """The feedback of a general actuator: biasprm[1], with its gain, or biasprm[2]."""
     bias = servo.biasprm or (0.0, 0.0, 0.0)
     at = 1 if field == "kp" else 2
@@ -149,7 +149,9 @@ def _general(servo: Actuator, element: Figures, field: str, x: float) -> list[Va
     return [Value(element.key.label, "biasprm", bias, after)]
 
 
-def _added(model: Model, layout: Layout, element: Figures, change: Change, x: float) -> list[Value]:
+def _added(
+    model: Model, layout: Layout, element: ElementLimits, change: Change, x: float
+) -> list[Value]:
     """Armature or damping on the element's joint, beside the mass that it moves."""
     joint = _joint(layout, element)
     if change is DAMPING and element.omega == 0:
@@ -165,7 +167,7 @@ def _added(model: Model, layout: Layout, element: Figures, change: Change, x: fl
     return [Value(f'joint "{name}"', field, (old,), (new,), _unit(field, joint))]
 
 
-def _softer(model: Model, layout: Layout, element: Figures, x: float) -> list[Value]:
+def _softer(model: Model, layout: Layout, element: ElementLimits, x: float) -> list[Value]:
     """A solref slower by 1/x: tc / x, or in direct form stiffness x² and damping x."""
     key, scene = element.key, layout.scene
     old = solref_of(model, Layout(model.scene), key)
@@ -187,7 +189,7 @@ def _softer(model: Model, layout: Layout, element: Figures, x: float) -> list[Va
     return [Value(key.label, field, old, new)]
 
 
-def _joint(layout: Layout, element: Figures) -> Joint:
+def _joint(layout: Layout, element: ElementLimits) -> Joint:
     index = element.key.index[0]
     if element.key.kind == "servo":
         return layout.scene.actuators[index].joint

@@ -51,7 +51,7 @@ def stiffness(scene: Scene) -> str:
     if not _may_be_stiff(scene):
         return ""
     from stepcore.engine.model import Model
-    from stepcore.measure.diagnosis.bound import closed_form
+    from stepcore.measure.diagnosis.closed_form_bound import closed_form
 
     try:
         model = Model(scene)
@@ -71,7 +71,7 @@ def _may_be_stiff(scene: Scene) -> bool:
     """Whether any element could limit dt; without one nothing is compiled."""
     if len(scene.joints) > MOST_JOINTS or len(scene.geoms) > MOST_GEOMS:
         return False
-    from stepcore.measure.diagnosis.softness import may_limit
+    from stepcore.measure.diagnosis.solref import may_limit
 
     refsafe = scene.options.get("refsafe", True)
     soft = [geom.solref for geom in scene.geoms] + [e.solref for e in scene.equalities]
@@ -89,10 +89,10 @@ def _linearised(model: Model) -> str:
     """The step itself at the first key or qpos0, and who limits it."""
     import numpy as np
 
-    from stepcore.measure.diagnosis import limits
+    from stepcore.measure.diagnosis import dt_limits
     from stepcore.measure.diagnosis.growth import between
-    from stepcore.measure.diagnosis.linear import State, exact
-    from stepcore.measure.diagnosis.naming import shares_at
+    from stepcore.measure.diagnosis.linear_step import State, exact
+    from stepcore.measure.diagnosis.shares import shares_at
 
     model = exact(model)
     settings = model.settings
@@ -100,7 +100,7 @@ def _linearised(model: Model) -> str:
     qpos, qvel = (model.keys[0].qpos, model.keys[0].qvel) if model.keys else (model.qpos0, None)
     state = State("the start", 0.0, qpos, np.zeros(model.nv) if qvel is None else qvel, ctrl)
     try:
-        here = limits.situation(model, [state], HORIZON)
+        here = dt_limits.situation(model, [state], HORIZON)
     except ValueError:
         return ""
     far = IN_HAND * settings.dt
@@ -115,7 +115,7 @@ def _linearised(model: Model) -> str:
     while near > low and not stable(near):
         near /= 2
     limit = between(stable, near, 2 * near, fine=5e-3) if near > low else 0.0
-    shares = shares_at(here, limits.Limit(settings.integrator, limit, 0))
+    shares = shares_at(here, dt_limits.Limit(settings.integrator, limit, 0))
     name = max(shares, key=lambda key: shares[key]).label if shares else "a stiff element"
     return _text(settings, limit, name)
 

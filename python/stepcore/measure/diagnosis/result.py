@@ -11,12 +11,12 @@ from typing import Any
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.measure.diagnosis import report
+from stepcore.measure.diagnosis import sentences
 from stepcore.measure.diagnosis.advice import Advice
-from stepcore.measure.diagnosis.figures import Figures
-from stepcore.measure.diagnosis.forces import INERTIAL
-from stepcore.measure.diagnosis.limits import Limit
-from stepcore.measure.diagnosis.linear import State
+from stepcore.measure.diagnosis.dt_limits import Limit
+from stepcore.measure.diagnosis.element_forces import INERTIAL
+from stepcore.measure.diagnosis.element_limits import ElementLimits
+from stepcore.measure.diagnosis.linear_step import State
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 
@@ -41,7 +41,7 @@ class Diagnosis(Result):
     states: list[State]
     limits: dict[str, Limit]
     shares: dict[str, dict[str, float]]
-    elements: list[Figures]
+    elements: list[ElementLimits]
     advice: list[Advice] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     physical: float = 0.0
@@ -81,7 +81,7 @@ class Diagnosis(Result):
             raise ValueError(f"integrator = {checks.shown(name)}: was not diagnosed{near}")
         return name
 
-    def element(self, name: str) -> Figures | None:
+    def element(self, name: str) -> ElementLimits | None:
         """The figures of an element, by name."""
         return next((one for one in self.elements if one.key.label == name), None)
 
@@ -105,7 +105,7 @@ class Diagnosis(Result):
             *("omega", "rate", "softened", "state"),
         ]
 
-    def _record(self, one: Figures, shares: dict[str, float]) -> dict[str, Any]:
+    def _record(self, one: ElementLimits, shares: dict[str, float]) -> dict[str, Any]:
         record: dict[str, Any] = {
             "element": one.key.label,
             "frequency": one.omega / (2 * math.pi),
@@ -121,7 +121,7 @@ class Diagnosis(Result):
     @property
     def sentences(self) -> list[str]:
         """The answer, the advice and the state that decides, in words."""
-        return report.sentences(self)
+        return sentences.sentences(self)
 
     def text(self, width: int | None = None) -> str:
         """The elements, the limits and the answer."""
@@ -144,7 +144,7 @@ class Diagnosis(Result):
         elements = Table(self.table, columns=self._columns(), formats=formats)
         parts = [
             wrapped(
-                "Elements, each alone: frequency [Hz], damping ratio, share in the mode that "
+                "ElementForces, each alone: frequency [Hz], damping ratio, share in the mode that "
                 f"limits {own}, largest stable dt [s]",
                 width,
             ),

@@ -17,7 +17,7 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.motion import Motion
-from stepcore.measure.diagnosis.linear import State, acting, placed
+from stepcore.measure.diagnosis.linear_step import State, acting, placed
 
 # The most states, steps and looks at the rows of one run.
 STATES, STEPS, LOOKS = 8, 20_000, 200

@@ -20,7 +20,7 @@ from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.measure.diagnosis.midpoint import midpoint_map
+from stepcore.measure.diagnosis.midpoint_map import midpoint_map
 
 # The step from which J is read [s]: free rotations, which turn by dt·v, leave an error of its size.
 TINY_STEP = 1e-7

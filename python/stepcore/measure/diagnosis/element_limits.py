@@ -14,17 +14,17 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.linear_maps import INTEGRATORS
-from stepcore.measure.diagnosis.alone import gyration, oscillator, row_after_midpoint
-from stepcore.measure.diagnosis.forces import INERTIAL, ROWS, Key
-from stepcore.measure.diagnosis.limits import LONGEST
-from stepcore.measure.diagnosis.parts import Parts
+from stepcore.measure.diagnosis.dt_limits import LONGEST
+from stepcore.measure.diagnosis.element_forces import INERTIAL, ROWS, Key
+from stepcore.measure.diagnosis.linear_motion import LinearMotion
+from stepcore.measure.diagnosis.oscillator import gyration, oscillator, row_after_midpoint
 
 # Of the largest of its kind: less is the rounding of a difference.
 NOTHING = 1e-6
 
 
 @dataclass(frozen=True)
-class Figures:
+class ElementLimits:
     """One element at one state.
 
     omega: natural frequency [rad/s], 0 without stiffness. ratio: damping ratio with all damping
@@ -49,24 +49,24 @@ class Figures:
         return max(self.omega, self.rate) > 0
 
 
-class Alone:
+class IsolatedElements:
     """The figures of a state's elements, each alone on the mass matrix.
 
     horizon [s]: see `growth`. state: which of the states this is.
     """
 
-    def __init__(self, all_parts: Parts, horizon: float, state: int) -> None:
-        self.parts, self.horizon, self.state = all_parts, horizon, state
-        self.root = np.linalg.inv(np.linalg.cholesky(all_parts.mass))
-        none = np.zeros_like(all_parts.mass)
-        elements = all_parts.elements
+    def __init__(self, motion: LinearMotion, horizon: float, state: int) -> None:
+        self.parts, self.horizon, self.state = motion, horizon, state
+        self.root = np.linalg.inv(np.linalg.cholesky(motion.mass))
+        none = np.zeros_like(motion.mass)
+        elements = motion.elements
         self.damping = sum((p.damping for k, p in elements.items() if k != INERTIAL), none)
         self.implicit = {
             name: sum((elements[key].damping for key in keys), none)
-            for name, keys in all_parts.implicit.items()
+            for name, keys in motion.implicit.items()
         }
 
-    def figures(self, key: Key, softened: float) -> Figures:
+    def figures(self, key: Key, softened: float) -> ElementLimits:
         """Those of one element; `softened`: the dt [s] from which `refsafe` softens it."""
         part = self.parts.elements[key]
         if key.kind == "spin":
@@ -82,16 +82,16 @@ class Alone:
             # Softened with dt from there on, it limits nothing that it did not limit before.
             limits[name] = found if found <= min(softened, LONGEST) else math.inf
         ratio = float(mode @ self.damping @ mode) / (2 * omega) if omega > 0 else math.nan
-        return Figures(key, omega, ratio, most, limits, softened, self.state)
+        return ElementLimits(key, omega, ratio, most, limits, softened, self.state)
 
-    def _spin(self, key: Key, turning: Floats, softened: float) -> Figures:
+    def _spin(self, key: Key, turning: Floats, softened: float) -> ElementLimits:
         omega = float(np.abs(np.linalg.eigvals(turning).imag).max(initial=0.0))
         limits = {}
         for name in INTEGRATORS:
             hidden = key in self.parts.implicit.get(name, ())
             dt = gyration(omega, name, hidden, self.horizon)
             limits[name] = dt if dt <= LONGEST else math.inf
-        return Figures(key, omega, 0.0, 0.0, limits, softened, self.state)
+        return ElementLimits(key, omega, 0.0, 0.0, limits, softened, self.state)
 
     def _limit(self, name: str, key: Key, omega: float, direction: Floats) -> float:
         """The largest stable dt of an oscillation along a direction of unit mass."""

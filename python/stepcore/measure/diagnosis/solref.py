@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.forces import Key
+from stepcore.measure.diagnosis.element_forces import Key
 from stepcore.scene.elements import Geom
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout

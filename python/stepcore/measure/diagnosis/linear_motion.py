@@ -24,8 +24,8 @@ from stepcore.engine.linear_maps import stepped
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Dofs
-from stepcore.measure.diagnosis.forces import INERTIAL, ROWS, Elements, Key, Spins
-from stepcore.measure.diagnosis.linear import (
+from stepcore.measure.diagnosis.element_forces import INERTIAL, ROWS, ElementForces, Key, SpinForces
+from stepcore.measure.diagnosis.linear_step import (
     ON_GUESS,
     TINY_STEP,
     State,
@@ -59,7 +59,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Parts:
+class LinearMotion:
     """The linearised motion at a state, by elements.
 
     implicit: whose damping each integrator treats implicitly; after: what acts after the midpoint.
@@ -130,7 +130,7 @@ class Parts:
         """The derivatives of log |value| by each element's gain, as parts of their sum.
 
         changed: the matrix times a block, of an element's gain times 1 + the number given. Of
-        several equal eigenvalues the mean's. Elements that hold it back count 0.
+        several equal eigenvalues the mean's. ElementForces that hold it back count 0.
         """
         values = np.linalg.eigvals(matrix).astype(complex)
         if not np.any(values):
@@ -168,7 +168,7 @@ def _cluster(matrix: Floats, values: Any, value: complex) -> tuple[complex, Any]
     return complex(centre or 1.0) * count, onto
 
 
-def parts(model: Model, state: State, dt: float | None) -> Parts | None:
+def parts(model: Model, state: State, dt: float | None) -> LinearMotion | None:
     """The elements at a state; None where its accelerations are not finite.
 
     dt: rows as soft as `refsafe` makes them at this step; None: as soft as the scene asks.
@@ -178,7 +178,7 @@ def parts(model: Model, state: State, dt: float | None) -> Parts | None:
         return None
     if dt is None and model.settings.law in ON_GUESS:
         model = without_rows(model)
-    elements = Elements(model)
+    elements = ElementForces(model)
     own: dict[str, Any] = {"dt": TINY_STEP, "refsafe": False} if dt is None else {"dt": dt}
     sim = placed(model, state, integrator="explicit", **own)
     found = _differences(elements, Dofs(model.scene), sim, state)
@@ -190,10 +190,10 @@ def parts(model: Model, state: State, dt: float | None) -> Parts | None:
     found[INERTIAL] = Part(rest[:, :n], rest[:, n:])
     penalty = model.settings.law == "penalty"
     rows = {key for key in found if key.kind in ROWS and (key.kind != "contact" or not penalty)}
-    return Parts(mass, rates, found, _implicit(model, found), frozenset(rows))
+    return LinearMotion(mass, rates, found, _implicit(model, found), frozenset(rows))
 
 
-def _differences(elements: Elements, dofs: Dofs, sim: Sim, state: State) -> dict[Key, Part]:
+def _differences(elements: ElementForces, dofs: Dofs, sim: Sim, state: State) -> dict[Key, Part]:
     """Minus the derivatives of every element's force.
 
     Where a row opens or closes on one side of the state (a contact, one point of it, a limit), all
@@ -240,7 +240,9 @@ def _differences(elements: Elements, dofs: Dofs, sim: Sim, state: State) -> dict
     return found
 
 
-def _spins(elements: Elements, spins: Spins, sides: Callable[..., list[Any]]) -> dict[Key, Part]:
+def _spins(
+    elements: ElementForces, spins: SpinForces, sides: Callable[..., list[Any]]
+) -> dict[Key, Part]:
     """Those of spinning bodies. sides: forces with positions changed, and changed back."""
     n = elements.model.nv
     stiffness = np.zeros((len(spins.spin), n, n))

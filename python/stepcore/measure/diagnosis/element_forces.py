@@ -54,7 +54,7 @@ INERTIAL = Key("inertial", (), "")
 ROWS = ("contact", "limit", "connect", "friction loss")
 
 
-class Elements:
+class ElementForces:
     """The elements of a model: which there are, and the force of each at a state."""
 
     def __init__(self, model: Model) -> None:
@@ -189,7 +189,7 @@ class Elements:
         size = -s.penalty_stiffness * contact["dist"] - damping * (along @ sim.qvel)
         return normal * size
 
-    def spinning(self, sim: Sim) -> Spins:
+    def spinning(self, sim: Sim) -> SpinForces:
         """-ω × I ω of every body whose spin makes a torque, in world axes."""
         sim.forward()
         n = len(self.spins)
@@ -197,11 +197,11 @@ class Elements:
         turning = turning.reshape(n, 3, self.model.nv)
         axes = sim.xmat[self.spins].reshape(n, 3, 3)
         own = np.array([self.model.body_inertia[body] for body in self.spins]).reshape(n, 3, 3)
-        return Spins(turning, axes @ own @ axes.transpose(0, 2, 1), turning @ sim.qvel)
+        return SpinForces(turning, axes @ own @ axes.transpose(0, 2, 1), turning @ sim.qvel)
 
 
 @dataclass(frozen=True)
-class Spins:
+class SpinForces:
     """turning (n, 3, nv): how the bodies turn with qvel; inertia (n, 3, 3); spin ω (n, 3)."""
 
     turning: Floats

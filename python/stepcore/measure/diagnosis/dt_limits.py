@@ -14,7 +14,8 @@ from stepcore.engine.linear_maps import amplification
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis import growth
 from stepcore.measure.diagnosis.growth import Growth
-from stepcore.measure.diagnosis.linear import (
+from stepcore.measure.diagnosis.linear_motion import LinearMotion, parts
+from stepcore.measure.diagnosis.linear_step import (
     ON_GUESS,
     State,
     flow,
@@ -23,8 +24,7 @@ from stepcore.measure.diagnosis.linear import (
     step_map,
     without_rows,
 )
-from stepcore.measure.diagnosis.parts import Parts, parts
-from stepcore.measure.diagnosis.softness import first_softened
+from stepcore.measure.diagnosis.solref import first_softened
 
 # The longest step tried [s], and the shortest in units of the motion's fastest time.
 LONGEST, SHORTEST = 1.0, 1e-4
@@ -69,12 +69,12 @@ class Situation:
     rates: Sequence[Any]
     horizon: float
     softened: float
-    _parts: dict[int, Parts | None] = field(default_factory=dict, repr=False, compare=False)
+    _parts: dict[int, LinearMotion | None] = field(default_factory=dict, repr=False, compare=False)
     _seen: dict[tuple[str, float, int], tuple[State, Growth]] = field(
         default_factory=dict, repr=False, compare=False
     )
 
-    def parts(self, state: State, dt: float | None = None) -> Parts | None:
+    def parts(self, state: State, dt: float | None = None) -> LinearMotion | None:
         """The elements at a state, with rows as soft as they are at this step (None: as the scene
         asks); None where its accelerations are not finite."""
         as_asked = dt is None or not (self._soft(state, dt) or self._on_guess(state))

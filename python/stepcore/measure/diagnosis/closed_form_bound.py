@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.alone import oscillator
-from stepcore.measure.diagnosis.forces import Elements, Key
-from stepcore.measure.diagnosis.softness import may_limit, softened_beyond, solref_of
+from stepcore.measure.diagnosis.element_forces import ElementForces, Key
+from stepcore.measure.diagnosis.oscillator import oscillator
+from stepcore.measure.diagnosis.solref import may_limit, softened_beyond, solref_of
 from stepcore.scene.layout import DOFS, Layout
 
 # The most pairs of geoms that are looked at.
@@ -47,7 +47,7 @@ class _Element:
 def closed_form(model: Model, integrator: str | None = None) -> Bound:
     """The bound under an integrator (default: the model's own)."""
     integrator = integrator or model.settings.integrator
-    layout, elements = Layout(model.scene), Elements(model)
+    layout, elements = Layout(model.scene), ElementForces(model)
     joints = [*_springs(elements, integrator), *_servos(elements, integrator)]
     safe = alone = math.inf
     stiffest = None
@@ -64,7 +64,7 @@ def closed_form(model: Model, integrator: str | None = None) -> Bound:
     return Bound(safe, alone, stiffest)
 
 
-def _springs(elements: Elements, integrator: str) -> Iterator[_Element]:
+def _springs(elements: ElementForces, integrator: str) -> Iterator[_Element]:
     model = elements.model
     for j in range(model.njnt):
         weight, tree = _weight(model, j), _root(model, int(model.jnt_body[j]))
@@ -77,7 +77,7 @@ def _springs(elements: Elements, integrator: str) -> Iterator[_Element]:
             yield _Element(Key("damper", (j,), elements.joints[j]), tree, 0.0, rate)
 
 
-def _servos(elements: Elements, integrator: str) -> Iterator[_Element]:
+def _servos(elements: ElementForces, integrator: str) -> Iterator[_Element]:
     model = elements.model
     for i in elements.servos:
         joint = int(model.actuator_joint[i])
@@ -100,7 +100,7 @@ def gains(model: Model, actuator: int) -> tuple[float, float]:
     return -square * length, -square * velocity
 
 
-def _rows(elements: Elements, layout: Layout) -> Iterator[_Element]:
+def _rows(elements: ElementForces, layout: Layout) -> Iterator[_Element]:
     """Limits, connects, friction losses and contacts that nothing softens with dt."""
     model = elements.model
     features = model.scene.features

@@ -20,7 +20,7 @@ import numpy as np
 from stepcore.engine.arrays import Floats
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Dofs
-from stepcore.measure.diagnosis.forces import cross_matrix
+from stepcore.measure.diagnosis.element_forces import cross_matrix
 
 # The step from which the acceleration's derivative is read [s]: of an explicit step, which is
 # linear in dt.

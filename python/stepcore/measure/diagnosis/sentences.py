@@ -9,11 +9,11 @@ from stepcore.report.units import seconds
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
-    from stepcore.measure.diagnosis.figures import Figures
-    from stepcore.measure.diagnosis.forces import Key
-    from stepcore.measure.diagnosis.limits import Situation
+    from stepcore.measure.diagnosis.dt_limits import Situation
+    from stepcore.measure.diagnosis.element_forces import Key
+    from stepcore.measure.diagnosis.element_limits import ElementLimits
     from stepcore.measure.diagnosis.result import Diagnosis
-    from stepcore.measure.diagnosis.states import Visit
+    from stepcore.measure.diagnosis.visited_states import Visit
 
 # Growth of the motion itself that is worth a word [1/s].
 NOTABLE = 0.1
@@ -102,7 +102,7 @@ def _state(d: Diagnosis, index: int) -> str:
 
 
 def notes(
-    model: Model, visit: Visit, here: Situation, elements: dict[Key, Figures], horizon: float
+    model: Model, visit: Visit, here: Situation, elements: dict[Key, ElementLimits], horizon: float
 ) -> list[str]:
     """What to bear in mind."""
     said = [
