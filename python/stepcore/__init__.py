@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from stepcore.measure.ablation import Ablation, ablate
     from stepcore.measure.convergence import Convergence, converge
     from stepcore.measure.diagnosis import Diagnosis, StiffnessWarning, diagnose
+    from stepcore.measure.plan import Plan, plan
     from stepcore.measure.postmortem import PostMortem, Replay, replay
     from stepcore.measure.predictability import predictability
     from stepcore.measure.stability import StabilityMap, stability_map
@@ -41,6 +42,7 @@ __all__ = [
     "Diagnosis",
     "Linearization",
     "Model",
+    "Plan",
     "PostMortem",
     "Replay",
     "Scene",
@@ -56,6 +58,7 @@ __all__ = [
     "diagnose",
     "load",
     "loads",
+    "plan",
     "predictability",
     "replay",
     "stability_map",
@@ -75,6 +78,8 @@ _LATER = {
     "ablate": "stepcore.measure.ablation",
     "StabilityMap": "stepcore.measure.stability",
     "stability_map": "stepcore.measure.stability",
+    "Plan": "stepcore.measure.plan",
+    "plan": "stepcore.measure.plan",
     "predictability": "stepcore.measure.predictability",
     "PostMortem": "stepcore.measure.postmortem",
     "Replay": "stepcore.measure.postmortem",

@@ -11,8 +11,9 @@ from small import unstable
 
 import stepcore as sc
 from stepcore.cli import main
-from stepcore.measure.ablation.changes import Change, Features, Seen, made
-from stepcore.measure.ablation.smallest import saved, work
+from stepcore.measure.ablation.selection import confirmed, greedy, saved, work
+from stepcore.measure.ablation.variants import Outcome
+from stepcore.measure.features import RemovableFeatures, Removal, Usage, without
 from stepcore.report.table import WIDTH
 
 # A block that slides on the floor, a pendulum that neither meets it nor its own limit, and a
@@ -36,23 +37,23 @@ def known(mu: float = 0.5, v: float = 1.0) -> sc.Ablation:
 
 
 def row(result: sc.Ablation, kind: str):
-    (found,) = [row for row in result.rows if row.change.kind == kind]
+    (found,) = [row for row in result.rows if row.removal.kind == kind]
     return found
 
 
 def test_a_limit_that_is_never_reached_matters_nothing() -> None:
     limits = row(known(), "limits")
-    assert limits.change.name == "1 joint that never reached one"
-    assert limits.measured.added == (0.0, 0.0)
-    assert limits.change in known().chosen
+    assert limits.removal.name == "1 joint whose limit is never reached"
+    assert limits.outcome.added == (0.0, 0.0)
+    assert limits.removal in known().removed
 
 
 def test_pairs_that_never_meet_matter_nothing() -> None:
     """The sledge meets the floor; the other bodies meet nothing."""
     colliders = row(known(), "colliders")
-    assert colliders.measured.worst == 0.0
-    assert colliders.change in known().chosen
-    met = [row.change.name for row in known().rows if row.change.kind == "collider"]
+    assert colliders.outcome.worst == 0.0
+    assert colliders.removal in known().removed
+    met = [row.removal.name for row in known().rows if row.removal.kind == "collider"]
     assert met == ["world/sledge"]
 
 
@@ -62,8 +63,8 @@ def test_friction_that_brakes_matters_as_much_as_it_brakes() -> None:
     friction = row(known(mu=0.2), "friction")
     times = np.linspace(0.02, 0.4, 20)
     expected = np.sqrt(np.mean((0.5 * 0.2 * 9.81 * times**2) ** 2) / 3)
-    assert friction.measured.worst == pytest.approx(expected, rel=0.1)
-    assert friction.change not in known(mu=0.2).chosen
+    assert friction.outcome.worst == pytest.approx(expected, rel=0.1)
+    assert friction.removal not in known(mu=0.2).removed
 
 
 def test_friction_of_what_stands_never_acts() -> None:
@@ -71,8 +72,8 @@ def test_friction_of_what_stands_never_acts() -> None:
     5 cm/s at most, and the floor stops it within millimetres.)"""
     result = sc.ablate(sc.loads(KNOWN.format(mu=0.5, v=0)), error=2e-2, **SHORT)
     friction = row(result, "friction")
-    assert friction.measured.added[0] < 1e-12
-    assert friction.change in result.chosen
+    assert friction.outcome.added[0] < 1e-12
+    assert friction.removal in result.removed
     assert result.smallest.geoms[1].condim == 1
 
 
@@ -81,7 +82,7 @@ def test_a_collider_that_carries_cannot_go() -> None:
     fallen = row(known(v=0.0), "collider")
     times = np.linspace(0.02, 0.4, 20)
     expected = np.sqrt(np.mean((0.5 * 9.81 * times**2) ** 2) / 3)
-    assert fallen.measured.worst == pytest.approx(expected, rel=0.1)
+    assert fallen.outcome.worst == pytest.approx(expected, rel=0.1)
 
 
 def test_the_smallest_model_is_a_file_that_moves_alike(tmp_path: Path) -> None:
@@ -91,54 +92,73 @@ def test_the_smallest_model_is_a_file_that_moves_alike(tmp_path: Path) -> None:
     scene = sc.load(path)
     assert scene == result.smallest
     assert scene.settings == result.smallest.settings
-    assert result.held.worst <= result.error
+    assert result.confirmed.worst <= result.error
     runs = []
     for one in (sc.loads(KNOWN.format(mu=0.5, v=1.0)), scene):
         sim = sc.Sim(one.compile())
         sim.reset(key=0)
         runs.append(sim.run(0.4).qpos)
     assert np.sqrt(np.mean((runs[0] - runs[1]) ** 2)) <= result.error
-    assert work(result.best.measured) < work(result.whole.measured)
-    assert saved(result.whole.measured, result.whole.measured) == 0
+    assert work(result.best.outcome) < work(result.whole.outcome)
+    assert saved(result.whole.outcome, result.whole.outcome) == 0
 
 
-@pytest.mark.skipif(not hasattr(sc.Sim, "count_flops"), reason="operations are not counted")
-def test_what_two_features_need_together_is_seen() -> None:
-    """Two springs in parallel that hold one mass: either may go within 30 cm, not both. What is
-    chosen is measured together."""
-    result = sc.ablate(sc.loads(KNOWN.format(mu=0.5, v=1.0)), error=10.0, **SHORT)
-    # With no tolerance to speak of everything that costs anything goes, and it still runs.
-    assert len(result.chosen) >= 4
-    assert result.best.measured.worst <= 10.0
+# A weight held by two connections at the same point.
+TWICE_TIED = """<mujoco><option timestep="0.005"/><worldbody>
+  <body name="weight" pos="0 0 1"><freejoint/><geom size=".1" mass="1"/></body></worldbody>
+  <equality><connect name="one" body1="weight" anchor="0 0 0"/>
+    <connect name="other" body1="weight" anchor="0 0 0"/></equality></mujoco>"""
 
 
-def test_what_does_not_hold_on_other_starts_comes_back() -> None:
-    from stepcore.measure.ablation.run import Measured
-    from stepcore.measure.ablation.smallest import confirmed
-
-    a, b = Change("a", "", ()), Change("b", "", ())
-    alone = {a: Measured(added=(0.1,)), b: Measured(added=(0.2,))}.__getitem__
-
-    def measure(changes):
-        return Measured(added=(2.0 if b in changes else 0.5,))
-
-    kept, held, back = confirmed([a, b], alone, 1.0, measure, lambda change: change)
-    assert (kept, back, held.worst) == ([a], [b], 0.5)
+def test_of_two_features_that_do_the_same_one_stays() -> None:
+    """Either connection holds the weight, so removing one adds millimetres; without both it falls
+    by g t²/2. What is removed together is measured together."""
+    result = sc.ablate(sc.loads(TWICE_TIED), error=1e-2, **SHORT)
+    ties = [row for row in result.rows if row.removal.kind == "equality"]
+    assert len(ties) == 2 and all(row.outcome.worst < 5e-3 for row in ties)
+    assert sum(row.removal in result.removed for row in ties) == 1
+    assert result.best.outcome.worst <= 1e-2
+    neither = without(sc.loads(TWICE_TIED), [row.removal for row in ties])
+    assert not any(equality.active for equality in neither.equalities)
 
 
-def test_of_a_group_only_that_comes_back_which_other_starts_use() -> None:
+def test_what_is_too_much_together_is_not_removed_together() -> None:
+    a, b, c = (Removal(name, "", ()) for name in "abc")
+    whole = Outcome(added=(0.0,), flops=10.0)
+    alone = [Outcome(added=(0.1,), flops=7.0), Outcome((0.1,), flops=8.0), Outcome((9.0,), flops=1)]
+
+    def measure(removals):
+        assert c not in removals
+        return Outcome(added=(0.1 if len(removals) == 1 else 2.0,), flops=10.0 - 3 * len(removals))
+
+    removed, best = greedy([a, b, c], alone, whole, 1.0, measure)
+    assert removed == [a] and best.worst == 0.1
+
+
+def test_what_other_starts_need_is_restored() -> None:
+    a, b = Removal("a", "", ()), Removal("b", "", ())
+    alone = {a: Outcome(added=(0.1,)), b: Outcome(added=(0.2,))}.__getitem__
+
+    def measure(removals):
+        return Outcome(added=(2.0 if b in removals else 0.5,))
+
+    removed, outcome, restored = confirmed([a, b], alone, 1.0, measure, lambda removal: removal)
+    assert (removed, restored, outcome.worst) == ([a], [b], 0.5)
+
+
+def test_of_a_group_only_what_other_starts_use_is_restored() -> None:
     model = sc.loads(EVERYTHING).compile()
-    features = Features(model)
-    idle = Seen(frozenset(), frozenset())
-    limits, colliders = features.limits(idle)[0], features.colliders(idle)[0]
-    used = Seen(frozenset({(0, 1)}), frozenset({2}))
-    fewer = features.lessened(limits, used), features.lessened(colliders, used)
-    assert [change.name for change in fewer if change] == [
-        "1 joint that never reached one",
-        "3 pairs of bodies that never met",
+    features = RemovableFeatures(model)
+    unused = Usage(frozenset(), frozenset())
+    limits, colliders = features.limits(unused)[0], features.colliders(unused)[0]
+    used = Usage(frozenset({(0, 1)}), frozenset({2}))
+    fewer = features.reduced(limits, used), features.reduced(colliders, used)
+    assert [removal.name for removal in fewer if removal] == [
+        "1 joint whose limit is never reached",
+        "3 pairs of bodies that never touch",
     ]
-    assert made(model.scene, [fewer[0]]).joint("k").range is not None
-    assert features.lessened(limits, Seen(frozenset(), frozenset({1, 2}))) is None
+    assert without(model.scene, [fewer[0]]).joint("k").range is not None
+    assert features.reduced(limits, Usage(frozenset(), frozenset({1, 2}))) is None
 
 
 EVERYTHING = """<mujoco><option cone="elliptic"/><worldbody>
@@ -151,11 +171,11 @@ EVERYTHING = """<mujoco><option cone="elliptic"/><worldbody>
   <equality><connect name="tie" body1="c" anchor="0 0 0"/></equality></mujoco>"""
 
 
-def test_every_feature_is_found_and_switched_off() -> None:
+def test_every_feature_is_found_and_removed() -> None:
     model = sc.loads(EVERYTHING).compile()
-    seen = Seen(frozenset({(0, 1)}), frozenset({1}))
-    changes = Features(model).changes(seen, model.settings)
-    assert [change.label for change in changes] == [
+    usage = Usage(frozenset({(0, 1)}), frozenset({1}))
+    removals = RemovableFeatures(model).removals(usage, model.settings)
+    assert [removal.label for removal in removals] == [
         "cone: elliptic → pyramidal",
         "friction: condim 1",
         "friction loss: 1 joint",
@@ -163,9 +183,9 @@ def test_every_feature_is_found_and_switched_off() -> None:
         "joint damping: 1 joint",
         "joint springs: 1 joint",
         "velocity forces: Coriolis, gyroscopic",
-        "limits: 1 joint that never reached one",
+        "limits: 1 joint whose limit is never reached",
         "limit: j",
-        "colliders: 3 pairs of bodies that never met",
+        "colliders: 3 pairs of bodies that never touch",
         "collider: world/a",
         "self-collision: 1 pair of bodies",
         "collider group: group 0 (3 geoms)",
@@ -173,24 +193,21 @@ def test_every_feature_is_found_and_switched_off() -> None:
         "equality: tie",
         "warm start",
     ]
-    for change in changes:
-        scene = made(model.scene, [change])
+    for removal in removals:
+        scene = without(model.scene, [removal])
         # Each is another scene, with the same states, that can be saved and read.
         assert scene != model.scene
         assert scene.compile().nq == model.nq
         assert sc.loads(scene.to_mjcf()) == scene
-    assert made(model.scene, []) == model.scene
+    assert without(model.scene, []) == model.scene
 
 
 @pytest.mark.parametrize("kind", ["armature", "joint damping", "velocity forces", "limits"])
-def test_a_change_reaches_the_model(kind: str) -> None:
+def test_a_removal_reaches_the_model(kind: str) -> None:
     model = sc.loads(EVERYTHING).compile()
-    (change,) = [
-        c
-        for c in Features(model).changes(Seen(frozenset(), frozenset()), model.settings)
-        if c.kind == kind
-    ]
-    scene = made(model.scene, [change])
+    removals = RemovableFeatures(model).removals(Usage(frozenset(), frozenset()), model.settings)
+    (removal,) = [removal for removal in removals if removal.kind == kind]
+    scene = without(model.scene, [removal])
     less = scene.compile()
     if kind == "armature":
         mass = sc.Sim(model).mass_matrix() - sc.Sim(less).mass_matrix()
@@ -211,8 +228,8 @@ def test_processes_find_the_same() -> None:
     with ProcessPoolExecutor(1) as pool:
         result = sc.ablate(scene, executor=pool, **SHORT)
     for one, other in zip(result.rows, known().rows, strict=True):
-        assert one.measured == other.measured
-    assert result.chosen == known().chosen
+        assert one.outcome == other.outcome
+    assert result.removed == known().removed
 
 
 def test_the_command_writes_data_a_picture_a_page_and_the_model(tmp_path: Path, capsys) -> None:
@@ -225,10 +242,12 @@ def test_the_command_writes_data_a_picture_a_page_and_the_model(tmp_path: Path, 
     printed = capsys.readouterr().out
     assert max(map(len, printed.splitlines())) <= WIDTH
     printed = " ".join(printed.split())
-    assert "The smallest model within 1 mm goes without" in printed
+    assert "The smallest model within 1 mm saves" in printed
     assert "torsional and rolling friction are not built yet" in printed
     data = json.loads(Path(out["json"]).read_text())
-    assert data["smallest"]["without"] == data["smallest"]["without"]
+    same = sc.ablate(sc.load(model), horizon=0.2, starts=1, progress=False)
+    assert data["smallest"]["without"] == [removal.label for removal in same.removed] != []
+    assert [row["added"] for row in data["rows"]] == [row.outcome.worst for row in same.rows]
     assert sc.loads(data["smallest"]["mjcf"]) == sc.load(out["xml"])
     assert Path(out["png"]).stat().st_size > 10_000
     assert "<img" in Path(out["html"]).read_text()

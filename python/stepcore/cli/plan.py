@@ -9,17 +9,18 @@ from stepcore.cli.options import add_file, add_output, check_output, deliver
 
 
 def add(commands: Any) -> None:
-    plan = commands.add_parser("plan", help="what a step of a model does, and what it leaves out")
-    add_file(plan)
-    plan.add_argument("--time", action="store_true", help="measure in µs as well")
-    plan.add_argument("--all", action="store_true", help="print every name")
-    add_output(plan)
-    plan.set_defaults(call=call)
+    parser = commands.add_parser("plan", help="what a step of a model does, and what it leaves out")
+    add_file(parser)
+    parser.add_argument("--time", action="store_true", help="measure in µs as well")
+    parser.add_argument("--all", action="store_true", help="print every name")
+    add_output(parser)
+    parser.set_defaults(call=call)
 
 
 def call(args: argparse.Namespace) -> None:
     from stepcore.engine.sim import Sim
     from stepcore.loading import find_scene
+    from stepcore.measure.plan import plan
 
     check_output(args)
     model = find_scene(args.file).compile()
@@ -27,4 +28,4 @@ def call(args: argparse.Namespace) -> None:
     if args.key is not None:
         sim = Sim(model)
         sim.reset(key=int(args.key) if args.key.isdigit() else args.key)
-    deliver(model.plan(sim=sim, time=args.time), args, full=args.all)
+    deliver(plan(model, sim=sim, time=args.time), args, full=args.all)

@@ -333,23 +333,10 @@ class Model:
         )
 
     def plan(self, *, sim: Sim | None = None, time: bool = False) -> Plan:
-        """What a step does (terms, pairs, kinds of rows, files) and leaves out, with the reasons.
+        """What a step does and what it leaves out, with the reasons: `stepcore.plan(self, …)`."""
+        from stepcore.measure.plan import plan
 
-        sim: a Sim of this model, at whose state and settings the work of a step is counted; by
-            default the first keyframe or the initial pose. time: measure in µs as well.
-
-        Raises ValueError for a Sim of another model.
-
-        >>> from stepcore import loads
-        >>> scene = loads("<mujoco><worldbody><geom type='plane' size='1 1 1'/><body pos='0 0 1'>"
-        ...     "<freejoint/><geom name='ball' size='.1'/></body></worldbody></mujoco>")
-        >>> out = scene.compile().plan().left_out
-        >>> [entry.why for entry in out if entry.name.startswith("mass matrix")]
-        ['isotropic: constant, and no gyroscopic term']
-        """
-        from stepcore.measure.plan import planned
-
-        return planned(self, sim, time)
+        return plan(self, sim=sim, time=time)
 
     # Copies.
 

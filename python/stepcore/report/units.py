@@ -23,3 +23,15 @@ def quantity(value: float, units: Sequence[tuple[str, float]], digits: int = 3) 
             return f"{value / size:.{digits}g} {unit}"
     unit, size = units[-1]
     return f"{value / size:.{digits}g} {unit}" if value else f"0 {units[0][0]}"
+
+
+def length(value: float) -> str:
+    """An error as a length; below 1 pm it is rounding, and exactly 0 is said so."""
+    if 0 < value < 1e-12:
+        return "< 1 pm"
+    return "0" if value == 0 else metres(value)
+
+
+def percent(share: float) -> str:
+    """A share in percent, with a decimal where it is small."""
+    return f"{100 * share:.1f} %" if abs(share) < 0.1 else f"{100 * share:.0f} %"

@@ -1,4 +1,4 @@
-"""`ablate`: what each modelled feature costs, and what error leaving it out adds."""
+"""`ablate`: the cost of each modelled feature, and the error that removing it adds."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from stepcore.experiment.motion import Control, Motion, motion, time_steps
 from stepcore.experiment.reference import Reference, Search
 from stepcore.experiment.runner import Course
 from stepcore.loading import find_model
-from stepcore.measure.ablation.changes import Change, Features, made
-from stepcore.measure.ablation.result import Ablation, Row
-from stepcore.measure.ablation.run import Motive, measured, timed, watched
+from stepcore.measure.ablation.result import Ablation, FeatureEffect
 from stepcore.measure.ablation.selection import Selection
+from stepcore.measure.ablation.variants import Baseline, outcome_of, times_of, usage_of
+from stepcore.measure.features import RemovableFeatures, Removal, without
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import metres, seconds
 from stepcore.scene.scene import Scene
 
-__all__ = ["Ablation", "Row", "ablate"]
+__all__ = ["Ablation", "FeatureEffect", "ablate"]
 
 SETS = 3
 # What the reference may cost, in steps × (dofs + 2).
@@ -49,15 +49,15 @@ def ablate(
     executor: Executor | None = None,
     progress: Choice = None,
 ) -> Ablation:
-    """Switches off one modelled feature at a time: the work this saves, the error it adds.
+    """Removes one modelled feature at a time, and measures the work saved and the error added.
 
-    Then as many of them together as leave the motion within `error`: the smallest model, chosen
+    Then it removes as many together as leave the motion within `error`: the smallest model, chosen
     on some starts and confirmed on as many others.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Everything runs
         under its own settings.
-    error: what the smallest model may add in the worst start [m]: the root mean square, over
-        samples and bodies, of the distance from the whole model's motion.
+    error: the RMS position error, over samples and bodies, that the smallest model may add to the
+        whole model's motion in the worst start [m].
     horizon, key, control, control_dt, ctrl, starts, seed: the motion, as in `stepcore.trade`.
     threads: how many runs at once (default: one a core). executor: any `concurrent.futures`
         executor in place of threads. progress: False, or a function of (label, done, total).
@@ -68,7 +68,7 @@ def ablate(
     >>> result = ablate(loads('''<mujoco><worldbody><body><joint axis="0 1 0" range="-90 90"/>
     ...   <geom type="capsule" size=".02" fromto="0 0 0 .3 0 -.1"/></body></worldbody></mujoco>'''),
     ...   horizon=0.2, starts=2)
-    >>> [row.measured.worst for row in result.rows if row.change.kind == "limits"]
+    >>> [row.outcome.worst for row in result.rows if row.removal.kind == "limits"]
     [0.0]
     >>> result.smallest.joints[0].range is None
     True
@@ -100,47 +100,50 @@ def ablate(
     search = Search(course, model.settings, dt, BUDGET, workers, executor)
     with Progress("reference", search.runs, progress) as bar:
         reference = _reference(search, bar, notes)
-    motive = _motive(course, reference)
-    seen = watched(course, model.settings)
-    selection = Selection(motive, Features(model), error)
-    changes = selection.features.changes(seen, model.settings)
-    with Progress("features", len(changes) + 1, progress) as bar:
-        points = [(), *((change,) for change in changes)]
-        job = partial(measured, motive)
+    baseline = _baseline(course, reference)
+    usage = usage_of(course, model.settings)
+    selection = Selection(baseline, RemovableFeatures(model), error)
+    removals = selection.features.removals(usage, model.settings)
+    with Progress("features", len(removals) + 1, progress) as bar:
+        points = [(), *((removal,) for removal in removals)]
+        job = partial(outcome_of, baseline)
         whole, *alone = each(job, points, bar=bar, threads=workers, executor=executor)
-    selection.known = dict(zip(changes, alone, strict=True))
-    with Progress("smallest", len(changes), progress) as bar:
-        selection.choose(changes, whole, bar)
+    selection.known = dict(zip(removals, alone, strict=True))
+    with Progress("smallest", len(removals), progress) as bar:
+        selection.choose(removals, whole, bar)
     selection.confirm(_others(model, dofs, motions, starts))
-    kept = selection.kept
-    changes += [change for change in kept if change not in changes]
-    times = timed(motive, [(), *((change,) for change in changes), kept])
-    rows = [Row(c, selection.alone(c), t) for c, t in zip(changes, times[1:-1], strict=True)]
+    removed = selection.removed
+    removals += [removal for removal in removed if removal not in removals]
+    times = times_of(baseline, [(), *((removal,) for removal in removals), removed])
+    rows = [
+        FeatureEffect(removal, selection.alone(removal), cost)
+        for removal, cost in zip(removals, times[1:-1], strict=True)
+    ]
     return Ablation(
         name=model.scene.name or "scene",
         settings=model.settings,
         horizon=tuned.horizon,
         starts=starts,
         error=error,
-        whole=Row(Change("whole model", "", ()), whole, times[0]),
+        whole=FeatureEffect(Removal("whole model", "", ()), whole, times[0]),
         rows=rows,
-        chosen=kept,
-        best=Row(Change("smallest model", "", ()), selection.best, times[-1]),
-        held=selection.held,
-        back=selection.back,
-        smallest=made(model.scene.with_settings(model.settings), kept),
+        removed=removed,
+        best=FeatureEffect(Removal("smallest model", "", ()), selection.chosen_on, times[-1]),
+        confirmed=selection.confirmed_on,
+        restored=selection.restored,
+        smallest=without(model.scene.with_settings(model.settings), removed),
         reference=reference.error if reference else None,
-        notes=[*notes, *_notes(reference, motive, error)],
+        notes=[*notes, *_notes(reference, baseline, error)],
     )
 
 
 def _others(
     model: Model, dofs: Dofs, motions: Motion, starts: int
-) -> Iterator[tuple[Course, Motive]]:
-    """The sets of starts that nothing was chosen on."""
+) -> Iterator[tuple[Course, Baseline]]:
+    """The sets of starts on which nothing was chosen."""
     for part in range(1, SETS):
         course = Course(model, dofs, _part(motions, part * starts, (part + 1) * starts))
-        yield course, _motive(course, None)
+        yield course, _baseline(course, None)
 
 
 def _part(motions: Motion, first: int, last: int) -> Motion:
@@ -159,7 +162,7 @@ def _reference(search: Search, bar: Progress, notes: list[str]) -> Reference | N
         return None
 
 
-def _motive(course: Course, reference: Reference | None) -> Motive:
+def _baseline(course: Course, reference: Reference | None) -> Baseline:
     """The whole model's own motion at its settings; ValueError if it fails."""
     paths = []
     for start in range(len(course.motion.starts)):
@@ -169,27 +172,27 @@ def _motive(course: Course, reference: Reference | None) -> Motive:
         paths.append(path)
     if reference is None:
         scored = np.ones((len(paths), len(course.motion.times)), bool)
-        return Motive(course.model, course.motion, tuple(paths), None, scored)
+        return Baseline(course.model, course.motion, tuple(paths), None, scored)
     truth = tuple(reference.paths)
     wrong = far_off(paths, truth, extent(truth, course.model.scene))
     if wrong:
         dt = seconds(course.model.settings.dt)
         raise ValueError(f"the whole model fails at its dt of {dt}: {wrong}; see stepcore diagnose")
-    return Motive(course.model, course.motion, tuple(paths), truth, reference.scored)
+    return Baseline(course.model, course.motion, tuple(paths), truth, reference.scored)
 
 
-def _notes(reference: Reference | None, motive: Motive, tolerance: float) -> list[str]:
-    notes = ["torsional and rolling friction are not built yet: there is nothing to switch off"]
+def _notes(reference: Reference | None, baseline: Baseline, tolerance: float) -> list[str]:
+    notes = ["torsional and rolling friction are not built yet: there is nothing to remove"]
     if reference is not None and reference.error > tolerance:
         notes.append(
-            f"the converged motion is known to {metres(reference.error)} only: the column error "
-            "says no more than that, the column added does not need it"
+            f"the converged motion is known to {metres(reference.error)} only, which limits the "
+            "column error; the column added does not depend on it"
         )
-    short = int((~motive.scored).any(axis=1).sum())
+    short = int((~baseline.scored).any(axis=1).sum())
     if short:
-        count = f"{short} of {len(motive.paths)} starts"
-        notes.append(f"{count} are scored only as long as they can be predicted")
-    if motive.motion.undriven:
-        names = ", ".join(motive.motion.undriven)
-        notes.append(f"motors without a control range are not driven: {names}")
+        count = f"{short} of {len(baseline.paths)} starts"
+        notes.append(f"{count} count only as long as they can be predicted")
+    if baseline.motion.undriven:
+        names = ", ".join(baseline.motion.undriven)
+        notes.append(f"actuators without a control range are not driven: {names}")
     return notes

@@ -10,44 +10,44 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stepcore._core import Settings
-from stepcore.measure.ablation.changes import Change
-from stepcore.measure.ablation.run import Measured
-from stepcore.measure.ablation.smallest import saved, work
-from stepcore.measure.trade.settings import label
+from stepcore.measure.ablation.selection import saved, work
+from stepcore.measure.ablation.variants import Outcome
+from stepcore.measure.features import Removal
 from stepcore.report.result import Result
+from stepcore.report.settings import label
 from stepcore.report.table import WIDTH, Table, jsonable
-from stepcore.report.units import metres, seconds
+from stepcore.report.units import length, metres, percent, seconds
 from stepcore.scene.scene import Scene
 
 LEGEND = (
-    "saved: share of the work per simulated second ({work}), negative: it costs more; µs: "
-    "computing time saved per simulated second; added: error added to the motion, rms of "
-    "positions in the worst start, m; max: of any body and sample, m; error: against the "
-    "converged motion, rms, worst start, m"
+    "saved: share of the work per simulated second ({work}), negative if the variant costs more; "
+    "µs: computing time saved per simulated second; added: RMS position error added to the motion "
+    "in the worst start [m]; max: the largest of any body and sample [m]; error: RMS position "
+    "error against the converged motion in the worst start [m]"
 )
 
 
 @dataclass(frozen=True)
-class Row:
-    """One feature switched off. cost [µs per simulated second]."""
+class FeatureEffect:
+    """One feature removed. cost [µs per simulated second]."""
 
-    change: Change
-    measured: Measured
+    removal: Removal
+    outcome: Outcome
     cost: float
 
 
 @dataclass(eq=False, repr=False)
 class Ablation(Result):
-    """What each modelled feature costs and matters; made by `stepcore.ablate`.
+    """What each modelled feature costs and what it adds to accuracy; made by `stepcore.ablate`.
 
-    whole: the model as it is; rows: each feature switched off alone. chosen: what the smallest
-    model goes without, best: that model on the starts it was chosen on, held: on others, back:
-    what had to come back because the others did not hold. smallest: its Scene. error: the
-    tolerance [m]; reference: error of the converged motion [m], None where there is none.
+    whole: the model as it is; rows: each feature removed alone. removed: what the smallest model
+    goes without; best: that model on the starts it was chosen on, confirmed: on others, restored:
+    what had to be restored because of those. smallest: its Scene. error: the tolerance [m];
+    reference: error of the converged motion [m], None where there is none.
 
     >>> from stepcore import ablate, lesson
     >>> result = ablate(lesson.drop(), horizon=0.2, starts=1, progress=False)
-    >>> isinstance(result, Ablation), result.best.measured.worst <= result.error
+    >>> isinstance(result, Ablation), result.best.outcome.worst <= result.error
     (True, True)
     """
 
@@ -56,12 +56,12 @@ class Ablation(Result):
     horizon: float
     starts: int
     error: float
-    whole: Row
-    rows: list[Row]
-    chosen: list[Change]
-    best: Row
-    held: Measured
-    back: list[Change]
+    whole: FeatureEffect
+    rows: list[FeatureEffect]
+    removed: list[Removal]
+    best: FeatureEffect
+    confirmed: Outcome
+    restored: list[Removal]
     smallest: Scene
     reference: float | None
     notes: list[str] = field(default_factory=list)
@@ -69,46 +69,45 @@ class Ablation(Result):
     @property
     def title(self) -> str:
         """What was measured, in a few words."""
-        return f"{self.name}: what each feature costs and matters"
+        return f"{self.name}: cost and effect of each modelled feature"
 
-    def saved(self, row: Row) -> float:
+    def saved(self, row: FeatureEffect) -> float:
         """The share of the whole model's work that a row saves."""
-        return saved(row.measured, self.whole.measured)
+        return saved(row.outcome, self.whole.outcome)
 
     @property
     def counted(self) -> bool:
         """Work is floating-point operations; else it is row updates."""
-        return self.whole.measured.flops is not None
+        return self.whole.outcome.flops is not None
 
     @property
     def table(self) -> Table:
-        """All rows, the largest saving first; work, µs and lengths as in `Row` and `Measured`."""
+        """All rows, the largest saving first; units as in `FeatureEffect` and `Outcome`."""
         return Table(self.record(row) for row in [self.whole, *self.sorted(), self.best])
 
-    def sorted(self) -> list[Row]:
+    def sorted(self) -> list[FeatureEffect]:
         """Rows, the largest saving first; failures last."""
-        key = [
-            (math.isnan(self.saved(row)), -self.saved(row), i) for i, row in enumerate(self.rows)
-        ]
-        return [self.rows[i] for *_, i in sorted(key)]
+        shares = [(self.saved(row), i) for i, row in enumerate(self.rows)]
+        order = sorted((math.isnan(share), -share, i) for share, i in shares)
+        return [self.rows[i] for *_, i in order]
 
-    def record(self, row: Row) -> dict[str, Any]:
+    def record(self, row: FeatureEffect) -> dict[str, Any]:
         """One row as plain data."""
-        m = row.measured
-        failed = m.failure is not None
+        outcome = row.outcome
+        failed = outcome.failure is not None
         return {
-            "feature": row.change.kind,
-            "name": row.change.name,
+            "feature": row.removal.kind,
+            "name": row.removal.name,
             "saved": self.saved(row),
-            "flops": None if failed else m.flops,
-            "row_updates": None if failed else m.row_updates,
+            "flops": None if failed else outcome.flops,
+            "row_updates": None if failed else outcome.row_updates,
             "cost": None if math.isnan(row.cost) else row.cost,
-            "added": None if failed else m.worst,
-            "added_median": None if failed else m.median,
-            "added_max": None if failed else m.added_max,
-            "error": max(m.error) if m.error else None,
-            "left_out": row.change in self.chosen,
-            "failure": m.failure,
+            "added": None if failed else outcome.worst,
+            "added_median": None if failed else outcome.median,
+            "added_max": None if failed else outcome.added_max,
+            "error": max(outcome.error) if outcome.error else None,
+            "left_out": row.removal in self.removed,
+            "failure": outcome.failure,
         }
 
     def to_dict(self) -> dict[str, Any]:
@@ -125,13 +124,13 @@ class Ablation(Result):
                 "rows": [self.record(row) for row in self.rows],
                 "smallest": {
                     **self.record(self.best),
-                    "without": [change.label for change in self.chosen],
-                    "came_back": [change.label for change in self.back],
-                    "confirmed": self.held.worst,
+                    "without": [removal.label for removal in self.removed],
+                    "restored": [removal.label for removal in self.restored],
+                    "confirmed": self.confirmed.worst,
                     "mjcf": self.smallest.to_mjcf(),
                 },
                 "notes": self.notes,
-                "summary": self.sentences(),
+                "sentences": self.sentences,
             }
         )
         return plain
@@ -155,96 +154,81 @@ class Ablation(Result):
             f"{self.name}: {len(self.rows)} features over {seconds(self.horizon)}, {starts}, "
             f"{label(self.settings)}{known}"
         )
-        said = self.sentences()
-        said += [f"failed: {row.change.label}: {row.measured.failure}" for row in self._failed()]
+        failed = [
+            f"failed: {row.removal.label}: {row.outcome.failure}"
+            for row in self.rows
+            if row.outcome.failure
+        ]
         notes = [f"note: {note}" for note in self.notes]
-        parts = [head, "", table.text(width), "", LEGEND.format(work=kind), "", *said, "", *notes]
+        legend = LEGEND.format(work=kind)
+        parts = [head, "", table.text(width), "", legend, "", *self.sentences, *failed, "", *notes]
         size = width or shutil.get_terminal_size((WIDTH, 40)).columns
         # The table is as wide as it was made.
         return "\n".join(part if "\n" in part else textwrap.fill(part, size) for part in parts)
 
-    def _failed(self) -> list[Row]:
-        return [row for row in self.rows if row.measured.failure]
-
-    def _cells(self, row: Row) -> dict[str, Any]:
-        m = row.measured
-        left = "*" if row.change in self.chosen else ""
-        cells: dict[str, Any] = {"": left, "without": row.change.label}
+    def _cells(self, row: FeatureEffect) -> dict[str, Any]:
+        outcome = row.outcome
+        mark = "*" if row.removal in self.removed else ""
+        cells: dict[str, Any] = {"": mark, "without": row.removal.label}
         share = self.saved(row)
         if row is self.whole:
             cells |= {"without": "nothing (the whole model)", "saved": "", "µs": ""}
         else:
             if row is self.best:
-                cells["without"] = f"all {len(self.chosen)} marked *"
-            cells["saved"] = "failed" if math.isnan(share) else _percent(share)
+                cells["without"] = f"all {len(self.removed)} marked *"
+            cells["saved"] = "failed" if math.isnan(share) else percent(share)
             gain = self.whole.cost - row.cost
             cells["µs"] = "" if math.isnan(gain) else f"{gain:.0f}"
-        added = "" if m.failure else _small(m.worst)
-        largest = "" if m.failure else _small(m.added_max)
-        cells |= {"added": added, "max": largest, "error": _small(max(m.error)) if m.error else ""}
+        cells["added"] = "" if outcome.failure else _small(outcome.worst)
+        cells["max"] = "" if outcome.failure else _small(outcome.added_max)
+        cells["error"] = _small(max(outcome.error)) if outcome.error else ""
         return cells
 
+    @property
     def sentences(self) -> list[str]:
         """What the table says."""
-        said = []
-        if self.chosen:
-            ratio = self.whole.cost / self.best.cost if self.best.cost > 0 else math.nan
-            quicker = "" if math.isnan(ratio) else f", {ratio:.2f}× as quick in this measurement"
-            said.append(
-                f"The smallest model within {metres(self.error)} goes without "
-                f"{'; '.join(change.label for change in self.chosen)}: "
-                f"{_percent(self.saved(self.best))} less work{quicker}, "
-                f"{length(self.best.measured.worst)} added in the worst start, "
-                f"{length(self.held.worst)} in the worst of {len(self.held.added)} starts that it "
-                "was not chosen on."
-            )
-        else:
-            said.append(
-                f"Nothing can be left out within {metres(self.error)}: every feature that costs "
-                "work matters more."
-            )
-        if self.back:
-            said.append(
-                "Other starts needed more, and it came back from: "
-                f"{'; '.join(change.label for change in self.back)}."
-            )
-        idle = [
-            row.change.label
+        sentences = [self._smallest()]
+        if self.restored:
+            names = "; ".join(removal.label for removal in self.restored)
+            sentences.append(f"Other starts exceed the tolerance, so these were restored: {names}.")
+        unused = [
+            row.removal.label
             for row in self.rows
-            if row.measured.worst == 0.0 and work(row.measured) < work(self.whole.measured)
+            if row.outcome.worst == 0.0 and work(row.outcome) < work(self.whole.outcome)
         ]
-        if idle:
-            said.append(f"No bit of the motion depends on: {'; '.join(idle)}.")
-        matters = max(
-            self.rows, key=lambda r: -1.0 if r.measured.failure else r.measured.worst, default=None
-        )
-        if (
-            matters is not None
-            and matters.measured.worst > self.error
-            and not matters.measured.failure
-        ):
-            said.append(
-                f"What matters most: {matters.change.label}, "
-                f"{metres(matters.measured.worst)} in the worst start."
+        if unused:
+            sentences.append(f"The motion is bit-identical without: {'; '.join(unused)}.")
+        ran = [row for row in self.rows if not row.outcome.failure]
+        largest = max(ran, key=lambda row: row.outcome.worst, default=None)
+        if largest is not None and largest.outcome.worst > self.error:
+            sentences.append(
+                f"The largest effect has {largest.removal.label}: without it the worst start is "
+                f"off by {metres(largest.outcome.worst)}."
             )
-        return said
+        return sentences
+
+    def _smallest(self) -> str:
+        """What the smallest model goes without, and how good it is."""
+        within = metres(self.error)
+        if not self.removed:
+            return (
+                f"No feature can be removed within {within}: each that costs work adds more error."
+            )
+        ratio = self.whole.cost / self.best.cost if self.best.cost > 0 else math.nan
+        faster = "" if math.isnan(ratio) else f" ({ratio:.2f}× as fast as measured here)"
+        names = "; ".join(removal.label for removal in self.removed)
+        return (
+            f"The smallest model within {within} saves {percent(self.saved(self.best))} of the "
+            f"work{faster}. It goes without {names}. It adds {length(self.best.outcome.worst)} in "
+            f"the worst start, and {length(self.confirmed.worst)} in the worst of "
+            f"{len(self.confirmed.added)} starts that it was not chosen on."
+        )
 
     def __repr__(self) -> str:
         return (
-            f"<Ablation {self.name}: {len(self.rows)} features, {len(self.chosen)} left out "
+            f"<Ablation {self.name}: {len(self.rows)} features, {len(self.removed)} removed "
             f"within {metres(self.error)}>"
         )
-
-
-def length(value: float) -> str:
-    """An error in words; what is below 1 pm is rounding."""
-    if 0 < value < 1e-12:
-        return "< 1 pm"
-    return "0" if value == 0 else metres(value)
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %" if abs(share) < 0.1 else f"{100 * share:.0f} %"
 
 
 def _small(value: float) -> str:

@@ -1,62 +1,143 @@
-"""Which features the smallest model goes without: chosen on some starts, confirmed on others."""
+"""The smallest model within a tolerance: chosen on some starts, confirmed on others."""
 
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 from stepcore.experiment.runner import Course
-from stepcore.measure.ablation.changes import Change, Features, Seen
-from stepcore.measure.ablation.run import Measured, Motive, measured, watched
-from stepcore.measure.ablation.smallest import confirmed, greedy
+from stepcore.measure.ablation.variants import Baseline, Outcome, outcome_of, usage_of
+from stepcore.measure.features import RemovableFeatures, Removal, Usage
 from stepcore.report.progress import Progress
+
+Measure = Callable[[Sequence[Removal]], Outcome]
 
 
 class Selection:
-    """Features measured alone, and what of them goes together.
+    """Features removed one at a time, and those of them that can be removed together.
 
-    kept: the changes that are kept; best: all of them on the starts they were chosen on; held:
-    on the last starts they were tried on; back: what had to come back.
+    removed: what the smallest model goes without; chosen_on: that model's outcome on the starts
+    that it was chosen on; confirmed_on: on the last other starts that it was tried on; restored:
+    what had to be restored because of those.
     """
 
-    def __init__(self, motive: Motive, features: Features, error: float) -> None:
-        self.motive, self.features, self.error = motive, features, error
-        self.known: dict[Change, Measured] = {}
-        self.kept: list[Change] = []
-        self.back: list[Change] = []
-        self.best = self.held = Measured()
+    def __init__(self, baseline: Baseline, features: RemovableFeatures, error: float) -> None:
+        self.baseline, self.features, self.error = baseline, features, error
+        self.known: dict[Removal, Outcome] = {}
+        self.removed: list[Removal] = []
+        self.restored: list[Removal] = []
+        self.chosen_on = self.confirmed_on = Outcome()
 
-    def alone(self, change: Change) -> Measured:
-        """One feature switched off, on the starts that are chosen on."""
-        if change not in self.known:
-            self.known[change] = measured(self.motive, [change])
-        return self.known[change]
+    def alone(self, removal: Removal) -> Outcome:
+        """One feature removed, on the starts that are chosen on."""
+        if removal not in self.known:
+            self.known[removal] = outcome_of(self.baseline, [removal])
+        return self.known[removal]
 
-    def choose(self, changes: Sequence[Change], whole: Measured, bar: Progress) -> None:
-        """Greedily, on the starts of the motive."""
+    def choose(self, removals: Sequence[Removal], whole: Outcome, bar: Progress) -> None:
+        """Removes features together, greedily, on the starts of the baseline."""
 
-        def measure(chosen: Sequence[Change]) -> Measured:
+        def measure(chosen: Sequence[Removal]) -> Outcome:
             bar.advance()
-            return measured(self.motive, chosen)
+            return outcome_of(self.baseline, chosen)
 
-        alone = [self.alone(change) for change in changes]
-        self.kept, self.best = greedy(changes, alone, whole, self.error, measure)
+        alone = [self.alone(removal) for removal in removals]
+        self.removed, self.chosen_on = greedy(removals, alone, whole, self.error, measure)
 
-    def confirm(self, others: Iterable[tuple[Course, Motive]]) -> None:
-        """On other starts, set by set, until nothing has to come back."""
-        for course, motive in others:
-            # Looked at only where something has to come back.
-            seen = functools.cache(partial(watched, course, course.model.settings))
-            less = partial(_lessened, self.features, seen)
-            measure = partial(measured, motive)
-            self.kept, self.held, back = confirmed(self.kept, self.alone, self.error, measure, less)
-            self.back += back
-            if not back:
+    def confirm(self, others: Iterable[tuple[Course, Baseline]]) -> None:
+        """Tries the smallest model on other starts, until a set of them needs nothing restored."""
+        for course, baseline in others:
+            # Run only where something has to be restored.
+            usage = functools.cache(partial(usage_of, course, course.model.settings))
+            self.removed, self.confirmed_on, restored = confirmed(
+                self.removed,
+                self.alone,
+                self.error,
+                partial(outcome_of, baseline),
+                partial(_reduced, self.features, usage),
+            )
+            self.restored += restored
+            if not restored:
                 break
-        if self.back:
-            self.best = measured(self.motive, self.kept)
+        if self.restored:
+            self.chosen_on = outcome_of(self.baseline, self.removed)
 
 
-def _lessened(features: Features, seen: Callable[[], Seen], change: Change) -> Change | None:
-    return features.lessened(change, seen())
+def _reduced(
+    features: RemovableFeatures, usage: Callable[[], Usage], removal: Removal
+) -> Removal | None:
+    return features.reduced(removal, usage())
+
+
+def work(outcome: Outcome) -> float:
+    """What a variant costs, by count: operations where they can be counted, else row updates."""
+    return outcome.row_updates if outcome.flops is None else outcome.flops
+
+
+def saved(outcome: Outcome, whole: Outcome) -> float:
+    """The share of the work that a variant saves; negative: it costs more."""
+    before = work(whole)
+    return (before - work(outcome)) / before if before > 0 and not outcome.failure else math.nan
+
+
+def greedy(
+    removals: Sequence[Removal],
+    alone: Sequence[Outcome],
+    whole: Outcome,
+    error: float,
+    measure: Measure,
+) -> tuple[list[Removal], Outcome]:
+    """What can be removed together for at most `error` [m] in the worst start.
+
+    One feature after the other, the largest saving first. Each stays removed that still saves work
+    and leaves the error within the tolerance, and each that changes no bit of the motion and costs
+    no work. Of two that exclude each other (a cone, and no friction at all) the one that saves more
+    is tried first.
+    """
+    order = sorted(range(len(removals)), key=lambda i: work(alone[i]))
+    chosen: list[Removal] = []
+    best = whole
+    for i in order:
+        unused = alone[i].worst == 0.0
+        if alone[i].worst > error or not _saves(alone[i], whole, unused):
+            continue
+        tried = measure([*chosen, removals[i]])
+        if tried.worst <= error and _saves(tried, best, unused):
+            chosen, best = [*chosen, removals[i]], tried
+    return chosen, best
+
+
+def _saves(outcome: Outcome, before: Outcome, unused: bool) -> bool:
+    """Whether there is less work; for a feature that does nothing, no more of it."""
+    return work(outcome) < work(before) or (unused and work(outcome) == work(before))
+
+
+def confirmed(
+    chosen: Sequence[Removal],
+    alone: Callable[[Removal], Outcome],
+    error: float,
+    measure: Measure,
+    reduced: Callable[[Removal], Removal | None],
+) -> tuple[list[Removal], Outcome, list[Removal]]:
+    """What may stay removed on other starts, the outcome there, and what had to be restored.
+
+    `measure` runs those starts. Where the error is beyond the tolerance, the groups lose what those
+    starts use (`reduced`); then, as long as that is not enough, the feature that adds the largest
+    error is restored.
+    """
+    removed: list[Removal] = list(chosen)
+    outcome = measure(removed)
+    restored: list[Removal] = []
+    if outcome.worst > error:
+        fewer = [(removal, reduced(removal)) for removal in removed]
+        restored = [removal for removal, smaller in fewer if smaller != removal]
+        removed = [smaller for _, smaller in fewer if smaller is not None]
+        outcome = measure(removed) if restored else outcome
+    while outcome.worst > error and removed:
+        worst = max(removed, key=lambda removal: alone(removal).worst)
+        removed.remove(worst)
+        restored.append(worst)
+        outcome = measure(removed)
+    return removed, outcome, restored

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from stepcore.measure.trade.settings import label
+from stepcore.report.settings import label
 from stepcore.report.table import Table
 from stepcore.report.units import metres, seconds
 

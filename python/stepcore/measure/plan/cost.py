@@ -1,26 +1,25 @@
-"""What the entries of a plan cost: a step with them, and one without."""
+"""What the entries of a plan cost: the work of a step with them, and of one without."""
 
 from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
 from stepcore import checks
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.measure.ablation.changes import Change, made
+from stepcore.measure.features import Removal, without
 from stepcore.measure.plan.result import Entry
 
-# Steps of one timing, and timings of each variant, interleaved with those of the whole.
+# Steps of one timing, and timings of each variant, interleaved with those of the whole model.
 STEPS, ROUNDS = 20, 15
 
 
-class Cost:
-    """A model at a state: a whole step's work, and that of entries. time: in µs as well."""
+class StepCost:
+    """The work of a step at a state, and what removing an entry saves. time: in µs as well."""
 
     def __init__(self, model: Model, sim: Sim | None, time: bool) -> None:
         checks.flag("plan", "time", time)
@@ -38,11 +37,9 @@ class Cost:
         self.state = self.whole.state() if sim is None else sim.state()
         self.settings = self.whole.settings
         self.whole.restore(self.state)
-        self.flops = _flops(self.whole)
-        self.stages: dict[str, float] = {}
-        if hasattr(self.whole, "stage_flops"):
-            self.stages = dict(self.whole.stage_flops())
-        self.micros = self._timed(self.whole, self.whole)[0] if time else None
+        self.flops = float(self.whole.count_flops())
+        self.stages = {stage: float(n) for stage, n in self.whole.stage_flops().items()}
+        self.micros = self._timed(self.whole)[0] if time else None
 
     def rows(self) -> Counter[str]:
         """Rows of the state by kind."""
@@ -50,31 +47,30 @@ class Cost:
         self.whole.forward()
         return Counter(str(kind) for kind in self.whole.rows["kind"])
 
-    def priced(self, entry: Entry, change: Change | None) -> Entry:
-        """The entry with what leaving it out saves, if that can be measured."""
-        if entry.parts and self.stages:
-            return replace(entry, flops=float(sum(self.stages[part] for part in entry.parts)))
-        if change is None or not entry.used or (self.flops is None and not self.time):
+    def priced(self, entry: Entry, removal: Removal | None) -> Entry:
+        """The entry with its own work, or with what removing it saves."""
+        if entry.stages:
+            return replace(entry, flops=sum(self.stages[stage] for stage in entry.stages))
+        if removal is None or not entry.used:
             return entry
         scene = self.model.scene.with_settings(self.settings)
-        sim = Sim(made(scene, [change]).compile())
+        sim = Sim(without(scene, [removal]).compile())
         self._place(sim)
-        without = _flops(sim)
-        flops = None if without is None or self.flops is None else self.flops - without
+        flops = self.flops - sim.count_flops()
         micros = None
         if self.time:
-            whole, less = self._timed(self.whole, sim)
-            micros = whole - less
+            whole, reduced = self._timed(self.whole, sim)
+            micros = whole - reduced
         return replace(entry, flops=flops, micros=micros)
 
     def _place(self, sim: Sim) -> None:
-        """Puts a variant, whose rows may be others, at the state."""
+        """Puts a variant, whose rows may differ, at the state."""
         self.whole.restore(self.state)
         for name in ("qpos", "qvel", "ctrl", "qfrc_applied", "xfrc_applied"):
             getattr(sim, name)[:] = getattr(self.whole, name)
 
     def _timed(self, *sims: Sim) -> list[float]:
-        """µs a step from the state, median of interleaved rounds."""
+        """µs per step from the state, median of interleaved rounds."""
         spent: list[list[float]] = [[] for _ in sims]
         for _ in range(ROUNDS):
             for sim, times in zip(sims, spent, strict=True):
@@ -84,7 +80,3 @@ class Cost:
                 times.append((perf_counter() - begin) / STEPS)
         self.whole.restore(self.state)
         return [1e6 * float(np.median(times)) for times in spent]
-
-
-def _flops(sim: Any) -> float | None:
-    return float(sim.count_flops(1)) if hasattr(sim, "count_flops") else None

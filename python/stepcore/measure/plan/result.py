@@ -1,4 +1,4 @@
-"""`Plan`: what a step does, what it leaves out, and why, as text, data and a picture."""
+"""`Plan`: what a step does and what it leaves out, as text, data and a picture."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from stepcore._core import Settings
 from stepcore.report.result import Result
 from stepcore.report.table import WIDTH, Table, jsonable
 
-# So many names stand in the printed plan.
+# The printed plan names this many elements of an entry.
 NAMES = 4
 LEGEND = (
-    "flops: floating-point operations of one step at {at}: of the entry's part of the step, or "
-    "what the step is rid of without the entry; they do not add up, because some work serves "
-    "several entries"
+    "flops: floating-point operations of one step at {at}: of the entry's own stage, or those "
+    "saved by removing the entry. They do not add up, because some work serves several entries."
 )
 
 
@@ -25,11 +24,11 @@ LEGEND = (
 class Entry:
     """One thing that a step does, or leaves out.
 
-    stage: "files", "place", "detect", "solve" or "commit"; kind: "file", "term", "pair" or
-    "row"; name: what; count: of `names`, all of them; used: whether the step does it; why: what
-    there is to know, or the reason for leaving it out; rows: of the state that was looked at.
-    parts: of `Sim.stage_flops`, where they are the entry's cost. flops: operations per step,
-    micros [µs per step]: None where they were not measured.
+    stage: "files", "place", "detect", "solve" or "commit". kind: "file", "term", "pair" or "row".
+    name: of the work; names: the elements it is done for, count: how many. used: whether the step
+    does it. why: the reason for leaving it out, or a remark. rows: how many the state has. stages:
+    of `Sim.stage_flops`, where the entry is those. flops: operations per step; micros [µs per
+    step]; None where they were not measured.
     """
 
     stage: str
@@ -40,24 +39,27 @@ class Entry:
     why: str = ""
     count: int = 0
     rows: int | None = None
-    parts: tuple[str, ...] = ()
+    stages: tuple[str, ...] = ()
     flops: float | None = None
     micros: float | None = None
 
 
 @dataclass
 class Plan(Result):
-    """What a step does and leaves out; made by `Model.plan`.
+    """What a step does and what it leaves out; made by `stepcore.plan`.
 
-    entries: all of it. flops: of a whole step at the state that was looked at, None where they
-    were not counted; stages: the same by stage. micros: [µs] of a whole step, None if not timed.
-    at: which state.
+    entries: all of it. flops: of a whole step at the state `at`; stages: the same by stage.
+    micros: [µs] of a whole step, None if not timed.
+
+    >>> from stepcore import lesson, plan
+    >>> plan(lesson.drop())
+    <Plan of tower: 7 used, 10 left out>
     """
 
     name: str
     settings: Settings
     entries: list[Entry]
-    flops: float | None = None
+    flops: float
     stages: dict[str, float] = field(default_factory=dict)
     micros: float | None = None
     at: str = "the initial pose"
@@ -65,7 +67,7 @@ class Plan(Result):
     @property
     def title(self) -> str:
         """What was listed, in a few words."""
-        return f"{self.name}: what a step does, and what it leaves out"
+        return f"{self.name}: what a step does and what it leaves out"
 
     @property
     def used(self) -> list[Entry]:
@@ -87,8 +89,8 @@ class Plan(Result):
                 "flops": self.flops,
                 "stages": self.stages,
                 "micros": self.micros,
-                "used": [entry.__dict__ for entry in self.used],
-                "left_out": [entry.__dict__ for entry in self.left_out],
+                "used": [vars(entry) for entry in self.used],
+                "left_out": [vars(entry) for entry in self.left_out],
             }
         )
         return plain
@@ -103,14 +105,13 @@ class Plan(Result):
         """The printed plan, at most `width` characters wide; `full`: with every name."""
         s = self.settings
         head = f"{self.name}: {s.integrator}, {s.solver}, law {s.law}, {s.cone} cone, dt {s.dt:g} s"
-        cost = [] if self.flops is None else [f"{self.flops:.0f} floating-point operations"]
-        cost += [] if self.micros is None else [f"{self.micros:.2f} µs"]
-        if cost:
-            head += f"\na step at {self.at}: {', '.join(cost)}"
-        parts = [head, "", "A step does:", self._table(self.used, full, width)]
+        cost = f"{self.flops:.0f} floating-point operations"
+        if self.micros is not None:
+            cost += f", {self.micros:.2f} µs"
+        parts = [head, f"one step at {self.at}: {cost}"]
+        parts += ["", "A step does:", self._table(self.used, full, width)]
         parts += ["", "It leaves out:", self._table(self.left_out, full, width)]
-        if self.flops is not None:
-            parts += ["", textwrap.fill(LEGEND.format(at=self.at), width or WIDTH)]
+        parts += ["", textwrap.fill(LEGEND.format(at=self.at), width or WIDTH)]
         return "\n".join(parts)
 
     def _table(self, entries: Sequence[Entry], full: bool, width: int | None) -> str:
@@ -138,7 +139,7 @@ class Plan(Result):
             "rows": "" if entry.rows is None else str(entry.rows),
             "flops": "" if entry.flops is None else f"{entry.flops:.0f}",
             "µs": "" if entry.micros is None else f"{entry.micros:.2f}",
-            "why" if not entry.used else "which": why,
+            "which" if entry.used else "why": why,
         }
 
     def __repr__(self) -> str:

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from stepcore.measure.trade.mujoco import against
-from stepcore.measure.trade.settings import label
+from stepcore.report.settings import label
 from stepcore.report.units import metres, quantity, seconds
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from stepcore.experiment.reference import FINER, smallest
 from stepcore.measure.trade.answer import answer
 from stepcore.measure.trade.remarks import after, observed
-from stepcore.measure.trade.settings import label, rarer
+from stepcore.report.settings import label, rarer
 from stepcore.report.table import Table
 from stepcore.report.units import metres, seconds
 

@@ -7,9 +7,8 @@ import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from stepcore.measure.ablation.result import length
 from stepcore.report.plot.style import COLOURS, GREY, bare, figure, saved
-from stepcore.report.units import metres
+from stepcore.report.units import length, metres
 
 if TYPE_CHECKING:
     from stepcore.measure.ablation.result import Ablation
@@ -20,19 +19,19 @@ LEFT_OUT, KEPT = COLOURS["implicitfast"], COLOURS["semi-implicit"]
 
 
 def plot_ablation(result: Ablation, path: str | os.PathLike[str] | None = None) -> Any:
-    """Draws an ablation; writes it where `path` says, in the format of its ending.
+    """Draws an ablation; writes it to `path`, in the format of its extension.
 
-    On the left the share of the work that leaving a feature out saves, on the right the error
-    that it adds; green is what the smallest model goes without. Returns the matplotlib Figure.
+    Left: the share of the work that removing a feature saves; right: the error that it adds; green:
+    what the smallest model goes without. Returns the matplotlib Figure.
     Raises ImportError without matplotlib.
     """
-    rows = [row for row in result.sorted() if not row.measured.failure][:BARS]
+    rows = [row for row in result.sorted() if not row.outcome.failure][:BARS]
     rows = [result.best, *rows]
     drawn = figure(9.0, 2.0 + 0.27 * (len(rows) + 1))
     work, error = drawn.subplots(1, 2, sharey=True)
     places = list(range(len(rows)))[::-1]
     for place, row in zip(places, rows, strict=True):
-        out = row.change in result.chosen
+        out = row.removal in result.removed
         colour = "black" if row is result.best else LEFT_OUT if out else KEPT
         share = 100 * result.saved(row)
         work.barh(place, share, color=colour, height=0.7)
@@ -44,10 +43,10 @@ def plot_ablation(result: Ablation, path: str | os.PathLike[str] | None = None) 
             va="center",
             fontsize=8,
         )
-    added = [row.measured.worst for row in rows]
+    added = [row.outcome.worst for row in rows]
     low = _floor(added, result.error)
     for place, row, value in zip(places, rows, added, strict=True):
-        out = row.change in result.chosen
+        out = row.removal in result.removed
         colour = "black" if row is result.best else LEFT_OUT if out else KEPT
         if value > low:
             error.barh(place, value - low, left=low, color=colour, height=0.7)
@@ -64,14 +63,14 @@ def plot_ablation(result: Ablation, path: str | os.PathLike[str] | None = None) 
     error.set_xlim(low, 40 * max(*added, result.error))
     error.axvline(result.error, color=GREY, ls="--", lw=1)
     names = [
-        f"all {len(result.chosen)} that are not needed",
-        *(row.change.label for row in rows[1:]),
+        f"all {len(result.removed)} that are not needed",
+        *(row.removal.label for row in rows[1:]),
     ]
     work.set_yticks(places, [_short(name) for name in names], fontsize=8)
     work.set_xlim(right=1.25 * max(1.0, *(100 * result.saved(row) for row in rows)))
     kind = "operations" if result.counted else "row updates"
     work.set_xlabel(f"work saved [% of {kind}]")
-    error.set_xlabel(f"error added, rms [m]; dashed: {metres(result.error)}")
+    error.set_xlabel(f"RMS position error added [m]; dashed: {metres(result.error)}")
     error.tick_params(axis="y", length=0)
     bare(work, f"{result.name}: without …")
     bare(error)

@@ -6,8 +6,8 @@ import math
 import os
 from typing import TYPE_CHECKING, Any
 
-from stepcore.measure.trade.settings import label
 from stepcore.report.plot.style import COLOURS, GREY, bare, figure, saved
+from stepcore.report.settings import label
 from stepcore.report.units import metres, seconds
 
 if TYPE_CHECKING:

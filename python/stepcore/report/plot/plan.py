@@ -19,19 +19,15 @@ STAGES = {
 
 
 def plot_plan(plan: Plan, path: str | os.PathLike[str] | None = None) -> Any:
-    """Draws a plan; writes it where `path` says, in the format of its ending.
+    """Draws a plan; writes it to `path`, in the format of its extension.
 
-    A bar is the work that a step is rid of without the entry, or its time where that was
-    measured; colours are stages. Without either, bars count what an entry holds. Returns the
+    A bar is the operations saved by removing the entry, or the time where that was measured;
+    colours are stages. Returns the
     matplotlib Figure. Raises ImportError without matplotlib.
     """
     entries = [entry for entry in plan.used if entry.stage in STAGES]
-    kind = "micros" if plan.micros is not None else "flops" if plan.flops is not None else "count"
-    words = {
-        "micros": "µs per step",
-        "flops": "floating-point operations per step",
-        "count": "how many",
-    }
+    kind = "micros" if plan.micros is not None else "flops"
+    words = {"micros": "µs per step", "flops": "floating-point operations per step"}
     bars = [(entry, getattr(entry, kind)) for entry in entries]
     bars = [(entry, float(value)) for entry, value in bars if value is not None]
     drawn = figure(8.0, 1.4 + 0.3 * max(1, len(bars)))

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stepcore.measure.stability.result import EXPLODED, FINITE, INACCURATE
 from stepcore.report.plot.style import figure, saved
 
 if TYPE_CHECKING:
     from stepcore.measure.stability.result import Panel, StabilityMap
 
-# Light, middle, dark: told apart without colour too.
-FILLS = {FINITE: "#A9D8F5", INACCURATE: "#E69F00", EXPLODED: "#4A3B52"}
+# By state. Light, middle, dark: distinct without colour too.
+FINITE = "finite"
+FILLS = {FINITE: "#A9D8F5", "inaccurate": "#E69F00", "exploded": "#4A3B52"}
 UNJUDGED = "finite, not judged"
 COLUMNS = 3
 DASHES = (0, (4, 2))

@@ -1,4 +1,4 @@
-"""Running a motion with features switched off, and what it costs."""
+"""Variants of a model without some features: their motion, what it costs, what it uses."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from stepcore.experiment.coordinates import Dofs
 from stepcore.experiment.errors import errors
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.runner import Course, Path
-from stepcore.measure.ablation.changes import Change, Seen, made
+from stepcore.measure.features import Removal, Usage, without
 
 # Steps of the first start whose operations are counted, spread over the motion.
 COUNTED = 40
-# Looks at the contacts and limits of a start, at most.
-LOOKS = 500
+# Contacts and limits of a start are read this often, at most.
+READINGS = 500
 ROUNDS = 5
 
 
 @dataclass(frozen=True)
-class Measured:
-    """One variant of a scene on the motion.
+class Outcome:
+    """How one variant of a model does the motion.
 
-    added [m]: root mean square of the distance from the whole model's motion at the same
-    settings, in every start; added_max: of any body, sample and start. error [m]: from the
-    converged motion of the whole model, in every start. flops: floating-point operations, None
-    where they cannot be counted; row_updates; both per simulated second. failure: why it failed.
+    added [m]: RMS distance from the whole model's motion at the same settings, in every start;
+    added_max: of any body, sample and start. error [m]: RMS distance from the converged motion of
+    the whole model, in every start. flops: floating-point operations, None where they cannot be
+    counted; row_updates; both per simulated second. failure: why it failed.
     """
 
     added: tuple[float, ...] = ()
@@ -53,8 +53,11 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Motive:
-    """The user's motion, and how the whole model does it: what every variant is held against."""
+class Baseline:
+    """The whole model's motion at its own settings, which every variant is compared with.
+
+    truth: its converged motion, None where there is none; scored: which samples count.
+    """
 
     model: Model
     motion: Motion
@@ -64,38 +67,44 @@ class Motive:
 
     @property
     def settings(self) -> Settings:
+        """The model's own."""
         return self.model.settings
 
 
-def measured(motive: Motive, changes: Sequence[Change]) -> Measured:
+def variant(baseline: Baseline, removals: Sequence[Removal]) -> Course:
+    """The motion's runner for the model without some features."""
+    scene = without(baseline.model.scene.with_settings(baseline.settings), removals)
+    model = scene.compile()
+    return Course(model, Dofs(model.scene), baseline.motion)
+
+
+def outcome_of(baseline: Baseline, removals: Sequence[Removal]) -> Outcome:
     """The motion without some features."""
     try:
-        scene = made(motive.model.scene.with_settings(motive.settings), changes)
-        model = scene.compile()
+        course = variant(baseline, removals)
     except ValueError as error:
-        return Measured(failure=one_line(error))
-    course = Course(model, Dofs(model.scene), motive.motion)
+        return Outcome(failure=one_line(error))
+    settings = course.model.settings
     paths = []
-    for start in range(len(motive.motion.starts)):
-        paths.append(course.run(model.settings, start))
+    for start in range(len(baseline.motion.starts)):
+        paths.append(course.run(settings, start))
         if paths[-1].failure:
-            return Measured(failure=f"start {start}: {paths[-1].failure}")
-    apart = errors(paths, motive.paths, motive.scored)
-    truth = None if motive.truth is None else errors(paths, motive.truth, motive.scored)
-    rows = float(np.mean([path.row_updates for path in paths])) / motive.motion.horizon
-    flops = counted(course, model.settings)
-    return Measured(apart.each, apart.position_max, truth.each if truth else (), flops, rows)
+            return Outcome(failure=f"start {start}: {paths[-1].failure}")
+    added = errors(paths, baseline.paths, baseline.scored)
+    truth = baseline.truth
+    off = () if truth is None else errors(paths, truth, baseline.scored).each
+    rows = float(np.mean([path.row_updates for path in paths])) / baseline.motion.horizon
+    flops = flops_per_second(course, settings)
+    return Outcome(added.each, added.position_max, off, flops, rows)
 
 
-def counted(course: Course, settings: Settings) -> float | None:
+def flops_per_second(course: Course, settings: Settings) -> float | None:
     """Floating-point operations per simulated second of the first start's motion.
 
     Counted exactly in about `COUNTED` steps spread evenly over it.
     """
     motion = course.motion
     sim = course.sim(settings)
-    if not hasattr(sim, "count_flops"):
-        return None
     course.place(sim, 0)
     drive, count = course.drive(0), motion.steps(settings.dt)
     every = max(1, motion.periods // COUNTED)
@@ -112,19 +121,14 @@ def counted(course: Course, settings: Settings) -> float | None:
     return total / steps / settings.dt
 
 
-def watched(course: Course, settings: Settings) -> Seen:
-    """Which pairs of bodies touch and which joints meet a limit in any start."""
+def usage_of(course: Course, settings: Settings) -> Usage:
+    """Which pairs of bodies touch and which joints reach a limit in any start."""
     motion, model = course.motion, course.model
     owner = model.geom_body.tolist()
-    # As the engine names their rows.
-    joints = {
-        f"limit of joint `{name}`" if name else f"limit of joint {i}": i
-        for i, name in enumerate(model.joint_names)
-    }
     touched: set[tuple[int, int]] = set()
     limited: set[int] = set()
     count = motion.steps(settings.dt)
-    stride = max(1, count * motion.periods // LOOKS)
+    stride = max(1, count * motion.periods // READINGS)
     for start in range(len(motion.starts)):
         sim = course.sim(settings)
         course.place(sim, start)
@@ -133,38 +137,37 @@ def watched(course: Course, settings: Settings) -> Seen:
             drive(sim, period)
             for first in range(0, count, stride):
                 sim.step(min(stride, count - first))
-                met = sim.contacts
-                for a, b in zip(met["geom1"].tolist(), met["geom2"].tolist(), strict=True):
+                contacts = sim.contacts
+                pairs = zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True)
+                for a, b in pairs:
                     touched.add((min(owner[a], owner[b]), max(owner[a], owner[b])))
                 rows = sim.rows
-                names = rows["name"][rows["kind"] == "limit"] if len(rows) else ()
-                limited.update(joints[name] for name in names if name in joints)
-    return Seen(frozenset(touched), frozenset(limited))
+                limited.update(rows["index"][rows["kind"] == "limit"].tolist())
+    return Usage(frozenset(touched), frozenset(limited))
 
 
-def timed(motive: Motive, variants: Sequence[Sequence[Change]]) -> list[float]:
+def times_of(baseline: Baseline, variants: Sequence[Sequence[Removal]]) -> list[float]:
     """Computing time of variants [µs per simulated second]: median of interleaved rounds.
 
-    The first start's motion; only `Sim.step` is timed, and of that the share in which the
-    thread had a core to itself. NaN for what fails.
+    The first start's motion; only `Sim.step` is timed, and of that the share in which the thread
+    had a core to itself. NaN for a variant that fails.
     """
     runs: list[Course | None] = []
-    for changes in variants:
+    for removals in variants:
         try:
-            model = made(motive.model.scene.with_settings(motive.settings), changes).compile()
-            runs.append(Course(model, Dofs(model.scene), motive.motion))
+            runs.append(variant(baseline, removals))
         except ValueError:
             runs.append(None)
     spent: list[list[float]] = [[] for _ in runs]
     for _ in range(ROUNDS):
         for course, times in zip(runs, spent, strict=True):
             if course is not None:
-                times.append(_once(course))
-    horizon = motive.motion.horizon
+                times.append(_time_of(course))
+    horizon = baseline.motion.horizon
     return [1e6 * float(np.median(times)) / horizon if times else np.nan for times in spent]
 
 
-def _once(course: Course) -> float:
+def _time_of(course: Course) -> float:
     settings, motion = course.model.settings, course.motion
     sim, drive = course.sim(settings), course.drive(0)
     count = motion.steps(settings.dt)

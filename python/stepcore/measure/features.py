@@ -1,0 +1,306 @@
+"""The features of a model that can be removed one at a time: each removal is a list of edits.
+
+A removal never deletes a body, a joint or an actuator, so states and controls keep their meaning.
+Edits name elements by their index in the scene's lists, so a removal can be sent to another process
+and applied to any copy of the scene.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from stepcore._core import Settings
+from stepcore.engine.model import Model
+from stepcore.scene.layout import Layout
+from stepcore.scene.scene import Scene
+
+# With more pairs of bodies in contact than this, pairs are removed body by body.
+MAX_PAIRS = 30
+Edit = tuple[str, Any]
+
+
+@dataclass(frozen=True)
+class Removal:
+    """One feature removed. kind: of the feature; name: which one; edits: see `without`."""
+
+    kind: str
+    name: str
+    edits: tuple[Edit, ...]
+
+    @property
+    def label(self) -> str:
+        """Kind and name in a few words."""
+        return f"{self.kind}: {self.name}" if self.name else self.kind
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What a motion used: the pairs of bodies that touched, the joints that reached a limit.
+
+    Bodies and joints are indices in the order of the compiled model.
+    """
+
+    touched: frozenset[tuple[int, int]]
+    limited: frozenset[int]
+
+
+def without(scene: Scene, removals: Iterable[Removal]) -> Scene:
+    """A copy of the scene with these features removed."""
+    scene = copy.deepcopy(scene)
+    for removal in removals:
+        for edit, value in removal.edits:
+            _EDITS[edit](scene, value)
+    return scene
+
+
+def _feature(scene: Scene, name: str) -> None:
+    setattr(scene.features, name, False)
+
+
+def _exclude(scene: Scene, pairs: Iterable[tuple[int, int]]) -> None:
+    for a, b in pairs:
+        # Not by `Scene.exclude`, which searches all bodies for the two.
+        scene.excludes.append((scene.bodies[a], scene.bodies[b]))
+
+
+def _no_range(scene: Scene, joints: Iterable[int]) -> None:
+    for joint in joints:
+        scene.joints[joint].range = None
+
+
+def _no_armature(scene: Scene, joints: Iterable[int]) -> None:
+    for joint in joints:
+        scene.joints[joint].armature = 0.0
+
+
+def _frictionless(scene: Scene, geoms: Iterable[int]) -> None:
+    for geom in geoms:
+        scene.geoms[geom].condim = 1
+
+
+def _no_contact(scene: Scene, geoms: Iterable[int]) -> None:
+    for geom in geoms:
+        scene.geoms[geom].contype = scene.geoms[geom].conaffinity = 0
+
+
+def _inactive(scene: Scene, equalities: Iterable[int]) -> None:
+    for equality in equalities:
+        scene.equalities[equality].active = False
+
+
+def _settings(scene: Scene, values: tuple[tuple[str, Any], ...]) -> None:
+    scene.options.update(values)
+
+
+_EDITS: dict[str, Any] = {
+    "feature": _feature,
+    "exclude": _exclude,
+    "no range": _no_range,
+    "no armature": _no_armature,
+    "frictionless": _frictionless,
+    "no contact": _no_contact,
+    "inactive": _inactive,
+    "settings": _settings,
+}
+
+
+class RemovableFeatures:
+    """The features of a model that can be removed.
+
+    plan: the engine's data of what a step does; pairs: of geoms, in the model's order. body, joint,
+    geom: by index in the compiled model, the index in the scene's lists.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model, self.scene = model, model.scene
+        self.plan: dict[str, Any] = model.core.plan()
+        self.pairs: list[tuple[int, int]] = model.core.pairs()
+        layout = Layout(self.scene)
+        self.body = _positions(layout.bodies, self.scene.bodies)
+        self.joint = _positions(layout.joints, self.scene.joints)
+        self.geom = _positions(layout.geoms, self.scene.geoms)
+
+    def removals(self, usage: Usage, settings: Settings) -> list[Removal]:
+        """Every feature that can be removed, one at a time."""
+        return [
+            *self.cone(settings),
+            *self.friction(),
+            *self.terms(),
+            *self.limits(usage),
+            *self.colliders(usage),
+            *self.equalities(),
+            *self.warm_start(settings),
+        ]
+
+    def cone(self, settings: Settings) -> list[Removal]:
+        """The other friction cone, where there is friction."""
+        if not self.geoms_with_friction():
+            return []
+        other = "pyramidal" if settings.cone == "elliptic" else "elliptic"
+        edit = ("settings", (("cone", other),))
+        return [Removal("cone", f"{settings.cone} → {other}", (edit,))]
+
+    def friction(self) -> list[Removal]:
+        """Contacts without friction."""
+        geoms = self.geoms_with_friction()
+        return [Removal("friction", "condim 1", (("frictionless", geoms),))] if geoms else []
+
+    def geoms_with_friction(self) -> tuple[int, ...]:
+        """Geoms of the pairs that have friction, by index in the scene."""
+        pairs = zip(self.pairs, self.plan["condim"], strict=True)
+        geoms = {self.geom[g] for pair, condim in pairs if condim > 1 for g in pair}
+        return tuple(sorted(geoms))
+
+    def terms(self) -> list[Removal]:
+        """Smooth forces, armature and friction loss."""
+        scene, features = self.scene, self.scene.features
+        removals: list[Removal] = []
+        lossy = [j for j in scene.joints if j.frictionloss > 0]
+        if lossy and features.frictionloss and features.constraint:
+            removals.append(_switched_off("friction loss", lossy, "frictionloss"))
+        heavy = tuple(i for i, joint in enumerate(scene.joints) if joint.armature > 0)
+        if heavy:
+            removals.append(Removal("armature", _count(heavy, "joint"), (("no armature", heavy),)))
+        damped = [j for j in scene.joints if j.damping != 0]
+        if damped and features.damper:
+            removals.append(_switched_off("joint damping", damped, "damper"))
+        sprung = [j for j in scene.joints if j.stiffness != 0]
+        if sprung and features.spring:
+            removals.append(_switched_off("joint springs", sprung, "spring"))
+        if features.coriolis and not all(self.plan["constant"]):
+            name = "Coriolis, gyroscopic"
+            removals.append(Removal("velocity forces", name, (("feature", "coriolis"),)))
+        return removals
+
+    def limits(self, usage: Usage) -> list[Removal]:
+        """All limits that the motion never reached, together; each that it reached, alone."""
+        features = self.scene.features
+        if not (features.limit and features.constraint):
+            return []
+        names = self.model.joint_names
+        ranged = [i for i, j in enumerate(self.joint) if self.scene.joints[j].range is not None]
+        unused = tuple(self.joint[i] for i in ranged if i not in usage.limited)
+        removals = []
+        if unused:
+            removals.append(Removal("limits", _unreached(unused), (("no range", unused),)))
+        for i in ranged:
+            if i in usage.limited:
+                name = names[i] or f"joint {i}"
+                removals.append(Removal("limit", name, (("no range", (self.joint[i],)),)))
+        return removals
+
+    def colliders(self, usage: Usage) -> list[Removal]:
+        """Pairs of bodies that never met, each that did, self-collision, groups of geoms."""
+        pairs = self.body_pairs()
+        removals = []
+        unused = [pair for pair in pairs if pair not in usage.touched]
+        if unused:
+            removals.append(self._excluding("colliders", _unmet(unused), unused))
+        met = [pair for pair in pairs if pair in usage.touched]
+        if len(met) <= MAX_PAIRS:
+            removals += [self._excluding("collider", self._pair(pair), [pair]) for pair in met]
+        else:
+            for body in sorted({body for pair in met for body in pair}):
+                own = [pair for pair in met if body in pair]
+                name = f"{self._body(body)} ({_count(own, 'pair')})"
+                removals.append(self._excluding("collider", name, own))
+        own = [pair for pair in pairs if self._same_tree(*pair)]
+        if own and len(own) < len(pairs):
+            name = _count(own, "pair") + " of bodies"
+            removals.append(self._excluding("self-collision", name, own))
+        return removals + self._groups()
+
+    def body_pairs(self) -> dict[tuple[int, int], list[tuple[int, int]]]:
+        """Pairs of geoms by their pair of bodies, the smaller index first."""
+        pairs: dict[tuple[int, int], list[tuple[int, int]]] = {}
+        owner = self.model.geom_body.tolist()
+        for a, b in self.pairs:
+            key = (min(owner[a], owner[b]), max(owner[a], owner[b]))
+            pairs.setdefault(key, []).append((a, b))
+        return pairs
+
+    def reduced(self, removal: Removal, usage: Usage) -> Removal | None:
+        """A removal of unused limits or pairs, without those that another motion used.
+
+        None if nothing is left of it; other removals stay as they are.
+        """
+        if removal.kind not in ("limits", "colliders"):
+            return removal
+        ((edit, values),) = removal.edits
+        if removal.kind == "limits":
+            used = {self.joint[i] for i in usage.limited}
+            left = tuple(joint for joint in values if joint not in used)
+            name = _unreached(left)
+        else:
+            met = {tuple(sorted((self.body[a], self.body[b]))) for a, b in usage.touched}
+            left = tuple(pair for pair in values if tuple(sorted(pair)) not in met)
+            name = _unmet(left)
+        return Removal(removal.kind, name, ((edit, left),)) if left else None
+
+    def _excluding(self, kind: str, name: str, pairs: Iterable[tuple[int, int]]) -> Removal:
+        value = tuple((self.body[a], self.body[b]) for a, b in pairs)
+        return Removal(kind, name, (("exclude", value),))
+
+    def _groups(self) -> list[Removal]:
+        """Each group of geoms, where several groups collide."""
+        geoms = self.scene.geoms
+        solid = [self.geom[i] for i, on in enumerate(self.plan["collides"]) if on]
+        groups = sorted({geoms[i].group for i in solid})
+        removals = []
+        for group in groups if len(groups) > 1 else ():
+            own = tuple(i for i in solid if geoms[i].group == group)
+            name = f"group {group} ({_count(own, 'geom')})"
+            removals.append(Removal("collider group", name, (("no contact", own),)))
+        return removals
+
+    def equalities(self) -> list[Removal]:
+        """Each active connection."""
+        features = self.scene.features
+        if not (features.equality and features.constraint):
+            return []
+        return [
+            Removal("equality", equality.name or f"equality {i}", (("inactive", (i,)),))
+            for i, equality in enumerate(self.scene.equalities)
+            if equality.active
+        ]
+
+    def warm_start(self, settings: Settings) -> list[Removal]:
+        """Every solve begins from zero impulses."""
+        if not settings.warm_start:
+            return []
+        return [Removal("warm start", "", (("settings", (("warm_start", False),)),))]
+
+    def _body(self, index: int) -> str:
+        return self.model.body_names[index] or f"body {index}"
+
+    def _pair(self, pair: tuple[int, int]) -> str:
+        return f"{self._body(pair[0])}/{self._body(pair[1])}"
+
+    def _same_tree(self, a: int, b: int) -> bool:
+        spans = [range(first, first + count) for first, count, _, _ in self.plan["trees"]]
+        return any(a in span and b in span for span in spans)
+
+
+def _positions(compiled: Iterable[Any], listed: Iterable[Any]) -> list[int]:
+    """The index in the scene's list of each element, in the order of the compiled model."""
+    index = {id(element): i for i, element in enumerate(listed)}
+    return [index[id(element)] for element in compiled]
+
+
+def _switched_off(kind: str, joints: list[Any], feature: str) -> Removal:
+    return Removal(kind, _count(joints, "joint"), (("feature", feature),))
+
+
+def _unreached(joints: Any) -> str:
+    return f"{_count(joints, 'joint')} whose limit is never reached"
+
+
+def _unmet(pairs: Any) -> str:
+    return f"{_count(pairs, 'pair')} of bodies that never touch"
+
+
+def _count(elements: Any, word: str) -> str:
+    return f"{len(elements)} {word}{'s' * (len(elements) != 1)}"
