@@ -112,7 +112,7 @@ def test_a_table_fits_its_width_and_survives_json():
     assert table.columns == ["a", "why", "b"]
     lines = table.text(40).splitlines()
     assert max(map(len, lines)) <= 40 and "…" in lines[1]
-    assert "not wide enough for: why, b" in table.text(16)
+    assert "no room for: why, b" in table.text(16)
     assert json.loads(table.to_json())[1] == {"a": None, "why": None, "b": 2}
     assert table.to_dict()["b"] == [None, 2]
     assert "a  why" in Table([{"a": 1, "why": "<&>"}])._repr_html_()

@@ -13,7 +13,6 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.measure.trade import units
 
 BENCHES = str(Path(__file__).parents[2] / "benches")
 
@@ -210,14 +209,6 @@ def test_a_budget_that_is_none_is_refused(value, words):
 def test_an_error_that_is_none_is_refused(value):
     with pytest.raises(ValueError, match=r"error = .*: must be a length > 0"):
         sc.trade(lesson.drop(), error=value)
-
-
-def test_units():
-    assert units.price("5ms/s", 0.1, "time") == units.price("500us/step", 0.1, "time") == 5000
-    assert units.price("3Mflop/s", 0.1, "flops") == 3e6
-    assert units.length("15um", 1.0) == pytest.approx(15e-6)
-    with pytest.raises(ValueError, match="kflop/step"):
-        units.price("3us/s", 0.1, "flops")
 
 
 def test_a_search_with_axes_is_refused():

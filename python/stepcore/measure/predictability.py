@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import os
 from concurrent.futures import Executor
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,8 +22,8 @@ from stepcore.experiment.runner import Course
 from stepcore.loading import find_model
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.result import Result
-from stepcore.report.table import Table, jsonable
-from stepcore.report.units import seconds
+from stepcore.report.table import Table
+from stepcore.report.units import compact, counted, seconds
 from stepcore.scene.scene import Scene
 
 
@@ -36,11 +36,15 @@ class Predictability(Result):
     inf if all can over the horizon.
     """
 
+    kind = "predictability"
+    units: ClassVar = {"predictable": "s", "growth": "1", "largest growth": "1", "times": "s"}
+
     name: str
     horizon: float
     dt: float
     integrator: str
     growth: Growth
+    notes: list[str] = field(default_factory=list)
 
     @property
     def time(self) -> float:
@@ -54,7 +58,7 @@ class Predictability(Result):
 
     @property
     def table(self) -> Table:
-        """One row a start: until when it can be predicted [s], and how much twins grew apart."""
+        """One row a start: how long it can be predicted [s], and how a perturbation grew."""
         found = self.growth
         return Table(
             {
@@ -66,46 +70,58 @@ class Predictability(Result):
             for k, (end, factor) in enumerate(zip(found.ends, found.factor, strict=True))
         )
 
-    def text(self, width: int | None = None) -> str:
-        """The printed result, at most `width` characters wide."""
+    @property
+    def setup(self) -> str:
+        """How it was measured, in a line."""
+        return (
+            f"{seconds(self.horizon)} from {counted(len(self.growth.ends), 'start')} under "
+            f"{self.integrator}, dt {seconds(self.dt)}. From each start the motion is run again "
+            f"from {DIRECTIONS} perturbed states, {compact(NEARBY)} of the scene's size away; it "
+            f"is lost when they are more than {GROWTH:g} times as far away."
+        )
+
+    @property
+    def sentences(self) -> list[str]:
+        """How long the motion can be predicted."""
         over = seconds(self.horizon)
         if math.isinf(self.time):
             most = float(self.growth.factor.max())
-            said = f"It can be predicted over all of {over}: twins grow {most:.2g} times apart."
-        else:
-            lost = np.isfinite(self.growth.ends)
-            said = (
-                f"It can be predicted for {seconds(self.time)}; {int(lost.sum())} of "
-                f"{len(lost)} starts are lost within {over}."
+            return [
+                f"The motion can be predicted over all of {over}: perturbed runs end up at most "
+                f"{most:.2g} times as far apart as they began."
+            ]
+        lost = np.isfinite(self.growth.ends)
+        said = [
+            f"The motion can be predicted for {seconds(self.time)}: {int(lost.sum())} of "
+            f"{counted(len(lost), 'start')} are lost within {over}."
+        ]
+        if self.horizon < 2 * self.time:
+            said.append(
+                "Over a longer horizon perturbed runs may reconverge; they then count as "
+                "predictable."
             )
-            if self.horizon < 2 * self.time:
-                said += " Over a longer horizon twins may come back together, and be forgiven."
-        how = (
-            f"Twins begin {NEARBY:g} of the scene's size apart, in {DIRECTIONS} directions; a "
-            f"start is lost when they are more than {GROWTH:g} times as far apart "
-            f"({self.integrator}, dt {seconds(self.dt)})."
-        )
-        return "\n".join([f"{self.title}, {over}", "", self.table.text(width), "", said, how])
+        return said
 
-    def to_dict(self) -> dict[str, Any]:
-        """Everything as plain data; what is not finite is None."""
-        found = self.growth
-        plain: dict[str, Any] = jsonable(
-            {
-                "model": self.name,
-                "horizon": self.horizon,
-                "dt": self.dt,
-                "integrator": self.integrator,
-                "predictable": self.time,
-                "predictable_starts": found.ends,
-                "times": found.times,
-                "growth": found.factor,
-                "limit": GROWTH,
-                "nearby": NEARBY,
-                "units": {"times": "s", "predictable": "s", "growth": "1"},
-            }
+    def tables(self, full: bool) -> list[Table]:
+        """The starts."""
+        heading = (
+            "By start: predictable for [s]; growth of the perturbation, at the end and at most"
         )
-        return plain
+        return [Table(self.table, heading=heading)]
+
+    def details(self) -> dict[str, Any]:
+        """The growth over time."""
+        return {
+            "horizon": self.horizon,
+            "dt": self.dt,
+            "integrator": self.integrator,
+            "predictable": self.time,
+            "predictable_starts": self.growth.ends,
+            "times": self.growth.times,
+            "growth": self.growth.factor,
+            "limit": GROWTH,
+            "nearby": NEARBY,
+        }
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
         """Growth over time, one line a start; written to `path` if given. Needs matplotlib.
@@ -134,9 +150,9 @@ def predictability(
     executor: Executor | None = None,
     progress: Choice = None,
 ) -> Predictability:
-    """How long a scene can be predicted: until twins a rounding apart separate.
+    """How long a scene can be predicted: until runs that start a rounding apart separate.
 
-    From every start runs begin 1e-9 of the scene's size apart in three seeded directions, under
+    From every start the motion runs again from three states, 1e-9 of the scene's size away, under
     rk4 at a 16th of the shipped time step (a quarter of that, or another integrator, where that
     fails), rows solved to rounding. The scene can be predicted until they are 1e3 times as far
     apart as they began; beyond that only statistics of its motion mean anything.

@@ -1,30 +1,28 @@
-"""`Result`: what every measurement gives: it prints, plots, and leaves as data or as a page."""
+"""`Result`: what every measurement returns: it prints, plots, and leaves as data or as a page."""
 
 from __future__ import annotations
 
-import base64
 import functools
 import io
 import json
 import os
 import textwrap
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from stepcore import checks
-from stepcore.report.table import jsonable, pre
-
-# No line can be of use that is narrower.
-NARROWEST = 20
+from stepcore.report.report import NARROWEST, Report
+from stepcore.report.table import Table, jsonable
 
 
 class Result(ABC):
-    """A measurement that prints itself, plots itself and exports itself.
+    """A measurement that says what it found, and leaves as text, picture, page and data.
 
-    What a subclass gives as `text` is held to the width asked for: lines that are longer go on in
-    the next. A width that is no whole number >= 20 is a ValueError.
+    name: of the scene. notes: what to bear in mind. A subclass says what it measured (`title`,
+    `setup`), what follows from it (`sentences`), and what was measured (`table`, and as printed
+    `tables`); everything else is made of these.
     """
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -32,39 +30,89 @@ class Result(ABC):
         if "text" in cls.__dict__:
             cls.text = _held(cls.text)  # type: ignore[method-assign]
 
+    # What was measured, and the units of the columns of `table`.
+    kind: ClassVar[str]
+    units: ClassVar[Mapping[str, str]] = {}
+
+    name: str
+    notes: list[str]
+
     @property
     @abstractmethod
     def title(self) -> str:
         """What was measured, in a few words."""
 
-    @abstractmethod
-    def text(self, width: int | None = None) -> str:
-        """The result as printed, at most `width` characters wide."""
+    @property
+    def setup(self) -> str:
+        """How it was measured, in a line."""
+        return ""
 
-    @abstractmethod
-    def to_dict(self) -> dict[str, Any]:
-        """Everything as plain data."""
+    # Not abstract until every measurement has them.
+    @property
+    def sentences(self) -> list[str]:
+        """What was found, the answer first."""
+        raise NotImplementedError
+
+    @property
+    def table(self) -> Table:
+        """The rows as data."""
+        raise NotImplementedError
+
+    def tables(self, full: bool) -> list[Table]:
+        """The tables as they are printed; `full`: nothing is left out."""
+        return [self.table]
+
+    def details(self) -> dict[str, Any]:
+        """What only this measurement has; what is no plain data is made so."""
+        return {}
 
     @abstractmethod
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
         """The picture; written to `path` if given. Needs matplotlib. Returns its Figure."""
 
+    def report(self, full: bool = False) -> Report:
+        """The sentences, tables and notes; `full`: nothing is left out of the tables."""
+        if type(self).text is not Result.text:
+            return Report(self.title, self.text(160).splitlines())
+        return Report(self.title, self.sentences, self.tables(full), self.notes, self.setup)
+
+    def text(self, width: int | None = None, full: bool = False) -> str:
+        """The report in lines of at most `width` >= 20 characters (default: the terminal's)."""
+        return self.report(full).text(width)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as plain data; what is not finite is None.
+
+        "kind", "model", "motion", "settings", "sentences", "rows", "units" and "notes" are the
+        same for every measurement; "rows" are the records of `table`.
+        """
+        plain: dict[str, Any] = jsonable(
+            {
+                "kind": self.kind,
+                "model": self.name,
+                "motion": getattr(self, "motion", None),
+                "settings": getattr(self, "settings", None),
+                "sentences": self.sentences,
+                "rows": self.table.records,
+                "units": self.units,
+                "notes": self.notes,
+                **self.details(),
+            }
+        )
+        return plain
+
     def to_json(self, indent: int | None = 2) -> str:
-        """`to_dict` as JSON text; what is not finite is null."""
+        """`to_dict` as JSON text."""
         return json.dumps(jsonable(self.to_dict()), indent=indent)
 
     def to_html(self, path: str | os.PathLike[str] | None = None) -> str:
-        """The picture and the text as one page that needs no other file. Needs matplotlib.
+        """The picture and the report as one page that needs no other file. Needs matplotlib.
 
         Written to `path` if given.
         """
-        import html
-
         drawn = io.BytesIO()
         self.plot().savefig(drawn, format="svg")
-        picture = base64.b64encode(drawn.getvalue()).decode("ascii")
-        title = html.escape(self.title)
-        page = PAGE.format(title=title, picture=picture, text=pre(self.text(width=160)))
+        page = self.report(full=True).page(drawn.getvalue())
         if path is not None:
             Path(path).write_text(page, encoding="utf-8")
         return page
@@ -76,38 +124,19 @@ class Result(ABC):
         return f"<{type(self).__name__}: {self.title}>"
 
     def _repr_html_(self) -> str:
-        """The printed result, as a notebook shows it."""
-        return pre(self.text())
+        """The report as a notebook shows it."""
+        return self.report().html()
 
 
+# Until every measurement has its report: a `text` of a subclass's own keeps to its width.
 def _held(text: Callable[..., str]) -> Callable[..., str]:
-    """A method `text` whose width is checked, and kept to."""
-
     @functools.wraps(text)
     def held(self: Result, width: int | None = None, *args: Any, **kwargs: Any) -> str:
         if width is None:
             return text(self, None, *args, **kwargs)
         width = checks.count("width", width, NARROWEST)
         lines = text(self, width, *args, **kwargs).splitlines()
-        return "\n".join(part for line in lines for part in _parts(line, width))
+        parts = (textwrap.wrap(line, width) if len(line) > width else [line] for line in lines)
+        return "\n".join(part for some in parts for part in some)
 
     return held
-
-
-def _parts(line: str, width: int) -> list[str]:
-    """A line in pieces of at most `width` characters."""
-    if len(line) <= width:
-        return [line]
-    return textwrap.wrap(line, width, break_on_hyphens=False)
-
-
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style>body {{ font: 16px/1.5 sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem }}
-img {{ max-width: 100%; height: auto }} pre {{ font-size: 13px }}</style></head>
-<body><h1>{title}</h1>
-<img alt="{title}" src="data:image/svg+xml;base64,{picture}">
-{text}
-</body></html>
-"""

@@ -5,7 +5,11 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from html import escape
 from typing import Any, overload
+
+from stepcore._core import Settings
 
 # Where the output is no terminal: every column of a trade has room.
 WIDTH = 160
@@ -17,7 +21,9 @@ class Table:
     """Records in a fixed order; a value that a record does not have is None.
 
     records: one mapping a row. columns: their order; by default that of first appearance.
-    formats: how columns of numbers are printed (default ".4g").
+    formats: how columns of numbers are printed (default ".4g"); a column of texts that is named
+        here is aligned at the right and never cut. heading, legend: what a report says above and
+        below the table.
 
     >>> print(Table([{"dt": 0.01, "error": 1.5e-3}, {"dt": 0.005, "error": 3.75e-4}]))
        dt     error
@@ -30,12 +36,16 @@ class Table:
         records: Iterable[Mapping[str, Any]],
         columns: Sequence[str] | None = None,
         formats: Mapping[str, str] | None = None,
+        *,
+        heading: str = "",
+        legend: str = "",
     ) -> None:
         rows = [dict(record) for record in records]
         if columns is None:
             columns = list(dict.fromkeys(name for row in rows for name in row))
         self.columns = list(columns)
         self.formats = dict(formats or {})
+        self.heading, self.legend = heading, legend
         self.records = [{name: row.get(name) for name in self.columns} for row in rows]
 
     def __len__(self) -> int:
@@ -47,11 +57,16 @@ class Table:
     @overload
     def __getitem__(self, key: int) -> dict[str, Any]: ...
     @overload
+    def __getitem__(self, key: slice) -> Table: ...
+    @overload
     def __getitem__(self, key: str) -> list[Any]: ...
-    def __getitem__(self, key: int | str) -> Any:
-        """A record by its number, or a column by its name."""
+    def __getitem__(self, key: int | slice | str) -> Any:
+        """A record by its number, some records as a table, or a column by its name."""
         if isinstance(key, int):
             return self.records[key]
+        if isinstance(key, slice):
+            said = {"heading": self.heading, "legend": self.legend}
+            return Table(self.records[key], self.columns, self.formats, **said)
         if key not in self.columns:
             raise KeyError(f"no column '{key}'; the table has: {', '.join(self.columns)}")
         return [record[key] for record in self.records]
@@ -77,12 +92,9 @@ class Table:
 
         Text cells are cut first; then whole columns from the right, which are named below.
         """
-        width = width or _window()
-        spec = {name: self.formats.get(name, ".4g") for name in self.columns}
-        grid = {name: [_cell(value, spec[name]) for value in self[name]] for name in self.columns}
-        words = {name for name in self.columns if any(isinstance(v, str) for v in self[name])}
-        left = words - set(self.formats)
-        sizes = {name: max(map(len, [name, *grid[name]])) for name in self.columns}
+        width = width or window()
+        grid, left = self._cells()
+        sizes = {name: max(map(len, [name, *cells])) for name, cells in grid.items()}
         while _total(sizes) > width:
             longest = max((name for name in sizes if name in left), key=sizes.get, default=None)  # type: ignore[arg-type]
             if longest is None or sizes[longest] <= max(NARROW, len(longest)):
@@ -97,43 +109,69 @@ class Table:
         lines += [_line(shown, sizes, left, row) for row in rows]
         hidden = self.columns[len(shown) :]
         if hidden:
-            lines.append(f"(not wide enough for: {', '.join(hidden)})")
+            lines.append(f"(no room for: {', '.join(hidden)})")
         return "\n".join(lines)
+
+    def html(self) -> str:
+        """The table as HTML: every column, whole texts."""
+        grid, left = self._cells()
+        style = {name: ' style="text-align: left"' if name in left else "" for name in grid}
+        lines = [TABLE.format(caption=escape(self.heading))]
+        lines += [f"<th{style[name]}>{escape(name)}</th>" for name in grid]
+        lines.append("</tr></thead><tbody>")
+        for i in range(len(self)):
+            cells = (f"<td{style[name]}>{escape(grid[name][i])}</td>" for name in grid)
+            lines.append(f"<tr>{''.join(cells)}</tr>")
+        return "\n".join([*lines, "</tbody></table></div>"])
+
+    def _cells(self) -> tuple[dict[str, list[str]], set[str]]:
+        """Columns as they are printed, and which of them are texts, aligned at the left."""
+        spec = {name: self.formats.get(name, ".4g") for name in self.columns}
+        grid = {name: [_cell(value, spec[name]) for value in self[name]] for name in self.columns}
+        words = {name for name in self.columns if any(isinstance(v, str) for v in self[name])}
+        return grid, words - set(self.formats)
 
     def __str__(self) -> str:
         return self.text()
 
     def _repr_html_(self) -> str:
         """The table as a notebook shows it."""
-        return pre(self.text(width=1000))
+        return self.html()
 
     def __repr__(self) -> str:
         return f"<Table: {len(self)} rows of {', '.join(self.columns)}>"
 
 
-def pre(text: str) -> str:
-    """Text in its columns as HTML, which a narrow window scrolls and does not wrap."""
-    import html  # only notebooks need it
-
-    return f'<pre style="white-space: pre; overflow-x: auto">{html.escape(text)}</pre>'
+# Numbers stand at the right, in digits of one width; a narrow window scrolls.
+TABLE = """<div style="overflow-x: auto"><table style="text-align: right; white-space: pre;\
+ font-variant-numeric: tabular-nums; border-spacing: 1em 0">
+<caption style="text-align: left">{caption}</caption><thead><tr>"""
 
 
 def jsonable(value: Any) -> Any:
-    """Plain data that every JSON reader takes: numpy numbers unwrapped, NaN and infinity null."""
+    """Plain data that every JSON reader takes.
+
+    Arrays become lists, Settings and dataclasses mappings, functions their names; NaN and
+    infinity are None.
+    """
     if isinstance(value, Mapping):
         return {str(key): jsonable(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, (list, tuple, set, frozenset)):
         return [jsonable(entry) for entry in value]
+    if isinstance(value, Settings):
+        return value.as_dict()
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: jsonable(getattr(value, field.name)) for field in fields(value)}
     if hasattr(value, "tolist"):
         return jsonable(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, (bool, int, str)):
         return value
-    return str(value)
+    return getattr(value, "__qualname__", None) or str(value)
 
 
-def _window() -> int:
+def window() -> int:
     """Characters in a line of the terminal."""
     import shutil
 

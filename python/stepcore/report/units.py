@@ -1,37 +1,190 @@
-"""Times and lengths as people read them."""
+"""Quantities as people write and read them: "1mm", "0.1%", "20us/step"; 2 ms, 3.1 µm, 12 %."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import re
+from collections.abc import Mapping, Sequence
+
+from stepcore import checks
+
+Units = Sequence[tuple[str, float]]
+
+# Largest first, each with its size in the unit that the code computes in.
+TIMES: Units = (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9))
+LENGTHS: Units = (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9), ("pm", 1e-12))
+FORCES: Units = (("kN", 1e3), ("N", 1.0), ("mN", 1e-3), ("µN", 1e-6), ("nN", 1e-9))
+ENERGIES: Units = (("kJ", 1e3), ("J", 1.0), ("mJ", 1e-3), ("µJ", 1e-6), ("nJ", 1e-9))
+ANGLES: Units = (("rad", 1.0), ("mrad", 1e-3), ("µrad", 1e-6), ("nrad", 1e-9))
+FREQUENCIES: Units = (("MHz", 1e6), ("kHz", 1e3), ("Hz", 1.0))
+COMPUTING: Units = (("s", 1e6), ("ms", 1e3), ("µs", 1.0))
+OPERATIONS: Units = (("Gflop", 1e9), ("Mflop", 1e6), ("kflop", 1e3), ("flop", 1.0))
+# A length below this is rounding whatever the scene [m].
+ROUNDING = 1e-12
+
+# Units of a joint's and an actuator's values: where the joint turns, and where it slides.
+FIELDS = {
+    "stiffness": ("N·m/rad", "N/m"),
+    "kp": ("N·m/rad", "N/m"),
+    "damping": ("N·m·s/rad", "N·s/m"),
+    "kv": ("N·m·s/rad", "N·s/m"),
+    "armature": ("kg·m²", "kg"),
+}
 
 
-def seconds(value: float) -> str:
-    """A time with the unit that makes it readable."""
-    return quantity(value, (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)))
-
-
-def metres(value: float) -> str:
-    """A length with the unit that makes it readable."""
-    units = (("m", 1.0), ("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9), ("pm", 1e-12))
-    return quantity(value, units)
-
-
-def quantity(value: float, units: Sequence[tuple[str, float]], digits: int = 3) -> str:
+def quantity(value: float, units: Units, digits: int = 3) -> str:
     """A number in the largest unit that leaves it at least 1, as it is printed."""
     for unit, size in units:
         if abs(value) >= size * (1 - 0.5 * 10**-digits):
             return f"{value / size:.{digits}g} {unit}"
+    plain = next((unit for unit, size in units if size == 1.0), units[0][0])
+    if not value or math.isnan(value):
+        return f"{value:g} {plain}"
     unit, size = units[-1]
-    return f"{value / size:.{digits}g} {unit}" if value else f"0 {units[0][0]}"
+    return f"{value / size:.{digits}g} {unit}"
 
 
-def length(value: float) -> str:
-    """An error as a length; below 1 pm it is rounding, and exactly 0 is said so."""
-    if 0 < value < 1e-12:
-        return "< 1 pm"
-    return "0" if value == 0 else metres(value)
+def seconds(value: float) -> str:
+    """A time [s] with the unit that makes it readable.
+
+    >>> seconds(0.002), seconds(62.5e-6), metres(1.3e-4), percent(0.034), hertz(6.2831853e4)
+    ('2 ms', '62.5 µs', '130 µm', '3.4 %', '10 kHz')
+    """
+    return quantity(value, TIMES)
+
+
+def metres(value: float) -> str:
+    """A length [m] with the unit that makes it readable; below 1 pm it is rounding."""
+    return "< 1 pm" if 0 < value < ROUNDING else quantity(value, LENGTHS)
+
+
+def speed(value: float) -> str:
+    """A speed [m/s] with the unit that makes it readable."""
+    return quantity(value, [(f"{unit}/s", size) for unit, size in LENGTHS])
+
+
+def newtons(value: float) -> str:
+    """A force [N] with the unit that makes it readable."""
+    return quantity(value, FORCES)
+
+
+def joules(value: float) -> str:
+    """An energy [J] with the unit that makes it readable."""
+    return quantity(value, ENERGIES)
+
+
+def radians(value: float) -> str:
+    """An angle [rad] with the unit that makes it readable."""
+    return quantity(value, ANGLES)
+
+
+def hertz(omega: float) -> str:
+    """A circular frequency [rad/s] as a frequency."""
+    return quantity(omega / (2 * math.pi), FREQUENCIES, 4)
+
+
+def computing(value: float) -> str:
+    """A computing time [µs] with the unit that makes it readable."""
+    return quantity(value, COMPUTING)
+
+
+def operations(value: float) -> str:
+    """A count of floating-point operations with the unit that makes it readable."""
+    return quantity(value, OPERATIONS)
 
 
 def percent(share: float) -> str:
-    """A share in percent, with a decimal where it is small."""
-    return f"{100 * share:.1f} %" if abs(share) < 0.1 else f"{100 * share:.0f} %"
+    """A share as a percentage: one decimal below 10 %, and enough digits beside 100 % or 0 %.
+
+    >>> percent(0.5), percent(0.99963), percent(2e-5)
+    ('50 %', '99.96 %', '0.002 %')
+    """
+    value = 100 * share
+    near = min(abs(value), abs(100 - value)) if 0 < share < 1 else abs(value)
+    if near >= 10 or near == 0 or not math.isfinite(near):
+        return f"{value:.0f} %"
+    return f"{value:.{max(1, math.ceil(-math.log10(near)))}f} %"
+
+
+def times(value: float) -> str:
+    """A factor: 3.4×."""
+    return f"{value:.3g}×"
+
+
+def counted(count: int, noun: str) -> str:
+    """A number of things: 1 start, 8 starts."""
+    return f"{count} {noun}" + "s" * (count != 1)
+
+
+def compact(value: float) -> str:
+    """Two digits and a short exponent, 1.3e-3, for narrow columns; 0 for nothing or below zero."""
+    if value <= 0:
+        return "0"
+    digits, exponent = f"{value:.1e}".split("e")
+    return f"{digits}e{int(exponent)}"
+
+
+def unit_of(field: str, angular: bool) -> str:
+    """The unit of a joint's or an actuator's value; "" for one without."""
+    return FIELDS.get(field, ("", ""))[not angular]
+
+
+# What users write.
+
+NUMBER = r"\s*([0-9]+\.?[0-9]*(?:[eE][+-]?[0-9]+)?|\.[0-9]+(?:[eE][+-]?[0-9]+)?)\s*"
+LENGTH_FORMS = 'a length > 0: metres, "1mm", or "0.1%" of the scene\'s size'
+
+
+def length(owner: str, name: str, value: object, size: float) -> float:
+    """An error as users write it [m]: a number, "1mm", or "0.1%" of the scene's size [m].
+
+    owner, name: the function and its argument, for the ValueError.
+
+    >>> [length("trade", "error", value, 0.5) for value in ("2 mm", "1%", 1e-3)]
+    [0.002, 0.005, 0.001]
+    """
+    known = _spelt(LENGTHS) | {"cm": 1e-2, "": 1.0, "%": size / 100}
+    result = checks.number(value)
+    if result is None and isinstance(value, str):
+        match = re.fullmatch(NUMBER + r"(%|\w*)\s*", value)
+        if match is not None and match[2] in known:
+            result = float(match[1]) * known[match[2]]
+    if result is None or not 0 < result < math.inf:
+        raise checks.refuse(owner, name, value, LENGTH_FORMS)
+    return result
+
+
+def budget(owner: str, name: str, value: object, dt: float, by: str) -> float:
+    """A cost per simulated second as users write it: computing [µs], or operations for "flops".
+
+    A number is in that unit. dt: the scene's own time step [s], the step of "/step".
+
+    >>> [budget("trade", "budget", b, 0.002, "time") for b in ("20us/step", "500x", 300)]
+    [10000.0, 2000.0, 300.0]
+    """
+    units = _spelt(OPERATIONS if by == "flops" else (*COMPUTING, ("ns", 1e-3)))
+    example = "20kflop" if by == "flops" else "20us"
+    limit = f'> 0: a number, or as "{example}/step" or "{example}/s"'
+    if by != "flops":
+        limit += ', or "100x" for that many times real time'
+    result = checks.number(value)
+    if result is None and isinstance(value, str):
+        result = _budget(value, units, dt, by != "flops")
+    if result is None or not 0 < result < math.inf:
+        raise checks.refuse(owner, name, value, limit)
+    return result
+
+
+def _budget(text: str, units: Mapping[str, float], dt: float, real_time: bool) -> float | None:
+    match = re.fullmatch(NUMBER + r"x\s*", text)
+    if match is not None and real_time:
+        return 1e6 / float(match[1]) if float(match[1]) > 0 else None
+    match = re.fullmatch(NUMBER + r"(\w+)\s*/\s*(step|s)\s*", text)
+    if match is None or match[2] not in units:
+        return None
+    return float(match[1]) * units[match[2]] / (dt if match[3] == "step" else 1.0)
+
+
+def _spelt(units: Units) -> dict[str, float]:
+    """Units by what a keyboard has: "us" as well as "µs"."""
+    return dict(units) | {unit.replace("µ", "u"): size for unit, size in units}

@@ -16,7 +16,7 @@ from stepcore.measure.features import Removal
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import WIDTH, Table, jsonable
-from stepcore.report.units import length, metres, percent, seconds
+from stepcore.report.units import metres, percent, seconds
 from stepcore.scene.scene import Scene
 
 LEGEND = (
@@ -219,8 +219,8 @@ class Ablation(Result):
         names = "; ".join(removal.label for removal in self.removed)
         return (
             f"The smallest model within {within} saves {percent(self.saved(self.best))} of the "
-            f"work{faster}. It goes without {names}. It adds {length(self.best.outcome.worst)} in "
-            f"the worst start, and {length(self.confirmed.worst)} in the worst of "
+            f"work{faster}. It goes without {names}. It adds {metres(self.best.outcome.worst)} in "
+            f"the worst start, and {metres(self.confirmed.worst)} in the worst of "
             f"{len(self.confirmed.added)} starts that it was not chosen on."
         )
 

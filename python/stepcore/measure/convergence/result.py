@@ -222,7 +222,7 @@ class Convergence(Result):
 
         return better(self)
 
-    def text(self, width: int | None = None) -> str:
+    def text(self, width: int | None = None, full: bool = False) -> str:
         """The verdict in words, and the tables."""
         from stepcore.measure.convergence.report import text
 

@@ -16,6 +16,7 @@ from typing import Any
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.solref import solref_of
+from stepcore.report.units import unit_of
 from stepcore.scene.elements import Actuator, Joint
 from stepcore.scene.layout import Layout
 from stepcore.scene.scene import Scene
@@ -49,14 +50,6 @@ CHANGES: dict[str, tuple[Change, ...]] = {
     "limit": (SOLREF,),
     "friction loss": (SOLREF,),
     "connect": (SOLREF,),
-}
-
-UNITS = {
-    "stiffness": ("N·m/rad", "N/m"),
-    "kp": ("N·m/rad", "N/m"),
-    "damping": ("N·m·s/rad", "N·s/m"),
-    "kv": ("N·m·s/rad", "N·s/m"),
-    "armature": ("kg·m²", "kg"),
 }
 
 
@@ -197,9 +190,7 @@ def _joint(layout: Layout, element: ElementLimits) -> Joint:
 
 
 def _unit(field: str, joint: Joint) -> str:
-    if field not in UNITS:
-        return ""
-    return UNITS[field][0 if joint.type in ("hinge", "ball") else 1]
+    return unit_of(field, joint.type in ("hinge", "ball"))
 
 
 def rounded(value: float, *, up: bool) -> float:

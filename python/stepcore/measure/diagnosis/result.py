@@ -123,7 +123,7 @@ class Diagnosis(Result):
         """The answer, the advice and the state that decides, in words."""
         return sentences.sentences(self)
 
-    def text(self, width: int | None = None) -> str:
+    def text(self, width: int | None = None, full: bool = False) -> str:
         """The elements, the limits and the answer."""
         own = self.settings.integrator
         rows = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from stepcore.report.units import seconds
+from stepcore.report.units import hertz, seconds
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
@@ -149,9 +149,3 @@ def _some(names: list[str], most: int = 4) -> str:
     """The first names, whole, and how many more there are."""
     more = len(names) - most
     return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
-
-
-def hertz(omega: float) -> str:
-    """A frequency [rad/s] as a reader takes it in."""
-    value = omega / (2 * math.pi)
-    return f"{value / 1e3:.4g} kHz" if value >= 1e4 else f"{value:.4g} Hz"

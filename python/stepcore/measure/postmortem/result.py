@@ -76,7 +76,7 @@ class PostMortem(Result):
         names = [name for name in self.shares if name in self.work]
         return (names + [name for name in rest if moved[name] > 0])[:most]
 
-    def text(self, width: int | None = None) -> str:
+    def text(self, width: int | None = None, full: bool = False) -> str:
         """The paragraph, whether it came again, and the last steps as a table."""
         lines = [self.title, "", textwrap.fill(self.paragraph, min(width or WIDTH, WIDTH)), ""]
         happened = self.replay.happened

@@ -102,7 +102,7 @@ class StabilityMap(Result):
             f"ended in an error. Over {seconds(self.horizon)}."
         )
 
-    def text(self, width: int | None = None) -> str:
+    def text(self, width: int | None = None, full: bool = False) -> str:
         """The printed result: a line a value, a mark a dt."""
         legend = ", ".join(f"{mark} {state}" for state, mark in SYMBOLS.items())
         if any(not cell.judged for panel in self.panels for cell in panel.cells):

@@ -22,7 +22,7 @@ from stepcore.experiment.reference import FINER, Reference, Search, smallest
 from stepcore.experiment.runner import Course
 from stepcore.experiment.statistics import LEAST, after
 from stepcore.loading import find_model
-from stepcore.measure.trade import frugal, units
+from stepcore.measure.trade import frugal
 from stepcore.measure.trade import mujoco as opponent
 from stepcore.measure.trade.finish import Finisher
 from stepcore.measure.trade.moves import Steps, longest, slides
@@ -31,6 +31,7 @@ from stepcore.measure.trade.remarks import truths
 from stepcore.measure.trade.result import Row, Trade
 from stepcore.measure.trade.settings import grid
 from stepcore.measure.trade.trials import Trials
+from stepcore.report import units
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import seconds
 from stepcore.scene.scene import Scene
@@ -127,9 +128,9 @@ def trade(
     full = _full(search, {"dts": dts} | axes)
     shipped = model.settings
     checks.one_of("time", "flops")("trade", "by", by)
-    limit = None if budget is None else units.price(budget, shipped.dt, by)
+    limit = None if budget is None else units.budget("trade", "budget", budget, shipped.dt, by)
     if error is not None:
-        units.length(error, 1.0)
+        units.length("trade", "error", error, 1.0)
     if mujoco:
         opponent.load(source, model)
     dofs = movable(model.scene, "no motion to trade")
@@ -151,7 +152,7 @@ def trade(
     with Progress("reference", finder.runs, progress) as bar:
         reference = finder.first(bar)
     size = extent(reference.paths, model.scene)
-    target = None if error is None else units.length(error, size)
+    target = None if error is None else units.length("trade", "error", error, size)
     trials = Trials(course, reference, size, workers, executor, progress)
     counts, rows = Steps(period, shipped.dt), max(path.rows for path in reference.paths)
     if full:

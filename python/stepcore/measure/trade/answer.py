@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING
 
 from stepcore.measure.trade.mujoco import against
 from stepcore.report.settings import label
-from stepcore.report.units import metres, quantity, seconds
+from stepcore.report.units import computing, metres, operations, seconds
 
 if TYPE_CHECKING:
     from stepcore.measure.trade.result import Row, Trade
 
-MICRO = (("s", 1e6), ("ms", 1e3), ("µs", 1.0))
-FLOPS = (("Gflop", 1e9), ("Mflop", 1e6), ("kflop", 1e3), ("flop", 1.0))
 # From here on the worst start says something else than the median of the starts.
 DIFFER = 30.0
 # A saving below this is within what timing can tell.
@@ -59,7 +57,7 @@ def _for_error(trade: Trade, error: float) -> list[str]:
 
 def _for_budget(trade: Trade, budget: float) -> list[str]:
     row = trade.recommended
-    within = quantity(budget, FLOPS if trade.by == "flops" else MICRO)
+    within = operations(budget) if trade.by == "flops" else computing(budget)
     if row is None:
         ran = [one for one in trade.rows if not one.failure]
         text = f"Nothing that was tried costs as little as {within} per simulated second"
@@ -141,8 +139,8 @@ def named(trade: Trade, row: Row) -> str:
 def priced(trade: Trade, row: Row) -> str:
     """The price in words."""
     if trade.by == "flops":
-        return f"{quantity(row.flops, FLOPS)} per simulated second"
-    return f"{quantity(row.cost, MICRO)} of computing per simulated second"
+        return f"{operations(row.flops)} per simulated second"
+    return f"{computing(row.cost)} of computing per simulated second"
 
 
 def _compared(trade: Trade, row: Row) -> str:

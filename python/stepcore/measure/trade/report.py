@@ -11,7 +11,7 @@ from stepcore.measure.trade.answer import answer
 from stepcore.measure.trade.remarks import after, observed
 from stepcore.report.settings import label, rarer
 from stepcore.report.table import Table
-from stepcore.report.units import metres, seconds
+from stepcore.report.units import compact, metres, seconds
 
 if TYPE_CHECKING:
     from stepcore.measure.trade.result import Row, Trade
@@ -109,8 +109,8 @@ def cells(trade: Trade, row: Row) -> dict[str, Any]:
         "solver": f"pgs {s.sweeps}" if s.solver == "pgs" else s.solver,
         "also": ", ".join(rarer(s, trade.shipped.settings)),
         "cost": "" if math.isnan(row.cost) else f"{row.cost:.{0 if row.cost > 99 else 1}f}",
-        "flops": "" if math.isnan(row.flops) else short(row.flops),
-        "rows": "" if math.isnan(row.row_updates) else short(row.row_updates),
+        "flops": "" if math.isnan(row.flops) else compact(row.flops),
+        "rows": "" if math.isnan(row.row_updates) else compact(row.row_updates),
     }
     if s.precision != "f64":
         record["solver"] += f" {s.precision}"
@@ -119,7 +119,7 @@ def cells(trade: Trade, row: Row) -> dict[str, Any]:
     largest = max(e.position_max, trade.reference.largest)
     split = (e.numerical, e.modelling) if e.modelling else (0.0, 0.0)
     numbers = (e.median, *split, largest, e.angle, e.gained, e.lost, e.overlap, e.residual)
-    record |= dict(zip(ERRORS, map(short, (trade.error(row), *numbers)), strict=True))
+    record |= dict(zip(ERRORS, map(compact, (trade.error(row), *numbers)), strict=True))
     if not e.modelling:
         record["numeric"] = record["model"] = ""
     record["error"] = "<" * row.below + record["error"]
@@ -151,15 +151,7 @@ def truth(trade: Trade) -> dict[str, Any]:
         "dt": f"{ref.settings.dt * 1e3:.4g}",
         "integrator": ref.settings.integrator,
         "solver": ref.settings.solver,
-    } | dict(zip(ERRORS, map(short, numbers), strict=True))
-
-
-def short(value: float) -> str:
-    """Two digits and a short exponent: 1.3e-3; 0 for rounding below zero or none at all."""
-    if value <= 0:
-        return "0"
-    digits, exponent = f"{value:.1e}".split("e")
-    return f"{digits}e{int(exponent)}"
+    } | dict(zip(ERRORS, map(compact, numbers), strict=True))
 
 
 def failed(trade: Trade) -> list[str]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore.report.plot.style import COLOURS, GREY, bare, figure, saved
-from stepcore.report.units import length, metres
+from stepcore.report.units import metres
 
 if TYPE_CHECKING:
     from stepcore.measure.ablation.result import Ablation
@@ -50,7 +50,7 @@ def plot_ablation(result: Ablation, path: str | os.PathLike[str] | None = None) 
         colour = "black" if row is result.best else LEFT_OUT if out else KEPT
         if value > low:
             error.barh(place, value - low, left=low, color=colour, height=0.7)
-        text = length(value)
+        text = metres(value)
         error.annotate(
             text,
             (max(value, low), place),

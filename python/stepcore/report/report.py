@@ -1,0 +1,129 @@
+"""`Report`: what a measurement says: the answer in sentences, then tables, then notes.
+
+The same blocks are printed as text, shown in a notebook and written as a page; `Result` writes
+them as JSON.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from stepcore import checks
+from stepcore.report.table import Table, window
+
+# A narrower line is of no use, and sentences in wider lines are hard to read.
+NARROWEST, PROSE = 20, 100
+# How a sentence begins that is an item of the list under the sentence before it.
+ITEM = "- "
+
+
+@dataclass(frozen=True)
+class Report:
+    """A title, a line on what was measured and how, sentences, tables and notes.
+
+    sentences: the answer first. One that begins with "- " is an item of a list under the
+    sentence before it.
+
+    >>> table = Table([{"dt": 0.01, "error": 1.5e-3}], heading="Error [m] by time step [s]")
+    >>> print(Report("ball: error", ["The error is 1.5 mm."], [table], ["one start"]).text())
+    ball: error
+    <BLANKLINE>
+    The error is 1.5 mm.
+    <BLANKLINE>
+    Error [m] by time step [s]
+      dt   error
+    0.01  0.0015
+    <BLANKLINE>
+    Note: one start.
+    """
+
+    title: str
+    sentences: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = ()
+    setup: str = ""
+
+    def text(self, width: int | None = None) -> str:
+        """The report in lines of at most `width` characters (default: the terminal's)."""
+        size = window() if width is None else checks.count("width", width, NARROWEST)
+        head = [*_wrapped(self.title, size), *_wrapped(self.setup, size)]
+        said = [line for sentence in self.sentences for line in _wrapped(sentence, size)]
+        tables = [[*_table(table, size)] for table in self.tables]
+        notes = [line for note in self.notes for line in _wrapped(_note(note), size)]
+        blocks = [head, said, *tables, notes]
+        return "\n\n".join("\n".join(block) for block in blocks if block)
+
+    def html(self) -> str:
+        """The report as a fragment of HTML."""
+        setup = f"<p>{html.escape(self.setup)}</p>" if self.setup else ""
+        tables = [
+            *(part for table in self.tables for part in (table.html(), _small(table.legend))),
+            *(_small(_note(note)) for note in self.notes),
+        ]
+        return "\n".join([setup, *_prose(self.sentences), *tables])
+
+    def page(self, picture: bytes) -> str:
+        """The report and its picture (SVG) as one page that needs no other file."""
+        return PAGE.format(
+            title=html.escape(self.title),
+            picture=base64.b64encode(picture).decode("ascii"),
+            body=self.html(),
+        )
+
+
+def _note(note: str) -> str:
+    """A note as a sentence."""
+    return f"Note: {note}" if note.endswith((".", ":")) else f"Note: {note}."
+
+
+def _wrapped(sentence: str, size: int) -> list[str]:
+    item = sentence.startswith(ITEM)
+    return textwrap.wrap(
+        sentence,
+        min(size, PROSE),
+        initial_indent="  " if item else "",
+        subsequent_indent="    " if item else "",
+        break_on_hyphens=False,
+    )
+
+
+def _table(table: Table, size: int) -> Iterator[str]:
+    yield from _wrapped(table.heading, size)
+    for line in table.text(size).splitlines():
+        # A single column can be wider than the whole line.
+        yield from [line] if len(line) <= size else textwrap.wrap(line, size)
+    yield from _wrapped(table.legend, size)
+
+
+def _prose(sentences: Sequence[str]) -> Iterator[str]:
+    """Paragraphs, and lists of the items under them."""
+    listing = False
+    for sentence in sentences:
+        item = sentence.startswith(ITEM)
+        if item != listing:
+            yield "<ul>" if item else "</ul>"
+        listing = item
+        text = html.escape(sentence.removeprefix(ITEM))
+        yield f"<li>{text}</li>" if item else f"<p>{text}</p>"
+    if listing:
+        yield "</ul>"
+
+
+def _small(text: str) -> str:
+    return f"<p><small>{html.escape(text)}</small></p>" if text else ""
+
+
+PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>body {{ font: 16px/1.5 sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem }}
+img {{ max-width: 100%; height: auto }}</style></head>
+<body><h1>{title}</h1>
+<img alt="{title}" src="data:image/svg+xml;base64,{picture}">
+{body}
+</body></html>
+"""

@@ -1,0 +1,76 @@
+"""`Report` and `Table`: the same blocks as text, as HTML and as data."""
+
+import json
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore import lesson
+from stepcore.report.report import Report
+from stepcore.report.table import Table, jsonable
+
+LONG = "The answer is a sentence that no narrow window shows in one line, so it goes on."
+REPORT = Report(
+    "arm: an answer",
+    [LONG, "- do this <first>", "- or that"],
+    [Table([{"element": "knee & co", "dt [s]": 1.5e-3}], heading="Limits", legend="dt: time step")],
+    ["one start", "ends with a stop."],
+    "1 s from 1 start",
+)
+
+
+def test_the_text_says_the_answer_first_then_tables_then_notes():
+    text = REPORT.text(100)
+    places = [text.index(part) for part in ("arm:", "1 s from", "The answer", "  - do", "Limits")]
+    places += [text.index(part) for part in ("knee & co", "dt: time", "Note: one start.")]
+    assert places == sorted(places)
+    assert "stop.." not in text
+
+
+@pytest.mark.parametrize("width", [20, 33, 80])
+def test_the_text_keeps_to_its_width(width):
+    lines = REPORT.text(width).splitlines()
+    assert max(map(len, lines)) <= width
+    assert "".join(LONG.split()) in "".join(REPORT.text(width).split())
+
+
+@pytest.mark.parametrize("width", [-1, 0, 19, "x", 40.5])
+def test_a_width_that_is_none_is_refused(width):
+    with pytest.raises(ValueError, match=r"width = .*: must be a whole number >= 20"):
+        REPORT.text(width)
+
+
+def test_the_html_has_a_real_table_and_escapes_names():
+    tree = ElementTree.fromstring(f"<div>{REPORT.html()}</div>")
+    assert [cell.text for cell in tree.iter("th")] == ["element", "dt [s]"]
+    assert [cell.text for cell in tree.iter("td")] == ["knee & co", "0.0015"]
+    assert [item.text for item in tree.iter("li")] == ["do this <first>", "or that"]
+    assert tree.find(".//caption").text == "Limits"
+    assert not list(tree.iter("pre"))
+
+
+def test_the_page_holds_its_picture():
+    page = REPORT.page(b"<svg/>")
+    assert "data:image/svg+xml;base64,PHN2Zy8+" in page and "<title>arm: an answer</title>" in page
+
+
+def test_a_part_of_a_table_is_a_table():
+    table = Table([{"a": 1.0}, {"a": 2.0}], formats={"a": ".2f"}, heading="h", legend="l")
+    part = table[:1]
+    assert (len(part), part.formats, part.heading, part.legend) == (1, table.formats, "h", "l")
+
+
+def test_plain_data_is_what_json_knows():
+    value = {
+        "array": np.arange(2.0),
+        "bad": [np.nan, float("inf")],
+        "settings": sc.Settings(),
+        "control": lesson.spring,
+        1: {np.float64(2)},
+    }
+    plain = jsonable(value)
+    assert plain["array"] == [0.0, 1.0] and plain["bad"] == [None, None] and plain["1"] == [2.0]
+    assert plain["settings"]["dt"] == sc.Settings().dt and plain["control"] == "spring"
+    assert json.loads(json.dumps(plain, allow_nan=False)) == plain

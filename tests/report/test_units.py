@@ -1,0 +1,76 @@
+"""Quantities: what is printed, and what users may write."""
+
+import math
+
+import pytest
+
+from stepcore.report import units
+
+
+@pytest.mark.parametrize(
+    ("printed", "words"),
+    [
+        (units.seconds(0.0), "0 s"),
+        (units.seconds(math.inf), "inf s"),
+        (units.seconds(9.9996e-4), "1 ms"),
+        (units.metres(math.nan), "nan m"),
+        (units.metres(3e-15), "< 1 pm"),
+        (units.speed(2.5e-3), "2.5 mm/s"),
+        (units.newtons(1234.0), "1.23 kN"),
+        (units.newtons(0.0), "0 N"),
+        (units.computing(0.25), "0.25 µs"),
+        (units.operations(2.5e6), "2.5 Mflop"),
+        (units.hertz(20 * math.pi), "10 Hz"),
+        (units.percent(0.1234), "12 %"),
+        (units.percent(-0.031), "-3.1 %"),
+        (units.percent(0.0), "0 %"),
+        (units.times(3.4), "3.4×"),
+        (units.counted(1, "start"), "1 start"),
+        (units.counted(8, "start"), "8 starts"),
+        (units.compact(1.34e-3), "1.3e-3"),
+        (units.compact(-1e-9), "0"),
+        (units.unit_of("kp", angular=True), "N·m/rad"),
+        (units.unit_of("armature", angular=False), "kg"),
+        (units.unit_of("gear", angular=False), ""),
+    ],
+)
+def test_what_is_printed(printed, words):
+    assert printed == words
+
+
+@pytest.mark.parametrize(
+    ("text", "metres"),
+    [(1e-3, 1e-3), ("0.001", 1e-3), ("1 mm", 1e-3), ("2um", 2e-6), ("2µm", 2e-6), ("1%", 0.02)],
+)
+def test_a_length(text, metres):
+    assert units.length("trade", "error", text, size=2.0) == pytest.approx(metres, rel=1e-15)
+
+
+@pytest.mark.parametrize("text", ["", "mm", "-1mm", "0", "1 kg", "nan", "1..2", None, True, 0])
+def test_what_is_no_length(text):
+    with pytest.raises(
+        ValueError, match=r'ablate: error = .*: must be a length > 0: metres, "1mm"'
+    ):
+        units.length("ablate", "error", text, size=2.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "by", "price"),
+    [
+        ("20us/step", "time", 1e4),
+        ("5 ms/s", "time", 5e3),
+        ("100x", "time", 1e4),
+        ("2kflop/step", "flops", 1e6),
+        (7, "flops", 7.0),
+    ],
+)
+def test_a_budget(text, by, price):
+    assert units.budget("trade", "budget", text, 0.002, by) == pytest.approx(price, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "by"), [("20", "time"), ("0x", "time"), ("100x", "flops"), ("1us/step", "flops")]
+)
+def test_what_is_no_budget(text, by):
+    with pytest.raises(ValueError, match="trade: budget = "):
+        units.budget("trade", "budget", text, 0.002, by)
