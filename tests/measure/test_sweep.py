@@ -115,7 +115,7 @@ def test_a_table_fits_its_width_and_survives_json():
     assert "no room for: why, b" in table.text(16)
     assert json.loads(table.to_json())[1] == {"a": None, "why": None, "b": 2}
     assert table.to_dict()["b"] == [None, 2]
-    assert "a  why" in Table([{"a": 1, "why": "<&>"}])._repr_html_()
+    assert "<th>a</th>" in Table([{"a": 1, "why": "<&>"}])._repr_html_()
     assert "&lt;&amp;&gt;" in Table([{"a": 1, "why": "<&>"}])._repr_html_()
     with pytest.raises(KeyError, match="no column 'c'"):
         table["c"]
