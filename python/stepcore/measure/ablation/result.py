@@ -141,7 +141,7 @@ class Ablation(Result):
 
         return plot_ablation(self, path)
 
-    def text(self, width: int | None = None) -> str:
+    def text(self, width: int | None = None, full: bool = False) -> str:
         """The printed ablation, at most `width` characters wide."""
         starts = f"{self.starts} start" + "s" * (self.starts != 1)
         known = "" if self.reference is None else f"; reference known to {metres(self.reference)}"
