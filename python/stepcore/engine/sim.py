@@ -320,7 +320,8 @@ class Sim(Stepped):
         under friction loss and limit; of the pair of geoms), part (which dof of the joint; 0 for
         the lower bound, 1 for the upper one; which contact of the pair; -1 for the whole
         element), name (`Model.element_name` of these), block (rows of one block are solved
-        together), impulse [N·s], velocity (J v when the step began), target, regulariser, residual (s|δ|, in the row's unit of velocity), lo and hi (its bounds),
+        together), impulse [N·s], velocity (J v when the step began), target, regulariser,
+        residual (s|δ|, in the row's unit of velocity), lo and hi (its bounds),
         force (impulse/dt [N]).
         """
         return row_table(self.settings.dt, *self._core.rows())
