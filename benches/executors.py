@@ -67,10 +67,10 @@ def wire(report: record.Report, runs: int) -> None:
         size = -(-runs // min(jobs.HANDFULS, jobs.EACH * WORKERS))
         sent = len(pickle.dumps((jobs._all, work, points[:size], "0123456789abcdef 0")))
         report.say(
-            f"{name}: model {len(model.to_bytes())} B; a handful of {size} points {sent} B, "
+            f"{name}: model {len(pickle.dumps(model))} B; a handful of {size} points {sent} B, "
             f"{sent / size:.0f} B a point"
         )
-        report.add(case=f"wire {name}", model=len(model.to_bytes()), handful=size, bytes=sent)
+        report.add(case=f"wire {name}", model=len(pickle.dumps(model)), handful=size, bytes=sent)
 
 
 def sweep(

@@ -6,7 +6,7 @@ from typing import Any, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore.measure.postmortem import Replay
+from stepcore.engine.replay import Replay
 
 __all__ = ["Batch", "Model", "Settings", "Sim", "SimulationError", "compile"]
 

@@ -101,7 +101,7 @@ def test_a_package_s_tests_come_last(tmp_path, monkeypatch):
     assert find_asset(package.name, "tests/cart") == package / "tests" / "cart.xml"
     assert find_asset(package.name, "pole") == package / "tests" / "pole.xml"
     (package / "cart.xml").touch()
-    with pytest.raises(ValueError, match="which one"):
+    with pytest.raises(ValueError, match="several files"):
         find_asset(package.name, "cart")
 
 
@@ -168,34 +168,9 @@ def test_ctrl_c_is_exit_130(capsys, monkeypatch):
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("stepcore.loading.find_scene", interrupted)
+    monkeypatch.setattr("stepcore.reading.load", interrupted)
     status, _, err = call(capsys, "run", "x", "--duration", 1)
     assert status == 130 and err.count("\n") == 1
-
-
-def interrupted_at_start(name, *asked):
-    """A process that is called `name` and gets Ctrl-C while stepcore is read in.
-
-    asked: what stands behind the interpreter on its command line.
-    """
-    code = (
-        "import sys, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-        f"sys.argv, sys.orig_argv[1:] = [{name!r}], {list(asked)}; "
-        "import stepcore.starting; signal.raise_signal(signal.SIGINT)"
-    )
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-
-
-def test_ctrl_c_before_a_command_has_begun_ends_it_without_a_word():
-    as_module = (["-m", "-m", "stepcore", "run"], ["-m", "-mstepcore.cli"])
-    for asked in (*as_module, ["/somewhere/bin/stepcore"]):
-        done = interrupted_at_start(*asked)
-        assert done.returncode == 130 and not done.stderr
-    assert "KeyboardInterrupt" in interrupted_at_start("mine.py").stderr
-
-
-def test_ctrl_c_is_left_to_other_packages_that_run_as_a_module():
-    assert "KeyboardInterrupt" in interrupted_at_start("-m", "-m", "mine.app").stderr
 
 
 def test_it_runs_as_a_module(ball):

@@ -13,6 +13,7 @@ MODULES = [found.name for found in pkgutil.walk_packages(sc.__path__, "stepcore.
 # `Trade` and its like are made by functions whose examples show them; the rest is Rust.
 WITHOUT_EXAMPLE = (
     *("Diagnosis", "Settings", "SimulationError", "StabilityMap", "Trade", "__version__"),
+    "reference",
 )
 
 

@@ -11,9 +11,9 @@ from small import unstable
 
 import stepcore as sc
 from stepcore.cli import main
+from stepcore.engine.features import RemovableFeatures, Removal, Usage, without
 from stepcore.measure.ablation.selection import confirmed, greedy, saved, work
 from stepcore.measure.ablation.variants import Outcome
-from stepcore.measure.features import RemovableFeatures, Removal, Usage, without
 from stepcore.report.table import WIDTH
 
 # A block that slides on the floor, a pendulum that neither meets it nor its own limit, and a

@@ -11,8 +11,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from stepcore import load, loads
 from stepcore.loading import find_asset
-from stepcore.mjcf import MJCFError, load, loads
+from stepcore.mjcf.nodes import MJCFError
 from stepcore.scene.scene import Scene
 
 MODELS = (

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from stepcore import load, loads
 from stepcore.loading import find_asset
-from stepcore.mjcf import MJCFError, load, loads
+from stepcore.mjcf.nodes import MJCFError
 
 
 def world(inside: str, before: str = "", after: str = "") -> str:

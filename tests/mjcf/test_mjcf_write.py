@@ -15,7 +15,7 @@ from zoo import ZOO
 
 from stepcore import Scene, Settings, load, loads
 from stepcore.loading import find_asset
-from stepcore.mjcf import MJCFError
+from stepcore.mjcf.nodes import MJCFError
 
 GYM = (
     *("inverted_pendulum", "inverted_double_pendulum", "reacher", "hopper", "walker2d"),

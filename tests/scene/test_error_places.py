@@ -6,7 +6,7 @@ import pickle
 import pytest
 
 import stepcore as sc
-from stepcore.mjcf import MJCFError
+from stepcore.mjcf.nodes import MJCFError
 
 LINES = """<mujoco><worldbody>
 <geom name="floor" type="plane" size="0 0 1"/>

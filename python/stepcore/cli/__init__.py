@@ -15,7 +15,6 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
-from stepcore import starting
 from stepcore.checks import one_line
 from stepcore.cli import (
     ablate,
@@ -49,15 +48,14 @@ class _Version(argparse.Action):
         super().__init__(option_strings, dest, nargs=0, help=help)
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        import stepcore
+        from importlib.metadata import version
 
-        print(f"stepcore {stepcore.__version__}")
+        print(f"stepcore {version('stepcore')}")
         parser.exit()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; returns the exit status."""
-    starting.restore()
     try:
         args = parser().parse_args(argv)
     except SystemExit as stop:

@@ -29,13 +29,13 @@ def add(commands: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore.loading import find_scene
     from stepcore.measure.ablation import ablate
+    from stepcore.reading import load
 
     check_output(args)
     if args.save is not None:
         check_path(args.save)
-    result = ablate(find_scene(args.file), error=args.error, **motion_of(args))
+    result = ablate(load(args.file), error=args.error, **motion_of(args))
     if args.save is not None:
         result.smallest.save(args.save)
     deliver(result, args)

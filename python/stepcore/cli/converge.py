@@ -22,8 +22,8 @@ def add(commands: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore.loading import find_scene
     from stepcore.measure.convergence import converge
+    from stepcore.reading import load
 
     check_output(args)
-    deliver(converge(find_scene(args.file), states=args.states, **motion_of(args)), args)
+    deliver(converge(load(args.file), states=args.states, **motion_of(args)), args)

@@ -19,11 +19,11 @@ def add(commands: Any) -> None:
 
 def call(args: argparse.Namespace) -> None:
     from stepcore.engine.sim import Sim
-    from stepcore.loading import find_scene
     from stepcore.measure.plan import plan
+    from stepcore.reading import load
 
     check_output(args)
-    model = find_scene(args.file).compile()
+    model = load(args.file).compile()
     sim = None
     if args.key is not None:
         sim = Sim(model)

@@ -17,8 +17,8 @@ def add(commands: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore.loading import find_scene
     from stepcore.measure.predictability import predictability
+    from stepcore.reading import load
 
     check_output(args)
-    deliver(predictability(find_scene(args.file), **motion_of(args)), args)
+    deliver(predictability(load(args.file), **motion_of(args)), args)

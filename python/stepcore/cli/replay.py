@@ -16,7 +16,7 @@ def add(commands: Any) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore.measure.postmortem import replay
+    from stepcore.engine.replay import replay
 
     check_output(args)
     deliver(replay(args.file), args)

@@ -32,7 +32,7 @@ def call(args: argparse.Namespace) -> None:
     from time import perf_counter
 
     from stepcore.engine.sim import Sim
-    from stepcore.loading import find_scene
+    from stepcore.reading import load
 
     if args.replay is not None:
         check_path(args.replay, "--replay")
@@ -43,7 +43,7 @@ def call(args: argparse.Namespace) -> None:
     if not 0 <= duration < float("inf"):
         raise Usage(f"--duration {duration:g}: must be finite and >= 0 s")
     # A failure that is told in full costs a run a few percent.
-    sim = Sim(find_scene(args.file).compile(), **({"ledger": True} | changes))
+    sim = Sim(load(args.file).compile(), **({"ledger": True} | changes))
     first = 0 if sim.model.keys else None
     sim.reset(key=first if args.key is None else args.key)
     dt = sim.settings.dt

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats, StateArray, Stepped, numbers, snapshot
-from stepcore.engine.model import Model, compiled
+from stepcore.engine.arrays import Floats, StateArray, numbers, snapshot
 from stepcore.engine.sim import Momentum
+from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, row_table
 from stepcore.engine.views import BodyView, GeomView, JointView, SiteView
-from stepcore.measure.postmortem.file import attach
-from stepcore.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
+    from stepcore.scene.scene import Scene
 
 
 class Rollout(NamedTuple):
@@ -138,7 +140,7 @@ class Batch(Stepped):
         try:
             yield
         except SimulationError as error:
-            attach(error, self._model, self.qpos[error.world], self.qvel[error.world])
+            self._explain(error)
             raise
 
     @property
@@ -147,7 +149,7 @@ class Batch(Stepped):
         known = self._failures
         failed, new = self._core.failures(list(known))
         for error in new:
-            attach(error, self._model, self.qpos[error.world], self.qvel[error.world])
+            self._explain(error)
         errors = {error.world: error for error in new}
         self._failures = {world: known.get(world) or errors[world] for world in failed}
         return dict(self._failures)

@@ -47,7 +47,7 @@ def located(error: ValueError, layout: Layout) -> ValueError:
     text = "".join([*parts, text[end:]])
     if not first:
         return ValueError(text)
-    from stepcore.mjcf.source import MJCFError
+    from stepcore.mjcf.nodes import MJCFError
 
     file, _, line = first.rpartition(":")
     return MJCFError(file, int(line), text)

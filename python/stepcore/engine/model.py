@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import copy
 import functools
+import hashlib
+import pickle
+import threading
+import zlib
+from collections import OrderedDict
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,18 +17,20 @@ from numpy.typing import NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings
-from stepcore.engine import wire
 from stepcore.engine.arrays import Floats
 from stepcore.engine.error_places import located
 from stepcore.scene.layout import Layout
-from stepcore.scene.values import changed
+from stepcore.scene.value_paths import changed
 
 if TYPE_CHECKING:
+    from stepcore.engine.plan.result import Plan
     from stepcore.engine.sim import Sim
-    from stepcore.measure.plan import Plan
     from stepcore.scene.scene import Scene
 
 Ints = NDArray[np.int32]
+
+# Compiled scenes that a process keeps for the models sent to it.
+KEPT = 16
 
 
 class Keyframe(NamedTuple):
@@ -334,9 +341,9 @@ class Model:
 
     def plan(self, *, sim: Sim | None = None, time: bool = False) -> Plan:
         """What a step does and what it leaves out, with the reasons: `stepcore.plan(self, …)`."""
-        from stepcore.measure.plan import plan
+        from stepcore.engine.plan import planned
 
-        return plan(self, sim=sim, time=time)
+        return planned(self, sim, time)
 
     # Copies.
 
@@ -358,37 +365,14 @@ class Model:
         return other
 
     @functools.cached_property
-    def _packed(self) -> bytes:
-        return wire.packed(self._scene)
-
-    def to_bytes(self) -> bytes:
-        """The model as bytes, some kB, with no code in them; also what pickling it stores.
-
-        What a file holds beside the model (meshes that only draw, comments) is not among them.
-        """
-        return wire.to_bytes(self._packed, self._settings)
-
-    @staticmethod
-    def from_bytes(data: bytes) -> Model:
-        """The model of `to_bytes`, which steps to the same bits.
-
-        A process compiles the same scene once and keeps it, whatever the settings.
-        Raises ValueError for bytes that are not a model's, damaged, or of another version.
-
-        >>> from stepcore import lesson
-        >>> model = lesson.drop().compile()
-        >>> Model.from_bytes(model.to_bytes()).nq
-        1
-        """
-        packed, settings = wire.from_bytes(data)
-        other = object.__new__(Model)
-        other._scene, other._settings = wire.unpacked(packed), settings
-        other._core = wire.engines.get(packed, lambda: _engine(other._scene))
-        other.__dict__["_packed"] = packed
-        return other
+    def _pickled(self) -> bytes:
+        """The scene without its file's own text, which no step needs."""
+        scene = copy.copy(self._scene)
+        scene._source = None
+        return zlib.compress(pickle.dumps(scene))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Model.from_bytes, (self.to_bytes(),)
+        return _unpickled, (self._pickled, self._settings)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Model:
         # Nothing of a model can change, so a copy may share all of it.
@@ -413,14 +397,41 @@ class Model:
         return f"<Model{name}: {shown}; {self._settings!r}>"
 
 
-def compiled(model: Model | Scene) -> Model:
-    """The model itself, or that of a scene; ValueError for anything else."""
-    if isinstance(model, Model):
+class _CompiledScenes:
+    """The last scenes that this process compiled for models sent to it, by their pickle.
+
+    Compiling is deterministic and takes longer than unpickling: a worker that gets a model again
+    and again, under whatever settings, compiles it once.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._models: OrderedDict[bytes, _core.Model] = OrderedDict()
+
+    def get(self, pickled: bytes, scene: Scene) -> _core.Model:
+        """The compiled model of a scene, which is what was pickled."""
+        key = hashlib.blake2b(pickled, digest_size=16).digest()
+        with self._lock:
+            if key in self._models:
+                self._models.move_to_end(key)
+                return self._models[key]
+        model = _engine(scene)
+        with self._lock:
+            self._models[key] = model
+            while len(self._models) > KEPT:
+                self._models.popitem(last=False)
         return model
-    if not hasattr(model, "to_dict"):
-        limit = "a stepcore.Model or a stepcore.Scene"
-        raise ValueError(f"model = {checks.shown(model)}: must be {limit}")
-    return Model(model)
+
+
+_compiled_scenes = _CompiledScenes()
+
+
+def _unpickled(pickled: bytes, settings: Settings) -> Model:
+    model = object.__new__(Model)
+    model._scene, model._settings = pickle.loads(zlib.decompress(pickled)), settings
+    model._core = _compiled_scenes.get(pickled, model._scene)
+    model.__dict__["_pickled"] = pickled
+    return model
 
 
 def _engine(scene: Scene) -> _core.Model:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats, StateArray, Stepped, snapshot
+from stepcore.engine.arrays import Floats, StateArray, snapshot
 from stepcore.engine.linearization import Linearization, linearized
-from stepcore.engine.model import Model, compiled
+from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, row_table
 from stepcore.engine.trajectory import Trajectory, record_run
 from stepcore.engine.views import BodyView, GeomView, JointView, SiteView
-from stepcore.measure.postmortem.file import attach
-from stepcore.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
+    from stepcore.scene.scene import Scene
 
 
 class Energy(NamedTuple):
@@ -102,7 +104,7 @@ class Sim(Stepped):
         try:
             self._core.step(n)
         except SimulationError as error:
-            attach(error, self._model, self.qpos, self.qvel)
+            self._explain(error)
             raise
 
     def balance(self) -> None:
@@ -115,7 +117,7 @@ class Sim(Stepped):
         try:
             self._core.balance()
         except SimulationError as error:
-            attach(error, self._model, self.qpos, self.qvel)
+            self._explain(error)
             raise
 
     def forward(self) -> None:
@@ -123,7 +125,7 @@ class Sim(Stepped):
         try:
             self._core.forward()
         except SimulationError as error:
-            attach(error, self._model, self.qpos, self.qvel)
+            self._explain(error)
             raise
 
     def linearize(self) -> Linearization:

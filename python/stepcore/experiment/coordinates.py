@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stepcore.engine.model import compiled
+from stepcore.engine.stepped import compiled
 from stepcore.scene.actuation import gains
 from stepcore.scene.layout import DOFS, QPOS, Layout
 

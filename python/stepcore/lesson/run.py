@@ -44,7 +44,7 @@ def maker(engine: str) -> Make:
     """Scene to Sim at its key "start", on one engine: "rust" or "numpy"."""
 
     def rust(scene: Scene) -> Any:
-        from stepcore import Sim
+        from stepcore.engine.sim import Sim
 
         return Sim(scene.compile())
 

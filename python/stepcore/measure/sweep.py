@@ -15,7 +15,7 @@ from stepcore.executors import check_executor, each
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.table import Table
 from stepcore.scene.scene import Scene
-from stepcore.scene.values import find
+from stepcore.scene.value_paths import find
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

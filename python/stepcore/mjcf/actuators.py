@@ -6,35 +6,35 @@ from typing import Any
 
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.gains import Gains
-from stepcore.mjcf.source import Node
-from stepcore.mjcf.tree import Tree
-from stepcore.mjcf.values import bad
+from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.validation import bad
+from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.elements import Joint
 
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "refsite", "body")
 STATEFUL = ("actlimited", "actrange")
 
 
-def actuator(tree: Tree, defaults: Defaults, node: Node) -> None:
+def actuator(world: WorldReader, defaults: Defaults, node: Node) -> None:
     """Reads one motor or servo on a joint."""
     values = defaults.of(node)
-    joint = _joint(tree, node, values)
+    joint = _joint(world, node, values)
     _refuse(node, values)
     gains = defaults.gains(node)
     _refuse_gains(node, gains)
-    added = tree.scene.add_actuator(
+    added = world.scene.add_actuator(
         joint,
         gains.tag,
         name=values.get("name", ""),
         gear=values.get("gear", (1.0,)),
-        ctrlrange=_ctrlrange(tree, node, values, gains, joint),
-        forcerange=tree.limits(node, values, "forcelimited", "forcerange"),
+        ctrlrange=_ctrlrange(world, node, values, gains, joint),
+        forcerange=world.limits(node, values, "forcelimited", "forcerange"),
         **_words(gains),
     )
-    tree.keep(node, added)
+    world.keep(node, added)
 
 
-def _joint(tree: Tree, node: Node, values: dict[str, Any]) -> Joint:
+def _joint(world: WorldReader, node: Node, values: dict[str, Any]) -> Joint:
     used = [name for name in TRANSMISSIONS if name in values]
     if not used:
         raise node.error(f'<{node.tag}> needs joint="…"')
@@ -42,7 +42,7 @@ def _joint(tree: Tree, node: Node, values: dict[str, Any]) -> Joint:
         raise node.error(f"<{node.tag}> has two transmissions: {used[0]} and {used[1]}")
     if used[0] not in ("joint", "jointinparent"):
         raise node.unbuilt(f"a <{node.tag}> that acts through {used[0]}")
-    joint = tree.scene.joint(values[used[0]])
+    joint = world.scene.joint(values[used[0]])
     if used[0] == "jointinparent" and joint.type in ("ball", "free"):
         raise node.unbuilt(f"jointinparent on a {joint.type} joint")
     return joint
@@ -86,14 +86,14 @@ def _words(gains: Gains) -> dict[str, Any]:
 
 
 def _ctrlrange(
-    tree: Tree, node: Node, values: dict[str, Any], gains: Gains, joint: Joint
+    world: WorldReader, node: Node, values: dict[str, Any], gains: Gains, joint: Joint
 ) -> tuple[float, ...] | None:
     if gains.inheritrange <= 0 or not gains.is_position:
-        return tree.limits(node, values, "ctrllimited", "ctrlrange")
+        return world.limits(node, values, "ctrllimited", "ctrlrange")
     takes_over = node.values.get("inheritrange", 0.0) > 0
     if gains.tag == "position" and "ctrlrange" in values and not takes_over:
         raise node.error("<position> inherits both ctrlrange and inheritrange")
-    bounds = tree.ranges.get(id(joint))
+    bounds = world.ranges.get(id(joint))
     if bounds is None or bounds[0] == bounds[1]:
         raise node.error(f"<{node.tag}> inheritrange: {joint} has no range")
     if values.get("ctrllimited", "auto") is False:

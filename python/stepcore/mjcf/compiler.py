@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.schema import ORIENTATION
-from stepcore.mjcf.source import Node
-from stepcore.mjcf.values import bad
+from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import MassRules, fields_of
 from stepcore.scene.frames import Vec

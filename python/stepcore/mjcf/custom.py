@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stepcore.checks import nearest
+from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.schema import FLAGS
-from stepcore.mjcf.source import Node
 from stepcore.scene.elements import Features, fields_of
-from stepcore.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from stepcore.scene.scene import Scene
 
 NAME = "stepcore"
 # Features that MJCF cannot switch.

@@ -7,9 +7,9 @@ from typing import Any
 
 from stepcore.checks import nearest
 from stepcore.mjcf import gains
+from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.schema import ORIENTATION
-from stepcore.mjcf.schema_rest import ACTUATORS
-from stepcore.mjcf.source import Node
+from stepcore.mjcf.schema_unread import ACTUATORS
 
 Values = dict[str, Any]
 MAIN = "main"

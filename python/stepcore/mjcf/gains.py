@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from stepcore.mjcf.source import Node
-from stepcore.mjcf.values import bad
+from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.validation import bad
 from stepcore.scene.frames import Vec
 
 BUILT = ("motor", "position", "velocity", "general")

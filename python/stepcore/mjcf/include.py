@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from stepcore.mjcf.source import MJCFError, Node, parse
+from stepcore.mjcf.nodes import MJCFError, Node, parse
 
 
 def read_file(path: Path, shown: str) -> Node:
@@ -18,7 +18,9 @@ def read_bytes(path: Path, shown: str) -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError:
-        raise FileNotFoundError(f"there is no file {shown}") from None
+        raise FileNotFoundError(f"{shown}: no such file") from None
+    except IsADirectoryError:
+        raise IsADirectoryError(f"{shown}: is a folder, not an MJCF file") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise MJCFError(shown, 1, f"cannot be read: {reason}") from None

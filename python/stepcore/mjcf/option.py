@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stepcore.mjcf.source import Node
-from stepcore.mjcf.values import bad
-from stepcore.scene.scene import Scene
+from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.validation import bad
+
+if TYPE_CHECKING:
+    from stepcore.scene.scene import Scene
 
 INTEGRATORS = {"Euler": "euler", "RK4": "rk4", "implicitfast": "implicitfast"}
 SOLVERS = {"PGS": "pgs", "Newton": "newton", "CG": "newton"}

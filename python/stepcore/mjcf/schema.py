@@ -3,14 +3,14 @@
 Written from the schema of MuJoCo 4. Attributes are words of a string: ``pos:3`` holds three
 reals, ``size:1-3`` one to three, ``qpos:*`` any number, ``group:int`` an integer,
 ``limited:false|true|auto`` a keyword, and a bare name any text. ``!`` marks a required one.
-What draws, senses or is not built yet is in `schema_rest`.
+What draws, senses or is not built yet is in `schema_unread`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from stepcore.mjcf import schema_rest as rest
+from stepcore.mjcf import schema_unread as unread
 
 BOOL = "false|true"
 AUTO = "false|true|auto"
@@ -59,13 +59,13 @@ def without(attrs: str, names: str) -> str:
     return " ".join(w for w in attrs.split() if w.partition(":")[0].rstrip("!") not in drop)
 
 
-def tree(words: rest.Tree, role: str) -> Spec:
-    """A `Spec` from the plain tables of `schema_rest`."""
+def tree(words: unread.Tree, role: str) -> Spec:
+    """A `Spec` from the plain tables of `schema_unread`."""
     attrs, children = words if isinstance(words, tuple) else (words, {})
     return spec(attrs, {tag: tree(inner, role) for tag, inner in children.items()}, role)
 
 
-def trees(table: dict[str, rest.Tree], role: str) -> dict[str, Spec]:
+def trees(table: dict[str, unread.Tree], role: str) -> dict[str, Spec]:
     return {tag: tree(words, role) for tag, words in table.items()}
 
 
@@ -114,13 +114,13 @@ TREE_CHILDREN: dict[str, Spec] = {
     "inertial": spec(INERTIAL),
     "joint": spec(JOINT),
     "freejoint": spec(f"name group:int align:{AUTO}"),
-    "geom": spec(GEOM, {"plugin": tree(rest.PLUGIN, "unbuilt")}),
+    "geom": spec(GEOM, {"plugin": tree(unread.PLUGIN, "unbuilt")}),
     "site": spec(SITE),
-    "camera": spec(rest.CAMERA, role="draws"),
-    "light": spec(rest.LIGHT, role="draws"),
-    "plugin": tree(rest.PLUGIN, "unbuilt"),
+    "camera": spec(unread.CAMERA, role="draws"),
+    "light": spec(unread.LIGHT, role="draws"),
+    "plugin": tree(unread.PLUGIN, "unbuilt"),
     "attach": spec("model! body frame prefix", role="unbuilt"),
-    "flexcomp": tree(rest.FLEXCOMP, "unbuilt"),
+    "flexcomp": tree(unread.FLEXCOMP, "unbuilt"),
     "composite": spec(role="unbuilt"),
 }
 BODY = spec(
@@ -145,15 +145,15 @@ DEFAULT = spec(
         "equality": spec(without(EQUALITY, OWN)),
         **{tag: spec(without(f"{ACTUATOR} {more}", OWN)) for tag, more in GAINS.items()},
         # The defaults of what is not built may stand in a file: they act only where they are used.
-        **{tag: spec(without(f"{ACTUATOR} {more}", OWN)) for tag, more in rest.ACTUATORS.items()},
-        "orientation": spec(without(f"{ACTUATOR} {rest.ORIENTATION_SERVO}", OWN)),
-        "pair": spec(without(rest.PAIR, OWN)),
-        "tendon": spec(without(rest.TENDON + " width material rgba", OWN)),
-        "camera": spec(without(rest.CAMERA, OWN)),
-        "light": spec(without(rest.LIGHT, OWN + " texture")),
+        **{tag: spec(without(f"{ACTUATOR} {more}", OWN)) for tag, more in unread.ACTUATORS.items()},
+        "orientation": spec(without(f"{ACTUATOR} {unread.ORIENTATION_SERVO}", OWN)),
+        "pair": spec(without(unread.PAIR, OWN)),
+        "tendon": spec(without(unread.TENDON + " width material rgba", OWN)),
+        "camera": spec(without(unread.CAMERA, OWN)),
+        "light": spec(without(unread.LIGHT, OWN + " texture")),
         "mesh": spec("scale maxhullvert inertia"),
-        "texture": spec(rest.TEXTURE_LOOK),
-        "material": tree((without(rest.MATERIAL, "name class"), rest.LAYER), ""),
+        "texture": spec(unread.TEXTURE_LOOK),
+        "material": tree((without(unread.MATERIAL, "name class"), unread.LAYER), ""),
     },
     once=(
         *("joint", "geom", "site", "equality", "pair", "tendon"),
@@ -185,15 +185,18 @@ COMPILER = spec(
     f"inertiafromgeom:{AUTO} inertiagrouprange:int2 saveinertial:{BOOL} savecompiled:{BOOL} "
     f"savecanonical:{BOOL} assetdir alignfree:{BOOL} conflict:warning|merge|error "
     "passthrough:none|textures",
-    {"lengthrange": spec(rest.LENGTHRANGE)},
+    {"lengthrange": spec(unread.LENGTHRANGE)},
 )
 ACTUATORS = spec(
     "",
     {
         **{tag: spec(f"{ACTUATOR} {more}") for tag, more in GAINS.items()},
-        **{tag: spec(f"{ACTUATOR} {more}", role="unbuilt") for tag, more in rest.ACTUATORS.items()},
-        "orientation": spec(f"{ACTUATOR} {rest.ORIENTATION_SERVO}", role="unbuilt"),
-        "plugin": tree((f"{ACTUATOR} {rest.ACTUATOR_PLUGIN}", rest.CONFIG), "unbuilt"),
+        **{
+            tag: spec(f"{ACTUATOR} {more}", role="unbuilt")
+            for tag, more in unread.ACTUATORS.items()
+        },
+        "orientation": spec(f"{ACTUATOR} {unread.ORIENTATION_SERVO}", role="unbuilt"),
+        "plugin": tree((f"{ACTUATOR} {unread.ACTUATOR_PLUGIN}", unread.CONFIG), "unbuilt"),
     },
 )
 ROOT = spec(
@@ -207,30 +210,30 @@ ROOT = spec(
             "",
             {
                 "exclude": spec("name body1! body2!"),
-                "pair": spec(rest.PAIR, role="unbuilt"),
+                "pair": spec(unread.PAIR, role="unbuilt"),
             },
         ),
         "equality": spec(
             "",
             {
                 "connect": spec(f"{EQUALITY} body1 body2 anchor:3 site1 site2"),
-                **trees(rest.EQUALITIES, "unbuilt"),
+                **trees(unread.EQUALITIES, "unbuilt"),
             },
         ),
         "actuator": ACTUATORS,
         "keyframe": spec(
             "", {"key": spec("name time:1 qpos:* qvel:* act:* mpos:* mquat:* ctrl:* plastic:*")}
         ),
-        "size": spec(rest.SIZE),
-        "statistic": spec(rest.STATISTIC, role="draws"),
-        "visual": tree(("", rest.VISUAL), "draws"),
-        "asset": spec("", trees(rest.ASSETS, "draws")),
-        "custom": spec("", trees(rest.CUSTOM, "data")),
-        "sensor": spec("", trees(rest.SENSORS, "senses")),
-        "tendon": spec("", trees(rest.TENDONS, "unbuilt")),
+        "size": spec(unread.SIZE),
+        "statistic": spec(unread.STATISTIC, role="draws"),
+        "visual": tree(("", unread.VISUAL), "draws"),
+        "asset": spec("", trees(unread.ASSETS, "draws")),
+        "custom": spec("", trees(unread.CUSTOM, "data")),
+        "sensor": spec("", trees(unread.SENSORS, "senses")),
+        "tendon": spec("", trees(unread.TENDONS, "unbuilt")),
         "deformable": spec(
-            "", {"flex": tree(rest.FLEX, "unbuilt"), "skin": tree(rest.SKIN, "draws")}
+            "", {"flex": tree(unread.FLEX, "unbuilt"), "skin": tree(unread.SKIN, "draws")}
         ),
-        "extension": spec("", trees(rest.EXTENSION, "unbuilt")),
+        "extension": spec("", trees(unread.EXTENSION, "unbuilt")),
     },
 )

@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stepcore._core import Settings
 from stepcore.mjcf import custom
+from stepcore.mjcf.nodes import DEPTH
 from stepcore.mjcf.option import said, shortest
-from stepcore.mjcf.source import DEPTH
 from stepcore.scene.elements import (
+    GRAVITY,
     Actuator,
     Body,
     Element,
@@ -23,7 +24,9 @@ from stepcore.scene.elements import (
     Site,
 )
 from stepcore.scene.layout import SIZES, Layout, check
-from stepcore.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from stepcore.scene.scene import Scene
 
 # What XML 1.0 cannot hold, even escaped.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
@@ -144,7 +147,7 @@ def _option(root: Tag, scene: Scene) -> dict[str, Any]:
     default, settings = Settings().as_dict(), scene.settings.as_dict()
     own = {name: value for name, value in settings.items() if value != default[name]}
     attributes, flags, rest = said(own)
-    if scene.gravity != Scene().gravity:
+    if scene.gravity != GRAVITY:
         attributes["gravity"] = text(scene.gravity)
     features = changed(scene.features)
     for name, on in features.items():

@@ -16,6 +16,7 @@ from typing import Annotated, ClassVar
 from stepcore import checks
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec
 
+GRAVITY: Vec = (0.0, 0.0, -9.81)
 SOLREF: Vec = (0.02, 1.0)
 SOLIMP: Vec = (0.9, 0.95, 0.001, 0.5, 2.0)
 JOINT_TYPES = ("free", "ball", "slide", "hinge")

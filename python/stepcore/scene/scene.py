@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from stepcore._core import Settings
     from stepcore.engine.model import Model
-    from stepcore.mjcf.source import Source
+    from stepcore.mjcf.nodes import Source
 
 E = TypeVar("E", bound=Element)
 
@@ -332,7 +332,7 @@ class Scene(checks.KnownNames):
 
         Raises what `to_mjcf` raises, and OSError.
         """
-        from stepcore.mjcf.keep import save
+        from stepcore.mjcf.source_edit import save
 
         save(self, path)
 

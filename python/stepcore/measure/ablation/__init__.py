@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
+from stepcore.engine.features import RemovableFeatures, Removal, without
 from stepcore.engine.model import Model
 from stepcore.executors import check_executor, each
 from stepcore.experiment.coordinates import Dofs, movable
@@ -22,7 +23,6 @@ from stepcore.loading import find_model
 from stepcore.measure.ablation.result import Ablation, FeatureEffect
 from stepcore.measure.ablation.selection import Selection
 from stepcore.measure.ablation.variants import Baseline, outcome_of, times_of, usage_of
-from stepcore.measure.features import RemovableFeatures, Removal, without
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import metres, seconds
 from stepcore.scene.scene import Scene

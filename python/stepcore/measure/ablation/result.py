@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stepcore._core import Settings
+from stepcore.engine.features import Removal
 from stepcore.measure.ablation.selection import saved, work
 from stepcore.measure.ablation.variants import Outcome
-from stepcore.measure.features import Removal
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import WIDTH, Table, jsonable

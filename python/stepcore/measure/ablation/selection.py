@@ -7,9 +7,9 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
+from stepcore.engine.features import RemovableFeatures, Removal, Usage
 from stepcore.experiment.runner import Course
 from stepcore.measure.ablation.variants import Baseline, Outcome, outcome_of, usage_of
-from stepcore.measure.features import RemovableFeatures, Removal, Usage
 from stepcore.report.progress import Progress
 
 Measure = Callable[[Sequence[Removal]], Outcome]

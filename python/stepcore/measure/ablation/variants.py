@@ -10,12 +10,12 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
+from stepcore.engine.features import Removal, Usage, without
 from stepcore.engine.model import Model
 from stepcore.experiment.coordinates import Dofs
 from stepcore.experiment.errors import errors
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.runner import Course, Path
-from stepcore.measure.features import Removal, Usage, without
 
 # Steps of the first start whose operations are counted, spread over the motion.
 COUNTED = 40

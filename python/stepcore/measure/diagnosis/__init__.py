@@ -79,7 +79,7 @@ def diagnose(
     2.00 ms by spring "knee"
     """
     # What loading would warn of is told here in full.
-    model = find_model(model, warn=False)
+    model = find_model(model)
     checks.told("diagnose", progress)
     wanted = model.settings.dt if dt is None else checks.seconds("dt", dt)
     checks.seconds("horizon", horizon)

@@ -30,7 +30,7 @@ from stepcore.measure.stability.truth import FINER, Truth
 from stepcore.measure.sweep import sweep
 from stepcore.report.progress import Choice
 from stepcore.scene.scene import Scene
-from stepcore.scene.values import find
+from stepcore.scene.value_paths import find
 
 __all__ = ["StabilityMap", "stability_map"]
 

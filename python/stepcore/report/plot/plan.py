@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from stepcore.report.plot.style import COLOURS, bare, figure, saved
 
 if TYPE_CHECKING:
-    from stepcore.measure.plan.result import Plan
+    from stepcore.engine.plan.result import Plan
 
 STAGES = {
     "place": COLOURS["rk4"],

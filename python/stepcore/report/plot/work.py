@@ -10,7 +10,7 @@ import numpy as np
 from stepcore.report.plot.style import COLOURS, GREY, bare, figure, saved
 
 if TYPE_CHECKING:
-    from stepcore.measure.postmortem.result import PostMortem
+    from stepcore.engine.postmortem import PostMortem
 
 # Elements that are drawn by name.
 DRAWN = 5

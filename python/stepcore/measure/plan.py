@@ -1,25 +1,14 @@
-"""`plan`: what a step of the compiled scene does, what it leaves out, and why.
-
-What is left out was decided when the scene was compiled; the reasons come from the engine
-(`model/plan.rs`). The work is counted on the step itself: an entry costs the operations that
-removing it saves.
-"""
+"""`plan`: what a step of a scene does, what it leaves out, and why."""
 
 from __future__ import annotations
 
 import os
 
 from stepcore.engine.model import Model
+from stepcore.engine.plan import Plan, planned
 from stepcore.engine.sim import Sim
 from stepcore.loading import find_model
-from stepcore.measure.plan.cost import StepCost
-from stepcore.measure.plan.entries import entries
-from stepcore.measure.plan.result import Entry, Plan
 from stepcore.scene.scene import Scene
-
-__all__ = ["Entry", "Plan", "plan"]
-
-STAGES = ("files", "place", "detect", "solve", "commit")
 
 
 def plan(
@@ -39,15 +28,4 @@ def plan(
     >>> [entry.why for entry in plan(scene).left_out if entry.name.startswith("mass matrix")]
     ['isotropic: constant, and no gyroscopic term']
     """
-    model = find_model(model)
-    cost = StepCost(model, sim, time)
-    listed = [cost.priced(*each) for each in entries(model, cost.settings, cost.rows())]
-    return Plan(
-        name=model.scene.name or "scene",
-        settings=cost.settings,
-        entries=sorted(listed, key=lambda entry: STAGES.index(entry.stage)),
-        flops=cost.flops,
-        stages=cost.stages,
-        micros=cost.micros,
-        at=cost.at,
-    )
+    return planned(find_model(model), sim, time)

@@ -52,7 +52,7 @@ class Source:
 
 
 class Node:
-    """One XML element. `values`: its attributes as numbers and words, set by `values.check`."""
+    """One XML element. values: its attributes as numbers and words, set by `validate`."""
 
     __slots__ = ("attrs", "children", "file", "line", "tag", "values")
 

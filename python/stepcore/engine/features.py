@@ -10,12 +10,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stepcore._core import Settings
-from stepcore.engine.model import Model
 from stepcore.scene.layout import Layout
-from stepcore.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
+    from stepcore.scene.scene import Scene
 
 # With more pairs of bodies in contact than this, pairs are removed body by body.
 MAX_PAIRS = 30

@@ -5,12 +5,14 @@ from __future__ import annotations
 import operator
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stepcore._core import Settings
-from stepcore.engine.model import Model
-from stepcore.measure.features import RemovableFeatures, Removal
-from stepcore.measure.plan.result import Entry
+from stepcore.engine.features import RemovableFeatures, Removal
+from stepcore.engine.plan.result import Entry
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
 
 # An entry, and the removal that would leave it out, if there is one.
 Listed = tuple[Entry, Removal | None]

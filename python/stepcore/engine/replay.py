@@ -11,12 +11,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stepcore import checks
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats
+from stepcore.engine.arrays import Floats, digest
+from stepcore.engine.postmortem import PostMortem, run_again
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
-    from stepcore.measure.postmortem.result import PostMortem
 
 KIND = "stepcore replay"
 # Goes up when the layout of the file changes.
@@ -72,8 +73,6 @@ class Replay:
 
     def run(self) -> PostMortem:
         """Runs it again, and tells what each element did in every step."""
-        from stepcore.measure.postmortem.result import run_again
-
         return run_again(self)
 
     def to_json(self) -> str:
@@ -143,11 +142,6 @@ def _check(body: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def bits(qpos: Floats, qvel: Floats) -> str:
-    """Names a state's bits."""
-    return hashlib.sha256(qpos.tobytes() + qvel.tobytes()).hexdigest()
-
-
 def attach(error: SimulationError, model: Model, qpos: Floats, qvel: Floats) -> None:
     """Gives an error its `replay`. qpos, qvel: the last state of the world that failed."""
     told = error.__dict__
@@ -161,7 +155,7 @@ def attach(error: SimulationError, model: Model, qpos: Floats, qvel: Floats) -> 
         "shares": error.shares,
         "growth": error.growth,
         "stable_dt": error.stable_dt,
-        "state": bits(qpos, qvel),
+        "state": digest(qpos, qvel),
     }
     error.replay = Replay(
         name=model.scene.name,
@@ -172,3 +166,27 @@ def attach(error: SimulationError, model: Model, qpos: Floats, qvel: Floats) -> 
         happened=happened,
         _scene=model.scene,
     )
+
+
+def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
+    """Runs a failure again.
+
+    source: the path of a replay file, or a `Replay` (an error's ``replay``).
+    Raises ValueError for a file that is none, damaged or of another version.
+
+    >>> import stepcore as sc
+    >>> sim = sc.Sim(sc.lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)
+    >>> sim.reset("start")
+    >>> try:
+    ...     sim.step(1000)
+    ... except sc.SimulationError as error:
+    ...     again = sc.replay(error.replay)
+    >>> again.same, max(again.shares, key=again.shares.get)
+    (True, 'spring of joint `spring`')
+    """
+    if isinstance(source, Replay):
+        return run_again(source)
+    if not isinstance(source, (str, os.PathLike)):
+        limit = "a path or a Replay"
+        raise ValueError(f"replay: source = {checks.shown(source)}: must be {limit}")
+    return run_again(Replay.load(source))

@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 import textwrap
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stepcore import _core, checks
+from stepcore import _core
 from stepcore._core import SimulationError
-from stepcore.engine.arrays import Floats
-from stepcore.measure.postmortem.file import Replay, bits
+from stepcore.engine.arrays import Floats, digest
 from stepcore.report.result import Result
 from stepcore.report.table import Table
+
+if TYPE_CHECKING:
+    from stepcore.engine.replay import Replay
 
 # Steps, and elements, that are printed.
 PRINTED_STEPS = 12
@@ -117,30 +119,6 @@ class PostMortem(Result):
         return plot_work(self, path)
 
 
-def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
-    """Runs a failure again.
-
-    source: the path of a replay file, or a `Replay` (an error's ``replay``).
-    Raises ValueError for a file that is none, damaged or of another version.
-
-    >>> import stepcore as sc
-    >>> sim = sc.Sim(sc.lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)
-    >>> sim.reset("start")
-    >>> try:
-    ...     sim.step(1000)
-    ... except sc.SimulationError as error:
-    ...     again = sc.replay(error.replay)
-    >>> again.same, max(again.shares, key=again.shares.get)
-    (True, 'spring of joint `spring`')
-    """
-    if isinstance(source, Replay):
-        return run_again(source)
-    if not isinstance(source, (str, os.PathLike)):
-        limit = "a path or a Replay"
-        raise ValueError(f"replay: source = {checks.shown(source)}: must be {limit}")
-    return run_again(Replay.load(source))
-
-
 def run_again(failure: Replay) -> PostMortem:
     """See `Replay.run`."""
     settings = failure.settings.replace(ledger=False)
@@ -178,7 +156,7 @@ def _put(sim: _core.Sim, arrays: list[list[float]] | None) -> None:
 def _fails(failure: Replay, sim: _core.Sim) -> bool:
     """Whether the state at hand is the one that was kept, and fails as it did."""
     happened = failure.happened
-    if bits(sim.qpos, sim.qvel) != happened["state"]:
+    if digest(sim.qpos, sim.qvel) != happened["state"]:
         return False
     if happened["gained"]:
         return True

@@ -16,11 +16,12 @@ from xml.parsers import expat
 from stepcore._core import Settings
 from stepcore.mjcf import custom
 from stepcore.mjcf.option import said
+from stepcore.mjcf.reader import read_text
 from stepcore.mjcf.write import Tag, escaped, written
-from stepcore.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from stepcore.mjcf.source import Source
+    from stepcore.mjcf.nodes import Source
+    from stepcore.scene.scene import Scene
 
 
 def save(scene: Scene, path: str | os.PathLike[str]) -> None:
@@ -38,7 +39,7 @@ def kept(scene: Scene, directory: str) -> bytes | None:
     source = scene._source
     if source is None:
         return None
-    original = _read(source.data, source)
+    original = _read(type(scene)(), source.data, source)
     if original is None or not _only_settings_differ(original, scene):
         return None
     try:
@@ -51,18 +52,18 @@ def kept(scene: Scene, directory: str) -> bytes | None:
         return source.data
     for place in (marks.option, None):
         data = _edited(source.data, marks, place, original, scene)
-        if data is not None and _read(data, source) == scene:
+        if data is not None and _read(type(scene)(), data, source) == scene:
             return data
     return None
 
 
-def _read(data: bytes, source: Source) -> Scene | None:
-    from stepcore.mjcf import read_text
-
+def _read(scene: Scene, data: bytes, source: Source) -> Scene | None:
+    """The scene, which is empty, filled from a text; None if the text cannot be read."""
     try:
-        return read_text(data, base=source.directory)
+        read_text(scene, data, base=source.directory)
     except (ValueError, OSError):
         return None
+    return scene
 
 
 def _only_settings_differ(original: Scene, scene: Scene) -> bool:

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stepcore import checks
-from stepcore.engine.model import Model
+from stepcore.engine.features import Removal, without
+from stepcore.engine.plan.result import Entry
 from stepcore.engine.sim import Sim
-from stepcore.measure.features import Removal, without
-from stepcore.measure.plan.result import Entry
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
 
 # Steps of one timing, and timings of each variant, interleaved with those of the whole model.
 STEPS, ROUNDS = 20, 15

@@ -7,8 +7,8 @@ import re
 
 from stepcore.checks import nearest, shown
 from stepcore.mjcf.custom import ours
+from stepcore.mjcf.nodes import MJCFError, Node
 from stepcore.mjcf.schema import ROOT, Spec
-from stepcore.mjcf.source import MJCFError, Node
 
 # Stricter than float(): no nan, inf, underscores or other spellings.
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -21,7 +21,7 @@ WHY = {
 }
 
 
-def check(root: Node) -> list[str]:
+def validate(root: Node) -> list[str]:
     """Sets `values` on every node that is read, and returns the lines for `Scene.ignored`.
 
     Raises MJCFError for an element, attribute, keyword or number that MJCF does not have, and

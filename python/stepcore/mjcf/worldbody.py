@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
+from stepcore.mjcf.nodes import MJCFError, Node
 from stepcore.mjcf.schema import NOT_IN_WORLD
-from stepcore.mjcf.source import MJCFError, Node
-from stepcore.mjcf.values import bad
+from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element
 from stepcore.scene.frames import Vec
-from stepcore.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from stepcore.scene.scene import Scene
 
 AT_ORIGIN = (frames.ORIGIN, frames.IDENTITY)
 
@@ -40,7 +42,7 @@ class Shape:
     kept: bool
 
 
-class Tree:
+class WorldReader:
     """Reads the kinematic tree into a scene.
 
     nodes: element → the node it came from, by ``id``. names: what later sections may refer to.

@@ -1,0 +1,37 @@
+"""What a step of a compiled scene does, what it leaves out, and why.
+
+What is left out was decided when the scene was compiled; the reasons come from the engine
+(`model/plan.rs`). The work is counted on the step itself: an entry costs the operations that
+removing it saves.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from stepcore.engine.plan.cost import StepCost
+from stepcore.engine.plan.entries import entries
+from stepcore.engine.plan.result import Entry, Plan
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
+    from stepcore.engine.sim import Sim
+
+__all__ = ["Entry", "Plan", "planned"]
+
+STAGES = ("files", "place", "detect", "solve", "commit")
+
+
+def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
+    """The plan of a model; see `stepcore.plan`."""
+    cost = StepCost(model, sim, time)
+    listed = [cost.priced(*each) for each in entries(model, cost.settings, cost.rows())]
+    return Plan(
+        name=model.scene.name or "scene",
+        settings=cost.settings,
+        entries=sorted(listed, key=lambda entry: STAGES.index(entry.stage)),
+        flops=cost.flops,
+        stages=cost.stages,
+        micros=cost.micros,
+        at=cost.at,
+    )

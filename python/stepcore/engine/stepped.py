@@ -1,0 +1,81 @@
+"""What a `Sim` and a `Batch` share: a model, its settings, and the state arrays."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stepcore import _core, checks
+
+if TYPE_CHECKING:
+    from stepcore._core import Settings, SimulationError
+    from stepcore.engine.model import Model
+    from stepcore.scene.scene import Scene
+
+
+def compiled(model: Model | Scene) -> Model:
+    """The model itself, or that of a scene; ValueError for anything else."""
+    if isinstance(getattr(model, "core", None), _core.Model):
+        return model  # type: ignore[return-value]
+    if not hasattr(model, "compile") or not hasattr(model, "to_dict"):
+        limit = "a stepcore.Model or a stepcore.Scene"
+        raise ValueError(f"model = {checks.shown(model)}: must be {limit}")
+    return model.compile()
+
+
+class Stepped(checks.KnownNames, ABC):
+    """A model with its state arrays; the number of worlds is the subclass's affair."""
+
+    _model: Model
+
+    def _own(self, core: _core.Sim | _core.Batch) -> None:
+        """Takes the arrays of the engine, which its own memory stands behind."""
+        self._arrays = {
+            "qpos": core.qpos,
+            "qvel": core.qvel,
+            "act": np.zeros((*core.qpos.shape[:-1], 0)),
+            "ctrl": core.ctrl,
+            "qfrc_applied": core.qfrc_applied,
+            "xfrc_applied": core.xfrc_applied,
+        }
+
+    @abstractmethod
+    def _restart(self, time: float) -> None:
+        """Sets the time and forgets the impulses of the last step."""
+
+    def _explain(self, error: SimulationError) -> None:
+        """Gives an error its `replay`: the failure, to be saved and run again."""
+        # Only a failure needs the post-mortem.
+        from stepcore.engine.replay import attach
+
+        qpos, qvel = self._arrays["qpos"], self._arrays["qvel"]
+        if qpos.ndim > 1:
+            qpos, qvel = qpos[error.world], qvel[error.world]
+        attach(error, self._model, qpos, qvel)
+
+    @property
+    def model(self) -> Model:
+        """The model, with the settings that are used here."""
+        return self._model
+
+    @property
+    def settings(self) -> Settings:
+        """How it is computed."""
+        return self._model.settings
+
+    def reset(self, key: str | int | None = None) -> None:
+        """Back to the scene's own pose at rest at time 0, or to a keyframe by name or index.
+
+        Controls are the keyframe's or 0; applied forces and warm-start impulses are forgotten.
+        Raises ValueError, with the nearest names, for a keyframe that there is not.
+        """
+        state = None if key is None else self._model.keys[self._model.index("key", key)]
+        for array in self._arrays.values():
+            array[...] = 0.0
+        self._arrays["qpos"][...] = self._model.qpos0 if state is None else state.qpos
+        if state is not None:
+            self._arrays["qvel"][...] = state.qvel
+            self._arrays["ctrl"][...] = state.ctrl
+        self._restart(0.0 if state is None else state.time)

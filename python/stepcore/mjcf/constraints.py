@@ -1,0 +1,35 @@
+"""`<contact>` and `<equality>`: excluded pairs of bodies, and connects."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stepcore.mjcf.defaults import Defaults
+from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.worldbody import WorldReader, soft
+
+
+def exclude(world: WorldReader, node: Node) -> None:
+    """Reads one excluded pair."""
+    world.scene.exclude(node.values["body1"], node.values["body2"])
+
+
+def connect(world: WorldReader, defaults: Defaults, node: Node) -> None:
+    """Reads one connect between two bodies."""
+    values = _equality_values(defaults, node)
+    if "site1" in values or "site2" in values:
+        raise node.unbuilt("a <connect> between sites (site1, site2)")
+    if "body1" not in values or "anchor" not in values:
+        raise node.error("<connect> needs body1 and anchor")
+    names = ("name", "body1", "body2", "anchor", "active")
+    given: dict[str, Any] = {name: values[name] for name in names if name in values}
+    given |= soft(values, "solref", "solimp")
+    equality = world.scene.add_equality("connect", **given)
+    world.keep(node, equality)
+
+
+def _equality_values(defaults: Defaults, node: Node) -> dict[str, Any]:
+    # One set of defaults serves all kinds of equality.
+    shared = Node("equality", node.attrs, node.file, node.line)
+    shared.values = node.values
+    return defaults.of(shared)

@@ -1,0 +1,53 @@
+"""`<keyframe>`: named states, with what they leave out filled in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.validation import bad
+from stepcore.mjcf.worldbody import WorldReader
+from stepcore.scene.layout import Layout
+
+if TYPE_CHECKING:
+    from stepcore.scene.scene import Scene
+
+MAX_KEYS = 100_000
+
+
+def key(world: WorldReader, layout: Layout, node: Node) -> None:
+    """Reads one keyframe; what it leaves out is the default state."""
+    values = node.values
+    for name, what in (("act", "activations"), ("mpos", "mocap bodies"), ("plastic", "plastic")):
+        if values.get(name):
+            raise bad(node, name, values[name], f"empty: the model has no {what}")
+    if values.get("mquat"):
+        raise bad(node, "mquat", values["mquat"], "empty: the model has no mocap bodies")
+    rest = {
+        "qpos": layout.qpos0(),
+        "qvel": [0.0] * layout.nv,
+        "ctrl": [0.0] * len(world.scene.actuators),
+    }
+    fields: dict[str, Any] = {}
+    for name, default in rest.items():
+        given = list(values.get(name, ()))
+        if len(given) > len(default):
+            raise bad(node, name, tuple(given), f"at most {len(default)} numbers, not {len(given)}")
+        if given:
+            fields[name] = given + default[len(given) :]
+    if "qpos" in fields:
+        fields["qpos"] = layout.unit_quaternions(fields["qpos"])
+    added = world.scene.add_key(values.get("name", ""), time=values.get("time", 0.0), **fields)
+    world.keep(node, added)
+
+
+def add_empty_keys(scene: Scene, sizes: Iterable[Node]) -> None:
+    """Adds the default states that ``<size nkey>`` asks for beyond the keyframes given."""
+    count = 0
+    for node in sizes:
+        count = node.values.get("nkey", count)
+        if count > MAX_KEYS:
+            raise bad(node, "nkey", count, f"at most {MAX_KEYS}")
+    while len(scene.keys) < count:
+        scene.add_key()

@@ -1,0 +1,114 @@
+"""The MJCF reader: fills an empty `Scene` from a file or a text.
+
+The reader is strict: an element, attribute, keyword or reference that MJCF does not have is an
+error with file, line and the nearest name. What would change the motion and is not built yet is
+refused by name. What only draws or senses is listed in `Scene.ignored`, and what is translated in
+`Scene.notes`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stepcore.checks import ElementError
+from stepcore.mjcf import actuators, constraints, custom, keyframes, option
+from stepcore.mjcf.compiler import Compiler
+from stepcore.mjcf.defaults import Defaults
+from stepcore.mjcf.include import expand, read_bytes
+from stepcore.mjcf.nodes import MJCFError, Node, Source, parse
+from stepcore.mjcf.references import check_references
+from stepcore.mjcf.validation import validate
+from stepcore.mjcf.visual_geoms import list_visual_geoms
+from stepcore.mjcf.worldbody import WorldReader
+from stepcore.scene.layout import Layout, check
+
+if TYPE_CHECKING:
+    from stepcore.scene.scene import Scene
+
+
+def read_file(scene: Scene, path: str | os.PathLike[str]) -> None:
+    """Fills an empty scene from an MJCF file; see `stepcore.load`."""
+    shown = os.fsdecode(path)
+    main = Path(shown)
+    data = read_bytes(main, shown)
+    root = parse(data, shown)
+    expand(root, main.parent, main)
+    _fill(scene, root, Source(data, os.path.abspath(main.parent)))
+
+
+def read_text(
+    scene: Scene,
+    text: str | bytes,
+    *,
+    base: str | os.PathLike[str] | None = None,
+    name: str = "<string>",
+) -> None:
+    """Fills an empty scene from an MJCF text; see `stepcore.loads`."""
+    if not isinstance(text, (str, bytes)):
+        raise MJCFError(name, 1, "an MJCF text must be a str or bytes")
+    root = parse(text, name)
+    expand(root, None if base is None else Path(base), None)
+    data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
+    _fill(scene, root, Source(data, None if base is None else os.path.abspath(base)))
+
+
+def _fill(scene: Scene, root: Node, source: Source) -> None:
+    """Fills the scene with a whole model, its includes already in place."""
+    scene.name = root.attrs.get("model", "")
+    scene._source = source.of(root)
+    scene.ignored += validate(root)
+    compiler = Compiler(_sections(root, "compiler"))
+    defaults = Defaults(_sections(root, "default"))
+    world = WorldReader(scene, compiler, defaults)
+    try:
+        scene.mass_rules = compiler.mass_rules()
+        for node in _sections(root, "option"):
+            _at(node, lambda node: option.read(scene, node))
+        for node in _sections(root, "worldbody"):
+            world.read(node)
+        for node in _inside(root, "contact"):
+            _at(node, lambda node: constraints.exclude(world, node))
+        for node in _inside(root, "equality"):
+            _at(node, lambda node: constraints.connect(world, defaults, node))
+        for node in _inside(root, "actuator"):
+            _at(node, lambda node: actuators.actuator(world, defaults, node))
+        layout = Layout(scene)
+        for node in _inside(root, "keyframe"):
+            _at(node, lambda node: keyframes.key(world, layout, node))
+        keyframes.add_empty_keys(scene, _sections(root, "size"))
+        check_references(world, root)
+        list_visual_geoms(world, layout)
+        for node in custom.found(_inside(root, "custom")):
+            _at(node, lambda node: custom.read(scene, node))
+        check(layout)
+    except ElementError as error:
+        # Found in the whole scene: the line is that of the element it is about.
+        node = world.nodes.get(id(error.owner), root)
+        raise node.error(str(error)) from None
+    scene.ignored.sort(key=_place)
+
+
+def _place(line: str) -> tuple[str, int]:
+    file, number, _ = line.rsplit(" <", 1)[0].rsplit(":", 2)
+    return file, int(number)
+
+
+def _sections(root: Node, tag: str) -> list[Node]:
+    return [node for node in root.children if node.tag == tag]
+
+
+def _inside(root: Node, tag: str) -> list[Node]:
+    return [node for section in _sections(root, tag) for node in section.children]
+
+
+def _at(node: Node, read: Callable[[Node], None]) -> None:
+    """Runs `read` on a node; whatever it finds wrong gets the node's file and line."""
+    try:
+        read(node)
+    except MJCFError:
+        raise
+    except ValueError as error:
+        raise node.error(str(error)) from None

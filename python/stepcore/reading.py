@@ -1,0 +1,58 @@
+"""`load` and `loads`: scenes from MJCF, with a warning if their own time step is hardly stable."""
+
+from __future__ import annotations
+
+import os
+
+from stepcore import checks
+from stepcore.loading import find_scene
+from stepcore.measure.diagnosis.load import warn_of_stiffness
+from stepcore.mjcf.reader import read_text
+from stepcore.scene.scene import Scene
+
+
+def load(path: str | os.PathLike[str]) -> Scene:
+    """Reads a scene from an MJCF file.
+
+    path: the path of a file, "package:name" for a model among the files of an installed package
+        (such as "gymnasium:ant"), or "lesson:name" for a scene of the lesson. The file's
+        ``<option>`` becomes ``scene.settings``. Angles become radians and orientations unit
+        quaternions; default classes, includes and frames are resolved.
+
+    Raises FileNotFoundError if there is no such file, IsADirectoryError for a folder, ValueError
+    for a name that does not exist, and MJCFError (a ValueError whose text begins with
+    ``file:line:``) for a file that cannot be read. Warns (`StiffnessWarning`) if the scene's own
+    time step has a stability margin below 2.
+
+    >>> load("lesson:stack").compile().nv
+    2
+    """
+    if not isinstance(path, (str, bytes, os.PathLike)):
+        limit = 'the path of an MJCF file, or "package:name"'
+        raise checks.refuse("load", "path", path, limit)
+    scene = find_scene(os.fsdecode(path))
+    warn_of_stiffness(scene)
+    return scene
+
+
+def loads(
+    text: str | bytes, *, base: str | os.PathLike[str] | None = None, name: str = "<string>"
+) -> Scene:
+    """Reads a scene from an MJCF text.
+
+    text: the XML. base: the folder in which its includes are looked for. name: what error
+        messages call the text.
+
+    Raises and warns as `load` does.
+
+    >>> scene = loads('<mujoco><option timestep="0.01"/><worldbody/></mujoco>')
+    >>> scene.settings.dt
+    0.01
+    >>> loads("<mujoco><wordbody/></mujoco>")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    stepcore.mjcf.nodes.MJCFError: <string>:1: unknown element <wordbody> in <mujoco>; nearest: ...
+    """
+    scene = Scene()
+    read_text(scene, text, base=base, name=name)
+    warn_of_stiffness(scene)
+    return scene

@@ -1,0 +1,155 @@
+"""Imports go one way: no circle of files, and no layer that knows one above it.
+
+Every import counts, at the top of a file or within a function. Those under TYPE_CHECKING are
+never executed: they may name a type of a layer above, and are held to a list of their own.
+"""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import stepcore
+
+ROOT = Path(stepcore.__file__).parent
+
+# From the ground up. A file belongs to the entry with the longest matching prefix.
+LAYERS = (
+    ("_core", "checks"),
+    ("report",),
+    ("executors",),
+    ("scene", "reference"),
+    ("mjcf",),
+    ("engine",),
+    # The class Scene reads, writes and compiles itself, so it stands on all three.
+    ("scene.scene",),
+    ("lesson.scenes", "loading"),
+    ("experiment",),
+    ("measure",),
+    ("lesson", "reading"),
+    ("cli", "__main__"),
+)
+# Files that import from a layer above: to be mended, none to be added.
+UPWARD = {
+    ("report.plot.ablation", "measure.ablation.result"),
+    ("report.plot.frontier", "measure.trade.settings"),
+    ("report.plot.growth", "experiment.growth"),
+    ("report.plot.stability", "measure.stability.result"),
+    ("measure.stability.defaults", "lesson"),
+}
+# Circles: to be mended, none to be added.
+CIRCLES = {
+    ("measure.convergence.report", "measure.convergence.result"),
+    ("measure.ablation.result", "report.plot.ablation"),
+    ("measure.stability.result", "report.plot.stability"),
+}
+# Layers in whose files TYPE_CHECKING may name types of layers above: what they are handed.
+HANDED = ("report.plot", "executors", "mjcf", "scene", "engine", "experiment", "_core")
+
+
+def name_of(file):
+    parts = file.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+FILES = {name_of(file): file for file in [*ROOT.rglob("*.py"), ROOT / "_core.pyi"]}
+
+
+def imports(file):
+    """(module, only for types) of each import in a file, as names below stepcore."""
+    package = name_of(file) if file.name == "__init__.py" else name_of(file).rpartition(".")[0]
+
+    def visit(node, types):
+        for child in ast.iter_child_nodes(node):
+            inner = types
+            if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+                inner = True
+            if isinstance(child, ast.Import):
+                for alias in child.names:
+                    yield alias.name, inner
+            elif isinstance(child, ast.ImportFrom):
+                module = child.module or ""
+                if child.level:
+                    up = f"stepcore.{package}".split(".")
+                    up = up[: len(up) - child.level + 1]
+                    module = ".".join([*up, module]).rstrip(".")
+                for alias in child.names:
+                    full = f"{module}.{alias.name}"
+                    is_file = full.removeprefix("stepcore.") in FILES
+                    yield (full if is_file else module), inner
+            yield from visit(child, inner)
+
+    for module, types in visit(ast.parse(file.read_text()), file.suffix == ".pyi"):
+        if module == "stepcore" or module.startswith("stepcore."):
+            yield module.removeprefix("stepcore").removeprefix("."), types
+
+
+EDGES = {name: set(imports(file)) for name, file in FILES.items()}
+RUN = {name: {to for to, types in edges if not types} for name, edges in EDGES.items()}
+
+
+def circles(graph):
+    """The groups of files that reach each other (Tarjan's strongly connected components)."""
+    index, low, stack, groups = {}, {}, [], []
+
+    def visit(node):
+        index[node] = low[node] = len(index)
+        stack.append(node)
+        for other in graph.get(node, ()):
+            if other not in index:
+                visit(other)
+            if other in stack:
+                low[node] = min(low[node], low[other])
+        if low[node] == index[node]:
+            at = stack.index(node)
+            if len(stack) - at > 1:
+                groups.append(tuple(sorted(stack[at:])))
+            del stack[at:]
+
+    for node in graph:
+        if node not in index:
+            visit(node)
+    return groups
+
+
+def layer(name):
+    """The height of a file's layer; the root, which only names things, is above all."""
+    matching = [
+        (len(prefix), height)
+        for height, prefixes in enumerate(LAYERS)
+        for prefix in prefixes
+        if name == prefix or name.startswith(prefix + ".")
+    ]
+    return max(matching)[1] if matching else len(LAYERS)
+
+
+def test_the_imports_are_found():
+    assert ("scene.scene", True) in EDGES["engine.model"]
+    assert "mjcf.write" in RUN["scene.scene"]
+    assert "reference.sim" in RUN["reference"]
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == [("b", "c")]
+
+
+def test_no_circle_of_files():
+    """Lazy imports count."""
+    assert set(circles(RUN)) <= CIRCLES
+
+
+def test_imports_go_down():
+    upward = {(name, to) for name, edges in RUN.items() for to in edges if layer(to) > layer(name)}
+    assert upward <= UPWARD
+
+
+def test_nothing_imports_the_root():
+    """It gathers names for users; a file that imported it would import everything."""
+    assert {name for name, edges in RUN.items() if "" in edges} == set()
+
+
+@pytest.mark.parametrize("name", sorted(FILES))
+def test_types_of_layers_above_are_only_named_where_they_are_handed_in(name):
+    above = [to for to, types in EDGES[name] if types and layer(to) > layer(name)]
+    assert not above or name.startswith(HANDED), above
+
+
+def test_every_file_has_a_layer():
+    assert [name for name in FILES if layer(name) == len(LAYERS)] == [""]
