@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import stepcore as sc
 from stepcore import load, loads
 from stepcore.loading import find_asset
 from stepcore.mjcf.nodes import MJCFError
@@ -322,10 +323,19 @@ def test_values_without_effect_are_accepted() -> None:
     )
 
 
+@pytest.mark.parametrize("read", [load, sc.trade, sc.ablate, sc.converge, sc.diagnose])
+def test_a_missing_file_is_the_same_error_everywhere(read, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError) as caught:
+        read("nothing.xml")
+    assert str(caught.value) == "nothing.xml: no such file"
+    with pytest.raises(IsADirectoryError, match="is a folder, not an MJCF file"):
+        read(tmp_path)
+
+
 def test_files_that_are_not_there_or_no_files(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"nothing\.xml"):
         load(tmp_path / "nothing.xml")
-    with pytest.raises(MJCFError, match="cannot be read"):
+    with pytest.raises(IsADirectoryError, match="is a folder"):
         load(tmp_path)
     with pytest.raises(ValueError, match="cannot be read"):
         load("a\0b.xml")
