@@ -16,6 +16,12 @@ impl<T: Room> Room for Vec<T> {
     }
 }
 
+impl<T: Room + ?Sized> Room for Box<T> {
+    fn room(&self) -> usize {
+        size_of_val(&**self) + (**self).room()
+    }
+}
+
 impl<T: Room> Room for Option<T> {
     fn room(&self) -> usize {
         self.as_ref().map_or(0, Room::room)

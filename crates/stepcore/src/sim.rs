@@ -10,8 +10,8 @@ use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::place::Placed;
 use crate::real::{Mask, Real};
-use crate::settings::{Acceleration, Law, Settings, Solver, Sweeps};
-use crate::solve::{Limits, Newton, Pgs, Report, Rows};
+use crate::settings::{Settings, Solver};
+use crate::solve::{Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
 use crate::watch::ledger::{Ledger, Tape};
 use crate::watch::Past;
@@ -49,11 +49,10 @@ pub struct Sim<R: Real> {
     pub(crate) copies: u64,
     /// There while a step is written down.
     pub(crate) tape: Option<Box<Tape>>,
-    pgs: Pgs<R>,
-    newton: Newton<R>,
+    pub(crate) solver: Box<dyn Solve<R>>,
 }
 
-room!(Sim<R>: velocity, qacc; state, inputs, placed, detected, rows, next, past, pgs, newton);
+room!(Sim<R>: velocity, qacc; state, inputs, placed, detected, rows, next, past, solver);
 
 impl<R: Real> Sim<R> {
     /// A world at qpos0 and at rest; refuses settings outside their limits.
@@ -70,8 +69,7 @@ impl<R: Real> Sim<R> {
             qacc: vec![R::zero(); model.nv],
             effort: Effort::default(),
             next: Next::new(&model),
-            pgs: Pgs::new(),
-            newton: Newton::new(),
+            solver: Box::new(Solvers::new()),
             past: Past::new(&model),
             ledger: settings.ledger.then(|| Box::new(Ledger::new(&model))),
             copies: 0,
@@ -88,64 +86,15 @@ impl<R: Real> Sim<R> {
             let last = if self.next.stage > 0 { &self.next.warm } else { &self.state.warm };
             self.rows.warm_start(model, inv_d, last);
         }
-        let sweeps = self.settings.sweeps.limit();
-        let limits = Limits {
-            sweeps,
-            tolerance: self.settings.tolerance,
-            // By the law and not by the rows at hand, so that a lane equals its world alone.
-            momentum: self.settings.acceleration == Acceleration::Momentum
-                && !self.settings.law.on_guess(),
-            exact: sweeps > 0 && self.settings.tolerance > 0.0 && self.settings.law != Law::Relaxed,
-            rounding: self.settings.sweeps == Sweeps::Auto,
-        };
-        // One row on its own, and one update all that is asked or all that it takes.
-        if self.settings.solver == Solver::Pgs && (limits.sweeps == 1 || limits.exact) {
-            if let Some(report) = self.rows.solve_single(&model.dof_lists, inv_d) {
-                self.effort.note(&report);
-                return Ok(());
-            }
-        }
-        let report = match self.settings.solver {
-            Solver::Pgs => self.pgs.solve(&model.dof_lists, inv_d, &mut self.rows, limits),
-            Solver::Newton => {
-                let guess = &self.placed.guess;
-                self.newton.solve(&model.dof_lists, inv_d, guess, &mut self.rows, limits)?
-            }
-        };
+        let free = Unconstrained { dof_lists: &model.dof_lists, inv_d, guess: &self.placed.guess };
+        let report = self.solver.solve(&self.settings, free, &mut self.rows)?;
         self.effort.note(&report);
-        let swept = self.settings.solver == Solver::Pgs && self.settings.tolerance > 0.0;
-        if R::DIFFERENTIATES && swept && report.open.none() {
-            self.settle(limits)?;
-        }
-        Ok(())
-    }
-
-    /// Derivatives of what PGS solved to its tolerance: a sweep moves them as it moves the
-    /// numbers, but from farther away. Soft convex rows have a minimiser, which Newton's method
-    /// differentiates; others are swept on.
-    fn settle(&mut self, limits: Limits) -> Result<()> {
-        let (dof_lists, found) = (&self.model.dof_lists, self.rows.u.clone());
-        let impulses: Vec<R> = self.rows.rows.iter().map(|row| row.impulse).collect();
-        let soft = self.rows.rows.iter().all(|row| row.c.gt(R::zero()).all());
-        if self.settings.law.on_guess() || !soft {
-            self.pgs.settle(dof_lists, &mut self.rows);
-        } else {
-            let (inv_d, guess) = (&self.placed.metric.inv_d, &self.placed.guess);
-            self.newton.solve(dof_lists, inv_d, guess, &mut self.rows, limits)?;
-        }
-        let settled = self.rows.rows.iter_mut().map(|row| &mut row.impulse);
-        let settled = self.rows.u.iter_mut().chain(settled);
-        for (settled, found) in settled.zip(found.into_iter().chain(impulses)) {
-            *settled = found.smooth(R::Mask::of(true), || *settled);
-        }
         Ok(())
     }
 
     /// Memory of the state and of all working space [bytes]; the model is not in it.
     pub fn bytes(&self) -> usize {
-        let ledger = self.ledger.as_ref();
-        let ledger = ledger.map_or(0, |ledger| size_of::<Ledger<R>>() + ledger.room());
-        size_of::<Self>() + self.room() + ledger
+        size_of::<Self>() + self.room() + self.ledger.as_ref().map_or(0, Room::room)
     }
 
     /// A lane that stands for a world of its own.

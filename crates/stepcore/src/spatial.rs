@@ -111,11 +111,11 @@ impl<R: Real> Quat<R> {
         let small = square.lt(R::of(NO_TURN));
         let half = |x: R| R::of(0.5) * x;
         Self {
-            w: q.w.smooth(small, || R::one() - square * R::of(0.125)),
+            w: q.w.with_slopes_of(small, || R::one() - square * R::of(0.125)),
             v: V3::new(
-                q.v.x.smooth(small, || half(r.x)),
-                q.v.y.smooth(small, || half(r.y)),
-                q.v.z.smooth(small, || half(r.z)),
+                q.v.x.with_slopes_of(small, || half(r.x)),
+                q.v.y.with_slopes_of(small, || half(r.y)),
+                q.v.z.with_slopes_of(small, || half(r.z)),
             ),
         }
     }
@@ -124,7 +124,8 @@ impl<R: Real> Quat<R> {
         let (axis, angle) = self.axis_angle();
         let small = self.v.dot(&self.v).lt(R::of(NO_TURN));
         // Near ±1 the turn is 2 v/w.
-        let entry = |axis: R, v: R| (axis * angle).smooth(small, || R::of(2.0) * v / self.w);
+        let entry =
+            |axis: R, v: R| (axis * angle).with_slopes_of(small, || R::of(2.0) * v / self.w);
         V3::new(entry(axis.x, self.v.x), entry(axis.y, self.v.y), entry(axis.z, self.v.z))
     }
     /// Unit axis and angle in (-π, π]; the axis is zero for the identity.

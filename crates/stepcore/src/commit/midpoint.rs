@@ -39,7 +39,7 @@ impl<R: Real> Sim<R> {
                 let middle = half * (s.qvel[k] + self.next.qvel[k]);
                 // A lane that is done stays where it was done: its rows come out the same again.
                 let new = R::select(open, middle, self.state.qvel[k]);
-                self.state.qvel[k] = new.smooth(open.not(), || middle);
+                self.state.qvel[k] = new.with_slopes_of(open.not(), || middle);
             }
             advance(&model, &s.qpos, &self.state.qvel, half * dt, &mut self.state.qpos);
             if rows {
@@ -82,9 +82,6 @@ impl<R: Real> Sim<R> {
 
     /// By how much the last correction changed derivatives, beside the largest.
     fn last_slope(&self) -> f64 {
-        if !R::DIFFERENTIATES {
-            return 0.0;
-        }
         let most = |list: &[R]| list.iter().map(|x| x.steepness()).fold(0.0, f64::max);
         let change = most(&self.next.damped.impulse);
         if change > 0.0 {
@@ -131,7 +128,7 @@ impl<R: Real> Sim<R> {
             let new = self.next.qvel[k] + change;
             let kept = R::select(open, new, self.next.qvel[k]);
             // Derivatives go on until they stand still as well.
-            self.next.qvel[k] = kept.smooth(open.not(), || new);
+            self.next.qvel[k] = kept.with_slopes_of(open.not(), || new);
             miss = R::select(change.is_finite(), miss.max(change.abs()), change);
         }
         R::select(scale.gt(R::zero()), miss / scale, miss)

@@ -114,7 +114,7 @@ impl<R: Real> Sim<R> {
         // What the rows do not change keeps its bits, the sign of a zero too.
         let add = |x: &mut R, change: R| {
             let none = change.abs().le(R::zero());
-            *x = R::select(none, *x, *x + change).smooth(none, || *x + change);
+            *x = R::select(none, *x, *x + change).with_slopes_of(none, || *x + change);
         };
         let rate = R::of(1.0 / self.settings.dt);
         let share = R::of(if on_guess { 1.0 } else { 0.5 });

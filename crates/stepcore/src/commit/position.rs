@@ -31,6 +31,6 @@ fn turn<R: Real>(quat: &[R], rate: &[R], dt: R, out: &mut [R]) {
     let mut product = [R::zero(); 4];
     turned.store(&mut product);
     for ((new, old), product) in out.iter_mut().zip(quat).zip(product) {
-        *new = R::select(still, *old, *new).smooth(still, || product);
+        *new = R::select(still, *old, *new).with_slopes_of(still, || product);
     }
 }

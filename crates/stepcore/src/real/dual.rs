@@ -4,7 +4,7 @@
 //! The numbers themselves are those of `f64`, bit for bit, and alone decide every
 //! comparison; `select` takes a number with its derivatives. Where a formula is not
 //! differentiable though its number is fine, √0 say, derivatives are 0 there: the mean
-//! of both sides; stages that need better say so with `Real::smooth`.
+//! of both sides; stages that need better say so with `Real::with_slopes_of`.
 
 use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 use num_traits::{One, Zero};
@@ -112,7 +112,6 @@ impl Real for Dual {
     const LANES: usize = 1;
     const EPSILON: f64 = f64::EPSILON;
     const INVESTIGATED: bool = false;
-    const DIFFERENTIATES: bool = true;
 
     #[inline(always)]
     fn of(value: f64) -> Self {
@@ -171,16 +170,19 @@ impl Real for Dual {
         Self::with(value, |i| part(base, self.slopes[i]) + power(i))
     }
     #[inline(always)]
-    fn constant(self) -> Self {
-        Self::of(self.value)
-    }
-    #[inline(always)]
-    fn smooth(self, mask: bool, formula: impl FnOnce() -> Self) -> Self {
+    fn with_slopes_of(self, mask: bool, formula: impl FnOnce() -> Self) -> Self {
         if mask {
             Self { value: self.value, slopes: formula().slopes }
         } else {
             self
         }
+    }
+    fn implicit<const N: usize>(
+        x: [Self; N],
+        newton: impl FnOnce([Self; N]) -> [Self; N],
+    ) -> [Self; N] {
+        let step = newton(x.map(|x| Self::of(x.value)));
+        core::array::from_fn(|i| Self { value: x[i].value, slopes: step[i].slopes })
     }
     #[inline(always)]
     fn steepness(self) -> f64 {

@@ -68,8 +68,6 @@ pub trait Real:
     /// A failed run in these numbers is investigated. One in numbers that only accompany a
     /// run need not be: the run itself is.
     const INVESTIGATED: bool = true;
-    /// Derivatives travel with the number: what is solved by iteration must see to them.
-    const DIFFERENTIATES: bool = false;
 
     /// The same number in every lane.
     fn of(value: f64) -> Self;
@@ -89,18 +87,23 @@ pub trait Real:
     fn sin_cos(self) -> (Self, Self);
     fn atan2(self, x: Self) -> Self;
     fn powf(self, power: Self) -> Self;
-    /// The number alone, without derivatives.
+    /// This number; where the mask holds with the slopes of `formula`, which gives the same
+    /// number by a way that is differentiable there.
     #[inline(always)]
-    fn constant(self) -> Self {
+    fn with_slopes_of(self, _mask: Self::Mask, _formula: impl FnOnce() -> Self) -> Self {
         self
     }
-    /// This number, with the derivatives of `formula` where the mask holds: of the same
-    /// number by a way that is smooth there, or converged.
+    /// A solution x of F(x, p) = 0 that was found by iteration. In numbers with slopes it gets
+    /// those of `newton`, one Newton step from x taken as constant: x − F_x⁻¹F(x, p) has the
+    /// value x and the slopes −F_x⁻¹F_p.
     #[inline(always)]
-    fn smooth(self, _mask: Self::Mask, _formula: impl FnOnce() -> Self) -> Self {
-        self
+    fn implicit<const N: usize>(
+        x: [Self; N],
+        _newton: impl FnOnce([Self; N]) -> [Self; N],
+    ) -> [Self; N] {
+        x
     }
-    /// The largest derivative, without its sign.
+    /// The largest slope, without its sign; 0 where numbers carry none.
     #[inline(always)]
     fn steepness(self) -> f64 {
         0.0

@@ -41,8 +41,13 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// The same where the whole system is one interval row.
-    pub fn solve_single(&mut self, dof_lists: &[usize], inv_d: &[R]) -> Option<Report<R>> {
+    /// The same where the whole system is one interval row. `exact`: one update solves it.
+    pub fn solve_single(
+        &mut self,
+        dof_lists: &[usize],
+        inv_d: &[R],
+        exact: bool,
+    ) -> Option<Report<R>> {
         let ([block], [_]) = (self.blocks.as_slice(), self.rows.as_slice()) else { return None };
         if block.set != Set::Interval {
             return None;
@@ -52,6 +57,7 @@ impl<R: Real> Rows<R> {
         let mut report = Report::new();
         report.sweeps = R::select(mask, R::one(), R::zero());
         report.updates = report.sweeps;
+        report.open = R::Mask::of(!exact).and(mask);
         Some(report)
     }
 }

@@ -1,20 +1,17 @@
-//! Derivatives of what is solved by iteration, from the conditions that a solution meets.
+//! One Newton step on the conditions that a block's solution meets: what `Real::implicit`
+//! takes the derivatives of the solution from.
 //!
 //! An iteration stops when its numbers stand still; their derivatives follow later, or,
-//! through the axes of a matrix that has none of its own, never. So where
-//! `Real::DIFFERENTIATES` a solution x of F(x, p) = 0 gets its derivatives from one Newton
-//! step in these numbers, from x taken as constant: x − F_x⁻¹ F(x, p), whose number is x and
-//! whose derivatives are −F_x⁻¹ F_p.
+//! through the axes of a matrix that has none of its own, never.
 
 use super::cone::norm;
-use crate::real::{Mask, Real};
+use crate::real::Real;
 
-/// The minimiser of ½ λᵀQλ + b·λ over |λ_t| ≤ μ λ_n: `impulse`, with its derivatives. `q` is
-/// Q's lower triangle, rows first. Outside: 0. Inside: Q λ + b = 0. On the surface, with
-/// λ = n (1, μ e) and e at the angle θ, the derivatives along n and θ vanish.
-pub(super) fn on_cone<R: Real>(q: &[R; 6], mu: R, b: &[R; 3], impulse: [R; 3]) -> [R; 3] {
+/// From x, the minimiser of ½ λᵀQλ + b·λ over |λ_t| ≤ μ λ_n. `q` is Q's lower triangle, rows
+/// first. Outside: 0. Inside: Q λ + b = 0. On the surface, with λ = n (1, μ e) and e at the
+/// angle θ, the derivatives along n and θ vanish.
+pub(super) fn on_cone<R: Real>(q: &[R; 6], mu: R, b: &[R; 3], x: [R; 3]) -> [R; 3] {
     let zero = R::zero();
-    let x = impulse.map(R::constant);
     let full = [[q[0], q[1], q[3]], [q[1], q[2], q[4]], [q[3], q[4], q[5]]];
     let times = |v: &[R; 3]| full.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
     let turned = times(&x);
@@ -35,17 +32,15 @@ pub(super) fn on_cone<R: Real>(q: &[R; 6], mu: R, b: &[R; 3], impulse: [R; 3]) -
         solved_two([dot(&out, &q_out), cross, bend], [-dot(&out, &w), -(n * dot(&round, &w))]);
     core::array::from_fn(|i| {
         let rim = x[i] + along * out[i] + turn * n * round[i];
-        let new = R::select(inside, x[i] + free[i], rim);
-        impulse[i].smooth(R::Mask::of(true), || R::select(some, new, zero))
+        R::select(some, R::select(inside, x[i] + free[i], rim), zero)
     })
 }
 
-/// The minimiser of ½ xᵀQx + g·x over |x| ≤ bound: `x`, with its derivatives. `q` is
-/// q₁₁, q₁₂, q₂₂. Inside: Q x + g = 0. On the rim, at the angle θ, the derivative along θ
-/// vanishes, and x grows with the bound.
-pub(super) fn in_disc<R: Real>(q: &[R; 3], bound: R, g: &[R; 2], solution: [R; 2]) -> [R; 2] {
+/// From x, the minimiser of ½ xᵀQx + g·x over |x| ≤ bound. `q` is q₁₁, q₁₂, q₂₂. Inside:
+/// Q x + g = 0. On the rim, at the angle θ, the derivative along θ vanishes, and x grows with
+/// the bound.
+pub(super) fn in_disc<R: Real>(q: &[R; 3], bound: R, g: &[R; 2], x: [R; 2]) -> [R; 2] {
     let zero = R::zero();
-    let x = solution.map(R::constant);
     let w = [q[0] * x[0] + q[1] * x[1] + g[0], q[1] * x[0] + q[2] * x[1] + g[1]];
     let length = norm(x[0], x[1]);
     let inside = length.lt(bound * R::of(1.0 - 8.0 * R::EPSILON));
@@ -59,8 +54,7 @@ pub(super) fn in_disc<R: Real>(q: &[R; 3], bound: R, g: &[R; 2], solution: [R; 2
     let turn = -(e[0] * at_rim[1] - e[1] * at_rim[0]) * bend.recip_or_zero();
     let rim = [rim[0] - bound * turn * e[1], rim[1] + bound * turn * e[0]];
     core::array::from_fn(|i| {
-        let new = R::select(inside, x[i] + free[i], rim[i]);
-        solution[i].smooth(R::Mask::of(true), || R::select(bound.gt(zero), new, zero))
+        R::select(bound.gt(zero), R::select(inside, x[i] + free[i], rim[i]), zero)
     })
 }
 
@@ -105,7 +99,7 @@ fn minus_solved<R: Real>(m: &[[R; 3]; 3], w: &[R; 3]) -> [R; 3] {
 mod tests {
     use super::*;
     use crate::real::Dual;
-    use crate::solve::cone::{Convex, Tangents};
+    use crate::solve::exact::{Convex, Tangents};
     use crate::solve::tests::Random;
 
     /// A number and its derivative along the first way.
@@ -150,7 +144,7 @@ mod tests {
             let q = core::array::from_fn(|i| dual(at[i]));
             let b = core::array::from_fn(|i| dual(at[6 + i]));
             let mu = Dual::of(mu);
-            let impulse = on_cone(&q, mu, &b, Convex::new(q, mu).solve(b, true));
+            let impulse = Convex::new(q, mu).solve(b, true);
             let length = norm(impulse[1].value, impulse[2].value);
             let zone = if impulse[0].value == 0.0 {
                 0
@@ -181,7 +175,6 @@ mod tests {
             let [q11, q12, q22, g1, g2, bound] = at.map(dual);
             let x = Tangents::new(q11, q12, q22).disc([g1, g2], bound, true);
             inside += usize::from(norm(x[0].value, x[1].value) < bound.value * (1.0 - 1e-9));
-            let x = in_disc(&[q11, q12, q22], bound, &[g1, g2], x);
             for (x, want) in x.iter().zip(slope(solve, &at)) {
                 assert!((x.slopes[0] - want).abs() < 1e-7, "{case}: {x:?} {want}");
             }

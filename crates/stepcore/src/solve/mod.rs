@@ -4,7 +4,9 @@
 mod alone;
 mod cone;
 mod contact;
+mod derivative;
 mod equality;
+mod exact;
 mod few;
 mod implicit;
 mod law;
@@ -15,12 +17,14 @@ mod newton;
 mod pgs;
 mod residual;
 mod rows;
+mod solver;
 #[cfg(test)]
 mod tests;
 
-pub use newton::Newton;
-pub use pgs::{Limits, Pgs, Report};
+pub(crate) use derivative::Differentiated;
+pub(crate) use pgs::Report;
 pub use rows::{Block, Row, Rows, Set, Situation};
+pub(crate) use solver::{Solve, Solvers, Unconstrained};
 
 use crate::detect::Detected;
 use crate::model::{Model, Span};

@@ -9,7 +9,6 @@
 mod hessian;
 mod minimise;
 mod penalty;
-mod settle;
 mod system;
 
 use super::few::{Few, Island};
@@ -106,9 +105,7 @@ impl<R: Real> Newton<R> {
             let open =
                 self.system.minimise(pattern, &self.present, rows, live, limits, &mut report);
             self.system.finish(pattern, &self.present, rows, live);
-            if R::DIFFERENTIATES && open.none() {
-                self.system.settle(pattern, &self.present, rows);
-            }
+            report.open = report.open.or(open);
             report.decrement =
                 report.decrement.max(R::select(live, self.system.decrement, R::zero()));
         }

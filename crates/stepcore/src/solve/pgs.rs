@@ -4,8 +4,7 @@
 //! its impulse by (t − Jv − cλ)/s and clamps it; a cone is solved exactly as one
 //! block. A sweep touches y and u only, never a matrix of rows.
 
-use super::cone::{Convex, Tangents};
-use super::implicit::{in_disc, on_cone};
+use super::exact::{Convex, Tangents};
 use super::momentum::Momentum;
 use super::residual::dot;
 use super::rows::{Block, Row, Rows, Set};
@@ -31,11 +30,6 @@ pub struct Limits {
 /// What rounding leaves of a residual: this many units in the last place of its terms.
 const UNITS: f64 = 32.0;
 
-/// Sweeps that derivatives may need after the numbers.
-const MOST_SETTLING: usize = 20_000;
-/// A change of derivatives beside the derivatives that is rounding.
-const SETTLED: f64 = 1e-15;
-
 /// What a solve did, lane by lane.
 #[derive(Clone, Copy, Debug)]
 pub struct Report<R: Real> {
@@ -45,7 +39,7 @@ pub struct Report<R: Real> {
     pub updates: R,
     /// Newton's decrement where it stopped, √(gᵀH⁻¹g) relative to the motion; 0 under PGS.
     pub decrement: R,
-    /// PGS used up its sweeps in some island.
+    /// Lanes in which some island used up its sweeps or iterations.
     pub open: R::Mask,
 }
 
@@ -53,6 +47,14 @@ impl<R: Real> Report<R> {
     pub fn new() -> Self {
         let zero = R::zero();
         Self { sweeps: zero, updates: zero, decrement: zero, open: R::Mask::of(false) }
+    }
+}
+
+impl Report<f64> {
+    /// The same in numbers that carry slopes.
+    pub fn in_numbers<R: Real<Mask = bool>>(self) -> Report<R> {
+        let Self { sweeps, updates, decrement, open } = self;
+        Report { sweeps: R::of(sweeps), updates: R::of(updates), decrement: R::of(decrement), open }
     }
 }
 
@@ -107,14 +109,8 @@ impl Order {
 enum Cone<R: Real> {
     /// Solved row by row.
     None,
-    Convex {
-        q: [R; 6],
-        solver: Convex<R>,
-    },
-    Coulomb {
-        q: [R; 3],
-        solver: Tangents<R>,
-    },
+    Convex(Convex<R>),
+    Coulomb(Tangents<R>),
 }
 
 /// The method's memory; one a world or pack of lanes.
@@ -204,25 +200,6 @@ impl<R: Real> Pgs<R> {
         report
     }
 
-    /// Sweeps on after a solve, until the derivatives stand still too, or for as long as is
-    /// reasonable. The numbers may lose their last bits.
-    pub fn settle(&mut self, dof_lists: &[usize], rows: &mut Rows<R>) {
-        let every: Vec<usize> = (0..rows.blocks.len()).collect();
-        let (live, mut report) = (R::Mask::of(true), Report::new());
-        for _ in 0..MOST_SETTLING {
-            let before = rows.u.clone();
-            self.sweep::<false>(dof_lists, rows, &every, live, &mut report);
-            let (mut change, mut most) = (0.0f64, 0.0f64);
-            for (new, old) in rows.u.iter().zip(before) {
-                change = change.max((*new - old).steepness());
-                most = most.max(new.steepness());
-            }
-            if change <= SETTLED * most {
-                break;
-            }
-        }
-    }
-
     fn prepare(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &Rows<R>, weigh: bool) {
         self.order.sort(&rows.blocks);
         self.z.clear();
@@ -299,10 +276,9 @@ impl<R: Real> Pgs<R> {
             if own.len() < 3 {
                 q[5] = q[2];
             }
-            return Cone::Convex { q, solver: Convex::new(q, block.mu) };
+            return Cone::Convex(Convex::new(q, block.mu));
         }
-        let q = [entry(1, 1), entry(2, 1), entry(2, 2)];
-        Cone::Coulomb { q, solver: Tangents::new(q[0], q[1], q[2]) }
+        Cone::Coulomb(Tangents::new(entry(1, 1), entry(2, 1), entry(2, 2)))
     }
 
     /// One pass over the listed blocks. Not inlined: next to each other the two kinds of
@@ -337,14 +313,14 @@ impl<R: Real> Pgs<R> {
                         largest = largest.max(change.abs() * *weight);
                     }
                 }
-                Cone::Convex { q, solver } => {
-                    let change = sweep.convex(own, q, solver);
+                Cone::Convex(cone) => {
+                    let change = sweep.convex(own, cone);
                     for (change, weight) in change.iter().zip(weight) {
                         largest = largest.max(change.abs() * *weight);
                     }
                 }
-                Cone::Coulomb { q, solver } => {
-                    let change = sweep.coulomb(own, block, q, solver);
+                Cone::Coulomb(tangents) => {
+                    let change = sweep.coulomb(own, block, tangents);
                     for (change, weight) in change.iter().zip(weight) {
                         largest = largest.max(change.abs() * *weight);
                     }
@@ -429,7 +405,8 @@ impl<R: Real, const GAIN: bool> Sweep<'_, R, GAIN> {
         change
     }
 
-    fn convex(&mut self, own: &mut [Row<R>], q: &[R; 6], solver: &Convex<R>) -> [R; 3] {
+    fn convex(&mut self, own: &mut [Row<R>], cone: &Convex<R>) -> [R; 3] {
+        let q = &cone.q;
         let (mut w, mut impulse) = ([R::zero(); 3], [R::zero(); 3]);
         for (i, row) in own.iter().enumerate().take(3) {
             w[i] = -self.short(row);
@@ -441,10 +418,7 @@ impl<R: Real, const GAIN: bool> Sweep<'_, R, GAIN> {
         for (b, q) in b.iter_mut().zip(&full) {
             *b -= q[0] * impulse[0] + q[1] * impulse[1] + q[2] * impulse[2];
         }
-        let mut solution = solver.solve(b, self.mask);
-        if R::DIFFERENTIATES {
-            solution = on_cone(q, solver.mu, &b, solution);
-        }
+        let solution = cone.solve(b, self.mask);
         let mut change = [R::zero(); 3];
         for (i, row) in own.iter_mut().enumerate().take(3) {
             change[i] = self.set(row, solution[i]);
@@ -461,13 +435,8 @@ impl<R: Real, const GAIN: bool> Sweep<'_, R, GAIN> {
     }
 
     /// The normal as an interval, then the tangents within its friction bound.
-    fn coulomb(
-        &mut self,
-        own: &mut [Row<R>],
-        block: &Block<R>,
-        q: &[R; 3],
-        solver: &Tangents<R>,
-    ) -> [R; 3] {
+    fn coulomb(&mut self, own: &mut [Row<R>], block: &Block<R>, plane: &Tangents<R>) -> [R; 3] {
+        let q = &plane.q;
         let mut change = [R::zero(); 3];
         let Some((normal, tangents)) = own.split_first_mut() else { return change };
         let impulse = (normal.impulse + self.short(normal) * normal.inv_s).max(R::zero());
@@ -480,9 +449,8 @@ impl<R: Real, const GAIN: bool> Sweep<'_, R, GAIN> {
         let g = [g[0] - (q[0] * x[0] + q[1] * x[1]), g[1] - (q[1] * x[0] + q[2] * x[1])];
         let bound = block.mu * normal.impulse;
         let x = match block.set {
-            Set::CoulombBox => solver.square(g, bound),
-            _ if R::DIFFERENTIATES => in_disc(q, bound, &g, solver.disc(g, bound, self.mask)),
-            _ => solver.disc(g, bound, self.mask),
+            Set::CoulombBox => plane.square(g, bound),
+            _ => plane.disc(g, bound, self.mask),
         };
         for (i, row) in tangents.iter_mut().enumerate().take(2) {
             change[i + 1] = self.set(row, x[i]);

@@ -13,7 +13,7 @@ use crate::real::{Mask, Real};
 use crate::room::room;
 
 /// One row. Impulses in N·s or N·m·s.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Row<R: Real> {
     /// Into `Model::dof_lists`: the dofs that the row touches, ascending and ancestor-closed.
     pub dofs: Span,
@@ -52,7 +52,7 @@ pub enum Set {
 }
 
 /// Consecutive rows solved together.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Block<R: Real> {
     pub rows: Span,
     pub set: Set,
@@ -133,8 +133,7 @@ impl<R: Real> Rows<R> {
     }
 
     /// Without a model, for rows made by hand.
-    #[cfg(test)]
-    pub(super) fn empty(nv: usize) -> Self {
+    pub(super) fn bare(nv: usize) -> Self {
         let u = vec![R::zero(); nv];
         Self {
             rows: Vec::new(),

@@ -76,7 +76,7 @@ pub(super) fn pack<R: Real>(worlds: &[Problem]) -> Rows<R> {
         x
     };
     let nv = first.inv_d.len();
-    let mut rows = Rows::empty(nv);
+    let mut rows = Rows::bare(nv);
     for (b, (set, mu, list)) in first.blocks.iter().enumerate() {
         let start = rows.rows.len();
         for (r, (_, _, c, lo, hi)) in list.iter().enumerate() {

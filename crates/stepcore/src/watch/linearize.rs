@@ -12,6 +12,7 @@ use crate::model::Model;
 use crate::real::{Dual, Real, WAYS};
 use crate::scene::JointType;
 use crate::sim::Sim;
+use crate::solve::Differentiated;
 use crate::state::State;
 
 /// A linearisation under way: ∂x⁺/∂x and ∂x⁺/∂ctrl at one state.
@@ -35,7 +36,8 @@ enum Direction {
 impl Linearizer {
     /// At the present state and inputs of a world, with its settings, computed in `f64`.
     pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
-        let sim = from.in_doubles::<Dual>()?;
+        let mut sim = from.in_doubles::<Dual>()?;
+        sim.solver = Box::new(Differentiated::new());
         let width = 2 * from.model.nv + from.model.actuators.len();
         Ok(Self {
             start: sim.state.clone(),

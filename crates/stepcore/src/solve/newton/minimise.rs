@@ -89,7 +89,7 @@ impl<R: Real> System<R> {
     }
 
     /// g = D(u − û) − Σ yλ; |g|² in D⁻¹, and |u − û|² in D.
-    pub(super) fn slope(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) -> (R, R) {
+    fn slope(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) -> (R, R) {
         let mut moved = R::zero();
         for (((g, u), guess), d) in
             self.gradient.iter_mut().zip(&self.u).zip(&self.guess).zip(&self.d)
@@ -107,7 +107,7 @@ impl<R: Real> System<R> {
     }
 
     /// step = −H⁻¹ g.
-    pub(super) fn direction(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
+    fn direction(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
         self.hessian.reset(pattern, &self.d);
         let mut at = 0;
         for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {

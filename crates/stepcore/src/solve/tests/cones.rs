@@ -1,7 +1,8 @@
 //! Cones against brute force.
 
 use super::{close, Random};
-use crate::solve::cone::{project_box, project_round, Convex, Tangents};
+use crate::solve::cone::{project_box, project_round};
+use crate::solve::exact::{Convex, Tangents};
 
 /// min ½xᵀQx + b·x over a convex set, by accelerated projected gradients with restart.
 fn brute(q: &[[f64; 3]; 3], b: [f64; 3], project: impl Fn([f64; 3]) -> [f64; 3]) -> [f64; 3] {

@@ -24,7 +24,7 @@ use account::{Account, Level};
 use crate::error::Result;
 use crate::model::Model;
 use crate::real::Real;
-use crate::room::{room, Room};
+use crate::room::room;
 use crate::settings::Settings;
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
@@ -74,12 +74,6 @@ pub struct Ledger<R: Real> {
 }
 
 room!(Ledger<R>: accounts, levels; milestones, seen, aside);
-
-impl<R: Real> Room for Box<Sim<R>> {
-    fn room(&self) -> usize {
-        self.bytes()
-    }
-}
 
 impl<R: Real> Ledger<R> {
     pub fn new(model: &Model) -> Self {

@@ -1,0 +1,284 @@
+//! Slopes of impulses: the rows are solved in `f64`, then the solution is differentiated once.
+//!
+//! A solution (λ, u) meets F(λ, u, p) = 0: u = û + D⁻¹ Σ yλ, and every row its law with the
+//! slack w = y·u + cλ − t. Along a change of p the impulses move as the active rows let them
+//! (`active.rs`): dλ = P a, with one number aᵢ a free direction, and in each direction the law
+//! stays met, Sᵀdw + B a = 0. With the part of dw at constant λ called ẇ,
+//!
+//! ```text
+//! (Sᵀ(A + C)P + B) a = −Sᵀẇ        du = (du at constant λ) + D⁻¹ Σ y dλ
+//! ```
+//!
+//! That is the implicit function theorem, and the same for every solver that reached a
+//! solution. Sweeps that did not reach one are differentiated as what they are: in numbers
+//! that carry their slopes along. (Where a change of p may leave the active rows as they are
+//! or not, these are the derivatives of one side.)
+
+mod active;
+mod factor;
+
+use super::pgs::{Order, Report};
+use super::rows::{Block, Row, Rows};
+use super::solver::{Solve, Solvers, Unconstrained};
+use crate::error::Result;
+use crate::real::{Dual, Real, WAYS};
+use crate::room::{listed, room, Room};
+use crate::settings::{Settings, Solver};
+use active::{Direction, Matrix};
+use factor::Factors;
+use num_traits::Zero;
+
+/// Solutions that are remembered: a step is taken again for other directions, and solves the
+/// same rows each time.
+const MOST_REMEMBERED: usize = 16;
+
+/// Solves in `f64` and gives the solution its slopes.
+pub(crate) struct Differentiated {
+    plain: Solvers<f64>,
+    given: Given,
+    solutions: Vec<Solution>,
+    /// Where the next solution goes.
+    next: usize,
+    /// For sweeps that reach no solution.
+    carried: Solvers<Dual>,
+    /// By dof.
+    force: Vec<Dual>,
+    /// By direction.
+    rhs: Vec<[f64; WAYS]>,
+}
+
+/// What is solved, without slopes.
+#[derive(Clone, PartialEq)]
+struct Given {
+    inv_d: Vec<f64>,
+    guess: Vec<f64>,
+    rows: Vec<Row<f64>>,
+    blocks: Vec<Block<f64>>,
+    y: Vec<f64>,
+    u: Vec<f64>,
+}
+
+/// What was solved, and how its impulses may move.
+struct Solution {
+    given: Given,
+    report: Report<f64>,
+    impulse: Vec<f64>,
+    u: Vec<f64>,
+    islands: Vec<(Vec<Direction>, Factors)>,
+}
+
+impl Room for Differentiated {
+    fn room(&self) -> usize {
+        let islands = self.solutions.iter().flat_map(|solution| &solution.islands);
+        let islands = islands.map(|(list, factors)| listed(list) + factors.room());
+        self.plain.room()
+            + self.given.room()
+            + self.carried.room()
+            + listed(&self.force)
+            + listed(&self.rhs)
+            + self.solutions.room()
+            + islands.sum::<usize>()
+    }
+}
+
+room!(Given: inv_d, guess, rows, blocks, y, u);
+
+impl Room for Solution {
+    fn room(&self) -> usize {
+        self.given.room() + listed(&self.impulse) + listed(&self.u) + listed(&self.islands)
+    }
+}
+
+impl Solve<Dual> for Differentiated {
+    fn solve(
+        &mut self,
+        settings: &Settings,
+        free: Unconstrained<Dual>,
+        rows: &mut Rows<Dual>,
+    ) -> Result<Report<Dual>> {
+        if settings.solver == Solver::Newton || settings.tolerance > 0.0 {
+            self.given.take(free, rows);
+            let known = self.solutions.iter().position(|solution| solution.given == self.given);
+            let at = match known {
+                Some(at) => at,
+                None => self.remember(settings, free.dof_lists)?,
+            };
+            let report = self.solutions[at].report;
+            if !report.open {
+                self.differentiate(at, free, rows);
+                return Ok(report.in_numbers());
+            }
+        }
+        self.carried.solve(settings, free, rows)
+    }
+}
+
+impl Differentiated {
+    pub fn new() -> Self {
+        Self {
+            plain: Solvers::new(),
+            given: Given::new(),
+            solutions: Vec::new(),
+            next: 0,
+            carried: Solvers::new(),
+            force: Vec::new(),
+            rhs: Vec::new(),
+        }
+    }
+
+    /// Solves what is given; the place of its solution.
+    fn remember(&mut self, settings: &Settings, dof_lists: &[usize]) -> Result<usize> {
+        let solution = self.given.solved(&mut self.plain, settings, dof_lists)?;
+        let at = self.next;
+        self.next = (at + 1) % MOST_REMEMBERED;
+        if at < self.solutions.len() {
+            self.solutions[at] = solution;
+        } else {
+            self.solutions.push(solution);
+        }
+        Ok(at)
+    }
+
+    /// Writes the impulses and u of a solution, with their slopes.
+    fn differentiate(&mut self, at: usize, free: Unconstrained<Dual>, rows: &mut Rows<Dual>) {
+        let Self { solutions, force, rhs, .. } = self;
+        let solution = &solutions[at];
+        let Given { inv_d, y, .. } = &solution.given;
+        hold(&solution.impulse, free, rows, force);
+        for (directions, factors) in &solution.islands {
+            rhs.clear();
+            rhs.extend(directions.iter().map(|direction| {
+                let slack = direction.slack(rows, free.dof_lists);
+                slack.map(|slope| -slope * direction.size)
+            }));
+            factors.solve(rhs);
+            for (direction, a) in directions.iter().zip(rhs.iter()) {
+                for (at, push) in direction.rows().zip(direction.push) {
+                    let row = &mut rows.rows[at];
+                    let slopes = a.map(|a| push * direction.size * a);
+                    let list = row.dofs.of(free.dof_lists);
+                    for (k, y) in list.iter().zip(&y[row.y..]) {
+                        for (u, slope) in rows.u[*k].slopes.iter_mut().zip(slopes) {
+                            *u += inv_d[*k] * y * slope;
+                        }
+                    }
+                    for (own, slope) in row.impulse.slopes.iter_mut().zip(slopes) {
+                        *own += slope;
+                    }
+                }
+            }
+        }
+        for (u, solved) in rows.u.iter_mut().zip(&solution.u) {
+            u.value = *solved;
+        }
+    }
+}
+
+/// Gives the rows these impulses as constants, and u their effect.
+fn hold(impulses: &[f64], free: Unconstrained<Dual>, rows: &mut Rows<Dual>, force: &mut Vec<Dual>) {
+    force.clear();
+    force.resize(rows.u.len(), Dual::zero());
+    for block in rows.blocks.iter().filter(|block| block.mask) {
+        for at in block.rows.range() {
+            let row = &mut rows.rows[at];
+            let change = Dual::of(impulses[at]) - row.impulse;
+            row.impulse = Dual::of(impulses[at]);
+            for (k, y) in row.dofs.of(free.dof_lists).iter().zip(&rows.y[row.y..]) {
+                force[*k] += *y * change;
+            }
+        }
+    }
+    for ((u, inv_d), force) in rows.u.iter_mut().zip(free.inv_d).zip(force) {
+        *u += *inv_d * *force;
+    }
+}
+
+impl Given {
+    fn new() -> Self {
+        Self {
+            inv_d: Vec::new(),
+            guess: Vec::new(),
+            rows: Vec::new(),
+            blocks: Vec::new(),
+            y: Vec::new(),
+            u: Vec::new(),
+        }
+    }
+
+    fn take(&mut self, free: Unconstrained<Dual>, rows: &Rows<Dual>) {
+        fn refill<T>(list: &mut Vec<T>, with: impl Iterator<Item = T>) {
+            list.clear();
+            list.extend(with);
+        }
+        let value = |x: &Dual| x.value;
+        refill(&mut self.inv_d, free.inv_d.iter().map(value));
+        refill(&mut self.guess, free.guess.iter().map(value));
+        refill(&mut self.rows, rows.rows.iter().map(Row::value));
+        refill(&mut self.blocks, rows.blocks.iter().map(Block::value));
+        refill(&mut self.y, rows.y.iter().map(value));
+        refill(&mut self.u, rows.u.iter().map(value));
+    }
+
+    fn solved(
+        &self,
+        solvers: &mut Solvers<f64>,
+        settings: &Settings,
+        dof_lists: &[usize],
+    ) -> Result<Solution> {
+        let (Self { inv_d, guess, .. }, given) = (self, self.clone());
+        let mut rows = Rows::bare(0);
+        (rows.rows, rows.blocks, rows.y, rows.u) = (given.rows, given.blocks, given.y, given.u);
+        let free = Unconstrained { dof_lists, inv_d, guess };
+        let report = solvers.solve(settings, free, &mut rows)?;
+        let mut islands = Vec::new();
+        if !report.open {
+            let mut order = Order::default();
+            order.sort(&rows.blocks);
+            let mut matrix = Matrix::new(&rows, dof_lists, inv_d);
+            for island in 0..order.ends.len() {
+                let blocks = order.blocks[order.island(island)].iter();
+                let blocks = blocks.map(|at| &rows.blocks[*at]).filter(|block| block.mask);
+                let directions = matrix.directions(blocks);
+                let factors = Factors::of(matrix.of(&directions), directions.len());
+                islands.push((directions, factors));
+            }
+        }
+        let impulse = rows.rows.iter().map(|row| row.impulse).collect();
+        Ok(Solution { given: self.clone(), report, impulse, u: rows.u, islands })
+    }
+}
+
+impl Row<Dual> {
+    fn value(&self) -> Row<f64> {
+        let Self { dofs, y, t, c, a, inv_s, lo, hi, impulse, velocity } = self;
+        Row {
+            dofs: *dofs,
+            y: *y,
+            t: t.value,
+            c: c.value,
+            a: a.value,
+            inv_s: inv_s.value,
+            lo: lo.value,
+            hi: hi.value,
+            impulse: impulse.value,
+            velocity: velocity.value,
+        }
+    }
+}
+
+impl Block<Dual> {
+    fn value(&self) -> Block<f64> {
+        let Self { rows, set, mask, mu, mass, element, slot, island, rank } = self;
+        Block {
+            rows: *rows,
+            set: *set,
+            mask: *mask,
+            mu: mu.value,
+            mass: *mass,
+            element: *element,
+            slot: *slot,
+            island: *island,
+            rank: *rank,
+        }
+    }
+}

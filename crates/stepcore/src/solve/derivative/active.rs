@@ -1,0 +1,198 @@
+//! What active rows can do to the first order: the directions in which a block's impulses move.
+//!
+//! - An interval row strictly within its bounds moves by itself and keeps w = 0; at a bound
+//!   it stays there.
+//! - A cone without impulse stays so. Strictly inside, every row moves and keeps w = 0.
+//! - On the surface λ = n (1, μe), |e| = 1. It moves out, along (1, μe), and round, along
+//!   (0, e⊥), where e turns by dθ and the impulse by dφ = μn·dθ. Round, e⊥·w_t = 0 is kept,
+//!   and turning e changes that by −(e·w_t) dθ. Out, a convex cone keeps w_n + μ e·w_t = 0 and
+//!   a Coulomb cone w_n = 0: friction follows the normal, whatever that does to the normal.
+//! - A tangent of a box at its bound ±μn follows the normal, and one within keeps w = 0.
+
+use super::super::residual::dot;
+use super::super::rows::{Block, Rows, Set};
+use crate::real::{Dual, WAYS};
+
+/// The surface of a cone is met up to this many roundings.
+const ON_SURFACE: f64 = 8.0;
+/// Rows of a cone.
+const CONE: usize = 3;
+
+/// A free direction of one block.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Direction {
+    /// The first row that it moves, and how many.
+    row: usize,
+    len: usize,
+    /// dλ of the rows for a unit of a, and the combination of their w that stays.
+    pub push: [f64; CONE],
+    test: [f64; CONE],
+    /// What turning the surface adds to that.
+    bend: f64,
+    /// Makes the matrix's diagonal about 1.
+    pub size: f64,
+}
+
+impl Direction {
+    fn new(row: usize, len: usize, push: [f64; CONE], test: [f64; CONE]) -> Self {
+        Self { row, len, push, test, bend: 0.0, size: 0.0 }
+    }
+
+    fn single(row: usize) -> Self {
+        Self::new(row, 1, [1.0, 0.0, 0.0], [1.0, 0.0, 0.0])
+    }
+
+    pub fn rows(&self) -> std::ops::Range<usize> {
+        self.row..self.row + self.len
+    }
+
+    /// The slopes of what stays, at constant impulses.
+    pub fn slack(&self, rows: &Rows<Dual>, dof_lists: &[usize]) -> [f64; WAYS] {
+        let mut sum = [0.0; WAYS];
+        for (at, test) in self.rows().zip(self.test) {
+            let slack = rows.slack(dof_lists, &rows.rows[at]);
+            for (sum, slope) in sum.iter_mut().zip(slack.slopes) {
+                *sum += test * slope;
+            }
+        }
+        sum
+    }
+}
+
+/// Sᵀ(A + C)P + B, from rows that hold a solution.
+pub(super) struct Matrix<'a> {
+    rows: &'a Rows<f64>,
+    dof_lists: &'a [usize],
+    inv_d: &'a [f64],
+    /// D⁻¹ Σ y x of one direction, by dof.
+    spread: Vec<f64>,
+}
+
+impl<'a> Matrix<'a> {
+    pub fn new(rows: &'a Rows<f64>, dof_lists: &'a [usize], inv_d: &'a [f64]) -> Self {
+        Self { rows, dof_lists, inv_d, spread: vec![0.0; inv_d.len()] }
+    }
+
+    /// The directions of these blocks in which something can move.
+    pub fn directions<'b>(
+        &mut self,
+        blocks: impl Iterator<Item = &'b Block<f64>>,
+    ) -> Vec<Direction> {
+        let mut directions = Vec::new();
+        for block in blocks {
+            self.add(block, &mut directions);
+        }
+        directions.retain_mut(|direction| {
+            let moved = self.energy(direction, &direction.push);
+            let most = self.energy(direction, &direction.test).max(moved) + direction.bend;
+            direction.size = if most > 0.0 { 1.0 / most.sqrt() } else { 0.0 };
+            most > 0.0
+        });
+        directions
+    }
+
+    fn add(&self, block: &Block<f64>, out: &mut Vec<Direction>) {
+        let range = block.rows.range();
+        let own = &self.rows.rows[range.clone()];
+        if block.set == Set::Interval {
+            let free = own.iter().zip(range);
+            let free = free.filter(|(row, _)| row.impulse > row.lo && row.impulse < row.hi);
+            out.extend(free.map(|(_, at)| Direction::single(at)));
+            return;
+        }
+        let impulse = |i: usize| own.get(i).map_or(0.0, |row| row.impulse);
+        let (n, x, y) = (impulse(0), impulse(1), impulse(2));
+        if n <= 0.0 {
+            return;
+        }
+        let (mu, bound, normal) = (block.mu, block.mu * n, [1.0, 0.0, 0.0]);
+        if block.set == Set::CoulombBox {
+            let mut along = Direction::new(range.start, own.len(), normal, normal);
+            for i in 1..own.len() {
+                if impulse(i).abs() < bound {
+                    out.push(Direction::single(range.start + i));
+                } else {
+                    along.push[i] = mu.copysign(impulse(i));
+                }
+            }
+            out.push(along);
+            return;
+        }
+        let length = (x * x + y * y).sqrt();
+        if length < bound * (1.0 - ON_SURFACE * f64::EPSILON) {
+            out.extend(range.map(Direction::single));
+            return;
+        }
+        let e = if length > 0.0 { [x / length, y / length] } else { [1.0, 0.0] };
+        let along = [1.0, mu * e[0], mu * e[1]];
+        let test = if block.set == Set::Convex { along } else { normal };
+        out.push(Direction::new(range.start, own.len(), along, test));
+        if own.len() == CONE && bound > 0.0 {
+            let round = [0.0, -e[1], e[0]];
+            let slack = |i: usize| self.rows.slack(self.dof_lists, &own[i]);
+            let bend = (-(e[0] * slack(1) + e[1] * slack(2))).max(0.0) / bound;
+            out.push(Direction { bend, ..Direction::new(range.start, CONE, round, round) });
+        }
+    }
+
+    /// xᵀ(A + C)x over a direction's rows.
+    fn energy(&mut self, direction: &Direction, x: &[f64; CONE]) -> f64 {
+        self.spread(direction, x);
+        let energy = self.tested(direction, x) + self.softened(direction, x, x);
+        self.clear(direction);
+        energy
+    }
+
+    /// The matrix, row by row, each direction in its own size.
+    pub fn of(&mut self, directions: &[Direction]) -> Vec<f64> {
+        let n = directions.len();
+        let mut matrix = vec![0.0; n * n];
+        for (j, direction) in directions.iter().enumerate() {
+            self.spread(direction, &direction.push);
+            for (i, other) in directions.iter().enumerate() {
+                let mut entry = self.tested(other, &other.test);
+                if other.row == direction.row {
+                    entry += self.softened(direction, &other.test, &direction.push);
+                }
+                if i == j {
+                    entry += direction.bend;
+                }
+                matrix[i * n + j] = entry * other.size * direction.size;
+            }
+            self.clear(direction);
+        }
+        matrix
+    }
+
+    /// Sets `spread` to D⁻¹ Σ y x.
+    fn spread(&mut self, direction: &Direction, x: &[f64; CONE]) {
+        for (row, x) in self.rows.rows[direction.rows()].iter().zip(x) {
+            for (k, y) in row.dofs.of(self.dof_lists).iter().zip(&self.rows.y[row.y..]) {
+                self.spread[*k] += self.inv_d[*k] * y * x;
+            }
+        }
+    }
+
+    fn clear(&mut self, direction: &Direction) {
+        for row in &self.rows.rows[direction.rows()] {
+            for k in row.dofs.of(self.dof_lists) {
+                self.spread[*k] = 0.0;
+            }
+        }
+    }
+
+    /// Σ x y·spread.
+    fn tested(&self, direction: &Direction, x: &[f64; CONE]) -> f64 {
+        let own = self.rows.rows[direction.rows()].iter().zip(x);
+        let own = own.filter(|(_, x)| **x != 0.0).map(|(row, x)| {
+            x * dot(row.dofs.of(self.dof_lists), &self.rows.y[row.y..], &self.spread)
+        });
+        own.sum()
+    }
+
+    /// Σ test c push.
+    fn softened(&self, direction: &Direction, test: &[f64; CONE], push: &[f64; CONE]) -> f64 {
+        let own = self.rows.rows[direction.rows()].iter().zip(test).zip(push);
+        own.map(|((row, test), push)| test * row.c * push).sum()
+    }
+}

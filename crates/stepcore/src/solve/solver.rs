@@ -1,0 +1,88 @@
+//! Which solver the settings ask for, and how long it may run.
+
+use super::newton::Newton;
+use super::pgs::{Limits, Pgs, Report};
+use super::rows::Rows;
+use crate::error::Result;
+use crate::real::Real;
+use crate::room::{room, Room};
+use crate::settings::{Acceleration, Law, Settings, Solver, Sweeps};
+
+/// The motion without rows, in factored coordinates.
+#[derive(Clone, Copy)]
+pub(crate) struct Unconstrained<'a, R: Real> {
+    pub dof_lists: &'a [usize],
+    /// 1/D, by dof.
+    pub inv_d: &'a [R],
+    /// û = L v̂, by dof.
+    pub guess: &'a [R],
+}
+
+/// Finds the impulses of rows. A `Sim` holds one: `Solvers`, or in numbers that carry slopes
+/// `Differentiated`.
+pub(crate) trait Solve<R: Real>: Room + Send + Sync {
+    /// Starts from the impulses that `rows` hold; `rows.u` must hold û and their effect, and
+    /// does so again afterwards.
+    fn solve(
+        &mut self,
+        settings: &Settings,
+        free: Unconstrained<R>,
+        rows: &mut Rows<R>,
+    ) -> Result<Report<R>>;
+}
+
+/// Every solver's memory.
+pub(crate) struct Solvers<R: Real> {
+    pgs: Pgs<R>,
+    newton: Newton<R>,
+}
+
+room!(Solvers<R>: ; pgs, newton);
+
+impl<R: Real> Solvers<R> {
+    pub fn new() -> Self {
+        Self { pgs: Pgs::new(), newton: Newton::new() }
+    }
+}
+
+impl<R: Real> Default for Solvers<R> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<R: Real> Solve<R> for Solvers<R> {
+    fn solve(
+        &mut self,
+        settings: &Settings,
+        free: Unconstrained<R>,
+        rows: &mut Rows<R>,
+    ) -> Result<Report<R>> {
+        let limits = Limits::of(settings);
+        let Unconstrained { dof_lists, inv_d, guess } = free;
+        if settings.solver == Solver::Newton {
+            return self.newton.solve(dof_lists, inv_d, guess, rows, limits);
+        }
+        // One row on its own, and one update all that is asked or all that it takes.
+        if limits.sweeps == 1 || limits.exact {
+            if let Some(report) = rows.solve_single(dof_lists, inv_d, limits.exact) {
+                return Ok(report);
+            }
+        }
+        Ok(self.pgs.solve(dof_lists, inv_d, rows, limits))
+    }
+}
+
+impl Limits {
+    pub fn of(settings: &Settings) -> Self {
+        let sweeps = settings.sweeps.limit();
+        Self {
+            sweeps,
+            tolerance: settings.tolerance,
+            // By the law and not by the rows at hand, so that a lane equals its world alone.
+            momentum: settings.acceleration == Acceleration::Momentum && !settings.law.on_guess(),
+            exact: sweeps > 0 && settings.tolerance > 0.0 && settings.law != Law::Relaxed,
+            rounding: settings.sweeps == Sweeps::Auto,
+        }
+    }
+}
