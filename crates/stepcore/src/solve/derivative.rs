@@ -250,7 +250,7 @@ impl Given {
 
 impl Row<Dual> {
     fn value(&self) -> Row<f64> {
-        let Self { dofs, y, t, c, a, inv_s, lo, hi, impulse, velocity } = self;
+        let Self { dofs, y, t, c, a, inv_s, lo, hi, impulse, velocity, gap } = self;
         Row {
             dofs: *dofs,
             y: *y,
@@ -262,6 +262,7 @@ impl Row<Dual> {
             hi: hi.value,
             impulse: impulse.value,
             velocity: velocity.value,
+            gap: gap.value,
         }
     }
 }
