@@ -1,41 +1,51 @@
-"""The command line, `stepcore COMMAND`; also `python -m stepcore`. A module here is a command.
+"""The command line: `stepcore COMMAND`, also `python -m stepcore`. A module here is a command.
 
-A FILE is the path of an MJCF file, "package:name" for a model among the files of an installed
-package (as gymnasium:half_cheetah; the package is not imported), or "lesson:name" for a scene
-of the lesson. Bad input is one line on the error stream: exit 2 for what was asked, 1 for what
-went wrong on the way, 130 after Ctrl-C.
+A command's module says what it takes (`add`) and does it (`call`); its docstring is its help. Only
+the module of the command that was asked for is imported.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
+import inspect
 import os
 import sys
 import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
-from stepcore.checks import one_line
-from stepcore.cli import (
-    ablate,
-    converge,
-    diagnose,
-    info,
-    lesson,
-    map,
-    plan,
-    predict,
-    replay,
-    run,
-    trade,
-)
+COMMANDS = {
+    "lesson": "compare every figure of the lesson with its reference",
+    "run": "simulate a model and print its final state",
+    "replay": "run a failed simulation again and show where its energy came from",
+    "trade": "measure what speed costs in accuracy, and recommend settings",
+    "predict": "measure how long a model's motion can be predicted",
+    "diagnose": "find the element that limits the time step",
+    "map": "map stability and accuracy over time step and a parameter",
+    "converge": "test whether contact forces are converged, and what would converge them",
+    "plan": "list what a step computes and what it leaves out",
+    "ablate": "measure the cost and the effect of each modelled feature",
+    "info": "print versions and the machine",
+}
+DESCRIPTION = "Rigid-body physics that measures what speed costs in accuracy."
+EPILOG = """\
+A FILE is the path of an MJCF file, "package:name" for a model among the files of an installed
+package (gymnasium:half_cheetah; the package is not imported), or "lesson:name" for a scene of the
+lesson (spring, drop, stack, grasp).
 
-# In the order of the help.
-COMMANDS = (lesson, run, replay, trade, predict, diagnose, map, converge, plan, ablate, info)
+exit status: 0 success, 1 run-time failure, 2 usage error, 130 interrupted
+"""
+# As a shell reports a program that Ctrl-C has ended.
+INTERRUPTED = 130
+REASONS = {FileNotFoundError: "no such file", IsADirectoryError: "is a folder, not a file"}
 
 
 class _Parser(argparse.ArgumentParser):
-    """Errors in one line."""
+    """Keeps the lines of descriptions, and writes an error in one line."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **kwargs)
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}\n")
@@ -43,9 +53,6 @@ class _Parser(argparse.ArgumentParser):
 
 class _Version(argparse.Action):
     """Looks the version up only when it is asked for."""
-
-    def __init__(self, option_strings: Sequence[str], dest: str, help: str) -> None:
-        super().__init__(option_strings, dest, nargs=0, help=help)
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         from importlib.metadata import version
@@ -56,28 +63,53 @@ class _Version(argparse.Action):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; returns the exit status."""
+    debug = False
     try:
-        args = parser().parse_args(argv)
+        args = parser(sys.argv[1:] if argv is None else argv).parse_args(argv)
+        debug = args.debug
+        return _run(args)
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 2
-    try:
-        with warnings.catch_warnings():
-            warnings.showwarning = _warned
-            return int(args.call(args) or 0)
     except KeyboardInterrupt:
-        return _say("stopped", 130)
+        return _say("interrupted", INTERRUPTED)
     except BrokenPipeError:
-        # The reader of a pipe has gone; nothing is left to say to it.
+        # The reader of the pipe has gone: nobody is left to write to.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except (ValueError, OSError, TypeError) as error:
-        if isinstance(error, TypeError) and args.debug:
-            raise
-        return _say(one_line(error), 2)
     except Exception as error:
-        if args.debug:
+        if debug:
             raise
+        return _failed(error)
+
+
+def _run(args: argparse.Namespace) -> int:
+    from stepcore.cli.output import check_output, deliver
+    from stepcore.report.result import Result
+
+    with warnings.catch_warnings():
+        warnings.showwarning = _warned
+        check_output(args)
+        result = args.call(args)
+        if isinstance(result, Result):
+            deliver(result, args)
+            return 0
+        return int(result or 0)
+
+
+def _failed(error: Exception) -> int:
+    """The error in one line, and its exit status."""
+    from stepcore.checks import one_line
+
+    if isinstance(error, OSError) and error.filename is not None:
+        reason = REASONS.get(type(error)) or error.strerror
+        return _say(f"{os.fspath(error.filename)}: {reason}", 2)
+    if isinstance(error, (ValueError, OSError)):
+        return _say(one_line(error), 2)
+    if isinstance(error, (RuntimeError, ImportError)):
         return _say(one_line(error), 1)
+    # Whatever else is raised is not what the user did.
+    kind = type(error).__name__
+    return _say(f"internal error ({kind}: {one_line(error)}); --debug shows the traceback", 1)
 
 
 def _warned(
@@ -88,7 +120,7 @@ def _warned(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """A warning in one line, without the place in the code that no user of commands knows."""
+    """A warning in one line, without the line of code that raised it."""
     _say(" ".join(str(message).split()), 0)
 
 
@@ -97,12 +129,22 @@ def _say(text: str, status: int) -> int:
     return status
 
 
-def parser() -> argparse.ArgumentParser:
-    """What the commands take."""
-    top = _Parser(prog="stepcore", description="Rigid-body physics that measures itself.")
-    top.add_argument("--debug", action="store_true", help=argparse.SUPPRESS)
-    top.add_argument("--version", action=_Version, help="print the version and exit")
-    commands = top.add_subparsers(metavar="command", required=True, parser_class=_Parser)
-    for module in COMMANDS:
-        module.add(commands)
+def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+    """All commands, and what the one in `argv` takes."""
+    top = _Parser(prog="stepcore", description=DESCRIPTION, epilog=EPILOG)
+    top.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = top.add_subparsers(metavar="COMMAND", required=True)
+    asked = next((arg for arg in argv if not arg.startswith("-")), None)
+    for name, summary in COMMANDS.items():
+        if name != asked:
+            commands.add_parser(name, help=summary)
+            continue
+        module = importlib.import_module(f"stepcore.cli.{name}")
+        text, _, example = inspect.cleandoc(module.__doc__ or summary).partition("\n\nExample")
+        command = commands.add_parser(
+            name, help=summary, description=text, epilog=f"example{example}" if example else None
+        )
+        module.add(command)
+        command.set_defaults(call=module.call)
     return top

@@ -1,41 +1,41 @@
-"""`stepcore ablate`."""
+"""Remove each modelled feature in turn (friction, damping, limits, a geom, ...) and measure how
+much work that saves and how much error it adds; then find the smallest model within an error.
+
+Example:
+  stepcore ablate gymnasium:half_cheetah --error 5mm --save small.xml
+"""
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING
 
-from stepcore.cli.options import (
-    add_file,
-    add_motion,
-    add_output,
-    check_output,
-    check_path,
-    deliver,
-    motion_of,
-)
+from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
+from stepcore.cli.output import add_output
+
+if TYPE_CHECKING:
+    from stepcore.report.result import Result
 
 
-def add(commands: Any) -> None:
-    ablate = commands.add_parser("ablate", help="what each feature of a model costs and matters")
-    add_file(ablate)
-    add_motion(ablate)
-    ablate.add_argument(
-        "--error", type=float, default=1e-3, help="what the smallest model may add [m]"
+def add(command: argparse.ArgumentParser) -> None:
+    add_file(command)
+    command.add_argument(
+        "--error",
+        default="1mm",
+        metavar="LENGTH",
+        help='error that the smallest model may add: metres, "1mm" or "0.1%%" of the '
+        "scene's size (default: %(default)s)",
     )
-    ablate.add_argument("--save", metavar="OUT.xml", help="write the smallest model as MJCF")
-    add_output(ablate)
-    ablate.set_defaults(call=call)
+    add_motion(command, {"horizon": 1, "starts": 8})
+    add_output(command)
+    command.add_argument("--save", metavar="OUT.xml", help="write the smallest model as MJCF")
 
 
-def call(args: argparse.Namespace) -> None:
+def call(args: argparse.Namespace) -> Result:
     from stepcore.measure.ablation import ablate
-    from stepcore.reading import load
 
-    check_output(args)
-    if args.save is not None:
-        check_path(args.save)
-    result = ablate(load(args.file), error=args.error, **motion_of(args))
+    model = model_of(args)
+    result = ablate(model, error=args.error, **motion_of(args, model))
     if args.save is not None:
         result.smallest.save(args.save)
-    deliver(result, args)
+    return result

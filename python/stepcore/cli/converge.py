@@ -1,29 +1,38 @@
-"""`stepcore converge`."""
+"""Test whether the solver's sweeps converge the contact forces of a model, which contacts are
+furthest from converged, how fast sweeps converge, and whether more sweeps or smaller time steps
+reduce the error more at equal work.
+
+Example:
+  stepcore converge lesson:stack --plot residual.png
+"""
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING
 
-from stepcore.cli.options import add_file, add_motion, add_output, check_output, deliver, motion_of
+from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
+from stepcore.cli.output import add_output
+
+if TYPE_CHECKING:
+    from stepcore.report.result import Result
 
 
-def add(commands: Any) -> None:
-    converge = commands.add_parser(
-        "converge", help="whether a model's contacts are solved, and what would solve them"
+def add(command: argparse.ArgumentParser) -> None:
+    add_file(command)
+    command.add_argument(
+        "--states",
+        type=int,
+        default=8,
+        metavar="N",
+        help="states at which sweeps are measured (default: %(default)s)",
     )
-    add_file(converge)
-    add_motion(converge)
-    add_output(converge)
-    converge.add_argument(
-        "--states", type=int, default=8, help="states at which sweeps are measured"
-    )
-    converge.set_defaults(call=call, starts=3)
+    add_motion(command, {"horizon": 1, "starts": 3})
+    add_output(command)
 
 
-def call(args: argparse.Namespace) -> None:
+def call(args: argparse.Namespace) -> Result:
     from stepcore.measure.convergence import converge
-    from stepcore.reading import load
 
-    check_output(args)
-    deliver(converge(load(args.file), states=args.states, **motion_of(args)), args)
+    model = model_of(args)
+    return converge(model, states=args.states, **motion_of(args, model))

@@ -1,28 +1,35 @@
-"""`stepcore diagnose`."""
+"""Find the element that limits the time step under each integrator: a spring, damper, servo,
+contact, limit or connect, with its frequency and damping. For a time step that is not stable,
+list changes of the model or the settings that make it so.
+
+Example:
+  stepcore diagnose gymnasium:half_cheetah --dt 0.01
+"""
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING
 
-from stepcore.cli.options import add_file, add_motion, add_output, check_output, deliver, motion_of
+from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
+from stepcore.cli.output import add_output
 
-
-def add(commands: Any) -> None:
-    diagnose = commands.add_parser("diagnose", help="which element limits the time step")
-    add_file(diagnose)
-    diagnose.add_argument("--dt", type=float, help="the step that is wanted [s]")
-    # One start is looked along.
-    add_motion(diagnose, several=False)
-    add_output(diagnose)
-    diagnose.set_defaults(call=call)
+if TYPE_CHECKING:
+    from stepcore.report.result import Result
 
 
-def call(args: argparse.Namespace) -> None:
+def add(command: argparse.ArgumentParser) -> None:
+    add_file(command)
+    command.add_argument(
+        "--dt", type=float, metavar="S", help="time step that is wanted [s] (default: the model's)"
+    )
+    # The states come from one run.
+    add_motion(command, {"horizon": 1}, without=("starts",))
+    add_output(command)
+
+
+def call(args: argparse.Namespace) -> Result:
     from stepcore.measure.diagnosis import diagnose
 
-    check_output(args)
-    motion = motion_of(args)
-    if motion["horizon"] is None:
-        motion.pop("horizon")
-    deliver(diagnose(args.file, dt=args.dt, **motion), args)
+    model = model_of(args)
+    return diagnose(model, dt=args.dt, **motion_of(args, model))

@@ -1,23 +1,26 @@
-"""`stepcore lesson`."""
+"""Compare every figure of the lesson with its reference: an integrator's growth, a contact's
+depth, a stack's convergence, a grasp's force.
+
+Example:
+  stepcore lesson --extremes
+"""
 
 from __future__ import annotations
 
 import argparse
-import json
-from typing import Any
 
-from stepcore.cli.options import Usage
-from stepcore.report.table import jsonable
+from stepcore.cli.output import add_json, print_json
+from stepcore.cli.usage import Usage
 
 
-def add(commands: Any) -> None:
-    lesson = commands.add_parser("lesson", help="every figure of the lesson beside its reference")
-    lesson.add_argument("--engine", choices=("rust", "numpy"), default="rust")
-    lesson.add_argument(
-        "--extremes", action="store_true", help="its scenes and two models at the extremes instead"
+def add(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--engine", choices=("rust", "numpy"), default="rust", help="default: %(default)s"
     )
-    lesson.add_argument("--json", action="store_true", help="print data instead of text")
-    lesson.set_defaults(call=call)
+    command.add_argument(
+        "--extremes", action="store_true", help="its scenes and two models at extreme values"
+    )
+    add_json(command)
 
 
 def call(args: argparse.Namespace) -> int:
@@ -25,11 +28,11 @@ def call(args: argparse.Namespace) -> int:
     from stepcore.lesson import extremes
 
     if args.extremes and args.engine != "rust":
-        raise Usage("--extremes: runs the Rust engine only")
+        raise Usage("--extremes: needs --engine rust")
     part = extremes if args.extremes else lesson
     rows = extremes.run() if args.extremes else lesson.run(args.engine)
     if args.json:
-        print(json.dumps(jsonable([row.to_dict() for row in rows]), indent=2))
+        print_json([row.to_dict() for row in rows])
     else:
         print(part.report(rows))
     return 0 if all(row.ok for row in rows) else 1

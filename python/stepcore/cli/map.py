@@ -1,55 +1,65 @@
-"""`stepcore map`."""
+"""Map where a model is stable and accurate over the time step and one of its values, one map for
+each integrator, with the stability limit that theory gives.
+
+Example:
+  stepcore map lesson:spring joint/spring/stiffness --values 10:1e4:16 --plot map.png
+"""
 
 from __future__ import annotations
 
 import argparse
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
-from stepcore.cli.options import Usage, add_output, check_output, deliver
+from stepcore.cli.motion import OPTIONS, add_file, add_motion, model_of, motion_of
+from stepcore.cli.output import add_output
+from stepcore.cli.usage import Usage
+
+if TYPE_CHECKING:
+    from stepcore.report.result import Result
 
 LIST = "numbers a,b,c or FIRST:LAST:COUNT on a log scale"
+# The map runs one start, without controls.
+WITHOUT = tuple(name for name in OPTIONS if name not in ("horizon", "key"))
 
 
-def add(commands: Any) -> None:
-    one = commands.add_parser("map", help="where dt and a value leave runs of use, and where not")
-    one.add_argument(
-        "file",
-        metavar="FILE",
-        nargs="?",
-        default="lesson:spring",
-        help="path, package:name or lesson:name (default: lesson:spring; also lesson:stack)",
+def add(command: argparse.ArgumentParser) -> None:
+    words = " (default: lesson:spring; also lesson:stack)"
+    add_file(command, nargs="?", default="lesson:spring", words=words)
+    command.add_argument("path", metavar="VALUE", nargs="?", help='such as "joint/knee/stiffness"')
+    command.add_argument("--values", metavar="LIST", help=f"values to try: {LIST}")
+    command.add_argument("--dts", metavar="LIST", help=f"time steps to try [s]: {LIST}")
+    command.add_argument(
+        "--integrator", action="append", metavar="NAME", help="may be given several times"
     )
-    one.add_argument("path", metavar="VALUE", nargs="?", help='as "joint/knee/stiffness"')
-    one.add_argument("--values", metavar="LIST", help=LIST)
-    one.add_argument("--dts", metavar="LIST", help=f"time steps [s], {LIST}")
-    one.add_argument("--integrator", action="append", help="may be given several times")
-    one.add_argument("--horizon", type=float, help="simulated time [s] (default: about 1)")
-    one.add_argument("--error", type=float, default=0.1, help="a larger share is inaccurate")
-    one.add_argument("--size", type=float, help="what errors are relative to [m]")
-    one.add_argument("--key", help="keyframe to start from")
-    one.add_argument("--threads", type=int, help="runs at once (default: one a core)")
-    add_output(one)
-    one.set_defaults(call=call)
+    command.add_argument(
+        "--error",
+        default=0.1,
+        type=float,
+        metavar="SHARE",
+        help="share of the size of the motion above which a run is inaccurate "
+        "(default: %(default)s)",
+    )
+    command.add_argument(
+        "--size", type=float, metavar="M", help="size that errors are relative to [m]"
+    )
+    add_motion(command, {"horizon": "1, or 25 of the largest time steps"}, without=WITHOUT)
+    add_output(command)
 
 
-def call(args: argparse.Namespace) -> None:
+def call(args: argparse.Namespace) -> Result:
     from stepcore.measure.stability import stability_map
 
-    check_output(args)
-    result = stability_map(
+    return stability_map(
         args.file,
         args.path,
         None if args.values is None else numbers("--values", args.values),
         None if args.dts is None else numbers("--dts", args.dts),
         integrator=args.integrator,
-        horizon=args.horizon,
         error=args.error,
         size=args.size,
-        key=args.key,
-        threads=args.threads,
+        **motion_of(args, model_of(args)),
     )
-    deliver(result, args)
 
 
 def numbers(option: str, text: str) -> list[float]:

@@ -1,31 +1,35 @@
-"""`stepcore plan`."""
+"""List what a step of a model computes and what it leaves out, with the reason and with the
+operations that each entry costs.
+
+Example:
+  stepcore plan gymnasium:half_cheetah --time
+"""
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING
 
-from stepcore.cli.options import add_file, add_output, check_output, deliver
+from stepcore.cli.motion import add_file, add_key, key_of, model_of
+from stepcore.cli.output import add_output
 
-
-def add(commands: Any) -> None:
-    parser = commands.add_parser("plan", help="what a step of a model does, and what it leaves out")
-    add_file(parser)
-    parser.add_argument("--time", action="store_true", help="measure in µs as well")
-    parser.add_argument("--all", action="store_true", help="print every name")
-    add_output(parser)
-    parser.set_defaults(call=call)
+if TYPE_CHECKING:
+    from stepcore.report.result import Result
 
 
-def call(args: argparse.Namespace) -> None:
+def add(command: argparse.ArgumentParser) -> None:
+    add_file(command)
+    add_key(command)
+    command.add_argument("--time", action="store_true", help="measure times [µs] as well")
+    add_output(command, full="print the names of all elements")
+
+
+def call(args: argparse.Namespace) -> Result:
     from stepcore.engine.sim import Sim
     from stepcore.measure.plan import plan
-    from stepcore.reading import load
 
-    check_output(args)
-    model = load(args.file).compile()
-    sim = None
+    model, sim = model_of(args), None
     if args.key is not None:
         sim = Sim(model)
-        sim.reset(key=int(args.key) if args.key.isdigit() else args.key)
-    deliver(plan(model, sim=sim, time=args.time), args, full=args.all)
+        sim.reset(key=key_of(args, model))
+    return plan(model, sim=sim, time=args.time)

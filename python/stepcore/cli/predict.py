@@ -1,24 +1,31 @@
-"""`stepcore predict`."""
+"""Measure how long a model's motion can be predicted: until runs that start a rounding error
+apart are a thousand times as far apart. Beyond that time only statistics of the motion mean
+anything, whatever the settings.
+
+Example:
+  stepcore predict gymnasium:ant --horizon 5 --plot growth.png
+"""
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING
 
-from stepcore.cli.options import add_file, add_motion, add_output, check_output, deliver, motion_of
+from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
+from stepcore.cli.output import add_output
 
-
-def add(commands: Any) -> None:
-    predict = commands.add_parser("predict", help="how long a model's motion can be predicted")
-    add_file(predict)
-    add_motion(predict)
-    add_output(predict)
-    predict.set_defaults(call=call)
+if TYPE_CHECKING:
+    from stepcore.report.result import Result
 
 
-def call(args: argparse.Namespace) -> None:
+def add(command: argparse.ArgumentParser) -> None:
+    add_file(command)
+    add_motion(command, {"horizon": 10, "starts": 8})
+    add_output(command)
+
+
+def call(args: argparse.Namespace) -> Result:
     from stepcore.measure.predictability import predictability
-    from stepcore.reading import load
 
-    check_output(args)
-    deliver(predictability(load(args.file), **motion_of(args)), args)
+    model = model_of(args)
+    return predictability(model, **motion_of(args, model))

@@ -1,22 +1,29 @@
-"""`stepcore replay`."""
+"""Run a failed simulation again from its replay file, and show which elements added energy in
+the steps before the failure.
+
+`stepcore run` writes such a file when a run fails; in Python it is the error's `replay`.
+
+Example:
+  stepcore replay ball-step1201.replay.json --plot energy.png
+"""
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING
 
-from stepcore.cli.options import add_output, check_output, deliver
+from stepcore.cli.output import add_output
 
-
-def add(commands: Any) -> None:
-    replay = commands.add_parser("replay", help="run a failure again and say what drove it")
-    replay.add_argument("file", metavar="FILE", help="what a failed run wrote")
-    add_output(replay)
-    replay.set_defaults(call=call)
+if TYPE_CHECKING:
+    from stepcore.report.result import Result
 
 
-def call(args: argparse.Namespace) -> None:
+def add(command: argparse.ArgumentParser) -> None:
+    command.add_argument("file", metavar="FILE", help="a replay file (.replay.json)")
+    add_output(command)
+
+
+def call(args: argparse.Namespace) -> Result:
     from stepcore.engine.replay import replay
 
-    check_output(args)
-    deliver(replay(args.file), args)
+    return replay(args.file)

@@ -1,90 +1,109 @@
-"""`stepcore run`."""
+"""Simulate a model and print its final state, energy and computing time. A run that fails writes
+a replay file, from which `stepcore replay` shows what failed.
+
+Example:
+  stepcore run gymnasium:half_cheetah --duration 2 --set integrator=implicitfast
+"""
 
 from __future__ import annotations
 
 import argparse
-import json
-from typing import Any
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
 
-from stepcore._core import SimulationError
 from stepcore.checks import nearest
-from stepcore.cli.options import Usage, add_file, check_path
-from stepcore.report.table import jsonable
+from stepcore.cli.motion import add_file, add_key, key_of, model_of
+from stepcore.cli.output import add_json, print_json
+from stepcore.cli.usage import Usage
 
-# No counter of steps goes further.
+if TYPE_CHECKING:
+    from stepcore._core import SimulationError
+    from stepcore.engine.sim import Sim
+
+# The counter of steps has 64 bits.
 MOST_STEPS = 2.0**64
+DURATION = 1.0
 
 
-def add(commands: Any) -> None:
-    run = commands.add_parser("run", help="simulate a model and print where it ends")
-    add_file(run)
-    run.add_argument("--duration", type=float, help="simulated time [s] (default: 1)")
-    run.add_argument("--dt", type=float, help="time step [s]")
-    run.add_argument(
+def add(command: argparse.ArgumentParser) -> None:
+    add_file(command)
+    add_key(command)
+    command.add_argument(
+        "--duration", type=float, metavar="S", help=f"simulated time [s] (default: {DURATION:g})"
+    )
+    command.add_argument(
+        "--dt", type=float, metavar="S", help="time step [s] (default: the model's)"
+    )
+    command.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="any field of Settings"
     )
-    run.add_argument("--replay", metavar="OUT", help="where a failure is written, to be replayed")
-    run.add_argument("--json", action="store_true", help="print data instead of text")
-    run.set_defaults(call=call)
+    command.add_argument("--replay", metavar="OUT", help="where a failed run is written")
+    command.add_argument("--plot", metavar="OUT", help="write the plot of energy over time")
+    add_json(command)
 
 
 def call(args: argparse.Namespace) -> None:
-    from time import perf_counter
-
+    from stepcore._core import SimulationError
     from stepcore.engine.sim import Sim
-    from stepcore.reading import load
 
-    if args.replay is not None:
-        check_path(args.replay, "--replay")
     changes = dict(_setting(text) for text in args.set)
     if args.dt is not None:
         changes["dt"] = args.dt
-    duration = 1.0 if args.duration is None else args.duration
+    duration = DURATION if args.duration is None else args.duration
     if not 0 <= duration < float("inf"):
         raise Usage(f"--duration {duration:g}: must be finite and >= 0 s")
-    # A failure that is told in full costs a run a few percent.
-    sim = Sim(load(args.file).compile(), **({"ledger": True} | changes))
-    first = 0 if sim.model.keys else None
-    sim.reset(key=first if args.key is None else args.key)
-    dt = sim.settings.dt
-    steps = _steps(duration, dt)
-    notes = list(sim.model.scene.notes)
-    if args.duration is not None and abs(steps * dt - duration) > 1e-6 * dt:
+    model = model_of(args)
+    # The ledger explains a failure in full, and costs a few percent.
+    sim = Sim(model, **({"ledger": True} | changes))
+    key = key_of(args, model)
+    sim.reset(key=0 if key is None and model.keys else key)
+    steps = _steps(duration, sim.settings.dt)
+    notes = list(model.scene.notes)
+    run = steps * sim.settings.dt
+    if args.duration is not None and abs(run - duration) > 1e-6 * sim.settings.dt:
         notes.append(
-            f"--duration {duration:g} s is no whole number of steps of {dt:g} s: "
-            f"{steps * dt:g} s are run"
+            f"--duration {duration:g} s is not a whole number of steps of "
+            f"{sim.settings.dt:g} s: the run is {run:g} s long"
         )
     begin = perf_counter()
     try:
-        sim.step(steps)
+        if args.plot is None:
+            sim.step(steps)
+        else:
+            sim.run(run, record=("energy", "overlap")).plot(args.plot)
         sim.balance()
     except SimulationError as error:
         raise RuntimeError(f"{error}; stepcore replay {_written(error, args.replay)}") from None
-    spent = perf_counter() - begin
+    _report(sim, steps, perf_counter() - begin, notes, args.json)
+
+
+def _report(sim: Sim, steps: int, spent: float, notes: list[str], as_json: bool) -> None:
+    """Prints the final state; spent: computing time [s]."""
     kinetic, potential = (float(part) for part in sim.energy)
-    result = {
-        "settings": sim.settings.as_dict(),
-        "steps": steps,
-        "time": float(sim.time),
-        "qpos": sim.qpos,
-        "qvel": sim.qvel,
-        "kinetic": kinetic,
-        "potential": potential,
-        "contacts": len(sim.contacts),
-        "residual": float(sim.residual),
-        "us_per_step": 1e6 * spent / steps if steps else None,
-        "notes": notes,
-    }
-    if args.json:
-        print(json.dumps(jsonable(result), indent=2))
+    cost = 1e6 * spent / steps if steps else None
+    if as_json:
+        data = {
+            "settings": sim.settings,
+            "steps": steps,
+            "time": sim.time,
+            "qpos": sim.qpos,
+            "qvel": sim.qvel,
+            "kinetic": kinetic,
+            "potential": potential,
+            "contacts": len(sim.contacts),
+            "residual": sim.residual,
+            "us_per_step": cost,
+            "notes": notes,
+        }
+        print_json(data)
         return
     print(f"{sim.model!r}\n{sim.settings!r}\n")
-    print(f"time      {result['time']:g} s, {steps} steps")
-    print(f"qpos      {_numbers(sim.qpos)}\nqvel      {_numbers(sim.qvel)}")
-    print(f"energy    {kinetic:.6g} J kinetic, {potential:.6g} J potential")
-    print(f"contacts  {len(sim.contacts)}, residual {float(sim.residual):.2g} m/s")
-    if steps:
-        print(f"computing {1e6 * spent / steps:.3g} us a step")
+    print(f"time       {sim.time:g} s, {steps} steps")
+    print(f"qpos       {_numbers(sim.qpos)}\nqvel       {_numbers(sim.qvel)}")
+    print(f"energy     {kinetic:.6g} J kinetic, {potential:.6g} J potential")
+    print(f"contacts   {len(sim.contacts)}, residual {sim.residual:.2g} m/s")
+    if cost is not None:
+        print(f"computing  {cost:.3g} µs per step")
     for note in notes:
         print(f"note: {note}")
 
@@ -98,7 +117,7 @@ def _steps(duration: float, dt: float) -> int:
 
 
 def _written(error: SimulationError, path: str | None) -> str:
-    """Writes the failure where it was asked for, or under a name of its own here."""
+    """Writes the failed run to `path`, or under a name of its own in this folder."""
     if path is None:
         name = "".join(c if c.isalnum() or c in "-_." else "-" for c in error.replay.name)
         path = f"{name or 'run'}-step{error.step}.replay.json"
@@ -112,11 +131,11 @@ def _numbers(values: Any) -> str:
 
 def _setting(text: str) -> tuple[str, Any]:
     """ "name=value" as a field of Settings and its value."""
+    from stepcore._core import Settings
+
     name, equals, value = text.partition("=")
     if not equals:
         raise Usage(f"--set {text}: must be NAME=VALUE")
-    from stepcore._core import Settings
-
     fields = Settings().as_dict()
     if name not in fields:
         raise Usage(f"--set {text}: settings have no '{name}'{nearest(name, fields)}")

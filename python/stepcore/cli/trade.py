@@ -1,47 +1,69 @@
-"""`stepcore trade`."""
+"""Run a model under many settings and compare each with a converged run: what speed costs in
+accuracy. Given an error or a budget, recommend settings and confirm them on further starts.
+
+Example:
+  stepcore trade gymnasium:half_cheetah --error 1mm --plot trade.png
+"""
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING
 
-from stepcore.cli.options import add_file, add_motion, add_output, check_output, deliver, motion_of
+from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
+from stepcore.cli.output import add_output
+
+if TYPE_CHECKING:
+    from stepcore.report.result import Result
 
 
-def add(commands: Any) -> None:
-    trade = commands.add_parser("trade", help="what speed costs in accuracy on a model")
-    add_file(trade)
-    wanted = trade.add_mutually_exclusive_group()
+def add(command: argparse.ArgumentParser) -> None:
+    add_file(command)
+    wanted = command.add_mutually_exclusive_group()
     wanted.add_argument(
-        "--error", help='recommend the cheapest settings within it: metres, "1mm", "0.1%%" of size'
+        "--error",
+        metavar="LENGTH",
+        help='recommend the cheapest settings within this error: metres, "1mm" or "0.1%%" of '
+        "the scene's size",
     )
     wanted.add_argument(
-        "--budget", help='recommend the most accurate within it: "20us/step", "5ms/s", "100x"'
+        "--budget",
+        metavar="COST",
+        help='recommend the most accurate settings within this cost: "20us/step", "5ms/s", or '
+        '"100x" real time',
     )
-    add_motion(trade)
-    trade.add_argument(
-        "--further", type=int, default=16, help="further starts that confirm (default: 16)"
+    command.add_argument(
+        "--further",
+        type=int,
+        default=16,
+        metavar="N",
+        help="further starts that a recommendation is confirmed on (default: %(default)s)",
     )
-    trade.add_argument("--by", choices=("time", "flops"), default="time", help="what cheap means")
-    trade.add_argument("--grid", action="store_true", help="a full grid in place of the search")
-    trade.add_argument("--mujoco", action="store_true", help="MuJoCo on the same motion too")
-    add_output(trade)
-    trade.add_argument("--all", action="store_true", help="print every setting")
-    trade.set_defaults(call=call)
+    command.add_argument(
+        "--by",
+        choices=("time", "flops"),
+        default="time",
+        help="cost metric: wall time or floating-point operations (default: %(default)s)",
+    )
+    command.add_argument(
+        "--grid", action="store_true", help="try a full grid of settings instead of a search"
+    )
+    command.add_argument("--mujoco", action="store_true", help="run MuJoCo on the same motion too")
+    add_motion(command, {"horizon": 1, "starts": 8})
+    add_output(command, full="print every setting")
 
 
-def call(args: argparse.Namespace) -> None:
+def call(args: argparse.Namespace) -> Result:
     from stepcore.measure.trade import trade
 
-    check_output(args)
-    result = trade(
-        args.file,
+    model = model_of(args)
+    return trade(
+        model,
         error=args.error,
         budget=args.budget,
         further=args.further,
         by=args.by,
         search="grid" if args.grid else None,
         mujoco=args.mujoco,
-        **motion_of(args),
+        **motion_of(args, model),
     )
-    deliver(result, args, full=args.all)

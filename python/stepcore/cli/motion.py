@@ -1,0 +1,151 @@
+"""The model and the motion that several commands take, from the fields of `Motion`."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import importlib
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stepcore.checks import nearest, one_line
+from stepcore.cli.usage import Usage
+
+if TYPE_CHECKING:
+    from stepcore.engine.model import Model
+
+# Options by the field of `Motion` that they set.
+OPTIONS: dict[str, dict[str, Any]] = {
+    "horizon": {"type": float, "metavar": "S", "help": "simulated time [s]"},
+    "starts": {
+        "type": int,
+        "metavar": "N",
+        "help": "initial states: the keyframe, and seeded ones near it",
+    },
+    "seed": {"type": int, "metavar": "N", "help": "of the starts and the default controls"},
+    "key": {"help": "keyframe to start from, by name or index"},
+    "control": {"metavar": "MODULE:FUNCTION", "help": "function of (time, sim) -> controls"},
+    "ctrl": {"metavar": "FILE", "help": "controls, .npy or .csv, a row for each control period"},
+    "control_dt": {"type": float, "metavar": "S", "help": "control period [s]"},
+}
+
+
+def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
+    """The model that a command works on."""
+    words = "path, package:name or lesson:name"
+    command.add_argument("file", metavar="FILE", help=words + default.pop("words", ""), **default)
+
+
+def add_key(command: argparse.ArgumentParser) -> None:
+    """The keyframe to start from, of a command that runs no `Motion`."""
+    command.add_argument("--key", **OPTIONS["key"])
+
+
+def add_motion(
+    command: argparse.ArgumentParser, default: Mapping[str, Any], without: tuple[str, ...] = ()
+) -> None:
+    """The motion that is measured, and how many runs go on at once.
+
+    default: the measurement's own fields of `Motion`, which the help names.
+    """
+    motion = command.add_argument_group("motion")
+    for name, option in OPTIONS.items():
+        if name in without:
+            continue
+        words = option["help"]
+        if default.get(name) is not None:
+            words += f" (default: {default[name]})"
+        motion.add_argument(f"--{name.replace('_', '-')}", **(option | {"help": words}))
+    motion.add_argument(
+        "--threads", type=int, metavar="N", help="runs at the same time (default: one per core)"
+    )
+
+
+def model_of(args: argparse.Namespace) -> Model:
+    """The compiled model of FILE."""
+    from stepcore.reading import load
+
+    return load(args.file).compile()
+
+
+def key_of(args: argparse.Namespace, model: Model) -> str | int | None:
+    """The keyframe of --key: a number is an index where no keyframe has that name."""
+    key: str | None = args.key
+    if key is None or key in model.key_names or not key.isdecimal():
+        return key
+    return int(key)
+
+
+def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
+    """What `add_motion` took, as arguments of a measurement: only what was given."""
+    given = {name: getattr(args, name, None) for name in (*OPTIONS, "threads")}
+    given["key"] = key_of(args, model)
+    if given["ctrl"] is not None:
+        given["ctrl"] = _controls(given["ctrl"])
+    if given["control"] is not None:
+        given["control"] = _function(given["control"])
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def _controls(path: str) -> Any:
+    import numpy as np
+
+    if not os.path.isfile(path):
+        raise Usage(f"--ctrl {path}: no such file")
+    if not path.endswith((".npy", ".csv")):
+        raise Usage(f"--ctrl {path}: must end in .npy or .csv")
+    try:
+        with warnings.catch_warnings():
+            # numpy warns of an empty file, which is an error below.
+            warnings.simplefilter("ignore")
+            if path.endswith(".npy"):
+                values = np.load(path, allow_pickle=False)
+            else:
+                values = np.loadtxt(path, delimiter=",", ndmin=2)
+    except (ValueError, EOFError) as error:
+        raise Usage(f"--ctrl {path}: {one_line(error)}") from None
+    if values.size == 0:
+        raise Usage(f"--ctrl {path}: is empty; must hold a row of controls for each period")
+    return values
+
+
+def _function(text: str) -> Callable[..., Any]:
+    """The function that "module:function" names, found as `python -m` would from here."""
+    module, colon, name = text.partition(":")
+    if not colon or not module or not name:
+        raise Usage(f"--control {text}: must be MODULE:FUNCTION")
+    if "" not in sys.path and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    try:
+        imported = importlib.import_module(module)
+    except Exception as error:
+        raise Usage(f"--control {text}: {_place(error)}") from None
+    function = getattr(imported, name, None)
+    if not callable(function):
+        known = [key for key, value in vars(imported).items() if callable(value)]
+        raise Usage(f"--control {text}: {module} has no function '{name}'{nearest(name, known)}")
+
+    @functools.wraps(function)
+    def control(*args: Any) -> Any:
+        from stepcore._core import SimulationError
+
+        try:
+            return function(*args)
+        except SimulationError:
+            raise
+        except Exception as error:
+            # Not a ValueError, which a measurement would take for a failure of its settings.
+            raise RuntimeError(f"--control {text}: {_place(error)}") from error
+
+    return control
+
+
+def _place(error: Exception) -> str:
+    """An error of the user's own code in one line: its type, its text and the line it is from."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {one_line(error)} ({Path(last.filename).name}:{last.lineno})"

@@ -1,0 +1,79 @@
+"""How results leave the command line: as text, data, a picture or a page."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from stepcore.cli.usage import Usage
+from stepcore.report.result import Result
+from stepcore.report.table import jsonable
+
+
+def add_output(command: argparse.ArgumentParser, *, full: str | None = None) -> None:
+    """Options of a command whose result is a `Result`; full: what --all prints."""
+    output = command.add_argument_group("output")
+    output.add_argument("--plot", metavar="OUT", help="write the plot (.png, .svg, .pdf)")
+    output.add_argument("--html", metavar="OUT", help="write a page of plot, text and tables")
+    output.add_argument(
+        "--json", nargs="?", const="-", metavar="OUT", help="print JSON, or write it to a file"
+    )
+    if full is not None:
+        output.add_argument("--all", action="store_true", help=full)
+
+
+def add_json(command: argparse.ArgumentParser) -> None:
+    """The option of a command whose result is no `Result`."""
+    command.add_argument("--json", action="store_true", help="print JSON instead of text")
+
+
+def check_output(args: argparse.Namespace) -> None:
+    """Before minutes of work: can everything be written at the end?"""
+    for name in ("plot", "html", "json", "save", "replay"):
+        out = getattr(args, name, None)
+        if isinstance(out, str) and out != "-":
+            check_path(out, f"--{name}")
+    if getattr(args, "plot", None) is not None:
+        _need_matplotlib("--plot", args.plot)
+    if getattr(args, "html", None) is not None:
+        _need_matplotlib("--html")
+
+
+def check_path(out: str, option: str) -> None:
+    """Whether a file can be written there, as far as folders tell."""
+    path = Path(out).resolve()
+    if path.is_dir():
+        raise Usage(f"{option} {out}: is a folder, not a file")
+    if not path.parent.is_dir():
+        raise Usage(f"{option} {out}: no such folder")
+
+
+def deliver(result: Result, args: argparse.Namespace) -> None:
+    """Writes and prints a result as `add_output` was asked."""
+    if args.plot is not None:
+        result.plot(args.plot)
+    if args.html is not None:
+        result.to_html(args.html)
+    if args.json == "-":
+        print(result.to_json())
+        return
+    if args.json is not None:
+        Path(args.json).write_text(result.to_json() + "\n", encoding="utf-8")
+    print(result.text(full=getattr(args, "all", False)))
+
+
+def print_json(data: Any) -> None:
+    """Plain data as JSON."""
+    print(json.dumps(jsonable(data), indent=2))
+
+
+def _need_matplotlib(option: str, out: str | None = None) -> None:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise Usage(f"{option} needs matplotlib: pip install 'stepcore[plot]'") from None
+    known = Figure().canvas.get_supported_filetypes()
+    if out is not None and Path(out).suffix.lstrip(".").lower() not in known:
+        raise Usage(f"{option} {out}: the extension must be one of {', '.join(sorted(known))}")
