@@ -237,7 +237,7 @@ def test_ctrl_c_is_exit_130(capsys, monkeypatch):
 
 
 def test_it_runs_as_a_module(ball):
-    command = [sys.executable, "-m", "stepcore.cli", "run", ball, "--duration", "0.1"]
+    command = [sys.executable, "-m", "stepcore", "run", ball, "--duration", "0.1"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "energy" in done.stdout
 

@@ -23,6 +23,7 @@ from stepcore.loading import find_model
 from stepcore.measure.ablation.result import Ablation, FeatureEffect
 from stepcore.measure.ablation.selection import Selection
 from stepcore.measure.ablation.variants import Baseline, outcome_of, times_of, usage_of
+from stepcore.report import units
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import metres, seconds
 from stepcore.scene.scene import Scene
@@ -37,7 +38,7 @@ BUDGET = 3e6
 def ablate(
     model: Model | Scene | str | os.PathLike[str],
     *,
-    error: float = 1e-3,
+    error: float | str = 1e-3,
     horizon: float | None = None,
     key: str | int | None = None,
     control: Control | None = None,
@@ -57,7 +58,7 @@ def ablate(
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Everything runs
         under its own settings.
     error: the RMS position error, over samples and bodies, that the smallest model may add to the
-        whole model's motion in the worst start [m].
+        whole model's motion in the worst start: metres, "1mm", or "0.1%" of the scene's size.
     horizon, key, control, control_dt, ctrl, starts, seed: the motion, as in `stepcore.trade`.
     threads: how many runs at once (default: one a core). executor: any `concurrent.futures`
         executor in place of threads. progress: False, or a function of (label, done, total).
@@ -76,7 +77,8 @@ def ablate(
     model = find_model(model)
     checks.told("ablate", progress)
     check_executor("ablate", executor)
-    checks.real(above=0)("ablate", "error", error)
+    # A wrong error is refused before minutes of work; the scene's size is known later.
+    units.length("ablate", "error", error, 1.0)
     starts, seed = checks.count("starts", starts), checks.count("seed", seed, least=0)
     workers = checks.threads(threads)
     dofs = movable(model.scene, "no motion to keep")
@@ -101,8 +103,9 @@ def ablate(
     with Progress("reference", search.runs, progress) as bar:
         reference = _reference(search, bar, notes)
     baseline = _baseline(course, reference)
+    tolerance = units.length("ablate", "error", error, extent(baseline.paths, model.scene))
     usage = usage_of(course, model.settings)
-    selection = Selection(baseline, RemovableFeatures(model), error)
+    selection = Selection(baseline, RemovableFeatures(model), tolerance)
     removals = selection.features.removals(usage, model.settings)
     with Progress("features", len(removals) + 1, progress) as bar:
         points = [(), *((removal,) for removal in removals)]
@@ -124,7 +127,7 @@ def ablate(
         settings=model.settings,
         horizon=tuned.horizon,
         starts=starts,
-        error=error,
+        error=tolerance,
         whole=FeatureEffect(Removal("whole model", "", ()), whole, times[0]),
         rows=rows,
         removed=removed,
@@ -133,7 +136,7 @@ def ablate(
         restored=selection.restored,
         smallest=without(model.scene.with_settings(model.settings), removed),
         reference=reference.error if reference else None,
-        notes=[*notes, *_notes(reference, baseline, error)],
+        notes=[*notes, *_notes(reference, baseline, tolerance)],
     )
 
 

@@ -1,8 +1,0 @@
-"""`python -m stepcore.cli`."""
-
-import sys
-
-from stepcore.cli import main
-
-if __name__ == "__main__":
-    sys.exit(main())
