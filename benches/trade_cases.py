@@ -19,14 +19,16 @@ import scenes
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.experiment.coordinates import Dofs
 from stepcore.experiment.errors import errors, far_off
-from stepcore.experiment.motion import default_horizon, motion, time_steps
-from stepcore.experiment.reference import Search
-from stepcore.experiment.runner import Course, Path
-from stepcore.measure.trade.glance import glance
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.path import Path
+from stepcore.experiment.reference import ReferenceRuns
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import scheduled, time_steps
+from stepcore.experiment.workers import Workers
 from stepcore.measure.trade.moves import Steps, longest
 from stepcore.measure.trade.settings import COULOMB_LAW, SMOOTH_LAW
+from stepcore.measure.trade.trials import glance, priced
 from stepcore.report.progress import Progress
 
 G = (0, 0, -9.81)
@@ -190,40 +192,28 @@ class Judge:
         model = case.make().compile()
         self.shipped = model.settings
         _, self.period = time_steps(self.shipped.dt, None, None, case.horizon or 1.0)
-        dofs = Dofs(model.scene)
-        if not dofs.motors:
+        if not model.nu:
             self.period = longest(self.period, case.horizon or 1.0)
-        made = motion(
-            model,
-            dofs,
-            horizon=case.horizon or default_horizon(self.period),
-            period=self.period,
-            key=None,
-            ctrl=None,
-            control=None,
-            count=count + 1,
-            seed=seed,
-        )
-        ctrl = None if made.ctrl is None else made.ctrl[1:]
-        made = type(made)(**{**made.__dict__, "starts": made.starts[1:], "ctrl": ctrl})
-        self.course, self.count = Course(model, dofs, made), count
-        self.search = Search(self.course, self.shipped, finest, 1e9, 2)
-        self.integrator = "rk4"
+        motion = Motion(horizon=case.horizon, seed=seed)
+        # The first start, the keyframe, is one that the trade has seen.
+        schedule = scheduled(motion, model, self.period, starts=count + 1).part(1)
+        self.runner, self.count = Runner(model, schedule), count
+        self.runs = ReferenceRuns(self.runner, self.shipped, finest, 1e9, Workers(2))
         with Progress("", 1, False) as bar:
-            self.truth = self.search.level("rk4", finest, bar)
+            self.truth = self.runs.level("rk4", finest, bar)
 
     def wrong(self, settings: sc.Settings, start: int) -> float:
         """The error from one start [m]; inf for a failure."""
-        path, _ = glance(self.course, settings, start)
+        path = glance(self.runner, settings, start)
         true: Path = self.truth.paths[start]
         if path.failure or far_off([path], [true], 1e3):
             return math.inf
-        every = np.ones((1, len(self.course.motion.times)), bool)
+        every = np.ones((1, len(self.runner.schedule.times)), bool)
         return errors([path], [true], every).high
 
     def price(self, settings: sc.Settings) -> float:
         """Operations per simulated second, on the motion of the first start."""
-        return glance(self.course, settings, 0, priced=True)[1].flops
+        return priced(self.runner, settings)[1].flops
 
 
 def every(shipped: sc.Settings, steps: Steps, rows: int) -> Iterator[sc.Settings]:

@@ -13,7 +13,7 @@ import trade_cases
 from trade_cases import CASES, Judge
 
 import stepcore as sc
-from stepcore.experiment.cost import costs
+from stepcore.experiment.cost import TimedRun, costs
 from stepcore.report.progress import Progress
 
 NOTE = (
@@ -62,8 +62,9 @@ def validate(case: trade_cases.Case, brute: bool = True) -> dict[str, object]:
         best = trade_cases.best(judge, case.error, rows, PATIENCE)
         if best is not None:
             price = judge.price(row.settings)
+            timed = [TimedRun(judge.runner, settings) for settings in (row.settings, best[0])]
             with Progress("", 2, False) as bar:
-                times = costs(judge.course, [row.settings, best[0]], bar)
+                times = costs(timed, bar)
             found |= {"best": str(best[0]), "ratio": price / best[1], "times": times[0] / times[1]}
     return found
 

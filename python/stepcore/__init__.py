@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from stepcore.engine.replay import Replay as Replay
     from stepcore.engine.replay import replay as replay
     from stepcore.engine.sim import Sim as Sim
+    from stepcore.experiment.motion import Motion as Motion
     from stepcore.measure.ablation import Ablation as Ablation
     from stepcore.measure.ablation import ablate as ablate
     from stepcore.measure.convergence import Convergence as Convergence
@@ -56,6 +57,7 @@ _MODULES = {
     "stepcore.engine.postmortem": ("PostMortem",),
     "stepcore.engine.replay": ("Replay", "replay"),
     "stepcore.engine.sim": ("Sim",),
+    "stepcore.experiment.motion": ("Motion",),
     "stepcore.measure.ablation": ("Ablation", "ablate"),
     "stepcore.measure.convergence": ("Convergence", "converge"),
     "stepcore.measure.diagnosis": ("Diagnosis", "diagnose"),

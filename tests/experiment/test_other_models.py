@@ -7,11 +7,12 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.experiment.coordinates import Dofs
-from stepcore.experiment.motion import motion
-from stepcore.experiment.other_models import Models, stiffer
-from stepcore.experiment.reference import Search
-from stepcore.experiment.runner import Course
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.other_models import ErrorSplit, stiffer
+from stepcore.experiment.reference import ReferenceRuns
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import scheduled
+from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
 G = 9.81
@@ -46,24 +47,10 @@ def slider(degrees, **options):
 def models(scene, horizon=0.16, period=0.008):
     """The models of a scene, with their reference, one start."""
     model = scene.compile()
-    course = Course(
-        model,
-        Dofs(model.scene),
-        motion(
-            model,
-            Dofs(model.scene),
-            horizon=horizon,
-            period=period,
-            key=None,
-            ctrl=None,
-            control=None,
-            count=1,
-            seed=0,
-        ),
-    )
-    search = Search(course, model.settings, 0.002, 1e6, 1)
-    reference = search.first(Progress("", 1, False))
-    return Models(search, reference, search.size)
+    runner = Runner(model, scheduled(Motion(horizon=horizon, starts=1), model, period))
+    runs = ReferenceRuns(runner, model.settings, 0.002, 1e6, Workers())
+    reference = runs.reference(Progress("", 1, False))
+    return ErrorSplit(runs, reference, runs.size)
 
 
 def test_softness_against_rigid_is_how_deep_it_rests():
@@ -87,7 +74,7 @@ def test_a_penalty_is_soft_by_its_spring():
     options |= {"penalty_stiffness": 1e4, "penalty_damping_ratio": 1.0}
     found = models(resting(**options), horizon=0.4)
     gap = found.gaps()["softness"]
-    turn = math.sqrt(1e4 / 2.0) * found.search.course.motion.times
+    turn = math.sqrt(1e4 / 2.0) * found.runs.runner.schedule.times
     depth = 2.0 * G / 1e4 * (1 - (1 + turn) * np.exp(-turn))
     rms = math.sqrt(np.mean(depth**2))
     assert gap.distance == pytest.approx(rms * (1 - 1 / 256), rel=0.02) and gap.settled
@@ -97,8 +84,8 @@ def test_a_penalty_is_soft_by_its_spring():
 def test_what_refsafe_clamps_is_another_model():
     # At dt 20 ms the time constant is 40 ms: it rests (40/20)² times as deep.
     found = models(resting(dt=0.02), horizon=0.64, period=0.04)
-    shipped = found.search.shipped
-    errors = found.errors(shipped, [found.search.course.run(shipped, 0)])
+    shipped = found.runs.shipped
+    errors = found.errors(shipped, [found.runs.runner.run(shipped, 0)])
     depth = []
     for tau in (0.02, 0.04):
         scene = resting()
@@ -106,8 +93,8 @@ def test_what_refsafe_clamps_is_another_model():
             geom.solref = (tau, 1.0)
         sim = sc.Sim(scene, dt=1e-4)
         depth.append([])
-        for _ in range(len(found.search.course.motion.times)):
-            sim.step(round(10 * 1000 * found.search.course.motion.times[0]))
+        for _ in range(len(found.runs.runner.schedule.times)):
+            sim.step(round(10 * 1000 * found.runs.runner.schedule.times[0]))
             depth[-1].append(float(sim.qpos[0]))
     wanted = math.sqrt(np.mean(np.subtract(*depth) ** 2))
     assert errors.modelling == pytest.approx(wanted, rel=0.02)
@@ -126,10 +113,10 @@ def test_a_stiffer_scene_is_stiffer_however_solref_is_given():
 def test_the_box_against_the_cone_is_how_far_apart_they_slide():
     # At 45° the box slows both tangents by μ g, the cone by μ g / √2 each.
     found = models(slider(45))
-    limit = found.limit(found.search.shipped.replace(cone="pyramidal"))
-    paths = [found.search.course.run(found.search.shipped.replace(cone="pyramidal"), 0)]
-    errors = found.errors(found.search.shipped.replace(cone="pyramidal"), paths)
-    times = found.search.course.motion.times
+    limit = found.limit(found.runs.shipped.replace(cone="pyramidal"))
+    paths = [found.runs.runner.run(found.runs.shipped.replace(cone="pyramidal"), 0)]
+    errors = found.errors(found.runs.shipped.replace(cone="pyramidal"), paths)
+    times = found.runs.runner.schedule.times
     wanted = math.sqrt(2) * (1 - 1 / math.sqrt(2)) * 0.5 * G * times**2 / 2
     assert errors.modelling == pytest.approx(math.sqrt(np.mean(wanted**2)), rel=0.01)
     # Against its own limit it is wrong by what dt makes: v-first, μ g dt t / 2 each tangent.
@@ -138,14 +125,14 @@ def test_the_box_against_the_cone_is_how_far_apart_they_slide():
     assert errors.position == pytest.approx(errors.modelling + errors.numerical, rel=0.1)
     assert limit.dt == found.base.dt
     # The shipped model has no modelling error, whatever its dt.
-    shipped = found.errors(found.search.shipped, [found.search.course.run(found.search.shipped, 0)])
+    shipped = found.errors(found.runs.shipped, [found.runs.runner.run(found.runs.shipped, 0)])
     assert shipped.modelling == 0 and shipped.numerical == shipped.position
 
 
 def test_the_pyramid_as_shipped_is_told_from_the_cone():
     found = models(slider(45, cone="pyramidal"))
     gap = found.gaps()["pyramid"]
-    times = found.search.course.motion.times
+    times = found.runs.runner.schedule.times
     wanted = math.sqrt(2) * (1 - 1 / math.sqrt(2)) * 0.5 * G * times**2 / 2
     assert gap.distance == pytest.approx(math.sqrt(np.mean(wanted**2)), rel=0.01)
     # Along an axis there is no difference.

@@ -9,7 +9,7 @@ from tangents import differences
 
 import stepcore as sc
 from stepcore.engine.linear_maps import INTEGRATORS
-from stepcore.experiment.coordinates import Dofs
+from stepcore.experiment.coordinates import Coordinates
 from stepcore.measure.diagnosis.growth import growth
 from stepcore.measure.diagnosis.linear_motion import parts
 from stepcore.measure.diagnosis.linear_step import State, exact, rates_matrix, step_map
@@ -127,7 +127,7 @@ def test_the_midpoint_step_is_one_linear_system():
     for speed in (0.0, 1.0, 8.0):
         sim = sc.Sim(model)
         change = rng.normal(size=model.nv)
-        sim.qpos[:] = Dofs(scene).moved(model.qpos0, change)
+        sim.qpos[:] = Coordinates(model).moved(model.qpos0, change)
         sim.qvel[:], sim.ctrl[:] = speed * rng.normal(size=model.nv), 0.4
         real = sim.linearize().A
         assert np.abs(midpoint_map(sim) - real).max() < 1e-8 * np.abs(real).max()

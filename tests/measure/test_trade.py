@@ -9,6 +9,7 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.measure.trade.frontier import Frontier
 
 G = 9.81
 
@@ -184,7 +185,7 @@ def test_a_trade_is_named_by_what_it_is_of_and_pickles():
     assert "spring" in repr(result) and result.name == "spring"
     copy = pickle.loads(pickle.dumps(result))
     assert copy.to_json() == result.to_json()
-    with pytest.raises(ValueError, match="no such file"):
+    with pytest.raises(FileNotFoundError, match="no such file"):
         sc.trade("no_such.xml")
 
 
@@ -278,10 +279,13 @@ def test_the_sentence_names_the_worst_start_and_what_the_others_say():
     shipped = result.shipped
     # One start far worse than the others.
     errors = dataclasses.replace(shipped.errors, position_max=0.5, each=(1e-3, 1e-4, 0.2))
-    shipped.errors = errors
+    shipped = dataclasses.replace(shipped, errors=errors)
+    frontier = result.frontier.updated(shipped)
+    result = dataclasses.replace(result, frontier=frontier)
     text = str(result)
     assert "positions are 200 mm wrong over 400 ms (rms; worst of 3 starts, start 2;" in text
     assert "starts differ: median 1 mm; centres at worst 500 mm)" in text
+    shipped = result.shipped
     assert result.error(shipped) == 0.2
     assert result.table[result.rows.index(shipped)]["position_high"] == 0.2
 
@@ -289,8 +293,10 @@ def test_the_sentence_names_the_worst_start_and_what_the_others_say():
 def test_a_largest_error_below_the_references_is_marked():
     result = few(falling(), integrators=["semi-implicit"], starts=1, horizon=0.4)
     assert not any(row.below_max for row in result.rows)
-    result.reference.largest = 1.0
-    again = sc.Trade("x", result.horizon, result.rows, result.reference, 1)
+    coarse = dataclasses.replace(result.reference.known, largest=1.0)
+    reference = dataclasses.replace(result.reference, known=coarse, exact=None)
+    frontier = Frontier.of(result.rows, reference.high, reference.largest, result.by)
+    again = dataclasses.replace(result, frontier=frontier, reference=reference)
     assert all(row.below_max for row in again.rows) and "<1.0e0" in str(again)
     assert again.table[0]["below_max"] and "largest error of" in str(again)
 

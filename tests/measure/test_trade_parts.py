@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 import stepcore as sc
-from stepcore.experiment.coordinates import Dofs
+from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.errors import Errors, moved, pareto
-from stepcore.experiment.motion import motion, time_steps
-from stepcore.experiment.order import orders
-from stepcore.measure.trade.result import Row
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.schedule import scheduled, time_steps
+from stepcore.measure.trade.orders import orders
+from stepcore.measure.trade.row import Row
 from stepcore.report.units import metres, seconds
 
 
@@ -39,9 +40,8 @@ def test_the_first_start_is_the_first_key_named_or_not():
     for height in (1.0, 2.0, 3.0):
         scene.add_key(qpos=[height])
     model = scene.compile()
-    options = {"horizon": 0.1, "period": 0.1, "ctrl": None, "control": None, "count": 1, "seed": 0}
     for key, height in ((None, 1.0), (1, 2.0), (-1, 3.0)):
-        start = motion(model, Dofs(scene), key=key, **options).starts[0]
+        start = scheduled(Motion(horizon=0.1, starts=1, key=key), model, 0.1).starts[0]
         assert start.qpos.tolist() == [height]
 
 
@@ -53,27 +53,17 @@ def test_starts_respect_quaternions_and_ranges():
     arm = scene.add_body("arm", "ball", mass=0.1, inertia=(1e-3, 1e-3, 1e-3))
     scene.add_joint(arm, "hinge", range=(0.0, 0.005))
     model = scene.compile()
-    dofs = Dofs(model.scene)
-    got = motion(
-        model,
-        dofs,
-        horizon=1.0,
-        period=0.04,
-        key=None,
-        ctrl=None,
-        control=None,
-        count=8,
-        seed=3,
-    )
+    coordinates = Coordinates(model)
+    got = scheduled(Motion(horizon=1.0, starts=8, seed=3), model, 0.04)
     assert np.array_equal(got.starts[0].qpos, model.qpos0)
     for start in got.starts:
         assert np.linalg.norm(start.qpos[3:7]) == pytest.approx(1, abs=1e-14)
         assert 0 <= start.qpos[7] <= 0.005
     assert len({start.qpos.tobytes() for start in got.starts}) == 8
     # A change of the dofs and its inverse.
-    change = np.random.default_rng(0).uniform(-0.5, 0.5, dofs.nv)
-    moved = dofs.moved(got.starts[1].qpos, change)
-    assert dofs.change(got.starts[1].qpos, moved) == pytest.approx(change, abs=1e-14)
+    change = np.random.default_rng(0).uniform(-0.5, 0.5, coordinates.nv)
+    moved = coordinates.moved(got.starts[1].qpos, change)
+    assert coordinates.change(got.starts[1].qpos, moved) == pytest.approx(change, abs=1e-14)
 
 
 def test_the_order_of_a_table_is_the_slope_of_errors_over_steps():

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,15 +25,14 @@ from stepcore._core import SimulationError
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Start, product, rotated, rotation
 from stepcore.experiment.expm import expm
-
-if TYPE_CHECKING:
-    from stepcore.experiment.runner import Course, Path
+from stepcore.experiment.path import Path
+from stepcore.experiment.runner import Runner
 
 # What accelerations may differ by from the form's, over the largest seen: rounding, generously.
 AGREES = 1e-9
 
 
-@dataclass
+@dataclass(frozen=True)
 class Exact:
     """The truth in closed form.
 
@@ -52,22 +51,22 @@ class Unfit(Exception):
     """The scene has no such form."""
 
 
-def closed(course: Course, paths: Sequence[Path]) -> Exact | None:
-    """The closed form of a course, or None; paths: the converged runs."""
-    if course.motion.control is not None or any(path.rows for path in paths):
+def closed(runner: Runner, paths: Sequence[Path]) -> Exact | None:
+    """The closed form of a runner's motion, or None; paths: the converged runs."""
+    if runner.schedule.control is not None or any(path.rows for path in paths):
         return None
-    if any(joint[0] == "ball" for joint in course.dofs.joints):
+    if any(joint[0] == "ball" for joint in runner.coordinates.joints):
         return None
     try:
-        form = _Form(course)
+        form = _Form(runner)
         found, error, angle = [], 0.0, 0.0
-        for start in range(len(course.motion.starts)):
+        for start in range(len(runner.schedule.starts)):
             one = form.motion(start, 1)
             two = form.motion(start, 2)
-            a, b = course.poses(*one), course.poses(*two)
+            a, b = runner.bodies.states(*one), runner.bodies.states(*two)
             error = max(error, float(np.abs(a.com - b.com).max(initial=0.0)))
             angle = max(angle, float(np.abs(one[0] - two[0]).max(initial=0.0)))
-            found.append(course.drawn(*one))
+            found.append(runner.bodies.path(*one))
     except (Unfit, ValueError, SimulationError):
         return None
     size = max(float(np.abs(path.com).max(initial=0.0)) for path in found)
@@ -86,15 +85,15 @@ class _Free(NamedTuple):
 class _Form:
     """What the accelerations of a scene are made of."""
 
-    def __init__(self, course: Course) -> None:
-        self.course = course
-        settings = course.model.settings.replace(precision="f64", integrator="rk4")
-        self.sim = course.sim(settings)
-        kinds = course.dofs.joints
+    def __init__(self, runner: Runner) -> None:
+        self.runner = runner
+        settings = runner.model.settings.replace(precision="f64", integrator="rk4")
+        self.sim = runner.sim(settings)
+        kinds = runner.coordinates.joints
         self.q = np.array([q for kind, q, _, _ in kinds if kind != "free"], int)
         self.v = np.array([v for kind, _, v, _ in kinds if kind != "free"], int)
         self.largest = 1e-300
-        begin = course.motion.starts[0]
+        begin = runner.schedule.starts[0]
         self.frees = [self._alone(begin, q, v) for kind, q, v, _ in kinds if kind == "free"]
         n = len(self.q)
         whole = np.zeros((3 * n, 3 * n))
@@ -105,21 +104,21 @@ class _Form:
 
     def motion(self, start: int, parts: int) -> tuple[np.ndarray, np.ndarray]:
         """qpos and qvel at time 0 and at the samples; parts: of a period at a time."""
-        motion, n = self.course.motion, len(self.q)
-        step = expm(self.whole * (motion.period / parts))[: 2 * n]
-        begin = motion.starts[start]
+        schedule, n = self.runner.schedule, len(self.q)
+        step = expm(self.whole * (schedule.period / parts))[: 2 * n]
+        begin = schedule.starts[start]
         state = np.concatenate([begin.qpos[self.q], begin.qvel[self.v]])
         qpos, qvel = [begin.qpos], [begin.qvel]
         slopes = self.whole[n : 2 * n, : 2 * n]
-        for period in range(motion.periods):
-            ctrl = None if motion.ctrl is None else motion.ctrl[start][period]
-            time = period * motion.period
+        for period in range(schedule.periods):
+            ctrl = None if schedule.ctrl is None else schedule.ctrl[start][period]
+            time = period * schedule.period
             push = self._qacc(self._at(begin, state, time), ctrl)[self.v] - slopes @ state
             for _ in range(parts):
                 state = step @ np.concatenate([state, push])
-            here = self._at(begin, state, time + motion.period)
+            here = self._at(begin, state, time + schedule.period)
             self._agree(self._qacc(here, ctrl), slopes @ state + push, here)
-            if (period + 1) % motion.every == 0:
+            if (period + 1) % schedule.every == 0:
                 qpos.append(here.qpos)
                 qvel.append(here.qvel)
         return np.array(qpos), np.array(qvel)
@@ -163,7 +162,7 @@ class _Form:
 
     def _slopes(self, begin: Start) -> np.ndarray:
         """How accelerations change with coordinates and velocities, (n, 2n)."""
-        ctrl = None if self.course.motion.ctrl is None else self.course.motion.ctrl[0][0]
+        ctrl = None if self.runner.schedule.ctrl is None else self.runner.schedule.ctrl[0][0]
         base = self._qacc(begin, ctrl)[self.v]
         columns = []
         for k in range(2 * len(self.q)):

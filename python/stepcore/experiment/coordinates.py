@@ -1,15 +1,13 @@
-"""Where each joint's coordinates lie, and what its motors and dampers do: read from the scene."""
+"""Where each joint's coordinates lie, and what its actuators and dampers do."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from stepcore.engine.stepped import compiled
-from stepcore.scene.actuation import gains
-from stepcore.scene.layout import DOFS, QPOS, Layout
+from stepcore.engine.model import Model
+from stepcore.scene.layout import DOFS, Layout
 
 
 @dataclass(frozen=True)
@@ -24,7 +22,7 @@ class Start:
 class Motor:
     """A motor or servo on the dofs `at`; its ranges as in `stepcore.scene.elements.Actuator`.
 
-    q: the coordinate of a hinge or slide. gain, bias: as in `stepcore.scene.actuation`, compiled.
+    q: the coordinate of a hinge or slide. gain, bias: as in `Model.actuator_bias`.
     """
 
     label: str
@@ -37,33 +35,29 @@ class Motor:
     bias: np.ndarray
 
 
-class Dofs:
-    """The coordinates of a scene once compiled.
+class Coordinates:
+    """The coordinates of a model.
 
     joints: (type, first coordinate, first dof, range) of each. damping: shape (nv,).
     moving: indices of the bodies that a joint moves.
     """
 
-    def __init__(self, scene: Any) -> None:
+    def __init__(self, model: Model) -> None:
+        scene = model.scene
         layout = Layout(scene)
-        self.nv = layout.nv
+        self.nv = model.nv
+        first = list(zip(model.jnt_qposadr.tolist(), model.jnt_dofadr.tolist(), strict=True))
         self.joints: list[tuple[str, int, int, tuple[float, float] | None]] = []
         damping: list[float] = []
-        first: dict[int, tuple[int, int]] = {}
-        q = v = 0
-        for joint in layout.joints:
+        for joint, (q, v) in zip(layout.joints, first, strict=True):
             self.joints.append((joint.type, q, v, joint.range if scene.features.limit else None))
             damping += [joint.damping if scene.features.damper else 0.0] * DOFS[joint.type]
-            first[id(joint)] = q, v
-            q, v = q + QPOS[joint.type], v + DOFS[joint.type]
         self.damping = np.array(damping, float)
         self.moving = [i for i, body in enumerate(layout.bodies) if layout.moving(body)]
         self.motors: list[Motor] = []
         self.works = scene.features.actuation
-        # Compiled, a damping ratio is a damping.
-        bias = compiled(scene).actuator_bias if scene.actuators else ()
         for i, actuator in enumerate(scene.actuators):
-            n, (q, at) = DOFS[actuator.joint.type], first[id(actuator.joint)]
+            n, (q, at) = DOFS[actuator.joint.type], first[model.actuator_joint[i]]
             clamped = actuator.ctrlrange if scene.features.clampctrl else None
             self.motors.append(
                 Motor(
@@ -73,8 +67,8 @@ class Dofs:
                     clamped,
                     actuator.forcerange,
                     q,
-                    gains(actuator).gain,
-                    bias[i],
+                    float(model.actuator_gain[i]),
+                    model.actuator_bias[i],
                 )
             )
 
@@ -172,11 +166,3 @@ def turned(quat: np.ndarray) -> np.ndarray:
     sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(sine, quat[..., :1])
     return quat[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
-
-
-def movable(scene: Any, missing: str) -> Dofs:
-    """The coordinates of a scene; ValueError that says what is missing where nothing can move."""
-    dofs = Dofs(scene)
-    if not dofs.moving:
-        raise ValueError(f"nothing in the scene can move: there is {missing}")
-    return dofs

@@ -1,18 +1,19 @@
-"""What a setting costs: time, measured one run at a time; operations and memory, counted."""
+"""What a setting costs: time, measured in turn with others; operations and memory, counted."""
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from time import get_clock_info, perf_counter, thread_time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from stepcore._core import Settings, SimulationError
+from stepcore._core import SimulationError
 from stepcore.engine.sim import Sim
-from stepcore.experiment.runner import Course
+from stepcore.experiment.path import Path
+from stepcore.experiment.probe import Probe
+from stepcore.experiment.runner import Runner
 from stepcore.report.progress import Progress
 
 # Rounds over all settings: at least, at most; and the time to spend on them if they are quick [s].
@@ -23,16 +24,31 @@ SHORT = 1e-3
 OWN_CLOCK = get_clock_info("thread_time").resolution < 1e-5
 
 
-class Timed(ABC):
-    """What can be run through the motion again and again, and timed."""
+class TimedRun:
+    """The motion of a runner's first start, run again and again under one setting and timed.
 
-    def __init__(self) -> None:
+    failed: it is not run, or not again.
+    """
+
+    def __init__(self, runner: Runner, settings: Any, failed: bool = False) -> None:
+        self.runner, self.settings, self.failed = runner, settings, failed
         self.times: list[float] = []
-        self.failed = False
+        self.sim: Any = None
 
-    @abstractmethod
+    @property
+    def cost(self) -> float:
+        """Computing time [µs per simulated second], the median; NaN if it failed."""
+        if not self.times:
+            return math.nan
+        return 1e6 * float(np.median(self.times)) / self.runner.schedule.horizon
+
     def once(self) -> float:
-        """One run through the motion of the first start; the time its steps took [s]."""
+        """One run; the time that its steps took [s]."""
+        if self.sim is None:
+            self.sim = self.runner.sim(self.settings)
+        watch = Stopwatch()
+        self.runner.follow(self.sim, 0, clock=watch)
+        return watch.total()
 
     def again(self) -> float:
         """Runs for long enough to be timed; the time this took [s]."""
@@ -49,26 +65,21 @@ class Timed(ABC):
         return sum(times)
 
 
-def costs(course: Course, players: Sequence[Settings | Timed], bar: Progress) -> list[float]:
-    """Computing time of each setting [µs per simulated second], median of interleaved rounds.
+def costs(runs: Sequence[TimedRun], bar: Progress) -> list[float]:
+    """Computing time of each run [µs per simulated second], median of interleaved rounds.
 
-    One thread. Every round steps each setting once through the motion of the first start, so
-    that what else the machine does meanwhile falls on all settings alike. Only `Sim.step` is
-    timed, called once a control period, and of that the share of the time in which the thread
-    had a core to itself. A setting that fails gives NaN. Another engine's runs take their turn.
+    One thread. Every round makes each run once, so that what else the machine does meanwhile
+    falls on all of them alike. Only steps are timed, a control period in one call, and of that
+    the share of the time in which the thread had a core to itself. A run that fails gives NaN.
     """
-    runs = [one if isinstance(one, Timed) else _Ours(course, one) for one in players]
     spent = _round(runs, bar)
     more = max(ROUNDS, min(MOST, int(LONG / spent))) - 1 if spent > 0 else ROUNDS
     for _ in range(more):
         _round(runs, None)
-    horizon = course.motion.horizon
-    return [
-        1e6 * float(np.median(run.times)) / horizon if run.times else float("nan") for run in runs
-    ]
+    return [run.cost for run in runs]
 
 
-def _round(runs: Sequence[Timed], bar: Progress | None) -> float:
+def _round(runs: Sequence[TimedRun], bar: Progress | None) -> float:
     spent = 0.0
     for run in runs:
         spent += run.again()
@@ -77,54 +88,27 @@ def _round(runs: Sequence[Timed], bar: Progress | None) -> float:
     return spent
 
 
-class Watch:
-    """Times parts of a run: of their wall time the share in which this thread was computing."""
+class Stopwatch:
+    """Times the steps of a run: of their wall time the share in which this thread was computing."""
 
     def __init__(self) -> None:
         self.spent = 0.0
         self._first, self._own = perf_counter(), thread_time()
 
-    def start(self) -> None:
-        self._begin = perf_counter()
+    def timing(self, step: Callable[[int], None]) -> Callable[[int], None]:
+        """The same step, timed."""
 
-    def stop(self) -> None:
-        self.spent += perf_counter() - self._begin
+        def timed(count: int) -> None:
+            begin = perf_counter()
+            step(count)
+            self.spent += perf_counter() - begin
+
+        return timed
 
     def total(self) -> float:
-        """The time of the parts [s]."""
+        """The time of the steps [s]."""
         whole, own = perf_counter() - self._first, thread_time() - self._own
         return self.spent * min(1.0, own / whole) if OWN_CLOCK and whole > 0 else self.spent
-
-
-class _Ours(Timed):
-    """One setting of stepcore."""
-
-    def __init__(self, course: Course, settings: Settings) -> None:
-        super().__init__()
-        self.course, self.settings = course, settings
-        self.count, self.periods = calls(course, settings.dt)
-        self.drive = course.drive(0)
-        self.sim: Sim | None = None
-
-    def once(self) -> float:
-        if self.sim is None:
-            self.sim = self.course.sim(self.settings)
-        sim, count, drive = self.sim, self.count, self.drive
-        self.course.place(sim, 0)
-        watch = Watch()
-        for period in range(self.periods):
-            drive(sim, period)
-            watch.start()
-            sim.step(count)
-            watch.stop()
-        return watch.total()
-
-
-def calls(course: Course, dt: float) -> tuple[int, int]:
-    """How many steps a call takes, and how many calls the motion."""
-    count, periods = course.motion.steps(dt), course.motion.periods
-    # Where nothing is set between periods: one call, as a user would.
-    return (count, periods) if course.dofs.motors else (count * periods, 1)
 
 
 class Work(NamedTuple):
@@ -137,20 +121,20 @@ class Work(NamedTuple):
 UNKNOWN = Work(math.nan, 0)
 
 
-class Counter:
+class Counter(Probe):
     """Counts the work of a run: operations of one step at every sample, by the engine itself,
     taken to hold until the next; memory at the end, where all contacts have had room.
     """
 
-    def __init__(self, course: Course, settings: Settings) -> None:
-        self._horizon = course.motion.horizon
-        self._steps = course.motion.steps(settings.dt) * course.motion.every
-        self._sum = 0.0
+    def __init__(self, runner: Runner) -> None:
+        self.schedule = runner.schedule
+        self.work, self._sum = UNKNOWN, 0.0
 
-    def look(self, sim: Sim) -> None:
+    def period(self, sim: Sim, period: int) -> None:
         """Counts the next step; nothing moves."""
-        self._sum += sim.count_flops() * self._steps
+        if period % self.schedule.every == 0:
+            steps = self.schedule.steps(sim.settings.dt) * self.schedule.every
+            self._sum += sim.count_flops() * steps
 
-    def total(self, sim: Sim) -> Work:
-        """The work, after the run."""
-        return Work(self._sum / self._horizon, sim.nbytes)
+    def end(self, sim: Sim, path: Path) -> None:
+        self.work = Work(self._sum / self.schedule.horizon, sim.nbytes)

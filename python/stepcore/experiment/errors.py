@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from stepcore.experiment.probes import anisotropy, creep
-from stepcore.experiment.runner import Path, angle, distance
+from stepcore.experiment.path import Path, angle, distance
+from stepcore.experiment.slip import anisotropy, creep
 
 # Further from the reference than this many times the scene's size is no error, but a failure.
 FAR = 100.0
@@ -83,7 +83,7 @@ def errors(
 ) -> Errors:
     """Errors of runs against the reference's, over the samples that are scored (starts, n).
 
-    size: of the scene [m]; sticks: see `stepcore.experiment.probes.creep`.
+    size: of the scene [m]; sticks: see `stepcore.experiment.slip.creep`.
     """
     metres, radians, matter, creeps = [], [], [], []
     for path, true, mask in zip(paths, truth, scored, strict=True):
@@ -132,14 +132,17 @@ def _known(values: Sequence[float | None]) -> float | None:
     return max((value for value in values if value is not None), default=None)
 
 
-def far_off(paths: Sequence[Path], truth: Sequence[Path], size: float) -> str | None:
-    """Why runs that are nowhere near the reference failed, or None; size: of the scene [m].
+def far_off(
+    paths: Sequence[Path], truth: Sequence[Path], size: float, far: float = FAR
+) -> str | None:
+    """Why runs that are nowhere near the reference failed, or None.
 
-    All samples count: chaos is no reason to be far outside of the scene.
+    size: of the scene [m]; far: how many times that is too far. All samples count: chaos is no
+    reason to be far outside of the scene.
     """
     for start, (path, true) in enumerate(zip(paths, truth, strict=True)):
         apart = float(distance(path, true).max(initial=0.0))
-        if not apart <= FAR * size:
+        if not apart <= far * size:
             return f"start {start}: far off ({apart:.2g} m from the reference)"
     return None
 

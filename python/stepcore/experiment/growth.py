@@ -1,4 +1,4 @@
-"""How long a scene can be predicted: twins of the reference that start a rounding apart.
+"""How long a scene can be predicted: perturbed runs, which start a rounding apart.
 
 Each start is run again with its coordinates moved by 1e-9 of the scene's size, in several seeded
 directions. Until two such runs are more than 1e3 times as far apart as they began, an error of a
@@ -6,25 +6,26 @@ setting says something of the setting; after that it says how errors grow in the
 began them. Positions alone are moved: in free motion what is moved then stays as far away as it
 was, and whatever grows in the scene soon grows from any direction.
 
-All twins of a start, the first of them too, are moved by one common 1e-6 of the scene's size. A
-scene in round numbers often has an impact exactly at the end of a step, and there a twin a rounding
+All runs of a start, the first of them too, are moved by one common 1e-6 of the scene's size. A
+scene in round numbers often has an impact exactly at the end of a step, and there a run a rounding
 away meets it one step later: a jump of the method's, not of the scene's.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from stepcore._core import Settings
-from stepcore.executors import each
-from stepcore.experiment.coordinates import Dofs, Start
-from stepcore.experiment.motion import Motion
-from stepcore.experiment.runner import Course, Path, angle, distance
+from stepcore.experiment.bodies import Bodies
+from stepcore.experiment.coordinates import Start
+from stepcore.experiment.path import Path, angle, distance
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
 # Of the scene's size, and of a radian.
@@ -36,7 +37,7 @@ DIRECTIONS = 3
 
 @dataclass(frozen=True)
 class Growth:
-    """How twins separate.
+    """How fast perturbed runs separate.
 
     times [s], shape (n,). factor: how many times further apart than at the start, the largest of
     the directions, shape (starts, n). ends: when it first passes 1e3 in each start [s], inf if it
@@ -61,69 +62,63 @@ class Growth:
 
 
 def growth(
-    course: Course,
-    settings: Settings,
-    size: float,
-    bar: Progress,
-    threads: int = 1,
-    executor: Executor | None = None,
+    runner: Runner, settings: Settings, size: float, workers: Workers, bar: Progress
 ) -> Growth:
-    """Runs the twins of a course under `settings`; size: of the scene [m].
+    """Makes the perturbed runs of a runner under `settings`; size: of the scene [m].
 
-    A twin that fails says nothing, and is left out.
+    A perturbed run that fails says nothing, and is left out.
     """
-    motion = nearby(course.motion, course.dofs, size)
-    twins = Course(course.model, course.dofs, motion)
-    job = partial(twins.run, settings)
-    each_start = range(len(motion.starts))
-    runs = each(job, each_start, bar=bar, threads=threads, executor=executor)
-    count = len(course.motion.starts)
-    factor = np.ones((count, len(motion.times)))
+    schedule = perturbed(runner, size)
+    job = partial(Runner(runner.model, schedule).run, settings)
+    runs = workers.each(job, range(len(schedule.starts)), bar)
+    count = len(runner.schedule.starts)
+    factor = np.ones((count, len(schedule.times)))
     for k in range(count, len(runs)):
         start = k % count
         if not (runs[k].failure or runs[start].failure):
-            far = separation(course, runs[start], runs[k])
-            near = _begun(course, motion.starts[start], motion.starts[k])
+            far = separation(runner.bodies, runs[start], runs[k])
+            near = _begun(runner.bodies, schedule.starts[start], schedule.starts[k])
             factor[start] = np.maximum(factor[start], far / near)
-    ends = [_end(motion.times, one) for one in factor]
-    return Growth(motion.times, factor, np.array(ends))
+    ends = [_end(schedule.times, one) for one in factor]
+    return Growth(schedule.times, factor, np.array(ends))
 
 
-def nearby(motion: Motion, dofs: Dofs, size: float) -> Motion:
-    """The motion from starts all moved aside, then from them moved in one direction, the next …"""
+def perturbed(runner: Runner, size: float) -> Schedule:
+    """Starts that are all moved aside, then these moved in one direction, then in the next …"""
     rng = np.random.default_rng(0)
-    aside = ASIDE * dofs.drawn(rng, size, 1.0)
-    starts = [Start(dofs.moved(start.qpos, aside), start.qvel) for start in motion.starts]
+    coordinates, schedule = runner.coordinates, runner.schedule
+    aside = ASIDE * coordinates.drawn(rng, size, 1.0)
+    starts = [Start(coordinates.moved(one.qpos, aside), one.qvel) for one in schedule.starts]
     for _ in range(DIRECTIONS):
-        for start in starts[: len(motion.starts)]:
-            sign = dofs.scaled(rng.choice([-1.0, 1.0], dofs.nv), size, 1.0)
-            starts.append(Start(dofs.moved(start.qpos, NEARBY * sign), start.qvel))
-    ctrl = None if motion.ctrl is None else np.concatenate([motion.ctrl] * (1 + DIRECTIONS))
-    return dataclasses.replace(motion, starts=tuple(starts), ctrl=ctrl)
+        for start in starts[: len(schedule.starts)]:
+            sign = coordinates.scaled(rng.choice([-1.0, 1.0], coordinates.nv), size, 1.0)
+            starts.append(Start(coordinates.moved(start.qpos, NEARBY * sign), start.qvel))
+    ctrl = None if schedule.ctrl is None else np.concatenate([schedule.ctrl] * (1 + DIRECTIONS))
+    return dataclasses.replace(schedule, starts=tuple(starts), ctrl=ctrl)
 
 
-def separation(course: Course, a: Path, b: Path) -> np.ndarray:
-    """How far the matter of two runs is apart, of the body where it is most [m], shape (n,).
+def separation(bodies: Bodies, a: Path, b: Path) -> np.ndarray:
+    """How far two runs are apart, of the body where it is most [m], shape (n,).
 
     The root mean square over a body of mass m and inertia I turned by a small angle: centres
     apart, and the angle times a radius of gyration, √(tr I / 2m).
     """
-    apart = np.hypot(distance(a, b), course.gyration * angle(a, b))
+    apart = np.hypot(distance(a, b), bodies.gyration * angle(a, b))
     result: np.ndarray = apart.max(axis=1, initial=0.0)
     return result
 
 
-def _begun(course: Course, one: Start, other: Start) -> float:
+def _begun(bodies: Bodies, a: Start, b: Start) -> float:
     """How far two starts are apart [m]."""
-    seen = course.poses(np.array([one.qpos, other.qpos]), np.zeros((2, course.dofs.nv)))
-    a, b = (Path(com=seen.com[i : i + 1], quat=seen.quat[i : i + 1]) for i in (0, 1))
-    return max(float(separation(course, a, b)[0]), 1e-300)
+    seen = bodies.states(np.array([a.qpos, b.qpos]), np.zeros((2, bodies.model.nv)))
+    first, second = (Path(com=seen.com[i : i + 1], quat=seen.quat[i : i + 1]) for i in (0, 1))
+    return max(float(separation(bodies, first, second)[0]), 1e-300)
 
 
 def _end(times: np.ndarray, factor: np.ndarray) -> float:
     """When the growth passes the limit for good, as if exponential between samples [s].
 
-    For good: it does not come back below the limit's square root. Twins that meet something one
+    For good: it does not come back below the limit's square root. Runs that meet something one
     step apart are far apart for a moment, and where the scene dissipates close again after it.
     """
     later = np.minimum.accumulate(np.nan_to_num(factor, nan=np.inf)[::-1])[::-1]

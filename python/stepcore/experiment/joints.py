@@ -2,44 +2,41 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stepcore.experiment.coordinates import rotated, turned
-from stepcore.scene.layout import QPOS
-
-if TYPE_CHECKING:
-    from stepcore.experiment.runner import Course, Seen
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.experiment.coordinates import Coordinates, rotated, turned
+from stepcore.scene.layout import QPOS, Layout
 
 
 class Joints:
     """The connections and the limits of a scene. connected: it has any of the former."""
 
-    def __init__(self, course: Course) -> None:
-        scene, layout, dofs = course.model.scene, course.layout, course.dofs
-        self.ranges = [(kind, q, limits) for kind, q, _, limits in dofs.joints if limits]
+    def __init__(self, model: Model, layout: Layout, coordinates: Coordinates) -> None:
+        scene = model.scene
+        self.ranges = [(kind, q, limits) for kind, q, _, limits in coordinates.joints if limits]
         works = scene.features.equality and scene.features.constraint
         ties = [e for e in scene.equalities if e.active and e.type == "connect" and works]
         self.connected = bool(ties)
         # (body 1, the point in its frame, body 2, the point in its frame).
         self.ties: list[tuple[int, np.ndarray, int, np.ndarray]] = []
         if ties:
-            sim = course.sim(course.model.settings.replace(precision="f64"))
+            sim = Sim(model, model.settings.replace(precision="f64"))
             place, turn = sim.xpos, sim.xmat
             for tie in ties:
                 a, b = layout.index[id(tie.body1)], layout.index[id(tie.body2)]
                 point = place[a] + turn[a] @ np.array(tie.anchor)
                 self.ties.append((a, np.array(tie.anchor), b, turn[b].T @ (point - place[b])))
 
-    def apart(self, seen: Seen) -> float | None:
-        """The widest gap of a connection [m], None without one."""
+    def apart(self, frames: np.ndarray) -> float | None:
+        """The widest gap of a connection [m], None without one; frames: see `States`."""
         if not self.connected:
             return None
         gaps = []
-        for a, one, b, other in self.ties:
-            here = seen.frames[:, a, :3] + rotated(seen.frames[:, a, 3:], one)
-            there = seen.frames[:, b, :3] + rotated(seen.frames[:, b, 3:], other)
+        for a, near, b, far in self.ties:
+            here = frames[:, a, :3] + rotated(frames[:, a, 3:], near)
+            there = frames[:, b, :3] + rotated(frames[:, b, 3:], far)
             gaps.append(np.linalg.norm(here - there, axis=1).max())
         return float(max(gaps))
 

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-if TYPE_CHECKING:
-    from stepcore.experiment.motion import Motion
-    from stepcore.experiment.runner import Course, Seen
+from stepcore.engine.model import Model
+from stepcore.scene.layout import Layout
 
 
 class Balance:
     """Whether a scene's momentum can be known, and how much of it a run lost.
 
     known: every tree hangs on the world by a free joint on which nothing but gravity acts. Then
-    internal forces, motors and contacts among the bodies included, cancel: p = p₀ + m g t, and
+    internal forces, actuators and contacts among the bodies included, cancel: p = p₀ + m g t, and
     the angular momentum about the centre of mass stays as it is. Forces written to a Sim from
     outside and contacts with what stands still would have to be measured, not known.
     """
 
-    def __init__(self, course: Course) -> None:
-        scene, layout = course.model.scene, course.layout
+    def __init__(self, model: Model, layout: Layout, gravity: np.ndarray, mass: np.ndarray) -> None:
+        scene = model.scene
         roots = [
             joint
             for joint in layout.joints
@@ -32,7 +29,7 @@ class Balance:
             e.active and not (layout.moving(e.body1) and layout.moving(e.body2))
             for e in scene.equalities
         )
-        self.gravity, self.mass = course.gravity, course.mass
+        self.gravity, self.mass = gravity, mass
         self.known = not tied and all(
             joint.type == "free"
             and not (joint.damping or joint.stiffness or joint.armature or joint.frictionloss)
@@ -40,18 +37,15 @@ class Balance:
             for joint in roots
         )
 
-    def lost(self, seen: Seen, motion: Motion, grounded: bool) -> tuple[float | None, float | None]:
+    def lost(self, momenta: np.ndarray, com: np.ndarray, times: np.ndarray) -> tuple[float, float]:
         """The most linear [kg·m/s] and angular momentum [kg·m²/s] unexplained at a sample.
 
-        None where it cannot be known. grounded: something touched what does not move.
+        momenta, com: see `States`, first those of the start; times: of these samples [s].
         """
-        if not self.known or grounded:
-            return None, None
-        times = np.concatenate([[0.0], motion.times])[: len(seen.momenta), None]
-        linear, total = seen.momenta[:, :3], self.mass.sum()
-        centre = np.einsum("b,nbi->ni", self.mass, seen.com) / total
-        spin = seen.momenta[:, 3:] - np.cross(centre, linear)
-        pushed = linear - linear[0] - total * times * self.gravity
+        linear, total = momenta[:, :3], self.mass.sum()
+        centre = np.einsum("b,nbi->ni", self.mass, com) / total
+        spin = momenta[:, 3:] - np.cross(centre, linear)
+        pushed = linear - linear[0] - total * times[: len(momenta), None] * self.gravity
         return (
             float(np.linalg.norm(pushed, axis=1).max()),
             float(np.linalg.norm(spin - spin[0], axis=1).max()),

@@ -10,15 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stepcore._core import Settings
 from stepcore.experiment.errors import Errors
-
-if TYPE_CHECKING:
-    from stepcore.measure.trade.result import Row
 
 ORDERS = (1, 2, 4)
 # An order counts that is within this share of one of them.
@@ -109,25 +104,3 @@ def known(
         sure["largest"], orders["largest"] = float(bound), orders["high"]
         bases["largest"] = f"{bases['high']}; √(samples × bodies) times the worst start's"
     return Known(**sure, orders=orders, bases=bases)
-
-
-def orders(rows: Sequence[Row], least: float, most: float = np.inf) -> dict[str, float]:
-    """The order that each integrator shows in a table: log of errors over log of steps.
-
-    The slope of a line through runs that differ in dt alone, by a factor of two or more, in double
-    precision, whose worst start is further from the truth than `least` [m] and nearer than `most`
-    (beyond it errors no longer grow with dt), and whose model is the shipped one, not made softer
-    by refsafe; the median, where an integrator has several such lines.
-    """
-    slopes: dict[str, list[float]] = {}
-    kinds: dict[Settings, list[tuple[float, float]]] = {}
-    for row in rows:
-        e, s = row.errors, row.settings
-        own = s.precision == "f64" and not row.clamped and e is not None and e.modelling == 0
-        if e is not None and own and least < e.high < most:
-            kinds.setdefault(s.replace(dt=1.0), []).append((s.dt, e.high))
-    for kind, points in kinds.items():
-        dts, errors = np.log(np.array(points)).T
-        if np.ptp(dts) >= np.log(2) * (1 - 1e-9):
-            slopes.setdefault(kind.integrator, []).append(float(np.polyfit(dts, errors, 1)[0]))
-    return {name: float(np.median(found)) for name, found in slopes.items()}

@@ -18,8 +18,9 @@ from typing import Any
 from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.experiment.errors import STICKS, Errors, errors
-from stepcore.experiment.reference import Gap, Level, Reference, Search
-from stepcore.experiment.runner import Course, Path
+from stepcore.experiment.path import Path
+from stepcore.experiment.reference import Gap, Level, Reference, ReferenceRuns
+from stepcore.experiment.runner import Runner
 from stepcore.report.progress import Progress
 from stepcore.scene.scene import Scene
 
@@ -40,14 +41,14 @@ HARDER = {"solref": "solref time constants / {0:g}", "penalty": "penalty_stiffne
 SETTLED = 0.25
 
 
-class Models:
+class ErrorSplit:
     """Splits errors into numerical and modelling ones; keeps the limits that it finds."""
 
-    def __init__(self, search: Search, reference: Reference, size: float) -> None:
-        self.search, self.reference, self.size = search, reference, size
-        chains = search.chains
+    def __init__(self, runs: ReferenceRuns, reference: Reference, size: float) -> None:
+        self.runs, self.reference, self.size = runs, reference, size
+        chains = runs.chains
         names = sorted(chains, key=lambda name: name == "rk4")
-        near = [level for level in chains[names[0]] if level.dt <= search.finest / 2]
+        near = [level for level in chains[names[0]] if level.dt <= runs.finest / 2]
         self.cheap: Level = near[0] if near else chains[names[0]][-1]
         self.acts = any(path.rows or path.overlap for path in self.cheap.paths)
         self.base: Level = reference.levels[-2]
@@ -75,7 +76,7 @@ class Models:
             modelling = self._apart(paths, double).high
             numerical = self._apart(double, self.reference.paths).high
             paths = double
-        own = self.search.shipped
+        own = self.runs.shipped
         if _modelled(exact) != _modelled(own) or self._clamp(exact):
             limit = self.limit(exact)
             if limit.failed:
@@ -88,19 +89,19 @@ class Models:
         """The limit of the model that settings stand for."""
         key = (*_modelled(settings), self._clamp(settings))
         if key not in self.limits:
-            course = self.search.course
+            runner = self.runs.runner
             if self._clamp(settings):
-                scene = clamped(course.model.scene, 2 * settings.dt)
-                model = Model(scene, course.model.settings)
-                course = Course(model, course.dofs, course.motion)
-            self.limits[key] = self._level(course, settings, self.base)
+                scene = clamped(runner.model.scene, 2 * settings.dt)
+                model = Model(scene, runner.model.settings)
+                runner = Runner(model, runner.schedule)
+            self.limits[key] = self._level(runner, settings, self.base)
         return self.limits[key]
 
     def _clamp(self, settings: Settings) -> float:
         """The step at which `refsafe` makes the scene softer [s], 0 where it does not."""
         if settings.law != "solref" or not settings.refsafe or not self.acts:
             return 0.0
-        shortest = clamping(self.search.course.model.scene)
+        shortest = clamping(self.runs.runner.model.scene)
         return settings.dt if shortest and 2 * settings.dt > shortest * (1 + 1e-12) else 0.0
 
     def gaps(self) -> dict[str, Gap]:
@@ -111,11 +112,11 @@ class Models:
         rigid in their limit.
         """
         found: dict[str, Gap] = {}
-        course, shipped, here = self.search.course, self.search.shipped, self.cheap.paths
+        runner, shipped, here = self.runs.runner, self.runs.shipped, self.cheap.paths
         if not self.acts:
             return found
         if shipped.cone == "pyramidal" and any(any(path.slips) for path in here):
-            limit = self._level(course, shipped.replace(cone="elliptic"), self.cheap)
+            limit = self._level(runner, shipped.replace(cone="elliptic"), self.cheap)
             if not limit.failed:
                 apart = self._apart(limit.paths, here).high
                 found["pyramid"] = Gap(apart, "elliptic cones")
@@ -133,33 +134,33 @@ class Models:
 
     def _harder(self, factor: float) -> Level:
         """The limit of the scene with contacts whose time constants are shorter."""
-        course, shipped = self.search.course, self.search.shipped
+        runner, shipped = self.runs.runner, self.runs.shipped
         if shipped.law == "penalty":
             hard = shipped.replace(penalty_stiffness=shipped.penalty_stiffness * factor**2)
             # Explicit: the step must follow the spring.
             like = Level(self.cheap.dt / factor, self.cheap.integrator, [])
-            return self._level(course, hard, like)
-        model = Model(stiffer(course.model.scene, factor), course.model.settings)
-        return self._level(Course(model, course.dofs, course.motion), shipped, self.cheap)
+            return self._level(runner, hard, like)
+        model = Model(stiffer(runner.model.scene, factor), runner.model.settings)
+        return self._level(Runner(model, runner.schedule), shipped, self.cheap)
 
-    def _level(self, course: Course, settings: Settings, like: Level) -> Level:
-        """All starts of a course and a model, at the step and with the integrator of a level."""
-        search, name = self.search, like.integrator
+    def _level(self, runner: Runner, settings: Settings, like: Level) -> Level:
+        """All starts of another model's runner, at the step and with the integrator of a level."""
+        runs, name = self.runs, like.integrator
         soft = settings.law == "solref"
         if not soft and name in SMOOTH:
             name = "semi-implicit"
         solver = "newton" if soft else "pgs"
         shipped = settings.replace(integrator=name, solver=solver, acceleration="none")
-        other = Search(course, shipped, search.finest, 0.0, search.threads, search.executor)
+        other = ReferenceRuns(runner, shipped, runs.finest, 0.0, runs.workers)
         level = other.level(name, like.dt, Progress("", 1, False))
-        search.spent += other.spent
+        runs.spent += other.spent
         return level
 
     def _double(self, settings: Settings) -> list[Path] | None:
         """The same runs in double precision, None if they fail."""
         if settings not in self.doubles:
-            starts = range(len(self.search.course.motion.starts))
-            paths = [self.search.course.run(settings, start) for start in starts]
+            starts = range(len(self.runs.runner.schedule.starts))
+            paths = [self.runs.runner.run(settings, start) for start in starts]
             if any(path.failure for path in paths):
                 return None
             self.doubles[settings] = paths

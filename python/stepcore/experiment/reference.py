@@ -2,16 +2,16 @@
 
 Two integrators run at halved steps, their rows solved to rounding. What is modelled, the softness
 of contacts above all, stays the scene's, and `refsafe` does not touch it. The better known of the
-two is the reference; it is halved on until its error is a tenth of the smallest that the table
-shows, or the budget is spent. How its error is known is in `stepcore.experiment.order`. Where the
-motion has a closed form (`stepcore.experiment.closed_form`), that is the truth, and checks the
+two is the reference; it is halved further until its error is a tenth of the smallest that the
+table shows, or the budget is spent. How its error is known is in `stepcore.experiment.order`. Where
+the motion has a closed form (`stepcore.experiment.closed_form`), that is the truth, and checks the
 reference.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
@@ -19,12 +19,14 @@ from itertools import pairwise
 import numpy as np
 
 from stepcore._core import Settings
-from stepcore.executors import each
 from stepcore.experiment.closed_form import Exact, closed
+from stepcore.experiment.converged import converged_settings
 from stepcore.experiment.errors import Errors, errors, extent
 from stepcore.experiment.growth import DIRECTIONS, Growth, growth
 from stepcore.experiment.order import Known, known, observed, shown
-from stepcore.experiment.runner import Course, Path
+from stepcore.experiment.path import Path
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
 # A tenth: the reference's error may then change the last digit of an error shown, no more.
@@ -45,7 +47,7 @@ COARSEST = 64
 DEPENDENT = ("lesson", "relaxed")
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Level:
     """All starts at one time step. moved: from the level of twice the step to this one."""
 
@@ -82,24 +84,22 @@ class Gap:
     settled: bool = True
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Reference:
     """The converged motion of a scene.
 
-    level: the finest run of one integrator, levels: its halvings. error, largest (of any body,
-    sample and start), high (of the worst start) [m], angle [rad]: what the truth may be wrong by,
-    measured as errors in the table are. basis: how `high` is known, in words; order: what
-    Richardson used for it (1, 2 or 4), or None; known: the same of every measure. orders:
-    what the halvings of each integrator showed of the median start, coarsest first.
+    level: the finest run of one integrator, levels: its halvings. known: what `level` may be wrong
+    by. orders: what the halvings of each integrator showed of the median start, coarsest first.
     agreement [m]: distance to the finest run of another integrator, `other`, whose own halving
-    moved it by other_error. growth: of twins. exact: the closed form, where there is one.
-    gaps: to other models, see `stepcore.experiment.other_models`.
+    moved it by other_error. growth: of the perturbed runs. exact: the closed form, where there is
+    one. gaps: to other models, see `stepcore.experiment.other_models`.
     stiffens: rows act whose law grows stiffer as dt shrinks, so that the limit is a harder scene.
+    stalls: halvings in a row that did not help.
     """
 
     settings: Settings
     level: Level
-    levels: list[Level]
+    levels: tuple[Level, ...]
     growth: Growth
     known: Known
     orders: dict[str, list[float]]
@@ -111,18 +111,35 @@ class Reference:
     stalls: int = 0
     gaps: dict[str, Gap] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        self.told()
+    @property
+    def error(self) -> float:
+        """What the truth may be wrong by in the median start [m], measured as errors are."""
+        return self.known.error if self.exact is None else self.exact.error
 
-    def told(self) -> None:
-        """Takes error and its like from what is known."""
-        if self.exact is None:
-            k = self.known
-            self.error, self.largest, self.high, self.angle = k.error, k.largest, k.high, k.angle
-            self.basis, self.order = k.bases["high"], k.orders["high"]
-        else:
-            self.error = self.largest = self.high = self.exact.error
-            self.angle, self.basis, self.order = self.exact.angle, self.exact.basis, None
+    @property
+    def high(self) -> float:
+        """The same of the worst start [m]."""
+        return self.known.high if self.exact is None else self.exact.error
+
+    @property
+    def largest(self) -> float:
+        """The same of any body, sample and start [m]."""
+        return self.known.largest if self.exact is None else self.exact.error
+
+    @property
+    def angle(self) -> float:
+        """The same of orientations [rad]."""
+        return self.known.angle if self.exact is None else self.exact.angle
+
+    @property
+    def basis(self) -> str:
+        """How `high` is known, in words."""
+        return self.known.bases["high"] if self.exact is None else self.exact.basis
+
+    @property
+    def order(self) -> int | None:
+        """The order that Richardson used for `high` (1, 2 or 4); None where it did not."""
+        return self.known.orders["high"] if self.exact is None else None
 
     @property
     def scored(self) -> np.ndarray:
@@ -135,62 +152,64 @@ class Reference:
         return self.level.paths if self.exact is None else self.exact.paths
 
 
-class Search:
-    """Looks for the reference of a course; counts what it spends in steps × (dofs + 2)."""
+class ReferenceRuns:
+    """Makes the runs that a reference needs; counts what they cost in steps × (dofs + 2).
+
+    shipped: settings of the scene. finest: the shortest time step that is to be judged [s].
+    budget: what all runs may cost. chains: the halvings of each integrator, coarsest first.
+    size: of the scene [m], once runs were made.
+    """
 
     def __init__(
         self,
-        course: Course,
+        runner: Runner,
         shipped: Settings,
         finest: float,
         budget: float,
-        threads: int,
-        executor: Executor | None = None,
+        workers: Workers,
     ):
-        self.course, self.shipped, self.budget, self.threads = course, shipped, budget, threads
-        self.executor, self.finest, self.spent = executor, finest, 0.0
+        self.runner, self.shipped, self.budget, self.workers = runner, shipped, budget, workers
+        self.finest, self.spent = finest, 0.0
         self.chains: dict[str, list[Level]] = {}
         self.size = 1.0
 
     @property
-    def runs(self) -> int:
-        """How many runs `first` makes, at least."""
-        return (2 * (HALVINGS + 1) + 1 + DIRECTIONS) * len(self.course.motion.starts)
+    def starts(self) -> int:
+        """How many starts the schedule has."""
+        return len(self.runner.schedule.starts)
+
+    @property
+    def least(self) -> int:
+        """How many runs `reference` makes, at least."""
+        return (2 * (HALVINGS + 1) + 1 + DIRECTIONS) * self.starts
+
+    @property
+    def second(self) -> str:
+        """The integrator that rk4 is compared with."""
+        return "implicitfast" if self.shipped.law == "solref" else "semi-implicit"
 
     def settings(self, integrator: str, dt: float) -> Settings:
-        """Reference settings: rows solved to rounding, as the law allows."""
-        soft = self.shipped.law == "solref"
-        return self.shipped.replace(
-            dt=dt,
-            integrator=integrator,
-            solver="newton" if soft else "pgs",
-            acceleration="none",
-            sweeps=200 if soft else 20_000,
-            tolerance=1e-13,
-            warm_start=True,
-            precision="f64",
-            **({"refsafe": False} if soft else {}),
+        """Reference settings: rows solved to rounding, contacts as soft as the scene says."""
+        return converged_settings(
+            self.shipped, dt=dt, integrator=integrator, warm_start=True, refsafe=False
         )
 
     def cost(self, integrator: str, dt: float) -> float:
         """Of all starts at one step, in steps of rk4, which solves four times, × (dofs + 2)."""
-        motion = self.course.motion
-        steps = motion.periods * motion.steps(dt) * len(motion.starts)
-        return steps * (self.course.dofs.nv + 2) * (1.0 if integrator == "rk4" else 0.25)
+        schedule = self.runner.schedule
+        steps = schedule.periods * schedule.steps(dt) * self.starts
+        return steps * (self.runner.model.nv + 2) * (1.0 if integrator == "rk4" else 0.25)
 
     def level(self, integrator: str, dt: float, bar: Progress) -> Level:
         """All starts at one step."""
         self.spent += self.cost(integrator, dt)
-        job = partial(self.course.run, self.settings(integrator, dt))
-        starts = range(len(self.course.motion.starts))
-        paths = each(job, starts, bar=bar, threads=self.threads, executor=self.executor)
-        return Level(dt, integrator, paths)
+        job = partial(self.runner.run, self.settings(integrator, dt))
+        return Level(dt, integrator, self.workers.each(job, range(self.starts), bar))
 
-    def first(self, bar: Progress) -> Reference:
-        """Two integrators, three halvings each, and the twins; the better known one."""
-        second = "implicitfast" if self.shipped.law == "solref" else "semi-implicit"
+    def reference(self, bar: Progress) -> Reference:
+        """Two integrators at three halvings each, and perturbed runs; the better known one."""
         steps = self._steps()
-        for integrator in (second, "rk4"):
+        for integrator in (self.second, "rk4"):
             levels = [self.level(integrator, dt, bar) for dt in steps]
             whole = [i for i, level in enumerate(levels) if level.failed]
             levels = levels[whole[-1] + 1 :] if whole else levels
@@ -204,29 +223,26 @@ class Search:
             )
         # The finer of two where there are only those; rk4's, where it runs.
         base = list(self.chains.values())[-1][-3:][0]
-        self.size = extent(base.paths, self.course.model.scene)
-        found = self._growth(base, bar)
-        for levels in self.chains.values():
-            for coarse, fine in pairwise(levels):
-                fine.moved = self.apart(coarse, fine, found)
-            self._coarser(levels, found, bar)
-        reference = self._reference(found)
+        self.size = extent(base.paths, self.runner.model.scene)
+        growth = self._growth(base, bar)
+        for name, levels in self.chains.items():
+            levels[1:] = [self._measured(*pair, growth) for pair in pairwise(levels)]
+            self._add_coarser(name, growth, bar)
+        reference = self._better_known(growth)
         if reference.known.high > EAGER * reference.level.high:
-            self._catch_up(reference, found, bar)
-            reference = self._reference(found, reference.level.integrator)
-        reference.exact = self._exact(reference, found)
-        reference.told()
-        return reference
+            self._catch_up(reference, bar)
+            reference = self._better_known(growth, reference.level.integrator)
+        return dataclasses.replace(reference, exact=self._exact(reference))
 
-    def _exact(self, reference: Reference, found: Growth) -> Exact | None:
+    def _exact(self, reference: Reference) -> Exact | None:
         """The closed form, unless the converged run says that something was met on the way."""
-        exact = closed(self.course, reference.level.paths)
+        exact = closed(self.runner, reference.level.paths)
         if exact is None:
             return None
         truth = Level(0.0, "", exact.paths)
-        exact.check = self.apart(reference.level, truth, found).median
-        meets = exact.check > FINER * reference.error + 1e-9 * self.size
-        return None if meets else exact
+        check = self.apart(reference.level, truth, reference.growth).median
+        meets = check > FINER * reference.error + 1e-9 * self.size
+        return None if meets else dataclasses.replace(exact, check=check)
 
     def _steps(self) -> list[float]:
         """Three halvings, from twice the finest step; from four times where that costs too much."""
@@ -237,14 +253,13 @@ class Search:
                 break
         return steps
 
-    def alone(self, bar: Progress) -> tuple[Level, Growth]:
-        """One run of every start and its twins, and no reference: how long it can be predicted."""
-        second = "implicitfast" if self.shipped.law == "solref" else "semi-implicit"
+    def growth(self, bar: Progress) -> tuple[Level, Growth]:
+        """Every start and perturbed ones at one step: how long it can be predicted."""
         for dt in (self.finest / 2, self.finest / 8):
-            for integrator in ("rk4", second):
+            for integrator in ("rk4", self.second):
                 base = self.level(integrator, dt, bar)
                 if not base.failed:
-                    self.size = extent(base.paths, self.course.model.scene)
+                    self.size = extent(base.paths, self.runner.model.scene)
                     return base, self._growth(base, bar)
         raise ValueError(f"the scene fails at dt = {dt:g} s: {base.failed}")
 
@@ -253,32 +268,30 @@ class Search:
         done = reference.exact is not None or reference.high <= ROUNDING * self.size
         if done or reference.stalls > 1:
             return False
-        levels = [self.chains[name][-1] for name in self._coarsest(reference)]
-        cost = sum(self.cost(one.integrator, one.dt / 2) for one in levels)
+        levels = [self.chains[name][-1] for name in self._deciding(reference)]
+        cost = sum(self.cost(level.integrator, level.dt / 2) for level in levels)
         return self.spent + cost <= self.budget
 
-    def refine(self, reference: Reference, bar: Progress) -> bool:
-        """Halves the step that decides the reference's error; False if that run fails.
+    def refined(self, reference: Reference, bar: Progress) -> Reference | None:
+        """The reference with the step halved that decides its error; None if that run fails.
 
         That is the reference's own where Richardson tells its error; elsewhere that of the
         integrator which its last halving moved more, or of both.
         """
-        before = reference.high
-        for name in self._coarsest(reference):
+        for name in self._deciding(reference):
             if not self._halve(name, reference.growth, bar):
-                return False
-        better = self._reference(reference.growth, reference.level.integrator)
-        stalls = reference.stalls + 1 if better.high > STALLED * before else 0
-        reference.__dict__.update(better.__dict__ | {"stalls": stalls})
-        return True
+                return None
+        better = self._better_known(reference.growth, reference.level.integrator)
+        stalls = reference.stalls + 1 if better.high > STALLED * reference.high else 0
+        return dataclasses.replace(better, stalls=stalls)
 
-    def _catch_up(self, reference: Reference, found: Growth, bar: Progress) -> None:
+    def _catch_up(self, reference: Reference, bar: Progress) -> None:
         """Halves the other integrator's step twice: cheap, where its run decides the error."""
         for _ in range(2 if reference.other not in ("", "rk4") else 0):
-            if not self._halve(reference.other, found, bar):
+            if not self._halve(reference.other, reference.growth, bar):
                 return
 
-    def _coarsest(self, reference: Reference) -> list[str]:
+    def _deciding(self, reference: Reference) -> list[str]:
         """The integrators that a refinement halves."""
         own = reference.level.integrator
         if reference.order is not None or not reference.other:
@@ -286,58 +299,59 @@ class Search:
         moved = {name: self.chains[name][-1].high for name in (own, reference.other)}
         return [name for name in moved if moved[name] >= max(moved.values()) / 2]
 
-    def _halve(self, integrator: str, found: Growth, bar: Progress) -> bool:
+    def _halve(self, integrator: str, growth: Growth, bar: Progress) -> bool:
         """Adds a finer level to an integrator's; False if it fails."""
         coarse = self.chains[integrator][-1]
         fine = self.level(integrator, coarse.dt / 2, bar)
-        if fine.failed:
-            return False
-        fine.moved = self.apart(coarse, fine, found)
-        self.chains[integrator].append(fine)
-        return True
+        if not fine.failed:
+            self.chains[integrator].append(self._measured(coarse, fine, growth))
+        return not fine.failed
 
-    def apart(self, coarse: Level, fine: Level, found: Growth) -> Errors:
+    def apart(self, coarse: Level, fine: Level, growth: Growth) -> Errors:
         """The distance of a level to another, as errors are measured."""
-        return errors(coarse.paths, fine.paths, found.scored)
+        return errors(coarse.paths, fine.paths, growth.scored)
+
+    def _measured(self, coarse: Level, fine: Level, growth: Growth) -> Level:
+        """The finer level with its distance to the coarser."""
+        return dataclasses.replace(fine, moved=self.apart(coarse, fine, growth))
 
     def _fits(self, dt: float) -> bool:
         """Whether a step divides the period."""
-        count = self.course.motion.period / dt
+        count = self.runner.schedule.period / dt
         return count >= 0.5 and abs(count - round(count)) < 1e-6 * count
 
     def _growth(self, base: Level, bar: Progress) -> Growth:
-        """That of the twins of a level."""
+        """That of runs perturbed at a level."""
         settings = self.settings(base.integrator, base.dt)
         self.spent += (1 + DIRECTIONS) * self.cost(base.integrator, base.dt)
-        return growth(self.course, settings, self.size, bar, self.threads, self.executor)
+        return growth(self.runner, settings, self.size, self.workers, bar)
 
-    def _coarser(self, levels: list[Level], found: Growth, bar: Progress) -> None:
+    def _add_coarser(self, integrator: str, growth: Growth, bar: Progress) -> None:
         """Adds coarser levels where all there are have met rounding, to see an order at all."""
-        floor = ROUNDING * self.size
+        floor, levels = ROUNDING * self.size, self.chains[integrator]
         while (
-            shown([one.distance for one in levels[1:]], floor) is None
+            shown([level.distance for level in levels[1:]], floor) is None
             and levels[1].distance < 1e3 * floor
             and levels[0].dt < COARSEST * self.finest
             and self._fits(2 * levels[0].dt)
         ):
-            coarse = self.level(levels[0].integrator, 2 * levels[0].dt, bar)
+            coarse = self.level(integrator, 2 * levels[0].dt, bar)
             if coarse.failed:
                 return
-            levels[0].moved = self.apart(coarse, levels[0], found)
-            levels.insert(0, coarse)
+            levels[:1] = [coarse, self._measured(coarse, levels[0], growth)]
 
-    def _reference(self, found: Growth, kept: str | None = None) -> Reference:
-        """That of the integrator which its last halving moved least, or of the one `kept`."""
-        name = kept or min(self.chains, key=lambda one: self.chains[one][-1].high)
+    def _better_known(self, growth: Growth, kept: str | None = None) -> Reference:
+        """Of the integrator which its last halving moved least, or of the one `kept`."""
+        name = kept or min(self.chains, key=lambda name: self.chains[name][-1].high)
         levels = self.chains[name]
-        other, rival = self._rival(levels[-1], found)
-        moved = [one.moved for one in levels if one.moved is not None]
+        other, rival = self._rival(levels[-1], growth)
+        moved = [level.moved for level in levels if level.moved is not None]
         count = levels[-1].paths[0].com[..., 0].size
         return Reference(
             settings=self.settings(name, levels[-1].dt),
             level=levels[-1],
-            levels=levels,
-            growth=found,
+            levels=tuple(levels),
+            growth=growth,
             known=known(moved, ROUNDING * self.size, rival, other, count),
             orders={key: observed([x.distance for x in c[1:]]) for key, c in self.chains.items()},
             agreement=np.nan if rival is None else rival.median,
@@ -347,11 +361,11 @@ class Search:
             and any(p.rows or p.overlap for p in levels[-1].paths),
         )
 
-    def _rival(self, level: Level, found: Growth) -> tuple[str, Errors | None]:
+    def _rival(self, level: Level, growth: Growth) -> tuple[str, Errors | None]:
         """The other integrator, and the distance of its finest run."""
         for name, levels in self.chains.items():
             if name != level.integrator:
-                return name, self.apart(levels[-1], level, found)
+                return name, self.apart(levels[-1], level, growth)
         return "", None
 
 

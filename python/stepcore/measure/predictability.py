@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from stepcore import checks
-from stepcore.engine.model import Model
-from stepcore.executors import check_executor
-from stepcore.experiment.coordinates import movable
 from stepcore.experiment.growth import DIRECTIONS, GROWTH, NEARBY, Growth
-from stepcore.experiment.motion import Control, motion, time_steps
-from stepcore.experiment.reference import Search
-from stepcore.experiment.runner import Course
-from stepcore.loading import find_model
-from stepcore.report.progress import Choice, Progress
+from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.reference import ReferenceRuns
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import scheduled, time_steps
+from stepcore.experiment.setup import Source, set_up
+from stepcore.report.progress import Choice
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, seconds
-from stepcore.scene.scene import Scene
+
+# What is looked at by default [s].
+HORIZON = 10.0
 
 
-@dataclass(eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Predictability(Result):
     """How fast small differences grow in a scene; made by `stepcore.predictability`.
 
@@ -137,18 +136,13 @@ class Predictability(Result):
 
 
 def predictability(
-    model: Model | Scene | str | os.PathLike[str],
+    model: Source,
+    motion: Motion | None = None,
     *,
-    horizon: float | None = None,
-    key: str | int | None = None,
-    control: Control | None = None,
-    control_dt: float | None = None,
-    ctrl: ArrayLike | None = None,
-    starts: int = 8,
-    seed: int = 0,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
+    **fields: Unpack[MotionFields],
 ) -> Predictability:
     """How long a scene can be predicted: until runs that start a rounding apart separate.
 
@@ -157,37 +151,34 @@ def predictability(
     fails), rows solved to rounding. The scene can be predicted until they are 1e3 times as far
     apart as they began; beyond that only statistics of its motion mean anything.
 
-    horizon: simulated time [s], by default 10 s. The other arguments are those of
-    `stepcore.trade`; executor: in place of threads, any `concurrent.futures.Executor`.
+    model: a Model, a Scene, or the path of an MJCF file (or "package:name").
+    motion: the `Motion` that is run; or write its fields as arguments. The horizon is 10 s by
+        default; there are 8 starts.
+    threads: how many runs at once (default: one a core); executor: any concurrent.futures
+        executor in their place. progress: False for no bar, or a function of (label, done, total).
 
     Raises ValueError for an argument outside its limits, or if the scene cannot be run.
 
     >>> from stepcore import lesson
-    >>> found = predictability(lesson.spring(), horizon=2.0, starts=1)
-    >>> found.time, round(float(found.growth.factor.max()), 2)
+    >>> spring = predictability(lesson.spring(), horizon=2.0, starts=1)
+    >>> spring.time, round(float(spring.growth.factor.max()), 2)
     (inf, 1.0)
     """
-    model = find_model(model)
-    checks.told("predictability", progress)
-    starts, seed = checks.count("starts", starts), checks.count("seed", seed, least=0)
-    workers = checks.threads(threads)
-    check_executor("predictability", executor)
-    dofs = movable(model.scene, "no motion to predict")
-    horizon = 10.0 if horizon is None else horizon
-    steps, period = time_steps(model.settings.dt, None, control_dt, horizon)
-    motive = motion(
+    model, motion, workers = setup = set_up(
+        predictability,
         model,
-        dofs,
-        horizon=horizon,
-        period=period,
-        key=key,
-        ctrl=ctrl,
-        control=control,
-        count=starts,
-        seed=seed,
+        motion,
+        fields,
+        missing="no motion to predict",
+        threads=threads,
+        executor=executor,
+        progress=progress,
     )
-    search = Search(Course(model, dofs, motive), model.settings, min(steps), 0.0, workers, executor)
-    with Progress("predictability", (2 + DIRECTIONS) * starts, progress) as bar:
-        level, found = search.alone(bar)
-    name = model.scene.name or "scene"
-    return Predictability(name, motive.horizon, level.dt, level.integrator, found)
+    horizon = HORIZON if motion.horizon is None else motion.horizon
+    motion = dataclasses.replace(motion, horizon=horizon)
+    steps, period = time_steps(model.settings.dt, None, motion.control_dt, horizon)
+    runner = Runner(model, scheduled(motion, model, period))
+    runs = ReferenceRuns(runner, model.settings, min(steps), 0.0, workers)
+    with workers.bar("predictability", (2 + DIRECTIONS) * runs.starts) as bar:
+        level, growth = runs.growth(bar)
+    return Predictability(setup.name, runner.schedule.horizon, level.dt, level.integrator, growth)

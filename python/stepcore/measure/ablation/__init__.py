@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from functools import partial
+from typing import Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore.engine.features import RemovableFeatures, Removal, without
 from stepcore.engine.model import Model
-from stepcore.executors import check_executor, each
-from stepcore.experiment.coordinates import Dofs, movable
 from stepcore.experiment.errors import extent, far_off
-from stepcore.experiment.motion import Control, Motion, motion, time_steps
-from stepcore.experiment.reference import Reference, Search
-from stepcore.experiment.runner import Course
-from stepcore.loading import find_model
+from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.reference import Reference, ReferenceRuns
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import STARTS, Schedule, scheduled, time_steps
+from stepcore.experiment.setup import Source, set_up
 from stepcore.measure.ablation.result import Ablation, FeatureEffect
 from stepcore.measure.ablation.selection import Selection
 from stepcore.measure.ablation.variants import Baseline, outcome_of, times_of, usage_of
 from stepcore.report import units
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import metres, seconds
-from stepcore.scene.scene import Scene
 
 __all__ = ["Ablation", "FeatureEffect", "ablate"]
 
@@ -36,19 +33,14 @@ BUDGET = 3e6
 
 
 def ablate(
-    model: Model | Scene | str | os.PathLike[str],
+    model: Source,
+    motion: Motion | None = None,
     *,
     error: float | str = 1e-3,
-    horizon: float | None = None,
-    key: str | int | None = None,
-    control: Control | None = None,
-    control_dt: float | None = None,
-    ctrl: ArrayLike | None = None,
-    starts: int = 8,
-    seed: int = 0,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
+    **fields: Unpack[MotionFields],
 ) -> Ablation:
     """Removes one modelled feature at a time, and measures the work saved and the error added.
 
@@ -59,7 +51,8 @@ def ablate(
         under its own settings.
     error: the RMS position error, over samples and bodies, that the smallest model may add to the
         whole model's motion in the worst start: metres, "1mm", or "0.1%" of the scene's size.
-    horizon, key, control, control_dt, ctrl, starts, seed: the motion, as in `stepcore.trade`.
+    motion: the `Motion` that is run; or write its fields as arguments. The horizon is about 1 s
+        by default; there are 8 starts to choose on.
     threads: how many runs at once (default: one a core). executor: any `concurrent.futures`
         executor in place of threads. progress: False, or a function of (label, done, total).
 
@@ -74,47 +67,40 @@ def ablate(
     >>> result.smallest.joints[0].range is None
     True
     """
-    model = find_model(model)
-    checks.told("ablate", progress)
-    check_executor("ablate", executor)
     # A wrong error is refused before minutes of work; the scene's size is known later.
     units.length("ablate", "error", error, 1.0)
-    starts, seed = checks.count("starts", starts), checks.count("seed", seed, least=0)
-    workers = checks.threads(threads)
-    dofs = movable(model.scene, "no motion to keep")
-    dt = model.settings.dt
-    _, period = time_steps(dt, None, control_dt, 1.0 if horizon is None else horizon)
-    # Three sets of starts: to choose on, to confirm on, and to confirm what is left then.
-    motions = motion(
+    setup = set_up(
+        ablate,
         model,
-        dofs,
-        horizon=horizon,
-        period=period,
-        key=key,
-        ctrl=ctrl,
-        control=control,
-        count=SETS * starts,
-        seed=seed,
+        motion,
+        fields,
+        missing="no motion to keep",
+        threads=threads,
+        executor=executor,
+        progress=progress,
     )
-    tuned = _part(motions, 0, starts)
-    course = Course(model, dofs, tuned)
+    model, motion, workers = setup
+    starts, dt = motion.starts or STARTS, model.settings.dt
+    length = 1.0 if motion.horizon is None else motion.horizon
+    _, period = time_steps(dt, None, motion.control_dt, length)
+    # Three sets of starts: to choose on, to confirm on, and to confirm what is left then.
+    schedule = scheduled(motion, model, period, starts=SETS * starts)
+    runner = Runner(model, schedule.part(0, starts))
     notes: list[str] = []
-    search = Search(course, model.settings, dt, BUDGET, workers, executor)
-    with Progress("reference", search.runs, progress) as bar:
-        reference = _reference(search, bar, notes)
-    baseline = _baseline(course, reference)
+    runs = ReferenceRuns(runner, model.settings, dt, BUDGET, workers)
+    with workers.bar("reference", runs.least) as bar:
+        reference = _reference(runs, bar, notes)
+    baseline = _baseline(runner, reference)
     tolerance = units.length("ablate", "error", error, extent(baseline.paths, model.scene))
-    usage = usage_of(course, model.settings)
+    usage = usage_of(runner, model.settings)
     selection = Selection(baseline, RemovableFeatures(model), tolerance)
     removals = selection.features.removals(usage, model.settings)
-    with Progress("features", len(removals) + 1, progress) as bar:
-        points = [(), *((removal,) for removal in removals)]
-        job = partial(outcome_of, baseline)
-        whole, *alone = each(job, points, bar=bar, threads=workers, executor=executor)
+    points = [(), *((removal,) for removal in removals)]
+    whole, *alone = workers.each(partial(outcome_of, baseline), points, "features")
     selection.known = dict(zip(removals, alone, strict=True))
-    with Progress("smallest", len(removals), progress) as bar:
+    with workers.bar("smallest", len(removals)) as bar:
         selection.choose(removals, whole, bar)
-    selection.confirm(_others(model, dofs, motions, starts))
+    selection.confirm(_others(model, schedule, starts))
     removed = selection.removed
     removals += [removal for removal in removed if removal not in removals]
     times = times_of(baseline, [(), *((removal,) for removal in removals), removed])
@@ -123,9 +109,9 @@ def ablate(
         for removal, cost in zip(removals, times[1:-1], strict=True)
     ]
     return Ablation(
-        name=model.scene.name or "scene",
+        name=setup.name,
         settings=model.settings,
-        horizon=tuned.horizon,
+        horizon=schedule.horizon,
         starts=starts,
         error=tolerance,
         whole=FeatureEffect(Removal("whole model", "", ()), whole, times[0]),
@@ -140,48 +126,38 @@ def ablate(
     )
 
 
-def _others(
-    model: Model, dofs: Dofs, motions: Motion, starts: int
-) -> Iterator[tuple[Course, Baseline]]:
+def _others(model: Model, schedule: Schedule, starts: int) -> Iterator[tuple[Runner, Baseline]]:
     """The sets of starts on which nothing was chosen."""
     for part in range(1, SETS):
-        course = Course(model, dofs, _part(motions, part * starts, (part + 1) * starts))
-        yield course, _baseline(course, None)
+        runner = Runner(model, schedule.part(part * starts, (part + 1) * starts))
+        yield runner, _baseline(runner, None)
 
 
-def _part(motions: Motion, first: int, last: int) -> Motion:
-    """Some of the starts of a motion."""
-    values = dict(motions.__dict__)
-    values["starts"] = motions.starts[first:last]
-    values["ctrl"] = None if motions.ctrl is None else motions.ctrl[first:last]
-    return Motion(**values)
-
-
-def _reference(search: Search, bar: Progress, notes: list[str]) -> Reference | None:
+def _reference(runs: ReferenceRuns, bar: Progress, notes: list[str]) -> Reference | None:
     try:
-        return search.first(bar)
+        return runs.reference(bar)
     except ValueError as error:
         notes.append(f"no converged motion to compare with: {checks.one_line(error)}")
         return None
 
 
-def _baseline(course: Course, reference: Reference | None) -> Baseline:
+def _baseline(runner: Runner, reference: Reference | None) -> Baseline:
     """The whole model's own motion at its settings; ValueError if it fails."""
     paths = []
-    for start in range(len(course.motion.starts)):
-        path = course.run(course.model.settings, start)
+    for start in range(len(runner.schedule.starts)):
+        path = runner.run(runner.model.settings, start)
         if path.failure:
             raise ValueError(f"the whole model fails from start {start}: {path.failure}")
         paths.append(path)
     if reference is None:
-        scored = np.ones((len(paths), len(course.motion.times)), bool)
-        return Baseline(course.model, course.motion, tuple(paths), None, scored)
+        scored = np.ones((len(paths), len(runner.schedule.times)), bool)
+        return Baseline(runner.model, runner.schedule, tuple(paths), None, scored)
     truth = tuple(reference.paths)
-    wrong = far_off(paths, truth, extent(truth, course.model.scene))
+    wrong = far_off(paths, truth, extent(truth, runner.model.scene))
     if wrong:
-        dt = seconds(course.model.settings.dt)
+        dt = seconds(runner.model.settings.dt)
         raise ValueError(f"the whole model fails at its dt of {dt}: {wrong}; see stepcore diagnose")
-    return Baseline(course.model, course.motion, tuple(paths), truth, reference.scored)
+    return Baseline(runner.model, runner.schedule, tuple(paths), truth, reference.scored)
 
 
 def _notes(reference: Reference | None, baseline: Baseline, tolerance: float) -> list[str]:
@@ -195,7 +171,7 @@ def _notes(reference: Reference | None, baseline: Baseline, tolerance: float) ->
     if short:
         count = f"{short} of {len(baseline.paths)} starts"
         notes.append(f"{count} count only as long as they can be predicted")
-    if baseline.motion.undriven:
-        names = ", ".join(baseline.motion.undriven)
+    if baseline.schedule.undriven:
+        names = ", ".join(baseline.schedule.undriven)
         notes.append(f"actuators without a control range are not driven: {names}")
     return notes

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 from stepcore.engine.features import RemovableFeatures, Removal, Usage
-from stepcore.experiment.runner import Course
+from stepcore.experiment.runner import Runner
 from stepcore.measure.ablation.variants import Baseline, Outcome, outcome_of, usage_of
 from stepcore.report.progress import Progress
 
@@ -46,11 +46,11 @@ class Selection:
         alone = [self.alone(removal) for removal in removals]
         self.removed, self.chosen_on = greedy(removals, alone, whole, self.error, measure)
 
-    def confirm(self, others: Iterable[tuple[Course, Baseline]]) -> None:
+    def confirm(self, others: Iterable[tuple[Runner, Baseline]]) -> None:
         """Tries the smallest model on other starts, until a set of them needs nothing restored."""
-        for course, baseline in others:
+        for runner, baseline in others:
             # Run only where something has to be restored.
-            usage = functools.cache(partial(usage_of, course, course.model.settings))
+            usage = functools.cache(partial(usage_of, runner, runner.model.settings))
             self.removed, self.confirmed_on, restored = confirmed(
                 self.removed,
                 self.alone,

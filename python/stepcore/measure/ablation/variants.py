@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from time import perf_counter, thread_time
 
 import numpy as np
 
@@ -12,16 +11,19 @@ from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.features import Removal, Usage, without
 from stepcore.engine.model import Model
-from stepcore.experiment.coordinates import Dofs
+from stepcore.engine.sim import Sim
+from stepcore.experiment.cost import TimedRun, costs
 from stepcore.experiment.errors import errors
-from stepcore.experiment.motion import Motion
-from stepcore.experiment.runner import Course, Path
+from stepcore.experiment.path import Path
+from stepcore.experiment.probe import Probe
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import Schedule
+from stepcore.report.progress import Progress
 
 # Steps of the first start whose operations are counted, spread over the motion.
 COUNTED = 40
 # Contacts and limits of a start are read this often, at most.
 READINGS = 500
-ROUNDS = 5
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Baseline:
     """
 
     model: Model
-    motion: Motion
+    schedule: Schedule
     paths: tuple[Path, ...]
     truth: tuple[Path, ...] | None
     scored: np.ndarray
@@ -71,115 +73,95 @@ class Baseline:
         return self.model.settings
 
 
-def variant(baseline: Baseline, removals: Sequence[Removal]) -> Course:
+def variant(baseline: Baseline, removals: Sequence[Removal]) -> Runner:
     """The motion's runner for the model without some features."""
     scene = without(baseline.model.scene.with_settings(baseline.settings), removals)
     model = scene.compile()
-    return Course(model, Dofs(model.scene), baseline.motion)
+    return Runner(model, baseline.schedule)
 
 
 def outcome_of(baseline: Baseline, removals: Sequence[Removal]) -> Outcome:
     """The motion without some features."""
     try:
-        course = variant(baseline, removals)
+        runner = variant(baseline, removals)
     except ValueError as error:
         return Outcome(failure=one_line(error))
-    settings = course.model.settings
-    paths = []
-    for start in range(len(baseline.motion.starts)):
-        paths.append(course.run(settings, start))
-        if paths[-1].failure:
-            return Outcome(failure=f"start {start}: {paths[-1].failure}")
+    settings = runner.model.settings
+    paths = runner.runs(settings)
+    if paths[-1].failure:
+        return Outcome(failure=f"start {len(paths) - 1}: {paths[-1].failure}")
     added = errors(paths, baseline.paths, baseline.scored)
     truth = baseline.truth
     off = () if truth is None else errors(paths, truth, baseline.scored).each
-    rows = float(np.mean([path.row_updates for path in paths])) / baseline.motion.horizon
-    flops = flops_per_second(course, settings)
+    rows = float(np.mean([path.row_updates for path in paths])) / baseline.schedule.horizon
+    flops = flops_per_second(runner, settings)
     return Outcome(added.each, added.position_max, off, flops, rows)
 
 
-def flops_per_second(course: Course, settings: Settings) -> float | None:
+class WorkCount(Probe):
+    """Floating-point operations of single steps, spread evenly over a motion."""
+
+    def __init__(self, periods: int) -> None:
+        self.every = max(1, periods // COUNTED)
+        self.total = self.steps = 0
+
+    def period(self, sim: Sim, period: int) -> None:
+        if period % self.every == 0:
+            self.total += sim.count_flops(1)
+            self.steps += 1
+
+
+def flops_per_second(runner: Runner, settings: Settings) -> float | None:
     """Floating-point operations per simulated second of the first start's motion.
 
     Counted exactly in about `COUNTED` steps spread evenly over it.
     """
-    motion = course.motion
-    sim = course.sim(settings)
-    course.place(sim, 0)
-    drive, count = course.drive(0), motion.steps(settings.dt)
-    every = max(1, motion.periods // COUNTED)
-    total, steps = 0, 0
+    count = WorkCount(runner.schedule.periods)
     try:
-        for period in range(motion.periods):
-            drive(sim, period)
-            if period % every == 0:
-                total += sim.count_flops(1)
-                steps += 1
-            sim.step(count)
+        runner.follow(runner.sim(settings), 0, [count])
     except SimulationError:
         return None
-    return total / steps / settings.dt
+    return count.total / count.steps / settings.dt
 
 
-def usage_of(course: Course, settings: Settings) -> Usage:
+class UsageProbe(Probe):
+    """Which pairs of bodies touch, and which joints reach a limit."""
+
+    def __init__(self, runner: Runner) -> None:
+        self.periods = runner.schedule.periods
+        self.owner = runner.model.geom_body.tolist()
+        self.touched: set[tuple[int, int]] = set()
+        self.limited: set[int] = set()
+
+    def stride(self, steps: int) -> int:
+        return max(1, steps * self.periods // READINGS)
+
+    def step(self, sim: Sim) -> None:
+        contacts = sim.contacts
+        pairs = zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True)
+        for bodies in ((self.owner[a], self.owner[b]) for a, b in pairs):
+            self.touched.add((min(bodies), max(bodies)))
+        rows = sim.rows
+        self.limited.update(rows["index"][rows["kind"] == "limit"].tolist())
+
+
+def usage_of(runner: Runner, settings: Settings) -> Usage:
     """Which pairs of bodies touch and which joints reach a limit in any start."""
-    motion, model = course.motion, course.model
-    owner = model.geom_body.tolist()
-    touched: set[tuple[int, int]] = set()
-    limited: set[int] = set()
-    count = motion.steps(settings.dt)
-    stride = max(1, count * motion.periods // READINGS)
-    for start in range(len(motion.starts)):
-        sim = course.sim(settings)
-        course.place(sim, start)
-        drive = course.drive(start)
-        for period in range(motion.periods):
-            drive(sim, period)
-            for first in range(0, count, stride):
-                sim.step(min(stride, count - first))
-                contacts = sim.contacts
-                pairs = zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True)
-                for a, b in pairs:
-                    touched.add((min(owner[a], owner[b]), max(owner[a], owner[b])))
-                rows = sim.rows
-                limited.update(rows["index"][rows["kind"] == "limit"].tolist())
-    return Usage(frozenset(touched), frozenset(limited))
+    usage = UsageProbe(runner)
+    for start in range(len(runner.schedule.starts)):
+        runner.follow(runner.sim(settings), start, [usage])
+    return Usage(frozenset(usage.touched), frozenset(usage.limited))
 
 
 def times_of(baseline: Baseline, variants: Sequence[Sequence[Removal]]) -> list[float]:
-    """Computing time of variants [µs per simulated second]: median of interleaved rounds.
-
-    The first start's motion; only `Sim.step` is timed, and of that the share in which the thread
-    had a core to itself. NaN for a variant that fails.
-    """
-    runs: list[Course | None] = []
+    """Computing time of variants [µs per simulated second], as `costs` measures it."""
+    runs = []
     for removals in variants:
         try:
-            runs.append(variant(baseline, removals))
+            runner = variant(baseline, removals)
         except ValueError:
-            runs.append(None)
-    spent: list[list[float]] = [[] for _ in runs]
-    for _ in range(ROUNDS):
-        for course, times in zip(runs, spent, strict=True):
-            if course is not None:
-                times.append(_time_of(course))
-    horizon = baseline.motion.horizon
-    return [1e6 * float(np.median(times)) / horizon if times else np.nan for times in spent]
-
-
-def _time_of(course: Course) -> float:
-    settings, motion = course.model.settings, course.motion
-    sim, drive = course.sim(settings), course.drive(0)
-    count = motion.steps(settings.dt)
-    course.place(sim, 0)
-    spent, first, own = 0.0, perf_counter(), thread_time()
-    try:
-        for period in range(motion.periods):
-            drive(sim, period)
-            begin = perf_counter()
-            sim.step(count)
-            spent += perf_counter() - begin
-    except SimulationError:
-        return float("nan")
-    whole, own = perf_counter() - first, thread_time() - own
-    return spent * min(1.0, own / whole) if whole > 0 else spent
+            whole = Runner(baseline.model, baseline.schedule)
+            runs.append(TimedRun(whole, baseline.settings, failed=True))
+        else:
+            runs.append(TimedRun(runner, runner.model.settings))
+    return costs(runs, Progress("", len(runs), False))

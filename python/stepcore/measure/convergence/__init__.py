@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.model import Model
-from stepcore.executors import check_executor, each
-from stepcore.experiment.coordinates import Dofs, movable
 from stepcore.experiment.errors import extent
-from stepcore.experiment.motion import Control, motion
-from stepcore.experiment.runner import Course, Path
-from stepcore.loading import find_model
+from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.path import Path
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import scheduled
+from stepcore.experiment.setup import Source, set_up
+from stepcore.experiment.workers import Workers
 from stepcore.measure.convergence.closing import Closing, Moment, closing
 from stepcore.measure.convergence.result import Convergence, Rest
 from stepcore.measure.convergence.runs import (
@@ -34,7 +33,6 @@ from stepcore.measure.convergence.runs import (
     truth,
 )
 from stepcore.report.progress import Choice, Progress
-from stepcore.scene.scene import Scene
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -43,22 +41,18 @@ __all__ = ["Closing", "Convergence", "converge"]
 
 # Sweeps read at the settings' own time step, and at the others.
 MOST, FEWER = 4096, 256
+STARTS = 3
 
 
 def converge(
-    model: Model | Scene | str | os.PathLike[str],
+    model: Source,
+    motion: Motion | None = None,
     *,
-    horizon: float | None = None,
-    key: str | int | None = None,
-    control: Control | None = None,
-    control_dt: float | None = None,
-    ctrl: ArrayLike | None = None,
-    starts: int = 3,
-    seed: int = 0,
     states: int = 8,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
+    **fields: Unpack[MotionFields],
 ) -> Convergence:
     """Measures whether a scene's rows are solved along its motion, and what would solve them.
 
@@ -68,7 +62,9 @@ def converge(
     updates split into many sweeps or many steps, all against one converged reference.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Its settings are
-        judged. horizon, key, control, control_dt, ctrl, starts, seed: the motion, as in `trade`.
+        judged.
+    motion: the `Motion` that is run; or write its fields as arguments. The horizon is about 1 s
+        by default; there are 3 starts.
     states: at how many states sweeps are measured.
     threads: how many runs at once (default: one a core); executor: any `concurrent.futures`
         executor in their place. progress: False, or a function of (label, done, total).
@@ -83,46 +79,38 @@ def converge(
     >>> print(f"{found.contraction:.4f} {found.theory.closed:.4f}")
     0.9990 0.9990
     """
-    model = find_model(model)
-    checks.told("converge", progress)
-    check_executor("converge", executor)
-    starts, seed = checks.count("starts", starts), checks.count("seed", seed, least=0)
-    states, workers = checks.count("states", states), checks.threads(threads)
-    dofs = movable(model.scene, "nothing to solve")
-    if horizon is not None:
-        checks.seconds("horizon", horizon)
-    if control_dt is not None:
-        _check_divides(model.settings.dt, checks.seconds("control_dt", control_dt))
-    own = model.settings
-    todo = plan(own, control_dt, 1.0 if horizon is None else horizon)
-    motive = motion(
+    states = checks.count("states", states)
+    setup = set_up(
+        converge,
         model,
-        dofs,
-        horizon=horizon,
-        period=todo.period,
-        key=key,
-        ctrl=ctrl,
-        control=control,
-        count=starts,
-        seed=seed,
+        motion,
+        fields,
+        missing="nothing to solve",
+        threads=threads,
+        executor=executor,
+        progress=progress,
     )
-    course = Course(model, dofs, motive)
+    model, motion, workers = setup
+    own, starts = model.settings, motion.starts or STARTS
+    if motion.control_dt is not None:
+        _check_divides(own.dt, motion.control_dt)
+    todo = plan(own, motion.control_dt, 1.0 if motion.horizon is None else motion.horizon)
+    runner = Runner(model, scheduled(motion, model, todo.period, starts=starts))
     done: dict[Settings, list[Path]] = {}
     for label in ("runs", "converged runs"):
         tried = [s for s in (todo.truth or todo.tried) if s not in done]
         jobs = [Job(settings, start) for settings in tried for start in range(starts)]
-        with Progress(label, len(jobs), progress) as bar:
-            paths = each(partial(ride, course), jobs, bar=bar, threads=workers, executor=executor)
+        paths = workers.each(partial(ride, runner), jobs, label)
         done |= {s: paths[i * starts : (i + 1) * starts] for i, s in enumerate(tried)}
         rows = max(path.rows for some in done.values() for path in some)
-        todo = converging(todo, own, course, rows)
+        todo = converging(todo, own, runner, rows)
     true = _truth(todo, done, model)
-    curves = _curves(course, todo, states, workers, executor, progress)
-    runs = {s: run_of(s, paths, true, motive.horizon) for s, paths in done.items()}
+    curves = _curves(runner, todo, states, workers)
+    runs = {s: run_of(s, paths, true, runner.schedule.horizon) for s, paths in done.items()}
     return Convergence(
-        name=model.scene.name or "scene",
+        name=setup.name,
         settings=own,
-        horizon=motive.horizon,
+        horizon=runner.schedule.horizon,
         starts=starts,
         plan=todo,
         runs=runs,
@@ -132,7 +120,7 @@ def converge(
         size=true.size,
         rest=None
         if runs[own].failure or runs[todo.solved].failure
-        else _rest(model, done[own], done[todo.solved], true, motive.times),
+        else _rest(runner, done[own], done[todo.solved], true, runner.schedule.times),
         notes=[*true.notes, *model.scene.notes],
     )
 
@@ -151,33 +139,19 @@ def _truth(todo: Plan, paths: dict[Settings, list[Path]], model: Model) -> Truth
     return truth(fine, coarse, extent(fine, model.scene))
 
 
-def _curves(
-    course: Course,
-    todo: Plan,
-    states: int,
-    workers: int,
-    executor: Executor | None,
-    progress: Choice,
-) -> list[Closing]:
+def _curves(runner: Runner, todo: Plan, states: int, workers: Workers) -> list[Closing]:
     """Sweeps at states along the settings' own motion, at each time step."""
-    own = course.model.settings
-    starts = range(len(course.motion.starts))
+    own = runner.model.settings
+    starts = range(len(runner.schedule.starts))
+    hidden = Progress("", len(starts), False)
     found = [
         moment
-        for some in each(
-            partial(moments, course, own),
-            starts,
-            bar=Progress("", len(starts), False),
-            threads=workers,
-            executor=executor,
-        )
+        for some in workers.each(partial(moments, runner, own), starts, hidden)
         for moment in some
     ]
     chosen = _chosen(found, states)
     jobs = [(s, MOST if s == own else FEWER, m) for s in todo.dts for m in chosen]
-    with Progress("sweeps", len(jobs), progress) as bar:
-        work = partial(_close, course.model)
-        return each(work, jobs, bar=bar, threads=workers, executor=executor)
+    return workers.each(partial(_close, runner.model), jobs, "sweeps")
 
 
 def _chosen(found: list[Moment], states: int) -> list[Moment]:
@@ -195,10 +169,10 @@ def _close(model: Model, job: tuple[Settings, int, Moment]) -> Closing:
 
 
 def _rest(
-    model: Model, own: Sequence[Path], solved: Sequence[Path], true: Truth, times: np.ndarray
+    runner: Runner, own: Sequence[Path], solved: Sequence[Path], true: Truth, times: np.ndarray
 ) -> Rest:
     """Where the motion ends, beside where it ends with converged forces."""
-    bodies = Dofs(model.scene).moving
+    bodies = runner.coordinates.moving
     found: list[Rest] = []
     for start, (one, other) in enumerate(zip(own, solved, strict=True)):
         gap = np.linalg.norm(one.com[-1] - other.com[-1], axis=-1)
@@ -212,7 +186,7 @@ def _rest(
             ]
         else:
             moved = [np.nan, np.nan]
-        name = model.body_names[bodies[at]] or f"body {bodies[at]}"
+        name = runner.model.body_names[bodies[at]] or f"body {bodies[at]}"
         over = error(own, solved, true.scored)
         found.append(Rest(start, name, float(gap[at]), moved[0], moved[1], over))
     return max(found, key=lambda rest: rest.apart)

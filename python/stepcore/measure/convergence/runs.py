@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,7 +12,10 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats
-from stepcore.experiment.runner import Course, Path, distance
+from stepcore.engine.sim import Sim
+from stepcore.experiment.path import Path, distance
+from stepcore.experiment.probe import Probe
+from stepcore.experiment.runner import Runner
 from stepcore.measure.convergence.closing import Moment, converged
 
 # Sweeps in a period of equal work, and how they are split: steps × sweeps.
@@ -97,15 +101,15 @@ def plan(own: Settings, period: float | None, horizon: float) -> Plan:
     )
 
 
-def converging(todo: Plan, own: Settings, course: Course, rows: int) -> Plan:
+def converging(todo: Plan, own: Settings, runner: Runner, rows: int) -> Plan:
     """The plan with its converged runs. rows: the most at once, in what was run so far."""
-    horizon, most = course.motion.horizon, BUDGET / (course.model.nv + 2)
+    horizon, most = runner.schedule.horizon, BUDGET / (runner.model.nv + 2)
     dt = min(todo.splits[0].settings.dt, own.dt / 8)
     if horizon / dt <= most / 4:
         dt /= 4
     while horizon / dt > most and dt < own.dt / 4:
         dt *= 2
-    speed = float(np.linalg.norm(course.gravity)) or 1.0
+    speed = float(np.linalg.norm(runner.bodies.gravity)) or 1.0
     truth = [_solved(own, step, speed, rows, horizon) for step in (own.dt, dt, 2 * dt)]
     return todo._replace(truth=tuple(truth))
 
@@ -157,37 +161,44 @@ class Job(NamedTuple):
     start: int
 
 
-def ride(course: Course, job: Job) -> Path:
+def ride(runner: Runner, job: Job) -> Path:
     """One run of the motion."""
-    return course.run(job.settings, job.start)
+    return runner.run(job.settings, job.start)
 
 
-def moments(course: Course, settings: Settings, start: int) -> list[Moment]:
-    """Snapshots where there are rows, until one start fails: one a sample, and last the step
-    with the worst residual."""
-    sim = course.sim(settings)
-    course.place(sim, start)
-    drive = course.drive(start)
-    found, worst = [], None
-    steps = course.motion.steps(settings.dt)
-    try:
-        for period in range(course.motion.periods):
-            drive(sim, period)
-            sought = period % course.motion.every == 0
-            for _ in range(steps):
-                snapshot, time = sim.state(), float(sim.time)
-                sim.step()
-                if not sim.row_updates:
-                    continue
-                residual = sim.residual
-                if sought and len(sim.rows):
-                    found.append(Moment(start, time, snapshot, residual))
-                    sought = False
-                if residual > (worst.residual if worst else 0.0):
-                    worst = Moment(start, time, snapshot, residual)
-    except SimulationError:
-        pass
-    return [*found, *([worst] if worst else [])]
+class Moments(Probe):
+    """Snapshots where there are rows: one a sample, and the step with the worst residual."""
+
+    def __init__(self, start: int, every: int) -> None:
+        self.start, self.every = start, every
+        self.sampled: list[Moment] = []
+        self.worst: Moment | None = None
+
+    def stride(self, steps: int) -> int:
+        return 1
+
+    def period(self, sim: Sim, period: int) -> None:
+        self.sought = period % self.every == 0
+        self.before = sim.state(), float(sim.time)
+
+    def step(self, sim: Sim) -> None:
+        (snapshot, time), self.before = self.before, (sim.state(), float(sim.time))
+        if not sim.row_updates:
+            return
+        residual = sim.residual
+        if self.sought and len(sim.rows):
+            self.sampled.append(Moment(self.start, time, snapshot, residual))
+            self.sought = False
+        if residual > (self.worst.residual if self.worst else 0.0):
+            self.worst = Moment(self.start, time, snapshot, residual)
+
+
+def moments(runner: Runner, settings: Settings, start: int) -> list[Moment]:
+    """The moments of one run, as far as it comes."""
+    seen = Moments(start, runner.schedule.every)
+    with contextlib.suppress(SimulationError):
+        runner.follow(runner.sim(settings), start, [seen])
+    return [*seen.sampled, *([seen.worst] if seen.worst else [])]
 
 
 @dataclass

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import os
+import dataclasses
 from concurrent.futures import Executor
 from functools import partial
-
-from numpy.typing import ArrayLike
+from typing import Unpack
 
 from stepcore import checks
 from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.engine.model import Model
-from stepcore.executors import check_executor, each
-from stepcore.experiment.coordinates import movable
-from stepcore.experiment.motion import Control, motion
-from stepcore.loading import find_model
+from stepcore.executors import each
+from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.schedule import scheduled
+from stepcore.experiment.setup import Source, set_up
+from stepcore.experiment.starts import home
 from stepcore.measure.diagnosis.advice import advise
 from stepcore.measure.diagnosis.closed_form_bound import closed_form
 from stepcore.measure.diagnosis.dt_limits import LONGEST, Limit, Situation, situation
@@ -26,10 +26,9 @@ from stepcore.measure.diagnosis.result import Diagnosis
 from stepcore.measure.diagnosis.sentences import notes
 from stepcore.measure.diagnosis.shares import shares_at
 from stepcore.measure.diagnosis.solref import softened_beyond
-from stepcore.measure.diagnosis.visited_states import eased, held, start, visited
+from stepcore.measure.diagnosis.visited_states import eased, start, visited
 from stepcore.report.progress import Choice, Progress
 from stepcore.scene.layout import Layout
-from stepcore.scene.scene import Scene
 
 __all__ = ["Diagnosis", "StiffnessWarning", "diagnose"]
 
@@ -38,18 +37,14 @@ SAFE = 0.25
 
 
 def diagnose(
-    model: Model | Scene | str | os.PathLike[str],
+    model: Source,
+    motion: Motion | None = None,
     *,
     dt: float | None = None,
-    horizon: float = 1.0,
-    key: str | int | None = None,
-    control: Control | None = None,
-    control_dt: float | None = None,
-    ctrl: ArrayLike | None = None,
-    seed: int = 0,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
+    **fields: Unpack[MotionFields],
 ) -> Diagnosis:
     """Finds the element that limits the time step, by name, and what to change.
 
@@ -60,10 +55,10 @@ def diagnose(
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     dt: the step that is wanted [s]; by default the scene's own. Where it is not stable, each
         suggestion is made on a copy of the model and its step linearised again.
-    horizon: length of the motion that is looked along [s]. What neither grows nor decays by
-        itself counts as unstable where a step makes it grow e-fold in this time.
-    key, control, control_dt, ctrl, seed: the motion, as in `trade`; without controls it begins
-        at the keyframe's own (zero without one) and goes over to smooth seeded ones.
+    motion: the `Motion` that is looked along, from one start; or write its fields as arguments.
+        The horizon is 1 s by default. What neither grows nor decays by itself counts as unstable
+        where a step makes it grow e-fold in this time. Without controls the motion begins at the
+        keyframe's own (zero without one) and goes over to smooth seeded ones.
     threads, executor: integrators at once, or elsewhere. progress: as in `trade`.
 
     Raises ValueError for an argument outside its limits, a scene in which nothing can move, and
@@ -79,31 +74,25 @@ def diagnose(
     2.00 ms by spring "knee"
     """
     # What loading would warn of is told here in full.
-    model = find_model(model)
-    checks.told("diagnose", progress)
-    wanted = model.settings.dt if dt is None else checks.seconds("dt", dt)
-    checks.seconds("horizon", horizon)
-    if control_dt is not None:
-        checks.seconds("control_dt", control_dt)
-    seed = checks.count("seed", seed, least=0)
-    workers = checks.threads(threads)
-    check_executor("diagnose", executor)
-    dofs = movable(model.scene, "no step to diagnose")
-    model = exact(model)
-    period = min(horizon, control_dt or max(model.settings.dt, horizon / 200))
-    path = motion(
+    setup = set_up(
+        diagnose,
         model,
-        dofs,
-        horizon=horizon,
-        period=period,
-        key=key,
-        ctrl=ctrl,
-        control=control,
-        count=1,
-        seed=seed,
+        motion,
+        fields,
+        missing="no step to diagnose",
+        leaves=("starts",),
+        threads=threads,
+        executor=executor,
+        progress=progress,
     )
-    if ctrl is None and control is None:
-        path = eased(path, held(model, key))
+    model, motion, workers = exact(setup.model), setup.motion, setup.workers
+    wanted = model.settings.dt if dt is None else checks.seconds("dt", dt)
+    horizon = 1.0 if motion.horizon is None else motion.horizon
+    period = min(horizon, motion.control_dt or max(model.settings.dt, horizon / 200))
+    motion = dataclasses.replace(motion, horizon=horizon)
+    path = scheduled(motion, model, period, starts=1)
+    if motion.ctrl is None and motion.control is None:
+        path = eased(path, home(model, motion.key)[1])
     with Progress("states", 1, progress) as bar:
         visit = visited(model, path, _safe(model, situation(model, [start(model, path)], horizon)))
         here = situation(model, visit.states, horizon)
@@ -111,7 +100,11 @@ def diagnose(
     longest = max(LONGEST, 2 * wanted, 2 * model.settings.dt)
     with Progress("limits", len(INTEGRATORS), progress) as bar:
         found = each(
-            partial(_limit, here, longest), INTEGRATORS, bar=bar, threads=workers, executor=executor
+            partial(_limit, here, longest),
+            INTEGRATORS,
+            bar=bar,
+            threads=workers.threads,
+            executor=workers.executor,
         )
     limits = {limit.integrator: limit for limit in found}
     elements = _elements(here)

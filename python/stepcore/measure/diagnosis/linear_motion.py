@@ -23,7 +23,7 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.linear_maps import stepped
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.coordinates import Dofs
+from stepcore.experiment.coordinates import Coordinates
 from stepcore.measure.diagnosis.element_forces import INERTIAL, ROWS, ElementForces, Key, SpinForces
 from stepcore.measure.diagnosis.linear_step import (
     ON_GUESS,
@@ -181,7 +181,7 @@ def parts(model: Model, state: State, dt: float | None) -> LinearMotion | None:
     elements = ElementForces(model)
     own: dict[str, Any] = {"dt": TINY_STEP, "refsafe": False} if dt is None else {"dt": dt}
     sim = placed(model, state, integrator="explicit", **own)
-    found = _differences(elements, Dofs(model.scene), sim, state)
+    found = _differences(elements, Coordinates(model), sim, state)
     sim.qpos[:], sim.qvel[:] = state.qpos, state.qvel
     mass = np.array(sim.mass_matrix())
     n = model.nv
@@ -193,7 +193,9 @@ def parts(model: Model, state: State, dt: float | None) -> LinearMotion | None:
     return LinearMotion(mass, rates, found, _implicit(model, found), frozenset(rows))
 
 
-def _differences(elements: ElementForces, dofs: Dofs, sim: Sim, state: State) -> dict[Key, Part]:
+def _differences(
+    elements: ElementForces, dofs: Coordinates, sim: Sim, state: State
+) -> dict[Key, Part]:
     """Minus the derivatives of every element's force.
 
     Where a row opens or closes on one side of the state (a contact, one point of it, a limit), all

@@ -19,7 +19,7 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.sim import Sim
-from stepcore.experiment.coordinates import Dofs
+from stepcore.experiment.coordinates import Coordinates
 from stepcore.measure.diagnosis.element_forces import cross_matrix
 
 # The step from which the acceleration's derivative is read [s]: of an explicit step, which is
@@ -33,7 +33,7 @@ def midpoint_map(sim: Sim) -> Floats:
     SimulationError where the iteration does not converge.
     """
     n, h = sim.model.nv, sim.settings.dt / 2
-    dofs = Dofs(sim.model.scene)
+    dofs = Coordinates(sim.model)
     qpos, qvel = np.array(sim.qpos), np.array(sim.qvel)
     stepped = _at(sim, qpos, qvel)
     stepped.step()
@@ -58,7 +58,7 @@ def _at(sim: Sim, qpos: Floats, qvel: Floats, **settings: Any) -> Sim:
     return found
 
 
-def _moving(dofs: Dofs, change: Floats) -> tuple[Floats, Floats]:
+def _moving(dofs: Coordinates, change: Floats) -> tuple[Floats, Floats]:
     """How q ⊕ change moves with q and with the change, shape (nv, nv) each."""
     turn, gain = np.eye(dofs.nv), np.eye(dofs.nv)
     for kind, _, first, _ in dofs.joints:

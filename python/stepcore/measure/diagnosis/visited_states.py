@@ -16,7 +16,7 @@ from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.experiment.motion import Motion
+from stepcore.experiment.schedule import Schedule
 from stepcore.measure.diagnosis.linear_step import State, acting, placed
 
 # The most states, steps and looks at the rows of one run.
@@ -37,14 +37,7 @@ class Visit:
     failure: str = ""
 
 
-def held(model: Model, key: str | int | None) -> Floats:
-    """The controls of the keyframe, shape (nu,): zero without one."""
-    if key is None and not model.keys:
-        return np.zeros(model.nu)
-    return model.keys[0 if key is None else model.index("key", key)].ctrl
-
-
-def eased(motion: Motion, ctrl: Floats) -> Motion:
+def eased(motion: Schedule, ctrl: Floats) -> Schedule:
     """The motion with its controls coming in from `ctrl`: a jump would be no motion of the user's,
     and a stiff servo answers it with a blow."""
     if motion.ctrl is None:
@@ -53,7 +46,7 @@ def eased(motion: Motion, ctrl: Floats) -> Motion:
     return replace(motion, ctrl=ctrl + share * (motion.ctrl - ctrl))
 
 
-def start(model: Model, motion: Motion) -> State:
+def start(model: Model, motion: Schedule) -> State:
     """Where the motion begins."""
     first = motion.starts[0]
     ctrl = np.zeros(model.nu) if motion.ctrl is None else motion.ctrl[0, 0]
@@ -63,7 +56,7 @@ def start(model: Model, motion: Motion) -> State:
     return State(state.label, 0.0, state.qpos, state.qvel, state.ctrl, acting(sim))
 
 
-def visited(model: Model, motion: Motion, safe: float) -> Visit:
+def visited(model: Model, motion: Schedule, safe: float) -> Visit:
     """States along the motion at a step of at most `safe` [s]; the start first."""
     first = start(model, motion)
     each = max(1, math.ceil(motion.period / safe))

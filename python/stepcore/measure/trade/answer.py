@@ -10,7 +10,8 @@ from stepcore.report.settings import label
 from stepcore.report.units import computing, metres, operations, seconds
 
 if TYPE_CHECKING:
-    from stepcore.measure.trade.result import Row, Trade
+    from stepcore.measure.trade.result import Trade
+    from stepcore.measure.trade.row import Row
 
 # From here on the worst start says something else than the median of the starts.
 DIFFER = 30.0

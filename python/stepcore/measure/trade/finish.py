@@ -8,12 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from stepcore._core import Settings
-from stepcore.experiment.cost import Timed, costs
-from stepcore.experiment.other_models import Models
-from stepcore.measure.trade.mujoco import Player
-from stepcore.measure.trade.result import Row
+from stepcore.experiment.cost import TimedRun, costs
+from stepcore.experiment.other_models import ErrorSplit
+from stepcore.measure.trade.row import Row
 from stepcore.measure.trade.trials import Trials
-from stepcore.report.progress import Progress
 
 
 class Finisher:
@@ -23,23 +21,20 @@ class Finisher:
     """
 
     def __init__(
-        self, trials: Trials, models: Models, shipped: Settings, tau: float | None, by: str
+        self, trials: Trials, split: ErrorSplit, shipped: Settings, tau: float | None, by: str
     ) -> None:
-        self.models = models
-        self.trials, self.shipped, self.tau, self.by = trials, shipped, tau, by
+        self.trials, self.split = trials, split
+        self.shipped, self.tau, self.by = shipped, tau, by
 
-    def rows(self, settings: Sequence[Settings], rivals: Sequence[Player] = ()) -> list[Row]:
-        """Rows of settings that have been run, timed in turn with one another and with rivals."""
+    def rows(self, settings: Sequence[Settings], others: Sequence[TimedRun] = ()) -> list[Row]:
+        """Rows of settings that have been run, timed in turn with one another and with others."""
         for one in settings:
-            self.models.keep(one, self.trials.paths[one])
-        course, times = self.trials.course, [math.nan] * len(settings)
+            self.split.keep(one, self.trials.paths[one])
+        times = [math.nan] * len(settings)
         if self.by == "time":
-            players: list[Settings | Timed] = [*settings, *rivals]
-            with Progress("costs", len(players), self.trials.progress) as bar:
-                found = costs(course, players, bar)
-            times = found[: len(settings)]
-            for rival, cost in zip(rivals, found[len(settings) :], strict=True):
-                rival.point.cost = cost
+            runs = [*(TimedRun(self.trials.runner, one) for one in settings), *others]
+            with self.trials.workers.bar("costs", len(runs)) as bar:
+                times = costs(runs, bar)[: len(settings)]
         return [self._row(one, cost) for one, cost in zip(settings, times, strict=True)]
 
     def row(self, settings: Settings) -> Row:
@@ -49,22 +44,20 @@ class Finisher:
 
     def _row(self, settings: Settings, cost: float) -> Row:
         trials = self.trials
-        paths = trials.paths[settings]
+        paths, work = trials.paths[settings], trials.work[settings]
         failure = trials.failure(settings)
         if failure is None and self.by == "time" and math.isnan(cost):
             failure = "failed while it was timed"
-        horizon = trials.course.motion.horizon
-        row = Row(
+        updates = float(np.mean([path.row_updates for path in paths]))
+        ran = failure is None
+        return Row(
             settings=settings,
-            errors=None,
-            cost=math.nan,
-            row_updates=math.nan,
+            errors=self.split.errors(settings, paths) if ran else None,
+            cost=cost if ran else math.nan,
+            row_updates=updates / trials.runner.schedule.horizon if ran else math.nan,
             failure=failure,
             shipped=settings == self.shipped,
             clamped=self.tau is not None and 2 * settings.dt > self.tau * (1 + 1e-12),
+            flops=work.flops if ran else math.nan,
+            nbytes=work.nbytes if ran else 0,
         )
-        if failure is None:
-            row.errors = self.models.errors(settings, paths)
-            row.cost, (row.flops, row.nbytes) = cost, trials.work[settings]
-            row.row_updates = float(np.mean([path.row_updates for path in paths])) / horizon
-        return row

@@ -1,4 +1,4 @@
-"""What the frugal search runs: the targets it hunts, and the front that it draws."""
+"""What the frugal search runs: settings that meet a few target errors, and the whole front."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from stepcore._core import Settings
-from stepcore.experiment.reference import FINER, Search
+from stepcore.experiment.reference import FINER, ReferenceRuns
 from stepcore.measure.trade.moves import Steps
-from stepcore.measure.trade.search import Hunt
+from stepcore.measure.trade.search import SettingsSearch
 from stepcore.measure.trade.trials import Trials
-from stepcore.report.progress import Progress
 
 # The share of an error asked for that everything tried is held to: further starts differ.
 MARGIN = 0.9
-# What is hunted, as shares of the error asked for, or of the shipped one where none or a budget
+# The target errors, as shares of the error asked for, or of the shipped one where none or a budget
 # is; and whether other axes are tried there. A half is the next better.
 ASKED = ((MARGIN, True), (0.5, False))
 UNASKED = ((1.0, True), (0.5, False), (0.1, False))
@@ -40,14 +39,14 @@ class Wanted:
     whole: bool
 
 
-def found(
-    search: Search, trials: Trials, steps: Steps, rows: int, friction: bool, wanted: Wanted
+def searched(
+    runs: ReferenceRuns, trials: Trials, steps: Steps, rows: int, friction: bool, wanted: Wanted
 ) -> list[Settings]:
     """The settings that have been run from all starts, coarsest step first; failures too."""
-    hunt = Hunt(trials, steps, search.shipped, rows, friction)
-    hunt.overview()
+    search = SettingsSearch(trials, steps, runs.shipped, rows, friction)
+    search.overview()
     chosen: list[Settings] = []
-    targets = _targets(hunt, wanted)
+    targets = _targets(search, wanted)
     for k, (error, climb) in enumerate(targets):
         halvings = REFINED
         if k and chosen and wanted.error is not None:
@@ -55,16 +54,16 @@ def found(
             halvings = REFINED if error * FAR >= wanted.error else 0
             if error <= trials.reference.high:
                 break
-        while halvings and trials.reference.high * FINER > error and _finer(search, trials):
+        while halvings and trials.reference.high * FINER > error and _finer(runs, trials):
             halvings -= 1
-        some = hunt.hunt(error, climb)
-        while not some and halvings and _finer(search, trials):
+        some = search.meeting(error, climb)
+        while not some and halvings and _finer(runs, trials):
             halvings -= 1
-            some = hunt.hunt(error, climb)
+            some = search.meeting(error, climb)
         chosen += some + [one.replace(precision="f32") for one in some[:SINGLE]]
     least = 0.0 if wanted.whole else min((error for error, _ in targets), default=0.0) / USELESS
-    chosen += _drawn(hunt, least)
-    chosen.append(search.shipped)
+    chosen += _drawn(search, least)
+    chosen.append(runs.shipped)
     failed = [
         one for one, paths in trials.glances.items() if paths[-1].failure or trials.far(paths)
     ]
@@ -72,12 +71,15 @@ def found(
     return sorted(dict.fromkeys([*chosen, *failed]), key=lambda s: -s.dt)
 
 
-def _finer(search: Search, trials: Trials) -> bool:
+def _finer(runs: ReferenceRuns, trials: Trials) -> bool:
     """Halves the reference's step once more; False where that is of no use."""
-    if not search.can_refine(trials.reference):
+    if not runs.can_refine(trials.reference):
         return False
-    with Progress("finer reference", len(search.course.motion.starts), trials.progress) as bar:
-        return search.refine(trials.reference, bar)
+    with trials.workers.bar("finer reference", runs.starts) as bar:
+        better = runs.refined(trials.reference, bar)
+    if better is not None:
+        trials.reference = better
+    return better is not None
 
 
 def _next_better(trials: Trials, chosen: Settings, error: float) -> float:
@@ -85,32 +87,32 @@ def _next_better(trials: Trials, chosen: Settings, error: float) -> float:
 
     What the longest step tried gives can be far better than what was asked for.
     """
-    return min(error, trials.score(chosen, len(trials.course.motion.starts)).error / 2)
+    return min(error, trials.score(chosen, len(trials.runner.schedule.starts)).error / 2)
 
 
-def _targets(hunt: Hunt, wanted: Wanted) -> list[tuple[float, bool]]:
-    """The errors to hunt [m], and whether to climb there."""
+def _targets(search: SettingsSearch, wanted: Wanted) -> list[tuple[float, bool]]:
+    """The errors to search for [m], and whether to try other axes there."""
     if wanted.error is not None:
         return [(share * wanted.error, climb) for share, climb in ASKED]
-    own = hunt.trials.score(hunt.shipped, hunt.few).error
+    own = search.trials.score(search.shipped, search.few).error
     if not 0 < own < math.inf:
-        scores = [hunt.trials.score(one, hunt.few).error for one in hunt.trials.glances]
+        scores = [search.trials.score(one, search.few).error for one in search.trials.glances]
         finite = sorted(e for e in scores if 0 < e < math.inf)
         own = finite[len(finite) // 2] if finite else 0.0
     shares = BUDGET if wanted.budget else UNASKED
     return [(own * share, climb) for share, climb in shares if own > 0]
 
 
-def _drawn(hunt: Hunt, least: float) -> list[Settings]:
+def _drawn(search: SettingsSearch, least: float) -> list[Settings]:
     """The front of every integrator, as far as few starts tell, thinned out."""
     by_name: dict[str, list[Settings]] = {}
-    for one in hunt.trials.glances:
+    for one in search.trials.glances:
         by_name.setdefault(one.integrator, []).append(one)
-    return [s for some in by_name.values() for s in _thin(hunt, some, least)]
+    return [s for some in by_name.values() for s in _thin(search, some, least)]
 
 
-def _thin(hunt: Hunt, some: Sequence[Settings], least: float) -> list[Settings]:
-    scores = [(hunt.trials.score(one, hunt.few), i) for i, one in enumerate(some)]
+def _thin(search: SettingsSearch, some: Sequence[Settings], least: float) -> list[Settings]:
+    scores = [(search.trials.score(one, search.few), i) for i, one in enumerate(some)]
     kept, best, last = [], math.inf, 0.0
     for score, i in sorted(scores, key=lambda pair: (pair[0].price, pair[0].error, pair[1])):
         if score.error < best and score.price > SPARSE * last and score.error >= least:

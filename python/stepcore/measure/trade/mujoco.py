@@ -8,23 +8,29 @@ with the reference.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from stepcore.engine.model import Model
-from stepcore.experiment.cost import Timed, Watch, calls
-from stepcore.experiment.errors import Errors, errors, far_off
+from stepcore.engine.sim import Sim
+from stepcore.experiment.bodies import Bodies
+from stepcore.experiment.cost import TimedRun
+from stepcore.experiment.errors import Errors, errors, far_off, pareto
+from stepcore.experiment.path import Path
+from stepcore.experiment.probe import Probe
 from stepcore.experiment.reference import Reference
-from stepcore.experiment.runner import Course, Path
+from stepcore.experiment.runner import Clock, Runner
+from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.workers import Workers
 from stepcore.loading import find_asset
 from stepcore.measure.trade.moves import Steps
-from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import metres, seconds
 
 if TYPE_CHECKING:
@@ -40,7 +46,7 @@ AGREE = 4.0
 CHECKED, COARSER = 2, 4.0
 
 
-@dataclass
+@dataclass(frozen=True)
 class Point:
     """MuJoCo under one setting. cost [µs per simulated second]; see `Trade.mujoco`.
 
@@ -159,146 +165,148 @@ def load(source: Any, model: Model) -> Any:
     return made
 
 
+class Setting(NamedTuple):
+    """One setting of MuJoCo. exact: rows solved to rounding."""
+
+    dt: float
+    integrator: str
+    solver: str
+    exact: bool = False
+
+
+class World:
+    """MuJoCo's data under one setting: what `Runner.follow` steps."""
+
+    def __init__(self, model: Any, settings: Setting) -> None:
+        self.model, self.settings = model, settings
+        self.data = require().MjData(model)
+
+    def step(self, count: int) -> None:
+        require().mj_step(self.model, self.data, nstep=count)
+
+    def configure(self) -> None:
+        """Sets the options of the model, which all worlds share."""
+        option, settings = self.model.opt, self.settings
+        option.timestep, option.integrator = settings.dt, INTEGRATORS[settings.integrator]
+        option.solver = SOLVERS[settings.solver]
+        option.iterations, option.tolerance = (200, 1e-15) if settings.exact else (100, 1e-8)
+        option.ls_iterations, option.ls_tolerance = (200, 1e-6) if settings.exact else (50, 1e-2)
+
+
+class MujocoRunner(Runner):
+    """The same schedule, run by MuJoCo; theirs: its model of the scene."""
+
+    def __init__(self, model: Model, schedule: Schedule, theirs: Any) -> None:
+        super().__init__(model, schedule)
+        self.theirs = theirs
+        # What a control function is shown, in MuJoCo's state.
+        self.shown = Sim(model)
+
+    def sim(self, settings: Any) -> World:
+        return World(self.theirs, settings)
+
+    def follow(
+        self, sim: World, start: int, probes: Sequence[Probe] = (), clock: Clock | None = None
+    ) -> None:
+        sim.configure()
+        with quiet():
+            super().follow(sim, start, probes, clock)
+
+    def place(self, sim: World, start: int) -> None:
+        require().mj_resetData(self.theirs, sim.data)
+        begin = self.schedule.starts[start]
+        sim.data.qpos[:], sim.data.qvel[:] = begin.qpos, begin.qvel
+
+    def control(self, sim: World, start: int, period: int) -> None:
+        data, shown = sim.data, self.shown
+        if self.schedule.control is not None:
+            shown.qpos, shown.qvel, shown.time = data.qpos, data.qvel, data.time
+        super().control(shown, start, period)
+        data.ctrl[:] = shown.ctrl
+
+
+class Poses(Probe):
+    """MuJoCo's states at the samples, and where the bodies are in them."""
+
+    def __init__(self, bodies: Bodies) -> None:
+        self.bodies = bodies
+        self.qpos: list[np.ndarray] = []
+        self.qvel: list[np.ndarray] = []
+
+    def sample(self, sim: World) -> None:
+        self.qpos.append(sim.data.qpos.copy())
+        self.qvel.append(sim.data.qvel.copy())
+
+    def end(self, sim: World, path: Path) -> None:
+        path.failure = _warned(sim.data)
+        if path.failure is None:
+            seen = self.bodies.states(np.array(self.qpos), np.array(self.qvel))
+            path.com, path.quat, path.gyration = seen.com, seen.quat, self.bodies.gyration
+
+
 class Opponent:
-    """MuJoCo on a course."""
+    """MuJoCo's points on a trade's motion."""
 
-    def __init__(self, source: Any, course: Course, reference: Reference, size: float) -> None:
-        self.model = load(source, course.model)
-        self.course, self.reference, self.size = course, reference, size
-        self.shipped = course.model.settings
+    def __init__(self, source: Any, runner: Runner, reference: Reference, size: float) -> None:
+        self.runner = MujocoRunner(runner.model, runner.schedule, load(source, runner.model))
+        self.reference, self.size = reference, size
 
-    def players(self, steps: Steps, progress: Choice) -> list[Player]:
-        """Points that can be timed: integrators × solvers × steps, all run from every start."""
+    def points(self, steps: Steps, workers: Workers) -> tuple[list[Point], list[TimedRun]]:
+        """Integrators × solvers × steps, all run from every start; and the same to be timed."""
         solvers = SOLVERS if any(path.rows for path in self.reference.paths) else ("newton",)
         pieces = sorted({max(1, round(steps.own / factor)) for factor in FACTORS})
-        asked = [(n, i, s) for n in pieces for i in INTEGRATORS for s in solvers]
-        starts = len(self.course.motion.starts)
-        with Progress("MuJoCo", len(asked) * starts, progress) as bar, quiet():
-            check = self.check(bar)
-            return [
-                Player(self, self.point(steps.dt(n), integrator, solver, check, bar))
-                for n, integrator, solver in asked
-            ]
+        asked = [Setting(steps.dt(n), i, s) for n in pieces for i in INTEGRATORS for s in solvers]
+        starts = len(self.runner.schedule.starts)
+        with workers.bar("MuJoCo", len(asked) * starts) as bar:
+            check = self._check()
+            points = []
+            for setting in asked:
+                points.append(self._point(setting, check))
+                bar.advance(starts)
+        runs = [
+            TimedRun(self.runner, setting, failed=point.failure is not None)
+            for setting, point in zip(asked, points, strict=True)
+        ]
+        return points, runs
 
-    def check(self, bar: Progress) -> Check:
+    def _check(self) -> Check:
         """MuJoCo's own limit, beside the reference."""
-        ref, motion = self.reference, self.course.motion
-        few = range(min(CHECKED, len(motion.starts)))
+        ref, schedule = self.reference, self.runner.schedule
+        few = range(min(CHECKED, len(schedule.starts)))
         # At most so many times the reference's step: this is to be seen, not to be the truth.
-        dt = motion.period / max(1, int(motion.period / ref.settings.dt / COARSER + 1e-9))
-        runs = [self.paths(step, "rk4", "newton", bar, few, exact=True) for step in (dt, dt / 2)]
-        apart, moved, dt = math.inf, math.inf, dt / 2
-        if not any(path.failure for some in runs for path in some):
+        dt = schedule.period / max(1, int(schedule.period / ref.settings.dt / COARSER + 1e-9))
+        coarse, fine = (
+            [self._path(Setting(step, "rk4", "newton", exact=True), start) for start in few]
+            for step in (dt, dt / 2)
+        )
+        apart, moved = math.inf, math.inf
+        if not any(path.failure for path in (*coarse, *fine)):
             truth, scored = ref.paths[: len(few)], ref.scored[: len(few)]
-            apart = errors(runs[1], truth, scored).high
-            moved = errors(runs[1], runs[0], scored).high
-        return Check(require().__version__, dt, apart, moved, ref.high)
+            apart = errors(fine, truth, scored).high
+            moved = errors(fine, coarse, scored).high
+        return Check(require().__version__, dt / 2, apart, moved, ref.high)
 
-    def point(self, dt: float, integrator: str, solver: str, check: Check, bar: Progress) -> Point:
+    def _point(self, setting: Setting, check: Check) -> Point:
         """One setting of MuJoCo's, from every start."""
-        starts, ref = range(len(self.course.motion.starts)), self.reference
-        paths = self.paths(dt, integrator, solver, bar, starts)
+        ref = self.reference
+        paths = [self._path(setting, start) for start in range(len(ref.paths))]
         failure = next((f"start {i}: {p.failure}" for i, p in enumerate(paths) if p.failure), None)
         failure = failure or far_off(paths, ref.paths, self.size)
-        found = None if failure else errors(paths, ref.paths, ref.scored, self.size)
-        return Point(dt, integrator, solver, found, check, failure=failure)
+        wrong = None if failure else errors(paths, ref.paths, ref.scored, self.size)
+        return Point(setting.dt, setting.integrator, setting.solver, wrong, check, failure=failure)
 
-    def configure(self, dt: float, integrator: str, solver: str, exact: bool = False) -> None:
-        """Sets MuJoCo's options; exact: its rows solved to rounding."""
-        option = self.model.opt
-        option.timestep, option.integrator = dt, INTEGRATORS[integrator]
-        option.solver = SOLVERS[solver]
-        option.iterations, option.tolerance = (200, 1e-15) if exact else (100, 1e-8)
-        option.ls_iterations, option.ls_tolerance = (200, 1e-6) if exact else (50, 1e-2)
-
-    def paths(
-        self,
-        dt: float,
-        integrator: str,
-        solver: str,
-        bar: Progress,
-        starts: Sequence[int],
-        exact: bool = False,
-    ) -> list[Path]:
-        """The motion from these starts."""
-        self.configure(dt, integrator, solver, exact)
-        data = require().MjData(self.model)
-        found = []
-        for start in starts:
-            found.append(self.path(data, dt, start))
-            bar.advance()
-        return found
-
-    def path(self, data: Any, dt: float, start: int) -> Path:
-        mujoco, motion = require(), self.course.motion
-        drive, count, path = self.drive(start), motion.steps(dt), Path()
-        self.place(data, start)
-        qpos, qvel = [], []
-        for period in range(motion.periods):
-            drive(data, period)
-            mujoco.mj_step(self.model, data, nstep=count)
-            if (period + 1) % motion.every == 0:
-                qpos.append(data.qpos.copy())
-                qvel.append(data.qvel.copy())
-        path.failure = _warned(data)
-        if path.failure is None:
-            seen = self.course.poses(np.array(qpos), np.array(qvel))
-            path.com, path.quat = seen.com, seen.quat
-            path.gyration = self.course.gyration
-        return path
-
-    def place(self, data: Any, start: int) -> None:
-        """Puts MuJoCo at a start of the motion, nothing warm."""
-        require().mj_resetData(self.model, data)
-        begin = self.course.motion.starts[start]
-        data.qpos[:], data.qvel[:] = begin.qpos, begin.qvel
-
-    def drive(self, start: int) -> Any:
-        """Sets MuJoCo's controls; a control function sees a Sim in MuJoCo's state."""
-        motion = self.course.motion
-        if motion.control is None:
-            assert motion.ctrl is not None
-            values = motion.ctrl[start]
-
-            def replay(data: Any, period: int) -> None:
-                data.ctrl[:] = values[period]
-
-            return replay
-        sim, ask = self.course.sim(self.shipped), self.course.drive(start)
-
-        def shown(data: Any, period: int) -> None:
-            sim.qpos, sim.qvel, sim.time = data.qpos, data.qvel, data.time
-            ask(sim, period)
-            data.ctrl[:] = sim.ctrl
-
-        return shown
+    def _path(self, setting: Setting, start: int) -> Path:
+        return self.runner.run(setting, start, [Poses(self.runner.bodies)])
 
 
-class Player(Timed):
-    """A point of MuJoCo's that is timed in turn with ours: `mj_step` as we call `Sim.step`."""
-
-    def __init__(self, opponent: Opponent, point: Point) -> None:
-        super().__init__()
-        self.opponent, self.point = opponent, point
-        self.failed = point.failure is not None
-        self.count, self.periods = calls(opponent.course, point.dt)
-        self.data: Any = None
-
-    def once(self) -> float:
-        opponent, point, mujoco = self.opponent, self.point, require()
-        opponent.configure(point.dt, point.integrator, point.solver)
-        if self.data is None:
-            self.data = mujoco.MjData(opponent.model)
-            self.drive = opponent.drive(0)
-        opponent.place(self.data, 0)
-        with quiet():
-            watch = Watch()
-            for period in range(self.periods):
-                self.drive(self.data, period)
-                watch.start()
-                mujoco.mj_step(opponent.model, self.data, nstep=self.count)
-                watch.stop()
-            return watch.total()
+def timed(points: Sequence[Point], runs: Sequence[TimedRun]) -> list[Point]:
+    """The points with their costs, and marks where no other point beats them."""
+    costs = [run.cost for run in runs]
+    best = pareto(costs, [point.error for point in points])
+    return [
+        dataclasses.replace(point, cost=cost, best=mark)
+        for point, cost, mark in zip(points, costs, best, strict=True)
+    ]
 
 
 def _warned(data: Any) -> str | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from stepcore.experiment.growth import GROWTH, NEARBY
 from stepcore.experiment.reference import Gap, Reference
-from stepcore.experiment.statistics import QUANTITIES
+from stepcore.measure.trade.statistics import QUANTITIES
 from stepcore.report.settings import label
 from stepcore.report.table import Table
 from stepcore.report.units import metres, seconds

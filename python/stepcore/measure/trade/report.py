@@ -14,7 +14,8 @@ from stepcore.report.table import Table
 from stepcore.report.units import compact, metres, seconds
 
 if TYPE_CHECKING:
-    from stepcore.measure.trade.result import Row, Trade
+    from stepcore.measure.trade.result import Trade
+    from stepcore.measure.trade.row import Row
 
 # A printed trade shows all rows up to this many, then the ones that matter.
 FULL = 40
@@ -73,7 +74,7 @@ def telling(trade: Trade) -> list[Row]:
         for row in trade.rows
         if row.best
         or row.shipped
-        or row is chosen
+        or (chosen is not None and row.settings == chosen.settings)
         or row.settings == own.replace(dt=row.settings.dt)
     ]
 

@@ -9,163 +9,67 @@ from typing import Any
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.experiment.errors import Errors, moved, pareto
-from stepcore.experiment.order import orders
+from stepcore.experiment.errors import moved
 from stepcore.experiment.reference import FINER, Reference
-from stepcore.experiment.statistics import QUANTITIES, Statistics
 from stepcore.measure.trade import report
+from stepcore.measure.trade.frontier import Frontier
 from stepcore.measure.trade.mujoco import Point
+from stepcore.measure.trade.orders import orders
+from stepcore.measure.trade.row import Row
+from stepcore.measure.trade.statistics import QUANTITIES
 from stepcore.report.result import Result
 from stepcore.report.table import Table, jsonable
 
-FIELDS = (
-    "dt",
-    "integrator",
-    "solver",
-    "sweeps",
-    "precision",
-    "tolerance",
-    "warm_start",
-    "acceleration",
-    "cone",
-)
-ERRORS = (
-    *("position", "position_max", "relative", "relative_max", "numerical", "modelling"),
-    *("angle", "angle_max", "gained", "lost", "momentum", "angular_momentum"),
-    *("overlap", "joint", "limit", "creep", "anisotropy", "residual"),
-)
 # An error above this share of how far matter moves no longer falls as a power of dt.
 SATURATED = 0.1
 
 
-@dataclass
-class Further:
-    """How a recommendation did on starts that the search had not seen.
-
-    starts: how many; held: how many of them kept to the error asked for; high: the root mean
-    square of the worst [m]; failure: of the first that failed.
-    """
-
-    starts: int
-    held: int
-    high: float
-    failure: str | None = None
-
-
-@dataclass
-class Row:
-    """One setting. cost [µs per simulated second]; row_updates, flops [per simulated second];
-    nbytes: memory of state and working space; further: tried on further starts. after:
-    differences of means once the motion cannot be predicted, where they were measured.
-    """
-
-    settings: Settings
-    errors: Errors | None
-    cost: float
-    row_updates: float
-    failure: str | None = None
-    shipped: bool = False
-    clamped: bool = False
-    below: bool = False
-    below_max: bool = False
-    best: bool = False
-    flops: float = math.nan
-    nbytes: int = 0
-    further: Further | None = None
-    after: Statistics | None = None
-
-    def record(self) -> dict[str, Any]:
-        """The row as plain data.
-
-        `below` and `below_max` mark an error and a largest error below the reference's own.
-        """
-        e = self.errors
-        record: dict[str, Any] = {name: getattr(self.settings, name) for name in FIELDS}
-        for name in ERRORS:
-            value = None if e is None else getattr(e, name)
-            record[name] = None if value is None or math.isnan(value) else value
-        record["position_high"] = None if e is None else e.high
-        record["worst_start"] = None if e is None else e.worst
-        return record | {
-            "cost": _known(self.cost),
-            "row_updates": _known(self.row_updates),
-            "flops": _known(self.flops),
-            "bytes": self.nbytes or None,
-            "pareto": self.best,
-            "shipped": self.shipped,
-            "clamped": self.clamped,
-            "below": self.below,
-            "below_max": self.below_max,
-            "further_starts": None if self.further is None else self.further.starts,
-            "further_held": None if self.further is None else self.further.held,
-            "further_high": None if self.further is None else self.further.high,
-            "failure": self.failure,
-            **({} if self.after is None else self.after.record()),
-        }
-
-
-def _known(value: float) -> float | None:
-    return None if math.isnan(value) else value
-
-
-@dataclass(eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Trade(Result):
     """What speed costs in accuracy for one scene; made by `stepcore.trade`.
 
-    rows: every setting that ran from all starts, and those that failed. reference: the
+    frontier: every setting that ran from all starts, and those that failed. reference: the
     converged motion and its error. horizon: simulated time [s]. notes: what to bear in mind.
-    target [m], budget: what was asked for. by: what cheap means, "time" [µs] or "flops", per
-    simulated second. size: of the scene [m]. mujoco: MuJoCo's points, where asked for.
-    screened: how many settings were tried at all; runs: how many runs that took. chosen: the row
-    for `target` that further starts confirmed.
+    target [m], budget: what was asked for. size: of the scene [m]. mujoco: MuJoCo's points, where
+    asked for. screened: how many settings were tried at all; runs: how many runs that took.
+    chosen: the row for `target` that further starts confirmed.
     """
 
     name: str
     horizon: float
-    rows: list[Row]
+    frontier: Frontier
     reference: Reference
     starts: int
     notes: list[str] = field(default_factory=list)
     target: float | None = None
     budget: float | None = None
-    by: str = "time"
     size: float = math.nan
     mujoco: list[Point] = field(default_factory=list)
     screened: int = 0
     runs: int = 0
     chosen: Row | None = None
 
-    def __post_init__(self) -> None:
-        self.mark()
+    @property
+    def rows(self) -> list[Row]:
+        """Every setting that ran from all starts, and those that failed; coarsest step first."""
+        return list(self.frontier.rows)
 
-    def mark(self) -> None:
-        """Marks the rows that no other beats, and errors below the reference's own."""
-        for row in self.rows:
-            if row.errors is not None:
-                row.below = row.errors.high < self.reference.high
-                row.below_max = row.errors.position_max < self.reference.largest
-        prices = [self.price(row) for row in self.rows]
-        marks = pareto(prices, [self.error(row) for row in self.rows])
-        for row, mark in zip(self.rows, marks, strict=True):
-            row.best = mark
-        marks = pareto([p.cost for p in self.mujoco], [p.error for p in self.mujoco])
-        for point, mark in zip(self.mujoco, marks, strict=True):
-            point.best = mark
+    @property
+    def by(self) -> str:
+        """The cost metric: "time" [µs] or "flops", per simulated second."""
+        return self.frontier.by
 
     def error(self, row: Row) -> float:
         """The error that a row can claim [m]: inf if it failed.
 
-        The root mean square of positions in the worst start, further ones among them; not
-        below the reference's own.
+        The RMS position error of the worst start, further ones among them; not below the
+        reference's own.
         """
-        if row.errors is None:
-            return math.inf
-        further = 0.0 if row.further is None else row.further.high
-        return max(row.errors.high, self.reference.high, further)
+        return self.frontier.error(row)
 
     def price(self, row: Row) -> float:
-        """What a row costs per simulated second: µs, or operations if that is what counts."""
-        return row.flops if self.by == "flops" else row.cost
+        """What a row costs per simulated second: µs, or operations if that is the metric."""
+        return self.frontier.price(row)
 
     @property
     def title(self) -> str:
@@ -181,7 +85,7 @@ class Trade(Result):
     def orders(self) -> dict[str, float]:
         """The order of accuracy that each integrator shows in the table (worst start).
 
-        From errors below a tenth of how far matter moves; see `stepcore.experiment.order.orders`.
+        From errors below a tenth of how far matter moves; see `trade.orders`.
         """
         ref = self.reference
         return orders(self.rows, FINER * ref.high, SATURATED * moved(ref.paths))
@@ -249,26 +153,14 @@ class Trade(Result):
     def cheapest(self, error: float) -> Row:
         """The row of `best`."""
         checks.real(low=0)("best", "error", error)
-        good = [r for r in self.rows if self.error(r) <= error and not math.isnan(self.price(r))]
-        if not good:
-            least = min((self.error(row) for row in self.rows), default=math.inf)
-            raise ValueError(f"error = {error:g} m: the smallest in this trade is {least:.3g} m")
-        # Single precision does the same operations: of two alike the double one.
-        single = {row.settings: row.settings.precision == "f32" for row in good}
-        return min(good, key=lambda r: (self.price(r), single[r.settings], self.error(r)))
+        return self.frontier.cheapest(error)
 
     def most_accurate(self, budget: float) -> Row:
         """The row with the smallest error whose price is at most `budget`.
 
         Raises ValueError, naming the lowest price there is, if none is that cheap.
         """
-        checks.real(above=0)("most_accurate", "budget", budget)
-        done = [row for row in self.rows if not row.failure]
-        good = [row for row in done if self.price(row) <= budget]
-        if not good:
-            least = min((self.price(row) for row in done), default=math.inf)
-            raise ValueError(f"budget = {budget:g}: the lowest price in this trade is {least:.3g}")
-        return min(good, key=lambda row: (self.error(row), self.price(row)))
+        return self.frontier.most_accurate(budget)
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
         """The picture, cost against error; written to `path` if given. Needs matplotlib.

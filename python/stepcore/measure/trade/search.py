@@ -93,7 +93,7 @@ def equal_error(score: Score, error: float, order: float) -> float:
     return float(score.price * (score.error / error) ** (1 / order))
 
 
-class Hunt:
+class SettingsSearch:
     """Looks for the cheapest settings that meet errors; all it runs stays in its trials.
 
     finest: the most pieces of the control period that the reference can judge.
@@ -104,10 +104,10 @@ class Hunt:
     ) -> None:
         self.trials, self.steps, self.shipped = trials, steps, shipped
         self.rows, self.friction = rows, friction
-        self.all = len(trials.course.motion.starts)
+        self.all = len(trials.runner.schedule.starts)
         self.few = min(FEW, self.all)
         # Methods that the search has found beside the families.
-        self.found: list[Settings] = []
+        self.methods: list[Settings] = []
 
     @property
     def finest(self) -> int:
@@ -122,20 +122,20 @@ class Hunt:
         self.trials.glance([self.shipped, *tried], self.few, "overview")
         return tried
 
-    def hunt(self, error: float, climb: bool = True) -> list[Settings]:
+    def meeting(self, error: float, climb: bool = True) -> list[Settings]:
         """Settings near the cheapest that meet an error in every start, cheapest first.
 
         Empty where nothing within reach of the reference meets it. climb: try other axes too,
-        and not only the families and what earlier hunts have found.
+        and not only the families and what earlier calls have found.
         """
-        bases = dict.fromkeys([*families(self.shipped, self.rows), *self.found])
+        bases = dict.fromkeys([*families(self.shipped, self.rows), *self.methods])
         open_ = [self.bracket(base) for base in bases]
         self.narrow(open_, error, self.few, COARSE, "families")
         open_ = self.keep(open_, error, FIRST)
         if climb:
             open_ = self.climb(open_, error)
             self.narrow(open_, error, self.few, COARSE, "axes")
-            self.found += [self.steps.at(one.base, self.steps.own) for one in open_]
+            self.methods += [self.steps.at(one.base, self.steps.own) for one in open_]
         kept = [self.again(one, error) for one in self.keep(open_, error, SECOND)]
         self.narrow(kept, error, self.all, FINE, "all starts")
         good = [(one, one.meets(error)) for one in kept]
@@ -144,12 +144,12 @@ class Hunt:
 
     def bracket(self, base: Settings) -> Bracket:
         """A method with all that is known of it from few starts."""
-        found = Bracket(base, self.steps.own)
+        bracket = Bracket(base, self.steps.own)
         for settings in self.trials.glances:
             pieces = self.steps.pieces(settings)
             if self.steps.at(base, pieces) == settings and pieces <= self.finest:
-                found.known[pieces] = self.trials.score(settings, self.few)
-        return found
+                bracket.known[pieces] = self.trials.score(settings, self.few)
+        return bracket
 
     def again(self, one: Bracket, error: float) -> Bracket:
         """The same method, to be judged by all starts, beginning where few starts put it."""
@@ -202,10 +202,10 @@ class Hunt:
 
     def jump(self, one: Bracket, n: int, error: float) -> int:
         """Where the order says that the error is met, at most four times away."""
-        found = one.known[n].error
-        if not 0 < found < math.inf:
-            return n * 2 if found else max(1, n // 4)
-        factor = (found / error) ** (1 / one.order(error))
+        seen = one.known[n].error
+        if not 0 < seen < math.inf:
+            return n * 2 if seen else max(1, n // 4)
+        factor = (seen / error) ** (1 / one.order(error))
         return max(1, math.ceil(n * min(4.0, max(0.25, factor * 1.02))))
 
     def floored(self, one: Bracket) -> bool:

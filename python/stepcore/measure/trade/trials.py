@@ -1,25 +1,24 @@
 """What has been run: every setting tried so far, from how many starts, and how it came out.
 
-The search glances; what it chooses is run once more and looked at closely.
+The search looks only at positions; settings that it chooses are run once more and fully recorded.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
 from stepcore._core import Settings
-from stepcore.executors import each
-from stepcore.experiment.cost import UNKNOWN, Work
+from stepcore.experiment.cost import UNKNOWN, Counter, Work
 from stepcore.experiment.errors import errors, far_off
+from stepcore.experiment.path import Path
+from stepcore.experiment.recorder import Positions
 from stepcore.experiment.reference import Reference
-from stepcore.experiment.runner import Course, Path
-from stepcore.measure.trade.glance import glance
-from stepcore.report.progress import Choice, Progress
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.workers import Workers
 
 T = TypeVar("T")
 # Runs of a setting, and the work of the first.
@@ -28,7 +27,7 @@ Ran = tuple[list[Path], Work]
 
 @dataclass(frozen=True)
 class Score:
-    """price: floating-point operations per simulated second. error: rms of the worst start [m].
+    """price: floating-point operations per simulated second. error: RMS of the worst start [m].
 
     Both infinite for a failure.
     """
@@ -41,22 +40,13 @@ FAILED = Score(math.inf, math.inf)
 
 
 class Trials:
-    """Runs of a course, kept, so that nothing is run twice.
+    """Runs under settings, kept, so that nothing is run twice.
 
     Scores are those of the first so many starts, against the reference as it is when asked.
     """
 
-    def __init__(
-        self,
-        course: Course,
-        reference: Reference,
-        size: float,
-        threads: int = 1,
-        executor: Executor | None = None,
-        progress: Choice = None,
-    ) -> None:
-        self.course, self.reference, self.size = course, reference, size
-        self.threads, self.executor, self.progress = threads, executor, progress
+    def __init__(self, runner: Runner, reference: Reference, size: float, workers: Workers) -> None:
+        self.runner, self.reference, self.size, self.workers = runner, reference, size, workers
         self.glances: dict[Settings, list[Path]] = {}
         self.paths: dict[Settings, list[Path]] = {}
         self.work: dict[Settings, Work] = {}
@@ -69,27 +59,26 @@ class Trials:
             done = self.glances.get(one, [])
             if len(done) < starts and not (done and done[-1].failure):
                 jobs.append((one, len(done), starts))
-        found = self._each(partial(glances, self.course), jobs, label)
-        for (one, first, _), (paths, work) in zip(jobs, found, strict=True):
+        ran = self._each(partial(glances, self.runner), jobs, label)
+        for (one, first, _), (paths, work) in zip(jobs, ran, strict=True):
             self.glances.setdefault(one, []).extend(paths)
             if first == 0:
                 self.work[one] = work
 
     def run(self, settings: Sequence[Settings], label: str = "errors") -> None:
-        """Runs settings from every start and looks closely; what has been run is not run again."""
+        """Runs settings from every start, fully recorded; what has been run is not run again."""
         missing = [one for one in dict.fromkeys(settings) if one not in self.paths]
-        found = self._each(partial(all_starts, self.course), missing, label)
-        for one, (paths, work) in zip(missing, found, strict=True):
+        ran = self._each(partial(all_starts, self.runner), missing, label)
+        for one, (paths, work) in zip(missing, ran, strict=True):
             self.paths[one], self.work[one] = paths, work
 
-    def _each(self, work: Callable[[T], Ran], jobs: Sequence[T], label: str) -> list[Ran]:
-        with Progress(label, len(jobs), self.progress) as bar:
-            found = each(work, jobs, bar=bar, threads=self.threads, executor=self.executor)
-        self.runs += sum(len(paths) for paths, _ in found)
-        return found
+    def _each(self, job: Callable[[T], Ran], points: Sequence[T], label: str) -> list[Ran]:
+        ran = self.workers.each(job, points, label)
+        self.runs += sum(len(paths) for paths, _ in ran)
+        return ran
 
     def score(self, settings: Settings, starts: int) -> Score:
-        """How a setting did, at a glance, from the first so many starts."""
+        """How a setting did, by its positions alone, from the first so many starts."""
         paths = self.glances[settings][:starts]
         if paths[-1].failure or self.far(paths):
             return FAILED
@@ -108,24 +97,33 @@ class Trials:
         return far_off(paths, self.reference.paths[: len(paths)], self.size)
 
 
-def glances(course: Course, job: tuple[Settings, int, int]) -> Ran:
-    """Glances at one setting from start `first` to before `last`, until one fails; the work."""
+def glance(runner: Runner, settings: Settings, start: int) -> Path:
+    """The positions of one run."""
+    return runner.run(settings, start, [Positions(runner.bodies)])
+
+
+def priced(runner: Runner, settings: Settings) -> tuple[Path, Work]:
+    """The positions of the run from the first start, and its work."""
+    counter = Counter(runner)
+    return runner.run(settings, 0, [Positions(runner.bodies), counter]), counter.work
+
+
+def glances(runner: Runner, job: tuple[Settings, int, int]) -> Ran:
+    """Positions under one setting from start `first` to before `last`, until one fails."""
     settings, first, last = job
     paths, work = [], UNKNOWN
     for start in range(first, last):
-        path, counted = glance(course, settings, start, priced=start == 0)
+        if start == 0:
+            path, work = priced(runner, settings)
+        else:
+            path = glance(runner, settings, start)
         paths.append(path)
-        work = counted if start == 0 else work
         if path.failure:
             break
     return paths, work
 
 
-def all_starts(course: Course, settings: Settings) -> Ran:
-    """Runs of one setting from every start, until one fails; and the work."""
-    paths = []
-    for start in range(len(course.motion.starts)):
-        paths.append(course.run(settings, start))
-        if paths[-1].failure:
-            return paths, UNKNOWN
-    return paths, glance(course, settings, 0, priced=True)[1]
+def all_starts(runner: Runner, settings: Settings) -> Ran:
+    """Recorded runs of one setting from every start, until one fails; and the work."""
+    paths = runner.runs(settings)
+    return paths, UNKNOWN if paths[-1].failure else priced(runner, settings)[1]

@@ -11,7 +11,8 @@ from stepcore.report.settings import label
 from stepcore.report.units import metres, seconds
 
 if TYPE_CHECKING:
-    from stepcore.measure.trade.result import Row, Trade
+    from stepcore.measure.trade.result import Trade
+    from stepcore.measure.trade.row import Row
 
 MARKERS = {"newton": "o", "pgs": "s"}
 # MuJoCo's points, in the same colours.

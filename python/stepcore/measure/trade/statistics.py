@@ -9,23 +9,18 @@ two runs of a pair still resemble each other). An interval that contains 0 is no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore._core import Settings
-from stepcore.executors import each
-from stepcore.experiment.motion import Motion
-from stepcore.experiment.reference import Reference, Search
-from stepcore.experiment.runner import Course, Path
-from stepcore.report.progress import Choice, Progress
-
-if TYPE_CHECKING:
-    from stepcore.measure.trade.result import Row
+from stepcore.experiment.path import Path
+from stepcore.experiment.reference import Reference, ReferenceRuns
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import Schedule
+from stepcore.report.progress import Progress
 
 LEAST = 32
 # Best rows that are told of: all, or about so many along the front.
@@ -75,37 +70,30 @@ class Statistics:
         return flat
 
 
-class After:
+class AfterPrediction:
     """Measures settings after the motion cannot be predicted; many: at least 32 starts."""
 
-    def __init__(self, search: Search, reference: Reference, many: Motion) -> None:
-        self.search, self.since = search, reference.growth.overall
-        self.course = Course(search.course.model, search.course.dofs, many)
+    def __init__(self, runs: ReferenceRuns, reference: Reference, many: Schedule) -> None:
+        self.workers, self.since = runs.workers, reference.growth.overall
+        self.runner = Runner(runs.runner.model, many)
         self.window = many.times > self.since
-        self.settings = search.settings(reference.level.integrator, search.finest / 2)
+        self.settings = runs.settings(reference.level.integrator, runs.finest / 2)
         self.truth: np.ndarray | None = None
-
-    @property
-    def needed(self) -> bool:
-        """Whether some of the horizon cannot be predicted."""
-        return bool(self.window.any())
 
     def measure(self, settings: Settings, bar: Progress) -> Statistics | None:
         """The differences of one setting; None where a run under it or the reference fails."""
         if self.truth is None:
             self.truth = self._means(self.settings, bar)
-        found = self._means(settings, bar)
-        if found is None or self.truth is None:
+        means = self._means(settings, bar)
+        if means is None or self.truth is None:
             return None
-        apart = [difference(mine, true) for mine, true in zip(found.T, self.truth.T, strict=True)]
-        return Statistics(len(found), self.since, *apart)
+        apart = [difference(mine, true) for mine, true in zip(means.T, self.truth.T, strict=True)]
+        return Statistics(len(means), self.since, *apart)
 
     def _means(self, settings: Settings, bar: Progress) -> np.ndarray | None:
         """Means over the window of every start, (starts, 3)."""
-        search = self.search
-        job = partial(self.course.run, settings)
-        starts = range(len(self.course.motion.starts))
-        paths = each(job, starts, bar=bar, threads=search.threads, executor=search.executor)
+        job = partial(self.runner.run, settings)
+        paths = self.workers.each(job, range(len(self.runner.schedule.starts)), bar)
         if any(path.failure for path in paths):
             return None
         return np.array([self._mean(path) for path in paths])
@@ -117,8 +105,8 @@ class After:
 def difference(mine: ArrayLike, true: ArrayLike) -> Difference:
     """The mean difference of pairs with its 95 % interval.
 
-    >>> found = difference([1.0, 2.0, 3.0], [0.0, 2.0, 2.0])
-    >>> round(found.mean, 3), round(found.interval, 2), found.seen
+    >>> shown = difference([1.0, 2.0, 3.0], [0.0, 2.0, 2.0])
+    >>> round(shown.mean, 3), round(shown.interval, 2), shown.seen
     (0.667, 1.43, False)
     """
     true = np.asarray(true, float)
@@ -150,28 +138,3 @@ def student(freedom: int) -> float:
         (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
     )
     return z + sum(term / freedom ** (k + 1) for k, term in enumerate(terms))
-
-
-def after(
-    rows: Sequence[Row],
-    search: Search,
-    reference: Reference,
-    many: Callable[[], Motion],
-    progress: Choice,
-) -> None:
-    """Sets `after` of the shipped row and of best ones, where some of the horizon is lost.
-
-    many: draws the motion from at least 32 starts.
-    """
-    if not np.isfinite(reference.growth.overall):
-        return
-    found = After(search, reference, many())
-    if not found.needed:
-        return
-    best = [row for row in rows if row.errors and row.best]
-    some = best[:: 1 + (len(best) - 1) // MOST] if best else []
-    told = [row for row in rows if row.errors and (row.shipped or row in some)]
-    runs = (1 + len(told)) * len(found.course.motion.starts)
-    with Progress("statistics", runs, progress) as bar:
-        for row in told:
-            row.after = found.measure(row.settings, bar)

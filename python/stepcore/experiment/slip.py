@@ -1,16 +1,13 @@
-"""What is seen of a run while it goes on: its states, its contacts and how they slip."""
+"""Contacts with friction: how fast they slip, and whether friction acts against the slip."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-
-if TYPE_CHECKING:
-    from stepcore.experiment.runner import Course
 
 # A slower slip than this share of the fastest seen says little about the direction of friction.
 SLOW = 1e-2
@@ -36,65 +33,18 @@ class Slip:
 Slips = dict[tuple[int, int, int], Slip]
 
 
-class Looks:
-    """What is seen of one run."""
+class Friction:
+    """Which geoms of a model rub on which, and how fast. moving: indices of the moving bodies."""
 
-    def __init__(self, course: Course, sim: Sim, start: int) -> None:
-        course.place(sim, start)
-        self.course = course
-        self.qpos, self.qvel = [np.array(sim.qpos)], [np.array(sim.qvel)]
-        self.ctrl: list[np.ndarray] = []
-        self.samples: list[int] = []
-        self.slips: list[Slips] = []
-        self.touching: list[int] = []
-        self.meets = bool(course.model.pairs)
-        self.grounded = False
-        self.overlap = self.residual = 0.0
-        self.row_updates = self.rows = 0
-
-    def look(self, sim: Sim, ctrl: np.ndarray) -> None:
-        """The state, after every few steps."""
-        self.qpos.append(np.array(sim.qpos))
-        self.qvel.append(np.array(sim.qvel))
-        self.ctrl.append(ctrl)
-
-    def contacts(self, sim: Sim) -> None:
-        """What overlaps, now and then."""
-        self.residual = max(self.residual, sim.residual)
-        if self.meets:
-            contacts = sim.contacts
-            self.overlap = max(self.overlap, -float(contacts["dist"].min(initial=0.0)))
-            self.grounded |= bool(self.course.rub.still(contacts))
-
-    def sample(self, sim: Sim) -> None:
-        """What the errors are taken from."""
-        self.samples.append(len(self.qpos) - 1)
-        self.rows = max(self.rows, len(sim.rows))
-        self.row_updates = sim.row_updates
-        contacts = sim.contacts if self.meets else None
-        self.touching.append(0 if contacts is None else int((contacts["dist"] <= 0).sum()))
-        self.slips.append({} if contacts is None else self.course.rub.slips(sim, contacts))
-
-
-class Rub:
-    """Which geoms rub on which, and how fast."""
-
-    def __init__(self, course: Course) -> None:
-        model = course.model
-        geoms = course.layout.geoms
-        self.mu = [(g.priority, g.condim, g.friction[0]) for g in geoms]
+    def __init__(self, model: Model, moving: list[int]) -> None:
+        plan = model.core.plan()
+        mixed = zip(model.core.pairs(), plan["condim"], plan["friction"], strict=True)
+        self.mu = {(min(pair), max(pair)): mu if condim > 1 else 0.0 for pair, condim, mu in mixed}
         self.body = [int(body) for body in model.geom_body]
-        self.moving = set(course.dofs.moving)
-        self.rubs = any(condim > 1 and mu > 0 for _, condim, mu in self.mu)
+        self.moving = set(moving)
+        self.rubs = any(mu > 0 for mu in self.mu.values())
 
-    def friction(self, a: int, b: int) -> float:
-        """The coefficient of a pair, mixed as the engine does; 0 where there is none."""
-        one, other = self.mu[a], self.mu[b]
-        if one[0] != other[0]:
-            one = other = max(one, other)
-        return max(one[2], other[2]) if max(one[1], other[1]) > 1 else 0.0
-
-    def still(self, contacts: np.ndarray) -> bool:
+    def grounded(self, contacts: np.ndarray) -> bool:
         """Whether something touches what does not move."""
         bodies = {self.body[g] for name in ("geom1", "geom2") for g in contacts[name].tolist()}
         return not bodies <= self.moving
@@ -104,7 +54,7 @@ class Rub:
         if not self.rubs or not len(contacts):
             return {}
         pairs = list(zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True))
-        mu = np.array([self.friction(a, b) for a, b in pairs])
+        mu = np.array([self.mu[min(pair), max(pair)] for pair in pairs])
         force, normal = contacts["force"], contacts["normal"]
         pushed = np.einsum("ci,ci->c", force, normal)
         rubs = np.flatnonzero((mu > 0) & (pushed > 0))
@@ -120,8 +70,8 @@ class Rub:
         with np.errstate(over="ignore", invalid="ignore"):
             speed = self._speed(sim, contacts["pos"][rubs], [self.body[b] for _, b in some])
             speed -= self._speed(sim, contacts["pos"][rubs], [self.body[a] for a, _ in some])
-            found = _slips(speed, force[rubs], normal[rubs], mu[rubs] * pushed[rubs])
-        return {keys[k]: slip for k, slip in zip(rubs, found, strict=True)}
+            slips = _slips(speed, force[rubs], normal[rubs], mu[rubs] * pushed[rubs])
+        return {keys[k]: slip for k, slip in zip(rubs, slips, strict=True)}
 
     def _speed(self, sim: Sim, points: np.ndarray, bodies: list[int]) -> np.ndarray:
         """Velocities of points that are fixed to bodies [m/s], (n, 3)."""
@@ -151,7 +101,7 @@ def _slips(
     against = -np.einsum("ci,ci->c", along, rubbed) / np.where(both > 0, both, 1.0)
     astray = np.arccos(np.clip(np.where(both > 0, against, 1.0), -1.0, 1.0))
     parts = (fast.tolist(), (strong / most).tolist(), astray.tolist())
-    return [Slip(*one) for one in zip(*parts, strict=True)]
+    return [Slip(*numbers) for numbers in zip(*parts, strict=True)]
 
 
 def creep(slips: list[Slips], truth: list[Slips], mask: np.ndarray, sticks: float) -> float | None:
@@ -165,8 +115,8 @@ def creep(slips: list[Slips], truth: list[Slips], mask: np.ndarray, sticks: floa
         if not mask[k]:
             continue
         for key, slip in slips[k].items():
-            held = [truth[i].get(key) for i in (k - 1, k)]
-            if all(one is not None and one.share < sticks for one in held):
+            both = [truth[i].get(key) for i in (k - 1, k)]
+            if all(true is not None and true.share < sticks for true in both):
                 speeds.append(slip.speed)
     return max(speeds, default=None)
 

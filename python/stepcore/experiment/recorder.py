@@ -1,0 +1,126 @@
+"""The two probes that make a path: `Recorder` measures all of it, `Positions` only positions.
+
+A search looks at hundreds of runs through `Positions`; the errors in a table are of `Recorder`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stepcore.engine.sim import Sim
+from stepcore.experiment.bodies import Bodies
+from stepcore.experiment.path import Path
+from stepcore.experiment.probe import Probe
+from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.slip import Slips
+
+# The state is recorded this often in a period (or every step), contacts are looked at less often.
+STATES = 32
+CONTACTS = 8
+
+
+class Positions(Probe):
+    """Where the bodies are at the samples, and nothing else."""
+
+    def __init__(self, bodies: Bodies) -> None:
+        self.bodies = bodies
+        self.xpos: list[np.ndarray] = []
+        self.xquat: list[np.ndarray] = []
+
+    def sample(self, sim: Sim) -> None:
+        self.xpos.append(sim.xpos[self.bodies.moving])
+        self.xquat.append(sim.xquat[self.bodies.moving])
+
+    def end(self, sim: Sim, path: Path) -> None:
+        path.row_updates = sim.row_updates
+        path.quat, path.gyration = np.array(self.xquat), self.bodies.gyration
+        with np.errstate(over="ignore", invalid="ignore"):
+            path.com = self.bodies.centres(np.array(self.xpos), path.quat)
+
+
+class Recorder(Probe):
+    """All that `Path` holds: states every few steps, contacts at times, slips at the samples."""
+
+    def __init__(self, bodies: Bodies, schedule: Schedule) -> None:
+        self.bodies, self.schedule = bodies, schedule
+        self.qpos: list[np.ndarray] = []
+        self.qvel: list[np.ndarray] = []
+        self.ctrl: list[np.ndarray] = []
+        self.samples: list[int] = []
+        self.slips: list[Slips] = []
+        self.touching: list[int] = []
+        self.meets = bool(bodies.model.pairs)
+        self.grounded = False
+        self.overlap = self.residual = 0.0
+        self.rows = 0
+
+    def stride(self, steps: int) -> int:
+        return max(1, steps // STATES)
+
+    def begin(self, sim: Sim) -> None:
+        steps = self.schedule.steps(sim.settings.dt)
+        self.often = max(1, steps // self.stride(steps) // CONTACTS)
+        self._state(sim)
+
+    def period(self, sim: Sim, period: int) -> None:
+        self.held, self.calls = np.array(sim.ctrl), 0
+
+    def step(self, sim: Sim) -> None:
+        self._state(sim)
+        self.ctrl.append(self.held)
+        if self.calls % self.often == 0:
+            self._contacts(sim)
+        self.calls += 1
+
+    def sample(self, sim: Sim) -> None:
+        self.samples.append(len(self.qpos) - 1)
+        self.rows = max(self.rows, len(sim.rows))
+        contacts = sim.contacts if self.meets else None
+        self.touching.append(0 if contacts is None else int((contacts["dist"] <= 0).sum()))
+        self.slips.append({} if contacts is None else self.bodies.friction.slips(sim, contacts))
+
+    def _state(self, sim: Sim) -> None:
+        self.qpos.append(np.array(sim.qpos))
+        self.qvel.append(np.array(sim.qvel))
+
+    def _contacts(self, sim: Sim) -> None:
+        self.residual = max(self.residual, sim.residual)
+        if self.meets:
+            contacts = sim.contacts
+            self.overlap = max(self.overlap, -float(contacts["dist"].min(initial=0.0)))
+            self.grounded |= self.bodies.friction.grounded(contacts)
+
+    def end(self, sim: Sim, path: Path) -> None:
+        """The poses and energies at the samples, in double precision whatever the run's."""
+        bodies = self.bodies
+        qpos, qvel = np.array(self.qpos), np.array(self.qvel)
+        at = np.array(self.samples)
+        # Energies before work: a state that is finite in itself can overflow in them.
+        with np.errstate(over="ignore", invalid="ignore"):
+            seen = bodies.states(qpos[[0, *at]], qvel[[0, *at]])
+            work = np.concatenate([[0.0], np.cumsum(self._work(qpos, qvel, np.array(self.ctrl)))])
+            path.balance = seen.energy[1:] - seen.energy[0] - work[at]
+            path.height = bodies.height(seen.com[1:])
+            if bodies.conserved.known and not self.grounded:
+                times = np.concatenate([[0.0], self.schedule.times])
+                path.momentum, path.spin = bodies.conserved.lost(seen.momenta, seen.com, times)
+            path.joint, path.limit = bodies.joints.apart(seen.frames), bodies.joints.beyond(qpos)
+        path.com, path.quat, path.kinetic = seen.com[1:], seen.quat[1:], seen.kinetic[1:]
+        path.gyration = bodies.gyration
+        path.touching, path.slips = np.array(self.touching), self.slips
+        path.overlap, path.residual = self.overlap, self.residual
+        path.row_updates, path.rows = sim.row_updates, self.rows
+
+    def _work(self, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
+        """Work done on the bodies between two states by actuators and dampers [J].
+
+        A motor's force is held, so force × change of the joint is exact for hinges and slides;
+        a servo's is the mean of both ends, which is exact for its stiffness.
+        """
+        coordinates = self.bodies.coordinates
+        change = coordinates.change(qpos[:-1], qpos[1:])
+        damped = -coordinates.damping * (qvel[:-1] + qvel[1:]) / 2
+        force = coordinates.motor_force(ctrl, qpos[:-1], qvel[:-1])
+        force = (force + coordinates.motor_force(ctrl, qpos[1:], qvel[1:])) / 2
+        work: np.ndarray = np.sum((force + damped) * change, axis=-1)
+        return work

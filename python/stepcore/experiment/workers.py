@@ -1,0 +1,44 @@
+"""Where the runs of a measurement are made, and how its progress is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from typing import TypeVar
+
+from stepcore import checks
+from stepcore.executors import check_executor, each
+from stepcore.report.progress import Choice, Progress
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Workers:
+    """threads: how many runs at once; executor: takes their place; progress: see `Progress`."""
+
+    threads: int = 1
+    executor: Executor | None = None
+    progress: Choice = False
+
+    @classmethod
+    def checked(
+        cls, owner: str, threads: int | None, executor: Executor | None, progress: Choice
+    ) -> Workers:
+        """The arguments of a measurement; None threads are one a core."""
+        checks.told(owner, progress)
+        check_executor(owner, executor)
+        return cls(checks.threads(threads), executor, progress)
+
+    def bar(self, label: str, total: int) -> Progress:
+        """A progress bar, to be used in a `with`."""
+        return Progress(label, total, self.progress)
+
+    def each(self, job: Callable[[T], R], points: Sequence[T], bar: Progress | str) -> list[R]:
+        """The results in the order of the points. bar: one that is drawn already, or a label."""
+        if isinstance(bar, str):
+            with self.bar(bar, len(points)) as own:
+                return self.each(job, points, own)
+        return each(job, points, bar=bar, threads=self.threads, executor=self.executor)

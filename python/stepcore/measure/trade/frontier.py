@@ -1,0 +1,90 @@
+"""`Frontier`: the rows of a trade, marked where no other beats them, and the best of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from stepcore import checks
+from stepcore._core import Settings
+from stepcore.experiment.errors import pareto
+from stepcore.measure.trade.row import Row
+
+
+@dataclass(frozen=True)
+class Frontier:
+    """Rows, coarsest step first. by: the cost metric, "time" or "flops".
+
+    known, known_max: the reference's own error and largest error [m]; no row can claim less.
+    """
+
+    rows: tuple[Row, ...]
+    known: float
+    known_max: float
+    by: str
+
+    @classmethod
+    def of(cls, rows: Iterable[Row], known: float, known_max: float, by: str) -> Frontier:
+        """The rows with their marks."""
+        plain = cls(tuple(sorted(rows, key=lambda row: -row.settings.dt)), known, known_max, by)
+        best = pareto(
+            [plain.price(row) for row in plain.rows], [plain.error(row) for row in plain.rows]
+        )
+        marked = []
+        for row, mark in zip(plain.rows, best, strict=True):
+            e = row.errors
+            below, below_max = (
+                (False, False) if e is None else (e.high < known, e.position_max < known_max)
+            )
+            marked.append(dataclasses.replace(row, best=mark, below=below, below_max=below_max))
+        return dataclasses.replace(plain, rows=tuple(marked))
+
+    def updated(self, row: Row) -> Frontier:
+        """The frontier with this row in place of that of the same settings, or added."""
+        others = [one for one in self.rows if one.settings != row.settings]
+        if len(others) == len(self.rows):
+            return self.of([*self.rows, row], self.known, self.known_max, self.by)
+        rows = [row if one.settings == row.settings else one for one in self.rows]
+        return self.of(rows, self.known, self.known_max, self.by)
+
+    def has(self, settings: Settings) -> bool:
+        return any(row.settings == settings for row in self.rows)
+
+    def error(self, row: Row) -> float:
+        """The error that a row can claim [m]: inf if it failed."""
+        if row.errors is None:
+            return math.inf
+        further = 0.0 if row.further is None else row.further.high
+        return max(row.errors.high, self.known, further)
+
+    def price(self, row: Row) -> float:
+        """What a row costs per simulated second: µs, or operations if that is the metric."""
+        return row.flops if self.by == "flops" else row.cost
+
+    def cheapest(self, error: float) -> Row:
+        """The row of the lowest price whose error is at most `error` [m].
+
+        Raises ValueError, naming the smallest error there is, if none is that good.
+        """
+        good = [r for r in self.rows if self.error(r) <= error and not math.isnan(self.price(r))]
+        if not good:
+            least = min((self.error(row) for row in self.rows), default=math.inf)
+            raise ValueError(f"error = {error:g} m: the smallest in this trade is {least:.3g} m")
+        # Single precision does the same operations: of two alike the double one.
+        single = {row.settings: row.settings.precision == "f32" for row in good}
+        return min(good, key=lambda r: (self.price(r), single[r.settings], self.error(r)))
+
+    def most_accurate(self, budget: float) -> Row:
+        """The row with the smallest error whose price is at most `budget`.
+
+        Raises ValueError, naming the lowest price there is, if none is that cheap.
+        """
+        checks.real(above=0)("most_accurate", "budget", budget)
+        done = [row for row in self.rows if not row.failure]
+        good = [row for row in done if self.price(row) <= budget]
+        if not good:
+            least = min((self.price(row) for row in done), default=math.inf)
+            raise ValueError(f"budget = {budget:g}: the lowest price in this trade is {least:.3g}")
+        return min(good, key=lambda row: (self.error(row), self.price(row)))

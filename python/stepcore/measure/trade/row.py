@@ -1,0 +1,98 @@
+"""`Row`: one setting of a trade, with its errors, its costs and what further starts said."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from stepcore._core import Settings
+from stepcore.experiment.errors import Errors
+from stepcore.measure.trade.statistics import Statistics
+
+FIELDS = (
+    "dt",
+    "integrator",
+    "solver",
+    "sweeps",
+    "precision",
+    "tolerance",
+    "warm_start",
+    "acceleration",
+    "cone",
+)
+ERRORS = (
+    *("position", "position_max", "relative", "relative_max", "numerical", "modelling"),
+    *("angle", "angle_max", "gained", "lost", "momentum", "angular_momentum"),
+    *("overlap", "joint", "limit", "creep", "anisotropy", "residual"),
+)
+
+
+@dataclass(frozen=True)
+class Further:
+    """How a recommendation did on starts that the search had not seen.
+
+    starts: how many; held: how many of them kept to the error asked for; high: the root mean
+    square of the worst [m]; failure: of the first that failed.
+    """
+
+    starts: int
+    held: int
+    high: float
+    failure: str | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """One setting. cost [µs per simulated second]; row_updates, flops [per simulated second];
+    nbytes: memory of state and working space; further: tried on further starts. after:
+    differences of means once the motion cannot be predicted, where they were measured.
+    """
+
+    settings: Settings
+    errors: Errors | None
+    cost: float
+    row_updates: float
+    failure: str | None = None
+    shipped: bool = False
+    clamped: bool = False
+    below: bool = False
+    below_max: bool = False
+    best: bool = False
+    flops: float = math.nan
+    nbytes: int = 0
+    further: Further | None = None
+    after: Statistics | None = None
+
+    def record(self) -> dict[str, Any]:
+        """The row as plain data.
+
+        `below` and `below_max` mark an error and a largest error below the reference's own.
+        """
+        e = self.errors
+        record: dict[str, Any] = {name: getattr(self.settings, name) for name in FIELDS}
+        for name in ERRORS:
+            value = None if e is None else getattr(e, name)
+            record[name] = None if value is None or math.isnan(value) else value
+        record["position_high"] = None if e is None else e.high
+        record["worst_start"] = None if e is None else e.worst
+        return record | {
+            "cost": _known(self.cost),
+            "row_updates": _known(self.row_updates),
+            "flops": _known(self.flops),
+            "bytes": self.nbytes or None,
+            "pareto": self.best,
+            "shipped": self.shipped,
+            "clamped": self.clamped,
+            "below": self.below,
+            "below_max": self.below_max,
+            "further_starts": None if self.further is None else self.further.starts,
+            "further_held": None if self.further is None else self.further.held,
+            "further_high": None if self.further is None else self.further.high,
+            "failure": self.failure,
+            **({} if self.after is None else self.after.record()),
+        }
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
