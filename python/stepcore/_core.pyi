@@ -1,12 +1,13 @@
 """The engine as compiled. `stepcore.Model`, `Sim` and `Batch` are built on it; of its names
 only `Settings` and `SimulationError` are meant to be used directly (as `stepcore.Settings`)."""
 
-from typing import Any, Literal, final
+from typing import Any, Literal, Unpack, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stepcore.engine.replay import Replay
+from stepcore.engine.settings_fields import SettingsFields
 
 __all__ = ["Batch", "Model", "Settings", "Sim", "SimulationError", "compile"]
 
@@ -77,7 +78,7 @@ class Settings:
         impratio: float = 1.0,
         refsafe: bool = True,
     ) -> Settings: ...
-    def replace(self, **fields: Any) -> Settings:
+    def replace(self, **fields: Unpack[SettingsFields]) -> Settings:
         """A copy with some fields changed, checked as a whole."""
 
     def as_dict(self) -> dict[str, Any]:
@@ -177,7 +178,7 @@ class Model:
     @property
     def nv(self) -> int: ...
     def names(self) -> dict[str, list[str]]: ...
-    def element_name(self, kind: str, index: int, part: int = -1) -> str:
+    def element_name(self, kind: str, index: int, part: int = ...) -> str:
         """What an element is called; `part` -1 is the whole element."""
 
     def tables(self) -> dict[str, _Floats]: ...

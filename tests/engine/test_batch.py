@@ -70,7 +70,7 @@ def test_neither_lanes_nor_threads_nor_size_change_a_bit(law, n):
 
 def test_single_precision_is_the_sim_in_single_precision(cheetah):
     qpos, qvel, ctrl = cheetah_starts(cheetah)
-    batch = sc.Batch(cheetah, 8, 2, "f32", solver="pgs")
+    batch = sc.Batch(cheetah, 8, 2, precision="f32", solver="pgs")
     batch.qpos, batch.qvel, batch.ctrl = qpos, qvel, ctrl
     batch.step(50)
     sim = sc.Sim(cheetah, precision="f32", solver="pgs")

@@ -125,6 +125,11 @@ MISTAKES = {
     "two geoms in a default": (world("", "<default><geom/><geom/></default>"), 1, "second <geom>"),
     "unknown joint": (motor('joint="jj"'), 3, 'no joint is named "jj"; nearest: "j"'),
     "no transmission": (motor('name="m"'), 3, "needs joint"),
+    "a reference site": (
+        servo("general", 'site="s" refsite="s"'),
+        3,
+        "a <general> that acts through site and refsite is not built yet",
+    ),
     "two transmissions": (motor('joint="j" site="s"'), 3, "two transmissions"),
     "reversed clamp": (motor('joint="j" forcelimited="true" forcerange="1 0"'), 3, "forcerange"),
     "inherited activation": (

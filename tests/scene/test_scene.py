@@ -320,8 +320,3 @@ def test_reprs_say_what_there_is() -> None:
         "Joint(name='j_a', body=<body \"a\">, axis=(0.0, 1.0, 0.0), ref=0.5)"
     )
     assert str(scene.add_geom("a")) == 'unnamed geom of body "a"'
-
-
-def test_tendons_are_refused_by_name():
-    with pytest.raises(ValueError, match="tendons are not built yet"):
-        Scene().add_tendon("rope", stiffness=1.0)

@@ -18,7 +18,10 @@ from stepcore.engine.tables import contact_table, row_table
 from stepcore.engine.views import BodyView, GeomView, JointView, SiteView
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
     from stepcore.engine.model import Model
+    from stepcore.engine.settings_fields import SettingsFields
     from stepcore.scene.scene import Scene
 
 
@@ -29,6 +32,11 @@ class Rollout(NamedTuple):
     qvel: Floats
     act: Floats
 
+
+# A batch of fewer worlds × dofs than this is stepped faster by one thread than by several, because
+# waking a thread takes some 20 µs a step (measured: 64 worlds of a half cheetah lose 25 %, 512 gain
+# 40 % on two cores).
+WORTH_THREADS = 2000
 
 # What the other worlds do when one fails.
 ON_FAILURE = ("stop", "go on")
@@ -79,23 +87,20 @@ class Batch(Stepped):
         self,
         model: Model | Scene,
         n: int,
-        threads: int = 1,
-        precision: str | None = None,
+        threads: int | None = None,
         *,
         lanes: bool = True,
         on_failure: str = "stop",
         settings: Settings | None = None,
-        **overrides: Any,
+        **overrides: Unpack[SettingsFields],
     ) -> None:
-        if precision is not None:
-            overrides["precision"] = precision
         self._model = compiled(model).with_settings(settings, **overrides)
         self._lanes = checks.flag("Batch", "lanes", lanes)
-        self._threads = threads
+        self._threads = _threads(threads, n, self._model.nv)
         self._on_failure: str = checks.one_of(*ON_FAILURE)("Batch", "on_failure", on_failure)
         self._failures: dict[int, SimulationError] = {}
         own, goes_on = self._model.settings, self._on_failure == "go on"
-        self._core = _core.Batch(self._model.core, own, n, threads, self._lanes, goes_on)
+        self._core = _core.Batch(self._model.core, own, n, self._threads, self._lanes, goes_on)
         self._own(self._core)
 
     def __len__(self) -> int:
@@ -297,6 +302,13 @@ class Batch(Stepped):
         scene = self._model.scene.name
         name = f' of "{scene}"' if scene else ""
         return f"<Batch{name}: {len(self)} worlds, time {self.time:g} s; {self.settings!r}>"
+
+
+def _threads(threads: int | None, n: int, nv: int) -> int:
+    """How many threads step a batch; None is one a core where the work is worth waking them."""
+    if threads is None and checks.number(n) is not None and n * nv < WORTH_THREADS:
+        return 1
+    return checks.threads(threads)
 
 
 def _restored(

@@ -18,12 +18,15 @@ from numpy.typing import NDArray
 from stepcore import _core, checks
 from stepcore._core import Settings
 from stepcore.engine.arrays import Floats
-from stepcore.engine.error_places import located
+from stepcore.engine.file_lines import with_file_lines
 from stepcore.scene.layout import Layout
 from stepcore.scene.value_paths import changed
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
     from stepcore.engine.plan.result import Plan
+    from stepcore.engine.settings_fields import SettingsFields
     from stepcore.engine.sim import Sim
     from stepcore.scene.scene import Scene
 
@@ -64,7 +67,9 @@ class Model:
     [0.0, 3.0]
     """
 
-    def __init__(self, scene: Scene, settings: Settings | None = None, **overrides: Any) -> None:
+    def __init__(
+        self, scene: Scene, settings: Settings | None = None, **overrides: Unpack[SettingsFields]
+    ) -> None:
         if not hasattr(scene, "to_dict"):
             raise ValueError(f"scene = {checks.shown(scene)}: must be a stepcore.Scene")
         self._scene = copy.deepcopy(scene)
@@ -358,7 +363,9 @@ class Model:
         """
         return Model(changed(self._scene, values, self), self._settings)
 
-    def with_settings(self, settings: Settings | None = None, **overrides: Any) -> Model:
+    def with_settings(
+        self, settings: Settings | None = None, **overrides: Unpack[SettingsFields]
+    ) -> Model:
         """The same model with other settings; nothing is compiled again."""
         other = copy.copy(self)
         other._settings = _merged(self._settings, settings, overrides)
@@ -444,10 +451,10 @@ def _engine(scene: Scene) -> _core.Model:
             raise
         raise checks.ElementError(f"{place}: {error.owner}", error.text) from None
     except ValueError as error:
-        raise located(error, Layout(scene)) from None
+        raise with_file_lines(error, Layout(scene)) from None
 
 
-def _merged(own: Settings, given: Settings | None, overrides: dict[str, Any]) -> Settings:
+def _merged(own: Settings, given: Settings | None, overrides: SettingsFields) -> Settings:
     if given is not None and not isinstance(given, Settings):
         raise ValueError(f"settings = {checks.shown(given)}: must be a stepcore.Settings")
     return (own if given is None else given).replace(**overrides)

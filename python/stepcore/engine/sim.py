@@ -17,7 +17,10 @@ from stepcore.engine.trajectory import Trajectory, record_run
 from stepcore.engine.views import BodyView, GeomView, JointView, SiteView
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
     from stepcore.engine.model import Model
+    from stepcore.engine.settings_fields import SettingsFields
     from stepcore.scene.scene import Scene
 
 
@@ -76,7 +79,10 @@ class Sim(Stepped):
     )
 
     def __init__(
-        self, model: Model | Scene, settings: Settings | None = None, **overrides: Any
+        self,
+        model: Model | Scene,
+        settings: Settings | None = None,
+        **overrides: Unpack[SettingsFields],
     ) -> None:
         self._model = compiled(model).with_settings(settings, **overrides)
         self._core = _core.Sim(self._model.core, self._model.settings)

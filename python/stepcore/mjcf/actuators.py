@@ -11,7 +11,9 @@ from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.elements import Joint
 
-TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "refsite", "body")
+TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")
+# A second site that belongs to the transmission, not one of its own.
+WITH = {"site": "refsite", "slidersite": "cranksite"}
 STATEFUL = ("actlimited", "actrange")
 
 
@@ -41,7 +43,9 @@ def _joint(world: WorldReader, node: Node, values: dict[str, Any]) -> Joint:
     if len(used) > 1:
         raise node.error(f"<{node.tag}> has two transmissions: {used[0]} and {used[1]}")
     if used[0] not in ("joint", "jointinparent"):
-        raise node.unbuilt(f"a <{node.tag}> that acts through {used[0]}")
+        second = WITH.get(used[0], "")
+        both = f" and {second}" if second in values else ""
+        raise node.unbuilt(f"a <{node.tag}> that acts through {used[0]}{both}")
     joint = world.scene.joint(values[used[0]])
     if used[0] == "jointinparent" and joint.type in ("ball", "free"):
         raise node.unbuilt(f"jointinparent on a {joint.type} joint")

@@ -294,7 +294,7 @@ def _within(outer: tuple[Vec, Vec], pos: Vec, quat: Vec) -> tuple[Vec, Vec]:
     return (pos, quat) if outer == AT_ORIGIN else frames.composed(outer, pos, quat)
 
 
-def soft(values: dict[str, Any], solref: str, solimp: str) -> dict[str, Vec]:
+def soft(values: dict[str, Any], solref: str, solimp: str) -> dict[str, Any]:
     """The two softness fields that are given, filled up with their defaults."""
     result = {}
     for field, default in ((solref, SOLREF), (solimp, SOLIMP)):

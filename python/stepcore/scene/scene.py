@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore import checks
 from stepcore.scene import frames
@@ -25,10 +25,22 @@ from stepcore.scene.layout import Layout, check, essence, plain
 
 if TYPE_CHECKING:
     import os
+    from typing import Unpack
 
     from stepcore._core import Settings
     from stepcore.engine.model import Model
+    from stepcore.engine.settings_fields import SettingsFields
     from stepcore.mjcf.nodes import Source
+    from stepcore.scene.fields import (
+        ActuatorFields,
+        EqualityFields,
+        GeomFields,
+        JointFields,
+        KeyFields,
+        Numbers,
+        SiteFields,
+        Vector,
+    )
 
 E = TypeVar("E", bound=Element)
 
@@ -143,12 +155,12 @@ class Scene(checks.KnownNames):
         self,
         name: str = "",
         parent: str | Body = "world",
-        pos: Sequence[float] = frames.ORIGIN,
-        quat: Sequence[float] = frames.IDENTITY,
+        pos: Vector = frames.ORIGIN,
+        quat: Vector = frames.IDENTITY,
         *,
         mass: float | None = None,
-        inertia: Sequence[float] | None = None,
-        ipos: Sequence[float] | None = None,
+        inertia: Vector | None = None,
+        ipos: Vector | None = None,
     ) -> Body:
         """Adds a body at `pos` [m], `quat` in its parent's frame.
 
@@ -166,7 +178,9 @@ class Scene(checks.KnownNames):
             raise checks.refuse(body, "mass", None, "given where ipos or inertia is")
         return _append(self.bodies, body)
 
-    def add_joint(self, body: str | Body, type: str = "hinge", **fields: Any) -> Joint:
+    def add_joint(
+        self, body: str | Body, type: str = "hinge", **fields: Unpack[JointFields]
+    ) -> Joint:
         """Adds a "hinge", "slide", "ball" or "free" joint between a body and its parent.
 
         fields: those of `stepcore.scene.elements.Joint` (name, pos, axis, range, damping, …).
@@ -177,10 +191,10 @@ class Scene(checks.KnownNames):
         self,
         body: str | Body = "world",
         type: str = "sphere",
-        size: float | Sequence[float] = (0.0, 0.0, 0.0),
+        size: Numbers = (0.0, 0.0, 0.0),
         *,
-        fromto: Sequence[float] | None = None,
-        **fields: Any,
+        fromto: Vector | None = None,
+        **fields: Unpack[GeomFields],
     ) -> Geom:
         """Adds a shape to a body.
 
@@ -200,11 +214,13 @@ class Scene(checks.KnownNames):
                 raise checks.ElementError(geom, str(error)) from None
         return _append(self.geoms, geom)
 
-    def add_site(self, body: str | Body = "world", **fields: Any) -> Site:
+    def add_site(self, body: str | Body = "world", **fields: Unpack[SiteFields]) -> Site:
         """Adds a named place: name, pos [m], quat."""
         return self._add(self.sites, Site, fields, body=self.body(body))
 
-    def add_actuator(self, joint: str | Joint, type: str = "motor", **fields: Any) -> Actuator:
+    def add_actuator(
+        self, joint: str | Joint, type: str = "motor", **fields: Unpack[ActuatorFields]
+    ) -> Actuator:
         """Adds a "motor", a "position" or "velocity" servo, or a "general" actuator on a joint.
 
         fields: those of `stepcore.scene.elements.Actuator` (name, gear, kp, kv, dampratio,
@@ -217,8 +233,8 @@ class Scene(checks.KnownNames):
         type: str = "connect",
         body1: str | Body = "",
         body2: str | Body = "world",
-        anchor: Sequence[float] = frames.ORIGIN,
-        **fields: Any,
+        anchor: Vector = frames.ORIGIN,
+        **fields: Unpack[EqualityFields],
     ) -> Equality:
         """Makes two bodies share the point `anchor` [m], given in the frame of `body1`.
 
@@ -227,11 +243,7 @@ class Scene(checks.KnownNames):
         ends = {"body1": self.body(body1), "body2": self.body(body2)}
         return self._add(self.equalities, Equality, fields, type=type, anchor=anchor, **ends)
 
-    def add_tendon(self, *args: Any, **fields: Any) -> NoReturn:
-        """Tendons are not built yet: a ValueError that says so."""
-        raise ValueError("tendons are not built yet")
-
-    def add_key(self, name: str = "", **fields: Any) -> Key:
+    def add_key(self, name: str = "", **fields: Unpack[KeyFields]) -> Key:
         """Adds a named state: time [s], qpos, qvel, ctrl in the compiled model's order."""
         return self._add(self.keys, Key, fields, name=name)
 
@@ -239,7 +251,7 @@ class Scene(checks.KnownNames):
         """Keeps the geoms of two bodies from colliding with each other."""
         self.excludes.append((self.body(body1), self.body(body2)))
 
-    def _add(self, into: list[E], kind: type[E], fields: dict[str, Any], **own: Any) -> E:
+    def _add(self, into: list[E], kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
         return _append(into, _make(kind, fields, **own))
 
     # How it is computed.
@@ -259,7 +271,9 @@ class Scene(checks.KnownNames):
         self.options = value.as_dict()
 
     def with_settings(
-        self, settings: Settings | Mapping[str, Any] | None = None, **overrides: Any
+        self,
+        settings: Settings | Mapping[str, Any] | None = None,
+        **overrides: Unpack[SettingsFields],
     ) -> Scene:
         """A copy of the scene with other settings; a whole `Settings` replaces all of them."""
         scene = copy.deepcopy(self)
@@ -387,7 +401,7 @@ def _find(elements: Sequence[E], kind: str, name: object) -> E:
     raise ValueError(text)
 
 
-def _make(kind: type[E], fields: dict[str, Any], **own: Any) -> E:
+def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
     """A new element; a field that it does not have is a ValueError with the nearest one."""
     known = fields_of(kind)
     for field in fields:

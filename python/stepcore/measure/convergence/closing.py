@@ -169,7 +169,7 @@ def converged(settings: Settings, speed: float, rows: int) -> Settings:
 
     speed: of what the rows see [m/s]; rows: how many at once.
     """
-    rest = {"precision": "f64", "acceleration": "none"}
+    rest: dict[str, Any] = {"precision": "f64", "acceleration": "none"}
     if settings.law == "solref":
         return settings.replace(solver="newton", sweeps=1000, tolerance=0.0, **rest)
     most = int(max(1000, DEAREST / max(rows, 1)))

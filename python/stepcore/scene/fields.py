@@ -1,0 +1,98 @@
+"""The keyword fields of `Scene.add_joint` and its like, for type checkers and editors.
+
+What each means stands in `stepcore.scene.elements`; a test compares the names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, TypedDict
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    # What is checked when it is assigned: one number stands for a first entry where that is said.
+    Vector = Sequence[float] | NDArray[Any]
+    Numbers = float | Vector
+
+
+class JointFields(TypedDict, total=False):
+    """Fields of a `Joint` beside its body and type."""
+
+    name: str
+    pos: Vector
+    axis: Vector
+    range: Vector | None
+    margin: float
+    ref: float
+    springref: float
+    stiffness: float
+    damping: float
+    armature: float
+    frictionloss: float
+    solreflimit: Vector
+    solimplimit: Numbers
+    solreffriction: Vector
+    solimpfriction: Numbers
+
+
+class GeomFields(TypedDict, total=False):
+    """Fields of a `Geom` beside its body, type and size."""
+
+    name: str
+    pos: Vector
+    quat: Vector
+    mass: float | None
+    density: float
+    shellinertia: bool
+    group: int
+    contype: int
+    conaffinity: int
+    condim: int
+    priority: int
+    friction: Numbers
+    margin: float
+    gap: float
+    solmix: float
+    solref: Vector
+    solimp: Numbers
+
+
+class SiteFields(TypedDict, total=False):
+    """Fields of a `Site` beside its body."""
+
+    name: str
+    pos: Vector
+    quat: Vector
+
+
+class ActuatorFields(TypedDict, total=False):
+    """Fields of an `Actuator` beside its joint and type."""
+
+    name: str
+    gear: Numbers
+    kp: float | None
+    kv: float | None
+    dampratio: float | None
+    gainprm: float | None
+    biasprm: Numbers | None
+    ctrlrange: Vector | None
+    forcerange: Vector | None
+
+
+class EqualityFields(TypedDict, total=False):
+    """Fields of an `Equality` beside its type, bodies and anchor."""
+
+    name: str
+    active: bool
+    solref: Vector
+    solimp: Numbers
+
+
+class KeyFields(TypedDict, total=False):
+    """Fields of a `Key` beside its name."""
+
+    time: float
+    qpos: Vector | None
+    qvel: Vector | None
+    ctrl: Vector | None
