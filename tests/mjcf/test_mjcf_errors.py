@@ -126,7 +126,7 @@ MISTAKES = {
     "unknown joint": (motor('joint="jj"'), 3, 'no joint is named "jj"; nearest: "j"'),
     "no transmission": (motor('name="m"'), 3, "needs joint"),
     "a reference site": (
-        servo("general", 'site="s" refsite="s"'),
+        motor('site="s" refsite="s"').replace("<motor", "<general"),
         3,
         "a <general> that acts through site and refsite is not built yet",
     ),
