@@ -1,0 +1,89 @@
+"""The README and every page of the docs: their Python runs, their commands are ones we take.
+
+The Python blocks of a page run in their order as one script. What `print(...)  # → text` prints is
+that text, "..." standing for anything. A block that begins with "# name.py" is that file.
+"""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from stepcore.cli import COMMANDS, parser
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+SCRIPTS = [page for page in PAGES if "```python" in page.read_text(encoding="utf-8")]
+
+ROBOT = """
+<mujoco model="robot">
+  <worldbody>
+    <geom type="plane" size="5 5 .1"/>
+    <body pos="0 0 1">
+      <joint name="knee" axis="0 1 0" damping=".1"/>
+      <geom type="capsule" size=".05" fromto="0 0 0 .5 0 0"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def blocks(page, *languages):
+    found = BLOCK.findall(page.read_text(encoding="utf-8"))
+    return [text for language, text in found if language in languages]
+
+
+@pytest.mark.parametrize("page", SCRIPTS, ids=lambda page: page.name)
+def test_the_python_of_a_page_runs(page, tmp_path):
+    (tmp_path / "docs").mkdir()
+    for model in (ROOT / "docs").glob("*.xml"):
+        (tmp_path / "docs" / model.name).write_bytes(model.read_bytes())
+    (tmp_path / "robot.xml").write_text(ROBOT, encoding="utf-8")
+    script = []
+    for block in blocks(page, "python"):
+        name = re.match(r"# (\w+\.py)\n", block)
+        if name:
+            (tmp_path / name[1]).write_text(block, encoding="utf-8")
+        else:
+            script.append(block)
+    code = "\n".join(script)
+    (tmp_path / "page.py").write_text(code, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "page.py"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    lines = iter(done.stdout.splitlines())
+    for expected in re.findall(r"^ *print\(.*\)  # → (.*)$", code, re.MULTILINE):
+        pattern = re.escape(expected).replace(re.escape("..."), ".*")
+        assert any(re.fullmatch(pattern, line) for line in lines), (expected, done.stdout)
+    for written in re.findall(r"(?:plot|save|to_html)\(\"([^\"]+)\"\)", code):
+        assert (tmp_path / written).stat().st_size > 0
+
+
+def commands():
+    """Every `stepcore ...` of the pages, in blocks of commands and in the text."""
+    for page in PAGES:
+        lines = [line for block in blocks(page, "", "sh") for line in block.splitlines()]
+        lines += re.findall(r"`(stepcore [^`]*)`", BLOCK.sub("", page.read_text(encoding="utf-8")))
+        for line in lines:
+            for part in line.removeprefix("$ ").split("&&"):
+                if part.strip().startswith("stepcore ") and "(" not in part:
+                    yield page.name, part.strip()
+
+
+@pytest.mark.parametrize(("page", "command"), sorted(set(commands())))
+def test_a_command_of_a_page_is_one_we_take(page, command):
+    argv = shlex.split(command, comments=True)[1:]
+    assert argv[0] in COMMANDS
+    if len(argv) > 1:
+        parser(argv).parse_args(argv)
+
+
+def test_the_files_that_the_pages_name_are_there():
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    named = set(re.findall(r"\b(?:tests|benches|docs|crates|python)/[\w./-]*\w", text))
+    assert not [name for name in named if not (ROOT / name).exists()]
