@@ -1,47 +1,54 @@
-"""`converge`: whether a scene's rows are solved, and whether sweeps or smaller steps buy more."""
+"""`converge`: whether a scene's rows are solved, and what gains more: sweeps or smaller steps."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from functools import partial
-from typing import TYPE_CHECKING, Unpack
+from typing import Unpack
 
 import numpy as np
 
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.model import Model
-from stepcore.experiment.errors import extent
+from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.path import Path
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
 from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.workers import Workers
-from stepcore.measure.convergence.closing import Closing, Moment, closing
-from stepcore.measure.convergence.result import Convergence, Rest
-from stepcore.measure.convergence.runs import (
-    Job,
-    Plan,
-    Truth,
-    converging,
-    error,
-    moments,
-    plan,
-    ride,
-    run_of,
-    truth,
+from stepcore.measure.convergence.candidates import (
+    Candidates,
+    candidates,
+    divides,
+    with_converged,
 )
-from stepcore.report.progress import Choice, Progress
+from stepcore.measure.convergence.residuals import (
+    MotionState,
+    ResidualHistory,
+    RowForce,
+    residual_history,
+)
+from stepcore.measure.convergence.result import Convergence, Ending
+from stepcore.measure.convergence.runs import (
+    HalvedReference,
+    halved_reference,
+    median_error,
+    row_states,
+    run_of,
+)
+from stepcore.report.progress import Choice
 
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
+__all__ = ["Convergence", "ResidualHistory", "RowForce", "converge"]
 
-__all__ = ["Closing", "Convergence", "converge"]
-
-# Sweeps read at the settings' own time step, and at the others.
+# The most sweeps at the settings' own time step, and at the others.
 MOST, FEWER = 4096, 256
-STARTS = 3
+# The motion where none is given.
+HORIZON, STARTS = 1.0, 3
+MOTION = Motion(horizon=HORIZON, starts=STARTS)
 
 
 def converge(
@@ -56,30 +63,29 @@ def converge(
 ) -> Convergence:
     """Measures whether a scene's rows are solved along its motion, and what would solve them.
 
-    At states along the motion: the residual by the number of sweeps, cold and warm, what a sweep
-    leaves of the error beside what theory says, and the rows that are furthest from their law.
-    Over the motion: how wrong it is at other time steps, with converged forces, and at equal row
-    updates split into many sweeps or many steps, all against one converged reference.
+    At states along the motion: the residual by the number of sweeps, cold and warm, the share of
+    the error that a sweep leaves beside what theory says, and the rows that are furthest from
+    their converged force. Over the motion: the error at other time steps, with converged forces,
+    and at equal row updates split into many sweeps or many steps, all against one converged
+    reference.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Its settings are
         judged.
-    motion: the `Motion` that is run; or write its fields as arguments. The horizon is about 1 s
-        by default; there are 3 starts.
+    motion: a `Motion`, or its fields as arguments. By default 3 starts and 1 s.
     states: at how many states sweeps are measured.
-    threads: how many runs at once (default: one a core); executor: any `concurrent.futures`
+    threads: how many runs at once (default: one per core); executor: any `concurrent.futures`
         executor in their place. progress: False, or a function of (label, done, total).
 
     Raises ValueError for an argument outside its limits, or where the reference itself fails.
 
     >>> from stepcore import lesson
     >>> heavy = lesson.stack(5, "rigid", (1.0, 1000.0), warm_start=False)
-    >>> found = converge(heavy, horizon=0.1, starts=1, progress=False)
-    >>> found.verdict
+    >>> result = converge(heavy, horizon=0.1, starts=1, progress=False)
+    >>> result.verdict
     'under-solved'
-    >>> print(f"{found.contraction:.4f} {found.theory.closed:.4f}")
+    >>> print(f"{result.contraction:.4f} {result.theory.closed:.4f}")
     0.9990 0.9990
     """
-    states = checks.count("states", states)
     setup = set_up(
         converge,
         model,
@@ -91,102 +97,101 @@ def converge(
         progress=progress,
     )
     model, motion, workers = setup
-    own, starts = model.settings, motion.starts or STARTS
-    if motion.control_dt is not None:
-        _check_divides(own.dt, motion.control_dt)
-    todo = plan(own, motion.control_dt, 1.0 if motion.horizon is None else motion.horizon)
-    runner = Runner(model, scheduled(motion, model, todo.period, starts=starts))
-    done: dict[Settings, list[Path]] = {}
-    for label in ("runs", "converged runs"):
-        tried = [s for s in (todo.truth or todo.tried) if s not in done]
-        jobs = [Job(settings, start) for settings in tried for start in range(starts)]
-        paths = workers.each(partial(ride, runner), jobs, label)
-        done |= {s: paths[i * starts : (i + 1) * starts] for i, s in enumerate(tried)}
-        rows = max(path.rows for some in done.values() for path in some)
-        todo = converging(todo, own, runner, rows)
-    true = _truth(todo, done, model)
-    curves = _curves(runner, todo, states, workers)
-    runs = {s: run_of(s, paths, true, runner.schedule.horizon) for s, paths in done.items()}
+    states = checks.count("states", states)
+    own = model.settings
+    if motion.control_dt is not None and not divides(own.dt, motion.control_dt):
+        limit = f"must be a whole number of steps of {own.dt:g} s"
+        raise ValueError(f"control_dt = {motion.control_dt:g}: {limit}")
+    starts = motion.starts or STARTS
+    some = candidates(own, motion.control_dt, motion.horizon or HORIZON)
+    schedule = scheduled(motion, model, some.period, starts)
+    runner = Runner(model, schedule)
+    paths = _runs(runner, some.tried, "runs", workers)
+    rows = max(path.rows for paths_of in paths.values() for path in paths_of)
+    some = with_converged(some, runner, rows)
+    missing = [settings for settings in some.converged if settings not in paths]
+    paths |= _runs(runner, missing, "converged runs", workers)
+    fine, coarse = (paths[s] for s in some.references)
+    reference = halved_reference(fine, coarse, model.scene)
+    histories = _histories(runner, some, states, workers)
+    runs = {s: run_of(s, paths_of, reference, schedule.horizon) for s, paths_of in paths.items()}
+    ending = None
+    if not (runs[own].failure or runs[some.solved].failure):
+        ending = _ending(model, paths[own], paths[some.solved], reference, schedule.times)
     return Convergence(
         name=setup.name,
         settings=own,
-        horizon=runner.schedule.horizon,
+        motion=dataclasses.replace(motion, horizon=schedule.horizon, starts=starts),
+        horizon=schedule.horizon,
         starts=starts,
-        plan=todo,
+        candidates=some,
         runs=runs,
-        curves=curves,
-        reference=todo.references[0],
-        reference_error=true.error,
-        size=true.size,
-        rest=None
-        if runs[own].failure or runs[todo.solved].failure
-        else _rest(runner, done[own], done[todo.solved], true, runner.schedule.times),
-        notes=[*true.notes, *model.scene.notes],
+        histories=histories,
+        reference=reference,
+        ending=ending,
+        notes=list(model.scene.notes),
     )
 
 
-def _check_divides(dt: float, period: float) -> None:
-    count = period / dt
-    if round(count) < 1 or abs(count - round(count)) > 1e-6 * count:
-        raise ValueError(f"control_dt = {period:g}: must be a whole number of steps of {dt:g} s")
-
-
-def _truth(todo: Plan, paths: dict[Settings, list[Path]], model: Model) -> Truth:
-    fine, coarse = (paths[settings] for settings in todo.references)
-    for path in (*fine, *coarse):
-        if path.failure:
-            raise ValueError(f"the reference fails: {path.failure}")
-    return truth(fine, coarse, extent(fine, model.scene))
-
-
-def _curves(runner: Runner, todo: Plan, states: int, workers: Workers) -> list[Closing]:
-    """Sweeps at states along the settings' own motion, at each time step."""
-    own = runner.model.settings
+def _runs(
+    runner: Runner, some: Sequence[Settings], label: str, workers: Workers
+) -> dict[Settings, list[Path]]:
+    """Every start under each of the settings."""
     starts = range(len(runner.schedule.starts))
-    hidden = Progress("", len(starts), False)
-    found = [
-        moment
-        for some in workers.each(partial(moments, runner, own), starts, hidden)
-        for moment in some
-    ]
-    chosen = _chosen(found, states)
-    jobs = [(s, MOST if s == own else FEWER, m) for s in todo.dts for m in chosen]
-    return workers.each(partial(_close, runner.model), jobs, "sweeps")
+    jobs = [(settings, start) for settings in some for start in starts]
+    paths = workers.each(partial(_run, runner), jobs, label)
+    return {s: paths[i * len(starts) : (i + 1) * len(starts)] for i, s in enumerate(some)}
 
 
-def _chosen(found: list[Moment], states: int) -> list[Moment]:
-    """Spread over all starts, and the one with the worst residual."""
-    if len(found) <= states:
-        return found
-    even = np.linspace(0, len(found) - 1, states - 1).round().astype(int)
-    worst = int(np.argmax([moment.residual for moment in found]))
-    return [found[i] for i in np.unique([*even, worst])]
+def _run(runner: Runner, job: tuple[Settings, int]) -> Path:
+    return runner.run(*job)
 
 
-def _close(model: Model, job: tuple[Settings, int, Moment]) -> Closing:
-    settings, most, moment = job
-    return closing(model, settings, most, moment)
+def _histories(
+    runner: Runner, some: Candidates, states: int, workers: Workers
+) -> list[ResidualHistory]:
+    """Sweeps at states along the settings' own motion, at each time step."""
+    starts = range(len(runner.schedule.starts))
+    quiet = dataclasses.replace(workers, progress=False)
+    by_start = quiet.each(partial(row_states, runner, some.own), starts, "")
+    chosen = _chosen([state for states_of in by_start for state in states_of], states)
+    jobs = [(s, MOST if s == some.own else FEWER, state) for s in some.dts for state in chosen]
+    return workers.each(partial(_history, runner.model), jobs, "sweeps")
 
 
-def _rest(
-    runner: Runner, own: Sequence[Path], solved: Sequence[Path], true: Truth, times: np.ndarray
-) -> Rest:
-    """Where the motion ends, beside where it ends with converged forces."""
-    bodies = runner.coordinates.moving
-    found: list[Rest] = []
-    for start, (one, other) in enumerate(zip(own, solved, strict=True)):
-        gap = np.linalg.norm(one.com[-1] - other.com[-1], axis=-1)
+def _chosen(some: list[MotionState], count: int) -> list[MotionState]:
+    """States spread over all starts, and the one with the worst residual."""
+    if len(some) <= count:
+        return some
+    even = np.linspace(0, len(some) - 1, count - 1).round().astype(int)
+    worst = int(np.argmax([state.residual for state in some]))
+    return [some[i] for i in np.unique([*even, worst])]
+
+
+def _history(model: Model, job: tuple[Settings, int, MotionState]) -> ResidualHistory:
+    return residual_history(model, *job)
+
+
+def _ending(
+    model: Model,
+    own: Sequence[Path],
+    solved: Sequence[Path],
+    reference: HalvedReference,
+    times: np.ndarray,
+) -> Ending:
+    """Where the motion ends, beside where it ends with converged forces; the worst start."""
+    bodies = Coordinates(model).moving
+    over = median_error(own, solved, reference.scored)
+    last = max(1, len(times) // 10)
+    span = float(times[-1] - times[-1 - last]) if len(times) > last else np.nan
+    endings: list[Ending] = []
+    for start, paths in enumerate(zip(own, solved, strict=True)):
+        gap = np.linalg.norm(paths[0].com[-1] - paths[1].com[-1], axis=-1)
         at = int(gap.argmax())
-        last = max(1, len(times) // 10)
+        speed = solved_speed = np.nan
         if len(times) > last:
-            span = float(times[-1] - times[-1 - last])
-            moved = [
-                float(np.linalg.norm(p.com[-1, at] - p.com[-1 - last, at])) / span
-                for p in (one, other)
-            ]
-        else:
-            moved = [np.nan, np.nan]
-        name = runner.model.body_names[bodies[at]] or f"body {bodies[at]}"
-        over = error(own, solved, true.scored)
-        found.append(Rest(start, name, float(gap[at]), moved[0], moved[1], over))
-    return max(found, key=lambda rest: rest.apart)
+            moved = [path.com[-1, at] - path.com[-1 - last, at] for path in paths]
+            speed, solved_speed = (float(np.linalg.norm(way)) / span for way in moved)
+        body = model.element_name("body", bodies[at])
+        endings.append(Ending(start, body, float(gap[at]), speed, solved_speed, over))
+    return max(endings, key=lambda ending: ending.apart)

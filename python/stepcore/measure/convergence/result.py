@@ -4,34 +4,43 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
 from stepcore._core import Settings
-from stepcore.measure.convergence.closing import Closing, Push
-from stepcore.measure.convergence.runs import Plan, Run
+from stepcore.experiment.motion import Motion
+from stepcore.measure.convergence import sentences
+from stepcore.measure.convergence.candidates import Candidates
+from stepcore.measure.convergence.residuals import ResidualHistory, RowForce
+from stepcore.measure.convergence.runs import HalvedReference, Run
 from stepcore.measure.convergence.theory import Theory
 from stepcore.report.result import Result
+from stepcore.report.settings import label
 from stepcore.report.table import Table
+from stepcore.report.units import counted, metres, seconds
 
-# Forces that are not converged matter where they move bodies by more than this share of what the
-# time step does, and by more than this share of the scene's size.
-SHARE, NOTABLE = 1.0, 1e-5
-# A residual moves a body no further than its speed for the whole motion, times this where small
-# differences grow.
+# Unconverged forces matter where they move bodies by more than this share of what the time step
+# does, and by more than `sentences.NOTABLE` of the scene's size.
+SHARE = 1.0
+# A residual moves a body no further than its speed times the duration of the motion, times this
+# factor where small differences grow.
 GROWTH = 100.0
-# Something that moves less than this share of the distance in the whole motion rests.
-STILL = 0.1
+# Errors that differ by less than this factor count as equal.
+ALIKE = 1.2
+# Residuals below this share of the largest are rounding.
+ROUNDING = 1e-13
+# The rows that are printed.
+PRINTED = 10
 
 
 @dataclass(frozen=True)
-class Rest:
-    """Where the settings' own motion ends beside that with converged forces.
+class Ending:
+    """Where the motion ends under the settings' own sweeps and with converged forces.
 
     body: the one furthest apart, by `apart` [m], in which start. speed, solved_speed: its mean
-    over the last tenth of the motion [m/s]. solver: positions apart over the motion, rms [m].
+    over the last tenth of the motion [m/s]. solver: RMS distance over the whole motion [m].
     """
 
     start: int
@@ -42,39 +51,64 @@ class Rest:
     solver: float
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Convergence(Result):
-    """Whether a scene's rows are solved, and whether sweeps or smaller steps buy more.
+    """Whether a scene's rows are solved, and whether sweeps or smaller steps gain more accuracy.
 
-    runs: by settings; curves: see `Closing`; plan: which runs are which. reference: the settings
-    of the converged run that all are compared with, itself known to `reference_error` [m].
+    candidates: which settings were run, and runs: how they did. histories: of the residual, at
+    states of the motion. reference: the converged motion that all are compared with. ending: None
+    where a run fails.
 
     >>> from stepcore import converge, lesson
     >>> tower = lesson.stack(50, "rigid", (1.0, 1.0))
-    >>> found = converge(tower, horizon=0.2, starts=1, states=2, progress=False)
-    >>> found
+    >>> result = converge(tower, horizon=0.2, starts=1, states=2, progress=False)
+    >>> result
     <Convergence of tower: solved>
-    >>> print(f"{found.contraction:.3f}, theory", found.theory.formula)
+    >>> print(f"{result.contraction:.3f}, theory", result.theory.formula)
     0.500, theory m_top/(m_top + m_bottom) = 1/(1 + 1)
     """
 
+    kind = "convergence"
+    units: ClassVar = {
+        "missing": "m/s",
+        "residual": "m/s",
+        "force": "N or N·m",
+        "solved": "N or N·m",
+        "error": "m",
+        "overlap": "m",
+        "joint": "m",
+        "updates": "1/s",
+    }
+
     name: str
     settings: Settings
+    motion: Motion
     horizon: float
     starts: int
-    plan: Plan
+    candidates: Candidates
     runs: dict[Settings, Run]
-    curves: list[Closing]
-    reference: Settings
-    reference_error: float
-    size: float
-    rest: Rest | None
+    histories: list[ResidualHistory]
+    reference: HalvedReference
+    ending: Ending | None
     notes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.notes = [*self.reference.notes, *self.notes, *sentences.cautions(self)]
 
     @property
     def title(self) -> str:
         """What was measured."""
-        return f"How {self.name} converges"
+        return f"{self.name}: convergence of contact forces and other rows"
+
+    @property
+    def setup(self) -> str:
+        """What was run."""
+        return (
+            f"{seconds(self.horizon)} from {counted(self.starts, 'start')} under "
+            f"{label(self.settings)}; the reference has dt "
+            f"{seconds(self.candidates.references[0].dt)} and an error of "
+            f"{metres(self.reference.error)}."
+        )
 
     @property
     def own(self) -> Run:
@@ -84,94 +118,126 @@ class Convergence(Result):
     @property
     def solved(self) -> Run:
         """The same with converged forces."""
-        return self.runs[self.plan.solved]
+        return self.runs[self.candidates.solved]
 
     @property
     def verdict(self) -> str:
         """ "diverging", "under-solved", "no rows" or "solved"."""
-        if self.own.failure or self.rest is None:
+        if self.ending is None:
             return "diverging"
-        if not self.curves:
+        if not self.histories:
             return "no rows"
-        apart = self.rest.solver
-        matters = apart > max(SHARE * self.solved.error, NOTABLE * self.size)
+        apart, notable = self.ending.solver, sentences.NOTABLE * self.reference.size
+        matters = apart > max(SHARE * self.solved.error, notable)
         able = apart < GROWTH * self.own.residual * self.horizon
         return "under-solved" if matters and able else "solved"
 
     @property
-    def slowest(self) -> Closing | None:
-        """The state at which sweeps close in slowest, at the settings' own time step."""
-        known = [c for c in self.at(self.settings.dt) if c.contraction is not None]
-        return max(known, key=lambda c: c.contraction or 0.0, default=None)
+    def better(self) -> str:
+        """ "smaller steps", "more sweeps" or "neither": more accurate at equal row updates."""
+        if not self.histories:
+            return "neither"
+        splits = [(split, self.runs[split.settings]) for split in self.candidates.splits]
+        done = [(split, run.error) for split, run in splits if not run.failure]
+        steps = min((e for split, e in done if split.steps > split.sweeps), default=math.inf)
+        sweeps = min((e for split, e in done if split.steps < split.sweeps), default=math.inf)
+        if steps * ALIKE < sweeps:
+            return "smaller steps"
+        return "more sweeps" if sweeps * ALIKE < steps else "neither"
+
+    @property
+    def sentences(self) -> list[str]:
+        """The verdict, what limits it, how fast sweeps converge, and what gains more."""
+        return sentences.of(self)
+
+    @property
+    def slowest(self) -> ResidualHistory | None:
+        """The state at which sweeps converge slowest, at the settings' own time step."""
+        known = [h for h in self.at(self.settings.dt) if h.contraction is not None]
+        return max(known, key=lambda h: h.contraction or 0.0, default=None)
 
     @property
     def contraction(self) -> float | None:
-        """What a sweep leaves of the error in the end, at the slowest state, as measured."""
+        """The share of the error that a sweep leaves in the end, at the slowest state, measured."""
         return self.slowest.contraction if self.slowest else None
 
     @property
     def theory(self) -> Theory:
-        """What theory says of the same state."""
-        return self.slowest.theory if self.slowest else Theory(why="no two rows at once")
+        """The same by theory, at the same state."""
+        return self.slowest.theory if self.slowest else Theory(why="no two rows act at once")
 
-    def at(self, dt: float) -> list[Closing]:
-        """The curves at one time step."""
-        return [curve for curve in self.curves if curve.dt == dt]
+    def at(self, dt: float) -> list[ResidualHistory]:
+        """The residual histories at one time step."""
+        return [history for history in self.histories if history.dt == dt]
 
     def residual(self, dt: float, sweeps: int, warm: bool = False) -> float:
-        """After so many sweeps (one of `Closing.sweeps`), the median of the states [m/s]."""
-        found = []
-        for curve in self.at(dt):
-            if curve.cold:
-                values = curve.warm if warm else curve.cold
-                found.append(values[curve.sweeps.index(sweeps)])
-        return float(np.median(found)) if found else math.nan
+        """After this number of sweeps (one of `ResidualHistory.sweeps`), median of states [m/s]."""
+        values = []
+        for history in self.at(dt):
+            if history.cold:
+                residuals = history.warm if warm else history.cold
+                values.append(residuals[history.sweeps.index(sweeps)])
+        return float(np.median(values)) if values else math.nan
 
     @property
-    def rows(self) -> Table:
-        """What has rows, the furthest from its converged force first; see `Push`.
+    def rows(self) -> list[RowForce]:
+        """Elements that have rows, the furthest from its converged force first.
 
-        After the settings' own sweeps, at the state where most is missing; states: in how many
-        it has rows.
+        After the settings' own sweeps, each at the state where most is missing.
         """
-        worst: dict[str, Push] = {}
+        worst: dict[str, RowForce] = {}
         count: dict[str, int] = {}
-        for curve in self.at(self.settings.dt):
-            for push in curve.pushes:
-                name = push.name
-                if name not in worst or push.missing > worst[name].missing:
-                    worst[name] = push
+        for history in self.at(self.settings.dt):
+            for force in history.forces:
+                name = force.name
+                if name not in worst or force.missing > worst[name].missing:
+                    worst[name] = force
                 count[name] = count.get(name, 0) + 1
-        order = sorted(worst.values(), key=lambda push: -push.missing)
-        records = [{**vars(push), "states": count[push.name]} for push in order]
+        order = sorted(worst.values(), key=lambda force: -force.missing)
+        return [replace(force, states=count[force.name]) for force in order]
+
+    @property
+    def table(self) -> Table:
+        """The rows; see `RowForce`."""
         names = ["name", "missing", "residual", "force", "solved", "states"]
-        return Table(records, names, dict.fromkeys(("missing", "residual"), ".2e"))
+        formats = dict.fromkeys(("missing", "residual"), ".2e")
+        return Table(
+            [vars(row) for row in self.rows],
+            names,
+            formats,
+            heading="Rows after the shipped sweeps, the largest missing impulse first",
+            legend=(
+                "missing: missing impulse as a speed [m/s]; residual [m/s]; force reached and "
+                "converged force (solved) [N or N·m]; states: in how many it has rows"
+            ),
+        )
 
     @property
     def sweeps(self) -> Table:
         """Residual by the number of sweeps, cold and warm: median and worst of the states [m/s]."""
-        curves = [c for c in self.at(self.settings.dt) if c.cold]
+        histories = [h for h in self.at(self.settings.dt) if h.cold]
         records = []
-        for k, count in enumerate(curves[0].sweeps if curves else ()):
+        for k, count in enumerate(histories[0].sweeps if histories else ()):
             record: dict[str, Any] = {"sweeps": count}
             for kind in ("cold", "warm"):
-                values = [getattr(curve, kind)[k] for curve in curves]
+                values = [getattr(history, kind)[k] for history in histories]
                 record[kind], record[f"{kind} worst"] = float(np.median(values)), max(values)
             records.append(record)
         names = ("cold", "cold worst", "warm", "warm worst")
-        return Table(records, ["sweeps", *names], dict.fromkeys(names, ".2e"))
+        heading = "Residual by sweeps, median and worst of the states [m/s]"
+        return Table(records, ["sweeps", *names], dict.fromkeys(names, ".2e"), heading=heading)
 
     @property
     def steps(self) -> Table:
         """By time step, all else as it is.
 
-        residual: the worst along the motion [m/s]; contraction: at the slowest state; error: of
-        positions [m]; updates: of rows per simulated second.
+        residual: the worst along the motion [m/s]; contraction: at the slowest state; error: RMS
+        position error [m]; updates: of rows per simulated second.
         """
         records = []
-        for settings in self.plan.dts:
+        for settings in self.candidates.dts:
             run = self.runs[settings]
-            known = [c.contraction for c in self.at(settings.dt) if c.contraction is not None]
+            known = [h.contraction for h in self.at(settings.dt) if h.contraction is not None]
             records.append(
                 {
                     "dt": settings.dt,
@@ -182,21 +248,21 @@ class Convergence(Result):
                     "failure": run.failure,
                 }
             )
-        return _numbers(records)
+        heading = "By time step, all else as shipped: residual [m/s], RMS position error [m]"
+        return _numbers(records, heading)
 
     @property
     def work(self) -> Table:
         """Equal row updates as steps × sweeps, under pgs; and four times the settings' own work.
 
-        error: of positions [m]; overlap, joint: the deepest and the widest gap [m].
+        error: RMS position error [m]; overlap, joint: the deepest and the widest gap [m].
         """
-        named = [(f"{s.steps}x{s.sweeps}", s.settings) for s in self.plan.splits]
+        some = self.candidates
+        named = [(f"{s.steps}x{s.sweeps}", s.settings) for s in some.splits]
         named.append(("own", self.settings))
-        if self.plan.more is not None:
-            named.append(("own, 4 x sweeps", self.plan.more))
-        quarter = [s for s in self.plan.dts if math.isclose(s.dt, self.settings.dt / 4)]
-        named += [("own, 1/4 dt", quarter[0])] if quarter else []
-        named.append(("own dt, converged", self.plan.solved))
+        named += [("own, 4 x sweeps", some.more)] if some.more else []
+        named += [("own, 1/4 dt", some.quarter)] if some.quarter else []
+        named.append(("own dt, converged", some.solved))
         records = []
         for name, settings in named:
             run = self.runs[settings]
@@ -213,45 +279,41 @@ class Convergence(Result):
                     "failure": run.failure,
                 }
             )
-        return _numbers(records)
+        heading = "Equal row updates, steps x sweeps under pgs, and the shipped settings"
+        return _numbers(records, heading)
 
-    @property
-    def better(self) -> str:
-        """ "smaller steps", "more sweeps" or "neither": what buys more at equal row updates."""
-        from stepcore.measure.convergence.report import better
+    def tables(self, full: bool) -> list[Table]:
+        """Residuals by sweeps, rows, time steps, equal work."""
+        if not self.histories:
+            return [self.steps]
+        rows, sweeps = self.table, self.sweeps
+        if not full and len(rows) > PRINTED:
+            legend = f"{rows.legend}; {len(rows) - PRINTED} more rows are not shown"
+            rows = rows[:PRINTED]
+            rows.legend = legend
+        # Up to where the residual is rounding.
+        worst = [max(r["cold worst"], r["warm worst"]) for r in sweeps]
+        done = [k for k, value in enumerate(worst) if value <= ROUNDING * max(worst)]
+        sweeps = sweeps[: done[0] + 1] if done and not full else sweeps
+        return [sweeps, rows, self.steps, self.work]
 
-        return better(self)
-
-    def text(self, width: int | None = None, full: bool = False) -> str:
-        """The verdict in words, and the tables."""
-        from stepcore.measure.convergence.report import text
-
-        return text(self, width)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Everything as plain data."""
-        slowest = self.slowest
+    def details(self) -> dict[str, Any]:
+        """The verdict, the contraction beside its theory, and the other tables."""
         return {
-            "name": self.name,
             "verdict": self.verdict,
             "better": self.better,
-            "settings": self.settings.as_dict(),
-            "horizon": self.horizon,
-            "starts": self.starts,
             "contraction": self.contraction,
             "theory": self.theory.radius,
             "closed_form": self.theory.formula,
             "closed_form_value": self.theory.closed,
-            "slowest_time": slowest.time if slowest else None,
-            "reference": self.reference.as_dict(),
-            "reference_error": self.reference_error,
-            "size": self.size,
-            "rest": None if self.rest is None else vars(self.rest),
-            "rows": self.rows.records,
+            "slowest_time": self.slowest.time if self.slowest else None,
+            "reference": self.candidates.references[0],
+            "reference_error": self.reference.error,
+            "size": self.reference.size,
+            "ending": self.ending,
             "sweeps": self.sweeps.records,
             "steps": self.steps.records,
             "work": self.work.records,
-            "notes": self.notes,
         }
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
@@ -264,8 +326,9 @@ class Convergence(Result):
         return f"<Convergence of {self.name}: {self.verdict}>"
 
 
-def _numbers(records: list[dict[str, Any]]) -> Table:
-    """Without columns that say nothing; errors in two digits."""
+def _numbers(records: list[dict[str, Any]], heading: str) -> Table:
+    """A table without empty columns; errors in two digits."""
     columns = [n for n in records[0] if any(r[n] not in (None, "") for r in records)]
     short = ("residual", "error", "overlap", "joint", "updates")
-    return Table(records, columns, dict.fromkeys(short, ".2e") | {"contraction": ".4f"})
+    formats = dict.fromkeys(short, ".2e") | {"contraction": ".4f"}
+    return Table(records, columns, formats, heading=heading)

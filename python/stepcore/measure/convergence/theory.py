@@ -1,9 +1,9 @@
-"""What one sweep leaves of an error, from the rows themselves and in closed form.
+"""The share of an error that one sweep leaves, from the rows themselves and in closed form.
 
-Once it is settled which rows push and which contacts stick, a sweep of projected Gauss-Seidel is
-linear: with K = J M⁻¹ Jᵀ + c of those rows and D + L its diagonal blocks and what is below them,
-the error goes on as I − (D + L)⁻¹ K. Its spectral radius is what is left of it a sweep, in the
-end (Varga, "Matrix Iterative Analysis").
+Once the active rows and the sticking contacts no longer change, a sweep of projected Gauss-Seidel
+is linear: with K = J M⁻¹ Jᵀ + c of those rows, and D + L its diagonal blocks and what is below
+them, a sweep multiplies the error by I − (D + L)⁻¹ K. The spectral radius of that matrix is the
+share that a sweep leaves in the end (Varga, "Matrix Iterative Analysis").
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from numpy.typing import NDArray
 from stepcore.engine.arrays import Floats
 from stepcore.engine.sim import Sim
 
-# More rows than this at once are not put into a matrix: its eigenvalues take seconds.
-MANY = 300
-# An impulse this much, relative to the largest, inside its bounds is not at one of them.
+# No matrix is made of more rows than this: its eigenvalues take seconds.
+MOST_ROWS = 300
+# An impulse is inside its bounds if it is this far from them, relative to the largest impulse.
 INSIDE = 1e-9
-# An eigenvalue of K this small beside the largest is a combination of rows that pushes nothing.
+# An eigenvalue of K this small, relative to the largest, is a combination of rows without effect.
 IDLE = 1e-11
-# Masses and couplings this near to those of a closed form are those of it.
+# Masses and couplings that agree to this, relatively, are equal.
 SAME = 1e-9
 
 
 @dataclass(frozen=True)
 class Theory:
-    """What a sweep should leave of the error. radius: of the rows as they are, None with `why`.
+    """The share of the error that a sweep leaves.
 
-    formula: in words, with its value `closed`, where the scene is one that has a closed form; it
-    holds for rigid rows, so radius is below it where they are soft.
+    radius: of the matrix of the rows, None with `why`. formula: the closed form where the scene has
+    one, with its value `closed`. It holds for rigid rows; the radius of soft rows is smaller.
     """
 
     radius: float | None = None
@@ -42,8 +42,7 @@ class Theory:
 
 
 def speeds(sim: Sim) -> Floats:
-    """How far each row of the last solve is from its law, as a speed [m/s]; the largest is
-    `sim.residual`."""
+    """Residuals of the rows of the last solve as speeds [m/s]; the largest is `sim.residual`."""
     rows = sim.rows
     if not len(rows):
         return np.zeros(0)
@@ -58,12 +57,12 @@ def speeds(sim: Sim) -> Floats:
 
 
 def theory(solved: Sim) -> Theory:
-    """At the state of a Sim whose last solve is converged."""
+    """At the state of a Sim whose last solve has converged."""
     rows = solved.rows
     if not len(rows):
         return Theory(why="no rows")
-    if len(rows) > MANY:
-        return Theory(why=f"{len(rows)} rows are more than the {MANY} that are put into a matrix")
+    if len(rows) > MOST_ROWS:
+        return Theory(why=f"{len(rows)} rows are too many for a matrix (most: {MOST_ROWS})")
     coupling, own = solved._core.coupling()
     parts, why = _parts(rows, own)
     formula, closed = closed_form(solved)
@@ -76,7 +75,7 @@ def theory(solved: Sim) -> Theory:
 def spectral_radius(
     a: Floats, regulariser: Floats, denominator: Floats, parts: list[list[int]]
 ) -> float:
-    """Of the sweep over `parts`, each solved at once; a part of one row divides by denominator."""
+    """Of a sweep over `parts`, each solved as a block, a single row by its denominator."""
     if not parts:
         return 0.0
     order = [i for part in parts for i in part]
@@ -93,13 +92,13 @@ def spectral_radius(
     left = np.eye(len(order)) - np.linalg.solve(lower, K)
     idle = np.linalg.eigvalsh(K)
     count = int(np.sum(idle < IDLE * idle.max()))
-    # What pushes nothing stays as it is for ever: an error of no consequence.
+    # A combination without effect stays as it is: an error of no consequence.
     values = sorted(np.linalg.eigvals(left), key=lambda value: abs(value - 1))[count:]
     return float(max(map(abs, values), default=0.0))
 
 
 def _parts(rows: NDArray[np.void], own: Floats) -> tuple[list[list[int]], str]:
-    """The rows that push, as they are solved together; or why there is no telling."""
+    """The active rows, grouped as they are solved; or why there is no linear map."""
     impulse, lo, hi = rows["impulse"], rows["lo"], rows["hi"]
     near = INSIDE * float(np.abs(impulse).max(initial=0.0))
     parts: list[list[int]] = []
@@ -124,7 +123,7 @@ def _parts(rows: NDArray[np.void], own: Floats) -> tuple[list[list[int]], str]:
 
 
 def closed_form(solved: Sim) -> tuple[str, float | None]:
-    """Of towers: bodies one on the other on something fixed, by the normals of their contacts."""
+    """The closed form of a tower: bodies stacked on something fixed, touching along normals."""
     model = solved.model
     contacts = [c for c in solved.contacts if np.linalg.norm(c["force"]) > 0]
     pairs = [[int(model.geom_body[c[g]]) for g in ("geom1", "geom2")] for c in contacts]
@@ -143,26 +142,26 @@ def closed_form(solved: Sim) -> tuple[str, float | None]:
 
 
 def _tower(pairs: list[list[int]], mass: Floats, moved: set[int]) -> list[float] | None:
-    """The masses from the bottom up, if the contacts are those of one tower."""
-    left, below, order = [list(pair) for pair in pairs], None, []
+    """The masses from the bottom up; None where the contacts are not those of one tower."""
+    left, below, masses = [list(pair) for pair in pairs], None, []
     while left:
         if below is None:
-            found = [p for p in left if (p[0] in moved) != (p[1] in moved)]
+            next_pairs = [p for p in left if (p[0] in moved) != (p[1] in moved)]
         else:
-            found = [p for p in left if below in p]
-        if len(found) != 1:
+            next_pairs = [p for p in left if below in p]
+        if len(next_pairs) != 1:
             return None
-        left.remove(found[0])
-        above = [b for b in found[0] if b in moved and b != below]
+        left.remove(next_pairs[0])
+        above = [b for b in next_pairs[0] if b in moved and b != below]
         if len(above) != 1:
             return None
         below = above[0]
-        order.append(float(mass[below]))
-    return order
+        masses.append(float(mass[below]))
+    return masses
 
 
 def _alone(solved: Sim, masses: list[float]) -> bool:
-    """Whether the normals push each other as bodies on one line do, and nothing else pushes."""
+    """Whether the normals couple as those of bodies on one line, and no other row is active."""
     rows = solved.rows
     if set(rows["kind"][rows["impulse"] != 0]) != {"contact"}:
         return False
@@ -176,7 +175,7 @@ def _alone(solved: Sim, masses: list[float]) -> bool:
     order = np.argsort(np.diagonal(A))
     if not np.allclose(np.diagonal(A)[order], np.sort(expected), rtol=SAME):
         return False
-    # Neighbours share one body's 1/m, in either direction of the normals; others nothing.
+    # Neighbours share the 1/m of one body, whichever way the normals point; others nothing.
     off = np.sort(np.abs(A[np.triu_indices(len(masses), 1)]))[::-1]
     shared = np.sort(inverse[:-1])[::-1]
     return np.allclose(off[: len(shared)], shared, rtol=SAME) and not np.any(

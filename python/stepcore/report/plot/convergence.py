@@ -20,10 +20,10 @@ LEAST = 1e-13
 
 
 def plot_convergence(found: Convergence, path: str | os.PathLike[str] | None = None) -> Any:
-    """Draws a convergence; writes it where `path` says, in the format of its ending.
+    """Draws a convergence; writes it to `path`, in the format of its extension.
 
-    Left: the median residual of the states by sweeps, from nothing and from the impulses that
-    the motion carried, up to the worst state; dashed: what theory leaves. Right: the error of
+    Left: the median residual of the states by sweeps, from zero impulses and from
+    those of the step before, shaded up to the worst state; dashed: theory. Right: the error at
     equal row updates, split into steps and sweeps. Returns the matplotlib Figure. Raises
     ImportError without matplotlib.
     """
@@ -93,8 +93,8 @@ def _percent(rate: float) -> str:
 
 def _work(axes: Any, found: Convergence) -> None:
     bare(axes, "equal row updates, steps × sweeps")
-    axes.set_xlabel("position error, rms [m]")
-    splits = found.plan.splits
+    axes.set_xlabel("RMS position error [m]")
+    splits = found.candidates.splits
     runs = [found.runs[split.settings] for split in splits]
     errors = [run.error for run in runs]
     known = [error for error in errors if math.isfinite(error) and error > 0]
