@@ -5,9 +5,9 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use stepcore::arrays::Given;
 use stepcore::elements::Mention;
-use stepcore::error::Error;
-use stepcore::state::Inputs;
-use stepcore::watch::ledger::{PostMortem, Stable};
+use stepcore::error::{Divergence, Error, Fault};
+use stepcore::post_mortem::{Held, PostMortem, Stable};
+use stepcore::state::Warm;
 
 use crate::element::id;
 use crate::snapshot::encode;
@@ -40,17 +40,10 @@ pub fn raise(py: Python<'_>, error: Error) -> PyErr {
             let attribute = raised.value(py).setattr("mentions", mentions);
             attribute.err().unwrap_or(raised)
         }
-        Error::Diverged { step, time, world, element, post, .. } => {
+        Error::Diverged(divergence) => {
             let raised = SimulationError::new_err(text);
-            let value = raised.value(py);
-            let attributes = value
-                .setattr("step", step)
-                .and_then(|()| value.setattr("time", time))
-                .and_then(|()| value.setattr("world", world))
-                .and_then(|()| value.setattr("element_id", element.as_ref().map(|e| id(e.element))))
-                .and_then(|()| value.setattr("element", element.map_or(NONE.into(), |e| e.name)))
-                .and_then(|()| tell(value, &post));
-            attributes.err().unwrap_or(raised)
+            let told = tell(raised.value(py), &divergence);
+            told.err().unwrap_or(raised)
         }
     }
 }
@@ -65,10 +58,21 @@ fn mention(text: &str, mention: &Mention) -> (usize, usize, &'static str, u32) {
     (count(mention.at.start), count(mention.at.end), kind, index)
 }
 
+/// What is known of a step that could not be committed, as attributes.
+fn tell(error: &Bound<'_, PyBaseException>, divergence: &Divergence) -> PyResult<()> {
+    error.setattr("step", divergence.step)?;
+    error.setattr("time", divergence.time)?;
+    error.setattr("world", divergence.world)?;
+    error.setattr("gained", matches!(divergence.fault, Fault::Energy { .. }))?;
+    divergence.post.as_ref().map_or(Ok(()), |post| tell_post_mortem(error, post))
+}
+
 /// What a post-mortem found, and from where its failure comes again.
-fn tell(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> PyResult<()> {
+fn tell_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> PyResult<()> {
     let py = error.py();
-    error.setattr("gained", post.gained)?;
+    let element = post.element.as_ref();
+    error.setattr("element_id", element.map(|named| id(named.element)))?;
+    error.setattr("element", element.map_or(NONE, |named| &named.name))?;
     let shares = PyDict::new(py);
     for (named, share) in &post.shares {
         shares.set_item(&named.name, share)?;
@@ -83,7 +87,8 @@ fn tell(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> PyResult<()> {
     };
     error.setattr("stable_dt", stable)?;
     let (start, inputs) = (&post.start, &post.inputs);
-    let memo = Memo { start: start.start, steps: start.steps, warm: start.warm.clone() };
+    let warm = start.warm.iter().map(|&(slot, impulse)| Warm { slot, impulse });
+    let memo = Memo { start: start.time, steps: start.steps, warm: warm.collect() };
     let given = Given {
         qpos: &start.qpos,
         qvel: &start.qvel,
@@ -92,7 +97,7 @@ fn tell(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> PyResult<()> {
         xfrc_applied: &inputs.xfrc_applied,
     };
     error.setattr("_start", PyBytes::new(py, &encode(post.dt, &memo, &given)))?;
-    let change = |(step, inputs): &(u64, Inputs<f64>)| {
+    let change = |(step, inputs): &(u64, Held)| {
         (*step, inputs.ctrl.clone(), inputs.qfrc_applied.clone(), inputs.xfrc_applied.clone())
     };
     let changes: Vec<_> = post.changes.iter().map(change).collect();

@@ -11,8 +11,7 @@ use stepcore::settings::{Precision, Settings};
 use stepcore::sim::{Effort, Sim};
 use stepcore::spatial::V3;
 use stepcore::state::{State, Warm};
-use stepcore::watch::ledger::StepGains;
-use stepcore::watch::{Counter, Coupling, Linearizer};
+use stepcore::watch::{Counter, Coupling, Linearizer, StepGains, Watched};
 
 /// What is read of the present state.
 #[derive(Clone, Copy)]
@@ -115,7 +114,7 @@ pub fn world(model: Arc<Model>, settings: &Settings) -> Result<Box<dyn World>> {
 }
 
 struct One<R: Real> {
-    sim: Sim<R>,
+    watched: Watched<R>,
     /// Placed anew whenever something of the present state is read, so that reading
     /// leaves the last solve as it is. Made when first needed.
     reader: Option<Box<Sim<R>>>,
@@ -123,55 +122,58 @@ struct One<R: Real> {
 
 impl<R: Real> One<R> {
     fn new(model: Arc<Model>, settings: &Settings) -> Result<Self> {
-        Ok(Self { sim: Sim::new(model, settings.clone())?, reader: None })
+        Ok(Self { watched: Watched::new(model, settings.clone())?, reader: None })
+    }
+
+    fn sim(&self) -> &Sim<R> {
+        &self.watched.sim
     }
 }
 
 impl<R: Real> World for One<R> {
     fn check(&self, given: &Given) -> Result<()> {
-        given.check::<R>(&self.sim.model, None)
+        given.check::<R>(self.sim().model(), None)
     }
     fn put(&mut self, given: &Given) {
-        self.sim.put(0, given);
+        self.watched.put(0, given);
     }
     fn take(&self, qpos: &mut [f64], qvel: &mut [f64]) {
-        self.sim.state.take(0, qpos, qvel);
+        self.sim().state.take(0, qpos, qvel);
     }
     fn step(&mut self, n: u64) -> Result<()> {
-        self.sim.step(n)
+        self.watched.step(n)
     }
     fn balance_at_end(&mut self, n: u64) -> Result<()> {
-        self.sim.balance_at_end(n)
+        self.watched.balance_at_end(n)
     }
     fn forward(&mut self) -> Result<()> {
-        self.sim.forward()
+        self.watched.forward()
     }
     fn taped_step(&mut self) -> Result<StepGains> {
-        self.sim.taped_step(0)
+        self.watched.taped_step(0)
     }
     fn time(&self) -> f64 {
-        self.sim.state.time(self.sim.settings.dt)
+        self.sim().time()
     }
     fn memo(&self) -> Memo {
-        Memo::of(&self.sim.state, 0)
+        Memo::of(&self.sim().state, 0)
     }
     fn set_memo(&mut self, memo: &Memo) {
-        let state = &mut self.sim.state;
+        let state = &mut self.watched.sim.state;
         (state.start, state.steps) = (memo.start, memo.steps);
         state.warm.clear();
         state
             .warm
             .extend(memo.warm.iter().map(|w| Warm { slot: w.slot, impulse: w.impulse.map(R::of) }));
-        self.sim.forget_ledger();
+        self.watched.forget();
     }
 
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>> {
         self.check(given)?;
+        let sim = &self.watched.sim;
         let reader = match &mut self.reader {
             Some(reader) => reader,
-            empty => {
-                empty.insert(Box::new(Sim::new(self.sim.model.clone(), self.sim.settings.clone())?))
-            }
+            none => none.insert(Box::new(Sim::new(sim.model().clone(), sim.settings().clone())?)),
         };
         reader.put(0, given);
         reader.refresh();
@@ -180,16 +182,16 @@ impl<R: Real> World for One<R> {
 
     fn solved(&self, what: Solved) -> Vec<f64> {
         match what {
-            Solved::Acceleration => numbers(&self.sim.qacc),
-            Solved::ConstraintForce => self.sim.constraint_force(0),
-            Solved::ActuatorForce => numbers(&self.sim.placed.actuator),
+            Solved::Acceleration => numbers(&self.sim().qacc),
+            Solved::ConstraintForce => self.sim().constraint_force(0),
+            Solved::ActuatorForce => numbers(&self.sim().placed.actuator),
         }
     }
 
     fn contacts(&self) -> Contacts {
-        let (sim, mut table) = (&self.sim, Contacts::default());
+        let (sim, mut table) = (self.sim(), Contacts::default());
         for (_, contact) in sim.live_contacts(0) {
-            let pair = &sim.model.pairs[contact.pair];
+            let pair = &sim.model().pairs[contact.pair];
             let element = contact.element();
             table.elements.push(element);
             table.geoms.push((pair.geom1, pair.geom2));
@@ -205,7 +207,7 @@ impl<R: Real> World for One<R> {
     }
 
     fn rows(&self) -> Rows {
-        let (sim, mut table) = (&self.sim, Rows::default());
+        let (sim, mut table) = (self.sim(), Rows::default());
         let residuals: Vec<Vec<f64>> =
             sim.rows.blocks.iter().map(|block| sim.row_residuals(block, 0)).collect();
         let mut within = 0;
@@ -213,7 +215,7 @@ impl<R: Real> World for One<R> {
             within = if table.blocks.last() == Some(&index) { within + 1 } else { 0 };
             let element = sim.rows.blocks[index].element;
             table.elements.push(element);
-            table.names.push(sim.model.element_name(element));
+            table.names.push(sim.model().element_name(element));
             table.blocks.push(index);
             let residual = residuals[index].get(within).copied().unwrap_or(0.0);
             table.numbers.extend([row.impulse, row.velocity, row.t, row.c].map(|x| x.lane(0)));
@@ -223,25 +225,25 @@ impl<R: Real> World for One<R> {
     }
 
     fn coupling(&self) -> Coupling {
-        self.sim.coupling(0)
+        self.sim().coupling(0)
     }
     fn residual(&self) -> f64 {
-        self.sim.residual().lane(0)
+        self.sim().residual().lane(0)
     }
     fn effort(&self) -> Effort {
-        self.sim.effort
+        self.sim().effort
     }
     fn grown(&self) -> u64 {
-        self.sim.detected.grown
+        self.sim().detected.grown
     }
     fn linearizer(&mut self) -> Result<Linearizer> {
-        Linearizer::new(&self.sim)
+        Linearizer::new(self.sim())
     }
     fn counter(&mut self) -> Result<Counter> {
-        Counter::new(&self.sim)
+        Counter::new(self.sim())
     }
     fn bytes(&self) -> usize {
-        self.sim.bytes()
+        self.watched.bytes()
     }
 }
 
@@ -254,7 +256,7 @@ fn flat<R: Real>(v: &V3<R>) -> [f64; 3] {
 }
 
 fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
-    let model = sim.model.clone();
+    let model = sim.model().clone();
     let matrix =
         |m: &stepcore::spatial::M3<R>| m.transpose().iter().map(|x| x.lane(0)).collect::<Vec<_>>();
     match what {

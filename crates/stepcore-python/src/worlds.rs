@@ -99,8 +99,8 @@ impl<R: Real> Worlds for Batch<R> {
                 qpos: &failed.qpos,
                 qvel: &failed.qvel,
                 ctrl: &of(&inputs.ctrl),
-                qfrc_applied: &of(&inputs.qfrc_applied),
-                xfrc_applied: &of(&inputs.xfrc_applied),
+                qfrc_applied: &of(inputs.qfrc_applied()),
+                xfrc_applied: &of(inputs.xfrc_applied()),
             });
             let _ = into.forward();
             return Ok(());
@@ -109,8 +109,8 @@ impl<R: Real> Worlds for Batch<R> {
             qpos: &of(&state.qpos),
             qvel: &of(&state.qvel),
             ctrl: &of(&inputs.ctrl),
-            qfrc_applied: &of(&inputs.qfrc_applied),
-            xfrc_applied: &of(&inputs.xfrc_applied),
+            qfrc_applied: &of(inputs.qfrc_applied()),
+            xfrc_applied: &of(inputs.xfrc_applied()),
         });
         into.set_memo(&Memo::of(state, lane));
         match last {

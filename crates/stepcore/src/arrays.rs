@@ -131,22 +131,11 @@ impl<R: Real> State<R> {
 }
 
 impl<R: Real> Sim<R> {
-    /// Takes one world's arrays, which were checked. Lane 0 comes first.
-    pub fn put(&mut self, lane: usize, given: &Given) {
-        if self.state.put(lane, given) {
-            // There is no step that led here.
-            self.past.forget();
-            self.forget_ledger();
-        }
+    /// Takes one world's arrays, which were checked; says whether its state changed. Lane 0
+    /// comes first.
+    pub fn put(&mut self, lane: usize, given: &Given) -> bool {
         self.inputs.put(lane, given);
-    }
-}
-
-impl<R: Real> Sim<R> {
-    /// Why the next step of an accompanying copy failed: the same step in plain numbers says.
-    pub(crate) fn explained(&self, error: Error) -> Error {
-        let plain = self.in_doubles::<f64>().and_then(|mut plain| plain.step(1));
-        plain.err().unwrap_or(error)
+        self.state.put(lane, given)
     }
 
     /// The world of lane 0 in other numbers, as accurate as `f64`: the same model, settings,
@@ -156,14 +145,8 @@ impl<R: Real> Sim<R> {
             Settings { precision: Precision::F64, ledger: false, ..self.settings.clone() };
         let mut sim = Sim::<Q>::new(self.model.clone(), settings)?;
         let plain = |list: &[R]| list.iter().map(|x| x.lane(0)).collect::<Vec<_>>();
-        let given = [
-            plain(&self.state.qpos),
-            plain(&self.state.qvel),
-            plain(&self.inputs.ctrl),
-            plain(&self.inputs.qfrc_applied),
-            plain(&self.inputs.xfrc_applied),
-        ];
-        let [qpos, qvel, ctrl, qfrc_applied, xfrc_applied] = &given;
+        let (qpos, qvel) = (&plain(&self.state.qpos), &plain(&self.state.qvel));
+        let [ctrl, qfrc_applied, xfrc_applied] = &self.inputs.arrays().map(plain);
         sim.put(0, &Given { qpos, qvel, ctrl, qfrc_applied, xfrc_applied });
         let number = |x: R| Q::of(x.lane(0));
         let warm = self.state.warm.iter();
@@ -177,10 +160,6 @@ impl<R: Real> Sim<R> {
 impl<R: Real> Inputs<R> {
     /// Takes one world's controls and forces. Lane 0 comes first.
     pub fn put(&mut self, lane: usize, given: &Given) {
-        put(&mut self.ctrl, lane, given.ctrl);
-        put(&mut self.qfrc_applied, lane, given.qfrc_applied);
-        put(&mut self.xfrc_applied, lane, given.xfrc_applied);
-        let applied = given.qfrc_applied.iter().chain(given.xfrc_applied).any(|x| *x != 0.0);
-        self.applied = applied || (lane > 0 && self.applied);
+        self.set_lane(lane, given.ctrl, given.qfrc_applied, given.xfrc_applied);
     }
 }

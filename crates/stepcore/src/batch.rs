@@ -1,7 +1,7 @@
 //! Many worlds of one model, in groups of as many as a number has lanes, over threads.
 //!
 //! A group is a state and its inputs; the working space belongs to the threads, one
-//! `Sim` each, which take the next group when they are done with one. What a group
+//! `Watched` each, which take the next group when they are done with one. What a group
 //! computes depends on nothing else, so results are the same bits at any number of
 //! threads, and, because a lane is a world, in lanes or one by one.
 
@@ -13,9 +13,8 @@ use crate::failed::{Failed, Standing};
 use crate::model::Model;
 use crate::real::Real;
 use crate::settings::Settings;
-use crate::sim::Sim;
 use crate::state::{Inputs, State};
-use crate::watch::Ledger;
+use crate::watch::{Ledger, Watched};
 
 /// The most threads that a batch may ask for.
 const MOST_THREADS: usize = 1024;
@@ -53,7 +52,7 @@ pub struct Batch<R: Real> {
     dt: f64,
     groups: Vec<Group<R>>,
     /// One a thread.
-    workers: Vec<Sim<R>>,
+    workers: Vec<Watched<R>>,
     /// A world that fails stands still, and the others go on; else all stop with it.
     pub goes_on: bool,
 }
@@ -108,7 +107,8 @@ impl<R: Real> Batch<R> {
             standing: Standing::new((worlds - index * R::LANES).min(R::LANES)),
             ledger: settings.ledger.then(|| Box::new(Ledger::new(&model))),
         };
-        let workers = (0..threads.min(count)).map(|_| Sim::new(model.clone(), settings.clone()));
+        let workers =
+            (0..threads.min(count)).map(|_| Watched::new(model.clone(), settings.clone()));
         Ok(Self {
             worlds,
             dt: settings.dt,
@@ -200,15 +200,15 @@ impl<R: Real> Batch<R> {
     /// Advances every world by `n` steps. If one leaves the finite numbers, all stand
     /// before the first step in which one did.
     pub fn step(&mut self, n: u64) -> Result<()> {
-        self.advance(n, |_, _, sim| sim.step(1))
+        self.advance(n, |_, _, watched| watched.step(1))
     }
 
     /// Place, detect and solve in every world. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
-        let forward = |_, _, sim: &mut Sim<R>| sim.forward();
+        let forward = |_, _, watched: &mut Watched<R>| watched.forward();
         let goes_on = self.goes_on;
-        share(&mut self.workers, &mut self.groups, |sim, index, group| {
-            group.run(sim, index, 1, Last::Forward, goes_on, &forward)
+        share(&mut self.workers, &mut self.groups, |watched, index, group| {
+            group.run(watched, index, 1, Last::Forward, goes_on, &forward)
         });
         self.first_failure().map_or(Ok(()), |(_, error)| Err(error))
     }
@@ -227,12 +227,12 @@ impl<R: Real> Batch<R> {
                 Mutex::new(Part { worlds, steps, sizes, ctrl, qpos, qvel })
             })
             .collect();
-        self.advance(n as u64, |index, k, sim| {
+        self.advance(n as u64, |index, k, watched| {
             let mut part = parts[index].lock().unwrap_or_else(PoisonError::into_inner);
             let step = from + k as usize;
-            part.control(step, sim);
-            sim.step(1)?;
-            part.record(step, sim);
+            part.control(step, watched);
+            watched.step(1)?;
+            part.record(step, &watched.sim.state);
             Ok(())
         })?;
         self.stand(play, from, n);
@@ -256,21 +256,21 @@ impl<R: Real> Batch<R> {
     fn advance(
         &mut self,
         n: u64,
-        one: impl Fn(usize, u64, &mut Sim<R>) -> Result<()> + Sync,
+        one: impl Fn(usize, u64, &mut Watched<R>) -> Result<()> + Sync,
     ) -> Result<()> {
         let goes_on = self.goes_on;
-        share(&mut self.workers, &mut self.groups, |sim, index, group| {
+        share(&mut self.workers, &mut self.groups, |watched, index, group| {
             group.state.copy_to(&mut group.start);
-            group.run(sim, index, n, Last::Step, goes_on, &one);
+            group.run(watched, index, n, Last::Step, goes_on, &one);
         });
         let Some((done, error)) = self.first_failure() else { return Ok(()) };
         // All worlds go back, and then on to where this one was still well.
-        share(&mut self.workers, &mut self.groups, |sim, index, group| {
+        share(&mut self.workers, &mut self.groups, |watched, index, group| {
             group.start.copy_to(&mut group.state);
             group.start.copy_to(&mut group.before);
             group.last = Last::Forward;
             group.ledger.iter_mut().for_each(|ledger| ledger.forget());
-            group.run(sim, index, done, Last::Step, goes_on, &one);
+            group.run(watched, index, done, Last::Step, goes_on, &one);
         });
         Err(error)
     }
@@ -279,10 +279,7 @@ impl<R: Real> Batch<R> {
     fn first_failure(&mut self) -> Option<(u64, Error)> {
         let failures = self.groups.iter_mut().enumerate().filter_map(|(index, group)| {
             let (done, mut error) = group.failed.take()?;
-            if let Error::Diverged { world, quantity, .. } = &mut error {
-                *world += index * R::LANES;
-                quantity.push_str(&format!(" in world {world}"));
-            }
+            in_batch::<R>(&mut error, index);
             Some((done, error))
         });
         failures.min_by_key(|(done, _)| *done)
@@ -293,84 +290,125 @@ impl<R: Real> Group<R> {
     /// Runs `one` up to `n` times on this group's state in a thread's working space.
     fn run(
         &mut self,
-        sim: &mut Sim<R>,
+        watched: &mut Watched<R>,
         index: usize,
         n: u64,
         last: Last,
         goes_on: bool,
-        one: &impl Fn(usize, u64, &mut Sim<R>) -> Result<()>,
+        one: &impl Fn(usize, u64, &mut Watched<R>) -> Result<()>,
     ) {
-        self.standing.lanes.iter_mut().flatten().for_each(|failed| failed.done = 0);
-        if self.standing.any() && !self.standing.mirror(&mut self.state, &mut self.inputs) {
+        let Self { state, inputs, ledger, standing, before, qacc, .. } = self;
+        standing.lanes.iter_mut().flatten().for_each(|failed| failed.done = 0);
+        if standing.any() && !standing.mirror(state, inputs) {
             // Nobody is left; time goes on.
-            self.state.steps += if last == Last::Step { n } else { 0 };
+            state.steps += if last == Last::Step { n } else { 0 };
             return;
         }
-        sim.copies = self.standing.mask::<R>();
-        std::mem::swap(&mut sim.ledger, &mut self.ledger);
-        std::mem::swap(&mut sim.state, &mut self.state);
-        std::mem::swap(&mut sim.inputs, &mut self.inputs);
-        sim.past.forget();
+        let copies = standing.mask::<R>();
+        let guest = Guest::new(watched, state, inputs, ledger, copies);
         self.failed = (0..n).find_map(|k| {
             if k + 1 == n {
-                sim.state.copy_to(&mut self.before);
+                guest.watched.sim.state.copy_to(before);
             }
             loop {
-                let error = one(index, k, sim).err()?;
-                if !(goes_on && self.set_aside(sim, index, k, &error)) {
+                let error = one(index, k, guest.watched).err()?;
+                if !(goes_on && set_aside(standing, guest.watched, index, k, &error)) {
                     return Some((k, error));
                 }
-                if self.standing.healthy().is_none() {
-                    sim.state.steps += if last == Last::Step { n - k } else { 0 };
+                if standing.healthy().is_none() {
+                    guest.watched.sim.state.steps += if last == Last::Step { n - k } else { 0 };
                     return Some((u64::MAX, error));
                 }
             }
         });
         self.failed = self.failed.take().filter(|(k, _)| *k != u64::MAX);
-        std::mem::swap(&mut sim.ledger, &mut self.ledger);
         if n > 0 {
             self.last = last;
-            self.qacc.copy_from_slice(&sim.qacc);
+            qacc.copy_from_slice(&guest.watched.sim.qacc);
         }
-        std::mem::swap(&mut sim.state, &mut self.state);
-        std::mem::swap(&mut sim.inputs, &mut self.inputs);
     }
 }
 
-impl<R: Real> Group<R> {
-    /// Takes the world that failed out of the run, if one did; false for other errors.
-    fn set_aside(&mut self, sim: &mut Sim<R>, index: usize, done: u64, error: &Error) -> bool {
-        let mut error = error.clone();
-        let Error::Diverged { world, quantity, .. } = &mut error else { return false };
-        let lane = *world;
-        *world += index * R::LANES;
-        quantity.push_str(&format!(" in world {world}"));
-        self.standing.take(sim, lane, done, error);
-        self.standing.mirror_in(sim);
-        true
+/// A group's worlds in the working space of a thread. They go back when this is dropped, after
+/// a panic too.
+struct Guest<'a, R: Real> {
+    watched: &'a mut Watched<R>,
+    state: &'a mut State<R>,
+    inputs: &'a mut Inputs<R>,
+    ledger: &'a mut Option<Box<Ledger<R>>>,
+}
+
+impl<'a, R: Real> Guest<'a, R> {
+    fn new(
+        watched: &'a mut Watched<R>,
+        state: &'a mut State<R>,
+        inputs: &'a mut Inputs<R>,
+        ledger: &'a mut Option<Box<Ledger<R>>>,
+        copies: u64,
+    ) -> Self {
+        let mut guest = Self { watched, state, inputs, ledger };
+        guest.swap(copies);
+        guest
+    }
+
+    fn swap(&mut self, copies: u64) {
+        self.watched.swap(self.ledger, copies);
+        std::mem::swap(&mut self.watched.sim.state, self.state);
+        std::mem::swap(&mut self.watched.sim.inputs, self.inputs);
+    }
+}
+
+impl<R: Real> Drop for Guest<'_, R> {
+    fn drop(&mut self) {
+        self.swap(0);
+    }
+}
+
+/// Takes the world that failed out of the run, if one did; false for other errors.
+fn set_aside<R: Real>(
+    standing: &mut Standing,
+    watched: &mut Watched<R>,
+    index: usize,
+    done: u64,
+    error: &Error,
+) -> bool {
+    let Error::Diverged(divergence) = error else { return false };
+    let (lane, mut error) = (divergence.world, error.clone());
+    in_batch::<R>(&mut error, index);
+    standing.take(&watched.sim.state, lane, done, error);
+    standing.mirror_in(watched);
+    true
+}
+
+/// A lane's failure becomes that of a world of the batch.
+fn in_batch<R: Real>(error: &mut Error, index: usize) {
+    if let Error::Diverged(divergence) = error {
+        divergence.world += index * R::LANES;
+        divergence.batch = true;
     }
 }
 
 impl Part<'_> {
     /// Puts the controls of a step in; lanes without a world repeat the last one.
-    fn control<R: Real>(&self, step: usize, sim: &mut Sim<R>) {
+    fn control<R: Real>(&self, step: usize, watched: &mut Watched<R>) {
         let nu = self.sizes[0];
-        let own = (0..R::LANES).find(|lane| sim.is_world(*lane)).unwrap_or(0);
+        let own = (0..R::LANES).find(|lane| watched.is_world(*lane)).unwrap_or(0);
         for lane in 0..R::LANES {
-            let world = if sim.is_world(lane) { lane.min(self.worlds - 1) } else { own };
+            let world = if watched.is_world(lane) { lane.min(self.worlds - 1) } else { own };
             let start = (world * self.steps + step) * nu;
-            for (to, from) in sim.inputs.ctrl.iter_mut().zip(&self.ctrl[start..start + nu]) {
+            for (to, from) in watched.sim.inputs.ctrl.iter_mut().zip(&self.ctrl[start..start + nu])
+            {
                 to.set_lane(lane, *from);
             }
         }
     }
 
     /// Keeps the state after a step.
-    fn record<R: Real>(&mut self, step: usize, sim: &Sim<R>) {
+    fn record<R: Real>(&mut self, step: usize, state: &State<R>) {
         let [_, nq, nv] = self.sizes;
         for lane in 0..self.worlds {
             let at = lane * self.steps + step;
-            sim.state.take(
+            state.take(
                 lane,
                 &mut self.qpos[at * nq..(at + 1) * nq],
                 &mut self.qvel[at * nv..(at + 1) * nv],
@@ -381,9 +419,9 @@ impl Part<'_> {
 
 /// Lets every worker take the next group until none is left.
 fn share<R: Real>(
-    workers: &mut [Sim<R>],
+    workers: &mut [Watched<R>],
     groups: &mut [Group<R>],
-    work: impl Fn(&mut Sim<R>, usize, &mut Group<R>) + Sync,
+    work: impl Fn(&mut Watched<R>, usize, &mut Group<R>) + Sync,
 ) {
     if let [only] = workers {
         return groups.iter_mut().enumerate().for_each(|(index, group)| work(only, index, group));
@@ -392,10 +430,10 @@ fn share<R: Real>(
     let next = || left.lock().unwrap_or_else(PoisonError::into_inner).next();
     let (next, work) = (&next, &work);
     std::thread::scope(|scope| {
-        for sim in workers {
+        for watched in workers {
             scope.spawn(move || {
                 while let Some((index, group)) = next() {
-                    work(sim, index, group);
+                    work(watched, index, group);
                 }
             });
         }

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::elements::{Mention, Named, Text};
-use crate::watch::ledger::PostMortem;
+use crate::post_mortem::{short, PostMortem};
 
 /// Why something was refused or went wrong.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,17 +12,35 @@ pub enum Error {
     Value { field: Text, value: String, limit: String },
     /// A scene that cannot be compiled.
     Scene(Text),
-    /// The simulation left the finite numbers; the last finite state is kept. `step`: steps
-    /// done before, `time`: of that state [s], `world`: its lane or its place in a batch.
-    /// `post`: where the energy came from.
-    Diverged {
-        step: u64,
-        time: f64,
-        world: usize,
-        element: Option<Named>,
-        quantity: String,
-        post: Box<PostMortem>,
-    },
+    /// A step that cannot be committed.
+    Diverged(Box<Divergence>),
+}
+
+/// A step that cannot be committed; the last finite state is kept.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Divergence {
+    /// Steps done before, and the time of that state [s].
+    pub step: u64,
+    pub time: f64,
+    /// The lane that failed; with `batch` its place among the worlds of a batch.
+    pub world: usize,
+    pub batch: bool,
+    pub fault: Fault,
+    /// Which element it came from, and what would help: where somebody watched.
+    pub post: Option<PostMortem>,
+}
+
+/// What is wrong with a step.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Fault {
+    /// The velocity or acceleration of a joint is not finite.
+    NotFinite { quantity: &'static str, joint: Named },
+    /// A position is not finite.
+    Position,
+    /// The iteration of the integrator `midpoint` does not converge.
+    Midpoint,
+    /// More energy of motion and springs than a passive scene can have [J].
+    Energy { has: f64, allowed: f64 },
 }
 
 impl Error {
@@ -51,15 +69,41 @@ impl fmt::Display for Error {
         match self {
             Self::Value { field, value, limit } => write!(f, "{field} = {value}: must be {limit}"),
             Self::Scene(text) => f.write_str(text.words()),
-            Self::Diverged { step, time, element, quantity, post, .. } => {
-                let element = element.as_ref().map_or("no single element", |named| &named.name);
-                write!(
-                    f,
-                    "diverged in step {step} at time {time:.6} s: {quantity}; what drove it is {element}{}; the \
-                     last finite state is kept",
-                    post.sentence()
-                )
+            Self::Diverged(divergence) => divergence.fmt(f),
+        }
+    }
+}
+
+impl fmt::Display for Divergence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "diverged in step {} at time {:.6} s: {}", self.step, self.time, self.fault)?;
+        if self.batch {
+            write!(f, " in world {}", self.world)?;
+        }
+        if let Some(post) = &self.post {
+            let element = post.element.as_ref().map_or("no single element", |named| &named.name);
+            write!(f, "; what drove it is {element}{}", post.sentence())?;
+        }
+        f.write_str("; the last finite state is kept")
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotFinite { quantity, joint } => {
+                write!(f, "the {quantity} of {joint} is not finite")
             }
+            Self::Position => f.write_str("a position is not finite"),
+            Self::Midpoint => {
+                f.write_str("the midpoint iteration does not converge (take a smaller dt)")
+            }
+            Self::Energy { has, allowed } => write!(
+                f,
+                "the energy of motion and springs is {} J, of which a passive scene can have {} J",
+                short(*has),
+                short(*allowed)
+            ),
         }
     }
 }

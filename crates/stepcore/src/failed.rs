@@ -7,8 +7,8 @@
 use crate::arrays::Given;
 use crate::error::Error;
 use crate::real::Real;
-use crate::sim::Sim;
 use crate::state::{Inputs, State};
+use crate::watch::Watched;
 
 /// A world that stands still.
 #[derive(Clone, Debug)]
@@ -48,11 +48,10 @@ impl Standing {
 
     /// Takes a lane's state aside; a lane that stands already, or that has no world, is only
     /// a copy that went astray.
-    pub fn take<R: Real>(&mut self, sim: &Sim<R>, lane: usize, done: u64, error: Error) {
+    pub fn take<R: Real>(&mut self, state: &State<R>, lane: usize, done: u64, error: Error) {
         let Some(place) = self.lanes.get_mut(lane).filter(|place| place.is_none()) else { return };
-        let (mut qpos, mut qvel) =
-            (vec![0.0; sim.state.qpos.len()], vec![0.0; sim.state.qvel.len()]);
-        sim.state.take(lane, &mut qpos, &mut qvel);
+        let (mut qpos, mut qvel) = (vec![0.0; state.qpos.len()], vec![0.0; state.qvel.len()]);
+        state.take(lane, &mut qpos, &mut qvel);
         *place = Some(Failed { qpos, qvel, done, error });
     }
 
@@ -80,18 +79,15 @@ impl Standing {
         copy(&mut state.qpos);
         copy(&mut state.qvel);
         state.warm.iter_mut().for_each(|warm| copy(&mut warm.impulse));
-        inputs.arrays_mut().into_iter().for_each(copy);
+        inputs.edit(|arrays| arrays.into_iter().for_each(copy));
         true
     }
 
     /// The same in the working space of a thread, which has the group's ledger.
-    pub fn mirror_in<R: Real>(&self, sim: &mut Sim<R>) -> bool {
-        let some = self.mirror(&mut sim.state, &mut sim.inputs);
-        sim.copies = self.mask::<R>();
-        if let (Some(from), Some(ledger)) = (self.healthy(), &mut sim.ledger) {
-            self.copies::<R>().for_each(|lane| ledger.repeat(lane, from));
-            ledger.go_on(&sim.state);
-        }
-        some
+    pub fn mirror_in<R: Real>(&self, watched: &mut Watched<R>) -> bool {
+        let Some(from) = self.healthy() else { return false };
+        self.mirror(&mut watched.sim.state, &mut watched.sim.inputs);
+        watched.repeat(from, self.mask::<R>());
+        true
     }
 }

@@ -44,13 +44,16 @@
 
 pub mod arrays;
 pub mod batch;
+mod clock;
 pub mod commit;
 pub mod detect;
 pub mod elements;
 pub mod error;
 pub mod failed;
 pub mod model;
+pub mod observer;
 pub mod place;
+pub mod post_mortem;
 pub mod real;
 mod room;
 pub mod scene;

@@ -1,20 +1,21 @@
 //! `Sim`: one model, one state (or a lane register of states), and its working space.
+//!
+//! It steps, and knows nothing of who watches: see `observer.rs` and `watch/`.
 
 use crate::room::{room, Room};
 use std::sync::Arc;
 
+use crate::clock::Clock;
 use crate::commit::Next;
 use crate::detect::Detected;
 use crate::elements::{Element, Kind};
-use crate::error::{Error, Result};
+use crate::error::{Divergence, Error, Fault, Result};
 use crate::model::Model;
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::settings::{Settings, Solver};
 use crate::solve::{Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
-use crate::watch::ledger::{Ledger, Tape};
-use crate::watch::Past;
 
 /// How the last solve went.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -28,9 +29,18 @@ pub struct Effort {
 }
 
 /// One world, or a register of worlds side by side. `step.rs` steps it.
+///
+/// Model and settings were checked when it was made, and cannot be changed behind it:
+///
+/// ```compile_fail
+/// fn backwards(sim: &mut stepcore::sim::Sim<f64>) {
+///     sim.settings.dt = -1.0;
+/// }
+/// ```
 pub struct Sim<R: Real> {
-    pub model: Arc<Model>,
-    pub settings: Settings,
+    pub(crate) model: Arc<Model>,
+    pub(crate) settings: Settings,
+    pub(crate) clock: Clock<R>,
     pub state: State<R>,
     pub inputs: Inputs<R>,
     /// What each stage wrote when it last ran.
@@ -42,17 +52,28 @@ pub struct Sim<R: Real> {
     pub qacc: Vec<R>,
     pub effort: Effort,
     pub(crate) next: Next<R>,
-    pub(crate) past: Past<R>,
-    /// There while `Settings::ledger` is on.
-    pub(crate) ledger: Option<Box<Ledger<R>>>,
-    /// Lanes (bits) that only repeat another, whose failures are told there.
-    pub(crate) copies: u64,
-    /// There while a step is written down.
-    pub(crate) tape: Option<Box<Tape>>,
     pub(crate) solver: Box<dyn Solve<R>>,
 }
 
-room!(Sim<R>: velocity, qacc; state, inputs, placed, detected, rows, next, past, solver);
+/// The positions and velocities at which stages run.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum At {
+    /// Those of the state.
+    State,
+    /// Those of `next.trial`, which an integrator tries on its way through the step.
+    Trial,
+}
+
+impl At {
+    pub fn of<'a, R: Real>(self, state: &'a State<R>, next: &'a Next<R>) -> (&'a [R], &'a [R]) {
+        match self {
+            Self::State => (&state.qpos, &state.qvel),
+            Self::Trial => (&next.trial.qpos, &next.trial.qvel),
+        }
+    }
+}
+
+room!(Sim<R>: velocity, qacc; state, inputs, placed, detected, rows, next, solver);
 
 impl<R: Real> Sim<R> {
     /// A world at qpos0 and at rest; refuses settings outside their limits.
@@ -70,13 +91,23 @@ impl<R: Real> Sim<R> {
             effort: Effort::default(),
             next: Next::new(&model),
             solver: Box::new(Solvers::new()),
-            past: Past::new(&model),
-            ledger: settings.ledger.then(|| Box::new(Ledger::new(&model))),
-            copies: 0,
-            tape: None,
+            clock: Clock::new(settings.dt),
             model,
             settings,
         })
+    }
+
+    pub fn model(&self) -> &Arc<Model> {
+        &self.model
+    }
+
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// Time of the state [s].
+    pub fn time(&self) -> f64 {
+        self.state.time(self.clock.seconds)
     }
 
     /// Solves the rows that were made, from the last step's impulses if they are kept.
@@ -92,14 +123,31 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Memory of the state and of all working space [bytes]; the model is not in it.
-    pub fn bytes(&self) -> usize {
-        size_of::<Self>() + self.room() + self.ledger.as_ref().map_or(0, Room::room)
+    /// The error for the lanes in `failed`, whose step cannot be committed: of the first one.
+    pub(crate) fn diverged(&self, failed: R::Mask, fault: impl FnOnce(usize) -> Fault) -> Error {
+        let lane = (0..R::LANES).find(|lane| failed.lane(*lane)).unwrap_or(0);
+        Error::Diverged(Box::new(Divergence {
+            step: self.state.steps,
+            time: self.time(),
+            world: lane,
+            batch: false,
+            fault: fault(lane),
+            post: None,
+        }))
     }
 
-    /// A lane that stands for a world of its own.
-    pub(crate) fn is_world(&self, lane: usize) -> bool {
-        self.copies >> lane & 1 == 0
+    /// The first dof whose `quantity`, in `numbers`, is not finite in a lane.
+    pub(crate) fn not_finite(&self, lane: usize, quantity: &'static str, numbers: &[R]) -> Fault {
+        let Some(dof) = numbers.iter().position(|x| !x.is_finite().lane(lane)) else {
+            return Fault::Position;
+        };
+        let joint = Element::whole(Kind::Joint, self.model.dofs[dof].joint);
+        Fault::NotFinite { quantity, joint: self.model.named(joint) }
+    }
+
+    /// Memory of the state and of all working space [bytes]; the model is not in it.
+    pub fn bytes(&self) -> usize {
+        size_of::<Self>() + self.room()
     }
 
     /// The worst miss of the last solve, a speed [m/s]; 0 without rows.

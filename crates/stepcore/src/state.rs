@@ -59,39 +59,15 @@ impl<R: Real> State<R> {
 pub struct Inputs<R: Real> {
     /// By actuator, in the unit that its gear expects.
     pub ctrl: Vec<R>,
-    /// By dof [N or N·m].
-    pub qfrc_applied: Vec<R>,
-    /// Force at the centre of mass [N], then moment [N·m], in world axes, by body: 6
-    /// numbers each.
-    pub xfrc_applied: Vec<R>,
-    /// Some applied force is not zero.
-    pub applied: bool,
+    qfrc_applied: Vec<R>,
+    xfrc_applied: Vec<R>,
+    /// Some applied force may not be zero. Whatever writes them writes this too.
+    applied: bool,
 }
 
 room!(Inputs<R>: ctrl, qfrc_applied, xfrc_applied;);
 
 impl<R: Real> Inputs<R> {
-    /// ctrl, qfrc_applied, xfrc_applied.
-    pub(crate) fn arrays(&self) -> [&[R]; 3] {
-        [&self.ctrl, &self.qfrc_applied, &self.xfrc_applied]
-    }
-
-    pub(crate) fn arrays_mut(&mut self) -> [&mut [R]; 3] {
-        [&mut self.ctrl, &mut self.qfrc_applied, &mut self.xfrc_applied]
-    }
-
-    pub(crate) fn any_applied(&self) -> bool {
-        self.qfrc_applied.iter().chain(&self.xfrc_applied).any(|x| !x.is_zero())
-    }
-
-    /// Copies into inputs of the same model, whose room is used again.
-    pub(crate) fn copy_to(&self, to: &mut Self) {
-        for (to, from) in to.arrays_mut().into_iter().zip(self.arrays()) {
-            to.copy_from_slice(from);
-        }
-        to.applied = self.applied;
-    }
-
     /// No control, no force.
     pub fn new(model: &Model) -> Self {
         Self {
@@ -100,5 +76,58 @@ impl<R: Real> Inputs<R> {
             xfrc_applied: vec![R::zero(); 6 * model.bodies.len()],
             applied: false,
         }
+    }
+
+    /// Generalised forces by dof [N or N·m].
+    pub fn qfrc_applied(&self) -> &[R] {
+        &self.qfrc_applied
+    }
+
+    /// Force at the centre of mass [N], then moment [N·m], in world axes, by body: 6
+    /// numbers each.
+    pub fn xfrc_applied(&self) -> &[R] {
+        &self.xfrc_applied
+    }
+
+    /// False where every applied force is zero, so that a step need not add them.
+    pub fn applied(&self) -> bool {
+        self.applied
+    }
+
+    /// Lets `write(qfrc_applied, xfrc_applied)` change the applied forces.
+    pub fn apply(&mut self, write: impl FnOnce(&mut [R], &mut [R])) {
+        self.edit(|[_, qfrc, xfrc]| write(qfrc, xfrc));
+    }
+
+    /// ctrl, qfrc_applied, xfrc_applied.
+    pub(crate) fn arrays(&self) -> [&[R]; 3] {
+        [&self.ctrl, &self.qfrc_applied, &self.xfrc_applied]
+    }
+
+    /// Lets `write` change ctrl, qfrc_applied and xfrc_applied.
+    pub(crate) fn edit(&mut self, write: impl FnOnce([&mut [R]; 3])) {
+        write([&mut self.ctrl, &mut self.qfrc_applied, &mut self.xfrc_applied]);
+        let mut forces = self.qfrc_applied.iter().chain(&self.xfrc_applied);
+        self.applied = forces.any(|force| !force.is_zero());
+    }
+
+    /// Takes one world's numbers. Lane 0 comes first.
+    pub(crate) fn set_lane(&mut self, lane: usize, ctrl: &[f64], qfrc: &[f64], xfrc: &[f64]) {
+        let applied = qfrc.iter().chain(xfrc).any(|force| *force != 0.0);
+        self.applied = applied || (lane > 0 && self.applied);
+        let arrays = [&mut self.ctrl, &mut self.qfrc_applied, &mut self.xfrc_applied];
+        for (to, from) in arrays.into_iter().zip([ctrl, qfrc, xfrc]) {
+            for (to, from) in to.iter_mut().zip(from) {
+                to.set_lane(lane, *from);
+            }
+        }
+    }
+
+    /// Copies into inputs of the same model, whose room is used again.
+    pub(crate) fn copy_to(&self, to: &mut Self) {
+        to.ctrl.copy_from_slice(&self.ctrl);
+        to.qfrc_applied.copy_from_slice(&self.qfrc_applied);
+        to.xfrc_applied.copy_from_slice(&self.xfrc_applied);
+        to.applied = self.applied;
     }
 }

@@ -4,32 +4,26 @@
 //! `commit/`. What is written here is the whole of a step.
 
 use crate::error::Result;
+use crate::observer::Observer;
 use crate::real::{Mask, Real, Stage};
-use crate::sim::Sim;
+use crate::sim::{At, Sim};
 use crate::solve::Situation;
 
 impl<R: Real> Sim<R> {
     /// Advances by `n` steps, or to the last finite state before an error.
     pub fn step(&mut self, n: u64) -> Result<()> {
-        if self.ledger.is_none() || !R::INVESTIGATED {
-            return self.advance(n, false);
-        }
-        self.step_in_ledger(n)
+        self.step_watched(n, &mut ())
     }
 
-    /// `driven`: something from outside does work, and the ledger wants to know.
-    pub(crate) fn advance(&mut self, n: u64, driven: bool) -> Result<()> {
+    /// The same while `observer` watches.
+    pub fn step_watched<O: Observer<R>>(&mut self, n: u64, observer: &mut O) -> Result<()> {
         for _ in 0..n {
             R::enter(Stage::Commit);
-            self.integrate()?;
-            self.check_finite()?;
-            if driven {
-                self.pay();
-            }
-            // past ← state ← next ← (room of the oldest past)
+            self.integrate(observer)?;
+            self.check_next()?;
+            observer.committing(self);
             std::mem::swap(&mut self.state.qpos, &mut self.next.qpos);
             std::mem::swap(&mut self.state.qvel, &mut self.next.qvel);
-            self.past.keep(&mut self.next.qpos, &mut self.next.qvel);
             std::mem::swap(&mut self.state.warm, &mut self.next.warm);
             self.state.steps += 1;
         }
@@ -38,29 +32,32 @@ impl<R: Real> Sim<R> {
 
     /// Place, detect and solve at the present state. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
-        self.place_detect_solve()?;
+        self.place_detect_solve(At::State)?;
         let bad = all_finite(&self.qacc).not();
         if bad.any() {
-            let quantity = self.first_not_finite(bad, "acceleration", &self.qacc);
-            return Err(self.diverged(bad, quantity));
+            return Err(
+                self.diverged(bad, |lane| self.not_finite(lane, "acceleration", &self.qacc))
+            );
         }
         Ok(())
     }
 
-    pub(crate) fn place_detect_solve(&mut self) -> Result<()> {
-        let dt = R::of(self.settings.dt);
-        self.placed.place(&self.model, &self.state, &self.inputs, dt);
-        self.detect_and_solve()
+    pub(crate) fn place_detect_solve(&mut self, at: At) -> Result<()> {
+        let (qpos, qvel) = at.of(&self.state, &self.next);
+        self.placed.place(&self.model, qpos, qvel, &self.inputs, self.clock.dt);
+        self.detect_and_solve(at)
     }
 
-    pub(crate) fn detect_and_solve(&mut self) -> Result<()> {
+    pub(crate) fn detect_and_solve(&mut self, at: At) -> Result<()> {
         R::enter(Stage::Detect);
-        self.detected.detect(&self.model, &self.placed, &self.settings, &self.state.qpos);
+        let (qpos, _) = at.of(&self.state, &self.next);
+        self.detected.detect(&self.model, &self.placed, &self.settings, qpos);
         let now = Situation {
             model: &self.model,
             placed: &self.placed,
             settings: &self.settings,
-            qpos: &self.state.qpos,
+            clock: self.clock,
+            qpos,
         };
         R::enter(Stage::Rows);
         self.rows.make(&now, &mut self.detected);
@@ -74,29 +71,32 @@ impl<R: Real> Sim<R> {
             self.rows.store_warm(&mut self.next.warm);
         }
         self.placed.metric.from_factored(&self.rows.u, &mut self.velocity);
-        let rate = R::of(1.0 / self.settings.dt);
+        let (_, qvel) = at.of(&self.state, &self.next);
         for k in 0..self.model.nv {
-            self.qacc[k] = (self.velocity[k] - self.state.qvel[k]) * rate;
+            self.qacc[k] = (self.velocity[k] - qvel[k]) * self.clock.rate;
         }
         R::enter(Stage::Commit);
         Ok(())
     }
 
     /// The acceleration that the smooth forces alone give.
-    pub(crate) fn smooth(&mut self) {
-        self.placed.positions_in_step(&self.model, &self.state.qpos);
-        self.placed.dynamics(&self.model, &self.state.qpos, &self.state.qvel, &self.inputs);
+    pub(crate) fn smooth(&mut self, at: At) {
+        let (qpos, qvel) = at.of(&self.state, &self.next);
+        self.placed.positions_in_step(&self.model, qpos);
+        self.placed.dynamics(&self.model, qpos, qvel, &self.inputs);
         R::enter(Stage::Guess);
         self.qacc.copy_from_slice(&self.placed.force);
         self.placed.metric.solve(&mut self.qacc);
         R::enter(Stage::Commit);
     }
 
-    fn check_finite(&mut self) -> Result<()> {
+    /// A state that is not finite is never committed.
+    fn check_next(&self) -> Result<()> {
         let bad = all_finite(&self.next.qvel).and(all_finite(&self.next.qpos)).not();
         if bad.any() {
-            let quantity = self.first_not_finite(bad, "velocity", &self.next.qvel);
-            return Err(self.diverged(bad, quantity));
+            return Err(
+                self.diverged(bad, |lane| self.not_finite(lane, "velocity", &self.next.qvel))
+            );
         }
         Ok(())
     }

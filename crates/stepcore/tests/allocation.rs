@@ -13,7 +13,7 @@ use stepcore::model::Model;
 use stepcore::real::{Lanes, Real};
 use stepcore::scene::Scene;
 use stepcore::settings::{Acceleration, Cone, Integrator, Law, Settings, Solver};
-use stepcore::sim::Sim;
+use stepcore::watch::Watched;
 
 struct Counting;
 
@@ -54,20 +54,21 @@ const STEPS: u64 = 60;
 /// Allocations of the second of two equal runs, and the rows at its end.
 fn allocations<R: Real>(scene: &Scene, settings: &Settings) -> (u64, usize) {
     let model = Arc::new(Model::compile(scene).unwrap());
-    let mut sim = Sim::<R>::new(model, settings.clone()).unwrap();
-    for ctrl in &mut sim.inputs.ctrl {
+    let mut watched = Watched::<R>::new(model, settings.clone()).unwrap();
+    for ctrl in &mut watched.sim.inputs.ctrl {
         *ctrl = R::of(0.3);
     }
-    let start = sim.state.clone();
-    sim.step(STEPS).unwrap();
+    let start = watched.sim.state.clone();
+    watched.step(STEPS).unwrap();
     // Field by field: the snapshot must not replace the buffers that have grown.
-    sim.state.steps = start.steps;
-    sim.state.qpos.copy_from_slice(&start.qpos);
-    sim.state.qvel.copy_from_slice(&start.qvel);
-    sim.state.warm.clear();
+    let state = &mut watched.sim.state;
+    state.steps = start.steps;
+    state.qpos.copy_from_slice(&start.qpos);
+    state.qvel.copy_from_slice(&start.qvel);
+    state.warm.clear();
     let before = COUNT.with(Cell::get);
-    sim.step(STEPS).unwrap();
-    (COUNT.with(Cell::get) - before, sim.rows.rows.len())
+    watched.step(STEPS).unwrap();
+    (COUNT.with(Cell::get) - before, watched.sim.rows.rows.len())
 }
 
 fn check<R: Real>(settings: &Settings) {
@@ -139,7 +140,7 @@ fn no_number_allocates() {
     check::<Lanes>(&settings);
 }
 
-/// `Sim::bytes` is what the allocator has given out, whatever ran before.
+/// `Watched::bytes` is what the allocator has given out, whatever ran before.
 #[test]
 fn a_sim_knows_its_memory() {
     let euler = settings(Law::SolRef, Integrator::Euler);
@@ -154,9 +155,9 @@ fn a_sim_knows_its_memory() {
             let model = Arc::new(Model::compile(&scene).unwrap());
             let own = model.clone();
             let before = HELD.with(Cell::get);
-            let mut sim = Box::new(Sim::<f64>::new(own, settings.clone()).unwrap());
-            sim.step(STEPS).unwrap();
-            assert_eq!((HELD.with(Cell::get) - before) as usize, sim.bytes());
+            let mut watched = Box::new(Watched::<f64>::new(own, settings.clone()).unwrap());
+            watched.step(STEPS).unwrap();
+            assert_eq!((HELD.with(Cell::get) - before) as usize, watched.bytes());
         }
     }
 }

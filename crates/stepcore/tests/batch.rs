@@ -3,6 +3,7 @@
 
 mod scenes;
 
+use std::panic::{catch_unwind, AssertUnwindSafe};
 use std::sync::Arc;
 
 use stepcore::arrays::Given;
@@ -148,10 +149,12 @@ fn all_worlds_stop_before_the_first_that_diverges() {
         worlds[12].qpos[0] = 1.0;
         worlds[18].qpos[0] = 1e200;
         let mut batch = batch_of::<Lanes>(&scene, &settings, &worlds, threads);
-        let Err(Error::Diverged { step, world, .. }) = batch.step(10_000) else {
+        let Err(Error::Diverged(divergence)) = batch.step(10_000) else {
             panic!("no error of divergence")
         };
-        assert_eq!(world, 18);
+        let step = divergence.step;
+        assert_eq!(divergence.world, 18);
+        assert!(divergence.to_string().contains(" in world 18; "), "{divergence}");
         assert_eq!(batch.time(), step as f64 * 0.1);
         let mut alone = batch_of::<f64>(&scene, &settings, &worlds, 1);
         alone.step(step).unwrap();
@@ -159,6 +162,28 @@ fn all_worlds_stop_before_the_first_that_diverges() {
         assert_eq!(bits, states(&alone, &mut worlds));
         assert!(alone.step(1).is_err());
     }
+}
+
+/// A defect that panics in the middle of a call leaves every world where its last step left it.
+#[test]
+fn after_a_panic_the_worlds_are_still_there() {
+    let scene = scenes::runner();
+    let model = Model::compile(&scene).unwrap();
+    let settings = Settings { ledger: true, ..Settings::default() };
+    let mut worlds = runners(&model);
+    let (n, nq, nv) = (worlds.len(), model.nq, model.nv);
+    let mut batch = batch_of::<Lanes>(&scene, &settings, &worlds, 1);
+    let (mut qpos, mut qvel) = (vec![0.0; n * nq], vec![0.0; n * nv]);
+    batch.step(70).unwrap();
+    let mut play = Play { steps: 1, ctrl: &[], qpos: &mut qpos, qvel: &mut qvel };
+    let outcome = catch_unwind(AssertUnwindSafe(|| batch.play(&mut play, 0, 1)));
+    assert!(outcome.is_err(), "a play without its controls must not pass");
+    batch.step(70).unwrap();
+    assert_eq!(batch.time(), 140.0 * settings.dt);
+    let bits = states(&batch, &mut worlds);
+    let mut whole = batch_of::<Lanes>(&scene, &settings, &runners(&model), 1);
+    whole.step(140).unwrap();
+    assert_eq!(bits, states(&whole, &mut worlds));
 }
 
 #[test]

@@ -7,6 +7,7 @@ use stepcore::model::Model;
 use stepcore::scene::{Body, Geom, GeomType, Joint, JointType, Scene};
 use stepcore::settings::{Integrator, Law, Settings, Solver};
 use stepcore::sim::Sim;
+use stepcore::watch::Watched;
 
 const G: f64 = 9.81;
 
@@ -175,15 +176,19 @@ fn forward_refuses_what_is_not_finite() {
         let pos = [0.2, 0.3, 0.0];
         scene.geoms.push(Geom { pos, contype: 0, conaffinity: 0, ..sphere(body) });
     }
-    let mut sim = sim(&scene, Settings::default());
-    sim.forward().unwrap();
-    sim.state.qvel = vec![1e200, 1.0];
-    let Err(Error::Diverged { quantity, element, .. }) = sim.forward() else {
-        panic!("{:?}", sim.qacc);
+    let mut watched = Watched::around(sim(&scene, Settings::default()));
+    watched.forward().unwrap();
+    watched.sim.state.qvel = vec![1e200, 1.0];
+    let Err(Error::Diverged(divergence)) = watched.forward() else {
+        panic!("{:?}", watched.sim.qacc);
     };
-    assert!(quantity.starts_with("the acceleration of joint `hinge"), "{quantity}");
-    let element = element.unwrap();
+    let text = divergence.to_string();
+    assert!(text.contains(": the acceleration of joint `hinge"), "{text}");
+    let element = divergence.post.unwrap().element.unwrap();
     assert_eq!(element.element.kind, Kind::Inertia);
     assert!(element.name.starts_with("inertial force of joint `hinge"), "{element}");
-    assert_eq!(sim.state.qvel, [1e200, 1.0]);
+    assert_eq!(watched.sim.state.qvel, [1e200, 1.0]);
+    // Alone a `Sim` says what failed, and not why.
+    let Err(Error::Diverged(divergence)) = watched.sim.forward() else { panic!("no error") };
+    assert!(divergence.post.is_none());
 }

@@ -11,10 +11,9 @@
 //! ```
 
 use crate::model::{Model, Tree};
-use crate::place::Metric;
+use crate::place::{Metric, Placed};
 use crate::real::Real;
 use crate::room::room;
-use crate::sim::Sim;
 use crate::spatial::{rotate, rotate_back, M3, V3};
 
 /// Factors of M + dt·D, and the impulse of the step.
@@ -50,61 +49,70 @@ impl<R: Real> Damped<R> {
     }
 }
 
-impl<R: Real> Sim<R> {
-    /// Rewrites `next.qvel` with damping (and free-body gyroscopics) treated implicitly.
-    pub(super) fn damp(&mut self, fast: bool) {
-        let model = &*self.model;
-        let damped = &mut self.next.damped;
+/// What damping reads of a step.
+pub(super) struct Solved<'a, R: Real> {
+    pub model: &'a Model,
+    pub placed: &'a Placed<R>,
+    /// u⁺, and the velocities before.
+    pub u: &'a [R],
+    pub qvel: &'a [R],
+    pub dt: R,
+}
+
+impl<R: Real> Damped<R> {
+    /// Rewrites the solved velocities in `out` with damping (and under `fast` servos and the
+    /// gyroscopic forces of free bodies) treated implicitly.
+    pub(super) fn damp(&mut self, solved: &Solved<R>, fast: bool, out: &mut [R]) {
+        let &Solved { model, placed, u, qvel, dt } = solved;
         let (trees, servos, gyroscopic) = if fast {
-            (&damped.damped_fast, damped.servos.as_slice(), damped.gyroscopic.as_slice())
+            (&self.damped_fast, self.servos.as_slice(), self.gyroscopic.as_slice())
         } else {
-            (&damped.damped, [].as_slice(), [].as_slice())
+            (&self.damped, [].as_slice(), [].as_slice())
         };
         if trees.is_empty() && gyroscopic.is_empty() {
             return;
         }
-        let dt = R::of(self.settings.dt);
         // The impulse M (v⁺ − v) = LᵀD (u⁺ − u).
         for k in 0..model.nv {
-            damped.impulse[k] = (self.rows.u[k] - self.placed.u[k]) / self.placed.metric.inv_d[k];
+            self.impulse[k] = (u[k] - placed.u[k]) / placed.metric.inv_d[k];
         }
-        self.placed.metric.lower(&mut damped.impulse);
-        damped.change.copy_from_slice(&damped.impulse);
+        placed.metric.lower(&mut self.impulse);
+        self.change.copy_from_slice(&self.impulse);
         for &tree in trees {
             for k in model.trees[tree].dofs.range() {
                 let row = model.dofs[k].row;
-                damped.metric.l[row.range()].copy_from_slice(&self.placed.mass[row.range()]);
-                damped.metric.l[row.start] += dt * R::of(model.dofs[k].damping);
+                self.metric.l[row.range()].copy_from_slice(&placed.mass[row.range()]);
+                self.metric.l[row.start] += dt * R::of(model.dofs[k].damping);
             }
         }
         for &servo in servos {
             let actuator = &model.actuators[servo];
             let dof = &model.dofs[model.joints[actuator.joint].dof];
-            let [_, damping] = self.placed.feedback(actuator, servo);
-            damped.metric.l[dof.row.start] += dt * damping;
+            let [_, damping] = placed.feedback(actuator, servo);
+            self.metric.l[dof.row.start] += dt * damping;
         }
         for &tree in trees {
-            let tree = &model.trees[tree];
-            damped.metric.factor(tree.dofs.range());
-            damped.metric.solve_dofs(tree.dofs.range(), &mut damped.change);
-            for k in tree.dofs.range() {
-                self.next.qvel[k] = self.state.qvel[k] + damped.change[k];
+            let dofs = model.trees[tree].dofs.range();
+            self.metric.factor(dofs.clone());
+            self.metric.solve_dofs(dofs.clone(), &mut self.change);
+            for k in dofs {
+                out[k] = qvel[k] + self.change[k];
             }
         }
         for &tree in gyroscopic {
             let first = model.trees[tree].dofs.start;
-            let mut matrix = self.placed.free_body_matrix(model, tree, &self.state.qvel, dt);
+            let mut matrix = placed.free_body_matrix(model, tree, qvel, dt);
             let mut x = [R::zero(); 6];
-            x.copy_from_slice(&damped.impulse[first..first + 6]);
+            x.copy_from_slice(&self.impulse[first..first + 6]);
             solve_six(&mut matrix, &mut x);
             for k in 0..6 {
-                self.next.qvel[first + k] = self.state.qvel[first + k] + x[k];
+                out[first + k] = qvel[first + k] + x[k];
             }
         }
     }
 }
 
-impl<R: Real> crate::place::Placed<R> {
+impl<R: Real> Placed<R> {
     /// M + dt·(D + B) of a single free body.
     fn free_body_matrix(&self, model: &Model, tree: usize, qvel: &[R], dt: R) -> [[R; 6]; 6] {
         let (first, root) = (model.trees[tree].dofs.start, model.trees[tree].bodies.start);

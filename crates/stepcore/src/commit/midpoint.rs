@@ -4,10 +4,11 @@
 //! linear spring converges at once however stiff it is.
 
 use super::advance;
-use crate::error::Result;
+use crate::error::{Fault, Result};
 use crate::model::Model;
+use crate::observer::Observer;
 use crate::real::{Mask, Real};
-use crate::sim::Sim;
+use crate::sim::{At, Sim};
 
 const MOST_ITERATIONS: usize = 200;
 /// Iterations after which a correction that has stopped to shrink is the rounding of the
@@ -16,36 +17,26 @@ const LONG: usize = 20;
 
 impl<R: Real> Sim<R> {
     /// One step into `next`; `rows`: with contact forces (law `penalty`), else the smooth motion alone.
-    pub(super) fn midpoint(&mut self, rows: bool) -> Result<()> {
-        let s = &mut self.next.stages;
-        s.qpos.copy_from_slice(&self.state.qpos);
-        s.qvel.copy_from_slice(&self.state.qvel);
-        let outcome = self.iterate_midpoint(rows);
-        self.state.qpos.copy_from_slice(&self.next.stages.qpos);
-        self.state.qvel.copy_from_slice(&self.next.stages.qvel);
-        outcome
-    }
-
-    fn iterate_midpoint(&mut self, rows: bool) -> Result<()> {
+    pub(super) fn midpoint<O: Observer<R>>(&mut self, rows: bool, observer: &mut O) -> Result<()> {
         let model = self.model.clone();
-        let (dt, half) = (R::of(self.settings.dt), R::of(0.5));
-        self.next.qvel.copy_from_slice(&self.next.stages.qvel);
+        let (dt, half) = (self.clock.dt, R::of(0.5));
+        self.next.qvel.copy_from_slice(&self.state.qvel);
         let mut open = R::Mask::of(true);
         let mut last = R::of(f64::INFINITY);
         let (mut slope, coarse) = (f64::INFINITY, (1e4 * R::EPSILON).max(R::EPSILON.sqrt()));
         for iteration in 0..MOST_ITERATIONS {
-            let s = &self.next.stages;
+            let trial = &mut self.next.trial;
             for k in 0..model.nv {
-                let middle = half * (s.qvel[k] + self.next.qvel[k]);
+                let middle = half * (self.state.qvel[k] + self.next.qvel[k]);
                 // A lane that is done stays where it was done: its rows come out the same again.
-                let new = R::select(open, middle, self.state.qvel[k]);
-                self.state.qvel[k] = new.with_slopes_of(open.not(), || middle);
+                let new = R::select(open, middle, trial.qvel[k]);
+                trial.qvel[k] = new.with_slopes_of(open.not(), || middle);
             }
-            advance(&model, &s.qpos, &self.state.qvel, half * dt, &mut self.state.qpos);
+            advance(&model, &self.state.qpos, &trial.qvel, half * dt, &mut trial.qpos);
             if rows {
-                self.place_detect_solve()?;
+                self.place_detect_solve(At::Trial)?;
             } else {
-                self.smooth();
+                self.smooth(At::Trial);
             }
             let miss = self.correct_midpoint(&model, dt, open);
             // Rounding: the correction is below it, or has stopped to shrink.
@@ -63,19 +54,17 @@ impl<R: Real> Sim<R> {
             }
         }
         if open.any() {
-            self.state.qpos.copy_from_slice(&self.next.stages.qpos);
-            self.state.qvel.copy_from_slice(&self.next.stages.qvel);
-            return Err(self.diverged(
-                open,
-                "the midpoint iteration does not converge (take a smaller dt)".into(),
-            ));
+            return Err(self.diverged(open, |_| Fault::Midpoint));
         }
-        self.tape_stage(1.0, rows);
-        let s = &self.next.stages;
+        let qvel = &self.next.trial.qvel;
+        observer.placed(self, qvel, 1.0);
+        if rows {
+            observer.solved(self, qvel, 1.0);
+        }
         for k in 0..model.nv {
-            self.next.mean[k] = half * (s.qvel[k] + self.next.qvel[k]);
+            self.next.mean[k] = half * (self.state.qvel[k] + self.next.qvel[k]);
         }
-        advance(&model, &s.qpos, &self.next.mean, dt, &mut self.next.qpos);
+        advance(&model, &self.state.qpos, &self.next.mean, dt, &mut self.next.qpos);
         self.velocity.copy_from_slice(&self.next.qvel);
         Ok(())
     }
@@ -98,11 +87,9 @@ impl<R: Real> Sim<R> {
         let mut scale = R::zero();
         for k in 0..model.nv {
             let gained = dt * self.qacc[k];
-            damped.change[k] = self.next.stages.qvel[k] + gained - self.next.qvel[k];
-            scale = scale
-                .max(self.next.qvel[k].abs())
-                .max(self.next.stages.qvel[k].abs())
-                .max(gained.abs());
+            damped.change[k] = self.state.qvel[k] + gained - self.next.qvel[k];
+            scale =
+                scale.max(self.next.qvel[k].abs()).max(self.state.qvel[k].abs()).max(gained.abs());
         }
         self.placed.mul_mass(model, &damped.change, &mut damped.impulse);
         damped.metric.l.copy_from_slice(&self.placed.mass);

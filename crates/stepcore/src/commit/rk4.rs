@@ -5,93 +5,69 @@
 use super::advance;
 use crate::error::Result;
 use crate::model::Model;
+use crate::observer::Observer;
 use crate::real::Real;
-use crate::room::room;
 use crate::scene::JointType;
-use crate::sim::Sim;
+use crate::sim::{At, Sim};
 use crate::spatial::{Quat, V3};
 
 const A: [f64; 4] = [0.0, 0.5, 0.5, 1.0];
 const B: [f64; 4] = [1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0];
 
-/// Where the step started, and the weighted sums of its stages.
-pub struct Stages<R: Real> {
-    pub(super) qpos: Vec<R>,
-    pub(super) qvel: Vec<R>,
-    rate: Vec<R>,
-    /// The rotation vector by which this stage is away from the start.
-    turned: Vec<R>,
-    moved: Vec<R>,
-    gained: Vec<R>,
-}
-
-room!(Stages<R>: qpos, qvel, rate, turned, moved, gained;);
-
-impl<R: Real> Stages<R> {
-    pub fn new(model: &Model) -> Self {
-        let zeros = |n| vec![R::zero(); n];
-        Self {
-            qpos: zeros(model.nq),
-            qvel: zeros(model.nv),
-            rate: zeros(model.nv),
-            turned: zeros(model.nv),
-            moved: zeros(model.nv),
-            gained: zeros(model.nv),
-        }
-    }
-}
-
 impl<R: Real> Sim<R> {
     /// Four stages into `next`; `rows`: each with its rows, else the smooth motion alone.
-    pub(super) fn rk4(&mut self, rows: bool) -> Result<()> {
-        self.next.stages.qpos.copy_from_slice(&self.state.qpos);
-        self.next.stages.qvel.copy_from_slice(&self.state.qvel);
-        let outcome = self.stages(rows);
+    pub(super) fn rk4<O: Observer<R>>(&mut self, rows: bool, observer: &mut O) -> Result<()> {
+        let outcome = self.stages(rows, observer);
         self.next.stage = 0;
-        // The stages ran on the state itself; it goes back whatever happened.
-        self.state.qpos.copy_from_slice(&self.next.stages.qpos);
-        self.state.qvel.copy_from_slice(&self.next.stages.qvel);
         outcome
     }
 
-    fn stages(&mut self, rows: bool) -> Result<()> {
+    fn stages<O: Observer<R>>(&mut self, rows: bool, observer: &mut O) -> Result<()> {
         let model = self.model.clone();
-        let dt = R::of(self.settings.dt);
+        let dt = self.clock.dt;
         let zero = R::zero();
-        self.next.stages.turned.fill(zero);
-        self.next.stages.moved.fill(zero);
-        self.next.stages.gained.fill(zero);
+        self.next.sums.turned.fill(zero);
+        self.next.sums.moved.fill(zero);
+        self.next.sums.gained.fill(zero);
         for stage in 0..4 {
             self.next.stage = stage;
-            let s = &mut self.next.stages;
+            let at = if stage == 0 { At::State } else { At::Trial };
             if stage > 0 {
+                let (sums, trial) = (&mut self.next.sums, &mut self.next.trial);
                 let reach = dt * R::of(A[stage]);
-                advance(&model, &s.qpos, &s.rate, reach, &mut self.state.qpos);
+                advance(&model, &self.state.qpos, &sums.rate, reach, &mut trial.qpos);
                 for k in 0..model.nv {
-                    s.turned[k] = reach * s.rate[k];
-                    self.state.qvel[k] = s.qvel[k] + reach * self.qacc[k];
+                    sums.turned[k] = reach * sums.rate[k];
+                    trial.qvel[k] = self.state.qvel[k] + reach * self.qacc[k];
                 }
             }
             if rows {
-                self.place_detect_solve()?;
+                self.place_detect_solve(at)?;
             } else {
-                self.smooth();
+                self.smooth(at);
             }
-            self.tape_stage(B[stage], rows);
-            let s = &mut self.next.stages;
-            s.rate.copy_from_slice(&self.state.qvel);
-            rates_on_the_group(&model, &s.turned, &mut s.rate);
+            let (_, qvel) = at.of(&self.state, &self.next);
+            observer.placed(self, qvel, B[stage]);
+            if rows {
+                observer.solved(self, qvel, B[stage]);
+            }
+            self.next.sums.rate.copy_from_slice(match at {
+                At::State => &self.state.qvel,
+                At::Trial => &self.next.trial.qvel,
+            });
+            let sums = &mut self.next.sums;
+            rates_on_the_group(&model, &sums.turned, &mut sums.rate);
             let weight = R::of(B[stage]);
             for k in 0..model.nv {
-                s.moved[k] += weight * s.rate[k];
-                s.gained[k] += weight * self.qacc[k];
+                sums.moved[k] += weight * sums.rate[k];
+                sums.gained[k] += weight * self.qacc[k];
             }
         }
-        let s = &self.next.stages;
-        self.next.mean.copy_from_slice(&s.moved);
-        advance(&model, &s.qpos, &s.moved, dt, &mut self.next.qpos);
+        let sums = &self.next.sums;
+        self.next.mean.copy_from_slice(&sums.moved);
+        advance(&model, &self.state.qpos, &sums.moved, dt, &mut self.next.qpos);
         for k in 0..model.nv {
-            self.next.qvel[k] = s.qvel[k] + dt * s.gained[k];
+            self.next.qvel[k] = self.state.qvel[k] + dt * sums.gained[k];
         }
         self.velocity.copy_from_slice(&self.next.qvel);
         Ok(())

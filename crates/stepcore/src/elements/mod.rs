@@ -4,9 +4,10 @@
 //! error carry; its text is made in `name.rs` and nowhere else.
 
 mod name;
+mod text;
 
-pub(crate) use name::text;
-pub use name::{Mention, Named, Text};
+pub(crate) use text::text;
+pub use text::{Mention, Named, Text};
 
 /// What kind of thing an element is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -1,23 +1,7 @@
 //! What an element is called: the one place where text about elements is made.
 
-use std::fmt;
-use std::ops::Range;
-
-use super::{Element, Kind};
+use super::{Element, Kind, Named};
 use crate::model::Model;
-
-/// An element with its name, where no model is at hand to ask for it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Named {
-    pub element: Element,
-    pub name: String,
-}
-
-impl fmt::Display for Named {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.name)
-    }
-}
 
 /// "joint `knee`", or "joint 3" where it has no name.
 fn quoted(words: &str, name: &str, index: usize) -> String {
@@ -100,79 +84,3 @@ impl Model {
         Named { element, name: self.element_name(element) }
     }
 }
-
-/// Text in which elements of a scene are named; where each stands in it is data beside it.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Text {
-    words: String,
-    mentions: Vec<Mention>,
-}
-
-/// An element in a `Text`.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Mention {
-    /// In bytes.
-    pub at: Range<usize>,
-    pub element: Element,
-}
-
-impl Text {
-    /// `geom 'floor'`, or `geom 3` where it has no name.
-    pub(crate) fn label(kind: Kind, name: &str, index: usize) -> Self {
-        let words = match name {
-            "" => format!("{} {index}", kind.word()),
-            name => format!("{} '{name}'", kind.word()),
-        };
-        let at = 0..words.len();
-        Self { words, mentions: vec![Mention { at, element: Element::whole(kind, index) }] }
-    }
-
-    pub(crate) fn push(&mut self, piece: impl Into<Self>) {
-        let (piece, start) = (piece.into(), self.words.len());
-        self.words.push_str(&piece.words);
-        let moved = |m: Mention| Mention { at: start + m.at.start..start + m.at.end, ..m };
-        self.mentions.extend(piece.mentions.into_iter().map(moved));
-    }
-
-    pub fn words(&self) -> &str {
-        &self.words
-    }
-
-    pub fn mentions(&self) -> &[Mention] {
-        &self.mentions
-    }
-}
-
-impl fmt::Display for Text {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.words)
-    }
-}
-
-impl From<String> for Text {
-    fn from(words: String) -> Self {
-        Self { words, mentions: Vec::new() }
-    }
-}
-
-impl From<&str> for Text {
-    fn from(words: &str) -> Self {
-        words.to_owned().into()
-    }
-}
-
-impl From<&Self> for Text {
-    fn from(text: &Self) -> Self {
-        text.clone()
-    }
-}
-
-/// A `Text` out of pieces: strings and other texts.
-macro_rules! text {
-    ($($piece:expr),+ $(,)?) => {{
-        let mut text = $crate::elements::Text::default();
-        $(text.push($piece);)+
-        text
-    }};
-}
-pub(crate) use text;

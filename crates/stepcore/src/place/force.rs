@@ -21,7 +21,7 @@ impl<R: Real> Placed<R> {
             self.force[k] = self.passive[k] - self.bias[k];
         }
         self.actuators(model, qpos, qvel, inputs);
-        if inputs.applied {
+        if inputs.applied() {
             self.applied(model, inputs);
         }
     }
@@ -77,14 +77,14 @@ impl<R: Real> Placed<R> {
     /// `qfrc_applied` on dofs; `xfrc_applied` (force, moment) at centres of mass, in world axes.
     fn applied(&mut self, model: &Model, inputs: &Inputs<R>) {
         for k in 0..model.nv {
-            self.force[k] += inputs.qfrc_applied[k];
+            self.force[k] += inputs.qfrc_applied()[k];
         }
         for (tree_index, tree) in model.trees.iter().enumerate() {
             for index in tree.bodies.range() {
                 let body = &model.bodies[index];
                 let at = self.xpos[index] + rotate(&self.xmat[index], &splat(&body.ipos))
                     - self.origin[tree_index];
-                let w = &inputs.xfrc_applied[6 * index..6 * index + 6];
+                let w = &inputs.xfrc_applied()[6 * index..6 * index + 6];
                 let lin = V3::new(w[0], w[1], w[2]);
                 let moment = V3::new(w[3], w[4], w[5]) + at.cross(&lin);
                 self.wrench[index] = Force { ang: moment, lin };

@@ -1,7 +1,7 @@
 //! Stage 1, place: where everything is, how heavy it is, and where it would go
 //! if nothing were in the way.
 //!
-//! Reads the state and the inputs; writes `Placed`. The last thing it makes is
+//! Reads positions, velocities and the inputs; writes `Placed`. The last thing it makes is
 //! the guess, in factored coordinates: u = L v, û = u + dt·D⁻¹L⁻ᵀf.
 
 mod bias;
@@ -17,7 +17,7 @@ use crate::model::{Model, Tree};
 use crate::real::{Real, Stage};
 use crate::room::room;
 use crate::spatial::{Force, Inertia, Motion, Pose, Quat, M3, V3};
-use crate::state::{Inputs, State};
+use crate::state::Inputs;
 
 /// What this stage writes. Lists are by body, dof, geom, tree as named.
 pub struct Placed<R: Real> {
@@ -182,11 +182,11 @@ impl<R: Real> Placed<R> {
     }
 
     /// The whole stage, ending with the guess û.
-    pub fn place(&mut self, model: &Model, state: &State<R>, inputs: &Inputs<R>, dt: R) {
-        self.positions_in_step(model, &state.qpos);
-        self.dynamics(model, &state.qpos, &state.qvel, inputs);
+    pub fn place(&mut self, model: &Model, qpos: &[R], qvel: &[R], inputs: &Inputs<R>, dt: R) {
+        self.positions_in_step(model, qpos);
+        self.dynamics(model, qpos, qvel, inputs);
         R::enter(Stage::Guess);
-        self.metric.to_factored(&state.qvel, &mut self.u);
+        self.metric.to_factored(qvel, &mut self.u);
         self.guess.copy_from_slice(&self.force);
         self.metric.half_solve(&mut self.guess);
         for k in 0..model.nv {

@@ -95,7 +95,6 @@ impl Real for Counted {
     type Mask = bool;
     const LANES: usize = 1;
     const EPSILON: f64 = f64::EPSILON;
-    const INVESTIGATED: bool = false;
 
     #[inline(always)]
     fn of(value: f64) -> Self {

@@ -65,9 +65,6 @@ pub trait Real:
     const LANES: usize;
     /// Unit roundoff of one lane, as an `f64`.
     const EPSILON: f64;
-    /// A failed run in these numbers is investigated. One in numbers that only accompany a
-    /// run need not be: the run itself is.
-    const INVESTIGATED: bool = true;
 
     /// The same number in every lane.
     fn of(value: f64) -> Self;

@@ -1,7 +1,7 @@
 //! Interval rows that are alone in their island: one update is the whole solution.
 
+use super::dot::dot;
 use super::pgs::Report;
-use super::residual::dot;
 use super::rows::{Rows, Set};
 use crate::real::{Mask, Real};
 

@@ -8,8 +8,8 @@
 //! Guesses can go round in a circle: lanes that a few did not settle are left to the
 //! primal method, whose line search cannot.
 
+use super::dot::dot;
 use super::pgs::Report;
-use super::residual::dot;
 use super::rows::{Rows, Set};
 use crate::real::{Mask, Real};
 use crate::room::room;

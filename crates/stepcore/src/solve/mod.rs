@@ -5,6 +5,7 @@ mod alone;
 mod cone;
 mod contact;
 mod derivative;
+mod dot;
 mod equality;
 mod exact;
 mod few;

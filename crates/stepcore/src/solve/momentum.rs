@@ -23,7 +23,7 @@
 //! depend on which other blocks its neighbours have.
 
 use super::cone::project_round;
-use super::residual::dot;
+use super::dot::dot;
 use super::rows::{Row, Rows, Set};
 use crate::real::{Mask, Real};
 use crate::room::{listed, room, Room};

@@ -4,9 +4,9 @@
 //! its impulse by (t − Jv − cλ)/s and clamps it; a cone is solved exactly as one
 //! block. A sweep touches y and u only, never a matrix of rows.
 
+use super::dot::dot;
 use super::exact::{Convex, Tangents};
 use super::momentum::Momentum;
-use super::residual::dot;
 use super::rows::{Block, Row, Rows, Set};
 use crate::real::{Mask, Real};
 use crate::room::room;

@@ -5,18 +5,9 @@
 //! scalar is max |δ|√(A/m), a speed for linear and angular rows alike.
 
 use super::cone::{norm, project_box, project_round};
+use super::dot::dot;
 use super::rows::{Block, Row, Rows, Set};
 use crate::real::{Mask, Real};
-
-/// y·u over a row's dofs.
-#[inline(always)]
-pub(super) fn dot<R: Real>(dofs: &[usize], y: &[R], u: &[R]) -> R {
-    let mut sum = R::zero();
-    for (k, y) in dofs.iter().zip(y) {
-        sum += *y * u[*k];
-    }
-    sum
-}
 
 impl<R: Real> Rows<R> {
     /// w = J v + cλ − t of a row, with the impulses and u as they stand.

@@ -5,7 +5,8 @@
 //! J v = y·u and an impulse changes u by D⁻¹ y λ. The solvers read this file's
 //! data and nothing else: they cannot know what a row came from.
 
-use super::residual::dot;
+use super::dot::dot;
+use crate::clock::Clock;
 use crate::elements::Element;
 use crate::model::{Model, Span};
 use crate::place::Placed;
@@ -114,6 +115,7 @@ pub struct Situation<'a, R: Real> {
     pub model: &'a Model,
     pub placed: &'a Placed<R>,
     pub settings: &'a crate::settings::Settings,
+    pub clock: Clock<R>,
     pub qpos: &'a [R],
 }
 

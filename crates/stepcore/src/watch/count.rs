@@ -1,5 +1,6 @@
 //! What the next steps cost, in operations and in bytes.
 
+use super::watched::explained;
 use crate::error::Result;
 use crate::real::{Counted, Real, Stage};
 use crate::sim::Sim;
@@ -24,6 +25,6 @@ impl Counter {
         for (count, more) in self.counts.iter_mut().zip(Counted::take()) {
             *count += more;
         }
-        outcome.map_err(|error| self.sim.explained(error))
+        outcome.map_err(|error| explained(&self.sim, error))
     }
 }

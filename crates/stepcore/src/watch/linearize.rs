@@ -6,6 +6,7 @@
 //! that a turn is a rotation vector in the body's own axes. The impulses that the solver
 //! starts from are held.
 
+use super::watched::explained;
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
 use crate::model::Model;
@@ -67,7 +68,7 @@ impl Linearizer {
             for way in ways.clone() {
                 self.seed(self.direction(way), way - first);
             }
-            self.sim.step(1).map_err(|error| self.sim.explained(error))?;
+            self.sim.step(1).map_err(|error| explained(&self.sim, error))?;
             for way in ways.clone() {
                 self.read(way, way - first)?;
             }

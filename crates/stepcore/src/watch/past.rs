@@ -1,8 +1,11 @@
 //! Where a run came from: the states of its last steps, and of some long before.
 
 use crate::model::Model;
+use crate::observer::Observer;
 use crate::real::Real;
 use crate::room::{listed, room, Room};
+use crate::sim::Sim;
+use crate::state::State;
 
 /// How many of the last steps are kept, and how many milestones.
 const MEMORY: usize = 16;
@@ -37,12 +40,13 @@ impl<R: Real> Ring<R> {
         Self { states: vec![empty; MEMORY], at: 0, len: 0 }
     }
 
-    /// The place of the oldest state, which the next one takes.
-    fn oldest(&mut self) -> &mut (Vec<R>, Vec<R>) {
-        let at = self.at;
-        self.at = (at + 1) % MEMORY;
+    /// Keeps a state in the place of the oldest.
+    fn keep(&mut self, state: &State<R>) {
+        let (qpos, qvel) = &mut self.states[self.at];
+        qpos.copy_from_slice(&state.qpos);
+        qvel.copy_from_slice(&state.qvel);
+        self.at = (self.at + 1) % MEMORY;
         self.len = (self.len + 1).min(MEMORY);
-        &mut self.states[at]
     }
 
     fn oldest_first(&self) -> impl Iterator<Item = &(Vec<R>, Vec<R>)> {
@@ -55,19 +59,6 @@ impl<R: Real> Past<R> {
         Self { recent: Ring::new(model), milestones: Ring::new(model), steps: 0 }
     }
 
-    /// Takes a state's numbers and leaves the room of an old one in their place.
-    pub fn keep(&mut self, qpos: &mut Vec<R>, qvel: &mut Vec<R>) {
-        if self.steps.is_multiple_of(STRIDE) {
-            let room = self.milestones.oldest();
-            room.0.copy_from_slice(qpos);
-            room.1.copy_from_slice(qvel);
-        }
-        self.steps += 1;
-        let room = self.recent.oldest();
-        std::mem::swap(&mut room.0, qpos);
-        std::mem::swap(&mut room.1, qvel);
-    }
-
     /// The state at hand did not come from a step.
     pub fn forget(&mut self) {
         (self.recent.len, self.milestones.len, self.steps) = (0, 0, 0);
@@ -76,5 +67,15 @@ impl<R: Real> Past<R> {
     /// Old states, oldest first.
     pub fn states(&self) -> impl Iterator<Item = &(Vec<R>, Vec<R>)> {
         self.milestones.oldest_first().chain(self.recent.oldest_first())
+    }
+}
+
+impl<R: Real> Observer<R> for Past<R> {
+    fn committing(&mut self, sim: &Sim<R>) {
+        if self.steps.is_multiple_of(STRIDE) {
+            self.milestones.keep(&sim.state);
+        }
+        self.steps += 1;
+        self.recent.keep(&sim.state);
     }
 }

@@ -66,7 +66,7 @@ impl<R: Real> Sim<R> {
             }
         }
         self.placed.metric.lower(&mut force);
-        force.iter().map(|f| f.lane(lane) / self.settings.dt).collect()
+        force.iter().map(|f| f.lane(lane) / self.clock.seconds).collect()
     }
 
     /// The rows that exist in a lane, each with the index of its block.
@@ -96,14 +96,14 @@ impl<R: Real> Sim<R> {
         // A pyramid's rows are its edges J_n ± μ J_t and, if need be, their fold.
         let edges = block.set == Set::Interval;
         let normal = if edges { impulse.iter().sum() } else { impulse[0] };
-        let mut force = scaled(&contact.normal, normal / self.settings.dt, lane);
+        let mut force = scaled(&contact.normal, normal / self.clock.seconds, lane);
         for (k, (tangent, _)) in moving.enumerate() {
             let along = match impulse.len() {
                 1 => 0.0,
                 _ if edges => block.mu.lane(lane) * (impulse[2 * k] - impulse[2 * k + 1]),
                 _ => impulse[k + 1],
             };
-            let part = scaled(tangent, along / self.settings.dt, lane);
+            let part = scaled(tangent, along / self.clock.seconds, lane);
             force = std::array::from_fn(|axis| force[axis] + part[axis]);
         }
         force

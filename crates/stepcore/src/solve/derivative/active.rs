@@ -9,7 +9,7 @@
 //!   a Coulomb cone w_n = 0: friction follows the normal, whatever that does to the normal.
 //! - A tangent of a box at its bound ±μn follows the normal, and one within keeps w = 0.
 
-use super::super::residual::dot;
+use super::super::dot::dot;
 use super::super::rows::{Block, Rows, Set};
 use crate::real::{Dual, WAYS};
 

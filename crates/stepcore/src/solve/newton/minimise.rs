@@ -5,8 +5,8 @@ use super::penalty::interval;
 use super::system::{padded, System};
 use crate::real::{Mask, Real};
 use crate::solve::cone::project_round;
+use crate::solve::dot::dot;
 use crate::solve::pgs::{Limits, Report};
-use crate::solve::residual::dot;
 use crate::solve::rows::{Rows, Set};
 
 /// A step this many roundings long is rounding.

@@ -4,7 +4,7 @@ use super::hessian::{Hessian, Pattern};
 use super::penalty::{interval, Cone};
 use crate::real::{Mask, Real};
 use crate::room::room;
-use crate::solve::residual::dot;
+use crate::solve::dot::dot;
 use crate::solve::rows::{Rows, Set};
 
 /// What the method holds of an island. "By row" counts the rows of the blocks at

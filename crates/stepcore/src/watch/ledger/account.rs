@@ -36,7 +36,7 @@ pub(crate) struct Account {
 }
 
 /// What an account says of a level.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Verdict {
     /// Energy that no element can have given [J]; negative: none.
     pub gained: f64,

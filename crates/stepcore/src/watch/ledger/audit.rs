@@ -5,7 +5,7 @@ use crate::model::NONE;
 use crate::place::spring_energy;
 use crate::real::{Mask, Real};
 use crate::settings::Law;
-use crate::sim::Sim;
+use crate::sim::{At, Sim};
 use crate::solve::Block;
 use crate::spatial::splat;
 
@@ -14,7 +14,7 @@ impl<R: Real> Sim<R> {
     /// False if that failed: the step will say why.
     pub(super) fn audit(&mut self, levels: &mut [Level]) -> bool {
         let updates = self.effort.row_updates;
-        let solved = self.place_detect_solve().is_ok();
+        let solved = self.place_detect_solve(At::State).is_ok();
         self.effort.row_updates = updates;
         if !solved {
             return false;
@@ -68,6 +68,6 @@ impl<R: Real> Sim<R> {
             let depth = if both_ways { gap.abs() } else { (-gap).max(0.0) };
             depth * row.impulse.lane(lane).abs()
         });
-        held.sum::<f64>() / self.settings.dt
+        held.sum::<f64>() / self.clock.seconds
     }
 }

@@ -8,6 +8,7 @@
 //! motor, and all of its work counts as put in.
 
 use crate::model::NONE;
+use crate::observer::Observer;
 use crate::real::Real;
 use crate::scene::Actuator;
 use crate::sim::Sim;
@@ -45,9 +46,30 @@ fn asked<R: Real>(actuator: &Actuator, clamps: bool, ctrl: R) -> R {
     R::of(actuator.gain) * ctrl + R::of(actuator.bias[0])
 }
 
+/// Work of motors and applied forces [J], by lane.
+pub(super) struct Work<R: Real> {
+    pub done: R,
+    /// Something can do work at all.
+    pub counts: bool,
+}
+
+impl<R: Real> Default for Work<R> {
+    fn default() -> Self {
+        Self { done: R::zero(), counts: false }
+    }
+}
+
+impl<R: Real> Observer<R> for Work<R> {
+    fn committing(&mut self, sim: &Sim<R>) {
+        if self.counts {
+            self.done += sim.driven();
+        }
+    }
+}
+
 impl<R: Real> Sim<R> {
     /// What a position servo stores at the present positions [J]; 0 of other actuators.
-    pub(super) fn stored_in_servo(&self, index: usize, ctrl: R) -> R {
+    pub(in crate::watch) fn stored_in_servo(&self, index: usize, ctrl: R) -> R {
         let actuator = &self.model.actuators[index];
         if drive(actuator) != Drive::Spring {
             return R::zero();
@@ -76,9 +98,9 @@ impl<R: Real> Sim<R> {
 
     /// Work of motors and applied forces in the step from `state` to `next`: what they did on
     /// the mean of both velocities.
-    pub(super) fn driven(&self) -> R {
+    fn driven(&self) -> R {
         let model = &*self.model;
-        let (half, dt) = (R::of(0.5), R::of(self.settings.dt));
+        let (half, dt) = (R::of(0.5), self.clock.dt);
         let mean = |k: usize| half * (self.state.qvel[k] + self.next.qvel[k]);
         let mut power = R::zero();
         for (index, actuator) in model.actuators.iter().enumerate() {
@@ -98,7 +120,7 @@ impl<R: Real> Sim<R> {
                 power += force * (R::of(actuator.gear[k]) * mean(joint.dof + k));
             }
         }
-        if self.inputs.applied {
+        if self.inputs.applied() {
             power += self.applied_power(&mean);
         }
         dt * power
@@ -108,10 +130,10 @@ impl<R: Real> Sim<R> {
         let model = &*self.model;
         let mut power = R::zero();
         for k in 0..model.nv {
-            power += self.inputs.qfrc_applied[k] * mean(k);
+            power += self.inputs.qfrc_applied()[k] * mean(k);
         }
         for (index, body) in model.bodies.iter().enumerate().filter(|(_, b)| b.tree != NONE) {
-            let given = &self.inputs.xfrc_applied[6 * index..6 * index + 6];
+            let given = &self.inputs.xfrc_applied()[6 * index..6 * index + 6];
             if given.iter().all(|x| x.is_zero()) {
                 continue;
             }

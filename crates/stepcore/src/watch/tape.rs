@@ -12,6 +12,7 @@ use std::collections::BTreeMap;
 use crate::elements::{Element, Kind};
 use crate::error::Result;
 use crate::model::{Model, NONE};
+use crate::observer::Observer;
 use crate::place::stretch;
 use crate::real::{Mask, Real};
 use crate::settings::{Integrator, Law};
@@ -19,7 +20,7 @@ use crate::sim::Sim;
 use crate::spatial::V3;
 
 /// Generalised impulses by element, while a step is written down.
-pub(crate) struct Tape {
+pub struct Tape {
     lane: usize,
     impulses: BTreeMap<Element, Vec<f64>>,
     /// Of the bias forces, by dof.
@@ -36,7 +37,7 @@ pub struct StepGains {
 }
 
 /// Energies at a state: kinetic by tree, stored by element, and what gravity has.
-pub(crate) struct Levels {
+struct Levels {
     kinetic: Vec<f64>,
     stored: BTreeMap<Element, f64>,
 }
@@ -47,13 +48,17 @@ const ROUNDING: f64 = 1e-13;
 
 impl Levels {
     /// Kinetic and stored energy without gravity's, which has no natural zero.
-    pub fn circulating(&self) -> f64 {
+    fn circulating(&self) -> f64 {
         let stored = self.stored.iter().filter(|(element, _)| **element != GRAVITY).map(|(_, x)| x);
         self.kinetic.iter().chain(stored).sum()
     }
 }
 
 impl Tape {
+    fn new(lane: usize, nv: usize) -> Self {
+        Self { lane, impulses: BTreeMap::new(), bias: vec![0.0; nv] }
+    }
+
     fn add(&mut self, element: Element, nv: usize, from: usize, parts: &[f64]) {
         if parts.iter().all(|x| *x == 0.0) {
             return;
@@ -65,36 +70,38 @@ impl Tape {
     }
 }
 
-impl<R: Real> Sim<R> {
-    /// Takes one step and writes down what each element did in it, in one lane.
-    pub fn taped_step(&mut self, lane: usize) -> Result<StepGains> {
-        let model = self.model.clone();
-        let v0: Vec<f64> = self.state.qvel.iter().map(|v| v.lane(lane)).collect();
-        let before = self.levels(lane);
-        self.tape =
-            Some(Box::new(Tape { lane, impulses: BTreeMap::new(), bias: vec![0.0; model.nv] }));
-        let outcome = self.step(1);
-        let tape = self.tape.take();
-        outcome?;
-        let (mut impulses, bias) = tape.map(|tape| (tape.impulses, tape.bias)).unwrap_or_default();
-        let v1: Vec<f64> = self.state.qvel.iter().map(|v| v.lane(lane)).collect();
-        if self.damps_implicitly() {
-            for (index, joint) in model.joints.iter().enumerate() {
-                if let Some(impulse) = impulses.get_mut(&Element::whole(Kind::Damper, index)) {
-                    for k in joint.dof..joint.dof + joint.dofs() {
-                        impulse[k] = -self.settings.dt * model.dofs[k].damping * v1[k];
-                    }
+/// Lets `step` take one step of `sim` under a tape, which writes down what each element did in
+/// it, in one lane.
+pub(crate) fn taped<R: Real>(
+    sim: &mut Sim<R>,
+    lane: usize,
+    step: impl FnOnce(&mut Sim<R>, &mut Tape) -> Result<()>,
+) -> Result<StepGains> {
+    let model = sim.model.clone();
+    let v0: Vec<f64> = sim.state.qvel.iter().map(|v| v.lane(lane)).collect();
+    let before = sim.levels(lane);
+    let mut tape = Tape::new(lane, model.nv);
+    step(sim, &mut tape)?;
+    let Tape { mut impulses, bias, .. } = tape;
+    let v1: Vec<f64> = sim.state.qvel.iter().map(|v| v.lane(lane)).collect();
+    if sim.damps_implicitly() {
+        for (index, joint) in model.joints.iter().enumerate() {
+            if let Some(impulse) = impulses.get_mut(&Element::whole(Kind::Damper, index)) {
+                for k in joint.dof..joint.dof + joint.dofs() {
+                    impulse[k] = -sim.clock.seconds * model.dofs[k].damping * v1[k];
                 }
             }
         }
-        if self.settings.integrator == Integrator::ImplicitFast {
-            self.feed_back_late(&mut impulses, &v0, &v1, lane);
-        }
-        let after = self.levels(lane);
-        let mean: Vec<f64> = v0.iter().zip(&v1).map(|(a, b)| 0.5 * (a + b)).collect();
-        Ok(entry(&model, &impulses, &bias, &mean, &before, &after))
     }
+    if sim.settings.integrator == Integrator::ImplicitFast {
+        sim.feed_back_late(&mut impulses, &v0, &v1, lane);
+    }
+    let after = sim.levels(lane);
+    let mean: Vec<f64> = v0.iter().zip(&v1).map(|(a, b)| 0.5 * (a + b)).collect();
+    Ok(gains(&model, &impulses, &bias, &mean, &before, &after))
+}
 
+impl<R: Real> Sim<R> {
     /// `implicitfast` takes a servo's velocity feedback at the end of the step.
     fn feed_back_late(
         &self,
@@ -108,7 +115,7 @@ impl<R: Real> Sim<R> {
             let k = self.model.joints[servo.joint].dof;
             let [_, damping] = self.placed.feedback(servo, index);
             if let Some(impulse) = impulses.get_mut(&Element::whole(Kind::Actuator, index)) {
-                impulse[k] -= self.settings.dt * damping.lane(lane) * (v1[k] - v0[k]);
+                impulse[k] -= self.clock.seconds * damping.lane(lane) * (v1[k] - v0[k]);
             }
         }
     }
@@ -118,102 +125,6 @@ impl<R: Real> Sim<R> {
             Integrator::Euler => self.model.features.eulerdamp,
             integrator => integrator == Integrator::ImplicitFast,
         }
-    }
-
-    /// A stage that counts `weight` of the step was solved, with rows or without.
-    #[inline]
-    pub(crate) fn tape_stage(&mut self, weight: f64, rows: bool) {
-        if R::INVESTIGATED && self.tape.is_some() {
-            self.tape_smooth(weight);
-            if rows {
-                self.tape_rows(weight);
-            }
-        }
-    }
-
-    /// The rows of a whole step were solved.
-    #[inline]
-    pub(crate) fn tape_solve(&mut self) {
-        if R::INVESTIGATED && self.tape.is_some() {
-            self.tape_rows(1.0);
-        }
-    }
-
-    /// Adds the impulses of the smooth forces.
-    #[cold]
-    fn tape_smooth(&mut self, weight: f64) {
-        let Some(mut tape) = self.tape.take() else { return };
-        let (model, lane) = (self.model.clone(), tape.lane);
-        let share = weight * self.settings.dt;
-        let nv = model.nv;
-        for (sum, bias) in tape.bias.iter_mut().zip(&self.placed.bias) {
-            *sum -= share * bias.lane(lane);
-        }
-        for (index, joint) in model.joints.iter().enumerate() {
-            let dofs = joint.dof..joint.dof + joint.dofs();
-            let damping = |k: usize| model.dofs[k].damping * self.state.qvel[k].lane(lane);
-            let damper: Vec<f64> = dofs.clone().map(|k| -share * damping(k)).collect();
-            tape.add(Element::whole(Kind::Damper, index), nv, joint.dof, &damper);
-            let passive = |k: usize| self.placed.passive[k].lane(lane);
-            let spring: Vec<f64> =
-                dofs.clone().map(|k| share * (passive(k) + damping(k))).collect();
-            if joint.stiffness != 0.0 {
-                tape.add(Element::whole(Kind::Spring, index), nv, joint.dof, &spring);
-            }
-            let applied = |k: usize| share * self.inputs.qfrc_applied[k].lane(lane);
-            let applied: Vec<f64> = dofs.map(applied).collect();
-            tape.add(Element::whole(Kind::JointForce, index), nv, joint.dof, &applied);
-        }
-        for (index, motor) in model.actuators.iter().enumerate() {
-            let joint = &model.joints[motor.joint];
-            let force = share * self.placed.actuator[index].lane(lane);
-            let parts: Vec<f64> = (0..joint.dofs()).map(|k| motor.gear[k] * force).collect();
-            tape.add(Element::whole(Kind::Actuator, index), nv, joint.dof, &parts);
-        }
-        let still = V3::<f64>::zeros();
-        for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.tree != NONE) {
-            if model.features.gravity && body.mass > 0.0 {
-                let weight = model.gravity * (share * body.mass);
-                tape.add(GRAVITY, nv, 0, &self.on_dofs(index, lane, &weight, &still));
-            }
-            let given = &self.inputs.xfrc_applied[6 * index..6 * index + 6];
-            let given: Vec<f64> = given.iter().map(|x| share * x.lane(lane)).collect();
-            if given.iter().any(|x| *x != 0.0) {
-                let (force, moment) = given.split_at(3);
-                let force = V3::new(force[0], force[1], force[2]);
-                let moment = V3::new(moment[0], moment[1], moment[2]);
-                let parts = self.on_dofs(index, lane, &force, &moment);
-                tape.add(Element::whole(Kind::BodyForce, index), nv, 0, &parts);
-            }
-        }
-        self.tape = Some(tape);
-    }
-
-    /// Adds the impulses of the rows and penalty contacts that were solved just now.
-    #[cold]
-    fn tape_rows(&mut self, weight: f64) {
-        let Some(mut tape) = self.tape.take() else { return };
-        let (model, lane) = (self.model.clone(), tape.lane);
-        for block in self.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
-            let mut impulse = vec![R::zero(); model.nv];
-            for row in &self.rows.rows[block.rows.range()] {
-                let dofs = row.dofs.of(&model.dof_lists);
-                for (k, y) in dofs.iter().zip(&self.rows.y[row.y..]) {
-                    impulse[*k] += *y * row.impulse;
-                }
-            }
-            self.placed.metric.lower(&mut impulse);
-            let impulse: Vec<f64> = impulse.iter().map(|x| weight * x.lane(lane)).collect();
-            tape.add(block.element.of_part(), model.nv, 0, &impulse);
-        }
-        if self.settings.law == Law::Penalty {
-            for index in 0..self.detected.contacts.len() {
-                let mut impulse = self.penalty_force(index, lane);
-                impulse.iter_mut().for_each(|x| *x *= weight * self.settings.dt);
-                tape.add(self.detected.contacts[index].element().of_part(), model.nv, 0, &impulse);
-            }
-        }
-        self.tape = Some(tape);
     }
 
     /// A force at a body's centre of mass and a moment, in world axes, on the dofs.
@@ -263,7 +174,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// The generalised force of a penalty contact: see `solve/contact.rs`.
-    fn penalty_force(&self, index: usize, lane: usize) -> Vec<f64> {
+    fn penalty_force(&self, index: usize, qvel: &[R], lane: usize) -> Vec<f64> {
         let contact = &self.detected.contacts[index];
         let dist = contact.dist.lane(lane);
         if !contact.mask.lane(lane) || dist >= 0.0 {
@@ -271,14 +182,14 @@ impl<R: Real> Sim<R> {
         }
         let mut jacobian = self.contact_jacobian(index, lane);
         let [k, damping] = self.penalty_law(&jacobian);
-        let speed: f64 = jacobian.iter().zip(&self.state.qvel).map(|(j, v)| j * v.lane(lane)).sum();
+        let speed: f64 = jacobian.iter().zip(qvel).map(|(j, v)| j * v.lane(lane)).sum();
         let force = -k * dist - damping * speed;
         jacobian.iter_mut().for_each(|x| *x *= force);
         jacobian
     }
 
     /// Energies at the present state of one lane.
-    pub(crate) fn levels(&mut self, lane: usize) -> Levels {
+    fn levels(&mut self, lane: usize) -> Levels {
         self.refresh();
         let model = self.model.clone();
         let mut kinetic = vec![0.0; model.trees.len()];
@@ -327,8 +238,81 @@ impl<R: Real> Sim<R> {
     }
 }
 
+impl<R: Real> Observer<R> for Tape {
+    /// Adds the impulses of the smooth forces.
+    fn placed(&mut self, sim: &Sim<R>, qvel: &[R], weight: f64) {
+        let (model, lane) = (&*sim.model, self.lane);
+        let share = weight * sim.clock.seconds;
+        let nv = model.nv;
+        for (sum, bias) in self.bias.iter_mut().zip(&sim.placed.bias) {
+            *sum -= share * bias.lane(lane);
+        }
+        for (index, joint) in model.joints.iter().enumerate() {
+            let dofs = joint.dof..joint.dof + joint.dofs();
+            let damping = |k: usize| model.dofs[k].damping * qvel[k].lane(lane);
+            let damper: Vec<f64> = dofs.clone().map(|k| -share * damping(k)).collect();
+            self.add(Element::whole(Kind::Damper, index), nv, joint.dof, &damper);
+            let passive = |k: usize| sim.placed.passive[k].lane(lane);
+            let spring: Vec<f64> =
+                dofs.clone().map(|k| share * (passive(k) + damping(k))).collect();
+            if joint.stiffness != 0.0 {
+                self.add(Element::whole(Kind::Spring, index), nv, joint.dof, &spring);
+            }
+            let applied = |k: usize| share * sim.inputs.qfrc_applied()[k].lane(lane);
+            let applied: Vec<f64> = dofs.map(applied).collect();
+            self.add(Element::whole(Kind::JointForce, index), nv, joint.dof, &applied);
+        }
+        for (index, motor) in model.actuators.iter().enumerate() {
+            let joint = &model.joints[motor.joint];
+            let force = share * sim.placed.actuator[index].lane(lane);
+            let parts: Vec<f64> = (0..joint.dofs()).map(|k| motor.gear[k] * force).collect();
+            self.add(Element::whole(Kind::Actuator, index), nv, joint.dof, &parts);
+        }
+        let still = V3::<f64>::zeros();
+        for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.tree != NONE) {
+            if model.features.gravity && body.mass > 0.0 {
+                let weight = model.gravity * (share * body.mass);
+                self.add(GRAVITY, nv, 0, &sim.on_dofs(index, lane, &weight, &still));
+            }
+            let given = &sim.inputs.xfrc_applied()[6 * index..6 * index + 6];
+            let given: Vec<f64> = given.iter().map(|x| share * x.lane(lane)).collect();
+            if given.iter().any(|x| *x != 0.0) {
+                let (force, moment) = given.split_at(3);
+                let force = V3::new(force[0], force[1], force[2]);
+                let moment = V3::new(moment[0], moment[1], moment[2]);
+                let parts = sim.on_dofs(index, lane, &force, &moment);
+                self.add(Element::whole(Kind::BodyForce, index), nv, 0, &parts);
+            }
+        }
+    }
+
+    /// Adds the impulses of rows and penalty contacts.
+    fn solved(&mut self, sim: &Sim<R>, qvel: &[R], weight: f64) {
+        let (model, lane) = (&*sim.model, self.lane);
+        for block in sim.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
+            let mut impulse = vec![R::zero(); model.nv];
+            for row in &sim.rows.rows[block.rows.range()] {
+                let dofs = row.dofs.of(&model.dof_lists);
+                for (k, y) in dofs.iter().zip(&sim.rows.y[row.y..]) {
+                    impulse[*k] += *y * row.impulse;
+                }
+            }
+            sim.placed.metric.lower(&mut impulse);
+            let impulse: Vec<f64> = impulse.iter().map(|x| weight * x.lane(lane)).collect();
+            self.add(block.element.of_part(), model.nv, 0, &impulse);
+        }
+        if sim.settings.law == Law::Penalty {
+            for (index, contact) in sim.detected.contacts.iter().enumerate() {
+                let mut impulse = sim.penalty_force(index, qvel, lane);
+                impulse.iter_mut().for_each(|x| *x *= weight * sim.clock.seconds);
+                self.add(contact.element().of_part(), model.nv, 0, &impulse);
+            }
+        }
+    }
+}
+
 /// Gains out of impulses and levels; what is left in a tree goes to its inertial forces.
-fn entry(
+fn gains(
     model: &Model,
     impulses: &BTreeMap<Element, Vec<f64>>,
     bias: &[f64],

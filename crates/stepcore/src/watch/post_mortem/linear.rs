@@ -53,7 +53,7 @@ impl<R: Real> Sim<R> {
     /// The largest stable dt of springs and dampers that are unstable now: None if none is;
     /// zero if no dt is stable.
     pub(super) fn spring_limit(&mut self, lane: usize, integrator: Integrator) -> Option<f64> {
-        let (dt, integrator) = (self.settings.dt, self.damped_by(integrator));
+        let (dt, integrator) = (self.clock.seconds, self.damped_by(integrator));
         let limits = self.oscillators(lane).into_iter().filter_map(|one| {
             if integrator == Integrator::Explicit {
                 return one.explicit_limit().filter(|limit| *limit <= dt);

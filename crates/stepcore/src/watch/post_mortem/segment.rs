@@ -1,11 +1,10 @@
-//! The last steps again, from a milestone and with other steps: is a gain of the step's making?
+//! The last steps again, from a milestone, with the same dt or another.
 
-use super::{Ledger, Milestone};
-use crate::model::Model;
 use crate::real::Real;
 use crate::settings::Settings;
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
+use crate::watch::ledger::{Ledger, Milestone};
 
 /// A gain beside `scale` below which all is well.
 const WELL: f64 = 0.1;
@@ -14,7 +13,7 @@ const MOST_STEPS: f64 = 40_000.0;
 
 /// A stretch of one world's run: where it starts, and its inputs by step.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Segment<R: Real> {
+pub(super) struct Segment<R: Real> {
     pub state: State<R>,
     pub inputs: Inputs<R>,
     /// Steps done since the start before each change of the inputs.
@@ -22,11 +21,11 @@ pub struct Segment<R: Real> {
     pub steps: u64,
 }
 
-impl<R: Real> Ledger<R> {
-    /// One world's run from the last milestone at which all was well to step `until`.
-    pub(crate) fn segment(&self, model: &Model, lane: usize, until: u64) -> Option<Segment<R>> {
+impl<R: Real> Segment<R> {
+    /// A world's run from the last milestone at which all was well to step `until`.
+    pub fn since_well(ledger: &Ledger<R>, lane: usize, until: u64) -> Option<Self> {
         let mut kept: Vec<&Milestone<R>> = Vec::new();
-        for milestone in self.newest_first() {
+        for milestone in ledger.newest_first() {
             kept.push(milestone);
             if milestone.gained[lane] <= WELL && milestone.state.steps < until {
                 break;
@@ -41,14 +40,13 @@ impl<R: Real> Ledger<R> {
             }
             let mut at = 0;
             for (steps, changed) in &milestone.changes {
-                for (array, changed) in inputs.arrays_mut().into_iter().zip(changed) {
-                    if *changed {
+                inputs.edit(|arrays| {
+                    for (array, _) in arrays.into_iter().zip(changed).filter(|(_, yes)| **yes) {
                         let count = array.len();
                         array.copy_from_slice(&milestone.numbers[at..at + count]);
                         at += count;
                     }
-                }
-                inputs.applied = inputs.any_applied();
+                });
                 changes.push((steps - first.state.steps, inputs.clone()));
             }
         }
@@ -60,14 +58,19 @@ impl<R: Real> Ledger<R> {
         };
         segment.spread(lane);
         segment.changes.retain(|(step, _)| *step <= segment.steps);
-        debug_assert_eq!(model.nv, segment.state.qvel.len());
         Some(segment)
     }
-}
 
-impl<R: Real> Segment<R> {
+    /// A run of no step, at the present state.
+    pub fn at_present(sim: &Sim<R>, lane: usize) -> Self {
+        let (state, inputs) = (sim.state.clone(), sim.inputs.clone());
+        let mut segment = Self { state, inputs, changes: Vec::new(), steps: 0 };
+        segment.spread(lane);
+        segment
+    }
+
     /// One lane's numbers into all lanes.
-    pub(crate) fn spread(&mut self, lane: usize) {
+    fn spread(&mut self, lane: usize) {
         let all = |list: &mut [R]| list.iter_mut().for_each(|x| *x = R::of(x.lane(lane)));
         all(&mut self.state.qpos);
         all(&mut self.state.qvel);
@@ -77,14 +80,13 @@ impl<R: Real> Segment<R> {
         for inputs in
             [&mut self.inputs].into_iter().chain(self.changes.iter_mut().map(|c| &mut c.1))
         {
-            inputs.arrays_mut().into_iter().for_each(all);
+            inputs.edit(|arrays| arrays.into_iter().for_each(all));
         }
     }
 
     /// A world of its own that stands at the start.
-    pub(crate) fn world(&self, of: &Sim<R>) -> Option<Sim<R>> {
-        let settings = Settings { ledger: false, ..of.settings.clone() };
-        let mut sim = Sim::new(of.model.clone(), settings).ok()?;
+    pub fn world(&self, of: &Sim<R>) -> Option<Sim<R>> {
+        let mut sim = Sim::new(of.model.clone(), of.settings.clone()).ok()?;
         sim.state = self.state.clone();
         sim.inputs = self.inputs.clone();
         Some(sim)
@@ -97,7 +99,7 @@ impl<R: Real> Segment<R> {
     }
 
     /// Lets `each` do every step, with the inputs in place.
-    pub(crate) fn play<T>(
+    pub fn play<T>(
         &self,
         sim: &mut Sim<R>,
         mut each: impl FnMut(&mut Sim<R>) -> Option<T>,
@@ -115,24 +117,23 @@ impl<R: Real> Segment<R> {
     /// What the whole stretch gains with steps of dt / `parts`, and the energy that
     /// circulates; None if it leaves the finite numbers.
     fn gain(&self, of: &Sim<R>, dt: f64, lane: usize) -> Option<[f64; 2]> {
-        let settings = Settings { ledger: true, dt, ..of.settings.clone() };
-        let mut sim = Sim::new(of.model.clone(), settings).ok()?;
+        let mut sim = Sim::new(of.model.clone(), Settings { dt, ..of.settings.clone() }).ok()?;
+        let mut ledger = Ledger::new(&of.model);
         sim.state = self.state.clone();
         sim.state.warm.clear();
-        sim.ledger.as_mut()?.quiet = true;
-        let whole = self.steps as f64 * of.settings.dt;
+        let whole = self.steps as f64 * of.clock.seconds;
         let steps = (whole / dt).round() as u64;
         for step in 0..steps {
-            let before = ((step as f64 + 0.5) * dt / of.settings.dt) as u64;
+            let before = ((step as f64 + 0.5) * dt / of.clock.seconds) as u64;
             sim.inputs.clone_from(self.inputs_at(before));
-            sim.step(1).ok()?;
+            ledger.step(&mut sim, 1, &mut (), |_, _, _, _, _| Ok(())).ok()?;
         }
-        sim.total(lane)
+        ledger.total(&mut sim, lane)
     }
 
     /// The largest of dt/2, dt/4, … with which the stretch gains nothing to speak of.
-    pub(crate) fn halved(&self, of: &Sim<R>, lane: usize) -> Option<f64> {
-        let dt = of.settings.dt;
+    pub fn halved(&self, of: &Sim<R>, lane: usize) -> Option<f64> {
+        let dt = of.clock.seconds;
         let now = self.gain(of, dt, lane).map(|[gained, _]| gained);
         let mut left = MOST_STEPS;
         for halvings in 1..=8 {
@@ -149,29 +150,24 @@ impl<R: Real> Segment<R> {
     }
 
     /// With steps of `dt` it stays within `swing` times the energy that circulates.
-    pub(crate) fn swings(&self, of: &Sim<R>, dt: f64, lane: usize, swing: f64) -> bool {
+    pub fn swings(&self, of: &Sim<R>, dt: f64, lane: usize, swing: f64) -> bool {
         self.gain(of, dt, lane).is_some_and(|[gained, scale]| gained <= swing * scale)
     }
 
     /// With steps of `dt` nothing is gained to speak of,
     /// and little beside what is gained `now`.
-    pub(crate) fn holds(&self, of: &Sim<R>, dt: f64, lane: usize, now: Option<f64>) -> bool {
+    pub fn holds(&self, of: &Sim<R>, dt: f64, lane: usize, now: Option<f64>) -> bool {
         let little = 0.05 * now.unwrap_or(f64::INFINITY);
         let small = |[gained, scale]: [f64; 2]| gained <= (0.25 * scale).min(little);
         self.gain(of, dt, lane).is_some_and(small)
     }
-}
 
-impl<R: Real> Sim<R> {
-    /// Whether the gain of the last stretch comes from the size of the step.
-    pub(super) fn smaller_steps_gain_less(&self, ledger: &Ledger<R>, lane: usize) -> bool {
-        let Some(segment) = ledger.segment(&self.model, lane, self.state.steps) else {
-            return true;
-        };
-        let dt = self.settings.dt;
-        let Some([now, _]) = segment.gain(self, dt, lane) else { return true };
-        [4.0, 16.0].iter().any(|parts| {
-            segment.gain(self, dt / parts, lane).is_some_and(|[less, _]| less < 0.5 * now)
-        })
+    /// Whether what it gains comes from the size of the step.
+    pub fn smaller_steps_gain_less(&self, of: &Sim<R>, lane: usize) -> bool {
+        let dt = of.clock.seconds;
+        let Some([now, _]) = self.gain(of, dt, lane) else { return true };
+        [4.0, 16.0]
+            .iter()
+            .any(|parts| self.gain(of, dt / parts, lane).is_some_and(|[less, _]| less < 0.5 * now))
     }
 }

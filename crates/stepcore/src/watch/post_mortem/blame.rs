@@ -6,9 +6,8 @@
 //! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
 
 use crate::elements::{Element, Kind};
-use crate::error::Error;
 use crate::real::{Mask, Real};
-use crate::sim::Sim;
+use crate::sim::{At, Sim};
 
 /// An element that beats all of the step before by this factor is exploding, not moving.
 const GROWN: f64 = 2.0;
@@ -16,55 +15,25 @@ const GROWN: f64 = 2.0;
 /// Strength of every element in one lane.
 type Strengths = Vec<(Element, f64)>;
 
+/// The element that became the strongest on the way through these positions and velocities,
+/// or that is the strongest at the last of them. `sim` is a copy that may be moved about.
+pub(super) fn strongest<R: Real>(
+    mut sim: Sim<R>,
+    way: &[(&[R], &[R])],
+    lane: usize,
+) -> Option<Element> {
+    let mut strengths: Vec<Strengths> = Vec::new();
+    for (qpos, qvel) in way {
+        sim.state.qpos.copy_from_slice(qpos);
+        sim.state.qvel.copy_from_slice(qvel);
+        if sim.place_detect_solve(At::State).is_ok() {
+            strengths.push(sim.strengths(lane));
+        }
+    }
+    blamed(&strengths)
+}
+
 impl<R: Real> Sim<R> {
-    /// The error for the lanes in `bad`, whose next state cannot be committed.
-    pub(crate) fn diverged(&mut self, bad: R::Mask, quantity: String) -> Error {
-        if !R::INVESTIGATED {
-            return Error::value("state", quantity, "one from which a step stays finite");
-        }
-        let ledger = self.ledger.take();
-        let lane = self.first_world(bad);
-        let error = self.found(ledger.as_deref(), lane, quantity, false);
-        self.ledger = ledger;
-        error
-    }
-
-    /// The first lane of a mask, if possible one that is a world of its own.
-    fn first_world(&self, bad: R::Mask) -> usize {
-        let lanes = || (0..R::LANES).filter(|lane| bad.lane(*lane));
-        lanes().find(|lane| self.is_world(*lane)).or(lanes().next()).unwrap_or(0)
-    }
-
-    /// The element that became the strongest on the way to the present state of a lane, or,
-    /// where all was well until then, that is the strongest now.
-    pub(crate) fn strongest(&mut self, lane: usize, was_well: bool) -> Option<Element> {
-        let state = self.state.clone();
-        let past = self.past.states().filter(|_| !was_well);
-        let past: Vec<_> = past.cloned().collect();
-        let mut strengths: Vec<Strengths> = Vec::new();
-        for (qpos, qvel) in past.iter().chain([&(state.qpos.clone(), state.qvel.clone())]) {
-            self.state.qpos.copy_from_slice(qpos);
-            self.state.qvel.copy_from_slice(qvel);
-            if self.place_detect_solve().is_ok() {
-                strengths.push(self.strengths(lane));
-            }
-        }
-        self.state = state;
-        blamed(&strengths)
-    }
-
-    /// The first dof whose `quantity`, in `numbers`, is not finite in the first lane of `bad`.
-    pub(crate) fn first_not_finite(&self, bad: R::Mask, quantity: &str, numbers: &[R]) -> String {
-        let lane = self.first_world(bad);
-        let model = &*self.model;
-        let at = numbers.iter().position(|x| !x.is_finite().lane(lane));
-        at.map_or("a position is not finite".into(), |dof| {
-            let joint = model.dofs[dof].joint;
-            let joint = model.element_name(Element::whole(Kind::Joint, joint));
-            format!("the {quantity} of {joint} is not finite")
-        })
-    }
-
     /// Strength of each element at the state of the last solve.
     fn strengths(&self, lane: usize) -> Strengths {
         let model = &*self.model;
@@ -85,7 +54,7 @@ impl<R: Real> Sim<R> {
                 add(Kind::Spring, &|k| self.placed.passive[k].lane(lane) + damper(k));
             }
             add(Kind::Inertia, &|k| self.placed.bias[k].lane(lane));
-            add(Kind::JointForce, &|k| self.inputs.qfrc_applied[k].lane(lane));
+            add(Kind::JointForce, &|k| self.inputs.qfrc_applied()[k].lane(lane));
         }
         for (index, actuator) in model.actuators.iter().enumerate() {
             let joint = &model.joints[actuator.joint];
@@ -95,11 +64,11 @@ impl<R: Real> Sim<R> {
             entries.push((element, (0..joint.dofs()).map(strength).sum()));
         }
         for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
-            let force = &self.inputs.xfrc_applied[6 * index..6 * index + 3];
+            let force = &self.inputs.xfrc_applied()[6 * index..6 * index + 3];
             let strength = force.iter().map(|f| f.lane(lane).powi(2)).sum::<f64>() / body.mass;
             entries.push((Element::whole(Kind::BodyForce, index), strength));
         }
-        let rate = 1.0 / self.settings.dt;
+        let rate = 1.0 / self.clock.seconds;
         for block in self.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
             let rows = &self.rows.rows[block.rows.range()];
             let strength = rows

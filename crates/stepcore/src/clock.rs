@@ -1,0 +1,19 @@
+//! The time step, in every form in which the stages need it.
+
+use crate::real::Real;
+
+/// Made once from the settings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clock<R: Real> {
+    /// Time step [s], as it was set.
+    pub seconds: f64,
+    /// The same in the engine's number [s], and its inverse [1/s].
+    pub dt: R,
+    pub rate: R,
+}
+
+impl<R: Real> Clock<R> {
+    pub fn new(seconds: f64) -> Self {
+        Self { seconds, dt: R::of(seconds), rate: R::of(1.0 / seconds) }
+    }
+}

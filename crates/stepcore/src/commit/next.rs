@@ -1,0 +1,61 @@
+//! What a step proposes, and the working space of the integrators.
+
+use super::damped::Damped;
+use crate::model::Model;
+use crate::real::Real;
+use crate::room::room;
+use crate::state::Warm;
+
+/// The state that a step proposes, and the working space of the integrators.
+pub struct Next<R: Real> {
+    pub qpos: Vec<R>,
+    pub qvel: Vec<R>,
+    /// The constant velocity that would have moved the positions as far, under `rk4` and `midpoint`.
+    pub(super) mean: Vec<R>,
+    /// Impulses for the next step's start.
+    pub warm: Vec<Warm<R>>,
+    /// Which stage of `rk4` runs: after the first, rows start from the stage before.
+    pub stage: usize,
+    /// Where `rk4` and `midpoint` run the stages within the step.
+    pub(crate) trial: Trial<R>,
+    pub(super) damped: Damped<R>,
+    pub(super) sums: Sums<R>,
+}
+
+room!(Next<R>: qpos, qvel, mean, warm; trial, damped, sums);
+
+/// Positions and velocities within a step.
+pub(crate) struct Trial<R: Real> {
+    pub qpos: Vec<R>,
+    pub qvel: Vec<R>,
+}
+
+room!(Trial<R>: qpos, qvel;);
+
+/// The weighted sums of the stages of `rk4`.
+pub(super) struct Sums<R: Real> {
+    pub rate: Vec<R>,
+    /// The rotation vector by which this stage is away from the start.
+    pub turned: Vec<R>,
+    pub moved: Vec<R>,
+    pub gained: Vec<R>,
+}
+
+room!(Sums<R>: rate, turned, moved, gained;);
+
+impl<R: Real> Next<R> {
+    pub fn new(model: &Model) -> Self {
+        let zeros = |n| vec![R::zero(); n];
+        let (nq, nv) = (model.nq, model.nv);
+        Self {
+            qpos: zeros(nq),
+            qvel: zeros(nv),
+            mean: zeros(nv),
+            warm: Vec::new(),
+            stage: 0,
+            trial: Trial { qpos: zeros(nq), qvel: zeros(nv) },
+            damped: Damped::new(model),
+            sums: Sums { rate: zeros(nv), turned: zeros(nv), moved: zeros(nv), gained: zeros(nv) },
+        }
+    }
+}

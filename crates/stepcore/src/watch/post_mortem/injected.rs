@@ -1,0 +1,98 @@
+//! Who injected the energy of a failure: in which steps, in what shares, at what rate.
+
+use std::collections::BTreeMap;
+
+use crate::elements::Element;
+use crate::model::Model;
+use crate::watch::tape::StepGains;
+
+/// Beyond this many times the energy that circulated, inertial forces, which are quadratic,
+/// outgrow whatever started it.
+const AFTERMATH: f64 = 1e6;
+/// The most steps that a growth rate is fitted to.
+const FITTED: usize = 64;
+
+/// The steps in which it began: from the last one in which there was no more than can have
+/// been put in, until far beyond that.
+pub(super) fn feeding<'a>(
+    model: &Model,
+    entries: &'a [StepGains],
+    scale: Option<f64>,
+    gained: bool,
+) -> (usize, &'a [StepGains]) {
+    let Some(scale) = scale else { return (0, entries) };
+    let last = entries.last().map_or(0.0, |entry| entry.after);
+    // Or what drives from outside has fed all of it.
+    for driven in [1.0, 0.0] {
+        let can_be = put_in(model, entries, scale, driven);
+        let most = can_be.last().copied().unwrap_or(scale);
+        if last <= 2.0 * most && !(gained && driven == 0.0) {
+            continue;
+        }
+        let within = |k: &usize| entries[*k].before <= can_be[*k];
+        let start = (0..entries.len()).rev().find(within).unwrap_or(0);
+        let far = |k: &usize| entries[*k].before > AFTERMATH * can_be[start];
+        let end = (start + 1..entries.len()).find(far).unwrap_or(entries.len());
+        return (start, &entries[start..end]);
+    }
+    // All was well until the step that failed.
+    (0, &[])
+}
+
+/// The most energy that there can be after each step: what circulated, what gravity gave, and,
+/// `driven` times, what motors and applied forces did.
+fn put_in(model: &Model, entries: &[StepGains], scale: f64, driven: f64) -> Vec<f64> {
+    let (mut drives, mut fallen, mut deepest) = (0.0, 0.0, 0.0_f64);
+    let put_in = |entry: &StepGains| {
+        let fed = entry.gains.iter().filter(|(element, _)| model.drives(**element));
+        let fed: f64 = fed.map(|(_, gain)| gain.max(0.0)).sum();
+        fallen += entry.after - entry.before - entry.gains.values().sum::<f64>();
+        // Rounding of what explodes is nothing that fell.
+        let here = AFTERMATH * (scale + drives + fed + deepest.max(fallen));
+        if fed.is_finite() && fallen.is_finite() && entry.after < here {
+            drives += fed;
+            deepest = deepest.max(fallen);
+        }
+        scale + driven * drives + deepest
+    };
+    entries.iter().map(put_in).collect()
+}
+
+/// Each element's part of the growth: a step counts by how much it adds, relative to what
+/// there is, so that the last doublings count no more than the first.
+pub(super) fn shares(entries: &[StepGains]) -> Vec<(Element, f64)> {
+    let mut sums: BTreeMap<Element, f64> = BTreeMap::new();
+    for entry in entries {
+        let size = entry.before.max(entry.after);
+        for (element, gain) in &entry.gains {
+            let part = gain / size;
+            if size > 0.0 && size.is_finite() && part.is_finite() {
+                *sums.entry(*element).or_insert(0.0) += part;
+            }
+        }
+    }
+    let fed: f64 = sums.values().filter(|x| **x > 0.0).sum();
+    let mut shares: Vec<(Element, f64)> = sums
+        .into_iter()
+        .filter(|(_, sum)| fed > 0.0 && *sum > 0.0)
+        .map(|(element, sum)| (element, sum / fed))
+        .collect();
+    shares.sort_by(|a, b| b.1.total_cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
+    shares
+}
+
+/// What ln E gains in a step: the mean of the later half of a stretch, after what it began
+/// with; of single steps the median.
+pub(super) fn growth(entries: &[StepGains], stretch: bool) -> Option<f64> {
+    let half = if stretch { entries.len() / 2 } else { 0 };
+    let from = half.max(entries.len().saturating_sub(FITTED));
+    let mut rates: Vec<f64> = entries[from..]
+        .iter()
+        .map(|entry| (entry.after / entry.before).ln())
+        .filter(|rate| rate.is_finite())
+        .collect();
+    rates.sort_by(f64::total_cmp);
+    let middle = rates.get(rates.len().saturating_sub(1) / 2).copied()?;
+    let mean = rates.iter().sum::<f64>() / rates.len() as f64;
+    Some(if stretch { mean } else { middle }).filter(|rate| *rate > 0.0)
+}
