@@ -59,18 +59,18 @@ class Timed:
 
 
 def wire(report: record.Report, runs: int) -> None:
-    """Bytes for a handful of points, and for the model alone."""
+    """Bytes for a chunk of points, and for the model alone."""
     for name, scene in (("stack", lesson.stack()), ("grasp", lesson.grasp())):
         model = scene.compile()
         work = partial(at_point, model, height)
         points = [{"sweeps": 1, "geom/shape1/mass": 0.5, "softness": 0.01 * k} for k in range(runs)]
-        size = -(-runs // min(jobs.HANDFULS, jobs.EACH * WORKERS))
-        sent = len(pickle.dumps((jobs._all, work, points[:size], "0123456789abcdef 0")))
+        size = -(-runs // jobs.MAX_CHUNKS)
+        sent = len(pickle.dumps((jobs._run_chunk, work, points[:size], "0123456789abcdef 0")))
         report.say(
-            f"{name}: model {len(pickle.dumps(model))} B; a handful of {size} points {sent} B, "
+            f"{name}: model {len(pickle.dumps(model))} B; a chunk of {size} points {sent} B, "
             f"{sent / size:.0f} B a point"
         )
-        report.add(case=f"wire {name}", model=len(pickle.dumps(model)), handful=size, bytes=sent)
+        report.add(case=f"wire {name}", model=len(pickle.dumps(model)), chunk=size, bytes=sent)
 
 
 def sweep(
