@@ -1,12 +1,15 @@
 """The command line: what it prints, its exit statuses, and errors of one line."""
 
+import dataclasses
 import json
 import subprocess
 import sys
 
 import pytest
 
+import stepcore as sc
 from stepcore.cli import COMMANDS, main
+from stepcore.cli.motion import OPTIONS
 from stepcore.loading import find_asset
 
 BALL = """<mujoco model="ball"><option timestep="0.004"/>
@@ -231,7 +234,7 @@ def test_ctrl_c_is_exit_130(capsys, monkeypatch):
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("stepcore.reading.load", interrupted)
+    monkeypatch.setattr("stepcore.cli.motion.load", interrupted)
     status, _, err = call(capsys, "run", "x", "--duration", 1)
     assert status == 130 and err.count("\n") == 1
 
@@ -303,3 +306,21 @@ def test_a_control_that_raises_is_named(capsys, tmp_path, monkeypatch):
     assert status == 2 and "function of (time, sim)" in err
     status, _, err = call(capsys, *args, "my_broken_module:f")
     assert status == 2 and "my_broken_module:f: ZeroDivisionError" in err
+
+
+def test_the_options_of_a_motion_are_its_fields():
+    assert list(OPTIONS) == [field.name for field in dataclasses.fields(sc.Motion)]
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("predict", "[s] (default: 10.0)"),
+        ("trade", "[s] (default: 1.0)"),
+        ("converge", "(default: 3)"),
+        ("ablate", "(default: 8)"),
+    ],
+)
+def test_the_help_names_the_default_motion(capsys, monkeypatch, command, words):
+    monkeypatch.setenv("COLUMNS", "200")
+    assert words in call(capsys, command, "--help")[1]

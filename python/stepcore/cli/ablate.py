@@ -8,13 +8,12 @@ Example:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
 from stepcore.cli.output import add_output
-
-if TYPE_CHECKING:
-    from stepcore.report.result import Result
+from stepcore.experiment.schedule import HORIZON, STARTS
+from stepcore.measure.ablation import ablate
+from stepcore.report.result import Result
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -26,14 +25,12 @@ def add(command: argparse.ArgumentParser) -> None:
         help='error that the smallest model may add: metres, "1mm" or "0.1%%" of the '
         "scene's size (default: %(default)s)",
     )
-    add_motion(command, {"horizon": 1, "starts": 8})
+    add_motion(command, horizon=HORIZON, starts=STARTS)
     add_output(command)
     command.add_argument("--save", metavar="OUT.xml", help="write the smallest model as MJCF")
 
 
 def call(args: argparse.Namespace) -> Result:
-    from stepcore.measure.ablation import ablate
-
     model = model_of(args)
     result = ablate(model, error=args.error, **motion_of(args, model))
     if args.save is not None:

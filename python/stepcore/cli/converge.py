@@ -9,13 +9,12 @@ Example:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
 from stepcore.cli.output import add_output
-
-if TYPE_CHECKING:
-    from stepcore.report.result import Result
+from stepcore.experiment.schedule import HORIZON
+from stepcore.measure.convergence import STARTS, converge
+from stepcore.report.result import Result
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -27,12 +26,10 @@ def add(command: argparse.ArgumentParser) -> None:
         metavar="N",
         help="states at which sweeps are measured (default: %(default)s)",
     )
-    add_motion(command, {"horizon": 1, "starts": 3})
+    add_motion(command, horizon=HORIZON, starts=STARTS)
     add_output(command)
 
 
 def call(args: argparse.Namespace) -> Result:
-    from stepcore.measure.convergence import converge
-
     model = model_of(args)
     return converge(model, states=args.states, **motion_of(args, model))

@@ -9,13 +9,12 @@ Example:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
 from stepcore.cli.output import add_output
-
-if TYPE_CHECKING:
-    from stepcore.report.result import Result
+from stepcore.experiment.schedule import HORIZON
+from stepcore.measure.diagnosis import diagnose
+from stepcore.report.result import Result
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -24,12 +23,10 @@ def add(command: argparse.ArgumentParser) -> None:
         "--dt", type=float, metavar="S", help="time step that is wanted [s] (default: the model's)"
     )
     # The states come from one run.
-    add_motion(command, {"horizon": 1}, without=("starts",))
+    add_motion(command, without=("starts",), horizon=HORIZON)
     add_output(command)
 
 
 def call(args: argparse.Namespace) -> Result:
-    from stepcore.measure.diagnosis import diagnose
-
     model = model_of(args)
     return diagnose(model, dt=args.dt, **motion_of(args, model))

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import argparse
 
+from stepcore import lesson
 from stepcore.cli.output import add_json, print_json
 from stepcore.cli.usage import Usage
+from stepcore.lesson import extremes
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -24,9 +26,6 @@ def add(command: argparse.ArgumentParser) -> None:
 
 
 def call(args: argparse.Namespace) -> int:
-    from stepcore import lesson
-    from stepcore.lesson import extremes
-
     if args.extremes and args.engine != "rust":
         raise Usage("--extremes: needs --engine rust")
     part = extremes if args.extremes else lesson

@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import argparse
 import math
-from typing import TYPE_CHECKING
 
 from stepcore.cli.motion import OPTIONS, add_file, add_motion, model_of, motion_of
 from stepcore.cli.output import add_output
 from stepcore.cli.usage import Usage
-
-if TYPE_CHECKING:
-    from stepcore.report.result import Result
+from stepcore.measure.stability import STEPS, stability_map
+from stepcore.report.result import Result
 
 LIST = "numbers a,b,c or FIRST:LAST:COUNT on a log scale"
 # The map runs one start, without controls.
@@ -43,13 +41,11 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--size", type=float, metavar="M", help="size that errors are relative to [m]"
     )
-    add_motion(command, {"horizon": "1, or 25 of the largest time steps"}, without=WITHOUT)
+    add_motion(command, without=WITHOUT, horizon=f"1, or {STEPS} of the largest time steps")
     add_output(command)
 
 
 def call(args: argparse.Namespace) -> Result:
-    from stepcore.measure.stability import stability_map
-
     return stability_map(
         args.file,
         args.path,

@@ -9,15 +9,17 @@ import os
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from stepcore._core import SimulationError
 from stepcore.checks import nearest, one_line
 from stepcore.cli.usage import Usage
-
-if TYPE_CHECKING:
-    from stepcore.engine.model import Model
+from stepcore.engine.model import Model
+from stepcore.reading import load
 
 # Options by the field of `Motion` that they set.
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -47,18 +49,19 @@ def add_key(command: argparse.ArgumentParser) -> None:
 
 
 def add_motion(
-    command: argparse.ArgumentParser, default: Mapping[str, Any], without: tuple[str, ...] = ()
+    command: argparse.ArgumentParser, without: tuple[str, ...] = (), **default: Any
 ) -> None:
     """The motion that is measured, and how many runs go on at once.
 
-    default: the measurement's own fields of `Motion`, which the help names.
+    without: fields of `Motion` that the measurement does not use. default: what it takes for those
+    that are not given, which the help names.
     """
     motion = command.add_argument_group("motion")
     for name, option in OPTIONS.items():
         if name in without:
             continue
         words = option["help"]
-        if default.get(name) is not None:
+        if name in default:
             words += f" (default: {default[name]})"
         motion.add_argument(f"--{name.replace('_', '-')}", **(option | {"help": words}))
     motion.add_argument(
@@ -68,8 +71,6 @@ def add_motion(
 
 def model_of(args: argparse.Namespace) -> Model:
     """The compiled model of FILE."""
-    from stepcore.reading import load
-
     return load(args.file).compile()
 
 
@@ -93,8 +94,6 @@ def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
 
 
 def _controls(path: str) -> Any:
-    import numpy as np
-
     if not os.path.isfile(path):
         raise Usage(f"--ctrl {path}: no such file")
     if not path.endswith((".npy", ".csv")):
@@ -132,8 +131,6 @@ def _function(text: str) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def control(*args: Any) -> Any:
-        from stepcore._core import SimulationError
-
         try:
             return function(*args)
         except SimulationError:

@@ -8,13 +8,12 @@ Example:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
 from stepcore.cli.output import add_output
-
-if TYPE_CHECKING:
-    from stepcore.report.result import Result
+from stepcore.engine.sim import Sim
+from stepcore.measure.plan import plan
+from stepcore.report.result import Result
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -25,9 +24,6 @@ def add(command: argparse.ArgumentParser) -> None:
 
 
 def call(args: argparse.Namespace) -> Result:
-    from stepcore.engine.sim import Sim
-    from stepcore.measure.plan import plan
-
     model, sim = model_of(args), None
     if args.key is not None:
         sim = Sim(model)

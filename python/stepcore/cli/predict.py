@@ -9,23 +9,20 @@ Example:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
 from stepcore.cli.output import add_output
-
-if TYPE_CHECKING:
-    from stepcore.report.result import Result
+from stepcore.experiment.schedule import STARTS
+from stepcore.measure.predictability import HORIZON, predictability
+from stepcore.report.result import Result
 
 
 def add(command: argparse.ArgumentParser) -> None:
     add_file(command)
-    add_motion(command, {"horizon": 10, "starts": 8})
+    add_motion(command, horizon=HORIZON, starts=STARTS)
     add_output(command)
 
 
 def call(args: argparse.Namespace) -> Result:
-    from stepcore.measure.predictability import predictability
-
     model = model_of(args)
     return predictability(model, **motion_of(args, model))

@@ -10,12 +10,10 @@ Example:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from stepcore.cli.output import add_output
-
-if TYPE_CHECKING:
-    from stepcore.report.result import Result
+from stepcore.engine.replay import replay
+from stepcore.report.result import Result
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -24,6 +22,4 @@ def add(command: argparse.ArgumentParser) -> None:
 
 
 def call(args: argparse.Namespace) -> Result:
-    from stepcore.engine.replay import replay
-
     return replay(args.file)

@@ -9,16 +9,14 @@ from __future__ import annotations
 
 import argparse
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from stepcore._core import Settings, SimulationError
 from stepcore.checks import nearest
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
 from stepcore.cli.output import add_json, print_json
 from stepcore.cli.usage import Usage
-
-if TYPE_CHECKING:
-    from stepcore._core import SimulationError
-    from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim
 
 # The counter of steps has 64 bits.
 MOST_STEPS = 2.0**64
@@ -43,9 +41,6 @@ def add(command: argparse.ArgumentParser) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore._core import SimulationError
-    from stepcore.engine.sim import Sim
-
     changes = dict(_setting(text) for text in args.set)
     if args.dt is not None:
         changes["dt"] = args.dt
@@ -131,8 +126,6 @@ def _numbers(values: Any) -> str:
 
 def _setting(text: str) -> tuple[str, Any]:
     """ "name=value" as a field of Settings and its value."""
-    from stepcore._core import Settings
-
     name, equals, value = text.partition("=")
     if not equals:
         raise Usage(f"--set {text}: must be NAME=VALUE")

@@ -8,13 +8,12 @@ Example:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
 from stepcore.cli.output import add_output
-
-if TYPE_CHECKING:
-    from stepcore.report.result import Result
+from stepcore.experiment.schedule import HORIZON, STARTS
+from stepcore.measure.trade import trade
+from stepcore.report.result import Result
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -49,13 +48,11 @@ def add(command: argparse.ArgumentParser) -> None:
         "--grid", action="store_true", help="try a full grid of settings instead of a search"
     )
     command.add_argument("--mujoco", action="store_true", help="run MuJoCo on the same motion too")
-    add_motion(command, {"horizon": 1, "starts": 8})
+    add_motion(command, horizon=HORIZON, starts=STARTS)
     add_output(command, full="print every setting")
 
 
 def call(args: argparse.Namespace) -> Result:
-    from stepcore.measure.trade import trade
-
     model = model_of(args)
     return trade(
         model,

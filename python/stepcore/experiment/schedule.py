@@ -23,8 +23,8 @@ from stepcore.experiment.motion import Control, Motion
 # Default time steps, over the shipped one.
 FACTORS = (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)
 SAMPLES = 50
-# How many starts there are where nobody says it.
-STARTS = 8
+# The motion of a measurement where nobody says otherwise: about how long [s], how many starts.
+HORIZON, STARTS = 1.0, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class Schedule:
 
 
 def scheduled(
-    motion: Motion, model: Model, period: float, starts: int | None = None, horizon: float = 1.0
+    motion: Motion, model: Model, period: float, starts: int | None = None, horizon: float = HORIZON
 ) -> Schedule:
     """The schedule of a motion: seeded starts around a keyframe, the first at the keyframe itself.
 

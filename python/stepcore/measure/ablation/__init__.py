@@ -16,7 +16,7 @@ from stepcore.experiment.errors import extent, far_off
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.reference import Reference, ReferenceRuns
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import STARTS, Schedule, scheduled, time_steps
+from stepcore.experiment.schedule import HORIZON, STARTS, Schedule, scheduled, time_steps
 from stepcore.experiment.setup import Source, set_up
 from stepcore.measure.ablation.result import Ablation, FeatureEffect
 from stepcore.measure.ablation.selection import Selection
@@ -81,7 +81,7 @@ def ablate(
     )
     model, motion, workers = setup
     starts, dt = motion.starts or STARTS, model.settings.dt
-    length = 1.0 if motion.horizon is None else motion.horizon
+    length = HORIZON if motion.horizon is None else motion.horizon
     _, period = time_steps(dt, None, motion.control_dt, length)
     # Three sets of starts: to choose on, to confirm on, and to confirm what is left then.
     schedule = scheduled(motion, model, period, starts=SETS * starts)

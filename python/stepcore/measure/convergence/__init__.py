@@ -17,7 +17,7 @@ from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.path import Path
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import scheduled
+from stepcore.experiment.schedule import HORIZON, scheduled
 from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.workers import Workers
 from stepcore.measure.convergence.candidates import (
@@ -46,9 +46,8 @@ __all__ = ["Convergence", "ResidualHistory", "RowForce", "converge"]
 
 # The most sweeps at the settings' own time step, and at the others.
 MOST, FEWER = 4096, 256
-# The motion where none is given.
-HORIZON, STARTS = 1.0, 3
-MOTION = Motion(horizon=HORIZON, starts=STARTS)
+# The number of starts where none is given.
+STARTS = 3
 
 
 def converge(

@@ -12,7 +12,7 @@ from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.engine.model import Model
 from stepcore.executors import each
 from stepcore.experiment.motion import Motion, MotionFields
-from stepcore.experiment.schedule import scheduled
+from stepcore.experiment.schedule import HORIZON, scheduled
 from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.starts import home
 from stepcore.measure.diagnosis.advice import advise
@@ -87,7 +87,7 @@ def diagnose(
     )
     model, motion, workers = exact(setup.model), setup.motion, setup.workers
     wanted = model.settings.dt if dt is None else checks.seconds("dt", dt)
-    horizon = 1.0 if motion.horizon is None else motion.horizon
+    horizon = HORIZON if motion.horizon is None else motion.horizon
     period = min(horizon, motion.control_dt or max(model.settings.dt, horizon / 200))
     motion = dataclasses.replace(motion, horizon=horizon)
     path = scheduled(motion, model, period, starts=1)

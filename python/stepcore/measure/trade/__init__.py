@@ -15,7 +15,7 @@ from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.other_models import ErrorSplit, clamping
 from stepcore.experiment.reference import FINER, Reference, ReferenceRuns, smallest
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import Schedule, scheduled, time_steps
+from stepcore.experiment.schedule import HORIZON, Schedule, scheduled, time_steps
 from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.workers import Workers
 from stepcore.measure.trade import frugal
@@ -127,7 +127,7 @@ def trade(
     limit = None if budget is None else units.budget("trade", "budget", budget, shipped.dt, by)
     if mujoco:
         opponent.load(source, model)
-    length = 1.0 if motion.horizon is None else motion.horizon
+    length = HORIZON if motion.horizon is None else motion.horizon
     steps, period = time_steps(shipped.dt, dts, motion.control_dt, length)
     if not (full or model.nu or motion.control or motion.control_dt):
         period = longest(period, length)
