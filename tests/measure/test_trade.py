@@ -10,6 +10,7 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.measure.trade.frontier import Frontier
+from stepcore.measure.trade.notes import about_reference
 
 G = 9.81
 
@@ -129,7 +130,8 @@ def test_failures_stay_with_their_reason():
     assert "start 0: diverged" in bad.failure and "spring" in bad.failure
     assert bad.errors is None and np.isnan(bad.cost) and not bad.best
     assert len(result.table) == 4
-    assert "failed: 2 with explicit, pgs; first at dt 100 µs: start 0: diverged" in str(result)
+    said = "2 settings fail with explicit, pgs: the first at dt 100 µs (start 0: diverged"
+    assert any(note.startswith(said) for note in result.notes)
     record = result.table[result.rows.index(bad)]
     assert record["cost"] is None and record["position"] is None and record["failure"]
 
@@ -175,9 +177,9 @@ def test_json_holds_the_table():
     assert len(data["rows"]) == len(result.rows)
     assert data["reference"]["error"] == result.reference.error
     assert data["rows"][0]["position"] == result.table[0]["position"]
-    assert sc.Settings(**data["shipped"]) == result.shipped.settings
+    assert sc.Settings(**data["settings"]) == result.shipped.settings
     assert sum(row["shipped"] for row in data["rows"]) == 1
-    assert data["units"]["position"] == "m" and len(data["summary"]) >= 2
+    assert data["units"]["position"] == "m" and len(data["sentences"]) >= 2
 
 
 def test_a_trade_is_named_by_what_it_is_of_and_pickles():
@@ -190,9 +192,10 @@ def test_a_trade_is_named_by_what_it_is_of_and_pickles():
 
 
 def test_the_sentences_name_the_shipped_settings():
-    text = str(few(lesson.drop(), starts=1, horizon=0.4))
-    assert "As shipped (semi-implicit, pgs 1 sweep, dt 2 ms) positions are" in text
-    assert "Half that error" in text
+    shipped, half, *_ = few(lesson.drop(), starts=1, horizon=0.4).sentences
+    what = "As shipped (semi-implicit, pgs 1 sweep, dt 2 ms) the RMS position error over 400 ms is "
+    assert shipped.startswith(what)
+    assert half.startswith("At most half that error costs ")
 
 
 def test_newton_has_no_sweeps_and_single_rows_need_one():
@@ -275,16 +278,17 @@ def test_a_run_that_is_nowhere_near_is_a_failure_with_its_reason():
 
 def test_the_sentence_names_the_worst_start_and_what_the_others_say():
     result = few(falling(), integrators=["semi-implicit"], starts=3, horizon=0.4)
-    assert "(rms; worst of 3 starts, start " in str(result)
+    assert " in the worst of 3 starts (start " in result.sentences[0]
     shipped = result.shipped
     # One start far worse than the others.
     errors = dataclasses.replace(shipped.errors, position_max=0.5, each=(1e-3, 1e-4, 0.2))
     shipped = dataclasses.replace(shipped, errors=errors)
     frontier = result.frontier.updated(shipped)
     result = dataclasses.replace(result, frontier=frontier)
-    text = str(result)
-    assert "positions are 200 mm wrong over 400 ms (rms; worst of 3 starts, start 2;" in text
-    assert "starts differ: median 1 mm; centres at worst 500 mm)" in text
+    said = result.sentences[0]
+    assert "error over 400 ms is 200 mm in the worst of 3 starts (start 2; " in said
+    assert "starts differ widely: median 1 mm), for " in said
+    assert said.endswith("A centre of mass is at most 500 mm off.")
     shipped = result.shipped
     assert result.error(shipped) == 0.2
     assert result.table[result.rows.index(shipped)]["position_high"] == 0.2
@@ -298,7 +302,9 @@ def test_a_largest_error_below_the_references_is_marked():
     frontier = Frontier.of(result.rows, reference.high, reference.largest, result.by)
     again = dataclasses.replace(result, frontier=frontier, reference=reference)
     assert all(row.below_max for row in again.rows) and "<1.0e0" in str(again)
-    assert again.table[0]["below_max"] and "largest error of" in str(again)
+    assert again.table[0]["below_max"]
+    notes = about_reference(reference, again.rows, again.size)
+    assert any(note.startswith("the largest error of") for note in notes)
 
 
 def test_the_default_horizon_is_a_whole_number_of_samples():

@@ -77,9 +77,10 @@ def test_it_keeps_to_the_error_and_says_what_less_would_cost(ball):
     assert all(ball.error(r) > 0.9e-4 for r in cheaper)
     better = ball.next_better()
     assert ball.error(better) <= ball.error(row) / 2 and better.flops >= row.flops
-    text = str(ball)
-    assert "Within 100 µm: " in text and "Confirmed on 8 further starts." in text
-    assert "The next better costs" in text
+    answer, next_better, *_ = ball.sentences
+    assert answer.startswith("Recommended for an error of at most 100 µm: ")
+    assert answer.endswith("Confirmed on 8 further starts.")
+    assert next_better.startswith("At most half that error costs ")
 
 
 def test_the_next_better_is_better_than_what_was_found():
@@ -126,14 +127,15 @@ def test_a_budget_buys_the_least_error_it_can():
     affordable = [r for r in result.rows if r.errors and r.flops <= result.budget]
     assert result.error(row) == min(result.error(r) for r in affordable)
     assert result.best() == row.settings
-    assert "Within 200 kflop per simulated second: " in str(result)
-    assert "4 further starts are among them." in str(result)
+    assert result.sentences[0].startswith("Recommended for at most 200 kflop per simulated second: ")
+    assert result.sentences[0].endswith("That includes 4 further starts.")
 
 
 def test_nothing_within_reach_is_said():
     result = sc.trade(lesson.drop(), error=1e-12, starts=1, further=2, effort=1e4, **COUNTED)
     assert result.recommended is None
-    assert "Nothing that was tried keeps to 1 pm in every start; nearest: " in str(result)
+    assert result.sentences[0] == "No setting that was tried keeps to 1 pm in every start."
+    assert result.sentences[1].startswith("The nearest is ")
     with pytest.raises(ValueError, match="the smallest in this trade"):
         result.best()
 
@@ -165,7 +167,7 @@ def test_mujoco_runs_the_same_motion():
                 assert point.error == pytest.approx(row.errors.high, rel=1e-3)
     assert {p.integrator for p in result.mujoco} == {"euler", "rk4", "implicitfast"}
     assert all(p.cost > 0 for p in result.mujoco)
-    assert "MuJoCo" in str(result) and "the same physics" in str(result)
+    assert any("computes the same physics" in sentence for sentence in result.sentences)
     assert len(json.loads(result.to_json())["mujoco"]) == len(result.mujoco)
 
 

@@ -15,16 +15,16 @@ from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.other_models import ErrorSplit, clamping
 from stepcore.experiment.reference import FINER, Reference, ReferenceRuns, smallest
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import HORIZON, Schedule, scheduled, time_steps
+from stepcore.experiment.schedule import HORIZON, scheduled, time_steps
 from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.workers import Workers
-from stepcore.measure.trade import frugal
+from stepcore.measure.trade import frugal, notes
 from stepcore.measure.trade import mujoco as opponent
 from stepcore.measure.trade.finish import Finisher
 from stepcore.measure.trade.frontier import Frontier
 from stepcore.measure.trade.moves import Steps, longest, slides
+from stepcore.measure.trade.orders import observed_orders
 from stepcore.measure.trade.recommend import Confirmation, within_budget, within_error
-from stepcore.measure.trade.remarks import truths
 from stepcore.measure.trade.result import Trade
 from stepcore.measure.trade.row import Row
 from stepcore.measure.trade.settings import grid
@@ -32,7 +32,6 @@ from stepcore.measure.trade.statistics import LEAST, MOST, AfterPrediction
 from stepcore.measure.trade.trials import Trials
 from stepcore.report import units
 from stepcore.report.progress import Choice
-from stepcore.report.units import seconds
 
 __all__ = ["Row", "Trade", "trade"]
 
@@ -166,15 +165,19 @@ def trade(
             frontier, chosen = within_error(frontier, target, confirm, finisher.row, counts)
         elif limit is not None:
             frontier = within_budget(frontier, limit, confirm, finisher.row, counts)
+    schedule = runner.schedule
     return Trade(
         name=setup.name,
-        horizon=runner.schedule.horizon,
+        motion=motion,
         frontier=frontier,
         reference=reference,
-        starts=len(runner.schedule.starts),
+        horizon=schedule.horizon,
         notes=[
             *model.scene.notes,
-            *_notes(runner.schedule, reference, rows, tau, motion.horizon),
+            *notes.about_run(schedule, rows, tau, motion.horizon),
+            *notes.about_reference(reference, frontier.rows, size),
+            *notes.observed(reference, schedule.horizon, observed_orders(frontier.rows, reference)),
+            *notes.failed(frontier.rows),
         ],
         target=target,
         budget=limit,
@@ -245,26 +248,3 @@ def _recommends(frontier: Frontier, target: float | None, budget: float | None) 
     except ValueError:
         return False
     return target is not None or budget is not None
-
-
-def _notes(
-    schedule: Schedule, reference: Reference, rows: int, tau: float | None, asked: float | None
-) -> list[str]:
-    notes = []
-    if asked is not None and schedule.horizon < asked * (1 - 1e-9):
-        notes.append(
-            f"the horizon is {seconds(schedule.horizon)}, a whole number of samples, not "
-            f"{seconds(asked)}"
-        )
-    if rows == 0:
-        notes.append("no contact, limit or other row was ever active: the solver does not matter")
-    if schedule.undriven:
-        names = ", ".join(schedule.undriven)
-        notes.append(f"motors without a control range are not driven: {names}")
-    notes += truths(reference)
-    if tau is not None:
-        notes.append(
-            f"refsafe keeps the time constant of contacts and limits at 2 dt or above: beyond "
-            f"dt {seconds(tau / 2)} (rows marked c) it makes the scene itself softer"
-        )
-    return notes

@@ -1,4 +1,4 @@
-"""MuJoCo on the same motion: its integrators and solvers at many steps, against our reference.
+"""MuJoCo on the same motion: its integrators and solvers at many time steps.
 
 The package mujoco is imported only here. The scene is read by MuJoCo from its own MJCF file, or
 from what `Scene.to_mjcf` writes; starts, controls and samples are those of the trade. That both
@@ -14,7 +14,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,10 +31,8 @@ from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.workers import Workers
 from stepcore.loading import find_asset
 from stepcore.measure.trade.moves import Steps
+from stepcore.measure.trade.row import Row
 from stepcore.report.units import metres, seconds
-
-if TYPE_CHECKING:
-    from stepcore.measure.trade.result import Trade
 
 INTEGRATORS = {"euler": 0, "rk4": 1, "implicitfast": 3}
 SOLVERS = {"pgs": 0, "newton": 2}
@@ -66,24 +64,6 @@ class Point:
     def error(self) -> float:
         """The root mean square of positions in the worst start [m]; inf if it failed."""
         return math.inf if self.errors is None else self.errors.high
-
-    def cells(self) -> dict[str, Any]:
-        """The point as a printed row."""
-        record = {
-            "": "m",
-            "dt": f"{self.dt * 1e3:.4g}",
-            "integrator": self.integrator,
-            "solver": self.solver,
-            "cost": "" if math.isnan(self.cost) else f"{self.cost:.{0 if self.cost > 99 else 1}f}",
-        }
-        if self.errors is None:
-            return record | {"error": "failed"}
-        e = self.errors
-        numbers = (self.error, e.median, e.position_max)
-        return record | {
-            name: f"{value:.1e}".replace("e-0", "e-").replace("e+0", "e")
-            for name, value in zip(("error", "median", "max"), numbers, strict=True)
-        }
 
     def record(self) -> dict[str, Any]:
         """The point as plain data."""
@@ -326,21 +306,19 @@ def _warned(data: Any) -> str | None:
     return None
 
 
-def against(trade: Trade) -> list[str]:
-    """Whether both engines compute the same, and what MuJoCo costs where stepcore is as good."""
-    check = trade.mujoco[0].check
-    found = [
-        f"MuJoCo {check.version} on the same motion: its converged run (rk4, newton, dt "
+def compared_with_mujoco(points: Sequence[Point], shipped: Row) -> Iterator[str]:
+    """Whether both engines compute the same physics, and what MuJoCo costs as shipped."""
+    check = points[0].check
+    same = "computes the same physics" if check.agrees else "does NOT compute the same physics"
+    yield (
+        f"MuJoCo {check.version} {same}: on the same motion its converged run (rk4, newton, dt "
         f"{seconds(check.dt)}) is {metres(check.apart)} from the reference, and "
-        f"{metres(check.moved)} from itself at twice that step"
-        + (": the same physics." if check.agrees else ": NOT the same physics; do not compare.")
-    ]
-    own = trade.shipped
-    for p in trade.mujoco:
-        s = own.settings
-        if (p.dt, p.integrator, p.solver) == (s.dt, s.integrator, s.solver) and p.errors:
-            text = f"As shipped MuJoCo is {metres(p.error)} wrong"
-            if not math.isnan(p.cost / own.cost):
-                text += f", and takes {p.cost / own.cost:.2f} times as long as stepcore"
-            found.append(text + ".")
-    return found
+        f"{metres(check.moved)} from its own run at twice that step."
+    )
+    s = shipped.settings
+    for point in points:
+        alike = (point.dt, point.integrator, point.solver) == (s.dt, s.integrator, s.solver)
+        if alike and point.errors is not None:
+            times = point.cost / shipped.cost
+            slower = "" if math.isnan(times) else f", and it takes {times:.2f} times as long"
+            yield f"As shipped MuJoCo's error is {metres(point.error)}{slower}."

@@ -7,7 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from stepcore._core import Settings
+from stepcore.experiment.errors import moved
+from stepcore.experiment.reference import FINER, Reference
 from stepcore.measure.trade.row import Row
+
+# An error above this share of how far bodies move no longer falls as a power of dt.
+SATURATED = 0.1
+
+
+def observed_orders(rows: Sequence[Row], reference: Reference) -> dict[str, float]:
+    """The orders from errors ten times the reference's and below a tenth of how far bodies move."""
+    return orders(rows, FINER * reference.high, SATURATED * moved(reference.paths))
 
 
 def orders(rows: Sequence[Row], least: float, most: float = np.inf) -> dict[str, float]:

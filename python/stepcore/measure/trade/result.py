@@ -1,50 +1,54 @@
-"""`Trade`: the table, what it means in sentences, and the cheapest setting for an error."""
+"""`Trade`: the settings with their errors and costs, and the cheapest of them for an error."""
 
 from __future__ import annotations
 
 import math
 import os
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
-from stepcore import checks
 from stepcore._core import Settings
-from stepcore.experiment.errors import moved
-from stepcore.experiment.reference import FINER, Reference
-from stepcore.measure.trade import report
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.reference import Reference
 from stepcore.measure.trade.frontier import Frontier
 from stepcore.measure.trade.mujoco import Point
-from stepcore.measure.trade.orders import orders
-from stepcore.measure.trade.row import Row
-from stepcore.measure.trade.statistics import QUANTITIES
+from stepcore.measure.trade.orders import observed_orders
+from stepcore.measure.trade.row import UNITS, Row
+from stepcore.measure.trade.sentences import sentences
+from stepcore.measure.trade.tables import settings_table, statistics_tables
 from stepcore.report.result import Result
-from stepcore.report.table import Table, jsonable
+from stepcore.report.table import Table
+from stepcore.report.units import counted, length, metres, seconds
 
-# An error above this share of how far matter moves no longer falls as a power of dt.
-SATURATED = 0.1
+# What `Trade.best` looks for where nobody says it [m].
+ERROR = 1e-3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trade(Result):
     """What speed costs in accuracy for one scene; made by `stepcore.trade`.
 
-    frontier: every setting that ran from all starts, and those that failed. reference: the
-    converged motion and its error. horizon: simulated time [s]. notes: what to bear in mind.
-    target [m], budget: what was asked for. size: of the scene [m]. mujoco: MuJoCo's points, where
-    asked for. screened: how many settings were tried at all; runs: how many runs that took.
-    chosen: the row for `target` that further starts confirmed.
+    motion: that every setting ran. frontier: every setting that ran from all starts, and those
+    that failed. reference: the converged motion and its error. horizon: simulated time [s].
+    notes: what to bear in mind. target [m], budget: what was asked for. size: of the scene [m].
+    mujoco: MuJoCo's points, where asked for. screened: how many settings were tried at all; runs:
+    how many runs that took. chosen: the row for `target` that further starts confirmed.
     """
 
+    kind = "trade"
+    units: ClassVar = UNITS
+
     name: str
-    horizon: float
+    motion: Motion
     frontier: Frontier
     reference: Reference
-    starts: int
+    horizon: float
     notes: list[str] = field(default_factory=list)
     target: float | None = None
     budget: float | None = None
     size: float = math.nan
-    mujoco: list[Point] = field(default_factory=list)
+    mujoco: Sequence[Point] = ()
     screened: int = 0
     runs: int = 0
     chosen: Row | None = None
@@ -53,6 +57,11 @@ class Trade(Result):
     def rows(self) -> list[Row]:
         """Every setting that ran from all starts, and those that failed; coarsest step first."""
         return list(self.frontier.rows)
+
+    @property
+    def starts(self) -> int:
+        """From how many starts every setting ran."""
+        return len(self.reference.paths)
 
     @property
     def by(self) -> str:
@@ -74,7 +83,24 @@ class Trade(Result):
     @property
     def title(self) -> str:
         """What was measured, in a few words."""
-        return f"{self.name}: what speed costs in accuracy"
+        return f"{self.name}: position error against cost"
+
+    @property
+    def setup(self) -> str:
+        """How it was measured, in a line."""
+        ref, tried = self.reference, ""
+        if self.screened > len(self.rows):
+            tried = f", of {self.screened} tried in {self.runs} runs"
+        return (
+            f"{counted(len(self.rows), 'setting')}{tried}, over {seconds(self.horizon)} from "
+            f"{counted(self.starts, 'start')}. The reference ({ref.level.integrator or 'exact'}, "
+            f"dt {seconds(ref.settings.dt)}) is known to {metres(ref.high)} ({ref.basis})."
+        )
+
+    @property
+    def sentences(self) -> list[str]:
+        """What is recommended, how wrong the shipped settings are, what less error would cost."""
+        return list(sentences(self))
 
     @property
     def shipped(self) -> Row:
@@ -82,13 +108,14 @@ class Trade(Result):
         return next(row for row in self.rows if row.shipped)
 
     @property
-    def orders(self) -> dict[str, float]:
-        """The order of accuracy that each integrator shows in the table (worst start).
+    def settings(self) -> Settings:
+        """The settings that came with the scene."""
+        return self.shipped.settings
 
-        From errors below a tenth of how far matter moves; see `trade.orders`.
-        """
-        ref = self.reference
-        return orders(self.rows, FINER * ref.high, SATURATED * moved(ref.paths))
+    @property
+    def orders(self) -> dict[str, float]:
+        """The order of accuracy that each integrator shows in the worst start; see `orders`."""
+        return observed_orders(self.rows, self.reference)
 
     @property
     def predictable(self) -> float:
@@ -108,6 +135,10 @@ class Trade(Result):
         """All rows, coarsest step first; units as in `Errors` and `Row`."""
         return Table(row.record() for row in self.rows)
 
+    def tables(self, full: bool) -> list[Table]:
+        """The settings that matter (`full`: all), and means after the motion is unpredictable."""
+        return [settings_table(self, full), *statistics_tables(self)]
+
     @property
     def recommended(self) -> Row | None:
         """The row for the error or budget that was asked for; None where no row is, or no ask."""
@@ -120,40 +151,40 @@ class Trade(Result):
         except ValueError:
             return None
 
-    def best(self, error: float | None = None) -> Settings:
-        """The cheapest Settings whose error is at most `error` [m] in every start.
+    def best(self, error: float | str | None = None) -> Settings:
+        """The cheapest Settings that keep to an error in every start.
 
-        error: by default what the trade was made for (an error or a budget), else 1e-3.
+        error: metres, "1mm", or "0.1%" of the scene's size; by default what the trade was made
+            for (an error or a budget), else 1 mm.
 
         Raises ValueError, naming the smallest error there is, if none is that good.
         """
         if error is None and self.target is None and self.budget is not None:
             return self.most_accurate(self.budget).settings
-        asked = self._asked(error)
-        if self.chosen is not None and asked == self.target:
+        if self.chosen is not None and error in (None, self.target):
             return self.chosen.settings
-        return self.cheapest(asked).settings
+        return self.cheapest(error).settings
 
-    def next_better(self, error: float | None = None) -> Row | None:
+    def next_better(self, error: float | str | None = None) -> Row | None:
         """The cheapest row with at most half of that error; None if there is none.
 
-        error [m]: by default that of the recommended row.
+        error: as in `best`; by default that of the recommended row.
         """
         if error is None and self.recommended is not None:
             error = self.error(self.recommended)
         try:
-            return self.cheapest(self._asked(error) / 2)
+            return self.frontier.cheapest(self._length(error) / 2)
         except ValueError:
             return None
 
-    def _asked(self, error: float | None) -> float:
-        asked = error if error is not None else self.target
-        return 1e-3 if asked is None else asked
+    def cheapest(self, error: float | str | None = None) -> Row:
+        """The row of the lowest price whose error is at most `error`, as in `best`."""
+        return self.frontier.cheapest(self._length(error))
 
-    def cheapest(self, error: float) -> Row:
-        """The row of `best`."""
-        checks.real(low=0)("best", "error", error)
-        return self.frontier.cheapest(error)
+    def _length(self, error: float | str | None) -> float:
+        if error is None:
+            return ERROR if self.target is None else self.target
+        return length("best", "error", error, self.size)
 
     def most_accurate(self, budget: float) -> Row:
         """The row with the smallest error whose price is at most `budget`.
@@ -171,37 +202,28 @@ class Trade(Result):
 
         return plot_trade(self, path)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Everything as plain data."""
+    def details(self) -> dict[str, Any]:
+        """The reference, what was asked for and is recommended, and MuJoCo's points."""
         chosen = self.recommended
-        plain: dict[str, Any] = jsonable(
-            {
-                "model": self.name,
-                "horizon": self.horizon,
-                "starts": self.starts,
-                "size": self.size,
-                "shipped": self.shipped.settings.as_dict(),
-                "reference": self._reference(),
-                "orders": self.orders,
-                "predictable": self.predictable,
-                "asked": {"error": self.target, "budget": self.budget, "by": self.by},
-                "recommended": None if chosen is None else chosen.settings.as_dict(),
-                "units": UNITS,
-                "rows": [row.record() for row in self.rows],
-                "mujoco": [point.record() for point in self.mujoco],
-                "screened": self.screened,
-                "runs": self.runs,
-                "notes": self.notes + report.cautions(self),
-                "summary": report.sentences(self),
-            }
-        )
-        return plain
+        return {
+            "horizon": self.horizon,
+            "starts": self.starts,
+            "size": self.size,
+            "reference": self._reference(),
+            "orders": self.orders,
+            "predictable": self.predictable,
+            "asked": {"error": self.target, "budget": self.budget, "by": self.by},
+            "recommended": None if chosen is None else chosen.settings,
+            "mujoco": [point.record() for point in self.mujoco],
+            "screened": self.screened,
+            "runs": self.runs,
+        }
 
     def _reference(self) -> dict[str, Any]:
         ref = self.reference
         truth = ref.paths
         return {
-            "settings": ref.settings.as_dict(),
+            "settings": ref.settings,
             "error": ref.error,
             "error_high": ref.high,
             "error_max": ref.largest,
@@ -215,7 +237,7 @@ class Trade(Result):
             "orders": ref.orders,
             "closed_form": None if ref.exact is None else ref.exact.check,
             "stiffens": ref.stiffens,
-            "modelling": {name: asdict(gap) for name, gap in ref.gaps.items()},
+            "modelling": ref.gaps,
             "predictable": self.predictable,
             "predictable_starts": ref.growth.ends,
             "overlap": max(path.overlap for path in truth),
@@ -227,40 +249,6 @@ class Trade(Result):
         """The table as a pandas DataFrame."""
         return self.table.to_pandas()
 
-    def text(self, width: int | None = None, full: bool = False) -> str:
-        """The printed trade, at most `width` characters wide; `full`: every row."""
-        return report.text(self, width, full)
-
     def __repr__(self) -> str:
         failed = len(self.failures)
         return f"<Trade of {self.name}: {len(self.rows)} settings, {failed} failed>"
-
-
-UNITS = {
-    "dt": "s",
-    "position": "m",
-    "position_high": "m",
-    "position_max": "m",
-    "angle": "rad",
-    "angle_max": "rad",
-    "gained": "J",
-    "lost": "J",
-    "overlap": "m",
-    "residual": "m/s",
-    **{
-        f"{name}_{part}": unit
-        for name, unit in QUANTITIES.items()
-        for part in ("difference", "interval")
-    },
-    "numerical": "m",
-    "modelling": "m",
-    "momentum": "kg m/s",
-    "angular_momentum": "kg m^2/s",
-    "joint": "m",
-    "limit": "rad or m",
-    "creep": "m/s",
-    "anisotropy": "rad",
-    "cost": "us per simulated second",
-    "row_updates": "per simulated second",
-    "flops": "per simulated second",
-}

@@ -8,7 +8,7 @@ from typing import Any
 
 from stepcore._core import Settings
 from stepcore.experiment.errors import Errors
-from stepcore.measure.trade.statistics import Statistics
+from stepcore.measure.trade.statistics import QUANTITIES, Statistics
 
 FIELDS = (
     "dt",
@@ -26,6 +26,35 @@ ERRORS = (
     *("angle", "angle_max", "gained", "lost", "momentum", "angular_momentum"),
     *("overlap", "joint", "limit", "creep", "anisotropy", "residual"),
 )
+# Of what `Row.record` has.
+UNITS = {
+    "dt": "s",
+    "position": "m",
+    "position_high": "m",
+    "position_max": "m",
+    "angle": "rad",
+    "angle_max": "rad",
+    "gained": "J",
+    "lost": "J",
+    "overlap": "m",
+    "residual": "m/s",
+    **{
+        f"{name}_{part}": unit
+        for name, unit in QUANTITIES.items()
+        for part in ("difference", "interval")
+    },
+    "numerical": "m",
+    "modelling": "m",
+    "momentum": "kg m/s",
+    "angular_momentum": "kg m^2/s",
+    "joint": "m",
+    "limit": "rad or m",
+    "creep": "m/s",
+    "anisotropy": "rad",
+    "cost": "us per simulated second",
+    "row_updates": "per simulated second",
+    "flops": "per simulated second",
+}
 
 
 @dataclass(frozen=True)

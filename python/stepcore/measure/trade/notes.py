@@ -1,0 +1,139 @@
+"""What to bear in mind of a trade: its reference, what is observed in it, and what failed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from stepcore.experiment.growth import GROWTH, NEARBY
+from stepcore.experiment.reference import FINER, Gap, Reference, smallest
+from stepcore.experiment.schedule import Schedule
+from stepcore.measure.trade.row import Row
+from stepcore.report.units import metres, seconds
+
+# A residual of the reference that is worth saying [m/s].
+UNSOLVED = 1e-9
+# Two integrators are told not to agree where they are this many times further apart than the
+# reference's error and what the other's last halving moved it.
+DISAGREE = 4.0
+
+
+def about_run(
+    schedule: Schedule, rows: int, softened: float | None, asked: float | None
+) -> Iterator[str]:
+    """Notes on the motion.
+
+    rows: the most at once. softened: the time constant that refsafe guards [s], or None. asked:
+    the horizon that was asked for [s].
+    """
+    if asked is not None and schedule.horizon < asked * (1 - 1e-9):
+        yield (
+            f"the horizon is {seconds(schedule.horizon)} and not {seconds(asked)}, so that it is "
+            "a whole number of samples"
+        )
+    if rows == 0:
+        yield "no contact, limit or other row was ever active, so the solver does not matter"
+    if schedule.undriven:
+        names = ", ".join(schedule.undriven)
+        yield f"actuators without a control range are not driven: {names}"
+    if softened is not None:
+        yield (
+            f"refsafe keeps the time constants of contacts and limits at 2 dt or more; above "
+            f"dt {seconds(softened / 2)} (rows marked c) this softens the scene itself"
+        )
+
+
+def about_reference(reference: Reference, rows: Sequence[Row], size: float) -> Iterator[str]:
+    """Notes on the converged motion that errors are measured from, and how well it is known."""
+    ends = reference.growth.ends
+    lost = int(np.isfinite(ends).sum())
+    if lost:
+        yield (
+            f"{lost} of {len(ends)} starts cannot be predicted to the end, the first one only for "
+            f"{seconds(float(ends.min()))}; errors are those before that. Runs perturbed by "
+            f"{NEARBY:g} of the scene's size are then more than {GROWTH:g} times as far apart"
+        )
+    if reference.exact is not None:
+        yield (
+            "the motion has a closed form, from which errors are measured; the converged run "
+            f"differs from it by {metres(reference.exact.check)}"
+        )
+    if reference.stiffens:
+        yield (
+            f'under the law "{reference.settings.law}" contacts stiffen as dt shrinks (beta/dt), '
+            "so the limit dt → 0 from which errors are measured is a harder scene than the "
+            "shipped one"
+        )
+    for name, gap in reference.gaps.items():
+        yield _modelling(name, gap)
+    least = smallest([row.errors.high for row in rows if row.errors], size)
+    if reference.high * FINER > least > 0:
+        yield (
+            f"the reference's own error of {metres(reference.high)} is not {FINER:.0f} times "
+            f"smaller than the smallest error, {metres(least)}; a smaller error than the "
+            "reference's own is shown as < that"
+        )
+    marked = sum(row.best and row.below_max and not row.below for row in rows)
+    if marked:
+        yield (
+            f"the largest error of {marked} of the best rows is below the reference's own largest "
+            f"error of {metres(reference.largest)}, and is not known better than that"
+        )
+    rest = max(path.residual for path in reference.paths)
+    if rest > UNSOLVED:
+        yield f"the reference's rows are only solved to a residual of {rest:.0e} m/s"
+    if reference.other and reference.agreement > DISAGREE * (
+        reference.other_error + reference.error
+    ):
+        yield (
+            f"two integrators do not agree: {reference.other} is {metres(reference.agreement)} "
+            f"from the reference, though halving its step moved it by only "
+            f"{metres(reference.other_error)}"
+        )
+
+
+def observed(reference: Reference, horizon: float, orders: Mapping[str, float]) -> Iterator[str]:
+    """How long the motion can be predicted, and the order that each integrator shows."""
+    growth = reference.growth
+    if np.isfinite(growth.overall):
+        yield f"predictable for {seconds(growth.overall)} of {seconds(horizon)}"
+    else:
+        most = float(growth.factor.max())
+        yield (
+            f"predictable over all of {seconds(horizon)}: perturbed runs end up at most {most:.2g} "
+            "times as far apart as they began"
+        )
+    if orders:
+        shown = ", ".join(f"{name} {order:.2g}" for name, order in orders.items())
+        yield f"observed order of accuracy in the worst start: {shown}"
+
+
+def failed(rows: Sequence[Row]) -> Iterator[str]:
+    """One note on the failures of each integrator and solver."""
+    failures = [row for row in rows if row.failure]
+    kinds = [(row.settings.integrator, row.settings.solver) for row in failures]
+    for kind, count in Counter(kinds).items():
+        # Rows stand coarsest first: the last of a kind is the finest step that fails.
+        some = [row for row, own in zip(failures, kinds, strict=True) if own == kind]
+        first, last = some[0], some[-1]
+        finest = "" if last is first else f", the last at dt {seconds(last.settings.dt)}"
+        settings = "setting fails" if count == 1 else "settings fail"
+        yield (
+            f"{count} {settings} with {', '.join(kind)}: the first at dt "
+            f"{seconds(first.settings.dt)} ({first.failure}){finest}"
+        )
+
+
+def _modelling(name: str, gap: Gap) -> str:
+    """How far the scene's own model is from another."""
+    what = {
+        "pyramid": "the friction pyramid moves positions by",
+        "softness": "the softness of contacts and limits moves positions by",
+    }[name]
+    least = "" if gap.settled else " at least"
+    return (
+        f"modelling error: {what}{least} {metres(gap.distance)} (RMS, worst start; compared with "
+        f"{gap.against}); no dt and no solver changes that"
+    )

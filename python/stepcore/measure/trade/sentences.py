@@ -1,0 +1,164 @@
+"""The answer of a trade in sentences: what is recommended, how good the shipped settings are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from stepcore.measure.trade.mujoco import compared_with_mujoco
+from stepcore.report.settings import label
+from stepcore.report.units import computing, counted, metres, operations, seconds
+
+if TYPE_CHECKING:
+    from stepcore.measure.trade.result import Trade
+    from stepcore.measure.trade.row import Row
+
+# From here on the worst start says something else than the median of the starts.
+DIFFER = 30.0
+# A saving below this is within what timing can tell.
+NOTABLE = 0.9
+
+
+def sentences(trade: Trade) -> Iterator[str]:
+    """The recommendation first, then the shipped settings, then MuJoCo."""
+    if trade.target is not None:
+        yield from _for_error(trade, trade.target)
+    elif trade.budget is not None:
+        yield from _for_budget(trade, trade.budget)
+    yield _shipped(trade)
+    if trade.target is None and trade.budget is None:
+        yield from _improvements(trade)
+    if trade.mujoco:
+        yield from compared_with_mujoco(trade.mujoco, trade.shipped)
+
+
+def _for_error(trade: Trade, error: float) -> Iterator[str]:
+    """The cheapest settings within an error and the next better, or what came nearest."""
+    row = trade.recommended
+    if row is not None:
+        yield f"Recommended for an error of at most {metres(error)}: {_described(trade, row)}"
+        yield _next_better(trade, row)
+        return
+    yield f"No setting that was tried keeps to {metres(error)} in every start."
+    ran = [one for one in trade.rows if one.errors is not None]
+    if ran:
+        least = min(ran, key=lambda one: (trade.error(one), trade.price(one)))
+        yield f"The nearest is {_named(trade, least)}: its error is {metres(trade.error(least))}."
+
+
+def _for_budget(trade: Trade, budget: float) -> Iterator[str]:
+    """The most accurate settings within a budget and the next better, or the cheapest."""
+    within = operations(budget) if trade.by == "flops" else computing(budget)
+    row = trade.recommended
+    if row is not None:
+        what = f"Recommended for at most {within} per simulated second"
+        yield f"{what}: {_described(trade, row)}"
+        yield _next_better(trade, row)
+        return
+    yield f"No setting that was tried costs as little as {within} per simulated second."
+    ran = [one for one in trade.rows if not one.failure]
+    if ran:
+        least = min(ran, key=trade.price)
+        yield f"The cheapest is {_named(trade, least)}, at {_priced(trade, least)}."
+
+
+def _described(trade: Trade, row: Row) -> str:
+    """Recommended settings with their error, their cost and what further starts said."""
+    shipped, price = trade.shipped, _priced(trade, row)
+    if row.settings == shipped.settings:
+        price += ", as shipped"
+    elif not math.isnan(trade.price(shipped)):
+        times = trade.price(row) / trade.price(shipped)
+        price += f", {times:.2f} times the cost of the shipped settings"
+    return (
+        f"{_named(trade, row)}. The RMS position error is {metres(trade.error(row))} in the worst "
+        f"start, for {price}.{_confirmed(trade, row)}"
+    )
+
+
+def _confirmed(trade: Trade, row: Row) -> str:
+    """What further starts said."""
+    tried = row.further
+    if tried is None:
+        return " It was not tried on further starts."
+    if tried.starts == 0:
+        return f" It could not be confirmed: {tried.failure}."
+    count = counted(tried.starts, "further start")
+    if trade.target is None:
+        return f" That includes {count}."
+    if tried.held == tried.starts:
+        return f" Confirmed on {count}."
+    return f" Of {count}, {tried.held} kept to it."
+
+
+def _next_better(trade: Trade, row: Row) -> str:
+    """What at most half of the error costs."""
+    better = trade.next_better(trade.error(row))
+    if better is None:
+        return "No setting that was tried has at most half that error."
+    times = trade.price(better) / trade.price(row)
+    return (
+        f"At most half that error costs {times:.2f} times as much: {_named(trade, better)}, with "
+        f"an error of {metres(trade.error(better))}."
+    )
+
+
+def _shipped(trade: Trade) -> str:
+    """How wrong the shipped settings are: in the worst start, and in the median of the starts."""
+    row = trade.shipped
+    what = f"As shipped ({label(row.settings)})"
+    if row.errors is None:
+        return f"{what} the simulation fails: {row.failure}."
+    e, error = row.errors, metres(trade.error(row))
+    where = ""
+    if trade.starts > 1:
+        median = f"median {metres(e.median)}"
+        if e.high > DIFFER * e.median:
+            median = f"starts differ widely: {median}"
+        where = f" in the worst of {trade.starts} starts (start {e.each.index(e.high)}; {median})"
+    # The error counts rotation as well, so that the largest of centres may be below it.
+    return (
+        f"{what} the RMS position error over {seconds(trade.horizon)} is {error}{where}, for "
+        f"{_priced(trade, row)}. A centre of mass is at most {metres(e.position_max)} off."
+    )
+
+
+def _improvements(trade: Trade) -> Iterator[str]:
+    """What half of the shipped error would cost, and no more than that."""
+    row = trade.shipped
+    if row.errors is None:
+        ran = [other for other in trade.rows if not other.failure]
+        if ran:
+            least = min(ran, key=trade.price)
+            wrong = metres(trade.error(least))
+            yield f"The cheapest setting that runs is {_named(trade, least)}: its error is {wrong}."
+        return
+    error = trade.error(row)
+    try:
+        yield f"At most half that error {_offer(trade, trade.cheapest(error / 2))}"
+    except ValueError:
+        yield "No setting that was tried has at most half that error."
+    same = trade.cheapest(error)
+    if trade.price(same) < NOTABLE * trade.price(row):
+        yield f"At most the same error {_offer(trade, same)}"
+
+
+def _offer(trade: Trade, row: Row) -> str:
+    times = trade.price(row) / trade.price(trade.shipped)
+    return (
+        f"costs {times:.2f} times as much: {_named(trade, row)}, with an error of "
+        f"{metres(trade.error(row))}."
+    )
+
+
+def _named(trade: Trade, row: Row) -> str:
+    """Settings in words, with all that is not as shipped."""
+    return label(row.settings, trade.shipped.settings)
+
+
+def _priced(trade: Trade, row: Row) -> str:
+    """The price in words."""
+    if trade.by == "flops":
+        return f"{operations(row.flops)} per simulated second"
+    return f"{computing(row.cost)} of computing per simulated second"

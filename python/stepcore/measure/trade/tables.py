@@ -1,0 +1,155 @@
+"""The tables of a trade as they are printed: its settings, and means where it is unpredictable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from stepcore.measure.trade.statistics import QUANTITIES
+from stepcore.report.settings import label, rarer
+from stepcore.report.table import Table
+from stepcore.report.units import compact, counted, seconds
+
+if TYPE_CHECKING:
+    from stepcore.measure.trade.mujoco import Point
+    from stepcore.measure.trade.result import Trade
+    from stepcore.measure.trade.row import Row
+
+# A printed trade shows all rows up to this many, then the ones that matter.
+FULL = 40
+LEGEND = """\
+*: no other setting is cheaper and at least as accurate; s: shipped; r: recommended; c: refsafe \
+softens rows at this dt; ref: the reference. dt in ms; cost in µs, flops and row updates per \
+simulated second. error: RMS position error of the worst start [m], of centres of mass and of \
+rotation times radius of gyration (<: below the reference's own error, which is shown). median: \
+of the starts. numeric, model: parts of the error, where a setting changes the model. max: largest \
+error of a centre of mass. angle: RMS rotation error [rad]. gained, lost: energy beyond the work \
+done [J]. overlap: deepest [m]. resid: largest residual [m/s]. also: what else is not as shipped."""
+MUJOCO = " m: MuJoCo, where none of its settings is better."
+
+HEADS = ("", "dt", "integrator", "solver", "error")
+COSTS = ("cost", "flops", "rows")
+ERRORS = (
+    *("error", "median", "numeric", "model", "max"),
+    *("angle", "gained", "lost", "overlap", "resid"),
+)
+NUMBERS = (*COSTS, *ERRORS)
+NAMES = ("", "dt", "integrator", "solver", "also", *NUMBERS)
+# A column with nothing else says nothing of the scene.
+BLANK = ("", None, "0")
+
+
+def settings_table(trade: Trade, full: bool) -> Table:
+    """The rows, the reference and MuJoCo's best; `full`: all rows, however many there are."""
+    shown = trade.rows if full or len(trade.rows) <= FULL else _main_rows(trade)
+    records = [*(_cells(trade, row) for row in shown), _reference_cells(trade)]
+    records += [_mujoco_cells(point) for point in trade.mujoco if point.best]
+    columns = [n for n in NAMES if n in HEADS or any(r.get(n) not in BLANK for r in records)]
+    legend = LEGEND + MUJOCO * bool(trade.mujoco)
+    left = len(trade.rows) - len(shown)
+    if left:
+        legend += f" {counted(left, 'more setting')}: in Trade.table, and printed with --all."
+    return Table(records, columns, dict.fromkeys((*NUMBERS, "dt"), ""), legend=legend)
+
+
+def statistics_tables(trade: Trade) -> list[Table]:
+    """The means after the motion cannot be predicted; none where all of it can be."""
+    rows = [(row, row.after) for row in trade.rows if row.after is not None]
+    if not rows:
+        return []
+    first = rows[0][1]
+    means = {name: getattr(first, name).reference for name in QUANTITIES}
+    heads = {"height": "height m", "kinetic": "kinetic J", "touching": "contacts"}
+    heads = {name: head for name, head in heads.items() if name != "touching" or means[name]}
+    records = []
+    for row, after in rows:
+        record = {"": "*" * row.best + "s" * row.shipped, "setting": label(row.settings)}
+        for name, head in heads.items():
+            apart = getattr(after, name)
+            record[head] = f"{apart.mean:+.1e} ± {apart.interval:.0e}" + " !" * apart.seen
+        records.append(record)
+    known = ", ".join(f"{head} {means[name]:.3g}" for name, head in heads.items())
+    heading = (
+        f"After {seconds(first.since)} the motion cannot be predicted: difference from the "
+        f"reference's means ({known}) with 95 % intervals over {first.starts} starts; !: the "
+        "interval does not include 0"
+    )
+    return [Table(records, heading=heading)]
+
+
+def _main_rows(trade: Trade) -> Sequence[Row]:
+    """The best rows, the shipped one, and those that differ from it in dt alone."""
+    own, chosen = trade.shipped.settings, trade.recommended
+    kept = {own} if chosen is None else {own, chosen.settings}
+    return [
+        row
+        for row in trade.rows
+        if row.best or row.settings in kept or row.settings == own.replace(dt=row.settings.dt)
+    ]
+
+
+def _cells(trade: Trade, row: Row) -> dict[str, Any]:
+    """One printed row."""
+    s, e = row.settings, row.errors
+    marks = "*" * row.best + "s" * row.shipped + "c" * row.clamped
+    chosen = trade.recommended
+    record: dict[str, Any] = {
+        "": marks + "r" * (chosen is not None and chosen.settings == s),
+        "dt": f"{s.dt * 1e3:.4g}",
+        "integrator": s.integrator,
+        "solver": f"pgs {s.sweeps}" if s.solver == "pgs" else s.solver,
+        "also": ", ".join(rarer(s, trade.shipped.settings)),
+        "cost": _cost(row.cost),
+        "flops": "" if math.isnan(row.flops) else compact(row.flops),
+        "rows": "" if math.isnan(row.row_updates) else compact(row.row_updates),
+    }
+    if s.precision != "f64":
+        record["solver"] += f" {s.precision}"
+    if e is None:
+        return record | dict.fromkeys(ERRORS, "") | {"error": "failed"}
+    largest = max(e.position_max, trade.reference.largest)
+    split = (e.numerical, e.modelling) if e.modelling else (0.0, 0.0)
+    numbers = (e.median, *split, largest, e.angle, e.gained, e.lost, e.overlap, e.residual)
+    record |= dict(zip(ERRORS, map(compact, (trade.error(row), *numbers)), strict=True))
+    if not e.modelling:
+        record["numeric"] = record["model"] = ""
+    record["error"] = "<" * row.below + record["error"]
+    record["max"] = "<" * row.below_max + record["max"]
+    return record
+
+
+def _reference_cells(trade: Trade) -> dict[str, Any]:
+    """The reference's own row, to compare with what the scene itself loses or overlaps."""
+    ref = trade.reference
+    gained = max(float(path.balance.max()) for path in ref.paths)
+    lost = max(-float(path.balance.min()) for path in ref.paths)
+    overlap = max(path.overlap for path in ref.paths)
+    residual = max(path.residual for path in ref.paths)
+    numbers = (ref.high, ref.error, 0.0, 0.0, ref.largest, ref.angle)
+    return {
+        "": "ref",
+        "dt": f"{ref.settings.dt * 1e3:.4g}",
+        "integrator": ref.settings.integrator,
+        "solver": ref.settings.solver,
+    } | dict(zip(ERRORS, map(compact, (*numbers, gained, lost, overlap, residual)), strict=True))
+
+
+def _mujoco_cells(point: Point) -> dict[str, Any]:
+    """One of MuJoCo's points."""
+    record = {
+        "": "m",
+        "dt": f"{point.dt * 1e3:.4g}",
+        "integrator": point.integrator,
+        "solver": point.solver,
+        "cost": _cost(point.cost),
+    }
+    e = point.errors
+    if e is None:
+        return record | {"error": "failed"}
+    numbers = (point.error, e.median, e.position_max)
+    return record | dict(zip(("error", "median", "max"), map(compact, numbers), strict=True))
+
+
+def _cost(micro: float) -> str:
+    return "" if math.isnan(micro) else f"{micro:.{0 if micro > 99 else 1}f}"
