@@ -33,8 +33,8 @@ def pendulum(links=2, **options):
 
 
 def test_the_double_pendulum_from_the_horizontal():
-    # Twins of point masses: 13 times apart at 8 s, 1.4e2 at 10 s, 1.5e4 at 15 s, 9.4e5 at 20 s,
-    # to a factor of three, for how far depends on how they began.
+    # Runs of point masses part 13 times in 8 s, 1.4e2 in 10 s, 1.5e4 in 15 s, 9.4e5 in 20 s, to
+    # a factor of three, for how far depends on how they began.
     found = sc.predictability(pendulum(), horizon=20.0, starts=1, **QUIET)
     factor, times = found.growth.factor[0], found.growth.times
     for time, wanted in ((8, 13), (10, 1.4e2), (20, 9.4e5)):
@@ -50,7 +50,7 @@ def test_the_double_pendulum_from_the_horizontal():
 
 
 def test_a_single_pendulum_can_be_predicted():
-    # Periods differ with the amplitude: twins part as t, not as an exponential.
+    # Periods differ with the amplitude: perturbed runs part as t, not as an exponential.
     found = sc.predictability(pendulum(1), horizon=20.0, starts=2, **QUIET)
     assert found.time == math.inf
     assert 5 < found.growth.factor.max() < 50
@@ -73,7 +73,7 @@ def billiard():
     return scene
 
 
-def test_bounces_part_twins_as_mirrors_part_rays():
+def test_bounces_part_perturbed_runs_as_mirrors_part_rays():
     # The round mirror's matrix: y' = y + l θ', θ' = θ + 2 y / ρ, with the flight l = 1 m and the
     # sum of radii ρ = 1 m: eigenvalue 2 + √3 a bounce. Impacts fall exactly on ends of steps.
     found = sc.predictability(billiard(), horizon=8.0, starts=1, **QUIET)
@@ -90,7 +90,7 @@ def test_growth_ends_between_samples_and_masks_what_follows():
     assert growth.overall == 1.5
 
 
-def test_twins_that_close_again_are_not_lost():
+def test_perturbed_runs_that_close_again_are_not_lost():
     def end(*factor):
         times = np.arange(1.0, 1 + len(factor))
         return _end(times, np.array(factor))
@@ -163,7 +163,7 @@ def test_the_command_predicts(capsys, tmp_path):
 
 
 def test_runs_that_reconverge_count_as_predictable():
-    """Near the top of a pendulum each passage parts twins by e^λt, and closes them again."""
+    """Near the top of a pendulum each passage parts the runs by e^λt, and closes them again."""
     scene = sc.Scene(gravity=(0, 0, -9.81))
     bob = scene.add_body("bob", mass=1.0, ipos=(0, 0, -1), inertia=(1e-9, 1e-9, 1e-9))
     scene.add_joint(bob, "hinge", axis=(0, 1, 0))

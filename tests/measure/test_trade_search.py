@@ -127,7 +127,9 @@ def test_a_budget_buys_the_least_error_it_can():
     affordable = [r for r in result.rows if r.errors and r.flops <= result.budget]
     assert result.error(row) == min(result.error(r) for r in affordable)
     assert result.best() == row.settings
-    assert result.sentences[0].startswith("Recommended for at most 200 kflop per simulated second: ")
+    assert result.sentences[0].startswith(
+        "Recommended for at most 200 kflop per simulated second: "
+    )
     assert result.sentences[0].endswith("That includes 4 further starts.")
 
 
