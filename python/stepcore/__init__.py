@@ -20,55 +20,141 @@ if TYPE_CHECKING:
     from stepcore._core import Settings as Settings
     from stepcore._core import SimulationError as SimulationError
     from stepcore.engine.batch import Batch as Batch
+    from stepcore.engine.batch import Rollout as Rollout
     from stepcore.engine.linearization import Linearization as Linearization
+    from stepcore.engine.model import Keyframe as Keyframe
     from stepcore.engine.model import Model as Model
     from stepcore.engine.plan import Plan as Plan
+    from stepcore.engine.plan import PlanEntry as PlanEntry
     from stepcore.engine.postmortem import PostMortem as PostMortem
     from stepcore.engine.replay import Replay as Replay
     from stepcore.engine.replay import replay as replay
+    from stepcore.engine.sim import Energy as Energy
+    from stepcore.engine.sim import Momentum as Momentum
     from stepcore.engine.sim import Sim as Sim
+    from stepcore.engine.trajectory import Trajectory as Trajectory
+    from stepcore.engine.views import BodyView as BodyView
+    from stepcore.engine.views import GeomView as GeomView
+    from stepcore.engine.views import JointView as JointView
+    from stepcore.engine.views import SiteView as SiteView
     from stepcore.experiment.motion import Motion as Motion
     from stepcore.measure.ablation import Ablation as Ablation
+    from stepcore.measure.ablation import FeatureEffect as FeatureEffect
     from stepcore.measure.ablation import ablate as ablate
     from stepcore.measure.convergence import Convergence as Convergence
+    from stepcore.measure.convergence import ResidualHistory as ResidualHistory
+    from stepcore.measure.convergence import RowForce as RowForce
     from stepcore.measure.convergence import converge as converge
     from stepcore.measure.diagnosis import Diagnosis as Diagnosis
     from stepcore.measure.diagnosis import diagnose as diagnose
+    from stepcore.measure.diagnosis.element_limits import ElementLimits as ElementLimits
     from stepcore.measure.diagnosis.load import StiffnessWarning as StiffnessWarning
     from stepcore.measure.plan import plan as plan
+    from stepcore.measure.predictability import Predictability as Predictability
     from stepcore.measure.predictability import predictability as predictability
     from stepcore.measure.stability import StabilityMap as StabilityMap
     from stepcore.measure.stability import stability_map as stability_map
     from stepcore.measure.sweep import sweep as sweep
     from stepcore.measure.trade import Trade as Trade
     from stepcore.measure.trade import trade as trade
+    from stepcore.mjcf.nodes import MJCFError as MJCFError
     from stepcore.reading import load as load
     from stepcore.reading import loads as loads
+    from stepcore.report.table import Table as Table
+    from stepcore.scene.elements import Actuator as Actuator
+    from stepcore.scene.elements import Body as Body
+    from stepcore.scene.elements import Equality as Equality
+    from stepcore.scene.elements import Geom as Geom
+    from stepcore.scene.elements import Joint as Joint
+    from stepcore.scene.elements import Key as Key
+    from stepcore.scene.elements import Site as Site
     from stepcore.scene.scene import Scene as Scene
 
 # Where each public name comes from. A module is imported when one of its names is first used, so
 # that a script that steps a scene does not wait for the measurements. Type checkers read the
 # block above; a test compares the two.
 _MODULES = {
-    "stepcore._core": ("Settings", "SimulationError"),
-    "stepcore.engine.batch": ("Batch",),
+    "stepcore._core": (
+        "Settings",
+        "SimulationError",
+    ),
+    "stepcore.engine.batch": (
+        "Batch",
+        "Rollout",
+    ),
     "stepcore.engine.linearization": ("Linearization",),
-    "stepcore.engine.model": ("Model",),
+    "stepcore.engine.model": (
+        "Keyframe",
+        "Model",
+    ),
+    "stepcore.engine.plan": (
+        "Plan",
+        "PlanEntry",
+    ),
     "stepcore.engine.postmortem": ("PostMortem",),
-    "stepcore.engine.replay": ("Replay", "replay"),
-    "stepcore.engine.sim": ("Sim",),
+    "stepcore.engine.replay": (
+        "Replay",
+        "replay",
+    ),
+    "stepcore.engine.sim": (
+        "Energy",
+        "Momentum",
+        "Sim",
+    ),
+    "stepcore.engine.trajectory": ("Trajectory",),
+    "stepcore.engine.views": (
+        "BodyView",
+        "GeomView",
+        "JointView",
+        "SiteView",
+    ),
     "stepcore.experiment.motion": ("Motion",),
-    "stepcore.measure.ablation": ("Ablation", "ablate"),
-    "stepcore.measure.convergence": ("Convergence", "converge"),
-    "stepcore.measure.diagnosis": ("Diagnosis", "diagnose"),
+    "stepcore.measure.ablation": (
+        "Ablation",
+        "FeatureEffect",
+        "ablate",
+    ),
+    "stepcore.measure.convergence": (
+        "Convergence",
+        "ResidualHistory",
+        "RowForce",
+        "converge",
+    ),
+    "stepcore.measure.diagnosis": (
+        "Diagnosis",
+        "diagnose",
+    ),
+    "stepcore.measure.diagnosis.element_limits": ("ElementLimits",),
     "stepcore.measure.diagnosis.load": ("StiffnessWarning",),
-    "stepcore.engine.plan": ("Plan",),
     "stepcore.measure.plan": ("plan",),
-    "stepcore.measure.predictability": ("predictability",),
-    "stepcore.measure.stability": ("StabilityMap", "stability_map"),
+    "stepcore.measure.predictability": (
+        "Predictability",
+        "predictability",
+    ),
+    "stepcore.measure.stability": (
+        "StabilityMap",
+        "stability_map",
+    ),
     "stepcore.measure.sweep": ("sweep",),
-    "stepcore.measure.trade": ("Trade", "trade"),
-    "stepcore.reading": ("load", "loads"),
+    "stepcore.measure.trade": (
+        "Trade",
+        "trade",
+    ),
+    "stepcore.mjcf.nodes": ("MJCFError",),
+    "stepcore.reading": (
+        "load",
+        "loads",
+    ),
+    "stepcore.report.table": ("Table",),
+    "stepcore.scene.elements": (
+        "Actuator",
+        "Body",
+        "Equality",
+        "Geom",
+        "Joint",
+        "Key",
+        "Site",
+    ),
     "stepcore.scene.scene": ("Scene",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

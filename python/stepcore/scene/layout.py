@@ -8,7 +8,7 @@ range without room, a key of the wrong length) is checked here.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
@@ -156,7 +156,11 @@ def check(layout: Layout) -> None:
             value = getattr(key, field)
             if value is not None and len(value) != count:
                 raise checks.refuse(key, field, value, f"{count} numbers, not {len(value)}")
-    for elements in scene.named():
+    kinds: tuple[Sequence[Element], ...] = (
+        *(scene.bodies, scene.joints, scene.geoms, scene.sites),
+        *(scene.actuators, scene.equalities, scene.keys),
+    )
+    for elements in kinds:
         seen: set[str] = set()
         for element in elements:
             name = getattr(element, "name", "")

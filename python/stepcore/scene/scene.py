@@ -137,18 +137,6 @@ class Scene(checks.KnownNames):
         """The keyframe of this name."""
         return _find(self.keys, "key", name)
 
-    def named(self) -> tuple[Sequence[Element], ...]:
-        """The lists within which a name may be used once."""
-        return (
-            self.bodies,
-            self.joints,
-            self.geoms,
-            self.sites,
-            self.actuators,
-            self.equalities,
-            self.keys,
-        )
-
     # Adding to it.
 
     def add_body(

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 from stepcore.engine.plan.cost import StepCost
 from stepcore.engine.plan.entries import entries
-from stepcore.engine.plan.result import Entry, Plan
+from stepcore.engine.plan.result import Plan, PlanEntry
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.engine.sim import Sim
 
-__all__ = ["Entry", "Plan", "planned"]
+__all__ = ["Plan", "PlanEntry", "planned"]
 
 STAGES = ("files", "place", "detect", "solve", "commit")
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from stepcore import checks
 from stepcore.engine.features import Removal, without
-from stepcore.engine.plan.result import Entry
+from stepcore.engine.plan.result import PlanEntry
 from stepcore.engine.sim import Sim
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class StepCost:
         self.whole.forward()
         return Counter(str(kind) for kind in self.whole.rows["kind"])
 
-    def priced(self, entry: Entry, removal: Removal | None) -> Entry:
+    def priced(self, entry: PlanEntry, removal: Removal | None) -> PlanEntry:
         """The entry with its own work, or with what removing it saves."""
         if entry.stages:
             return replace(entry, flops=sum(self.stages[stage] for stage in entry.stages))

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore._core import Settings
 from stepcore.engine.features import RemovableFeatures, Removal
-from stepcore.engine.plan.result import Entry
+from stepcore.engine.plan.result import PlanEntry
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
 
 # An entry, and the removal that would leave it out, if there is one.
-Listed = tuple[Entry, Removal | None]
+Listed = tuple[PlanEntry, Removal | None]
 
 
 def entries(model: Model, settings: Settings, rows: Counter[str]) -> Iterator[Listed]:
@@ -313,7 +313,7 @@ def _used(
     removal: Removal | None = None,
 ) -> Listed:
     names = tuple(names)
-    return Entry(stage, kind, name, names, True, why, len(names), rows, stages), removal
+    return PlanEntry(stage, kind, name, names, True, why, len(names), rows, stages), removal
 
 
 def _out(
@@ -327,7 +327,7 @@ def _out(
 ) -> Listed:
     names = tuple(names)
     number = len(names) if count is None else count
-    return Entry(stage, kind, name, names, False, why, number), None
+    return PlanEntry(stage, kind, name, names, False, why, number), None
 
 
 def _pick(items: Sequence[Any], indices: Iterable[int]) -> list[Any]:

@@ -21,7 +21,7 @@ LEGEND = (
 
 
 @dataclass(frozen=True)
-class Entry:
+class PlanEntry:
     """One thing that a step does, or leaves out.
 
     stage: "files", "place", "detect", "solve" or "commit". kind: "file", "term", "pair" or "row".
@@ -58,7 +58,7 @@ class Plan(Result):
 
     name: str
     settings: Settings
-    entries: list[Entry]
+    entries: list[PlanEntry]
     flops: float
     stages: dict[str, float] = field(default_factory=dict)
     micros: float | None = None
@@ -70,12 +70,12 @@ class Plan(Result):
         return f"{self.name}: what a step does and what it leaves out"
 
     @property
-    def used(self) -> list[Entry]:
+    def used(self) -> list[PlanEntry]:
         """What the step does."""
         return [entry for entry in self.entries if entry.used]
 
     @property
-    def left_out(self) -> list[Entry]:
+    def left_out(self) -> list[PlanEntry]:
         """What the step leaves out, with the reasons."""
         return [entry for entry in self.entries if not entry.used]
 
@@ -114,7 +114,7 @@ class Plan(Result):
         parts += ["", textwrap.fill(LEGEND.format(at=self.at), width or WIDTH)]
         return "\n".join(parts)
 
-    def _table(self, entries: Sequence[Entry], full: bool, width: int | None) -> str:
+    def _table(self, entries: Sequence[PlanEntry], full: bool, width: int | None) -> str:
         formats = dict.fromkeys(("n", "rows", "flops", "µs"), "")
         rows = [self._cells(entry, full) for entry in entries]
         for name in ("rows", "flops", "µs"):
@@ -123,7 +123,7 @@ class Plan(Result):
                     del row[name]
         return Table(rows, formats=formats).text(10_000 if full else width)
 
-    def _cells(self, entry: Entry, full: bool) -> dict[str, Any]:
+    def _cells(self, entry: PlanEntry, full: bool) -> dict[str, Any]:
         names = entry.names if full else entry.names[:NAMES]
         if entry.kind == "file" and not full:
             names = tuple(os.path.basename(name) for name in names)
