@@ -191,10 +191,15 @@ def test_the_command_prints_and_writes(tmp_path: Path, capsys) -> None:
     args = ["--json", out["json"], "--plot", out["png"], "--html", out["html"]]
     assert main(["plan", "gymnasium:ant", *args]) == 0
     printed = capsys.readouterr().out
-    assert "A step does:" in printed and "It leaves out:" in printed
+    assert "A step does\n" in printed and "It leaves out\n" in printed
+    assert "It tests " in printed and " pairs of geoms." in printed
     assert max(map(len, printed.splitlines())) <= WIDTH
     data = json.loads(Path(out["json"]).read_text())
-    assert {"used", "left_out"} <= set(data)
+    assert {entry["used"] for entry in data["rows"]} == {True, False}
     assert "<img" in Path(out["html"]).read_text()
     assert main(["plan", "gymnasium:ant", "--all", "--key", "nowhere"]) == 2
-    assert np.all([len(e["names"]) <= e["count"] for e in data["used"]])
+    capsys.readouterr()
+    assert main(["plan", "gymnasium:ant", "--all"]) == 0
+    listed = capsys.readouterr().out.partition("The elements of each entry")[2].split()
+    assert set(sc.load("gymnasium:ant").compile().joint_names) <= set(listed)
+    assert np.all([len(e["names"]) <= e["count"] for e in data["rows"]])

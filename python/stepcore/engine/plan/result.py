@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import os
-import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from stepcore._core import Settings
 from stepcore.report.result import Result
-from stepcore.report.table import WIDTH, Table, jsonable
+from stepcore.report.table import Table
+from stepcore.report.units import seconds
 
 # The printed plan names this many elements of an entry.
 NAMES = 4
+# The entries that are named for their cost.
+COSTLY = 3
 LEGEND = (
-    "flops: floating-point operations of one step at {at}: of the entry's own stage, or those "
-    "saved by removing the entry. They do not add up, because some work serves several entries."
+    "flops: floating-point operations of the entry's own stage, or those saved by removing the "
+    "entry. They do not add up, because some work serves several entries"
 )
 
 
@@ -44,7 +46,7 @@ class PlanEntry:
     micros: float | None = None
 
 
-@dataclass
+@dataclass(eq=False, repr=False)
 class Plan(Result):
     """What a step does and what it leaves out; made by `stepcore.plan`.
 
@@ -56,6 +58,9 @@ class Plan(Result):
     <Plan of tower: 7 used, 10 left out>
     """
 
+    kind = "plan"
+    units: ClassVar = {"flops": "1", "micros": "µs"}
+
     name: str
     settings: Settings
     entries: list[PlanEntry]
@@ -63,11 +68,23 @@ class Plan(Result):
     stages: dict[str, float] = field(default_factory=dict)
     micros: float | None = None
     at: str = "the initial pose"
+    notes: list[str] = field(default_factory=list)
 
     @property
     def title(self) -> str:
         """What was listed, in a few words."""
         return f"{self.name}: what a step does and what it leaves out"
+
+    @property
+    def setup(self) -> str:
+        """The settings."""
+        s = self.settings
+        return f"{s.integrator}, {s.solver}, law {s.law}, {s.cone} cone, dt {seconds(s.dt)}."
+
+    @property
+    def rows(self) -> list[PlanEntry]:
+        """All entries, by stage."""
+        return self.entries
 
     @property
     def used(self) -> list[PlanEntry]:
@@ -79,21 +96,44 @@ class Plan(Result):
         """What the step leaves out, with the reasons."""
         return [entry for entry in self.entries if not entry.used]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Everything as plain data."""
-        plain: dict[str, Any] = jsonable(
-            {
-                "model": self.name,
-                "settings": self.settings.as_dict(),
-                "at": self.at,
-                "flops": self.flops,
-                "stages": self.stages,
-                "micros": self.micros,
-                "used": [vars(entry) for entry in self.used],
-                "left_out": [vars(entry) for entry in self.left_out],
-            }
-        )
-        return plain
+    @property
+    def sentences(self) -> list[str]:
+        """What a step costs, which entries cost most, and how many pairs are tested."""
+        time = "" if self.micros is None else f" and {self.micros:.3g} µs"
+        sentences = [f"A step at {self.at} takes {self.flops:.0f} floating-point operations{time}."]
+        costs = [(entry.flops, entry.name) for entry in self.used if entry.flops]
+        if costs and self.flops > 0:
+            named = [f"{name} ({flops:.0f})" for flops, name in sorted(costs)[: -COSTLY - 1 : -1]]
+            sentences.append(f"Most of it: {'; '.join(named)}.")
+        pairs = [entry for entry in self.entries if entry.kind == "pair"]
+        if pairs:
+            tested = sum(entry.count for entry in pairs if entry.used)
+            every = sum(entry.count for entry in pairs)
+            sentences.append(f"It tests {tested} of {every} pairs of geoms.")
+        return sentences
+
+    @property
+    def table(self) -> Table:
+        """All entries; see `PlanEntry`."""
+        return Table(map(vars, self.entries))
+
+    def tables(self, full: bool) -> list[Table]:
+        """What the step does, and what it leaves out; `full`: and every element of an entry."""
+        does = _table(self.used, "A step does")
+        does.legend = LEGEND
+        tables = [does, _table(self.left_out, "It leaves out")]
+        if full:
+            elements = [
+                {"used": "yes" if entry.used else "no", "what": entry.name, "element": name}
+                for entry in self.entries
+                for name in entry.names
+            ]
+            tables.append(Table(elements, heading="The elements of each entry"))
+        return tables
+
+    def details(self) -> dict[str, Any]:
+        """The whole step."""
+        return {"at": self.at, "flops": self.flops, "stages": self.stages, "micros": self.micros}
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
         """Bars of what each entry costs; written to `path` if given. Needs matplotlib."""
@@ -101,46 +141,33 @@ class Plan(Result):
 
         return plot_plan(self, path)
 
-    def text(self, width: int | None = None, full: bool = False) -> str:
-        """The printed plan, at most `width` characters wide; `full`: with every name."""
-        s = self.settings
-        head = f"{self.name}: {s.integrator}, {s.solver}, law {s.law}, {s.cone} cone, dt {s.dt:g} s"
-        cost = f"{self.flops:.0f} floating-point operations"
-        if self.micros is not None:
-            cost += f", {self.micros:.2f} µs"
-        parts = [head, f"one step at {self.at}: {cost}"]
-        parts += ["", "A step does:", self._table(self.used, full, width)]
-        parts += ["", "It leaves out:", self._table(self.left_out, full, width)]
-        parts += ["", textwrap.fill(LEGEND.format(at=self.at), width or WIDTH)]
-        return "\n".join(parts)
-
-    def _table(self, entries: Sequence[PlanEntry], full: bool, width: int | None) -> str:
-        formats = dict.fromkeys(("n", "rows", "flops", "µs"), "")
-        rows = [self._cells(entry, full) for entry in entries]
-        for name in ("rows", "flops", "µs"):
-            if not any(row[name] for row in rows):
-                for row in rows:
-                    del row[name]
-        return Table(rows, formats=formats).text(10_000 if full else width)
-
-    def _cells(self, entry: PlanEntry, full: bool) -> dict[str, Any]:
-        names = entry.names if full else entry.names[:NAMES]
-        if entry.kind == "file" and not full:
-            names = tuple(os.path.basename(name) for name in names)
-        which = ", ".join(names)
-        more = entry.count - len(names)
-        if which and more > 0:
-            which += f" and {more} more"
-        why = entry.why + (f" ({which})" if which and entry.why else which)
-        return {
-            "stage": entry.stage,
-            "what": entry.name,
-            "n": str(entry.count),
-            "rows": "" if entry.rows is None else str(entry.rows),
-            "flops": "" if entry.flops is None else f"{entry.flops:.0f}",
-            "µs": "" if entry.micros is None else f"{entry.micros:.2f}",
-            "which" if entry.used else "why": why,
-        }
-
     def __repr__(self) -> str:
         return f"<Plan of {self.name}: {len(self.used)} used, {len(self.left_out)} left out>"
+
+
+def _table(entries: Iterable[PlanEntry], heading: str) -> Table:
+    numbers = ("n", "rows", "flops", "µs")
+    rows = [_cells(entry) for entry in entries]
+    columns = list(rows[0]) if rows else []
+    columns = [c for c in columns if c not in numbers or any(row[c] for row in rows)]
+    return Table(rows, columns, dict.fromkeys(numbers, ""), heading=heading)
+
+
+def _cells(entry: PlanEntry) -> dict[str, str]:
+    """An entry as printed."""
+    names = entry.names[:NAMES]
+    if entry.kind == "file":
+        names = tuple(os.path.basename(name) for name in names)
+    which = ", ".join(names)
+    if which and entry.count > len(names):
+        which += f" and {entry.count - len(names)} more"
+    return {
+        "stage": entry.stage,
+        "what": entry.name,
+        "n": str(entry.count),
+        "rows": "" if entry.rows is None else str(entry.rows),
+        "flops": "" if entry.flops is None else f"{entry.flops:.0f}",
+        "µs": "" if entry.micros is None else f"{entry.micros:.2f}",
+        "which" if entry.used else "why": entry.why
+        + (f" ({which})" if which and entry.why else which),
+    }

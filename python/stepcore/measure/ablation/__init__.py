@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from functools import partial
@@ -51,9 +52,8 @@ def ablate(
         under its own settings.
     error: the RMS position error, over samples and bodies, that the smallest model may add to the
         whole model's motion in the worst start: metres, "1mm", or "0.1%" of the scene's size.
-    motion: the `Motion` that is run; or write its fields as arguments. The horizon is about 1 s
-        by default; there are 8 starts to choose on.
-    threads: how many runs at once (default: one a core). executor: any `concurrent.futures`
+    motion: a `Motion`, or its fields as arguments. By default 1 s and 8 starts to choose on.
+    threads: how many runs at once (default: one per core). executor: any `concurrent.futures`
         executor in place of threads. progress: False, or a function of (label, done, total).
 
     Raises ValueError for an argument outside its limits, or if the whole model fails.
@@ -81,8 +81,7 @@ def ablate(
     )
     model, motion, workers = setup
     starts, dt = motion.starts or STARTS, model.settings.dt
-    length = HORIZON if motion.horizon is None else motion.horizon
-    _, period = time_steps(dt, None, motion.control_dt, length)
+    _, period = time_steps(dt, None, motion.control_dt, motion.horizon or HORIZON)
     # Three sets of starts: to choose on, to confirm on, and to confirm what is left then.
     schedule = scheduled(motion, model, period, starts=SETS * starts)
     runner = Runner(model, schedule.part(0, starts))
@@ -111,6 +110,7 @@ def ablate(
     return Ablation(
         name=setup.name,
         settings=model.settings,
+        motion=dataclasses.replace(motion, horizon=schedule.horizon, starts=starts),
         horizon=schedule.horizon,
         starts=starts,
         error=tolerance,

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
-import textwrap
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from stepcore._core import Settings
 from stepcore.engine.features import Removal
+from stepcore.experiment.motion import Motion
 from stepcore.measure.ablation.selection import saved, work
 from stepcore.measure.ablation.variants import Outcome
 from stepcore.report.result import Result
 from stepcore.report.settings import label
-from stepcore.report.table import WIDTH, Table, jsonable
-from stepcore.report.units import metres, percent, seconds
+from stepcore.report.table import Table
+from stepcore.report.units import compact, counted, metres, percent, seconds
 from stepcore.scene.scene import Scene
 
 LEGEND = (
@@ -38,7 +37,7 @@ class FeatureEffect:
 
 @dataclass(eq=False, repr=False)
 class Ablation(Result):
-    """What each modelled feature costs and what it adds to accuracy; made by `stepcore.ablate`.
+    """What each modelled feature costs, and the error that removing it adds; made by `ablate`.
 
     whole: the model as it is; rows: each feature removed alone. removed: what the smallest model
     goes without; best: that model on the starts it was chosen on, confirmed: on others, restored:
@@ -51,8 +50,21 @@ class Ablation(Result):
     (True, True)
     """
 
+    kind = "ablation"
+    units: ClassVar = {
+        "saved": "1",
+        "flops": "1/s",
+        "row_updates": "1/s",
+        "cost": "µs/s",
+        "added": "m",
+        "added_median": "m",
+        "added_max": "m",
+        "error": "m",
+    }
+
     name: str
     settings: Settings
+    motion: Motion
     horizon: float
     starts: int
     error: float
@@ -71,19 +83,29 @@ class Ablation(Result):
         """What was measured, in a few words."""
         return f"{self.name}: cost and effect of each modelled feature"
 
+    @property
+    def setup(self) -> str:
+        """What was run."""
+        known = ""
+        if self.reference is not None:
+            known = f"; the reference has an error of {metres(self.reference)}"
+        features, starts = counted(len(self.rows), "feature"), counted(self.starts, "start")
+        over = seconds(self.horizon)
+        return f"{features}, {over} from {starts} under {label(self.settings)}{known}."
+
     def saved(self, row: FeatureEffect) -> float:
         """The share of the whole model's work that a row saves."""
         return saved(row.outcome, self.whole.outcome)
 
     @property
-    def counted(self) -> bool:
+    def by_flops(self) -> bool:
         """Work is floating-point operations; else it is row updates."""
         return self.whole.outcome.flops is not None
 
     @property
     def table(self) -> Table:
-        """All rows, the largest saving first; units as in `FeatureEffect` and `Outcome`."""
-        return Table(self.record(row) for row in [self.whole, *self.sorted(), self.best])
+        """Each feature removed alone; units as in `FeatureEffect` and `Outcome`."""
+        return Table(self.record(row) for row in self.rows)
 
     def sorted(self) -> list[FeatureEffect]:
         """Rows, the largest saving first; failures last."""
@@ -101,7 +123,7 @@ class Ablation(Result):
             "saved": self.saved(row),
             "flops": None if failed else outcome.flops,
             "row_updates": None if failed else outcome.row_updates,
-            "cost": None if math.isnan(row.cost) else row.cost,
+            "cost": row.cost,
             "added": None if failed else outcome.worst,
             "added_median": None if failed else outcome.median,
             "added_max": None if failed else outcome.added_max,
@@ -110,30 +132,20 @@ class Ablation(Result):
             "failure": outcome.failure,
         }
 
-    def to_dict(self) -> dict[str, Any]:
-        """Everything as plain data."""
-        plain: dict[str, Any] = jsonable(
-            {
-                "model": self.name,
-                "settings": self.settings.as_dict(),
-                "horizon": self.horizon,
-                "starts": self.starts,
-                "tolerance": self.error,
-                "reference_error": self.reference,
-                "whole": self.record(self.whole),
-                "rows": [self.record(row) for row in self.rows],
-                "smallest": {
-                    **self.record(self.best),
-                    "without": [removal.label for removal in self.removed],
-                    "restored": [removal.label for removal in self.restored],
-                    "confirmed": self.confirmed.worst,
-                    "mjcf": self.smallest.to_mjcf(),
-                },
-                "notes": self.notes,
-                "sentences": self.sentences,
-            }
-        )
-        return plain
+    def details(self) -> dict[str, Any]:
+        """The tolerance, the whole model and the smallest."""
+        return {
+            "tolerance": self.error,
+            "reference_error": self.reference,
+            "whole": self.record(self.whole),
+            "smallest": {
+                **self.record(self.best),
+                "without": [removal.label for removal in self.removed],
+                "restored": [removal.label for removal in self.restored],
+                "confirmed": self.confirmed.worst,
+                "mjcf": self.smallest.to_mjcf(),
+            },
+        }
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
         """Bars of work saved and error added; written to `path` if given. Needs matplotlib."""
@@ -141,30 +153,12 @@ class Ablation(Result):
 
         return plot_ablation(self, path)
 
-    def text(self, width: int | None = None, full: bool = False) -> str:
-        """The printed ablation, at most `width` characters wide."""
-        starts = f"{self.starts} start" + "s" * (self.starts != 1)
-        known = "" if self.reference is None else f"; reference known to {metres(self.reference)}"
-        kind = "floating-point operations" if self.counted else "row updates"
-        table = Table(
-            [self._cells(row) for row in [self.whole, *self.sorted(), self.best]],
-            formats=dict.fromkeys(("saved", "µs", "added", "max", "error"), ""),
-        )
-        head = (
-            f"{self.name}: {len(self.rows)} features over {seconds(self.horizon)}, {starts}, "
-            f"{label(self.settings)}{known}"
-        )
-        failed = [
-            f"failed: {row.removal.label}: {row.outcome.failure}"
-            for row in self.rows
-            if row.outcome.failure
-        ]
-        notes = [f"note: {note}" for note in self.notes]
-        legend = LEGEND.format(work=kind)
-        parts = [head, "", table.text(width), "", legend, "", *self.sentences, *failed, "", *notes]
-        size = width or shutil.get_terminal_size((WIDTH, 40)).columns
-        # The table is as wide as it was made.
-        return "\n".join(part if "\n" in part else textwrap.fill(part, size) for part in parts)
+    def tables(self, full: bool) -> list[Table]:
+        """The whole model, its features, the largest saving first, and the smallest model."""
+        rows = [self.whole, *self.sorted(), self.best]
+        formats = dict.fromkeys(("saved", "µs", "added", "max", "error"), "")
+        legend = LEGEND.format(work="floating-point operations" if self.by_flops else "row updates")
+        return [Table([self._cells(row) for row in rows], formats=formats, legend=legend)]
 
     def _cells(self, row: FeatureEffect) -> dict[str, Any]:
         outcome = row.outcome
@@ -179,18 +173,15 @@ class Ablation(Result):
             cells["saved"] = "failed" if math.isnan(share) else percent(share)
             gain = self.whole.cost - row.cost
             cells["µs"] = "" if math.isnan(gain) else f"{gain:.0f}"
-        cells["added"] = "" if outcome.failure else _small(outcome.worst)
-        cells["max"] = "" if outcome.failure else _small(outcome.added_max)
-        cells["error"] = _small(max(outcome.error)) if outcome.error else ""
+        cells["added"] = "" if outcome.failure else compact(outcome.worst)
+        cells["max"] = "" if outcome.failure else compact(outcome.added_max)
+        cells["error"] = compact(max(outcome.error)) if outcome.error else ""
         return cells
 
     @property
     def sentences(self) -> list[str]:
-        """What the table says."""
-        sentences = [self._smallest()]
-        if self.restored:
-            names = "; ".join(removal.label for removal in self.restored)
-            sentences.append(f"Other starts exceed the tolerance, so these were restored: {names}.")
+        """The smallest model, features without effect, the largest effect, failures."""
+        sentences = self._smallest()
         unused = [
             row.removal.label
             for row in self.rows
@@ -202,27 +193,36 @@ class Ablation(Result):
         largest = max(ran, key=lambda row: row.outcome.worst, default=None)
         if largest is not None and largest.outcome.worst > self.error:
             sentences.append(
-                f"The largest effect has {largest.removal.label}: without it the worst start is "
-                f"off by {metres(largest.outcome.worst)}."
+                f"The largest effect: without {largest.removal.label} the worst start is off by "
+                f"{metres(largest.outcome.worst)}."
             )
+        failed = [row for row in self.rows if row.outcome.failure]
+        sentences += [f"Without {r.removal.label} it fails: {r.outcome.failure}." for r in failed]
         return sentences
 
-    def _smallest(self) -> str:
+    def _smallest(self) -> list[str]:
         """What the smallest model goes without, and how good it is."""
         within = metres(self.error)
         if not self.removed:
-            return (
+            return [
                 f"No feature can be removed within {within}: each that costs work adds more error."
-            )
+            ]
         ratio = self.whole.cost / self.best.cost if self.best.cost > 0 else math.nan
-        faster = "" if math.isnan(ratio) else f" ({ratio:.2f}× as fast as measured here)"
-        names = "; ".join(removal.label for removal in self.removed)
-        return (
+        faster = "" if math.isnan(ratio) else f" and runs {ratio:.2f}× as fast here"
+        sentences = [
             f"The smallest model within {within} saves {percent(self.saved(self.best))} of the "
-            f"work{faster}. It goes without {names}. It adds {metres(self.best.outcome.worst)} in "
-            f"the worst start, and {metres(self.confirmed.worst)} in the worst of "
-            f"{len(self.confirmed.added)} starts that it was not chosen on."
-        )
+            f"work{faster}.",
+            f"It goes without {_listed(self.removed)}.",
+            f"It adds {metres(self.best.outcome.worst)} in the worst start, and "
+            f"{metres(self.confirmed.worst)} in the worst of {len(self.confirmed.added)} starts "
+            "that it was not chosen on.",
+        ]
+        if self.restored:
+            sentences.append(
+                "Other starts exceed the tolerance, so these were restored: "
+                f"{_listed(self.restored)}."
+            )
+        return sentences
 
     def __repr__(self) -> str:
         return (
@@ -231,5 +231,5 @@ class Ablation(Result):
         )
 
 
-def _small(value: float) -> str:
-    return "0" if value == 0 else f"{value:.2g}"
+def _listed(removals: list[Removal]) -> str:
+    return "; ".join(removal.label for removal in removals)

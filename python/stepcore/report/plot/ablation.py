@@ -68,7 +68,7 @@ def plot_ablation(result: Ablation, path: str | os.PathLike[str] | None = None) 
     ]
     work.set_yticks(places, [_short(name) for name in names], fontsize=8)
     work.set_xlim(right=1.25 * max(1.0, *(100 * result.saved(row) for row in rows)))
-    kind = "operations" if result.counted else "row updates"
+    kind = "operations" if result.by_flops else "row updates"
     work.set_xlabel(f"work saved [% of {kind}]")
     error.set_xlabel(f"RMS position error added [m]; dashed: {metres(result.error)}")
     error.tick_params(axis="y", length=0)
