@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import textwrap
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -45,6 +44,8 @@ class PostMortem(Result):
     >>> bool(again.energy[-1] > 1e9 * again.energy[0]), list(again.shares)
     (True, ['spring of joint `spring`'])
     """
+
+    kind = "postmortem"
 
     replay: Replay
     same: bool
@@ -111,12 +112,6 @@ class PostMortem(Result):
             "energy": self.energy,
             "work": self.work,
         }
-
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """Energy over the last steps, and what the leading elements fed in; needs matplotlib."""
-        from stepcore.report.plot.work import plot_work
-
-        return plot_work(self, path)
 
 
 def run_again(failure: Replay) -> PostMortem:

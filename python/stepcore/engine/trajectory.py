@@ -58,16 +58,16 @@ class Trajectory:
         """Draws the run over time; returns the matplotlib figure.
 
         Energy (kinetic, potential, total) and deepest overlap where they were recorded; else
-        everything that was. path: a file to save the picture to. Needs the extra "plot".
+        everything that was. path: a file to save the plot to. Needs the extra "plot".
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.drop())
         >>> sim.reset(key="start")
         >>> _ = sim.run(0.5, record=("energy", "overlap")).plot("drop.png")
         """
-        from stepcore.report.plot.trajectory import plot_trajectory
+        from stepcore.report.plot import plot
 
-        return plot_trajectory(self, path)
+        return plot("trajectory", self, path)
 
 
 def record_run(

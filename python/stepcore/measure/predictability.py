@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Unpack
@@ -49,6 +48,11 @@ class Predictability(Result):
     def time(self) -> float:
         """When the first of the starts can no longer be predicted [s]; inf beyond the horizon."""
         return self.growth.overall
+
+    @property
+    def limit(self) -> float:
+        """The growth of a perturbation at which a start is lost."""
+        return GROWTH
 
     @property
     def title(self) -> str:
@@ -121,15 +125,6 @@ class Predictability(Result):
             "limit": GROWTH,
             "nearby": NEARBY,
         }
-
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """Growth over time, one line a start; written to `path` if given. Needs matplotlib.
-
-        Returns the matplotlib Figure.
-        """
-        from stepcore.report.plot.growth import plot_growth
-
-        return plot_growth(self, path)
 
     def __repr__(self) -> str:
         return f"<Predictability of {self.name}: {self.time:.3g} s of {self.horizon:.3g} s>"

@@ -66,9 +66,14 @@ class Result(ABC):
         """What only this measurement has; what is no plain data is made so."""
         return {}
 
-    @abstractmethod
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """The picture; written to `path` if given. Needs matplotlib. Returns its Figure."""
+        """The plot as a matplotlib Figure; written to `path`, in the format of its extension.
+
+        Raises ImportError without matplotlib.
+        """
+        from stepcore.report.plot import plot
+
+        return plot(self.kind, self, path)
 
     def report(self, full: bool = False) -> Report:
         """The sentences, tables and notes; `full`: nothing is left out of the tables."""

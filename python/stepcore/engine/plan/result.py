@@ -135,12 +135,6 @@ class Plan(Result):
         """The whole step."""
         return {"at": self.at, "flops": self.flops, "stages": self.stages, "micros": self.micros}
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """Bars of what each entry costs; written to `path` if given. Needs matplotlib."""
-        from stepcore.report.plot.plan import plot_plan
-
-        return plot_plan(self, path)
-
     def __repr__(self) -> str:
         return f"<Plan of {self.name}: {len(self.used)} used, {len(self.left_out)} left out>"
 

@@ -147,12 +147,6 @@ class Ablation(Result):
             },
         }
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """Bars of work saved and error added; written to `path` if given. Needs matplotlib."""
-        from stepcore.report.plot.ablation import plot_ablation
-
-        return plot_ablation(self, path)
-
     def tables(self, full: bool) -> list[Table]:
         """The whole model, its features, the largest saving first, and the smallest model."""
         rows = [self.whole, *self.sorted(), self.best]

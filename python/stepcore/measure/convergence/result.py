@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
@@ -315,12 +314,6 @@ class Convergence(Result):
             "steps": self.steps.records,
             "work": self.work.records,
         }
-
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """Residual against sweeps, and the error of equal work. Needs matplotlib."""
-        from stepcore.report.plot.convergence import plot_convergence
-
-        return plot_convergence(self, path)
 
     def __repr__(self) -> str:
         return f"<Convergence of {self.name}: {self.verdict}>"

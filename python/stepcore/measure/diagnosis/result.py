@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import shutil
 import textwrap
 from dataclasses import dataclass, field
@@ -33,6 +32,8 @@ class Diagnosis(Result):
     stiffest first. advice: ways to the wanted step. physical: the fastest growth of the motion
     itself [1/s]. rate: growth at the wanted step that the integrator makes [1/s].
     """
+
+    kind = "diagnosis"
 
     name: str
     settings: Settings
@@ -186,12 +187,6 @@ class Diagnosis(Result):
             "sentences": self.sentences,
             "notes": self.notes,
         }
-
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """Bars: the largest stable dt of each element and of all together, by integrator."""
-        from stepcore.report.plot.diagnosis import plot_diagnosis
-
-        return plot_diagnosis(self, path)
 
 
 def wrapped(line: str, width: int | None) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -58,6 +57,8 @@ class StabilityMap(Result):
     values, dts [s]: the grid. horizon [s]. tolerance: a larger error is inaccurate. far: one
     beyond it has exploded. panels: one a setting.
     """
+
+    kind = "stability"
 
     name: str
     path: str
@@ -158,15 +159,6 @@ class StabilityMap(Result):
             }
         )
         return plain
-
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """The map, one panel a setting; written to `path` if given. Needs matplotlib.
-
-        Returns the matplotlib Figure.
-        """
-        from stepcore.report.plot.stability import plot_map
-
-        return plot_map(self, path)
 
     def __repr__(self) -> str:
         cells = sum(len(panel.cells) for panel in self.panels)

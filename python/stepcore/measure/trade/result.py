@@ -193,15 +193,6 @@ class Trade(Result):
         """
         return self.frontier.most_accurate(budget)
 
-    def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """The picture, cost against error; written to `path` if given. Needs matplotlib.
-
-        Returns the matplotlib Figure.
-        """
-        from stepcore.report.plot.frontier import plot_trade
-
-        return plot_trade(self, path)
-
     def details(self) -> dict[str, Any]:
         """The reference, what was asked for and is recommended, and MuJoCo's points."""
         chosen = self.recommended

@@ -1,55 +1,51 @@
-"""The picture of a convergence: residual against sweeps, and what equal work buys."""
+"""The plot of a convergence: residual against sweeps, and what equal work buys."""
 
 from __future__ import annotations
 
 import math
-import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stepcore.report.plot.style import COLOURS, GREY, bare, figure, saved
+from stepcore.report.plot.style import BLUE, GREEN, GREY, RED, SMALL, TEXT, frame, new_figure, say
 from stepcore.report.units import metres, seconds
 
 if TYPE_CHECKING:
     from stepcore.measure.convergence.result import Convergence
 
-COLD, WARM, WORK = COLOURS["rk4"], COLOURS["semi-implicit"], COLOURS["implicitfast"]
 # Residuals below this share of the largest are rounding.
 LEAST = 1e-13
 
 
-def plot_convergence(found: Convergence, path: str | os.PathLike[str] | None = None) -> Any:
-    """Draws a convergence; writes it to `path`, in the format of its extension.
+def draw(result: Convergence) -> Any:
+    """Left, the residual by sweeps; right, the error at equal row updates, as steps and sweeps.
 
-    Left: the median residual of the states by sweeps, from zero impulses and from
-    those of the step before, shaded up to the worst state; dashed: theory. Right: the error at
-    equal row updates, split into steps and sweeps. Returns the matplotlib Figure. Raises
-    ImportError without matplotlib.
+    Lines are the median of the states, from zero impulses and from those of the step before, shaded
+    up to the worst state; dashed is theory.
     """
-    drawn = figure(10.0, 4.4)
-    left, right = drawn.subplots(1, 2, width_ratios=(1.25, 1.0))
-    _sweeps(left, found)
-    _work(right, found)
-    return saved(drawn, path)
+    figure = new_figure(10.0, 4.4)
+    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    _sweeps(left, result)
+    _work(right, result)
+    return figure
 
 
-def _sweeps(axes: Any, found: Convergence) -> None:
-    table = found.sweeps
-    bare(axes, f"{found.name}: {found.verdict}")
+def _sweeps(axes: Any, result: Convergence) -> None:
+    table = result.sweeps
+    frame(axes, f"{result.name}: {result.verdict}")
     axes.set_xlabel("sweeps")
     axes.set_ylabel("residual [m/s]")
     if not len(table):
-        _say(axes, "no contact, limit or other row")
+        say(axes, "no contact, limit or other row")
         return
     sweeps = np.array(table["sweeps"], float)
     top = max(max(table["cold worst"]), max(table["warm worst"]), 1e-300)
-    for kind, colour, width in (("cold", COLD, 3.0), ("warm", WARM, 1.4)):
+    for kind, colour, width in (("cold", BLUE, 3.0), ("warm", RED, 1.4)):
         middle, worst = (np.maximum(table[name], LEAST * top) for name in (kind, f"{kind} worst"))
         axes.plot(sweeps, middle, color=colour, lw=width, marker="o", ms=3.5, label=f"{kind} start")
         axes.fill_between(sweeps, middle, worst, color=colour, alpha=0.18, lw=0)
-    _theory(axes, found, sweeps, top)
-    own = found.settings
+    _theory(axes, result, sweeps, top)
+    own = result.settings
     if own.solver == "pgs" and own.sweeps != "auto" and own.sweeps > 0:
         axes.axvline(own.sweeps, color=GREY, lw=1, ls=":", label=f"as shipped, {own.sweeps}")
     axes.set_xscale("log", base=2)
@@ -58,8 +54,10 @@ def _sweeps(axes: Any, found: Convergence) -> None:
     axes.set_ylim(0.5 * LEAST * top if _reaches(table, top) else None, 3 * top)
     done = [n for n in table if max(n["cold worst"], n["warm worst"]) <= LEAST * top]
     axes.set_xlim(0.8, 1.25 * (max(4 * done[0]["sweeps"], 8) if done else sweeps[-1]))
-    # Below, where nothing is drawn.
-    axes.legend(fontsize=8.5, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.14), ncols=2)
+    # Below, where nothing is figure.
+    axes.legend(
+        fontsize=SMALL, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.14), ncols=2
+    )
 
 
 def _reaches(table: Any, top: float) -> bool:
@@ -67,9 +65,9 @@ def _reaches(table: Any, top: float) -> bool:
     return min(min(table["cold"]), min(table["warm"])) <= LEAST * top
 
 
-def _theory(axes: Any, found: Convergence, sweeps: Any, top: float) -> None:
+def _theory(axes: Any, result: Convergence, sweeps: Any, top: float) -> None:
     """The slope that theory gives, through the slowest state's middle."""
-    theory, slowest = found.theory, found.slowest
+    theory, slowest = result.theory, result.slowest
     rate = theory.radius
     if slowest is None or rate is None or not 0 < rate < 1:
         return
@@ -82,45 +80,41 @@ def _theory(axes: Any, found: Convergence, sweeps: Any, top: float) -> None:
     grid = np.geomspace(sweeps[0], sweeps[-1], 400)
     line = 1.8 * cold[k] * rate ** (grid - sweeps[k])
     seen = (line > LEAST * top) & (line < 3 * top)
-    text = f"theory, {_percent(rate)} a sweep"
+    text = f"theory, {_share(rate)} per sweep"
     axes.plot(grid[seen], line[seen], color="black", lw=1.2, ls="--", label=text)
 
 
-def _percent(rate: float) -> str:
+def _share(rate: float) -> str:
     digits = 3 if rate < 0.99 else 2 + math.ceil(-math.log10(1 - rate))
     return f"{rate:.{digits}f}"
 
 
-def _work(axes: Any, found: Convergence) -> None:
-    bare(axes, "equal row updates, steps × sweeps")
+def _work(axes: Any, result: Convergence) -> None:
+    frame(axes, "equal row updates, steps × sweeps")
     axes.set_xlabel("RMS position error [m]")
-    splits = found.candidates.splits
-    runs = [found.runs[split.settings] for split in splits]
+    splits = result.candidates.splits
+    runs = [result.runs[split.settings] for split in splits]
     errors = [run.error for run in runs]
     known = [error for error in errors if math.isfinite(error) and error > 0]
     if not known:
-        _say(axes, "no run of these has an error")
+        say(axes, "all of these runs fail")
         return
-    solved = found.solved.error
+    solved = result.solved.error
     low = 0.3 * min([*known, *([solved] if solved > 0 else [])])
     high = 12 * max(known)
     for k, (run, error) in enumerate(zip(runs, errors, strict=True)):
         if run.failure:
             axes.text(low * 1.3, k, "fails", va="center", color=GREY)
             continue
-        axes.barh(k, max(error, low) - low, left=low, height=0.62, color=WORK)
+        axes.barh(k, max(error, low) - low, left=low, height=0.62, color=GREEN)
         box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
-        axes.text(max(error, low) * 1.15, k, metres(error), va="center", fontsize=9, bbox=box)
+        axes.text(max(error, low) * 1.15, k, metres(error), va="center", fontsize=TEXT, bbox=box)
     labels = [f"{s.steps} × {s.sweeps}\ndt {seconds(s.settings.dt)}" for s in splits]
-    axes.set_yticks(range(len(splits)), labels, fontsize=9)
+    axes.set_yticks(range(len(splits)), labels, fontsize=TEXT)
     axes.set_ylim(len(splits) - 0.4, -0.6)
     axes.set_xscale("log")
     axes.set_xlim(low, high)
     if math.isfinite(solved) and solved > 0:
-        text = f"dt {seconds(found.settings.dt)}, converged"
+        text = f"dt {seconds(result.settings.dt)}, converged"
         axes.axvline(solved, color="black", lw=1.2, ls="--", label=text)
-        axes.legend(fontsize=8.5, frameon=False, loc="upper right", bbox_to_anchor=(1.0, -0.14))
-
-
-def _say(axes: Any, text: str) -> None:
-    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color=GREY)
+        axes.legend(fontsize=SMALL, frameon=False, loc="upper right", bbox_to_anchor=(1.0, -0.14))

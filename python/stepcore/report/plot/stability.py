@@ -1,59 +1,54 @@
-"""The picture of a stability map: finite, inaccurate and exploded cells, and theory's boundary."""
+"""The plot of a stability map: finite, inaccurate and exploded cells, and theory's boundary."""
 
 from __future__ import annotations
 
 import math
-import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stepcore.report.plot.style import figure, saved
+from stepcore.report.plot.style import ORANGE, TITLE, legend, new_figure
 
 if TYPE_CHECKING:
     from stepcore.measure.stability.result import Panel, StabilityMap
 
 # By state. Light, middle, dark: distinct without colour too.
 FINITE = "finite"
-FILLS = {FINITE: "#A9D8F5", "inaccurate": "#E69F00", "exploded": "#4A3B52"}
+FILLS = {FINITE: "#A9D8F5", "inaccurate": ORANGE, "exploded": "#4A3B52"}
 UNJUDGED = "finite, not judged"
 COLUMNS = 3
 DASHES = (0, (4, 2))
 
 
-def plot_map(found: StabilityMap, path: str | os.PathLike[str] | None = None) -> Any:
-    """Draws one panel a setting, value across and dt up, both on log axes.
-
-    Written where `path` says, in the format of its ending. Returns the matplotlib Figure. Raises
-    ImportError without matplotlib.
-    """
-    count = len(found.panels)
+def draw(result: StabilityMap) -> Any:
+    """A panel for each setting, the value across and dt up, both on log axes."""
+    count = len(result.panels)
     columns = count if count <= COLUMNS else 2 if count == 4 else COLUMNS
     rows = math.ceil(count / columns)
-    drawn = figure(width=max(5.5, 3.0 * columns + 0.8), height=2.5 * rows + 1.5)
-    axes = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for panel, ax in zip(found.panels, axes.flat, strict=False):
-        _panel(ax, found, panel)
+    figure = new_figure(width=max(5.5, 3.0 * columns + 0.8), height=2.5 * rows + 1.5)
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for panel, ax in zip(result.panels, axes.flat, strict=False):
+        _panel(ax, result, panel)
     for ax in axes.flat[count:]:
         ax.set_visible(False)
     for k, ax in enumerate(axes.flat[:count]):
         if k + columns >= count:
-            ax.set_xlabel(found.words)
+            ax.set_xlabel(result.words)
             ax.tick_params(labelbottom=True)
         if k % columns == 0:
             ax.set_ylabel("dt [s]")
-    drawn.suptitle(_title(found), fontsize=11, x=0.01, ha="left")
-    _legend(drawn, found)
-    return saved(drawn, path)
+    figure.suptitle(_title(result), fontsize=TITLE, x=0.01, ha="left")
+    _legend(figure, result)
+    return figure
 
 
-def _panel(axes: Any, found: StabilityMap, panel: Panel) -> None:
+def _panel(axes: Any, result: StabilityMap, panel: Panel) -> None:
     from matplotlib.colors import ListedColormap
 
-    shape = (len(found.values), len(found.dts))
+    shape = (len(result.values), len(result.dts))
     states = list(FILLS)
     grid = np.array([states.index(cell.state) for cell in panel.cells]).reshape(shape).T
-    across, up = _edges(found.values), _edges(found.dts)
+    across, up = _edges(result.values), _edges(result.dts)
     colours = ListedColormap(list(FILLS.values()))
     axes.pcolormesh(across, up, grid, cmap=colours, vmin=-0.5, vmax=2.5, edgecolors="none")
     unknown = np.array([not c.judged and c.state == FINITE for c in panel.cells]).reshape(shape).T
@@ -65,11 +60,11 @@ def _panel(axes: Any, found: StabilityMap, panel: Panel) -> None:
     axes.set_xlim(across[0], across[-1])
     axes.set_ylim(up[0], up[-1])
     if panel.boundary is not None:
-        line = _line(found.values, across, up, panel.boundary)
+        line = _line(result.values, across, up, panel.boundary)
         # White under black shows on every fill.
         axes.plot(*line, color="white", lw=3.5, zorder=4, solid_capstyle="butt")
         axes.plot(*line, color="black", lw=1.5, ls=DASHES, zorder=4)
-    axes.set_title(_named(panel, found), loc="left", fontsize=9.5)
+    axes.set_title(_named(panel, result), loc="left", fontsize=9.5)
 
 
 def _line(
@@ -86,30 +81,30 @@ def _line(
     return np.concatenate([x, ends[:, 0]]), np.concatenate([y, ends[:, 1]])
 
 
-def _says(found: StabilityMap) -> list[str]:
-    """What the lines that are drawn mean, each once."""
-    return list(dict.fromkeys(p.says for p in found.panels if _drawn(p)))
+def _says(result: StabilityMap) -> list[str]:
+    """What the lines that are figure mean, each once."""
+    return list(dict.fromkeys(p.says for p in result.panels if _visible(p)))
 
 
-def _drawn(panel: Panel) -> bool:
+def _visible(panel: Panel) -> bool:
     """Whether its boundary crosses the picture: not where it is at any dt or at none."""
     return panel.boundary is not None and set(panel.boundary) not in ({0.0}, {np.inf})
 
 
-def _title(found: StabilityMap) -> str:
+def _title(result: StabilityMap) -> str:
     """What was measured, and what the dashed lines are, if they are all the same."""
-    title = f"{found.title}, {found.horizon:g} s"
-    says = _says(found)
+    title = f"{result.title}, {result.horizon:g} s"
+    says = _says(result)
     return f"{title}\ndashed, by theory: {says[0]}" if len(says) == 1 else title
 
 
-def _named(panel: Panel, found: StabilityMap) -> str:
+def _named(panel: Panel, result: StabilityMap) -> str:
     """The setting, and what its theory says: in words where there is no line to draw."""
     if panel.boundary and set(panel.boundary) == {0.0}:
         return f"{panel.label} (theory: grows at any dt)"
     if panel.boundary and set(panel.boundary) == {np.inf}:
         return f"{panel.label} (theory: never grows)"
-    if len(_says(found)) > 1:
+    if len(_says(result)) > 1:
         return f"{panel.label}\ndashed: {panel.says}"
     return panel.label
 
@@ -124,12 +119,10 @@ def _edges(points: Any) -> np.ndarray:
     return np.exp(np.concatenate([[first], middle, [last]]))
 
 
-def _legend(drawn: Any, found: StabilityMap) -> None:
+def _legend(figure: Any, result: StabilityMap) -> None:
     from matplotlib.patches import Patch
 
     entries: list[Any] = [Patch(fc=fill, ec="black", lw=0.4, label=s) for s, fill in FILLS.items()]
-    if any(not c.judged and c.state == FINITE for p in found.panels for c in p.cells):
+    if any(not c.judged and c.state == FINITE for p in result.panels for c in p.cells):
         entries.append(Patch(fc=FILLS[FINITE], ec="black", lw=0.4, hatch="///", label=UNJUDGED))
-    columns = len(entries) if len(entries) < 4 or drawn.get_figwidth() > 7 else 2
-    place = {"loc": "outside lower center", "ncols": columns}
-    drawn.legend(handles=entries, fontsize=9, frameon=False, **place)
+    legend(figure, entries, len(entries) if len(entries) < 4 or figure.get_figwidth() > 7 else 2)

@@ -1,12 +1,12 @@
-"""What all pictures share: colours, a blank figure, words in place."""
+"""What all plots share: colours, an empty figure, bars with numbers, legends, short names."""
 
 from __future__ import annotations
 
-import os
+from collections.abc import Sequence
 from typing import Any
 
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), in a fixed order so that an
-# integrator looks the same in every picture.
+# integrator has the same colour in every plot.
 COLOURS = {
     "rk4": "#0072B2",
     "implicitfast": "#009E73",
@@ -15,11 +15,15 @@ COLOURS = {
     "explicit": "#CC79A7",
     "midpoint": "#56B4E9",
 }
+BLUE, GREEN, ORANGE = COLOURS["rk4"], COLOURS["implicitfast"], COLOURS["euler"]
+RED = COLOURS["semi-implicit"]
 GREY = "#666666"
+# Font sizes [points].
+TITLE, TEXT, SMALL = 11, 9, 8
 
 
-def figure(width: float = 8.0, height: float = 4.8) -> Any:
-    """An empty figure [inches]; ImportError with the way out where matplotlib is missing."""
+def new_figure(width: float = 8.0, height: float = 4.8) -> Any:
+    """An empty figure [inches]; an ImportError that says what to install without matplotlib."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -27,18 +31,58 @@ def figure(width: float = 8.0, height: float = 4.8) -> Any:
     return Figure(figsize=(width, height), dpi=150, layout="constrained")
 
 
-def bare(axes: Any, title: str = "") -> None:
+def frame(axes: Any, title: str = "") -> None:
     """A light grid behind the points, no box around them, the title at the left."""
     axes.grid(True, which="major", color="#E5E5E5", lw=0.8)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     if title:
-        axes.set_title(title, loc="left", fontsize=11)
+        axes.set_title(title, loc="left", fontsize=TITLE)
 
 
-def saved(drawn: Any, path: str | os.PathLike[str] | None) -> Any:
-    """The figure, written where `path` says in the format of its ending."""
-    if path is not None:
-        drawn.savefig(path)
-    return drawn
+def bar(
+    axes: Any, place: float, value: float, colour: str, text: str = "", left: float = 0.0
+) -> None:
+    """A horizontal bar from `left` to `value`, and a text at its end; none where it is shorter."""
+    if value > left:
+        axes.barh(place, value - left, left=left, color=colour, height=0.7)
+    if text:
+        at = (max(value, left), place)
+        style = {"textcoords": "offset points", "va": "center", "fontsize": SMALL}
+        axes.annotate(text, at, (3, 0), **style)
+
+
+def name_places(axes: Any, names: Sequence[str], places: Sequence[float], letters: int) -> None:
+    """Names along the vertical axis, cut to so many letters."""
+    short = [name if len(name) <= letters else name[: letters - 1] + "…" for name in names]
+    axes.set_yticks(list(places), short, fontsize=SMALL)
+
+
+def patches(colours: dict[str, str]) -> list[Any]:
+    """Entries of a legend: names and the colours of their areas."""
+    from matplotlib.patches import Patch
+
+    return [Patch(color=colour, label=name) for name, colour in colours.items()]
+
+
+def line(label: str, **style: Any) -> Any:
+    """An entry of a legend: a line, or with `marker` and ls="none" a point."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=label, **style)
+
+
+def legend(figure: Any, entries: Sequence[Any] | None = None, columns: int = 0) -> None:
+    """The legend outside the axes: below them in so many columns, or at their right."""
+    place: dict[str, Any] = {"loc": "outside right center"}
+    if columns:
+        place = {"loc": "outside lower center", "ncols": columns}
+    if entries is not None:
+        place["handles"] = entries
+    figure.legend(fontsize=TEXT, frameon=False, **place)
+
+
+def say(axes: Any, text: str) -> None:
+    """A text in the middle of axes that have nothing else."""
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", color=GREY)

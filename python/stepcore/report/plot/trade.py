@@ -1,14 +1,22 @@
-"""The picture of a trade: log cost against log error. matplotlib is needed only here."""
+"""The plot of a trade: error against cost, on log axes."""
 
 from __future__ import annotations
 
 import math
-import os
 from typing import TYPE_CHECKING, Any
 
-from stepcore.report.plot.style import COLOURS, GREY, bare, figure, saved
+from stepcore.report.plot.style import (
+    COLOURS,
+    GREY,
+    SMALL,
+    TEXT,
+    frame,
+    legend,
+    line,
+    new_figure,
+)
 from stepcore.report.settings import label
-from stepcore.report.units import metres, seconds
+from stepcore.report.units import counted, metres, seconds
 
 if TYPE_CHECKING:
     from stepcore.measure.trade.result import Trade
@@ -21,16 +29,14 @@ THEIRS = "*"
 FAR = 1e4
 
 
-def plot_trade(trade: Trade, path: str | os.PathLike[str] | None = None) -> Any:
-    """Draws a trade; writes it where `path` says, in the format of its ending.
+def draw(trade: Trade) -> Any:
+    """A point for each setting; lines join those that no other beats, of each engine.
 
-    Colours are integrators, markers solvers, hollow ones single precision, stars MuJoCo; lines
-    join the settings that are best for their cost, of each engine; rings mark the shipped and the
-    recommended settings, crosses on the upper edge the failures. Returns the matplotlib Figure.
-    Raises ImportError without matplotlib.
+    Colours are integrators, markers solvers, hollow ones single precision, stars MuJoCo; rings mark
+    the shipped and the recommended settings, crosses on the upper edge the failures.
     """
-    drawn = figure(9.0, 5.2)
-    axes = drawn.add_subplot()
+    figure = new_figure(9.0, 5.2)
+    axes = figure.add_subplot()
     good, far = _split(trade)
     for row in good:
         _point(axes, trade, row)
@@ -50,10 +56,11 @@ def plot_trade(trade: Trade, path: str | os.PathLike[str] | None = None) -> Any:
     if error > low:
         axes.axhspan(low, error, color="#DDDDDD", zorder=0)
         text = f"below the reference's own error, {metres(error)}"
-        axes.text(0.01, error, text, transform=axes.get_yaxis_transform(), va="top", fontsize=8)
-    _words(axes, trade)
-    _legend(drawn, trade, good, bool(far))
-    return saved(drawn, path)
+        place = {"transform": axes.get_yaxis_transform(), "va": "top", "fontsize": SMALL}
+        axes.text(0.01, error, text, **place)
+    _label_axes(axes, trade)
+    _legend(figure, trade, good, bool(far))
+    return figure
 
 
 def _cost(trade: Trade, row: Row) -> float:
@@ -131,61 +138,61 @@ def _failures(axes: Any, trade: Trade, rows: list[Row], high: float) -> None:
 
 def _asked(axes: Any, trade: Trade) -> None:
     """The error or the budget that was asked for, as a dashed line."""
-    line = {"color": GREY, "ls": "--", "lw": 1.0, "zorder": 1}
+    dashed = {"color": GREY, "ls": "--", "lw": 1.0, "zorder": 1}
     if trade.target is not None:
-        axes.axhline(trade.target, **line)
-        text, at = f"{metres(trade.target)} asked for", (0.995, trade.target)
+        axes.axhline(trade.target, **dashed)
+        text, at = f"target {metres(trade.target)}", (0.995, trade.target)
         style: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "ha": "right"}
-        axes.text(*at, text, va="bottom", fontsize=8, color=GREY, **style)
+        axes.text(*at, text, va="bottom", fontsize=SMALL, color=GREY, **style)
     elif trade.budget is not None:
-        axes.axvline(trade.budget if trade.by == "flops" else trade.budget / 1e3, **line)
+        axes.axvline(trade.budget if trade.by == "flops" else trade.budget / 1e3, **dashed)
 
 
 def _rings(axes: Any, trade: Trade, good: list[Row]) -> None:
     """Rings about the shipped and the recommended settings, with their names."""
-    marked = [(trade.shipped, f"as shipped\ndt {seconds(trade.shipped.settings.dt)}", -1)]
+    marked = [(trade.shipped, f"as shipped\ndt {seconds(trade.shipped.settings.dt)}")]
     chosen = trade.recommended
     if chosen is not None and chosen is not trade.shipped:
         words = label(chosen.settings).replace(", dt", ",\ndt")
-        marked.append((chosen, f"recommended\n{words}", -1))
-    for row, text, _ in marked:
+        marked.append((chosen, f"recommended\n{words}"))
+    for row, text in marked:
         if row not in good:
             continue
         at = (_cost(trade, row), trade.error(row))
         axes.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6, zorder=5)
         # Below and left of the front there is nothing to cover.
         style: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "top"}
-        axes.annotate(text, at, (-9, -9), zorder=6, fontsize=9, **style)
+        axes.annotate(text, at, (-9, -9), zorder=6, fontsize=TEXT, **style)
 
 
-def _words(axes: Any, trade: Trade) -> None:
+def _label_axes(axes: Any, trade: Trade) -> None:
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.set_xlabel("computing time per simulated second [ms]")
     if trade.by == "flops":
         axes.set_xlabel("floating-point operations per simulated second")
-    axes.set_ylabel("error, rms over time and bodies, of the worst start [m]")
-    starts = f"{trade.starts} start" + "s" * (trade.starts != 1)
-    title = f"{trade.name}: error over {seconds(trade.horizon)} against cost, {starts}"
-    bare(axes, title)
+    axes.set_ylabel("RMS position error of the worst start [m]")
+    starts = counted(trade.starts, "start")
+    frame(axes, f"{trade.name}: error over {seconds(trade.horizon)} against cost, {starts}")
 
 
-def _legend(drawn: Any, trade: Trade, good: list[Row], failed: bool) -> None:
-    from matplotlib.lines import Line2D
-
-    def entry(name: str, marker: str, **style: Any) -> Any:
-        return Line2D([], [], marker=marker, ls="none", label=name, **({"ms": 6} | style))
-
+def _legend(figure: Any, trade: Trade, good: list[Row], failed: bool) -> None:
     used = {row.settings.integrator for row in trade.rows} | {p.integrator for p in trade.mujoco}
-    entries = [entry(name, "o", color=colour) for name, colour in COLOURS.items() if name in used]
     solvers = {row.settings.solver for row in good}
-    entries += [entry(name, m, color=GREY) for name, m in MARKERS.items() if name in solvers]
+    point: dict[str, Any] = {"ls": "none", "ms": 6}
+    hollow: dict[str, Any] = {"mfc": "white", "ls": "none"}
+    entries = [
+        line(name, marker="o", color=colour, **point)
+        for name, colour in COLOURS.items()
+        if name in used
+    ]
+    entries += [line(n, marker=m, color=GREY, **point) for n, m in MARKERS.items() if n in solvers]
     if any(row.settings.precision == "f32" for row in good):
-        entries.append(entry("single precision", "o", mfc="white", mec=GREY))
-    entries.append(Line2D([], [], color="black", lw=1.3, label="best for its cost"))
+        entries.append(line("single precision", marker="o", mec=GREY, ms=6, **hollow))
+    entries.append(line("best for its cost", color="black", lw=1.3))
     if trade.mujoco:
         name = f"MuJoCo {trade.mujoco[0].check.version}"
-        entries.append(entry(name, THEIRS, ms=11, mfc="white", mec="black"))
-        entries.append(Line2D([], [], color="black", lw=1.1, ls=":", label="its best"))
+        entries.append(line(name, marker=THEIRS, mec="black", ms=11, **hollow))
+        entries.append(line("MuJoCo's best for its cost", color="black", lw=1.1, ls=":"))
     if failed:
-        entries.append(entry("failed or far off", "x", color=GREY, mew=2))
-    drawn.legend(handles=entries, loc="outside right center", fontsize=9, frameon=False)
+        entries.append(line("failed or far off", marker="x", color=GREY, mew=2, **point))
+    legend(figure, entries)
