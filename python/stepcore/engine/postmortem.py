@@ -1,15 +1,14 @@
-"""`replay`: a failure once more, and what every element did on the way."""
+"""`PostMortem`: a failure that was run again, and the energy that each element added."""
 
 from __future__ import annotations
 
-import textwrap
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from stepcore import _core
-from stepcore._core import SimulationError
+from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, digest
 from stepcore.report.result import Result
 from stepcore.report.table import Table
@@ -20,19 +19,18 @@ if TYPE_CHECKING:
 # Steps, and elements, that are printed.
 PRINTED_STEPS = 12
 PRINTED_ELEMENTS = 5
-WIDTH = 100
 
 
 @dataclass(repr=False)
 class PostMortem(Result):
-    """A failure that was run again: its paragraph, and who fed energy in, step by step.
+    """A failure that was run again, and the energy that each element added in each step.
 
-    same: it failed in the same step with the same bits. time: after each step [s], shape (n,).
-    energy: of motion, springs and penalty contacts [J], before the first step and after each,
-    shape (n + 1,). work: by element, what it fed in in each step [J], shape (n,): work on the
-    motion and the change of what it stores, so that the sum of all is the change of the whole
-    energy, gravity's included; an exact motion of a conservative element feeds in nothing.
-    shares: its part of the growth, the largest first.
+    name: of the scene. same: it failed in the same step with the same bits. time: after each step
+    [s], shape (n,). energy: kinetic energy and that of springs and penalty contacts [J], before the
+    first step and after each, shape (n + 1,). work: by element, the energy that it added in each
+    step [J], shape (n,): its work on the motion and the change of what it stores. The sum over all
+    elements is the change of the whole energy, gravity's included; in an exact motion a
+    conservative element adds nothing. shares: each element's part of the growth, the largest first.
 
     >>> import stepcore as sc
     >>> sim = sc.Sim(sc.lesson.spring(), dt=0.1, integrator="explicit", ledger=True)
@@ -46,12 +44,20 @@ class PostMortem(Result):
     """
 
     kind = "postmortem"
+    units: ClassVar = {"energy": "J", "time": "s", "work": "J"}
 
+    name: str
     replay: Replay
     same: bool
     time: Floats
     energy: Floats
     work: dict[str, Floats]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def settings(self) -> Settings:
+        """The settings of the run."""
+        return self.replay.settings
 
     @property
     def paragraph(self) -> str:
@@ -67,7 +73,57 @@ class PostMortem(Result):
     @property
     def title(self) -> str:
         """What was run again."""
-        return f"Post-mortem{f' of {self.replay.name}' if self.replay.name else ''}"
+        return f"{self.name}: post-mortem"
+
+    @property
+    def sentences(self) -> list[str]:
+        """What the error said, and whether it came again."""
+        text = self.paragraph
+        step = self.replay.happened["step"]
+        again = f"The run fails again after {self.replay.steps} steps, with the same bits."
+        other = f"The run does not fail again in step {step} with the same bits."
+        said = [text[:1].upper() + text[1:].removesuffix(".") + ".", again if self.same else other]
+        if not len(self.time):
+            said.append(
+                "With ledger=True in its settings a run records the steps before a failure."
+            )
+        return said
+
+    @property
+    def table(self) -> Table:
+        """After each step: the energy and what each element added in the step [J]."""
+        return self._steps(list(self.work), len(self.time))
+
+    def tables(self, full: bool) -> list[Table]:
+        """The last steps, with the elements that matter most; `full`: all of both."""
+        if not len(self.time):
+            return []
+        names = self.leading(len(self.work) if full else PRINTED_ELEMENTS)
+        table = self._steps(names, len(self.time) if full else PRINTED_STEPS)
+        table.heading = "Kinetic and spring energy [J], and what each element added in the step [J]"
+        return [table]
+
+    def _steps(self, names: list[str], most: int) -> Table:
+        """The last steps as records."""
+        count = len(self.time)
+        first = self.replay.happened["step"] - count + 1
+        records = [
+            {"step": first + k, "energy": float(self.energy[k + 1])}
+            | {name: float(self.work[name][k]) for name in names}
+            for k in range(max(count - most, 0), count)
+        ]
+        return Table(records, ["step", "energy", *names], dict.fromkeys(names, ".3g"))
+
+    def details(self) -> dict[str, Any]:
+        """The recorded steps as arrays, and what happened."""
+        return {
+            "steps": self.replay.steps,
+            "same": self.same,
+            "happened": self.replay.happened,
+            "time": self.time,
+            "energy": self.energy,
+            "work": self.work,
+        }
 
     def leading(self, most: int) -> list[str]:
         """The elements that matter most: by their share, then by what they moved."""
@@ -78,40 +134,6 @@ class PostMortem(Result):
         rest = sorted((name for name in moved if name not in self.shares), key=lambda n: -moved[n])
         names = [name for name in self.shares if name in self.work]
         return (names + [name for name in rest if moved[name] > 0])[:most]
-
-    def text(self, width: int | None = None, full: bool = False) -> str:
-        """The paragraph, whether it came again, and the last steps as a table."""
-        lines = [self.title, "", textwrap.fill(self.paragraph, min(width or WIDTH, WIDTH)), ""]
-        happened = self.replay.happened
-        again = f"It fails again after {self.replay.steps} steps, with the same bits."
-        other = f"It does not fail again in step {happened['step']} with the same bits."
-        lines.append(again if self.same else other)
-        if len(self.time):
-            names = self.leading(PRINTED_ELEMENTS)
-            steps = happened["step"] - len(self.time) + np.arange(1, len(self.time) + 1)
-            records = [
-                {"after step": int(steps[k]), "energy J": float(self.energy[k + 1])}
-                | {name: float(self.work[name][k]) for name in names}
-                for k in range(max(len(self.time) - PRINTED_STEPS, 0), len(self.time))
-            ]
-            lines += ["", "Energy of motion and springs, and what was fed in per step [J]:", ""]
-            lines.append(Table(records, formats=dict.fromkeys(names, ".3g")).text(width))
-        else:
-            lines += ["", "Settings with ledger=True keep the steps before a failure as well."]
-        return "\n".join(lines)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Everything as plain data."""
-        return {
-            "name": self.replay.name,
-            "settings": self.replay.settings.as_dict(),
-            "steps": self.replay.steps,
-            "same": self.same,
-            "happened": self.replay.happened,
-            "time": self.time,
-            "energy": self.energy,
-            "work": self.work,
-        }
 
 
 def run_again(failure: Replay) -> PostMortem:
@@ -131,6 +153,7 @@ def run_again(failure: Replay) -> PostMortem:
     _put(sim, changes.get(failure.steps))
     elements = sorted({element for fed in steps for element in fed})
     return PostMortem(
+        name=failure.name or "scene",
         replay=failure,
         same=_fails(failure, sim),
         time=np.array(time),

@@ -54,7 +54,7 @@ def _sweeps(axes: Any, result: Convergence) -> None:
     axes.set_ylim(0.5 * LEAST * top if _reaches(table, top) else None, 3 * top)
     done = [n for n in table if max(n["cold worst"], n["warm worst"]) <= LEAST * top]
     axes.set_xlim(0.8, 1.25 * (max(4 * done[0]["sweeps"], 8) if done else sweeps[-1]))
-    # Below, where nothing is figure.
+    # Below, where nothing is drawn.
     axes.legend(
         fontsize=SMALL, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.14), ncols=2
     )

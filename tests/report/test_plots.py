@@ -1,0 +1,221 @@
+"""Plots: what each shows: what is on its axes and in which units, how many series, which names."""
+
+import math
+
+import pytest
+
+import stepcore as sc
+from stepcore import lesson
+
+FAST = {"threads": 1, "progress": False}
+
+
+@pytest.fixture(scope="module")
+def results():
+    """A result of each kind, made when it is first asked for."""
+    made = {}
+
+    def result(kind):
+        if kind not in made:
+            made[kind] = MADE[kind]()
+        return made[kind]
+
+    return result
+
+
+def failure():
+    sim = sc.Sim(lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)
+    sim.reset("start")
+    with pytest.raises(sc.SimulationError) as error:
+        sim.step(1000)
+    return sc.replay(error.value.replay)
+
+
+MADE = {
+    "trade": lambda: sc.trade(
+        lesson.spring(),
+        horizon=0.2,
+        starts=1,
+        dts=[0.005, 0.01],
+        integrators=["semi-implicit", "rk4"],
+        error=1e-3,
+        further=0,
+        by="flops",
+        **FAST,
+    ),
+    "ablation": lambda: sc.ablate(lesson.drop(), horizon=0.2, starts=1, **FAST),
+    "convergence": lambda: sc.converge(lesson.stack(), horizon=0.1, starts=1, states=2, **FAST),
+    "predictability": lambda: sc.predictability(lesson.spring(), horizon=0.5, starts=3, **FAST),
+    "stability": lambda: sc.stability_map(
+        "lesson:spring", values=[10, 100], dts=[0.01, 0.1], integrator=["euler", "rk4"], **FAST
+    ),
+    "plan": lambda: sc.plan(lesson.drop()),
+    "diagnosis": lambda: sc.diagnose(lesson.spring(), progress=False),
+    "postmortem": failure,
+}
+
+
+def labels(axes):
+    return axes.get_xlabel(), axes.get_ylabel()
+
+
+def names(figure):
+    """The entries of the figure's legends."""
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def ticks(axes):
+    return [text.get_text() for text in axes.get_yticklabels()]
+
+
+@pytest.mark.parametrize("kind", MADE)
+def test_every_result_draws_its_name_and_its_axes(results, tmp_path, kind):
+    result = results(kind)
+    figure = result.plot(tmp_path / "plot.svg")
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    titles += [figure.get_suptitle()]
+    assert any(title.startswith((result.name, result.title)) for title in titles)
+    assert all(any(labels(axes)) for axes in figure.axes if axes.get_visible())
+    assert "<svg" in (tmp_path / "plot.svg").read_text(encoding="utf-8")
+    assert kind == result.kind
+
+
+def test_a_trade_shows_error_against_cost(results):
+    trade = results("trade")
+    figure = trade.plot()
+    (axes,) = figure.axes
+    assert labels(axes) == (
+        "floating-point operations per simulated second",
+        "RMS position error of the worst start [m]",
+    )
+    assert axes.get_xscale() == axes.get_yscale() == "log"
+    points = {tuple(map(float, line.get_xydata()[0])) for line in axes.lines}
+    ran = [row for row in trade.rows if row.errors is not None]
+    assert len(ran) >= 4
+    assert {(float(trade.price(row)), float(trade.error(row))) for row in ran} <= points
+    assert {"rk4", "semi-implicit", "pgs", "best for its cost"} <= set(names(figure))
+    texts = [text.get_text() for text in axes.texts]
+    assert any(text.startswith("as shipped\ndt ") for text in texts)
+    assert any(text.startswith("recommended\nrk4") for text in texts)
+    assert "target 1 mm" in texts
+
+
+def test_an_ablation_shows_a_bar_for_each_feature(results):
+    ablation = results("ablation")
+    figure = ablation.plot()
+    work, error = figure.axes
+    assert work.get_xlabel() == "work saved [% of operations]"
+    assert error.get_xlabel() == "RMS position error added [m]; dashed: 1 mm"
+    assert error.get_xscale() == "log"
+    features = [row for row in ablation.rows if row.outcome.failure is None]
+    assert len(ticks(work)) == len(features) + 1
+    assert {row.removal.label[:45] for row in features} == {name[:45] for name in ticks(work)[1:]}
+    assert names(figure) == ["not needed within 1 mm", "kept", "the smallest model"]
+    widths = sorted(bar.get_width() for bar in work.patches)
+    saved = sorted(100 * ablation.saved(row) for row in [ablation.best, *features])
+    assert widths == pytest.approx([share for share in saved if share > 0])
+
+
+def test_a_convergence_shows_residual_by_sweeps_and_error_of_equal_work(results):
+    convergence = results("convergence")
+    figure = convergence.plot()
+    sweeps, work = figure.axes
+    assert labels(sweeps) == ("sweeps", "residual [m/s]")
+    assert work.get_xlabel() == "RMS position error [m]"
+    assert {"cold start", "warm start"} <= {line.get_label() for line in sweeps.lines}
+    cold = next(line for line in sweeps.lines if line.get_label() == "cold start")
+    assert list(cold.get_xdata()) == convergence.sweeps["sweeps"]
+    splits = convergence.candidates.splits
+    assert [name.split("\n")[0] for name in ticks(work)] == [
+        f"{split.steps} × {split.sweeps}" for split in splits
+    ]
+
+
+def test_a_predictability_shows_a_line_for_each_start(results):
+    found = results("predictability")
+    figure = found.plot()
+    (axes,) = figure.axes
+    assert labels(axes) == ("time [s]", "growth of a perturbation")
+    assert axes.get_yscale() == "log" and axes.get_xlim() == (0, found.horizon)
+    starts = [line for line in axes.lines if len(line.get_xdata()) > 2]
+    assert len(starts) == 3
+    assert starts[0].get_ydata()[1:] == pytest.approx(found.growth.factor[0])
+    assert names(figure) == ["start 0, the keyframe", "other starts"]
+    assert [text.get_text() for text in axes.texts] == ["above 1000: not predictable"]
+
+
+def test_a_stability_map_shows_a_panel_for_each_setting(results):
+    found = results("stability")
+    figure = found.plot()
+    assert [axes.get_title(loc="left").split("\n")[0] for axes in figure.axes] == [
+        panel.label for panel in found.panels
+    ]
+    assert figure.axes[0].get_ylabel() == "dt [s]"
+    assert all(axes.get_xlabel() == found.words for axes in figure.axes)
+    assert names(figure) == ["finite", "inaccurate", "exploded"]
+    for axes, panel in zip(figure.axes, found.panels, strict=True):
+        (mesh,) = axes.collections
+        shown = mesh.get_array().reshape(2, 2).T.ravel()
+        states = ["finite", "inaccurate", "exploded"]
+        assert [states[int(code)] for code in shown] == [cell.state for cell in panel.cells]
+        # By theory, white under black.
+        assert len(axes.lines) == 2
+
+
+def test_a_plan_shows_the_cost_of_each_entry(results):
+    plan = results("plan")
+    figure = plan.plot()
+    (axes,) = figure.axes
+    assert axes.get_xlabel() == "floating-point operations per step"
+    costs = {entry.name: entry.flops for entry in plan.used if entry.flops is not None}
+    assert set(ticks(axes)) == set(costs)
+    drawn = [bar.get_width() for bar in axes.patches]
+    assert drawn == pytest.approx([cost for cost in costs.values() if cost > 0])
+    assert set(names(figure)) <= {"place", "detect", "solve", "commit"} and names(figure)
+    timed = sc.plan(lesson.drop(), time=True).plot()
+    assert timed.axes[0].get_xlabel() == "time per step [µs]"
+
+
+def test_a_diagnosis_shows_the_largest_stable_dt_of_each_element(results):
+    diagnosis = results("diagnosis")
+    figure = diagnosis.plot()
+    (axes,) = figure.axes
+    assert axes.get_xlabel() == "largest stable dt" and axes.get_xscale() == "log"
+    assert len(ticks(axes)) == len(diagnosis.table) + 1 and ticks(axes)[-1] == "all together"
+    assert names(figure)[: len(diagnosis.limits)] == list(diagnosis.limits)
+    assert names(figure)[-1] == "no limit" and names(figure)[-2].startswith("dt ")
+    left = axes.get_xlim()[0]
+    ends = {round(left + bar.get_width(), 9) for bar in axes.patches}
+    finite = [limit.dt for limit in diagnosis.limits.values() if 0 < limit.dt < math.inf]
+    assert finite and {round(dt, 9) for dt in finite} <= ends
+
+
+def test_a_postmortem_shows_energy_and_what_each_element_added(results):
+    again = results("postmortem")
+    figure = again.plot()
+    above, below = figure.axes
+    assert above.get_ylabel() == "kinetic and spring\nenergy [J]"
+    assert labels(below) == ("step", "energy added per step,\npart of that energy")
+    assert names(figure)[0] == "spring of joint spring (100 % of the growth)"
+    (energy,) = above.lines
+    assert energy.get_ydata()[-1] == pytest.approx(math.log10(again.energy[-1]))
+
+
+def test_a_run_shows_its_energies_and_its_overlap(tmp_path):
+    sim = sc.Sim(lesson.drop())
+    sim.reset("start")
+    run = sim.run(0.1, record=("energy", "overlap"))
+    above, below = run.plot(tmp_path / "run.png").axes
+    assert above.get_ylabel() == "energy [J]"
+    assert labels(below) == ("time [s]", "deepest overlap [m]")
+    assert [line.get_label() for line in above.lines] == ["kinetic", "potential", "total"]
+    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+    both = sim.run(0.1, record=("qpos", "residual")).plot().axes
+    assert [axes.get_ylabel() for axes in both] == ["qpos", "residual [m/s]"]
+
+
+def test_a_page_holds_the_plot_and_the_tables(results, tmp_path):
+    for kind in ("predictability", "postmortem"):
+        page = results(kind).to_html(tmp_path / "page.html")
+        assert "data:image/svg+xml;base64," in page and "<table" in page and "<pre" not in page
+        assert (tmp_path / "page.html").read_text(encoding="utf-8") == page
