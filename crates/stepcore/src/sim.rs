@@ -189,7 +189,7 @@ impl Effort {
     fn note<R: Real>(&mut self, report: &Report<R>) {
         let lanes = 0..R::LANES;
         self.sweeps = lanes.clone().map(|lane| report.sweeps.lane(lane) as u32).max().unwrap_or(0);
-        self.row_updates += lanes.clone().map(|lane| report.updates.lane(lane) as u64).sum::<u64>();
+        self.row_updates += lanes.clone().map(|lane| report.updates.lane(lane)).sum::<u64>();
         self.decrement = lanes.map(|lane| report.decrement.lane(lane)).fold(0.0, f64::max);
     }
 }

@@ -25,6 +25,8 @@ impl LaneMask {
 }
 
 impl Mask for LaneMask {
+    const LANES: usize = WIDTH;
+
     fn of(value: bool) -> Self {
         Self([value; WIDTH])
     }
@@ -44,8 +46,13 @@ impl Mask for LaneMask {
     fn any(self) -> bool {
         self.0.iter().any(|a| *a)
     }
+    #[inline(always)]
     fn lane(self, lane: usize) -> bool {
         self.0[lane]
+    }
+    #[inline(always)]
+    fn from_lanes(value: impl Fn(usize) -> bool) -> Self {
+        Self(core::array::from_fn(value))
     }
 }
 

@@ -15,11 +15,13 @@ use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAss
 use nalgebra::Scalar;
 use num_traits::{One, Zero};
 
+mod count;
 mod counted;
 mod dual;
 mod lanes;
 mod stage;
 
+pub use count::Count;
 pub use counted::{Counted, FUNCTION};
 pub use dual::{Dual, WAYS};
 pub use lanes::{LaneMask, Lanes, WIDTH};
@@ -27,6 +29,8 @@ pub use stage::Stage;
 
 /// One truth value a lane.
 pub trait Mask: Copy + Debug + Send + Sync + 'static {
+    const LANES: usize;
+
     /// The same truth value in every lane.
     fn of(value: bool) -> Self;
     fn and(self, other: Self) -> Self;
@@ -40,6 +44,7 @@ pub trait Mask: Copy + Debug + Send + Sync + 'static {
         self.not().none()
     }
     fn lane(self, lane: usize) -> bool;
+    fn from_lanes(value: impl Fn(usize) -> bool) -> Self;
 }
 
 /// The closed set of operations a stage may use.
@@ -127,6 +132,8 @@ pub trait Real:
 }
 
 impl Mask for bool {
+    const LANES: usize = 1;
+
     fn of(value: bool) -> Self {
         value
     }
@@ -150,8 +157,13 @@ impl Mask for bool {
     fn all(self) -> bool {
         self
     }
+    #[inline(always)]
     fn lane(self, _: usize) -> bool {
         self
+    }
+    #[inline(always)]
+    fn from_lanes(value: impl Fn(usize) -> bool) -> Self {
+        value(0)
     }
 }
 

@@ -1,19 +1,19 @@
 //! Interval rows that are alone in their island: one update is the whole solution.
 
 use super::dot::dot;
-use super::pgs::Report;
+use super::islands::row_count;
+use super::limits::Report;
 use super::rows::{Rows, Set};
 use crate::real::{Mask, Real};
 
 impl<R: Real> Rows<R> {
     /// Lanes in which the blocks are one interval row.
     pub(super) fn alone(&self, blocks: &[usize]) -> R::Mask {
-        let (mut count, mut interval) = (R::zero(), R::Mask::of(true));
+        let mut interval = R::Mask::of(true);
         for block in blocks.iter().map(|b| &self.blocks[*b]) {
-            count = R::select(block.mask, count + R::of(block.rows.len as f64), count);
             interval = interval.and(block.mask.not().or(R::Mask::of(block.set == Set::Interval)));
         }
-        interval.and(count.le(R::one()))
+        interval.and(row_count(self, blocks).at_most(1))
     }
 
     /// Solves rows that are `alone`, each by its one update.
@@ -55,8 +55,8 @@ impl<R: Real> Rows<R> {
         let mask = block.mask;
         self.solve_alone(dof_lists, inv_d, &[0], mask);
         let mut report = Report::new();
-        report.sweeps = R::select(mask, R::one(), R::zero());
-        report.updates = report.sweeps;
+        report.sweeps.add(mask, 1);
+        report.updates.add(mask, 1);
         report.open = R::Mask::of(!exact).and(mask);
         Some(report)
     }

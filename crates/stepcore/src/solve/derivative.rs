@@ -17,7 +17,8 @@
 mod active;
 mod factor;
 
-use super::pgs::{Order, Report};
+use super::islands::Islands;
+use super::limits::Report;
 use super::rows::{Block, Row, Rows};
 use super::solver::{Solve, Solvers, Unconstrained};
 use crate::error::Result;
@@ -232,11 +233,11 @@ impl Given {
         let report = solvers.solve(settings, free, &mut rows)?;
         let mut islands = Vec::new();
         if !report.open {
-            let mut order = Order::default();
+            let mut order = Islands::default();
             order.sort(&rows.blocks);
             let mut matrix = Matrix::new(&rows, dof_lists, inv_d);
-            for island in 0..order.ends.len() {
-                let blocks = order.blocks[order.island(island)].iter();
+            for island in 0..order.count() {
+                let blocks = order.of(island).iter();
                 let blocks = blocks.map(|at| &rows.blocks[*at]).filter(|block| block.mask);
                 let directions = matrix.directions(blocks);
                 let factors = Factors::of(matrix.of(&directions), directions.len());

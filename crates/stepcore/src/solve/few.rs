@@ -9,13 +9,14 @@
 //! primal method, whose line search cannot.
 
 use super::dot::dot;
-use super::pgs::Report;
+use super::islands::row_count;
+use super::limits::Report;
 use super::rows::{Rows, Set};
-use crate::real::{Mask, Real};
+use crate::real::{Count, Mask, Real};
 use crate::room::room;
 
 /// An island of more rows is not few.
-const MOST: usize = 16;
+const MOST: u64 = 16;
 /// A pivot this small beside its diagonal would cost too many digits: rows that are nearly
 /// copies with a tiny regulariser go to the primal method, which sees each by itself.
 const PIVOT: f64 = 1e-5;
@@ -75,14 +76,13 @@ impl<R: Real> Few<R> {
     /// Lanes in which all rows of these blocks are intervals, and few. A lane's own rows
     /// decide, whatever its neighbours have.
     pub fn fits(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
-        let (mut fits, mut count) = (R::Mask::of(true), R::zero());
+        let mut fits = R::Mask::of(true);
         for block in blocks.iter().map(|b| &rows.blocks[*b]) {
-            count = R::select(block.mask, count + R::of(block.rows.len as f64), count);
             if block.set != Set::Interval {
                 fits = fits.and(block.mask.not());
             }
         }
-        fits.and(count.le(R::of(MOST as f64)))
+        fits.and(row_count(rows, blocks).at_most(MOST))
     }
 
     /// Solves an island in the lanes `mine`; `rows.u` and the impulses as for the other
@@ -95,20 +95,20 @@ impl<R: Real> Few<R> {
         report: &mut Report<R>,
     ) -> R::Mask {
         self.take(island, rows, mine);
-        let (mut live, mut count) = (R::Mask::of(false), R::zero());
+        let (mut live, mut count) = (R::Mask::of(false), Count::ZERO);
         for mask in &self.masks {
             live = live.or(*mask);
-            count = R::select(*mask, count + R::one(), count);
+            count.add(*mask, 1);
         }
-        let (mut done, mut unsolved) = (R::zero(), R::Mask::of(false));
+        let (mut done, mut unsolved) = (Count::ZERO, R::Mask::of(false));
         self.slacks();
         self.classify(rows, live);
         for _ in 0..GUESSES {
             if live.none() {
                 break;
             }
-            done = R::select(live, done + R::one(), done);
-            report.updates = R::select(live, report.updates + count, report.updates);
+            done.add(live, 1);
+            report.updates.add_each(live, &count);
             let (moved, poor) = self.step(rows, live);
             unsolved = unsolved.or(poor);
             live = live.and(poor.not());
@@ -116,7 +116,7 @@ impl<R: Real> Few<R> {
             let changed = self.classify(rows, live);
             live = live.and(changed).and(moved);
         }
-        report.sweeps = report.sweeps.max(done);
+        report.sweeps.raise(&done);
         let unsolved = unsolved.or(live);
         self.give(island, rows, mine.and(unsolved.not()));
         unsolved

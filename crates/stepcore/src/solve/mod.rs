@@ -10,8 +10,10 @@ mod equality;
 mod exact;
 mod few;
 mod implicit;
+mod islands;
 mod law;
 mod limit;
+mod limits;
 mod loss;
 mod momentum;
 mod newton;
@@ -23,7 +25,7 @@ mod solver;
 mod tests;
 
 pub(crate) use derivative::Differentiated;
-pub(crate) use pgs::Report;
+pub(crate) use limits::Report;
 pub use rows::{Block, Row, Rows, Set, Situation};
 pub(crate) use solver::{Solve, Solvers, Unconstrained};
 

@@ -24,7 +24,7 @@
 
 use super::cone::project_round;
 use super::dot::dot;
-use super::rows::{Row, Rows, Set};
+use super::rows::{Row, Rows, Set, CONE};
 use crate::real::{Mask, Real};
 use crate::room::{listed, room, Room};
 
@@ -367,9 +367,9 @@ impl<R: Real> Momentum<R> {
                 }
                 continue;
             }
-            let mut free = [R::zero(); 3];
-            for (free, (old, p)) in free.iter_mut().zip(old.clone()) {
-                *free = *old + along(tau, p);
+            let mut free = [R::zero(); CONE];
+            for (i, (old, p)) in old.clone().enumerate() {
+                free[i] = *old + along(tau, p);
             }
             let ends = free.into_iter().zip(project_round(block.mu, free));
             for (((row, x), (old, _)), (free, new)) in rows.zip(out).zip(old).zip(ends) {

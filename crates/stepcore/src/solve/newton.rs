@@ -12,17 +12,18 @@ mod penalty;
 mod system;
 
 use super::few::{Few, Island};
-use super::pgs::{alive, Limits, Order, Report};
+use super::islands::{alive, Islands};
+use super::limits::{Limits, Report};
 use super::rows::{Rows, Set};
 use crate::error::{Error, Result};
-use crate::real::{Mask, Real};
+use crate::real::{Count, Mask, Real};
 use crate::room::room;
 use hessian::Pattern;
 use system::System;
 
 /// The method's memory; one a world or pack of lanes.
 pub struct Newton<R: Real> {
-    order: Order,
+    islands: Islands,
     /// By island.
     patterns: Vec<Pattern>,
     present: Vec<usize>,
@@ -30,7 +31,7 @@ pub struct Newton<R: Real> {
     few: Few<R>,
 }
 
-room!(Newton<R>: present; order, patterns, system, few);
+room!(Newton<R>: present; islands, patterns, system, few);
 
 impl<R: Real> Default for Newton<R> {
     fn default() -> Self {
@@ -41,7 +42,7 @@ impl<R: Real> Default for Newton<R> {
 impl<R: Real> Newton<R> {
     pub fn new() -> Self {
         Self {
-            order: Order::default(),
+            islands: Islands::default(),
             patterns: Vec::new(),
             present: Vec::new(),
             system: System::new(),
@@ -64,14 +65,14 @@ impl<R: Real> Newton<R> {
     ) -> Result<Report<R>> {
         check(rows)?;
         let mut report: Report<R> = Report::new();
-        self.order.sort(&rows.blocks);
-        if self.patterns.len() < self.order.ends.len() {
-            self.patterns.resize_with(self.order.ends.len(), Pattern::default);
+        self.islands.sort(&rows.blocks);
+        if self.patterns.len() < self.islands.count() {
+            self.patterns.resize_with(self.islands.count(), Pattern::default);
         }
-        for island in 0..self.order.ends.len() {
+        for island in 0..self.islands.count() {
             self.present.clear();
-            let blocks = &self.order.blocks[self.order.island(island)];
-            self.present.extend(blocks.iter().copied().filter(|b| {
+            let blocks = self.islands.of(island).iter();
+            self.present.extend(blocks.copied().filter(|b| {
                 let block = &rows.blocks[*b];
                 block.rows.len > 0 && block.mask.any()
             }));
@@ -83,8 +84,10 @@ impl<R: Real> Newton<R> {
             if alone.any() {
                 rows.solve_alone(dof_lists, inv_d, &self.present, alone);
                 let mine = alone.and(present);
-                report.sweeps = R::select(mine, report.sweeps.max(R::one()), report.sweeps);
-                report.updates = R::select(mine, report.updates + R::one(), report.updates);
+                let mut once = Count::ZERO;
+                once.add(mine, 1);
+                report.sweeps.raise(&once);
+                report.updates.add(mine, 1);
                 if present.and(alone.not()).none() {
                     continue;
                 }

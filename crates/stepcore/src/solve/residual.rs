@@ -6,7 +6,7 @@
 
 use super::cone::{norm, project_box, project_round};
 use super::dot::dot;
-use super::rows::{Block, Row, Rows, Set};
+use super::rows::{Block, Row, Rows, Set, CONE};
 use crate::real::{Mask, Real};
 
 impl<R: Real> Rows<R> {
@@ -33,8 +33,8 @@ impl<R: Real> Rows<R> {
             }
             return;
         }
-        let (mut w, mut impulse, mut s) = ([R::zero(); 3], [R::zero(); 3], R::zero());
-        for (i, row) in rows.iter().enumerate().take(3) {
+        let (mut w, mut impulse, mut s) = ([R::zero(); CONE], [R::zero(); CONE], R::zero());
+        for (i, row) in rows.iter().enumerate() {
             w[i] = self.slack(dof_lists, row);
             impulse[i] = row.impulse;
             s = s.max(row.a + row.c);
@@ -50,7 +50,7 @@ impl<R: Real> Rows<R> {
             Set::CoulombBox => project_box(block.mu, moved),
             _ => project_round(block.mu, moved),
         };
-        for (i, at) in range.enumerate().take(3) {
+        for (i, at) in range.enumerate() {
             each(at, impulse[i] - nearest[i], s);
         }
     }

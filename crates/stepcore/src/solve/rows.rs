@@ -39,6 +39,10 @@ pub struct Row<R: Real> {
     pub gap: R,
 }
 
+/// The most rows of a block that is a cone: the normal and two tangents. Blocks of intervals
+/// may have any number.
+pub(super) const CONE: usize = 3;
+
 /// The law that ties a block's impulses to its residual velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Set {
@@ -228,6 +232,7 @@ impl<R: Real> Rows<R> {
         element: Element,
     ) -> &mut Block<R> {
         let rows = Span { start: first, len: self.rows.len() - first };
+        assert!(set == Set::Interval || rows.len <= CONE, "a cone of {} rows", rows.len);
         self.blocks.push(Block {
             rows,
             set,

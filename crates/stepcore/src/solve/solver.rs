@@ -1,12 +1,13 @@
-//! Which solver the settings ask for, and how long it may run.
+//! Which solver the settings ask for.
 
+use super::limits::{Limits, Report};
 use super::newton::Newton;
-use super::pgs::{Limits, Pgs, Report};
+use super::pgs::Pgs;
 use super::rows::Rows;
 use crate::error::Result;
 use crate::real::Real;
 use crate::room::{room, Room};
-use crate::settings::{Acceleration, Law, Settings, Solver, Sweeps};
+use crate::settings::{Settings, Solver};
 
 /// The motion without rows, in factored coordinates.
 #[derive(Clone, Copy)]
@@ -70,19 +71,5 @@ impl<R: Real> Solve<R> for Solvers<R> {
             }
         }
         Ok(self.pgs.solve(dof_lists, inv_d, rows, limits))
-    }
-}
-
-impl Limits {
-    pub fn of(settings: &Settings) -> Self {
-        let sweeps = settings.sweeps.limit();
-        Self {
-            sweeps,
-            tolerance: settings.tolerance,
-            // By the law and not by the rows at hand, so that a lane equals its world alone.
-            momentum: settings.acceleration == Acceleration::Momentum && !settings.law.on_guess(),
-            exact: sweeps > 0 && settings.tolerance > 0.0 && settings.law != Law::Relaxed,
-            rounding: settings.sweeps == Sweeps::Auto,
-        }
     }
 }

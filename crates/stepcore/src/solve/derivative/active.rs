@@ -10,13 +10,11 @@
 //! - A tangent of a box at its bound ±μn follows the normal, and one within keeps w = 0.
 
 use super::super::dot::dot;
-use super::super::rows::{Block, Rows, Set};
+use super::super::rows::{Block, Rows, Set, CONE};
 use crate::real::{Dual, WAYS};
 
 /// The surface of a cone is met up to this many roundings.
 const ON_SURFACE: f64 = 8.0;
-/// Rows of a cone.
-const CONE: usize = 3;
 
 /// A free direction of one block.
 #[derive(Clone, Copy, Debug)]

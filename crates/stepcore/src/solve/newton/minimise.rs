@@ -3,11 +3,12 @@
 use super::hessian::Pattern;
 use super::penalty::interval;
 use super::system::{padded, System};
-use crate::real::{Mask, Real};
+use crate::real::{Count, Mask, Real};
 use crate::solve::cone::project_round;
 use crate::solve::dot::dot;
-use crate::solve::pgs::{Limits, Report};
-use crate::solve::rows::{Rows, Set};
+use crate::solve::islands::row_count;
+use crate::solve::limits::{Limits, Report};
+use crate::solve::rows::{Rows, Set, CONE};
 
 /// A step this many roundings long is rounding.
 const ROUNDING: f64 = 4.0;
@@ -35,12 +36,12 @@ impl<R: Real> System<R> {
     ) -> R::Mask {
         let zero = R::zero();
         let mut full = R::Mask::of(false);
-        let (mut done, mut last) = (zero, R::of(f64::INFINITY));
+        let (mut done, mut last) = (Count::ZERO, R::of(f64::INFINITY));
         self.decrement = zero;
         self.fresh = full;
         let tiny = |factor: f64| R::of(factor * factor * R::EPSILON * R::EPSILON);
-        let (lightest, count) = sizes(blocks, rows);
-        let bound = R::of(limits.tolerance * limits.tolerance) * lightest;
+        let count = row_count(rows, blocks);
+        let bound = R::of(limits.tolerance * limits.tolerance) * lightest(blocks, rows);
         for _ in 0..limits.sweeps {
             let (changed, scale) = self.laws(pattern, blocks, rows, live);
             self.moved = false;
@@ -75,8 +76,8 @@ impl<R: Real> System<R> {
             }
             self.moved = true;
             full = live.and(alpha.ge(R::one())).and(alpha.le(R::one()));
-            done = R::select(live, done + R::one(), done);
-            report.updates = R::select(live, report.updates + count, report.updates);
+            done.add(live, 1);
+            report.updates.add_each(live, &count);
             self.decrement = R::select(live, part(fall), self.decrement);
             self.floor = R::select(live, floor, self.floor);
             last = R::select(live, fall, last);
@@ -84,7 +85,7 @@ impl<R: Real> System<R> {
         }
         // An unfinished lane has nothing to refine.
         self.fresh = self.fresh.and(live.not());
-        report.sweeps = report.sweeps.max(done);
+        report.sweeps.raise(&done);
         live
     }
 
@@ -125,7 +126,7 @@ impl<R: Real> System<R> {
                 }
                 self.bent.clear();
                 self.bent.resize(len, R::zero());
-                for j in 0..own.len().min(3) {
+                for j in 0..own.len() {
                     for (bent, y) in self.bent.iter_mut().zip(y(j)) {
                         *bent += curve[j] * *y;
                     }
@@ -174,7 +175,7 @@ impl<R: Real> System<R> {
         }
         let (mut lo, mut hi) = (zero, R::of(f64::INFINITY));
         for _ in 0..TRIALS {
-            let (slope, curve) = self.along(blocks, rows, alpha);
+            let (slope, curve) = self.bend_at(blocks, rows, alpha);
             let (slope, curve) = (slope + first + alpha * second, curve + second);
             live = live.and(slope.abs().le(R::of(FLAT) * fall).not());
             if live.none() {
@@ -193,7 +194,7 @@ impl<R: Real> System<R> {
     }
 
     /// The rows' part of the slope and the curvature at u + α step.
-    fn along(&self, blocks: &[usize], rows: &Rows<R>, alpha: R) -> (R, R) {
+    fn bend_at(&self, blocks: &[usize], rows: &Rows<R>, alpha: R) -> (R, R) {
         let (mut slope, mut curve) = (R::zero(), R::zero());
         let mut at = 0;
         for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
@@ -211,7 +212,7 @@ impl<R: Real> System<R> {
             }
             let (w, v) = (padded(&self.w[range.clone()]), padded(&self.along[range]));
             let (impulse, bend) = self.cones[b].law(core::array::from_fn(|i| w[i] + alpha * v[i]));
-            for i in 0..3 {
+            for i in 0..CONE {
                 slope = R::select(block.mask, slope - impulse[i] * v[i], slope);
                 let bent = bend[i][0] * v[0] + bend[i][1] * v[1] + bend[i][2] * v[2];
                 curve = R::select(block.mask, curve + bent * v[i], curve);
@@ -235,7 +236,7 @@ impl<R: Real> System<R> {
         if self.moved {
             self.laws(pattern, blocks, rows, R::Mask::of(false));
         }
-        self.place(pattern, blocks, rows);
+        self.follow(pattern, blocks, rows);
         for _ in 0..REFINEMENTS {
             if self.fresh.none() {
                 break;
@@ -257,7 +258,7 @@ impl<R: Real> System<R> {
             let left = (fall * self.floor.recip_or_zero()).max(R::zero()).sqrt();
             self.decrement = R::select(self.fresh, left, self.decrement);
             self.refine(pattern, blocks, rows);
-            self.place(pattern, blocks, rows);
+            self.follow(pattern, blocks, rows);
             self.fresh = self.fresh.and(left.gt(R::of(R::EPSILON)));
         }
         let mut at = 0;
@@ -296,13 +297,13 @@ impl<R: Real> System<R> {
             let mask = block.mask.and(self.fresh);
             let first = at;
             let own = &rows.rows[block.rows.range()];
-            let mut v = [R::zero(); 3];
+            let mut v = [R::zero(); CONE];
             for (i, row) in own.iter().enumerate() {
                 let along = dot(list, &rows.y[row.y..row.y + list.len()], &self.step);
                 if block.set == Set::Interval {
                     let new = self.impulse[at] + (self.along[at] - self.curve[at][0] * along);
                     self.impulse[at] = R::select(mask, new.clamp(row.lo, row.hi), self.impulse[at]);
-                } else if i < 3 {
+                } else {
                     v[i] = along;
                 }
                 at += 1;
@@ -311,7 +312,7 @@ impl<R: Real> System<R> {
                 continue;
             }
             let mut new = padded(&self.impulse[first..at]);
-            for i in 0..own.len().min(3) {
+            for i in 0..own.len() {
                 let curve = self.curve[first + i];
                 let bent = curve[0] * v[0] + curve[1] * v[1] + curve[2] * v[2];
                 new[i] += self.along[first + i] - bent;
@@ -324,7 +325,7 @@ impl<R: Real> System<R> {
     }
 
     /// u = û + D⁻¹ Σ yλ.
-    fn place(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
+    fn follow(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
         self.gradient.fill(R::zero());
         Self::gather(pattern, blocks, rows, &self.impulse, R::one(), &mut self.gradient);
         for (((u, guess), f), inv) in
@@ -335,12 +336,11 @@ impl<R: Real> System<R> {
     }
 }
 
-/// The least mass of a block, and the number of rows.
-fn sizes<R: Real>(blocks: &[usize], rows: &Rows<R>) -> (R, R) {
-    let (mut mass, mut count) = (R::of(f64::INFINITY), R::zero());
+/// The least mass of a block.
+fn lightest<R: Real>(blocks: &[usize], rows: &Rows<R>) -> R {
+    let mut mass = R::of(f64::INFINITY);
     for block in blocks.iter().map(|b| &rows.blocks[*b]) {
         mass = R::select(block.mask, mass.min(R::of(block.mass)), mass);
-        count = R::select(block.mask, count + R::of(block.rows.len as f64), count);
     }
-    (mass, count)
+    mass
 }

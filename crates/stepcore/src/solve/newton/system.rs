@@ -5,7 +5,7 @@ use super::penalty::{interval, Cone};
 use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::solve::dot::dot;
-use crate::solve::rows::{Rows, Set};
+use crate::solve::rows::{Rows, Set, CONE};
 
 /// What the method holds of an island. "By row" counts the rows of the blocks at
 /// hand one after another; "by dof" is local, as in `Pattern::dofs`.
@@ -16,7 +16,7 @@ pub(super) struct System<R: Real> {
     pub(super) along: Vec<R>,
     pub(super) impulse: Vec<R>,
     /// By row: its row of the block's curvature s″; an interval uses the first entry.
-    pub(super) curve: Vec<[R; 3]>,
+    pub(super) curve: Vec<[R; CONE]>,
     /// By block; only convex cones use theirs.
     pub(super) cones: Vec<Cone<R>>,
     /// By dof.
@@ -97,7 +97,7 @@ impl<R: Real> System<R> {
             list.resize(count, R::zero());
         }
         self.curve.clear();
-        self.curve.resize(count, [R::zero(); 3]);
+        self.curve.resize(count, [R::zero(); CONE]);
         for list in [&mut self.gradient, &mut self.step] {
             list.clear();
             list.resize(pattern.dofs.len(), R::zero());
@@ -171,9 +171,9 @@ impl<R: Real> System<R> {
                 continue;
             }
             let (impulse, curve) = self.cones[b].law(padded(&self.w[first..at]));
-            for i in 0..own.len().min(3) {
+            for i in 0..own.len() {
                 self.impulse[first + i] = impulse[i];
-                for j in 0..3 {
+                for j in 0..CONE {
                     let old = self.curve[first + i][j];
                     changed =
                         changed.or(bend.and(curve[i][j].le(old).and(curve[i][j].ge(old)).not()));
@@ -207,7 +207,8 @@ impl<R: Real> System<R> {
     }
 }
 
-/// Up to three numbers as a vector.
-pub(super) fn padded<R: Real>(x: &[R]) -> [R; 3] {
+/// A cone's numbers, 0 for the rows that it does not have.
+pub(super) fn padded<R: Real>(x: &[R]) -> [R; CONE] {
+    assert!(x.len() <= CONE);
     core::array::from_fn(|i| x.get(i).copied().unwrap_or_else(R::zero))
 }

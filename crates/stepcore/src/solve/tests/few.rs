@@ -1,8 +1,9 @@
 //! Islands of few rows under Newton: the active set method against converged PGS.
 
 use super::{close, Problem, Random, EVERY, INF};
+use crate::solve::limits::Limits;
 use crate::solve::newton::Newton;
-use crate::solve::pgs::{Limits, Pgs};
+use crate::solve::pgs::Pgs;
 use crate::solve::rows::Set;
 
 /// `count` intervals of every kind on six dofs, softness 10^-4 … 10^-1.
@@ -42,7 +43,7 @@ fn few_rows_equal_converged_pgs() {
             Limits { sweeps: 50, tolerance: 0.0, momentum: false, exact: true, rounding: false };
         let report =
             Newton::new().solve(&lists, &problem.inv_d, &problem.guess, &mut rows, limits).unwrap();
-        assert!(report.sweeps < 25.0, "{} turns in case {case}", report.sweeps);
+        assert!(report.sweeps.lane(0) < 25, "{:?} guesses in case {case}", report.sweeps);
         assert!(rows.residual(&lists) < 1e-12, "{} in case {case}", rows.residual(&lists));
         for (a, b) in rows.rows.iter().zip(&want.rows) {
             close(a.impulse, b.impulse, 1e-8);

@@ -1,0 +1,46 @@
+//! `Count`: a whole number for each lane.
+
+use super::{Mask, WIDTH};
+
+/// A count for each lane; a scalar uses the first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Count([u64; WIDTH]);
+
+impl Count {
+    pub const ZERO: Self = Self([0; WIDTH]);
+
+    #[inline(always)]
+    pub fn lane(&self, lane: usize) -> u64 {
+        self.0[lane]
+    }
+
+    /// Adds `n` in the lanes of `mask`.
+    #[inline(always)]
+    pub fn add<M: Mask>(&mut self, mask: M, n: u64) {
+        for (lane, count) in self.0[..M::LANES].iter_mut().enumerate() {
+            *count += if mask.lane(lane) { n } else { 0 };
+        }
+    }
+
+    /// Adds each lane's own number in the lanes of `mask`.
+    #[inline(always)]
+    pub fn add_each<M: Mask>(&mut self, mask: M, more: &Self) {
+        for (lane, count) in self.0[..M::LANES].iter_mut().enumerate() {
+            *count += if mask.lane(lane) { more.0[lane] } else { 0 };
+        }
+    }
+
+    /// The larger of both, lane by lane.
+    #[inline(always)]
+    pub fn raise(&mut self, other: &Self) {
+        for (count, other) in self.0.iter_mut().zip(other.0) {
+            *count = (*count).max(other);
+        }
+    }
+
+    /// Lanes whose count is `most` or less.
+    #[inline(always)]
+    pub fn at_most<M: Mask>(&self, most: u64) -> M {
+        M::from_lanes(|lane| self.0[lane] <= most)
+    }
+}

@@ -1,0 +1,65 @@
+//! The blocks of each island: what can be solved by itself.
+
+use super::rows::{Block, Rows};
+use crate::real::{Count, Mask, Real};
+use crate::room::room;
+
+/// Blocks, island after island.
+#[derive(Default)]
+pub(super) struct Islands {
+    /// Block indices, ascending within an island.
+    blocks: Vec<usize>,
+    /// One past the last entry of each island in `blocks`.
+    ends: Vec<usize>,
+}
+
+room!(Islands: blocks, ends);
+
+impl Islands {
+    /// A counting sort: stable, and free of allocation once it has room.
+    pub fn sort<R: Real>(&mut self, blocks: &[Block<R>]) {
+        let islands = blocks.iter().map(|b| b.island + 1).max().unwrap_or(0);
+        self.ends.clear();
+        self.ends.resize(islands, 0);
+        for block in blocks {
+            self.ends[block.island] += 1;
+        }
+        let mut start = 0;
+        for end in &mut self.ends {
+            let count = *end;
+            *end = start;
+            start += count;
+        }
+        self.blocks.clear();
+        self.blocks.resize(blocks.len(), 0);
+        for (at, block) in blocks.iter().enumerate() {
+            let place = &mut self.ends[block.island];
+            self.blocks[*place] = at;
+            *place += 1;
+        }
+    }
+
+    /// The block indices of one island.
+    pub fn of(&self, island: usize) -> &[usize] {
+        let start = if island == 0 { 0 } else { self.ends[island - 1] };
+        &self.blocks[start..self.ends[island]]
+    }
+
+    pub fn count(&self) -> usize {
+        self.ends.len()
+    }
+}
+
+/// Lanes in which an island has some block.
+pub(super) fn alive<R: Real>(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
+    blocks.iter().fold(R::Mask::of(false), |mask, b| mask.or(rows.blocks[*b].mask))
+}
+
+/// How many rows of these blocks each lane has.
+pub(super) fn row_count<R: Real>(rows: &Rows<R>, blocks: &[usize]) -> Count {
+    let mut count = Count::ZERO;
+    for block in blocks.iter().map(|b| &rows.blocks[*b]) {
+        count.add(block.mask, block.rows.len as u64);
+    }
+    count
+}

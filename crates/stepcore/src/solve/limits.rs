@@ -1,0 +1,65 @@
+//! How long a solver may run, and how far it came.
+
+use crate::real::{Count, Mask, Real};
+use crate::settings::{Acceleration, Law, Settings, Sweeps};
+
+/// How long to sweep.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    pub sweeps: u32,
+    /// On the scalar residual [m/s]; 0 runs every sweep.
+    pub tolerance: f64,
+    /// Accelerate: see `momentum.rs`. For laws whose rows are all convex; an island
+    /// with a Coulomb block runs plain.
+    pub momentum: bool,
+    /// One sweep solves a row that is alone, and it may end there.
+    pub exact: bool,
+    /// A tolerance below what rounding leaves of a residual is raised to that.
+    pub rounding: bool,
+}
+
+impl Limits {
+    pub fn of(settings: &Settings) -> Self {
+        let sweeps = settings.sweeps.limit();
+        Self {
+            sweeps,
+            tolerance: settings.tolerance,
+            // By the law and not by the rows at hand, so that a lane equals its world alone.
+            momentum: settings.acceleration == Acceleration::Momentum && !settings.law.on_guess(),
+            exact: sweeps > 0 && settings.tolerance > 0.0 && settings.law != Law::Relaxed,
+            rounding: settings.sweeps == Sweeps::Auto,
+        }
+    }
+}
+
+/// What a solve did, lane by lane.
+#[derive(Clone, Copy, Debug)]
+pub struct Report<R: Real> {
+    /// Sweeps or iterations of the island that took the most.
+    pub sweeps: Count,
+    /// Row updates: rows × sweeps, summed over islands.
+    pub updates: Count,
+    /// Newton's decrement where it stopped, √(gᵀH⁻¹g) relative to the motion; 0 under PGS.
+    pub decrement: R,
+    /// Lanes in which some island used up its sweeps or iterations.
+    pub open: R::Mask,
+}
+
+impl<R: Real> Report<R> {
+    pub fn new() -> Self {
+        Self {
+            sweeps: Count::ZERO,
+            updates: Count::ZERO,
+            decrement: R::zero(),
+            open: R::Mask::of(false),
+        }
+    }
+}
+
+impl Report<f64> {
+    /// The same in numbers that carry slopes.
+    pub fn in_numbers<R: Real<Mask = bool>>(self) -> Report<R> {
+        let Self { sweeps, updates, decrement, open } = self;
+        Report { sweeps, updates, decrement: R::of(decrement), open }
+    }
+}
