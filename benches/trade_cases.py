@@ -28,7 +28,7 @@ from stepcore.experiment.schedule import scheduled, time_steps
 from stepcore.experiment.workers import Workers
 from stepcore.measure.trade.moves import Steps, longest
 from stepcore.measure.trade.settings import COULOMB_LAW, SMOOTH_LAW
-from stepcore.measure.trade.trials import glance, priced
+from stepcore.measure.trade.trials import priced, screen
 from stepcore.report.progress import Progress
 
 G = (0, 0, -9.81)
@@ -204,7 +204,7 @@ class Judge:
 
     def wrong(self, settings: sc.Settings, start: int) -> float:
         """The error from one start [m]; inf for a failure."""
-        path = glance(self.runner, settings, start)
+        path = screen(self.runner, settings, start)
         true: Path = self.truth.paths[start]
         if path.failure or far_off([path], [true], 1e3):
             return math.inf
@@ -242,30 +242,32 @@ def best(
     """
     begun = time.process_time()
     steps = Steps(judge.period, judge.shipped.dt)
-    guess, found = _guesses(judge, list(every(judge.shipped, steps, rows))), None
+    guess, cheapest = _guesses(judge, list(every(judge.shipped, steps, rows))), None
     order = list(range(judge.count))
-    for one in sorted(guess, key=lambda s: guess[s]):
-        if found is not None and guess[one] > 1.4 * found[1]:
-            return found
+    for setting in sorted(guess, key=lambda s: guess[s]):
+        if cheapest is not None and guess[setting] > 1.4 * cheapest[1]:
+            return cheapest
         if time.process_time() - begun > patience:
             return None
-        bad = next((k for k in order if judge.wrong(one, k) > error), None)
+        bad = next((k for k in order if judge.wrong(setting, k) > error), None)
         if bad is not None:
             order.remove(bad)
             order.insert(0, bad)
             continue
-        price = judge.price(one)
-        if found is None or price < found[1]:
-            found = (one, price)
-    return found
+        price = judge.price(setting)
+        if cheapest is None or price < cheapest[1]:
+            cheapest = (setting, price)
+    return cheapest
 
 
 def _guesses(judge: Judge, tried: list[sc.Settings]) -> dict[sc.Settings, float]:
     """What settings will cost: the work of a step, from a run at the shipped one."""
     per_step = {}
-    for one in tried:
-        key = one.replace(dt=judge.shipped.dt)
+    for setting in tried:
+        key = setting.replace(dt=judge.shipped.dt)
         if key not in per_step:
             price = judge.price(key)
             per_step[key] = 0.0 if math.isnan(price) else price * key.dt
-    return {one: per_step[one.replace(dt=judge.shipped.dt)] / one.dt for one in tried}
+    return {
+        setting: per_step[setting.replace(dt=judge.shipped.dt)] / setting.dt for setting in tried
+    }

@@ -6,15 +6,13 @@ Costs are counted operations: what is found is the same on every machine.
 import json
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
+from trade_cases import CASES, Judge, best
 
 import stepcore as sc
 from stepcore import lesson
-
-BENCHES = str(Path(__file__).parents[2] / "benches")
 
 BALL = """<mujoco model="ball"><option timestep="0.004"/><worldbody>
 <geom type="plane" size="5 5 .1"/><body pos="0 0 .16"><joint type="slide" axis="0 0 1"/>
@@ -27,34 +25,24 @@ def ball():
     return sc.trade(sc.loads(BALL), error=1e-4, starts=4, further=8, **COUNTED)
 
 
-def cases():
-    sys.path.insert(0, BENCHES)
-    try:
-        import trade_cases
-    finally:
-        sys.path.remove(BENCHES)
-    return trade_cases
-
-
 def check(name):
     """The recommendation holds on unseen starts, and costs what the best by brute force does.
 
     Both are held to the error on 24 starts.
     """
-    known = cases()
-    case = next(case for case in known.CASES if case.name == name)
+    case = next(case for case in CASES if case.name == name)
     options = {} if case.horizon is None else {"horizon": case.horizon}
     result = sc.trade(case.make(), error=case.error, by="flops", progress=False, **options)
     row = result.recommended
     assert row is not None and row.further.held == row.further.starts == 16
     finest = min(result.reference.settings.dt, row.settings.dt / 8)
-    judge = known.Judge(case, 24, 987, finest)
+    judge = Judge(case, 24, 987, finest)
     wrong = [judge.wrong(row.settings, k) for k in range(24)]
     assert np.mean(np.array(wrong) <= case.error) >= 0.9, wrong
     rows = max(path.rows for path in result.reference.paths)
-    best = known.best(judge, case.error, rows)
-    assert best is not None
-    assert judge.price(row.settings) <= 1.3 * best[1], (row.settings, best)
+    cheapest = best(judge, case.error, rows)
+    assert cheapest is not None
+    assert judge.price(row.settings) <= 1.3 * cheapest[1], (row.settings, cheapest)
 
 
 @pytest.mark.parametrize("name", ["stiff spring", "limit", "spinning plate"])
@@ -63,7 +51,7 @@ def test_a_recommendation_holds_and_is_within_a_third_of_the_best(name):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", [case.name for case in cases().CASES])
+@pytest.mark.parametrize("name", [case.name for case in CASES])
 def test_every_recommendation_holds_and_is_within_a_third_of_the_best(name):
     check(name)
 

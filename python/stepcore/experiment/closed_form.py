@@ -59,18 +59,17 @@ def closed(runner: Runner, paths: Sequence[Path]) -> Exact | None:
         return None
     try:
         form = _Form(runner)
-        found, error, angle = [], 0.0, 0.0
+        exact, error, angle = [], 0.0, 0.0
         for start in range(len(runner.schedule.starts)):
-            one = form.motion(start, 1)
-            two = form.motion(start, 2)
-            a, b = runner.bodies.states(*one), runner.bodies.states(*two)
+            whole, halves = form.motion(start, 1), form.motion(start, 2)
+            a, b = runner.bodies.states(*whole), runner.bodies.states(*halves)
             error = max(error, float(np.abs(a.com - b.com).max(initial=0.0)))
-            angle = max(angle, float(np.abs(one[0] - two[0]).max(initial=0.0)))
-            found.append(runner.bodies.path(*one))
+            angle = max(angle, float(np.abs(whole[0] - halves[0]).max(initial=0.0)))
+            exact.append(runner.bodies.path(*whole))
     except (Unfit, ValueError, SimulationError):
         return None
-    size = max(float(np.abs(path.com).max(initial=0.0)) for path in found)
-    return Exact(found, 2 * error + 1e-15 * size, 2 * angle + 1e-15)
+    size = max(float(np.abs(path.com).max(initial=0.0)) for path in exact)
+    return Exact(exact, 2 * error + 1e-15 * size, 2 * angle + 1e-15)
 
 
 class _Free(NamedTuple):

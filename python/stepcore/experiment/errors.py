@@ -26,8 +26,8 @@ class Errors:
     mass and of orientations in the world; the median of the starts. …_max: the largest of any
     body, sample and start; worst: the start that position_max is from. gained, lost [J]: the
     most by which the energy balance of `Path` rose above its start, and fell below it, in any
-    start. each [m]: how far matter is off, in every start: the root mean square of centres of
-    mass, and of orientations times the body's radius of gyration. relative, relative_max:
+    start. each [m]: the RMS position error of every start, of centres of mass and of
+    orientations times the body's radius of gyration. relative, relative_max:
     position and position_max over the scene's size.
 
     numerical, modelling [m]: what `high` is made of where a setting changes the model (other cone,
@@ -65,12 +65,12 @@ class Errors:
 
     @property
     def high(self) -> float:
-        """How far matter is off in the worst start [m]; see `each`."""
+        """The RMS position error of the worst start [m]; see `each`."""
         return max(self.each, default=self.position)
 
     @property
     def median(self) -> float:
-        """How far matter is off in the median of the starts [m]."""
+        """The RMS position error of the median start [m]."""
         return float(np.median(self.each)) if self.each else self.position
 
 
@@ -85,14 +85,14 @@ def errors(
 
     size: of the scene [m]; sticks: see `stepcore.experiment.slip.creep`.
     """
-    metres, radians, matter, creeps = [], [], [], []
+    metres, radians, both, creeps = [], [], [], []
     for path, true, mask in zip(paths, truth, scored, strict=True):
         metres.append(distance(path, true)[mask])
         radians.append(angle(path, true)[mask])
-        matter.append(np.hypot(metres[-1], turned(path, true) * radians[-1]))
+        both.append(np.hypot(metres[-1], turned(path, true) * radians[-1]))
         creeps.append(creep(path.slips, true.slips, mask, sticks))
     largest = [float(part.max(initial=0.0)) for part in metres]
-    position, each = float(np.median(_roots(metres))), tuple(_roots(matter))
+    position, each = float(np.median(_roots(metres))), tuple(_roots(both))
     return Errors(
         position=position,
         position_max=max(largest),
@@ -160,9 +160,9 @@ def extent(paths: Sequence[Path], scene: Any) -> float:
 
 
 def moved(paths: Sequence[Path]) -> float:
-    """How far matter moves [m], as an error would be of a run in which it stands still.
+    """How far bodies move [m], as the RMS error of a run in which they stand still would be.
 
-    Of the start in which it moves least: the root mean square of the way from the first sample.
+    Of the start in which they move least: from the first sample on.
     """
     ways = []
     for path in paths:

@@ -79,7 +79,7 @@ def growth(
             far = separation(runner.bodies, runs[start], runs[k])
             near = _begun(runner.bodies, schedule.starts[start], schedule.starts[k])
             factor[start] = np.maximum(factor[start], far / near)
-    ends = [_end(schedule.times, one) for one in factor]
+    ends = [_end(schedule.times, growing) for growing in factor]
     return Growth(schedule.times, factor, np.array(ends))
 
 
@@ -88,7 +88,7 @@ def perturbed(runner: Runner, size: float) -> Schedule:
     rng = np.random.default_rng(0)
     coordinates, schedule = runner.coordinates, runner.schedule
     aside = ASIDE * coordinates.drawn(rng, size, 1.0)
-    starts = [Start(coordinates.moved(one.qpos, aside), one.qvel) for one in schedule.starts]
+    starts = [Start(coordinates.moved(s.qpos, aside), s.qvel) for s in schedule.starts]
     for _ in range(DIRECTIONS):
         for start in starts[: len(schedule.starts)]:
             sign = coordinates.scaled(rng.choice([-1.0, 1.0], coordinates.nv), size, 1.0)

@@ -91,7 +91,7 @@ class Motion:
         for word in given:
             if word not in takes:
                 own = inspect.signature(measurement).parameters.values()
-                named = [one.name for one in own if one.kind is not one.VAR_KEYWORD]
+                named = [p.name for p in own if p.kind is not p.VAR_KEYWORD]
                 near = checks.nearest(word, [*named, *takes])
                 raise TypeError(f'{name}() has no argument "{word}"{near}')
         if motion is None:
@@ -108,9 +108,9 @@ class Motion:
         return motion
 
     def __repr__(self) -> str:
-        told = [
+        parts = [
             f"{field.name}={checks.shown(getattr(self, field.name), 40)}"
             for field in fields(self)
             if getattr(self, field.name) is not field.default
         ]
-        return f"Motion({', '.join(told)})"
+        return f"Motion({', '.join(parts)})"

@@ -34,17 +34,17 @@ def shown(distances: Sequence[float], floor: float) -> int | None:
     >>> shown([4e-3, 1e-3, 2.5e-4], floor=0.0), shown([4e-3, 1e-3, 1.5e-4], floor=0.0)
     (2, None)
     """
-    found: int | None = None
+    seen: int | None = None
     orders = observed(distances)
     for k, order in enumerate(orders):
-        kept = found is not None and order >= (1 - CLOSE) * found
+        kept = seen is not None and order >= (1 - CLOSE) * seen
         if not (kept or distances[k + 1] <= floor):
-            found = None
+            seen = None
         for nominal in ORDERS:
             close = [p for p in orders[k : k + 2] if abs(p - nominal) <= CLOSE * nominal]
             if len(close) == 2 and distances[k + 2] > floor:
-                found = nominal
-    return found
+                seen = nominal
+    return seen
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def known(
     orders: dict[str, int | None] = {}
     bases: dict[str, str] = {}
     for name, measure in MEASURES.items():
-        distances = [float(getattr(one, measure)) for one in halvings]
+        distances = [float(getattr(halving, measure)) for halving in halvings]
         order, last = shown(distances, floor), distances[-1]
         orders[name] = order
         if order is not None:

@@ -37,7 +37,7 @@ SMOOTH = ("euler", "implicitfast")
 STIFFER = (4.0, 16.0)
 # Laws whose limit is soft, and how they are made harder, in words.
 HARDER = {"solref": "solref time constants / {0:g}", "penalty": "penalty_stiffness × {1:g}"}
-# The last two may differ by this share of the last for softness to be told at all.
+# The last two may differ by this share of the last for the effect of softness to be known.
 SETTLED = 0.25
 
 
@@ -63,8 +63,8 @@ class ErrorSplit:
     def errors(self, settings: Settings, paths: Sequence[Path]) -> Errors:
         """Errors of one setting, that of its worst start split.
 
-        Where another model's own limit fails, or the run in double precision does, nothing can
-        be told apart: modelling is then NaN, and numerical the whole error.
+        Where another model's own limit fails, or the run in double precision does, the two
+        parts cannot be separated: modelling is then NaN, and numerical the whole error.
         """
         whole = self._apart(paths, self.reference.paths, settings.cone)
         numerical, modelling = whole.high, 0.0
@@ -111,15 +111,15 @@ class ErrorSplit:
         harder and harder until that changes little. Empty where no row acts; the other laws are
         rigid in their limit.
         """
-        found: dict[str, Gap] = {}
+        gaps: dict[str, Gap] = {}
         runner, shipped, here = self.runs.runner, self.runs.shipped, self.cheap.paths
         if not self.acts:
-            return found
+            return gaps
         if shipped.cone == "pyramidal" and any(any(path.slips) for path in here):
             limit = self._level(runner, shipped.replace(cone="elliptic"), self.cheap)
             if not limit.failed:
                 apart = self._apart(limit.paths, here).high
-                found["pyramid"] = Gap(apart, "elliptic cones")
+                gaps["pyramid"] = Gap(apart, "elliptic cones")
         apart_by: list[float] = []
         for factor in STIFFER if shipped.law in HARDER else ():
             level = self._harder(factor)
@@ -129,8 +129,8 @@ class ErrorSplit:
         if apart_by:
             last, factor = apart_by[-1], STIFFER[len(apart_by) - 1]
             steady = len(apart_by) > 1 and abs(last - apart_by[-2]) <= SETTLED * last
-            found["softness"] = Gap(last, HARDER[shipped.law].format(factor, factor**2), steady)
-        return found
+            gaps["softness"] = Gap(last, HARDER[shipped.law].format(factor, factor**2), steady)
+        return gaps
 
     def _harder(self, factor: float) -> Level:
         """The limit of the scene with contacts whose time constants are shorter."""

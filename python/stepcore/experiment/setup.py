@@ -50,8 +50,8 @@ def set_up(
     `Motion.of`.
     """
     motion = Motion.of(motion, fields, measurement, leaves)
-    found = find_model(model)
+    compiled = find_model(model)
     workers = Workers.checked(measurement.__name__, threads, executor, progress)
-    if not Coordinates(found).moving:
+    if not Coordinates(compiled).moving:
         raise ValueError(f"nothing in the scene can move: there is {missing}")
-    return Setup(found, motion, workers)
+    return Setup(compiled, motion, workers)

@@ -21,12 +21,12 @@ class Slip:
     """One contact with friction at one sample.
 
     speed: of one surface along the other [m/s]. share: friction over μ × normal force.
-    astray: angle between the friction force and the direction against the slip [rad].
+    deviation: angle between the friction force and the direction against the slip [rad].
     """
 
     speed: float
     share: float
-    astray: float
+    deviation: float
 
 
 # The two geoms, and which of their contacts.
@@ -99,8 +99,8 @@ def _slips(
     fast, strong = np.linalg.norm(along, axis=1), np.linalg.norm(rubbed, axis=1)
     both = fast * strong
     against = -np.einsum("ci,ci->c", along, rubbed) / np.where(both > 0, both, 1.0)
-    astray = np.arccos(np.clip(np.where(both > 0, against, 1.0), -1.0, 1.0))
-    parts = (fast.tolist(), (strong / most).tolist(), astray.tolist())
+    deviation = np.arccos(np.clip(np.where(both > 0, against, 1.0), -1.0, 1.0))
+    parts = (fast.tolist(), (strong / most).tolist(), deviation.tolist())
     return [Slip(*numbers) for numbers in zip(*parts, strict=True)]
 
 
@@ -126,9 +126,9 @@ def anisotropy(slips: list[Slips]) -> float | None:
 
     Over contacts that slide; None where none does.
     """
-    # A contact that comes to rest within a step may be found moving with its friction: no slide.
+    # A contact that comes to rest within a step may still move with its friction: no slide.
     every = [slip for sample in slips for slip in sample.values()]
-    sliding = [slip for slip in every if slip.share > SLIDES and slip.astray < np.pi / 2]
+    sliding = [slip for slip in every if slip.share > SLIDES and slip.deviation < np.pi / 2]
     fastest = max((slip.speed for slip in sliding), default=0.0)
-    wide = [slip.astray for slip in sliding if slip.speed > SLOW * fastest]
+    wide = [slip.deviation for slip in sliding if slip.speed > SLOW * fastest]
     return max(wide, default=None)

@@ -62,7 +62,7 @@ class Predictability(Result):
     @property
     def table(self) -> Table:
         """One row a start: how long it can be predicted [s], and how a perturbation grew."""
-        found = self.growth
+        growth = self.growth
         return Table(
             {
                 "start": k,
@@ -70,7 +70,7 @@ class Predictability(Result):
                 "growth": float(factor[-1]),
                 "largest growth": float(factor.max()),
             }
-            for k, (end, factor) in enumerate(zip(found.ends, found.factor, strict=True))
+            for k, (end, factor) in enumerate(zip(growth.ends, growth.factor, strict=True))
         )
 
     @property

@@ -183,7 +183,7 @@ def trade(
         budget=limit,
         size=size,
         mujoco=opponent.timed(points, timed),
-        screened=len({*trials.paths, *trials.glances}),
+        screened=len({*trials.paths, *trials.screened}),
         runs=trials.runs,
         chosen=chosen,
     )
@@ -204,7 +204,7 @@ def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
 
 def _refine(runs: ReferenceRuns, trials: Trials, tried: Sequence[Settings]) -> None:
     """Halves the reference's step until its error is a tenth of the smallest in the table."""
-    whole = [trials.paths[one] for one in tried if not trials.paths[one][-1].failure]
+    whole = [trials.paths[setting] for setting in tried if not trials.paths[setting][-1].failure]
     while whole and runs.can_refine(trials.reference):
         ref = trials.reference
         least = smallest([errors(p, ref.paths, ref.scored).high for p in whole], runs.size)

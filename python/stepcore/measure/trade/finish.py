@@ -28,14 +28,14 @@ class Finisher:
 
     def rows(self, settings: Sequence[Settings], others: Sequence[TimedRun] = ()) -> list[Row]:
         """Rows of settings that have been run, timed in turn with one another and with others."""
-        for one in settings:
-            self.split.keep(one, self.trials.paths[one])
+        for setting in settings:
+            self.split.keep(setting, self.trials.paths[setting])
         times = [math.nan] * len(settings)
         if self.by == "time":
-            runs = [*(TimedRun(self.trials.runner, one) for one in settings), *others]
+            runs = [*(TimedRun(self.trials.runner, setting) for setting in settings), *others]
             with self.trials.workers.bar("costs", len(runs)) as bar:
                 times = costs(runs, bar)[: len(settings)]
-        return [self._row(one, cost) for one, cost in zip(settings, times, strict=True)]
+        return [self._row(setting, cost) for setting, cost in zip(settings, times, strict=True)]
 
     def row(self, settings: Settings) -> Row:
         """The row of one setting more, run from all starts."""

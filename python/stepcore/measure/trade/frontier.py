@@ -43,10 +43,10 @@ class Frontier:
 
     def updated(self, row: Row) -> Frontier:
         """The frontier with this row in place of that of the same settings, or added."""
-        others = [one for one in self.rows if one.settings != row.settings]
+        others = [other for other in self.rows if other.settings != row.settings]
         if len(others) == len(self.rows):
             return self.of([*self.rows, row], self.known, self.known_max, self.by)
-        rows = [row if one.settings == row.settings else one for one in self.rows]
+        rows = [row if other.settings == row.settings else other for other in self.rows]
         return self.of(rows, self.known, self.known_max, self.by)
 
     def has(self, settings: Settings) -> bool:

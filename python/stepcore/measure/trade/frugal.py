@@ -60,12 +60,14 @@ def searched(
         while not some and halvings and _finer(runs, trials):
             halvings -= 1
             some = search.meeting(error, climb)
-        chosen += some + [one.replace(precision="f32") for one in some[:SINGLE]]
+        chosen += some + [setting.replace(precision="f32") for setting in some[:SINGLE]]
     least = 0.0 if wanted.whole else min((error for error, _ in targets), default=0.0) / USELESS
     chosen += _drawn(search, least)
     chosen.append(runs.shipped)
     failed = [
-        one for one, paths in trials.glances.items() if paths[-1].failure or trials.far(paths)
+        setting
+        for setting, paths in trials.screened.items()
+        if paths[-1].failure or trials.far(paths)
     ]
     trials.run([*chosen, *failed], "front")
     return sorted(dict.fromkeys([*chosen, *failed]), key=lambda s: -s.dt)
@@ -96,7 +98,7 @@ def _targets(search: SettingsSearch, wanted: Wanted) -> list[tuple[float, bool]]
         return [(share * wanted.error, climb) for share, climb in ASKED]
     own = search.trials.score(search.shipped, search.few).error
     if not 0 < own < math.inf:
-        scores = [search.trials.score(one, search.few).error for one in search.trials.glances]
+        scores = [search.trials.score(s, search.few).error for s in search.trials.screened]
         finite = sorted(e for e in scores if 0 < e < math.inf)
         own = finite[len(finite) // 2] if finite else 0.0
     shares = BUDGET if wanted.budget else UNASKED
@@ -106,13 +108,13 @@ def _targets(search: SettingsSearch, wanted: Wanted) -> list[tuple[float, bool]]
 def _drawn(search: SettingsSearch, least: float) -> list[Settings]:
     """The front of every integrator, as far as few starts tell, thinned out."""
     by_name: dict[str, list[Settings]] = {}
-    for one in search.trials.glances:
-        by_name.setdefault(one.integrator, []).append(one)
+    for setting in search.trials.screened:
+        by_name.setdefault(setting.integrator, []).append(setting)
     return [s for some in by_name.values() for s in _thin(search, some, least)]
 
 
 def _thin(search: SettingsSearch, some: Sequence[Settings], least: float) -> list[Settings]:
-    scores = [(search.trials.score(one, search.few), i) for i, one in enumerate(some)]
+    scores = [(search.trials.score(setting, search.few), i) for i, setting in enumerate(some)]
     kept, best, last = [], math.inf, 0.0
     for score, i in sorted(scores, key=lambda pair: (pair[0].price, pair[0].error, pair[1])):
         if score.error < best and score.price > SPARSE * last and score.error >= least:

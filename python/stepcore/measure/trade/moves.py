@@ -71,19 +71,19 @@ def families(shipped: Settings, rows: int) -> list[Settings]:
         if smooth:
             count = shipped.sweeps if shipped.solver == "newton" else 100
             methods.append({"solver": "newton", "sweeps": count})
-    found = [
+    chosen = [
         shipped.replace(integrator=name, precision="f64", **method)
         for name in dict.fromkeys([*names, shipped.integrator])
         for method in methods
     ]
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(chosen))
 
 
 def moves(settings: Settings, rows: int, friction: bool) -> list[Settings]:
     """Settings that differ in one axis other than time step, integrator and kind of solver."""
     if not rows:
         return []
-    return list(dict.fromkeys(one for one in _moves(settings, rows, friction) if one != settings))
+    return [s for s in dict.fromkeys(_moves(settings, rows, friction)) if s != settings]
 
 
 def _moves(s: Settings, rows: int, friction: bool) -> Iterator[Settings]:

@@ -131,9 +131,9 @@ def load(source: Any, model: Model) -> Any:
         )
     if isinstance(source, (str, os.PathLike)) and not os.fsdecode(source).startswith("lesson:"):
         package, colon, name = os.fsdecode(source).partition(":")
-        found = source if os.path.exists(source) or not colon else find_asset(package, name)
+        path = source if os.path.exists(source) or not colon else find_asset(package, name)
         with quiet():
-            made = mujoco.MjModel.from_xml_path(os.fsdecode(found))
+            made = mujoco.MjModel.from_xml_path(os.fsdecode(path))
     else:
         with quiet():
             made = mujoco.MjModel.from_xml_string(model.scene.to_mjcf())

@@ -15,7 +15,7 @@ from stepcore.report.units import metres, seconds
 
 # A residual of the reference that is worth saying [m/s].
 UNSOLVED = 1e-9
-# Two integrators are told not to agree where they are this many times further apart than the
+# Two integrators do not agree where they are this many times further apart than the
 # reference's error and what the other's last halving moved it.
 DISAGREE = 4.0
 

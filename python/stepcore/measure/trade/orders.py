@@ -39,4 +39,4 @@ def orders(rows: Sequence[Row], least: float, most: float = np.inf) -> dict[str,
         dts, errors = np.log(np.array(points)).T
         if np.ptp(dts) >= np.log(2) * (1 - 1e-9):
             slopes.setdefault(kind.integrator, []).append(float(np.polyfit(dts, errors, 1)[0]))
-    return {name: float(np.median(found)) for name, found in slopes.items()}
+    return {name: float(np.median(some)) for name, some in slopes.items()}

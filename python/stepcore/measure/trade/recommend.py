@@ -24,7 +24,7 @@ from stepcore.measure.trade.frontier import Frontier
 from stepcore.measure.trade.frugal import MARGIN
 from stepcore.measure.trade.moves import Steps
 from stepcore.measure.trade.row import Further, Row
-from stepcore.measure.trade.trials import Trials, glance
+from stepcore.measure.trade.trials import Trials, screen
 
 # Candidates tried on the further starts before the search gives up.
 TRIES = 30
@@ -32,7 +32,8 @@ TRIES = 30
 # time, so many times.
 REPAIRED, SHORTER, MORE, TIMES = 8, 1.15, 0.1, 8
 
-# Where twins of the search's starts grow apart by less than this, further starts can be predicted.
+# Where perturbed runs of the search's starts grow apart by less than this, further starts can be
+# predicted.
 CALM = 30.0
 
 # Makes a finished row of settings: runs them from all starts, counts and times them.
@@ -81,7 +82,7 @@ class Confirmation:
         ran = self._runs(settings, self.hard)
         if not self._bad(ran, limit):
             ran += self._runs(settings, rest)
-        worst = max(ran, key=lambda one: one[1])
+        worst = max(ran, key=lambda run: run[1])
         if worst[1] > limit and worst[0] not in self.hard:
             self.hard.append(worst[0])
         failure = next((f"further start {i}: {text}" for i, _, text in ran if text), None)
@@ -97,7 +98,7 @@ class Confirmation:
 
     def _runs(self, settings: Settings, starts: list[int]) -> list[Ran]:
         assert self.scored is not None
-        job = partial(glance, self.runner, settings)
+        job = partial(screen, self.runner, settings)
         paths = self.workers.each(job, starts, "further starts")
         ran: list[Ran] = []
         for start, path in zip(starts, paths, strict=True):

@@ -25,7 +25,7 @@ MOST = 4
 # A change of an axis is taken if it is cheaper at equal error by this factor.
 BETTER = 0.97
 CLIMBS = 4
-# Steps are told apart to this ratio: in the first rounds, at the end.
+# The longest step is found to this ratio: in the first rounds, at the end.
 COARSE, FINE = 1.3, 1.08
 ROUNDS = 8
 # A step takes no less work than this share of a longer one's.
@@ -119,7 +119,7 @@ class SettingsSearch:
         own = self.steps.own
         counts = {max(1, own // 4), max(1, own // 2), own, 2 * own, 4 * own, 8 * own, 1}
         tried = [self.steps.at(base, n) for base in some for n in sorted(counts)]
-        self.trials.glance([self.shipped, *tried], self.few, "overview")
+        self.trials.screen([self.shipped, *tried], self.few, "overview")
         return tried
 
     def meeting(self, error: float, climb: bool = True) -> list[Settings]:
@@ -135,29 +135,29 @@ class SettingsSearch:
         if climb:
             open_ = self.climb(open_, error)
             self.narrow(open_, error, self.few, COARSE, "axes")
-            self.methods += [self.steps.at(one.base, self.steps.own) for one in open_]
-        kept = [self.again(one, error) for one in self.keep(open_, error, SECOND)]
+            self.methods += [self.steps.at(bracket.base, self.steps.own) for bracket in open_]
+        kept = [self.again(bracket, error) for bracket in self.keep(open_, error, SECOND)]
         self.narrow(kept, error, self.all, FINE, "all starts")
-        good = [(one, one.meets(error)) for one in kept]
-        met = [(one.known[n].price, self.steps.at(one.base, n)) for one, n in good if n]
+        good = [(bracket, bracket.meets(error)) for bracket in kept]
+        met = [(bracket.known[n].price, self.steps.at(bracket.base, n)) for bracket, n in good if n]
         return [settings for _, settings in sorted(met, key=lambda pair: pair[0])]
 
     def bracket(self, base: Settings) -> Bracket:
         """A method with all that is known of it from few starts."""
         bracket = Bracket(base, self.steps.own)
-        for settings in self.trials.glances:
+        for settings in self.trials.screened:
             pieces = self.steps.pieces(settings)
             if self.steps.at(base, pieces) == settings and pieces <= self.finest:
                 bracket.known[pieces] = self.trials.score(settings, self.few)
         return bracket
 
-    def again(self, one: Bracket, error: float) -> Bracket:
+    def again(self, bracket: Bracket, error: float) -> Bracket:
         """The same method, to be judged by all starts, beginning where few starts put it."""
-        return Bracket(one.base, one.meets(error) or self.finest)
+        return Bracket(bracket.base, bracket.meets(error) or self.finest)
 
     def keep(self, brackets: Sequence[Bracket], error: float, factor: float) -> list[Bracket]:
         """Those whose price is near the best; of two that do the very same, one."""
-        prices = sorted((one.price(error), i) for i, one in enumerate(brackets))
+        prices = sorted((bracket.price(error), i) for i, bracket in enumerate(brackets))
         least = prices[0][0] if prices else math.inf
         kept: list[Bracket] = []
         for price, i in prices:
@@ -171,52 +171,54 @@ class SettingsSearch:
     ) -> None:
         """Finds the fewest pieces that meet the error, to a ratio, for all methods in step."""
         for _ in range(ROUNDS):
-            asked = [(one, self.propose(one, error, ratio)) for one in brackets]
-            prices = [one.price(error) for one in brackets if one.meets(error)]
+            asked = [(bracket, self.propose(bracket, error, ratio)) for bracket in brackets]
+            prices = [bracket.price(error) for bracket in brackets if bracket.meets(error)]
             least = min(prices, default=math.inf)
-            wanted = [(one, n) for one, n in asked if n and one.at_least(n) <= FIRST * least]
+            wanted = [
+                (bracket, n) for bracket, n in asked if n and bracket.at_least(n) <= FIRST * least
+            ]
             if not wanted:
                 return
-            settings = [self.steps.at(one.base, n) for one, n in wanted]
-            self.trials.glance(settings, starts, label)
-            for (one, n), made in zip(wanted, settings, strict=True):
-                one.known[n] = self.trials.score(made, starts)
+            settings = [self.steps.at(bracket.base, n) for bracket, n in wanted]
+            self.trials.screen(settings, starts, label)
+            for (bracket, n), made in zip(wanted, settings, strict=True):
+                bracket.known[n] = self.trials.score(made, starts)
 
-    def propose(self, one: Bracket, error: float, ratio: float) -> int | None:
+    def propose(self, bracket: Bracket, error: float, ratio: float) -> int | None:
         """The next number of pieces to try, or None where enough is known."""
-        good, bad = one.meets(error), one.misses(error)
-        if not one.known:
-            return min(max(1, one.guess), self.finest)
+        good, bad = bracket.meets(error), bracket.misses(error)
+        if not bracket.known:
+            return min(max(1, bracket.guess), self.finest)
         if good is None:
-            if bad >= self.finest or self.floored(one):
+            if bad >= self.finest or self.floored(bracket):
                 return None
-            return min(self.finest, max(bad + 1, self.jump(one, bad, error)))
+            return min(self.finest, max(bad + 1, self.jump(bracket, bad, error)))
         if good - bad <= 1 or (bad and good <= ratio * bad):
             return None
         if not bad:
-            return max(1, min(good - 1, self.jump(one, good, error)))
-        guess = self.jump(one, good, error)
+            return max(1, min(good - 1, self.jump(bracket, good, error)))
+        guess = self.jump(bracket, good, error)
         middle = round(math.sqrt(good * bad))
         n = guess if bad < guess < good else middle
         return min(good - 1, max(bad + 1, n))
 
-    def jump(self, one: Bracket, n: int, error: float) -> int:
+    def jump(self, bracket: Bracket, n: int, error: float) -> int:
         """Where the order says that the error is met, at most four times away."""
-        seen = one.known[n].error
+        seen = bracket.known[n].error
         if not 0 < seen < math.inf:
             return n * 2 if seen else max(1, n // 4)
-        factor = (seen / error) ** (1 / one.order(error))
+        factor = (seen / error) ** (1 / bracket.order(error))
         return max(1, math.ceil(n * min(4.0, max(0.25, factor * 1.02))))
 
-    def floored(self, one: Bracket) -> bool:
+    def floored(self, bracket: Bracket) -> bool:
         """Whether shorter steps have stopped helping."""
-        errors = {n: s.error for n, s in one.known.items() if s.error < math.inf}
+        errors = {n: s.error for n, s in bracket.known.items() if s.error < math.inf}
         last = max(errors, default=0)
-        one.floored = any(
+        bracket.floored = any(
             last >= FLOOR * n and min(e for m, e in errors.items() if m > n) > error / HELPS
             for n, error in errors.items()
         )
-        return one.floored
+        return bracket.floored
 
     def climb(self, brackets: Sequence[Bracket], error: float) -> list[Bracket]:
         """Changes one axis of each method at a time while that is cheaper at equal error."""
@@ -224,7 +226,7 @@ class SettingsSearch:
         moving = set(range(len(now)))
         for _ in range(CLIMBS):
             asked = {i: self.near(now[i], error) for i in moving}
-            self.trials.glance([s for some in asked.values() for s in some], self.few, "axes")
+            self.trials.screen([s for some in asked.values() for s in some], self.few, "axes")
             for i, tried in asked.items():
                 base, order = now[i].base, now[i].order(error)
                 prices = [
@@ -239,10 +241,10 @@ class SettingsSearch:
                 now[i].guess = self.steps.pieces(tried[k])
             if not moving:
                 break
-        return list({self.steps.at(one.base, 1): one for one in now}.values())
+        return list({self.steps.at(bracket.base, 1): bracket for bracket in now}.values())
 
-    def near(self, one: Bracket, error: float) -> list[Settings]:
+    def near(self, bracket: Bracket, error: float) -> list[Settings]:
         """Neighbours of a method, at the step where it meets the error."""
-        pieces = one.meets(error) or max(one.known)
-        here = self.steps.at(one.base, pieces)
+        pieces = bracket.meets(error) or max(bracket.known)
+        here = self.steps.at(bracket.base, pieces)
         return moves(here, self.rows, self.friction)

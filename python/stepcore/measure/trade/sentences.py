@@ -41,9 +41,9 @@ def _for_error(trade: Trade, error: float) -> Iterator[str]:
         yield _next_better(trade, row)
         return
     yield f"No setting that was tried keeps to {metres(error)} in every start."
-    ran = [one for one in trade.rows if one.errors is not None]
+    ran = [other for other in trade.rows if other.errors is not None]
     if ran:
-        least = min(ran, key=lambda one: (trade.error(one), trade.price(one)))
+        least = min(ran, key=lambda other: (trade.error(other), trade.price(other)))
         yield f"The nearest is {_named(trade, least)}: its error is {metres(trade.error(least))}."
 
 
@@ -57,7 +57,7 @@ def _for_budget(trade: Trade, budget: float) -> Iterator[str]:
         yield _next_better(trade, row)
         return
     yield f"No setting that was tried costs as little as {within} per simulated second."
-    ran = [one for one in trade.rows if not one.failure]
+    ran = [other for other in trade.rows if not other.failure]
     if ran:
         least = min(ran, key=trade.price)
         yield f"The cheapest is {_named(trade, least)}, at {_priced(trade, least)}."

@@ -23,7 +23,7 @@ from stepcore.experiment.schedule import Schedule
 from stepcore.report.progress import Progress
 
 LEAST = 32
-# Best rows that are told of: all, or about so many along the front.
+# Best rows that are measured: all, or about so many along the front.
 MOST = 10
 # Names of `Statistics`, and of `Path`, with their units.
 QUANTITIES = {"height": "m", "kinetic": "J", "touching": "1"}
@@ -44,7 +44,7 @@ class Difference:
 
     @property
     def seen(self) -> bool:
-        """Whether the interval leaves 0 out: the setting changes what is found."""
+        """Whether the interval does not include 0: the setting changes the mean."""
         return abs(self.mean) > self.interval
 
 
@@ -65,8 +65,8 @@ class Statistics:
         """Flat, as a table has it."""
         flat = {}
         for name in QUANTITIES:
-            one: Difference = getattr(self, name)
-            flat[f"{name}_difference"], flat[f"{name}_interval"] = one.mean, one.interval
+            apart: Difference = getattr(self, name)
+            flat[f"{name}_difference"], flat[f"{name}_interval"] = apart.mean, apart.interval
         return flat
 
 

@@ -47,30 +47,30 @@ class Trials:
 
     def __init__(self, runner: Runner, reference: Reference, size: float, workers: Workers) -> None:
         self.runner, self.reference, self.size, self.workers = runner, reference, size, workers
-        self.glances: dict[Settings, list[Path]] = {}
+        self.screened: dict[Settings, list[Path]] = {}
         self.paths: dict[Settings, list[Path]] = {}
         self.work: dict[Settings, Work] = {}
         self.runs = 0
 
-    def glance(self, settings: Sequence[Settings], starts: int, label: str) -> None:
+    def screen(self, settings: Sequence[Settings], starts: int, label: str) -> None:
         """Runs what is missing; a setting that failed from one start is not run from others."""
         jobs = []
-        for one in dict.fromkeys(settings):
-            done = self.glances.get(one, [])
+        for setting in dict.fromkeys(settings):
+            done = self.screened.get(setting, [])
             if len(done) < starts and not (done and done[-1].failure):
-                jobs.append((one, len(done), starts))
-        ran = self._each(partial(glances, self.runner), jobs, label)
-        for (one, first, _), (paths, work) in zip(jobs, ran, strict=True):
-            self.glances.setdefault(one, []).extend(paths)
+                jobs.append((setting, len(done), starts))
+        ran = self._each(partial(screen_starts, self.runner), jobs, label)
+        for (setting, first, _), (paths, work) in zip(jobs, ran, strict=True):
+            self.screened.setdefault(setting, []).extend(paths)
             if first == 0:
-                self.work[one] = work
+                self.work[setting] = work
 
     def run(self, settings: Sequence[Settings], label: str = "errors") -> None:
         """Runs settings from every start, fully recorded; what has been run is not run again."""
-        missing = [one for one in dict.fromkeys(settings) if one not in self.paths]
+        missing = [setting for setting in dict.fromkeys(settings) if setting not in self.paths]
         ran = self._each(partial(all_starts, self.runner), missing, label)
-        for one, (paths, work) in zip(missing, ran, strict=True):
-            self.paths[one], self.work[one] = paths, work
+        for setting, (paths, work) in zip(missing, ran, strict=True):
+            self.paths[setting], self.work[setting] = paths, work
 
     def _each(self, job: Callable[[T], Ran], points: Sequence[T], label: str) -> list[Ran]:
         ran = self.workers.each(job, points, label)
@@ -79,7 +79,7 @@ class Trials:
 
     def score(self, settings: Settings, starts: int) -> Score:
         """How a setting did, by its positions alone, from the first so many starts."""
-        paths = self.glances[settings][:starts]
+        paths = self.screened[settings][:starts]
         if paths[-1].failure or self.far(paths):
             return FAILED
         truth, scored = self.reference.paths[: len(paths)], self.reference.scored[: len(paths)]
@@ -97,8 +97,8 @@ class Trials:
         return far_off(paths, self.reference.paths[: len(paths)], self.size)
 
 
-def glance(runner: Runner, settings: Settings, start: int) -> Path:
-    """The positions of one run."""
+def screen(runner: Runner, settings: Settings, start: int) -> Path:
+    """One run of which only positions are recorded."""
     return runner.run(settings, start, [Positions(runner.bodies)])
 
 
@@ -108,7 +108,7 @@ def priced(runner: Runner, settings: Settings) -> tuple[Path, Work]:
     return runner.run(settings, 0, [Positions(runner.bodies), counter]), counter.work
 
 
-def glances(runner: Runner, job: tuple[Settings, int, int]) -> Ran:
+def screen_starts(runner: Runner, job: tuple[Settings, int, int]) -> Ran:
     """Positions under one setting from start `first` to before `last`, until one fails."""
     settings, first, last = job
     paths, work = [], UNKNOWN
@@ -116,7 +116,7 @@ def glances(runner: Runner, job: tuple[Settings, int, int]) -> Ran:
         if start == 0:
             path, work = priced(runner, settings)
         else:
-            path = glance(runner, settings, start)
+            path = screen(runner, settings, start)
         paths.append(path)
         if path.failure:
             break

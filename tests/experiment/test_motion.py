@@ -1,0 +1,73 @@
+"""A motion is one object or its fields; one schedule makes it definite."""
+
+import pytest
+
+import stepcore as sc
+from stepcore import lesson
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.schedule import scheduled
+
+QUIET = {"by": "flops", "threads": 1, "progress": False}
+
+
+def test_an_object_and_its_fields_are_the_same_motion():
+    motion = sc.Motion(horizon=0.2, starts=2, seed=3)
+    by_object = sc.trade("lesson:spring", motion, dts=[0.01], **QUIET)
+    by_fields = sc.trade("lesson:spring", horizon=0.2, starts=2, seed=3, dts=[0.01], **QUIET)
+    assert by_object.to_json() == by_fields.to_json()
+    assert by_object.to_dict()["motion"]["seed"] == 3
+
+
+def test_an_object_with_fields_beside_it_is_refused():
+    with pytest.raises(ValueError, match="motion and seed are both given"):
+        sc.trade("lesson:spring", sc.Motion(), seed=1)
+    with pytest.raises(ValueError, match=r"motion = 0.2: must be a stepcore.Motion"):
+        sc.predictability("lesson:spring", 0.2)
+
+
+@pytest.mark.parametrize(
+    ("word", "nearest"), [("horizn", "horizon"), ("controls", "control"), ("thread", "threads")]
+)
+def test_a_misspelt_argument_names_the_nearest_of_both_kinds(word, nearest):
+    with pytest.raises(
+        TypeError, match=rf'trade\(\) has no argument "{word}"; nearest.*"{nearest}"'
+    ):
+        sc.trade("lesson:spring", **{word: 1})
+
+
+def test_a_field_that_a_measurement_does_not_use_is_refused():
+    with pytest.raises(TypeError, match=r'diagnose\(\) has no argument "starts"'):
+        sc.diagnose("lesson:spring", starts=2)
+    with pytest.raises(ValueError, match="motion: diagnose does not use starts"):
+        sc.diagnose("lesson:spring", sc.Motion(starts=2))
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"horizon": -1}, "horizon = -1: must be a finite number of seconds > 0"),
+        ({"starts": 0}, "starts = 0: must be a whole number >= 1"),
+        ({"seed": 0.5}, "seed = 0.5: must be a whole number >= 0"),
+        ({"control": 1}, r"control = 1: must be a function of \(time, sim\)"),
+        ({"control": lambda time, sim: [0.0], "ctrl": [[0.0]]}, "control and ctrl are both given"),
+    ],
+)
+def test_a_motion_checks_its_fields_when_it_is_made(fields, said):
+    with pytest.raises(ValueError, match=said):
+        sc.Motion(**fields)
+
+
+def test_part_of_a_schedule_keeps_its_starts_and_their_controls():
+    scene = sc.Scene()
+    cart = scene.add_body("cart", mass=1.0, inertia=(1, 1, 1))
+    scene.add_actuator(scene.add_joint(cart, "slide"), ctrlrange=(-1, 1))
+    whole = scheduled(Motion(horizon=0.4, starts=5), scene.compile(), 0.1)
+    part = whole.part(1, 3)
+    assert part.starts == whole.starts[1:3] and len(part.ctrl) == 2
+    assert (part.ctrl == whole.ctrl[1:3]).all() and part.horizon == whole.horizon
+
+
+def test_a_motion_shows_what_was_set():
+    assert repr(sc.Motion()) == "Motion()"
+    assert repr(sc.Motion(horizon=2.0, key="home")) == "Motion(horizon=2.0, key='home')"
+    assert sc.trade(lesson.spring(), horizon=0.1, starts=1, **QUIET).motion.horizon == 0.1

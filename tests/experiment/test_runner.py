@@ -1,0 +1,160 @@
+"""One loop over control periods: what probes see of it, and what is timed and counted."""
+
+import math
+import pickle
+import time
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore import lesson
+from stepcore.experiment.converged import converged_settings
+from stepcore.experiment.cost import Counter, Stopwatch, TimedRun, costs
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.probe import Probe
+from stepcore.experiment.recorder import Positions
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import scheduled
+from stepcore.report.progress import Progress
+
+# A schedule of 8 periods of 0.04 s: 4 steps of 0.01 s each.
+PERIODS, STEPS = 8, 4
+
+
+def driven():
+    """A cart with a motor, its schedule and its runner."""
+    scene = sc.Scene(gravity=(0, 0, -9.81))
+    cart = scene.add_body("cart", mass=1.0, inertia=(1, 1, 1))
+    scene.add_actuator(scene.add_joint(cart, "slide", axis=(1, 0, 0)), ctrlrange=(-1, 1))
+    scene.options = {"dt": 0.01, "integrator": "semi-implicit", "solver": "pgs"}
+    model = scene.compile()
+    return Runner(model, scheduled(Motion(horizon=PERIODS * 0.04, starts=2), model, 0.04))
+
+
+def stiff_spring():
+    """ω dt = 1: stable under rk4; explicit Euler grows by √2 a step."""
+    return lesson.spring(k=1e6, dt=1e-3, integrator="rk4").compile()
+
+
+class Log(Probe):
+    """The time of every call. every: its stride, or None."""
+
+    def __init__(self, every=None):
+        self.every, self.calls = every, []
+
+    def stride(self, steps):
+        return self.every
+
+    def begin(self, sim):
+        self.calls.append(("begin", 0))
+
+    def period(self, sim, period):
+        self.calls.append(("period", round(sim.time / 0.01)))
+
+    def step(self, sim):
+        self.calls.append(("step", round(sim.time / 0.01)))
+
+    def sample(self, sim):
+        self.calls.append(("sample", round(sim.time / 0.01)))
+
+    def at(self, what):
+        return [step for name, step in self.calls if name == what]
+
+
+@pytest.mark.parametrize(
+    ("every", "steps"),
+    [(None, [4, 8]), (1, [1, 2, 3, 4, 5, 6, 7, 8]), (3, [3, 4, 7, 8])],
+)
+def test_probes_are_called_at_periods_at_strides_and_at_samples(every, steps):
+    runner, log = driven(), Log(every)
+    runner.follow(runner.sim(runner.model.settings), 0, [log])
+    assert log.calls[:2] == [("begin", 0), ("period", 0)]
+    assert log.at("period") == [STEPS * k for k in range(PERIODS)]
+    assert log.at("step")[: len(steps)] == steps
+    assert log.at("sample") == [round(t / 0.01) for t in runner.schedule.times]
+
+
+def test_probes_of_two_strides_are_called_at_the_shorter():
+    runner, often, seldom = driven(), Log(1), Log(4)
+    runner.follow(runner.sim(runner.model.settings), 0, [often, seldom])
+    assert often.at("step") == seldom.at("step") == list(range(1, PERIODS * STEPS + 1))
+
+
+def test_what_looks_at_a_run_does_not_change_it():
+    runner = driven()
+    settings = runner.model.settings
+    whole, light = runner.run(settings, 1), runner.run(settings, 1, [Positions(runner.bodies)])
+    assert np.array_equal(whole.com, light.com) and np.array_equal(whole.quat, light.quat)
+    copy = pickle.loads(pickle.dumps(runner)).run(settings, 1)
+    assert np.array_equal(whole.com, copy.com) and np.array_equal(whole.balance, copy.balance)
+
+
+def test_a_failure_ends_the_runs_and_says_why():
+    model = stiff_spring()
+    runner = Runner(model, scheduled(Motion(horizon=4.0, starts=3), model, 0.5))
+    paths = runner.runs(model.settings.replace(integrator="explicit"))
+    assert len(paths) == 1 and "diverged" in paths[0].failure
+    assert not any(path.failure for path in runner.runs(model.settings))
+
+
+def test_work_is_counted_by_the_engine_at_every_sample():
+    runner = driven()
+    counter = Counter(runner)
+    runner.run(runner.model.settings, 0, [Positions(runner.bodies), counter])
+    sim = runner.sim(runner.model.settings)
+    # A cart does the same in every step.
+    assert counter.work.flops == pytest.approx(sim.count_flops() / 0.01)
+    assert counter.work.nbytes == sim.nbytes
+
+
+def test_only_steps_are_timed_and_all_of_them():
+    watch, asked = Stopwatch(), []
+    step = watch.timing(lambda count: (asked.append(count), time.sleep(0.001 * count))[0])
+    for count in (2, 3):
+        step(count)
+        time.sleep(0.005)
+    assert asked == [2, 3] and 0.005 <= watch.spent < 0.009
+    assert watch.total() <= watch.spent
+
+
+def test_runs_without_controls_are_timed_in_one_call():
+    asked = []
+
+    class Slow(Runner):
+        def sim(self, settings):
+            sim = super().sim(settings)
+            step = sim.step
+            sim.step = lambda count: (asked.append(count), step(count))[1]
+            return sim
+
+    model = lesson.spring().compile()
+    runner = Slow(model, scheduled(Motion(horizon=0.4, starts=1), model, 0.04))
+    TimedRun(runner, model.settings).once()
+    assert asked == [round(0.4 / model.settings.dt)]
+
+
+def test_a_run_that_fails_costs_nan_and_the_others_their_time():
+    model = stiff_spring()
+    runner = Runner(model, scheduled(Motion(horizon=4.0, starts=1), model, 0.5))
+    settings = (model.settings, model.settings.replace(integrator="explicit"))
+    with Progress("", 3, False) as bar:
+        runs = [
+            *(TimedRun(runner, setting) for setting in settings),
+            TimedRun(runner, None, failed=True),
+        ]
+        ran, diverged, skipped = costs(runs, bar)
+    assert ran > 0 and math.isnan(diverged) and math.isnan(skipped)
+
+
+def test_converged_settings_solve_to_rounding_as_the_law_allows():
+    convex = converged_settings(sc.Settings(law="solref", precision="f32"), refsafe=False, dt=0.1)
+    assert (convex.solver, convex.precision, convex.refsafe, convex.dt) == (
+        "newton",
+        "f64",
+        False,
+        0.1,
+    )
+    other = converged_settings(sc.Settings(law="rigid", solver="pgs"), refsafe=False, pgs=99)
+    assert (other.solver, other.sweeps, other.acceleration) == ("pgs", 99, "none")
+    assert other.refsafe == sc.Settings().refsafe
