@@ -2,15 +2,15 @@
 
 import math
 import pickle
-import time
 
 import numpy as np
 import pytest
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.experiment import cost
 from stepcore.experiment.converged import converged_settings
-from stepcore.experiment.cost import Counter, Stopwatch, TimedRun, costs
+from stepcore.experiment.cost import Counter, TimedRun, costs
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.probe import Probe
 from stepcore.experiment.recorder import Positions
@@ -108,14 +108,24 @@ def test_work_is_counted_by_the_engine_at_every_sample():
     assert counter.work.nbytes == sim.nbytes
 
 
-def test_only_steps_are_timed_and_all_of_them():
-    watch, asked = Stopwatch(), []
-    step = watch.timing(lambda count: (asked.append(count), time.sleep(0.001 * count))[0])
-    for count in (2, 3):
-        step(count)
-        time.sleep(0.005)
-    assert asked == [2, 3] and 0.005 <= watch.spent < 0.009
-    assert watch.total() <= watch.spent
+def test_only_steps_are_timed_and_only_while_the_thread_computes(monkeypatch):
+    clock = {"wall": 0.0, "own": 0.0}
+
+    def spend(wall, own):
+        clock["wall"] += wall
+        clock["own"] += own
+
+    monkeypatch.setattr(cost, "perf_counter", lambda: clock["wall"])
+    monkeypatch.setattr(cost, "thread_time", lambda: clock["own"])
+    monkeypatch.setattr(cost, "OWN_CLOCK", True)
+    watch = cost.Stopwatch()
+    step = watch.timing(lambda count: spend(1.0 * count, 0.5 * count))
+    step(2)
+    spend(3.0, 1.5)
+    step(3)
+    assert watch.spent == 5.0
+    # Half of the wall time another thread had the core.
+    assert watch.total() == 2.5
 
 
 def test_runs_without_controls_are_timed_in_one_call():
