@@ -13,7 +13,7 @@ MODULES = [found.name for found in pkgutil.walk_packages(sc.__path__, "stepcore.
 # What other things hand out is shown in their examples, and the compiled classes are Rust.
 WITHOUT_EXAMPLE = (
     *("Settings", "SimulationError", "__version__", "reference"),
-    *("Diagnosis", "StabilityMap", "Trade"),
+    *("Diagnosis", "Predictability", "StabilityMap", "Trade"),
     *("ElementLimits", "FeatureEffect", "PlanEntry", "ResidualHistory", "RowForce"),
     *("BodyView", "GeomView", "JointView", "SiteView", "Trajectory", "Keyframe", "Rollout"),
     *("Energy", "Momentum", "MJCFError"),

@@ -32,6 +32,25 @@ class StateArray:
         fill(sim._arrays[self.name], self.name, value)
 
 
+class ModelArray:
+    """A read-only array of a `Model`, known to the engine by the attribute's name."""
+
+    def __init__(self, doc: str) -> None:
+        self.__doc__ = doc
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, model: Any, owner: type | None = None) -> NDArray[Any]:
+        if model is None:
+            return self  # type: ignore[return-value]
+        array: NDArray[Any] = model._arrays[self.name]
+        return array
+
+    def __set__(self, model: Any, value: object) -> None:
+        raise AttributeError(f"{self.name} of a Model cannot be set; see Model.with_values")
+
+
 def fill(array: Floats, name: str, value: ArrayLike) -> None:
     """Overwrites an array; a ValueError for what is not real numbers of its shape."""
     table = numbers(name, value)

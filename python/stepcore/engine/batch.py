@@ -1,4 +1,4 @@
-"""`Batch`: many worlds of one model, stepped together, in lanes and over threads."""
+"""`Batch`: many worlds of one model, stepped together in vector lanes and threads."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ if TYPE_CHECKING:
 
 
 class Rollout(NamedTuple):
-    """States after every step: qpos (n, steps, nq), qvel (n, steps, nv), act (n, steps, na)."""
+    """States after every step.
+
+    qpos: shape (n, steps, nq). qvel: shape (n, steps, nv). act: shape (n, steps, na).
+    """
 
     qpos: Floats
     qvel: Floats
@@ -43,23 +46,25 @@ ON_FAILURE = ("stop", "go on")
 
 
 class Batch(Stepped):
-    """`n` worlds of a model; the arrays of a `Sim` with a leading world axis.
+    """Simulates many worlds of a model; the arrays are those of a `Sim` with a leading world axis.
 
-    model: a `Model`, or a `Scene` to compile. n: how many worlds. threads: how many step at once.
-    lanes: eight worlds share a processor's vector registers; False: one by one; the results are
-    the same bits, as they are at any number of threads. (Single precision runs one by one.)
-    settings, overrides: as for a `Sim`.
+    model: a `Model`, or a `Scene`, which is compiled.
+    n: the number of worlds.
+    threads: how many threads step them; by default one a core, or one in all for a batch so small
+        that waking threads costs more than it gains.
+    lanes: True steps eight worlds at a time in the processor's vector registers, False one by one.
+        (Single precision always runs one by one.)
+    on_failure: what happens if a world fails as in `Sim.step`. With "stop", SimulationError names
+        it and all worlds are left before the first step in which one failed. With "go on", the
+        others continue with the same bits; the failed world stays in its last finite state, its
+        error is in `failures`, and it moves again once its qpos or qvel is written, or after
+        `reset` or `restore`.
+    settings, fields: as for a `Sim`.
 
-    A batch keeps only `qacc` of its worlds' last solves; what else is read of them (`contacts`,
-    `rows`, `residual`, `constraint_force`, `actuator_force`) is computed again, with the same
-    bits, at the price of a step that is not shared over lanes and threads.
-
-    on_failure: "stop": if a world fails (see `Sim.step`), SimulationError names it, and all stand
-    before the first step in which one did. "go on": the others go on, with the same bits as if
-    nothing had happened; a world that failed stands in its last finite state, `failures` has its
-    error, and it moves again when its qpos or qvel are written (or by `reset` or `restore`).
-
-    All worlds have the same time.
+    The results are the same bits with any number of threads, with and without lanes, and in a
+    `Sim`. All worlds share one time. Of the last solve a batch keeps only `qacc`: reading
+    `contacts`, `rows`, `residual`, `constraint_force` or `actuator_force` computes it again, at the
+    cost of a step in one thread without lanes.
 
     >>> from stepcore import Batch, Scene
     >>> scene = Scene()
@@ -73,14 +78,16 @@ class Batch(Stepped):
     [-0.981, 0.019, 1.019]
     """
 
-    qpos = StateArray("Positions, shape (n, nq); quaternions w x y z.")
-    qvel = StateArray("Velocities, shape (n, nv).")
-    act = StateArray("States of actuators, shape (n, na): none has one yet.")
-    ctrl = StateArray("Controls, shape (n, nu); held during a step.")
-    qfrc_applied = StateArray("Forces on the dofs [N or N·m], shape (n, nv); held during a step.")
+    qpos = StateArray("Positions [m or rad], shape (n, nq); quaternions w x y z.")
+    qvel = StateArray("Velocities [m/s or rad/s], shape (n, nv).")
+    act = StateArray("Activations of actuators, shape (n, na); no actuator has one, so na is 0.")
+    ctrl = StateArray("Controls, shape (n, nu), constant during a step.")
+    qfrc_applied = StateArray(
+        "Applied forces on the dofs [N or N·m], shape (n, nv), constant in a step."
+    )
     xfrc_applied = StateArray(
-        "Force [N] on each body's centre of mass and moment [N·m], in world axes, "
-        "shape (n, nbody, 6)."
+        "Force on each body's centre of mass [N] and moment [N·m], in world axes, "
+        "shape (n, nbody, 6), constant during a step."
     )
 
     def __init__(
@@ -92,9 +99,9 @@ class Batch(Stepped):
         lanes: bool = True,
         on_failure: str = "stop",
         settings: Settings | None = None,
-        **overrides: Unpack[SettingsFields],
+        **fields: Unpack[SettingsFields],
     ) -> None:
-        self._model = compiled(model).with_settings(settings, **overrides)
+        self._model = compiled(model).with_settings(settings, **fields)
         self._lanes = checks.flag("Batch", "lanes", lanes)
         self._threads = _threads(threads, n, self._model.nv)
         self._on_failure: str = checks.one_of(*ON_FAILURE)("Batch", "on_failure", on_failure)
@@ -109,7 +116,7 @@ class Batch(Stepped):
 
     @property
     def time(self) -> float:
-        """Time of all worlds [s]: where it was set or restored, plus dt for each step since."""
+        """Time of all worlds [s]: the value last set or restored, plus dt for each step since."""
         return self._core.time
 
     @time.setter
@@ -117,31 +124,31 @@ class Batch(Stepped):
         self._core.time = value
 
     def step(self, n: int = 1) -> None:
-        """Advances every world by n steps, without the GIL; raises what `Sim.step` raises."""
-        with self._told():
+        """Takes n steps in every world, with the GIL released; raises what `Sim.step` raises."""
+        with self._explained():
             self._core.step(n)
 
     def forward(self) -> None:
-        """Place, detect and solve at the present states; nothing moves."""
-        with self._told():
+        """Computes poses, contacts and forces at the present states, without taking a step."""
+        with self._explained():
             self._core.forward()
 
     def rollout(self, ctrl: ArrayLike) -> Rollout:
-        """Steps with given controls and keeps every state.
+        """Steps with given controls and returns every state.
 
-        ctrl: shape (n, steps, nu), a row for every step. The last one stays in `ctrl`.
+        ctrl: shape (n, steps, nu), one row for each step; the last row stays in `ctrl`.
         """
         table = numbers("ctrl", ctrl)
         if table.ndim != 3:
             limit = f"({len(self)}, steps, {self._model.nu})"
             raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
-        with self._told():
+        with self._explained():
             qpos, qvel = self._core.rollout(table)
         return Rollout(qpos, qvel, np.zeros((*qpos.shape[:2], 0)))
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
-        """Gives an error the replay of the world that failed."""
+    def _explained(self) -> Iterator[None]:
+        """Adds its `replay` to an error that is raised within."""
         try:
             yield
         except SimulationError as error:
@@ -150,7 +157,7 @@ class Batch(Stepped):
 
     @property
     def failures(self) -> dict[int, SimulationError]:
-        """The errors of worlds that failed while the others went on, by world."""
+        """Errors of the worlds that failed under on_failure="go on", by index of the world."""
         known = self._failures
         failed, new = self._core.failures(list(known))
         for error in new:
@@ -163,13 +170,13 @@ class Batch(Stepped):
         self._core.restart(time)
 
     def state(self) -> tuple[bytes, ...]:
-        """A complete snapshot of every world; each is also one of a `Sim`."""
+        """Returns a complete snapshot of every world; each is also one of a `Sim`."""
         return tuple(self._core.state())
 
     def restore(self, state: tuple[bytes, ...]) -> None:
-        """Goes back to a `state`; continuing is bit-identical.
+        """Restores a snapshot from `state`; continuing from it gives the same bits.
 
-        Raises ValueError for anything else, and leaves everything as it was.
+        Raises ValueError for anything else, and changes nothing then.
         """
         try:
             worlds = list(state)
@@ -181,117 +188,117 @@ class Batch(Stepped):
 
     @property
     def xmat(self) -> Floats:
-        """Orientation of each body's frame as a matrix, shape (n, nbody, 3, 3)."""
+        """Orientation of each body's frame as a rotation matrix, shape (n, nbody, 3, 3)."""
         return self._core.xmat
 
     @property
     def geom_xmat(self) -> Floats:
-        """Orientation of each geom, shape (n, ngeom, 3, 3)."""
+        """Orientation of each geom as a rotation matrix, shape (n, ngeom, 3, 3)."""
         return self._core.geom_xmat
 
     def mass_matrix(self) -> Floats:
-        """The mass matrices, armature included, shape (n, nv, nv)."""
+        """Returns the mass matrices, armature included, shape (n, nv, nv)."""
         return self._core.mass_matrix()
 
     @property
     def bias(self) -> Floats:
-        """Coriolis, centrifugal and gravity forces (on the left-hand side), shape (n, nv)."""
+        """Coriolis, centrifugal and gravity forces [N or N·m], shape (n, nv); see `Sim.bias`."""
         return self._core.bias
 
     @property
     def passive(self) -> Floats:
-        """Forces of joint springs and dampers, shape (n, nv)."""
+        """Forces of joint springs and dampers [N or N·m], shape (n, nv)."""
         return self._core.passive
 
     @property
     def momentum(self) -> Momentum:
-        """Linear and angular momentum of each world, shape (n, 3) each; see `Sim.momentum`."""
+        """Linear [kg·m/s] and angular [kg·m²/s] momentum of each world, shape (n, 3) each."""
         both = self._core.momentum
         return Momentum(both[:, 0], both[:, 1])
 
     def jacobian(self, body: str | int) -> Floats:
-        """How a body's frame moves with qvel, shape (n, 6, nv); see `Sim.jacobian`."""
+        """Returns the Jacobian of a body's frame, shape (n, 6, nv); see `Sim.jacobian`."""
         return self._core.jacobian(self._model.index("body", body))
 
     # The last step or forward().
 
     @property
     def constraint_force(self) -> Floats:
-        """Force of all rows together on the dofs, Jᵀλ/dt, shape (n, nv)."""
+        """Force of all constraint rows on the dofs, Jᵀλ/dt [N or N·m], shape (n, nv)."""
         return self._core.constraint_force
 
     @property
     def actuator_force(self) -> Floats:
-        """Force of each actuator, before its gear, shape (n, nu)."""
+        """Force of each actuator before its gear [N or N·m], shape (n, nu)."""
         return self._core.actuator_force
 
     @property
     def contacts(self) -> list[NDArray[Any]]:
-        """Contacts of each world, n structured arrays; see `Sim.contacts`."""
+        """Contacts of each world, a list of n structured arrays; see `Sim.contacts`."""
         names = self._model.geom_names
         return [contact_table(names, *table) for table in self._core.contacts()]
 
     @property
     def rows(self) -> list[NDArray[Any]]:
-        """Rows of each world, n structured arrays; see `Sim.rows`."""
+        """Constraint rows of each world, a list of n structured arrays; see `Sim.rows`."""
         return [row_table(self.settings.dt, *table) for table in self._core.rows()]
 
     @property
     def residual(self) -> Floats:
-        """How far each world's last solve was from the rows' laws [m/s], shape (n,)."""
+        """Residual of each world's last solve [m/s], shape (n,); see `Sim.residual`."""
         return self._core.residual
 
     # By name.
 
     def body(self, name: str | int) -> BodyView:
-        """A body's part of the arrays, worlds first; ValueError for an unknown name."""
+        """Returns a view of one body in all worlds; ValueError for an unknown name."""
         return BodyView(self, self._model.index("body", name))
 
     def joint(self, name: str | int) -> JointView:
-        """A joint's part of the arrays, worlds first."""
+        """Returns a view of one joint in all worlds."""
         return JointView(self, self._model.index("joint", name))
 
     def geom(self, name: str | int) -> GeomView:
-        """A geom's part of the arrays, worlds first."""
+        """Returns a view of one geom in all worlds."""
         return GeomView(self, self._model.index("geom", name))
 
     def site(self, name: str | int) -> SiteView:
-        """A site's part of the arrays, worlds first."""
+        """Returns a view of one site in all worlds."""
         return SiteView(self, self._model.index("site", name))
 
     @property
     def qacc(self) -> Floats:
-        """Accelerations of the last solve, shape (n, nv)."""
+        """Accelerations of the last solve [m/s² or rad/s²], shape (n, nv)."""
         return self._core.qacc
 
     @property
     def xpos(self) -> Floats:
-        """Position of each body's frame at the present state [m], shape (n, nbody, 3)."""
+        """Position of each body's frame [m], shape (n, nbody, 3)."""
         return self._core.xpos
 
     @property
     def xquat(self) -> Floats:
-        """Orientation of each body's frame at the present state, shape (n, nbody, 4)."""
+        """Orientation of each body's frame as a quaternion w x y z, shape (n, nbody, 4)."""
         return self._core.xquat
 
     @property
     def geom_xpos(self) -> Floats:
-        """Position of each geom at the present state [m], shape (n, ngeom, 3)."""
+        """Position of each geom [m], shape (n, ngeom, 3)."""
         return self._core.geom_xpos
 
     @property
     def site_xpos(self) -> Floats:
-        """Position of each site at the present state [m], shape (n, nsite, 3)."""
+        """Position of each site [m], shape (n, nsite, 3)."""
         return self._core.site_xpos
 
     @property
     def energy(self) -> Floats:
-        """Kinetic and potential energy at the present state [J], shape (n, 2)."""
+        """Kinetic and potential energy [J], shape (n, 2); see `Sim.energy`."""
         return self._core.energy
 
     @property
     def overlap(self) -> Floats:
-        """Deepest overlap of two geoms that can touch, at the present state [m], shape (n,)."""
+        """The deepest overlap of two geoms that can collide [m], shape (n,)."""
         return self._core.overlap
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -1,4 +1,4 @@
-"""`Model`: a scene once compiled: constant, and what a `Sim` or a `Batch` steps."""
+"""`Model`: a compiled scene, constant, which a `Sim` or a `Batch` steps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings
-from stepcore.engine.arrays import Floats
+from stepcore.engine.arrays import Floats, ModelArray
 from stepcore.engine.file_lines import with_file_lines
 from stepcore.scene.layout import Layout
 from stepcore.scene.value_paths import changed
@@ -30,14 +30,15 @@ if TYPE_CHECKING:
     from stepcore.engine.sim import Sim
     from stepcore.scene.scene import Scene
 
-Ints = NDArray[np.int32]
-
 # Compiled scenes that a process keeps for the models sent to it.
 KEPT = 16
 
 
 class Keyframe(NamedTuple):
-    """A named state with its defaults filled in: time [s], qpos (nq,), qvel (nv,), ctrl (nu,)."""
+    """A named state, with defaults for what the scene leaves open.
+
+    time: [s]. qpos: shape (nq,). qvel: shape (nv,). ctrl: shape (nu,).
+    """
 
     name: str
     time: float
@@ -47,13 +48,16 @@ class Keyframe(NamedTuple):
 
 
 class Model:
-    """A compiled scene.
+    """Compiles a scene.
 
-    scene: the `Scene` to compile; it is copied, so that later edits do not reach the model.
-    settings: a `Settings` in place of the scene's own. overrides: single settings fields.
+    scene: the `Scene`. It is copied: later edits do not change the model.
+    settings: a `Settings` that replaces the scene's own.
+    fields: single fields of `Settings` to change, such as ``dt=0.005``.
 
-    Raises ValueError for a scene that cannot be compiled, naming element, field and limit.
-    Elements stand in MuJoCo's order; arrays are read-only; names are "" where none was given.
+    A model is constant, and many Sims can share it. Its arrays are read-only and stand in
+    MuJoCo's order; the name of an element without one is "".
+
+    Raises ValueError, naming element, field and limit, for a scene that cannot be compiled.
 
     >>> from stepcore import Scene
     >>> scene = Scene()
@@ -68,27 +72,27 @@ class Model:
     """
 
     def __init__(
-        self, scene: Scene, settings: Settings | None = None, **overrides: Unpack[SettingsFields]
+        self, scene: Scene, settings: Settings | None = None, **fields: Unpack[SettingsFields]
     ) -> None:
         if not hasattr(scene, "to_dict"):
             raise ValueError(f"scene = {checks.shown(scene)}: must be a stepcore.Scene")
         self._scene = copy.deepcopy(scene)
-        self._settings = _merged(self._scene.settings, settings, overrides)
+        self._settings = _merged(self._scene.settings, settings, fields)
         self._core = _engine(self._scene)
 
     @property
     def scene(self) -> Scene:
-        """The scene that was compiled. Editing it does not change the model."""
+        """The scene that was compiled. Edits of it do not change the model."""
         return self._scene
 
     @property
     def settings(self) -> Settings:
-        """The settings that a `Sim` of this model starts from."""
+        """The settings that a `Sim` of this model has unless it changes them."""
         return self._settings
 
     @property
     def core(self) -> _core.Model:
-        """The compiled model as the engine has it."""
+        """The engine's own object; for use within stepcore."""
         return self._core
 
     # Counts.
@@ -110,7 +114,7 @@ class Model:
 
     @property
     def na(self) -> int:
-        """Length of act: no actuator has a state of its own yet."""
+        """Length of act; no actuator has an activation yet, so it is 0."""
         return 0
 
     @property
@@ -137,7 +141,7 @@ class Model:
 
     @functools.cached_property
     def names(self) -> dict[str, tuple[str, ...]]:
-        """Names by kind: body, joint, geom, site, actuator, equality, key."""
+        """Names by kind: "body", "joint", "geom", "site", "actuator", "equality", "key"."""
         return {kind: tuple(names) for kind, names in self._core.names().items()}
 
     @property
@@ -179,9 +183,12 @@ class Model:
         return self.names["key"]
 
     def index(self, kind: str, name: str | int) -> int:
-        """Where the element of this name stands; ValueError with the nearest if there is none.
+        """Returns the index of an element.
 
         kind: "body", "joint", "geom", "site", "actuator", "equality" or "key".
+        name: its name, or an index, which may be negative.
+
+        Raises ValueError, with the nearest names, if there is no such element.
         """
         names = self.names[kind]
         if isinstance(name, str):
@@ -195,149 +202,72 @@ class Model:
             raise ValueError(f"{kind} = {checks.shown(name)}: must be {limit}") from None
         return index
 
-    # Tables.
+    # Arrays.
 
     @functools.cached_property
-    def _tables(self) -> dict[str, Floats]:
-        return {name: _frozen(table) for name, table in self._core.tables().items()}
-
-    @functools.cached_property
-    def _addresses(self) -> dict[str, Ints]:
+    def _arrays(self) -> dict[str, NDArray[Any]]:
         lists = self._core.addresses().items()
-        return {name: _frozen(np.array(entries, dtype=np.int32)) for name, entries in lists}
+        addresses = {name: np.array(entries, dtype=np.int32) for name, entries in lists}
+        return {name: _frozen(array) for name, array in (self._core.tables() | addresses).items()}
 
-    @property
-    def qpos0(self) -> Floats:
-        """qpos of the pose in which the scene is described, shape (nq,)."""
-        return self._tables["qpos0"]
-
-    @property
-    def body_mass(self) -> Floats:
-        """[kg], shape (nbody,)."""
-        return self._tables["body_mass"]
-
-    @property
-    def body_ipos(self) -> Floats:
-        """Centre of mass in the body's frame [m], shape (nbody, 3)."""
-        return self._tables["body_ipos"]
-
-    @property
-    def body_inertia(self) -> Floats:
-        """About the centre of mass, in the body's axes [kg·m²], shape (nbody, 3, 3)."""
-        return self._tables["body_inertia"]
-
-    @property
-    def body_parent(self) -> Ints:
-        """Index of the body that carries each body, shape (nbody,)."""
-        return self._addresses["body_parent"]
-
-    @property
-    def body_invweight0(self) -> Floats:
-        """Mean inverse mass [1/kg] and inverse inertia [1/(kg·m²)] at qpos0, shape (nbody, 2)."""
-        return self._tables["body_invweight0"]
-
-    @property
-    def dof_invweight0(self) -> Floats:
-        """Diagonal of the inverse mass matrix at qpos0, a mean for each joint, shape (nv,)."""
-        return self._tables["dof_invweight0"]
+    qpos0 = ModelArray("Positions in the pose in which the scene is described, shape (nq,).")
+    body_mass = ModelArray("Mass of each body [kg], shape (nbody,).")
+    body_ipos = ModelArray("Centre of mass in the body's frame [m], shape (nbody, 3).")
+    body_inertia = ModelArray(
+        "Inertia about the centre of mass, in the body's axes [kg·m²], shape (nbody, 3, 3)."
+    )
+    body_parent = ModelArray("Index of each body's parent, shape (nbody,).")
+    body_invweight0 = ModelArray(
+        "Mean inverse mass [1/kg] and inverse inertia [1/(kg·m²)] at qpos0, shape (nbody, 2)."
+    )
+    dof_invweight0 = ModelArray(
+        "Diagonal of the inverse mass matrix at qpos0, averaged over each joint, shape (nv,)."
+    )
+    jnt_qposadr = ModelArray("Index in qpos at which each joint begins, shape (njnt,).")
+    jnt_dofadr = ModelArray("Index in qvel at which each joint begins, shape (njnt,).")
+    jnt_body = ModelArray("Index of the body that each joint moves, shape (njnt,).")
+    jnt_range = ModelArray(
+        "Lower and upper limit of each joint [rad or m], ±inf without one, shape (njnt, 2)."
+    )
+    jnt_axis = ModelArray("Axis of each joint in the body's frame, a unit vector, shape (njnt, 3).")
+    jnt_pos = ModelArray("Anchor of each joint in the body's frame [m], shape (njnt, 3).")
+    geom_size = ModelArray("Sizes of each geom in MuJoCo's convention [m], shape (ngeom, 3).")
+    geom_body = ModelArray("Index of each geom's body, shape (ngeom,).")
+    site_body = ModelArray("Index of each site's body, shape (nsite,).")
+    actuator_joint = ModelArray("Index of the joint that each actuator drives, shape (nu,).")
+    actuator_ctrlrange = ModelArray(
+        "Range to which each control is clamped, ±inf without one, shape (nu, 2)."
+    )
+    actuator_gear = ModelArray("Gear of each actuator for each dof of its joint, shape (nu, 6).")
+    actuator_gain = ModelArray("Force per unit of control, before the gear, shape (nu,).")
+    actuator_bias = ModelArray(
+        "Force at control 0, and per unit of length and of velocity, before the gear, "
+        "shape (nu, 3). A damping ratio is converted to the damping that it stands for."
+    )
+    actuator_forcerange = ModelArray(
+        "Range to which each force is clamped before the gear [N or N·m], ±inf without one, "
+        "shape (nu, 2)."
+    )
 
     @functools.cached_property
     def jnt_type(self) -> tuple[str, ...]:
-        """ "free", "ball", "slide" or "hinge" of each joint."""
+        """Type of each joint: "free", "ball", "slide" or "hinge"."""
         return tuple(self._core.joint_types())
-
-    @property
-    def jnt_qposadr(self) -> Ints:
-        """Where each joint starts in qpos, shape (njnt,)."""
-        return self._addresses["jnt_qposadr"]
-
-    @property
-    def jnt_dofadr(self) -> Ints:
-        """Where each joint starts in qvel, shape (njnt,)."""
-        return self._addresses["jnt_dofadr"]
-
-    @property
-    def jnt_body(self) -> Ints:
-        """The body that each joint moves, shape (njnt,)."""
-        return self._addresses["jnt_body"]
-
-    @property
-    def jnt_range(self) -> Floats:
-        """Lower and upper limit [rad or m], ±inf without one, shape (njnt, 2)."""
-        return self._tables["jnt_range"]
-
-    @property
-    def jnt_axis(self) -> Floats:
-        """Unit axis in the body's frame, shape (njnt, 3)."""
-        return self._tables["jnt_axis"]
-
-    @property
-    def jnt_pos(self) -> Floats:
-        """Anchor in the body's frame [m], shape (njnt, 3)."""
-        return self._tables["jnt_pos"]
 
     @functools.cached_property
     def geom_type(self) -> tuple[str, ...]:
-        """ "plane", "sphere", "capsule", "ellipsoid", "cylinder" or "box" of each geom."""
+        """Type of each geom: "plane", "sphere", "capsule", "ellipsoid", "cylinder" or "box"."""
         return tuple(self._core.geom_types())
-
-    @property
-    def geom_size(self) -> Floats:
-        """MuJoCo's sizes [m], shape (ngeom, 3)."""
-        return self._tables["geom_size"]
-
-    @property
-    def geom_body(self) -> Ints:
-        """The body of each geom, shape (ngeom,)."""
-        return self._addresses["geom_body"]
-
-    @property
-    def site_body(self) -> Ints:
-        """The body of each site, shape (nsite,)."""
-        return self._addresses["site_body"]
-
-    @property
-    def actuator_joint(self) -> Ints:
-        """The joint that each actuator drives, shape (nu,)."""
-        return self._addresses["actuator_joint"]
-
-    @property
-    def actuator_ctrlrange(self) -> Floats:
-        """Range to which controls are clamped, ±inf without one, shape (nu, 2)."""
-        return self._tables["actuator_ctrlrange"]
-
-    @property
-    def actuator_gear(self) -> Floats:
-        """Force per control along each dof of the joint, shape (nu, 6)."""
-        return self._tables["actuator_gear"]
-
-    @property
-    def actuator_gain(self) -> Floats:
-        """Force per control, before the gear, shape (nu,)."""
-        return self._tables["actuator_gain"]
-
-    @property
-    def actuator_bias(self) -> Floats:
-        """Force without control, and per length and velocity, before the gear, shape (nu, 3).
-
-        A damping ratio is already in it as the damping that it stands for.
-        """
-        return self._tables["actuator_bias"]
-
-    @property
-    def actuator_forcerange(self) -> Floats:
-        """Range to which forces are clamped before the gear, ±inf without one, shape (nu, 2)."""
-        return self._tables["actuator_forcerange"]
 
     @functools.cached_property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Geoms that can ever meet, by name (or "#index" where there is none)."""
+        """Pairs of geoms that can ever collide, by name ("#index" for a geom without one)."""
         names = [name or f"#{i}" for i, name in enumerate(self.geom_names)]
         return tuple((names[a], names[b]) for a, b in self._core.pairs())
 
     @functools.cached_property
     def keys(self) -> tuple[Keyframe, ...]:
-        """The keyframes, with what they leave open filled in."""
+        """The keyframes, with defaults for what they leave open."""
         states = zip(self.key_names, self._core.keys(), strict=True)
         return tuple(
             Keyframe(name, time, *(_frozen(np.array(x, dtype=float)) for x in arrays))
@@ -345,7 +275,7 @@ class Model:
         )
 
     def plan(self, *, sim: Sim | None = None, time: bool = False) -> Plan:
-        """What a step does and what it leaves out, with the reasons: `stepcore.plan(self, …)`."""
+        """Lists what a step does and what it leaves out, and why; see `stepcore.plan`."""
         from stepcore.engine.plan import planned
 
         return planned(self, sim, time)
@@ -353,22 +283,24 @@ class Model:
     # Copies.
 
     def with_values(self, values: Mapping[str, Any]) -> Model:
-        """A copy with some values of the scene changed, compiled anew.
+        """Compiles the scene again with some values changed.
 
-        values: by "kind/name/field", for instance ``{"geom/box/friction": 0.4, "body/arm/mass":
-        2.0, "joint/knee/damping": 1.0}``, or "gravity". A number for a field of several sets its
-        first. The mass of a body whose mass comes from its geoms scales those geoms.
+        values: a dict from "kind/name/field" to the value, such as ``{"geom/box/friction": 0.4,
+            "body/arm/mass": 2.0, "joint/knee/damping": 1.0}``; "gravity" is a path as well. A
+            single number sets the first entry of a vector. The mass of a body that gets it from
+            its geoms scales those geoms.
 
-        Raises ValueError for an unknown kind, name or field (listing the nearest) or a bad value.
+        Raises ValueError, with the nearest names, for an unknown kind, name or field, and for a bad
+        value.
         """
         return Model(changed(self._scene, values, self), self._settings)
 
     def with_settings(
-        self, settings: Settings | None = None, **overrides: Unpack[SettingsFields]
+        self, settings: Settings | None = None, **fields: Unpack[SettingsFields]
     ) -> Model:
-        """The same model with other settings; nothing is compiled again."""
+        """Returns the same model with other settings, without compiling again."""
         other = copy.copy(self)
-        other._settings = _merged(self._settings, settings, overrides)
+        other._settings = _merged(self._settings, settings, fields)
         return other
 
     @functools.cached_property
@@ -442,7 +374,7 @@ def _unpickled(pickled: bytes, settings: Settings) -> Model:
 
 
 def _engine(scene: Scene) -> _core.Model:
-    """The engine's model; what it refuses is said with file and line where the scene has them."""
+    """The engine's model; an error about an element of a file gets its file and line."""
     try:
         return _core.compile(scene.to_dict())
     except checks.ElementError as error:
@@ -454,10 +386,10 @@ def _engine(scene: Scene) -> _core.Model:
         raise with_file_lines(error, Layout(scene)) from None
 
 
-def _merged(own: Settings, given: Settings | None, overrides: SettingsFields) -> Settings:
+def _merged(own: Settings, given: Settings | None, fields: SettingsFields) -> Settings:
     if given is not None and not isinstance(given, Settings):
         raise ValueError(f"settings = {checks.shown(given)}: must be a stepcore.Settings")
-    return (own if given is None else given).replace(**overrides)
+    return (own if given is None else given).replace(**fields)
 
 
 def _frozen(array: Any) -> Any:

@@ -1,4 +1,4 @@
-"""`Sim`: one world: its state, yours to write, and everything that can be read of it."""
+"""`Sim`: one world of a model: its state, its step, and everything that can be read of it."""
 
 from __future__ import annotations
 
@@ -25,38 +25,48 @@ if TYPE_CHECKING:
 
 
 class Energy(NamedTuple):
-    """Energy [J]: kinetic, and potential: joint springs, and gravity on every body, fixed ones
-    too, zero at the world's origin."""
+    """Kinetic and potential energy [J].
+
+    The potential energy is that of joint springs and of gravity on every body, fixed bodies
+    included; gravity's is zero at the world's origin.
+    """
 
     kinetic: float
     potential: float
 
     @property
     def total(self) -> float:
-        """Kinetic and potential together [J]."""
+        """The sum of kinetic and potential energy [J]."""
         return self.kinetic + self.potential
 
 
 class Momentum(NamedTuple):
-    """Linear [kg·m/s] and angular about the world's origin [kg·m²/s], shape (3,) each."""
+    """Momentum of all bodies, in world axes.
+
+    linear: [kg·m/s], shape (3,). angular: about the world's origin [kg·m²/s], shape (3,).
+    For a `Batch` both have shape (n, 3).
+    """
 
     linear: Floats
     angular: Floats
 
 
 class Sim(Stepped):
-    """One world of a model.
+    """Simulates one world of a model.
 
-    model: a `Model`, or a `Scene` to compile. settings: a `Settings` in place of the model's own.
-    overrides: single settings fields, such as ``dt=0.005, solver="pgs"``.
+    model: a `Model`, or a `Scene`, which is compiled.
+    settings: a `Settings` that replaces the model's own.
+    fields: single fields of `Settings` to change, such as ``dt=0.005, solver="pgs"``.
+
+    The state arrays (qpos, qvel, ctrl, qfrc_applied, xfrc_applied) can be written, in place or by
+    assignment. They are float64 at every precision and are checked when they are used: an entry
+    that is not finite raises a ValueError that names it, and nothing is stepped.
+
+    Everything else is read-only. Poses, energy, momentum and matrices belong to the present state
+    and follow when it is written. ``qacc``, ``contacts``, ``rows``, ``residual`` and the forces
+    belong to the last `step` or `forward`.
 
     Raises ValueError for a scene that cannot be compiled and for settings outside their limits.
-
-    The state arrays are float64 whatever the precision, and are checked whenever they are used:
-    an entry that is not finite is a ValueError naming it, and nothing is stepped. Poses, energy
-    and matrices are those of the present state, and follow when it is written; ``qacc``,
-    ``contacts``, ``rows`` and forces are those of the last `step` or `forward`. Only the state
-    arrays can be written; a result is read-only.
 
     >>> from stepcore import Scene, Sim
     >>> scene = Scene()
@@ -69,28 +79,31 @@ class Sim(Stepped):
     -0.981
     """
 
-    qpos = StateArray("Positions, shape (nq,); quaternions w x y z.")
-    qvel = StateArray("Velocities, shape (nv,).")
-    act = StateArray("States of actuators, shape (na,): none has one yet.")
-    ctrl = StateArray("Controls, shape (nu,); held during a step.")
-    qfrc_applied = StateArray("Forces on the dofs [N or N·m], shape (nv,); held during a step.")
+    qpos = StateArray("Positions [m or rad], shape (nq,); quaternions w x y z.")
+    qvel = StateArray("Velocities [m/s or rad/s], shape (nv,).")
+    act = StateArray("Activations of actuators, shape (na,); no actuator has one yet, so na is 0.")
+    ctrl = StateArray("Controls, shape (nu,), constant during a step.")
+    qfrc_applied = StateArray(
+        "Applied forces on the dofs [N or N·m], shape (nv,), constant during a step."
+    )
     xfrc_applied = StateArray(
-        "Force [N] on each body's centre of mass and moment [N·m], in world axes, shape (nbody, 6)."
+        "Force on each body's centre of mass [N] and moment [N·m], in world axes, "
+        "shape (nbody, 6), constant during a step."
     )
 
     def __init__(
         self,
         model: Model | Scene,
         settings: Settings | None = None,
-        **overrides: Unpack[SettingsFields],
+        **fields: Unpack[SettingsFields],
     ) -> None:
-        self._model = compiled(model).with_settings(settings, **overrides)
+        self._model = compiled(model).with_settings(settings, **fields)
         self._core = _core.Sim(self._model.core, self._model.settings)
         self._own(self._core)
 
     @property
     def time(self) -> float:
-        """Time [s]: where it was set or restored, plus dt for each step since."""
+        """Time [s]: the value last set or restored, plus dt for each step since then."""
         return self._core.time
 
     @time.setter
@@ -100,12 +113,11 @@ class Sim(Stepped):
     # Stepping.
 
     def step(self, n: int = 1) -> None:
-        """Advances by n steps, without the GIL.
+        """Takes n steps, with the GIL released.
 
-        Raises ValueError for a state or input that is not finite (nothing is stepped),
-        SimulationError if the motion stops being finite, or with the setting ``ledger`` if it has
-        energy that it cannot have gained (the last finite state is kept), and KeyboardInterrupt
-        between two steps of a long call.
+        Raises ValueError if a state or input is not finite; nothing is stepped then. Raises
+        SimulationError if the motion stops being finite or, with the setting ``ledger``, has more
+        energy than it can have; the last finite state is kept. Ctrl-C is noticed between steps.
         """
         try:
             self._core.step(n)
@@ -114,11 +126,10 @@ class Sim(Stepped):
             raise
 
     def balance(self) -> None:
-        """Balances the account of the setting ``ledger`` now; without a ledger, does nothing.
+        """Checks the energy balance that the setting ``ledger`` keeps; does nothing without it.
 
-        A loop of short calls to `step` is looked into every 64 steps; `run`, and a `step` of 128 or
-        more, end with this. Raises SimulationError if there is energy that the motion cannot have
-        gained.
+        The balance is also checked every 64 steps, and at the end of `run` and of a `step` with
+        n >= 128. Raises SimulationError if the motion has more energy than it can have.
         """
         try:
             self._core.balance()
@@ -127,7 +138,10 @@ class Sim(Stepped):
             raise
 
     def forward(self) -> None:
-        """Place, detect and solve at the present state; nothing moves."""
+        """Computes poses, contacts and forces at the present state, without taking a step.
+
+        Raises what `step` raises.
+        """
         try:
             self._core.forward()
         except SimulationError as error:
@@ -135,28 +149,27 @@ class Sim(Stepped):
             raise
 
     def linearize(self) -> Linearization:
-        """The next step as a linear map around the present state; nothing moves.
+        """Linearises the next step about the present state, without taking it.
 
-        Exact: derivatives are carried through the step itself (dual numbers), contacts and solver
-        included, with this Sim's own settings, in float64 whatever the precision. ctrl and applied
-        forces are held during the step, and so are the impulses from which the solver starts: what
-        they would change in the next step is not part of the map. At a state where a law switches
-        (a contact that just touches, a limit just reached, a clamp) the derivatives are those of
-        one side: of what the step does at this very state.
+        The derivatives are exact: dual numbers are carried through the step itself, contacts and
+        solver included, with this Sim's settings and in float64. Controls, applied forces and the
+        solver's starting impulses are constant in the map. Where a law switches (a contact that
+        just touches, a limit just reached, a clamped control) the derivatives are one-sided: those
+        of what the step does at this state.
 
-        Takes about (2 nv + nu)/4 steps of dual numbers, each the work of a few plain ones, and
-        working space made anew; runs without the GIL. See docs/linearize.md.
+        The cost is that of about (2 nv + nu)/4 steps in dual numbers, each a few times a plain
+        step. The GIL is released. See docs/linearize.md.
 
-        Raises what `step` raises, and ValueError where the step has an infinite derivative.
+        Raises what `step` raises, and ValueError if the step has an infinite derivative.
         """
         return linearized(self, self._core.linearize())
 
     def count_flops(self, n: int = 1) -> int:
-        """Floating-point operations of the next n steps; nothing moves.
+        """Counts the floating-point operations of the next n steps, without taking them.
 
-        Counted while a copy takes these very steps in float64: +, −, ×, ÷ and √ are 1 each; a sine
-        with its cosine, an arctangent or a power is 20; comparisons, signs and copies are none. The
-        count is of the method, not of what a compiler made of it, and the same on every machine.
+        A copy takes these steps in float64 and counts: +, −, ×, ÷ and √ as 1 each; a sine with its
+        cosine, an arctangent or a power as 20; comparisons, signs and copies as 0. The count
+        describes the method, not the compiled code, and is the same on every machine.
 
         Raises what `step` raises.
 
@@ -168,18 +181,21 @@ class Sim(Stepped):
         return sum(count for _, count in self._core.count(n))
 
     def stage_flops(self) -> dict[str, int]:
-        """Floating-point operations of the next step by stage; their sum is `count_flops()`.
+        """Counts the floating-point operations of the next step by stage; see `count_flops`.
 
-        place/kinematics (poses), place/inertia (mass matrix), place/factor, place/bias (Coriolis
-        and gravity forces), place/forces (springs, actuators), place/guess, detect, solve/rows
-        (making them), solve/impulses (sweeps or iterations), commit (the integrator).
+        The stages are place/kinematics (poses), place/inertia (mass matrix), place/factor (its
+        factorisation), place/bias (Coriolis and gravity forces), place/forces (springs, actuators),
+        place/guess (velocity without rows), detect (contacts), solve/rows (assembly),
+        solve/impulses (sweeps or iterations) and commit (integration).
         """
         return dict(self._core.count(1))
 
     @property
     def nbytes(self) -> int:
-        """Memory of the engine's state and working space [bytes]; the model, which Sims share, is
-        not in it. It grows until the most contacts there have been have room."""
+        """Memory of this Sim's state and working space [bytes], without the shared model.
+
+        It grows when there are more contacts than ever before.
+        """
         return self._core.nbytes
 
     def _restart(self, time: float) -> None:
@@ -187,13 +203,13 @@ class Sim(Stepped):
         self._core.forget()
 
     def state(self) -> bytes:
-        """A complete snapshot: state, inputs, time, step count and warm-start impulses."""
+        """Returns a complete snapshot: state, inputs, time, step count and warm-start impulses."""
         return self._core.state()
 
     def restore(self, state: bytes) -> None:
-        """Goes back to a `state` of the same model; continuing is bit-identical.
+        """Restores a snapshot from `state`; continuing from it gives the same bits.
 
-        Raises ValueError for bytes that are not one, and leaves everything as it was.
+        Raises ValueError for bytes that are no snapshot of this model, and changes nothing then.
         """
         self._core.restore(snapshot(state, state))
 
@@ -204,15 +220,17 @@ class Sim(Stepped):
         control_dt: float | None = None,
         record: Sequence[str] = ("qpos", "qvel"),
     ) -> Trajectory:
-        """Steps for `duration` [s] and keeps what `record` names at every step.
+        """Simulates for a time and records quantities at every step.
 
-        control: a function of (time, sim) that returns ctrl, or an array of shape (n, nu) with
-            one row a control period; the last row holds to the end. None: ctrl as it stands.
-        control_dt: the control period [s], a whole number of steps; one step if None.
-        record: names of arrays or numbers of this Sim, such as "qpos", "energy", "residual".
+        duration: [s], a whole number of steps.
+        control: a function of (time, sim) that returns ctrl, or an array of shape (n, nu) with one
+            row for each control period, the last of which is held to the end. None leaves ctrl
+            as it is.
+        control_dt: the control period [s], a whole number of steps; by default one step.
+        record: names of attributes of this Sim, such as "qpos", "energy" or "residual".
 
         Raises ValueError for a duration or period that is not a whole number of steps, a control
-        of the wrong shape, and a name that cannot be recorded; and what `step` raises.
+        of the wrong shape, or a name that cannot be recorded; and what `step` raises.
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.drop(), dt=0.01)
@@ -231,12 +249,12 @@ class Sim(Stepped):
 
     @property
     def xquat(self) -> Floats:
-        """Orientation of each body's frame, w x y z, shape (nbody, 4)."""
+        """Orientation of each body's frame as a quaternion w x y z, shape (nbody, 4)."""
         return self._core.xquat
 
     @property
     def xmat(self) -> Floats:
-        """Orientation of each body's frame as a matrix, shape (nbody, 3, 3)."""
+        """Orientation of each body's frame as a rotation matrix, shape (nbody, 3, 3)."""
         return self._core.xmat
 
     @property
@@ -246,7 +264,7 @@ class Sim(Stepped):
 
     @property
     def geom_xmat(self) -> Floats:
-        """Orientation of each geom, shape (ngeom, 3, 3)."""
+        """Orientation of each geom as a rotation matrix, shape (ngeom, 3, 3)."""
         return self._core.geom_xmat
 
     @property
@@ -255,40 +273,44 @@ class Sim(Stepped):
         return self._core.site_xpos
 
     def mass_matrix(self) -> Floats:
-        """The mass matrix, armature included, shape (nv, nv)."""
+        """Returns the mass matrix [kg, kg·m or kg·m²], armature included, shape (nv, nv)."""
         return self._core.mass_matrix()
 
     @property
     def bias(self) -> Floats:
-        """Coriolis, centrifugal and gravity forces (on the left-hand side), shape (nv,)."""
+        """Coriolis, centrifugal and gravity forces [N or N·m], shape (nv,).
+
+        They stand on the left-hand side of the equation of motion: M qacc + bias = forces.
+        """
         return self._core.bias
 
     @property
     def passive(self) -> Floats:
-        """Forces of joint springs and dampers, shape (nv,)."""
+        """Forces of joint springs and dampers [N or N·m], shape (nv,)."""
         return self._core.passive
 
     @property
     def energy(self) -> Energy:
-        """Kinetic and potential energy [J]: of gravity and joint springs, not of servos."""
+        """Kinetic and potential energy [J]; gravity and joint springs, but no servos, store it."""
         kinetic, potential = self._core.energy
         return Energy(float(kinetic), float(potential))
 
     @property
     def momentum(self) -> Momentum:
-        """Linear and angular momentum of all bodies; armature does not count."""
+        """Linear [kg·m/s] and angular [kg·m²/s] momentum of all bodies, without armature."""
         linear, angular = self._core.momentum
         return Momentum(linear, angular)
 
     @property
     def overlap(self) -> float:
-        """The deepest overlap of two geoms that can touch [m], 0 where none do."""
+        """The deepest overlap of two geoms that can collide [m], 0 if none overlap."""
         return float(self._core.overlap)
 
     def jacobian(self, body: str | int) -> Floats:
-        """How a body's frame moves with qvel, shape (6, nv), in world axes.
+        """Returns the Jacobian of a body's frame, shape (6, nv), in world axes.
 
-        Three rows for the velocity of its origin, three for its angular velocity.
+        Times qvel, its first three rows give the velocity of the frame's origin [m/s] and the last
+        three its angular velocity [rad/s]. Raises ValueError for an unknown body.
         """
         return self._core.jacobian(self._model.index("body", body))
 
@@ -296,49 +318,49 @@ class Sim(Stepped):
 
     @property
     def qacc(self) -> Floats:
-        """Acceleration of the last solve, shape (nv,)."""
+        """Accelerations of the last solve [m/s² or rad/s²], shape (nv,)."""
         return self._core.qacc
 
     @property
     def constraint_force(self) -> Floats:
-        """Force of all rows together on the dofs, Jᵀλ/dt, shape (nv,)."""
+        """Force of all constraint rows on the dofs, Jᵀλ/dt [N or N·m], shape (nv,)."""
         return self._core.constraint_force
 
     @property
     def actuator_force(self) -> Floats:
-        """Force of each actuator, before its gear, shape (nu,)."""
+        """Force of each actuator before its gear [N or N·m], shape (nu,)."""
         return self._core.actuator_force
 
     @property
     def contacts(self) -> NDArray[Any]:
-        """Contacts, a structured array.
+        """Contacts of the last solve, a structured array with the fields
 
-        kind ("contact"), index (of the pair of geoms in the model), part (which contact of the
-        pair), geom1, geom2 (indices), name1, name2 ("" where none was given), dist [m] (negative:
-        overlap), pos [m], normal (from geom 1 to geom 2), force (on geom 2, in world axes [N];
-        zero where there is no row).
+        - kind ("contact"), index (in `Model.pairs`), part (which contact of the pair);
+        - geom1, geom2: indices; name1, name2: names, "" for a geom without one;
+        - dist [m], negative for an overlap; pos [m]; normal, a unit vector from geom 1 to geom 2;
+        - force: on geom 2, in world axes [N]; zero for a contact that has no row.
         """
         return contact_table(self._model.geom_names, *self._core.contacts())
 
     @property
     def rows(self) -> NDArray[Any]:
-        """Rows in the order in which they are solved, a structured array.
+        """Constraint rows of the last solve in their order, a structured array with the fields
 
-        kind ("connect", "friction loss", "limit", "contact"), index (of the equality; of the joint
-        under friction loss and limit; of the pair of geoms), part (which dof of the joint; 0 for
-        the lower bound, 1 for the upper one; which contact of the pair; -1 for the whole
-        element), name (`Model.element_name` of these), block (rows of one block are solved
-        together), impulse [N·s], velocity (J v when the step began), target, regulariser,
-        residual (s|δ|, in the row's unit of velocity), lo and hi (its bounds),
-        force (impulse/dt [N]).
+        - kind: "connect", "friction loss", "limit" or "contact"; index: of the equality, the joint
+          (friction loss, limit) or the pair of geoms; part: the dof of the joint, the bound of a
+          limit (0 lower, 1 upper) or the contact of the pair, -1 for a whole element;
+        - name: `Model.element_name` of these; block: rows with the same number are solved together;
+        - impulse [N·s or N·m·s], force (impulse/dt), lo and hi (bounds of the impulse);
+        - velocity: J v at the start of the step; target; regulariser;
+        - residual: violation of the row's law in the row's unit of velocity.
         """
         return row_table(self.settings.dt, *self._core.rows())
 
     def delassus(self) -> Floats:
-        """How the rows of the last solve push each other, J M⁻¹ Jᵀ, shape (rows, rows) [1/kg].
+        """Returns the Delassus matrix of the last solve, J M⁻¹ Jᵀ [1/kg], shape (rows, rows).
 
-        Entry (i, j) is the velocity that an impulse of 1 on row j gives row i, in the order of
-        `rows`; regularisers are not in it.
+        Entry (i, j) is the velocity of row i that a unit impulse on row j causes, in the order of
+        `rows`, without regularisers.
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.stack(masses=(1.0, 4.0)))
@@ -352,45 +374,45 @@ class Sim(Stepped):
 
     @property
     def residual(self) -> float:
-        """How far the last solve was from the rows' laws: the worst row, a speed [m/s]."""
+        """Residual of the last solve [m/s]: the largest violation of a row's law, as a speed."""
         return self._core.residual
 
     @property
     def sweeps_done(self) -> int:
-        """Sweeps, or Newton iterations, of the last solve."""
+        """Number of sweeps, or Newton iterations, of the last solve."""
         return self._core.sweeps_done
 
     @property
     def row_updates(self) -> int:
-        """Updates of single rows since this Sim was made."""
+        """Number of updates of single rows since this Sim was created."""
         return self._core.row_updates
 
     @property
     def decrement(self) -> float:
-        """Newton's last decrement, relative; 0 under pgs."""
+        """Relative Newton decrement at the end of the last solve; 0 with solver "pgs"."""
         return self._core.decrement
 
     @property
     def contacts_grown(self) -> int:
-        """How often the list of contacts had to grow; 0 where `max_contacts` was enough."""
+        """How often the list of contacts had to grow; 0 if `max_contacts` was enough."""
         return self._core.contacts_grown
 
     # By name.
 
     def body(self, name: str | int) -> BodyView:
-        """A body's part of the arrays; ValueError with the nearest names for an unknown one."""
+        """Returns a view of one body; ValueError with the nearest names for an unknown one."""
         return BodyView(self, self._model.index("body", name))
 
     def joint(self, name: str | int) -> JointView:
-        """A joint's part of the arrays."""
+        """Returns a view of one joint; see `body`."""
         return JointView(self, self._model.index("joint", name))
 
     def geom(self, name: str | int) -> GeomView:
-        """A geom's part of the arrays."""
+        """Returns a view of one geom; see `body`."""
         return GeomView(self, self._model.index("geom", name))
 
     def site(self, name: str | int) -> SiteView:
-        """A site's part of the arrays."""
+        """Returns a view of one site; see `body`."""
         return SiteView(self, self._model.index("site", name))
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def compiled(model: Model | Scene) -> Model:
-    """The model itself, or that of a scene; ValueError for anything else."""
+    """The model, or the compiled model of a scene; ValueError for anything else."""
     if isinstance(getattr(model, "core", None), _core.Model):
         return model  # type: ignore[return-value]
     if not hasattr(model, "compile") or not hasattr(model, "to_dict"):
@@ -26,12 +26,12 @@ def compiled(model: Model | Scene) -> Model:
 
 
 class Stepped(checks.KnownNames, ABC):
-    """A model with its state arrays; the number of worlds is the subclass's affair."""
+    """A model with its state arrays, for one world or for many."""
 
     _model: Model
 
     def _own(self, core: _core.Sim | _core.Batch) -> None:
-        """Takes the arrays of the engine, which its own memory stands behind."""
+        """Takes over the state arrays, which are views of the engine's memory."""
         self._arrays = {
             "qpos": core.qpos,
             "qvel": core.qvel,
@@ -43,7 +43,7 @@ class Stepped(checks.KnownNames, ABC):
 
     @abstractmethod
     def _restart(self, time: float) -> None:
-        """Sets the time and forgets the impulses of the last step."""
+        """Sets the time and forgets the warm-start impulses."""
 
     def _explain(self, error: SimulationError) -> None:
         """Gives an error its `replay`: the failure, to be saved and run again."""
@@ -57,19 +57,21 @@ class Stepped(checks.KnownNames, ABC):
 
     @property
     def model(self) -> Model:
-        """The model, with the settings that are used here."""
+        """The `Model`, with the settings in use."""
         return self._model
 
     @property
     def settings(self) -> Settings:
-        """How it is computed."""
+        """The `Settings` in use."""
         return self._model.settings
 
     def reset(self, key: str | int | None = None) -> None:
-        """Back to the scene's own pose at rest at time 0, or to a keyframe by name or index.
+        """Resets to the scene's initial pose at rest and time 0, or to a keyframe.
 
-        Controls are the keyframe's or 0; applied forces and warm-start impulses are forgotten.
-        Raises ValueError, with the nearest names, for a keyframe that there is not.
+        key: the name or index of a keyframe. Controls become the keyframe's, else 0; applied forces
+        become 0 and warm-start impulses are forgotten.
+
+        Raises ValueError, with the nearest names, for an unknown keyframe.
         """
         state = None if key is None else self._model.keys[self._model.index("key", key)]
         for array in self._arrays.values():
