@@ -129,7 +129,7 @@ KNEE = """<mujoco><option timestep="{dt}" integrator="{integrator}"/><worldbody>
 
 def test_a_stiff_scene_warns_once_with_the_name():
     text = KNEE.format(dt=0.0015, integrator="Euler")
-    with pytest.warns(sc.StiffnessWarning, match='factor of 1.3 in hand.*spring "knee"') as caught:
+    with pytest.warns(sc.StiffnessWarning, match='stability margin of 1.3×.*spring "knee"') as caught:
         sc.loads(text)
     assert len(caught) == 1
     assert caught[0].filename == __file__
@@ -172,13 +172,13 @@ def test_the_command_tells_names_and_data(tmp_path, capsys):
     command = ["diagnose", ARM, "--dt", "0.001", "--horizon", "0.05", "--json", str(out)]
     assert main([*command, "--plot", str(tmp_path / "arm.png")]) == 0
     told = capsys.readouterr()
-    assert 'servo "elbow"' in told.out and "factor of 1.07 in hand" in told.out
+    assert 'servo "elbow"' in told.out and "stability margin of 1.07×" in told.out
     # What would be warned of at load is told in full.
     assert told.err == ""
     data = json.loads(out.read_text())
     assert data["wanted"] == 0.001
     assert data["limits"]["implicitfast"]["stiffest"] == 'servo "elbow"'
-    assert data["elements"][0]["element"] == 'servo "elbow"'
+    assert data["rows"][0]["element"] == 'servo "elbow"'
     assert (tmp_path / "arm.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -28,5 +28,6 @@ def add(command: argparse.ArgumentParser) -> None:
 
 
 def call(args: argparse.Namespace) -> Result:
-    model = model_of(args)
+    # What would be warned of is what the result says in full.
+    model = model_of(args, warn=False)
     return diagnose(model, dt=args.dt, **motion_of(args, model))

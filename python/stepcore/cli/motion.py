@@ -19,6 +19,7 @@ from stepcore._core import SimulationError
 from stepcore.checks import nearest, one_line
 from stepcore.cli.usage import Usage
 from stepcore.engine.model import Model
+from stepcore.loading import find_scene
 from stepcore.reading import load
 
 # Options by the field of `Motion` that they set.
@@ -69,9 +70,9 @@ def add_motion(
     )
 
 
-def model_of(args: argparse.Namespace) -> Model:
-    """The compiled model of FILE."""
-    return load(args.file).compile()
+def model_of(args: argparse.Namespace, warn: bool = True) -> Model:
+    """The compiled model of FILE; warn: of stiffness, as `stepcore.load` does."""
+    return (load(args.file) if warn else find_scene(args.file)).compile()
 
 
 def key_of(args: argparse.Namespace, model: Model) -> str | int | None:

@@ -40,17 +40,6 @@ class Advice:
     met: bool
     text: str
 
-    def to_dict(self) -> dict[str, Any]:
-        """As plain data."""
-        values = [value.to_dict() for value in self.values]
-        return {
-            "what": self.what,
-            "values": values,
-            "settings": self.settings,
-            "met": self.met,
-            "text": self.text,
-        }
-
 
 def advise(
     now: Situation,

@@ -11,7 +11,6 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.element_limits import ElementLimits
@@ -69,16 +68,6 @@ class Value:
         old, new = (" ".join(f"{x:.6g}" for x in side) for side in (self.before, self.after))
         unit = f" {self.unit}" if self.unit else ""
         return f"{self.field} of {self.element} {old} → {new}{unit}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """As plain data."""
-        return {
-            "element": self.element,
-            "field": self.field,
-            "before": list(self.before),
-            "after": list(self.after),
-            "unit": self.unit,
-        }
 
 
 def changed(

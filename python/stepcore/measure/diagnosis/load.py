@@ -1,4 +1,4 @@
-"""The warning at load: the scene's own dt has less than a factor of two in hand."""
+"""The warning at load: the scene's own dt has a stability margin below two."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.scene.scene import Scene
 
-# What the own dt must have in hand not to be warned about.
+# The stability margin below which a scene is warned about.
 IN_HAND = 2.0
 # Growth that counts where nothing damps: e-fold in this time [s].
 HORIZON = 1.0
@@ -20,7 +20,7 @@ MOST_JOINTS, MOST_GEOMS, MOST_DOFS = 100, 1000, 12
 
 
 class StiffnessWarning(UserWarning):
-    """A scene's own time step has less than a factor of two in hand before it explodes.
+    """A scene's own time step has a stability margin below two.
 
     >>> import warnings
     >>> text = '''<mujoco><option timestep="0.01" integrator="implicitfast"/><worldbody>
@@ -127,5 +127,5 @@ def _text(settings: Settings, limit: float, name: str) -> str:
     dt, allows = settings.dt, f"{name} allows {seconds(limit)} (stepcore diagnose tells more)"
     if dt > limit:
         return f"dt {seconds(dt)} explodes under {settings.integrator}: {allows}"
-    hand = f"a factor of {limit / dt:.2g} in hand under {settings.integrator}"
-    return f"dt {seconds(dt)} has only {hand}: {allows}"
+    margin = f"a stability margin of {limit / dt:.2g}× under {settings.integrator}"
+    return f"dt {seconds(dt)} has only {margin}: {allows}"

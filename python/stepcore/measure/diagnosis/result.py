@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import shutil
-import textwrap
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from stepcore import checks
 from stepcore._core import Settings
+from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.measure.diagnosis import sentences
 from stepcore.measure.diagnosis.advice import Advice
 from stepcore.measure.diagnosis.dt_limits import Limit
@@ -34,6 +33,9 @@ class Diagnosis(Result):
     """
 
     kind = "diagnosis"
+    units: ClassVar = {"frequency": "Hz", "omega": "rad/s", "rate": "1/s", "softened": "s"} | (
+        dict.fromkeys(INTEGRATORS, "s")
+    )
 
     name: str
     settings: Settings
@@ -124,46 +126,35 @@ class Diagnosis(Result):
         """The answer, the advice and the state that decides, in words."""
         return sentences.sentences(self)
 
-    def text(self, width: int | None = None, full: bool = False) -> str:
-        """The elements, the limits and the answer."""
+    def tables(self, full: bool) -> list[Table]:
+        """The elements, each alone, and the limits of all together."""
         own = self.settings.integrator
-        rows = [
-            {
-                "integrator": name + (" *" if name == own else ""),
-                DT: limit.dt,
-                "by": self.stiffest(name) if math.isfinite(limit.dt) else "",
-                "share": max(self.shares[name].values(), default=None)
-                if math.isfinite(limit.dt)
-                else None,
-                "at": self.states[limit.state].label if limit.state >= 0 else "",
-            }
-            for name, limit in self.limits.items()
-        ]
         # A name is not cut: columns are left out first.
         formats = {"element": "", "frequency": ".4g", "share": ".2f", "ratio": ".2g"}
         formats |= dict.fromkeys(self.limits, ".3g")
-        elements = Table(self.table, columns=self._columns(), formats=formats)
-        parts = [
-            wrapped(
-                "ElementForces, each alone: frequency [Hz], damping ratio, share in the mode that "
-                f"limits {own}, largest stable dt [s]",
-                width,
-            ),
-            elements.text(width) if len(elements) else "none",
-            "",
-            "All together (* the scene's own)",
-            Table(rows, formats={"share": ".2f", "by": "", DT: ".3g"}).text(width),
-            "",
-            *(wrapped(line, width) for line in self.sentences),
-            *(wrapped(f"Note: {note}.", width) for note in self.notes),
-        ]
-        return "\n".join(parts)
+        heading = (
+            "Each element alone: frequency [Hz], damping ratio, share in the mode that limits "
+            f"{own}, and the largest stable dt [s] by integrator"
+        )
+        elements = Table(self.table, self._columns(), formats, heading=heading)
+        records = [self._limit_record(name, limit) for name, limit in self.limits.items()]
+        formats = {"share": ".2f", "by": "", DT: ".3g"}
+        limits = Table(records, None, formats, heading="All elements together (* the scene's own)")
+        return [elements, limits] if len(elements) else [limits]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Everything as plain data; times in seconds."""
+    def _limit_record(self, name: str, limit: Limit) -> dict[str, Any]:
+        finite = math.isfinite(limit.dt)
         return {
-            "name": self.name,
-            "settings": self.settings.as_dict(),
+            "integrator": name + (" *" if name == self.settings.integrator else ""),
+            DT: limit.dt,
+            "by": self.stiffest(name) if finite else "",
+            "share": max(self.shares[name].values(), default=None) if finite else None,
+            "at": self.states[limit.state].label if limit.state >= 0 else "",
+        }
+
+    def details(self) -> dict[str, Any]:
+        """The limits, the states and the advice; times in seconds."""
+        return {
             "wanted": self.wanted,
             "horizon": self.horizon,
             "limits": {
@@ -177,20 +168,8 @@ class Diagnosis(Result):
                 }
                 for name, limit in self.limits.items()
             },
-            "elements": self.table.records,
-            "states": [
-                {"label": s.label, "time": s.time, "rows": list(s.rows)} for s in self.states
-            ],
-            "advice": [advice.to_dict() for advice in self.advice],
+            "states": [{"label": s.label, "time": s.time, "rows": s.rows} for s in self.states],
+            "advice": self.advice,
             "physical": self.physical,
             "rate": self.rate,
-            "sentences": self.sentences,
-            "notes": self.notes,
         }
-
-
-def wrapped(line: str, width: int | None) -> str:
-    """A sentence in lines of at most `width` characters (default: the terminal's)."""
-    size = width or shutil.get_terminal_size((100, 40)).columns
-    inset = "    " if line.startswith("  ") else ""
-    return textwrap.fill(line, size, subsequent_indent=inset, break_long_words=False)

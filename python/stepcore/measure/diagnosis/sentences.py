@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from stepcore.report.units import hertz, seconds
+from stepcore.report.units import hertz, seconds, times
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
@@ -34,10 +34,9 @@ def answer(d: Diagnosis) -> str:
     if wanted > limit:
         verb = _verb(d)
         return f"At {seconds(wanted)} this {verb} under {own}: {who} allows {seconds(limit)}."
-    hand = limit / wanted
     return (
-        f"At {seconds(wanted)} this is stable under {own}, with a factor of {hand:.3g} in hand: "
-        f"{who} allows {seconds(limit)}."
+        f"At {seconds(wanted)} this is stable under {own}, with a stability margin of "
+        f"{times(limit / wanted)}: {who} allows {seconds(limit)}."
     )
 
 
@@ -81,14 +80,14 @@ def sentences(d: Diagnosis) -> list[str]:
     own = d.settings.integrator
     if met:
         lines.append(f"{seconds(d.wanted)} would be met by any one of:")
-        lines += [f"  - {text}" for text in met]
+        lines += [f"- {text}" for text in met]
         lines.append(
             "Each was made on a copy of the model and its step linearised again at all "
             f"{len(d.states)} states."
         )
     elif d.limit(own) < d.wanted:
         lines.append(f"Nothing tried meets {seconds(d.wanted)}.")
-    lines += [f"  (not enough: {a.text})" for a in d.advice if not a.met]
+    lines += [f"- not enough: {a.text}" for a in d.advice if not a.met]
     limit = d.limits[own]
     if limit.state > 0:
         lines.append(f"The state that decides: {_state(d, limit.state)}.")
