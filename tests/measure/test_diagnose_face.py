@@ -129,7 +129,9 @@ KNEE = """<mujoco><option timestep="{dt}" integrator="{integrator}"/><worldbody>
 
 def test_a_stiff_scene_warns_once_with_the_name():
     text = KNEE.format(dt=0.0015, integrator="Euler")
-    with pytest.warns(sc.StiffnessWarning, match='stability margin of 1.3×.*spring "knee"') as caught:
+    with pytest.warns(
+        sc.StiffnessWarning, match='stability margin of 1.3×.*spring "knee"'
+    ) as caught:
         sc.loads(text)
     assert len(caught) == 1
     assert caught[0].filename == __file__
@@ -193,7 +195,7 @@ def test_other_commands_warn_in_one_line(capsys):
 
 @pytest.mark.parametrize(
     ("options", "text"),
-    [(["--dt", "0"], "dt = 0"), (["--key", "away"], "no key"), (["--plot", "a.xyz"], "ending")],
+    [(["--dt", "0"], "dt = 0"), (["--key", "away"], "no key"), (["--plot", "a.xyz"], "extension")],
 )
 def test_the_command_refuses_in_one_line(options, text, capsys):
     assert main(["diagnose", ARM, *options]) == 2
