@@ -64,9 +64,11 @@ if TYPE_CHECKING:
     from stepcore.scene.elements import Actuator as Actuator
     from stepcore.scene.elements import Body as Body
     from stepcore.scene.elements import Equality as Equality
+    from stepcore.scene.elements import Features as Features
     from stepcore.scene.elements import Geom as Geom
     from stepcore.scene.elements import Joint as Joint
     from stepcore.scene.elements import Key as Key
+    from stepcore.scene.elements import MassRules as MassRules
     from stepcore.scene.elements import Site as Site
     from stepcore.scene.scene import Scene as Scene
 
@@ -147,13 +149,8 @@ _MODULES = {
     ),
     "stepcore.report.table": ("Table",),
     "stepcore.scene.elements": (
-        "Actuator",
-        "Body",
-        "Equality",
-        "Geom",
-        "Joint",
-        "Key",
-        "Site",
+        *("Actuator", "Body", "Equality", "Features", "Geom"),
+        *("Joint", "Key", "MassRules", "Site"),
     ),
     "stepcore.scene.scene": ("Scene",),
 }

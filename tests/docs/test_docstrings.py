@@ -17,7 +17,7 @@ WITHOUT_EXAMPLE = (
     *("ElementLimits", "FeatureEffect", "PlanEntry", "ResidualHistory", "RowForce"),
     *("BodyView", "GeomView", "JointView", "SiteView", "Trajectory", "Keyframe", "Rollout"),
     *("Energy", "Momentum", "MJCFError"),
-    *("Actuator", "Body", "Equality", "Geom", "Joint", "Key", "Site"),
+    *("Actuator", "Body", "Equality", "Geom", "Joint", "Key", "MassRules", "Features", "Site"),
 )
 
 

@@ -245,9 +245,9 @@ def test_what_fails_is_named():
 @pytest.mark.parametrize(
     ("fields", "says"),
     (
-        ({"type": "motor", "kp": 1}, "kp = 1.0: must be left out of type 'motor'"),
-        ({"type": "velocity", "dampratio": 1}, "dampratio = 1.0: must be left out"),
-        ({"type": "position", "gainprm": 1}, "gainprm = 1.0: must be left out"),
+        ({"type": "motor", "kp": 1}, "kp = 1.0: must be None for type 'motor'"),
+        ({"type": "velocity", "dampratio": 1}, "dampratio = 1.0: must be None"),
+        ({"type": "position", "gainprm": 1}, "gainprm = 1.0: must be None"),
         ({"type": "position", "kv": -1}, "kv = -1.0: must be >= 0"),
         ({"type": "position", "kv": 1, "dampratio": 1}, "kv and dampratio are both given"),
         ({"type": "position", "kp": -1, "dampratio": 1}, "kp = -1.0: must be >= 0"),

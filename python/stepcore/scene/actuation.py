@@ -1,4 +1,4 @@
-"""What the words of an actuator (kp, kv, dampratio, gainprm, biasprm) mean as gain and bias.
+"""Gain and bias of an actuator from its fields kp, kv, dampratio, gainprm and biasprm.
 
 Its force is gain × control + bias₀ + bias₁ × length + bias₂ × velocity, where length and
 velocity are gear × those of the joint; the joint feels gear × force. The conventions are
@@ -13,7 +13,7 @@ from stepcore import checks
 from stepcore.scene.elements import Actuator
 from stepcore.scene.frames import ORIGIN, Vec
 
-# What each type of actuator is told; the words of the other types have no meaning for it.
+# The fields of each type of actuator; those of other types are refused.
 WORDS = {
     "motor": (),
     "position": ("kp", "kv", "dampratio"),
@@ -23,10 +23,10 @@ WORDS = {
 
 
 class Gains(NamedTuple):
-    """An actuator as the engine takes it.
+    """An actuator as the engine reads it.
 
-    A dampratio that is not 0 stands for bias₂ = −2 × dampratio × √(kp × m), m being the inertia
-    that the actuator moves in the pose of the scene; the engine fills it in.
+    The engine replaces a dampratio other than 0 by bias₂ = −2 × dampratio × √(kp × m), where m is
+    the inertia that the actuator moves in the pose of the scene.
     """
 
     gain: float = 1.0
@@ -35,7 +35,7 @@ class Gains(NamedTuple):
 
 
 def gains(actuator: Actuator) -> Gains:
-    """Gain, bias and damping ratio; what is not given has its default."""
+    """Gain, bias and damping ratio, with defaults for fields that are None."""
     if actuator.type == "position":
         kp = _or(actuator.kp, 1.0)
         damping = _or(actuator.kv, 0.0)
@@ -59,12 +59,12 @@ def plain(actuator: Actuator) -> dict[str, float | list[float]]:
 
 
 def check(actuator: Actuator) -> None:
-    """ValueError for words that the type does not have, or that contradict each other."""
+    """ValueError for fields that the type does not have, or that contradict each other."""
     own = WORDS[actuator.type]
     for word in sorted({word for words in WORDS.values() for word in words}):
         if getattr(actuator, word) is not None and word not in own:
             has = ", ".join(own) or "none of these"
-            limit = f"left out of type {actuator.type!r}, which has {has}"
+            limit = f"None for type {actuator.type!r}, which has {has}"
             raise checks.refuse(actuator, word, getattr(actuator, word), limit)
     if actuator.type == "position":
         for word in ("kv", "dampratio"):

@@ -1,9 +1,9 @@
-"""The elements of a `Scene`: plain records that check every value they are given.
+"""The elements of a `Scene`: records whose fields are checked whenever they are assigned.
 
-Units are SI, angles radians, quaternions w x y z (stored at unit length). A field can be read
-and assigned; a value outside its limits, a wrong shape or a NaN is a `ValueError` that names the
-element, the field, the value and the limit, and leaves the element as it was. Field names and
-defaults are MuJoCo's. Elements compare by identity.
+Units are SI, angles are in radians, quaternions are w x y z and stored at unit length. A value
+outside its limits, of the wrong shape or not finite raises a ValueError that names the element,
+the field, the value and the limit, and leaves the element unchanged. Field names and defaults are
+MuJoCo's. Elements compare by identity.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ACTUATOR_TYPES = ("motor", "position", "velocity", "general")
 GEOM_TYPES = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box")
 
 
-# A field's type, with the check that every value for it goes through.
+# The type of a field, with the check that every assigned value passes.
 Text = Annotated[str, checks.text]
 Flag = Annotated[bool, checks.flag]
 Real = Annotated[float, checks.real()]
@@ -56,7 +56,7 @@ _CHECKS: dict[type, dict[str, checks.Check]] = {}
 
 
 def _checks_of(kind: type[Element]) -> dict[str, checks.Check]:
-    """The check of each field of an element, read once from its annotations."""
+    """The check of each field of an element class, read once from its annotations."""
     if kind not in _CHECKS:
         hints = typing.get_type_hints(kind, include_extras=True)
         _CHECKS[kind] = {field: hints[field].__metadata__[0] for field in fields_of(kind)}
@@ -64,9 +64,9 @@ def _checks_of(kind: type[Element]) -> dict[str, checks.Check]:
 
 
 class Element:
-    """What all elements share: checked assignment, a label for messages, a short ``repr``."""
+    """Base of all elements: checked assignment, a label for messages, a short ``repr``."""
 
-    # Where its file has it, "file:line"; set by the reader, and no field of the model.
+    # Its place in the file that it was read from, "file:line"; set by the reader.
     place: ClassVar[str] = ""
 
     def __setattr__(self, field: str, value: object) -> None:
@@ -95,20 +95,22 @@ class Element:
 
 
 def fields_of(kind: type[Element]) -> list[str]:
-    """The names of an element's fields, in order."""
+    """The names of the fields of an element class, in order."""
     return [spec.name for spec in dataclasses.fields(kind)]  # type: ignore[arg-type]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Body(Element):
-    """A rigid body, placed in its parent's frame.
+    """A rigid body.
 
-    parent: the Body that carries it (None for the world alone).
-    pos: [m], shape (3,); quat: shape (4,).
-    mass: [kg], >= 0, or None: mass, centre and inertia are taken from the body's geoms.
+    name: unique among bodies, or "".
+    parent: the `Body` that carries it; None for the world.
+    pos: position in the parent's frame [m], shape (3,).
+    quat: orientation in the parent's frame, shape (4,).
+    mass: [kg], >= 0; None takes mass, centre of mass and inertia from the body's geoms.
     ipos: centre of mass in the body's frame [m], shape (3,).
-    inertia: about the centre of mass, in body axes [kg·m²], shape (6,): xx yy zz xy xz yz.
-        Three numbers are taken as a diagonal.
+    inertia: about the centre of mass, in body axes [kg·m²], shape (6,): xx yy zz xy xz yz. Three
+        numbers give a diagonal.
     """
 
     name: Text = ""
@@ -122,17 +124,23 @@ class Body(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Joint(Element):
-    """A joint between a body and its parent; several on one body act in order.
+    """A joint between a body and its parent. Several joints of one body act in order.
 
+    name: unique among joints, or "".
+    body: the `Body` that it moves.
     type: "hinge", "slide", "ball" or "free".
-    pos: anchor in the body's frame [m]; axis: of a hinge or a slide, stored at unit length.
-    range: (lower, upper) [rad or m], or None: no limit. A ball's lower is 0, its upper an angle.
-    margin: distance at which a limit starts to act [rad or m].
-    ref: the joint's coordinate in the pose in which the scene is described (hinge, slide).
-    springref, stiffness, damping: a spring-damper [N·m/rad, N·m·s/rad; N/m, N·s/m].
+    pos: anchor in the body's frame [m], shape (3,).
+    axis: of a hinge or slide, in the body's frame, shape (3,), stored at unit length.
+    range: (lower, upper) limit [rad or m], or None for no limit; (0, largest angle) for a ball.
+    margin: distance from a limit at which it starts to act [rad or m].
+    ref: coordinate of a hinge or slide in the pose in which the scene is described [rad or m].
+    springref: coordinate at which the spring is relaxed [rad or m].
+    stiffness: of the spring [N·m/rad or N/m].
+    damping: [N·m·s/rad or N·s/m].
     armature: inertia added to each of its dofs [kg·m² or kg], >= 0.
     frictionloss: dry friction [N·m or N], >= 0.
-    solreflimit, solimplimit, solreffriction, solimpfriction: softness of its rows.
+    solreflimit, solimplimit: softness of the limit.
+    solreffriction, solimpfriction: softness of the dry friction.
     """
 
     name: Text = ""
@@ -156,19 +164,26 @@ class Joint(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Geom(Element):
-    """A shape fixed to a body: what collides, and what gives a body its mass.
+    """A shape fixed to a body: it collides, and it gives the body mass.
 
+    name: unique among geoms, or "".
+    body: the `Body` that it is fixed to.
     type: "plane", "sphere", "capsule", "ellipsoid", "cylinder" or "box".
-    size: [m], up to 3 numbers: sphere radius; capsule and cylinder radius, half length; box and
-        ellipsoid half sizes; plane half sizes for drawing (0: endless) and grid spacing.
-    pos: [m]; quat: in the body's frame.
-    mass: [kg], >= 0, or None: density × volume. density: [kg/m³], with shellinertia [kg/m²].
+    size: [m], shape (3,): radius of a sphere; radius and half length of a capsule or cylinder; half
+        sizes of a box or ellipsoid; for a plane, half sizes and grid spacing for drawing (0 is
+        infinite). Fewer numbers may be given.
+    pos, quat: position [m], shape (3,), and orientation, shape (4,), in the body's frame.
+    mass: [kg], >= 0; None means density × volume.
+    density: [kg/m³], or [kg/m²] with shellinertia; >= 0.
     shellinertia: True puts the mass on the surface.
-    contype, conaffinity: 32-bit masks; two geoms can touch if the contype of one and the
+    group: an integer that `MassRules.inertiagrouprange` refers to.
+    contype, conaffinity: 32-bit masks; two geoms can collide if the contype of one and the
         conaffinity of the other share a bit.
-    condim: 1 (frictionless), 3, 4 or 6. friction: sliding, torsional [m], rolling [m], >= 0.
-    priority, solmix, solref, solimp: how two geoms' contact parameters are mixed, and which.
-    margin: contacts act below this distance [m]; gap: and are listed this much further out [m].
+    condim: dimension of the contact: 1 (frictionless), 3, 4 or 6.
+    friction: sliding, torsional [m] and rolling [m] coefficient, shape (3,), >= 0.
+    solref, solimp: softness of its contacts.
+    priority, solmix: which of two geoms decides their contact's parameters, and how they are mixed.
+    margin: distance below which contacts act [m]. gap: contacts are listed from margin + gap [m].
     """
 
     name: Text = ""
@@ -195,7 +210,10 @@ class Geom(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Site(Element):
-    """A named place on a body. pos: [m], shape (3,); quat: shape (4,)."""
+    """A named place on a body.
+
+    pos, quat: position [m], shape (3,), and orientation, shape (4,), in the body's frame.
+    """
 
     name: Text = ""
     body: ABody
@@ -205,22 +223,27 @@ class Site(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Actuator(Element):
-    """A motor or a servo on one joint: the joint feels gear × force, and force is, by type,
+    """A motor or servo on a joint. The force on the joint is gear × force, where force is
 
-    - "motor": the control;
-    - "position": kp × (control − length) − kv × velocity, with kp 1, kv 0 where they are None;
-      dampratio in place of kv stands for kv = 2 × dampratio × √(kp × m), m being the inertia
-      that the actuator moves in the pose of the scene, and is worked out once, when the scene
-      is compiled;
-    - "velocity": kv × (control − velocity), kv 1 where it is None;
-    - "general": gainprm × control + biasprm · (1, length, velocity), 1 and zeros where they are
-      None. With gainprm = −biasprm[1] a biasprm[2] above 0 is a damping ratio, as in MuJoCo.
+    - for a "motor", the control;
+    - for a "position" servo, kp × (control − length) − kv × velocity;
+    - for a "velocity" servo, kv × (control − velocity);
+    - for a "general" actuator, gainprm × control + biasprm · (1, length, velocity).
 
-    length: gear × the joint's coordinate [rad or m], velocity: its rate. Servos act on hinges and
-    slides; their work is no part of a Sim's `energy`. A field of another type is refused.
+    The length is gear × the joint's coordinate [rad or m], the velocity its rate. Servos act on
+    hinges and slides, and a Sim's `energy` does not include their work.
 
-    gear: up to 6 numbers; a hinge or slide uses the first, a ball 3, a free joint 6.
-    ctrlrange, forcerange: (lower, upper) to which control and force are clamped, or None.
+    name: unique among actuators, or "".
+    joint: the `Joint` that it drives.
+    type: "motor", "position", "velocity" or "general". A field of another type is refused.
+    gear: shape (6,); a hinge or slide uses the first number, a ball 3, a free joint 6.
+    kp: stiffness of a position servo; None means 1.
+    kv: damping of a position servo (None means 0), or gain of a velocity servo (None means 1).
+    dampratio: damping ratio of a position servo, in place of kv: kv = 2 × dampratio × √(kp × m),
+        where m is the inertia that it moves in the initial pose.
+    gainprm, biasprm: of a general actuator; None means 1 and zeros. If gainprm = −biasprm[1], a
+        positive biasprm[2] is a damping ratio, as in MuJoCo.
+    ctrlrange, forcerange: (lower, upper) bounds to which control and force are clamped, or None.
     """
 
     name: Text = ""
@@ -238,9 +261,14 @@ class Actuator(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Equality(Element):
-    """A constraint between two bodies. type "connect": they share one point.
+    """A constraint between two bodies.
 
-    anchor: the point, in the frame of body1 in the pose of the scene [m], shape (3,).
+    name: unique among equalities, or "".
+    type: "connect": the bodies share one point.
+    body1, body2: the two `Body` objects.
+    anchor: the point in the frame of body1, in the pose of the scene [m], shape (3,).
+    active: False leaves the constraint out.
+    solref, solimp: softness of the constraint.
     """
 
     name: Text = ""
@@ -255,9 +283,12 @@ class Equality(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Key(Element):
-    """A named state. qpos, qvel, ctrl: in the order of the compiled model; None: its default.
+    """A keyframe: a named state.
 
+    name: unique among keyframes, or "".
     time: [s].
+    qpos, qvel, ctrl: in the order of the compiled model, shapes (nq,), (nv,) and (nu,); None means
+        the pose of the scene, rest and zero.
     """
 
     name: Text = ""
@@ -269,12 +300,14 @@ class Key(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class MassRules(Element):
-    """How masses are made from geoms; the words are those of MJCF's ``<compiler>``.
+    """How the masses of bodies are made, with the words of MJCF's ``<compiler>``.
 
-    inertiafromgeom: True: always; False: never; None: where a body gives no mass itself.
-    inertiagrouprange: geoms of these groups weigh, both ends included.
-    boundmass [kg], boundinertia [kg·m²]: lower bounds. balanceinertia: repair A + B < C.
-    settotalmass: scale all masses and inertias to this total [kg]; not positive: leave them.
+    inertiafromgeom: True takes every body's mass from its geoms, False none, and None that of the
+        bodies that have no mass of their own.
+    inertiagrouprange: (first, last) group of the geoms that have mass.
+    boundmass, boundinertia: lower bounds of a body's mass [kg] and principal inertias [kg·m²].
+    balanceinertia: True repairs inertias that violate A + B >= C.
+    settotalmass: total mass to which all masses and inertias are scaled [kg]; <= 0 scales nothing.
     """
 
     inertiafromgeom: Annotated[bool | None, checks.one_of(None, True, False)] = None
@@ -290,9 +323,10 @@ class MassRules(Element):
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Features(Element):
-    """What can be switched off in the model itself; every field is True or False.
+    """What a model takes into account. Each field is a flag; False leaves the feature out.
 
-    All but `coriolis` (Coriolis, centrifugal and gyroscopic forces) are MJCF's flags.
+    The names are those of MJCF's flags, except `coriolis`: Coriolis, centrifugal and gyroscopic
+    forces.
     """
 
     constraint: Flag = True

@@ -1,8 +1,8 @@
-"""From a `Scene`, in whatever order it was written, to the plain data that the engine compiles.
+"""The order of a scene's elements in the compiled model, and the plain data that the engine reads.
 
-Bodies stand depth first, joints, geoms and sites body by body: MuJoCo's order of qpos, qvel and
-geoms. Names become indices. What one element alone cannot tell (a plane on a moving body, a
-range without room, a key of the wrong length) is checked here.
+Bodies stand depth first, and joints, geoms and sites body by body: MuJoCo's order. References
+become indices. Errors that one element alone does not show (a plane on a moving body, a key of
+the wrong length) are found here.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SIZE_WORDS = {
 
 
 class Layout:
-    """The order of a scene's elements once compiled."""
+    """The elements of a scene in the order of the compiled model."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -49,7 +49,7 @@ class Layout:
         return sorted(elements, key=lambda e: self.body(e, e.body))
 
     def body(self, owner: Element | str, body: Body) -> int:
-        """The index of a body that `owner` refers to."""
+        """The index of a body; an error about `owner`, which refers to it, if it has none."""
         found = self.index.get(id(body))
         if found is None:
             raise checks.ElementError(owner, f"refers to {body}, which is not in this scene")
@@ -64,7 +64,7 @@ class Layout:
         return sum(DOFS[joint.type] for joint in self.joints)
 
     def moving(self, body: Body | None) -> bool:
-        """Whether a joint stands between this body and the world."""
+        """Whether there is a joint between this body and the world."""
         while body is not None:
             if id(body) in self.joints_of:
                 return True
@@ -72,7 +72,7 @@ class Layout:
         return False
 
     def qpos0(self) -> list[float]:
-        """The coordinates of the pose in which the scene is described, length nq."""
+        """The positions in the pose in which the scene is described, length nq."""
         qpos: list[float] = []
         for joint in self.joints:
             if joint.type == "free":
@@ -84,7 +84,7 @@ class Layout:
         return qpos
 
     def unit_quaternions(self, qpos: Iterable[float]) -> list[float]:
-        """`qpos` with its quaternions at unit length (zero: no turn)."""
+        """`qpos` with its quaternions at unit length; a zero quaternion becomes the identity."""
         result = list(qpos)
         at = 0
         for joint in self.joints:
@@ -121,11 +121,11 @@ def _depth_first(bodies: list[Body]) -> list[Body]:
 
 
 def check(layout: Layout) -> None:
-    """Checks what spans several fields or elements; a ValueError names the element."""
+    """Checks what concerns several fields or elements; a ValueError names the element."""
     scene = layout.scene
     world = layout.bodies[0]
     if (world.pos, world.quat) != (ORIGIN, IDENTITY) or id(world) in layout.joints_of:
-        raise ValueError("the world stays where it is: no pos, no quat, no joint")
+        raise ValueError("the world cannot move: it has no pos, no quat and no joint")
     for body in layout.bodies[1:]:
         if body.mass is None and any((*body.inertia, *body.ipos)):
             raise checks.refuse(body, "mass", None, "given where ipos or inertia is")
@@ -209,7 +209,7 @@ MASS_RULES = {
 
 
 def plain(layout: Layout) -> dict[str, Any]:
-    """The whole scene as dicts, lists and numbers: exactly the engine's fields."""
+    """The whole scene as dicts, lists and numbers, with the names of the engine's fields."""
     scene = layout.scene
     body_of = {id(body): i for i, body in enumerate(layout.bodies)}
     joint_of = {id(joint): i for i, joint in enumerate(layout.joints)}
@@ -252,8 +252,9 @@ def plain(layout: Layout) -> dict[str, Any]:
 
 
 def essence(layout: Layout) -> dict[str, Any]:
-    """`plain` less what has no effect: the axis of a ball, the third size of a capsule, the
-    size at which a plane is drawn. Two scenes with the same essence are the same scene."""
+    """`plain` without what has no effect: the axis of a ball, the third size of a capsule, the size
+    at which a plane is drawn. Scenes with the same essence are equal.
+    """
     scene = plain(layout)
     for joint in scene["joints"]:
         if joint["kind"] not in ("hinge", "slide"):

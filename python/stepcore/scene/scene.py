@@ -1,4 +1,4 @@
-"""`Scene`: what is modelled, editable; written by hand or read from MJCF by `stepcore.load`."""
+"""`Scene`: what is modelled; built by hand or read from MJCF by `stepcore.load`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from stepcore import checks
 from stepcore.scene import frames
 from stepcore.scene.elements import (
+    GRAVITY,
     Actuator,
     Body,
     Element,
@@ -46,19 +47,27 @@ E = TypeVar("E", bound=Element)
 
 
 class Scene(checks.KnownNames):
-    """Bodies, joints, geoms and what acts on them, in SI units.
+    """Describes bodies, joints, geoms and what acts on them, in SI units.
 
-    gravity: [m/s²], shape (3,). name: any text.
+    gravity: acceleration [m/s²], shape (3,).
+    name: any text.
 
-    ``bodies[0]`` is the world. The ``add_…`` methods take elements in any order, refer to others
-    by name or by the object that an earlier ``add_…`` returned, check every value, and return the
-    new element, whose fields may be read and assigned. A bad value is a `ValueError` naming the
-    element, the field, the value and the limit; an unknown name one that lists the nearest.
-    Field names, defaults and conventions are MuJoCo's; see `stepcore.scene.elements`.
+    Elements are added by the ``add_…`` methods, in any order, and refer to each other by name or
+    by the object that ``add_…`` returned. Their fields can be read and assigned. Names, defaults
+    and conventions are MuJoCo's; `Body`, `Joint`, `Geom`, `Site`, `Actuator`, `Equality` and `Key`
+    document the fields with their units.
 
-    mass_rules, features: MJCF's compiler rules for masses, and its flags.
-    options: settings that came with the scene (`Settings` fields); see `settings`.
-    ignored: what a file holds that cannot change the motion. notes: what was translated.
+    Every value is checked when it is given. A bad value raises a ValueError that names the element,
+    the field, the value and the limit; an unknown name raises one that lists the nearest names.
+
+    bodies, joints, geoms, sites, actuators, equalities, keys: lists of the elements;
+        ``bodies[0]`` is the world.
+    excludes: pairs of bodies that do not collide.
+    mass_rules: how masses are made from geoms (`MassRules`: MJCF's ``<compiler>``).
+    features: what the model takes into account (`Features`: MJCF's ``<flag>``).
+    options: the fields of `Settings` that the scene sets; see `settings`.
+    ignored: elements of the file that cannot change the motion, one line each.
+    notes: what the reader translated, one line each.
 
     >>> scene = Scene()
     >>> ball = scene.add_body("ball", pos=(0, 0, 1))
@@ -74,7 +83,7 @@ class Scene(checks.KnownNames):
         *("excludes", "mass_rules", "features", "options", "ignored", "notes"),
     )
 
-    def __init__(self, gravity: Sequence[float] = (0.0, 0.0, -9.81), name: str = "") -> None:
+    def __init__(self, gravity: Vector = GRAVITY, name: str = "") -> None:
         self.gravity = gravity
         self.name = checks.text("scene", "name", name)
         self.bodies: list[Body] = [Body(name="world")]
@@ -99,42 +108,42 @@ class Scene(checks.KnownNames):
         return self._gravity
 
     @gravity.setter
-    def gravity(self, value: Sequence[float]) -> None:
+    def gravity(self, value: Vector) -> None:
         self._gravity: frames.Vec = checks.vector(3)("scene", "gravity", value)
 
     @property
     def world(self) -> Body:
-        """The body that does not move."""
+        """The world: the body that everything stands on, which does not move."""
         return self.bodies[0]
 
     # What is in the scene.
 
     def body(self, name: str | Body) -> Body:
-        """The body of this name; ValueError with the nearest names if there is none."""
+        """Returns the body of this name; ValueError with the nearest names if there is none."""
         return _find(self.bodies, "body", name)
 
     def joint(self, name: str | Joint) -> Joint:
-        """The joint of this name."""
+        """Returns the joint of this name."""
         return _find(self.joints, "joint", name)
 
     def geom(self, name: str | Geom) -> Geom:
-        """The geom of this name."""
+        """Returns the geom of this name."""
         return _find(self.geoms, "geom", name)
 
     def site(self, name: str | Site) -> Site:
-        """The site of this name."""
+        """Returns the site of this name."""
         return _find(self.sites, "site", name)
 
     def actuator(self, name: str | Actuator) -> Actuator:
-        """The actuator of this name."""
+        """Returns the actuator of this name."""
         return _find(self.actuators, "actuator", name)
 
     def equality(self, name: str | Equality) -> Equality:
-        """The equality of this name."""
+        """Returns the equality of this name."""
         return _find(self.equalities, "equality", name)
 
     def key(self, name: str | Key) -> Key:
-        """The keyframe of this name."""
+        """Returns the keyframe of this name."""
         return _find(self.keys, "key", name)
 
     # Adding to it.
@@ -150,11 +159,15 @@ class Scene(checks.KnownNames):
         inertia: Vector | None = None,
         ipos: Vector | None = None,
     ) -> Body:
-        """Adds a body at `pos` [m], `quat` in its parent's frame.
+        """Adds a body.
 
-        mass [kg], ipos (centre of mass) [m] and inertia about it [kg·m²], 3 or 6 numbers in body
-        axes: without a mass all three are taken from the geoms; a mass without an inertia is a
-        point mass.
+        name: unique among bodies, or "".
+        parent: the body that carries it, as a name or a `Body`.
+        pos, quat: its position [m] and orientation (w x y z) in the parent's frame.
+        mass: [kg]; without it, mass, centre of mass and inertia come from the body's geoms.
+        ipos: centre of mass in the body's frame [m].
+        inertia: about the centre of mass, in body axes [kg·m²]: xx yy zz, or xx yy zz xy xz yz.
+            A mass without an inertia is a point mass.
         """
         fields: dict[str, Any] = {"name": name, "pos": pos, "quat": quat, "mass": mass}
         if inertia is not None:
@@ -169,9 +182,12 @@ class Scene(checks.KnownNames):
     def add_joint(
         self, body: str | Body, type: str = "hinge", **fields: Unpack[JointFields]
     ) -> Joint:
-        """Adds a "hinge", "slide", "ball" or "free" joint between a body and its parent.
+        """Adds a joint between a body and its parent.
 
-        fields: those of `stepcore.scene.elements.Joint` (name, pos, axis, range, damping, …).
+        body: the body that it moves, as a name or a `Body`.
+        type: "hinge", "slide", "ball" or "free".
+        fields: of `Joint`: name, pos [m], axis, range [rad or m], ref, stiffness [N·m/rad or N/m],
+            damping [N·m·s/rad or N·s/m], armature [kg·m² or kg], frictionloss [N·m or N], …
         """
         return self._add(self.joints, Joint, fields, body=self.body(body), type=type)
 
@@ -186,9 +202,13 @@ class Scene(checks.KnownNames):
     ) -> Geom:
         """Adds a shape to a body.
 
-        size: [m]; see `stepcore.scene.elements.Geom`, whose fields (name, pos, mass, …) may all be
-        given.
-        fromto: two end points [m], shape (6,), in place of pos, quat and all but the first size.
+        body: the body that it is fixed to, as a name or a `Body`.
+        type: "plane", "sphere", "capsule", "ellipsoid", "cylinder" or "box".
+        size: [m], up to 3 numbers whose meaning depends on the type; see `Geom`.
+        fromto: both end points of a capsule, cylinder, box or ellipsoid [m], shape (6,), in place
+            of pos, quat and every size but the first.
+        fields: of `Geom`: name, pos [m], quat, mass [kg], density [kg/m³], friction, condim,
+            solref, solimp, …
         """
         geom = _make(Geom, fields, body=self.body(body), type=type, size=size)
         if fromto is not None:
@@ -203,16 +223,20 @@ class Scene(checks.KnownNames):
         return _append(self.geoms, geom)
 
     def add_site(self, body: str | Body = "world", **fields: Unpack[SiteFields]) -> Site:
-        """Adds a named place: name, pos [m], quat."""
+        """Adds a site, a named place on a body.
+
+        fields: of `Site`: name, pos [m], quat.
+        """
         return self._add(self.sites, Site, fields, body=self.body(body))
 
     def add_actuator(
         self, joint: str | Joint, type: str = "motor", **fields: Unpack[ActuatorFields]
     ) -> Actuator:
-        """Adds a "motor", a "position" or "velocity" servo, or a "general" actuator on a joint.
+        """Adds an actuator on a joint.
 
-        fields: those of `stepcore.scene.elements.Actuator` (name, gear, kp, kv, dampratio,
-        ctrlrange, forcerange, …).
+        joint: a name or a `Joint`.
+        type: "motor", "position" (servo), "velocity" (servo) or "general".
+        fields: of `Actuator`: name, gear, kp, kv, dampratio, ctrlrange, forcerange [N or N·m], …
         """
         return self._add(self.actuators, Actuator, fields, joint=self.joint(joint), type=type)
 
@@ -224,19 +248,24 @@ class Scene(checks.KnownNames):
         anchor: Vector = frames.ORIGIN,
         **fields: Unpack[EqualityFields],
     ) -> Equality:
-        """Makes two bodies share the point `anchor` [m], given in the frame of `body1`.
+        """Adds a constraint that holds a point of one body on another.
 
-        fields: name, active, solref, solimp.
+        type: "connect". body1, body2: names or `Body` objects.
+        anchor: the shared point in the frame of body1 [m], shape (3,).
+        fields: of `Equality`: name, active, solref, solimp.
         """
         ends = {"body1": self.body(body1), "body2": self.body(body2)}
         return self._add(self.equalities, Equality, fields, type=type, anchor=anchor, **ends)
 
     def add_key(self, name: str = "", **fields: Unpack[KeyFields]) -> Key:
-        """Adds a named state: time [s], qpos, qvel, ctrl in the compiled model's order."""
+        """Adds a keyframe, a named state.
+
+        fields: of `Key`: time [s], qpos, qvel and ctrl in the compiled model's order.
+        """
         return self._add(self.keys, Key, fields, name=name)
 
     def exclude(self, body1: str | Body, body2: str | Body) -> None:
-        """Keeps the geoms of two bodies from colliding with each other."""
+        """Excludes collisions between the geoms of two bodies."""
         self.excludes.append((self.body(body1), self.body(body2)))
 
     def _add(self, into: list[E], kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
@@ -246,9 +275,9 @@ class Scene(checks.KnownNames):
 
     @property
     def settings(self) -> Settings:
-        """The `Settings` that came with the scene: its `options` over the defaults.
+        """The scene's `Settings`: its `options`, and defaults for the rest.
 
-        ValueError for an option that is no field of `Settings`, or outside its limit.
+        Raises ValueError for an option that is not a field of `Settings` or is outside its limit.
         """
         from stepcore._core import Settings
 
@@ -261,28 +290,32 @@ class Scene(checks.KnownNames):
     def with_settings(
         self,
         settings: Settings | Mapping[str, Any] | None = None,
-        **overrides: Unpack[SettingsFields],
+        **fields: Unpack[SettingsFields],
     ) -> Scene:
-        """A copy of the scene with other settings; a whole `Settings` replaces all of them."""
+        """Returns a copy of the scene with other settings.
+
+        settings: a `Settings`, which replaces them all, or a dict of fields.
+        fields: single fields of `Settings`.
+        """
         scene = copy.deepcopy(self)
         if settings is not None:
             if isinstance(settings, Mapping):
                 scene.options.update(settings)
             else:
                 scene.options = settings.as_dict()
-        scene.options.update(overrides)
+        scene.options.update(fields)
         return scene
 
     def compile(self) -> Model:
-        """The compiled `Model`; ValueError if the scene cannot be one."""
+        """Compiles the scene; ValueError, naming the element, if it cannot be compiled."""
         from stepcore.engine.model import Model
 
         return Model(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """The scene as the engine takes it: plain data in MuJoCo's order, indices for names.
+        """Returns the scene as the engine reads it: plain data, with indices for references.
 
-        Raises ValueError for what only the whole scene can show: a range on a free joint, a
+        Raises ValueError for errors that only the whole scene shows: a range on a free joint, a
         plane on a moving body, a key of the wrong length, a name used twice.
         """
         layout = Layout(self)
@@ -290,14 +323,14 @@ class Scene(checks.KnownNames):
         return plain(layout)
 
     def to_mjcf(self) -> str:
-        """The scene as an MJCF text: all that is modelled, and the settings.
+        """Returns the scene, with its settings, as an MJCF text.
 
-        Angles in radians, numbers exact, defaults left out. Settings that MJCF has no word for
+        Angles are in radians, numbers are exact and defaults are left out. Settings that MJCF lacks
         stand in ``<custom>``, which `stepcore.loads` reads: ``loads(scene.to_mjcf()) == scene``.
-        What a file held that only draws or senses is not written; a comment says how much.
+        Elements of the scene's file that only draw or sense are not written; a comment counts them.
 
-        Raises ValueError for a scene that no MJCF file can say: one that cannot be compiled, a
-        world with a mass or another name, a name with control characters.
+        Raises ValueError for a scene that MJCF cannot express: one that cannot be compiled, a world
+        with a mass or another name, a name with control characters.
 
         >>> scene = Scene(gravity=(0, 0, -1.62))
         >>> ball = scene.add_body("ball", pos=(0, 0, 1))
@@ -325,12 +358,12 @@ class Scene(checks.KnownNames):
         return written(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the scene as an MJCF file, so that ``load(path) == scene``.
+        """Writes the scene to an MJCF file, so that ``load(path) == scene``.
 
-        A scene that was read from a file and differs from it in nothing but settings (and its
-        name) keeps the file's own text: includes, comments, meshes and all, with other
-        ``<option>``, ``<flag>`` and ``<custom>`` words. If that text names other files, this
-        holds for `path` in the directory where they lie. Else the file is `to_mjcf`.
+        If the scene was read from a file and only its settings or its name have changed, the file's
+        own text is kept, with its includes, comments and meshes; only ``<option>``, ``<flag>`` and
+        ``<custom>`` are edited. (If the text names other files, `path` must be in their folder.)
+        Otherwise the text is that of `to_mjcf`.
 
         Raises what `to_mjcf` raises, and OSError.
         """

@@ -1,4 +1,4 @@
-"""`with_values`: a scene with some of its values changed, by "kind/name/field"."""
+"""Values of a scene by path, "kind/name/field": finding them and changing them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KINDS = ("body", "joint", "geom", "site", "actuator", "equality", "key")
 
 
 def changed(scene: Scene, values: Mapping[str, Any], model: Model) -> Scene:
-    """A copy of `scene`, which `model` was compiled from, with these values."""
+    """A copy of `scene` with these values; `model` is what it was compiled to."""
     if not isinstance(values, Mapping):
         raise ValueError(f"values = {checks.shown(values)}: must be a dict of paths and values")
     scene = copy.deepcopy(scene)
@@ -34,7 +34,7 @@ def changed(scene: Scene, values: Mapping[str, Any], model: Model) -> Scene:
 
 
 def find(scene: Scene, path: object) -> tuple[Element, str]:
-    """The element and the field that "kind/name/field" means."""
+    """The element and the field at a path."""
     parts = path.split("/") if isinstance(path, str) else []
     if len(parts) < 3:
         raise ValueError(f'{checks.shown(path)}: must be "gravity" or "kind/name/field"')
@@ -53,7 +53,7 @@ def find(scene: Scene, path: object) -> tuple[Element, str]:
 
 
 def _set(element: Element, field: str, value: Any) -> None:
-    """A number for a field of several is the first of them, the others stay."""
+    """Assigns a field; a single number replaces the first entry of a vector."""
     old = getattr(element, field)
     first = checks.number(value)
     if isinstance(old, tuple) and first is not None:
@@ -62,7 +62,7 @@ def _set(element: Element, field: str, value: Any) -> None:
 
 
 def _scale_geoms(scene: Scene, model: Model, body: Body, value: Any) -> None:
-    """Gives a body that its geoms weigh another mass, spread as before."""
+    """Changes the mass of a body that gets it from its geoms, by scaling the geoms."""
     mass: float = checks.real(above=0)(body, "mass", value)
     index = model.index("body", body.name)
     factor = mass / float(model.body_mass[index])
