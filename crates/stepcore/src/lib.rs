@@ -63,4 +63,5 @@ pub mod solve;
 pub mod spatial;
 pub mod state;
 mod step;
+pub mod transmission;
 pub mod watch;

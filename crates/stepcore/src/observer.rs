@@ -1,17 +1,17 @@
 //! Who watches a `Sim` step: the engine calls these hooks and knows nothing of what is behind.
 
 use crate::real::Real;
-use crate::sim::Sim;
+use crate::sim::{At, Sim};
 
 /// The hooks of one step, in the order of its stages. Each does nothing unless it is
 /// overridden, and calls are static: a step that nobody watches pays nothing.
 pub trait Observer<R: Real> {
-    /// The smooth forces of `sim.placed`, at the velocities `qvel`, act for `share` of the step.
-    fn placed(&mut self, _sim: &Sim<R>, _qvel: &[R], _share: f64) {}
+    /// The smooth forces of `sim.placed`, at these positions and velocities, act for `share` of the step.
+    fn placed(&mut self, _sim: &Sim<R>, _at: At, _share: f64) {}
 
     /// The rows of `sim.rows`, and under law `penalty` the contacts of `sim.detected`, act with
     /// what was solved for them for `share` of the step.
-    fn solved(&mut self, _sim: &Sim<R>, _qvel: &[R], _share: f64) {}
+    fn solved(&mut self, _sim: &Sim<R>, _at: At, _share: f64) {}
 
     /// `sim.next` is finite and is about to become the state.
     fn committing(&mut self, _sim: &Sim<R>) {}
@@ -23,14 +23,14 @@ impl<R: Real> Observer<R> for () {}
 /// Two watch.
 impl<R: Real, A: Observer<R>, B: Observer<R>> Observer<R> for (&mut A, &mut B) {
     #[inline]
-    fn placed(&mut self, sim: &Sim<R>, qvel: &[R], share: f64) {
-        self.0.placed(sim, qvel, share);
-        self.1.placed(sim, qvel, share);
+    fn placed(&mut self, sim: &Sim<R>, at: At, share: f64) {
+        self.0.placed(sim, at, share);
+        self.1.placed(sim, at, share);
     }
     #[inline]
-    fn solved(&mut self, sim: &Sim<R>, qvel: &[R], share: f64) {
-        self.0.solved(sim, qvel, share);
-        self.1.solved(sim, qvel, share);
+    fn solved(&mut self, sim: &Sim<R>, at: At, share: f64) {
+        self.0.solved(sim, at, share);
+        self.1.solved(sim, at, share);
     }
     #[inline]
     fn committing(&mut self, sim: &Sim<R>) {

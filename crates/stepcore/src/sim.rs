@@ -57,7 +57,7 @@ pub struct Sim<R: Real> {
 
 /// The positions and velocities at which stages run.
 #[derive(Clone, Copy, PartialEq)]
-pub(crate) enum At {
+pub enum At {
     /// Those of the state.
     State,
     /// Those of `next.trial`, which an integrator tries on its way through the step.

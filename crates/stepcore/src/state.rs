@@ -4,13 +4,16 @@ use crate::model::Model;
 use crate::real::Real;
 use crate::room::room;
 
+/// The most rows of a block, which `elements/constraint.rs` sees to.
+pub const WARM_ROWS: usize = 6;
+
 /// The impulses of one contact, limit or other source, kept for the next step's start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Warm<R: Real> {
     /// Which source (see `Block::slot`); ascending in the list.
     pub slot: u32,
     /// By row of its block [N·s or N·m·s]; zero beyond.
-    pub impulse: [R; 6],
+    pub impulse: [R; WARM_ROWS],
 }
 
 /// A complete snapshot: restored, a run continues bit for bit.

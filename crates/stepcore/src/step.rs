@@ -3,6 +3,7 @@
 //! The integrator says how often a step runs the first three; `integrate` is in
 //! `commit/`. What is written here is the whole of a step.
 
+use crate::elements::force::Moment;
 use crate::error::Result;
 use crate::observer::Observer;
 use crate::real::{Mask, Real, Stage};
@@ -40,6 +41,13 @@ impl<R: Real> Sim<R> {
             );
         }
         Ok(())
+    }
+
+    /// What forces depend on, with the placement at hand.
+    pub(crate) fn moment(&self, at: At) -> Moment<'_, R> {
+        let (qpos, qvel) = at.of(&self.state, &self.next);
+        let frames = self.placed.frames();
+        Moment { model: &self.model, frames, qpos, qvel, inputs: &self.inputs }
     }
 
     pub(crate) fn place_detect_solve(&mut self, at: At) -> Result<()> {

@@ -10,6 +10,7 @@
 //! B[lin, ang] = −m R ([w×c]× + [w]×[c]×)      B[ang, ang] = [w]× I − [I w]×
 //! ```
 
+use crate::elements::force::{damping, Group, Moment};
 use crate::model::{Model, Tree};
 use crate::place::{Metric, Placed};
 use crate::real::Real;
@@ -21,16 +22,16 @@ pub struct Damped<R: Real> {
     pub(super) metric: Metric<R>,
     pub(super) impulse: Vec<R>,
     pub(super) change: Vec<R>,
+    /// Stiffness and damping, by dof.
+    pub(super) slopes: Vec<[R; 2]>,
     /// Trees with a damped dof, and those under `implicitfast`, where servos damp too.
     damped: Vec<usize>,
     damped_fast: Vec<usize>,
-    /// Actuators with velocity feedback.
-    servos: Vec<usize>,
     /// Single free bodies whose bias has a derivative.
     gyroscopic: Vec<usize>,
 }
 
-room!(Damped<R>: impulse, change, damped, damped_fast, servos, gyroscopic; metric);
+room!(Damped<R>: impulse, change, slopes, damped, damped_fast, gyroscopic; metric);
 
 impl<R: Real> Damped<R> {
     pub fn new(model: &Model) -> Self {
@@ -41,9 +42,9 @@ impl<R: Real> Damped<R> {
             metric: Metric::new(model),
             impulse: vec![R::zero(); model.nv],
             change: vec![R::zero(); model.nv],
+            slopes: vec![[R::zero(); 2]; model.nv],
             damped: has(&|tree| model.damped(tree)),
             damped_fast: has(&|tree| model.damped(tree) || model.served(tree)),
-            servos: model.damping_servos().collect(),
             gyroscopic: has(&|tree| model.gyroscopic(tree)),
         }
     }
@@ -51,11 +52,10 @@ impl<R: Real> Damped<R> {
 
 /// What damping reads of a step.
 pub(super) struct Solved<'a, R: Real> {
-    pub model: &'a Model,
+    pub now: Moment<'a, R>,
     pub placed: &'a Placed<R>,
-    /// u⁺, and the velocities before.
+    /// u⁺.
     pub u: &'a [R],
-    pub qvel: &'a [R],
     pub dt: R,
 }
 
@@ -63,11 +63,12 @@ impl<R: Real> Damped<R> {
     /// Rewrites the solved velocities in `out` with damping (and under `fast` servos and the
     /// gyroscopic forces of free bodies) treated implicitly.
     pub(super) fn damp(&mut self, solved: &Solved<R>, fast: bool, out: &mut [R]) {
-        let &Solved { model, placed, u, qvel, dt } = solved;
-        let (trees, servos, gyroscopic) = if fast {
-            (&self.damped_fast, self.servos.as_slice(), self.gyroscopic.as_slice())
+        let &Solved { ref now, placed, u, dt } = solved;
+        let &Moment { model, qvel, .. } = now;
+        let (trees, gyroscopic) = if fast {
+            (&self.damped_fast, self.gyroscopic.as_slice())
         } else {
-            (&self.damped, [].as_slice(), [].as_slice())
+            (&self.damped, [].as_slice())
         };
         if trees.is_empty() && gyroscopic.is_empty() {
             return;
@@ -82,14 +83,14 @@ impl<R: Real> Damped<R> {
             for k in model.trees[tree].dofs.range() {
                 let row = model.dofs[k].row;
                 self.metric.l[row.range()].copy_from_slice(&placed.mass[row.range()]);
-                self.metric.l[row.start] += dt * R::of(model.dofs[k].damping);
             }
         }
-        for &servo in servos {
-            let actuator = &model.actuators[servo];
-            let dof = &model.dofs[model.joints[actuator.joint].dof];
-            let [_, damping] = placed.feedback(actuator, servo);
-            self.metric.l[dof.row.start] += dt * damping;
+        let mut add = |k: usize, damping: R| {
+            self.metric.l[model.dofs[k].row.start] += dt * damping;
+        };
+        damping(now, Group::Passive, &mut add);
+        if fast {
+            damping(now, Group::Driven, &mut add);
         }
         for &tree in trees {
             let dofs = model.trees[tree].dofs.range();

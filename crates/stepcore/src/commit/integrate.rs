@@ -3,6 +3,7 @@
 use super::advance;
 use super::damped::Solved;
 use crate::clock::Clock;
+use crate::elements::force::Moment;
 use crate::error::Result;
 use crate::observer::Observer;
 use crate::real::Real;
@@ -28,8 +29,8 @@ impl<R: Real> Sim<R> {
             }
             _ => {
                 self.place_detect_solve(At::State)?;
-                observer.placed(self, &self.state.qvel, 1.0);
-                observer.solved(self, &self.state.qvel, 1.0);
+                observer.placed(self, At::State, 1.0);
+                observer.solved(self, At::State, 1.0);
                 self.commit();
                 Ok(())
             }
@@ -53,13 +54,15 @@ impl<R: Real> Sim<R> {
 
     /// Damping implicitly: see `damped.rs`.
     fn damp(&mut self, fast: bool) {
-        let solved = Solved {
+        let now = Moment {
             model: &self.model,
-            placed: &self.placed,
-            u: &self.rows.u,
+            frames: self.placed.frames(),
+            qpos: &self.state.qpos,
             qvel: &self.state.qvel,
-            dt: self.clock.dt,
+            inputs: &self.inputs,
         };
+        let (placed, u) = (&self.placed, &self.rows.u);
+        let solved = Solved { now, placed, u, dt: self.clock.dt };
         self.next.damped.damp(&solved, fast, &mut self.next.qvel);
     }
 
@@ -78,7 +81,7 @@ impl<R: Real> Sim<R> {
         let judged = if on_guess { &self.next.mean } else { &self.next.qvel };
         self.placed.metric.to_factored(judged, &mut self.placed.guess);
         self.detect_and_solve(At::State)?;
-        observer.solved(self, &self.state.qvel, 1.0);
+        observer.solved(self, At::State, 1.0);
         // Δv from Δu, which is exactly zero in a tree without rows.
         let change = &mut self.next.damped.change;
         for k in 0..model.nv {

@@ -4,6 +4,7 @@
 //! linear spring converges at once however stiff it is.
 
 use super::advance;
+use crate::elements::force::{slopes, Group, Moment};
 use crate::error::{Fault, Result};
 use crate::model::Model;
 use crate::observer::Observer;
@@ -56,10 +57,9 @@ impl<R: Real> Sim<R> {
         if open.any() {
             return Err(self.diverged(open, |_| Fault::Midpoint));
         }
-        let qvel = &self.next.trial.qvel;
-        observer.placed(self, qvel, 1.0);
+        observer.placed(self, At::Trial, 1.0);
         if rows {
-            observer.solved(self, qvel, 1.0);
+            observer.solved(self, At::Trial, 1.0);
         }
         for k in 0..model.nv {
             self.next.mean[k] = half * (self.state.qvel[k] + self.next.qvel[k]);
@@ -93,20 +93,27 @@ impl<R: Real> Sim<R> {
         }
         self.placed.mul_mass(model, &damped.change, &mut damped.impulse);
         damped.metric.l.copy_from_slice(&self.placed.mass);
-        for dof in &model.dofs {
-            let stiffness = model.joints[dof.joint].stiffness;
-            let extra = R::of(0.5 * dof.damping) * dt + R::of(0.25 * stiffness) * dt * dt;
-            damped.metric.l[dof.row.start] += extra;
-        }
-        for (index, actuator) in model.actuators.iter().enumerate().filter(|(_, a)| a.feeds_back())
-        {
-            let dof = &model.dofs[model.joints[actuator.joint].dof];
-            let [stiffness, damping] = self.placed.feedback(actuator, index);
-            let extra = R::of(0.5) * dt * damping + R::of(0.25) * dt * dt * stiffness;
-            if model.features.actuation {
-                damped.metric.l[dof.row.start] += extra;
+        let now = Moment {
+            model,
+            frames: self.placed.frames(),
+            qpos: &self.next.trial.qpos,
+            qvel: &self.next.trial.qvel,
+            inputs: &self.inputs,
+        };
+        let (half, quarter) = (R::of(0.5) * dt, R::of(0.25) * dt * dt);
+        damped.slopes.fill([R::zero(); 2]);
+        slopes(&now, Group::Passive, |_, k, slopes| {
+            for (sum, slope) in damped.slopes[k].iter_mut().zip(slopes) {
+                *sum = if sum.is_zero() { slope } else { *sum + slope };
             }
+        });
+        for (dof, [stiffness, damping]) in model.dofs.iter().zip(&damped.slopes) {
+            damped.metric.l[dof.row.start] += half * *damping + *stiffness * half * half;
         }
+        slopes(&now, Group::Driven, |_, k, [stiffness, damping]| {
+            let extra = half * damping + quarter * stiffness;
+            damped.metric.l[model.dofs[k].row.start] += extra;
+        });
         damped.metric.factor(0..model.nv);
         damped.metric.solve(&mut damped.impulse);
         let mut miss = R::zero();

@@ -46,10 +46,9 @@ impl<R: Real> Sim<R> {
             } else {
                 self.smooth(at);
             }
-            let (_, qvel) = at.of(&self.state, &self.next);
-            observer.placed(self, qvel, B[stage]);
+            observer.placed(self, at, B[stage]);
             if rows {
-                observer.solved(self, qvel, B[stage]);
+                observer.solved(self, at, B[stage]);
             }
             self.next.sums.rate.copy_from_slice(match at {
                 At::State => &self.state.qvel,

@@ -6,16 +6,20 @@
 //! whatever the lanes hold, so that row order never depends on anything else.
 
 mod capsule;
+pub(crate) mod frame;
 mod plane;
 #[cfg(test)]
 mod shape_tests;
 mod sphere;
 mod touch;
 
-pub use touch::{tangents, Touch, Touches, MOST_TOUCHES};
+pub use frame::tangents;
+pub use touch::{Touch, Touches};
+
+use frame::hint;
 
 use crate::elements::{Element, Kind};
-use crate::model::{Model, Pair};
+use crate::model::{Model, Pair, ShapeTest};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::room::room;
@@ -66,7 +70,7 @@ impl<R: Real> Detected<R> {
             if skips && pair.apart || !on_guess && far(model, placed, pair) {
                 continue;
             }
-            let touches = meet(model, placed, pair.geom1, pair.geom2);
+            let touches = meet(model, placed, pair);
             let listed = R::of(if on_guess { f64::INFINITY } else { pair.margin + pair.gap });
             for (part, touch) in touches.list[..touches.count].iter().enumerate() {
                 let mask = touch.exists.and(touch.dist.lt(listed));
@@ -101,10 +105,8 @@ impl<R: Real> Contact<R> {
     /// The two directions of friction; with the normal they are the contact's frame.
     pub fn tangents(&self, model: &Model, placed: &Placed<R>) -> [V3<R>; 2] {
         let pair = &model.pairs[self.pair];
-        let kinds = [model.geoms[pair.geom1].kind, model.geoms[pair.geom2].kind];
-        let capsule = (kinds == [GeomType::Plane, GeomType::Capsule])
-            .then(|| placed.geom[pair.geom2].axis(2));
-        let (y, z) = tangents(&self.normal, capsule.as_ref());
+        let hint = hint(pair.test, &placed.geom[pair.geom2]);
+        let (y, z) = tangents(&self.normal, hint.as_ref());
         [y, z]
     }
 }
@@ -118,9 +120,9 @@ fn beyond<R: Real>(model: &Model, qpos: &[R]) -> bool {
     })
 }
 
-/// The smallest distance of two geoms [m], for shapes that can be tested.
-pub(crate) fn distance(model: &Model, placed: &Placed<f64>, geom1: usize, geom2: usize) -> f64 {
-    let touches = meet(model, placed, geom1, geom2);
+/// The smallest distance of a pair's geoms [m].
+pub(crate) fn distance(model: &Model, placed: &Placed<f64>, pair: &Pair) -> f64 {
+    let touches = meet(model, placed, pair);
     let there = touches.list[..touches.count].iter().filter(|touch| touch.exists);
     there.map(|touch| touch.dist).fold(f64::INFINITY, f64::min)
 }
@@ -138,20 +140,19 @@ fn far<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> bool {
     between.dot(&between).gt(R::of(reach * reach)).all()
 }
 
-/// The exact test of one pair. The builder lets no other pair of shapes through.
-fn meet<R: Real>(model: &Model, placed: &Placed<R>, geom1: usize, geom2: usize) -> Touches<R> {
-    let (g1, g2) = (&model.geoms[geom1], &model.geoms[geom2]);
-    let (p1, p2) = (&placed.geom[geom1], &placed.geom[geom2]);
+/// The exact test of one pair.
+#[inline(always)]
+fn meet<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> Touches<R> {
+    let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
+    let (p1, p2) = (&placed.geom[pair.geom1], &placed.geom[pair.geom2]);
     let (r1, h1) = (R::of(g1.size[0]), R::of(g1.size[1]));
     let (r2, h2) = (R::of(g2.size[0]), R::of(g2.size[1]));
-    use GeomType::{Box, Capsule, Plane, Sphere};
-    match (g1.kind, g2.kind) {
-        (Plane, Sphere) => plane::plane_sphere(p1, p2, r2),
-        (Plane, Capsule) => plane::plane_capsule(p1, p2, r2, h2),
-        (Sphere, Sphere) => sphere::sphere_sphere(p1, r1, p2, r2),
-        (Sphere, Capsule) => sphere::sphere_capsule(p1, r1, p2, r2, h2),
-        (Sphere, Box) => sphere::sphere_box(p1, r1, p2, V3::new(r2, h2, R::of(g2.size[2]))),
-        (Capsule, Capsule) => capsule::capsule_capsule(p1, r1, h1, p2, r2, h2),
-        _ => Touches::one(sphere::sphere_sphere(p1, r1, p2, r2).list[0].absent()),
+    match pair.test {
+        ShapeTest::PlaneSphere => plane::plane_sphere(p1, p2, r2),
+        ShapeTest::PlaneCapsule => plane::plane_capsule(p1, p2, r2, h2),
+        ShapeTest::SphereSphere => sphere::sphere_sphere(p1, r1, p2, r2),
+        ShapeTest::SphereCapsule => sphere::sphere_capsule(p1, r1, p2, r2, h2),
+        ShapeTest::SphereBox => sphere::sphere_box(p1, r1, p2, V3::new(r2, h2, R::of(g2.size[2]))),
+        ShapeTest::CapsuleCapsule => capsule::capsule_capsule(p1, r1, h1, p2, r2, h2),
     }
 }

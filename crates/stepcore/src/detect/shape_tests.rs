@@ -4,7 +4,8 @@
 use super::capsule::capsule_capsule;
 use super::plane::{plane_capsule, plane_sphere};
 use super::sphere::{sphere_box, sphere_capsule, sphere_sphere};
-use super::touch::{tangents, Touches};
+use super::tangents;
+use super::touch::Touches;
 use crate::real::{Lanes, Mask, Real, WIDTH};
 use crate::spatial::Pose;
 use nalgebra::{Matrix3, Rotation3, Vector3};

@@ -1,9 +1,10 @@
 //! What a pair of shapes reports when they are near: contacts out of poses.
 //!
 //! A contact is a signed distance, the point halfway between the surfaces and a
-//! unit normal from geom 1 to geom 2; `tangents` completes its frame. Distances
+//! unit normal from geom 1 to geom 2; `frame.rs` completes its frame. Distances
 //! are always reported: the caller compares them with margin and gap.
 
+use crate::model::MOST_TOUCHES;
 use crate::real::{Mask, Real};
 use crate::spatial::V3;
 
@@ -19,9 +20,6 @@ pub struct Touch<R: Real> {
     /// The lanes that have this contact at all, whatever its distance.
     pub exists: R::Mask,
 }
-
-/// The most contacts of a pair.
-pub const MOST_TOUCHES: usize = 2;
 
 /// The contacts of a pair. A slot keeps its meaning from step to step, so
 /// that its impulse can start the next solve.
@@ -96,48 +94,7 @@ pub fn balls<R: Real>(a: &Ball<R>, b: &Ball<R>) -> Touch<R> {
     Touch { dist, pos, normal, exists: R::Mask::of(true) }
 }
 
-/// The contact frame's second and third axis; the normal is its first.
-///
-/// The second axis is the hint (plane-capsule: the capsule's axis) or else the
-/// world's y, or z where the normal is within 60° of ±y, made perpendicular to
-/// the normal. A hint along the normal gives no direction: the world's x takes
-/// its place (y where the normal is within 60° of ±x).
 #[inline(always)]
-pub fn tangents<R: Real>(normal: &V3<R>, hint: Option<&V3<R>>) -> (V3<R>, V3<R>) {
-    let half = R::of(0.5);
-    let first = match hint {
-        None => {
-            let steep = normal.y.abs().lt(half);
-            unit(&across(normal, &select3(steep, &V3::y(), &V3::z())))
-        }
-        Some(axis) => {
-            let raw = across(normal, axis);
-            // Nearly along the normal, what is left of the hint is rounding and may
-            // itself lean along the normal: measure it, then project once more.
-            let once = unit(&raw);
-            let twice = across(normal, &once);
-            let tiny = R::of(f64::max(NO_ANGLE, 4.0 * R::EPSILON));
-            let clear = raw.dot(&raw).ge(tiny * tiny).and(twice.dot(&twice).ge(half));
-            let guess = unit(&twice);
-            if clear.all() {
-                guess
-            } else {
-                let flat = normal.x.abs().lt(half);
-                let spare = unit(&across(normal, &select3(flat, &V3::x(), &V3::y())));
-                select3(clear, &guess, &spare)
-            }
-        }
-    };
-    (first, normal.cross(&first))
-}
-
-/// The part of `v` across the unit vector `normal`.
-#[inline(always)]
-fn across<R: Real>(normal: &V3<R>, v: &V3<R>) -> V3<R> {
-    v - normal * normal.dot(v)
-}
-
-#[inline(always)]
-fn unit<R: Real>(v: &V3<R>) -> V3<R> {
+pub(super) fn unit<R: Real>(v: &V3<R>) -> V3<R> {
     v * (R::one() / v.dot(v).sqrt())
 }

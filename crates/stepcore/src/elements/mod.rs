@@ -1,9 +1,23 @@
-//! What a scene is made of, as data: everything that pushes, stores, takes or constrains.
+//! What a scene is made of: everything that pushes, stores, takes or constrains.
 //!
-//! An `Element` says which one. It is what a row, a contact, a share of a post-mortem and an
-//! error carry; its text is made in `name.rs` and nowhere else.
+//! An `Element` says which one, as data: it is what a row, a contact, a share of a post-mortem
+//! and an error carry. Its text is made in `name.rs` and nowhere else. Each kind is one file,
+//! which says what it has of force, slopes, energy, power and rows; `force.rs` lists those
+//! that push, and `constraint.rs` those that are rows.
 
+pub(crate) mod actuator;
+mod applied;
+mod connect;
+pub(crate) mod constraint;
+mod contact;
+mod damper;
+pub(crate) mod force;
+mod friction_loss;
+mod gravity;
+mod limit;
 mod name;
+pub(crate) mod penalty;
+mod spring;
 mod text;
 
 pub(crate) use text::text;
@@ -34,6 +48,7 @@ pub enum Kind {
     JointForce,
     /// `xfrc_applied` on a body, by the body's index.
     BodyForce,
+    /// Part: the weight of which body.
     Gravity,
     /// A point that two bodies share, by the index of its equality.
     Connect,
@@ -100,6 +115,8 @@ pub struct Element {
 impl Element {
     /// Not one part of an element but the element.
     pub const WHOLE: u32 = u32::MAX;
+
+    pub const GRAVITY: Self = Self { kind: Kind::Gravity, index: 0, part: Self::WHOLE };
 
     /// The whole of an element.
     pub fn whole(kind: Kind, index: usize) -> Self {

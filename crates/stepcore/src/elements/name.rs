@@ -1,7 +1,7 @@
 //! What an element is called: the one place where text about elements is made.
 
 use super::{Element, Kind, Named};
-use crate::model::Model;
+use crate::model::{Model, NONE};
 
 /// "joint `knee`", or "joint 3" where it has no name.
 fn quoted(words: &str, name: &str, index: usize) -> String {
@@ -77,6 +77,11 @@ impl Model {
             Kind::JointForce | Kind::BodyForce => true,
             _ => false,
         }
+    }
+
+    /// Not the weight of a body that stands still, whose energy never changes.
+    pub(crate) fn moves(&self, element: Element) -> bool {
+        element.kind != Kind::Gravity || self.bodies[element.part as usize].tree != NONE
     }
 
     /// An element with its name.

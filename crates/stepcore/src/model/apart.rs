@@ -139,6 +139,7 @@ struct Search<'a> {
     model: &'a Model,
     placed: &'a mut Placed<f64>,
     between: &'a [Between],
+    pair: usize,
     geoms: [usize; 2],
     bodies: Vec<usize>,
     least: f64,
@@ -170,6 +171,7 @@ impl<'a> Search<'a> {
             model,
             placed,
             between,
+            pair: index,
             geoms,
             bodies,
             least: pair.margin + pair.gap + ROUNDING * size,
@@ -212,6 +214,6 @@ impl<'a> Search<'a> {
             self.qpos[self.model.joints[joint.joint].qpos] = 0.5 * (low + high);
         }
         self.placed.place_some(self.model, &self.qpos, &self.bodies, &self.geoms);
-        detect::distance(self.model, self.placed, self.geoms[0], self.geoms[1])
+        detect::distance(self.model, self.placed, &self.model.pairs[self.pair])
     }
 }

@@ -12,6 +12,7 @@ mod pairs;
 mod plan;
 mod pose;
 mod shape;
+mod shape_test;
 mod slots;
 mod still;
 #[cfg(test)]
@@ -20,6 +21,7 @@ mod tree;
 
 pub use pairs::Never;
 pub use plan::Unmet;
+pub use shape_test::{ShapeTest, MOST_TOUCHES};
 
 use crate::scene::{Actuator, Features, GeomType, JointType, Key, Softness};
 use nalgebra::{Matrix3, Vector3};
@@ -168,6 +170,7 @@ pub struct Site {
 pub struct Pair {
     pub geom1: usize,
     pub geom2: usize,
+    pub test: ShapeTest,
     /// 1: no friction; 3: sliding friction.
     pub condim: u32,
     /// Coefficient of sliding friction.
@@ -245,6 +248,9 @@ pub struct Model {
     pub dof_lists: Vec<usize>,
     /// The mass matrix's pattern: see `Dof::row`.
     pub row_dofs: Vec<usize>,
+    /// Joints that have a range, and dofs that have friction loss.
+    pub limited: Vec<usize>,
+    pub rubbing: Vec<usize>,
     slots: slots::Slots,
 }
 
@@ -269,23 +275,6 @@ impl Model {
     /// Single free bodies whose bias force has a derivative that `implicitfast` takes.
     pub fn gyroscopic(&self, tree: &Tree) -> bool {
         self.features.coriolis && self.free_alone(tree) && !self.free_ball(tree)
-    }
-
-    /// A joint of the tree is damped.
-    pub fn damped(&self, tree: &Tree) -> bool {
-        tree.dofs.of(&self.dofs).iter().any(|dof| dof.damping != 0.0)
-    }
-
-    /// Actuators with velocity feedback.
-    pub fn damping_servos(&self) -> impl Iterator<Item = usize> + '_ {
-        let all = 0..self.actuators.len();
-        all.filter(|i| self.features.actuation && self.actuators[*i].bias[2] != 0.0)
-    }
-
-    /// One of them acts on the tree.
-    pub fn served(&self, tree: &Tree) -> bool {
-        let dof = |servo: usize| self.joints[self.actuators[servo].joint].dof;
-        self.damping_servos().any(|servo| tree.dofs.range().contains(&dof(servo)))
     }
 
     /// A dof and its ancestors, ascending: the head of its body's chain.

@@ -2,6 +2,7 @@
 //! mixing rules; the filter is applied once, here, and never during a step.
 
 use super::pose::Pose;
+use super::shape_test::ShapeTest;
 use super::still::still;
 use super::tree::Unions;
 use super::{Equality, Model, Pair, NONE};
@@ -113,14 +114,6 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Union
     Ok(())
 }
 
-fn supported(one: GeomType, two: GeomType) -> bool {
-    use GeomType::{Box, Capsule, Plane, Sphere};
-    matches!(
-        (one, two),
-        (Plane | Sphere, Sphere) | (Sphere, Box) | (Plane | Sphere | Capsule, Capsule)
-    )
-}
-
 fn pair(
     scene: &Scene,
     model: &mut Model,
@@ -131,7 +124,7 @@ fn pair(
     let (x, y) = (&scene.geoms[a], &scene.geoms[b]);
     let names =
         || text![Text::label(Kind::Geom, &x.name, a), " and ", Text::label(Kind::Geom, &y.name, b)];
-    if !supported(x.kind, y.kind) {
+    let Some(test) = ShapeTest::of(x.kind, y.kind) else {
         return Err(Error::Scene(text![
             names(),
             format!(
@@ -141,7 +134,7 @@ fn pair(
             x.kind.word(),
             y.kind.word()
         )]));
-    }
+    };
     let Mixed { condim, friction, soft } = mix(x, y);
     if !matches!(condim, 1 | 3) {
         let limit = "1 or 3: torsional and rolling friction are not built yet";
@@ -151,6 +144,7 @@ fn pair(
     Ok(Pair {
         geom1: a,
         geom2: b,
+        test,
         condim,
         friction,
         margin: x.margin + y.margin,
@@ -159,7 +153,7 @@ fn pair(
         invweight: model.bodies[x.body].invweight[0] + model.bodies[y.body].invweight[0],
         dofs,
         mass: touched_mass(model, x.body, y.body),
-        still: if condim == 1 { [false; 2] } else { still(model, poses, a, b) },
+        still: if condim == 1 { [false; 2] } else { still(model, poses, test, a, b) },
         apart: false,
     })
 }

@@ -1,8 +1,8 @@
 //! The numbers by which whatever can have rows is known from step to step: one slot each,
 //! in the order in which their rows are made.
 
+use super::shape_test::MOST_TOUCHES;
 use super::{Model, NONE};
-use crate::detect::MOST_TOUCHES;
 use crate::elements::{Element, Kind};
 
 /// Bounds of a joint.

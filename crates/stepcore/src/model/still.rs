@@ -13,7 +13,9 @@
 //! round shapes whose axes lie in one plane of motion have their normal in it.
 
 use super::pose::{rotation, Pose};
+use super::shape_test::ShapeTest;
 use super::{Geom, Model};
+use crate::detect::frame::{hint, spare, tangents, usual};
 use crate::scene::{GeomType, JointType};
 use nalgebra::Vector3;
 
@@ -23,23 +25,28 @@ const ROUNDING: f64 = 1e-12;
 const OPEN: f64 = 1e-6;
 
 /// For a pair of geoms; `[false, false]` where nothing is known.
-pub fn still(model: &Model, poses: &[Pose], first: usize, second: usize) -> [bool; 2] {
+pub fn still(
+    model: &Model,
+    poses: &[Pose],
+    test: ShapeTest,
+    first: usize,
+    second: usize,
+) -> [bool; 2] {
     let (plane, other) = (&model.geoms[first], &model.geoms[second]);
     if plane.kind != GeomType::Plane {
         return between_round_shapes(model, poses, plane, other);
     }
-    let axis =
-        |body: usize, quat| -> Vector3<f64> { (poses[body].rot * rotation(quat)).column(2).into() };
-    let normal = axis(plane.body, plane.quat);
+    let frame = |geom: &Geom| poses[geom.body].then(&Pose::new(geom.pos, geom.quat));
+    let normal = frame(plane).axis(2);
     let Some(motion) = motion(model, poses, other.body) else {
         return [false; 2];
     };
-    if other.kind == GeomType::Capsule {
-        along_capsule(&motion, &normal, &axis(other.body, other.quat))
-    } else {
-        let side = if normal.y.abs() < 0.5 { Vector3::y() } else { Vector3::z() };
-        let first = (side - normal * normal.dot(&side)).normalize();
-        [motion.lacks(&first), motion.lacks(&normal.cross(&first))]
+    match hint(test, &frame(other)) {
+        Some(axis) => along_hint(&motion, &normal, &axis),
+        None => {
+            let (first, second) = tangents(&normal, None);
+            [motion.lacks(&first), motion.lacks(&second)]
+        }
     }
 }
 
@@ -84,23 +91,23 @@ fn motion(model: &Model, poses: &[Pose], body: usize) -> Option<Motion> {
     planar.then_some(Motion::Planar(n))
 }
 
-/// The first tangent is the capsule's axis laid into the plane; x where that vanishes.
-fn along_capsule(motion: &Motion, normal: &Vector3<f64>, axis: &Vector3<f64>) -> [bool; 2] {
+/// The first tangent is a hint, the axis of a capsule, laid into the plane.
+fn along_hint(motion: &Motion, normal: &Vector3<f64>, axis: &Vector3<f64>) -> [bool; 2] {
     let laid = axis - normal * normal.dot(axis);
     match motion {
         Motion::Slides(axes) if laid.norm() < OPEN => {
             [axes.iter().all(|a| a.cross(normal).norm() <= ROUNDING); 2]
         }
         Motion::Slides(_) => {
-            let first = laid.normalize();
-            [motion.lacks(&first), motion.lacks(&normal.cross(&first))]
+            let (first, second) = tangents(normal, Some(axis));
+            [motion.lacks(&first), motion.lacks(&second)]
         }
         // The axis turns within the plane of motion: the second tangent is along
-        // n, also where the capsule stands upright and x takes its place, unless
-        // x itself has a part along n.
+        // n, also where the capsule stands upright and the spare takes its place, unless
+        // that has a part along n.
         Motion::Planar(n) => {
             let across = |v: &Vector3<f64>| v.dot(n).abs() <= ROUNDING;
-            [false, across(normal) && across(axis) && across(&Vector3::x())]
+            [false, across(normal) && across(axis) && across(&spare())]
         }
     }
 }
@@ -134,6 +141,6 @@ fn between_round_shapes(model: &Model, poses: &[Pose], first: &Geom, second: &Ge
         };
         apart.dot(n).abs() <= tiny && lies(first) && lies(second) && moves(&one) && moves(&two)
     };
-    // The frame's rule takes y where the normal is across y, and then y is the first tangent.
-    [across(&Vector3::y()), across(&Vector3::x())]
+    // Where the normal is across the usual tangent, that is the first one.
+    [across(&usual()), across(&spare())]
 }

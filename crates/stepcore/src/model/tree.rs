@@ -32,6 +32,8 @@ pub fn lay_out(scene: &Scene) -> Model {
         qpos_spring: vec![],
         dof_lists: vec![],
         row_dofs: vec![],
+        limited: vec![],
+        rubbing: vec![],
         slots: Slots::default(),
     };
     for s in &scene.sites {
@@ -49,6 +51,9 @@ pub fn lay_out(scene: &Scene) -> Model {
     for i in 0..model.nv {
         row(&mut model, i);
     }
+    let all = |count: usize, has: &dyn Fn(usize) -> bool| (0..count).filter(|i| has(*i)).collect();
+    model.limited = all(model.joints.len(), &|i| model.joints[i].range.is_some());
+    model.rubbing = all(model.nv, &|i| model.dofs[i].frictionloss > 0.0);
     model
 }
 

@@ -11,12 +11,11 @@ mod inertia;
 mod kinematics;
 
 pub use factor::Metric;
-pub use force::{spring_energy, stretch};
 
 use crate::model::{Model, Tree};
 use crate::real::{Real, Stage};
 use crate::room::room;
-use crate::spatial::{Force, Inertia, Motion, Pose, Quat, M3, V3};
+use crate::spatial::{rotate, splat, Force, Inertia, Motion, Pose, Quat, M3, V3};
 use crate::state::Inputs;
 
 /// What this stage writes. Lists are by body, dof, geom, tree as named.
@@ -57,6 +56,25 @@ pub struct Placed<R: Real> {
     /// u = L v of the present velocity, and of the guess.
     pub u: Vec<R>,
     pub guess: Vec<R>,
+}
+
+/// The part of `Placed` that is there before forces are added up, and that they read.
+#[derive(Clone, Copy)]
+pub(crate) struct Frames<'a, R: Real> {
+    pub xpos: &'a [V3<R>],
+    pub xmat: &'a [M3<R>],
+    pub origin: &'a [V3<R>],
+    pub motion: &'a [Motion<R>],
+    /// `Placed::actuator`.
+    pub tension: &'a [R],
+}
+
+impl<R: Real> Frames<'_, R> {
+    /// Centre of mass of a body in the world [m].
+    #[inline(always)]
+    pub fn centre(&self, model: &Model, body: usize) -> V3<R> {
+        self.xpos[body] + rotate(&self.xmat[body], &splat(&model.bodies[body].ipos))
+    }
 }
 
 room!(Placed<R>: xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, mass,
@@ -150,6 +168,18 @@ impl<R: Real> Placed<R> {
         }
         for geom in geoms {
             self.place_geom(model, *geom);
+        }
+    }
+
+    /// What forces read of it.
+    #[inline(always)]
+    pub(crate) fn frames(&self) -> Frames<'_, R> {
+        Frames {
+            xpos: &self.xpos,
+            xmat: &self.xmat,
+            origin: &self.origin,
+            motion: &self.motion,
+            tension: &self.actuator,
         }
     }
 

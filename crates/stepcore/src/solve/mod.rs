@@ -3,18 +3,14 @@
 
 mod alone;
 mod cone;
-mod contact;
 mod derivative;
 mod dot;
-mod equality;
 mod exact;
 mod few;
 mod implicit;
 mod islands;
-mod law;
-mod limit;
+pub(crate) mod law;
 mod limits;
-mod loss;
 mod momentum;
 mod newton;
 mod pgs;
@@ -26,37 +22,19 @@ mod tests;
 
 pub(crate) use derivative::Differentiated;
 pub(crate) use limits::Report;
-pub use rows::{Block, Row, Rows, Set, Situation};
+pub(crate) use rows::CONE;
+pub use rows::{Block, Push, Row, Rows, Set, Situation};
 pub(crate) use solver::{Solve, Solvers, Unconstrained};
 
-use crate::detect::Detected;
 use crate::model::{Model, Span};
 use crate::real::Real;
 use crate::spatial::{Force, V3};
-use crate::state::Warm;
+use crate::state::{Warm, WARM_ROWS};
 
 impl<R: Real> Rows<R> {
-    /// Makes every row that exists: equalities, friction loss, limits, contacts.
-    pub fn make(&mut self, now: &Situation<R>, detected: &mut Detected<R>) {
-        self.clear();
-        self.u.copy_from_slice(&now.placed.guess);
-        if !(now.model.features.constraint && self.kinds.any) {
-            return;
-        }
-        self.equalities(now);
-        if self.kinds.losses {
-            self.losses(now);
-        }
-        if self.kinds.limits {
-            self.limits(now);
-        }
-        self.contacts(now, detected);
-        self.assign_islands(now.model);
-    }
-
     /// Sets `scratch` to the Jacobian of the relative velocity of two body points at
     /// `at` (body 2 minus body 1) along `direction`, on the union `dofs` of their chains.
-    fn relative_jacobian(
+    pub(crate) fn relative_jacobian(
         &mut self,
         now: &Situation<R>,
         bodies: [usize; 2],
@@ -64,15 +42,27 @@ impl<R: Real> Rows<R> {
         at: &V3<R>,
         direction: &V3<R>,
     ) {
-        for &k in dofs.of(&now.model.dof_lists) {
-            self.scratch[k] = R::zero();
-        }
+        self.clear_scratch(dofs.of(&now.model.dof_lists));
         self.add_jacobian(now, bodies[0], at, &-direction);
         self.add_jacobian(now, bodies[1], at, direction);
     }
 
+    /// The Jacobian of the next row is zero on these dofs.
+    #[inline(always)]
+    pub(crate) fn clear_scratch(&mut self, dofs: &[usize]) {
+        for &k in dofs {
+            self.scratch[k] = R::zero();
+        }
+    }
+
     /// Adds the Jacobian of one body point's velocity along `direction`.
-    fn add_jacobian(&mut self, now: &Situation<R>, body: usize, at: &V3<R>, direction: &V3<R>) {
+    pub(crate) fn add_jacobian(
+        &mut self,
+        now: &Situation<R>,
+        body: usize,
+        at: &V3<R>,
+        direction: &V3<R>,
+    ) {
         let body = &now.model.bodies[body];
         if body.tree == crate::model::NONE {
             return;
@@ -105,7 +95,7 @@ impl<R: Real> Rows<R> {
     pub fn store_warm(&self, warm: &mut Vec<Warm<R>>) {
         warm.clear();
         for block in &self.blocks {
-            let mut impulse = [R::zero(); 6];
+            let mut impulse = [R::zero(); WARM_ROWS];
             for (k, row) in self.rows[block.rows.range()].iter().enumerate() {
                 impulse[k] = R::select(block.mask, row.impulse, R::zero());
             }

@@ -41,7 +41,7 @@ pub struct Row<R: Real> {
 
 /// The most rows of a block that is a cone: the normal and two tangents. Blocks of intervals
 /// may have any number.
-pub(super) const CONE: usize = 3;
+pub(crate) const CONE: usize = 3;
 
 /// The law that ties a block's impulses to its residual velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,43 +76,33 @@ pub struct Block<R: Real> {
     pub rank: u32,
 }
 
+/// A contact's push without a row, which the guess has taken: see `elements/penalty.rs`.
+#[derive(Clone, Debug)]
+pub struct Push<R: Real> {
+    pub element: Element,
+    /// As those of a row.
+    pub dofs: Span,
+    pub y: usize,
+    /// [N·s]
+    pub impulse: R,
+}
+
 /// The rows of one step.
 pub struct Rows<R: Real> {
     pub rows: Vec<Row<R>>,
     pub blocks: Vec<Block<R>>,
+    pub pushes: Vec<Push<R>>,
     pub y: Vec<R>,
     /// u = L v, by dof: the guess at first, then with every impulse so far.
     pub u: Vec<R>,
-    pub(super) scratch: Vec<R>,
+    pub(crate) scratch: Vec<R>,
     /// By tree: see `Model::islands`.
     islands: Vec<usize>,
-    /// Which kinds of rows the model can have at all.
-    pub(super) kinds: Kinds,
     /// By slot: see `Model::ranks`.
     ranks: Vec<u32>,
 }
 
-room!(Rows<R>: rows, blocks, y, u, scratch, islands, ranks;);
-
-/// Rows that a model can have, known when it is compiled.
-#[derive(Clone, Debug, Default)]
-pub struct Kinds {
-    pub any: bool,
-    pub losses: bool,
-    pub limits: bool,
-}
-
-impl Kinds {
-    fn of(model: &Model) -> Self {
-        let losses = model.dofs.iter().any(|d| d.frictionloss > 0.0);
-        let limits = model.joints.iter().any(|j| j.range.is_some());
-        Self {
-            any: losses || limits || !model.pairs.is_empty() || !model.equalities.is_empty(),
-            losses,
-            limits,
-        }
-    }
-}
+room!(Rows<R>: rows, blocks, pushes, y, u, scratch, islands, ranks;);
 
 /// Everything the row makers read.
 pub struct Situation<'a, R: Real> {
@@ -129,10 +119,10 @@ impl<R: Real> Rows<R> {
         Self {
             rows: Vec::new(),
             blocks: Vec::new(),
+            pushes: Vec::new(),
             y: Vec::new(),
             u: vec![R::zero(); model.nv],
             scratch: vec![R::zero(); model.nv],
-            kinds: Kinds::of(model),
             ranks: model.ranks(&islands),
             islands,
         }
@@ -144,11 +134,11 @@ impl<R: Real> Rows<R> {
         Self {
             rows: Vec::new(),
             blocks: Vec::new(),
+            pushes: Vec::new(),
             y: Vec::new(),
             scratch: u.clone(),
             u,
             islands: Vec::new(),
-            kinds: Kinds::default(),
             ranks: Vec::new(),
         }
     }
@@ -156,6 +146,7 @@ impl<R: Real> Rows<R> {
     pub fn clear(&mut self) {
         self.rows.clear();
         self.blocks.clear();
+        self.pushes.clear();
         self.y.clear();
     }
 
@@ -167,7 +158,7 @@ impl<R: Real> Rows<R> {
     }
 
     /// Takes J from `scratch` (set on `dofs`), lifts it to y, and measures it.
-    pub(super) fn push_scratch(&mut self, now: &Situation<R>, dofs: Span) -> &mut Row<R> {
+    pub(crate) fn push_scratch(&mut self, now: &Situation<R>, dofs: Span) -> &mut Row<R> {
         let model = now.model;
         let list = dofs.of(&model.dof_lists);
         now.placed.metric.lift(list, &mut self.scratch);
@@ -183,7 +174,7 @@ impl<R: Real> Rows<R> {
     }
 
     /// A row whose y is y(first) + k · y(second): an edge of a pyramid.
-    pub(super) fn push_sum(
+    pub(crate) fn push_sum(
         &mut self,
         now: &Situation<R>,
         first: usize,
@@ -223,7 +214,7 @@ impl<R: Real> Rows<R> {
     }
 
     /// Closes the rows from `first` on into one block.
-    pub(super) fn push_block(
+    pub(crate) fn push_block(
         &mut self,
         first: usize,
         set: Set,
@@ -249,11 +240,24 @@ impl<R: Real> Rows<R> {
     }
 
     /// Tells every block its island, and its rank there.
-    pub(super) fn assign_islands(&mut self, model: &Model) {
+    pub(crate) fn assign_islands(&mut self, model: &Model) {
         for block in &mut self.blocks {
             let dofs = self.rows[block.rows.start].dofs.of(&model.dof_lists);
             block.island = dofs.first().map_or(0, |k| self.islands[model.dofs[*k].tree]);
             block.rank = self.ranks[block.slot as usize];
+        }
+    }
+
+    /// φ + dt·J v̂ < 0: the guess goes where it may not.
+    pub(crate) fn violated_by_guess(&self, now: &Situation<R>, row: usize, phi: R) -> R::Mask {
+        let velocity = self.dot(now.model, &self.rows[row], &now.placed.guess);
+        (phi + R::of(now.settings.dt) * velocity).lt(R::zero())
+    }
+
+    /// Takes back the row pushed last.
+    pub(crate) fn pop_row(&mut self) {
+        if let Some(row) = self.rows.pop() {
+            self.y.truncate(row.y);
         }
     }
 

@@ -1,10 +1,10 @@
 //! Kinetic, gravitational and spring energy, momentum and overlap, at the present state.
 
 use crate::detect::Contact;
-use crate::place::spring_energy;
+use crate::elements::force::{stored, Group};
 use crate::real::Real;
-use crate::sim::Sim;
-use crate::spatial::{rotate, splat, Force, V3};
+use crate::sim::{At, Sim};
+use crate::spatial::{Force, V3};
 
 /// Energies [J], per lane.
 #[derive(Clone, Copy, Debug)]
@@ -30,20 +30,16 @@ impl<R: Real> Sim<R> {
             }
             kinetic += share;
         }
-        let mut potential = spring_energy(model, &self.state.qpos);
-        if model.features.gravity {
-            let gravity = splat::<R>(&model.gravity);
-            for (index, body) in model.bodies.iter().enumerate().skip(1) {
-                potential -= R::of(body.mass) * gravity.dot(&self.centre(index));
-            }
-        }
+        let now = self.moment(At::State);
+        let mut potential = zero;
+        stored(&now, Group::Passive, |_, energy| potential += energy);
+        stored(&now, Group::Weight, |_, energy| potential += energy);
         Energy { kinetic, potential }
     }
 
     /// Centre of mass of a body in the world [m].
     pub fn centre(&self, body: usize) -> V3<R> {
-        self.placed.xpos[body]
-            + rotate(&self.placed.xmat[body], &splat(&self.model.bodies[body].ipos))
+        self.placed.frames().centre(&self.model, body)
     }
 
     /// The deepest overlap of two geoms that can touch, at the present positions [m]; 0 where

@@ -60,7 +60,7 @@ fn pairs_that_are_apart_meet_in_no_configuration() {
             let qpos = inside(&model, &mut dice);
             placed.positions(&model, &qpos);
             for pair in &model.pairs {
-                let distance = detect::distance(&model, &placed, pair.geom1, pair.geom2);
+                let distance = detect::distance(&model, &placed, pair);
                 let meets = distance < pair.margin + pair.gap;
                 met += usize::from(meets);
                 assert!(!(pair.apart && meets), "{pair:?} at {qpos:?}");

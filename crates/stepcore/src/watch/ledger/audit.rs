@@ -1,13 +1,12 @@
 //! The present energies of every lane.
 
 use super::account::Level;
-use crate::model::NONE;
-use crate::place::spring_energy;
+use crate::elements::force::{stored, Group};
+use crate::elements::penalty;
 use crate::real::{Mask, Real};
 use crate::settings::Law;
 use crate::sim::{At, Sim};
 use crate::solve::Block;
-use crate::spatial::splat;
 
 impl<R: Real> Sim<R> {
     /// Places, detects and solves at the present state, as the next step will, and sums up.
@@ -27,26 +26,23 @@ impl<R: Real> Sim<R> {
             // ½ vᵀMv = ½ Σ u²D
             kinetic += half * self.placed.u[k] * self.placed.u[k] / self.placed.metric.inv_d[k];
         }
-        let mut moving = kinetic + spring_energy(&model, &self.state.qpos);
-        moving += self.stored_in_servos(&self.inputs);
+        let now = self.moment(At::State);
+        let mut moving = kinetic;
+        for group in [Group::Passive, Group::Driven] {
+            stored(&now, group, |_, energy| moving += energy);
+        }
         if self.settings.law == Law::Penalty {
-            let stiffness = R::of(0.5 * self.settings.penalty_stiffness);
             for contact in &self.detected.contacts {
-                let depth = contact.dist.min(zero);
-                moving += R::select(contact.mask, stiffness * depth * depth, zero);
+                moving += penalty::stored(&self.settings, contact);
             }
         }
         let (mut gravity, mut size) = (zero, zero);
-        if model.features.gravity {
-            let down = splat::<R>(&model.gravity);
-            for (index, body) in model.bodies.iter().enumerate() {
-                if body.tree != NONE && body.mass > 0.0 {
-                    let part = R::of(body.mass) * down.dot(&self.centre(index));
-                    gravity += -part;
-                    size += part.abs();
-                }
+        stored(&now, Group::Weight, |element, energy| {
+            if model.moves(element) {
+                gravity += energy;
+                size += energy.abs();
             }
-        }
+        });
         for (lane, level) in levels.iter_mut().enumerate() {
             let bent = self.rows.blocks.iter().filter(|block| block.mask.lane(lane));
             *level = Level {

@@ -5,6 +5,7 @@
 //! Forces and moments are compared by what they do: Q² / M, the rate at which a
 //! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
 
+use crate::elements::force::strengths;
 use crate::elements::{Element, Kind};
 use crate::real::{Mask, Real};
 use crate::sim::{At, Sim};
@@ -37,36 +38,12 @@ impl<R: Real> Sim<R> {
     /// Strength of each element at the state of the last solve.
     fn strengths(&self, lane: usize) -> Strengths {
         let model = &*self.model;
-        let mut entries = Vec::new();
         let inertia = |k: usize| self.placed.mass[model.dofs[k].row.start].lane(lane);
+        let mut entries = strengths(&self.moment(At::State), lane, &inertia);
         for (index, joint) in model.joints.iter().enumerate() {
-            let mut add = |kind: Kind, force: &dyn Fn(usize) -> f64| {
-                let strength: f64 = (joint.dof..joint.dof + joint.dofs())
-                    .map(|k| force(k).powi(2) / inertia(k))
-                    .sum();
-                if strength != 0.0 {
-                    entries.push((Element::whole(kind, index), strength));
-                }
-            };
-            let damper = |k: usize| model.dofs[k].damping * self.state.qvel[k].lane(lane);
-            add(Kind::Damper, &damper);
-            if joint.stiffness != 0.0 {
-                add(Kind::Spring, &|k| self.placed.passive[k].lane(lane) + damper(k));
-            }
-            add(Kind::Inertia, &|k| self.placed.bias[k].lane(lane));
-            add(Kind::JointForce, &|k| self.inputs.qfrc_applied()[k].lane(lane));
-        }
-        for (index, actuator) in model.actuators.iter().enumerate() {
-            let joint = &model.joints[actuator.joint];
-            let force = self.placed.actuator[index].lane(lane);
-            let strength = |k: usize| (actuator.gear[k] * force).powi(2) / inertia(joint.dof + k);
-            let element = Element::whole(Kind::Actuator, index);
-            entries.push((element, (0..joint.dofs()).map(strength).sum()));
-        }
-        for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.mass > 0.0) {
-            let force = &self.inputs.xfrc_applied()[6 * index..6 * index + 3];
-            let strength = force.iter().map(|f| f.lane(lane).powi(2)).sum::<f64>() / body.mass;
-            entries.push((Element::whole(Kind::BodyForce, index), strength));
+            let bias = |k: usize| self.placed.bias[k].lane(lane).powi(2) / inertia(k);
+            let strength = (joint.dof..joint.dof + joint.dofs()).map(bias).sum();
+            entries.push((Element::whole(Kind::Inertia, index), strength));
         }
         let rate = 1.0 / self.clock.seconds;
         for block in self.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
@@ -77,6 +54,7 @@ impl<R: Real> Sim<R> {
                 .sum();
             entries.push((block.element.of_part(), strength));
         }
+        entries.retain(|(_, strength)| *strength != 0.0);
         entries
     }
 }

@@ -8,10 +8,11 @@
 
 use nalgebra::DMatrix;
 
+use crate::elements::force::{slopes, Group};
 use crate::model::Tree;
 use crate::real::Real;
 use crate::settings::Integrator;
-use crate::sim::Sim;
+use crate::sim::{At, Sim};
 
 /// Squarings of a map: 2¹⁸ steps.
 const SQUARINGS: u32 = 18;
@@ -98,22 +99,23 @@ impl<R: Real> Sim<R> {
     fn oscillators(&mut self, lane: usize) -> Vec<Oscillator> {
         self.refresh();
         let model = self.model.clone();
-        let mut servos = vec![[0.0; 2]; model.nv];
-        let acting = model.actuators.iter().enumerate().filter(|_| model.features.actuation);
-        for (index, servo) in acting.filter(|(_, servo)| servo.feeds_back()) {
-            let slopes = self.placed.feedback(servo, index);
-            let dof = model.joints[servo.joint].dof;
-            servos[dof][0] += slopes[0].lane(lane);
-            servos[dof][1] += slopes[1].lane(lane);
-        }
-        let wanted = |tree: &&Tree| {
-            let dofs = tree.dofs.of(&model.dofs);
-            let linear = tree.dofs.range().any(|k| {
-                let dof = &model.dofs[k];
-                let fed_back = servos[k] != [0.0; 2];
-                dof.damping != 0.0 || model.joints[dof.joint].stiffness > 0.0 || fed_back
+        let now = self.moment(At::State);
+        let sums = |group: Group| {
+            let mut sums = vec![[0.0; 2]; model.nv];
+            slopes(&now, group, |_, k, slopes| {
+                for (sum, slope) in sums[k].iter_mut().zip(slopes) {
+                    *sum += slope.lane(lane);
+                }
             });
-            linear && dofs.len() <= MOST_DOFS
+            sums
+        };
+        let (joints, servos) = (sums(Group::Passive), sums(Group::Driven));
+        let wanted = |tree: &&Tree| {
+            let linear = tree.dofs.range().any(|k| {
+                let [stiffness, damping] = joints[k];
+                damping != 0.0 || stiffness > 0.0 || servos[k] != [0.0; 2]
+            });
+            linear && tree.dofs.len <= MOST_DOFS
         };
         let trees = model.trees.iter().filter(wanted);
         trees
@@ -127,16 +129,13 @@ impl<R: Real> Sim<R> {
                         (mass[(i, j)], mass[(j, i)]) = (entry, entry);
                     }
                 }
-                let dofs = tree.dofs.of(&model.dofs);
-                let servos = tree.dofs.of(&servos);
-                let stiffness = dofs
-                    .iter()
-                    .zip(servos)
-                    .map(|(dof, servo)| (model.joints[dof.joint].stiffness + servo[0]).max(0.0));
+                let (joints, servos) = (tree.dofs.of(&joints), tree.dofs.of(&servos));
+                let stiffness =
+                    joints.iter().zip(servos).map(|(joint, servo)| (joint[0] + servo[0]).max(0.0));
                 Oscillator {
                     mass,
                     stiffness: stiffness.collect(),
-                    damping: dofs.iter().map(|dof| dof.damping).collect(),
+                    damping: joints.iter().map(|joint| joint[1]).collect(),
                     feedback: servos.iter().map(|servo| servo[1]).collect(),
                 }
             })

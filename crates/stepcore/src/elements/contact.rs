@@ -6,12 +6,13 @@
 //! neither tangent moves, into one with a quarter), never dropped, because they
 //! carry stiffness.
 
-use super::law::{OnGuess, SolRef};
-use super::rows::{Rows, Set, Situation};
-use crate::detect::{Contact, Detected};
-use crate::model::Pair;
+use super::constraint::{Constraint, Makings};
+use crate::detect::Contact;
+use crate::model::{Model, Pair};
 use crate::real::{Mask, Real};
 use crate::settings::{Cone, Law};
+use crate::solve::law::{OnGuess, SolRef};
+use crate::solve::{Rows, Set, Situation};
 use crate::spatial::V3;
 
 /// MuJoCo's `mjMINMU`: under `solref` no coefficient of friction is smaller.
@@ -21,19 +22,33 @@ fn soft_friction(pair: &Pair) -> f64 {
     pair.friction.max(LEAST_FRICTION)
 }
 
-impl<R: Real> Rows<R> {
-    pub(super) fn contacts(&mut self, now: &Situation<R>, detected: &mut Detected<R>) {
-        for index in 0..detected.contacts.len() {
-            let contact = &mut detected.contacts[index];
+pub(super) struct Contacts;
+
+impl Constraint for Contacts {
+    /// Two edges for each of two tangents.
+    const MOST_ROWS: usize = 4;
+    const MOST_CONE_ROWS: usize = 3;
+
+    fn any(model: &Model) -> bool {
+        !model.pairs.is_empty()
+    }
+
+    fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
+        let now = makings.now;
+        for contact in &mut makings.detected.contacts {
             let pair = &now.model.pairs[contact.pair];
             match now.settings.law {
-                Law::SolRef => self.soft_contact(now, contact, pair),
-                Law::Penalty => self.penalty(now, contact, pair),
-                _ => self.rigid_contact(now, contact, pair),
+                Law::SolRef => rows.soft_contact(now, contact, pair),
+                Law::Penalty => rows.penalty(now, contact, pair),
+                Law::Lesson | Law::Relaxed | Law::Rigid => {
+                    rows.rigid_contact(now, contact, pair);
+                }
             }
         }
     }
+}
 
+impl<R: Real> Rows<R> {
     fn contact_row(
         &mut self,
         now: &Situation<R>,
@@ -46,7 +61,7 @@ impl<R: Real> Rows<R> {
         self.push_scratch(now, pair.dofs);
     }
 
-    fn normal_row(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
+    pub(super) fn normal_row(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
         self.contact_row(now, contact, pair, &contact.normal);
     }
 
@@ -168,23 +183,5 @@ impl<R: Real> Rows<R> {
             Cone::Pyramidal => Set::CoulombBox,
         };
         self.close(now, contact, first, set, mask);
-    }
-
-    /// The trap: a spring under the surface. No row, a force on the guess.
-    fn penalty(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
-        let settings = now.settings;
-        let first = self.rows.len();
-        self.normal_row(now, contact, pair);
-        let row = self.rows[first].clone();
-        let mass = row.a.recip_or_zero();
-        let k = R::of(settings.penalty_stiffness);
-        let damping = R::of(2.0 * settings.penalty_damping_ratio) * (k * mass).sqrt();
-        let force = -(k * contact.dist) - damping * row.velocity;
-        let mask = contact.mask.and(contact.dist.lt(R::zero()));
-        let dofs = row.dofs.of(&now.model.dof_lists);
-        let y = &self.y[row.y..row.y + dofs.len()];
-        let impulse = R::of(settings.dt) * force;
-        Self::kick(&mut self.u, &now.placed.metric.inv_d, dofs, y, impulse, mask);
-        self.pop_row();
     }
 }

@@ -1,25 +1,36 @@
 //! `connect`: a point of one body stays on a point of another. Three equality rows.
 
-use super::law::{OnGuess, SolRef};
-use super::rows::{Rows, Set, Situation};
-use crate::elements::{Element, Kind};
-use crate::model::{Equality, NONE};
+use super::constraint::{Constraint, Makings};
+use super::{Element, Kind};
+use crate::model::{Equality, Model, NONE};
 use crate::real::{Mask, Real};
 use crate::settings::Law;
+use crate::solve::law::{OnGuess, SolRef};
+use crate::solve::{Rows, Set, Situation};
 use crate::spatial::{rotate, splat, V3};
 
-impl<R: Real> Rows<R> {
-    pub(super) fn equalities(&mut self, now: &Situation<R>) {
-        if !now.model.features.equality {
+pub(super) struct Connect;
+
+impl Constraint for Connect {
+    const MOST_ROWS: usize = 3;
+
+    fn any(model: &Model) -> bool {
+        !model.equalities.is_empty()
+    }
+
+    fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
+        if !makings.now.model.features.equality {
             return;
         }
-        for (index, equality) in now.model.equalities.iter().enumerate() {
+        for (index, equality) in makings.now.model.equalities.iter().enumerate() {
             if equality.active {
-                self.connect(now, index, equality);
+                rows.connect(makings.now, index, equality);
             }
         }
     }
+}
 
+impl<R: Real> Rows<R> {
     fn connect(&mut self, now: &Situation<R>, index: usize, equality: &Equality) {
         let placed = now.placed;
         let point =
@@ -33,9 +44,7 @@ impl<R: Real> Rows<R> {
         for k in 0..3 {
             let mut axis = V3::zeros();
             axis[k] = R::one();
-            for &dof in equality.dofs.of(&now.model.dof_lists) {
-                self.scratch[dof] = R::zero();
-            }
+            self.clear_scratch(equality.dofs.of(&now.model.dof_lists));
             self.add_jacobian(now, equality.body1, &p1, &axis);
             self.add_jacobian(now, equality.body2, &p2, &-axis);
             let row = self.push_scratch(now, equality.dofs);

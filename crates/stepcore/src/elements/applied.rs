@@ -1,0 +1,127 @@
+//! What the user applies: `qfrc_applied` on dofs, and `xfrc_applied`, a force at a body's centre
+//! of mass and a moment, in world axes.
+
+use super::force::{Forces, Group, Moment, Sum};
+use super::Kind;
+use crate::model::NONE;
+use crate::real::Real;
+use crate::spatial::{Force, V3};
+
+pub(super) struct JointForce;
+
+impl Forces for JointForce {
+    const KIND: Kind = Kind::JointForce;
+    const GROUP: Group = Group::Driven;
+
+    #[inline(always)]
+    fn force<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, R)) {
+        if !now.inputs.applied() {
+            return;
+        }
+        let joint = &now.model.joints[joint];
+        for k in joint.dof..joint.dof + joint.dofs() {
+            add(k, now.inputs.qfrc_applied()[k]);
+        }
+    }
+
+    fn power<R: Real>(
+        now: &Moment<R>,
+        joint: usize,
+        velocity: &impl Fn(usize) -> R,
+        add: &mut impl FnMut(R),
+    ) {
+        Self::force(now, joint, &mut |k, force| add(force * velocity(k)));
+    }
+}
+
+pub(super) struct BodyForce;
+
+impl Forces for BodyForce {
+    const KIND: Kind = Kind::BodyForce;
+    const GROUP: Group = Group::Driven;
+
+    fn force<R: Real>(now: &Moment<R>, body: usize, add: &mut impl FnMut(usize, R)) {
+        let [force, moment] = given(now, body);
+        if now.inputs.applied() && !force.iter().chain(moment.iter()).all(|x| x.is_zero()) {
+            on_dofs(now, body, &force, &moment, add);
+        }
+    }
+
+    /// All at once: wrenches are passed down each tree to its root and projected on the way.
+    #[inline(always)]
+    fn push<R: Real>(now: &Moment<R>, sum: &mut Sum<R>) {
+        if !now.inputs.applied() {
+            return;
+        }
+        let (model, frames) = (now.model, &now.frames);
+        for (tree_index, tree) in model.trees.iter().enumerate() {
+            for index in tree.bodies.range() {
+                let [lin, moment] = given(now, index);
+                let at = frames.centre(model, index) - frames.origin[tree_index];
+                sum.wrench[index] = Force { ang: moment + at.cross(&lin), lin };
+            }
+            for index in tree.bodies.range().rev() {
+                let body = &model.bodies[index];
+                for k in body.dofs.range() {
+                    sum.force[k] += frames.motion[k].dot(&sum.wrench[index]);
+                }
+                if body.parent >= tree.bodies.start {
+                    let part = sum.wrench[index];
+                    sum.wrench[body.parent].add(&part);
+                }
+            }
+        }
+    }
+
+    fn power<R: Real>(
+        now: &Moment<R>,
+        body: usize,
+        velocity: &impl Fn(usize) -> R,
+        add: &mut impl FnMut(R),
+    ) {
+        Self::force(now, body, &mut |k, force| add(force * velocity(k)));
+    }
+
+    /// Of the force alone, on the body alone.
+    fn strength<R: Real>(
+        now: &Moment<R>,
+        index: usize,
+        lane: usize,
+        _: &dyn Fn(usize) -> f64,
+    ) -> f64 {
+        let body = &now.model.bodies[index];
+        let [force, _] = given(now, index);
+        if body.mass > 0.0 {
+            force.iter().map(|f| f.lane(lane).powi(2)).sum::<f64>() / body.mass
+        } else {
+            0.0
+        }
+    }
+}
+
+/// Force and moment that are applied to a body.
+fn given<R: Real>(now: &Moment<R>, body: usize) -> [V3<R>; 2] {
+    let w = &now.inputs.xfrc_applied()[6 * body..6 * body + 6];
+    [V3::new(w[0], w[1], w[2]), V3::new(w[3], w[4], w[5])]
+}
+
+/// Calls `add(dof, force)` for a force at a body's centre of mass and a moment, in world axes.
+pub(super) fn on_dofs<R: Real>(
+    now: &Moment<R>,
+    body: usize,
+    force: &V3<R>,
+    moment: &V3<R>,
+    add: &mut impl FnMut(usize, R),
+) {
+    let (model, frames) = (now.model, &now.frames);
+    let tree = model.bodies[body].tree;
+    if tree == NONE {
+        return;
+    }
+    let arm = frames.centre(model, body) - frames.origin[tree];
+    for &k in model.bodies[body].chain.of(&model.dof_lists) {
+        let motion = &frames.motion[k];
+        let along = force.dot(&(motion.lin + motion.ang.cross(&arm)));
+        add(k, along + moment.dot(&motion.ang));
+    }
+}

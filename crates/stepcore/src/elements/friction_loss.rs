@@ -1,0 +1,49 @@
+//! Friction loss: dry friction in a dof, an impulse of at most dt · loss.
+
+use super::constraint::{Constraint, Makings};
+use super::{Element, Kind};
+use crate::model::Model;
+use crate::real::{Mask, Real};
+use crate::settings::Law;
+use crate::solve::law::{OnGuess, SolRef};
+use crate::solve::{Rows, Set};
+
+pub(super) struct FrictionLoss;
+
+impl Constraint for FrictionLoss {
+    const MOST_ROWS: usize = 1;
+
+    fn any(model: &Model) -> bool {
+        !model.rubbing.is_empty()
+    }
+
+    fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
+        let now = makings.now;
+        let (model, settings) = (now.model, now.settings);
+        if !model.features.frictionloss {
+            return;
+        }
+        let dt = settings.dt;
+        for &k in &model.rubbing {
+            let dof = &model.dofs[k];
+            let dofs = model.chain_of_dof(k);
+            rows.clear_scratch(dofs.of(&model.dof_lists));
+            rows.scratch[k] = R::one();
+            let first = rows.rows.len();
+            let row = rows.push_scratch(now, dofs);
+            row.lo = R::of(-dt * dof.frictionloss);
+            row.hi = R::of(dt * dof.frictionloss);
+            if settings.law == Law::SolRef {
+                let law =
+                    SolRef::at(&dof.friction, R::zero(), dt, settings.refsafe).without_position();
+                law.fill(row, R::zero(), R::of(dof.invweight), R::of(dt));
+            } else {
+                OnGuess::new(settings).friction(row);
+            }
+            let part = k - model.joints[dof.joint].dof;
+            let element = Element::part(Kind::FrictionLoss, dof.joint, part);
+            let block = rows.push_block(first, Set::Interval, R::Mask::of(true), now, element);
+            block.mass = model.trees[dof.tree].mass;
+        }
+    }
+}
