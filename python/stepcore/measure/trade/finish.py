@@ -1,4 +1,4 @@
-"""Finished rows: settings that ran from all starts, with their errors and costs."""
+"""Makes rows of settings that ran from all starts: their errors, costs and failures."""
 
 from __future__ import annotations
 

@@ -12,27 +12,27 @@ from stepcore.measure.trade.moves import Steps
 from stepcore.measure.trade.search import SettingsSearch
 from stepcore.measure.trade.trials import Trials
 
-# The share of an error asked for that everything tried is held to: further starts differ.
+# Everything tried is held to this share of the error asked for, because further starts differ.
 MARGIN = 0.9
-# The target errors, as shares of the error asked for, or of the shipped one where none or a budget
-# is; and whether other axes are tried there. A half is the next better.
+# The target errors, as shares of the error asked for, or of the shipped error without one; and
+# whether methods are changed there. The half is what `Trade.next_better` is found from.
 ASKED = ((MARGIN, True), (0.5, False))
 UNASKED = ((1.0, True), (0.5, False), (0.1, False))
 BUDGET = ((4.0, False), (1.0, True), (0.25, False), (0.06, True), (0.015, False))
-# On the front of its integrator, a point this near in cost to the one before is not drawn.
+# Of settings on the front of an integrator, only those count that cost so many times the last.
 SPARSE = 1.6
-# Errors this many times below what is asked for are of no use.
+# Errors so many times below the smallest target are of no use.
 USELESS = 6.0
-# So many of the cheapest are also tried in single precision.
+# So many of the cheapest settings are also tried in single precision.
 SINGLE = 2
-# Halvings of the reference that a target may ask for, and the share of the error asked for below
-# which none are made for the next better.
-REFINED, FAR = 4, 20.0
+# Halvings of the reference that a target may ask for; none where the target is so many times below
+# the error asked for.
+REFINED, DEEP = 4, 20.0
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """error: the target [m], or None. budget: is there one? whole: is all of the front drawn?"""
+    """error: the target [m], or None. budget: there is one. whole: settings of any error count."""
 
     error: float | None
     budget: bool
@@ -42,7 +42,7 @@ class Wanted:
 def searched(
     runs: ReferenceRuns, trials: Trials, steps: Steps, rows: int, friction: bool, wanted: Wanted
 ) -> list[Settings]:
-    """The settings that have been run from all starts, coarsest step first; failures too."""
+    """Runs the search; the settings that ran from all starts or failed, coarsest step first."""
     search = SettingsSearch(trials, steps, runs.shipped, rows, friction)
     search.overview()
     chosen: list[Settings] = []
@@ -51,7 +51,7 @@ def searched(
         halvings = REFINED
         if k and chosen and wanted.error is not None:
             error = _next_better(trials, chosen[0], error)
-            halvings = REFINED if error * FAR >= wanted.error else 0
+            halvings = REFINED if error * DEEP >= wanted.error else 0
             if error <= trials.reference.high:
                 break
         while halvings and trials.reference.high * FINER > error and _finer(runs, trials):
@@ -62,7 +62,7 @@ def searched(
             some = search.meeting(error, climb)
         chosen += some + [setting.replace(precision="f32") for setting in some[:SINGLE]]
     least = 0.0 if wanted.whole else min((error for error, _ in targets), default=0.0) / USELESS
-    chosen += _drawn(search, least)
+    chosen += _fronts(search, least)
     chosen.append(runs.shipped)
     failed = [
         setting
@@ -85,15 +85,15 @@ def _finer(runs: ReferenceRuns, trials: Trials) -> bool:
 
 
 def _next_better(trials: Trials, chosen: Settings, error: float) -> float:
-    """Half the error of the settings chosen, where that is less: the next better is judged by it.
+    """The target for `Trade.next_better` [m]: at most half the error of the settings chosen.
 
-    What the longest step tried gives can be far better than what was asked for.
+    The longest step tried can be far more accurate than what was asked for.
     """
     return min(error, trials.score(chosen, len(trials.runner.schedule.starts)).error / 2)
 
 
 def _targets(search: SettingsSearch, wanted: Wanted) -> list[tuple[float, bool]]:
-    """The errors to search for [m], and whether to try other axes there."""
+    """The errors to search for [m], and whether methods are changed there."""
     if wanted.error is not None:
         return [(share * wanted.error, climb) for share, climb in ASKED]
     own = search.trials.score(search.shipped, search.few).error
@@ -105,8 +105,8 @@ def _targets(search: SettingsSearch, wanted: Wanted) -> list[tuple[float, bool]]
     return [(own * share, climb) for share, climb in shares if own > 0]
 
 
-def _drawn(search: SettingsSearch, least: float) -> list[Settings]:
-    """The front of every integrator, as far as few starts tell, thinned out."""
+def _fronts(search: SettingsSearch, least: float) -> list[Settings]:
+    """The front of every integrator by its scores from few starts, thinned out."""
     by_name: dict[str, list[Settings]] = {}
     for setting in search.trials.screened:
         by_name.setdefault(setting.integrator, []).append(setting)

@@ -1,7 +1,7 @@
-"""Where the search goes: families of settings to begin with, and one axis changed at a time.
+"""What the search tries: families of settings to begin with, and one setting changed at a time.
 
-Substeps against sweeps are no axis of their own: k substeps are a time step k times shorter, and at
-equal row updates a k-th of the sweeps. The two axes dt and sweeps hold them.
+Substeps are no setting of their own: k substeps are a time step k times shorter and, at equal row
+updates, a k-th of the sweeps. Trying dt and sweeps covers them.
 """
 
 from __future__ import annotations
@@ -16,30 +16,34 @@ from stepcore.scene.scene import Scene
 
 SWEEPS = (1, 2, 3, 5, 8, 12, 20, 32, 50, 100, 200)
 TOLERANCES = (0.0, 1e-10, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-# Where nothing is driven, steps up to this many times the largest of the default ones are tried, as
-# long as so many samples are left in the horizon.
+# Without controls, steps up to so many times the largest default one are tried, as long as so many
+# samples are left in the horizon.
 LONGER, LEFT = 4, 25
-# Few enough rows, or iterations, that plain Newton is bounded by them.
+# Numbers of Newton iterations.
 ITERATIONS = (1, 2, 3, 5, 100)
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Time steps that divide the control period; `shipped` is one of them. Pieces: how many."""
+    """Time steps that divide the control period, by how many are in it (`pieces`).
+
+    period: of control [s]. shipped: one of the time steps [s].
+    """
 
     period: float
     shipped: float
 
     def dt(self, pieces: int) -> float:
-        """The time step [s] of so many pieces; the shipped one to the bit."""
+        """The time step [s] of which so many are in a period; the shipped one to the bit."""
         return self.shipped if pieces == self.own else self.period / pieces
 
     @property
     def own(self) -> int:
-        """Pieces of the shipped step."""
+        """Shipped steps in a period."""
         return round(self.period / self.shipped)
 
     def pieces(self, settings: Settings) -> int:
+        """Steps in a period under these settings."""
         return round(self.period / settings.dt)
 
     def at(self, settings: Settings, pieces: int) -> Settings:
@@ -80,7 +84,7 @@ def families(shipped: Settings, rows: int) -> list[Settings]:
 
 
 def moves(settings: Settings, rows: int, friction: bool) -> list[Settings]:
-    """Settings that differ in one axis other than time step, integrator and kind of solver."""
+    """Settings that differ in one field other than time step, integrator and solver."""
     if not rows:
         return []
     return [s for s in dict.fromkeys(_moves(settings, rows, friction)) if s != settings]
@@ -104,7 +108,7 @@ def _moves(s: Settings, rows: int, friction: bool) -> Iterator[Settings]:
 
 
 def _near(ladder: Sequence[Any], value: Any, reach: int) -> list[Any]:
-    """The rungs next to a value, so many on either side."""
+    """The entries of a ladder next to a value, so many on either side."""
     rungs = sorted({*ladder, value})
     at = rungs.index(value)
     return rungs[max(0, at - reach) : at + reach + 1]

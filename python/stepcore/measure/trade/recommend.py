@@ -1,8 +1,8 @@
-"""The recommendation, tried on starts that the search has not seen.
+"""Confirms a recommendation on starts that the search has not seen.
 
-A target must be met in every start, those of the search and as many further ones as are asked
-for. Of n + 1 like starts each is as likely to be the worst, so after n that hold the next one
-fails with a probability of at most 1/(n + 1).
+The target must be met in every start: those of the search, and as many further ones as are asked
+for. Of n + 1 starts drawn alike each is equally likely to be the worst, so after n that keep to the
+target the next one misses it with a probability of at most 1/(n + 1).
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from stepcore.measure.trade.moves import Steps
 from stepcore.measure.trade.row import Further, Row
 from stepcore.measure.trade.trials import Trials, screen
 
-# Candidates tried on the further starts before the search gives up.
+# So many rows are tested on the further starts before the search gives up.
 TRIES = 30
-# For so many of those that fail there, shorter steps are tried: by this at first, then by more each
-# time, so many times.
+# For so many of those that fail there, shorter steps are tried: first by this factor, then by a
+# factor that grows by MORE, so many times.
 REPAIRED, SHORTER, MORE, TIMES = 8, 1.15, 0.1, 8
 
-# Where perturbed runs of the search's starts grow apart by less than this, further starts can be
-# predicted.
+# Where perturbed runs of the search's starts part by less than this factor, those of further starts
+# are not measured: they can be predicted.
 CALM = 30.0
 
 # Makes a finished row of settings: runs them from all starts, counts and times them.
@@ -43,7 +43,7 @@ Ran = tuple[int, float, str | None]
 
 
 class Confirmation:
-    """Further starts, with their own reference, and what settings do on them."""
+    """Further starts with their own reference, on which settings are tested."""
 
     def __init__(self, trials: Trials, runs: ReferenceRuns, others: Schedule) -> None:
         self.trials, self.workers = trials, runs.workers
@@ -73,8 +73,8 @@ class Confirmation:
     def test(self, settings: Settings, limit: float, error: float) -> Further:
         """Runs settings from every further start; limit: what they should keep to [m].
 
-        First from those where others have failed; if these fail there too, that is all. error:
-        what is asked for [m], to count those that keep to it.
+        Starts on which other settings failed come first; a failure there ends the test. error:
+        what is asked for [m], to count the starts that keep to it.
         """
         if self.scored is None:
             return Further(0, 0, 0.0, f"the reference fails on them: {self.truth.failed}")
@@ -90,7 +90,7 @@ class Confirmation:
         return Further(len(ran), held, worst[1], failure)
 
     def holds(self, settings: Settings, error: float) -> bool:
-        """Whether settings keep to the error on the starts where others have failed."""
+        """Whether settings keep to an error on the starts on which others failed."""
         return not self._bad(self._runs(settings, self.hard), error)
 
     def _bad(self, ran: list[Ran], error: float) -> bool:
@@ -112,11 +112,11 @@ class Confirmation:
 def within_error(
     frontier: Frontier, target: float, confirm: Confirmation, finish: Finish, steps: Steps
 ) -> tuple[Frontier, Row | None]:
-    """Tests the cheapest rows that meet an error [m], until the cheapest has been tested.
+    """Tests the cheapest rows within an error [m] until one of them passes.
 
-    They are held to a little less than it. Of those that do not keep to that, some are tried with
-    shorter steps. Where none keeps to it, what keeps to the error itself will do. Returns the rows
-    with what the tests said, and the one that passed.
+    A row must keep to a little less than the error. Some of those that do not are also tried with
+    shorter steps. Where no row passes, one that keeps to the error itself will do. Returns the
+    rows with the results of their tests, and the one that passed.
     """
     limit, repairs = MARGIN * target, REPAIRED
     for _ in range(TRIES):
@@ -142,7 +142,7 @@ def within_error(
 def _repaired(
     frontier: Frontier, confirm: Confirmation, steps: Steps, row: Row, limit: float
 ) -> Settings | None:
-    """Settings that failed on further starts, with a step short enough for them."""
+    """The settings of a row that failed on further starts, with a step short enough for them."""
     pieces = steps.pieces(row.settings)
     finest = int(steps.period / confirm.trials.reference.settings.dt / 2 + 1e-9)
     for k in range(TIMES):
@@ -160,7 +160,7 @@ def _repaired(
 def within_budget(
     frontier: Frontier, budget: float, confirm: Confirmation, finish: Finish, steps: Steps
 ) -> Frontier:
-    """Fits the step of the most accurate row to the budget, and tests it on the further starts."""
+    """Fits the time step of the most accurate row to the budget, and tests it on further starts."""
     for _ in range(TRIES):
         try:
             row = frontier.most_accurate(budget)

@@ -1,9 +1,10 @@
-"""The frugal search: which settings are worth running from every start.
+"""The frugal search for the cheapest settings that meet an error.
 
-For a target error the question to each method (all settings but the time step) is the longest
-time step that meets it. Families of methods answer from few starts; those whose answer is cheap go
-on, and have one axis at a time changed while that makes them cheaper at equal error; the best
-answer again from all starts. Costs are counted operations, so that the same seed finds the same.
+A *method* is all of the settings but the time step. For each method the search looks for the
+longest time step that meets the error, in three rounds. Families of methods are judged from a few
+starts. The cheapest of them go on, and change one setting at a time as long as that makes them
+cheaper at equal error. The best are judged again from all starts. Costs are counted operations, so
+that the same seed finds the same settings on any machine.
 """
 
 from __future__ import annotations
@@ -16,29 +17,31 @@ from stepcore._core import Settings
 from stepcore.measure.trade.moves import Steps, families, moves
 from stepcore.measure.trade.trials import Score, Trials
 
-# Starts of the first round.
+# Starts that methods are first judged from.
 FEW = 2
-# How much dearer than the best a method may be and go on: to the second round, to all starts.
+# A method goes on to the second round, and then to all starts, if it costs at most so many times
+# as much as the best.
 FIRST, SECOND = 1.6, 1.25
-# At most so many go on.
+# At most so many methods go on.
 MOST = 4
-# A change of an axis is taken if it is cheaper at equal error by this factor.
+# A changed setting is taken if that costs at most this share at equal error; so many in a row.
 BETTER = 0.97
 CLIMBS = 4
 # The longest step is found to this ratio: in the first rounds, at the end.
 COARSE, FINE = 1.3, 1.08
 ROUNDS = 8
-# A step takes no less work than this share of a longer one's.
+# A shorter step takes at least this share of the work of a longer one.
 CHEAPER = 0.8
-# Steps up to this many times shorter that all help less than this: the method's own floor.
+# A method is at its floor where steps so many times shorter reduce the error by less than this.
 FLOOR, HELPS = 4.0, 1.3
 
 
 @dataclass
 class Bracket:
-    """What is known of a method's step: how many pieces of the control period it needs.
+    """What is known of a method: its scores by the number of steps in a control period.
 
-    known: pieces to score.
+    base: the method. guess: where to begin. known: steps in a period to score. floored: shorter
+    steps have stopped reducing the error.
     """
 
     base: Settings
@@ -47,11 +50,11 @@ class Bracket:
     floored: bool = False
 
     def meets(self, error: float) -> int | None:
-        """The fewest pieces that meet an error, or None."""
+        """The fewest steps in a period that meet an error, or None."""
         return min((n for n, s in self.known.items() if s.error <= error), default=None)
 
     def misses(self, error: float) -> int:
-        """The most pieces, fewer than those, that do not; 0 if none is known."""
+        """The most steps in a period, fewer than those, that miss it; 0 if none is known."""
         good = self.meets(error)
         return max(
             (n for n, s in self.known.items() if s.error > error and (good is None or n < good)),
@@ -59,13 +62,13 @@ class Bracket:
         )
 
     def at_least(self, pieces: int) -> float:
-        """What so many pieces cost at least, as far as fewer tell: work is in proportion."""
+        """What so many steps cost at least, in proportion to fewer that were run; 0 if none was."""
         fewer = [n for n in self.known if n < pieces and self.known[n].price < math.inf]
         n = max(fewer, default=0)
         return self.known[n].price * pieces / n * CHEAPER if n else 0.0
 
     def order(self, error: float) -> float:
-        """How fast the error falls with the step, near the target; between 1/2 and 4."""
+        """The order with which the error falls near the target; between 1/2 and 4."""
         near = sorted(
             (n for n, s in self.known.items() if 0 < s.error < math.inf),
             key=lambda n: abs(math.log(self.known[n].error / error)),
@@ -77,7 +80,7 @@ class Bracket:
         return min(4.0, max(0.5, slope))
 
     def price(self, error: float) -> float:
-        """What meeting an error costs, were any step allowed; inf where it is out of reach."""
+        """What meeting an error would cost at any step; inf where it is out of reach."""
         near = [n for n, s in self.known.items() if 0 < s.error < math.inf]
         if not near or (self.floored and self.meets(error) is None):
             exact = [s.price for s in self.known.values() if s.error <= error]
@@ -87,16 +90,16 @@ class Bracket:
 
 
 def equal_error(score: Score, error: float, order: float) -> float:
-    """The price at another error, by the order with which it falls with the step."""
+    """The price at another error, if the error falls with the step at this order."""
     if not 0 < score.error < math.inf:
         return score.price
     return float(score.price * (score.error / error) ** (1 / order))
 
 
 class SettingsSearch:
-    """Looks for the cheapest settings that meet errors; all it runs stays in its trials.
+    """Looks for the cheapest settings that meet an error; what it runs stays in its trials.
 
-    finest: the most pieces of the control period that the reference can judge.
+    rows: the most at once in the reference. friction: whether a contact can have friction.
     """
 
     def __init__(
@@ -106,15 +109,16 @@ class SettingsSearch:
         self.rows, self.friction = rows, friction
         self.all = len(trials.runner.schedule.starts)
         self.few = min(FEW, self.all)
-        # Methods that the search has found beside the families.
+        # Methods found by changing settings of the families.
         self.methods: list[Settings] = []
 
     @property
     def finest(self) -> int:
+        """The most steps in a control period that the reference is accurate enough to judge."""
         return max(1, int(self.steps.period / self.trials.reference.settings.dt / 2 + 1e-9))
 
     def overview(self) -> list[Settings]:
-        """A few steps of every family, on few starts: where the shipped settings stand."""
+        """Runs every family at a few time steps from few starts, around the shipped settings."""
         some = families(self.shipped, self.rows)
         own = self.steps.own
         counts = {max(1, own // 4), max(1, own // 2), own, 2 * own, 4 * own, 8 * own, 1}
@@ -125,8 +129,8 @@ class SettingsSearch:
     def meeting(self, error: float, climb: bool = True) -> list[Settings]:
         """Settings near the cheapest that meet an error in every start, cheapest first.
 
-        Empty where nothing within reach of the reference meets it. climb: try other axes too,
-        and not only the families and what earlier calls have found.
+        Empty where no step that the reference can judge meets it. climb: change settings of the
+        methods too, beyond the families and what earlier calls have found.
         """
         bases = dict.fromkeys([*families(self.shipped, self.rows), *self.methods])
         open_ = [self.bracket(base) for base in bases]
@@ -143,7 +147,7 @@ class SettingsSearch:
         return [settings for _, settings in sorted(met, key=lambda pair: pair[0])]
 
     def bracket(self, base: Settings) -> Bracket:
-        """A method with all that is known of it from few starts."""
+        """A method with its scores from few starts, as far as it has been run."""
         bracket = Bracket(base, self.steps.own)
         for settings in self.trials.screened:
             pieces = self.steps.pieces(settings)
@@ -152,11 +156,11 @@ class SettingsSearch:
         return bracket
 
     def again(self, bracket: Bracket, error: float) -> Bracket:
-        """The same method, to be judged by all starts, beginning where few starts put it."""
+        """The same method, to be judged from all starts, beginning at the step that few gave."""
         return Bracket(bracket.base, bracket.meets(error) or self.finest)
 
     def keep(self, brackets: Sequence[Bracket], error: float, factor: float) -> list[Bracket]:
-        """Those whose price is near the best; of two that do the very same, one."""
+        """Those whose price is near the best; one of those that do exactly the same."""
         prices = sorted((bracket.price(error), i) for i, bracket in enumerate(brackets))
         least = prices[0][0] if prices else math.inf
         kept: list[Bracket] = []
@@ -169,7 +173,7 @@ class SettingsSearch:
     def narrow(
         self, brackets: Sequence[Bracket], error: float, starts: int, ratio: float, label: str
     ) -> None:
-        """Finds the fewest pieces that meet the error, to a ratio, for all methods in step."""
+        """Finds the fewest steps that meet the error to within a ratio, for all methods."""
         for _ in range(ROUNDS):
             asked = [(bracket, self.propose(bracket, error, ratio)) for bracket in brackets]
             prices = [bracket.price(error) for bracket in brackets if bracket.meets(error)]
@@ -185,7 +189,7 @@ class SettingsSearch:
                 bracket.known[n] = self.trials.score(made, starts)
 
     def propose(self, bracket: Bracket, error: float, ratio: float) -> int | None:
-        """The next number of pieces to try, or None where enough is known."""
+        """The next number of steps in a period to try, or None where enough is known."""
         good, bad = bracket.meets(error), bracket.misses(error)
         if not bracket.known:
             return min(max(1, bracket.guess), self.finest)
@@ -203,7 +207,7 @@ class SettingsSearch:
         return min(good - 1, max(bad + 1, n))
 
     def jump(self, bracket: Bracket, n: int, error: float) -> int:
-        """Where the order says that the error is met, at most four times away."""
+        """Where the observed order puts the error, at most four times as many steps or as few."""
         seen = bracket.known[n].error
         if not 0 < seen < math.inf:
             return n * 2 if seen else max(1, n // 4)
@@ -221,7 +225,7 @@ class SettingsSearch:
         return bracket.floored
 
     def climb(self, brackets: Sequence[Bracket], error: float) -> list[Bracket]:
-        """Changes one axis of each method at a time while that is cheaper at equal error."""
+        """Changes one setting of each method at a time while that is cheaper at equal error."""
         now = list(brackets)
         moving = set(range(len(now)))
         for _ in range(CLIMBS):
@@ -244,7 +248,7 @@ class SettingsSearch:
         return list({self.steps.at(bracket.base, 1): bracket for bracket in now}.values())
 
     def near(self, bracket: Bracket, error: float) -> list[Settings]:
-        """Neighbours of a method, at the step where it meets the error."""
+        """The methods that differ in one setting, at the step where this one meets the error."""
         pieces = bracket.meets(error) or max(bracket.known)
         here = self.steps.at(bracket.base, pieces)
         return moves(here, self.rows, self.friction)

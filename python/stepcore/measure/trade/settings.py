@@ -1,4 +1,4 @@
-"""Which settings are tried: time step × integrator × solver × sweeps × precision, pruned."""
+"""The full grid of settings: time step × integrator × solver × sweeps × precision."""
 
 from __future__ import annotations
 

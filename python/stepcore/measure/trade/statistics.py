@@ -1,4 +1,4 @@
-"""What can still be said of a run after its motion cannot be predicted: means over many starts.
+"""Means over many starts, which can be compared after the motion cannot be predicted.
 
 From when the first start is lost (`stepcore.experiment.growth`) to the horizon, each run has a mean
 height of its centre of mass, kinetic energy and number of contacts. Over at least 32 seeded

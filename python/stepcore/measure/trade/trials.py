@@ -1,6 +1,6 @@
-"""What has been run: every setting tried so far, from how many starts, and how it came out.
+"""`Trials`: every setting that was run so far, from how many starts, with its paths and its work.
 
-The search looks only at positions; settings that it chooses are run once more and fully recorded.
+The search only records positions; settings that it chooses are run again and fully recorded.
 """
 
 from __future__ import annotations
