@@ -3,56 +3,15 @@
 import math
 
 import pytest
+from measured import RESULTS
 
 import stepcore as sc
 from stepcore import lesson
 
-FAST = {"threads": 1, "progress": False}
 
-
-@pytest.fixture(scope="module")
+@pytest.fixture
 def results():
-    """A result of each kind, made when it is first asked for."""
-    made = {}
-
-    def result(kind):
-        if kind not in made:
-            made[kind] = MADE[kind]()
-        return made[kind]
-
-    return result
-
-
-def failure():
-    sim = sc.Sim(lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)
-    sim.reset("start")
-    with pytest.raises(sc.SimulationError) as error:
-        sim.step(1000)
-    return sc.replay(error.value.replay)
-
-
-MADE = {
-    "trade": lambda: sc.trade(
-        lesson.spring(),
-        horizon=0.2,
-        starts=1,
-        dts=[0.005, 0.01],
-        integrators=["semi-implicit", "rk4"],
-        error=1e-3,
-        further=0,
-        by="flops",
-        **FAST,
-    ),
-    "ablation": lambda: sc.ablate(lesson.drop(), horizon=0.2, starts=1, **FAST),
-    "convergence": lambda: sc.converge(lesson.stack(), horizon=0.1, starts=1, states=2, **FAST),
-    "predictability": lambda: sc.predictability(lesson.spring(), horizon=0.5, starts=3, **FAST),
-    "stability": lambda: sc.stability_map(
-        "lesson:spring", values=[10, 100], dts=[0.01, 0.1], integrator=["euler", "rk4"], **FAST
-    ),
-    "plan": lambda: sc.plan(lesson.drop()),
-    "diagnosis": lambda: sc.diagnose(lesson.spring(), progress=False),
-    "postmortem": failure,
-}
+    return lambda kind: RESULTS[kind]()
 
 
 def labels(axes):
@@ -68,7 +27,7 @@ def ticks(axes):
     return [text.get_text() for text in axes.get_yticklabels()]
 
 
-@pytest.mark.parametrize("kind", MADE)
+@pytest.mark.parametrize("kind", RESULTS)
 def test_every_result_draws_its_name_and_its_axes(results, tmp_path, kind):
     result = results(kind)
     figure = result.plot(tmp_path / "plot.svg")

@@ -10,11 +10,12 @@ from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
+from stepcore._core import Settings
 from stepcore.experiment.growth import DIRECTIONS, GROWTH, NEARBY, Growth
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.reference import ReferenceRuns
 from stepcore.experiment.runner import Runner
-from stepcore.experiment.schedule import scheduled, time_steps
+from stepcore.experiment.schedule import STARTS, scheduled, time_steps
 from stepcore.experiment.setup import Source, set_up
 from stepcore.report.progress import Choice
 from stepcore.report.result import Result
@@ -25,19 +26,35 @@ from stepcore.report.units import compact, counted, seconds
 HORIZON = 10.0
 
 
+@dataclass(frozen=True)
+class StartGrowth:
+    """How a perturbation of one start grew: over what it was at first.
+
+    predictable: until when the start can be predicted [s], inf beyond the horizon. growth: at the
+    end; largest: at most.
+    """
+
+    start: int
+    predictable: float
+    growth: float
+    largest: float
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Predictability(Result):
-    """How fast small differences grow in a scene; made by `stepcore.predictability`.
+    """How fast perturbations grow in a scene; made by `stepcore.predictability`.
 
-    name: of the scene. horizon, dt [s], integrator: what was run. growth: see
-    `stepcore.experiment.growth.Growth`. time: when the first start can no longer be predicted [s],
-    inf if all can over the horizon.
+    name: of the scene. settings: its own. motion: what was run, over `horizon` [s] in steps of
+    `dt` [s] under `integrator`. growth: see `stepcore.experiment.growth.Growth`. time: when the
+    first start can no longer be predicted [s], inf if all can over the horizon.
     """
 
     kind = "predictability"
-    units: ClassVar = {"predictable": "s", "growth": "1", "largest growth": "1", "times": "s"}
+    units: ClassVar = {"predictable": "s", "growth": "1", "largest": "1", "times": "s"}
 
     name: str
+    settings: Settings
+    motion: Motion
     horizon: float
     dt: float
     integrator: str
@@ -60,18 +77,18 @@ class Predictability(Result):
         return f"{self.name}: how long it can be predicted"
 
     @property
+    def rows(self) -> list[StartGrowth]:
+        """One for each start."""
+        starts = zip(self.growth.ends, self.growth.factor, strict=True)
+        return [
+            StartGrowth(start, float(end), float(factor[-1]), float(factor.max()))
+            for start, (end, factor) in enumerate(starts)
+        ]
+
+    @property
     def table(self) -> Table:
-        """One row a start: how long it can be predicted [s], and how a perturbation grew."""
-        growth = self.growth
-        return Table(
-            {
-                "start": k,
-                "predictable": float(end),
-                "growth": float(factor[-1]),
-                "largest growth": float(factor.max()),
-            }
-            for k, (end, factor) in enumerate(zip(growth.ends, growth.factor, strict=True))
-        )
+        """The starts; see `StartGrowth`."""
+        return Table(map(vars, self.rows))
 
     @property
     def setup(self) -> str:
@@ -170,10 +187,18 @@ def predictability(
         progress=progress,
     )
     horizon = HORIZON if motion.horizon is None else motion.horizon
-    motion = dataclasses.replace(motion, horizon=horizon)
+    motion = dataclasses.replace(motion, horizon=horizon, starts=motion.starts or STARTS)
     steps, period = time_steps(model.settings.dt, None, motion.control_dt, horizon)
     runner = Runner(model, scheduled(motion, model, period))
     runs = ReferenceRuns(runner, model.settings, min(steps), 0.0, workers)
     with workers.bar("predictability", (2 + DIRECTIONS) * runs.starts) as bar:
         level, growth = runs.growth(bar)
-    return Predictability(setup.name, runner.schedule.horizon, level.dt, level.integrator, growth)
+    return Predictability(
+        name=setup.name,
+        settings=model.settings,
+        motion=motion,
+        horizon=runner.schedule.horizon,
+        dt=level.dt,
+        integrator=level.integrator,
+        growth=growth,
+    )

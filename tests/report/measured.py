@@ -1,0 +1,44 @@
+"""A small result of each kind, made once in a process when it is first asked for."""
+
+import functools
+
+import pytest
+
+import stepcore as sc
+from stepcore import lesson
+
+FAST = {"threads": 1, "progress": False}
+
+
+def failure():
+    sim = sc.Sim(lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)
+    sim.reset("start")
+    with pytest.raises(sc.SimulationError) as error:
+        sim.step(1000)
+    return sc.replay(error.value.replay)
+
+
+MADE = {
+    "trade": lambda: sc.trade(
+        lesson.spring(),
+        horizon=0.2,
+        starts=1,
+        dts=[0.005, 0.01],
+        integrators=["semi-implicit", "rk4"],
+        error=1e-3,
+        further=0,
+        by="flops",
+        **FAST,
+    ),
+    "ablation": lambda: sc.ablate(lesson.drop(), horizon=0.2, starts=1, **FAST),
+    "convergence": lambda: sc.converge(lesson.stack(), horizon=0.1, starts=1, states=2, **FAST),
+    "predictability": lambda: sc.predictability(lesson.spring(), horizon=0.5, starts=3, **FAST),
+    "stability": lambda: sc.stability_map(
+        "lesson:spring", values=[10, 100], dts=[0.01, 0.1], integrator=["euler", "rk4"], **FAST
+    ),
+    "plan": lambda: sc.plan(lesson.drop()),
+    "diagnosis": lambda: sc.diagnose(lesson.spring(), progress=False),
+    "postmortem": failure,
+}
+
+RESULTS = {kind: functools.cache(make) for kind, make in MADE.items()}
