@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from stepcore.measure.stability import stability_map as stability_map
     from stepcore.measure.sweep import sweep as sweep
     from stepcore.measure.trade import Trade as Trade
+    from stepcore.measure.trade import TradeRow as TradeRow
     from stepcore.measure.trade import trade as trade
     from stepcore.mjcf.nodes import MJCFError as MJCFError
     from stepcore.reading import load as load
@@ -140,6 +141,7 @@ _MODULES = {
     "stepcore.measure.sweep": ("sweep",),
     "stepcore.measure.trade": (
         "Trade",
+        "TradeRow",
         "trade",
     ),
     "stepcore.mjcf.nodes": ("MJCFError",),

@@ -20,7 +20,7 @@ def fresh(code):
 
 
 # Rows of results that still have a name too general to stand at the top.
-UNNAMED = {"Row", "Run", "Theory"}
+UNNAMED = {"Run", "Theory"}
 
 LOADED = "print(*(name for name in sys.modules if name.startswith(('stepcore', 'numpy.core'))))"
 

@@ -11,7 +11,7 @@ from stepcore.experiment.errors import Errors, moved, pareto
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import scheduled, time_steps
 from stepcore.measure.trade.orders import orders
-from stepcore.measure.trade.row import Row
+from stepcore.measure.trade.row import TradeRow
 from stepcore.report.units import metres, seconds
 
 
@@ -70,7 +70,7 @@ def test_the_order_of_a_table_is_the_slope_of_errors_over_steps():
     def row(dt, error, **options):
         settings = sc.Settings(dt=dt, integrator="euler", **options)
         errors = Errors(error, error, 0, 0, 0, 0, 0, 0, each=(error,))
-        return Row(settings, errors, 1.0, 1.0)
+        return TradeRow(settings, errors, 1.0, 1.0)
 
     second = [row(dt, 3 * dt**2) for dt in (0.01, 0.008, 0.004, 0.001)]
     assert orders(second, 0.0)["euler"] == pytest.approx(2)

@@ -26,14 +26,14 @@ from stepcore.measure.trade.moves import Steps, longest, slides
 from stepcore.measure.trade.orders import observed_orders
 from stepcore.measure.trade.recommend import Confirmation, within_budget, within_error
 from stepcore.measure.trade.result import Trade
-from stepcore.measure.trade.row import Row
+from stepcore.measure.trade.row import TradeRow
 from stepcore.measure.trade.settings import grid
 from stepcore.measure.trade.statistics import LEAST, MOST, AfterPrediction
 from stepcore.measure.trade.trials import Trials
 from stepcore.report import units
 from stepcore.report.progress import Choice
 
-__all__ = ["Row", "Trade", "trade"]
+__all__ = ["Trade", "TradeRow", "trade"]
 
 # What the reference may cost, in steps × (dofs + 2): some seconds on one core.
 EFFORT = 6e6

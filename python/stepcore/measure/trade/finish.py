@@ -10,7 +10,7 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.experiment.cost import TimedRun, costs
 from stepcore.experiment.other_models import ErrorSplit
-from stepcore.measure.trade.row import Row
+from stepcore.measure.trade.row import TradeRow
 from stepcore.measure.trade.trials import Trials
 
 
@@ -26,7 +26,7 @@ class Finisher:
         self.trials, self.split = trials, split
         self.shipped, self.tau, self.by = shipped, tau, by
 
-    def rows(self, settings: Sequence[Settings], others: Sequence[TimedRun] = ()) -> list[Row]:
+    def rows(self, settings: Sequence[Settings], others: Sequence[TimedRun] = ()) -> list[TradeRow]:
         """Rows of settings that have been run, timed in turn with one another and with others."""
         for setting in settings:
             self.split.keep(setting, self.trials.paths[setting])
@@ -37,12 +37,12 @@ class Finisher:
                 times = costs(runs, bar)[: len(settings)]
         return [self._row(setting, cost) for setting, cost in zip(settings, times, strict=True)]
 
-    def row(self, settings: Settings) -> Row:
+    def row(self, settings: Settings) -> TradeRow:
         """The row of one setting more, run from all starts."""
         self.trials.run([settings])
         return self.rows([settings])[0]
 
-    def _row(self, settings: Settings, cost: float) -> Row:
+    def _row(self, settings: Settings, cost: float) -> TradeRow:
         trials = self.trials
         paths, work = trials.paths[settings], trials.work[settings]
         failure = trials.failure(settings)
@@ -50,7 +50,7 @@ class Finisher:
             failure = "failed while it was timed"
         updates = float(np.mean([path.row_updates for path in paths]))
         ran = failure is None
-        return Row(
+        return TradeRow(
             settings=settings,
             errors=self.split.errors(settings, paths) if ran else None,
             cost=cost if ran else math.nan,

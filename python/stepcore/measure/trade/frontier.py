@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from stepcore import checks
 from stepcore._core import Settings
 from stepcore.experiment.errors import pareto
-from stepcore.measure.trade.row import Row
+from stepcore.measure.trade.row import TradeRow
 
 
 @dataclass(frozen=True)
@@ -20,13 +20,13 @@ class Frontier:
     known, known_max: the reference's own error and largest error [m]; no row can claim less.
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[TradeRow, ...]
     known: float
     known_max: float
     by: str
 
     @classmethod
-    def of(cls, rows: Iterable[Row], known: float, known_max: float, by: str) -> Frontier:
+    def of(cls, rows: Iterable[TradeRow], known: float, known_max: float, by: str) -> Frontier:
         """The rows with their marks."""
         plain = cls(tuple(sorted(rows, key=lambda row: -row.settings.dt)), known, known_max, by)
         best = pareto(
@@ -41,7 +41,7 @@ class Frontier:
             marked.append(dataclasses.replace(row, best=mark, below=below, below_max=below_max))
         return dataclasses.replace(plain, rows=tuple(marked))
 
-    def updated(self, row: Row) -> Frontier:
+    def updated(self, row: TradeRow) -> Frontier:
         """The frontier with this row in place of that of the same settings, or added."""
         others = [other for other in self.rows if other.settings != row.settings]
         if len(others) == len(self.rows):
@@ -52,18 +52,18 @@ class Frontier:
     def has(self, settings: Settings) -> bool:
         return any(row.settings == settings for row in self.rows)
 
-    def error(self, row: Row) -> float:
+    def error(self, row: TradeRow) -> float:
         """The error that a row can claim [m]: inf if it failed."""
         if row.errors is None:
             return math.inf
         further = 0.0 if row.further is None else row.further.high
         return max(row.errors.high, self.known, further)
 
-    def price(self, row: Row) -> float:
+    def price(self, row: TradeRow) -> float:
         """What a row costs per simulated second: µs, or operations if that is the metric."""
         return row.flops if self.by == "flops" else row.cost
 
-    def cheapest(self, error: float) -> Row:
+    def cheapest(self, error: float) -> TradeRow:
         """The row of the lowest price whose error is at most `error` [m].
 
         Raises ValueError, naming the smallest error there is, if none is that good.
@@ -76,7 +76,7 @@ class Frontier:
         single = {row.settings: row.settings.precision == "f32" for row in good}
         return min(good, key=lambda r: (self.price(r), single[r.settings], self.error(r)))
 
-    def most_accurate(self, budget: float) -> Row:
+    def most_accurate(self, budget: float) -> TradeRow:
         """The row with the smallest error whose price is at most `budget`.
 
         Raises ValueError, naming the lowest price there is, if none is that cheap.

@@ -31,7 +31,7 @@ from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.workers import Workers
 from stepcore.loading import find_asset
 from stepcore.measure.trade.moves import Steps
-from stepcore.measure.trade.row import Row
+from stepcore.measure.trade.row import TradeRow
 from stepcore.report.units import metres, seconds
 
 INTEGRATORS = {"euler": 0, "rk4": 1, "implicitfast": 3}
@@ -306,7 +306,7 @@ def _warned(data: Any) -> str | None:
     return None
 
 
-def compared_with_mujoco(points: Sequence[Point], shipped: Row) -> Iterator[str]:
+def compared_with_mujoco(points: Sequence[Point], shipped: TradeRow) -> Iterator[str]:
     """Whether both engines compute the same physics, and what MuJoCo costs as shipped."""
     check = points[0].check
     same = "computes the same physics" if check.agrees else "does NOT compute the same physics"

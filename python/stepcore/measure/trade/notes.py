@@ -10,7 +10,7 @@ import numpy as np
 from stepcore.experiment.growth import GROWTH, NEARBY
 from stepcore.experiment.reference import FINER, Gap, Reference, smallest
 from stepcore.experiment.schedule import Schedule
-from stepcore.measure.trade.row import Row
+from stepcore.measure.trade.row import TradeRow
 from stepcore.report.units import metres, seconds
 
 # A residual of the reference that is worth saying [m/s].
@@ -45,7 +45,7 @@ def about_run(
         )
 
 
-def about_reference(reference: Reference, rows: Sequence[Row], size: float) -> Iterator[str]:
+def about_reference(reference: Reference, rows: Sequence[TradeRow], size: float) -> Iterator[str]:
     """Notes on the converged motion that errors are measured from, and how well it is known."""
     ends = reference.growth.ends
     lost = int(np.isfinite(ends).sum())
@@ -110,7 +110,7 @@ def observed(reference: Reference, horizon: float, orders: Mapping[str, float]) 
         yield f"observed order of accuracy in the worst start: {shown}"
 
 
-def failed(rows: Sequence[Row]) -> Iterator[str]:
+def failed(rows: Sequence[TradeRow]) -> Iterator[str]:
     """One note on the failures of each integrator and solver."""
     failures = [row for row in rows if row.failure]
     kinds = [(row.settings.integrator, row.settings.solver) for row in failures]

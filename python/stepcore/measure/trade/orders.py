@@ -9,18 +9,18 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.experiment.errors import moved
 from stepcore.experiment.reference import FINER, Reference
-from stepcore.measure.trade.row import Row
+from stepcore.measure.trade.row import TradeRow
 
 # An error above this share of how far bodies move no longer falls as a power of dt.
 SATURATED = 0.1
 
 
-def observed_orders(rows: Sequence[Row], reference: Reference) -> dict[str, float]:
+def observed_orders(rows: Sequence[TradeRow], reference: Reference) -> dict[str, float]:
     """The orders from errors ten times the reference's and below a tenth of how far bodies move."""
     return orders(rows, FINER * reference.high, SATURATED * moved(reference.paths))
 
 
-def orders(rows: Sequence[Row], least: float, most: float = np.inf) -> dict[str, float]:
+def orders(rows: Sequence[TradeRow], least: float, most: float = np.inf) -> dict[str, float]:
     """The order that each integrator shows in a table: log of errors over log of steps.
 
     The slope of a line through runs that differ in dt alone, by a factor of two or more, in double

@@ -23,7 +23,7 @@ from stepcore.experiment.schedule import Schedule
 from stepcore.measure.trade.frontier import Frontier
 from stepcore.measure.trade.frugal import MARGIN
 from stepcore.measure.trade.moves import Steps
-from stepcore.measure.trade.row import Further, Row
+from stepcore.measure.trade.row import Further, TradeRow
 from stepcore.measure.trade.trials import Trials, screen
 
 # So many rows are tested on the further starts before the search gives up.
@@ -37,7 +37,7 @@ REPAIRED, SHORTER, MORE, TIMES = 8, 1.15, 0.1, 8
 CALM = 30.0
 
 # Makes a finished row of settings: runs them from all starts, counts and times them.
-Finish = Callable[[Settings], Row]
+Finish = Callable[[Settings], TradeRow]
 # A start, how wrong a run from it was [m], and why it failed if it did.
 Ran = tuple[int, float, str | None]
 
@@ -111,7 +111,7 @@ class Confirmation:
 
 def within_error(
     frontier: Frontier, target: float, confirm: Confirmation, finish: Finish, steps: Steps
-) -> tuple[Frontier, Row | None]:
+) -> tuple[Frontier, TradeRow | None]:
     """Tests the cheapest rows within an error [m] until one of them passes.
 
     A row must keep to a little less than the error. Some of those that do not are also tried with
@@ -140,7 +140,7 @@ def within_error(
 
 
 def _repaired(
-    frontier: Frontier, confirm: Confirmation, steps: Steps, row: Row, limit: float
+    frontier: Frontier, confirm: Confirmation, steps: Steps, row: TradeRow, limit: float
 ) -> Settings | None:
     """The settings of a row that failed on further starts, with a step short enough for them."""
     pieces = steps.pieces(row.settings)

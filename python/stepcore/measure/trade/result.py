@@ -13,7 +13,7 @@ from stepcore.experiment.reference import Reference
 from stepcore.measure.trade.frontier import Frontier
 from stepcore.measure.trade.mujoco import Point
 from stepcore.measure.trade.orders import observed_orders
-from stepcore.measure.trade.row import UNITS, Row
+from stepcore.measure.trade.row import UNITS, TradeRow
 from stepcore.measure.trade.sentences import sentences
 from stepcore.measure.trade.tables import settings_table, statistics_tables
 from stepcore.report.result import Result
@@ -50,10 +50,10 @@ class Trade(Result):
     mujoco: Sequence[Point] = ()
     screened: int = 0
     runs: int = 0
-    chosen: Row | None = None
+    chosen: TradeRow | None = None
 
     @property
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[TradeRow]:
         """Every setting that ran from all starts, and those that failed; coarsest step first."""
         return list(self.frontier.rows)
 
@@ -67,7 +67,7 @@ class Trade(Result):
         """The cost metric: "time" [µs] or "flops", per simulated second."""
         return self.frontier.by
 
-    def error(self, row: Row) -> float:
+    def error(self, row: TradeRow) -> float:
         """The error that a row can claim [m]: inf if it failed.
 
         The RMS position error of the worst start, further ones among them; not below the
@@ -75,7 +75,7 @@ class Trade(Result):
         """
         return self.frontier.error(row)
 
-    def price(self, row: Row) -> float:
+    def price(self, row: TradeRow) -> float:
         """What a row costs per simulated second: µs, or operations if that is the metric."""
         return self.frontier.price(row)
 
@@ -102,7 +102,7 @@ class Trade(Result):
         return list(sentences(self))
 
     @property
-    def shipped(self) -> Row:
+    def shipped(self) -> TradeRow:
         """The settings that came with the scene."""
         return next(row for row in self.rows if row.shipped)
 
@@ -125,13 +125,13 @@ class Trade(Result):
         return self.reference.growth.overall
 
     @property
-    def failures(self) -> list[Row]:
-        """The rows that failed; `Row.failure` says why."""
+    def failures(self) -> list[TradeRow]:
+        """The rows that failed; `TradeRow.failure` says why."""
         return [row for row in self.rows if row.failure]
 
     @property
     def table(self) -> Table:
-        """All rows, coarsest step first; units as in `Errors` and `Row`."""
+        """All rows, coarsest step first; units as in `Errors` and `TradeRow`."""
         return Table(row.record() for row in self.rows)
 
     def tables(self, full: bool) -> list[Table]:
@@ -139,7 +139,7 @@ class Trade(Result):
         return [settings_table(self, full), *statistics_tables(self)]
 
     @property
-    def recommended(self) -> Row | None:
+    def recommended(self) -> TradeRow | None:
         """The row for the error or budget that was asked for; None where no row is, or no ask."""
         if self.chosen is not None:
             return self.chosen
@@ -164,7 +164,7 @@ class Trade(Result):
             return self.chosen.settings
         return self.cheapest(error).settings
 
-    def next_better(self, error: float | str | None = None) -> Row | None:
+    def next_better(self, error: float | str | None = None) -> TradeRow | None:
         """The cheapest row with at most half of that error; None if there is none.
 
         error: as in `best`; by default that of the recommended row.
@@ -176,7 +176,7 @@ class Trade(Result):
         except ValueError:
             return None
 
-    def cheapest(self, error: float | str | None = None) -> Row:
+    def cheapest(self, error: float | str | None = None) -> TradeRow:
         """The row of the lowest price whose error is at most `error`, as in `best`."""
         return self.frontier.cheapest(self._length(error))
 
@@ -185,7 +185,7 @@ class Trade(Result):
             return ERROR if self.target is None else self.target
         return length("best", "error", error, self.size)
 
-    def most_accurate(self, budget: float) -> Row:
+    def most_accurate(self, budget: float) -> TradeRow:
         """The row with the smallest error whose price is at most `budget`.
 
         Raises ValueError, naming the lowest price there is, if none is that cheap.

@@ -1,4 +1,4 @@
-"""`Row`: one setting of a trade, with its errors, its costs and what further starts said."""
+"""`TradeRow`: one setting of a trade, with its errors, its costs and what further starts said."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ERRORS = (
     *("angle", "angle_max", "gained", "lost", "momentum", "angular_momentum"),
     *("overlap", "joint", "limit", "creep", "anisotropy", "residual"),
 )
-# Of what `Row.record` has.
+# Of what `TradeRow.record` has.
 UNITS = {
     "dt": "s",
     "position": "m",
@@ -72,7 +72,7 @@ class Further:
 
 
 @dataclass(frozen=True)
-class Row:
+class TradeRow:
     """One setting. cost [µs per simulated second]; row_updates, flops [per simulated second];
     nbytes: memory of state and working space; further: tried on further starts. after:
     differences of means once the motion cannot be predicted, where they were measured.

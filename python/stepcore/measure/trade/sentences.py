@@ -12,7 +12,7 @@ from stepcore.report.units import computing, counted, metres, operations, second
 
 if TYPE_CHECKING:
     from stepcore.measure.trade.result import Trade
-    from stepcore.measure.trade.row import Row
+    from stepcore.measure.trade.row import TradeRow
 
 # From here on the worst start says something else than the median of the starts.
 DIFFER = 30.0
@@ -63,7 +63,7 @@ def _for_budget(trade: Trade, budget: float) -> Iterator[str]:
         yield f"The cheapest is {_named(trade, least)}, at {_priced(trade, least)}."
 
 
-def _described(trade: Trade, row: Row) -> str:
+def _described(trade: Trade, row: TradeRow) -> str:
     """Recommended settings with their error, their cost and what further starts said."""
     shipped, price = trade.shipped, _priced(trade, row)
     if row.settings == shipped.settings:
@@ -77,7 +77,7 @@ def _described(trade: Trade, row: Row) -> str:
     )
 
 
-def _confirmed(trade: Trade, row: Row) -> str:
+def _confirmed(trade: Trade, row: TradeRow) -> str:
     """What further starts said."""
     tried = row.further
     if tried is None:
@@ -92,7 +92,7 @@ def _confirmed(trade: Trade, row: Row) -> str:
     return f" Of {count}, {tried.held} kept to it."
 
 
-def _next_better(trade: Trade, row: Row) -> str:
+def _next_better(trade: Trade, row: TradeRow) -> str:
     """What at most half of the error costs."""
     better = trade.next_better(trade.error(row))
     if better is None:
@@ -144,7 +144,7 @@ def _improvements(trade: Trade) -> Iterator[str]:
         yield f"At most the same error {_offer(trade, same)}"
 
 
-def _offer(trade: Trade, row: Row) -> str:
+def _offer(trade: Trade, row: TradeRow) -> str:
     times = trade.price(row) / trade.price(trade.shipped)
     return (
         f"costs {times:.2f} times as much: {_named(trade, row)}, with an error of "
@@ -152,12 +152,12 @@ def _offer(trade: Trade, row: Row) -> str:
     )
 
 
-def _named(trade: Trade, row: Row) -> str:
+def _named(trade: Trade, row: TradeRow) -> str:
     """Settings in words, with all that is not as shipped."""
     return label(row.settings, trade.shipped.settings)
 
 
-def _priced(trade: Trade, row: Row) -> str:
+def _priced(trade: Trade, row: TradeRow) -> str:
     """The price in words."""
     if trade.by == "flops":
         return f"{operations(row.flops)} per simulated second"

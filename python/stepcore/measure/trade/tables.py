@@ -14,7 +14,7 @@ from stepcore.report.units import compact, counted, seconds
 if TYPE_CHECKING:
     from stepcore.measure.trade.mujoco import Point
     from stepcore.measure.trade.result import Trade
-    from stepcore.measure.trade.row import Row
+    from stepcore.measure.trade.row import TradeRow
 
 # A printed trade shows all rows up to this many, then the ones that matter.
 FULL = 40
@@ -78,7 +78,7 @@ def statistics_tables(trade: Trade) -> list[Table]:
     return [Table(records, heading=heading)]
 
 
-def _main_rows(trade: Trade) -> Sequence[Row]:
+def _main_rows(trade: Trade) -> Sequence[TradeRow]:
     """The best rows, the shipped one, and those that differ from it in dt alone."""
     own, chosen = trade.shipped.settings, trade.recommended
     kept = {own} if chosen is None else {own, chosen.settings}
@@ -89,7 +89,7 @@ def _main_rows(trade: Trade) -> Sequence[Row]:
     ]
 
 
-def _cells(trade: Trade, row: Row) -> dict[str, Any]:
+def _cells(trade: Trade, row: TradeRow) -> dict[str, Any]:
     """One printed row."""
     s, e = row.settings, row.errors
     marks = "*" * row.best + "s" * row.shipped + "c" * row.clamped

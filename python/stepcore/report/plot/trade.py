@@ -20,7 +20,7 @@ from stepcore.report.units import counted, metres, seconds
 
 if TYPE_CHECKING:
     from stepcore.measure.trade.result import Trade
-    from stepcore.measure.trade.row import Row
+    from stepcore.measure.trade.row import TradeRow
 
 MARKERS = {"newton": "o", "pgs": "s"}
 # MuJoCo's points, in the same colours.
@@ -63,12 +63,12 @@ def draw(trade: Trade) -> Any:
     return figure
 
 
-def _cost(trade: Trade, row: Row) -> float:
+def _cost(trade: Trade, row: TradeRow) -> float:
     """What is drawn along: ms per simulated second, or operations."""
     return trade.price(row) if trade.by == "flops" else row.cost / 1e3
 
 
-def _split(trade: Trade) -> tuple[list[Row], list[Row]]:
+def _split(trade: Trade) -> tuple[list[TradeRow], list[TradeRow]]:
     """Rows that are drawn where they are, and those that failed or are far off."""
     errors = sorted(trade.error(row) for row in trade.rows if row.errors)
     middle = trade.error(trade.shipped) if trade.shipped.errors else errors[len(errors) // 2]
@@ -77,7 +77,7 @@ def _split(trade: Trade) -> tuple[list[Row], list[Row]]:
     return good, [row for row in trade.rows if not row.errors or trade.error(row) > limit]
 
 
-def _point(axes: Any, trade: Trade, row: Row) -> None:
+def _point(axes: Any, trade: Trade, row: TradeRow) -> None:
     s = row.settings
     colour = COLOURS.get(s.integrator, GREY)
     axes.plot(
@@ -123,7 +123,7 @@ def _limits(errors: list[float]) -> tuple[float, float]:
     return 10 ** (low - room), 10 ** (high + 2.5 * room)
 
 
-def _failures(axes: Any, trade: Trade, rows: list[Row], high: float) -> None:
+def _failures(axes: Any, trade: Trade, rows: list[TradeRow], high: float) -> None:
     """Crosses on the upper edge, at what they cost, or where their like with success would be."""
     done = [row for row in trade.rows if not math.isnan(trade.price(row))]
     for row in rows:
@@ -148,7 +148,7 @@ def _asked(axes: Any, trade: Trade) -> None:
         axes.axvline(trade.budget if trade.by == "flops" else trade.budget / 1e3, **dashed)
 
 
-def _rings(axes: Any, trade: Trade, good: list[Row]) -> None:
+def _rings(axes: Any, trade: Trade, good: list[TradeRow]) -> None:
     """Rings about the shipped and the recommended settings, with their names."""
     marked = [(trade.shipped, f"as shipped\ndt {seconds(trade.shipped.settings.dt)}")]
     chosen = trade.recommended
@@ -175,7 +175,7 @@ def _label_axes(axes: Any, trade: Trade) -> None:
     frame(axes, f"{trade.name}: error over {seconds(trade.horizon)} against cost, {starts}")
 
 
-def _legend(figure: Any, trade: Trade, good: list[Row], failed: bool) -> None:
+def _legend(figure: Any, trade: Trade, good: list[TradeRow], failed: bool) -> None:
     used = {row.settings.integrator for row in trade.rows} | {p.integrator for p in trade.mujoco}
     solvers = {row.settings.solver for row in good}
     point: dict[str, Any] = {"ls": "none", "ms": 6}
