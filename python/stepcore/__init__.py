@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from stepcore.measure.diagnosis import Diagnosis as Diagnosis
     from stepcore.measure.diagnosis import diagnose as diagnose
     from stepcore.measure.diagnosis.element_limits import ElementLimits as ElementLimits
-    from stepcore.measure.diagnosis.load import StiffnessWarning as StiffnessWarning
+    from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning as StiffnessWarning
     from stepcore.measure.plan import plan as plan
     from stepcore.measure.predictability import Predictability as Predictability
     from stepcore.measure.predictability import predictability as predictability
@@ -128,7 +128,7 @@ _MODULES = {
         "diagnose",
     ),
     "stepcore.measure.diagnosis.element_limits": ("ElementLimits",),
-    "stepcore.measure.diagnosis.load": ("StiffnessWarning",),
+    "stepcore.measure.diagnosis.stiffness_warning": ("StiffnessWarning",),
     "stepcore.measure.plan": ("plan",),
     "stepcore.measure.predictability": (
         "Predictability",

@@ -273,6 +273,9 @@ class Sim:
     def row_updates(self) -> int: ...
     @property
     def contacts_grown(self) -> int: ...
+    def element_forces(self) -> tuple[list[_Element], _Floats]:
+        """Elements that push, and the generalised force of each, shape (n, nv)."""
+
     def contacts(self) -> tuple[list[_Element], list[tuple[int, int]], _Floats]:
         """Elements, geoms, and dist, pos, normal, force in the columns of one array."""
 

@@ -6,7 +6,7 @@ import os
 
 from stepcore import checks
 from stepcore.loading import find_scene
-from stepcore.measure.diagnosis.load import warn_of_stiffness
+from stepcore.measure.diagnosis.stiffness_warning import warn_of_stiffness
 from stepcore.mjcf.reader import read_text
 from stepcore.scene.scene import Scene
 

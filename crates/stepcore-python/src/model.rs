@@ -136,6 +136,10 @@ impl Model {
         add("actuator_gain", m.actuators.iter().map(|a| a.gain).collect(), &[nu])?;
         add("actuator_bias", m.actuators.iter().flat_map(|a| a.bias).collect(), &[nu, 3])?;
         add("actuator_gear", m.actuators.iter().flat_map(|a| a.gear).collect(), &[nu, 6])?;
+        let npair = m.pairs.len();
+        add("pair_solref", m.pairs.iter().flat_map(|p| p.soft.solref).collect(), &[npair, 2])?;
+        add("pair_friction", m.pairs.iter().map(|p| p.friction).collect(), &[npair])?;
+        add("pair_invweight0", m.pairs.iter().map(|p| p.invweight).collect(), &[npair])?;
         Ok(tables)
     }
 

@@ -320,6 +320,13 @@ impl Sim {
     fn actuator_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.solved(py, Solved::ActuatorForce)
     }
+    /// Elements that push, and the generalised force of each.
+    fn element_forces<'py>(&self, py: Python<'py>) -> PyResult<(Vec<Id>, Array<'py>)> {
+        let forces = self.lock()?.element_forces();
+        let shape = [forces.len(), self.model.nv];
+        let elements = forces.keys().map(|element| id(*element)).collect();
+        Ok((elements, shaped(py, forces.into_values().flatten().collect(), &shape)?))
+    }
     /// Elements, geoms, and dist, pos, normal, force in the columns of one array.
     fn contacts<'py>(&self, py: Python<'py>) -> PyResult<ContactTable<'py>> {
         contacts(py, self.lock()?.contacts())

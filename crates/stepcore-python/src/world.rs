@@ -1,5 +1,6 @@
 //! One world of either precision behind one interface: what `Sim` in Python holds.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use stepcore::arrays::Given;
@@ -94,6 +95,8 @@ pub trait World: Send {
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>>;
     fn solved(&self, what: Solved) -> Vec<f64>;
     fn contacts(&self) -> Contacts;
+    /// The generalised force of every element that pushes.
+    fn element_forces(&self) -> BTreeMap<Element, Vec<f64>>;
     fn rows(&self) -> Rows;
     fn coupling(&self) -> Coupling;
     fn residual(&self) -> f64;
@@ -186,6 +189,10 @@ impl<R: Real> World for One<R> {
             Solved::ConstraintForce => self.sim().constraint_force(0),
             Solved::ActuatorForce => numbers(&self.sim().placed.actuator),
         }
+    }
+
+    fn element_forces(&self) -> BTreeMap<Element, Vec<f64>> {
+        self.watched.element_forces(0)
     }
 
     fn contacts(&self) -> Contacts {

@@ -266,6 +266,26 @@ class Model:
         return tuple((names[a], names[b]) for a, b in self._core.pairs())
 
     @functools.cached_property
+    def pair_geoms(self) -> Ints:
+        """The two geoms of each pair, in the order of `pairs`, shape (npair, 2)."""
+        return _frozen(np.array(self._core.pairs(), dtype=np.int32).reshape(-1, 2))
+
+    @property
+    def pair_solref(self) -> Floats:
+        """The solref that the two geoms of each pair have together, shape (npair, 2)."""
+        return self._tables["pair_solref"]
+
+    @property
+    def pair_friction(self) -> Floats:
+        """The coefficient of sliding friction of each pair, shape (npair,)."""
+        return self._tables["pair_friction"]
+
+    @property
+    def pair_invweight0(self) -> Floats:
+        """Sum of both bodies' translational `body_invweight0` [1/kg], shape (npair,)."""
+        return self._tables["pair_invweight0"]
+
+    @functools.cached_property
     def keys(self) -> tuple[Keyframe, ...]:
         """The keyframes, with defaults for what they leave open."""
         states = zip(self.key_names, self._core.keys(), strict=True)

@@ -331,6 +331,17 @@ class Sim(Stepped):
         """Force of each actuator before its gear [N or N·m], shape (nu,)."""
         return self._core.actuator_force
 
+    def element_forces(self) -> dict[tuple[str, int], Floats]:
+        """The generalised force of every element that pushes, as of the last step or `forward`.
+
+        By (kind, index) as in `rows` and `contacts`; also of "spring", "damper", "actuator",
+        "gravity", "qfrc_applied" and "xfrc_applied". Each [N] or [N·m], shape (nv,).
+        """
+        elements, forces = self._core.element_forces()
+        return {
+            (kind, index): force for (kind, index, _), force in zip(elements, forces, strict=True)
+        }
+
     @property
     def contacts(self) -> NDArray[Any]:
         """Contacts of the last solve, a structured array with the fields

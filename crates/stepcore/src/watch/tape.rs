@@ -94,6 +94,18 @@ pub(crate) fn taped<R: Real>(
     Ok(gains(&model, &impulses, &bias, &mean, &before, &after))
 }
 
+/// The generalised force of every element that pushes at the state of the last solve, in one
+/// lane: impulses of a step over its length.
+pub(crate) fn element_forces<R: Real>(sim: &Sim<R>, lane: usize) -> BTreeMap<Element, Vec<f64>> {
+    let mut tape = Tape::new(lane, sim.model.nv);
+    tape.placed(sim, &sim.state.qvel, 1.0);
+    tape.solved(sim, &sim.state.qvel, 1.0);
+    for impulse in tape.impulses.values_mut() {
+        impulse.iter_mut().for_each(|x| *x /= sim.clock.seconds);
+    }
+    tape.impulses
+}
+
 impl<R: Real> Sim<R> {
     /// What the integrator damps at the end of the step.
     fn damped_late(&self) -> &'static [Group] {

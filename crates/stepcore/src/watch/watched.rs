@@ -1,12 +1,14 @@
 //! A `Sim` and those who watch it: its recent past, its ledger, and the post-mortem of a failure.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::ledger::Ledger;
 use super::past::Past;
 use super::post_mortem::{look_into, Run};
-use super::tape::{taped, StepGains, Tape};
+use super::tape::{element_forces, taped, StepGains, Tape};
 use crate::arrays::Given;
+use crate::elements::Element;
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::Real;
@@ -78,6 +80,12 @@ impl<R: Real> Watched<R> {
             }
         });
         outcome.map_err(|error| self.explained(error))
+    }
+
+    /// The generalised force of every element that pushes at the state of the last solve, in one
+    /// lane [N or N·m].
+    pub fn element_forces(&self, lane: usize) -> BTreeMap<Element, Vec<f64>> {
+        element_forces(&self.sim, lane)
     }
 
     /// Place, detect and solve at the present state. Nothing is committed.

@@ -1,8 +1,8 @@
-"""What to change so that a wanted dt is stable: values found on the model itself, and verified.
+"""What to change so that the wanted dt is stable: values found on the model itself, and verified.
 
-For each way to change the stiff elements the least change that is stable at the wanted dt is
-looked for, on copies of the model and at every state looked at. Where one element is not enough,
-those that limit next are changed by the same factor.
+For each way to change the limiting elements the least change that is stable at the wanted dt is
+searched for, on copies of the model and at every state. Where one element is not enough, those
+that limit dt next are changed by the same factor.
 """
 
 from __future__ import annotations
@@ -14,102 +14,112 @@ from typing import Any
 
 from stepcore._core import Settings
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.changes import CHANGES, DAMPING, GAINS, Change, Value, changed
-from stepcore.measure.diagnosis.dt_limits import Limit, Situation, situation
-from stepcore.measure.diagnosis.element_forces import Key
+from stepcore.measure.diagnosis.changes import (
+    CHANGES,
+    DAMPING,
+    GAINS,
+    Change,
+    NewValue,
+    changed,
+)
+from stepcore.measure.diagnosis.dt_limits import Limit
+from stepcore.measure.diagnosis.element import Element
 from stepcore.measure.diagnosis.element_limits import ElementLimits
-from stepcore.measure.diagnosis.linear_motion import parts
+from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import step_map
+from stepcore.measure.diagnosis.shares import step_shares
+from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 from stepcore.report.units import seconds
 
-# The most elements that one piece of advice changes, and how finely its factor is told.
+# The most elements that one piece of advice changes, and the relative resolution of its factor.
 TOGETHER, FINE = 8, 1.01
 
 
 @dataclass(frozen=True)
 class Advice:
-    """One way to a wanted dt. values: what it changes; settings: or which settings.
+    """One way to make the wanted dt stable.
 
-    met: it was made on the model and is stable at that dt at all states. Where nothing of its
-    kind is enough it is not, and the text says so.
+    what: what is changed, such as "kp" or "integrator". values: the new values of the scene;
+    settings: or the new settings. met: it was made on the model, and the dt is stable at every
+    state; where no change of its kind is enough it is False, and the text says so.
     """
 
     what: str
-    values: tuple[Value, ...]
+    values: tuple[NewValue, ...]
     settings: dict[str, Any]
     met: bool
     text: str
 
 
 def advise(
-    now: Situation,
+    now: StepStability,
     limits: dict[str, Limit],
-    elements: dict[Key, ElementLimits],
+    elements: dict[Element, ElementLimits],
     wanted: float,
-    stiffest: Key,
+    stiffest: Element,
 ) -> list[Advice]:
-    """All ways found, values first, then settings. stiffest: what limits the model's integrator."""
+    """All ways that were found, values first, then settings.
+
+    limits: by integrator. wanted: the dt [s]. stiffest: what limits the model's own integrator.
+    """
     settings = now.model.settings
     search = _Search(now, elements, settings.integrator, wanted, limits[settings.integrator].state)
-    found = [search.least(change, stiffest) for change in CHANGES.get(stiffest.kind, ())]
-    told = [a for a in found if a is not None]
-    if any(a.met for a in told if a.what in ("kp", "kv")):
+    tried = [search.least(change, stiffest) for change in CHANGES.get(stiffest.kind, ())]
+    advice = [a for a in tried if a is not None]
+    if any(a.met for a in advice if a.what in ("kp", "kv")):
         # One gain is enough: both together is more change than is needed.
-        told = [a for a in told if a.what != GAINS.what]
-    return told + _settings(now, limits, settings, wanted)
+        advice = [a for a in advice if a.what != GAINS.what]
+    return advice + _settings(now, limits, settings, wanted)
 
 
 def _settings(
-    now: Situation, limits: dict[str, Limit], settings: Settings, wanted: float
+    now: StepStability, limits: dict[str, Limit], settings: Settings, wanted: float
 ) -> list[Advice]:
-    found = []
+    advice = []
     for name, limit in limits.items():
         if name != settings.integrator and limit.dt >= wanted:
-            least = "nothing limits it" if math.isinf(limit.dt) else f"{seconds(limit.dt)}"
-            text = f"integrator {name} ({least})"
-            found.append(Advice("integrator", (), {"integrator": name}, True, text))
+            dt = "at any dt" if math.isinf(limit.dt) else f"up to {seconds(limit.dt)}"
+            text = f"use integrator {name}, stable {dt}"
+            advice.append(Advice("integrator", (), {"integrator": name}, True, text))
     if settings.law == "solref" and not settings.refsafe:
-        safe = situation(now.model.with_settings(refsafe=True), now.states, now.horizon)
+        safe = step_stability(now.model.with_settings(refsafe=True), now.states, now.horizon)
         if safe.stable(settings.integrator, wanted):
-            text = "refsafe=True (softens what is too stiff for the step)"
-            found.append(Advice("refsafe", (), {"refsafe": True}, True, text))
-    return found
+            text = "use refsafe=True, which softens rows that are too stiff for the step"
+            advice.append(Advice("refsafe", (), {"refsafe": True}, True, text))
+    return advice
 
 
 @dataclass
 class _Search:
-    """The least change that is stable at the wanted dt."""
+    """The least change that is stable at the wanted dt. worst: the state that decides so far."""
 
-    now: Situation
-    elements: dict[Key, ElementLimits]
+    now: StepStability
+    elements: dict[Element, ElementLimits]
     integrator: str
     wanted: float
     worst: int
 
-    def least(self, change: Change, first: Key) -> Advice | None:
-        """Changes the stiffest element, and what limits next, as little as is enough."""
+    def least(self, change: Change, first: Element) -> Advice | None:
+        """Changes the limiting element, and what limits dt next, as little as is enough."""
         group = [self.elements[first]] if first in self.elements else []
         if not group or not self._made(group, change, change.xs[-1])[1]:
             return None
-        while True:
-            found = self._factor(group, change)
-            if found is not None:
-                break
-            after = self._next(group, change)
-            if after is None or len(group) >= TOGETHER:
-                return self._missed(change, group, after)
-            group.append(after)
-        values = tuple(self._made(group, change, found)[1])
+        while (x := self._factor(group, change)) is None:
+            following = self._next(group, change)
+            if following is None or len(group) >= TOGETHER:
+                return _not_enough(change, group)
+            group.append(following)
+        values = tuple(self._made(group, change, x)[1])
         text = ", ".join(value.text for value in values)
         return Advice(change.what, values, {}, True, text)
 
     def _made(
         self, group: Sequence[ElementLimits], change: Change, x: float
-    ) -> tuple[Situation, list[Value]]:
+    ) -> tuple[StepStability, list[NewValue]]:
         """The model with the change made, at the same states."""
         scene, values = changed(self.now.model, group, change, x)
         model = Model(scene, self.now.model.settings)
-        return situation(model, self.now.states, self.now.horizon), values
+        return step_stability(model, self.now.states, self.now.horizon), values
 
     def _stable(self, group: Sequence[ElementLimits], change: Change, x: float) -> bool:
         try:
@@ -117,16 +127,16 @@ class _Search:
         except ValueError:
             # A value that the scene refuses.
             return False
-        # The state that decides first: it refuses most.
+        # The state that decides first: it is unstable most often.
         if (
             self.worst < len(made.states)
-            and not made.grown(self.integrator, self.wanted, self.worst).stable
+            and not made.growth(self.integrator, self.wanted, self.worst).stable
         ):
             return False
         return made.stable(self.integrator, self.wanted)
 
     def _factor(self, group: Sequence[ElementLimits], change: Change) -> float | None:
-        """The first x that is enough, told finely; None where none is."""
+        """The first x that is enough, refined by bisection; None where none is."""
         enough = self._first(group, change)
         if enough is None:
             return None
@@ -141,7 +151,7 @@ class _Search:
         """The index of the first x that is enough."""
         xs = change.xs
         if change is DAMPING:
-            # More than enough damping is too much where it is explicit.
+            # Explicit damping beyond what is enough is unstable again.
             return next((k for k, x in enumerate(xs) if self._stable(group, change, x)), None)
         low, high = -1, len(xs) - 1
         if not self._stable(group, change, xs[high]):
@@ -152,27 +162,26 @@ class _Search:
         return high
 
     def _next(self, group: Sequence[ElementLimits], change: Change) -> ElementLimits | None:
-        """What limits once these are changed by a lot."""
+        """The element that limits dt once these are changed by as much as is tried."""
         made, _ = self._made(group, change, change.xs[-1])
         every = range(len(made.states))
-        grown = [made.grown(self.integrator, self.wanted, k) for k in every]
-        worst = max(every, key=lambda k: grown[k].excess)
+        growths = [made.growth(self.integrator, self.wanted, k) for k in every]
+        worst = max(every, key=lambda k: growths[k].excess)
         state = made.states[worst]
-        motion = parts(made.model, state, self.wanted)
+        motion = linear_motion(made.model, state, self.wanted)
         matrix = step_map(made.model, state, self.integrator, self.wanted)
-        if motion is None or matrix is None or grown[worst].stable:
+        if motion is None or matrix is None or growths[worst].stable:
             return None
-        shares = motion.shares(self.integrator, self.wanted, matrix, grown[worst].value)
-        have = {figure.key for figure in group}
-        for key in sorted(shares, key=lambda key: -shares[key]):
-            if shares[key] > 0.1 and key in self.elements and key not in have:
-                possible = change in CHANGES.get(key.kind, ())
-                return self.elements[key] if possible else None
+        value = growths[worst].value
+        shares = step_shares(motion, self.integrator, self.wanted, matrix, value)
+        have = {limits.element for limits in group}
+        for element in sorted(shares, key=lambda element: -shares[element]):
+            if shares[element] > 0.1 and element in self.elements and element not in have:
+                possible = change in CHANGES.get(element.kind, ())
+                return self.elements[element] if possible else None
         return None
 
-    def _missed(
-        self, change: Change, group: Sequence[ElementLimits], after: ElementLimits | None
-    ) -> Advice:
-        names = " and ".join(figure.key.label for figure in group)
-        text = f"{change.what} of {names} alone does not meet it"
-        return Advice(change.what, (), {}, False, text)
+
+def _not_enough(change: Change, group: Sequence[ElementLimits]) -> Advice:
+    names = " and ".join(limits.name for limits in group)
+    return Advice(change.what, (), {}, False, f"change {change.what} of {names} alone")

@@ -1,8 +1,8 @@
-"""What can be changed of an element so that a larger dt is stable.
+"""Ways to change an element so that a larger dt is stable.
 
 A change has one number x: a gain is multiplied by x, an armature grows by x times the inertia that
-the element moves, a damping by x times its critical one, a solref becomes slower by 1/x. It is
-made on a copy of the scene, with values rounded to three digits on the side of more change.
+the element moves, a damping by x times the critical one, a solref becomes slower by 1/x. It is made
+on a copy of the scene; values are rounded to three digits, towards more change.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ DIGITS = 3
 
 @dataclass(frozen=True)
 class Change:
-    """A way to change elements. xs: the values of x to try, from little change to much."""
+    """A way to change elements. xs: the values of x to try, from little change to large."""
 
     what: str
     xs: tuple[float, ...]
@@ -44,7 +44,7 @@ ARMATURE, DAMPING, SOLREF = _more("armature"), _more("more damping"), _less("sol
 CHANGES: dict[str, tuple[Change, ...]] = {
     "spring": (_less("stiffness"), ARMATURE, DAMPING),
     "damper": (_less("damping"), ARMATURE),
-    "servo": (_less("kp"), _less("kv"), GAINS, ARMATURE, DAMPING),
+    "actuator": (_less("kp"), _less("kv"), GAINS, ARMATURE, DAMPING),
     "contact": (SOLREF,),
     "limit": (SOLREF,),
     "friction loss": (SOLREF,),
@@ -53,10 +53,14 @@ CHANGES: dict[str, tuple[Change, ...]] = {
 
 
 @dataclass(frozen=True)
-class Value:
-    """What one field of one element is, and what it would be."""
+class NewValue:
+    """A value of the scene before and after a change.
 
-    element: str
+    owner: the name of the element that has it, such as "servo `elbow`". field: which of its fields,
+    as in `Scene`. before, after: the numbers, in `unit`.
+    """
+
+    owner: str
     field: str
     before: tuple[float, ...]
     after: tuple[float, ...]
@@ -64,21 +68,21 @@ class Value:
 
     @property
     def text(self) -> str:
-        """As a report tells it."""
+        """The change in words."""
         old, new = (" ".join(f"{x:.6g}" for x in side) for side in (self.before, self.after))
         unit = f" {self.unit}" if self.unit else ""
-        return f"{self.field} of {self.element} {old} → {new}{unit}"
+        return f"change {self.field} of {self.owner} from {old} to {new}{unit}"
 
 
 def changed(
     model: Model, elements: Sequence[ElementLimits], change: Change, x: float
-) -> tuple[Scene, list[Value]]:
-    """A copy of the model's scene with `change` made to some elements, and what is new in it."""
+) -> tuple[Scene, list[NewValue]]:
+    """A copy of the model's scene with `change` made to some elements, and its new values."""
     scene = copy.deepcopy(model.scene)
     layout = Layout(scene)
-    values: list[Value] = []
+    values: list[NewValue] = []
     for element in elements:
-        if change not in CHANGES.get(element.key.kind, ()):
+        if change not in CHANGES.get(element.element.kind, ()):
             continue
         if change is SOLREF:
             values += _softer(model, layout, element, x)
@@ -90,12 +94,12 @@ def changed(
     return scene, values
 
 
-def _scaled(layout: Layout, element: ElementLimits, field: str, x: float) -> list[Value]:
+def _scaled(layout: Layout, element: ElementLimits, field: str, x: float) -> list[NewValue]:
     """A gain of the element times x."""
     joint = _joint(layout, element)
     owner: Joint | Actuator = joint
-    if element.key.kind == "servo":
-        owner = layout.scene.actuators[element.key.index[0]]
+    if element.element.kind == "actuator":
+        owner = layout.scene.actuators[element.element.index]
         if owner.type == "general":
             return _general(owner, element, field, x)
         if field == "kv" and owner.dampratio:
@@ -110,10 +114,10 @@ def _scaled(layout: Layout, element: ElementLimits, field: str, x: float) -> lis
         return []
     new = rounded(old * x, up=False)
     setattr(owner, field, new)
-    return [Value(element.key.label, field, (old,), (new,), _unit(field, joint))]
+    return [NewValue(element.name, field, (old,), (new,), _unit(field, joint))]
 
 
-def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> list[Value]:
+def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> list[NewValue]:
     """The feedback of a general actuator: biasprm[1], with its gain, or biasprm[2]."""
     bias = servo.biasprm or (0.0, 0.0, 0.0)
     at = 1 if field == "kp" else 2
@@ -128,12 +132,12 @@ def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> l
     else:
         after = (bias[0], bias[1], new)
     servo.biasprm = after
-    return [Value(element.key.label, "biasprm", bias, after)]
+    return [NewValue(element.name, "biasprm", bias, after)]
 
 
 def _added(
     model: Model, layout: Layout, element: ElementLimits, change: Change, x: float
-) -> list[Value]:
+) -> list[NewValue]:
     """Armature or damping on the element's joint, beside the mass that it moves."""
     joint = _joint(layout, element)
     if change is DAMPING and element.omega == 0:
@@ -145,35 +149,35 @@ def _added(
     more = x * mass if change is ARMATURE else x * 2 * mass * element.omega
     new = rounded(old + more, up=True)
     setattr(joint, field, new)
-    name = joint.name or f"joint {layout.joints.index(joint)}"
-    return [Value(f'joint "{name}"', field, (old,), (new,), _unit(field, joint))]
+    owner = model.element_name("joint", layout.joints.index(joint))
+    return [NewValue(owner, field, (old,), (new,), _unit(field, joint))]
 
 
-def _softer(model: Model, layout: Layout, element: ElementLimits, x: float) -> list[Value]:
+def _softer(model: Model, layout: Layout, element: ElementLimits, x: float) -> list[NewValue]:
     """A solref slower by 1/x: tc / x, or in direct form stiffness x² and damping x."""
-    key, scene = element.key, layout.scene
-    old = solref_of(model, Layout(model.scene), key)
+    kind, index = element.element.kind, element.element.index
+    old = solref_of(model, Layout(model.scene), element.element)
     if old is None:
         return []
     if old[0] > 0:
         new = (rounded(old[0] / x, up=True), old[1])
     else:
         new = (-rounded(-old[0] * x * x, up=False), -rounded(-old[1] * x, up=False))
-    if key.kind == "contact":
-        for geom in key.index:
+    if kind == "contact":
+        for geom in model.pair_geoms[index]:
             layout.geoms[geom].solref = new
-        return [Value("both geoms of " + key.label, "solref", old, new)]
-    if key.kind == "connect":
-        scene.equalities[key.index[0]].solref = new
-        return [Value(key.label, "solref", old, new)]
-    field = "solreflimit" if key.kind == "limit" else "solreffriction"
-    setattr(layout.joints[key.index[0]], field, new)
-    return [Value(key.label, field, old, new)]
+        return [NewValue(f"both geoms of {element.name}", "solref", old, new)]
+    if kind == "connect":
+        layout.scene.equalities[index].solref = new
+        return [NewValue(element.name, "solref", old, new)]
+    field = "solreflimit" if kind == "limit" else "solreffriction"
+    setattr(layout.joints[index], field, new)
+    return [NewValue(element.name, field, old, new)]
 
 
 def _joint(layout: Layout, element: ElementLimits) -> Joint:
-    index = element.key.index[0]
-    if element.key.kind == "servo":
+    index = element.element.index
+    if element.element.kind == "actuator":
         return layout.scene.actuators[index].joint
     return layout.joints[index]
 
@@ -183,7 +187,7 @@ def _unit(field: str, joint: Joint) -> str:
 
 
 def rounded(value: float, *, up: bool) -> float:
-    """A number >= 0 with three digits, not above (or below) the one given.
+    """A number >= 0 rounded to three digits, upwards or downwards.
 
     >>> rounded(1234.5, up=False), rounded(0.0012341, up=True)
     (1230.0, 0.00124)
@@ -192,7 +196,7 @@ def rounded(value: float, *, up: bool) -> float:
         return 0.0
     place = math.floor(math.log10(value)) - DIGITS + 1
     count = value / 10.0**place
-    # What has three digits already stays as it is.
+    # A number that has three digits already stays as it is.
     whole = round(count)
     if not math.isclose(count, whole, rel_tol=1e-9):
         whole = math.ceil(count) if up else math.floor(count)

@@ -1,9 +1,8 @@
-"""A bound on dt from the elements' own frequencies, without a step: what `load` can afford.
+"""A bound on dt from the elements' own frequencies, without a step: cheap enough for `load`.
 
-ω² of a spring on its dof is at least that of the element alone, k·w with w the dof's entry of
-M⁻¹'s diagonal at qpos0, and all springs together have at most the sum of theirs (the trace of
-M⁻¹K). Rows in direct form, or without `refsafe`, are as stiff as their solref says, whatever the
-mass.
+ω² of a spring on its dof is at least that of the element on its own, k·w with w the dof's entry of
+M⁻¹'s diagonal at qpos0; all springs together have at most the sum of theirs (the trace of M⁻¹K).
+Rows in direct form, or without `refsafe`, are as stiff as their solref says, whatever the mass.
 """
 
 from __future__ import annotations
@@ -13,9 +12,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.element_forces import ElementForces, Key
-from stepcore.measure.diagnosis.oscillator import oscillator
-from stepcore.measure.diagnosis.solref import may_limit, softened_beyond, solref_of
+from stepcore.measure.diagnosis.element import Element
+from stepcore.measure.diagnosis.oscillator import oscillator_dt
+from stepcore.measure.diagnosis.solref import may_limit_dt, softened_from, solref_of
 from stepcore.scene.layout import DOFS, Layout
 
 # The most pairs of geoms that are looked at.
@@ -24,133 +23,131 @@ MOST_PAIRS = 1000
 
 @dataclass(frozen=True)
 class Bound:
-    """dt [s]: a step that is stable whatever the elements do together; alone: a step beyond which
-    the stiffest one is not stable, key: which."""
+    """dt [s]: a step that is stable whatever the elements do together. alone [s]: a step beyond
+    which the stiffest element is unstable on its own; element: which one that is."""
 
     dt: float
     alone: float
-    key: Key | None
+    element: Element | None
 
 
 @dataclass(frozen=True)
-class _Element:
-    """ω² [1/s²] and damping rates [1/s]. tree: the body at the root; -1 for a row, which asks for
-    an acceleration whatever else acts."""
+class _Oscillator:
+    """ω² [1/s²] and damping rates [1/s] of an element as an integrator treats them.
 
-    key: Key
+    tree: the body at the root of its tree; -1 for a row, whose acceleration is the same whatever
+    else acts.
+    """
+
+    element: Element
     tree: int
     square: float
     explicit: float
     implicit: float = 0.0
 
 
-def closed_form(model: Model, integrator: str | None = None) -> Bound:
+def closed_form_bound(model: Model, integrator: str | None = None) -> Bound:
     """The bound under an integrator (default: the model's own)."""
     integrator = integrator or model.settings.integrator
-    layout, elements = Layout(model.scene), ElementForces(model)
-    joints = [*_springs(elements, integrator), *_servos(elements, integrator)]
+    joints = [*_springs(model, integrator), *_servos(model, integrator)]
     safe = alone = math.inf
     stiffest = None
-    for one in [*joints, *_rows(elements, layout), *_penalties(model)]:
-        limit = oscillator(math.sqrt(one.square), one.explicit, one.implicit, integrator)
+    for one in [*joints, *_rows(model), *_penalties(model)]:
+        limit = oscillator_dt(math.sqrt(one.square), one.explicit, one.implicit, integrator)
         if limit < alone:
-            alone, stiffest = limit, one.key
+            alone, stiffest = limit, one.element
         if one.tree < 0:
             safe = min(safe, limit)
     for tree in {one.tree for one in joints}:
         own = [one for one in joints if one.tree == tree]
         square, explicit = sum(one.square for one in own), sum(one.explicit for one in own)
-        safe = min(safe, oscillator(math.sqrt(square), explicit, 0.0, integrator))
+        safe = min(safe, oscillator_dt(math.sqrt(square), explicit, 0.0, integrator))
     return Bound(safe, alone, stiffest)
 
 
-def _springs(elements: ElementForces, integrator: str) -> Iterator[_Element]:
-    model = elements.model
-    for j in range(model.njnt):
+def _springs(model: Model, integrator: str) -> Iterator[_Oscillator]:
+    features = model.scene.features
+    for j, joint in enumerate(Layout(model.scene).joints):
         weight, tree = _weight(model, j), _root(model, int(model.jnt_body[j]))
-        rate = elements.damping[j] * weight
-        hidden = damper_is_implicit(model, integrator)
-        if elements.stiffness[j] > 0:
-            key = Key("spring", (j,), elements.joints[j])
-            yield _Element(key, tree, elements.stiffness[j] * weight, 0.0, rate * hidden)
-        if rate > 0 and not hidden:
-            yield _Element(Key("damper", (j,), elements.joints[j]), tree, 0.0, rate)
+        rate = joint.damping * weight if features.damper else 0.0
+        implicit = damper_is_implicit(model, integrator)
+        if features.spring and joint.stiffness > 0:
+            square = joint.stiffness * weight
+            yield _Oscillator(Element.of(model, "spring", j), tree, square, 0.0, rate * implicit)
+        if rate > 0 and not implicit:
+            yield _Oscillator(Element.of(model, "damper", j), tree, 0.0, rate)
 
 
-def _servos(elements: ElementForces, integrator: str) -> Iterator[_Element]:
-    model = elements.model
-    for i in elements.servos:
+def _servos(model: Model, integrator: str) -> Iterator[_Oscillator]:
+    features, joints = model.scene.features, Layout(model.scene).joints
+    for i in range(model.nu if features.actuation else 0):
         joint = int(model.actuator_joint[i])
         weight, tree = _weight(model, joint), _root(model, int(model.jnt_body[joint]))
-        stiffness, damping = gains(model, i)
+        stiffness, damping = _gains(model, i)
         rate = damping * weight
-        own = elements.damping[joint] * weight * damper_is_implicit(model, integrator)
-        hidden = integrator == "implicitfast"
+        own = joints[joint].damping * weight if features.damper else 0.0
+        own *= damper_is_implicit(model, integrator)
+        implicit = integrator == "implicitfast"
         if stiffness > 0 or rate > 0:
-            key = Key("servo", (i,), elements.actuators[i])
             # A servo that pushes away from its target grows physically, at any dt.
-            square = max(stiffness, 0.0) * weight
-            yield _Element(key, tree, square, rate * (not hidden), own + rate * hidden)
+            square, element = max(stiffness, 0.0) * weight, Element.of(model, "actuator", i)
+            yield _Oscillator(element, tree, square, rate * (not implicit), own + rate * implicit)
 
 
-def gains(model: Model, actuator: int) -> tuple[float, float]:
+def _gains(model: Model, actuator: int) -> tuple[float, float]:
     """Stiffness and damping that a servo gives its joint [N·m/rad, N·m·s/rad; N/m, N·s/m]."""
     square = float(model.actuator_gear[actuator, 0]) ** 2
     _, length, velocity = model.actuator_bias[actuator].tolist()
     return -square * length, -square * velocity
 
 
-def _rows(elements: ElementForces, layout: Layout) -> Iterator[_Element]:
+def _rows(model: Model) -> Iterator[_Oscillator]:
     """Limits, connects, friction losses and contacts that nothing softens with dt."""
-    model = elements.model
-    features = model.scene.features
-    if not features.constraint:
-        return
-    keys = [key for key in elements.rows.values() if _exists(layout, key)]
-    refsafe = model.settings.refsafe
-    hard = [may_limit(geom.solref, refsafe) for geom in layout.geoms]
-    pairs = model.core.pairs() if any(hard) else []
-    found = [(a, b) for a, b in pairs if hard[a] or hard[b]][:MOST_PAIRS]
-    keys += [Key("contact", (a, b), _pair(model, a, b)) for a, b in found]
-    for key in keys:
-        solref = solref_of(model, layout, key)
+    layout = Layout(model.scene)
+    for element in _row_elements(model, layout):
+        solref = solref_of(model, layout, element)
         if solref is None:
             continue
         if solref[0] > 0:
             square, rate = 1 / (solref[0] * solref[1]) ** 2, 2 / solref[0]
-            if softened_beyond(model, layout, key) < oscillator(
-                math.sqrt(square), rate, 0.0, model.settings.integrator
-            ):
+            limit = oscillator_dt(math.sqrt(square), rate, 0.0, model.settings.integrator)
+            if softened_from(model, layout, element) < limit:
                 continue
         else:
             square, rate = -solref[0], -solref[1]
-        if key.kind == "friction loss":
+        if element.kind == "friction loss":
             square = 0.0
-        yield _Element(key, -1, max(square, 0.0), max(rate, 0.0))
+        yield _Oscillator(element, -1, max(square, 0.0), max(rate, 0.0))
 
 
-def _penalties(model: Model) -> Iterator[_Element]:
+def _row_elements(model: Model, layout: Layout) -> Iterator[Element]:
+    """The elements that have rows, contacts only where their solref may limit dt."""
+    features, settings = model.scene.features, model.settings
+    if not features.constraint:
+        return
+    for j, joint in enumerate(layout.joints):
+        if features.limit and joint.range is not None:
+            yield Element.of(model, "limit", j)
+        if features.frictionloss and joint.frictionloss > 0:
+            yield Element.of(model, "friction loss", j)
+    for e, equality in enumerate(model.scene.equalities):
+        if features.equality and equality.active:
+            yield Element.of(model, "connect", e)
+    if settings.law == "solref":
+        solrefs = enumerate(model.pair_solref.tolist())
+        hard = [pair for pair, solref in solrefs if may_limit_dt(solref, settings.refsafe)]
+        for pair in hard[:MOST_PAIRS]:
+            yield Element.of(model, "contact", pair)
+
+
+def _penalties(model: Model) -> Iterator[_Oscillator]:
     """The spring of a contact under the law `penalty`, on the masses of both bodies."""
     s = model.settings
-    for a, b in model.core.pairs()[:MOST_PAIRS] if s.law == "penalty" else ():
-        bodies = [int(model.geom_body[geom]) for geom in (a, b)]
-        square = s.penalty_stiffness * float(model.body_invweight0[bodies, 0].sum())
+    weights = model.pair_invweight0[:MOST_PAIRS] if s.law == "penalty" else ()
+    for pair, weight in enumerate(weights):
+        square = s.penalty_stiffness * float(weight)
         rate = 2 * s.penalty_damping_ratio * math.sqrt(square)
-        yield _Element(Key("contact", (a, b), _pair(model, a, b)), -1, square, rate)
-
-
-def _exists(layout: Layout, key: Key) -> bool:
-    features = layout.scene.features
-    index = key.index[0]
-    if key.kind == "limit":
-        return features.limit and layout.joints[index].range is not None
-    if key.kind == "friction loss":
-        return features.frictionloss and layout.joints[index].frictionloss > 0
-    return features.equality and layout.scene.equalities[index].active
-
-
-def _pair(model: Model, a: int, b: int) -> str:
-    return "/".join(model.geom_names[geom] or f"#{geom}" for geom in (a, b))
+        yield _Oscillator(Element.of(model, "contact", pair), -1, square, rate)
 
 
 def damper_is_implicit(model: Model, integrator: str) -> bool:

@@ -1,13 +1,14 @@
 """The linearised step of the midpoint rule without rows, from one linearised acceleration.
 
-With h = dt/2, v_m = (v + v⁺)/2 and q_m = q ⊕ h v_m the step is v⁺ = v + dt a(q_m, v_m),
+With h = dt/2, v_m = (v + v⁺)/2 and q_m = q ⊕ h v_m, the step is v⁺ = v + dt a(q_m, v_m),
 q⁺ = q ⊕ dt v_m. Its derivative is the solution of one linear system,
 
-    (1 - h² a_q T - h a_v) δv_m = δv + h a_q E δq,
+    (1 − h² a_q T − h a_v) δv_m = δv + h a_q E δq,
 
-with a_q and a_v those of the acceleration at (q_m, v_m), and q ⊕ h v moved by E δq + h T δv: both
-are 1 but for rotations, whose T is the right Jacobian of SO(3). `Sim.linearize` iterates, and takes
-the longer the nearer the step is to where the iteration ends to converge.
+where a_q and a_v are the derivatives of the acceleration at (q_m, v_m), and q ⊕ h v moves by
+E δq + h T δv. E and T are 1 except for rotations, whose T is the right Jacobian of SO(3).
+`Sim.linearize` iterates instead, for longer the nearer the step is to where the iteration no
+longer converges.
 """
 
 from __future__ import annotations
@@ -20,17 +21,15 @@ import numpy as np
 from stepcore.engine.arrays import Floats
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Coordinates
-from stepcore.measure.diagnosis.element_forces import cross_matrix
 
-# The step from which the acceleration's derivative is read [s]: of an explicit step, which is
-# linear in dt.
+# The explicit step, linear in dt, from which the acceleration's derivative is read [s].
 SHORT = 1e-7
 
 
 def midpoint_map(sim: Sim) -> Floats:
     """A of the midpoint step of a Sim without rows, shape (2 nv, 2 nv).
 
-    SimulationError where the iteration does not converge.
+    Raises SimulationError where the iteration of the step does not converge.
     """
     n, h = sim.model.nv, sim.settings.dt / 2
     dofs = Coordinates(sim.model)
@@ -41,10 +40,10 @@ def midpoint_map(sim: Sim) -> Floats:
     middle = _at(sim, dofs.moved(qpos, h * mean), mean, integrator="explicit", dt=SHORT)
     slopes = (middle.linearize().A - np.eye(2 * n))[n:] / SHORT
     by_position, by_velocity = slopes[:, :n], slopes[:, n:]
-    turn, gain = _moving(dofs, h * mean)
+    turn, gain = _displacement_maps(dofs, h * mean)
     system = np.eye(n) - h * h * by_position @ gain - h * by_velocity
     mean_by = np.linalg.solve(system, np.hstack([h * by_position @ turn, np.eye(n)]))
-    turn, gain = _moving(dofs, 2 * h * mean)
+    turn, gain = _displacement_maps(dofs, 2 * h * mean)
     whole = np.vstack([2 * h * gain @ mean_by, 2 * mean_by])
     whole[:n, :n] += turn
     whole[n:, n:] -= np.eye(n)
@@ -53,13 +52,13 @@ def midpoint_map(sim: Sim) -> Floats:
 
 def _at(sim: Sim, qpos: Floats, qvel: Floats, **settings: Any) -> Sim:
     """A Sim of the same model and controls in this state."""
-    found = Sim(sim.model.with_settings(**settings))
-    found.qpos[:], found.qvel[:], found.ctrl[:] = qpos, qvel, sim.ctrl
-    return found
+    moved = Sim(sim.model.with_settings(**settings))
+    moved.qpos[:], moved.qvel[:], moved.ctrl[:] = qpos, qvel, sim.ctrl
+    return moved
 
 
-def _moving(dofs: Coordinates, change: Floats) -> tuple[Floats, Floats]:
-    """How q ⊕ change moves with q and with the change, shape (nv, nv) each."""
+def _displacement_maps(dofs: Coordinates, change: Floats) -> tuple[Floats, Floats]:
+    """E and T: the derivatives of q ⊕ change by q and by the change, shape (nv, nv) each."""
     turn, gain = np.eye(dofs.nv), np.eye(dofs.nv)
     for kind, _, first, _ in dofs.joints:
         if kind not in ("free", "ball"):
@@ -68,7 +67,7 @@ def _moving(dofs: Coordinates, change: Floats) -> tuple[Floats, Floats]:
         at = slice(start, start + 3)
         axis = cross_matrix(change[at])
         square = axis @ axis
-        # sin x / x, (1 - cos x) / x² and (1 - sin x / x) / x², without a difference of equals.
+        # sin x / x, (1 - cos x) / x² and (1 - sin x / x) / x², without a difference of near-equals.
         x = float(np.linalg.norm(change[at]))
         half = _sinc(x / 2)
         third = 1 / 6 - x * x / 120 if x < 1e-2 else (1 - _sinc(x)) / (x * x)
@@ -79,3 +78,9 @@ def _moving(dofs: Coordinates, change: Floats) -> tuple[Floats, Floats]:
 
 def _sinc(x: float) -> float:
     return math.sin(x) / x if x else 1.0
+
+
+def cross_matrix(v: Floats) -> Floats:
+    """The matrix of v × ·, shape (3, 3)."""
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

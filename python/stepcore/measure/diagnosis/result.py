@@ -1,20 +1,21 @@
-"""`Diagnosis`: what `diagnose` found."""
+"""`Diagnosis`: the largest stable dt by integrator, and the elements that limit it."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.engine.linear_maps import INTEGRATORS
-from stepcore.measure.diagnosis import sentences
+from stepcore.experiment.motion import Motion
 from stepcore.measure.diagnosis.advice import Advice
 from stepcore.measure.diagnosis.dt_limits import Limit
-from stepcore.measure.diagnosis.element_forces import INERTIAL
+from stepcore.measure.diagnosis.element import INERTIAL, Element
 from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.linear_step import State
+from stepcore.measure.diagnosis.sentences import sentences
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 
@@ -23,32 +24,44 @@ DT = "largest stable dt [s]"
 
 @dataclass(eq=False, repr=False)
 class Diagnosis(Result):
-    """Which element limits the time step of one scene; made by `stepcore.diagnose`.
+    """Which element limits the time step of a scene; made by `stepcore.diagnose`.
 
-    wanted: the step asked about [s]. horizon [s]: see `diagnose`. states: where the step was
-    linearised. limits: by integrator. shares: by integrator, each element's part in the mode that
-    sets the limit (or in the fastest motion where nothing does). elements: their figures, the
-    stiffest first. advice: ways to the wanted step. physical: the fastest growth of the motion
-    itself [1/s]. rate: growth at the wanted step that the integrator makes [1/s].
+    name: of the scene. settings: of the scene, with rows solved to rounding. motion: see
+    `diagnose`. wanted: the step asked about [s]. states: where the step was linearised. limits: by
+    integrator. element_shares: by integrator, each element's share in the mode that sets the
+    limit, or in the fastest motion where nothing does. rows: the elements on their own, the
+    stiffest first. advice: ways to make the wanted step stable. physical: the fastest growth of
+    the motion itself [1/s]. rate: growth at the wanted step that the integrator causes [1/s], None
+    where the step is stable.
     """
 
     kind = "diagnosis"
-    units: ClassVar = {"frequency": "Hz", "omega": "rad/s", "rate": "1/s", "softened": "s"} | (
-        dict.fromkeys(INTEGRATORS, "s")
-    )
+    units: ClassVar[Mapping[str, str]] = {
+        "frequency": "Hz",
+        "omega": "rad/s",
+        "ratio": "1",
+        "rate": "1/s",
+        "share": "1",
+        "softened": "s",
+    }
 
     name: str
     settings: Settings
+    motion: Motion
     wanted: float
-    horizon: float
     states: list[State]
     limits: dict[str, Limit]
-    shares: dict[str, dict[str, float]]
-    elements: list[ElementLimits]
+    element_shares: dict[str, dict[Element, float]]
+    rows: list[ElementLimits]
     advice: list[Advice] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     physical: float = 0.0
     rate: float | None = None
+
+    @property
+    def horizon(self) -> float:
+        """Length of the motion [s], over which undamped growth counts."""
+        return self.motion.horizon or 0.0
 
     @property
     def title(self) -> str:
@@ -56,26 +69,39 @@ class Diagnosis(Result):
         return f"{self.name}: what limits the time step"
 
     def limit(self, integrator: str | None = None) -> float:
-        """The largest stable dt [s] under an integrator (default: the scene's); inf: nothing
-        limits it, 0: no step is stable."""
+        """The largest stable dt [s] under an integrator (default: the scene's).
+
+        inf where nothing limits it, 0 where no step is stable. An integrator that was not
+        diagnosed is a ValueError.
+        """
         return self.limits[self._known(integrator)].dt
 
     def stiffest(self, integrator: str | None = None) -> str:
-        """The element with the largest share in the mode that sets the limit, by name.
+        """The name of the element that limits dt under an integrator (default: the scene's).
 
-        Where nothing limits dt: in the fastest motion. "" where no element has a part in it.
+        It has the largest share in the mode that sets the limit; where nothing limits dt, in the
+        fastest motion. "" where no element has a share in it.
         """
-        name = self._known(integrator)
-        shares = dict(self.shares[name])
-        if math.isinf(self.limits[name].dt):
-            shares.pop(INERTIAL.label, None)
+        element = self._stiffest(self._known(integrator))
+        return element.name if element else ""
+
+    def limiting(self, integrator: str | None = None) -> ElementLimits | None:
+        """Frequency, damping and limits of the element that `stiffest` names, on its own."""
+        element = self._stiffest(self._known(integrator))
+        return next((row for row in self.rows if row.element == element), None)
+
+    def _stiffest(self, integrator: str) -> Element | None:
+        shares = dict(self.element_shares[integrator])
+        unlimited = math.isinf(self.limits[integrator].dt)
+        if unlimited:
+            shares.pop(INERTIAL, None)
         if any(shares.values()):
-            return max(shares, key=lambda name: shares[name])
+            return max(shares, key=lambda element: shares[element])
         # A row that begins to act within the step has no share at its start.
-        alone = [one for one in self.elements if math.isfinite(one.limits[name])]
-        if math.isinf(self.limits[name].dt) or not alone:
-            return ""
-        return min(alone, key=lambda one: one.limits[name]).key.label
+        alone = [row for row in self.rows if math.isfinite(row.limits[integrator])]
+        if unlimited or not alone:
+            return None
+        return min(alone, key=lambda row: row.limits[integrator]).element
 
     def _known(self, integrator: str | None) -> str:
         name = self.settings.integrator if integrator is None else integrator
@@ -85,78 +111,91 @@ class Diagnosis(Result):
         return name
 
     def element(self, name: str) -> ElementLimits | None:
-        """The figures of an element, by name."""
-        return next((one for one in self.elements if one.key.label == name), None)
+        """An element on its own, by its name; None where no such element acts."""
+        return next((row for row in self.rows if row.name == name), None)
+
+    @property
+    def shares(self) -> dict[str, dict[str, float]]:
+        """`element_shares` by the elements' names."""
+        return {
+            integrator: {element.name: share for element, share in shares.items()}
+            for integrator, shares in self.element_shares.items()
+        }
 
     @property
     def table(self) -> Table:
-        """The elements, stiffest first.
+        """The elements on their own, the stiffest first.
 
         frequency [Hz], omega [rad/s], ratio (damping ratio), rate (its own damping over the mass
-        that it moves [1/s]), share (in the mode that limits the scene's integrator), one column
-        an integrator with the largest stable dt alone [s], softened (the dt [s] from which
-        refsafe softens it), state (at which it is stiffest).
+        that it moves [1/s]), share (in the mode that limits the scene's integrator), the largest
+        stable dt [s] in a column for each integrator, softened (the dt [s] from which refsafe
+        softens it), state (where it is stiffest), kind and index (the element as data).
         """
-        shares = self.shares[self.settings.integrator]
-        return Table((self._record(one, shares) for one in self.elements), columns=self._columns())
+        shares = self.element_shares[self.settings.integrator]
+        return Table((self._record(row, shares) for row in self.rows), columns=self._columns())
 
     def _columns(self) -> list[str]:
         own = self.settings.integrator
-        rest = [name for name in self.limits if name != own]
-        return [
-            *("element", "frequency", "ratio", "share", own, *rest),
-            *("omega", "rate", "softened", "state"),
-        ]
+        others = [name for name in self.limits if name != own]
+        numbers = ("omega", "rate", "softened", "state", "kind", "index")
+        return ["element", "frequency", "ratio", "share", own, *others, *numbers]
 
-    def _record(self, one: ElementLimits, shares: dict[str, float]) -> dict[str, Any]:
+    def _record(self, row: ElementLimits, shares: dict[Element, float]) -> dict[str, Any]:
         record: dict[str, Any] = {
-            "element": one.key.label,
-            "frequency": one.omega / (2 * math.pi),
-            "omega": one.omega,
-            "ratio": None if math.isnan(one.ratio) else one.ratio,
-            "rate": one.rate,
-            "share": shares.get(one.key.label, 0.0),
-            "softened": one.softened if math.isfinite(one.softened) else None,
-            "state": self.states[one.state].label,
+            "element": row.name,
+            "kind": row.element.kind,
+            "index": row.element.index,
+            "frequency": row.omega / (2 * math.pi),
+            "omega": row.omega,
+            "ratio": None if math.isnan(row.ratio) else row.ratio,
+            "rate": row.rate,
+            "share": shares.get(row.element, 0.0),
+            "softened": row.softened if math.isfinite(row.softened) else None,
+            "state": self.states[row.state].label,
         }
-        return record | {name: one.limits[name] for name in self.limits}
+        return record | {name: row.limits[name] for name in self.limits}
 
     @property
     def sentences(self) -> list[str]:
-        """The answer, the advice and the state that decides, in words."""
-        return sentences.sentences(self)
+        """The answer, the advice, and the state that decides."""
+        return list(sentences(self))
 
     def tables(self, full: bool) -> list[Table]:
-        """The elements, each alone, and the limits of all together."""
+        """All elements together by integrator, and each on its own."""
         own = self.settings.integrator
-        # A name is not cut: columns are left out first.
-        formats = {"element": "", "frequency": ".4g", "share": ".2f", "ratio": ".2g"}
-        formats |= dict.fromkeys(self.limits, ".3g")
-        heading = (
-            "Each element alone: frequency [Hz], damping ratio, share in the mode that limits "
-            f"{own}, and the largest stable dt [s] by integrator"
+        together = Table(
+            (self._limit_record(name, limit) for name, limit in self.limits.items()),
+            formats={"share": ".2f", "by": "", DT: ".3g"},
+            heading=f"All elements together (* the scene's integrator, at dt {self.wanted:g} s)",
         )
-        elements = Table(self.table, self._columns(), formats, heading=heading)
-        records = [self._limit_record(name, limit) for name, limit in self.limits.items()]
-        formats = {"share": ".2f", "by": "", DT: ".3g"}
-        limits = Table(records, None, formats, heading="All elements together (* the scene's own)")
-        return [elements, limits] if len(elements) else [limits]
+        # A name is never cut: columns are left out first.
+        formats = {"element": "", "frequency": ".4g", "share": ".2f", "ratio": ".2g"}
+        alone = Table(
+            self.table,
+            columns=[c for c in self._columns() if full or c not in ("kind", "index")],
+            formats=formats | dict.fromkeys(self.limits, ".3g"),
+            heading=(
+                "Each element on its own: frequency [Hz], damping ratio, share in the mode that "
+                f"limits {own}, largest stable dt [s] by integrator"
+            ),
+        )
+        return [together, alone] if self.rows else [together]
 
     def _limit_record(self, name: str, limit: Limit) -> dict[str, Any]:
-        finite = math.isfinite(limit.dt)
+        limited = math.isfinite(limit.dt)
+        shares = self.element_shares[name].values()
         return {
             "integrator": name + (" *" if name == self.settings.integrator else ""),
             DT: limit.dt,
-            "by": self.stiffest(name) if finite else "",
-            "share": max(self.shares[name].values(), default=None) if finite else None,
+            "by": self.stiffest(name) if limited else "",
+            "share": max(shares, default=None) if limited else None,
             "at": self.states[limit.state].label if limit.state >= 0 else "",
         }
 
     def details(self) -> dict[str, Any]:
-        """The limits, the states and the advice; times in seconds."""
+        """The limits with their shares, the states and the advice."""
         return {
             "wanted": self.wanted,
-            "horizon": self.horizon,
             "limits": {
                 name: {
                     "dt": limit.dt,
@@ -164,11 +203,16 @@ class Diagnosis(Result):
                     "stiffest": self.stiffest(name),
                     "state": limit.state,
                     "longest": limit.longest,
-                    "shares": self.shares[name],
+                    "shares": shares,
                 }
-                for name, limit in self.limits.items()
+                for (name, limit), shares in zip(
+                    self.limits.items(), self.shares.values(), strict=True
+                )
             },
-            "states": [{"label": s.label, "time": s.time, "rows": s.rows} for s in self.states],
+            "states": [
+                {"label": s.label, "time": s.time, "rows": [e.name for e in s.rows]}
+                for s in self.states
+            ],
             "advice": self.advice,
             "physical": self.physical,
             "rate": self.rate,

@@ -1,9 +1,9 @@
 """The `solref` of limits, connects, friction losses and contacts, and what `refsafe` does to it.
 
-In standard form (positive) it is a time constant and a damping ratio; `refsafe` keeps the time
-constant at 2 dt or above, so that from dt = tc/2 on the row gets softer as dt grows, and what it
-asks for no longer depends on the scene alone. In direct form (negative) it is a stiffness and a
-damping, which nothing softens.
+In standard form (positive) it is a time constant and a damping ratio. `refsafe` keeps the time
+constant at 2 dt or above, so from dt = tc/2 on the row gets softer as dt grows, and its stiffness
+no longer depends on the scene alone. In direct form (negative) it is a stiffness and a damping,
+which nothing softens.
 """
 
 from __future__ import annotations
@@ -11,61 +11,52 @@ from __future__ import annotations
 import math
 
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.element_forces import Key
-from stepcore.scene.elements import Geom
+from stepcore.measure.diagnosis.element import Element
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 
 
-def solref_of(model: Model, layout: Layout, key: Key) -> Vec | None:
-    """The solref of a soft element; None for one that is not a row of the law `solref`."""
-    law = model.settings.law
-    if key.kind == "limit" and law in ("solref", "penalty"):
-        return layout.joints[key.index[0]].solreflimit
+def solref_of(model: Model, layout: Layout, element: Element) -> Vec | None:
+    """The solref of an element; None for one that is not a row with a solref under the law."""
+    law, index = model.settings.law, element.index
+    if element.kind == "limit" and law in ("solref", "penalty"):
+        return layout.joints[index].solreflimit
     if law != "solref":
         return None
-    if key.kind == "friction loss":
-        return layout.joints[key.index[0]].solreffriction
-    if key.kind == "connect":
-        return model.scene.equalities[key.index[0]].solref
-    if key.kind == "contact":
-        return mixed(*(layout.geoms[geom] for geom in key.index))
+    if element.kind == "friction loss":
+        return layout.joints[index].solreffriction
+    if element.kind == "connect":
+        return model.scene.equalities[index].solref
+    if element.kind == "contact":
+        return tuple(model.pair_solref[index].tolist())
     return None
 
 
-def mixed(x: Geom, y: Geom) -> Vec:
-    """The solref of two geoms together, as MuJoCo mixes it."""
-    if x.priority != y.priority:
-        return x.solref if x.priority > y.priority else y.solref
-    if x.solref[0] <= 0 or y.solref[0] <= 0:
-        return tuple(min(p, q) for p, q in zip(x.solref, y.solref, strict=True))
-    total = x.solmix + y.solmix
-    share = x.solmix / total if total > 0 else 0.5
-    return tuple(share * p + (1 - share) * q for p, q in zip(x.solref, y.solref, strict=True))
+def may_limit_dt(solref: Vec, refsafe: bool) -> bool:
+    """Whether a row with this solref could limit dt.
 
-
-def may_limit(solref: Vec, refsafe: bool) -> bool:
-    """Whether a row with this solref could limit dt: refsafe keeps those of the standard form
-    stable, h²/(tc ζ)² + 4h/tc < 4 at h = tc/2, where ζ > 1/√8."""
+    refsafe keeps rows of the standard form stable, h²/(tc ζ)² + 4h/tc < 4 at h = tc/2, if
+    ζ > 1/√8.
+    """
     return not refsafe or solref[0] <= 0 or solref[1] < math.sqrt(1 / 8)
 
 
-def softened_beyond(model: Model, layout: Layout, key: Key) -> float:
+def softened_from(model: Model, layout: Layout, element: Element) -> float:
     """The dt [s] from which `refsafe` softens an element; inf where it never does."""
-    solref = solref_of(model, layout, key)
+    solref = solref_of(model, layout, element)
     if solref is None or not model.settings.refsafe or solref[0] <= 0:
         return math.inf
     return solref[0] / 2
 
 
 def first_softened(model: Model) -> float:
-    """The least dt [s] from which `refsafe` softens anything that has a row; inf where nothing."""
-    if model.settings.law not in ("solref", "penalty") or not model.settings.refsafe:
+    """The least dt [s] from which `refsafe` softens any row; inf where it softens none."""
+    law, scene = model.settings.law, model.scene
+    if law not in ("solref", "penalty") or not model.settings.refsafe:
         return math.inf
-    scene = model.scene
     solrefs = [joint.solreflimit for joint in scene.joints if joint.range is not None]
-    solrefs += [joint.solreffriction for joint in scene.joints if joint.frictionloss > 0]
-    solrefs += [equality.solref for equality in scene.equalities]
-    # A mean of two time constants is at least the smaller.
-    solrefs += [geom.solref for geom in scene.geoms]
+    if law == "solref":
+        solrefs += [joint.solreffriction for joint in scene.joints if joint.frictionloss > 0]
+        solrefs += [equality.solref for equality in scene.equalities]
+        solrefs += [tuple(solref) for solref in model.pair_solref.tolist()]
     return min((solref[0] / 2 for solref in solrefs if solref[0] > 0), default=math.inf)

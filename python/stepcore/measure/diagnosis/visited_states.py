@@ -1,7 +1,7 @@
 """The states at which a step is linearised: the start, and some along the user's motion.
 
-Contacts and limits come alive on the way: of every set of rows that acts somewhere along a run at
-a small step one state is kept, and a few more evenly spaced in time.
+Contacts and limits begin to act on the way: for every set of rows that acts somewhere along a run
+at a small step one state is kept, and a few more evenly spaced in time.
 """
 
 from __future__ import annotations
@@ -16,20 +16,23 @@ from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.experiment.probe import Probe
+from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
-from stepcore.measure.diagnosis.linear_step import State, acting, placed
+from stepcore.measure.diagnosis.linear_step import State, sim_at, state_of
 
 # The most states, steps and looks at the rows of one run.
 STATES, STEPS, LOOKS = 8, 20_000, 200
-# So many dofs at all states together, and at least two states.
+# The most dofs at all states together, with at least two states.
 DOFS = 200
-# Part of the motion in which controls that nobody gave come in.
+# The part of the motion over which seeded controls come in.
 EASING = 0.25
 
 
 @dataclass(frozen=True)
 class Visit:
-    """The states, the step [s] at which the run was made, and how far it came [s]."""
+    """The states, the step at which the run was made [s], the time it reached [s], and why it
+    ended early."""
 
     states: list[State]
     dt: float
@@ -37,61 +40,61 @@ class Visit:
     failure: str = ""
 
 
-def eased(motion: Schedule, ctrl: Floats) -> Schedule:
-    """The motion with its controls coming in from `ctrl`: a jump would be no motion of the user's,
-    and a stiff servo answers it with a blow."""
-    if motion.ctrl is None:
-        return motion
-    share = np.minimum(1.0, np.arange(motion.periods) / (EASING * motion.periods))[:, None]
-    return replace(motion, ctrl=ctrl + share * (motion.ctrl - ctrl))
+def eased(schedule: Schedule, ctrl: Floats) -> Schedule:
+    """The schedule with its controls coming in from `ctrl`.
+
+    Nobody asked for a jump, and a stiff servo would answer it with a blow.
+    """
+    if schedule.ctrl is None:
+        return schedule
+    share = np.minimum(1.0, np.arange(schedule.periods) / (EASING * schedule.periods))[:, None]
+    return replace(schedule, ctrl=ctrl + share * (schedule.ctrl - ctrl))
 
 
-def start(model: Model, motion: Schedule) -> State:
+def start(model: Model, schedule: Schedule) -> State:
     """Where the motion begins."""
-    first = motion.starts[0]
-    ctrl = np.zeros(model.nu) if motion.ctrl is None else motion.ctrl[0, 0]
-    state = State("the start", 0.0, np.array(first.qpos), np.array(first.qvel), np.array(ctrl))
-    sim = placed(model, state)
+    first = schedule.starts[0]
+    ctrl = np.zeros(model.nu) if schedule.ctrl is None else schedule.ctrl[0, 0]
+    sim = sim_at(model, State("the start", 0.0, first.qpos, first.qvel, ctrl))
     sim.forward()
-    return State(state.label, 0.0, state.qpos, state.qvel, state.ctrl, acting(sim))
+    return state_of(sim, "the start", 0.0)
 
 
-def visited(model: Model, motion: Schedule, safe: float) -> Visit:
-    """States along the motion at a step of at most `safe` [s]; the start first."""
-    first = start(model, motion)
-    each = max(1, math.ceil(motion.period / safe))
-    sim = placed(model, first, integrator="implicitfast", dt=motion.period / each)
-    periods = max(1, min(motion.periods, STEPS // each))
-    look = max(1, periods // LOOKS)
-    seen: list[State] = []
-    failure = ""
-    for period in range(periods):
-        if motion.control is not None:
-            sim.ctrl[:] = motion.control(sim.time, sim)
-        elif motion.ctrl is not None:
-            sim.ctrl[:] = motion.ctrl[0, period]
-        try:
-            # A period longer than all steps there are is cut short.
-            sim.step(min(each, STEPS))
-            if period % look == look - 1 or period == periods - 1:
-                sim.forward()
-                seen.append(_now(sim))
-        except SimulationError as error:
-            failure = str(error)
-            break
-    states = _chosen([first, *seen])
-    return Visit(states, sim.settings.dt, sim.time, failure)
+def visited(model: Model, schedule: Schedule, safe: float) -> Visit:
+    """States along the motion at a step of at most `safe` [s]; the start comes first."""
+    count = max(1, math.ceil(schedule.period / safe))
+    dt = schedule.period / count
+    # A period longer than all the steps that are allowed is cut short.
+    period = min(count, STEPS) * dt
+    periods = max(1, min(schedule.periods, STEPS // count))
+    run = replace(schedule, period=period, periods=periods, every=max(1, periods // LOOKS))
+    runner = Runner(model, run)
+    sim = runner.sim(model.settings.replace(integrator="implicitfast", dt=dt))
+    looks, failure = _Looks(), ""
+    try:
+        runner.follow(sim, 0, [looks])
+        if periods % run.every:
+            looks.sample(sim)
+    except SimulationError as error:
+        failure = str(error)
+    return Visit(_chosen([start(model, schedule), *looks.states]), dt, sim.time, failure)
 
 
-def _now(sim: Sim) -> State:
-    qpos, qvel, ctrl = (np.array(x) for x in (sim.qpos, sim.qvel, sim.ctrl))
-    return State(f"t = {sim.time:.3g} s", sim.time, qpos, qvel, ctrl, acting(sim))
+class _Looks(Probe):
+    """Keeps the states of a run at its samples."""
+
+    def __init__(self) -> None:
+        self.states: list[State] = []
+
+    def sample(self, sim: Sim) -> None:
+        sim.forward()
+        self.states.append(state_of(sim, f"t = {sim.time:.3g} s", sim.time))
 
 
 def _chosen(seen: Sequence[State]) -> list[State]:
     """The first; the last with each set of rows, the largest sets first; then evenly in time.
 
-    Fewer of a large model, whose linearised step takes long.
+    A large model, whose linearised step takes long, has fewer.
     """
     most = max(2, min(STATES, DOFS // len(seen[0].qvel)))
     kept = {0}

@@ -29,12 +29,12 @@ Groups = list[tuple[str, dict[str, float]]]
 
 
 def draw(result: Diagnosis) -> Any:
-    """A group of bars for each element alone, the last group for all of them together.
+    """A group of bars for each element on its own, the last group for all of them together.
 
     A bar with an arrow at the right edge has no limit; the vertical line is the wanted dt.
     """
     names = list(result.limits)
-    groups: Groups = [(one.key.label, one.limits) for one in result.elements[:MOST]]
+    groups: Groups = [(row.name, row.limits) for row in result.rows[:MOST]]
     groups.append(("all together", {name: limit.dt for name, limit in result.limits.items()}))
     figure = new_figure(8.0, 1.9 + 0.62 * len(groups))
     axes = figure.add_subplot()

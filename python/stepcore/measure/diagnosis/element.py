@@ -1,0 +1,51 @@
+"""`Element`: which element of a model a stiffness, a share or a limit belongs to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+
+# Kinds that are rows of the solver (contacts except under the law `penalty`).
+ROWS = ("contact", "limit", "connect", "friction loss")
+
+
+@dataclass(frozen=True, order=True)
+class Element:
+    """One element of a model.
+
+    kind: "spring", "damper", "actuator", "limit", "friction loss", "connect" or "contact" as in
+    `Sim.rows` and `Sim.contacts`, or "spin", the gyroscopic torque of a body. index: of its joint,
+    actuator, equality, pair of geoms or body. name: as `Model.element_name` has it.
+    """
+
+    kind: str
+    index: int
+    name: str = field(compare=False)
+
+    @classmethod
+    def of(cls, model: Model, kind: str, index: int) -> Element:
+        """The element of a kind with its name."""
+        if kind == "spin":
+            return cls(kind, index, f"spin of {model.element_name('body', index)}")
+        return cls(kind, index, model.element_name(kind, index))
+
+
+# What no element accounts for: gravity, Coriolis and centrifugal forces.
+INERTIAL = Element("inertial forces", 0, "inertial forces")
+
+
+def row_elements(sim: Sim) -> Iterator[Element]:
+    """The element of every row of the last solve, in order."""
+    rows = sim.rows
+    names = zip(rows["kind"].tolist(), rows["index"].tolist(), rows["name"].tolist(), strict=True)
+    return (Element(*row) for row in names)
+
+
+def acting_elements(sim: Sim) -> tuple[Element, ...]:
+    """The elements whose rows act: connects and friction losses, limits and contacts that push."""
+    always = ("connect", "friction loss")
+    rows = zip(row_elements(sim), (sim.rows["impulse"] != 0).tolist(), strict=True)
+    return tuple(dict.fromkeys(e for e, pushes in rows if pushes or e.kind in always))

@@ -1,0 +1,193 @@
+"""Whether a model's step is stable at given states, under an integrator and a dt."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from stepcore.engine.model import Model
+from stepcore.measure.diagnosis.growth import (
+    SLOW_TURN,
+    Growth,
+    growth_beyond_motion,
+    step_growth,
+)
+from stepcore.measure.diagnosis.linear_motion import LinearMotion, linear_motion
+from stepcore.measure.diagnosis.linear_step import (
+    VELOCITY_LAWS,
+    State,
+    rates_matrix,
+    state_after,
+    step_map,
+    step_maps,
+    without_rows,
+)
+from stepcore.measure.diagnosis.solref import first_softened
+
+# The shortest step tried, in units of the fastest time of the motion.
+SHORTEST = 1e-4
+# An eigenvalue of this size is an explosion whatever the motion does.
+CLEAR = 1.5
+# How many shorter steps show what the motion does within one.
+SHORTER = 4
+# Steps that a row may take to begin to act; steps after which a row that refsafe softens, to a
+# time constant of 2 dt, is at rest.
+MEETINGS, SETTLING = 3, 30
+
+
+@dataclass(frozen=True)
+class StepStability:
+    """A model at the states at which its step is linearised.
+
+    rates: the eigenvalues of J at each state [1/s]. horizon [s]: see `growth`. softened: the least
+    dt from which `refsafe` softens a row [s].
+    """
+
+    model: Model
+    states: Sequence[State]
+    rates: Sequence[Any]
+    horizon: float
+    softened: float
+    _motions: dict[int, LinearMotion | None] = field(
+        default_factory=dict, repr=False, compare=False
+    )
+    _seen: dict[tuple[str, float, int], tuple[State, Growth]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
+
+    def motion(self, state: State, dt: float | None = None) -> LinearMotion | None:
+        """The linearised motion at a state; None where its accelerations are not finite.
+
+        dt: rows as soft as they are at this step [s]; None: as the scene asks.
+        """
+        as_asked = dt is None or not (self._softened(state, dt) or self._on_velocities(state))
+        index = next((k for k, own in enumerate(self.states) if own is state), None)
+        if not as_asked or index is None:
+            return linear_motion(self.model, state, dt)
+        if index not in self._motions:
+            self._motions[index] = linear_motion(self.model, state, None)
+        return self._motions[index]
+
+    def stable(self, integrator: str, dt: float) -> bool:
+        """Whether a step is stable at every state."""
+        return all(self.growth(integrator, dt, k).stable for k in range(len(self.states)))
+
+    def growth(self, integrator: str, dt: float, state: int) -> Growth:
+        """The worst growth of a step at one state."""
+        return self.growth_where_seen(integrator, dt, state)[1]
+
+    def growth_where_seen(self, integrator: str, dt: float, state: int) -> tuple[State, Growth]:
+        """The worst growth of a step at one state, and the state where it was seen.
+
+        Rows that begin to act within the step are looked at once they act: to meet them is no
+        growth. Rows that `refsafe` softens with dt come to rest elsewhere: where they seem
+        unstable they are looked at again after some steps of this dt.
+        """
+        at = (integrator, dt, state)
+        if at not in self._seen:
+            self._seen[at] = self._find_growth(integrator, dt, state)
+        return self._seen[at]
+
+    def _find_growth(self, integrator: str, dt: float, state: int) -> tuple[State, Growth]:
+        here = self.states[state]
+        growth = self._growth_at(integrator, dt, here, self.rates[state])
+        for _ in range(MEETINGS):
+            after = None if growth.stable else state_after(self.model, here, integrator, dt, 1)
+            if after is None or after[1] <= set(here.rows):
+                break
+            here, growth = after[0], self._growth_at(integrator, dt, after[0])
+        if growth.stable or not self._softened(here, dt):
+            return here, growth
+        rest = state_after(self.model, here, integrator, dt, SETTLING)
+        if rest is None:
+            return here, growth
+        return rest[0], self._growth_at(integrator, dt, rest[0])
+
+    def _growth_at(self, integrator: str, dt: float, state: State, rates: Any = None) -> Growth:
+        """The worst growth at a state; rates: those of the motion there [1/s], if known."""
+        model = self.model_at(state)
+        matrix = step_map(model, state, integrator, dt)
+        softened = self._softened(state, dt)
+        if softened or rates is None:
+            # Of rows as soft as they are at this dt.
+            own = rates_matrix(model, state, dt if softened else None)
+            if own is not None:
+                rates = np.linalg.eigvals(own)
+        if rates is None:
+            return step_growth(None, dt, np.zeros(1), self.horizon)
+        growth = step_growth(matrix, dt, rates, self.horizon)
+        if growth.stable or abs(growth.value) > CLEAR:
+            return growth
+        if self._on_velocities(state) and abs(cmath.phase(growth.value)) < SLOW_TURN:
+            # What the motion does along its rows is not known from the motion without them.
+            return replace(growth, excess=-math.inf)
+        if self._opens(integrator, dt, state):
+            return replace(growth, excess=-math.inf)
+        # Where the state itself moves within the step, or a row begins or ends to act, the rates
+        # at its start do not decide: the same time in shorter steps does.
+        shorter = step_maps(model, state, integrator, dt, SHORTER)
+        return (
+            growth if shorter is None else growth_beyond_motion(growth, shorter, dt, self.horizon)
+        )
+
+    def _opens(self, integrator: str, dt: float, state: State) -> bool:
+        """Whether a row ends to act within the time of the step, in shorter steps too.
+
+        A map from one side of a switch to the other is no step that could be repeated.
+        """
+        if not state.rows or self._softened(state, dt):
+            return False
+        here = state
+        for _ in range(SHORTER):
+            after = state_after(self.model, here, integrator, dt / SHORTER, 1)
+            if after is None:
+                return False
+            here = after[0]
+            if not set(state.rows) <= set(here.rows):
+                return True
+        return False
+
+    def model_at(self, state: State) -> Model:
+        """The model, without its rows where none acts.
+
+        A row that only begins to act within the step belongs to the states where it acts.
+        """
+        return without_rows(self.model) if self.without_rows(state) else self.model
+
+    def without_rows(self, state: State) -> bool:
+        """Whether no row and no contact acts at a state."""
+        return not state.rows and self.model.settings.law != "penalty"
+
+    def _on_velocities(self, state: State) -> bool:
+        """Whether rows act there that are as stiff as the step is short."""
+        return self.model.settings.law in VELOCITY_LAWS and bool(state.rows)
+
+    def _softened(self, state: State, dt: float) -> bool:
+        """Whether `refsafe` makes rows that act there softer than the scene asks."""
+        return dt > self.softened and bool(state.rows)
+
+    def shortest(self, state: int) -> float:
+        """Where the search for a state's limit begins [s]."""
+        fastest = float(np.abs(self.rates[state]).max(initial=0.0))
+        return SHORTEST / max(fastest, 1.0)
+
+
+def step_stability(model: Model, states: Sequence[State], horizon: float) -> StepStability:
+    """The stability of a model's step at those states where the motion has a derivative.
+
+    Raises ValueError where none of them has one.
+    """
+    kept, rates = [], []
+    for state in states:
+        matrix = rates_matrix(model, state)
+        if matrix is not None:
+            kept.append(state)
+            rates.append(np.linalg.eigvals(matrix))
+    if not kept:
+        raise ValueError("the scene cannot be linearised: its accelerations are not finite")
+    return StepStability(model, kept, rates, horizon, first_softened(model))

@@ -1,0 +1,137 @@
+"""The warning at load: the scene's own dt has a stability margin below 2."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from stepcore._core import Settings
+    from stepcore.engine.model import Model
+    from stepcore.scene.scene import Scene
+
+# The least stability margin, the largest stable dt over the scene's own, without a warning.
+MARGIN = 2.0
+# Growth that counts where nothing damps: e-fold in this time [s].
+HORIZON = 1.0
+# A scene with more joints or geoms is not looked at; the step of one with more dofs is not
+# linearised: the element that is stiffest on its own decides. Each is some milliseconds.
+MOST_JOINTS, MOST_GEOMS, MOST_DOFS = 100, 1000, 12
+
+
+class StiffnessWarning(UserWarning):
+    """A scene's own time step is unstable, or has a stability margin below 2.
+
+    >>> import warnings
+    >>> text = '''<mujoco><option timestep="0.01" integrator="implicitfast"/><worldbody>
+    ... <body><joint name="knee" type="slide" stiffness="1e6"/><geom size=".1" mass="1"/></body>
+    ... </worldbody></mujoco>'''
+    >>> from stepcore import loads
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     _ = loads(text)
+    >>> print(caught[0].message)  # doctest: +NORMALIZE_WHITESPACE
+    dt 10 ms explodes under implicitfast: spring of joint `knee` limits dt to 2 ms
+    (run stepcore diagnose for advice)
+    """
+
+
+def warn_of_stiffness(scene: Scene, stacklevel: int = 3) -> None:
+    """Warns in one line if the scene's own dt has a stability margin below 2.
+
+    stacklevel: as of `warnings.warn`, seen from here. The closed forms of `closed_form_bound`
+    decide first; only where they come near, the step itself is linearised at the first keyframe or
+    qpos0. A scene that does not compile raises no warning: whoever compiles it gets the error.
+    """
+    text = stiffness(scene)
+    if text:
+        warnings.warn(StiffnessWarning(text), stacklevel=stacklevel)
+
+
+def stiffness(scene: Scene) -> str:
+    """The text of the warning; "" if there is nothing to warn of."""
+    if not _may_be_stiff(scene):
+        return ""
+    from stepcore.engine.model import Model
+    from stepcore.measure.diagnosis.closed_form_bound import closed_form_bound
+
+    try:
+        model = Model(scene)
+    except ValueError:
+        return ""
+    enough = MARGIN * model.settings.dt
+    bound = closed_form_bound(model)
+    if bound.dt >= enough:
+        return ""
+    if model.nv <= MOST_DOFS:
+        return _linearised(model)
+    if bound.alone < enough and bound.element is not None:
+        return _text(model.settings, bound.alone, bound.element.name)
+    return ""
+
+
+def _may_be_stiff(scene: Scene) -> bool:
+    """Whether any element could limit dt; if none could, nothing is compiled."""
+    if len(scene.joints) > MOST_JOINTS or len(scene.geoms) > MOST_GEOMS:
+        return False
+    if scene.options.get("law") == "penalty":
+        return True
+    if any(joint.stiffness > 0 or joint.damping > 0 for joint in scene.joints):
+        return True
+    if any(actuator.type != "motor" for actuator in scene.actuators):
+        return True
+    from stepcore.measure.diagnosis.solref import may_limit_dt
+
+    refsafe = scene.options.get("refsafe", True)
+    solrefs = [geom.solref for geom in scene.geoms] + [e.solref for e in scene.equalities]
+    for joint in scene.joints:
+        solrefs += [joint.solreflimit] * (joint.range is not None)
+        solrefs += [joint.solreffriction] * (joint.frictionloss > 0)
+    return any(may_limit_dt(solref, refsafe) for solref in solrefs)
+
+
+def _linearised(model: Model) -> str:
+    """The text from the step itself, linearised at the first keyframe or qpos0."""
+    import numpy as np
+
+    from stepcore.measure.diagnosis.dt_limits import Limit
+    from stepcore.measure.diagnosis.growth import bisected
+    from stepcore.measure.diagnosis.linear_step import State, with_converged_rows
+    from stepcore.measure.diagnosis.shares import limiting_shares
+    from stepcore.measure.diagnosis.step_stability import step_stability
+
+    model = with_converged_rows(model)
+    settings = model.settings
+    state = State("the start", 0.0, model.qpos0, np.zeros(model.nv), np.zeros(model.nu))
+    if model.keys:
+        key = model.keys[0]
+        state = State("the start", 0.0, key.qpos, key.qvel, key.ctrl)
+    try:
+        here = step_stability(model, [state], HORIZON)
+    except ValueError:
+        return ""
+
+    def stable(dt: float) -> bool:
+        return here.stable(settings.integrator, dt)
+
+    near, low = MARGIN * settings.dt, here.shortest(0)
+    if stable(near):
+        return ""
+    while near > low and not stable(near):
+        near /= 2
+    limit = bisected(stable, near, 2 * near, fine=5e-3) if near > low else 0.0
+    shares = limiting_shares(here, Limit(settings.integrator, limit, 0))
+    stiffest = max(shares, key=lambda element: shares[element], default=None)
+    return _text(settings, limit, stiffest.name if stiffest else "a stiff element")
+
+
+def _text(settings: Settings, limit: float, name: str) -> str:
+    """One line: whether dt [s] is unstable or nearly so, and which element limits it."""
+    from stepcore.report.units import seconds, times
+
+    dt, own = settings.dt, f"dt {seconds(settings.dt)}"
+    limits = f"{name} limits dt to {seconds(limit)} (run stepcore diagnose for advice)"
+    if dt > limit:
+        return f"{own} explodes under {settings.integrator}: {limits}"
+    margin = f"a stability margin of only {times(limit / dt)} under {settings.integrator}"
+    return f"{own} has {margin}: {limits}"
