@@ -208,6 +208,7 @@ class Model:
     def _arrays(self) -> dict[str, NDArray[Any]]:
         lists = self._core.addresses().items()
         addresses = {name: np.array(entries, dtype=np.int32) for name, entries in lists}
+        addresses["pair_geoms"] = np.array(self._core.pairs(), dtype=np.int32).reshape(-1, 2)
         return {name: _frozen(array) for name, array in (self._core.tables() | addresses).items()}
 
     qpos0 = ModelArray("Positions in the pose in which the scene is described, shape (nq,).")
@@ -248,6 +249,12 @@ class Model:
         "Range to which each force is clamped before the gear [N or N·m], ±inf without one, "
         "shape (nu, 2)."
     )
+    pair_geoms = ModelArray("The two geoms of each pair that can ever collide, shape (npair, 2).")
+    pair_solref = ModelArray("The solref that the geoms of each pair have together, (npair, 2).")
+    pair_friction = ModelArray("Coefficient of sliding friction of each pair, shape (npair,).")
+    pair_invweight0 = ModelArray(
+        "Sum of both bodies' mean inverse mass of each pair at qpos0 [1/kg], shape (npair,)."
+    )
 
     @functools.cached_property
     def jnt_type(self) -> tuple[str, ...]:
@@ -264,26 +271,6 @@ class Model:
         """Pairs of geoms that can ever collide, by name ("#index" for a geom without one)."""
         names = [name or f"#{i}" for i, name in enumerate(self.geom_names)]
         return tuple((names[a], names[b]) for a, b in self._core.pairs())
-
-    @functools.cached_property
-    def pair_geoms(self) -> Ints:
-        """The two geoms of each pair, in the order of `pairs`, shape (npair, 2)."""
-        return _frozen(np.array(self._core.pairs(), dtype=np.int32).reshape(-1, 2))
-
-    @property
-    def pair_solref(self) -> Floats:
-        """The solref that the two geoms of each pair have together, shape (npair, 2)."""
-        return self._tables["pair_solref"]
-
-    @property
-    def pair_friction(self) -> Floats:
-        """The coefficient of sliding friction of each pair, shape (npair,)."""
-        return self._tables["pair_friction"]
-
-    @property
-    def pair_invweight0(self) -> Floats:
-        """Sum of both bodies' translational `body_invweight0` [1/kg], shape (npair,)."""
-        return self._tables["pair_invweight0"]
 
     @functools.cached_property
     def keys(self) -> tuple[Keyframe, ...]:

@@ -98,8 +98,8 @@ pub(crate) fn taped<R: Real>(
 /// lane: impulses of a step over its length.
 pub(crate) fn element_forces<R: Real>(sim: &Sim<R>, lane: usize) -> BTreeMap<Element, Vec<f64>> {
     let mut tape = Tape::new(lane, sim.model.nv);
-    tape.placed(sim, &sim.state.qvel, 1.0);
-    tape.solved(sim, &sim.state.qvel, 1.0);
+    tape.placed(sim, At::State, 1.0);
+    tape.solved(sim, At::State, 1.0);
     for impulse in tape.impulses.values_mut() {
         impulse.iter_mut().for_each(|x| *x /= sim.clock.seconds);
     }

@@ -1,26 +1,27 @@
-"""One cell of the extremes: a run, its law, and what came out; and the tables they make."""
+"""One cell of the extremes: a run, its law and its outcome; and the tables made of cells."""
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 from stepcore._core import SimulationError
 
 EPS = {"f64": 2.0**-52, "f32": 2.0**-23}
-PRECISIONS = ("f64", "f32")
-STEPS_OF_TIME = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+# The time steps of most tables [s], by the name of their row.
+TIME_STEPS = {f"dt {dt:.0e}": dt for dt in (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)}
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run came to: whether its law held, in a few characters, and which law it was.
+    """The outcome of a run.
 
-    law: "finite" where nothing more was asked than finite numbers. kind: "law" or "error".
-    value: how far from the law, where that is a number.
+    ok: its law held. text: what came out, in a few characters. law: which law it was; "finite"
+    where only finite numbers were asked for. kind: "law" or "error". value: how far it was from the
+    law, where that is a number.
     """
 
     ok: bool
@@ -31,53 +32,67 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Cell:
+class Cell(Outcome):
     """An outcome and its place. table: a title, and the law on a line of its own."""
 
-    table: str
-    row: str
-    column: str
-    precision: str
-    ok: bool
-    text: str
-    law: str
-    kind: str
-    value: float | None
+    table: str = ""
+    row: str = ""
+    column: str = ""
+    precision: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, for --json."""
+        """The cell as plain data."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
 class Case:
-    """A cell still to be run."""
+    """A cell that is still to be run. measure: runs it."""
 
     table: str
     row: str
     column: str
     precision: str
-    go: Callable[[], Outcome]
+    measure: Callable[[], Outcome]
 
     def run(self) -> Cell:
-        """The cell; an error that the run did not ask for is a miss that shows its text."""
+        """The cell; an error that the case did not expect is a miss that shows its text."""
         try:
-            outcome = self.go()
+            outcome = self.measure()
         except (ValueError, SimulationError) as error:
             outcome = Outcome(False, f"error: {error}", "no error", "error")
-        where = (self.table, self.row, self.column, self.precision)
-        return Cell(*where, **asdict(outcome))
+        place = {name: getattr(self, name) for name in ("table", "row", "column", "precision")}
+        return Cell(**asdict(outcome), **place)
+
+
+def table_cases(
+    title: str,
+    law: str,
+    measure: Callable[[Any, Any, str], Outcome],
+    rows: Mapping[str, Any],
+    columns: Mapping[str, Any],
+) -> Iterator[Case]:
+    """The cases of a table, in both precisions.
+
+    measure: of the row's value, the column's value and the precision. rows, columns: the values by
+    the name that the table prints.
+    """
+    for precision in EPS:
+        for row, first in rows.items():
+            for column, second in columns.items():
+                run = partial(measure, first, second, precision)
+                yield Case(f"{title}\n  law: {law}", row, column, precision, run)
 
 
 def within(value: float, bound: float, law: str, word: str = "ok") -> Outcome:
-    """The law holds while `value` is at most `bound`."""
+    """The law that `value` is at most `bound`."""
     ok = math.isfinite(value) and value <= bound
     text = f"{word} {value:.0e}" if ok else f"{value:.1e} > {bound:.0e}"
     return Outcome(ok, text, law, value=value)
 
 
 def all_of(*outcomes: Outcome) -> Outcome:
-    """The first that failed; or the worst of the first one's law, with the names of them all."""
+    """The first outcome that failed; or else the worst of the first law, with all laws' names."""
     for outcome in outcomes:
         if not outcome.ok:
             return outcome
@@ -87,35 +102,32 @@ def all_of(*outcomes: Outcome) -> Outcome:
     return replace(worst, law=law)
 
 
-def named_error(error: SimulationError, among: Iterable[str] | None = None) -> Outcome:
+def named_error(error: SimulationError, kind: str | None = None) -> Outcome:
     """A run beyond its limit ended with an error, which must name an element.
 
-    among: words of which its text must hold one; None: any element's kind and name.
+    kind: of the element that it must name; None: any but gravity.
     """
-    text = str(error)
-    blamed = re.search(r"what drove it is ([^;]*)", text)
-    name = blamed.group(1) if blamed else ""
-    ok = "`" in name if among is None else any(word in name for word in among)
-    short = name.replace("`", "")
-    return Outcome(ok, f"error: {short or text}", "a named error", "error")
+    named = error.element_id[0] if error.element_id else "gravity"
+    ok = named != "gravity" if kind is None else named == kind
+    return Outcome(ok, f"error: {error.element.replace('`', '')}", "a named error", "error")
 
 
 def report(cells: Iterable[Cell]) -> str:
-    """The cells as text: one table a scene and question, misses marked, and the count of laws."""
+    """The cells as text: their tables with misses marked, the count of laws, and the misses."""
     cells = list(cells)
     lines: list[str] = []
     for table in dict.fromkeys(cell.table for cell in cells):
-        mine = [cell for cell in cells if cell.table == table]
-        lines += ["", *table.splitlines(), *_grid(mine)]
+        lines += ["", *table.splitlines()]
+        lines += _grid([cell for cell in cells if cell.table == table])
     by_law = sum(cell.kind == "law" and cell.law != "finite" for cell in cells)
     errors = sum(cell.kind == "error" for cell in cells)
     finite = sum(cell.law == "finite" for cell in cells)
     missed = [cell for cell in cells if not cell.ok]
     lines += [
         "",
-        "<ulp: what the law asks for is below what the numbers resolve, and stays there.",
-        f"{len(cells)} cells: {by_law} by their law, {errors} by an error that names the element, "
-        f"{finite} finite and no more; {len(missed)} missed.",
+        "<ulp: what the law asks for is below the resolution of the numbers, and stays there.",
+        f"{len(cells)} cells: {by_law} checked by a law, {errors} by an error that names an "
+        f"element, {finite} only for finite numbers; {len(missed)} missed.",
     ]
     for cell in missed:
         title = cell.table.splitlines()[0]
@@ -127,18 +139,14 @@ def report(cells: Iterable[Cell]) -> str:
 def _grid(cells: list[Cell]) -> list[str]:
     columns = list(dict.fromkeys(cell.column for cell in cells))
     rows = list(dict.fromkeys((cell.precision, cell.row) for cell in cells))
-    place = {(cell.precision, cell.row, cell.column): cell for cell in cells}
+    shown = {(cell.precision, cell.row, cell.column): _shown(cell) for cell in cells}
     grid = [["", "", *columns]]
-    for precision, row in rows:
-        found = (place.get((precision, row, column)) for column in columns)
-        grid.append([precision, row, *(_shown(cell) for cell in found)])
-    widths = [max(len(line[i]) for line in grid) for i in range(len(grid[0]))]
+    grid += [[*row, *(shown.get((*row, column), "") for column in columns)] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*grid, strict=True)]
     return ["  " + _line(line, widths) for line in grid]
 
 
-def _shown(cell: Cell | None, most: int = 20) -> str:
-    if cell is None:
-        return ""
+def _shown(cell: Cell, most: int = 20) -> str:
     text = cell.text if len(cell.text) <= most else cell.text[: most - 1] + "…"
     return text if cell.ok else f"{text} <--"
 

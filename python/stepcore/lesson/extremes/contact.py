@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 
@@ -13,68 +12,47 @@ from stepcore.engine.sim import Sim
 from stepcore.lesson import measure, scenes
 from stepcore.lesson.extremes.cells import (
     EPS,
-    PRECISIONS,
-    STEPS_OF_TIME,
+    TIME_STEPS,
     Case,
     Outcome,
     named_error,
+    table_cases,
     within,
 )
 from stepcore.lesson.scenes import RADIUS, G
 
-MASSES = (1e-6, 1e-3, 1.0, 1e3, 1e6)
-STIFFNESSES = (1.0, 1e3, 1e6, 1e9, 1e12)
-RATIOS = (1e-6, 1e-3, 1.0, 1e3, 1e6)
+MASSES = {f"m {m:.0e}": m for m in (1e-6, 1e-3, 1.0, 1e3, 1e6)}
+STIFFNESSES = {f"k {k:.0e}": k for k in (1.0, 1e3, 1e6, 1e9, 1e12)}
+RATIOS = {f"top/bottom {ratio:.0e}": ratio for ratio in (1e-6, 1e-3, 1.0, 1e3, 1e6)}
 SWEEPS = (0, 1, 2, 5, 10, 100, 1000)
 SOFTNESS, BETA, DAMPING = 0.5, 0.2, 0.1
 
 
 def cases() -> Iterator[Case]:
-    """Three tables: a soft constraint, a penalty, a stack."""
-    for precision in PRECISIONS:
-        for dt in STEPS_OF_TIME:
-            for m in MASSES:
-                table = (
-                    "drop on a soft constraint\n  law: rests at depth s m g dt²/β, "
-                    f"s = {SOFTNESS} 1/kg, β = {BETA}; shown: the relative error"
-                )
-                yield Case(
-                    table,
-                    f"dt {dt:.0e}",
-                    f"m {m:.0e}",
-                    precision,
-                    partial(rest, dt, m, precision),
-                )
-    for precision in PRECISIONS:
-        for dt in STEPS_OF_TIME:
-            for k in STIFFNESSES:
-                table = (
-                    "drop on a penalty\n  law: stays at depth m g/k while "
-                    f"(ω dt)² + 4 ζ ω dt < 4, ζ = {DAMPING}; beyond, it gains energy; "
-                    "shown: the farthest it went, over the push it got"
-                )
-                yield Case(
-                    table,
-                    f"dt {dt:.0e}",
-                    f"k {k:.0e}",
-                    precision,
-                    partial(penalty, dt, k, precision),
-                )
-    for precision in PRECISIONS:
-        for dt in (1e-6, 1e-3, 1e-1):
-            for sweeps in SWEEPS:
-                for ratio in RATIOS:
-                    table = (
-                        "stack of two\n  law: each sweep leaves m_top/(m_top + m_bottom) of "
-                        "the error, 0 sweeps are free fall; shown: the error left"
-                    )
-                    yield Case(
-                        table,
-                        f"dt {dt:.0e}, {sweeps} sweeps",
-                        f"top/bottom {ratio:.0e}",
-                        precision,
-                        partial(stack, dt, sweeps, ratio, precision),
-                    )
+    """A soft constraint, a penalty and a stack."""
+    yield from table_cases(
+        "drop on a soft constraint",
+        f"rest at depth s m g dt²/β, s = {SOFTNESS} 1/kg, β = {BETA}; shown: the relative error",
+        rest,
+        TIME_STEPS,
+        MASSES,
+    )
+    yield from table_cases(
+        "drop on a penalty",
+        f"rest at depth m g/k while (ω dt)² + 4 ζ ω dt < 4, ζ = {DAMPING}; beyond, energy is "
+        "gained; shown: the largest excursion over the initial push",
+        penalty,
+        TIME_STEPS,
+        STIFFNESSES,
+    )
+    yield from table_cases(
+        "stack of two",
+        "each sweep leaves m_top/(m_top + m_bottom) of the error, 0 sweeps are free fall; shown: "
+        "the error left",
+        stack,
+        {f"dt {dt:.0e}, {n} sweeps": (dt, n) for dt in (1e-6, 1e-3, 1e-1) for n in SWEEPS},
+        RATIOS,
+    )
 
 
 def position_rounding(precision: str) -> float:
@@ -83,13 +61,13 @@ def position_rounding(precision: str) -> float:
 
 
 def rest(dt: float, m: float, precision: str) -> Outcome:
-    """A ball of m [kg] under the lesson's law, at rest or on the way there."""
+    """A ball of m [kg] under the law `lesson`, at rest or on the way there."""
     scene = scenes.drop(m=m, dt=dt, softness=SOFTNESS, beta=BETA, precision=precision)
     sim = Sim(scene.compile())
     sim.reset("start")
     depth, slow = SOFTNESS * m * G * dt**2 / BETA, 1 + SOFTNESS * m
-    # It settles as (1 - 1/slow)^(n/2) or (1 - β)^n; where that takes too long, it must stay where
-    # it is put.
+    # It settles as (1 - 1/slow)^(n/2) or (1 - β)^n; where that takes too long, it starts at rest
+    # and must stay there.
     settles = slow < 600
     sim.qpos[0] = 0.0 if settles else -depth
     sim.step(int(80 * slow + 40 / BETA) if settles else 2000)
@@ -109,7 +87,7 @@ def penalty(dt: float, k: float, precision: str) -> Outcome:
     push = max(1e-3 * depth, 4 * ulp)
     sim.qpos[0] = -depth - push
     farthest, most = 0.0, 0.0
-    # As a spring that is drawn out: what it can hold, and what one rounding of the overlap puts in.
+    # The energy of the push, or what one rounding of the overlap puts in.
     scale = 0.5 * k * max(push, 2 * ulp) ** 2
     try:
         for _ in range(1500):
@@ -124,18 +102,20 @@ def penalty(dt: float, k: float, precision: str) -> Outcome:
     if not stable:
         return Outcome(False, "no gain", "gains energy beyond the limit")
     if depth < 16 * ulp:
-        # A rest that the numbers cannot resolve: no more than the roundings' own energy.
+        # A depth that the numbers do not resolve: no more than the energy of roundings.
         return within(most / scale, 64.0, "energy within rounding", "<ulp")
     return within(farthest / push, 1.6, "stays at its depth")
 
 
-def stack(dt: float, sweeps: int, ratio: float, precision: str) -> Outcome:
-    """Impulses after n cold sweeps against the exact course of Gauss-Seidel on two balls.
+def stack(row: tuple[float, int], ratio: float, precision: str) -> Outcome:
+    """Impulses after cold sweeps against the exact iterates of Gauss-Seidel on two balls.
+
+    row: the time step [s] and the number of sweeps.
 
     Rows floor, ball on ball. With q = m_top/(m_top + m_bottom) and e the error of the upper
     impulse at the start, after n sweeps e_upper = qⁿ e and e_floor = qⁿ⁻¹ e.
     """
-    bottom, top = 1.0, ratio
+    (dt, sweeps), bottom, top = row, 1.0, ratio
     settings = {"slop": 1e-4, "dt": dt, "precision": precision}
     sim = Sim(scenes.stack(sweeps, "rigid", (bottom, top), **settings).compile())
     # Overlaps within the slop, so that both rows exist and neither pushes apart.

@@ -1,4 +1,4 @@
-"""Two whole models, half_cheetah and ant, let go above the floor, far from their own settings."""
+"""Two whole models, half_cheetah and ant, released above the floor, far from their own settings."""
 
 from __future__ import annotations
 
@@ -15,52 +15,43 @@ from stepcore.engine.linear_maps import step_matrix
 from stepcore.engine.sim import Sim
 from stepcore.lesson.extremes.cells import (
     EPS,
-    PRECISIONS,
-    STEPS_OF_TIME,
+    TIME_STEPS,
     Case,
     Outcome,
     all_of,
     named_error,
+    table_cases,
     within,
 )
-from stepcore.lesson.extremes.motion import step_is_balanced
+from stepcore.lesson.extremes.step_laws import step_is_balanced
 from stepcore.loading import find_scene
 from stepcore.scene.scene import Scene
 
 NAMES = ("half_cheetah", "ant")
-RATIOS = (1e-6, 1e-3, 1.0, 1e3, 1e6)
-STIFFNESSES = (1.0, 1e3, 1e6, 1e9, 1e12)
-SWEEPS = (0, 1, 10, 100, 1000)
+# What is varied, and its values by the name of their column.
+AXES: dict[str, dict[str, float]] = {
+    "sweeps": {f"{n} sweeps": n for n in (0, 1, 10, 100, 1000)},
+    "ratio": {f"torso x{ratio:.0e}": ratio for ratio in (1e-6, 1e-3, 1.0, 1e3, 1e6)},
+    "stiffness": {f"k {k:.0e}": k for k in (1.0, 1e3, 1e6, 1e9, 1e12)},
+}
 STEPS = 200
 # The feet of ant at the middle of their range; everything else as the file has it.
 ANKLES = {"ankle_1": 0.9, "ankle_2": -0.9, "ankle_3": -0.9, "ankle_4": 0.9}
+LAW = (
+    "in every step momentum is balanced, no row pulls, no energy is gained and limits hold; where "
+    "the springs' linear motion grows, an error; shown: the balance"
+)
 
 
 def cases() -> Iterator[Case]:
     """For each model: sweeps, mass ratio and joint stiffness, by dt. None without gymnasium."""
     if importlib.util.find_spec("gymnasium") is None:
         return
-    law = (
-        "momentum balanced in every step, no row pulls, no energy gained, limits held; "
-        "where the springs' linear motion grows, an error; shown: the balance"
-    )
     for name in NAMES:
-        tables: tuple[tuple[str, str, tuple[float, ...]], ...] = (
-            ("sweeps", "{:.0f} sweeps", SWEEPS),
-            ("ratio", "torso x{:.0e}", RATIOS),
-            ("stiffness", "k {:.0e}", STIFFNESSES),
-        )
-        for axis, column, values in tables:
-            for precision in PRECISIONS:
-                for dt in STEPS_OF_TIME:
-                    for value in values:
-                        yield Case(
-                            f"{name} let go, {STEPS} steps, by {axis}\n  law: {law}",
-                            f"dt {dt:.0e}",
-                            column.format(value),
-                            precision,
-                            partial(cell, name, axis, value, dt, precision),
-                        )
+        for axis, columns in AXES.items():
+            title = f"{name} released, {STEPS} steps, by {axis}"
+            measure = partial(released, name, axis)
+            yield from table_cases(title, LAW, measure, TIME_STEPS, columns)
 
 
 @cache
@@ -69,8 +60,8 @@ def scene_of(name: str) -> Scene:
     return find_scene(f"gymnasium:{name}")
 
 
-def cell(name: str, axis: str, value: float, dt: float, precision: str) -> Outcome:
-    """The model let go, with one of its numbers replaced."""
+def released(name: str, axis: str, dt: float, value: float, precision: str) -> Outcome:
+    """The model released, with one of its numbers replaced."""
     scene = copy.deepcopy(scene_of(name))
     sweeps = int(value) if axis == "sweeps" else 100
     for geom in scene.geoms:
@@ -79,23 +70,19 @@ def cell(name: str, axis: str, value: float, dt: float, precision: str) -> Outco
     for joint in scene.joints:
         if axis == "stiffness" and joint.type == "hinge" and joint.range is not None:
             joint.stiffness, joint.springref = value, ANKLES.get(joint.name, 0.0)
-    settings: dict[str, Any] = {
-        "dt": dt,
-        "precision": precision,
-        "sweeps": sweeps,
-        "tolerance": 0.0,
-    }
-    sim = Sim(scene.compile(), solver="pgs", integrator="implicitfast", **settings)
+    scene.options |= {"solver": "pgs", "integrator": "implicitfast", "tolerance": 0.0}
+    scene.options |= {"dt": dt, "precision": precision, "sweeps": sweeps}
+    sim = Sim(scene.compile())
     for joint_name, angle in ANKLES.items() if name == "ant" else ():
         sim.joint(joint_name).qpos[...] = angle
-    # Not quite at rest, so that what can grow has something to grow from.
+    # Not quite at rest, so that an unstable motion has something to grow from.
     hinges = [kind == "hinge" for kind in sim.model.jnt_type]
     sim.qvel[sim.model.jnt_dofadr[hinges]] = 1e-6
     rate = growth(sim)
     try:
-        watched = watch(sim, sweeps, precision)
+        outcome = laws_of_run(sim, sweeps, precision)
         if rate <= 1.1:
-            return watched
+            return outcome
         sim.step(5000)
     except SimulationError as error:
         if rate > 1 + 1e-9:
@@ -104,10 +91,10 @@ def cell(name: str, axis: str, value: float, dt: float, precision: str) -> Outco
     return Outcome(False, "no error", "the springs' linear motion grows")
 
 
-def watch(sim: Sim, sweeps: int, precision: str) -> Outcome:
-    """The laws along the way."""
+def laws_of_run(sim: Sim, sweeps: int, precision: str) -> Outcome:
+    """The laws of momentum, energy and limits, checked along a run."""
     mass, start = float(np.sum(sim.model.body_mass)), sim.energy.total
-    # What the motion is about: a fall from one metre, and what the start holds.
+    # The scale of the energy: a fall from one metre, and what the start holds.
     scale = 9.81 * mass + abs(start)
     gained, beyond, fastest = 0.0, 0.0, 0.0
     checks, probe = [], Sim(sim.model)
@@ -124,7 +111,7 @@ def watch(sim: Sim, sweeps: int, precision: str) -> Outcome:
         fastest = max(fastest, float(np.max(np.abs(sim.qvel))))
     laws = [within(gained, 1e4 * EPS[precision], "energy")]
     if sweeps > 0:
-        # A critically damped stop of time constant 0.02 s (never below 2 dt), and one step's way.
+        # A critically damped stop of time constant 0.02 s (never below 2 dt), and one step more.
         stop = 2 * max(0.02, 2 * sim.settings.dt)
         laws.append(within(beyond, fastest * stop + 1e-9, "limits"))
     return all_of(*checks, *laws)
@@ -133,7 +120,7 @@ def watch(sim: Sim, sweeps: int, precision: str) -> Outcome:
 def free_flight(
     probe: Sim, qpos: Any, qvel: Any, after: Any, mass: float, precision: str
 ) -> Outcome:
-    """Without rows only gravity changes the momentum, in the directions in which it may move."""
+    """Without rows only gravity changes the momentum."""
     probe.qpos[:], probe.qvel[:] = qpos, qvel
     old = probe.momentum.linear
     probe.qvel[:] = after

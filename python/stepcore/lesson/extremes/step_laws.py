@@ -1,4 +1,4 @@
-"""Laws that every step of every scene keeps, whatever its settings: motion, rows, energy."""
+"""Laws that every step of every scene keeps, whatever its settings: momentum and rows."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from stepcore.scene.layout import DOFS
 
 
 def balance(sim: Sim) -> float:
-    """How far M (v⁺ - v) is from dt (forces) + impulses at the present state, over its parts.
+    """The error of M (v⁺ - v) = dt (forces) + impulses at the present state, over its terms.
 
-    Every term is a reading of its own: mass matrix, acceleration, bias, springs and dampers,
-    motors, and the force of the rows.
+    Every term is read on its own: mass matrix, acceleration, bias, springs and dampers, actuators,
+    and the force of the rows.
     """
     sim.forward()
     dt, m = sim.settings.dt, sim.mass_matrix()
-    parts = [m @ sim.qacc, sim.bias, -sim.passive, -motors(sim), -sim.constraint_force]
+    parts = [m @ sim.qacc, sim.bias, -sim.passive, -actuation(sim), -sim.constraint_force]
     missing = np.abs(np.sum(parts, axis=0)) * dt
-    # What the velocities' own last digit weighs, and each of the forces.
+    # The momentum of the velocities, whose last digit is rounding, and every force.
     size = np.abs(m) @ np.abs(sim.qvel) + dt * np.sum(np.abs(parts), axis=0)
-    # A light part's share of a step is a difference of its heavy neighbours' shares.
+    # The largest of all: a light part's term is a difference of its heavy neighbours' terms.
     return float(np.max(missing / np.maximum(size.max(), 1e-300)))
 
 
-def motors(sim: Sim) -> Floats:
-    """The force of the actuators on each dof."""
+def actuation(sim: Sim) -> Floats:
+    """The force of the actuators on each dof [N or N·m], shape (nv,)."""
     force = np.zeros(sim.model.nv)
     for i, joint in enumerate(sim.model.actuator_joint):
         first = sim.model.jnt_dofadr[joint]
