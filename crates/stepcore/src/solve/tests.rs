@@ -1,6 +1,7 @@
 //! The solvers against closed forms, enumeration and brute force, on matrices fed by hand.
 
 mod cones;
+mod derivative;
 mod few;
 mod lanes;
 mod newton;
