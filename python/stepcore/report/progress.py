@@ -1,19 +1,34 @@
-"""A progress bar on the error stream, and only where that is a terminal."""
+"""A progress bar on the error stream of a terminal or a notebook, with the time that is left.
+
+tqdm was weighed. It has the same bar, time left and notebooks, but numpy is the only package that
+stepcore needs at run time: tqdm would be an extra, beside which this bar would still be needed for
+those who do not have it. Whoever prefers tqdm passes a function as `progress`:
+
+>>> shown = []
+>>> with Progress("runs", 2, lambda label, done, total: shown.append((label, done, total))) as bar:
+...     bar.advance()
+>>> shown
+[('runs', 1, 2)]
+"""
 
 from __future__ import annotations
 
 import sys
 import threading
 from collections.abc import Callable
+from time import monotonic
 from types import TracebackType
 from typing import TextIO
 
-# What callers may pass as `progress`: None (a bar on a terminal), False (nothing), or a function
-# of the label, the count done and the total.
-Report = Callable[[str, int, int], None]
-Choice = Report | bool | None
+from stepcore.report.units import seconds
+
+# What users may pass as `progress`: None (a bar where somebody watches), False (nothing), or a
+# function of the label, the count done and the total.
+Choice = Callable[[str, int, int], None] | bool | None
 
 BAR = 28
+# The time left is shown from here on [s]: before, it is not known.
+BEGUN = 2.0
 
 
 class Progress:
@@ -22,29 +37,38 @@ class Progress:
     def __init__(self, label: str, total: int, choice: Choice = None) -> None:
         self.label, self.total, self.done = label, max(total, 1), 0
         self._lock = threading.Lock()
-        self._stream: TextIO | None = None
-        self._report = choice if callable(choice) else None
-        if self._report is None and choice is not False and _terminal():
-            self._stream = sys.stderr
+        self._call = choice if callable(choice) else None
+        bar = self._call is None and choice is not False and _watched()
+        self._stream: TextIO | None = sys.stderr if bar else None
         self._drawn = ""
+        self._begun = monotonic()
 
     def advance(self, count: int = 1) -> None:
         """Notes that `count` more pieces of work are done."""
         with self._lock:
             self.done += count
-            if self._report is not None:
-                self._report(self.label, self.done, self.total)
+            if self._call is not None:
+                self._call(self.label, self.done, self.total)
             self._draw()
 
     def _draw(self) -> None:
         if self._stream is None:
             return
         full = min(self.done, self.total) * BAR // self.total
-        line = f"{self.label:<24} [{'#' * full}{'.' * (BAR - full)}] {self.done}/{self.total}"
+        bar = f"[{'#' * full}{'.' * (BAR - full)}]"
+        line = f"{self.label:<24} {bar} {self.done}/{self.total}{self._left()}"
         if line != self._drawn:
-            self._stream.write("\r" + line)
+            self._stream.write("\r" + line.ljust(len(self._drawn)))
             self._stream.flush()
             self._drawn = line
+
+    def _left(self) -> str:
+        """The time left, in words, at the pace so far."""
+        spent = monotonic() - self._begun
+        if spent < BEGUN or not 0 < self.done < self.total:
+            return ""
+        left = spent / self.done * (self.total - self.done)
+        return f", {left / 60:.0f} min left" if left > 100 else f", {seconds(round(left))} left"
 
     def __enter__(self) -> Progress:
         self._draw()
@@ -61,5 +85,9 @@ class Progress:
             self._stream.flush()
 
 
-def _terminal() -> bool:
-    return sys.stderr is not None and sys.stderr.isatty()
+def _watched() -> bool:
+    """Whether the error stream is a terminal's or a notebook's."""
+    stream = sys.stderr
+    return stream is not None and (
+        stream.isatty() or type(stream).__module__.startswith("ipykernel")
+    )

@@ -1,0 +1,68 @@
+"""The progress bar: where it shows, what it says, and what it calls."""
+
+import io
+import sys
+import threading
+
+import pytest
+
+from stepcore.report import progress
+from stepcore.report.progress import Progress
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+class Notebook(io.StringIO):
+    """A notebook's stream is no terminal, and understands a carriage return."""
+
+
+Notebook.__module__ = "ipykernel.iostream"
+
+
+@pytest.mark.parametrize(
+    ("stream", "shows"), [(Terminal, True), (Notebook, True), (io.StringIO, False)]
+)
+def test_a_bar_shows_where_somebody_watches(monkeypatch, stream, shows):
+    monkeypatch.setattr(sys, "stderr", stream())
+    with Progress("runs", 4) as bar:
+        bar.advance()
+    text = sys.stderr.getvalue()
+    assert bool(text) is shows
+    if shows:
+        assert f"runs{' ' * 21}[{'#' * 7}{'.' * 21}] 1/4" in text
+        assert text.endswith("\r") and not text.split("\r")[-2].strip()
+
+
+def test_false_is_no_bar(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with Progress("runs", 1, False) as bar:
+        bar.advance()
+    assert sys.stderr.getvalue() == ""
+
+
+@pytest.mark.parametrize(
+    ("spent", "words"), [(1.0, ""), (10.0, ", 30 s left"), (60.0, ", 3 min left")]
+)
+def test_the_time_left_is_at_the_pace_so_far(monkeypatch, spent, words):
+    times = iter([0.0, 0.0, spent])
+    monkeypatch.setattr(progress, "monotonic", lambda: next(times))
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with Progress("runs", 4) as bar:
+        bar.advance()
+    assert f"1/4{words}\r" in sys.stderr.getvalue()
+
+
+def test_a_function_is_called_in_place_of_the_bar_from_several_threads():
+    calls = []
+    bar = Progress("runs", 100, lambda *call: calls.append(call))
+    threads = [
+        threading.Thread(target=lambda: [bar.advance() for _ in range(25)]) for _ in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert calls == [("runs", done, 100) for done in range(1, 101)]
