@@ -21,39 +21,37 @@ FIELDS = (
     "acceleration",
     "cone",
 )
-ERRORS = (
-    *("position", "position_max", "relative", "relative_max", "numerical", "modelling"),
-    *("angle", "angle_max", "gained", "lost", "momentum", "angular_momentum"),
-    *("overlap", "joint", "limit", "creep", "anisotropy", "residual"),
-)
-# Of what `TradeRow.record` has.
-UNITS = {
-    "dt": "s",
+# Fields of `Errors`, with their units.
+ERRORS = {
     "position": "m",
-    "position_high": "m",
     "position_max": "m",
+    "relative": "1",
+    "relative_max": "1",
+    "numerical": "m",
+    "modelling": "m",
     "angle": "rad",
     "angle_max": "rad",
     "gained": "J",
     "lost": "J",
-    "overlap": "m",
-    "residual": "m/s",
-    **{
-        f"{name}_{part}": unit
-        for name, unit in QUANTITIES.items()
-        for part in ("difference", "interval")
-    },
-    "numerical": "m",
-    "modelling": "m",
     "momentum": "kg m/s",
     "angular_momentum": "kg m^2/s",
+    "overlap": "m",
     "joint": "m",
     "limit": "rad or m",
     "creep": "m/s",
     "anisotropy": "rad",
+    "residual": "m/s",
+}
+# Of all that `TradeRow.record` has.
+UNITS = {
+    **ERRORS,
+    "dt": "s",
+    "position_high": "m",
     "cost": "us per simulated second",
     "row_updates": "per simulated second",
     "flops": "per simulated second",
+    **{f"{name}_difference": unit for name, unit in QUANTITIES.items()},
+    **{f"{name}_interval": unit for name, unit in QUANTITIES.items()},
 }
 
 
