@@ -5,6 +5,7 @@ mod derivative;
 mod few;
 mod lanes;
 mod newton;
+mod wide;
 
 use super::limits::Limits;
 use super::pgs::Pgs;
