@@ -41,9 +41,11 @@ if TYPE_CHECKING:
     from stepcore.measure.ablation import Ablation as Ablation
     from stepcore.measure.ablation import FeatureEffect as FeatureEffect
     from stepcore.measure.ablation import ablate as ablate
+    from stepcore.measure.convergence import CandidateRun as CandidateRun
     from stepcore.measure.convergence import Convergence as Convergence
     from stepcore.measure.convergence import ResidualHistory as ResidualHistory
     from stepcore.measure.convergence import RowForce as RowForce
+    from stepcore.measure.convergence import SweepTheory as SweepTheory
     from stepcore.measure.convergence import converge as converge
     from stepcore.measure.diagnosis import Diagnosis as Diagnosis
     from stepcore.measure.diagnosis import diagnose as diagnose
@@ -52,6 +54,8 @@ if TYPE_CHECKING:
     from stepcore.measure.plan import plan as plan
     from stepcore.measure.predictability import Predictability as Predictability
     from stepcore.measure.predictability import predictability as predictability
+    from stepcore.measure.stability import MapCell as MapCell
+    from stepcore.measure.stability import MapPanel as MapPanel
     from stepcore.measure.stability import StabilityMap as StabilityMap
     from stepcore.measure.stability import stability_map as stability_map
     from stepcore.measure.sweep import sweep as sweep
@@ -118,9 +122,11 @@ _MODULES = {
         "ablate",
     ),
     "stepcore.measure.convergence": (
+        "CandidateRun",
         "Convergence",
         "ResidualHistory",
         "RowForce",
+        "SweepTheory",
         "converge",
     ),
     "stepcore.measure.diagnosis": (
@@ -135,6 +141,8 @@ _MODULES = {
         "predictability",
     ),
     "stepcore.measure.stability": (
+        "MapCell",
+        "MapPanel",
         "StabilityMap",
         "stability_map",
     ),

@@ -19,9 +19,6 @@ def fresh(code):
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
 
 
-# Rows of results that still have a name too general to stand at the top.
-UNNAMED = {"Run", "Theory"}
-
 LOADED = "print(*(name for name in sys.modules if name.startswith(('stepcore', 'numpy.core'))))"
 
 
@@ -122,7 +119,7 @@ def test_every_type_that_is_handed_out_can_be_imported(thing):
     """What public functions return, and methods of public classes: so their methods too."""
     types = {found.__name__: found for found in handed_out(thing)}
     missing = {name for name, found in types.items() if getattr(sc, name, None) is not found}
-    assert not missing - UNNAMED
+    assert missing == set()
 
 
 def test_there_are_types_to_be_found():

@@ -10,7 +10,9 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.cli import main
-from stepcore.measure.stability import defaults, stability_map, theory, truth
+from stepcore.engine.linear_maps import INTEGRATORS, step_matrix
+from stepcore.measure.stability import cases, reference, stability_map, theory
+from stepcore.measure.stability.result import SYMBOLS
 
 ONE, NONE = np.eye(1), np.zeros((1, 1))
 
@@ -48,7 +50,7 @@ def test_limits_of_a_damped_oscillator(ratio):
         assert explicit == pytest.approx(2 * ratio, rel=1e-3)
 
 
-@pytest.mark.parametrize("integrator", defaults.INTEGRATORS)
+@pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_the_step_matrix_is_the_engines(integrator):
     """Two coupled slides with spring, damper and servo: M, K and D alone give the step, 1e-12."""
     scene = sc.Scene(gravity=(0, 0, 0))
@@ -62,14 +64,14 @@ def test_the_step_matrix_is_the_engines(integrator):
     assert sim.mass_matrix() == pytest.approx(mass)
     stiffness, joint, servo = np.diag([30.0, 20.0]), np.diag([0.7, 0]), np.diag([0, 0.8])
     implicit = joint + servo if integrator == "implicitfast" else joint
-    ours = theory.step_matrix(integrator, 0.03, mass, stiffness, joint + servo, implicit)
+    ours = step_matrix(integrator, 0.03, mass, stiffness, joint + servo, implicit)
     assert pytest.approx(ours, abs=1e-12) == sim.linearize().A
     expected = theory.limit(integrator, mass, stiffness, joint + servo, implicit)
-    assert theory.of_scene(sim.model, None, integrator) == pytest.approx(expected, rel=1e-9)
+    assert theory.limit_of(sim.model, None, integrator) == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_scene_without_springs_has_no_boundary():
-    assert theory.of_scene(lesson.drop().compile(), None, "euler") is None
+    assert theory.limit_of(lesson.drop().compile(), None, "euler") is None
 
 
 # --- the lesson's maps --------------------------------------------------------------------------
@@ -108,8 +110,8 @@ def test_the_error_of_a_cell_is_the_closed_forms():
 @pytest.mark.parametrize(("ratio", "sweeps"), ((10.0, 4), (20.0, 4), (20.0, 64)))
 def test_a_stack_sinks_as_deep_as_its_closed_form(ratio, sweeps):
     """At the boundary's dt the heavy ball comes to rest 1 mm deep, to 1e-4, by cold sweeps."""
-    case = defaults.stack(0.1, None)
-    dt = defaults.sinking(ratio, sweeps, 1e-3)
+    case = cases.stack(reference.Tolerance("10%"), None)
+    dt = cases.sinking(ratio, sweeps, 1e-3)
     settings = {"law": "rigid", "beta": 0.2, "sweeps": sweeps, "warm_start": False}
     sim = sc.Sim(case.model.with_values({case.path: ratio}), dt=dt, **settings)
     sim.reset(key="start")
@@ -119,7 +121,7 @@ def test_a_stack_sinks_as_deep_as_its_closed_form(ratio, sweeps):
 
 def test_the_map_of_the_stack_has_that_boundary():
     """Suddenly let go it sinks deeper on the way: finite below 0.6 of it, inaccurate above."""
-    limit = defaults.sinking(2.0, 4, 1e-3)
+    limit = cases.sinking(2.0, 4, 1e-3)
     dts = [0.6 * limit, 1.5 * limit]
     found = stability_map("lesson:stack", values=[2.0], dts=dts, horizon=1.0, threads=1)
     cold = found.panels[1]
@@ -130,7 +132,7 @@ def test_the_map_of_the_stack_has_that_boundary():
 
 def test_impulses_carried_over_grow_beyond_a_ratio():
     """Warm-started and under-solved, the heavier stack throws itself up however small dt is."""
-    assert [defaults.carried(ratio, 4) for ratio in (1, 20, 23, 1000)] == [np.inf, np.inf, 0, 0]
+    assert [cases.warm_starting(ratio, 4) for ratio in (1, 20, 23, 1000)] == [np.inf, np.inf, 0, 0]
     dts = [2e-4, 1e-3]
     found = stability_map("lesson:stack", values=[5, 300], dts=dts, horizon=1.0, threads=1)
     warm = found.panels[3]
@@ -151,9 +153,9 @@ def test_a_converged_run_is_as_good_as_the_closed_form():
     own = stability_map(
         "lesson:spring", "joint/spring/stiffness", **grid, horizon=closed.horizon, threads=1
     )
-    assert [p.truth for p in (*closed.panels, *own.panels)] == [
-        "its closed form",
-        "its own converged run",
+    assert [p.reference for p in (*closed.panels, *own.panels)] == [
+        "closed form",
+        "converged run",
     ]
     assert states(closed.panels[0]) == states(own.panels[0])
     for ours, theirs in zip(own.panels[0].cells, closed.panels[0].cells, strict=True):
@@ -189,12 +191,13 @@ def test_contacts_are_judged_by_a_converged_run():
 
 def test_what_has_no_converged_run_is_not_judged(monkeypatch):
     """One run alone shows no convergence: finite cells get a question mark, and no error."""
-    monkeypatch.setattr(truth, "HALVINGS", 0)
+    monkeypatch.setattr(reference, "HALVINGS", 0)
     found = stability_map("lesson:spring", "joint/spring/stiffness", [100.0], [0.01, 0.3])
     cells = found.panels[0].cells
     assert [cell.state for cell in cells] == ["finite", "exploded"]
     assert not cells[0].judged and np.isnan(cells[0].error)
-    assert "without a converged run" in found.text() and "unknown" in found.text()
+    assert found.notes[0].startswith("1 finite run, marked ?, cannot be judged for accuracy")
+    assert "unknown" in found.text()
     words = [text.get_text() for text in found.plot().legends[0].get_texts()]
     assert "finite, not judged" in words
 
@@ -215,11 +218,15 @@ def test_an_executor_gives_the_same_map():
 def test_text_data_and_picture(tmp_path):
     found = stability_map(values=[1.0, 1e5], dts=[1e-4, 1e-3, 1e-1])
     text = found.text()
-    assert "· finite, o inaccurate, X exploded" in text and "midpoint" in text
-    assert "1e+05  ··X" in text or "1e+05  ·oX" in text
+    assert "finite (·): " in text and "inaccurate (o): " in text and "exploded (X): " in text
+    # ω = 316/s: 100 ms is beyond 2/ω and 2√2/ω; at 1 ms only rk4 is accurate.
+    marks = {p.label: "".join(SYMBOLS[cell.state] for cell in p.at(1e5)) for p in found.panels}
+    assert marks["semi-implicit"] == "·oX" and marks["rk4"] == "··X"
+    printed = [line.split() for line in text.splitlines() if line.startswith("1e+05")]
+    assert [line[1] for line in printed] == list(marks.values())
     data = json.loads(found.to_json())
-    assert len(data["cells"]) == 6 * 2 * 3 and data["units"]["dt"] == "s"
-    assert {"setting", "value", "dt", "state", "error", "theory"} <= set(data["cells"][0])
+    assert len(data["rows"]) == 6 * 2 * 3 and data["units"]["dt"] == "s"
+    assert {"setting", "value", "dt", "state", "error", "theory"} <= set(data["rows"][0])
     figure = found.plot(tmp_path / "map.png")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
     titles = [axes.get_title(loc="left") for axes in figure.axes]

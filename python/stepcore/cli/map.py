@@ -32,11 +32,10 @@ def add(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument(
         "--error",
-        default=0.1,
-        type=float,
-        metavar="SHARE",
-        help="share of the size of the motion above which a run is inaccurate "
-        "(default: %(default)s)",
+        default="10%",
+        metavar="E",
+        help="error above which a run is inaccurate: metres, 1mm, or a percentage of the size of "
+        "the motion (default: 10%%)",
     )
     command.add_argument(
         "--size", type=float, metavar="M", help="size that errors are relative to [m]"

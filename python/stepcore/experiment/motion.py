@@ -103,7 +103,7 @@ class Motion:
                 f"motion and {min(given)} are both given: write {min(given)} into the Motion"
             )
         for word in leaves:
-            if getattr(motion, word) is not None:
+            if getattr(motion, word) is not getattr(cls, word):
                 raise ValueError(f"motion: {name} does not use {word}; leave it out of the Motion")
         return motion
 

@@ -34,15 +34,24 @@ from stepcore.measure.convergence.residuals import (
 )
 from stepcore.measure.convergence.result import Convergence, Ending
 from stepcore.measure.convergence.runs import (
+    CandidateRun,
     HalvedReference,
     halved_reference,
     median_error,
     row_states,
     run_of,
 )
+from stepcore.measure.convergence.theory import SweepTheory
 from stepcore.report.progress import Choice
 
-__all__ = ["Convergence", "ResidualHistory", "RowForce", "converge"]
+__all__ = [
+    "CandidateRun",
+    "Convergence",
+    "ResidualHistory",
+    "RowForce",
+    "SweepTheory",
+    "converge",
+]
 
 # The most sweeps at the settings' own time step, and at the others.
 MOST, FEWER = 4096, 256

@@ -13,7 +13,7 @@ from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.converged import converged_settings
-from stepcore.measure.convergence.theory import Theory, speeds, theory
+from stepcore.measure.convergence.theory import SweepTheory, speeds, theory
 
 # Numbers of sweeps at which the residual is read, and the distance to the solution too; numbers in
 # between at which only the distance is read.
@@ -76,7 +76,7 @@ class ResidualHistory:
     cold: tuple[float, ...] = ()
     warm: tuple[float, ...] = ()
     contraction: float | None = None
-    theory: Theory = field(default_factory=Theory)
+    theory: SweepTheory = field(default_factory=SweepTheory)
     forces: tuple[RowForce, ...] = ()
 
 

@@ -13,8 +13,8 @@ from stepcore.experiment.motion import Motion
 from stepcore.measure.convergence import sentences
 from stepcore.measure.convergence.candidates import Candidates
 from stepcore.measure.convergence.residuals import ResidualHistory, RowForce
-from stepcore.measure.convergence.runs import HalvedReference, Run
-from stepcore.measure.convergence.theory import Theory
+from stepcore.measure.convergence.runs import CandidateRun, HalvedReference
+from stepcore.measure.convergence.theory import SweepTheory
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
@@ -85,7 +85,7 @@ class Convergence(Result):
     horizon: float
     starts: int
     candidates: Candidates
-    runs: dict[Settings, Run]
+    runs: dict[Settings, CandidateRun]
     histories: list[ResidualHistory]
     reference: HalvedReference
     ending: Ending | None
@@ -110,12 +110,12 @@ class Convergence(Result):
         )
 
     @property
-    def own(self) -> Run:
+    def own(self) -> CandidateRun:
         """The run under the scene's own settings."""
         return self.runs[self.settings]
 
     @property
-    def solved(self) -> Run:
+    def solved(self) -> CandidateRun:
         """The same with converged forces."""
         return self.runs[self.candidates.solved]
 
@@ -161,9 +161,9 @@ class Convergence(Result):
         return self.slowest.contraction if self.slowest else None
 
     @property
-    def theory(self) -> Theory:
+    def theory(self) -> SweepTheory:
         """The same by theory, at the same state."""
-        return self.slowest.theory if self.slowest else Theory(why="no two rows act at once")
+        return self.slowest.theory if self.slowest else SweepTheory(why="no two rows act at once")
 
     def at(self, dt: float) -> list[ResidualHistory]:
         """The residual histories at one time step."""

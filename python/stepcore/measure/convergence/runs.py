@@ -26,7 +26,7 @@ FAR = 3.0
 
 
 @dataclass(frozen=True)
-class Run:
+class CandidateRun:
     """One setting over all starts.
 
     error: RMS position error over samples and bodies against the reference, median of starts [m];
@@ -84,14 +84,16 @@ def halved_reference(fine: list[Path], coarse: list[Path], scene: Scene) -> Halv
     return HalvedReference(fine, masks, 2 * float(np.median(apart)), size)
 
 
-def run_of(settings: Settings, paths: list[Path], truth: HalvedReference, horizon: float) -> Run:
+def run_of(
+    settings: Settings, paths: list[Path], truth: HalvedReference, horizon: float
+) -> CandidateRun:
     """One setting's numbers."""
     failures = (f"start {i}: {path.failure}" for i, path in enumerate(paths) if path.failure)
     failure = next(failures, None) or far_off(paths, truth.paths, truth.size, FAR)
     if failure is not None:
-        return Run(settings, failure=failure)
+        return CandidateRun(settings, failure=failure)
     joints = [path.joint for path in paths if path.joint is not None]
-    return Run(
+    return CandidateRun(
         settings,
         error=median_error(paths, truth.paths, truth.scored),
         overlap=max(path.overlap for path in paths),

@@ -28,7 +28,7 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class Theory:
+class SweepTheory:
     """The share of the error that a sweep leaves.
 
     radius: of the matrix of the rows, None with `why`. formula: the closed form where the scene has
@@ -56,20 +56,20 @@ def speeds(sim: Sim) -> Floats:
     return rows["residual"] / safe * np.sqrt(a / own[:, 1])
 
 
-def theory(solved: Sim) -> Theory:
+def theory(solved: Sim) -> SweepTheory:
     """At the state of a Sim whose last solve has converged."""
     rows = solved.rows
     if not len(rows):
-        return Theory(why="no rows")
+        return SweepTheory(why="no rows")
     if len(rows) > MOST_ROWS:
-        return Theory(why=f"{len(rows)} rows are too many for a matrix (most: {MOST_ROWS})")
+        return SweepTheory(why=f"{len(rows)} rows are too many for a matrix (most: {MOST_ROWS})")
     coupling, own = solved._core.coupling()
     parts, why = _parts(rows, own)
     formula, closed = closed_form(solved)
     if why:
-        return Theory(None, why, formula, closed)
+        return SweepTheory(None, why, formula, closed)
     radius = spectral_radius(coupling, rows["regulariser"], 1 / own[:, 0], parts)
-    return Theory(radius, "", formula, closed)
+    return SweepTheory(radius, "", formula, closed)
 
 
 def spectral_radius(

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
+from stepcore._core import Settings
+from stepcore.experiment.motion import Motion
+from stepcore.measure.stability.reference import Tolerance
 from stepcore.report.result import Result
-from stepcore.report.table import Table, jsonable
-from stepcore.report.units import seconds
+from stepcore.report.table import Table
+from stepcore.report.units import counted, seconds
 
 FINITE, INACCURATE, EXPLODED = "finite", "inaccurate", "exploded"
 SYMBOLS = {FINITE: "·", INACCURATE: "o", EXPLODED: "X"}
@@ -17,9 +21,9 @@ UNJUDGED = "?"
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One run. error: its largest distance from the truth over the size of the motion, nan where
-    that is not known. judged: there is a truth to judge it by. reason: why it exploded."""
+class MapCell:
+    """One run. error: its largest distance from the true motion over the size of that, nan where
+    it is not known. judged: there is a true motion to judge it by. reason: why it failed."""
 
     value: float
     dt: float
@@ -29,58 +33,98 @@ class Cell:
     reason: str | None = None
 
 
-@dataclass
-class Panel:
-    """The cells of one setting, values outermost, and what theory says of it.
+@dataclass(frozen=True)
+class MapPanel:
+    """The cells of one setting, values outermost, and its theory.
 
-    boundary: the dt [s] at which theory says that the cells change, a value each: 0 where none is
-    stable, inf where all are; None without a theory. says: what the boundary is. truth: what
-    the cells are judged against.
+    boundary: the dt [s] at which theory says that the cells change, for each value: 0 where none is
+    stable, inf where all are; None without a theory. beyond: what happens beyond it. reference:
+    what the cells are compared with.
     """
 
     label: str
-    cells: list[Cell]
-    truth: str
+    cells: list[MapCell]
+    reference: str
     boundary: list[float] | None = None
-    says: str = ""
+    beyond: str = ""
 
-    def at(self, value: float) -> list[Cell]:
+    def at(self, value: float) -> list[MapCell]:
         """The cells of one value, by dt."""
         return [cell for cell in self.cells if cell.value == value]
 
 
-@dataclass(repr=False)
+@dataclass(eq=False, repr=False)
 class StabilityMap(Result):
-    """A map of stability; made by `stepcore.stability_map`.
+    """A map of stability and accuracy; made by `stepcore.stability_map`.
 
-    name: of the scene. path: the value that is varied; words: the same as an axis says it.
-    values, dts [s]: the grid. horizon [s]. tolerance: a larger error is inaccurate. far: one
-    beyond it has exploded. panels: one a setting.
+    path: the value that is varied; axis: the same as an axis names it. values, dts [s]: the grid.
+    tolerance: a run with a larger error is inaccurate; far: beyond so many sizes of the motion it
+    has exploded. panels: one for each setting.
+
+    >>> from stepcore import stability_map
+    >>> stability_map(values=[100.0], dts=[0.001, 0.5], progress=False)
+    <StabilityMap of spring: 12 cells in 6 panels>
     """
 
     kind = "stability"
+    units: ClassVar = {"dt": "s", "error": "1", "theory": "s"}
 
     name: str
+    settings: Settings
+    motion: Motion
     path: str
-    words: str
+    axis: str
     values: Sequence[float]
     dts: Sequence[float]
     horizon: float
-    tolerance: float
+    tolerance: Tolerance
     far: float
-    panels: list[Panel] = field(default_factory=list)
+    panels: list[MapPanel]
+    notes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        unjudged = sum(not c.judged and c.state == FINITE for c in self.rows)
+        if unjudged:
+            self.notes.append(
+                f"{counted(unjudged, 'finite run')}, marked {UNJUDGED}, cannot be judged for "
+                "accuracy, because no converged run was found"
+            )
 
     @property
     def title(self) -> str:
         """What was measured, in a few words."""
-        return f"{self.name}: dt against {self.words}"
+        return f"{self.name}: stability and accuracy over dt × {self.axis}"
+
+    @property
+    def setup(self) -> str:
+        """How cells are told apart."""
+        return (
+            f"{seconds(self.horizon)}. {_word(FINITE)}: the error stays within {self.tolerance}; "
+            f"{_word(INACCURATE)}: it is larger; {_word(EXPLODED)}: it is larger than "
+            f"{self.far:g} sizes of the motion, or the run failed."
+        )
+
+    @property
+    def sentences(self) -> list[str]:
+        """How many runs of each setting are finite, inaccurate and exploded."""
+        sentences = []
+        for panel in self.panels:
+            count = Counter(cell.state for cell in panel.cells)
+            states = ", ".join(f"{count[state]} {state}" for state in SYMBOLS if count[state])
+            sentences.append(f"{panel.label}: of {counted(len(panel.cells), 'run')}, {states}.")
+        return sentences
+
+    @property
+    def rows(self) -> list[MapCell]:
+        """The cells of all panels."""
+        return [cell for panel in self.panels for cell in panel.cells]
 
     @property
     def table(self) -> Table:
-        """One row a cell: setting, value, dt [s], state, error, theory's dt [s], reason."""
+        """One row for each cell: setting, value, dt [s], state, error, theory's dt [s], reason."""
         return Table(record for panel in self.panels for record in self._records(panel))
 
-    def _records(self, panel: Panel) -> Iterator[dict[str, Any]]:
+    def _records(self, panel: MapPanel) -> Iterator[dict[str, Any]]:
         theory = dict(zip(self.values, panel.boundary or [], strict=False))
         for cell in panel.cells:
             yield {
@@ -94,78 +138,60 @@ class StabilityMap(Result):
                 "reason": cell.reason,
             }
 
-    @property
-    def law(self) -> str:
-        """How cells are told apart, in words."""
-        return (
-            f"finite: within {self.tolerance:.3g} of the size of the true motion, all the way; "
-            f"inaccurate: further off; exploded: more than {self.far:g} sizes off, or the run "
-            f"ended in an error. Over {seconds(self.horizon)}."
-        )
+    def tables(self, full: bool) -> list[Table]:
+        """The panels: one row for each value, one mark for each dt."""
+        return [self._table(panel) for panel in self.panels]
 
-    def text(self, width: int | None = None, full: bool = False) -> str:
-        """The printed result: a line a value, a mark a dt."""
-        legend = ", ".join(f"{mark} {state}" for state, mark in SYMBOLS.items())
-        if any(not cell.judged for panel in self.panels for cell in panel.cells):
-            legend += f", {UNJUDGED} finite, but without a converged run to judge by"
-        lines = [self.title, self.law, legend]
-        for panel in self.panels:
-            lines += ["", *self._panel(panel)]
-        return "\n".join(lines)
-
-    def _panel(self, panel: Panel) -> list[str]:
-        first = f"{panel.label} (against {panel.truth})"
-        left = max(len(f"{value:.3g}") for value in self.values)
-        span = f"dt {seconds(self.dts[0])} to {seconds(self.dts[-1])}"
-        across = max(len(self.dts), len(span))
-        head = f"{'':>{left}}  {span:<{across}}  largest finite"
-        theory = panel.boundary is not None
-        lines = [first, head + (f"  {panel.says}" if theory else "")]
+    def _table(self, panel: MapPanel) -> Table:
+        across = f"dt {seconds(self.dts[0])} to {seconds(self.dts[-1])}"
+        rows = []
         for k, value in enumerate(self.values):
             cells = panel.at(value)
             marks = "".join(_mark(cell) for cell in cells)
             good = [cell.dt for cell in cells if cell.state == FINITE and cell.judged]
             unknown = not good and UNJUDGED in marks
-            most = "unknown" if unknown else _dt(max(good, default=0.0))
-            line = f"{value:>{left}.3g}  {marks:<{across}}  {most:<14}"
-            if panel.boundary is not None:
-                line += f"  {_dt(panel.boundary[k])}"
-            lines.append(line.rstrip())
-        return lines
-
-    def to_dict(self) -> dict[str, Any]:
-        """Everything as plain data; what is not finite is None."""
-        plain: dict[str, Any] = jsonable(
-            {
-                "model": self.name,
-                "value": self.path,
-                "values": list(self.values),
-                "dts": list(self.dts),
-                "horizon": self.horizon,
-                "tolerance": self.tolerance,
-                "far": self.far,
-                "law": self.law,
-                "panels": [
-                    {
-                        "setting": panel.label,
-                        "truth": panel.truth,
-                        "theory": panel.says or None,
-                        "boundary": panel.boundary,
-                    }
-                    for panel in self.panels
-                ],
-                "cells": self.table.records,
-                "units": {"dt": "s", "horizon": "s", "boundary": "s", "error": "1"},
+            row = {
+                "value": value,
+                across: marks,
+                "largest finite": "unknown" if unknown else _dt(max(good, default=0.0)),
             }
-        )
-        return plain
+            if panel.boundary is not None:
+                row[panel.beyond] = _dt(panel.boundary[k])
+            rows.append(row)
+        heading = f"{panel.label} (compared with the {panel.reference})"
+        # A column with a format is not cut to fit.
+        return Table(rows, formats={"value": ".3g", across: ""}, heading=heading)
+
+    def details(self) -> dict[str, Any]:
+        """The grid, and the panels' theory."""
+        return {
+            "value": self.path,
+            "values": list(self.values),
+            "dts": list(self.dts),
+            "error": str(self.tolerance),
+            "tolerance": self.tolerance.number,
+            "far": self.far,
+            "panels": [
+                {
+                    "setting": panel.label,
+                    "reference": panel.reference,
+                    "theory": panel.beyond or None,
+                    "boundary": panel.boundary,
+                }
+                for panel in self.panels
+            ],
+        }
 
     def __repr__(self) -> str:
-        cells = sum(len(panel.cells) for panel in self.panels)
-        return f"<StabilityMap of {self.name}: {cells} cells in {len(self.panels)} panels>"
+        return f"<StabilityMap of {self.name}: {len(self.rows)} cells in {len(self.panels)} panels>"
 
 
-def _mark(cell: Cell) -> str:
+def _word(state: str) -> str:
+    """A state and its mark."""
+    return f"{state} ({SYMBOLS[state]})"
+
+
+def _mark(cell: MapCell) -> str:
     return SYMBOLS[cell.state] if cell.judged or cell.state == EXPLODED else UNJUDGED
 
 

@@ -1,8 +1,7 @@
 """The largest stable step of a linear system, M a = −K x − D v, under each integrator.
 
-The step of an integrator is a matrix; a motion stays bounded while its spectral radius is at
-most 1. The matrices are written here from the integrators' definitions (docs/method.md), and
-not taken from the engine.
+A step of an integrator is a matrix (`engine.linear_maps`); a motion stays bounded while its
+spectral radius is at most 1.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.scene.layout import DOFS, Layout
 
-# Beyond this the radius counts as growth: a rounding moves a double eigenvalue by its root.
+# A larger radius counts as growth: rounding moves a double eigenvalue by its square root.
 GROWS = 1.0 + 1e-6
 
 
@@ -25,7 +24,7 @@ def limit(
     damping: np.ndarray,
     implicit: np.ndarray,
 ) -> float:
-    """The dt [s] from which motions grow: 0 where they grow at any dt, inf where at none."""
+    """The dt [s] beyond which motion grows: 0 where it grows at any dt, inf where at none."""
 
     def grows(dt: float) -> bool:
         matrix = step_matrix(integrator, dt, mass, stiffness, damping, implicit)
@@ -49,11 +48,11 @@ def limit(
     return float(low)
 
 
-def of_scene(model: Model, key: str | int | None, integrator: str) -> float | None:
+def limit_of(model: Model, key: str | int | None, integrator: str) -> float | None:
     """The limit of a scene's joint springs, dampers and servos in its start pose [s].
 
     None where the scene has none of them. Contacts, limits, gravity and Coriolis terms are left
-    out, and a ball or free joint's spring is taken at its rest.
+    out; the spring of a ball or free joint is taken at its rest.
     """
     stiffness, joint, servo = np.zeros(model.nv), np.zeros(model.nv), np.zeros(model.nv)
     scene = model.scene

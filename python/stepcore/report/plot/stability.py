@@ -10,7 +10,7 @@ import numpy as np
 from stepcore.report.plot.style import ORANGE, TITLE, legend, new_figure
 
 if TYPE_CHECKING:
-    from stepcore.measure.stability.result import Panel, StabilityMap
+    from stepcore.measure.stability.result import MapPanel, StabilityMap
 
 # By state. Light, middle, dark: distinct without colour too.
 FINITE = "finite"
@@ -33,7 +33,7 @@ def draw(result: StabilityMap) -> Any:
         ax.set_visible(False)
     for k, ax in enumerate(axes.flat[:count]):
         if k + columns >= count:
-            ax.set_xlabel(result.words)
+            ax.set_xlabel(result.axis)
             ax.tick_params(labelbottom=True)
         if k % columns == 0:
             ax.set_ylabel("dt [s]")
@@ -42,7 +42,7 @@ def draw(result: StabilityMap) -> Any:
     return figure
 
 
-def _panel(axes: Any, result: StabilityMap, panel: Panel) -> None:
+def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
     from matplotlib.colors import ListedColormap
 
     shape = (len(result.values), len(result.dts))
@@ -82,11 +82,11 @@ def _line(
 
 
 def _says(result: StabilityMap) -> list[str]:
-    """What the lines that are figure mean, each once."""
-    return list(dict.fromkeys(p.says for p in result.panels if _visible(p)))
+    """What lies beyond the lines that are drawn, each once."""
+    return list(dict.fromkeys(p.beyond for p in result.panels if _visible(p)))
 
 
-def _visible(panel: Panel) -> bool:
+def _visible(panel: MapPanel) -> bool:
     """Whether its boundary crosses the picture: not where it is at any dt or at none."""
     return panel.boundary is not None and set(panel.boundary) not in ({0.0}, {np.inf})
 
@@ -98,14 +98,14 @@ def _title(result: StabilityMap) -> str:
     return f"{title}\ndashed, by theory: {says[0]}" if len(says) == 1 else title
 
 
-def _named(panel: Panel, result: StabilityMap) -> str:
+def _named(panel: MapPanel, result: StabilityMap) -> str:
     """The setting, and what its theory says: in words where there is no line to draw."""
     if panel.boundary and set(panel.boundary) == {0.0}:
         return f"{panel.label} (theory: grows at any dt)"
     if panel.boundary and set(panel.boundary) == {np.inf}:
         return f"{panel.label} (theory: never grows)"
     if len(_says(result)) > 1:
-        return f"{panel.label}\ndashed: {panel.says}"
+        return f"{panel.label}\ndashed: {panel.beyond}"
     return panel.label
 
 

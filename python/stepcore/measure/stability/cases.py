@@ -1,4 +1,4 @@
-"""The maps of the lesson: its spring under every integrator, and a heavy ball on a light one."""
+"""The two maps of the lesson: its spring by integrator, and a heavy ball on a light one."""
 
 from __future__ import annotations
 
@@ -9,97 +9,98 @@ from typing import Any
 
 import numpy as np
 
-from stepcore import lesson
+from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.engine.model import Model
-from stepcore.lesson.scenes import RADIUS, G, tower
+from stepcore.lesson import scenes
+from stepcore.lesson.scenes import RADIUS, G
 from stepcore.measure.stability import theory
-from stepcore.measure.stability.course import Bodies
-from stepcore.measure.stability.truth import Form
+from stepcore.measure.stability.points import BodyPoints
+from stepcore.measure.stability.reference import Form, Tolerance
 
-# A boundary in dt [s], a value of the grid each.
+# A boundary in dt [s] for each value of the grid.
 Boundary = Callable[[Sequence[float]], list[float]]
 
 
 @dataclass
-class Setting:
-    """What one panel runs, and what is known of it. truth: None for a converged run."""
+class MapSetting:
+    """What one panel runs, and its theory: the boundary, and what lies beyond it.
+
+    form: the closed form of the motion; None for a converged run.
+    """
 
     label: str
     settings: dict[str, Any] = field(default_factory=dict)
-    truth: Form | None = None
+    form: Form | None = None
     boundary: Boundary | None = None
-    says: str = ""
+    beyond: str = ""
 
 
 @dataclass
-class Case:
-    """A scene, the value that is varied, and the grid. size: what errors are relative to [m]."""
+class MapCase:
+    """A scene, the value that is varied, and the grid.
+
+    axis: the value as an axis names it. size: what errors are relative to [m].
+    """
 
     model: Model
     path: str
-    words: str
+    axis: str
     values: list[float]
     dts: list[float]
-    settings: list[Setting]
+    settings: list[MapSetting]
     key: str | int | None
     horizon: float | None = None
     size: float | None = None
 
 
-INTEGRATORS = ("explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4")
-STABLE = "motion grows beyond"
+GROWS = "motion grows beyond"
 # ω·dt at that boundary, undamped, where there is one.
 PHASE = {"semi-implicit": "2", "euler": "2", "implicitfast": "2", "rk4": "2√2"}
 
 
-def spring(size: float | None) -> Case:
+def spring(size: float | None) -> MapCase:
     """The lesson's mass on a spring: stiffness against dt, by integrator."""
-    model = lesson.spring().compile()
-    bodies = Bodies(model)
+    model = scenes.spring().compile()
+    radius = BodyPoints(model).radius[0]
 
-    def truth(stiffness: float, times: np.ndarray) -> np.ndarray:
+    def motion(stiffness: float, times: np.ndarray) -> np.ndarray:
         points = np.zeros((len(times), 1, 4, 3))
         points[..., 0] = np.cos(np.sqrt(stiffness) * times)[:, None, None]
-        points[:, 0, 1:] += bodies.radius[0] * np.eye(3)
+        points[:, 0, 1:] += radius * np.eye(3)
         return points
 
-    def boundary(integrator: str) -> Boundary:
-        def of(values: Sequence[float]) -> list[float]:
-            one, none = np.eye(1), np.zeros((1, 1))
-            return [theory.limit(integrator, one, value * one, none, none) for value in values]
+    def boundary(integrator: str, values: Sequence[float]) -> list[float]:
+        one, none = np.eye(1), np.zeros((1, 1))
+        return [theory.limit(integrator, one, value * one, none, none) for value in values]
 
-        return of
-
-    def says(integrator: str) -> str:
-        phase = PHASE.get(integrator)
-        return f"{STABLE} ω dt = {phase}" if phase else STABLE
-
-    settings = [
-        Setting(name, {"integrator": name}, truth, boundary(name), says(name))
-        for name in INTEGRATORS
-    ]
+    settings = []
+    for name in INTEGRATORS:
+        beyond = f"{GROWS} ω dt = {PHASE[name]}" if name in PHASE else GROWS
+        chosen = {"integrator": name}
+        settings.append(MapSetting(name, chosen, motion, partial(boundary, name), beyond))
     values = np.geomspace(1.0, 1e6, 19).tolist()
     dts = np.geomspace(1e-4, 1e-1, 25).tolist()
-    words = "stiffness [N/m]"
-    return Case(model, "joint/spring/stiffness", words, values, dts, settings, "start", 2.5, size)
+    path, axis = "joint/spring/stiffness", "stiffness [N/m]"
+    return MapCase(model, path, axis, values, dts, settings, "start", 2.5, size)
 
 
 PENALTY = 1e6  # [N/m]
 RATIO = 0.1
 BETA = 0.2
 SINKS = "sinks too deep at rest beyond"
-HOPS = "what is carried over grows beyond"
+BOUNCES = "warm-started impulses grow beyond"
 
 
-def stack(tolerance: float, size: float | None) -> Case:
-    """A ball on a ball of 1 kg, at rest: the upper one's mass against dt, by how it is held.
+def stack(tolerance: Tolerance, size: float | None) -> MapCase:
+    """A ball on a ball of 1 kg, at rest: the upper one's mass against dt, by how contacts act.
 
     size: what errors are relative to [m]; by default a tenth of the balls' radius.
     """
     size = RADIUS / 10 if size is None else size
-    scene = tower([1.0, 1.0])
-    # A hair within one another: a row is there where the guess overlaps, and balls that only
-    # touch and fall alike would part in the first step.
+    depth = tolerance.share(size) * size
+    scene = scenes.tower([1.0, 1.0])
+    # They overlap slightly: a row exists where the guess overlaps, and balls that only touch and
+    # fall alike would separate in the first step.
     scene.add_key("start", qpos=[-1e-6, -2e-6])
     scene.name = "stack"
     scene.options = {"integrator": "semi-implicit", "solver": "pgs", "tolerance": 0.0}
@@ -111,38 +112,37 @@ def stack(tolerance: float, size: float | None) -> Case:
         "penalty_damping_ratio": RATIO,
     }
     settings = [
-        Setting(f"penalty, {PENALTY:.0e} N/m", penalty, None, penalised, STABLE),
-        Setting(
+        MapSetting(f"penalty, {PENALTY:.0e} N/m", penalty, None, penalised, GROWS),
+        MapSetting(
             "rows, 4 sweeps, cold",
             rest | {"sweeps": 4, "warm_start": False},
             at_rest,
-            partial(_each, partial(sinking, sweeps=4, depth=tolerance * size)),
+            partial(_each, partial(sinking, sweeps=4, depth=depth)),
             SINKS,
         ),
-        Setting(
+        MapSetting(
             "rows, 64 sweeps, cold",
             rest | {"sweeps": 64, "warm_start": False},
             at_rest,
-            partial(_each, partial(sinking, sweeps=64, depth=tolerance * size)),
+            partial(_each, partial(sinking, sweeps=64, depth=depth)),
             SINKS,
         ),
-        Setting(
+        MapSetting(
             "rows, 4 sweeps, warm",
             rest | {"sweeps": 4, "warm_start": True},
             at_rest,
-            partial(_each, partial(carried, sweeps=4)),
-            HOPS,
+            partial(_each, partial(warm_starting, sweeps=4)),
+            BOUNCES,
         ),
     ]
     values = np.geomspace(1.0, 1e3, 16).tolist()
     dts = np.geomspace(1e-4, 3e-2, 21).tolist()
-    words = "mass ratio, heavy on light"
-    path = "geom/shape1/mass"
-    return Case(model, path, words, values, dts, settings, "start", 1.0, size)
+    path, axis = "geom/shape1/mass", "mass ratio, heavy on light"
+    return MapCase(model, path, axis, values, dts, settings, "start", 1.0, size)
 
 
 def at_rest(ratio: float, times: np.ndarray) -> np.ndarray:
-    """Rigid balls that touch stay where they are."""
+    """Rigid balls that touch stay where they are: the points of both."""
     around = RADIUS * np.sqrt(0.6) * np.vstack([np.zeros(3), np.eye(3)])
     points = np.zeros((2, 4, 3)) + around
     points[:, :, 2] += RADIUS * np.array([[1.0], [3.0]])
@@ -150,7 +150,7 @@ def at_rest(ratio: float, times: np.ndarray) -> np.ndarray:
 
 
 def penalised(values: Sequence[float]) -> list[float]:
-    """Where two balls on springs under their surfaces begin to shake, both contacts closed.
+    """The limit of two balls on contact springs, both contacts closed.
 
     k on each contact, and damping 2 ratio √(k / A) with A = J M⁻¹ Jᵀ (docs/method.md), explicit.
     """
@@ -171,7 +171,7 @@ def _each(limit: Callable[[float], float], values: Sequence[float]) -> list[floa
 
 
 def _sweeps(ratio: float, sweeps: int) -> tuple[np.ndarray, np.ndarray]:
-    """A = J M⁻¹ Jᵀ, and what so many sweeps leave of an error of the impulses: Gⁿ.
+    """A = J M⁻¹ Jᵀ, and the map of so many sweeps on an error of the impulses: Gⁿ.
 
     One sweep of Gauss-Seidel takes an error e to G e, G = −(L + D)⁻¹U of A = L + D + U.
     """
@@ -181,9 +181,9 @@ def _sweeps(ratio: float, sweeps: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sinking(ratio: float, sweeps: int, depth: float) -> float:
-    """The dt [s] at which unfinished sweeps let the balls sink by `depth` [m], at rest.
+    """The dt [s] at which too few sweeps let the balls sink by `depth` [m], at rest.
 
-    Begun from zero, sweeps end with λ = (1 − Gⁿ) λ*. At rest λ is the weight, so the rows must
+    From zero, sweeps end with λ = (1 − Gⁿ) λ*. At rest λ is the weight, so the rows must
     ask for more than that: for the velocities β d / dt with which overlaps d are pushed out.
     """
     row, left = _sweeps(ratio, sweeps)
@@ -194,8 +194,8 @@ def sinking(ratio: float, sweeps: int, depth: float) -> float:
     return float(np.sqrt(depth / deepest)) if deepest > 0 else np.inf
 
 
-def carried(ratio: float, sweeps: int) -> float:
-    """0 where impulses carried over from step to step grow, else inf: dt does not matter.
+def warm_starting(ratio: float, sweeps: int) -> float:
+    """0 where warm-started impulses grow from step to step, else inf: dt does not matter.
 
     With closed contacts a step is linear in relative velocities w, overlaps p / dt and impulses
     λ: λ⁺ = Gⁿ λ + (1 − Gⁿ) λ*, A λ* = −β p / dt − w, then w⁺ = w + A λ⁺ and p⁺ = p + dt w⁺.
@@ -203,7 +203,7 @@ def carried(ratio: float, sweeps: int) -> float:
     row, left = _sweeps(ratio, sweeps)
     one = np.eye(2)
     solved = -(one - left) @ np.linalg.inv(row)
-    # One line a quantity: w⁺ and p⁺/dt repeat what λ⁺ does to the velocities.
+    # One block row for each quantity; w⁺ and p⁺/dt follow from λ⁺.
     change = np.hstack([solved, BETA * solved, left])
     kept = np.hstack([one, np.zeros((2, 4))])
     after = kept + row @ change
