@@ -13,8 +13,9 @@ MODULES = [found.name for found in pkgutil.walk_packages(sc.__path__, "stepcore.
 # What other things hand out is shown in their examples, and the compiled classes are Rust.
 WITHOUT_EXAMPLE = (
     *("Settings", "SimulationError", "__version__", "reference"),
-    *("Diagnosis", "Predictability", "StabilityMap", "Trade"),
+    *("Diagnosis", "Predictability", "Trade"),
     *("ElementLimits", "FeatureEffect", "PlanEntry", "ResidualHistory", "RowForce"),
+    *("CandidateRun", "SweepTheory", "MapCell", "MapPanel"),
     *("BodyView", "GeomView", "JointView", "SiteView", "Trajectory", "Keyframe", "Rollout"),
     *("Energy", "Momentum", "MJCFError"),
     *("Actuator", "Body", "Equality", "Geom", "Joint", "Key", "MassRules", "Features", "Site"),
