@@ -1,13 +1,11 @@
 """`sweep`: every point of the grid, in its order, failures kept; and the table it returns."""
 
-import json
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.report.table import Table
 
 
 def height(sim):
@@ -105,17 +103,3 @@ def test_progress_is_told():
         progress=lambda label, done, total: seen.append((done, total)),
     )
     assert seen == [(1, 3), (2, 3), (3, 3)]
-
-
-def test_a_table_fits_its_width_and_survives_json():
-    table = Table([{"a": 1.5, "why": "x" * 90}, {"a": float("nan"), "b": 2}])
-    assert table.columns == ["a", "why", "b"]
-    lines = table.text(40).splitlines()
-    assert max(map(len, lines)) <= 40 and "…" in lines[1]
-    assert "no room for: why, b" in table.text(16)
-    assert json.loads(table.to_json())[1] == {"a": None, "why": None, "b": 2}
-    assert table.to_dict()["b"] == [None, 2]
-    assert "<th>a</th>" in Table([{"a": 1, "why": "<&>"}])._repr_html_()
-    assert "&lt;&amp;&gt;" in Table([{"a": 1, "why": "<&>"}])._repr_html_()
-    with pytest.raises(KeyError, match="no column 'c'"):
-        table["c"]

@@ -24,7 +24,7 @@ REPORT = Report(
 def test_the_text_says_the_answer_first_then_tables_then_notes():
     text = REPORT.text(100)
     places = [text.index(part) for part in ("arm:", "1 s from", "The answer", "  - do", "Limits")]
-    places += [text.index(part) for part in ("knee & co", "dt: time", "Note: one start.")]
+    places += [text.index(part) for part in ("knee & co", "dt: time step.", "Note: one start.")]
     assert places == sorted(places)
     assert "stop.." not in text
 

@@ -8,7 +8,6 @@ import platform
 from importlib import metadata
 
 from stepcore.cli.output import add_json, print_json
-from stepcore.report.table import Table
 
 PACKAGES = ("stepcore", "numpy", "matplotlib", "mujoco")
 
@@ -26,7 +25,8 @@ def call(args: argparse.Namespace) -> None:
     if args.json:
         print_json(facts)
     else:
-        print(Table({"": name, " ": str(fact)} for name, fact in facts.items()))
+        for name, fact in facts.items():
+            print(f"{name:<12}{fact}")
 
 
 def _version(package: str) -> str:

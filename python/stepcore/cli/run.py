@@ -92,7 +92,9 @@ def _report(sim: Sim, steps: int, spent: float, notes: list[str], as_json: bool)
         }
         print_json(data)
         return
-    print(f"{sim.model!r}\n{sim.settings!r}\n")
+    model = sim.model
+    print(f"{model.scene.name or 'scene'}: nq {model.nq}, nv {model.nv}, nu {model.nu}")
+    print(f"{sim.settings!r}\n")
     print(f"time       {sim.time:g} s, {steps} steps")
     print(f"qpos       {_numbers(sim.qpos)}\nqvel       {_numbers(sim.qvel)}")
     print(f"energy     {kinetic:.6g} J kinetic, {potential:.6g} J potential")

@@ -20,7 +20,7 @@ from stepcore.experiment.setup import Source, set_up
 from stepcore.report.progress import Choice
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import compact, counted, seconds
+from stepcore.report.units import compact, counted, seconds, times
 
 # What is looked at by default [s].
 HORIZON = 10.0
@@ -95,9 +95,9 @@ class Predictability(Result):
         """How it was measured, in a line."""
         return (
             f"{seconds(self.horizon)} from {counted(len(self.growth.ends), 'start')} under "
-            f"{self.integrator}, dt {seconds(self.dt)}. From each start the motion is run again "
-            f"from {DIRECTIONS} perturbed states, {compact(NEARBY)} of the scene's size away; it "
-            f"is lost when they are more than {GROWTH:g} times as far away."
+            f"{self.integrator}, dt {seconds(self.dt)}. From each start the motion runs again from "
+            f"{DIRECTIONS} perturbed states, {compact(NEARBY)} of the scene's size away; a start "
+            f"is lost when a perturbation has grown more than {times(GROWTH)}."
         )
 
     @property
@@ -107,8 +107,8 @@ class Predictability(Result):
         if math.isinf(self.time):
             most = float(self.growth.factor.max())
             return [
-                f"The motion can be predicted over all of {over}: perturbed runs end up at most "
-                f"{most:.2g} times as far apart as they began."
+                f"The motion can be predicted over all of {over}: perturbations grow at most "
+                f"{times(most)}."
             ]
         lost = np.isfinite(self.growth.ends)
         said = [

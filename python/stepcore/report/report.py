@@ -61,7 +61,11 @@ class Report:
         """The report as a fragment of HTML."""
         setup = f"<p>{html.escape(self.setup)}</p>" if self.setup else ""
         tables = [
-            *(part for table in self.tables for part in (table.html(), _small(table.legend))),
+            *(
+                part
+                for table in self.tables
+                for part in (table.html(), _small(_stopped(table.legend)))
+            ),
             *(_small(_note(note)) for note in self.notes),
         ]
         return "\n".join([setup, *_prose(self.sentences), *tables])
@@ -76,8 +80,12 @@ class Report:
 
 
 def _note(note: str) -> str:
-    """A note as a sentence."""
-    return f"Note: {note}" if note.endswith((".", ":")) else f"Note: {note}."
+    return f"Note: {_stopped(note)}"
+
+
+def _stopped(text: str) -> str:
+    """A text as a sentence, with its full stop."""
+    return text if not text or text.endswith((".", ":")) else f"{text}."
 
 
 def _wrapped(sentence: str, size: int) -> list[str]:
@@ -96,7 +104,7 @@ def _table(table: Table, size: int) -> Iterator[str]:
     for line in table.text(size).splitlines():
         # A single column can be wider than the whole line.
         yield from [line] if len(line) <= size else textwrap.wrap(line, size)
-    yield from _wrapped(table.legend, size)
+    yield from _wrapped(_stopped(table.legend), size)
 
 
 def _prose(sentences: Sequence[str]) -> Iterator[str]:

@@ -107,8 +107,10 @@ def percent(share: float) -> str:
 
 
 def times(value: float) -> str:
-    """A factor: 3.4×."""
-    return f"{value:.3g}×"
+    """A factor: 3.4×, 1000×, 1.2e6×."""
+    if 100 <= value < 1e5:
+        return f"{value:.0f}×"
+    return f"{compact(value)}×" if 1e5 <= value < math.inf else f"{value:.3g}×"
 
 
 def counted(count: int, noun: str) -> str:

@@ -27,6 +27,8 @@ MARKERS = {"newton": "o", "pgs": "s"}
 THEIRS = "*"
 # Errors this many times the shipped one are drawn as failures: they would flatten the rest.
 FAR = 1e4
+# A point nearer to the left than this part of the axes has its text at its right.
+EDGE = 0.2
 
 
 def draw(trade: Trade) -> Any:
@@ -160,9 +162,10 @@ def _rings(axes: Any, trade: Trade, good: list[TradeRow]) -> None:
             continue
         at = (_cost(trade, row), trade.error(row))
         axes.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6, zorder=5)
-        # Below and left of the front there is nothing to cover.
-        style: dict[str, Any] = {"textcoords": "offset points", "ha": "right", "va": "top"}
-        axes.annotate(text, at, (-9, -9), zorder=6, fontsize=TEXT, **style)
+        # Below and left of the front there is nothing to cover, but for the axis itself.
+        left = axes.transAxes.inverted().transform(axes.transData.transform(at))[0] > EDGE
+        style: dict[str, Any] = {"textcoords": "offset points", "ha": "right" if left else "left"}
+        axes.annotate(text, at, (-9 if left else 9, -9), va="top", zorder=6, fontsize=TEXT, **style)
 
 
 def _label_axes(axes: Any, trade: Trade) -> None:
