@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,11 +25,7 @@ def contact_table(
 ) -> NDArray[Any]:
     """See `Sim.contacts`. numbers: dist, pos, normal, force, shape (contacts, 10)."""
     geoms = np.array(pairs, dtype=np.int32).reshape(-1, 2).T
-    width = max(map(len, geom_names), default=0) or 1
-    fields = ELEMENT + [(field, np.int32) for field in ("geom1", "geom2")]
-    fields += [(field, f"U{width}") for field in ("name1", "name2")]
-    fields += [("dist", float), *((field, float, 3) for field in VECTORS)]
-    table = np.zeros(len(pairs), dtype=fields)
+    table = np.zeros(len(pairs), _contact_type(max(map(len, geom_names), default=0) or 1))
     _put_elements(table, elements)
     for k in (0, 1):
         table[f"geom{k + 1}"] = geoms[k]
@@ -48,10 +45,7 @@ def row_table(
     numbers: Floats,
 ) -> NDArray[Any]:
     """See `Sim.rows`. numbers: those of `ROW_NUMBERS`, shape (rows, 7)."""
-    width = max(map(len, names), default=1)
-    fields = [*ELEMENT, ("name", f"U{width}"), ("block", np.int32)]
-    fields += [(field, float) for field in (*ROW_NUMBERS, "force")]
-    table = np.zeros(len(elements), dtype=fields)
+    table = np.zeros(len(elements), _row_type(max(map(len, names), default=1)))
     _put_elements(table, elements)
     table["name"], table["block"] = names, blocks
     for k, field in enumerate(ROW_NUMBERS):
@@ -61,6 +55,22 @@ def row_table(
     return table
 
 
+# A table is read after many steps; its type takes as long to make as its contents.
+@functools.cache
+def _contact_type(width: int) -> np.dtype[np.void]:
+    """Of contacts whose geoms have names of at most so many characters."""
+    fields = ELEMENT + [(field, np.int32) for field in ("geom1", "geom2")]
+    fields += [(field, f"U{width}") for field in ("name1", "name2")]
+    return np.dtype([*fields, ("dist", float), *((field, float, 3) for field in VECTORS)])
+
+
+@functools.cache
+def _row_type(width: int) -> np.dtype[np.void]:
+    """Of rows whose elements have names of at most so many characters."""
+    fields = [*ELEMENT, ("name", f"U{width}"), ("block", np.int32)]
+    return np.dtype([*fields, *((field, float) for field in (*ROW_NUMBERS, "force"))])
+
+
 def _put_elements(table: NDArray[Any], elements: list[tuple[str, int, int]]) -> None:
-    for k, field in enumerate(("kind", "index", "part")):
-        table[field] = [element[k] for element in elements]
+    if elements:
+        table["kind"], table["index"], table["part"] = zip(*elements, strict=True)
