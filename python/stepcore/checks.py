@@ -11,6 +11,7 @@ import inspect
 import math
 import os
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 Check = Callable[[Any, str, Any], Any]
@@ -74,6 +75,20 @@ class ElementError(ValueError):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (str(self.owner), self.text)
+
+
+def file_bytes(path: str | os.PathLike[str], expected: str) -> bytes:
+    """What a file holds; an error in one line that names it where it is missing or a folder.
+
+    expected: what it should be, such as "an MJCF file".
+    """
+    name = os.fsdecode(path)
+    try:
+        return Path(name).read_bytes()
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{name}: no such file") from None
+    except IsADirectoryError:
+        raise IsADirectoryError(f"{name}: is a folder, not {expected}") from None
 
 
 def refuse(owner: Any, field: str, value: object, limit: str) -> ElementError:

@@ -121,7 +121,7 @@ def test_info(capsys):
         (["run", "FOLDER"], "is a folder, not an MJCF file"),
         (["trade", "no.xml"], "no.xml: no such file"),
         (["replay", "no.json"], "no.json: no such file"),
-        (["replay", "FOLDER"], "is a folder, not a file"),
+        (["replay", "FOLDER"], "is a folder, not a replay file"),
         (["plan", "BALL", "--key", "1"], "key = 1"),
         (["run", "lesson:slide", "--duration", "1"], "spring, drop, stack, grasp"),
         (["run", "no_such_package:x", "--duration", "1"], "no package"),

@@ -37,6 +37,7 @@ def test_a_spring_beyond_its_limit(z):
     """Semi-implicit: the energy grows by exp(2 acosh(z²/2 − 1)) a step; stable below z = 2."""
     error, sim = spring(z, integrator="semi-implicit")
     assert error.gained and error.element == "spring of joint `spring`"
+    assert error.element_id == ("spring", 0, -1) == error.share_ids[0]
     assert error.shares[error.element] > 0.99
     assert error.growth == pytest.approx(2 * math.acosh(z * z / 2 - 1) / (z / 10), rel=0.02)
     assert error.stable_dt == pytest.approx(0.2, rel=2e-4)
@@ -237,21 +238,23 @@ def test_a_file_that_is_none_or_damaged_or_of_another_version(tmp_path):
     path = tmp_path / "failure.json"
     damaged = [
         ("", "not a replay file"),
-        (text[: len(text) // 2], "not a replay file, or cut short"),
+        (text[: len(text) // 2], "not a replay file, or incomplete"),
         ("[]", "not a replay file"),
         ('{"kind": "something"}', "not a replay file"),
         (text.replace('"version": 1', '"version": 99'), "version 99"),
-        (text.replace('"steps": 64', '"steps": 63'), "changed or damaged"),
-        (text.replace('"state": "c3Rl', '"state": "d3Rl'), "changed or damaged"),
-        (text.replace('"gravity"', '"levity"'), "changed or damaged"),
+        (text.replace('"steps": 64', '"steps": 63'), "edited or damaged"),
+        (text.replace('"state": "c3Rl', '"state": "d3Rl'), "edited or damaged"),
+        (text.replace('"gravity"', '"levity"'), "edited or damaged"),
     ]
     for bad, reason in damaged:
         path.write_text(bad)
         with pytest.raises(ValueError, match=reason) as caught:
             sc.replay(path)
         assert "\n" not in str(caught.value) and str(path) in str(caught.value)
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(FileNotFoundError, match=r"none\.json: no such file$"):
         sc.replay(tmp_path / "none.json")
+    with pytest.raises(IsADirectoryError, match="is a folder, not a replay file"):
+        sc.replay(tmp_path)
     with pytest.raises(ValueError, match="must be a path or a Replay"):
         sc.replay(3)
 

@@ -1,4 +1,4 @@
-"""`Replay`: a failure in one file: scene, settings, a complete state, inputs by step."""
+"""`Replay`: a failed run to be repeated: its scene, settings, complete state and inputs."""
 
 from __future__ import annotations
 
@@ -31,17 +31,22 @@ FIELDS: dict[str, type] = {
     "inputs": list,
 }
 FIELDS |= {"steps": int, "happened": dict}
+# What a replay keeps of its error.
+HAPPENED = (
+    *("step", "time", "world", "gained", "growth", "stable_dt"),
+    *("element", "element_id", "shares", "share_ids"),
+)
 
 
 @dataclass(frozen=True, repr=False)
 class Replay:
-    """A run from its last good state to its failure; found as `SimulationError.replay`.
+    """A run from a good state to its failure; an error has it as `SimulationError.replay`.
 
-    settings: how it was computed. state: the complete state (`Sim.state`) from which it fails
-    again. inputs: (step, ctrl, qfrc_applied, xfrc_applied) wherever they change, steps counted
-    from that state. steps: how many end in the last state that was kept: in the next one
-    something is not finite, or (ledger on) that state has energy that it cannot have gained.
-    happened: what the error said.
+    name: of the scene. settings: of the run. state: the complete state (`Sim.state`) from which the
+    run fails again. inputs: (step, ctrl, qfrc_applied, xfrc_applied) wherever they change; steps
+    count from that state. steps: how many lead to the last finite state. In the step after it
+    something is not finite; or, with a ledger, that state has energy that it cannot have gained.
+    happened: the attributes of the error, its text, and a digest of the last finite state.
 
     >>> import stepcore as sc
     >>> sim = sc.Sim(sc.lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)
@@ -51,7 +56,7 @@ class Replay:
     ... except sc.SimulationError as error:
     ...     failure = error.replay
     >>> failure
-    <Replay of "spring": 64 steps, driven by spring of joint `spring`>
+    <Replay of "spring": 64 steps, energy from spring of joint `spring`>
     >>> failure.run().same
     True
     """
@@ -72,7 +77,7 @@ class Replay:
         return scene if isinstance(scene, dict) else self._scene.to_dict()
 
     def run(self) -> PostMortem:
-        """Runs it again, and tells what each element did in every step."""
+        """Runs it again; see `stepcore.replay`."""
         return run_again(self)
 
     def to_json(self) -> str:
@@ -95,30 +100,31 @@ class Replay:
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Replay:
-        """Reads a file; ValueError in one line for one that is none, damaged or of another version.
+        """Reads a replay file.
 
-        Raises FileNotFoundError where there is none.
+        Raises ValueError, in one line, for a file that is no replay file, was damaged or has
+        another version; FileNotFoundError for a missing file, IsADirectoryError for a folder.
         """
         shown = os.fsdecode(path)
         try:
-            data = json.loads(Path(path).read_text(encoding="utf-8"))
+            data = json.loads(checks.file_bytes(path, "a replay file"))
         except (ValueError, RecursionError):
-            raise ValueError(f"{shown}: not a replay file, or cut short") from None
+            raise ValueError(f"{shown}: not a replay file, or incomplete") from None
         if not isinstance(data, dict) or data.pop("kind", None) != KIND:
             raise ValueError(f"{shown}: not a replay file")
         version = data.pop("version", None)
         if version != VERSION:
-            text = f"written in version {version!r}, this stepcore reads {VERSION}"
-            raise ValueError(f"{shown}: a replay file {text}")
+            text = f"version {version!r} of a replay file; this stepcore reads version {VERSION}"
+            raise ValueError(f"{shown}: {text}")
         check = data.pop("check", None)
         typed = all(isinstance(data.get(key), kind) for key, kind in FIELDS.items())
         if set(data) != set(FIELDS) or not typed or check != _check(data):
-            raise ValueError(f"{shown}: this replay file was changed or damaged")
+            raise ValueError(f"{shown}: this replay file was edited or damaged")
         return _made(shown, data)
 
     def __repr__(self) -> str:
         of = f' of "{self.name}"' if self.name else ""
-        return f"<Replay{of}: {self.steps} steps, driven by {self.happened['element']}>"
+        return f"<Replay{of}: {self.steps} steps, energy from {self.happened['element']}>"
 
 
 def _made(shown: str, data: dict[str, Any]) -> Replay:
@@ -143,36 +149,27 @@ def _check(body: dict[str, Any]) -> str:
 
 
 def attach(error: SimulationError, model: Model, qpos: Floats, qvel: Floats) -> None:
-    """Gives an error its `replay`. qpos, qvel: the last state of the world that failed."""
-    told = error.__dict__
-    happened = {
-        "text": str(error),
-        "step": error.step,
-        "time": error.time,
-        "world": error.world,
-        "element": error.element,
-        "gained": error.gained,
-        "shares": error.shares,
-        "growth": error.growth,
-        "stable_dt": error.stable_dt,
-        "state": digest(qpos, qvel),
-    }
+    """Gives an error its `replay`. qpos, qvel: the last finite state of the world that failed."""
+    happened = {name: getattr(error, name) for name in HAPPENED}
+    happened |= {"text": str(error), "state": digest(qpos, qvel)}
+    private = error.__dict__
     error.replay = Replay(
         name=model.scene.name,
         settings=model.settings,
-        state=told.pop("_start"),
-        inputs=told.pop("_changes"),
-        steps=told.pop("_steps"),
+        state=private.pop("_start"),
+        inputs=private.pop("_changes"),
+        steps=private.pop("_steps"),
         happened=happened,
         _scene=model.scene,
     )
 
 
 def replay(source: str | os.PathLike[str] | Replay) -> PostMortem:
-    """Runs a failure again.
+    """Runs a failure again, and returns what each element did on the way.
 
     source: the path of a replay file, or a `Replay` (an error's ``replay``).
-    Raises ValueError for a file that is none, damaged or of another version.
+
+    Raises what `Replay.load` raises for a file.
 
     >>> import stepcore as sc
     >>> sim = sc.Sim(sc.lesson.spring(), dt=0.205, integrator="semi-implicit", ledger=True)

@@ -5,22 +5,21 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from stepcore import checks
 from stepcore.mjcf.nodes import MJCFError, Node, parse
 
 
-def read_file(path: Path, shown: str) -> Node:
-    """The root of the XML file at `path`, which messages call `shown`."""
-    return parse(read_bytes(path, shown), shown)
+def read_file(shown: str) -> Node:
+    """The root of an XML file."""
+    return parse(read_bytes(shown), shown)
 
 
-def read_bytes(path: Path, shown: str) -> bytes:
-    """What the file at `path` holds."""
+def read_bytes(shown: str) -> bytes:
+    """What an MJCF file holds."""
     try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{shown}: no such file") from None
-    except IsADirectoryError:
-        raise IsADirectoryError(f"{shown}: is a folder, not an MJCF file") from None
+        return checks.file_bytes(shown, "an MJCF file")
+    except (FileNotFoundError, IsADirectoryError):
+        raise
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise MJCFError(shown, 1, f"cannot be read: {reason}") from None
@@ -72,7 +71,7 @@ def _included(
     shown = str(path)
     included_by[shown] = node.file
     try:
-        root = read_file(path, shown)
+        root = read_file(shown)
     except FileNotFoundError as error:
         raise FileNotFoundError(f"{node.file}:{node.line}: {error}") from None
     if not root.children:

@@ -33,7 +33,7 @@ def read_file(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Fills an empty scene from an MJCF file; see `stepcore.load`."""
     shown = os.fsdecode(path)
     main = Path(shown)
-    data = read_bytes(main, shown)
+    data = read_bytes(shown)
     root = parse(data, shown)
     expand(root, main.parent, main)
     _fill(scene, root, Source(data, os.path.abspath(main.parent)))
