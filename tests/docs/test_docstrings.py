@@ -15,7 +15,7 @@ WITHOUT_EXAMPLE = (
     *("Settings", "SimulationError", "__version__", "reference"),
     *("Diagnosis", "Predictability", "Trade"),
     *("ElementLimits", "FeatureEffect", "PlanEntry", "ResidualHistory", "RowForce"),
-    *("CandidateRun", "SweepTheory", "MapCell", "MapPanel"),
+    *("CandidateRun", "SweepTheory", "MapCell", "MapPanel", "TradeRow"),
     *("BodyView", "GeomView", "JointView", "SiteView", "Trajectory", "Keyframe", "Rollout"),
     *("Energy", "Momentum", "MJCFError"),
     *("Actuator", "Body", "Equality", "Geom", "Joint", "Key", "MassRules", "Features", "Site"),

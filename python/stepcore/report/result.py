@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import io
 import json
 import os
-import textwrap
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stepcore import checks
-from stepcore.report.report import NARROWEST, Report
+from stepcore.report.report import Report
 from stepcore.report.table import Table, jsonable
 
 
@@ -24,11 +21,6 @@ class Result(ABC):
     `setup`), what follows from it (`sentences`), and what was measured (`table`, and as printed
     `tables`); everything else is made of these.
     """
-
-    def __init_subclass__(cls, **kwargs: Any) -> None:
-        super().__init_subclass__(**kwargs)
-        if "text" in cls.__dict__:
-            cls.text = _held(cls.text)  # type: ignore[method-assign]
 
     # What was measured, and the units of the columns of `table`.
     kind: ClassVar[str]
@@ -47,16 +39,15 @@ class Result(ABC):
         """How it was measured, in a line."""
         return ""
 
-    # Not abstract until every measurement has them.
     @property
+    @abstractmethod
     def sentences(self) -> list[str]:
         """What was found, the answer first."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def table(self) -> Table:
         """The rows as data."""
-        raise NotImplementedError
 
     def tables(self, full: bool) -> list[Table]:
         """The tables as they are printed; `full`: nothing is left out."""
@@ -77,8 +68,6 @@ class Result(ABC):
 
     def report(self, full: bool = False) -> Report:
         """The sentences, tables and notes; `full`: nothing is left out of the tables."""
-        if type(self).text is not Result.text:
-            return Report(self.title, self.text(160).splitlines())
         return Report(self.title, self.sentences, self.tables(full), self.notes, self.setup)
 
     def text(self, width: int | None = None, full: bool = False) -> str:
@@ -108,7 +97,7 @@ class Result(ABC):
 
     def to_json(self, indent: int | None = 2) -> str:
         """`to_dict` as JSON text."""
-        return json.dumps(jsonable(self.to_dict()), indent=indent)
+        return json.dumps(self.to_dict(), indent=indent)
 
     def to_html(self, path: str | os.PathLike[str] | None = None) -> str:
         """The picture and the report as one page that needs no other file. Needs matplotlib.
@@ -131,17 +120,3 @@ class Result(ABC):
     def _repr_html_(self) -> str:
         """The report as a notebook shows it."""
         return self.report().html()
-
-
-# Until every measurement has its report: a `text` of a subclass's own keeps to its width.
-def _held(text: Callable[..., str]) -> Callable[..., str]:
-    @functools.wraps(text)
-    def held(self: Result, width: int | None = None, *args: Any, **kwargs: Any) -> str:
-        if width is None:
-            return text(self, None, *args, **kwargs)
-        width = checks.count("width", width, NARROWEST)
-        lines = text(self, width, *args, **kwargs).splitlines()
-        parts = (textwrap.wrap(line, width) if len(line) > width else [line] for line in lines)
-        return "\n".join(part for some in parts for part in some)
-
-    return held
