@@ -212,6 +212,35 @@ def test_an_executor_gives_the_same_map():
     assert seen[-1][1:] == (4, 4)
 
 
+SPRING = "joint/spring/stiffness"
+
+
+def test_a_motion_and_its_fields_are_the_same():
+    args = ("lesson:spring", SPRING, [100.0], [0.01, 0.05])
+    fields = stability_map(*args, horizon=0.5, key="start", threads=1)
+    whole = stability_map(*args, sc.Motion(horizon=0.5, key="start"), threads=1)
+    assert whole.table.records == fields.table.records
+    assert whole.motion.horizon == 0.5 and whole.motion.key == "start"
+    with pytest.raises(ValueError, match="stability_map does not use starts"):
+        stability_map(*args, sc.Motion(starts=2))
+    with pytest.raises(TypeError, match='no argument "horizn"; nearest: "horizon"'):
+        stability_map(*args, horizn=0.5)
+
+
+def test_an_error_is_a_length_or_a_share_of_the_motion():
+    """The spring swings from 1 m to -1 m, a motion of 2 m: 10 % of it are 20 cm."""
+    dts = [0.01, 0.03, 0.05, 0.1]
+    states_of = [
+        states(stability_map(values=[100.0], dts=dts, integrator="euler", error=error).panels[0])
+        for error in ("10%", 0.2, "20 cm")
+    ]
+    assert states_of[0] == states_of[1] == states_of[2]
+    assert {"finite", "inaccurate"} == set(states_of[0])
+    strict = stability_map(values=[100.0], dts=dts, integrator="euler", error="1um")
+    assert states(strict.panels[0]) == ["inaccurate"] * 4
+    assert "the error stays within 1 µm" in strict.text()
+
+
 # --- what leaves ---------------------------------------------------------------------------------
 
 
@@ -247,9 +276,6 @@ def test_fills_are_told_apart_without_colour():
 
     light = sorted(map(luminance, FILLS.values()))
     assert all(b / a > 1.4 for a, b in itertools.pairwise(light))
-
-
-SPRING = "joint/spring/stiffness"
 
 
 @pytest.mark.parametrize(

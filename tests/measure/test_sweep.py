@@ -24,6 +24,17 @@ def test_a_grid_of_settings_meets_the_closed_form():
         assert record["height"] == pytest.approx(0.3 - 9.81 * record["dt"] ** 2 * 55, abs=1e-13)
 
 
+def test_a_model_may_be_named_by_its_file(tmp_path):
+    path = tmp_path / "drop.xml"
+    lesson.drop().save(path)
+    grid = {"dt": [0.001, 0.002]}
+    own = sc.sweep(lesson.drop(), grid, height, threads=1)
+    assert sc.sweep(path, grid, height, threads=1).records == own.records
+    assert sc.sweep("lesson:drop", grid, height, threads=1).records == own.records
+    with pytest.raises(ValueError, match=r"no 'sweep'; nearest: .sweeps"):
+        sc.sweep("lesson:drop", {"sweep": [1]}, height)
+
+
 def test_the_order_is_the_grids_whoever_computes():
     model = lesson.spring().compile()
     grid = {"dt": [0.001 * k for k in range(1, 40)]}
@@ -85,7 +96,9 @@ def test_what_is_no_failure_of_a_point_is_raised():
             sc.sweep(model, {"dt": values}, height)
     with pytest.raises(ValueError, match=r"grid = .*: must be a dict"):
         sc.sweep(model, [0.1], height)
-    with pytest.raises(ValueError, match="make_or_model = 3: must be a Model, a Scene or a func"):
+    with pytest.raises(
+        ValueError, match="make_or_model = 3: must be a Model, a Scene, a path or a func"
+    ):
         sc.sweep(3, {"dt": [0.1]}, height)
     with pytest.raises(ValueError, match="threads"):
         sc.sweep(model, {"dt": [0.1]}, height, threads=0)

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stepcore import checks
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.executors import check_executor, each
-from stepcore.report.progress import Choice, Progress
+from stepcore.experiment.setup import Source
+from stepcore.experiment.workers import Workers
+from stepcore.loading import find_model
+from stepcore.report.progress import Choice
 from stepcore.report.table import Table
 from stepcore.scene.scene import Scene
 from stepcore.scene.value_paths import find
 
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
 
 def sweep(
-    make_or_model: Model | Scene | Callable[..., Any],
+    make_or_model: Source | Callable[..., Any],
     grid: Mapping[str, Sequence[Any]],
     measure: Callable[[Any], Any],
     *,
@@ -30,20 +31,22 @@ def sweep(
     executor: Executor | None = None,
     progress: Choice = None,
 ) -> Table:
-    """Measures at every point of the cartesian product of `grid`, in the order of the grid.
+    """Measures at every point of a grid of settings or values, in the order of the grid.
 
-    make_or_model: a Model (or Scene), whose grid keys are `Settings` fields or, with a "/" in
-        them, paths as in `Model.with_values`; or a function that is called with the point's
-        values by keyword. What it returns is measured; a Scene or Model is made a Sim first.
+    make_or_model: a Model, a Scene, or the path of an MJCF file (or "package:name"). The keys of
+        the grid are then `Settings` fields or, with a "/" in them, paths as in
+        `Model.with_values`. Or a function that is called with the values of a point by keyword,
+        and returns what is measured; a Scene or Model becomes a Sim first.
+    grid: the values of each key; every combination is a point, and the last key varies fastest.
     measure: called with the Sim; returns a number (column "value") or a mapping of columns.
-    threads: how many measurements run at once (default: one a core). The lock of the
-        interpreter is released while a Sim steps.
-    executor: any `concurrent.futures` executor in place of threads; with one that uses
-        processes, everything must pickle.
+    threads: how many measurements run at once (default: one per core). Python's lock is released
+        while a Sim steps.
+    executor: any `concurrent.futures` executor in place of threads. Where it uses processes,
+        everything must pickle.
     progress: False for no bar, or a function of (label, done, total).
 
-    A measurement that fails (SimulationError, or a ValueError of a setting) keeps its row: its
-    column "failure" says why. Any other exception is raised. The last key varies fastest.
+    A measurement that fails (SimulationError, or a ValueError of a setting) keeps its row, and the
+    column "failure" says why. Any other exception is raised.
 
     Raises ValueError for an unknown setting in the grid, an axis that is not a list of at least
     one value, and threads < 1.
@@ -63,21 +66,16 @@ def sweep(
     if not isinstance(grid, Mapping):
         raise ValueError(f"grid = {checks.shown(grid)}: must be a dict of names and their values")
     axes = {str(name): checks.several(f"grid['{name}']", grid[name]) for name in grid}
-    workers = checks.threads(threads)
     checks.function("sim")("sweep", "measure", measure)
-    check_executor("sweep", executor)
-    checks.told("sweep", progress)
-    if isinstance(make_or_model, Scene):
-        make_or_model = make_or_model.compile()
-    if isinstance(make_or_model, Model):
+    workers = Workers.checked("sweep", threads, executor, progress)
+    if isinstance(make_or_model, (Model, Scene, str, os.PathLike)):
+        make_or_model = find_model(make_or_model)
         _check_names(make_or_model, axes)
     elif not callable(make_or_model):
-        limit = "a Model, a Scene or a function"
+        limit = "a Model, a Scene, a path or a function"
         raise ValueError(f"make_or_model = {checks.shown(make_or_model)}: must be {limit}")
     points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
-    with Progress("sweep", len(points), progress) as bar:
-        job = partial(at_point, make_or_model, measure)
-        results = each(job, points, bar=bar, threads=workers, executor=executor)
+    results = workers.each(partial(at_point, make_or_model, measure), points, "sweep")
     own = [name for result in results for name in result if name != "failure"]
     columns = list(dict.fromkeys([*axes, *own]))
     if any("failure" in result for result in results):
@@ -91,7 +89,7 @@ def _is_value(name: str) -> bool:
 
 
 def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
-    """A misspelt name is an error of the whole sweep, not a failure of every point."""
+    """Raises ValueError for a misspelt name, once and not at every point."""
     fields = model.settings.as_dict()
     for name in axes:
         if _is_value(name):
