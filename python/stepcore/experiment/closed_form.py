@@ -1,6 +1,6 @@
-"""Motions that have a closed form, as the truth, and to check the reference against.
+"""Closed-form motions: errors are measured from them, and the reference is checked against them.
 
-Two kinds, which may stand side by side in one scene, without a row at any time:
+Two kinds have one, side by side in one scene too, as long as no row is active:
 
 - slides and hinges whose accelerations are affine in their coordinates, velocities and controls:
   masses on springs and dampers, motors and servos, a hinge that gravity does not turn. With
@@ -9,8 +9,8 @@ Two kinds, which may stand side by side in one scene, without a row at any time:
 - free bodies on their own whose inertia is the same about every axis: the centre of mass falls,
   the spin stays.
 
-Whether a scene is of these kinds is not read off its elements but seen: the accelerations that the
-engine gives are compared with the form's at the beginning and the end of every control period.
+Whether a scene is of these kinds is not read from its elements but tested: the accelerations that
+the engine computes are compared with the form's at both ends of every control period.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How well a converged motion is known: from the order that halvings show, or from a second way.
+"""How well a converged motion is known: by the order that halvings show, or a second integrator.
 
 Richardson: if the error falls as dt^p, the distance d between runs at dt and dt/2 puts the error of
 the finer at d/(2^p - 1). That holds only where p is seen, in three halvings, to be what the

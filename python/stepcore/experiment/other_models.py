@@ -1,11 +1,11 @@
-"""What a model is wrong by, apart from what its numbers are wrong by.
+"""Separates the modelling error of a setting from its numerical error.
 
-A *numerical* error is the distance of a run from the limit dt → 0 of its own model; a *modelling*
-error is the distance of that limit from another model's. Models differ in the law, the cone and the
-softness; single precision counts as one, whose distance is that of a run from the same run in
-double precision. Two limits are taken with one integrator at one step, so that what is left of
-their numerical errors is much the same on both sides: the reference's at twice its step where runs
-are measured from them, the cheaper one's where only they are compared.
+The *numerical* error is the distance of a run from the limit dt → 0 of its own model; the
+*modelling* error is the distance of that limit from the shipped model's. Models differ in law, cone
+and softness. Single precision counts as a model too: its modelling error is the distance of a run
+from the same run in double precision. Both limits are computed by one integrator at one time step,
+so that their own numerical errors largely cancel: the reference's integrator at twice its step
+where runs are measured from a limit, a cheaper one where only limits are compared.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SETTLED = 0.25
 
 
 class ErrorSplit:
-    """Splits errors into numerical and modelling ones; keeps the limits that it finds."""
+    """Splits errors into numerical and modelling ones; keeps the limits that it computes."""
 
     def __init__(self, runs: ReferenceRuns, reference: Reference, size: float) -> None:
         self.runs, self.reference, self.size = runs, reference, size
@@ -56,7 +56,7 @@ class ErrorSplit:
         self.doubles: dict[Settings, list[Path]] = {}
 
     def keep(self, settings: Settings, paths: list[Path]) -> None:
-        """Remembers runs, so that those in single precision can be compared with them."""
+        """Keeps runs in double precision, which those in single precision are compared with."""
         if settings.precision == "f64" and not paths[-1].failure:
             self.doubles[settings] = paths
 
@@ -86,7 +86,7 @@ class ErrorSplit:
         return dataclasses.replace(whole, numerical=numerical, modelling=modelling)
 
     def limit(self, settings: Settings) -> Level:
-        """The limit of the model that settings stand for."""
+        """The limit of the model that these settings compute."""
         key = (*_modelled(settings), self._clamp(settings))
         if key not in self.limits:
             runner = self.runs.runner
@@ -105,11 +105,11 @@ class ErrorSplit:
         return settings.dt if shortest and 2 * settings.dt > shortest * (1 + 1e-12) else 0.0
 
     def gaps(self) -> dict[str, Gap]:
-        """How far the scene as shipped is from one with round cones, and from a rigid one.
+        """How far the shipped model is from one with elliptic cones, and from a rigid one.
 
-        "pyramid": where friction acts under pyramidal cones. "softness": under solref and penalty,
-        harder and harder until that changes little. Empty where no row acts; the other laws are
-        rigid in their limit.
+        "pyramid": where friction acts under pyramidal cones. "softness": under the laws solref and
+        penalty, whose limit is soft; contacts are made harder until that changes little. Empty
+        where no row acts.
         """
         gaps: dict[str, Gap] = {}
         runner, shipped, here = self.runs.runner, self.runs.shipped, self.cheap.paths
