@@ -36,6 +36,13 @@ def test_the_text_keeps_to_its_width(width):
     assert "".join(LONG.split()) in "".join(REPORT.text(width).split())
 
 
+def test_no_line_ends_between_a_number_and_its_unit():
+    text = "The error is 6.94 µm after 12 ms of 40 % of the 3 motions at 2.5 m/s and 9 rad/s."
+    for width in range(20, 90):
+        for line in Report("title", [text]).text(width).splitlines():
+            assert not line.endswith(("6.94", "12", "40", "2.5", "9")), line
+
+
 @pytest.mark.parametrize("width", [-1, 0, 19, "x", 40.5])
 def test_a_width_that_is_none_is_refused(width):
     with pytest.raises(ValueError, match=r"width = .*: must be a whole number >= 20"):

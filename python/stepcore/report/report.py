@@ -8,17 +8,22 @@ from __future__ import annotations
 
 import base64
 import html
+import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from stepcore import checks
 from stepcore.report.table import Table, window
+from stepcore.report.units import NAMES
 
 # A narrower line is of no use, and sentences in wider lines are hard to read.
 NARROWEST, PROSE = 20, 100
 # How a sentence begins that is an item of the list under the sentence before it.
 ITEM = "- "
+# The blank between a number and its unit, where no line ends.
+FIXED = "\N{NO-BREAK SPACE}"
+BEFORE_UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(map(re.escape, NAMES))})(?!\w))")
 
 
 @dataclass(frozen=True)
@@ -90,13 +95,14 @@ def _stopped(text: str) -> str:
 
 def _wrapped(sentence: str, size: int) -> list[str]:
     item = sentence.startswith(ITEM)
-    return textwrap.wrap(
-        sentence,
+    lines = textwrap.wrap(
+        BEFORE_UNIT.sub(FIXED, sentence),
         min(size, PROSE),
         initial_indent="  " if item else "",
         subsequent_indent="    " if item else "",
         break_on_hyphens=False,
     )
+    return [line.replace(FIXED, " ") for line in lines]
 
 
 def _table(table: Table, size: int) -> Iterator[str]:

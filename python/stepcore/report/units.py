@@ -19,6 +19,15 @@ ANGLES: Units = (("rad", 1.0), ("mrad", 1e-3), ("µrad", 1e-6), ("nrad", 1e-9))
 FREQUENCIES: Units = (("MHz", 1e6), ("kHz", 1e3), ("Hz", 1.0))
 COMPUTING: Units = (("s", 1e6), ("ms", 1e3), ("µs", 1.0))
 OPERATIONS: Units = (("Gflop", 1e9), ("Mflop", 1e6), ("kflop", 1e3), ("flop", 1.0))
+# What a number is followed by in a text.
+NAMES = {
+    *("%", "m/s", "rad/s", "1/s"),
+    *(
+        name
+        for units in (TIMES, LENGTHS, FORCES, ENERGIES, ANGLES, FREQUENCIES, OPERATIONS)
+        for name, _ in units
+    ),
+}
 # A length below this is rounding whatever the scene [m].
 ROUNDING = 1e-12
 
