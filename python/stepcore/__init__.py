@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from stepcore.mjcf.nodes import MJCFError as MJCFError
     from stepcore.reading import load as load
     from stepcore.reading import loads as loads
+    from stepcore.report.report import Report as Report
     from stepcore.report.table import Table as Table
     from stepcore.scene.elements import Actuator as Actuator
     from stepcore.scene.elements import Body as Body
@@ -157,6 +158,7 @@ _MODULES = {
         "load",
         "loads",
     ),
+    "stepcore.report.report": ("Report",),
     "stepcore.report.table": ("Table",),
     "stepcore.scene.elements": (
         *("Actuator", "Body", "Equality", "Features", "Geom"),

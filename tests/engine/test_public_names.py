@@ -96,15 +96,19 @@ def classes_in(module, annotation):
 
 def handed_out(thing):
     """The classes that a function returns, or that the public methods of a class return."""
-    module = thing.__module__
-    tree = source_of(module)
-    definition = next(
-        node for node in ast.walk(tree) if getattr(node, "name", "") == thing.__name__
-    )
-    for node in [definition, *definition.body]:
-        public = isinstance(node, ast.FunctionDef) and not node.name.startswith("_")
-        if public and node.returns is not None:
-            yield from classes_in(module, node.returns)
+    for kind in getattr(thing, "__mro__", (thing,)):
+        module = kind.__module__
+        if not module.startswith("stepcore."):
+            continue
+        definition = next(
+            node
+            for node in ast.walk(source_of(module))
+            if getattr(node, "name", "") == kind.__name__
+        )
+        for node in [definition, *definition.body]:
+            public = isinstance(node, ast.FunctionDef) and not node.name.startswith("_")
+            if public and node.returns is not None:
+                yield from classes_in(module, node.returns)
 
 
 PUBLIC = [

@@ -1,4 +1,4 @@
-"""State arrays of a `Sim` or a `Batch`: numpy's memory, checked when written."""
+"""Arrays as attributes: the state, written and checked; readouts and constants, read-only."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 
 class StateArray:
-    """An array that belongs to a `Sim` or a `Batch`: write into it, or assign to fill it."""
+    """An array of a `Sim` or a `Batch` that can be written, in place or by assignment."""
 
     def __init__(self, doc: str) -> None:
         self.__doc__ = doc
@@ -32,8 +32,8 @@ class StateArray:
         fill(sim._arrays[self.name], self.name, value)
 
 
-class ModelArray:
-    """A read-only array of a `Model`, known to the engine by the attribute's name."""
+class ReadOnlyArray:
+    """An array that can be read but not assigned, known to the engine by the attribute's name."""
 
     def __init__(self, doc: str) -> None:
         self.__doc__ = doc
@@ -41,18 +41,32 @@ class ModelArray:
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
+    def __set__(self, owner: Any, value: object) -> None:
+        raise AttributeError(f"{self.name} of a {type(owner).__name__} is read-only")
+
+
+class Readout(ReadOnlyArray):
+    """What a `Sim` or a `Batch` computes from its state or keeps of its last solve."""
+
+    def __get__(self, sim: Any, owner: type | None = None) -> Floats:
+        if sim is None:
+            return self  # type: ignore[return-value]
+        array: Floats = getattr(sim._core, self.name)
+        return array
+
+
+class ModelArray(ReadOnlyArray):
+    """A constant of a `Model`."""
+
     def __get__(self, model: Any, owner: type | None = None) -> NDArray[Any]:
         if model is None:
             return self  # type: ignore[return-value]
         array: NDArray[Any] = model._arrays[self.name]
         return array
 
-    def __set__(self, model: Any, value: object) -> None:
-        raise AttributeError(f"{self.name} of a Model cannot be set; see Model.with_values")
-
 
 def fill(array: Floats, name: str, value: ArrayLike) -> None:
-    """Overwrites an array; a ValueError for what is not real numbers of its shape."""
+    """Overwrites an array; ValueError if `value` is not real numbers of its shape."""
     table = numbers(name, value)
     try:
         array[...] = table
@@ -62,7 +76,7 @@ def fill(array: Floats, name: str, value: ArrayLike) -> None:
 
 
 def snapshot(value: object, part: Any) -> bytes:
-    """`part` of the snapshot `value` as bytes; ValueError if it cannot be one."""
+    """`part` of the snapshot `value` as bytes; ValueError if it has no bytes."""
     try:
         return bytes(memoryview(part))
     except TypeError:
@@ -71,7 +85,7 @@ def snapshot(value: object, part: Any) -> bytes:
 
 
 def numbers(name: str, value: ArrayLike) -> Floats:
-    """`value` as a contiguous array of float64; a ValueError for what is not real numbers."""
+    """`value` as a contiguous array of float64; ValueError if it is not real numbers."""
     try:
         table = np.asarray(value)
     except (TypeError, ValueError) as error:
@@ -84,5 +98,5 @@ def numbers(name: str, value: ArrayLike) -> Floats:
 
 
 def digest(qpos: Floats, qvel: Floats) -> str:
-    """A hash of a state: equal for the same bits and no others."""
+    """A hash of a state; two states with the same hash have the same bits."""
     return hashlib.sha256(qpos.tobytes() + qvel.tobytes()).hexdigest()

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats, StateArray, numbers, snapshot
+from stepcore.engine.arrays import Floats, numbers, snapshot
 from stepcore.engine.sim import Momentum
 from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, row_table
-from stepcore.engine.views import BodyView, GeomView, JointView, SiteView
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -46,7 +45,9 @@ ON_FAILURE = ("stop", "go on")
 
 
 class Batch(Stepped):
-    """Simulates many worlds of a model; the arrays are those of a `Sim` with a leading world axis.
+    """Simulates many worlds of a model. Its arrays are those of a `Sim` with a leading world axis.
+
+    An array whose documentation says shape (nq,) has shape (n, nq) here, and so on.
 
     model: a `Model`, or a `Scene`, which is compiled.
     n: the number of worlds.
@@ -78,18 +79,6 @@ class Batch(Stepped):
     [-0.981, 0.019, 1.019]
     """
 
-    qpos = StateArray("Positions [m or rad], shape (n, nq); quaternions w x y z.")
-    qvel = StateArray("Velocities [m/s or rad/s], shape (n, nv).")
-    act = StateArray("Activations of actuators, shape (n, na); no actuator has one, so na is 0.")
-    ctrl = StateArray("Controls, shape (n, nu), constant during a step.")
-    qfrc_applied = StateArray(
-        "Applied forces on the dofs [N or N·m], shape (n, nv), constant in a step."
-    )
-    xfrc_applied = StateArray(
-        "Force on each body's centre of mass [N] and moment [N·m], in world axes, "
-        "shape (n, nbody, 6), constant during a step."
-    )
-
     def __init__(
         self,
         model: Model | Scene,
@@ -107,21 +96,11 @@ class Batch(Stepped):
         self._on_failure: str = checks.one_of(*ON_FAILURE)("Batch", "on_failure", on_failure)
         self._failures: dict[int, SimulationError] = {}
         own, goes_on = self._model.settings, self._on_failure == "go on"
-        self._core = _core.Batch(self._model.core, own, n, self._threads, self._lanes, goes_on)
-        self._own(self._core)
+        self._own(_core.Batch(self._model.core, own, n, self._threads, self._lanes, goes_on))
 
     def __len__(self) -> int:
         """The number of worlds."""
         return len(self.qpos)
-
-    @property
-    def time(self) -> float:
-        """Time of all worlds [s]: the value last set or restored, plus dt for each step since."""
-        return self._core.time
-
-    @time.setter
-    def time(self, value: float) -> None:
-        self._core.time = value
 
     def step(self, n: int = 1) -> None:
         """Takes n steps in every world, with the GIL released; raises what `Sim.step` raises."""
@@ -187,50 +166,12 @@ class Batch(Stepped):
     # The present states.
 
     @property
-    def xmat(self) -> Floats:
-        """Orientation of each body's frame as a rotation matrix, shape (n, nbody, 3, 3)."""
-        return self._core.xmat
-
-    @property
-    def geom_xmat(self) -> Floats:
-        """Orientation of each geom as a rotation matrix, shape (n, ngeom, 3, 3)."""
-        return self._core.geom_xmat
-
-    def mass_matrix(self) -> Floats:
-        """Returns the mass matrices, armature included, shape (n, nv, nv)."""
-        return self._core.mass_matrix()
-
-    @property
-    def bias(self) -> Floats:
-        """Coriolis, centrifugal and gravity forces [N or N·m], shape (n, nv); see `Sim.bias`."""
-        return self._core.bias
-
-    @property
-    def passive(self) -> Floats:
-        """Forces of joint springs and dampers [N or N·m], shape (n, nv)."""
-        return self._core.passive
-
-    @property
     def momentum(self) -> Momentum:
         """Linear [kg·m/s] and angular [kg·m²/s] momentum of each world, shape (n, 3) each."""
         both = self._core.momentum
         return Momentum(both[:, 0], both[:, 1])
 
-    def jacobian(self, body: str | int) -> Floats:
-        """Returns the Jacobian of a body's frame, shape (n, 6, nv); see `Sim.jacobian`."""
-        return self._core.jacobian(self._model.index("body", body))
-
     # The last step or forward().
-
-    @property
-    def constraint_force(self) -> Floats:
-        """Force of all constraint rows on the dofs, Jᵀλ/dt [N or N·m], shape (n, nv)."""
-        return self._core.constraint_force
-
-    @property
-    def actuator_force(self) -> Floats:
-        """Force of each actuator before its gear [N or N·m], shape (n, nu)."""
-        return self._core.actuator_force
 
     @property
     def contacts(self) -> list[NDArray[Any]]:
@@ -247,49 +188,6 @@ class Batch(Stepped):
     def residual(self) -> Floats:
         """Residual of each world's last solve [m/s], shape (n,); see `Sim.residual`."""
         return self._core.residual
-
-    # By name.
-
-    def body(self, name: str | int) -> BodyView:
-        """Returns a view of one body in all worlds; ValueError for an unknown name."""
-        return BodyView(self, self._model.index("body", name))
-
-    def joint(self, name: str | int) -> JointView:
-        """Returns a view of one joint in all worlds."""
-        return JointView(self, self._model.index("joint", name))
-
-    def geom(self, name: str | int) -> GeomView:
-        """Returns a view of one geom in all worlds."""
-        return GeomView(self, self._model.index("geom", name))
-
-    def site(self, name: str | int) -> SiteView:
-        """Returns a view of one site in all worlds."""
-        return SiteView(self, self._model.index("site", name))
-
-    @property
-    def qacc(self) -> Floats:
-        """Accelerations of the last solve [m/s² or rad/s²], shape (n, nv)."""
-        return self._core.qacc
-
-    @property
-    def xpos(self) -> Floats:
-        """Position of each body's frame [m], shape (n, nbody, 3)."""
-        return self._core.xpos
-
-    @property
-    def xquat(self) -> Floats:
-        """Orientation of each body's frame as a quaternion w x y z, shape (n, nbody, 4)."""
-        return self._core.xquat
-
-    @property
-    def geom_xpos(self) -> Floats:
-        """Position of each geom [m], shape (n, ngeom, 3)."""
-        return self._core.geom_xpos
-
-    @property
-    def site_xpos(self) -> Floats:
-        """Position of each site [m], shape (n, nsite, 3)."""
-        return self._core.site_xpos
 
     @property
     def energy(self) -> Floats:

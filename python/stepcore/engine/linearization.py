@@ -1,4 +1,4 @@
-"""`Linearization`: the step as a linear map around one state."""
+"""`Linearization`: the step as a linear map about one state."""
 
 from __future__ import annotations
 
@@ -21,11 +21,14 @@ AXES = {
 
 
 class Linearization:
-    """How the state after one step moves with the state and the controls before it.
+    """A step linearised about one state: x⁺ = A x + B u to first order.
 
-    x⁺ = A x + B u to the first order, x = (dq, dv) being small changes of position and velocity
-    and u of ctrl. dq has nv entries [m, rad]: it moves qpos as a velocity dq moves it in one
-    second, so that a ball or free joint turns by a rotation vector in its body's own axes.
+    x = (dq, dv) is a small change of position and velocity, and u one of ctrl. dq has nv entries
+    [m or rad] and changes qpos as a velocity dq does in one second; a ball or free joint rotates by
+    a rotation vector in its body's axes.
+
+    A: shape (2 nv, 2 nv). B: shape (2 nv, nu). dt: the time step [s].
+    labels: names of the dofs. controls: names of the actuators.
 
     >>> from stepcore import Scene, Sim
     >>> scene = Scene()
@@ -56,22 +59,22 @@ class Linearization:
 
     @property
     def nv(self) -> int:
-        """The number of dofs: half the length of x."""
+        """The number of dofs; x has twice as many entries."""
         return len(self.labels)
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
-        """Eigenvalues of A, largest first, shape (2 nv,): one step multiplies a mode by its own."""
+        """Eigenvalues of A, largest first, shape (2 nv,): the factors of the modes in one step."""
         values: NDArray[np.complex128] = np.linalg.eigvals(self.A).astype(complex)
         return values[np.argsort(-np.abs(values), kind="stable")]
 
     @property
     def spectral_radius(self) -> float:
-        """The largest factor by which one step multiplies a mode: above 1, it grows."""
+        """The largest absolute eigenvalue of A; above 1, a perturbation grows."""
         return float(np.abs(self.eigenvalues).max(initial=0.0))
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything as plain data."""
+        """Returns everything as plain data."""
         return {
             "A": self.A.tolist(),
             "B": self.B.tolist(),
@@ -88,7 +91,7 @@ class Linearization:
 
 
 def linearized(sim: Sim, numbers: Floats) -> Linearization:
-    """`numbers` is A with B beside it, as the engine gives it."""
+    """The linearisation of a Sim's next step; numbers: A and B side by side."""
     model = sim.model
     split = 2 * model.nv
     labels = tuple(

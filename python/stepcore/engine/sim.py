@@ -9,12 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats, StateArray, snapshot
+from stepcore.engine.arrays import Floats, snapshot
 from stepcore.engine.linearization import Linearization, linearized
 from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, row_table
 from stepcore.engine.trajectory import Trajectory, record_run
-from stepcore.engine.views import BodyView, GeomView, JointView, SiteView
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -79,18 +78,6 @@ class Sim(Stepped):
     -0.981
     """
 
-    qpos = StateArray("Positions [m or rad], shape (nq,); quaternions w x y z.")
-    qvel = StateArray("Velocities [m/s or rad/s], shape (nv,).")
-    act = StateArray("Activations of actuators, shape (na,); no actuator has one yet, so na is 0.")
-    ctrl = StateArray("Controls, shape (nu,), constant during a step.")
-    qfrc_applied = StateArray(
-        "Applied forces on the dofs [N or N·m], shape (nv,), constant during a step."
-    )
-    xfrc_applied = StateArray(
-        "Force on each body's centre of mass [N] and moment [N·m], in world axes, "
-        "shape (nbody, 6), constant during a step."
-    )
-
     def __init__(
         self,
         model: Model | Scene,
@@ -98,17 +85,7 @@ class Sim(Stepped):
         **fields: Unpack[SettingsFields],
     ) -> None:
         self._model = compiled(model).with_settings(settings, **fields)
-        self._core = _core.Sim(self._model.core, self._model.settings)
-        self._own(self._core)
-
-    @property
-    def time(self) -> float:
-        """Time [s]: the value last set or restored, plus dt for each step since then."""
-        return self._core.time
-
-    @time.setter
-    def time(self, value: float) -> None:
-        self._core.time = value
+        self._own(_core.Sim(self._model.core, self._model.settings))
 
     # Stepping.
 
@@ -243,53 +220,6 @@ class Sim(Stepped):
     # The present state.
 
     @property
-    def xpos(self) -> Floats:
-        """Position of each body's frame [m], shape (nbody, 3)."""
-        return self._core.xpos
-
-    @property
-    def xquat(self) -> Floats:
-        """Orientation of each body's frame as a quaternion w x y z, shape (nbody, 4)."""
-        return self._core.xquat
-
-    @property
-    def xmat(self) -> Floats:
-        """Orientation of each body's frame as a rotation matrix, shape (nbody, 3, 3)."""
-        return self._core.xmat
-
-    @property
-    def geom_xpos(self) -> Floats:
-        """Position of each geom [m], shape (ngeom, 3)."""
-        return self._core.geom_xpos
-
-    @property
-    def geom_xmat(self) -> Floats:
-        """Orientation of each geom as a rotation matrix, shape (ngeom, 3, 3)."""
-        return self._core.geom_xmat
-
-    @property
-    def site_xpos(self) -> Floats:
-        """Position of each site [m], shape (nsite, 3)."""
-        return self._core.site_xpos
-
-    def mass_matrix(self) -> Floats:
-        """Returns the mass matrix [kg, kg·m or kg·m²], armature included, shape (nv, nv)."""
-        return self._core.mass_matrix()
-
-    @property
-    def bias(self) -> Floats:
-        """Coriolis, centrifugal and gravity forces [N or N·m], shape (nv,).
-
-        They stand on the left-hand side of the equation of motion: M qacc + bias = forces.
-        """
-        return self._core.bias
-
-    @property
-    def passive(self) -> Floats:
-        """Forces of joint springs and dampers [N or N·m], shape (nv,)."""
-        return self._core.passive
-
-    @property
     def energy(self) -> Energy:
         """Kinetic and potential energy [J]; gravity and joint springs, but no servos, store it."""
         kinetic, potential = self._core.energy
@@ -306,36 +236,14 @@ class Sim(Stepped):
         """The deepest overlap of two geoms that can collide [m], 0 if none overlap."""
         return float(self._core.overlap)
 
-    def jacobian(self, body: str | int) -> Floats:
-        """Returns the Jacobian of a body's frame, shape (6, nv), in world axes.
-
-        Times qvel, its first three rows give the velocity of the frame's origin [m/s] and the last
-        three its angular velocity [rad/s]. Raises ValueError for an unknown body.
-        """
-        return self._core.jacobian(self._model.index("body", body))
-
     # The last step or forward().
 
-    @property
-    def qacc(self) -> Floats:
-        """Accelerations of the last solve [m/s² or rad/s²], shape (nv,)."""
-        return self._core.qacc
-
-    @property
-    def constraint_force(self) -> Floats:
-        """Force of all constraint rows on the dofs, Jᵀλ/dt [N or N·m], shape (nv,)."""
-        return self._core.constraint_force
-
-    @property
-    def actuator_force(self) -> Floats:
-        """Force of each actuator before its gear [N or N·m], shape (nu,)."""
-        return self._core.actuator_force
-
     def element_forces(self) -> dict[tuple[str, int], Floats]:
-        """The generalised force of every element that pushes, as of the last step or `forward`.
+        """Returns the generalised force of every element [N or N·m], as of the last solve.
 
-        By (kind, index) as in `rows` and `contacts`; also of "spring", "damper", "actuator",
-        "gravity", "qfrc_applied" and "xfrc_applied". Each [N] or [N·m], shape (nv,).
+        The keys are (kind, index) as in `rows` and `contacts`, and also of kind "spring",
+        "damper", "actuator", "gravity", "qfrc_applied" and "xfrc_applied". The values have shape
+        (nv,).
         """
         elements, forces = self._core.element_forces()
         return {
@@ -407,24 +315,6 @@ class Sim(Stepped):
     def contacts_grown(self) -> int:
         """How often the list of contacts had to grow; 0 if `max_contacts` was enough."""
         return self._core.contacts_grown
-
-    # By name.
-
-    def body(self, name: str | int) -> BodyView:
-        """Returns a view of one body; ValueError with the nearest names for an unknown one."""
-        return BodyView(self, self._model.index("body", name))
-
-    def joint(self, name: str | int) -> JointView:
-        """Returns a view of one joint; see `body`."""
-        return JointView(self, self._model.index("joint", name))
-
-    def geom(self, name: str | int) -> GeomView:
-        """Returns a view of one geom; see `body`."""
-        return GeomView(self, self._model.index("geom", name))
-
-    def site(self, name: str | int) -> SiteView:
-        """Returns a view of one site; see `body`."""
-        return SiteView(self, self._model.index("site", name))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (self._model, self.state())

@@ -1,4 +1,4 @@
-"""Contacts and rows of a solve as structured arrays."""
+"""Contacts and rows of a solve as structured numpy arrays."""
 
 from __future__ import annotations
 

@@ -29,9 +29,10 @@ RECORDED = (
 
 @dataclass(repr=False)
 class Trajectory:
-    """A recorded run: ``trajectory.time`` [s], and ``trajectory.qpos`` and so on, time first.
+    """A recorded run: ``trajectory.qpos`` and so on, with time as the first axis.
 
-    data: arrays by name, shape (steps + 1, …); the first entry is the state at the start.
+    time: [s], shape (steps + 1,).
+    data: recorded arrays by name, shape (steps + 1, …); the first entry is the initial state.
     """
 
     time: NDArray[np.float64]
@@ -55,10 +56,10 @@ class Trajectory:
         return f"<Trajectory: {end}, {len(self.time)} instants; {shapes}>"
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Any:
-        """Draws the run over time; returns the matplotlib figure.
+        """Plots the run over time and returns the matplotlib figure.
 
-        Energy (kinetic, potential, total) and deepest overlap where they were recorded; else
-        everything that was. path: a file to save the plot to. Needs the extra "plot".
+        The plot shows energy and deepest overlap if they were recorded, else everything that was.
+        path: a file to save the plot to. Needs matplotlib (the extra "plot").
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.drop())
@@ -97,7 +98,7 @@ def record_run(
 
 
 def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
-    """`value` [s] in steps of `dt`; ValueError if that is not a whole number."""
+    """A time [s] in steps of `dt`; ValueError if it is not a whole number of steps."""
     number = checks.number(value)
     if number is None or number < 0:
         raise ValueError(f"{name} = {checks.shown(value)}: must be a finite number of seconds >= 0")
@@ -109,7 +110,7 @@ def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
 
 
 def _controls(sim: Sim, control: Control) -> Callable[[int], ArrayLike] | None:
-    """ctrl of each control period."""
+    """A function from the index of a control period to its ctrl."""
     if control is None:
         return None
     if callable(control):
@@ -124,7 +125,7 @@ def _controls(sim: Sim, control: Control) -> Callable[[int], ArrayLike] | None:
 
 
 def _finite(sim: Sim, ctrl: ArrayLike, where: str) -> NDArray[np.float64]:
-    """Controls that a step can take; refused before they are written, so that none stay behind."""
+    """Checks controls before they are written, so that an error leaves ctrl as it was."""
     table = numbers("ctrl", ctrl)
     single = sim.settings.precision == "f32"
     with np.errstate(over="ignore"):
@@ -146,7 +147,5 @@ def _names(sim: Sim, record: Sequence[str]) -> tuple[str, ...]:
         record = (record,)
     for name in record:
         if name not in RECORDED:
-            raise ValueError(
-                f'record: there is no "{name}" to keep{checks.nearest(name, RECORDED)}'
-            )
+            raise ValueError(f'record: "{name}" cannot be recorded{checks.nearest(name, RECORDED)}')
     return tuple(record)

@@ -1,5 +1,4 @@
-"""Views of a `Sim` or a `Batch` by element name: ``sim.body("torso").xpos``,
-``sim.joint("knee").qpos``. Those of a `Batch` have its world axis in front."""
+"""Views of one element: ``sim.body("torso").xpos``, ``sim.joint("knee").qpos``."""
 
 from __future__ import annotations
 
@@ -12,25 +11,24 @@ from stepcore.engine.arrays import Floats, fill
 from stepcore.scene.layout import DOFS, QPOS
 
 if TYPE_CHECKING:
-    from stepcore.engine.batch import Batch
-    from stepcore.engine.sim import Sim
+    from stepcore.engine.stepped import Stepped
 
 
 class _View(KnownNames):
     kind = ""
 
-    def __init__(self, sim: Sim | Batch, index: int) -> None:
+    def __init__(self, sim: Stepped, index: int) -> None:
         self._sim = sim
         self._index = index
 
     @property
     def index(self) -> int:
-        """Where the element stands in the arrays."""
+        """Index of the element in the arrays."""
         return self._index
 
     @property
     def name(self) -> str:
-        """The element's name, "" if it has none."""
+        """Name of the element, "" if it has none."""
         return self._sim.model.names[self.kind][self.index]
 
     @property
@@ -42,44 +40,44 @@ class _View(KnownNames):
 
 
 class BodyView(_View):
-    """One body of a `Sim`."""
+    """One body of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
 
     kind = "body"
 
     @property
     def xpos(self) -> Floats:
-        """Position of its frame [m], shape (3,)."""
+        """Position of the body's frame [m], shape (3,)."""
         return self._sim.xpos[..., self.index, :]
 
     @property
     def xquat(self) -> Floats:
-        """Orientation of its frame, w x y z, shape (4,)."""
+        """Orientation of the body's frame as a quaternion w x y z, shape (4,)."""
         return self._sim.xquat[..., self.index, :]
 
     @property
     def xmat(self) -> Floats:
-        """Orientation of its frame, shape (3, 3)."""
+        """Orientation of the body's frame as a rotation matrix, shape (3, 3)."""
         return self._sim.xmat[..., self.index, :, :]
 
     @property
     def velocity(self) -> Floats:
-        """Velocity of its origin [m/s], then angular [rad/s], in world axes, shape (6,)."""
+        """Velocity of the frame's origin [m/s], then its angular velocity [rad/s], shape (6,)."""
         velocity: Floats = self.jacobian @ self._sim.qvel[..., None]
         return velocity[..., 0]
 
     @property
     def jacobian(self) -> Floats:
-        """How its frame moves with qvel, shape (6, nv); see `Sim.jacobian`."""
+        """Jacobian of the body's frame, shape (6, nv); see `Sim.jacobian`."""
         return self._sim.jacobian(self.index)
 
     @property
     def mass(self) -> float:
-        """[kg], the same in every world."""
+        """Mass of the body [kg]."""
         return float(self._sim.model.body_mass[self.index])
 
     @property
     def xfrc_applied(self) -> Floats:
-        """Its force [N] and moment [N·m], yours to write, shape (6,)."""
+        """Force on its centre of mass [N] and moment [N·m], shape (6,); can be written."""
         return self._sim.xfrc_applied[..., self.index, :]
 
     @xfrc_applied.setter
@@ -88,13 +86,16 @@ class BodyView(_View):
 
 
 class JointView(_View):
-    """One joint of a `Sim`: views of the state arrays, yours to write."""
+    """One joint of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n).
+
+    qpos, qvel and qfrc_applied can be written.
+    """
 
     kind = "joint"
 
     @property
     def type(self) -> str:
-        """ "free", "ball", "slide" or "hinge"."""
+        """Type of the joint: "free", "ball", "slide" or "hinge"."""
         return self._sim.model.jnt_type[self.index]
 
     @property
@@ -104,7 +105,7 @@ class JointView(_View):
 
     @property
     def qpos(self) -> Floats:
-        """Its positions: 7 of a free joint, 4 of a ball, 1 of a slide or hinge."""
+        """Positions [m or rad]: 7 for a free joint, 4 for a ball, 1 for a slide or hinge."""
         start = int(self._sim.model.jnt_qposadr[self.index])
         return self._sim.qpos[..., start : start + QPOS[self.type]]
 
@@ -114,7 +115,7 @@ class JointView(_View):
 
     @property
     def qvel(self) -> Floats:
-        """Its velocities: 6, 3 or 1."""
+        """Velocities [m/s or rad/s]: 6 for a free joint, 3 for a ball, 1 for a slide or hinge."""
         return self._sim.qvel[..., self._dofs]
 
     @qvel.setter
@@ -123,12 +124,12 @@ class JointView(_View):
 
     @property
     def qacc(self) -> Floats:
-        """Its accelerations in the last solve."""
+        """Accelerations of the last solve [m/s² or rad/s²]."""
         return self._sim.qacc[..., self._dofs]
 
     @property
     def qfrc_applied(self) -> Floats:
-        """The forces applied to it."""
+        """Applied forces on its dofs [N or N·m]."""
         return self._sim.qfrc_applied[..., self._dofs]
 
     @qfrc_applied.setter
@@ -137,32 +138,32 @@ class JointView(_View):
 
     @property
     def constraint_force(self) -> Floats:
-        """The forces of all rows on it in the last solve."""
+        """Forces of all constraint rows on its dofs in the last solve [N or N·m]."""
         return self._sim.constraint_force[..., self._dofs]
 
 
 class GeomView(_View):
-    """One geom of a `Sim`."""
+    """One geom of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
 
     kind = "geom"
 
     @property
     def xpos(self) -> Floats:
-        """Its position [m], shape (3,)."""
+        """Position of the geom [m], shape (3,)."""
         return self._sim.geom_xpos[..., self.index, :]
 
     @property
     def xmat(self) -> Floats:
-        """Its orientation, shape (3, 3)."""
+        """Orientation of the geom as a rotation matrix, shape (3, 3)."""
         return self._sim.geom_xmat[..., self.index, :, :]
 
 
 class SiteView(_View):
-    """One site of a `Sim`."""
+    """One site of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
 
     kind = "site"
 
     @property
     def xpos(self) -> Floats:
-        """Its position [m], shape (3,)."""
+        """Position of the site [m], shape (3,)."""
         return self._sim.site_xpos[..., self.index, :]
