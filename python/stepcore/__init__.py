@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning as StiffnessWarning
     from stepcore.measure.plan import plan as plan
     from stepcore.measure.predictability import Predictability as Predictability
+    from stepcore.measure.predictability import StartGrowth as StartGrowth
     from stepcore.measure.predictability import predictability as predictability
     from stepcore.measure.stability import MapCell as MapCell
     from stepcore.measure.stability import MapPanel as MapPanel
