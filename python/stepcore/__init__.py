@@ -138,10 +138,7 @@ _MODULES = {
     "stepcore.measure.diagnosis.element_limits": ("ElementLimits",),
     "stepcore.measure.diagnosis.stiffness_warning": ("StiffnessWarning",),
     "stepcore.measure.plan": ("plan",),
-    "stepcore.measure.predictability": (
-        "Predictability",
-        "predictability",
-    ),
+    "stepcore.measure.predictability": ("Predictability", "StartGrowth", "predictability"),
     "stepcore.measure.stability": (
         "MapCell",
         "MapPanel",
