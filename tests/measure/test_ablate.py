@@ -11,9 +11,9 @@ from small import unstable
 
 import stepcore as sc
 from stepcore.cli import main
-from stepcore.engine.features import RemovableFeatures, Removal, Usage, without
+from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal, without
 from stepcore.measure.ablation.selection import confirmed, greedy, saved, work
-from stepcore.measure.ablation.variants import Outcome
+from stepcore.measure.ablation.variants import VariantOutcome
 from stepcore.report.table import WIDTH
 
 # A block that slides on the floor, a pendulum that neither meets it nor its own limit, and a
@@ -124,12 +124,18 @@ def test_of_two_features_that_do_the_same_one_stays() -> None:
 
 def test_what_is_too_much_together_is_not_removed_together() -> None:
     a, b, c = (Removal(name, "", ()) for name in "abc")
-    whole = Outcome(added=(0.0,), flops=10.0)
-    alone = [Outcome(added=(0.1,), flops=7.0), Outcome((0.1,), flops=8.0), Outcome((9.0,), flops=1)]
+    whole = VariantOutcome(added=(0.0,), flops=10.0)
+    alone = [
+        VariantOutcome(added=(0.1,), flops=7.0),
+        VariantOutcome((0.1,), flops=8.0),
+        VariantOutcome((9.0,), flops=1),
+    ]
 
     def measure(removals):
         assert c not in removals
-        return Outcome(added=(0.1 if len(removals) == 1 else 2.0,), flops=10.0 - 3 * len(removals))
+        return VariantOutcome(
+            added=(0.1 if len(removals) == 1 else 2.0,), flops=10.0 - 3 * len(removals)
+        )
 
     removed, best = greedy([a, b, c], alone, whole, 1.0, measure)
     assert removed == [a] and best.worst == 0.1
@@ -137,10 +143,10 @@ def test_what_is_too_much_together_is_not_removed_together() -> None:
 
 def test_what_other_starts_need_is_restored() -> None:
     a, b = Removal("a", "", ()), Removal("b", "", ())
-    alone = {a: Outcome(added=(0.1,)), b: Outcome(added=(0.2,))}.__getitem__
+    alone = {a: VariantOutcome(added=(0.1,)), b: VariantOutcome(added=(0.2,))}.__getitem__
 
     def measure(removals):
-        return Outcome(added=(2.0 if b in removals else 0.5,))
+        return VariantOutcome(added=(2.0 if b in removals else 0.5,))
 
     removed, outcome, restored = confirmed([a, b], alone, 1.0, measure, lambda removal: removal)
     assert (removed, restored, outcome.worst) == ([a], [b], 0.5)
@@ -149,16 +155,16 @@ def test_what_other_starts_need_is_restored() -> None:
 def test_of_a_group_only_what_other_starts_use_is_restored() -> None:
     model = sc.loads(EVERYTHING).compile()
     features = RemovableFeatures(model)
-    unused = Usage(frozenset(), frozenset())
+    unused = MotionUsage(frozenset(), frozenset())
     limits, colliders = features.limits(unused)[0], features.colliders(unused)[0]
-    used = Usage(frozenset({(0, 1)}), frozenset({2}))
+    used = MotionUsage(frozenset({(0, 1)}), frozenset({2}))
     fewer = features.reduced(limits, used), features.reduced(colliders, used)
     assert [removal.name for removal in fewer if removal] == [
         "1 joint whose limit is never reached",
         "3 pairs of bodies that never touch",
     ]
     assert without(model.scene, [fewer[0]]).joint("k").range is not None
-    assert features.reduced(limits, Usage(frozenset(), frozenset({1, 2}))) is None
+    assert features.reduced(limits, MotionUsage(frozenset(), frozenset({1, 2}))) is None
 
 
 EVERYTHING = """<mujoco><option cone="elliptic"/><worldbody>
@@ -173,7 +179,7 @@ EVERYTHING = """<mujoco><option cone="elliptic"/><worldbody>
 
 def test_every_feature_is_found_and_removed() -> None:
     model = sc.loads(EVERYTHING).compile()
-    usage = Usage(frozenset({(0, 1)}), frozenset({1}))
+    usage = MotionUsage(frozenset({(0, 1)}), frozenset({1}))
     removals = RemovableFeatures(model).removals(usage, model.settings)
     assert [removal.label for removal in removals] == [
         "cone: elliptic → pyramidal",
@@ -205,7 +211,9 @@ def test_every_feature_is_found_and_removed() -> None:
 @pytest.mark.parametrize("kind", ["armature", "joint damping", "velocity forces", "limits"])
 def test_a_removal_reaches_the_model(kind: str) -> None:
     model = sc.loads(EVERYTHING).compile()
-    removals = RemovableFeatures(model).removals(Usage(frozenset(), frozenset()), model.settings)
+    removals = RemovableFeatures(model).removals(
+        MotionUsage(frozenset(), frozenset()), model.settings
+    )
     (removal,) = [removal for removal in removals if removal.kind == kind]
     scene = without(model.scene, [removal])
     less = scene.compile()

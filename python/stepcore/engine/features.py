@@ -39,7 +39,7 @@ class Removal:
 
 
 @dataclass(frozen=True)
-class Usage:
+class MotionUsage:
     """What a motion used: the pairs of bodies that touched, the joints that reached a limit.
 
     Bodies and joints are indices in the order of the compiled model.
@@ -125,7 +125,7 @@ class RemovableFeatures:
         self.joint = _positions(layout.joints, self.scene.joints)
         self.geom = _positions(layout.geoms, self.scene.geoms)
 
-    def removals(self, usage: Usage, settings: Settings) -> list[Removal]:
+    def removals(self, usage: MotionUsage, settings: Settings) -> list[Removal]:
         """Every feature that can be removed, one at a time."""
         return [
             *self.cone(settings),
@@ -177,7 +177,7 @@ class RemovableFeatures:
             removals.append(Removal("velocity forces", name, (("feature", "coriolis"),)))
         return removals
 
-    def limits(self, usage: Usage) -> list[Removal]:
+    def limits(self, usage: MotionUsage) -> list[Removal]:
         """All limits that the motion never reached, together; each that it reached, alone."""
         features = self.scene.features
         if not (features.limit and features.constraint):
@@ -194,7 +194,7 @@ class RemovableFeatures:
                 removals.append(Removal("limit", name, (("no range", (self.joint[i],)),)))
         return removals
 
-    def colliders(self, usage: Usage) -> list[Removal]:
+    def colliders(self, usage: MotionUsage) -> list[Removal]:
         """Pairs of bodies that never met, each that did, self-collision, groups of geoms."""
         pairs = self.body_pairs()
         removals = []
@@ -224,7 +224,7 @@ class RemovableFeatures:
             pairs.setdefault(key, []).append((a, b))
         return pairs
 
-    def reduced(self, removal: Removal, usage: Usage) -> Removal | None:
+    def reduced(self, removal: Removal, usage: MotionUsage) -> Removal | None:
         """A removal of unused limits or pairs, without those that another motion used.
 
         None if nothing is left of it; other removals stay as they are.

@@ -10,7 +10,7 @@ from stepcore._core import Settings
 from stepcore.engine.features import Removal
 from stepcore.experiment.motion import Motion
 from stepcore.measure.ablation.selection import saved, work
-from stepcore.measure.ablation.variants import Outcome
+from stepcore.measure.ablation.variants import VariantOutcome
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
@@ -30,7 +30,7 @@ class FeatureEffect:
     """One feature removed. cost [µs per simulated second]."""
 
     removal: Removal
-    outcome: Outcome
+    outcome: VariantOutcome
     cost: float
 
 
@@ -71,7 +71,7 @@ class Ablation(Result):
     rows: list[FeatureEffect]
     removed: list[Removal]
     best: FeatureEffect
-    confirmed: Outcome
+    confirmed: VariantOutcome
     restored: list[Removal]
     smallest: Scene
     reference: float | None
@@ -103,7 +103,7 @@ class Ablation(Result):
 
     @property
     def table(self) -> Table:
-        """Each feature removed alone; units as in `FeatureEffect` and `Outcome`."""
+        """Each feature removed alone; units as in `FeatureEffect` and `VariantOutcome`."""
         return Table(self.record(row) for row in self.rows)
 
     def sorted(self) -> list[FeatureEffect]:
@@ -201,7 +201,7 @@ class Ablation(Result):
                 f"No feature can be removed within {within}: each that costs work adds more error."
             ]
         ratio = self.whole.cost / self.best.cost if self.best.cost > 0 else math.nan
-        faster = "" if math.isnan(ratio) else f" and runs {ratio:.2f}× as fast here"
+        faster = "" if math.isnan(ratio) else f" and runs at {ratio:.2f}× the speed"
         sentences = [
             f"The smallest model within {within} saves {percent(self.saved(self.best))} of the "
             f"work{faster}.",

@@ -7,12 +7,12 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
-from stepcore.engine.features import RemovableFeatures, Removal, Usage
+from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal
 from stepcore.experiment.runner import Runner
-from stepcore.measure.ablation.variants import Baseline, Outcome, outcome_of, usage_of
+from stepcore.measure.ablation.variants import Baseline, VariantOutcome, outcome_of, usage_of
 from stepcore.report.progress import Progress
 
-Measure = Callable[[Sequence[Removal]], Outcome]
+Measure = Callable[[Sequence[Removal]], VariantOutcome]
 
 
 class Selection:
@@ -25,21 +25,21 @@ class Selection:
 
     def __init__(self, baseline: Baseline, features: RemovableFeatures, error: float) -> None:
         self.baseline, self.features, self.error = baseline, features, error
-        self.known: dict[Removal, Outcome] = {}
+        self.known: dict[Removal, VariantOutcome] = {}
         self.removed: list[Removal] = []
         self.restored: list[Removal] = []
-        self.chosen_on = self.confirmed_on = Outcome()
+        self.chosen_on = self.confirmed_on = VariantOutcome()
 
-    def alone(self, removal: Removal) -> Outcome:
+    def alone(self, removal: Removal) -> VariantOutcome:
         """One feature removed, on the starts that are chosen on."""
         if removal not in self.known:
             self.known[removal] = outcome_of(self.baseline, [removal])
         return self.known[removal]
 
-    def choose(self, removals: Sequence[Removal], whole: Outcome, bar: Progress) -> None:
+    def choose(self, removals: Sequence[Removal], whole: VariantOutcome, bar: Progress) -> None:
         """Removes features together, greedily, on the starts of the baseline."""
 
-        def measure(chosen: Sequence[Removal]) -> Outcome:
+        def measure(chosen: Sequence[Removal]) -> VariantOutcome:
             bar.advance()
             return outcome_of(self.baseline, chosen)
 
@@ -66,17 +66,17 @@ class Selection:
 
 
 def _reduced(
-    features: RemovableFeatures, usage: Callable[[], Usage], removal: Removal
+    features: RemovableFeatures, usage: Callable[[], MotionUsage], removal: Removal
 ) -> Removal | None:
     return features.reduced(removal, usage())
 
 
-def work(outcome: Outcome) -> float:
+def work(outcome: VariantOutcome) -> float:
     """What a variant costs, by count: operations where they can be counted, else row updates."""
     return outcome.row_updates if outcome.flops is None else outcome.flops
 
 
-def saved(outcome: Outcome, whole: Outcome) -> float:
+def saved(outcome: VariantOutcome, whole: VariantOutcome) -> float:
     """The share of the work that a variant saves; negative: it costs more."""
     before = work(whole)
     return (before - work(outcome)) / before if before > 0 and not outcome.failure else math.nan
@@ -84,11 +84,11 @@ def saved(outcome: Outcome, whole: Outcome) -> float:
 
 def greedy(
     removals: Sequence[Removal],
-    alone: Sequence[Outcome],
-    whole: Outcome,
+    alone: Sequence[VariantOutcome],
+    whole: VariantOutcome,
     error: float,
     measure: Measure,
-) -> tuple[list[Removal], Outcome]:
+) -> tuple[list[Removal], VariantOutcome]:
     """What can be removed together for at most `error` [m] in the worst start.
 
     One feature after the other, the largest saving first. Each stays removed that still saves work
@@ -109,18 +109,18 @@ def greedy(
     return chosen, best
 
 
-def _saves(outcome: Outcome, before: Outcome, unused: bool) -> bool:
+def _saves(outcome: VariantOutcome, before: VariantOutcome, unused: bool) -> bool:
     """Whether there is less work; for a feature that does nothing, no more of it."""
     return work(outcome) < work(before) or (unused and work(outcome) == work(before))
 
 
 def confirmed(
     chosen: Sequence[Removal],
-    alone: Callable[[Removal], Outcome],
+    alone: Callable[[Removal], VariantOutcome],
     error: float,
     measure: Measure,
     reduced: Callable[[Removal], Removal | None],
-) -> tuple[list[Removal], Outcome, list[Removal]]:
+) -> tuple[list[Removal], VariantOutcome, list[Removal]]:
     """What may stay removed on other starts, the outcome there, and what had to be restored.
 
     `measure` runs those starts. Where the error is beyond the tolerance, the groups lose what those

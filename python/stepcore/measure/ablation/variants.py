@@ -9,7 +9,7 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
-from stepcore.engine.features import Removal, Usage, without
+from stepcore.engine.features import MotionUsage, Removal, without
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.cost import TimedRun, costs
@@ -27,7 +27,7 @@ READINGS = 500
 
 
 @dataclass(frozen=True)
-class Outcome:
+class VariantOutcome:
     """How one variant of a model does the motion.
 
     added [m]: RMS distance from the whole model's motion at the same settings, in every start;
@@ -80,22 +80,22 @@ def variant(baseline: Baseline, removals: Sequence[Removal]) -> Runner:
     return Runner(model, baseline.schedule)
 
 
-def outcome_of(baseline: Baseline, removals: Sequence[Removal]) -> Outcome:
+def outcome_of(baseline: Baseline, removals: Sequence[Removal]) -> VariantOutcome:
     """The motion without some features."""
     try:
         runner = variant(baseline, removals)
     except ValueError as error:
-        return Outcome(failure=one_line(error))
+        return VariantOutcome(failure=one_line(error))
     settings = runner.model.settings
     paths = runner.runs(settings)
     if paths[-1].failure:
-        return Outcome(failure=f"start {len(paths) - 1}: {paths[-1].failure}")
+        return VariantOutcome(failure=f"start {len(paths) - 1}: {paths[-1].failure}")
     added = errors(paths, baseline.paths, baseline.scored)
     truth = baseline.truth
     off = () if truth is None else errors(paths, truth, baseline.scored).each
     rows = float(np.mean([path.row_updates for path in paths])) / baseline.schedule.horizon
     flops = flops_per_second(runner, settings)
-    return Outcome(added.each, added.position_max, off, flops, rows)
+    return VariantOutcome(added.each, added.position_max, off, flops, rows)
 
 
 class WorkCount(Probe):
@@ -145,12 +145,12 @@ class UsageProbe(Probe):
         self.limited.update(rows["index"][rows["kind"] == "limit"].tolist())
 
 
-def usage_of(runner: Runner, settings: Settings) -> Usage:
+def usage_of(runner: Runner, settings: Settings) -> MotionUsage:
     """Which pairs of bodies touch and which joints reach a limit in any start."""
     usage = UsageProbe(runner)
     for start in range(len(runner.schedule.starts)):
         runner.follow(runner.sim(settings), start, [usage])
-    return Usage(frozenset(usage.touched), frozenset(usage.limited))
+    return MotionUsage(frozenset(usage.touched), frozenset(usage.limited))
 
 
 def times_of(baseline: Baseline, variants: Sequence[Sequence[Removal]]) -> list[float]:
