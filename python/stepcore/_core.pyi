@@ -181,6 +181,9 @@ class Model:
     def element_name(self, kind: str, index: int, part: int = ...) -> str:
         """What an element is called; `part` -1 is the whole element."""
 
+    def element_force(self, kind: str, ctrl: _Floats, qpos: _Floats, qvel: _Floats) -> _Floats:
+        """Force of all springs, dampers or actuators on the dofs at n states, shape (n, nv)."""
+
     def tables(self) -> dict[str, _Floats]: ...
     def addresses(self) -> dict[str, list[int]]: ...
     def joint_types(self) -> list[str]: ...

@@ -2,9 +2,11 @@
 
 use std::sync::Arc;
 
-use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
+use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use stepcore::elements::{joint_forces, Kind};
 use stepcore::model::Model as Engine;
 use stepcore::scene::{JointType, Scene};
 
@@ -85,6 +87,38 @@ impl Model {
     #[pyo3(signature = (kind, index, part = -1))]
     fn element_name(&self, kind: &str, index: usize, part: i64) -> PyResult<String> {
         Ok(self.0.element_name(read(&self.0, kind, index, part)?))
+    }
+
+    /// The force of all springs, dampers or actuators on the dofs at many states: ctrl (n, nu),
+    /// qpos (n, nq), qvel (n, nv).
+    fn element_force<'py>(
+        &self,
+        py: Python<'py>,
+        kind: &str,
+        ctrl: PyReadonlyArray2<'py, f64>,
+        qpos: PyReadonlyArray2<'py, f64>,
+        qvel: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let (m, n) = (&*self.0, qvel.shape()[0]);
+        for (name, array, width) in
+            [("ctrl", &ctrl, m.actuators.len()), ("qpos", &qpos, m.nq), ("qvel", &qvel, m.nv)]
+        {
+            if array.shape() != [n, width] {
+                let shape = array.shape();
+                let text = format!("{name} has shape {shape:?}: must be ({n}, {width})");
+                return Err(PyValueError::new_err(text));
+            }
+        }
+        let list = |array: &PyReadonlyArray2<'py, f64>| array.as_array().iter().copied().collect();
+        let (ctrl, qpos, qvel): (Vec<f64>, Vec<f64>, Vec<f64>) =
+            (list(&ctrl), list(&qpos), list(&qvel));
+        let found = Kind::ALL.into_iter().find(|known| known.word() == kind);
+        let forces = found.and_then(|kind| joint_forces(m, kind, &ctrl, &qpos, &qvel));
+        let Some(forces) = forces else {
+            let limit = "must be 'spring', 'damper' or 'actuator'";
+            return Err(PyValueError::new_err(format!("kind = '{kind}': {limit}")));
+        };
+        result(py, forces, &[n, m.nv])
     }
 
     /// Numbers by name, each an array whose first axis is the element.

@@ -133,6 +133,21 @@ impl<R: Real> One<R> {
     }
 }
 
+impl<R: Real> One<R> {
+    /// The reader at the present state.
+    fn reader(&mut self, given: &Given) -> Result<&mut Sim<R>> {
+        self.check(given)?;
+        let sim = &self.watched.sim;
+        let reader = match &mut self.reader {
+            Some(reader) => reader,
+            none => none.insert(Box::new(Sim::new(sim.model().clone(), sim.settings().clone())?)),
+        };
+        reader.put(0, given);
+        reader.refresh();
+        Ok(reader)
+    }
+}
+
 impl<R: Real> World for One<R> {
     fn check(&self, given: &Given) -> Result<()> {
         given.check::<R>(self.sim().model(), None)
@@ -172,15 +187,7 @@ impl<R: Real> World for One<R> {
     }
 
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>> {
-        self.check(given)?;
-        let sim = &self.watched.sim;
-        let reader = match &mut self.reader {
-            Some(reader) => reader,
-            none => none.insert(Box::new(Sim::new(sim.model().clone(), sim.settings().clone())?)),
-        };
-        reader.put(0, given);
-        reader.refresh();
-        Ok(read_placed(reader, what))
+        Ok(read_placed(self.reader(given)?, what))
     }
 
     fn solved(&self, what: Solved) -> Vec<f64> {
@@ -205,10 +212,7 @@ impl<R: Real> World for One<R> {
             table.numbers.push(contact.dist.lane(0));
             table.numbers.extend(flat(&contact.pos));
             table.numbers.extend(flat(&contact.normal));
-            let block = sim.rows.blocks.iter().find(|block| block.element == element);
-            table
-                .numbers
-                .extend(block.map_or([0.0; 3], |block| sim.contact_force(block, contact, 0)));
+            table.numbers.extend(sim.contact_force(contact, 0));
         }
         table
     }

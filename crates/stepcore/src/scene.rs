@@ -86,6 +86,12 @@ impl JointType {
     }
 }
 
+/// Coefficients of a force by the powers of what it answers to, the first power first.
+pub type Coefficients = [f64; 1];
+
+/// No force.
+pub const NONE: Coefficients = [0.0; 1];
+
 /// Dofs between a body and its parent. Lengths in m, angles in rad; forces in N or N·m by
 /// the kind of joint.
 #[derive(Clone, Debug, PartialEq)]
@@ -103,8 +109,8 @@ pub struct Joint {
     /// qpos at the initial configuration, and where the spring is at rest.
     pub reference: f64,
     pub springref: f64,
-    pub stiffness: f64,
-    pub damping: f64,
+    pub stiffness: Coefficients,
+    pub damping: Coefficients,
     /// Inertia added to the dof itself [kg or kg·m²].
     pub armature: f64,
     /// Dry friction: the largest force.
@@ -126,8 +132,8 @@ impl Default for Joint {
             margin: 0.0,
             reference: 0.0,
             springref: 0.0,
-            stiffness: 0.0,
-            damping: 0.0,
+            stiffness: NONE,
+            damping: NONE,
             armature: 0.0,
             frictionloss: 0.0,
             limit: Softness::default(),

@@ -136,7 +136,7 @@ fn unstable() -> (Scene, Settings) {
     let mut scene = Scene::default();
     let body = scenes::body(&mut scene, 0, [0.0; 3]);
     scenes::geom(&mut scene, body, GeomType::Sphere, [0.1, 0.0, 0.0]).mass = Some(1.0);
-    scenes::joint(&mut scene, body, JointType::Slide, [1.0, 0.0, 0.0]).stiffness = 1e4;
+    scenes::joint(&mut scene, body, JointType::Slide, [1.0, 0.0, 0.0]).stiffness[0] = 1e4;
     (scene, Settings { dt: 0.1, integrator: Integrator::SemiImplicit, ..Settings::default() })
 }
 

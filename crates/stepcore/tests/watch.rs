@@ -17,7 +17,7 @@ fn spring(stiffness: f64) -> Arc<Model> {
     let mut scene = Scene::default();
     let body = scenes::body(&mut scene, 0, [0.0; 3]);
     scenes::geom(&mut scene, body, GeomType::Sphere, [0.1, 0.0, 0.0]).mass = Some(1.0);
-    scenes::joint(&mut scene, body, JointType::Slide, [1.0, 0.0, 0.0]).stiffness = stiffness;
+    scenes::joint(&mut scene, body, JointType::Slide, [1.0, 0.0, 0.0]).stiffness[0] = stiffness;
     Arc::new(Model::compile(&scene).unwrap())
 }
 

@@ -166,10 +166,10 @@ class RemovableFeatures:
         heavy = tuple(i for i, joint in enumerate(scene.joints) if joint.armature > 0)
         if heavy:
             removals.append(Removal("armature", _count(heavy, "joint"), (("no armature", heavy),)))
-        damped = [j for j in scene.joints if j.damping != 0]
+        damped = [j for j in scene.joints if j.damped]
         if damped and features.damper:
             removals.append(_switched_off("joint damping", damped, "damper"))
-        sprung = [j for j in scene.joints if j.stiffness != 0]
+        sprung = [j for j in scene.joints if j.sprung]
         if sprung and features.spring:
             removals.append(_switched_off("joint springs", sprung, "spring"))
         if features.coriolis and not all(self.plan["constant"]):

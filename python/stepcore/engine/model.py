@@ -162,6 +162,20 @@ class Model:
         """
         return self._core.element_name(kind, index, part)
 
+    def element_force(self, kind: str, ctrl: Floats, qpos: Floats, qvel: Floats) -> Floats:
+        """Generalised force of all elements of one kind at many states, shape (…, nv) [N or N·m].
+
+        kind: "spring", "damper" or "actuator". ctrl, qpos, qvel: shapes (…, nu), (…, nq), (…, nv),
+        with the same leading axes.
+        """
+        states = int(np.prod(np.shape(qvel)[:-1], dtype=int))
+        flat = [
+            np.ascontiguousarray(array, float).reshape(states, count)
+            for array, count in ((ctrl, self.nu), (qpos, self.nq), (qvel, self.nv))
+        ]
+        force = self._core.element_force(kind, *flat)
+        return force.reshape(np.shape(qvel))
+
     @property
     def geom_names(self) -> tuple[str, ...]:
         """Names of the geoms."""

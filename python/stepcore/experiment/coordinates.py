@@ -38,7 +38,7 @@ class Motor:
 class Coordinates:
     """The coordinates of a model.
 
-    joints: (type, first coordinate, first dof, range) of each. damping: shape (nv,).
+    joints: (type, first coordinate, first dof, range) of each.
     moving: indices of the bodies that a joint moves.
     """
 
@@ -48,11 +48,9 @@ class Coordinates:
         self.nv = model.nv
         first = list(zip(model.jnt_qposadr.tolist(), model.jnt_dofadr.tolist(), strict=True))
         self.joints: list[tuple[str, int, int, tuple[float, float] | None]] = []
-        damping: list[float] = []
         for joint, (q, v) in zip(layout.joints, first, strict=True):
             self.joints.append((joint.type, q, v, joint.range if scene.features.limit else None))
-            damping += [joint.damping if scene.features.damper else 0.0] * DOFS[joint.type]
-        self.damping = np.array(damping, float)
+        self.model = model
         self.moving = [i for i, body in enumerate(layout.bodies) if layout.moving(body)]
         self.motors: list[Motor] = []
         self.works = scene.features.actuation

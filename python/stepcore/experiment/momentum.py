@@ -32,7 +32,7 @@ class Balance:
         self.gravity, self.mass = gravity, mass
         self.known = not tied and all(
             joint.type == "free"
-            and not (joint.damping or joint.stiffness or joint.armature or joint.frictionloss)
+            and not (joint.damped or joint.sprung or joint.armature or joint.frictionloss)
             and id(joint) not in driven
             for joint in roots
         )

@@ -119,7 +119,8 @@ class Recorder(Probe):
         """
         coordinates = self.bodies.coordinates
         change = coordinates.change(qpos[:-1], qpos[1:])
-        damped = -coordinates.damping * (qvel[:-1] + qvel[1:]) / 2
+        mean = (qvel[:-1] + qvel[1:]) / 2
+        damped = coordinates.model.element_force("damper", ctrl, qpos[:-1], mean)
         force = coordinates.motor_force(ctrl, qpos[:-1], qvel[:-1])
         force = (force + coordinates.motor_force(ctrl, qpos[1:], qvel[1:])) / 2
         work: np.ndarray = np.sum((force + damped) * change, axis=-1)

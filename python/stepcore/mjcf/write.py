@@ -70,7 +70,7 @@ def escaped(value: str) -> str:
 def changed(element: Element, *skip: str) -> dict[str, Any]:
     """The fields of an element that are not at their default, as attributes."""
     defaults = {spec.name: spec.default for spec in dataclasses.fields(element)}  # type: ignore[arg-type]
-    values = {field: getattr(element, field) for field in defaults if field not in skip}
+    values = {field: value for field, value in element.values().items() if field not in skip}
     return {field: value for field, value in values.items() if value != defaults[field]}
 
 

@@ -74,7 +74,6 @@ class Model:
     )  # carried_by[j, i]: dof i moves the axis of dof j, shape (nv, nv)
     angular: Array = field(init=False)  # dof j turns, shape (nv,)
     armature: Array = field(init=False)
-    damping: Array = field(init=False)
     tree: Array = field(init=False)  # the root body of each dof's tree, shape (nv,)
     tree_mass: dict[int, float] = field(default_factory=dict)  # of all that hangs on a root [kg]
     pairs: list[Pair] = field(default_factory=list)
@@ -129,7 +128,7 @@ def number_joints(model: Model) -> None:
     model.moves = np.zeros((len(bodies), nv), bool)
     model.carried_by = np.zeros((nv, nv), bool)
     model.angular = np.zeros(nv, bool)
-    model.armature, model.damping = np.zeros(nv), np.zeros(nv)
+    model.armature = np.zeros(nv)
     model.tree = np.zeros(nv, int)
     root = [0] * len(bodies)
     for b, body in enumerate(bodies[1:], 1):
@@ -146,7 +145,7 @@ def number_joints(model: Model) -> None:
                 # These axes turn with the body itself; a free joint's first three never turn.
                 model.carried_by[turning] = model.moves[b]
                 model.carried_by[own[: own.size - 3]] = False
-            model.armature[own], model.damping[own] = joint["armature"], joint["damping"]
+            model.armature[own] = joint["armature"]
             model.tree[own] = root[b]
     model.root = root
 

@@ -137,6 +137,28 @@ def stretch(model: Model, joint: dict[str, Any], qpos: Array) -> Array:
     return np.concatenate((qpos[at : at + 3] - rest[:3], turn))
 
 
+def parts(joint: dict[str, Any]) -> list[slice]:
+    """The dofs of a joint over which a spring has one length: a free joint has two."""
+    return [slice(3), slice(3, 6)] if joint["kind"] == "free" else [slice(joint["width"])]
+
+
+def spring_force(joint: dict[str, Any], s: Array) -> Array:
+    """-(a + b x + c x²...) s at a stretch s, x its length, of one number with its sign."""
+    length = s[0] if len(s) == 1 else np.linalg.norm(s)
+    return -sum(k * length**n for n, k in enumerate(joint["stiffness"])) * s
+
+
+def spring_energy(joint: dict[str, Any], s: Array) -> float:
+    """a x²/2 + b x³/3 + c x⁴/4... [J]."""
+    length = s[0] if len(s) == 1 else np.linalg.norm(s)
+    return float(sum(k * length ** (n + 2) / (n + 2) for n, k in enumerate(joint["stiffness"])))
+
+
+def damper_force(joint: dict[str, Any], v: Array) -> Array:
+    """-(a + b |v| + c v²...) v at velocities v, dof by dof."""
+    return -sum(k * abs(v) ** n for n, k in enumerate(joint["damping"])) * v
+
+
 def known_forces(sim: Sim, placed: Placed, qpos: Array, v: Array) -> Array:
     """Every force that no row decides: applied, actuation, springs, dampers, minus the bias."""
     model, on = sim.model, sim.model.scene["features"]
@@ -144,12 +166,13 @@ def known_forces(sim: Sim, placed: Placed, qpos: Array, v: Array) -> Array:
     for b in np.flatnonzero(sim.xfrc_applied.any(axis=1)):
         linear, spin = jacobians(model, placed, b, placed.com[b])
         force = force + sim.xfrc_applied[b, :3] @ linear + sim.xfrc_applied[b, 3:] @ spin
-    if on["damper"]:
-        force = force - model.damping * v
     for joint in model.joints:
-        if joint["stiffness"] and on["spring"]:
-            own = slice(joint["dof"], joint["dof"] + joint["width"])
-            force[own] -= joint["stiffness"] * stretch(model, joint, qpos)
+        own = slice(joint["dof"], joint["dof"] + joint["width"])
+        if on["damper"]:
+            force[own] += damper_force(joint, v[own])
+        if any(joint["stiffness"]) and on["spring"]:
+            for part in parts(joint):
+                force[own][part] += spring_force(joint, stretch(model, joint, qpos)[part])
     for actuator, bias_, signal in zip(
         model.scene["actuators"], model.actuator_bias, sim.ctrl, strict=True
     ):
@@ -180,7 +203,7 @@ def energy(model: Model, qpos: Array, v: Array) -> Energy:
     placed = place(model, qpos)
     potential = -float(model.mass @ (placed.com @ model.gravity))
     for joint in model.joints:
-        if joint["stiffness"] and model.scene["features"]["spring"]:
-            away = stretch(model, joint, qpos)
-            potential += 0.5 * joint["stiffness"] * float(away @ away)
+        if any(joint["stiffness"]) and model.scene["features"]["spring"]:
+            for part in parts(joint):
+                potential += spring_energy(joint, stretch(model, joint, qpos)[part])
     return Energy(0.5 * float(v @ mass_matrix(model, placed) @ v), potential)

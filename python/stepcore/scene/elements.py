@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import typing
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from stepcore import checks
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec
@@ -74,6 +74,15 @@ class Element:
         if field not in known:
             raise AttributeError(f'{self} has no field "{field}"{checks.nearest(field, known)}')
         object.__setattr__(self, field, known[field](self, field, value))
+
+    def values(self) -> dict[str, Any]:
+        """The fields as MJCF's attributes hold them, each under its name."""
+        return {field: getattr(self, field) for field in fields_of(type(self))}
+
+    def record(self) -> dict[str, Any]:
+        """The fields as plain data, lists for tuples: what the engine is handed."""
+        values = self.values().items()
+        return {field: list(v) if isinstance(v, tuple) else v for field, v in values}
 
     def __str__(self) -> str:
         kind = type(self).__name__.lower()
@@ -160,6 +169,21 @@ class Joint(Element):
     solimplimit: SolImp = SOLIMP
     solreffriction: SolRef = SOLREF
     solimpfriction: SolImp = SOLIMP
+
+    @property
+    def sprung(self) -> bool:
+        """Whether it has a spring."""
+        return any(self.record()["stiffness"])
+
+    @property
+    def damped(self) -> bool:
+        """Whether it has a damper."""
+        return any(self.record()["damping"])
+
+    def record(self) -> dict[str, Any]:
+        """As for every element; stiffness and damping are lists of coefficients."""
+        record = super().record()
+        return record | {field: [record[field]] for field in ("stiffness", "damping")}
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
 from stepcore.scene import actuation
-from stepcore.scene.elements import Body, Element, Geom, Joint, MassRules, fields_of
+from stepcore.scene.elements import Body, Element, Geom, Joint
 from stepcore.scene.frames import IDENTITY, ORIGIN
 
 if TYPE_CHECKING:
@@ -246,7 +246,7 @@ def plain(layout: Layout) -> dict[str, Any]:
             for key in scene.keys
         ],
         "excludes": [[layout.body("exclude", b) for b in pair] for pair in scene.excludes],
-        "mass_rules": {MASS_RULES[f]: _value(scene.mass_rules, f) for f in fields_of(MassRules)},
+        "mass_rules": {MASS_RULES[f]: value for f, value in scene.mass_rules.record().items()},
         "features": _record(scene.features),
     }
 
@@ -270,20 +270,17 @@ def essence(layout: Layout) -> dict[str, Any]:
     return scene
 
 
-def _value(element: Element, field: str) -> Any:
-    value = getattr(element, field)
-    return list(value) if isinstance(value, tuple) else value
-
-
 def _record(element: Element, *skip: str) -> dict[str, Any]:
-    result: dict[str, Any] = {}
+    record = element.record()
     groups = SOFTNESS.get(type(element), {})
     grouped = {field for pair in groups.values() for field in pair}
-    for field in fields_of(type(element)):
-        if field not in grouped and field not in skip:
-            result[RENAMED.get(field, field)] = _value(element, field)
+    result = {
+        RENAMED.get(field, field): value
+        for field, value in record.items()
+        if field not in grouped and field not in skip
+    }
     for group, (solref, solimp) in groups.items():
-        result[group] = {"solref": _value(element, solref), "solimp": _value(element, solimp)}
+        result[group] = {"solref": record[solref], "solimp": record[solimp]}
     return result
 
 

@@ -27,6 +27,8 @@ pub struct Damped<R: Real> {
     /// Trees with a damped dof, and those under `implicitfast`, where servos damp too.
     damped: Vec<usize>,
     damped_fast: Vec<usize>,
+    /// The same, by tree.
+    late: [Vec<bool>; 2],
     /// Single free bodies whose bias has a derivative.
     gyroscopic: Vec<usize>,
 }
@@ -38,10 +40,15 @@ impl<R: Real> Damped<R> {
         let has = |test: &dyn Fn(&Tree) -> bool| {
             (0..model.trees.len()).filter(|t| test(&model.trees[*t])).collect::<Vec<_>>()
         };
+        let late = [
+            model.trees.iter().map(|tree| model.damped(tree)).collect(),
+            model.trees.iter().map(|tree| model.damped(tree) || model.served(tree)).collect(),
+        ];
         Self {
             metric: Metric::new(model),
             impulse: vec![R::zero(); model.nv],
             change: vec![R::zero(); model.nv],
+            late,
             slopes: vec![[R::zero(); 2]; model.nv],
             damped: has(&|tree| model.damped(tree)),
             damped_fast: has(&|tree| model.damped(tree) || model.served(tree)),
@@ -85,12 +92,18 @@ impl<R: Real> Damped<R> {
                 self.metric.l[row.range()].copy_from_slice(&placed.mass[row.range()]);
             }
         }
+        let (late, slopes) = (&self.late[usize::from(fast)], &mut self.slopes);
         let mut add = |k: usize, damping: R| {
-            self.metric.l[model.dofs[k].row.start] += dt * damping;
+            if late[model.dofs[k].tree] {
+                self.metric.l[model.dofs[k].row.start] += dt * damping;
+            }
         };
-        damping(now, Group::Passive, &mut add);
+        damping(now, Group::Passive, |k, damping| {
+            slopes[k][1] = damping;
+            add(k, damping);
+        });
         if fast {
-            damping(now, Group::Driven, &mut add);
+            damping(now, Group::Driven, add);
         }
         for &tree in trees {
             let dofs = model.trees[tree].dofs.range();
@@ -102,7 +115,7 @@ impl<R: Real> Damped<R> {
         }
         for &tree in gyroscopic {
             let first = model.trees[tree].dofs.start;
-            let mut matrix = placed.free_body_matrix(model, tree, qvel, dt);
+            let mut matrix = placed.free_body_matrix(model, tree, qvel, &self.slopes[first..], dt);
             let mut x = [R::zero(); 6];
             x.copy_from_slice(&self.impulse[first..first + 6]);
             solve_six(&mut matrix, &mut x);
@@ -114,8 +127,15 @@ impl<R: Real> Damped<R> {
 }
 
 impl<R: Real> Placed<R> {
-    /// M + dt·(D + B) of a single free body.
-    fn free_body_matrix(&self, model: &Model, tree: usize, qvel: &[R], dt: R) -> [[R; 6]; 6] {
+    /// M + dt·(D + B) of a single free body; `slopes` of its dofs.
+    fn free_body_matrix(
+        &self,
+        model: &Model,
+        tree: usize,
+        qvel: &[R],
+        slopes: &[[R; 2]],
+        dt: R,
+    ) -> [[R; 6]; 6] {
         let (first, root) = (model.trees[tree].dofs.start, model.trees[tree].bodies.start);
         let mut matrix = [[R::zero(); 6]; 6];
         for i in 0..6 {
@@ -123,7 +143,7 @@ impl<R: Real> Placed<R> {
                 matrix[i][j] = self.mass[at];
                 matrix[j][i] = self.mass[at];
             }
-            matrix[i][i] += dt * R::of(model.dofs[first + i].damping);
+            matrix[i][i] += dt * slopes[i][1];
         }
         let turn = &self.xmat[root];
         let whole = &self.composite[root];

@@ -4,8 +4,21 @@ use super::force::{Forces, Group, Moment, Sum};
 use super::Kind;
 use crate::model::Model;
 use crate::real::Real;
+use crate::scene::{Coefficients, NONE};
 
 pub(super) struct Damper;
+
+/// −b v.
+#[inline(always)]
+fn pull<R: Real>([b]: &Coefficients, velocity: R) -> R {
+    -(R::of(*b) * velocity)
+}
+
+/// Minus the derivative of that.
+#[inline(always)]
+fn slope<R: Real>([b]: &Coefficients, _velocity: R) -> R {
+    R::of(*b)
+}
 
 impl Forces for Damper {
     const KIND: Kind = Kind::Damper;
@@ -15,15 +28,17 @@ impl Forces for Damper {
     fn force<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, R)) {
         let joint = &now.model.joints[joint];
         for k in joint.dof..joint.dof + joint.dofs() {
-            add(k, damping_force(now, k));
+            add(k, pull(&joint.damping, now.qvel[k]));
         }
     }
 
     /// The sum of passive forces starts with dampers: every dof has one, if only of zero.
     #[inline(always)]
     fn push<R: Real>(now: &Moment<R>, sum: &mut Sum<R>) {
-        for k in 0..now.model.nv {
-            sum.force[k] = damping_force(now, k);
+        for joint in &now.model.joints {
+            for k in joint.dof..joint.dof + joint.dofs() {
+                sum.force[k] = pull(&joint.damping, now.qvel[k]);
+            }
         }
     }
 
@@ -31,7 +46,7 @@ impl Forces for Damper {
     fn slopes<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, [R; 2])) {
         let joint = &now.model.joints[joint];
         for k in joint.dof..joint.dof + joint.dofs() {
-            add(k, [R::zero(), R::of(now.model.dofs[k].damping)]);
+            add(k, [R::zero(), slope(&joint.damping, now.qvel[k])]);
         }
     }
 
@@ -42,12 +57,7 @@ impl Forces for Damper {
     }
 
     fn damps(model: &Model, joint: usize) -> Option<usize> {
-        let dof = model.joints[joint].dof;
-        (model.dofs[dof].damping != 0.0).then_some(dof)
+        let joint = &model.joints[joint];
+        (joint.damping != NONE).then_some(joint.dof)
     }
-}
-
-#[inline(always)]
-fn damping_force<R: Real>(now: &Moment<R>, dof: usize) -> R {
-    -(R::of(now.model.dofs[dof].damping) * now.qvel[dof])
 }

@@ -4,7 +4,7 @@
 //! their energies, their power and each element's own force: all by the list at the end of
 //! this file, and none repeats a formula. A new kind of force is one file and one line there.
 
-use super::actuator::Actuator;
+use super::actuator::{tensions, Actuator};
 use super::applied::{BodyForce, JointForce};
 use super::damper::Damper;
 use super::gravity::Gravity;
@@ -217,6 +217,41 @@ macro_rules! forces {
 
 // In the order in which they are added up.
 forces!(Damper, Spring, Actuator, JointForce, BodyForce, Gravity);
+
+/// The force of all elements of one kind on the dofs at many states [N or N·m], for kinds that
+/// depend on their own joint alone: springs, dampers and actuators. None for others.
+/// ctrl, qpos and qvel one state after the other.
+pub fn joint_forces(
+    model: &Model,
+    kind: Kind,
+    ctrl: &[f64],
+    qpos: &[f64],
+    qvel: &[f64],
+) -> Option<Vec<f64>> {
+    if !matches!(kind, Kind::Spring | Kind::Damper | Kind::Actuator) {
+        return None;
+    }
+    let (mut inputs, mut tension) = (Inputs::<f64>::new(model), vec![0.0; model.actuators.len()]);
+    let mut all = Vec::with_capacity(qvel.len());
+    for (n, (qpos, qvel)) in qpos.chunks(model.nq).zip(qvel.chunks(model.nv)).enumerate() {
+        let nu = tension.len();
+        inputs.ctrl.copy_from_slice(&ctrl[n * nu..(n + 1) * nu]);
+        tensions(model, qpos, qvel, &inputs, &mut tension);
+        let frames = Frames { xpos: &[], xmat: &[], origin: &[], motion: &[], tension: &tension };
+        let now = Moment { model, frames, qpos, qvel, inputs: &inputs };
+        let start = all.len();
+        all.resize(start + model.nv, 0.0);
+        let mut add = |dof: usize, force: f64| all[start + dof] += force;
+        for index in 0..model.count(kind) {
+            match kind {
+                Kind::Spring => Spring::force(&now, index, &mut add),
+                Kind::Damper => Damper::force(&now, index, &mut add),
+                _ => Actuator::force(&now, index, &mut add),
+            }
+        }
+    }
+    Some(all)
+}
 
 impl Model {
     /// A joint of the tree is damped.

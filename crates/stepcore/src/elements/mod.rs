@@ -20,6 +20,7 @@ pub(crate) mod penalty;
 mod spring;
 mod text;
 
+pub use force::joint_forces;
 pub(crate) use text::text;
 pub use text::{Mention, Named, Text};
 

@@ -5,10 +5,32 @@ use super::force::{Forces, Group, Moment};
 use super::Kind;
 use crate::model::{Joint, Model};
 use crate::real::Real;
-use crate::scene::JointType;
+use crate::scene::{Coefficients, JointType, NONE};
 use crate::spatial::Quat;
 
 pub(super) struct Spring;
+
+/// Calls `add(part, force)` with −k s for every part of a stretch s.
+#[inline(always)]
+fn pull<R: Real>([k]: &Coefficients, stretch: &[R], mut add: impl FnMut(usize, R)) {
+    for (at, s) in stretch.iter().enumerate() {
+        add(at, -(R::of(*k) * *s));
+    }
+}
+
+/// Minus the derivative of that.
+#[inline(always)]
+fn slope<R: Real>([k]: &Coefficients, _stretch: &[R]) -> R {
+    R::of(*k)
+}
+
+/// ½ k s², part by part.
+#[inline(always)]
+fn energy<R: Real>([k]: &Coefficients, stretch: &[R], mut add: impl FnMut(R)) {
+    for s in stretch {
+        add(R::of(0.5 * k) * *s * *s);
+    }
+}
 
 impl Forces for Spring {
     const KIND: Kind = Kind::Spring;
@@ -17,59 +39,52 @@ impl Forces for Spring {
     #[inline(always)]
     fn force<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, R)) {
         let joint = &now.model.joints[joint];
-        if joint.stiffness == 0.0 {
-            return;
-        }
-        let k = R::of(joint.stiffness);
-        let (stretch, count) = stretch(now.model, joint, now.qpos);
-        for (at, s) in stretch[..count].iter().enumerate() {
-            add(joint.dof + at, -(k * *s));
+        if joint.stiffness != NONE {
+            stretches(now.model, joint, now.qpos, |first, stretch| {
+                pull(&joint.stiffness, stretch, |at, force| add(first + at, force));
+            });
         }
     }
 
     #[inline(always)]
     fn slopes<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, [R; 2])) {
         let joint = &now.model.joints[joint];
-        if joint.stiffness == 0.0 {
-            return;
-        }
-        for k in joint.dof..joint.dof + joint.dofs() {
-            add(k, [R::of(joint.stiffness), R::zero()]);
+        if joint.stiffness != NONE {
+            stretches(now.model, joint, now.qpos, |first, stretch| {
+                let slope = slope(&joint.stiffness, stretch);
+                (0..stretch.len()).for_each(|at| add(first + at, [slope, R::zero()]));
+            });
         }
     }
 
-    /// ½ k s².
     #[inline(always)]
     fn stored<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(R)) {
         let joint = &now.model.joints[joint];
-        if joint.stiffness == 0.0 {
-            return;
-        }
-        let (stretch, count) = stretch(now.model, joint, now.qpos);
-        for s in &stretch[..count] {
-            add(R::of(0.5 * joint.stiffness) * *s * *s);
+        if joint.stiffness != NONE {
+            stretches(now.model, joint, now.qpos, |_, stretch| {
+                energy(&joint.stiffness, stretch, &mut *add)
+            });
         }
     }
 }
 
-/// How far a joint is from its spring's rest, by dof of the joint [m or rad].
-fn stretch<R: Real>(model: &Model, joint: &Joint, qpos: &[R]) -> ([R; 6], usize) {
-    let mut out = [R::zero(); 6];
+/// Calls `each(first dof, stretch)`: how far a joint is from its spring's rest [m or rad], a
+/// free joint's way and its turn apart.
+#[inline(always)]
+fn stretches<R: Real>(model: &Model, joint: &Joint, qpos: &[R], mut each: impl FnMut(usize, &[R])) {
     let rest = |k: usize| R::of(model.qpos_spring[joint.qpos + k]);
     let turn = |at: usize| {
         let q = Quat::of(&qpos[joint.qpos + at..joint.qpos + at + 4]).normalized();
         let zero = Quat::of(&[rest(at), rest(at + 1), rest(at + 2), rest(at + 3)]);
         zero.conjugate().mul(&q).log()
     };
+    let way = |k: usize| qpos[joint.qpos + k] - rest(k);
     match joint.kind {
-        JointType::Slide | JointType::Hinge => out[0] = qpos[joint.qpos] - rest(0),
-        JointType::Ball => out[..3].copy_from_slice(turn(0).as_slice()),
+        JointType::Slide | JointType::Hinge => each(joint.dof, &[way(0)]),
+        JointType::Ball => each(joint.dof, turn(0).as_slice()),
         JointType::Free => {
-            for k in 0..3 {
-                out[k] = qpos[joint.qpos + k] - rest(k);
-            }
-            out[3..].copy_from_slice(turn(3).as_slice());
+            each(joint.dof, &[way(0), way(1), way(2)]);
+            each(joint.dof + 3, turn(3).as_slice());
         }
     }
-    (out, joint.dofs())
 }

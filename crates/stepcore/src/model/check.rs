@@ -274,8 +274,9 @@ fn joint(e: &Subject, j: &Joint) -> Result<()> {
     e.finite("reference", &[j.reference])?;
     e.finite("springref", &[j.springref])?;
     // A spring that pushes away is a model like any other; MuJoCo has it too.
-    e.finite("stiffness", &[j.stiffness])?;
-    e.not_negative("damping", j.damping)?;
+    e.finite("stiffness", &j.stiffness)?;
+    e.finite("damping", &j.damping)?;
+    e.not_negative("damping", j.damping[0])?;
     e.not_negative("armature", j.armature)?;
     e.not_negative("frictionloss", j.frictionloss)?;
     e.softness("limit ", &j.limit)?;

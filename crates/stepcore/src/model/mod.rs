@@ -23,7 +23,7 @@ pub use pairs::Never;
 pub use plan::Unmet;
 pub use shape_test::{ShapeTest, MOST_TOUCHES};
 
-use crate::scene::{Actuator, Features, GeomType, JointType, Key, Softness};
+use crate::scene::{Actuator, Coefficients, Features, GeomType, JointType, Key, Softness};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashSet;
 
@@ -90,8 +90,9 @@ pub struct Joint {
     pub range: Option<[f64; 2]>,
     pub margin: f64,
     pub reference: f64,
-    /// 0 where MJCF's flag switches springs off.
-    pub stiffness: f64,
+    /// Zero where MJCF's flags switch springs and dampers off.
+    pub stiffness: Coefficients,
+    pub damping: Coefficients,
     pub limit: Softness,
 }
 
@@ -114,8 +115,6 @@ pub struct Dof {
     /// it: this dof, then its ancestors, nearest first.
     pub row: Span,
     pub armature: f64,
-    /// 0 where MJCF's flag switches dampers off.
-    pub damping: f64,
     pub frictionloss: f64,
     pub friction: Softness,
     /// MuJoCo's `dof_invweight0`.

@@ -4,7 +4,7 @@
 use super::pose::unit_quat;
 use super::slots::Slots;
 use super::{Body, Dof, Geom, Joint, Model, Site, Span, Tree, NONE};
-use crate::scene::{GeomType, JointType, Scene};
+use crate::scene::{self, GeomType, JointType, Scene};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashMap;
 
@@ -137,7 +137,8 @@ fn joint(model: &mut Model, scene: &Scene, index: usize) {
         range: source.range,
         margin: source.margin,
         reference: source.reference,
-        stiffness: if scene.features.spring { source.stiffness } else { 0.0 },
+        stiffness: if scene.features.spring { source.stiffness } else { scene::NONE },
+        damping: if scene.features.damper { source.damping } else { scene::NONE },
         limit: source.limit.clone(),
     });
     // The last dof already on the chain: of this body, or of the ones above it.
@@ -153,7 +154,6 @@ fn joint(model: &mut Model, scene: &Scene, index: usize) {
             parent,
             row: Span::default(),
             armature: source.armature,
-            damping: if scene.features.damper { source.damping } else { 0.0 },
             frictionloss: source.frictionloss,
             friction: source.friction.clone(),
             invweight: 0.0,

@@ -86,8 +86,18 @@ impl<R: Real> Sim<R> {
             .filter(move |(_, contact)| contact.mask.lane(lane))
     }
 
-    /// Force of a contact's block on geom 2, in world axes [N].
-    pub fn contact_force(&self, block: &Block<R>, contact: &Contact<R>, lane: usize) -> [f64; 3] {
+    /// Force of a contact on geom 2, in world axes [N].
+    pub fn contact_force(&self, contact: &Contact<R>, lane: usize) -> [f64; 3] {
+        let element = contact.element();
+        if let Some(block) = self.rows.blocks.iter().find(|block| block.element == element) {
+            return self.block_force(block, contact, lane);
+        }
+        let push = self.rows.pushes.iter().find(|push| push.element == element);
+        let impulse = push.map_or(0.0, |push| push.impulse.lane(lane));
+        scaled(&contact.normal, impulse / self.clock.seconds, lane)
+    }
+
+    fn block_force(&self, block: &Block<R>, contact: &Contact<R>, lane: usize) -> [f64; 3] {
         let impulse: Vec<f64> =
             self.rows.rows[block.rows.range()].iter().map(|row| row.impulse.lane(lane)).collect();
         let still = self.model.pairs[contact.pair].still;

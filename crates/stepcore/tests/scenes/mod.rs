@@ -90,8 +90,8 @@ pub fn runner() -> Scene {
             let at = scene.joints.len();
             let hinge = joint(&mut scene, part, JointType::Hinge, [0.0, 1.0, 0.0]);
             hinge.range = Some(range);
-            hinge.stiffness = 30.0;
-            hinge.damping = 1.5;
+            hinge.stiffness[0] = 30.0;
+            hinge.damping[0] = 1.5;
             hinge.armature = 0.05;
             let motor = Actuator {
                 name: format!("motor{at}"),
@@ -142,7 +142,7 @@ pub fn heap() -> Scene {
     j.frictionloss = 0.05;
     limb(&mut scene, upper, [0.0; 3], [0.25, 0.0, 0.0], 0.04);
     let lower = body(&mut scene, upper, [0.25, 0.0, 0.0]);
-    joint(&mut scene, lower, JointType::Hinge, [0.0, 1.0, 0.0]).damping = 0.1;
+    joint(&mut scene, lower, JointType::Hinge, [0.0, 1.0, 0.0]).damping[0] = 0.1;
     limb(&mut scene, lower, [0.0; 3], [0.2, 0.0, -0.1], 0.03);
     let slider = body(&mut scene, 0, [0.05, 0.0, 0.4]);
     joint(&mut scene, slider, JointType::Slide, [1.0, 0.0, 0.0]).frictionloss = 0.4;

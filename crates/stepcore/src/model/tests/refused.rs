@@ -38,7 +38,7 @@ fn what_is_refused_is_named() {
         (|s| s.geoms[1].body = 7, "geom 'ball' body"),
         (|s| s.bodies[1].quat = [0.0; 4], "body 'toy' quat"),
         (|s| s.bodies[1].parent = 1, "body 'toy' parent"),
-        (|s| s.joints[0].damping = -1.0, "joint 'root' damping"),
+        (|s| s.joints[0].damping[0] = -1.0, "joint 'root' damping"),
         (|s| s.joints[0].armature = f64::NAN, "joint 'root' armature"),
         (|s| s.joints.push(s.joints[0].clone()), "two joints"),
         (|s| s.joints.push(Joint { body: 1, ..Joint::default() }), "at most 6"),
