@@ -1,4 +1,4 @@
-"""The lesson: its scenes, and a run of all its tables beside the reference numbers.
+"""The lesson: its scenes, and all of its tables compared with the reference numbers.
 
 >>> from stepcore import lesson
 >>> rows = lesson.run("numpy", sections=(1,))

@@ -1,4 +1,7 @@
-"""What the lesson measures: one function a figure, on a Sim of either engine."""
+"""The lesson's figures: one function each, on a Sim of either engine.
+
+make: of a Scene, a Sim at its key "start" (see `run.maker`).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from stepcore.lesson.scenes import HEIGHT, G, drop, grasp, slip, spring, stack
 
 
 def spring_energy(make: Any, integrator: str, k: float = 100.0, steps: int = 2000) -> float:
-    """Energy of a mass on a spring at the end over that at the start."""
+    """Final energy of a mass on a spring over its initial energy."""
     sim = make(spring(k, integrator=integrator))
     start = _spring_energy(sim, k)
     sim.step(steps)
@@ -25,7 +28,7 @@ def _spring_energy(sim: Any, k: float) -> float:
 
 
 def spring_invariant(make: Any, k: float = 100.0, steps: int = 2000) -> float:
-    """Largest relative change of v² + k x² - dt k x v (m = 1), which semi-implicit Euler keeps."""
+    """Largest relative change of v² + k x² - dt k x v (m = 1), semi-implicit Euler's invariant."""
     scene = spring(k)
     sim, dt = make(scene), scene.options["dt"]
     values: list[float] = []
@@ -38,7 +41,11 @@ def spring_invariant(make: Any, k: float = 100.0, steps: int = 2000) -> float:
 
 @dataclass
 class Bounce:
-    """A ball on a penalty floor. deepest, rebound [m]; energies over g·h."""
+    """A ball dropped on a penalty floor.
+
+    deepest: the largest overlap [m]. flight: the largest energy in flight, counted: the largest
+    with the spring's energy, both over that of the drop, m·g·h. rebound: the highest return [m].
+    """
 
     deepest: float
     flight: float
@@ -46,18 +53,18 @@ class Bounce:
     rebound: float
 
     @property
-    def verdict(self) -> str:
-        """The lesson's: stable unless it flies above 10 m."""
+    def verdict_by_height(self) -> str:
+        """The lesson's criterion: stable if it stays below 10 m."""
         return "stable" if self.rebound <= 10 else "exploded"
 
     @property
-    def honest(self) -> str:
-        """A passive scene may not gain energy; judged in flight, where no spring holds any."""
+    def verdict_by_energy(self) -> str:
+        """A passive scene may not gain energy; judged in flight, where the spring holds none."""
         return "stable" if self.flight <= 1.001 else "gains energy"
 
 
 def bounce(make: Any, k: float, time: float = 2.0) -> Bounce:
-    """Drops the ball on springs of stiffness k [N/m], damping ratio 0.1, and watches it."""
+    """The ball dropped on a floor of stiffness k [N/m] and damping ratio 0.1, for `time` [s]."""
     scene = drop("penalty", penalty_stiffness=k, penalty_damping_ratio=0.1)
     sim, full = make(scene), G * HEIGHT
     got, touched = Bounce(0.0, 0.0, 0.0, 0.0), False
@@ -76,16 +83,16 @@ def bounce(make: Any, k: float, time: float = 2.0) -> Bounce:
 
 
 def stiff_enough(depth: float, m: float = 1.0) -> tuple[float, float]:
-    """Stiffness [N/m] that stops the drop within `depth` [m], and its largest stable dt [s].
+    """Stiffness [N/m] that stops a drop of m [kg] within `depth` [m]; its largest stable dt [s].
 
-    All of m g h goes into k d²/2; semi-implicit Euler is stable while dt < 2/omega.
+    All of m g h goes into k d²/2; semi-implicit Euler is stable while dt < 2/ω.
     """
     k = 2 * m * G * HEIGHT / depth**2
     return k, 2 / math.sqrt(k / m)
 
 
 def impact_depth(make: Any, k: float, dt: float = 1e-6) -> float:
-    """Deepest overlap of a ball that arrives at the speed of the drop [m]; no damping."""
+    """Largest overlap [m] of a ball that arrives at the speed of the drop, without damping."""
     sim = make(drop("penalty", penalty_stiffness=k, penalty_damping_ratio=0.0, dt=dt))
     sim.qpos[0], sim.qvel[0] = 0.0, -math.sqrt(2 * G * HEIGHT)
     deepest = 0.0
@@ -96,7 +103,7 @@ def impact_depth(make: Any, k: float, dt: float = 1e-6) -> float:
 
 
 def rest(make: Any, time: float, **changes: Any) -> float:
-    """Height of the lesson's ball after `time` [s]; negative is overlap [m]."""
+    """Height of the lesson's ball after `time` [s]; a negative height is overlap [m]."""
     scene = drop(**changes)
     sim = make(scene)
     sim.step(round(time / scene.options["dt"]))
@@ -106,7 +113,7 @@ def rest(make: Any, time: float, **changes: Any) -> float:
 def stack_depths(
     make: Any, time: float, sweeps: int, law: str, softness: float
 ) -> tuple[float, float]:
-    """Overlap of the lower and of the upper contact after `time` [s], in m."""
+    """Overlap of the lower and the upper contact after `time` [s], in m."""
     scene = stack(sweeps, law, softness=softness)
     sim = make(scene)
     sim.step(round(time / scene.options["dt"]))
@@ -115,7 +122,7 @@ def stack_depths(
 
 
 def equal(n: int) -> float:
-    """Contraction per sweep of n equal balls on a floor: cos²(pi/2n)."""
+    """Contraction per sweep of n equal balls on a floor: cos²(π/2n)."""
     return math.cos(math.pi / (2 * n)) ** 2
 
 
@@ -140,9 +147,9 @@ def statics(masses: Sequence[float], dt: float) -> Any:
 
 
 def error_after(make: Any, masses: Sequence[float], sweeps: int) -> float:
-    """Largest error of the impulses of a resting tower after some cold sweeps, relative.
+    """Largest relative error of the impulses of a resting tower after some cold sweeps.
 
-    The balls overlap by 1 nm, within the slop: every contact has a row, none is pushed apart.
+    The balls overlap by 1 nm, within the slop: every contact has a row, and none is pushed apart.
     """
     scene = stack(sweeps, "rigid", masses, slop=1e-6)
     sim = make(scene)
@@ -153,24 +160,24 @@ def error_after(make: Any, masses: Sequence[float], sweeps: int) -> float:
 
 
 def contraction(make: Any, masses: Sequence[float], after: int, over: int = 5) -> float:
-    """Factor by which one more sweep reduces the error, once `after` sweeps are done."""
+    """Factor by which one more sweep reduces the error once `after` sweeps are done."""
     before, later = (error_after(make, masses, n) for n in (after, after + over))
     return float((later / before) ** (1 / over))
 
 
 def sweeps_for(make: Any, masses: Sequence[float], after: int, error: float) -> float:
     """Sweeps that reduce an error by the factor `error`, from the measured contraction."""
-    # Far apart, so that a contraction near 1 is measured to enough digits.
+    # Measured over many sweeps, so that a contraction near 1 has enough digits.
     return math.log(error) / math.log(contraction(make, masses, after, over=after))
 
 
 def hold(make: Any, steps: int, **changes: Any) -> tuple[str, float]:
-    """Holds the grasp: how many rows push, resist sliding and limit, and the slip [m]."""
+    """The grasp held for some steps: its rows that push, resist sliding and limit; the slip [m]."""
     sim = make(grasp(**changes))
     start = np.array(sim.qpos)
     sim.step(steps)
     kinds, blocks = np.asarray(sim.rows["kind"]), np.asarray(sim.rows["block"])
-    # A contact is a push and, with both directions together, one row that resists sliding.
+    # A contact counts as one push and, for both directions together, one row against sliding.
     pushes = len(np.unique(blocks[kinds == "contact"]))
     slidings = ((kinds == "contact").sum() - pushes) // 2
     return f"{pushes} {slidings} {(kinds == 'limit').sum()}", slip(sim, start)

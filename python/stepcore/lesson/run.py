@@ -1,4 +1,4 @@
-"""Runs every table of the lesson on an engine and sets each figure beside its reference."""
+"""Runs every table of the lesson on an engine and compares each figure with its reference."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from stepcore.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: what came out, what should, and how far apart they may be.
+    """One figure: its value, its reference and the tolerance of their difference, in `unit`.
 
-    reference None: printed for comparison, nothing to check. Values in `unit`.
+    A reference of None is not checked. section: the title of the table.
     """
 
     section: str
@@ -26,13 +26,13 @@ class Row:
 
     @property
     def ok(self) -> bool:
-        """Whether the figure is within its tolerance of the reference."""
+        """Whether the figure is within the tolerance of its reference."""
         if self.reference is None or isinstance(self.value, str):
             return self.reference is None or self.value == self.reference
         return abs(self.value - float(self.reference)) <= self.tolerance
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, for --json."""
+        """The figure as plain data, with "ok"."""
         names = ("section", "name", "value", "reference", "tolerance", "unit", "ok")
         return {name: getattr(self, name) for name in names}
 
@@ -41,7 +41,7 @@ Make = Callable[[Scene], Any]
 
 
 def maker(engine: str) -> Make:
-    """Scene to Sim at its key "start", on one engine: "rust" or "numpy"."""
+    """A function that makes a Sim of a scene at its key "start", on "rust" or "numpy"."""
 
     def rust(scene: Scene) -> Any:
         from stepcore.engine.sim import Sim
@@ -55,7 +55,7 @@ def maker(engine: str) -> Make:
 
     engines = {"rust": rust, "numpy": numpy}
     if engine not in engines:
-        raise ValueError(f"engine '{engine}': must be one of {', '.join(engines)}")
+        raise ValueError(f"engine = '{engine}': must be one of {', '.join(engines)}")
 
     def make(scene: Scene) -> Any:
         sim = engines[engine](scene)
@@ -70,7 +70,7 @@ def run(
     sections: Sequence[int] = (1, 2, 3, 4, 5),
     progress: Callable[[Row], None] | None = None,
 ) -> list[Row]:
-    """Every table of the lesson on "rust" or "numpy"; `progress` sees each row as it is made."""
+    """The figures of some sections on "rust" or "numpy"; `progress` is called with each figure."""
     make = maker(engine)
     tables = {1: integrators, 2: penalty, 3: constraint, 4: two_contacts, 5: grasp}
     rows = []
@@ -83,7 +83,7 @@ def run(
 
 
 def integrators(make: Make) -> Iterator[Row]:
-    """Section 1: a mass on a spring for 20 s at 10 ms, energy at the end over at the start."""
+    """Section 1: a mass on a spring for 20 s at dt 10 ms: final energy over initial energy."""
     title = "1. integrators: energy of a mass on a spring after 20 s"
     for name, reference, tolerance in (
         ("explicit", 439286205.05, 0.05),
@@ -107,18 +107,18 @@ PENALTY = (
 
 
 def penalty(make: Make) -> Iterator[Row]:
-    """Section 2: a spring under the floor, from soft to exploding."""
+    """Section 2: contact as a penalty spring, from soft to exploding."""
     title = "2. contact as a force"
     for k, deepest, verdict, flight, counted, rebound in PENALTY:
         at, got = f"k {k:.0e}: ", measure.bounce(make, k)
-        loose = flight > 2  # the reference gives these with fewer digits
+        loose = flight > 2  # here the reference has fewer digits
         yield Row(title, at + "deepest", got.deepest * 1e3, deepest, 5.1e-4, "mm")
-        yield Row(title, at + "verdict by height", got.verdict, verdict, 0)
-        honest = "gains energy" if flight > 1.001 else "stable"
-        yield Row(title, at + "verdict by energy", got.honest, honest, 0)
+        yield Row(title, at + "verdict by height", got.verdict_by_height, verdict, 0)
+        by_energy = "gains energy" if flight > 1.001 else "stable"
+        yield Row(title, at + "verdict by energy", got.verdict_by_energy, by_energy, 0)
         error = 0.5 if flight > 100 else 0.0051 if loose else 5.1e-4
         yield Row(title, at + "energy in flight", got.flight, flight, error)
-        yield Row(title, at + "with the spring's", got.counted, counted, error)
+        yield Row(title, at + "with the spring's energy", got.counted, counted, error)
         error = 0.0051 if rebound > 100 else 5.1e-4
         yield Row(title, at + "highest rebound", got.rebound, rebound, error, "m")
     k, limit = measure.stiff_enough(1e-4)
@@ -130,7 +130,7 @@ def penalty(make: Make) -> Iterator[Row]:
 
 
 def constraint(make: Make) -> Iterator[Row]:
-    """Section 3: resting height of a ball under the lesson's law, for each change of settings."""
+    """Section 3: resting height of a ball under the law `lesson`, for several settings."""
     title = "3. contact as a constraint: resting height after 2 s"
     for name, time, changes, reference, tolerance in (
         ("dt 2 ms", 2, {}, -98.1, 1e-6),
@@ -156,13 +156,13 @@ SWEEPS = (1, 2, 5, 10, 20)
 
 
 def two_contacts(make: Make) -> Iterator[Row]:
-    """Section 4: a ball on a ball on a floor, and what a sweep buys."""
+    """Section 4: a ball on a ball on a floor: depth and error by sweeps."""
     title = "4. two contacts: depth of the lower one after 2 s"
     for law, softness, depths in STACK:
         for sweeps, reference in zip(SWEEPS, depths, strict=True):
             name = f"{law}, softness {softness:g}, {sweeps} sweep{'s' * (sweeps > 1)}"
             value = measure.stack_depths(make, 2, sweeps, law, softness)[0] * 1e6
-            # Without softness one sweep leaves a row on the edge of firing: rounding decides.
+            # Without softness one sweep leaves a row on the edge of acting: rounding decides.
             edge = softness == 0 and sweeps == 1
             yield Row(title, name, value, reference, 11.8 if edge else 5.1e-4, "um")
     upper = measure.stack_depths(make, 2, 20, "lesson", 0.5)[1] * 1e6
@@ -179,7 +179,7 @@ def two_contacts(make: Make) -> Iterator[Row]:
 
 
 def grasp(make: Make) -> Iterator[Row]:
-    """Section 5: a cube between two fingers, the wrist at its stop."""
+    """Section 5: a cube between two fingers, with the wrist at its stop."""
     title = "5. a grasp: slip of the cube after 10 000 steps"
     rows, held = measure.hold(make, 10000)
     yield Row(title, "rows: pushes, slidings, limits", rows, "2 2 1", 0)
@@ -189,14 +189,14 @@ def grasp(make: Make) -> Iterator[Row]:
 
 
 def report(rows: Iterable[Row]) -> str:
-    """The figures as text, one table a section, misses marked."""
+    """The figures as text, one table a section, with misses marked."""
     rows = list(rows)
     lines: list[str] = []
     title = None
     for row in rows:
         if row.section != title:
             title = row.section
-            lines += ["", title, f"  {'':<38} {'here':>18} {'reference':>18}"]
+            lines += ["", title, f"  {'':<38} {'value':>18} {'reference':>18}"]
         mark = "" if row.ok else "   <-- off"
         reference = "" if row.reference is None else _shown(row.reference)
         value = f"{_shown(row.value):>18} {reference:>18}"

@@ -1,6 +1,6 @@
-"""The lesson's scenes. Each carries its settings (`scene.options`) and its start (key "start").
+"""The lesson's scenes. Each has its settings (`scene.options`) and its start (key "start").
 
-The inputs that the lesson leaves open were found by reproducing its results.
+Inputs that the lesson does not state were found by reproducing its results.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ G = 9.81  # [m/s²]
 HEIGHT = 0.3  # of the drop [m]
 RADIUS = 0.1  # of every ball [m]
 
-# One pass over the rows and nothing carried over: what the lesson writes by hand.
+# The lesson's own solver: one pass over the rows, nothing carried over from step to step.
 PLAIN: dict[str, Any] = {
     "solver": "pgs",
     "acceleration": "none",
@@ -27,7 +27,7 @@ PLAIN: dict[str, Any] = {
 
 
 def spring(k: float = 100.0, m: float = 1.0, damping: float = 0.0, **settings: Any) -> Scene:
-    """A mass m [kg] on a spring k [N/m], along x, no gravity, drawn out by 1 m."""
+    """A mass m [kg] on a spring k [N/m] along x without gravity, stretched by 1 m."""
     scene = Scene(gravity=(0, 0, 0), name="spring")
     body = scene.add_body("mass", mass=m, inertia=(m, m, m))
     scene.add_joint(body, "slide", name="spring", axis=(1, 0, 0), stiffness=k, damping=damping)
@@ -35,7 +35,7 @@ def spring(k: float = 100.0, m: float = 1.0, damping: float = 0.0, **settings: A
 
 
 def tower(masses: Sequence[float], radius: float = RADIUS, gravity: float = G) -> Scene:
-    """Balls [kg] one on top of the other on a floor, each on a vertical slide, just touching."""
+    """Balls of these masses [kg], stacked on a floor, each on a vertical slide, just touching."""
     scene = Scene(gravity=(0, 0, -gravity), name="tower")
     scene.add_geom("world", "plane", name="floor", condim=1)
     for i, mass in enumerate(masses):
@@ -46,7 +46,7 @@ def tower(masses: Sequence[float], radius: float = RADIUS, gravity: float = G) -
 
 
 def drop(law: str = "lesson", m: float = 1.0, **settings: Any) -> Scene:
-    """A ball [kg] 0.3 m over a floor; qpos is its height."""
+    """A ball of m [kg] 0.3 m above a floor; qpos is its height [m]."""
     chosen = {"law": law, "dt": 0.002, "softness": 0.5}
     return _ready(tower([m]), [HEIGHT], chosen, settings)
 
@@ -54,7 +54,7 @@ def drop(law: str = "lesson", m: float = 1.0, **settings: Any) -> Scene:
 def stack(
     sweeps: int = 1, law: str = "relaxed", masses: Sequence[float] = (1.0, 1.0), **settings: Any
 ) -> Scene:
-    """A ball on a ball on a floor, starting in contact; rows in the order floor, ball on ball."""
+    """Balls stacked on a floor, starting in contact; rows in the order floor, ball on ball."""
     chosen = {"law": law, "dt": 0.002, "softness": 0.5, "sweeps": sweeps}
     return _ready(tower(masses), [0.0] * len(masses), chosen, settings)
 
@@ -62,10 +62,9 @@ def stack(
 def grasp(grip: float = 3.0, **settings: Any) -> Scene:
     """A cube between two fingers on an arm whose wrist rests against its stop: five rows.
 
-    The wrist is a hinge about y; the weight turns it into its upper limit. The fingers
-    slide along the same axis, each a pad (a ball) pushed inwards by a motor, `grip` [N].
-    They are not equally heavy, and hold the cube of 100 g 2 mm above its centre.
-    Friction alone carries it.
+    The wrist is a hinge about y; the weight turns it into its upper limit. The fingers slide along
+    the same axis; each is a pad (a ball) that a motor pushes inwards with `grip` [N]. They are not
+    equally heavy, and hold the cube of 100 g 2 mm above its centre, by friction alone.
     """
     scene = Scene(gravity=(0, 0, -G), name="grasp")
     arm = scene.add_body("arm", mass=0.5, ipos=(0.1, 0, 0), inertia=(1e-3, 2e-3, 2e-3))
@@ -73,7 +72,7 @@ def grasp(grip: float = 3.0, **settings: Any) -> Scene:
     half, pad, above = 0.02, 0.01, 0.002
     for name, side, mass in (("left", 1.0, 0.05), ("right", -1.0, 0.08)):
         finger = scene.add_body(name, arm, pos=(0.2, side * (half + pad), 0))
-        # The damper stands for the gearbox: nothing else holds the pair of fingers in place.
+        # The damper models the gearbox: nothing else keeps the pair of fingers in place.
         slide = scene.add_joint(
             finger, "slide", name=f"{name}_slide", axis=(0, -side, 0), damping=5.0
         )
@@ -89,9 +88,9 @@ def grasp(grip: float = 3.0, **settings: Any) -> Scene:
 
 
 def slip(sim: Any, start: Any) -> float:
-    """How far the cube of `grasp` moved between the pads since `start` (an earlier qpos) [m].
+    """How far the cube of `grasp` has moved between the pads since the qpos `start` [m].
 
-    Followed in the arm's frame: the cube's centre, less the mean travel of the two pads.
+    In the arm's frame: the displacement of the cube's centre less the mean travel of the pads.
     """
     import numpy as np
 
