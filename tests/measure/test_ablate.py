@@ -41,6 +41,19 @@ def row(result: sc.Ablation, kind: str):
     return found
 
 
+def test_an_error_is_a_length_or_a_share_and_a_motion_its_fields() -> None:
+    """The same tolerance in three forms; the scene's size is known from the first."""
+    scene = sc.loads(KNOWN.format(mu=0.5, v=1.0))
+    written = sc.ablate(scene, sc.Motion(horizon=0.4, starts=2), error="1mm", progress=False)
+    assert written.error == known().error == 1e-3
+    assert written.removed == known().removed
+    share = sc.ablate(scene, error="0.1%", **SHORT)
+    # Its bodies are spread over 53 m, and the farthest of them 51 m from the origin.
+    assert 0.09 < share.error < 0.12
+    kinds = [{removal.kind for removal in result.removed} for result in (written, share)]
+    assert "friction" in kinds[1] - kinds[0]
+
+
 def test_a_limit_that_is_never_reached_matters_nothing() -> None:
     limits = row(known(), "limits")
     assert limits.removal.name == "1 joint whose limit is never reached"

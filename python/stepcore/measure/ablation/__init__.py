@@ -23,7 +23,7 @@ from stepcore.measure.ablation.result import Ablation, FeatureEffect
 from stepcore.measure.ablation.selection import Selection
 from stepcore.measure.ablation.variants import Baseline, outcome_of, times_of, usage_of
 from stepcore.report import units
-from stepcore.report.progress import Choice, Progress
+from stepcore.report.progress import Choice
 from stepcore.report.units import metres, seconds
 
 __all__ = ["Ablation", "FeatureEffect", "ablate"]
@@ -85,10 +85,7 @@ def ablate(
     # Three sets of starts: to choose on, to confirm on, and to confirm what is left then.
     schedule = scheduled(motion, model, period, starts=SETS * starts)
     runner = Runner(model, schedule.part(0, starts))
-    notes: list[str] = []
-    runs = ReferenceRuns(runner, model.settings, dt, BUDGET, workers)
-    with workers.bar("reference", runs.least) as bar:
-        reference = _reference(runs, bar, notes)
+    reference, notes = _reference(ReferenceRuns(runner, model.settings, dt, BUDGET, workers))
     baseline = _baseline(runner, reference)
     tolerance = units.length("ablate", "error", error, extent(baseline.paths, model.scene))
     usage = usage_of(runner, model.settings)
@@ -133,22 +130,21 @@ def _others(model: Model, schedule: Schedule, starts: int) -> Iterator[tuple[Run
         yield runner, _baseline(runner, None)
 
 
-def _reference(runs: ReferenceRuns, bar: Progress, notes: list[str]) -> Reference | None:
+def _reference(runs: ReferenceRuns) -> tuple[Reference | None, list[str]]:
+    """The converged motion, or a note on why there is none."""
     try:
-        return runs.reference(bar)
+        with runs.workers.bar("reference", runs.least) as bar:
+            return runs.reference(bar), []
     except ValueError as error:
-        notes.append(f"no converged motion to compare with: {checks.one_line(error)}")
-        return None
+        return None, [f"no converged motion to compare with: {checks.one_line(error)}"]
 
 
 def _baseline(runner: Runner, reference: Reference | None) -> Baseline:
     """The whole model's own motion at its settings; ValueError if it fails."""
-    paths = []
-    for start in range(len(runner.schedule.starts)):
-        path = runner.run(runner.model.settings, start)
-        if path.failure:
-            raise ValueError(f"the whole model fails from start {start}: {path.failure}")
-        paths.append(path)
+    paths = runner.runs(runner.model.settings)
+    if paths[-1].failure:
+        start = len(paths) - 1
+        raise ValueError(f"the whole model fails from start {start}: {paths[-1].failure}")
     if reference is None:
         scored = np.ones((len(paths), len(runner.schedule.times)), bool)
         return Baseline(runner.model, runner.schedule, tuple(paths), None, scored)
@@ -164,8 +160,8 @@ def _notes(reference: Reference | None, baseline: Baseline, tolerance: float) ->
     notes = ["torsional and rolling friction are not built yet: there is nothing to remove"]
     if reference is not None and reference.error > tolerance:
         notes.append(
-            f"the converged motion is known to {metres(reference.error)} only, which limits the "
-            "column error; the column added does not depend on it"
+            f"the reference has an error of {metres(reference.error)}, more than the tolerance: "
+            "the column error is uncertain by that much, the column added is not"
         )
     short = int((~baseline.scored).any(axis=1).sum())
     if short:
