@@ -16,7 +16,7 @@ from stepcore.experiment.starts import home
 from stepcore.measure.diagnosis.advice import advise
 from stepcore.measure.diagnosis.closed_form_bound import closed_form_bound
 from stepcore.measure.diagnosis.dt_limits import LONGEST, Limit, dt_limit
-from stepcore.measure.diagnosis.element import INERTIAL, Element
+from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits, IsolatedElements
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
 from stepcore.measure.diagnosis.result import Diagnosis
@@ -142,10 +142,10 @@ def _safe_dt(at_start: StepStability) -> float:
     return max(SAFE * min(limit, closed_form_bound(model).dt, model.settings.dt / SAFE), 1e-9)
 
 
-def _element_limits(here: StepStability) -> dict[Element, ElementLimits]:
+def _element_limits(here: StepStability) -> dict[ElementId, ElementLimits]:
     """Every element on its own, at the state where it is stiffest; the stiffest first."""
     layout = Layout(here.model.scene)
-    elements: dict[Element, ElementLimits] = {}
+    elements: dict[ElementId, ElementLimits] = {}
     for k, state in enumerate(here.states):
         motion = here.motion(state)
         if motion is None:

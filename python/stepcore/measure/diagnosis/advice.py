@@ -23,7 +23,7 @@ from stepcore.measure.diagnosis.changes import (
     changed,
 )
 from stepcore.measure.diagnosis.dt_limits import Limit
-from stepcore.measure.diagnosis.element import Element
+from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import step_map
@@ -54,9 +54,9 @@ class Advice:
 def advise(
     now: StepStability,
     limits: dict[str, Limit],
-    elements: dict[Element, ElementLimits],
+    elements: dict[ElementId, ElementLimits],
     wanted: float,
-    stiffest: Element,
+    stiffest: ElementId,
 ) -> list[Advice]:
     """All ways that were found, values first, then settings.
 
@@ -94,12 +94,12 @@ class _Search:
     """The least change that is stable at the wanted dt. worst: the state that decides so far."""
 
     now: StepStability
-    elements: dict[Element, ElementLimits]
+    elements: dict[ElementId, ElementLimits]
     integrator: str
     wanted: float
     worst: int
 
-    def least(self, change: Change, first: Element) -> Advice | None:
+    def least(self, change: Change, first: ElementId) -> Advice | None:
         """Changes the limiting element, and what limits dt next, as little as is enough."""
         group = [self.elements[first]] if first in self.elements else []
         if not group or not self._made(group, change, change.xs[-1])[1]:

@@ -12,9 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.element import Element
+from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.oscillator import oscillator_dt
 from stepcore.measure.diagnosis.solref import may_limit_dt, softened_from, solref_of
+from stepcore.scene.elements import Joint
 from stepcore.scene.layout import DOFS, Layout
 
 # The most pairs of geoms that are looked at.
@@ -28,7 +29,7 @@ class Bound:
 
     dt: float
     alone: float
-    element: Element | None
+    element: ElementId | None
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class _Oscillator:
     else acts.
     """
 
-    element: Element
+    element: ElementId
     tree: int
     square: float
     explicit: float
@@ -67,15 +68,15 @@ def closed_form_bound(model: Model, integrator: str | None = None) -> Bound:
 
 def _springs(model: Model, integrator: str) -> Iterator[_Oscillator]:
     features = model.scene.features
+    implicit = damper_is_implicit(model, integrator)
     for j, joint in enumerate(Layout(model.scene).joints):
         weight, tree = _weight(model, j), _root(model, int(model.jnt_body[j]))
-        rate = joint.damping * weight if features.damper else 0.0
-        implicit = damper_is_implicit(model, integrator)
-        if features.spring and joint.stiffness > 0:
-            square = joint.stiffness * weight
-            yield _Oscillator(Element.of(model, "spring", j), tree, square, 0.0, rate * implicit)
+        rate = _at_rest(joint, "damping") * weight if features.damper else 0.0
+        square = _at_rest(joint, "stiffness") * weight
+        if features.spring and square > 0:
+            yield _Oscillator(ElementId.of(model, "spring", j), tree, square, 0.0, rate * implicit)
         if rate > 0 and not implicit:
-            yield _Oscillator(Element.of(model, "damper", j), tree, 0.0, rate)
+            yield _Oscillator(ElementId.of(model, "damper", j), tree, 0.0, rate)
 
 
 def _servos(model: Model, integrator: str) -> Iterator[_Oscillator]:
@@ -85,13 +86,18 @@ def _servos(model: Model, integrator: str) -> Iterator[_Oscillator]:
         weight, tree = _weight(model, joint), _root(model, int(model.jnt_body[joint]))
         stiffness, damping = _gains(model, i)
         rate = damping * weight
-        own = joints[joint].damping * weight if features.damper else 0.0
+        own = _at_rest(joints[joint], "damping") * weight if features.damper else 0.0
         own *= damper_is_implicit(model, integrator)
         implicit = integrator == "implicitfast"
         if stiffness > 0 or rate > 0:
             # A servo that pushes away from its target grows physically, at any dt.
-            square, element = max(stiffness, 0.0) * weight, Element.of(model, "actuator", i)
+            square, element = max(stiffness, 0.0) * weight, ElementId.of(model, "actuator", i)
             yield _Oscillator(element, tree, square, rate * (not implicit), own + rate * implicit)
+
+
+def _at_rest(joint: Joint, field: str) -> float:
+    """Stiffness or damping of a joint at rest: the first of its coefficients."""
+    return float(joint.record()[field][0])
 
 
 def _gains(model: Model, actuator: int) -> tuple[float, float]:
@@ -120,24 +126,24 @@ def _rows(model: Model) -> Iterator[_Oscillator]:
         yield _Oscillator(element, -1, max(square, 0.0), max(rate, 0.0))
 
 
-def _row_elements(model: Model, layout: Layout) -> Iterator[Element]:
+def _row_elements(model: Model, layout: Layout) -> Iterator[ElementId]:
     """The elements that have rows, contacts only where their solref may limit dt."""
     features, settings = model.scene.features, model.settings
     if not features.constraint:
         return
     for j, joint in enumerate(layout.joints):
         if features.limit and joint.range is not None:
-            yield Element.of(model, "limit", j)
+            yield ElementId.of(model, "limit", j)
         if features.frictionloss and joint.frictionloss > 0:
-            yield Element.of(model, "friction loss", j)
+            yield ElementId.of(model, "friction loss", j)
     for e, equality in enumerate(model.scene.equalities):
         if features.equality and equality.active:
-            yield Element.of(model, "connect", e)
+            yield ElementId.of(model, "connect", e)
     if settings.law == "solref":
         solrefs = enumerate(model.pair_solref.tolist())
         hard = [pair for pair, solref in solrefs if may_limit_dt(solref, settings.refsafe)]
         for pair in hard[:MOST_PAIRS]:
-            yield Element.of(model, "contact", pair)
+            yield ElementId.of(model, "contact", pair)
 
 
 def _penalties(model: Model) -> Iterator[_Oscillator]:
@@ -147,7 +153,7 @@ def _penalties(model: Model) -> Iterator[_Oscillator]:
     for pair, weight in enumerate(weights):
         square = s.penalty_stiffness * float(weight)
         rate = 2 * s.penalty_damping_ratio * math.sqrt(square)
-        yield _Oscillator(Element.of(model, "contact", pair), -1, square, rate)
+        yield _Oscillator(ElementId.of(model, "contact", pair), -1, square, rate)
 
 
 def damper_is_implicit(model: Model, integrator: str) -> bool:

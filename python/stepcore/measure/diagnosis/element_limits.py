@@ -15,7 +15,7 @@ import numpy as np
 from stepcore.engine.arrays import Floats
 from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.measure.diagnosis.dt_limits import LONGEST
-from stepcore.measure.diagnosis.element import INERTIAL, ROWS, Element
+from stepcore.measure.diagnosis.element_id import INERTIAL, ROWS, ElementId
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.oscillator import (
     nutation_dt,
@@ -37,7 +37,7 @@ class ElementLimits:
     from which `refsafe` softens it [s], inf where it never does. state: the index of the state.
     """
 
-    element: Element
+    element: ElementId
     omega: float
     ratio: float
     rate: float
@@ -79,7 +79,7 @@ class IsolatedElements:
             for name, treated in motion.implicit.items()
         }
 
-    def limits(self, element: Element, softened: float) -> ElementLimits:
+    def limits(self, element: ElementId, softened: float) -> ElementLimits:
         """One element; softened: the dt [s] from which `refsafe` softens it."""
         matrices = self.motion.elements[element]
         if element.kind == "spin":
@@ -97,7 +97,7 @@ class IsolatedElements:
         ratio = float(mode @ self.damping @ mode) / (2 * omega) if omega > 0 else math.nan
         return ElementLimits(element, omega, ratio, rate, limits, softened, self.state)
 
-    def _spin(self, element: Element, turning: Floats, softened: float) -> ElementLimits:
+    def _spin(self, element: ElementId, turning: Floats, softened: float) -> ElementLimits:
         omega = float(np.abs(np.linalg.eigvals(turning).imag).max(initial=0.0))
         limits = {}
         for name in INTEGRATORS:
@@ -106,7 +106,7 @@ class IsolatedElements:
             limits[name] = dt if dt <= LONGEST else math.inf
         return ElementLimits(element, omega, 0.0, 0.0, limits, softened, self.state)
 
-    def _limit(self, name: str, element: Element, omega: float, direction: Floats) -> float:
+    def _limit(self, name: str, element: ElementId, omega: float, direction: Floats) -> float:
         """The largest stable dt [s] of an oscillation along a direction of unit mass."""
 
         def along(damping: Floats) -> float:

@@ -18,7 +18,7 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Coordinates
-from stepcore.measure.diagnosis.element import ROWS, Element, row_elements
+from stepcore.measure.diagnosis.element_id import ROWS, ElementId, row_elements
 from stepcore.measure.diagnosis.linear_step import State
 from stepcore.measure.diagnosis.spins import spinning_bodies, spins
 from stepcore.scene.layout import DOFS
@@ -49,7 +49,7 @@ class ElementMatrices:
         return -(self.stiffness @ x[:n] + self.damping @ x[n:])
 
 
-def element_matrices(model: Model, sim: Sim, state: State) -> dict[Element, ElementMatrices]:
+def element_matrices(model: Model, sim: Sim, state: State) -> dict[ElementId, ElementMatrices]:
     """Stiffness and damping of every element that acts at a state, where `sim` is."""
     coordinates = Coordinates(model)
 
@@ -64,7 +64,7 @@ def element_matrices(model: Model, sim: Sim, state: State) -> dict[Element, Elem
         after, before = state.qvel + change, state.qvel - change
         return read_with(state.qpos, after), read_with(state.qpos, before)
 
-    matrices: dict[Element, ElementMatrices] = dict(_joint_matrices(model, sides))
+    matrices: dict[ElementId, ElementMatrices] = dict(_joint_matrices(model, sides))
     matrices |= _row_matrices(model, sim, sides)
     sim.qpos[:], sim.qvel[:] = state.qpos, state.qvel
     if np.any(state.qvel):
@@ -73,7 +73,7 @@ def element_matrices(model: Model, sim: Sim, state: State) -> dict[Element, Elem
     return matrices
 
 
-def _joint_matrices(model: Model, sides: Sides) -> dict[Element, ElementMatrices]:
+def _joint_matrices(model: Model, sides: Sides) -> dict[ElementId, ElementMatrices]:
     """Those of springs, dampers and actuators.
 
     One dof of every joint at once: an element depends on its own joint alone.
@@ -91,12 +91,12 @@ def _joint_matrices(model: Model, sides: Sides) -> dict[Element, ElementMatrices
                 continue
             at = slice(starts[joint], starts[joint] + counts[joint])
             slope = before.get((kind, index), none) - after.get((kind, index), none)
-            derivative = matrices[Element.of(model, kind, index)].by(column)
+            derivative = matrices[ElementId.of(model, kind, index)].by(column)
             derivative[at, at.start + nth] = slope[at] / (2 * SMALL)
     return matrices
 
 
-def _row_matrices(model: Model, sim: Sim, sides: Sides) -> dict[Element, ElementMatrices]:
+def _row_matrices(model: Model, sim: Sim, sides: Sides) -> dict[ElementId, ElementMatrices]:
     """Those of rows and contacts.
 
     Where a row opens or closes on one side of the state (a contact, one point of it, a limit), all
@@ -117,12 +117,12 @@ def _row_matrices(model: Model, sim: Sim, sides: Sides) -> dict[Element, Element
             element, force = (kind, index), here.get((kind, index), none)
             count = (element in after) + (element in before)
             slope = before.get(element, force) - after.get(element, force)
-            derivative = matrices[Element.of(model, kind, index)].by(column)
+            derivative = matrices[ElementId.of(model, kind, index)].by(column)
             derivative[:, dof] = slope / (SMALL * count)
     return matrices
 
 
-def _no_matrices(nv: int) -> defaultdict[Element, ElementMatrices]:
+def _no_matrices(nv: int) -> defaultdict[ElementId, ElementMatrices]:
     """Matrices of zeros for every element that is asked for."""
     return defaultdict(lambda: ElementMatrices(np.zeros((nv, nv)), np.zeros((nv, nv))))
 
@@ -137,7 +137,7 @@ def _forces(*kinds: str) -> Callable[[Sim], Forces]:
     return forces
 
 
-def _spin_matrices(model: Model, sim: Sim, sides: Sides) -> dict[Element, ElementMatrices]:
+def _spin_matrices(model: Model, sim: Sim, sides: Sides) -> dict[ElementId, ElementMatrices]:
     """Those of spinning bodies."""
     bodies = spinning_bodies(model)
     here = spins(sim, bodies)
@@ -148,7 +148,7 @@ def _spin_matrices(model: Model, sim: Sim, sides: Sides) -> dict[Element, Elemen
         stiffness[:, :, dof] = (before - after) / (2 * SMALL)
     turns = zip(bodies, here.spin, stiffness, here.damping, strict=True)
     return {
-        Element.of(model, "spin", body): ElementMatrices(k, d)
+        ElementId.of(model, "spin", body): ElementMatrices(k, d)
         for body, spin, k, d in turns
         if np.any(spin)
     }

@@ -38,7 +38,7 @@ FACTOR, FINE = 1.5, 1e-3
 
 
 @dataclass(frozen=True)
-class Growth:
+class StepGrowth:
     """The worst eigenvalue of a step.
 
     value: μ. rate: its growth [1/s]. excess: the growth above what is allowed [1/s], stable if
@@ -69,14 +69,14 @@ def neutral_growth(omega: Any, horizon: float) -> Any:
     return np.minimum(1 / horizon, PER_RADIAN * np.maximum(omega, 1 / horizon))
 
 
-def step_growth(matrix: Floats | None, dt: float, rates: Any, horizon: float) -> Growth:
+def step_growth(matrix: Floats | None, dt: float, rates: Any, horizon: float) -> StepGrowth:
     """The worst growth of a step's matrix; infinite for None, a step that does not stay finite."""
     if matrix is None:
-        return Growth(math.inf, math.inf, math.inf)
+        return StepGrowth(math.inf, math.inf, math.inf)
     return worst_growth(np.linalg.eigvals(matrix), dt, rates, horizon)
 
 
-def worst_growth(values: Any, dt: float, rates: Any, horizon: float) -> Growth:
+def worst_growth(values: Any, dt: float, rates: Any, horizon: float) -> StepGrowth:
     """The eigenvalue of a step that exceeds the allowed growth most.
 
     values: the eigenvalues of the step of dt [s]; rates: those of the motion itself [1/s].
@@ -88,10 +88,12 @@ def worst_growth(values: Any, dt: float, rates: Any, horizon: float) -> Growth:
     excess[np.abs(log) * dt < UNRESOLVED] = -np.inf
     worst = int(excess.argmax())
     own = complex(rates[nearest[worst]])
-    return Growth(complex(values[worst]), float(log[worst].real), float(excess[worst]), own)
+    return StepGrowth(complex(values[worst]), float(log[worst].real), float(excess[worst]), own)
 
 
-def growth_beyond_motion(growth: Growth, shorter: Floats, dt: float, horizon: float) -> Growth:
+def growth_beyond_motion(
+    growth: StepGrowth, shorter: Floats, dt: float, horizon: float
+) -> StepGrowth:
     """The same growth, compared with what the motion does over dt in shorter steps.
 
     shorter: the matrix of these shorter steps over dt [s]. Growth that an integrator causes falls

@@ -16,7 +16,7 @@ import numpy as np
 from stepcore.engine.arrays import Floats
 from stepcore.engine.linear_maps import stepped
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.element import INERTIAL, ROWS, Element
+from stepcore.measure.diagnosis.element_id import INERTIAL, ROWS, ElementId
 from stepcore.measure.diagnosis.element_matrices import ElementMatrices, element_matrices
 from stepcore.measure.diagnosis.linear_step import (
     TINY_STEP,
@@ -40,15 +40,15 @@ class LinearMotion:
 
     mass: Floats
     rates: Floats
-    elements: dict[Element, ElementMatrices]
-    implicit: dict[str, frozenset[Element]]
-    after: frozenset[Element] = frozenset()
+    elements: dict[ElementId, ElementMatrices]
+    implicit: dict[str, frozenset[ElementId]]
+    after: frozenset[ElementId] = frozenset()
 
     def step(
         self,
         integrator: str,
         dt: float,
-        scaled: Element | None = None,
+        scaled: ElementId | None = None,
         by: float = 0.0,
         of: Any = None,
     ) -> Any:
@@ -79,7 +79,7 @@ class LinearMotion:
             after if self.after else None,
         )
 
-    def rates_times(self, scaled: Element | None, by: float, x: Any) -> Any:
+    def rates_times(self, scaled: ElementId | None, by: float, x: Any) -> Any:
         """J x, with one element's stiffness and damping multiplied by 1 + by."""
         product = self.rates @ x
         if scaled is not None:
@@ -110,7 +110,7 @@ def linear_motion(model: Model, state: State, dt: float | None) -> LinearMotion 
     return LinearMotion(mass, rates, elements, _implicit(model, elements), frozenset(rows))
 
 
-def _implicit(model: Model, elements: dict[Element, Any]) -> dict[str, frozenset[Element]]:
+def _implicit(model: Model, elements: dict[ElementId, Any]) -> dict[str, frozenset[ElementId]]:
     """Which elements' damping each integrator treats implicitly."""
     dampers = frozenset(e for e in elements if e.kind == "damper")
     actuators = frozenset(e for e in elements if e.kind == "actuator")

@@ -21,7 +21,7 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.converged import converged_settings
-from stepcore.measure.diagnosis.element import Element, acting_elements
+from stepcore.measure.diagnosis.element_id import ElementId, acting_elements
 from stepcore.measure.diagnosis.midpoint_map import midpoint_map
 
 # The step from which J is read [s]: a free rotation turns by dt·v, an error of this size.
@@ -45,7 +45,7 @@ class State:
     qpos: Floats
     qvel: Floats
     ctrl: Floats
-    rows: tuple[Element, ...] = ()
+    rows: tuple[ElementId, ...] = ()
 
 
 def with_converged_rows(model: Model) -> Model:
@@ -76,7 +76,7 @@ def sim_at(model: Model, state: State, **settings: Any) -> Sim:
 
 def state_after(
     model: Model, state: State, integrator: str, dt: float, count: int
-) -> tuple[State, set[Element]] | None:
+) -> tuple[State, set[ElementId]] | None:
     """The state `count` steps later, and the elements whose rows acted in the last step or there.
 
     None where the steps do not stay finite.

@@ -12,7 +12,7 @@ from stepcore._core import Settings
 from stepcore.experiment.motion import Motion
 from stepcore.measure.diagnosis.advice import Advice
 from stepcore.measure.diagnosis.dt_limits import Limit
-from stepcore.measure.diagnosis.element import INERTIAL, Element
+from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.linear_step import State
 from stepcore.measure.diagnosis.sentences import sentences
@@ -51,7 +51,7 @@ class Diagnosis(Result):
     wanted: float
     states: list[State]
     limits: dict[str, Limit]
-    element_shares: dict[str, dict[Element, float]]
+    element_shares: dict[str, dict[ElementId, float]]
     rows: list[ElementLimits]
     advice: list[Advice] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -90,7 +90,7 @@ class Diagnosis(Result):
         element = self._stiffest(self._known(integrator))
         return next((row for row in self.rows if row.element == element), None)
 
-    def _stiffest(self, integrator: str) -> Element | None:
+    def _stiffest(self, integrator: str) -> ElementId | None:
         shares = dict(self.element_shares[integrator])
         unlimited = math.isinf(self.limits[integrator].dt)
         if unlimited:
@@ -140,7 +140,7 @@ class Diagnosis(Result):
         numbers = ("omega", "rate", "softened", "state", "kind", "index")
         return ["element", "frequency", "ratio", "share", own, *others, *numbers]
 
-    def _record(self, row: ElementLimits, shares: dict[Element, float]) -> dict[str, Any]:
+    def _record(self, row: ElementLimits, shares: dict[ElementId, float]) -> dict[str, Any]:
         record: dict[str, Any] = {
             "element": row.name,
             "kind": row.element.kind,

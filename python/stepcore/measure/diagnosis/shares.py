@@ -14,7 +14,7 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.measure.diagnosis.dt_limits import Limit
-from stepcore.measure.diagnosis.element import Element
+from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.growth import step_growth
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.linear_step import step_map
@@ -27,7 +27,7 @@ NUDGE = 1e-4
 # Eigenvalues that are equal, as part of their distance from 1; points of the contour around them.
 EQUAL, CONTOUR = 1e-2, 16
 
-Shares = dict[Element, float]
+Shares = dict[ElementId, float]
 
 
 def limiting_shares(here: StepStability, limit: Limit) -> Shares:
@@ -78,7 +78,7 @@ def _shares(
     motion: LinearMotion,
     matrix: Floats,
     value: complex,
-    changed: Callable[[Element, float, Any], Any],
+    changed: Callable[[ElementId, float, Any], Any],
 ) -> Shares:
     """The derivatives of log |value| by each element's gain, as parts of their sum.
 

@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.element import Element
+from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 
 
-def solref_of(model: Model, layout: Layout, element: Element) -> Vec | None:
+def solref_of(model: Model, layout: Layout, element: ElementId) -> Vec | None:
     """The solref of an element; None for one that is not a row with a solref under the law."""
     law, index = model.settings.law, element.index
     if element.kind == "limit" and law in ("solref", "penalty"):
@@ -41,7 +41,7 @@ def may_limit_dt(solref: Vec, refsafe: bool) -> bool:
     return not refsafe or solref[0] <= 0 or solref[1] < math.sqrt(1 / 8)
 
 
-def softened_from(model: Model, layout: Layout, element: Element) -> float:
+def softened_from(model: Model, layout: Layout, element: ElementId) -> float:
     """The dt [s] from which `refsafe` softens an element; inf where it never does."""
     solref = solref_of(model, layout, element)
     if solref is None or not model.settings.refsafe or solref[0] <= 0:

@@ -13,7 +13,7 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.growth import (
     SLOW_TURN,
-    Growth,
+    StepGrowth,
     growth_beyond_motion,
     step_growth,
 )
@@ -56,7 +56,7 @@ class StepStability:
     _motions: dict[int, LinearMotion | None] = field(
         default_factory=dict, repr=False, compare=False
     )
-    _seen: dict[tuple[str, float, int], tuple[State, Growth]] = field(
+    _seen: dict[tuple[str, float, int], tuple[State, StepGrowth]] = field(
         default_factory=dict, repr=False, compare=False
     )
 
@@ -77,11 +77,11 @@ class StepStability:
         """Whether a step is stable at every state."""
         return all(self.growth(integrator, dt, k).stable for k in range(len(self.states)))
 
-    def growth(self, integrator: str, dt: float, state: int) -> Growth:
+    def growth(self, integrator: str, dt: float, state: int) -> StepGrowth:
         """The worst growth of a step at one state."""
         return self.growth_where_seen(integrator, dt, state)[1]
 
-    def growth_where_seen(self, integrator: str, dt: float, state: int) -> tuple[State, Growth]:
+    def growth_where_seen(self, integrator: str, dt: float, state: int) -> tuple[State, StepGrowth]:
         """The worst growth of a step at one state, and the state where it was seen.
 
         Rows that begin to act within the step are looked at once they act: to meet them is no
@@ -93,7 +93,7 @@ class StepStability:
             self._seen[at] = self._find_growth(integrator, dt, state)
         return self._seen[at]
 
-    def _find_growth(self, integrator: str, dt: float, state: int) -> tuple[State, Growth]:
+    def _find_growth(self, integrator: str, dt: float, state: int) -> tuple[State, StepGrowth]:
         here = self.states[state]
         growth = self._growth_at(integrator, dt, here, self.rates[state])
         for _ in range(MEETINGS):
@@ -108,7 +108,7 @@ class StepStability:
             return here, growth
         return rest[0], self._growth_at(integrator, dt, rest[0])
 
-    def _growth_at(self, integrator: str, dt: float, state: State, rates: Any = None) -> Growth:
+    def _growth_at(self, integrator: str, dt: float, state: State, rates: Any = None) -> StepGrowth:
         """The worst growth at a state; rates: those of the motion there [1/s], if known."""
         model = self.model_at(state)
         matrix = step_map(model, state, integrator, dt)

@@ -76,7 +76,7 @@ def _may_be_stiff(scene: Scene) -> bool:
         return False
     if scene.options.get("law") == "penalty":
         return True
-    if any(joint.stiffness > 0 or joint.damping > 0 for joint in scene.joints):
+    if any(joint.sprung or joint.damped for joint in scene.joints):
         return True
     if any(actuator.type != "motor" for actuator in scene.actuators):
         return True

@@ -1,4 +1,4 @@
-"""`Element`: which element of a model a stiffness, a share or a limit belongs to."""
+"""`ElementId`: the element of a model that a stiffness, a share or a limit belongs to."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ROWS = ("contact", "limit", "connect", "friction loss")
 
 
 @dataclass(frozen=True, order=True)
-class Element:
+class ElementId:
     """One element of a model.
 
     kind: "spring", "damper", "actuator", "limit", "friction loss", "connect" or "contact" as in
@@ -26,7 +26,7 @@ class Element:
     name: str = field(compare=False)
 
     @classmethod
-    def of(cls, model: Model, kind: str, index: int) -> Element:
+    def of(cls, model: Model, kind: str, index: int) -> ElementId:
         """The element of a kind with its name."""
         if kind == "spin":
             return cls(kind, index, f"spin of {model.element_name('body', index)}")
@@ -34,17 +34,17 @@ class Element:
 
 
 # What no element accounts for: gravity, Coriolis and centrifugal forces.
-INERTIAL = Element("inertial forces", 0, "inertial forces")
+INERTIAL = ElementId("inertial forces", 0, "inertial forces")
 
 
-def row_elements(sim: Sim) -> Iterator[Element]:
+def row_elements(sim: Sim) -> Iterator[ElementId]:
     """The element of every row of the last solve, in order."""
     rows = sim.rows
     names = zip(rows["kind"].tolist(), rows["index"].tolist(), rows["name"].tolist(), strict=True)
-    return (Element(*row) for row in names)
+    return (ElementId(*row) for row in names)
 
 
-def acting_elements(sim: Sim) -> tuple[Element, ...]:
+def acting_elements(sim: Sim) -> tuple[ElementId, ...]:
     """The elements whose rows act: connects and friction losses, limits and contacts that push."""
     always = ("connect", "friction loss")
     rows = zip(row_elements(sim), (sim.rows["impulse"] != 0).tolist(), strict=True)
