@@ -108,11 +108,11 @@ class _Listing:
             yield _used("place", name, changing, removal=removals.get("velocity forces"))
         else:
             yield _out("place", name, changing, "switched off (coriolis)")
-        for field, flag, kind, name in (
-            ("stiffness", "spring", "joint springs", "springs"),
-            ("damping", "damper", "joint damping", "dampers"),
+        for field, has, flag, kind, name in (
+            ("stiffness", "sprung", "spring", "joint springs", "springs"),
+            ("damping", "damped", "damper", "joint damping", "dampers"),
         ):
-            have, lack = self._split(operator.attrgetter(field))
+            have, lack = self._split(operator.attrgetter(has))
             if getattr(on, flag):
                 yield _used("place", name, have, removal=removals.get(kind))
             else:

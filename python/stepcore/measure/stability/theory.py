@@ -52,7 +52,7 @@ def limit_of(model: Model, key: str | int | None, integrator: str) -> float | No
     """The limit of a scene's joint springs, dampers and servos in its start pose [s].
 
     None where the scene has none of them. Contacts, limits, gravity and Coriolis terms are left
-    out; the spring of a ball or free joint is taken at its rest.
+    out; the spring of a ball or free joint and polynomial coefficients are taken at rest.
     """
     stiffness, joint, servo = np.zeros(model.nv), np.zeros(model.nv), np.zeros(model.nv)
     scene = model.scene
