@@ -304,11 +304,11 @@ def test_what_is_ignored_or_translated_is_listed() -> None:
         "m.xml:4: <statistic> (only draws)",
         "m.xml:5: <light> (only draws)",
         'm.xml:5: <camera> "eye" (only draws)',
-        "m.xml:7: <geom> (only draws: neither collides nor weighs)",
-        'm.xml:8: <geom> "decal" (only draws: neither collides nor weighs)',
-        "m.xml:9: <geom> (only draws: neither collides nor weighs)",
+        "m.xml:7: <geom> (only draws: no collisions, no mass)",
+        'm.xml:8: <geom> "decal" (only draws: no collisions, no mass)',
+        "m.xml:9: <geom> (only draws: no collisions, no mass)",
         "m.xml:11: <jointpos> (only senses)",
-        'm.xml:11: <numeric> "n" (data that no equation reads)',
+        'm.xml:11: <numeric> "n" (data that the simulation does not use)',
     ]
     text = (
         '<mujoco>\n<option solver="CG" tolerance="1"><flag midphase="disable"/></option></mujoco>'

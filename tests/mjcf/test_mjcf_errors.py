@@ -61,7 +61,7 @@ MISTAKES = {
     "python's own spelling": (world('<geom size="1_0"/>'), 2, "finite"),
     "commas": (world('<geom size="1,2,3" type="box"/>'), 2, "finite"),
     "not an integer": (world('<geom size="1" condim="3.0"/>'), 2, "an integer"),
-    "a long integer": (world('<geom size="1" contype="4294967296"/>'), 2, "32 bits"),
+    "a long integer": (world('<geom size="1" contype="4294967296"/>'), 2, "32-bit integer"),
     "missing attribute": (
         body('<inertial pos="0 0 0"/>'),
         2,
@@ -370,7 +370,7 @@ def test_includes_that_cannot_end(tmp_path: Path) -> None:
         load(first)
     first.write_text('<mujoco>\n<include file="b.xml"/></mujoco>')
     second.write_text("<x/>")
-    with pytest.raises(MJCFError, match=r"a\.xml:2: .*holds no elements"):
+    with pytest.raises(MJCFError, match=r"a\.xml:2: .*has no elements"):
         load(first)
     second.write_text("<x>\n<optoin/></x>")
     with pytest.raises(MJCFError, match=r'b\.xml:2: .*"option"'):

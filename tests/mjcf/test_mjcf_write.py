@@ -184,12 +184,12 @@ def test_what_only_draws_is_left_out_and_counted() -> None:
 
 
 BAD = {
-    "integrater=rk4": 'knows no "integrater"; nearest: "integrator"',
+    "integrater=rk4": 'has an unknown name "integrater"; nearest: "integrator"',
     "integrator=rk5": "integrator = 'rk5'",
     "dt=-1": "dt = -1",
     "sweeps=1.5": "sweeps = 1.5",
     "dt": "must be name=value",
-    "dt=1 dt=2": "says dt twice",
+    "dt=1 dt=2": "has dt twice",
     "unnamed=body/nobody": 'no body is named "nobody"',
     "unnamed=geom/x": 'must be "body/name"',
     "law=lesson solver=newton": "'newton' with law 'lesson'",
@@ -213,7 +213,7 @@ def test_a_second_text_is_an_error() -> None:
 
 def test_what_no_file_can_say_is_refused() -> None:
     scene = Scene(name="bell \a")
-    with pytest.raises(ValueError, match="cannot hold this character"):
+    with pytest.raises(ValueError, match="XML does not allow this character"):
         scene.to_mjcf()
     scene = Scene()
     scene.world.mass = 1.0

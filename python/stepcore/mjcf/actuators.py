@@ -1,4 +1,4 @@
-"""The `<actuator>` section: motors and servos on joints."""
+"""The section `<actuator>`: motors and servos on joints."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.elements import Joint
 
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")
-# A second site that belongs to the transmission, not one of its own.
+# The second site of a transmission between two sites.
 WITH = {"site": "refsite", "slidersite": "cranksite"}
 STATEFUL = ("actlimited", "actrange")
 
@@ -68,7 +68,7 @@ def _refuse(node: Node, values: dict[str, Any]) -> None:
 
 def _refuse_gains(node: Node, gains: Gains) -> None:
     if gains.tag == "position" and gains.dyntype != "none":
-        raise node.unbuilt("a filter before a servo, an activation state (timeconst)")
+        raise node.unbuilt("a servo with a filter, which needs an activation (timeconst)")
     for name, built in (("dyntype", ("none",)), ("gaintype", ("fixed",))):
         if getattr(gains, name) not in built:
             raise node.unbuilt(f'<general> {name}="{getattr(gains, name)}"')
@@ -77,7 +77,7 @@ def _refuse_gains(node: Node, gains: Gains) -> None:
 
 
 def _words(gains: Gains) -> dict[str, Any]:
-    """The gains as the fields of `stepcore.scene.elements.Actuator`."""
+    """The gains as fields of `Actuator`."""
     gain, damping = gains.gainprm[0], gains.biasprm[2]
     if gains.tag == "position":
         return {"kp": gain, **({"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping})}

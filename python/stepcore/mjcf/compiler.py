@@ -1,4 +1,4 @@
-"""`<compiler>`: units of angles, orientations, limits, and the rules for masses."""
+"""The section `<compiler>`: the unit of angles, orientations, limits, and rules for masses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stepcore.scene import frames
 from stepcore.scene.elements import MassRules, fields_of
 from stepcore.scene.frames import Vec
 
-# Accepted without effect: where files lie, how a model is saved, how fast it compiles.
+# Other attributes are accepted without effect: folders of files, how a model is saved.
 _UNBUILT = {
     "fusestatic": "fusing static bodies with their parents (fusestatic)",
     "alignfree": "aligning free bodies with their inertia (alignfree)",
@@ -21,7 +21,7 @@ _UNBUILT = {
 
 
 class Compiler:
-    """What the compiler sections of a file say together; the last word counts."""
+    """All compiler sections of a file together; a later value replaces an earlier one."""
 
     def __init__(self, sections: Iterable[Node]) -> None:
         self.values: dict[str, Any] = {}
@@ -43,7 +43,7 @@ class Compiler:
             raise bad(node, "eulerseq", sequence, "three letters of x, y, z, X, Y, Z")
 
     def mass_rules(self) -> MassRules:
-        """The rules for masses, with MJCF's words."""
+        """The rules for masses."""
         names = set(fields_of(MassRules))
         fields = {name: value for name, value in self.values.items() if name in names}
         if fields.get("inertiafromgeom") == "auto":
@@ -55,7 +55,7 @@ class Compiler:
         return angle * (math.pi / 180) if self.degrees else angle
 
     def orientation(self, node: Node, values: dict[str, Any]) -> Vec:
-        """The unit quaternion that an element's orientation attribute means; none: no turn."""
+        """The unit quaternion of an element's orientation attribute; without one, the identity."""
         given = [name for name in ORIENTATION if name in values]
         if len(given) > 1:
             raise node.error(f"<{node.tag}> has two orientations: {given[0]} and {given[1]}")

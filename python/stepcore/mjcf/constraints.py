@@ -1,4 +1,4 @@
-"""`<contact>` and `<equality>`: excluded pairs of bodies, and connects."""
+"""The sections `<contact>` and `<equality>`: excluded pairs of bodies, and connects."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from stepcore.mjcf.worldbody import WorldReader, soft
 
 
 def exclude(world: WorldReader, node: Node) -> None:
-    """Reads one excluded pair."""
+    """Reads an excluded pair of bodies."""
     world.scene.exclude(node.values["body1"], node.values["body2"])
 
 
 def connect(world: WorldReader, defaults: Defaults, node: Node) -> None:
-    """Reads one connect between two bodies."""
+    """Reads a connect between two bodies."""
     values = _equality_values(defaults, node)
     if "site1" in values or "site2" in values:
         raise node.unbuilt("a <connect> between sites (site1, site2)")
@@ -29,7 +29,7 @@ def connect(world: WorldReader, defaults: Defaults, node: Node) -> None:
 
 
 def _equality_values(defaults: Defaults, node: Node) -> dict[str, Any]:
-    # One set of defaults serves all kinds of equality.
+    # All kinds of equality share one set of defaults.
     shared = Node("equality", node.attrs, node.file, node.line)
     shared.values = node.values
     return defaults.of(shared)

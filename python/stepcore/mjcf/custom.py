@@ -1,8 +1,8 @@
-"""`<custom><text name="stepcore" data="…"/>`: what a scene says that MJCF has no word for.
+"""`<custom><text name="stepcore" data="…"/>`: what MJCF itself cannot express.
 
-Words "name=value", apart by blanks: settings (``integrator=midpoint precision=f32``), features
-that no flag of MJCF switches, and ``unnamed=body/body_3,joint/joint_1``: elements whose names
-stand in the file only because MJCF refers by name. MuJoCo reads the text and ignores it.
+The data are words "name=value", separated by blanks: settings (``integrator=midpoint``), features
+that have no MJCF flag, and ``unnamed=body/body_3,joint/joint_1``, elements that have a name in the
+file only because MJCF refers by name. MuJoCo reads the text and ignores it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
 
 NAME = "stepcore"
-# Features that MJCF cannot switch.
+# Features without an MJCF flag.
 OWN_FEATURES = tuple(name for name in fields_of(Features) if name not in FLAGS.split())
 KINDS = ("body", "joint")
 _WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
@@ -28,12 +28,12 @@ _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def ours(node: Node) -> bool:
-    """Whether this node is stepcore's own text."""
+    """Whether a node is stepcore's own text."""
     return node.tag == "text" and node.attrs.get("name") == NAME
 
 
 def data(words: Mapping[str, Any], unnamed: Iterable[tuple[str, str]] = ()) -> str:
-    """The text that says these settings and features; "" where there is nothing to say."""
+    """The data of the text for these settings and features, "" for none."""
     parts = [f"{name}={_word(value)}" for name, value in words.items()]
     names = [f"{kind}/{name}" for kind, name in unnamed]
     return " ".join([*parts, *(["unnamed=" + ",".join(names)] if names else [])])
@@ -54,7 +54,7 @@ def _value(text: str) -> Any:
 
 
 def found(nodes: Iterable[Node]) -> list[Node]:
-    """stepcore's own text, if a file has one; a second is an error."""
+    """stepcore's own text if a file has one, as a list; a second one is an error."""
     texts = [node for node in nodes if ours(node)]
     if len(texts) > 1:
         raise texts[1].error(f'a second <text name="{NAME}">')
@@ -62,7 +62,7 @@ def found(nodes: Iterable[Node]) -> list[Node]:
 
 
 def read(scene: Scene, node: Node) -> None:
-    """Reads stepcore's text into a scene that is otherwise whole."""
+    """Reads stepcore's own text into a scene that is otherwise complete."""
     from stepcore._core import Settings
 
     settings: dict[str, Any] = {}
@@ -71,9 +71,9 @@ def read(scene: Scene, node: Node) -> None:
     for word in node.attrs.get("data", "").split():
         name, equals, text = word.partition("=")
         if not equals or not text:
-            raise node.error(f'<text name="{NAME}"> holds "{word}": must be name=value')
+            raise node.error(f'<text name="{NAME}"> has the word "{word}": must be name=value')
         if name in seen:
-            raise node.error(f'<text name="{NAME}"> says {name} twice')
+            raise node.error(f'<text name="{NAME}"> has {name} twice')
         seen.add(name)
         if name == "unnamed":
             _unname(scene, node, text)
@@ -83,7 +83,7 @@ def read(scene: Scene, node: Node) -> None:
             settings[name] = _value(text)
         else:
             near = nearest(name, [*known, *OWN_FEATURES, "unnamed"])
-            raise node.error(f'<text name="{NAME}"> knows no "{name}"{near}')
+            raise node.error(f'<text name="{NAME}"> has an unknown name "{name}"{near}')
     whole = Settings(**(scene.options | settings)).as_dict()
     scene.options.update({name: whole[name] for name in settings})
 

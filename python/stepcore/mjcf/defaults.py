@@ -1,4 +1,4 @@
-"""`<default>`: classes of attribute values, nested, each a full copy of the one around it."""
+"""The section `<default>`: nested classes of attribute values, each a full copy of its parent."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _SHARED = dict.fromkeys((*ACTUATORS, *gains.BUILT, "orientation"), "actuator")
 
 
 def overlay(under: Values, over: Values) -> Values:
-    """`under` with the values of `over` on top.
+    """The values of `under`, replaced by those of `over`.
 
-    A shorter list replaces only the entries it has; one orientation replaces another.
+    A shorter vector replaces only its own entries; one orientation replaces any other.
     """
     result = dict(under)
     if any(name in over for name in ORIENTATION):
@@ -36,11 +36,11 @@ def overlay(under: Values, over: Values) -> Values:
 
 
 class Defaults:
-    """The classes of a model; `of` gives an element's attributes with its defaults."""
+    """The default classes of a model; `of` completes an element's attributes."""
 
     def __init__(self, sections: Iterable[Node]) -> None:
         self.classes: dict[str, dict[str, Values]] = {MAIN: {}}
-        # Of the actuators: those of the classes around come first.
+        # Gains of actuators, those of the outermost class first.
         self.chains: dict[str, gains.Chain] = {MAIN: (gains.Gains(),)}
         for section in sections:
             if section.attrs.get("class", MAIN) != MAIN:
@@ -65,7 +65,7 @@ class Defaults:
             for child in inner:
                 inner_name = child.attrs.get("class", "")
                 if not inner_name:
-                    raise child.error('a <default> inside another needs class="…"')
+                    raise child.error('a nested <default> needs class="…"')
                 if inner_name in self.classes:
                     raise child.error(f'the default class "{inner_name}" is defined twice')
                 self.classes[inner_name] = dict(own)
@@ -73,19 +73,19 @@ class Defaults:
             pending += [(child, child.attrs["class"]) for child in reversed(inner)]
 
     def known(self, node: Node, attribute: str) -> str | None:
-        """The class that `attribute` of a node names, checked; None if it names none."""
+        """The class that an attribute of a node names, which must exist; None for none."""
         name = node.attrs.get(attribute)
         if name is not None and name not in self.classes:
             raise node.error(f'unknown default class "{name}"{nearest(name, self.classes)}')
         return name
 
     def of(self, node: Node, childclass: str | None = None) -> Values:
-        """A node's values over those of its class, else of `childclass`, else of main."""
+        """A node's values, completed from its class, else from `childclass`, else from main."""
         name = self.known(node, "class") or childclass or MAIN
         tag = _SHARED.get(node.tag, node.tag)
         given = {key: value for key, value in node.values.items() if key != "class"}
         return overlay(self.classes[name].get(tag, {}), given)
 
     def gains(self, node: Node) -> gains.Gains:
-        """An actuator's gains, with those of its class."""
+        """An actuator's gains, completed from its class."""
         return gains.inherited(self.chains[self.known(node, "class") or MAIN], node)

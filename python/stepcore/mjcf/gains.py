@@ -1,9 +1,8 @@
-"""The gains of an actuator from its element and the default classes around it.
+"""The gains of an actuator from its element and its default classes.
 
-MuJoCo's rule: `<general>` inherits from its class; a shortcut (`<position>`, `<velocity>`, …)
-inherits its own words from the innermost class whose actuator was last written as the same
-shortcut or as `<general>`, and has its own table where there is none. What a class holds is kept
-as `<general>` would write it.
+MuJoCo's rule: `<general>` inherits from its class. A shortcut (`<position>`, `<velocity>`, …)
+inherits from the innermost class whose actuator was last written as the same shortcut or as
+`<general>`; without one it has defaults of its own. A class stores its gains as `<general>` would.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ BUILT = ("motor", "position", "velocity", "general")
 
 @dataclass(frozen=True)
 class Gains:
-    """One class's actuator. tag: what wrote it; inheritrange: the scale of the range, or 0."""
+    """Gains of an actuator or a class. tag: its element; inheritrange: scale of the range, or 0."""
 
     tag: str = "general"
     gainprm: Vec = (1.0,)
@@ -32,7 +31,7 @@ class Gains:
 
     @property
     def is_position(self) -> bool:
-        """Drives to a length: the only kind that can take over its joint's range."""
+        """Whether it controls a length; only then can it inherit its joint's range."""
         return self.biastype == "affine" and self.gainprm[0] == -self.biasprm[1]
 
 
@@ -40,10 +39,10 @@ Chain = tuple[Gains, ...]
 
 
 def inherited(chain: Chain, node: Node) -> Gains:
-    """The gains of `node`, an actuator or its default, in a class: outermost first in `chain`."""
+    """The gains of an actuator or a default; chain: those of its classes, outermost first."""
     if node.tag not in BUILT:
         return Gains(node.tag)
-    # These keep it for a <general> of the same class, and have no use for it themselves.
+    # Only a <general> of the same class uses it.
     kept = chain[-1].inheritrange
     if node.tag == "motor":
         return Gains("motor", inheritrange=kept)
@@ -89,7 +88,7 @@ def _position(base: Gains, node: Node) -> Gains:
 
 
 def _inheritrange(base: Gains, node: Node) -> float:
-    """The scale with which the joint's range becomes the control's; a given range replaces it."""
+    """The scale from the joint's range to the control's; 0 if a control range is given."""
     given: float = node.values.get("inheritrange", base.inheritrange)
     if "ctrlrange" not in node.values:
         return given
@@ -99,6 +98,6 @@ def _inheritrange(base: Gains, node: Node) -> float:
 
 
 def without_range(values: dict[str, Any], node: Node) -> dict[str, Any]:
-    """`values` of a class without its ctrlrange where `node` takes over that of the joint."""
+    """The values of a class, without ctrlrange if `node` inherits the joint's range."""
     takes_over = node.values.get("inheritrange", 0.0) > 0
     return {name: v for name, v in values.items() if name != "ctrlrange" or not takes_over}

@@ -1,4 +1,4 @@
-"""`<include>`: the elements of another file, put where the include stands."""
+"""`<include>`, replaced by the elements of another file."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from stepcore.mjcf.nodes import MJCFError, Node, parse
 
 
 def read_file(shown: str) -> Node:
-    """The root of an XML file."""
+    """Parses the XML file of this name."""
     return parse(read_bytes(shown), shown)
 
 
 def read_bytes(shown: str) -> bytes:
-    """What an MJCF file holds."""
+    """Reads the file of this name."""
     try:
         return checks.file_bytes(shown, "an MJCF file")
     except (FileNotFoundError, IsADirectoryError):
@@ -28,8 +28,8 @@ def read_bytes(shown: str) -> bytes:
 def expand(root: Node, base: Path | None, main: Path | None) -> None:
     """Replaces every include below `root`, in place.
 
-    A file is looked for beside the main file (in `base`), then beside the file that includes
-    it, as MuJoCo does; each may be included once.
+    As in MuJoCo, a file is looked for in the folder of the main file (`base`), then in that of
+    the file that includes it, and can be included once.
     """
     seen = {_identity(main)} if main is not None else set()
     included_by: dict[str, str] = {}
@@ -58,7 +58,7 @@ def _included(
     if set(node.attrs) != {"file"} or not name or node.children or "\0" in name:
         raise node.error('<include> needs exactly one attribute, file="…", and no content')
     if base is None:
-        raise node.error(f'<include file="{name}"> in a text needs loads(text, base=directory)')
+        raise node.error(f'<include file="{name}"> in a text needs loads(text, base=folder)')
     places = [base / name, Path(node.file).parent / name]
     path = next((place for place in places if place.is_file()), places[0])
     if _identity(path) in seen:
@@ -75,5 +75,5 @@ def _included(
     except FileNotFoundError as error:
         raise FileNotFoundError(f"{node.file}:{node.line}: {error}") from None
     if not root.children:
-        raise node.error(f'<include file="{name}">: the file holds no elements')
+        raise node.error(f'<include file="{name}">: the file has no elements')
     return root.children

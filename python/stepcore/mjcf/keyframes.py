@@ -1,4 +1,4 @@
-"""`<keyframe>`: named states, with what they leave out filled in."""
+"""The section `<keyframe>`: named states."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_KEYS = 100_000
 
 
 def key(world: WorldReader, layout: Layout, node: Node) -> None:
-    """Reads one keyframe; what it leaves out is the default state."""
+    """Reads a keyframe; missing values are those of the default state."""
     values = node.values
     for name, what in (("act", "activations"), ("mpos", "mocap bodies"), ("plastic", "plastic")):
         if values.get(name):
@@ -43,7 +43,7 @@ def key(world: WorldReader, layout: Layout, node: Node) -> None:
 
 
 def add_empty_keys(scene: Scene, sizes: Iterable[Node]) -> None:
-    """Adds the default states that ``<size nkey>`` asks for beyond the keyframes given."""
+    """Adds default states until there are as many keyframes as ``<size nkey>`` says."""
     count = 0
     for node in sizes:
         count = node.values.get("nkey", count)

@@ -1,4 +1,4 @@
-"""MJCF text to a tree of `Node`: well-formed XML, without entities, each node with its line."""
+"""Parses an MJCF text into a tree of `Node`; entities are refused."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ DEPTH = 500
 
 
 class MJCFError(ValueError):
-    """A file that cannot be read: the text starts with ``file:line:`` and is one line.
+    """An MJCF file or text that cannot be read; the message is one line, ``file:line: …``.
 
-    file: the file's name as it was given; line: counted from 1.
+    file: the name of the file as it was given. line: counted from 1. text: the message without
+    them.
     """
 
     def __init__(self, file: str, line: int, text: str) -> None:
@@ -28,10 +29,11 @@ class MJCFError(ValueError):
 
 @dataclass(frozen=True)
 class Source:
-    """The text that a scene was read from, and the directory in which its includes lie.
+    """The text that a scene was read from.
 
-    files: those that were read, the main one first; unread: those that the text names and that
-    only draw, which are never opened.
+    data: the text. directory: the folder of its includes.
+    files: the files that were read, the main one first.
+    unread: files that the text names but that only draw; they are never opened.
     """
 
     data: bytes
@@ -40,7 +42,7 @@ class Source:
     unread: tuple[str, ...] = ()
 
     def of(self, root: Node) -> Source:
-        """The same with the files of a whole model, its includes already in place."""
+        """The same, with the files of a whole model whose includes are expanded."""
         files, unread = [root.file], []
         pending = [root]
         while pending:
@@ -65,22 +67,22 @@ class Node:
         self.values: dict[str, Any] = {}
 
     def error(self, text: str) -> MJCFError:
-        """The error to raise about this element."""
+        """Returns the error about this element, with its file and line."""
         return MJCFError(self.file, self.line, text)
 
     def unbuilt(self, what: str) -> MJCFError:
-        """The error for what would change the motion and cannot be computed yet."""
+        """Returns the error for a feature that would change the motion and is not built yet."""
         return self.error(f"{what} is not built yet")
 
     def listed(self, why: str) -> str:
-        """The line for `Scene.ignored`."""
+        """Returns the line about this element in `Scene.ignored`."""
         name = self.attrs.get("name", "")
         label = f'<{self.tag}> "{name}"' if name else f"<{self.tag}>"
         return f"{self.file}:{self.line}: {label} ({why})"
 
 
 def parse(data: str | bytes, file: str) -> Node:
-    """The root of the XML document in `data`; MJCFError if it is not well-formed."""
+    """Returns the root of an XML document; MJCFError if it is not well-formed."""
     parser = expat.ParserCreate()
     parser.ordered_attributes = False
     parser.buffer_text = True
@@ -102,10 +104,10 @@ def parse(data: str | bytes, file: str) -> Node:
 
     def doctype(name: str, system: str | None, public: str | None, internal: int) -> None:
         if system or public or internal:
-            raise fail("a DOCTYPE with declarations is refused: MJCF needs none")
+            raise fail("a DOCTYPE with declarations is refused, because MJCF needs none")
 
     def entity(name: str, *_: object) -> None:
-        raise fail(f'the declaration of entity "{name}" is refused: MJCF needs none')
+        raise fail(f'the declaration of entity "{name}" is refused, because MJCF needs none')
 
     parser.StartElementHandler = start
     parser.EndElementHandler = end

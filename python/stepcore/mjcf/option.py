@@ -1,4 +1,4 @@
-"""`<option>` and its flags: what becomes a setting, a feature of the scene, or is refused."""
+"""The section `<option>` and its flags, as settings and as features of the scene."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ if TYPE_CHECKING:
 INTEGRATORS = {"Euler": "euler", "RK4": "rk4", "implicitfast": "implicitfast"}
 SOLVERS = {"PGS": "pgs", "Newton": "newton", "CG": "newton"}
 
-# Nothing of these can change where a model converges; each has its reason.
+# Attributes that have no counterpart; they do not change what a motion converges to.
 NOT_CARRIED = {
-    "tolerance": "MJCF's tolerance is another quantity than a residual in m/s",
+    "tolerance": "MJCF's tolerance is not a residual in m/s",
     "ls_tolerance": "the line search is exact",
     "ls_iterations": "the line search is exact",
 }
-# Flags that neither change the motion of what is built nor are settings here.
+# Flags without effect here, with the reason.
 FLAG_NOTES = {
-    "sensor": "nothing senses",
-    "midphase": "how pairs are found, not which",
+    "sensor": "there are no sensors",
+    "midphase": "it decides how pairs are found, not which",
     "autoreset": "a diverged step is always an error",
     "nativeccd": "no general convex collider is used",
     "multiccd": "no general convex collider is used",
-    "island": "how rows are grouped, not solved",
+    "island": "it decides how rows are grouped, not their solution",
     "energy": "energy can always be read",
-    "fwdinv": "a check of MuJoCo's own",
-    "invdiscrete": "about inverse dynamics",
+    "fwdinv": "it is a check within MuJoCo",
+    "invdiscrete": "it concerns inverse dynamics",
 }
 FLAG_DEFAULT_OFF = frozenset(
     ("override", "energy", "fwdinv", "invdiscrete", "sleep", "diagexact", "ipc", "speculative")
@@ -39,7 +39,7 @@ FLAGS_UNBUILT = ("override", "sleep", "diagexact", "ipc", "speculative")
 
 
 def read(scene: Scene, node: Node) -> None:
-    """Reads one option section into `scene`; later sections overrule earlier ones."""
+    """Reads an option section into `scene`; a later section replaces values of an earlier one."""
     values, options = node.values, scene.options
     if "timestep" in values:
         if values["timestep"] <= 0:
@@ -68,7 +68,7 @@ def read(scene: Scene, node: Node) -> None:
         options["impratio"] = values["impratio"]
     for name, why in NOT_CARRIED.items():
         if name in values:
-            _note(scene, node, f"{name} is not carried over: {why}")
+            _note(scene, node, f"{name} has no counterpart: {why}")
     _refuse(node)
     for child in node.children:
         _flags(scene, child)
@@ -108,7 +108,7 @@ def _note(scene: Scene, node: Node, text: str) -> None:
     scene.notes.append(f"{node.file}:{node.line}: {text}")
 
 
-# How a setting is said in MJCF: attribute or flag, and its words.
+# The attribute or flag of a setting in MJCF, and its values.
 _WRITTEN: dict[str, tuple[str, dict[str, str]]] = {
     "integrator": ("integrator", {ours: word for word, ours in INTEGRATORS.items()}),
     "solver": ("solver", {"pgs": "PGS", "newton": "Newton"}),
@@ -119,7 +119,7 @@ _FLAGS = {"warm_start": "warmstart", "refsafe": "refsafe"}
 
 
 def said(settings: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, str], dict[str, Any]]:
-    """Settings as attributes of ``<option>``, flags, and those that MJCF has no word for."""
+    """Splits settings into attributes of ``<option>``, flags, and those that MJCF lacks."""
     attributes, flags, rest = {}, {}, {}
     for name, value in settings.items():
         if name in _FLAGS:
@@ -134,6 +134,6 @@ def said(settings: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, str], d
 
 
 def shortest(number: float) -> str:
-    """The shortest decimal text that is read back as exactly this number."""
+    """The shortest decimal text that reads back as exactly this number."""
     text = repr(number)
     return text[:-2] if text.endswith(".0") else text

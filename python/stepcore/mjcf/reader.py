@@ -1,9 +1,9 @@
 """The MJCF reader: fills an empty `Scene` from a file or a text.
 
-The reader is strict: an element, attribute, keyword or reference that MJCF does not have is an
-error with file, line and the nearest name. What would change the motion and is not built yet is
-refused by name. What only draws or senses is listed in `Scene.ignored`, and what is translated in
-`Scene.notes`.
+The reader is strict. An element, attribute, keyword or reference that does not exist is an error
+with file, line and the nearest name. A feature that would change the motion and is not built yet
+is refused by name. `Scene.ignored` lists elements that only draw or sense, and `Scene.notes` what
+was translated.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def read_text(
 
 
 def _fill(scene: Scene, root: Node, source: Source) -> None:
-    """Fills the scene with a whole model, its includes already in place."""
+    """Fills the scene from a whole model whose includes are expanded."""
     scene.name = root.attrs.get("model", "")
     scene._source = source.of(root)
     scene.ignored += validate(root)
@@ -85,7 +85,7 @@ def _fill(scene: Scene, root: Node, source: Source) -> None:
             _at(node, lambda node: custom.read(scene, node))
         check(layout)
     except ElementError as error:
-        # Found in the whole scene: the line is that of the element it is about.
+        # The check of the whole scene names an element, whose line is known.
         node = world.nodes.get(id(error.owner), root)
         raise node.error(str(error)) from None
     scene.ignored.sort(key=_place)
@@ -105,7 +105,7 @@ def _inside(root: Node, tag: str) -> list[Node]:
 
 
 def _at(node: Node, read: Callable[[Node], None]) -> None:
-    """Runs `read` on a node; whatever it finds wrong gets the node's file and line."""
+    """Calls `read` on a node; an error gets the node's file and line."""
     try:
         read(node)
     except MJCFError:

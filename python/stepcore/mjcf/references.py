@@ -1,4 +1,4 @@
-"""Names by which elements that are not read refer to others: a misspelt one is an error too."""
+"""References of elements that are not read; a misspelt name is an error there too."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ REFERENCES = {
 
 
 def check_references(world: WorldReader, root: Node) -> None:
-    """Checks the names by which ignored elements refer to others: a typo there is a typo too."""
+    """Checks that the elements that ignored elements refer to exist."""
     scene = world.scene
     known = {
         **world.names,
@@ -43,7 +43,7 @@ def _known(node: Node, attribute: str, name: str, names: set[str]) -> None:
 
 
 def _assets(root: Node) -> dict[str, set[str]]:
-    """Names of materials, meshes and height fields; a mesh is named after its file by default."""
+    """Names of materials, meshes and height fields; by default a mesh is named after its file."""
     names: dict[str, set[str]] = {"material": set(), "mesh": set(), "hfield": set()}
     for section in root.children:
         if section.tag == "asset":

@@ -1,9 +1,9 @@
-"""Which elements and attributes MJCF has, and what each attribute may hold.
+"""The schema of MJCF: elements, their attributes, and the type of each attribute.
 
-Written from the schema of MuJoCo 4. Attributes are words of a string: ``pos:3`` holds three
+From the schema of MuJoCo 4. Attributes are the words of a string: ``pos:3`` holds three
 reals, ``size:1-3`` one to three, ``qpos:*`` any number, ``group:int`` an integer,
 ``limited:false|true|auto`` a keyword, and a bare name any text. ``!`` marks a required one.
-What draws, senses or is not built yet is in `schema_unread`.
+Elements that draw, sense or are not built yet are in `schema_unread`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ POSE = "pos:3 quat:4 axisangle:4 xyaxes:6 zaxis:3 euler:3 "
 class Spec:
     """An element: its attributes (name → type), required ones, and the elements it may hold.
 
-    role: "" for what is read; else how it is treated: "draws", "senses", "data", "unbuilt".
-    once: children that may appear once.
+    role: "" for an element that is read, else why it is not: "draws", "senses", "data", "unbuilt".
+    once: children that can appear only once.
     """
 
     attrs: dict[str, str] = field(default_factory=dict)
@@ -54,7 +54,7 @@ def spec(
 
 
 def without(attrs: str, names: str) -> str:
-    """`attrs` less the named ones."""
+    """`attrs` without the named ones."""
     drop = set(names.split())
     return " ".join(w for w in attrs.split() if w.partition(":")[0].rstrip("!") not in drop)
 

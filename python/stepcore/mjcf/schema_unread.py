@@ -1,5 +1,8 @@
-"""The part of MJCF's schema that is checked by name alone: what draws, senses, holds data, or is
-not built yet. The notation is that of `schema`; a pair holds attributes and inner elements."""
+"""The part of MJCF's schema whose elements draw, sense, hold data, or are not built yet.
+
+Only their names are checked. The notation is that of `schema`; a pair holds attributes and inner
+elements.
+"""
 
 from __future__ import annotations
 

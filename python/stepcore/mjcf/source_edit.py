@@ -1,7 +1,7 @@
-"""Saving a scene in its own file's text, where settings are all that changed.
+"""Saves a scene in the text of its own file if only settings have changed.
 
-The text is edited where `<option>`, `<flag>` and `<custom>` stand, or a section is added at its
-end, for later sections overrule earlier ones; what is written is what reads back as the scene.
+`<option>`, `<flag>` and `<custom>` are edited where they stand, or sections are added at the end,
+which replace earlier ones. An edited text is used only if it reads back as the scene.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ def save(scene: Scene, path: str | os.PathLike[str]) -> None:
 
 
 def kept(scene: Scene, directory: str) -> bytes | None:
-    """The scene's own text with its present settings; None where that cannot be had.
+    """The text of the scene's file with its present settings; None if that is not possible.
 
-    directory: where the text is to be saved.
+    directory: the folder that the text is saved to.
     """
     source = scene._source
     if source is None:
@@ -58,7 +58,7 @@ def kept(scene: Scene, directory: str) -> bytes | None:
 
 
 def _read(scene: Scene, data: bytes, source: Source) -> Scene | None:
-    """The scene, which is empty, filled from a text; None if the text cannot be read."""
+    """Fills an empty scene from a text; None if the text cannot be read."""
     try:
         read_text(scene, data, base=source.directory)
     except (ValueError, OSError):
@@ -74,7 +74,7 @@ def _only_settings_differ(original: Scene, scene: Scene) -> bool:
 
 @dataclass
 class _Open:
-    """A start tag in the text: its bytes, and whether it also ends there."""
+    """A start tag: its bytes in the text, and whether it closes itself."""
 
     start: int
     stop: int
@@ -83,7 +83,7 @@ class _Open:
 
 @dataclass
 class _Marks:
-    """Where the sections stand that settings are in: the last of each kind."""
+    """The tags that hold settings, the last of each kind."""
 
     root: _Open | None = None
     end: int = -1
@@ -126,20 +126,20 @@ class _Marks:
 
 
 def _tag(data: bytes, start: int) -> _Open:
-    """The start tag at this place, to its ">" outside of quotes."""
+    """The start tag at this byte, up to the ">" that is not quoted."""
     match = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(data, start)
     stop = match.end() if match else start
     return _Open(start, stop, data[stop - 2 : stop] == b"/>")
 
 
-# Bytes from, to, and what stands there instead.
+# First byte, last byte, replacement.
 _Edit = tuple[int, int, bytes]
 
 
 def _edited(
     data: bytes, marks: _Marks, option: _Open | None, original: Scene, scene: Scene
 ) -> bytes | None:
-    """The text with the settings of `scene` in this option tag, or in a new one at the end."""
+    """The text with the settings of `scene`, in this option tag or in a new one at the end."""
     if marks.root is None or marks.root.closed:
         return None
     before, after, default = (s.as_dict() for s in (original.settings, scene.settings, Settings()))
@@ -185,7 +185,7 @@ def _in_option(
 
 
 def _custom(data: bytes, marks: _Marks, rest: dict[str, Any], late: list[Tag]) -> list[_Edit]:
-    """Edits of stepcore's own text; a new one is added to `late`."""
+    """The edits of stepcore's own text; a new text is added to `late`."""
     if marks.text is None:
         if rest:
             late.append(Tag("custom"))
@@ -204,7 +204,7 @@ def _custom(data: bytes, marks: _Marks, rest: dict[str, Any], late: list[Tag]) -
 
 
 def _with(data: bytes, tag: _Open, attributes: dict[str, str]) -> _Edit:
-    """A start tag with these attributes, in place of those it has."""
+    """The edit that sets these attributes of a start tag."""
     text = data[tag.start : tag.stop]
     for name, value in attributes.items():
         word = f'{name}="{escaped(value)}"'.encode()

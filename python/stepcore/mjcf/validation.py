@@ -1,4 +1,4 @@
-"""Checks a tree of nodes against the schema and turns attribute texts into numbers and words."""
+"""Checks a tree of nodes against the schema and converts the texts of attributes."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ _INT = re.compile(r"[+-]?\d+", re.ASCII)
 WHY = {
     "draws": "only draws",
     "senses": "only senses",
-    "data": "data that no equation reads",
+    "data": "data that the simulation does not use",
 }
 
 
 def validate(root: Node) -> list[str]:
-    """Sets `values` on every node that is read, and returns the lines for `Scene.ignored`.
+    """Sets `values` of every node that is read, and returns the lines for `Scene.ignored`.
 
-    Raises MJCFError for an element, attribute, keyword or number that MJCF does not have, and
-    for elements that would change the motion and are not built yet.
+    Raises MJCFError for an element, attribute, keyword or number that the schema does not have, and
+    for an element that would change the motion and is not built yet.
     """
     if root.tag != "mujoco":
-        raise root.error(f"the root element is <{root.tag}>, not <mujoco>: this is no MJCF model")
+        raise root.error(f"the root element is <{root.tag}>, not <mujoco>: not an MJCF model")
     # A schema location is advice to text editors.
     root.attrs = {k: v for k, v in root.attrs.items() if not k.startswith(("xmlns", "xsi:"))}
     ignored = []
@@ -109,10 +109,10 @@ def _value(node: Node, name: str, text: str, kind: str) -> object:
 
 def _int(node: Node, name: str, text: str) -> int:
     if len(text) > 11 or not -(2**31) <= int(text) < 2**31:
-        raise bad(node, name, text, "an integer of 32 bits")
+        raise bad(node, name, text, "a 32-bit integer")
     return int(text)
 
 
 def bad(node: Node, name: str, value: object, limit: str) -> MJCFError:
-    """The error about one attribute's value."""
+    """Returns the error about the value of an attribute."""
     return node.error(f"<{node.tag}> {name} = {shown(value)}: must be {limit}")

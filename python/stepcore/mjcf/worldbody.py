@@ -1,4 +1,4 @@
-"""`<worldbody>`: bodies, frames, joints, geoms and sites, with their defaults and poses."""
+"""The section `<worldbody>`: bodies, frames, joints, geoms and sites."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ AT_ORIGIN = (frames.ORIGIN, frames.IDENTITY)
 
 @dataclass(frozen=True)
 class Place:
-    """Where an element stands: its body, the frame around it in that body, its childclass."""
+    """Where an element stands: in which body, in which frame of it, and under which childclass."""
 
     body: Body
     pose: tuple[Vec, Vec] = AT_ORIGIN
@@ -31,7 +31,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Shape:
-    """What a geom of the file is for. kept: whether it is in the scene (a mesh is not)."""
+    """A geom of the file, in the scene (kept) or not, as a mesh that only draws."""
 
     node: Node
     body: Body
@@ -45,7 +45,8 @@ class Shape:
 class WorldReader:
     """Reads the kinematic tree into a scene.
 
-    nodes: element → the node it came from, by ``id``. names: what later sections may refer to.
+    nodes: the node of an element, by the element's ``id``. names: names that later sections can
+    refer to, by kind.
     """
 
     def __init__(self, scene: Scene, compiler: Compiler, defaults: Defaults) -> None:
@@ -57,11 +58,11 @@ class WorldReader:
         self.references: list[tuple[Node, str, str]] = []
         self.shapes: list[Shape] = []
         self.with_inertial: set[int] = set()
-        # Of joints, whether they limit or not: servos may take them over.
+        # Ranges of joints, limited or not, which servos can inherit.
         self.ranges: dict[int, tuple[float, ...]] = {}
 
     def read(self, world: Node) -> None:
-        """Reads one worldbody section, in document order, without recursion."""
+        """Reads a worldbody section in document order, without recursion."""
         pending = [(child, Place(self.scene.world)) for child in reversed(world.children)]
         while pending:
             node, place = pending.pop()
@@ -75,7 +76,7 @@ class WorldReader:
                 pending += [(child, inner) for child in reversed(node.children)]
 
     def _element(self, node: Node, place: Place) -> Place | None:
-        """Reads one element; the place of its children, if they are to be read."""
+        """Reads an element; returns the place of its children if they are to be read."""
         name = node.attrs.get("name", "")
         if place.body is self.scene.world and node.tag in NOT_IN_WORLD:
             raise node.error(f"<{node.tag}> cannot be in the world")
@@ -98,13 +99,13 @@ class WorldReader:
         return None
 
     def keep(self, node: Node, element: Element) -> None:
-        """Remembers the node of an element, for messages about it."""
+        """Records the node of an element, for error messages."""
         self.nodes[id(element)] = node
         # Past the element's own check of fields: its place is none.
         element.__dict__["place"] = f"{node.file}:{node.line}"
 
     def _pose(self, node: Node, values: dict[str, Any], place: Place) -> tuple[Vec, Vec]:
-        """An element's pose in its body, through the frames around it."""
+        """The pose of an element in its body, through the frames that hold it."""
         pos = values.get("pos", frames.ORIGIN)
         return _within(place.pose, pos, self.compiler.orientation(node, values))
 
@@ -194,7 +195,7 @@ class WorldReader:
     def limits(
         self, node: Node, values: dict[str, Any], switch: str, field: str, lo_free: bool = True
     ) -> tuple[float, ...] | None:
-        """The range named `field` if `switch` and the compiler's autolimits turn it on."""
+        """The range `field` if `switch` or the compiler's autolimits turns it on."""
         state = values.get(switch, "auto")
         bounds: tuple[float, ...] | None = values.get(field)
         if state is False:
@@ -295,7 +296,7 @@ def _within(outer: tuple[Vec, Vec], pos: Vec, quat: Vec) -> tuple[Vec, Vec]:
 
 
 def soft(values: dict[str, Any], solref: str, solimp: str) -> dict[str, Any]:
-    """The two softness fields that are given, filled up with their defaults."""
+    """The softness fields that are given, completed with their defaults."""
     result = {}
     for field, default in ((solref, SOLREF), (solimp, SOLIMP)):
         if field in values:

@@ -1,4 +1,4 @@
-"""A `Scene` written as MJCF: everything that is modelled, explicit, exact, defaults left out."""
+"""Writes a `Scene` as MJCF, with exact numbers and without defaults."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from stepcore.scene.layout import SIZES, Layout, check
 if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
 
-# What XML 1.0 cannot hold, even escaped.
+# Characters that XML 1.0 does not allow, even escaped.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 _ESCAPES = {"&": "&amp;", "<": "&lt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
 INERTIA_FROM = {None: "auto", True: "true", False: "false"}
 
 
 class Tag:
-    """An element to write: its attributes in order, and what it holds."""
+    """An element to write: its attributes in order, and its children."""
 
     def __init__(self, kind: str, /, **attributes: Any) -> None:
         self.kind = kind
@@ -61,14 +61,14 @@ def text(value: Any) -> str:
 
 
 def escaped(value: str) -> str:
-    """Text as it stands between quotes; ValueError for what XML cannot hold."""
+    """A text as it stands between quotes; ValueError for characters that XML does not allow."""
     if _FORBIDDEN.search(value):
-        raise ValueError(f"{value!r}: an XML file cannot hold this character in a name")
+        raise ValueError(f"{value!r}: XML does not allow this character in a name")
     return "".join(_ESCAPES.get(letter, letter) for letter in value)
 
 
 def changed(element: Element, *skip: str) -> dict[str, Any]:
-    """The fields of an element that are not at their default, as attributes."""
+    """The fields of an element that differ from their defaults."""
     defaults = {spec.name: spec.default for spec in dataclasses.fields(element)}  # type: ignore[arg-type]
     values = {field: value for field, value in element.values().items() if field not in skip}
     return {field: value for field, value in values.items() if value != defaults[field]}
@@ -80,7 +80,7 @@ def written(scene: Scene) -> str:
     check(layout)
     world = scene.world
     if world.name != "world" or world.mass is not None:
-        raise ValueError(f"{world}: MJCF's world has that name and no mass")
+        raise ValueError(f"{world}: the world of an MJCF file is called world and has no mass")
     names = _Names(layout)
     root = Tag("mujoco", **({"model": scene.name} if scene.name else {}))
     _compiler(root, scene.mass_rules)
@@ -102,7 +102,7 @@ def written(scene: Scene) -> str:
 
 
 class _Names:
-    """What elements are called in the file: their names, or made ones where others refer."""
+    """Names of elements in the file: their own, or new ones if other elements refer to them."""
 
     def __init__(self, layout: Layout) -> None:
         self.given: dict[int, str] = {}
@@ -143,7 +143,7 @@ def _compiler(root: Tag, rules: MassRules) -> None:
 
 
 def _option(root: Tag, scene: Scene) -> dict[str, Any]:
-    """Adds the option section; returns what it cannot say."""
+    """Adds the option section; returns the settings that it cannot hold."""
     default, settings = Settings().as_dict(), scene.settings.as_dict()
     own = {name: value for name, value in settings.items() if value != default[name]}
     attributes, flags, rest = said(own)
@@ -163,7 +163,7 @@ def _option(root: Tag, scene: Scene) -> dict[str, Any]:
 
 
 def _tree(root: Tag, layout: Layout, names: _Names) -> None:
-    """Bodies, each with what it carries, then its children."""
+    """Adds the bodies, each with its joints, geoms and sites before its children."""
     tags: dict[int, Tag] = {}
     depth: dict[int, int] = {}
     for body in layout.bodies:
@@ -175,7 +175,7 @@ def _tree(root: Tag, layout: Layout, names: _Names) -> None:
         if level > DEPTH - 2:
             raise ValueError(f"{body}: an MJCF file nests bodies at most {DEPTH - 2} deep")
         tags[id(body)], depth[id(body)] = tag, level
-        # Children come after: they are added when their turn in the order comes.
+        # Its child bodies follow in the order of the layout.
         for joint in layout.joints_of.get(id(body), []):
             tag.add(_joint(joint, names))
     for geom in layout.geoms:
@@ -245,12 +245,12 @@ def _actuator(actuator: Actuator, names: _Names) -> Tag:
 
 def _key(key: Key) -> Tag:
     given = changed(key)
-    # Nothing is given: an empty list would be no attribute of MJCF.
+    # An empty list cannot be written as an attribute.
     return Tag("key", **{name: value for name, value in given.items() if value != ()})
 
 
 def _left_out(scene: Scene) -> str:
-    """The comment about what the scene's file held and this text does not."""
+    """The comment about elements of the scene's file that this text leaves out."""
     count = len(scene.ignored)
     if not count:
         return ""
