@@ -316,10 +316,10 @@ def test_what_is_ignored_or_translated_is_listed() -> None:
     assert loads(text, name="m.xml").notes == [
         "m.xml:2: solver CG -> newton (the same minimum)",
         (
-            "m.xml:2: tolerance is not carried over: MJCF's tolerance is another quantity than a "
-            "residual in m/s"
+            "m.xml:2: tolerance is ignored: MJCF's tolerance is not a residual in m/s, as that of "
+            "Settings is"
         ),
-        'm.xml:2: flag midphase="disable" has no effect: how pairs are found, not which',
+        'm.xml:2: flag midphase="disable" has no effect: it decides how pairs are found, not which',
     ]
     text = '<mujoco><worldbody><body><joint range="2 1"/></body></worldbody></mujoco>'
     assert loads(text).notes == ["<string>:1: range = 2 1 is empty: no limit"]

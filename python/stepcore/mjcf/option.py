@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 INTEGRATORS = {"Euler": "euler", "RK4": "rk4", "implicitfast": "implicitfast"}
 SOLVERS = {"PGS": "pgs", "Newton": "newton", "CG": "newton"}
 
-# Attributes that have no counterpart; they do not change what a motion converges to.
-NOT_CARRIED = {
-    "tolerance": "MJCF's tolerance is not a residual in m/s",
+# Attributes that are ignored; they do not change what a motion converges to.
+IGNORED = {
+    "tolerance": "MJCF's tolerance is not a residual in m/s, as that of Settings is",
     "ls_tolerance": "the line search is exact",
     "ls_iterations": "the line search is exact",
 }
@@ -66,9 +66,9 @@ def read(scene: Scene, node: Node) -> None:
         if values["impratio"] <= 0:
             raise bad(node, "impratio", values["impratio"], "> 0")
         options["impratio"] = values["impratio"]
-    for name, why in NOT_CARRIED.items():
+    for name, why in IGNORED.items():
         if name in values:
-            _note(scene, node, f"{name} has no counterpart: {why}")
+            _note(scene, node, f"{name} is ignored: {why}")
     _refuse(node)
     for child in node.children:
         _flags(scene, child)
