@@ -4,7 +4,7 @@ use crate::model::Model;
 use crate::real::Real;
 use crate::room::room;
 
-/// The most rows of a block, which `elements/constraint.rs` sees to.
+/// The most rows of a block, which `elements/constraints.rs` sees to.
 pub const WARM_ROWS: usize = 6;
 
 /// The impulses of one contact, limit or other source, kept for the next step's start.

@@ -10,7 +10,8 @@
 //! B[lin, ang] = −m R ([w×c]× + [w]×[c]×)      B[ang, ang] = [w]× I − [I w]×
 //! ```
 
-use crate::elements::force::{damping, Group, Moment};
+use crate::elements::force::{Group, Moment};
+use crate::elements::forces::damping;
 use crate::model::{Model, Tree};
 use crate::place::{Metric, Placed};
 use crate::real::Real;

@@ -4,7 +4,8 @@
 //! linear spring converges at once however stiff it is.
 
 use super::advance;
-use crate::elements::force::{slopes, Group, Moment};
+use crate::elements::force::{Group, Moment};
+use crate::elements::forces::slopes;
 use crate::error::{Fault, Result};
 use crate::model::Model;
 use crate::observer::Observer;

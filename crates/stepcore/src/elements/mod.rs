@@ -2,16 +2,18 @@
 //!
 //! An `Element` says which one, as data: it is what a row, a contact, a share of a post-mortem
 //! and an error carry. Its text is made in `name.rs` and nowhere else. Each kind is one file,
-//! which says what it has of force, slopes, energy, power and rows; `force.rs` lists those
-//! that push, and `constraint.rs` those that are rows.
+//! which says what it has of force, slopes, energy, power and rows; `forces.rs` lists
+//! those that push, and `constraints.rs` those that are rows.
 
 pub(crate) mod actuator;
 mod applied;
 mod connect;
-pub(crate) mod constraint;
+mod constraint;
+mod constraints;
 mod contact;
 mod damper;
 pub(crate) mod force;
+pub(crate) mod forces;
 mod friction_loss;
 mod gravity;
 mod limit;
@@ -20,7 +22,7 @@ pub(crate) mod penalty;
 mod spring;
 mod text;
 
-pub use force::joint_forces;
+pub use forces::joint_forces;
 pub(crate) use text::text;
 pub use text::{Mention, Named, Text};
 

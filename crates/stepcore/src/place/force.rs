@@ -2,7 +2,8 @@
 
 use super::{Frames, Placed};
 use crate::elements::actuator::tensions;
-use crate::elements::force::{push, Group, Moment, Sum};
+use crate::elements::force::{Group, Moment, Sum};
+use crate::elements::forces::push;
 use crate::model::Model;
 use crate::real::Real;
 use crate::state::Inputs;

@@ -1,7 +1,8 @@
 //! Kinetic, gravitational and spring energy, momentum and overlap, at the present state.
 
 use crate::detect::Contact;
-use crate::elements::force::{stored, Group};
+use crate::elements::force::Group;
+use crate::elements::forces::stored;
 use crate::real::Real;
 use crate::sim::{At, Sim};
 use crate::spatial::{Force, V3};

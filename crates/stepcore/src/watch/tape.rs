@@ -9,7 +9,8 @@
 
 use std::collections::BTreeMap;
 
-use crate::elements::force::{each, slopes, stored, Group};
+use crate::elements::force::Group;
+use crate::elements::forces::{each, slopes, stored};
 use crate::elements::{penalty, Element, Kind};
 use crate::error::Result;
 use crate::model::{Model, Span};

@@ -1,7 +1,8 @@
 //! The present energies of every lane.
 
 use super::account::Level;
-use crate::elements::force::{stored, Group};
+use crate::elements::force::Group;
+use crate::elements::forces::stored;
 use crate::elements::penalty;
 use crate::real::{Mask, Real};
 use crate::settings::Law;

@@ -1,7 +1,8 @@
 //! What drives from outside: the work of motors and applied forces, and what moving the
 //! control of a servo puts into its spring. What is which, `elements/` says.
 
-use crate::elements::force::{power, stored, Group, Moment};
+use crate::elements::force::{Group, Moment};
+use crate::elements::forces::{power, stored};
 use crate::observer::Observer;
 use crate::real::Real;
 use crate::sim::{At, Sim};

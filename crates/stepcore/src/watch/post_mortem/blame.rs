@@ -5,7 +5,7 @@
 //! Forces and moments are compared by what they do: Q² / M, the rate at which a
 //! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
 
-use crate::elements::force::strengths;
+use crate::elements::forces::strengths;
 use crate::elements::{Element, Kind};
 use crate::real::{Mask, Real};
 use crate::sim::{At, Sim};

@@ -8,7 +8,8 @@
 
 use nalgebra::DMatrix;
 
-use crate::elements::force::{slopes, Group};
+use crate::elements::force::Group;
+use crate::elements::forces::slopes;
 use crate::model::Tree;
 use crate::real::Real;
 use crate::settings::Integrator;

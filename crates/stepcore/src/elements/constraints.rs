@@ -1,0 +1,44 @@
+//! The list of elements that are rows: a new kind is one file and one line here.
+
+use super::connect::Connect;
+use super::constraint::{Constraint, Makings};
+use super::contact::Contacts;
+use super::friction_loss::FrictionLoss;
+use super::limit::Limit;
+use crate::detect::Detected;
+use crate::model::Model;
+use crate::real::Real;
+use crate::solve::{Rows, Situation, CONE};
+use crate::state::WARM_ROWS;
+
+macro_rules! constraints {
+    ($($kind:ident),+ $(,)?) => {
+        // What keeps and solves blocks has room for those of every kind.
+        $(const _: () = assert!($kind::MOST_ROWS <= WARM_ROWS);
+        const _: () = assert!($kind::MOST_CONE_ROWS <= CONE);)+
+
+        /// The model can have rows at all.
+        fn any(model: &Model) -> bool {
+            $($kind::any(model))||+
+        }
+
+        fn make_all<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
+            $($kind::make(makings, rows);)+
+        }
+    };
+}
+
+// In the order of their slots: see `model/slots.rs`.
+constraints!(Connect, FrictionLoss, Limit, Contacts);
+
+impl<R: Real> Rows<R> {
+    /// Makes every row that exists now.
+    pub fn make(&mut self, now: &Situation<R>, detected: &mut Detected<R>) {
+        self.clear();
+        self.u.copy_from_slice(&now.placed.guess);
+        if now.model.features.constraint && any(now.model) {
+            make_all(&mut Makings { now, detected }, self);
+            self.assign_islands(now.model);
+        }
+    }
+}

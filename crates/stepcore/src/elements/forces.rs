@@ -1,0 +1,161 @@
+//! The list of forces, and what is asked of all of them. `place` adds them up, the implicit
+//! integrators take their slopes, and the watchers read their energies, their power and each
+//! element's own force: a new kind of force is one file and one line here.
+
+use super::actuator::{tensions, Actuator};
+use super::applied::{BodyForce, JointForce};
+use super::damper::Damper;
+use super::force::{Forces, Group, Moment, Sum};
+use super::gravity::Gravity;
+use super::spring::Spring;
+use super::{Element, Kind};
+use crate::model::{Model, Tree};
+use crate::place::Frames;
+use crate::real::Real;
+use crate::state::Inputs;
+
+macro_rules! forces {
+    ($($kind:ident),+ $(,)?) => {
+        /// Adds up the forces of a group.
+        #[inline(always)]
+        pub(crate) fn push<R: Real>(now: &Moment<R>, group: Group, sum: &mut Sum<R>) {
+            $(if $kind::GROUP == group {
+                $kind::push(now, sum);
+            })+
+        }
+
+        /// Calls `add(element, dof, [stiffness, damping])` for the elements of a group.
+        #[inline(always)]
+        pub(crate) fn slopes<R: Real>(
+            now: &Moment<R>,
+            group: Group,
+            mut add: impl FnMut(Element, usize, [R; 2]),
+        ) {
+            $(if $kind::GROUP == group {
+                for index in 0..$kind::count(now.model) {
+                    let element = $kind::element(index);
+                    $kind::slopes(now, index, &mut |dof, slopes| add(element, dof, slopes));
+                }
+            })+
+        }
+
+        /// Calls `add(dof, damping)` for the elements of a group.
+        #[inline(always)]
+        pub(crate) fn damping<R: Real>(
+            now: &Moment<R>,
+            group: Group,
+            mut add: impl FnMut(usize, R),
+        ) {
+            $(if $kind::GROUP == group {
+                for index in 0..$kind::count(now.model) {
+                    $kind::damping(now, index, &mut add);
+                }
+            })+
+        }
+
+        /// Some element of the group damps a dof of the tree.
+        fn damped(model: &Model, group: Group, tree: &Tree) -> bool {
+            let inside = |dof: usize| tree.dofs.range().contains(&dof);
+            $($kind::GROUP == group
+                && (0..$kind::count(model))
+                    .any(|index| $kind::damps(model, index).is_some_and(inside)))||+
+        }
+
+        /// Calls `add(element, energy)` for every part of what the elements of a group store.
+        #[inline(always)]
+        pub(crate) fn stored<R: Real>(
+            now: &Moment<R>,
+            group: Group,
+            mut add: impl FnMut(Element, R),
+        ) {
+            $(if $kind::GROUP == group {
+                for index in 0..$kind::count(now.model) {
+                    let element = $kind::element(index);
+                    $kind::stored(now, index, &mut |energy| add(element, energy));
+                }
+            })+
+        }
+
+        /// Power that comes from outside while dofs move at `velocity` [W].
+        pub(crate) fn power<R: Real>(now: &Moment<R>, velocity: impl Fn(usize) -> R) -> R {
+            let mut power = R::zero();
+            $(for index in 0..$kind::count(now.model) {
+                $kind::power(now, index, &velocity, &mut |part| power += part);
+            })+
+            power
+        }
+
+        /// Calls `each(element, dof, force)` for every push of every element, the weight's too.
+        pub(crate) fn each<R: Real>(now: &Moment<R>, mut each: impl FnMut(Element, usize, R)) {
+            $(for index in 0..$kind::count(now.model) {
+                let element = $kind::element(index);
+                $kind::force(now, index, &mut |dof, force| each(element, dof, force));
+            })+
+        }
+
+        /// How strongly every element but the weight acts in a lane.
+        pub(crate) fn strengths<R: Real>(
+            now: &Moment<R>,
+            lane: usize,
+            inertia: &dyn Fn(usize) -> f64,
+        ) -> Vec<(Element, f64)> {
+            let mut all = Vec::new();
+            $(if $kind::GROUP != Group::Weight {
+                all.extend((0..$kind::count(now.model)).map(|index| {
+                    ($kind::element(index), $kind::strength(now, index, lane, inertia))
+                }));
+            })+
+            all
+        }
+    };
+}
+
+// In the order in which they are added up.
+forces!(Damper, Spring, Actuator, JointForce, BodyForce, Gravity);
+
+/// The force of all elements of one kind on the dofs at many states [N or N·m], for kinds that
+/// depend on their own joint alone: springs, dampers and actuators. None for others.
+/// ctrl, qpos and qvel one state after the other.
+pub fn joint_forces(
+    model: &Model,
+    kind: Kind,
+    ctrl: &[f64],
+    qpos: &[f64],
+    qvel: &[f64],
+) -> Option<Vec<f64>> {
+    if !matches!(kind, Kind::Spring | Kind::Damper | Kind::Actuator) {
+        return None;
+    }
+    let (mut inputs, mut tension) = (Inputs::<f64>::new(model), vec![0.0; model.actuators.len()]);
+    let mut all = Vec::with_capacity(qvel.len());
+    for (n, (qpos, qvel)) in qpos.chunks(model.nq).zip(qvel.chunks(model.nv)).enumerate() {
+        let nu = tension.len();
+        inputs.ctrl.copy_from_slice(&ctrl[n * nu..(n + 1) * nu]);
+        tensions(model, qpos, qvel, &inputs, &mut tension);
+        let frames = Frames { xpos: &[], xmat: &[], origin: &[], motion: &[], tension: &tension };
+        let now = Moment { model, frames, qpos, qvel, inputs: &inputs };
+        let start = all.len();
+        all.resize(start + model.nv, 0.0);
+        let mut add = |dof: usize, force: f64| all[start + dof] += force;
+        for index in 0..model.count(kind) {
+            match kind {
+                Kind::Spring => Spring::force(&now, index, &mut add),
+                Kind::Damper => Damper::force(&now, index, &mut add),
+                _ => Actuator::force(&now, index, &mut add),
+            }
+        }
+    }
+    Some(all)
+}
+
+impl Model {
+    /// A joint of the tree is damped.
+    pub fn damped(&self, tree: &Tree) -> bool {
+        damped(self, Group::Passive, tree)
+    }
+
+    /// A servo damps the tree.
+    pub fn served(&self, tree: &Tree) -> bool {
+        damped(self, Group::Driven, tree)
+    }
+}
