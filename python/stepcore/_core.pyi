@@ -22,37 +22,38 @@ _Law = Literal["solref", "lesson", "relaxed", "rigid", "penalty"]
 _Cone = Literal["pyramidal", "elliptic"]
 
 class SimulationError(RuntimeError):
-    """A run left the finite numbers, or has energy that it cannot have gained (`ledger`).
+    """The motion stopped being finite, or (with `ledger`) has more energy than it can have.
 
-    The last finite state is kept; the text is the post-mortem, one paragraph.
+    The last finite state is kept. The text is the post-mortem, one paragraph.
     """
 
     step: int
-    """Steps done before it."""
+    """Number of steps before the failure."""
     time: float
     """Time of the last finite state [s]."""
     world: int
-    """Its index in a Batch, 0 in a Sim."""
+    """Index of the world in a Batch, 0 in a Sim."""
     element: str
-    """The element that drove it, by name."""
+    """Name of the element that most of the energy came from."""
     element_id: tuple[str, int, int] | None
-    """The same as (kind, index, part); None where no single element stands out."""
+    """The same as (kind, index, part); None if no single element stands out."""
     gained: bool
-    """Energy that cannot have been gained; False: something is not finite in the next step."""
+    """True for too much energy, False for a next step that is not finite."""
     shares: dict[str, float]
-    """Part of the energy fed in over the last steps, by element's name, the largest first."""
+    """Share of the energy injected in the last steps by name of the element, largest first."""
     share_ids: list[tuple[str, int, int]]
     """(kind, index, part) of each element in `shares`, in the same order."""
     growth: float | None
-    """Rate at which the energy of motion and springs grew [1/s]."""
+    """Rate at which kinetic and spring energy grew [1/s], or None."""
     stable_dt: float | None
-    """A step that would have been stable [s], where one is known."""
+    """A time step that would have been stable [s], or None if none is known."""
     replay: Replay
-    """The failure, to be saved and run again."""
+    """The failure, which can be saved and run again."""
 
 @final
 class Settings:
-    """How a scene is computed; immutable. A bad value is a ValueError naming field and limit."""
+    """How a scene is simulated; immutable. Every field is a keyword argument with a default; a bad
+    value is a ValueError that names the field and its limit."""
 
     def __new__(
         cls,
@@ -79,10 +80,10 @@ class Settings:
         refsafe: bool = True,
     ) -> Settings: ...
     def replace(self, **fields: Unpack[SettingsFields]) -> Settings:
-        """A copy with some fields changed, checked as a whole."""
+        """Returns a copy with some fields changed."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Every field by name."""
+        """Returns all fields by name."""
 
     def __eq__(self, value: object, /) -> bool: ...
     def __ne__(self, value: object, /) -> bool: ...
@@ -94,64 +95,68 @@ class Settings:
 
     @property
     def integrator(self) -> str:
-        """How velocities and positions advance."""
+        """Integrator: "explicit", "semi-implicit", "euler" (semi-implicit with implicit joint
+        damping), "implicitfast", "midpoint" or "rk4"."""
 
     @property
     def solver(self) -> str:
-        """How the rows are solved: "pgs" or "newton"."""
+        """Solver of the constraint rows: "pgs" (projected Gauss-Seidel) or "newton"."""
 
     @property
     def acceleration(self) -> str:
-        """What speeds up projected Gauss-Seidel: "none" or "momentum"."""
+        """Acceleration of projected Gauss-Seidel: "none" or "momentum"."""
 
     @property
     def sweeps(self) -> Any:
-        """The most sweeps, or Newton iterations, of one solve; "auto": until the residual is
-        within the tolerance (which must be > 0) or at rounding, at most 10 000."""
+        """Maximum number of sweeps, or Newton iterations, in a solve.
+
+        "auto" iterates until the residual is within the tolerance, which must be > 0, or at
+        rounding, at most 10 000 times.
+        """
 
     @property
     def tolerance(self) -> float:
-        """A solve stops at this residual [m/s], >= 0; 0: after all sweeps."""
+        """Residual at which a solve stops [m/s], >= 0; 0 always takes all sweeps."""
 
     @property
     def warm_start(self) -> bool:
-        """Start from the last step's impulses."""
+        """Whether a solve starts from the impulses of the last step."""
 
     @property
     def precision(self) -> str:
-        """The number computed with: "f64" or "f32"."""
+        """Precision of the computation: "f64" or "f32"."""
 
     @property
     def max_contacts(self) -> int:
-        """Contacts to reserve room for."""
+        """Number of contacts to reserve memory for; more are allowed."""
 
     @property
     def ledger(self) -> bool:
-        """Balance the account of energy every 64 steps, and keep what a post-mortem needs."""
+        """Whether the energy balance is checked every 64 steps and recorded for a post-mortem."""
 
     @property
     def law(self) -> str:
-        """What a violated constraint asks for."""
+        """Constraint law: "solref" (MuJoCo's), "lesson", "relaxed", "rigid" or "penalty"."""
 
     @property
     def beta(self) -> float:
-        """Share of a violation undone in a step, in (0, 1]."""
+        """Fraction of a constraint violation that a step corrects, in (0, 1]."""
 
     @property
     def softness(self) -> float:
-        """Regulariser of rows under "lesson" and "relaxed" [1/kg], >= 0."""
+        """Regulariser of the rows under "lesson" and "relaxed" [1/kg], >= 0."""
 
     @property
     def restitution(self) -> float:
-        """Share of the normal speed kept in an impact under "rigid", in [0, 1]."""
+        """Fraction of the normal speed after an impact under "rigid", in [0, 1]."""
 
     @property
     def slop(self) -> float:
-        """Overlap left alone under "rigid" [m], >= 0."""
+        """Overlap that is not corrected under "rigid" [m], >= 0."""
 
     @property
     def penalty_stiffness(self) -> float:
-        """Spring of a contact under "penalty" [N/m], > 0."""
+        """Contact stiffness under "penalty" [N/m], > 0."""
 
     @property
     def penalty_damping_ratio(self) -> float:
@@ -159,7 +164,7 @@ class Settings:
 
     @property
     def cone(self) -> str:
-        """The set of friction forces: "pyramidal" or "elliptic"."""
+        """Friction cone: "pyramidal" or "elliptic"."""
 
     @property
     def impratio(self) -> float:
@@ -167,7 +172,7 @@ class Settings:
 
     @property
     def refsafe(self) -> bool:
-        """Keep the time constants of solref at 2 dt or above."""
+        """Whether the time constants of solref are at least 2 dt."""
 
 @final
 class Model:

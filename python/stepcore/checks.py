@@ -1,4 +1,4 @@
-"""Checks that turn what a user assigns into a field's own type, or say what is wrong with it.
+"""Checks of what a user gives: they convert it to the type of its field, or say what is wrong.
 
 Each function here makes a *check*: it takes ``(owner, field, value)``, returns the value to
 store, and raises `ValueError` naming the element, the field, the value and the limit.
@@ -30,7 +30,7 @@ def shown(value: object, width: int = 80) -> str:
 
 
 def nearest(name: str, known: Iterable[str], listed: int = KNOWN) -> str:
-    """'; nearest: "damping"', or where none is near the first `listed` of those that exist."""
+    """'; nearest: "damping"', or, if none is near, the first `listed` known names."""
     names = [k for k in known if k]
     # Letters count in either case, so that "rk4" is near "RK4".
     folded = {k.lower(): k for k in reversed(names)}
@@ -50,9 +50,9 @@ def one_line(error: BaseException) -> str:
 
 
 class KnownNames:
-    """Base of classes whose public attributes are settled when an object is made.
+    """Base of classes that refuse attributes they do not have.
 
-    What is assigned under any other name would be kept and never read: an AttributeError.
+    A misspelt name would be stored and never read; it is an AttributeError instead.
     """
 
     _attributes: tuple[str, ...] = ()
@@ -66,7 +66,7 @@ class KnownNames:
 
 
 class ElementError(ValueError):
-    """What is wrong with one scene element; `owner` is that element."""
+    """An error about one element of a scene, `owner`."""
 
     def __init__(self, owner: object, text: str) -> None:
         super().__init__(f"{owner}: {text}")
@@ -78,7 +78,7 @@ class ElementError(ValueError):
 
 
 def file_bytes(path: str | os.PathLike[str], expected: str) -> bytes:
-    """What a file holds; an error in one line that names it where it is missing or a folder.
+    """Reads a file; an error in one line names it if it is missing or a folder.
 
     expected: what it should be, such as "an MJCF file".
     """
@@ -92,7 +92,7 @@ def file_bytes(path: str | os.PathLike[str], expected: str) -> bytes:
 
 
 def refuse(owner: Any, field: str, value: object, limit: str) -> ElementError:
-    """The one form of every error text about a field."""
+    """The error about a field; all of them have this form."""
     return ElementError(owner, f"{field} = {shown(value)}: must be {limit}")
 
 
@@ -131,7 +131,7 @@ MOST_STEPS = 1e9
 
 
 def steps(horizon: float, dt: float, runs: float, words: str, most: float = MOST_STEPS) -> None:
-    """Before anything is made: can this many runs of a horizon [s] end at all?"""
+    """Refuses a horizon [s] whose runs have more steps than can ever end."""
     total = horizon / dt * runs
     if not total <= most:
         raise ValueError(
@@ -149,7 +149,7 @@ def several(name: str, value: object) -> list[Any]:
 
 
 def threads(value: object) -> int:
-    """How many threads to use; None is one a core."""
+    """`value` as a number of threads; None means one a core."""
     return os.cpu_count() or 1 if value is None else count("threads", value)
 
 
@@ -206,7 +206,7 @@ def one_of(*allowed: object) -> Check:
 
 
 def flag(owner: Any, field: str, value: object) -> bool:
-    """True or False (0 and 1 are not taken for them)."""
+    """True or False; 0 and 1 are refused."""
     # numpy's bool is not a Python bool, but it says so by its type's name.
     if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
         return bool(value)
@@ -265,7 +265,7 @@ def vector(count: int, *, low: float = -math.inf, fill: tuple[float, ...] = ()) 
 
 
 def numbers(owner: Any, field: str, value: object) -> tuple[float, ...]:
-    """Finite numbers, however many."""
+    """Any number of finite numbers."""
     entries = listed(value)
     result = None if entries is None else all_numbers(entries)
     if result is None:
@@ -343,7 +343,7 @@ def whole_pair(owner: Any, field: str, value: object) -> tuple[int, ...]:
 
 
 def inertia(owner: Any, field: str, value: object) -> tuple[float, ...]:
-    """xx yy zz xy xz yz, or the first three alone; those not negative."""
+    """xx yy zz xy xz yz, or the first three alone, which must be >= 0."""
     entries = listed(value)
     result = None if entries is None or len(entries) not in (3, 6) else all_numbers(entries)
     if result is None or min(result[:3]) < 0:
@@ -364,7 +364,7 @@ def function(*arguments: str) -> Check:
         except TypeError:
             raise refuse(owner, field, value, limit) from None
         except ValueError:
-            # Some functions written in C do not tell what they take.
+            # Some functions written in C have no signature.
             pass
         return value
 

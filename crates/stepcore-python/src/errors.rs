@@ -17,8 +17,8 @@ pyo3::create_exception!(
     stepcore,
     SimulationError,
     PyRuntimeError,
-    "A run left the finite numbers, or (settings with ledger=True) has energy that it cannot have\n\
-     gained; the last finite state is kept. Its text is the post-mortem, one paragraph.\n\n\
+    "The motion stopped being finite, or (with the setting ledger) has more energy than it can have.\n\
+     The last finite state is kept. The text is the post-mortem, one paragraph.\n\n\
      step: steps done before it; time: of that state [s]; world: its index in a Batch (0 in a Sim);\n\
      gained: True for energy that cannot have been gained, False for what is not finite;\n\
      element: the name of what drove it; element_id: the same as (kind, index, part), or None;\n\

@@ -91,7 +91,8 @@ macro_rules! settings {
             Ok(())
         }
 
-        /// How a scene is computed; immutable. See docs for each field's meaning and limit.
+        /// How a scene is simulated; immutable. Every field is a keyword argument with a default; a bad
+        /// value is a ValueError that names the field and its limit.
         #[pyclass(module = "stepcore", frozen)]
         #[derive(Clone, PartialEq)]
         pub struct Settings(pub Engine);
@@ -104,13 +105,13 @@ macro_rules! settings {
                 changed(&Engine::default(), fields)
             }
 
-            /// A copy with some fields changed, checked as a whole.
+            /// Returns a copy with some fields changed.
             #[pyo3(signature = (**fields))]
             fn replace(&self, fields: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
                 changed(&self.0, fields)
             }
 
-            /// Every field by name.
+            /// Returns all fields by name.
             fn as_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
                 let dict = PyDict::new(py);
                 $(dict.set_item(stringify!($field), self.0.$field.shown())?;)+
@@ -148,44 +149,45 @@ macro_rules! settings {
 settings! {
     /// Time step [s], > 0.
     dt: f64,
-    /// How velocities and positions advance.
+    /// Integrator: "explicit", "semi-implicit", "euler" (semi-implicit with implicit joint
+    /// damping), "implicitfast", "midpoint" or "rk4".
     integrator: Integrator,
-    /// How the rows are solved: "pgs" or "newton".
+    /// Solver of the constraint rows: "pgs" (projected Gauss-Seidel) or "newton".
     solver: Solver,
-    /// What speeds up projected Gauss-Seidel: "none" or "momentum".
+    /// Acceleration of projected Gauss-Seidel: "none" or "momentum".
     acceleration: Acceleration,
-    /// The most sweeps, or Newton iterations, of one solve; "auto": until the residual is
-    /// within the tolerance, at most 10 000.
+    /// Maximum number of sweeps, or Newton iterations, in a solve. "auto" iterates until the
+    /// residual is within the tolerance, which must be > 0, or at rounding, at most 10 000 times.
     sweeps: Sweeps,
-    /// A solve stops at this residual [m/s], >= 0; 0: after all sweeps.
+    /// Residual at which a solve stops [m/s], >= 0; 0 always takes all sweeps.
     tolerance: f64,
-    /// Start from the last step's impulses.
+    /// Whether a solve starts from the impulses of the last step.
     warm_start: bool,
-    /// The number computed with: "f64" or "f32".
+    /// Precision of the computation: "f64" or "f32".
     precision: Precision,
-    /// Contacts to reserve room for.
+    /// Number of contacts to reserve memory for; more are allowed.
     max_contacts: usize,
-    /// Balance the account of energy every 64 steps, and keep what a post-mortem needs.
+    /// Whether the energy balance is checked every 64 steps and recorded for a post-mortem.
     ledger: bool,
-    /// What a violated constraint asks for: "solref", "lesson", "relaxed", "rigid", "penalty".
+    /// Constraint law: "solref" (MuJoCo's), "lesson", "relaxed", "rigid" or "penalty".
     law: Law,
-    /// Share of a violation undone in a step, in (0, 1].
+    /// Fraction of a constraint violation that a step corrects, in (0, 1].
     beta: f64,
-    /// Regulariser of rows under "lesson" and "relaxed" [1/kg], >= 0.
+    /// Regulariser of the rows under "lesson" and "relaxed" [1/kg], >= 0.
     softness: f64,
-    /// Share of the normal speed kept in an impact under "rigid", in [0, 1].
+    /// Fraction of the normal speed after an impact under "rigid", in [0, 1].
     restitution: f64,
-    /// Overlap left alone under "rigid" [m], >= 0.
+    /// Overlap that is not corrected under "rigid" [m], >= 0.
     slop: f64,
-    /// Spring of a contact under "penalty" [N/m], > 0.
+    /// Contact stiffness under "penalty" [N/m], > 0.
     penalty_stiffness: f64,
     /// Damping ratio of a contact under "penalty", >= 0.
     penalty_damping_ratio: f64,
-    /// The set of friction forces: "pyramidal" or "elliptic".
+    /// Friction cone: "pyramidal" or "elliptic".
     cone: Cone,
     /// Ratio of frictional to normal impedance, > 0.
     impratio: f64,
-    /// Keep the time constants of solref at 2 dt or above.
+    /// Whether the time constants of solref are at least 2 dt.
     refsafe: bool,
 }
 
