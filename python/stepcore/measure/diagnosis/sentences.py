@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from stepcore.measure.diagnosis.element_id import INERTIAL
 from stepcore.measure.diagnosis.linear_step import VELOCITY_LAWS
 from stepcore.report.units import counted, hertz, seconds, times
 
@@ -48,25 +49,30 @@ def sentences(d: Diagnosis) -> Iterator[str]:
 
 def _answer(d: Diagnosis, own: str) -> str:
     """Whether the wanted dt is stable, and which element limits it."""
-    limit, wanted, stiffest = d.limit(own), seconds(d.wanted), d.limiting(own)
-    name = f"{stiffest.name}{_traits(stiffest)}" if stiffest else "no single element"
+    limit, wanted, limiting = d.limit(own), seconds(d.wanted), d.limiting(own)
+    name, traits = d.stiffest(own), _traits(limiting) if limiting else ""
     if math.isinf(limit):
-        fastest = f" The fastest element is {name}." if stiffest else ""
+        fastest = f" The fastest element is {name}{traits}." if name else ""
         return f"No element limits dt below {seconds(d.limits[own].longest)} under {own}.{fastest}"
     if limit <= 0:
-        return f"No dt is stable under {own}: {name} grows at every dt."
-    limits = f"{name} limits dt to {seconds(limit)}"
+        grows = "grow" if name == INERTIAL.name else "grows"
+        return f"No dt is stable under {own}: {name or 'a motion'}{traits} {grows} at every dt."
+    cause = limits_dt(name, limit, traits)
     if d.wanted > limit:
-        return f"A step of {wanted} {_outcome(d, stiffest)} under {own}: {limits}."
-    margin = times(limit / d.wanted)
-    return (
-        f"A step of {wanted} is stable under {own}, with a stability margin of {margin}: {limits}."
-    )
+        return f"A step of {wanted} {_outcome(d, limiting)} under {own}: {cause}."
+    margin = f"with a stability margin of {times(limit / d.wanted)}"
+    return f"A step of {wanted} is stable under {own}, {margin}: {cause}."
 
 
-def _outcome(d: Diagnosis, stiffest: ElementLimits | None) -> str:
+def limits_dt(name: str, dt: float, traits: str = "") -> str:
+    """Which element limits dt to how much [s]; name: "" where no single one does."""
+    verb = "limit" if name == INERTIAL.name else "limits"
+    return f"{name or 'no single element'}{traits} {verb} dt to {seconds(dt)}"
+
+
+def _outcome(d: Diagnosis, limiting: ElementLimits | None) -> str:
     """What happens beyond the limit."""
-    kind = stiffest.element.kind if stiffest else ""
+    kind = limiting.element.kind if limiting else ""
     if kind == "friction loss":
         # Its force is bounded.
         return "chatters"

@@ -122,15 +122,16 @@ def _linearised(model: Model) -> str:
     limit = bisected(stable, near, 2 * near, fine=5e-3) if near > low else 0.0
     shares = limiting_shares(here, Limit(settings.integrator, limit, 0))
     stiffest = max(shares, key=lambda element: shares[element], default=None)
-    return _text(settings, limit, stiffest.name if stiffest else "a stiff element")
+    return _text(settings, limit, stiffest.name if stiffest else "")
 
 
 def _text(settings: Settings, limit: float, name: str) -> str:
     """One line: whether dt [s] is unstable or nearly so, and which element limits it."""
+    from stepcore.measure.diagnosis.sentences import limits_dt
     from stepcore.report.units import seconds, times
 
     dt, own = settings.dt, f"dt {seconds(settings.dt)}"
-    limits = f"{name} limits dt to {seconds(limit)} (run stepcore diagnose for advice)"
+    limits = f"{limits_dt(name, limit)} (run stepcore diagnose for advice)"
     if dt > limit:
         return f"{own} explodes under {settings.integrator}: {limits}"
     margin = f"a stability margin of only {times(limit / dt)} under {settings.integrator}"
