@@ -371,7 +371,7 @@ def function(*arguments: str) -> Check:
     return check
 
 
-def told(owner: Any, value: object) -> None:
+def progress(owner: Any, value: object) -> None:
     """Checks the argument `progress`."""
     if not (value is None or isinstance(value, bool) or callable(value)):
         raise refuse(owner, "progress", value, "True, False, None or a function")

@@ -1,6 +1,7 @@
 """`Batch`: many worlds are the same worlds alone, bit for bit, however they are computed."""
 
 import copy
+import os
 import pickle
 import signal
 import threading
@@ -11,6 +12,7 @@ import pytest
 from small import ball, pendulum, unstable
 
 import stepcore as sc
+from stepcore.engine.batch import _threads as batch_threads
 
 WAYS = {
     "pgs": {"solver": "pgs", "tolerance": 1e-6, "sweeps": 50},
@@ -291,3 +293,24 @@ def test_the_time_of_a_batch_can_be_set():
     with pytest.raises(ValueError, match="time = NaN: must be finite"):
         batch.time = np.nan
     assert batch.time == sim.time
+
+
+def test_threads_are_used_where_they_gain():
+    """By default one a core for a large batch, one for a small one; a number is taken as it is."""
+    cores = os.cpu_count() or 1
+    assert [batch_threads(None, n, nv) for n, nv in ((8, 9), (1999, 1), (2000, 1), (512, 9))] == [
+        *(1, 1),
+        *(cores, cores),
+    ]
+    assert batch_threads(3, 1, 1) == 3
+    with pytest.raises(ValueError, match="threads = 0"):
+        batch_threads(0, 5000, 1)
+
+
+def test_a_large_batch_has_the_bits_of_one_thread():
+    model = ball().compile()
+    batches = [sc.Batch(model, 2001 // model.nv + 1, threads=threads) for threads in (None, 1)]
+    for batch in batches:
+        batch.qvel[:, 0] = np.linspace(-1, 1, len(batch))
+        batch.step(5)
+    assert (batches[0].qpos == batches[1].qpos).all()

@@ -28,7 +28,7 @@ class Workers:
         cls, owner: str, threads: int | None, executor: Executor | None, progress: Choice
     ) -> Workers:
         """The arguments of a measurement; None threads are one a core."""
-        checks.told(owner, progress)
+        checks.progress(owner, progress)
         check_executor(owner, executor)
         return cls(checks.threads(threads), executor, progress)
 
