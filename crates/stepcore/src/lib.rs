@@ -18,6 +18,10 @@
 //! 4. **commit** (`commit/`): one file per integrator turns the solved velocity into
 //!    the next state. A state that is not finite is never committed.
 //!
+//! What pushes, stores, takes or constrains stands in `elements/`, one file each: a spring, an
+//! actuator, a limit, a contact. Stages, implicit integrators and watchers iterate over its two
+//! lists, and repeat none of its formulas; `transmission.rs` says how lengths follow the dofs.
+//!
 //! Beside the loop: `model/` compiles a scene, `watch/` reads energy, momentum and
 //! residuals and names what made a run fail, `batch.rs` steps many worlds over threads,
 //! `arrays.rs` takes a user's numbers in and gives them back.

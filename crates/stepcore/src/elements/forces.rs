@@ -9,7 +9,7 @@ use super::force::{Forces, Group, Moment, Sum};
 use super::gravity::Gravity;
 use super::spring::Spring;
 use super::{Element, Kind};
-use crate::model::{Model, Tree};
+use crate::model::{Model, Tree, NONE};
 use crate::place::Frames;
 use crate::real::Real;
 use crate::state::Inputs;
@@ -149,6 +149,20 @@ pub fn joint_forces(
 }
 
 impl Model {
+    /// Its work is put in from outside: a motor's, or an applied force's.
+    pub fn drives(&self, element: Element) -> bool {
+        match element.kind {
+            Kind::Actuator => !self.actuators[element.index as usize].feeds_back(),
+            Kind::JointForce | Kind::BodyForce => true,
+            _ => false,
+        }
+    }
+
+    /// Not the weight of a body that stands still, whose energy never changes.
+    pub(crate) fn moves(&self, element: Element) -> bool {
+        element.kind != Kind::Gravity || self.bodies[element.part as usize].tree != NONE
+    }
+
     /// A joint of the tree is damped.
     pub fn damped(&self, tree: &Tree) -> bool {
         damped(self, Group::Passive, tree)

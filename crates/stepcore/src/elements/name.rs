@@ -1,7 +1,7 @@
 //! What an element is called: the one place where text about elements is made.
 
 use super::{Element, Kind, Named};
-use crate::model::{Model, NONE};
+use crate::model::Model;
 
 /// "joint `knee`", or "joint 3" where it has no name.
 fn quoted(words: &str, name: &str, index: usize) -> String {
@@ -68,20 +68,6 @@ impl Model {
             Kind::Gravity => 1,
             Kind::Contact => self.pairs.len(),
         }
-    }
-
-    /// Its work is put in from outside: a motor's, or an applied force's.
-    pub fn drives(&self, element: Element) -> bool {
-        match element.kind {
-            Kind::Actuator => !self.actuators[element.index as usize].feeds_back(),
-            Kind::JointForce | Kind::BodyForce => true,
-            _ => false,
-        }
-    }
-
-    /// Not the weight of a body that stands still, whose energy never changes.
-    pub(crate) fn moves(&self, element: Element) -> bool {
-        element.kind != Kind::Gravity || self.bodies[element.part as usize].tree != NONE
     }
 
     /// An element with its name.
