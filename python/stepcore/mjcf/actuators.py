@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from stepcore.mjcf.defaults import Defaults
-from stepcore.mjcf.gains import Gains
+from stepcore.mjcf.gains import ActuatorGains
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
@@ -66,7 +66,7 @@ def _refuse(node: Node, values: dict[str, Any]) -> None:
         raise bad(node, "input", node.values["input"], "pos, vel or pressure")
 
 
-def _refuse_gains(node: Node, gains: Gains) -> None:
+def _refuse_gains(node: Node, gains: ActuatorGains) -> None:
     if gains.tag == "position" and gains.dyntype != "none":
         raise node.unbuilt("a servo with a filter, which needs an activation (timeconst)")
     for name, built in (("dyntype", ("none",)), ("gaintype", ("fixed",))):
@@ -76,7 +76,7 @@ def _refuse_gains(node: Node, gains: Gains) -> None:
         raise node.unbuilt(f'<general> biastype="{gains.biastype}"')
 
 
-def _words(gains: Gains) -> dict[str, Any]:
+def _words(gains: ActuatorGains) -> dict[str, Any]:
     """The gains as fields of `Actuator`."""
     gain, damping = gains.gainprm[0], gains.biasprm[2]
     if gains.tag == "position":
@@ -90,7 +90,7 @@ def _words(gains: Gains) -> dict[str, Any]:
 
 
 def _ctrlrange(
-    world: WorldReader, node: Node, values: dict[str, Any], gains: Gains, joint: Joint
+    world: WorldReader, node: Node, values: dict[str, Any], gains: ActuatorGains, joint: Joint
 ) -> tuple[float, ...] | None:
     if gains.inheritrange <= 0 or not gains.is_position:
         return world.limits(node, values, "ctrllimited", "ctrlrange")

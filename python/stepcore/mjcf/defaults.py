@@ -41,7 +41,7 @@ class Defaults:
     def __init__(self, sections: Iterable[Node]) -> None:
         self.classes: dict[str, dict[str, Values]] = {MAIN: {}}
         # Gains of actuators, those of the outermost class first.
-        self.chains: dict[str, gains.Chain] = {MAIN: (gains.Gains(),)}
+        self.chains: dict[str, gains.Chain] = {MAIN: (gains.ActuatorGains(),)}
         for section in sections:
             if section.attrs.get("class", MAIN) != MAIN:
                 raise section.error('the outermost <default> has the class "main" and no other')
@@ -86,6 +86,6 @@ class Defaults:
         given = {key: value for key, value in node.values.items() if key != "class"}
         return overlay(self.classes[name].get(tag, {}), given)
 
-    def gains(self, node: Node) -> gains.Gains:
+    def gains(self, node: Node) -> gains.ActuatorGains:
         """An actuator's gains, completed from its class."""
         return gains.inherited(self.chains[self.known(node, "class") or MAIN], node)

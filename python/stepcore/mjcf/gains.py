@@ -18,8 +18,11 @@ BUILT = ("motor", "position", "velocity", "general")
 
 
 @dataclass(frozen=True)
-class Gains:
-    """Gains of an actuator or a class. tag: its element; inheritrange: scale of the range, or 0."""
+class ActuatorGains:
+    """The gains of an actuator or a default class.
+
+    tag: the element that gave them. inheritrange: the scale of an inherited range, or 0.
+    """
 
     tag: str = "general"
     gainprm: Vec = (1.0,)
@@ -35,27 +38,27 @@ class Gains:
         return self.biastype == "affine" and self.gainprm[0] == -self.biasprm[1]
 
 
-Chain = tuple[Gains, ...]
+Chain = tuple[ActuatorGains, ...]
 
 
-def inherited(chain: Chain, node: Node) -> Gains:
+def inherited(chain: Chain, node: Node) -> ActuatorGains:
     """The gains of an actuator or a default; chain: those of its classes, outermost first."""
     if node.tag not in BUILT:
-        return Gains(node.tag)
+        return ActuatorGains(node.tag)
     # Only a <general> of the same class uses it.
     kept = chain[-1].inheritrange
     if node.tag == "motor":
-        return Gains("motor", inheritrange=kept)
+        return ActuatorGains("motor", inheritrange=kept)
     if node.tag == "general":
         return _general(chain[-1], node)
-    base = next((g for g in reversed(chain) if g.tag in (node.tag, "general")), Gains())
+    base = next((g for g in reversed(chain) if g.tag in (node.tag, "general")), ActuatorGains())
     if node.tag == "position":
         return _position(base, node)
     kv = node.values.get("kv", base.gainprm[0])
-    return Gains("velocity", (kv,), (0.0, 0.0, -kv), biastype="affine", inheritrange=kept)
+    return ActuatorGains("velocity", (kv,), (0.0, 0.0, -kv), biastype="affine", inheritrange=kept)
 
 
-def _general(base: Gains, node: Node) -> Gains:
+def _general(base: ActuatorGains, node: Node) -> ActuatorGains:
     if base.tag not in BUILT:
         raise node.unbuilt(f"<general> in a class whose default is <{base.tag}>")
     values = node.values
@@ -68,7 +71,7 @@ def _general(base: Gains, node: Node) -> Gains:
     return replace(base, tag="general", inheritrange=_inheritrange(base, node), **given)
 
 
-def _position(base: Gains, node: Node) -> Gains:
+def _position(base: ActuatorGains, node: Node) -> ActuatorGains:
     values = node.values
     for name in ("kv", "dampratio", "timeconst"):
         if values.get(name, 0.0) < 0:
@@ -84,10 +87,12 @@ def _position(base: Gains, node: Node) -> Gains:
     if "timeconst" in values:
         dyntype = "filterexact" if values["timeconst"] > 0 else "none"
     bias = (0.0, -kp, damping)
-    return Gains("position", (kp,), bias, dyntype, "fixed", "affine", _inheritrange(base, node))
+    return ActuatorGains(
+        "position", (kp,), bias, dyntype, "fixed", "affine", _inheritrange(base, node)
+    )
 
 
-def _inheritrange(base: Gains, node: Node) -> float:
+def _inheritrange(base: ActuatorGains, node: Node) -> float:
     """The scale from the joint's range to the control's; 0 if a control range is given."""
     given: float = node.values.get("inheritrange", base.inheritrange)
     if "ctrlrange" not in node.values:
