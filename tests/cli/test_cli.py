@@ -324,3 +324,11 @@ def test_the_options_of_a_motion_are_its_fields():
 def test_the_help_names_the_default_motion(capsys, monkeypatch, command, words):
     monkeypatch.setenv("COLUMNS", "200")
     assert words in call(capsys, command, "--help")[1]
+
+
+def test_ctrl_c_while_a_command_is_imported_is_exit_130(capsys, monkeypatch):
+    def interrupted(name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stepcore.cli.importlib.import_module", interrupted)
+    assert call(capsys, "run", "lesson:drop") == (130, "", "stepcore: interrupted\n")

@@ -54,8 +54,9 @@ def bar(
 
 
 def name_places(axes: Any, names: Sequence[str], places: Sequence[float], letters: int) -> None:
-    """Names along the vertical axis, cut to so many letters."""
-    short = [name if len(name) <= letters else name[: letters - 1] + "…" for name in names]
+    """Names along the vertical axis, without the quotes of a text, cut to so many letters."""
+    plain = [name.replace("`", "") for name in names]
+    short = [name if len(name) <= letters else name[: letters - 1] + "…" for name in plain]
     axes.set_yticks(list(places), short, fontsize=SMALL)
 
 
