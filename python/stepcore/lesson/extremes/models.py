@@ -13,6 +13,7 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.engine.linear_maps import step_matrix
 from stepcore.engine.sim import Sim
+from stepcore.experiment.joint_gains import joint_dofs, joint_gains
 from stepcore.lesson.extremes.cells import (
     EPS,
     TIME_STEPS,
@@ -133,13 +134,13 @@ def free_flight(
 def growth(sim: Sim) -> float:
     """Spectral radius of one step of the joints' springs and dampers alone, at the start."""
     sim.forward()
-    dt, m, n = sim.settings.dt, sim.mass_matrix(), sim.model.nv
-    k, d = np.zeros(n), np.zeros(n)
-    for name, first in zip(sim.model.joint_names, sim.model.jnt_dofadr, strict=True):
-        joint = sim.model.scene.joint(name)
-        if joint.type in ("hinge", "slide"):
-            k[first], d[first] = joint.stiffness, joint.damping
-    step = step_matrix("euler", dt, m, np.diag(k), np.diag(d), np.diag(d))
+    k, d = np.zeros(sim.model.nv), np.zeros(sim.model.nv)
+    for gain in joint_gains(sim.model):
+        at = joint_dofs(sim.model, gain.joint)
+        k[at] += gain.stiffness
+        d[at] += gain.damping
+    damping = np.diag(d)
+    step = step_matrix("euler", sim.settings.dt, sim.mass_matrix(), np.diag(k), damping, damping)
     return float(np.max(np.abs(np.linalg.eigvals(step))))
 
 

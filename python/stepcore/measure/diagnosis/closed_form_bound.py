@@ -12,11 +12,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from stepcore.engine.model import Model
+from stepcore.experiment.joint_gains import implicit_kinds, joint_dofs, joint_gains
 from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.oscillator import oscillator_dt
 from stepcore.measure.diagnosis.solref import may_limit_dt, softened_from, solref_of
-from stepcore.scene.elements import Joint
-from stepcore.scene.layout import DOFS, Layout
+from stepcore.scene.layout import Layout
 
 # The most pairs of geoms that are looked at.
 MOST_PAIRS = 1000
@@ -50,7 +50,7 @@ class _Oscillator:
 def closed_form_bound(model: Model, integrator: str | None = None) -> Bound:
     """The bound under an integrator (default: the model's own)."""
     integrator = integrator or model.settings.integrator
-    joints = [*_springs(model, integrator), *_servos(model, integrator)]
+    joints = list(_joints(model, integrator))
     safe = alone = math.inf
     stiffest = None
     for one in [*joints, *_rows(model), *_penalties(model)]:
@@ -66,45 +66,20 @@ def closed_form_bound(model: Model, integrator: str | None = None) -> Bound:
     return Bound(safe, alone, stiffest)
 
 
-def _springs(model: Model, integrator: str) -> Iterator[_Oscillator]:
-    features = model.scene.features
-    implicit = damper_is_implicit(model, integrator)
-    for j, joint in enumerate(Layout(model.scene).joints):
-        weight, tree = _weight(model, j), _root(model, int(model.jnt_body[j]))
-        rate = _at_rest(joint, "damping") * weight if features.damper else 0.0
-        square = _at_rest(joint, "stiffness") * weight
-        if features.spring and square > 0:
-            yield _Oscillator(ElementId.of(model, "spring", j), tree, square, 0.0, rate * implicit)
-        if rate > 0 and not implicit:
-            yield _Oscillator(ElementId.of(model, "damper", j), tree, 0.0, rate)
-
-
-def _servos(model: Model, integrator: str) -> Iterator[_Oscillator]:
-    features, joints = model.scene.features, Layout(model.scene).joints
-    for i in range(model.nu if features.actuation else 0):
-        joint = int(model.actuator_joint[i])
-        weight, tree = _weight(model, joint), _root(model, int(model.jnt_body[joint]))
-        stiffness, damping = _gains(model, i)
-        rate = damping * weight
-        own = _at_rest(joints[joint], "damping") * weight if features.damper else 0.0
-        own *= damper_is_implicit(model, integrator)
-        implicit = integrator == "implicitfast"
-        if stiffness > 0 or rate > 0:
-            # A servo that pushes away from its target grows physically, at any dt.
-            square, element = max(stiffness, 0.0) * weight, ElementId.of(model, "actuator", i)
+def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
+    """Springs, dampers and servos; what is treated implicitly helps the others of its joint."""
+    hidden = implicit_kinds(model, integrator)
+    gains = list(joint_gains(model))
+    dampers = {gain.joint: gain.damping for gain in gains if gain.kind == "damper"}
+    for gain in gains:
+        weight, tree = _weight(model, gain.joint), _root(model, int(model.jnt_body[gain.joint]))
+        # A servo that pushes away from its target grows physically, at any dt.
+        square, rate = max(gain.stiffness, 0.0) * weight, gain.damping * weight
+        own = dampers[gain.joint] * weight * ("damper" in hidden)
+        implicit = gain.kind in hidden
+        if square > 0 or (rate > 0 and not (gain.kind == "damper" and implicit)):
+            element = ElementId.of(model, gain.kind, gain.index)
             yield _Oscillator(element, tree, square, rate * (not implicit), own + rate * implicit)
-
-
-def _at_rest(joint: Joint, field: str) -> float:
-    """Stiffness or damping of a joint at rest: the first of its coefficients."""
-    return float(joint.record()[field][0])
-
-
-def _gains(model: Model, actuator: int) -> tuple[float, float]:
-    """Stiffness and damping that a servo gives its joint [N·m/rad, N·m·s/rad; N/m, N·s/m]."""
-    square = float(model.actuator_gear[actuator, 0]) ** 2
-    _, length, velocity = model.actuator_bias[actuator].tolist()
-    return -square * length, -square * velocity
 
 
 def _rows(model: Model) -> Iterator[_Oscillator]:
@@ -156,17 +131,9 @@ def _penalties(model: Model) -> Iterator[_Oscillator]:
         yield _Oscillator(ElementId.of(model, "contact", pair), -1, square, rate)
 
 
-def damper_is_implicit(model: Model, integrator: str) -> bool:
-    """Whether an integrator treats joint damping implicitly."""
-    if integrator == "euler":
-        return model.scene.features.eulerdamp
-    return integrator == "implicitfast"
-
-
 def _weight(model: Model, joint: int) -> float:
     """The largest entry of M⁻¹'s diagonal at qpos0 among the joint's dofs."""
-    start = int(model.jnt_dofadr[joint])
-    return float(model.dof_invweight0[start : start + DOFS[model.jnt_type[joint]]].max())
+    return float(model.dof_invweight0[joint_dofs(model, joint)].max())
 
 
 def _root(model: Model, body: int) -> int:

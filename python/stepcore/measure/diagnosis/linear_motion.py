@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.engine.linear_maps import stepped
+from stepcore.engine.linear_maps import DAMPING_IMPLICIT, stepped
 from stepcore.engine.model import Model
+from stepcore.experiment.joint_gains import implicit_kinds
 from stepcore.measure.diagnosis.element_id import INERTIAL, ROWS, ElementId
 from stepcore.measure.diagnosis.element_matrices import ElementMatrices, element_matrices
 from stepcore.measure.diagnosis.linear_step import (
@@ -112,12 +113,13 @@ def linear_motion(model: Model, state: State, dt: float | None) -> LinearMotion 
 
 def _implicit(model: Model, elements: dict[ElementId, Any]) -> dict[str, frozenset[ElementId]]:
     """Which elements' damping each integrator treats implicitly."""
-    dampers = frozenset(e for e in elements if e.kind == "damper")
-    actuators = frozenset(e for e in elements if e.kind == "actuator")
     layout = Layout(model.scene)
     # The spin of a free body that carries nothing.
     lone = {id(joint.body) for joint in layout.joints if joint.type == "free"}
     lone -= {id(body.parent) for body in layout.bodies[1:]}
     spins = {e for e in elements if e.kind == "spin" and id(layout.bodies[e.index]) in lone}
-    euler = dampers if model.scene.features.eulerdamp else frozenset()
-    return {"euler": euler, "implicitfast": dampers | actuators | spins}
+    implicit = {}
+    for integrator in DAMPING_IMPLICIT:
+        kinds = implicit_kinds(model, integrator)
+        implicit[integrator] = frozenset(e for e in elements if e.kind in kinds)
+    return implicit | {"implicitfast": implicit["implicitfast"] | spins}

@@ -11,7 +11,7 @@ import numpy as np
 from stepcore.engine.linear_maps import step_matrix
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
-from stepcore.scene.layout import DOFS, Layout
+from stepcore.experiment.joint_gains import implicit_kinds, joint_dofs, joint_gains
 
 # A larger radius counts as growth: rounding moves a double eigenvalue by its square root.
 GROWS = 1.0 + 1e-6
@@ -54,22 +54,16 @@ def limit_of(model: Model, key: str | int | None, integrator: str) -> float | No
     None where the scene has none of them. Contacts, limits, gravity and Coriolis terms are left
     out; the spring of a ball or free joint and polynomial coefficients are taken at rest.
     """
-    stiffness, joint, servo = np.zeros(model.nv), np.zeros(model.nv), np.zeros(model.nv)
-    scene = model.scene
-    for element, first in zip(Layout(scene).joints, model.jnt_dofadr, strict=True):
-        own = slice(first, first + DOFS[element.type])
-        stiffness[own] += element.stiffness if scene.features.spring else 0.0
-        joint[own] += element.damping if scene.features.damper else 0.0
-    for i, j in enumerate(model.actuator_joint if scene.features.actuation else ()):
-        squared = model.actuator_gear[i, 0] ** 2
-        stiffness[model.jnt_dofadr[j]] -= squared * model.actuator_bias[i, 1]
-        servo[model.jnt_dofadr[j]] -= squared * model.actuator_bias[i, 2]
-    if not (stiffness.any() or joint.any() or servo.any()):
+    stiffness, damping, implicit = np.zeros(model.nv), np.zeros(model.nv), np.zeros(model.nv)
+    hidden = implicit_kinds(model, integrator)
+    for gain in joint_gains(model):
+        at = joint_dofs(model, gain.joint)
+        stiffness[at] += gain.stiffness
+        damping[at] += gain.damping
+        implicit[at] += gain.damping * (gain.kind in hidden)
+    if not (stiffness.any() or damping.any()):
         return None
     sim = Sim(model)
     sim.reset(key=key)
-    implicit = joint + servo if integrator == "implicitfast" else joint
-    if integrator == "euler" and not scene.features.eulerdamp:
-        implicit = np.zeros(model.nv)
-    parts = (np.diag(stiffness), np.diag(joint + servo), np.diag(implicit))
+    parts = (np.diag(stiffness), np.diag(damping), np.diag(implicit))
     return limit(integrator, sim.mass_matrix(), *parts)
