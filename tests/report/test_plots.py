@@ -149,12 +149,12 @@ def test_a_diagnosis_shows_the_largest_stable_dt_of_each_element(results):
     assert finite and {round(dt, 9) for dt in finite} <= ends
 
 
-def test_a_postmortem_shows_energy_and_what_each_element_added(results):
+def test_a_postmortem_shows_energy_and_what_each_element_injected(results):
     again = results("postmortem")
     figure = again.plot()
     above, below = figure.axes
     assert above.get_ylabel() == "kinetic and spring\nenergy [J]"
-    assert labels(below) == ("step", "energy added per step,\npart of that energy")
+    assert labels(below) == ("step", "energy injected per step,\npart of that energy")
     assert names(figure)[0] == "spring of joint spring (100 % of the growth)"
     (energy,) = above.lines
     assert energy.get_ydata()[-1] == pytest.approx(math.log10(again.energy[-1]))

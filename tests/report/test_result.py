@@ -13,11 +13,7 @@ COMMON = ["kind", "model", "motion", "settings", "sentences", "rows", "units", "
 WITHOUT_MOTION = ("plan", "postmortem")
 
 
-# Not yet on `Report`, or without rows or motion of their own: to be mended, none to be added.
-LEFT = ("diagnosis",)
-
-
-@pytest.fixture(params=[kind for kind in RESULTS if kind not in LEFT])
+@pytest.fixture(params=RESULTS)
 def result(request):
     return RESULTS[request.param]()
 

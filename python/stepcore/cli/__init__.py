@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TextIO
 COMMANDS = {
     "lesson": "compare every figure of the lesson with its reference",
     "run": "simulate a model and print its final state",
-    "replay": "run a failed simulation again and show where its energy came from",
+    "replay": "run a failed simulation again and show which elements injected its energy",
     "trade": "measure what speed costs in accuracy, and recommend settings",
     "predict": "measure how long a model's motion can be predicted",
     "diagnose": "find the element that limits the time step",

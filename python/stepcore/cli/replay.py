@@ -1,4 +1,4 @@
-"""Run a failed simulation again from its replay file, and show which elements added energy in
+"""Run a failed simulation again from its replay file, and show which elements injected energy in
 the steps before the failure.
 
 `stepcore run` writes such a file when a run fails; in Python it is the error's `replay`.

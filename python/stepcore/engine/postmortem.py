@@ -1,4 +1,4 @@
-"""`PostMortem`: a failure that was run again, and the energy that each element added."""
+"""`PostMortem`: a failure that was run again, and the energy that each element injected."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ PRINTED_ELEMENTS = 5
 
 @dataclass(repr=False)
 class PostMortem(Result):
-    """A failure that was run again, and the energy that each element added in each step.
+    """A failure that was run again, and the energy that each element injected in each step.
 
     name: of the scene. same: it failed in the same step with the same bits. time: after each step
     [s], shape (n,). energy: kinetic energy and that of springs and penalty contacts [J], before the
-    first step and after each, shape (n + 1,). work: by element, the energy that it added in each
+    first step and after each, shape (n + 1,). work: by element, the energy that it injected in each
     step [J], shape (n,): its work on the motion and the change of what it stores. The sum over all
     elements is the change of the whole energy, gravity's included; in an exact motion a
-    conservative element adds nothing. shares: each element's part of the growth, the largest first.
+    conservative element injects nothing. shares: each element's part of the growth, the largest
+    first.
 
     >>> import stepcore as sc
     >>> sim = sc.Sim(sc.lesson.spring(), dt=0.1, integrator="explicit", ledger=True)
@@ -91,7 +92,7 @@ class PostMortem(Result):
 
     @property
     def table(self) -> Table:
-        """After each step: the energy and what each element added in the step [J]."""
+        """After each step: the energy and what each element injected in the step [J]."""
         return self._steps(list(self.work), len(self.time))
 
     def tables(self, full: bool) -> list[Table]:
@@ -100,7 +101,9 @@ class PostMortem(Result):
             return []
         names = self.leading(len(self.work) if full else PRINTED_ELEMENTS)
         table = self._steps(names, len(self.time) if full else PRINTED_STEPS)
-        table.heading = "Kinetic and spring energy [J], and what each element added in the step [J]"
+        table.heading = (
+            "Kinetic and spring energy [J], and what each element injected in the step [J]"
+        )
         return [table]
 
     def _steps(self, names: list[str], most: int) -> Table:

@@ -1,4 +1,4 @@
-"""The plot of a post-mortem: energy over the last steps, and which elements added it."""
+"""The plot of a post-mortem: energy over the last steps, and which elements injected it."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 # Elements that are drawn, and the steps before the failure.
 DRAWN, STEPS = 5, 128
-# Energy added beyond this part of the whole is cut off: in the last steps inertial forces and rows
-# add and remove many times what there is.
+# Energy injected beyond this part of the whole is cut off: in the last steps inertial forces and
+# rows inject and take out many times what there is.
 CUT = 1.5
 
 
 def draw(result: PostMortem) -> Any:
-    """Above, the energy after each step; below, the part of it that each element added.
+    """Above, the energy after each step; below, the part of it that each element injected.
 
     Without recorded steps there is only each element's part of the growth.
     """
@@ -48,7 +48,7 @@ def draw(result: PostMortem) -> Any:
     low, high = below.get_ylim()
     below.set_ylim(max(low, -CUT), min(high, CUT))
     below.axhline(0.0, color=GREY, lw=0.8)
-    below.set_ylabel("energy added per step,\npart of that energy")
+    below.set_ylabel("energy injected per step,\npart of that energy")
     below.set_xlabel("step")
     below.xaxis.get_major_locator().set_params(integer=True)
     frame(below)
@@ -75,6 +75,6 @@ def _shares_alone(result: PostMortem) -> Any:
     names = list(result.shares)[:DRAWN][::-1]
     shares = [100 * result.shares[name] for name in names]
     axes.barh([name.replace("`", "") for name in names], shares, color=BLUE, height=0.6)
-    axes.set_xlabel("share of the energy added over the last steps [%]")
+    axes.set_xlabel("share of the energy injected over the last steps [%]")
     frame(axes, _heading(result))
     return figure
