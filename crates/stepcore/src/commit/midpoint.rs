@@ -101,7 +101,7 @@ impl<R: Real> Sim<R> {
             qvel: &self.next.trial.qvel,
             inputs: &self.inputs,
         };
-        let (half, quarter) = (R::of(0.5) * dt, R::of(0.25) * dt * dt);
+        let half = R::of(0.5 * self.clock.seconds);
         damped.slopes.fill([R::zero(); 2]);
         slopes(&now, Group::Passive, |_, k, slopes| {
             for (sum, slope) in damped.slopes[k].iter_mut().zip(slopes) {
@@ -112,7 +112,7 @@ impl<R: Real> Sim<R> {
             damped.metric.l[dof.row.start] += half * *damping + *stiffness * half * half;
         }
         slopes(&now, Group::Driven, |_, k, [stiffness, damping]| {
-            let extra = half * damping + quarter * stiffness;
+            let extra = half * damping + R::of(0.25) * dt * dt * stiffness;
             damped.metric.l[model.dofs[k].row.start] += extra;
         });
         damped.metric.factor(0..model.nv);
