@@ -1,4 +1,4 @@
-"""Where each joint's coordinates lie, and what its actuators and dampers do."""
+"""Where each joint's coordinates lie, and how far two states are apart in them."""
 
 from __future__ import annotations
 
@@ -18,23 +18,6 @@ class Start:
     qvel: np.ndarray
 
 
-@dataclass(frozen=True)
-class Motor:
-    """A motor or servo on the dofs `at`; its ranges as in `stepcore.scene.elements.Actuator`.
-
-    q: the coordinate of a hinge or slide. gain, bias: as in `Model.actuator_bias`.
-    """
-
-    label: str
-    at: slice
-    gear: np.ndarray
-    ctrlrange: tuple[float, float] | None
-    forcerange: tuple[float, float] | None
-    q: int
-    gain: float
-    bias: np.ndarray
-
-
 class Coordinates:
     """The coordinates of a model.
 
@@ -46,29 +29,12 @@ class Coordinates:
         scene = model.scene
         layout = Layout(scene)
         self.nv = model.nv
-        first = list(zip(model.jnt_qposadr.tolist(), model.jnt_dofadr.tolist(), strict=True))
-        self.joints: list[tuple[str, int, int, tuple[float, float] | None]] = []
-        for joint, (q, v) in zip(layout.joints, first, strict=True):
-            self.joints.append((joint.type, q, v, joint.range if scene.features.limit else None))
-        self.model = model
+        qpos, qvel = model.jnt_qposadr.tolist(), model.jnt_dofadr.tolist()
+        self.joints: list[tuple[str, int, int, tuple[float, float] | None]] = [
+            (joint.type, q, v, joint.range if scene.features.limit else None)
+            for joint, q, v in zip(layout.joints, qpos, qvel, strict=True)
+        ]
         self.moving = [i for i, body in enumerate(layout.bodies) if layout.moving(body)]
-        self.motors: list[Motor] = []
-        self.works = scene.features.actuation
-        for i, actuator in enumerate(scene.actuators):
-            n, (q, at) = DOFS[actuator.joint.type], first[model.actuator_joint[i]]
-            clamped = actuator.ctrlrange if scene.features.clampctrl else None
-            self.motors.append(
-                Motor(
-                    actuator.name or f"actuator {i}",
-                    slice(at, at + n),
-                    np.array(actuator.gear[:n]),
-                    clamped,
-                    actuator.forcerange,
-                    q,
-                    float(model.actuator_gain[i]),
-                    model.actuator_bias[i],
-                )
-            )
 
     def drawn(self, rng: np.random.Generator, slides: float, turns: float) -> np.ndarray:
         """A uniform change of every dof, at most `slides` along and `turns` about; shape (nv,)."""
@@ -118,22 +84,6 @@ class Coordinates:
                 back = before[..., at] * np.array([1.0, -1.0, -1.0, -1.0])
                 result[..., v + along : v + along + 3] = turned(product(back, after[..., at]))
         return result
-
-    def motor_force(self, ctrl: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """Generalised force of motors and servos, (…, nu) → (…, nv) [N or N·m]."""
-        force = np.zeros((*np.shape(ctrl)[:-1], self.nv))
-        for k, motor in enumerate(self.motors if self.works else []):
-            value = np.asarray(ctrl[..., k], float)
-            if motor.ctrlrange is not None:
-                value = np.clip(value, *motor.ctrlrange)
-            value = motor.gain * value + motor.bias[0]
-            if motor.bias[1:].any():
-                length, rate = qpos[..., motor.q], qvel[..., motor.at.start]
-                value += motor.gear[0] * (motor.bias[1] * length + motor.bias[2] * rate)
-            if motor.forcerange is not None:
-                value = np.clip(value, *motor.forcerange)
-            force[..., motor.at] += value[..., None] * motor.gear
-        return force
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:

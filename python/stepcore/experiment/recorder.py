@@ -117,11 +117,11 @@ class Recorder(Probe):
         A motor's force is held, so force × change of the joint is exact for hinges and slides;
         a servo's is the mean of both ends, which is exact for its stiffness.
         """
-        coordinates = self.bodies.coordinates
-        change = coordinates.change(qpos[:-1], qpos[1:])
+        model = self.bodies.model
+        change = self.bodies.coordinates.change(qpos[:-1], qpos[1:])
         mean = (qvel[:-1] + qvel[1:]) / 2
-        damped = coordinates.model.element_force("damper", ctrl, qpos[:-1], mean)
-        force = coordinates.motor_force(ctrl, qpos[:-1], qvel[:-1])
-        force = (force + coordinates.motor_force(ctrl, qpos[1:], qvel[1:])) / 2
-        work: np.ndarray = np.sum((force + damped) * change, axis=-1)
+        damped = model.element_force("damper", ctrl, qpos[:-1], mean)
+        before = model.element_force("actuator", ctrl, qpos[:-1], qvel[:-1])
+        after = model.element_force("actuator", ctrl, qpos[1:], qvel[1:])
+        work: np.ndarray = np.sum(((before + after) / 2 + damped) * change, axis=-1)
         return work

@@ -92,8 +92,8 @@ def scheduled(
         given = drawing.given(motion.ctrl, periods, model.nu)
         ctrl = np.broadcast_to(given, (count, periods, model.nu))
     elif motion.control is None:
-        values = [drawing.smooth(coordinates, held, periods, period, rng) for _ in begin]
-        ctrl, undriven = np.stack(values), drawing.undriven(coordinates, held)
+        values = [drawing.smooth(model, held, periods, period, rng) for _ in begin]
+        ctrl, undriven = np.stack(values), drawing.undriven(model, held)
     return Schedule(period, periods, every, tuple(begin), ctrl, motion.control, tuple(undriven))
 
 

@@ -71,36 +71,38 @@ def given(ctrl: ArrayLike, periods: int, nu: int) -> np.ndarray:
 
 
 def smooth(
-    coordinates: Coordinates,
-    held: np.ndarray,
-    periods: int,
-    period: float,
-    rng: np.random.Generator,
+    model: Model, held: np.ndarray, periods: int, period: float, rng: np.random.Generator
 ) -> np.ndarray:
     """A few sines in every actuator's range, around the keyframe's control; shape (periods, nu).
 
     An actuator without a range swings by a quarter of the keyframe's control.
     """
     times = period * np.arange(periods)
-    values = np.empty((periods, len(coordinates.motors)))
-    for k, motor in enumerate(coordinates.motors):
+    values = np.empty((periods, model.nu))
+    for k in range(model.nu):
         hertz = rng.uniform(0.3, 3.0, SINES)
         phase = rng.uniform(0.0, 2 * math.pi, SINES)
         share = rng.dirichlet(np.ones(SINES))
         wave = np.sin(2 * math.pi * np.outer(times, hertz) + phase) @ share
-        if motor.ctrlrange is None:
-            values[:, k] = held[k] + 0.25 * abs(held[k]) * wave
-        else:
-            low, high = motor.ctrlrange
+        if _clamped(model, k):
+            low, high = model.actuator_ctrlrange[k]
             centre = held[k] if held[k] else (low + high) / 2
             values[:, k] = np.clip(centre + 0.4 * (high - low) * wave, low, high)
+        else:
+            values[:, k] = held[k] + 0.25 * abs(held[k]) * wave
     return values
 
 
-def undriven(coordinates: Coordinates, held: np.ndarray) -> list[str]:
+def undriven(model: Model, held: np.ndarray) -> list[str]:
     """Actuators that `smooth` holds still: nothing says how far they may go."""
     return [
-        motor.label
-        for k, motor in enumerate(coordinates.motors)
-        if motor.ctrlrange is None and held[k] == 0
+        name or f"actuator {k}"
+        for k, name in enumerate(model.actuator_names)
+        if not _clamped(model, k) and held[k] == 0
     ]
+
+
+def _clamped(model: Model, actuator: int) -> bool:
+    """Whether an actuator's control is held to a range."""
+    given = bool(np.isfinite(model.actuator_ctrlrange[actuator]).all())
+    return given and model.scene.features.clampctrl
