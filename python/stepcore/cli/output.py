@@ -1,4 +1,4 @@
-"""How results leave the command line: as text, data, a picture or a page."""
+"""How a command writes its result: as text, JSON, a plot or a page."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Results as text, tables, pictures, pages and data."""
+"""Reports: how results become text, tables, plots, pages and data."""

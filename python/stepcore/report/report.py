@@ -75,11 +75,11 @@ class Report:
         ]
         return "\n".join([setup, *_prose(self.sentences), *tables])
 
-    def page(self, picture: bytes) -> str:
-        """The report and its picture (SVG) as one page that needs no other file."""
+    def page(self, plot: bytes) -> str:
+        """The report and its plot (SVG) as one page that needs no other file."""
         return PAGE.format(
             title=html.escape(self.title),
-            picture=base64.b64encode(picture).decode("ascii"),
+            plot=base64.b64encode(plot).decode("ascii"),
             body=self.html(),
         )
 
@@ -137,7 +137,7 @@ PAGE = """<!doctype html>
 <style>body {{ font: 16px/1.5 sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem }}
 img {{ max-width: 100%; height: auto }}</style></head>
 <body><h1>{title}</h1>
-<img alt="{title}" src="data:image/svg+xml;base64,{picture}">
+<img alt="{title}" src="data:image/svg+xml;base64,{plot}">
 {body}
 </body></html>
 """

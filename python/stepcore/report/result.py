@@ -1,4 +1,4 @@
-"""`Result`: what every measurement returns: it prints, plots, and leaves as data or as a page."""
+"""`Result`: the base of what every measurement returns."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from stepcore.report.table import Table, jsonable
 
 
 class Result(ABC):
-    """A measurement that says what it found, and leaves as text, picture, page and data.
+    """What a measurement returns: it prints itself, and is a plot, a page and data as well.
 
-    name: of the scene. notes: what to bear in mind. A subclass says what it measured (`title`,
-    `setup`), what follows from it (`sentences`), and what was measured (`table`, and as printed
-    `tables`); everything else is made of these.
+    name: of the scene. notes: what to bear in mind. A subclass says what it measured and how
+    (`title`, `setup`), the answer (`sentences`), and the figures (`table`, and `tables` as they are
+    printed); everything else is made of these.
     """
 
     # What was measured, and the units of the columns of `table`.
@@ -100,7 +100,7 @@ class Result(ABC):
         return json.dumps(self.to_dict(), indent=indent)
 
     def to_html(self, path: str | os.PathLike[str] | None = None) -> str:
-        """The picture and the report as one page that needs no other file. Needs matplotlib.
+        """The plot and the report as one page that needs no other file. Needs matplotlib.
 
         Written to `path` if given.
         """

@@ -1,4 +1,4 @@
-"""`Plan`: what a step does and what it leaves out, as text, data and a picture."""
+"""`Plan`: what a step does and what it leaves out, as text, data and a plot."""
 
 from __future__ import annotations
 

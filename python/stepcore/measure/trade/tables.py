@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore.measure.trade.statistics import QUANTITIES
-from stepcore.report.settings import label, rarer
+from stepcore.report.settings import differences, label
 from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, seconds
 
@@ -99,7 +99,7 @@ def _cells(trade: Trade, row: TradeRow) -> dict[str, Any]:
         "dt": f"{s.dt * 1e3:.4g}",
         "integrator": s.integrator,
         "solver": f"pgs {s.sweeps}" if s.solver == "pgs" else s.solver,
-        "also": ", ".join(rarer(s, trade.shipped.settings)),
+        "also": ", ".join(differences(s, trade.shipped.settings)),
         "cost": _cost(row.cost),
         "flops": "" if math.isnan(row.flops) else compact(row.flops),
         "rows": "" if math.isnan(row.row_updates) else compact(row.row_updates),

@@ -87,7 +87,7 @@ def _says(result: StabilityMap) -> list[str]:
 
 
 def _visible(panel: MapPanel) -> bool:
-    """Whether its boundary crosses the picture: not where it is at any dt or at none."""
+    """Whether its boundary crosses the panel: not if motion grows at any dt, or at none."""
     return panel.boundary is not None and set(panel.boundary) not in ({0.0}, {np.inf})
 
 

@@ -11,7 +11,7 @@ from stepcore.report.plot.style import BLUE, COLOURS, ORANGE, TEXT, frame, new_f
 if TYPE_CHECKING:
     from stepcore.engine.trajectory import Trajectory
 
-# In the order in which lines of one quantity are figure.
+# In the order in which lines of one quantity are drawn.
 LINES = tuple(COLOURS.values())
 # More lines than this cannot be told apart by colour, and have no legend.
 NAMED = len(LINES)
