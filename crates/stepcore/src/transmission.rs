@@ -98,3 +98,50 @@ impl Transmission {
         Reach { length: qpos[joint.qpos], first, arms, count: 1 }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::commit::advance;
+    use crate::scene::{Body, Geom, Joint, Scene};
+
+    fn model(kind: JointType) -> Model {
+        let mut scene = Scene::default();
+        scene.bodies.push(Body::default());
+        scene.joints.push(Joint { body: 1, kind, ..Joint::default() });
+        scene.geoms.push(Geom { body: 1, size: [0.1, 0.0, 0.0], ..Geom::default() });
+        Model::compile(&scene).unwrap()
+    }
+
+    /// Arms are the derivatives of the length along each dof.
+    #[test]
+    fn arms_are_derivatives() {
+        for kind in [JointType::Slide, JointType::Hinge, JointType::Ball] {
+            let model = model(kind);
+            let mut start = model.qpos0.clone();
+            let push: Vec<f64> = (0..model.nv).map(|k| 0.4 - 0.3 * k as f64).collect();
+            advance(&model, &model.qpos0, &push, 1.0, &mut start);
+            let mut all = vec![Transmission::Joint(0)];
+            if kind != JointType::Ball {
+                all.push(Transmission::Geared(0, [-2.5, 0.0, 0.0, 0.0, 0.0, 0.0]));
+            }
+            for along in all {
+                let mut arms = vec![0.0; model.nv];
+                along.arms(&model, &start, |dof, arm: f64| arms[dof] += arm);
+                for (dof, arm) in arms.iter().enumerate() {
+                    let length = |by: f64| {
+                        let mut unit = vec![0.0; model.nv];
+                        unit[dof] = by;
+                        let mut moved = start.clone();
+                        advance(&model, &start, &unit, 1.0, &mut moved);
+                        along.length(&model, &moved)
+                    };
+                    let slope = (length(1e-6) - length(-1e-6)) / 2e-6;
+                    assert!((slope - arm).abs() < 1e-8, "{kind:?} {dof}: {slope} {arm}");
+                }
+                let dofs = along.dofs(&model);
+                assert_eq!(dofs.of(&model.dof_lists), (0..model.nv).collect::<Vec<_>>());
+            }
+        }
+    }
+}
