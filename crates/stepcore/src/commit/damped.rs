@@ -28,28 +28,28 @@ pub struct Damped<R: Real> {
     /// Trees with a damped dof, and those under `implicitfast`, where servos damp too.
     damped: Vec<usize>,
     damped_fast: Vec<usize>,
-    /// The same, by tree.
-    late: [Vec<bool>; 2],
+    /// Whether a tree is among the former, and among the latter.
+    late: Vec<[bool; 2]>,
     /// Single free bodies whose bias has a derivative.
     gyroscopic: Vec<usize>,
 }
 
-room!(Damped<R>: impulse, change, slopes, damped, damped_fast, gyroscopic; metric);
+room!(Damped<R>: impulse, change, slopes, damped, damped_fast, late, gyroscopic; metric);
 
 impl<R: Real> Damped<R> {
     pub fn new(model: &Model) -> Self {
         let has = |test: &dyn Fn(&Tree) -> bool| {
             (0..model.trees.len()).filter(|t| test(&model.trees[*t])).collect::<Vec<_>>()
         };
-        let late = [
-            model.trees.iter().map(|tree| model.damped(tree)).collect(),
-            model.trees.iter().map(|tree| model.damped(tree) || model.served(tree)).collect(),
-        ];
+        let late = |tree: &Tree| {
+            let damped = model.damped(tree);
+            [damped, damped || model.served(tree)]
+        };
         Self {
             metric: Metric::new(model),
             impulse: vec![R::zero(); model.nv],
             change: vec![R::zero(); model.nv],
-            late,
+            late: model.trees.iter().map(late).collect(),
             slopes: vec![[R::zero(); 2]; model.nv],
             damped: has(&|tree| model.damped(tree)),
             damped_fast: has(&|tree| model.damped(tree) || model.served(tree)),
@@ -93,9 +93,9 @@ impl<R: Real> Damped<R> {
                 self.metric.l[row.range()].copy_from_slice(&placed.mass[row.range()]);
             }
         }
-        let (late, slopes) = (&self.late[usize::from(fast)], &mut self.slopes);
+        let (late, slopes) = (&self.late, &mut self.slopes);
         let mut add = |k: usize, damping: R| {
-            if late[model.dofs[k].tree] {
+            if late[model.dofs[k].tree][usize::from(fast)] {
                 self.metric.l[model.dofs[k].row.start] += dt * damping;
             }
         };

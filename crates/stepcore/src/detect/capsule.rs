@@ -66,7 +66,7 @@ pub fn capsule_capsule<R: Real>(
 
     // From a place on p to q's nearest point; where that is an end of q, p's
     // nearest point to the end.
-    let settle = |s: R| {
+    let nearest = |s: R| {
         let free = R::select(q_long, (pq * s - qd) / qq, R::zero());
         let t = unit(free);
         let at_end = free.lt(R::zero()).or(free.gt(R::one())).or(q_long.not());
@@ -77,12 +77,12 @@ pub fn capsule_capsule<R: Real>(
     // Skew: start at the common perpendicular's foot. Parallel: at both ends of p.
     let foot = unit(between.cross(&q.along).dot(&cross) / cross2);
     let seed = R::select(p_long.and(parallel.not()), foot, R::zero());
-    let first = settle(seed);
+    let first = nearest(seed);
     if parallel.none() {
         return Touches::two(first, first.absent());
     }
     // Lanes that are not parallel keep the numbers of slot 0, as when run alone.
-    let mut second = settle(R::select(parallel, R::one(), seed));
+    let mut second = nearest(R::select(parallel, R::one(), seed));
     second.exists = parallel;
     Touches::two(first, second)
 }

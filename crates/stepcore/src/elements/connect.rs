@@ -60,8 +60,7 @@ impl<R: Real> Rows<R> {
             }
         }
         let element = Element::whole(Kind::Connect, index);
-        let block = self.push_block(first, Set::Interval, R::Mask::of(true), now, element);
-        block.mass = equality.mass;
+        self.push_block(first, Set::Interval, R::Mask::of(true), now, element, equality.mass);
     }
 
     /// Acceleration of a body point when no dof accelerates: J̇ v.

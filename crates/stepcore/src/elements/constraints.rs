@@ -38,7 +38,6 @@ impl<R: Real> Rows<R> {
         self.u.copy_from_slice(&now.placed.guess);
         if now.model.features.constraint && any(now.model) {
             make_all(&mut Makings { now, detected }, self);
-            self.assign_islands(now.model);
         }
     }
 }

@@ -86,8 +86,7 @@ impl<R: Real> Rows<R> {
         mask: R::Mask,
     ) {
         let pair = &now.model.pairs[contact.pair];
-        let block = self.push_block(first, set, mask, now, contact.element());
-        block.mass = pair.mass;
+        let block = self.push_block(first, set, mask, now, contact.element(), pair.mass);
         let soft = now.settings.law == Law::SolRef;
         block.mu = R::of(if soft { soft_friction(pair) } else { pair.friction });
     }

@@ -42,8 +42,14 @@ impl Constraint for FrictionLoss {
             }
             let part = k - model.joints[dof.joint].dof;
             let element = Element::part(Kind::FrictionLoss, dof.joint, part);
-            let block = rows.push_block(first, Set::Interval, R::Mask::of(true), now, element);
-            block.mass = model.trees[dof.tree].mass;
+            rows.push_block(
+                first,
+                Set::Interval,
+                R::Mask::of(true),
+                now,
+                element,
+                model.trees[dof.tree].mass,
+            );
         }
     }
 }

@@ -70,7 +70,13 @@ impl<R: Real> Rows<R> {
             return;
         }
         let element = Element::part(Kind::Limit, index, side);
-        let block = self.push_block(first, Set::Interval, mask, now, element);
-        block.mass = model.trees[model.dofs[joint.dof].tree].mass;
+        self.push_block(
+            first,
+            Set::Interval,
+            mask,
+            now,
+            element,
+            model.trees[model.dofs[joint.dof].tree].mass,
+        );
     }
 }

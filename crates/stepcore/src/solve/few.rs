@@ -5,7 +5,7 @@
 //! λ − w/s (Hintermüller, Ito & Kunisch 2002: the primal-dual active set method is a
 //! semismooth Newton method). Where the guess repeats, λ is the solution. With fewer
 //! rows than dofs the matrix is smaller than the Hessian, and usually one guess does.
-//! Guesses can go round in a circle: lanes that a few did not settle are left to the
+//! Guesses can go round in a circle: lanes that a few did not solve are left to the
 //! primal method, whose line search cannot.
 
 use super::dot::dot;

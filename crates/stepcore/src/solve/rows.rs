@@ -221,31 +221,18 @@ impl<R: Real> Rows<R> {
         mask: R::Mask,
         now: &Situation<R>,
         element: Element,
+        mass: f64,
     ) -> &mut Block<R> {
         let rows = Span { start: first, len: self.rows.len() - first };
         assert!(set == Set::Interval || rows.len <= CONE, "a cone of {} rows", rows.len);
-        self.blocks.push(Block {
-            rows,
-            set,
-            mask,
-            mu: R::zero(),
-            mass: 1.0,
-            element,
-            slot: now.model.slot(element),
-            island: 0,
-            rank: 0,
-        });
+        let dofs = self.rows[first].dofs.of(&now.model.dof_lists);
+        let island = dofs.first().map_or(0, |k| self.islands[now.model.dofs[*k].tree]);
+        let slot = now.model.slot(element);
+        let rank = self.ranks[slot as usize];
+        let mu = R::zero();
+        self.blocks.push(Block { rows, set, mask, mu, mass, element, slot, island, rank });
         let at = self.blocks.len() - 1;
         &mut self.blocks[at]
-    }
-
-    /// Tells every block its island, and its rank there.
-    pub(crate) fn assign_islands(&mut self, model: &Model) {
-        for block in &mut self.blocks {
-            let dofs = self.rows[block.rows.start].dofs.of(&model.dof_lists);
-            block.island = dofs.first().map_or(0, |k| self.islands[model.dofs[*k].tree]);
-            block.rank = self.ranks[block.slot as usize];
-        }
     }
 
     /// φ + dt·J v̂ < 0: the guess goes where it may not.

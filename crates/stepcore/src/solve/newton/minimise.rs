@@ -164,7 +164,7 @@ impl<R: Real> System<R> {
         for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
             let list = pattern.list(b);
             for row in &rows.rows[block.rows.range()] {
-                self.along[at] = dot(list, &rows.y[row.y..row.y + list.len()], &self.step);
+                self.rate[at] = dot(list, &rows.y[row.y..row.y + list.len()], &self.step);
                 at += 1;
             }
         }
@@ -203,14 +203,14 @@ impl<R: Real> System<R> {
             at += own.len();
             if block.set == Set::Interval {
                 for (row, at) in own.iter().zip(range) {
-                    let v = self.along[at];
+                    let v = self.rate[at];
                     let (impulse, bend) = interval(row, self.inv_c[at], self.w[at] + alpha * v);
                     slope = R::select(block.mask, slope - impulse * v, slope);
                     curve = R::select(block.mask, curve + bend * v * v, curve);
                 }
                 continue;
             }
-            let (w, v) = (padded(&self.w[range.clone()]), padded(&self.along[range]));
+            let (w, v) = (padded(&self.w[range.clone()]), padded(&self.rate[range]));
             let (impulse, bend) = self.cones[b].law(core::array::from_fn(|i| w[i] + alpha * v[i]));
             for i in 0..CONE {
                 slope = R::select(block.mask, slope - impulse[i] * v[i], slope);
@@ -241,15 +241,15 @@ impl<R: Real> System<R> {
             if self.fresh.none() {
                 break;
             }
-            self.along.copy_from_slice(&self.impulse);
+            self.rate.copy_from_slice(&self.impulse);
             self.laws(pattern, blocks, rows, R::Mask::of(false));
             self.stay_in_zones(blocks, rows);
-            // `along` holds λ, `impulse` the law's: make them e and λ.
-            for (impulse, along) in self.impulse.iter_mut().zip(&mut self.along) {
-                (*impulse, *along) = (*along, *impulse - *along);
+            // `rate` holds λ, `impulse` the law's: make them e and λ.
+            for (impulse, rate) in self.impulse.iter_mut().zip(&mut self.rate) {
+                (*impulse, *rate) = (*rate, *impulse - *rate);
             }
             self.step.fill(R::zero());
-            Self::gather(pattern, blocks, rows, &self.along, R::one(), &mut self.step);
+            Self::gather(pattern, blocks, rows, &self.rate, R::one(), &mut self.step);
             // Σ y e is what is left of the gradient: with δ it tells the decrement.
             self.gradient.copy_from_slice(&self.step);
             self.hessian.solve(pattern, &mut self.step);
@@ -282,7 +282,7 @@ impl<R: Real> System<R> {
                 if block.set == Set::Interval {
                     let active = self.curve[at][0].gt(R::zero());
                     let free = -self.w[at] * self.inv_c[at];
-                    self.impulse[at] = R::select(active, free, self.along[at]);
+                    self.impulse[at] = R::select(active, free, self.rate[at]);
                 }
                 at += 1;
             }
@@ -301,7 +301,7 @@ impl<R: Real> System<R> {
             for (i, row) in own.iter().enumerate() {
                 let along = dot(list, &rows.y[row.y..row.y + list.len()], &self.step);
                 if block.set == Set::Interval {
-                    let new = self.impulse[at] + (self.along[at] - self.curve[at][0] * along);
+                    let new = self.impulse[at] + (self.rate[at] - self.curve[at][0] * along);
                     self.impulse[at] = R::select(mask, new.clamp(row.lo, row.hi), self.impulse[at]);
                 } else {
                     v[i] = along;
@@ -315,7 +315,7 @@ impl<R: Real> System<R> {
             for i in 0..own.len() {
                 let curve = self.curve[first + i];
                 let bent = curve[0] * v[0] + curve[1] * v[1] + curve[2] * v[2];
-                new[i] += self.along[first + i] - bent;
+                new[i] += self.rate[first + i] - bent;
             }
             let new = project_round(block.mu, new);
             for (x, new) in self.impulse[first..at].iter_mut().zip(new) {

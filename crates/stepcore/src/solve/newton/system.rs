@@ -10,10 +10,11 @@ use crate::solve::rows::{Rows, Set, CONE};
 /// What the method holds of an island. "By row" counts the rows of the blocks at
 /// hand one after another; "by dof" is local, as in `Pattern::dofs`.
 pub(super) struct System<R: Real> {
-    /// By row: 1/c; w = y·u − t; its slope along the step; the impulse.
+    /// By row: 1/c; w = y·u − t; how fast w changes along the step (`finish` keeps what is left
+    /// of the impulses there); the impulse.
     pub(super) inv_c: Vec<R>,
     pub(super) w: Vec<R>,
-    pub(super) along: Vec<R>,
+    pub(super) rate: Vec<R>,
     pub(super) impulse: Vec<R>,
     /// By row: its row of the block's curvature s″; an interval uses the first entry.
     pub(super) curve: Vec<[R; CONE]>,
@@ -38,7 +39,7 @@ pub(super) struct System<R: Real> {
     pub(super) moved: bool,
 }
 
-room!(System<R>: inv_c, w, along, impulse, curve, cones, guess, u, d, inv_d, gradient, step,
+room!(System<R>: inv_c, w, rate, impulse, curve, cones, guess, u, d, inv_d, gradient, step,
     bent; hessian);
 
 impl<R: Real> System<R> {
@@ -46,7 +47,7 @@ impl<R: Real> System<R> {
         Self {
             inv_c: Vec::new(),
             w: Vec::new(),
-            along: Vec::new(),
+            rate: Vec::new(),
             impulse: Vec::new(),
             curve: Vec::new(),
             cones: Vec::new(),
@@ -92,7 +93,7 @@ impl<R: Real> System<R> {
                 .push(Cone::new(if block.set == Set::Interval { &[] } else { own }, block.mu));
         }
         let count = self.inv_c.len();
-        for list in [&mut self.w, &mut self.along, &mut self.impulse] {
+        for list in [&mut self.w, &mut self.rate, &mut self.impulse] {
             list.clear();
             list.resize(count, R::zero());
         }
