@@ -30,11 +30,19 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "N",
         "help": "initial states: the keyframe, and seeded ones near it",
     },
-    "seed": {"type": int, "metavar": "N", "help": "of the starts and the default controls"},
-    "key": {"help": "keyframe to start from, by name or index"},
+    "seed": {
+        "type": int,
+        "metavar": "N",
+        "help": "random seed of the starts and controls (default: 0)",
+    },
+    "key": {"help": "keyframe to start from, by name or index (default: the first)"},
     "control": {"metavar": "MODULE:FUNCTION", "help": "function of (time, sim) -> controls"},
     "ctrl": {"metavar": "FILE", "help": "controls, .npy or .csv, a row for each control period"},
-    "control_dt": {"type": float, "metavar": "S", "help": "control period [s]"},
+    "control_dt": {
+        "type": float,
+        "metavar": "S",
+        "help": "control period [s] (default: chosen to fit)",
+    },
 }
 
 
