@@ -62,10 +62,10 @@ def test_what_is_left_out_has_its_reason() -> None:
     why = "kept apart by the ranges of elbow, wrist; tested only outside them"
     assert ("upper/hand" in out["pairs", why][1]) or ("hand/upper" in out["pairs", why][1])
     assert out["all pairs of geoms", "contype and conaffinity are 0"] == (1, ("paint",))
-    gone = "mass matrix, factors and bias force, of trees"
+    gone = "mass matrix, factors and bias force (by tree)"
     assert out[gone, "isotropic: constant, and no gyroscopic term"] == (1, ("ball",))
     assert out[gone, "constant: nothing rotates"] == (1, ("lift",))
-    assert out["gyroscopic derivative, of free bodies", "isotropic"] == (1, ("ball",))
+    assert out["gyroscopic derivative (by free body)", "isotropic"] == (1, ("ball",))
     assert out["limits", "no range"][1] == ("turn", "shoulder", "rail")
     assert out["connections", "not active"] == (1, ("tie",))
     assert out["poses of bodies", "no step uses them"] == (1, ("lift",))
@@ -117,7 +117,7 @@ def test_the_page_quotes_the_half_cheetah() -> None:
     plan = sc.load("gymnasium:half_cheetah").compile().plan()
     page = (Path(__file__).parents[2] / "docs/plan.md").read_text()
     cost = {entry.name.split(",")[0]: entry.flops for entry in plan.used if entry.flops is not None}
-    names = ("poses of bodies", "mass matrix and its factors", "of which Coriolis")
+    names = ("poses of bodies", "mass matrix and its factors (by tree)", "of which Coriolis")
     for value in (plan.flops, cost["plane-capsule pairs"], *(cost[name] for name in names)):
         assert f"{value:.0f}" in page
     pairs = sum(entry.count for entry in plan.entries if entry.kind == "pair")
@@ -130,7 +130,7 @@ def test_folded_tangents_are_told() -> None:
     (entry,) = [e for e in plan.used if e.name.startswith("contacts")]
     assert entry.name == "contacts, 3 rows each (pyramidal cone)"
     out = left_out(plan)
-    why = "no body can move along it: 3 rows instead of 4"
+    why = "no body can move that way: 3 rows instead of 4"
     assert out["friction along one tangent", why][0] == 8
     sim = sc.Sim(sc.load("gymnasium:half_cheetah").compile())
     sim.step(200)
@@ -144,7 +144,7 @@ def test_a_scene_by_hand_has_a_plan() -> None:
     by_hand.add_geom(body, "box", (0.1, 0.2, 0.3))
     plan = by_hand.compile().plan()
     names = [e.name for e in plan.used if e.stage == "commit"]
-    assert names == ["integrator: euler, dofs of", "quaternions"]
+    assert names == ["integrator: euler (by joint)", "quaternions"]
 
 
 def test_work_changes_as_the_plan_says() -> None:

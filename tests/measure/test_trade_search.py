@@ -84,7 +84,7 @@ def test_it_keeps_to_the_error_and_says_what_less_would_cost(ball):
     answer, next_better, *_ = ball.sentences
     assert answer.startswith("Recommended for an error of at most 100 µm: ")
     assert answer.endswith("Confirmed on 8 further starts.")
-    assert next_better.startswith("At most half that error costs ")
+    assert next_better.startswith("Halving that error costs ")
 
 
 def test_the_next_better_is_better_than_what_was_found():
@@ -140,8 +140,8 @@ def test_a_budget_buys_the_least_error_it_can():
 def test_nothing_within_reach_is_said():
     result = sc.trade(lesson.drop(), error=1e-12, starts=1, further=2, effort=1e4, **COUNTED)
     assert result.recommended is None
-    assert result.sentences[0] == "No setting that was tried keeps to 1 pm in every start."
-    assert result.sentences[1].startswith("The nearest is ")
+    assert result.sentences[0] == "No setting tried has an error of at most 1 pm in every start."
+    assert result.sentences[1].startswith("The most accurate one is ")
     with pytest.raises(ValueError, match="the smallest in this trade"):
         result.best()
 

@@ -16,23 +16,23 @@ from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
 COMMANDS = {
-    "lesson": "compare every figure of the lesson with its reference",
+    "lesson": "check the engine on four small scenes whose results are known",
     "run": "simulate a model and print its final state",
     "replay": "run a failed simulation again and show which elements injected its energy",
     "trade": "measure what speed costs in accuracy, and recommend settings",
     "predict": "measure how long a model's motion can be predicted",
     "diagnose": "find the element that limits the time step",
-    "map": "map stability and accuracy over time step and a parameter",
-    "converge": "test whether contact forces are converged, and what would converge them",
+    "map": "map stability and accuracy over the time step and one value of a model",
+    "converge": "test whether the contact forces are converged, and what would converge them",
     "plan": "list what a step computes and what it leaves out",
     "ablate": "measure the cost and the effect of each modelled feature",
     "info": "print versions and the machine",
 }
 DESCRIPTION = "Rigid-body physics that measures what speed costs in accuracy."
 EPILOG = """\
-A FILE is the path of an MJCF file, "package:name" for a model among the files of an installed
-package (gymnasium:half_cheetah; the package is not imported), or "lesson:name" for a scene of the
-lesson (spring, drop, stack, grasp).
+FILE is the path of an MJCF file; or "package:name", a model among the files of an installed package
+(gymnasium:half_cheetah; the package is not imported); or "lesson:name", one of four small scenes
+that come with stepcore (spring, drop, stack, grasp).
 
 exit status: 0 success, 1 run-time failure, 2 usage error, 130 interrupted
 """

@@ -1,6 +1,6 @@
-"""Test whether the solver's sweeps converge the contact forces of a model, which contacts are
-furthest from converged, how fast sweeps converge, and whether more sweeps or smaller time steps
-reduce the error more at equal work.
+"""Test whether the solver's sweeps converge the contact forces of a model. The report says which
+contacts are furthest from converged, how fast the sweeps converge, and whether more sweeps or
+smaller time steps reduce the error more for the same work.
 
 Example:
   stepcore converge lesson:stack --plot residual.png
@@ -24,7 +24,7 @@ def add(command: argparse.ArgumentParser) -> None:
         type=int,
         default=8,
         metavar="N",
-        help="states at which sweeps are measured (default: %(default)s)",
+        help="number of states at which sweeps are measured (default: %(default)s)",
     )
     add_motion(command, horizon=HORIZON, starts=STARTS)
     add_output(command)

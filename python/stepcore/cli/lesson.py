@@ -1,5 +1,6 @@
-"""Compare every figure of the lesson with its reference: an integrator's growth, a contact's
-depth, a stack's convergence, a grasp's force.
+"""Check the engine on the lesson: four small scenes (spring, drop, stack, grasp) whose results are
+known. Every figure is printed beside its reference: the energy growth of an integrator, the depth
+of a contact, the convergence of a stack, the force of a grasp.
 
 Example:
   stepcore lesson --extremes
@@ -17,10 +18,15 @@ from stepcore.lesson import extremes
 
 def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "--engine", choices=("rust", "numpy"), default="rust", help="default: %(default)s"
+        "--engine",
+        choices=("rust", "numpy"),
+        default="rust",
+        help="implementation to test (default: %(default)s)",
     )
     command.add_argument(
-        "--extremes", action="store_true", help="its scenes and two models at extreme values"
+        "--extremes",
+        action="store_true",
+        help="run the four scenes and two robots at extreme time steps, masses and stiffnesses",
     )
     add_json(command)
 

@@ -1,5 +1,5 @@
-"""Map where a model is stable and accurate over the time step and one of its values, one map for
-each integrator, with the stability limit that theory gives.
+"""Map the stability and accuracy of a model over the time step and one of its values (a stiffness,
+a mass, a gain). There is one map for each integrator, with the stability limit from theory.
 
 Example:
   stepcore map lesson:spring joint/spring/stiffness --values 10:1e4:16 --plot map.png
@@ -24,11 +24,16 @@ WITHOUT = tuple(name for name in OPTIONS if name not in ("horizon", "key"))
 def add(command: argparse.ArgumentParser) -> None:
     words = " (default: lesson:spring; also lesson:stack)"
     add_file(command, nargs="?", default="lesson:spring", words=words)
-    command.add_argument("path", metavar="VALUE", nargs="?", help='such as "joint/knee/stiffness"')
+    command.add_argument(
+        "path", metavar="VALUE", nargs="?", help='value to vary, such as "joint/knee/stiffness"'
+    )
     command.add_argument("--values", metavar="LIST", help=f"values to try: {LIST}")
     command.add_argument("--dts", metavar="LIST", help=f"time steps to try [s]: {LIST}")
     command.add_argument(
-        "--integrator", action="append", metavar="NAME", help="may be given several times"
+        "--integrator",
+        action="append",
+        metavar="NAME",
+        help="integrator to map; may be given several times",
     )
     command.add_argument(
         "--error",
@@ -38,9 +43,13 @@ def add(command: argparse.ArgumentParser) -> None:
         "the motion (default: 10%%)",
     )
     command.add_argument(
-        "--size", type=float, metavar="M", help="size that errors are relative to [m]"
+        "--size",
+        type=float,
+        metavar="M",
+        help="length that errors are relative to [m] (default: the size of the motion)",
     )
-    add_motion(command, without=WITHOUT, horizon=f"1, or {STEPS} of the largest time steps")
+    longest = f"1, or {STEPS} times the largest time step if that is longer"
+    add_motion(command, without=WITHOUT, horizon=longest)
     add_output(command)
 
 

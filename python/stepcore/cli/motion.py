@@ -28,16 +28,19 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "starts": {
         "type": int,
         "metavar": "N",
-        "help": "initial states: the keyframe, and seeded ones near it",
+        "help": "number of initial states: the keyframe and random ones near it",
     },
     "seed": {
         "type": int,
         "metavar": "N",
-        "help": "random seed of the starts and controls (default: 0)",
+        "help": "random seed of the starts and of the default controls (default: 0)",
     },
     "key": {"help": "keyframe to start from, by name or index (default: the first)"},
-    "control": {"metavar": "MODULE:FUNCTION", "help": "function of (time, sim) -> controls"},
-    "ctrl": {"metavar": "FILE", "help": "controls, .npy or .csv, a row for each control period"},
+    "control": {"metavar": "MODULE:FUNCTION", "help": "a function (time, sim) -> controls"},
+    "ctrl": {
+        "metavar": "FILE",
+        "help": "controls (.npy or .csv), one row for each control period",
+    },
     "control_dt": {
         "type": float,
         "metavar": "S",
@@ -74,7 +77,10 @@ def add_motion(
             words += f" (default: {default[name]})"
         motion.add_argument(f"--{name.replace('_', '-')}", **(option | {"help": words}))
     motion.add_argument(
-        "--threads", type=int, metavar="N", help="runs at the same time (default: one per core)"
+        "--threads",
+        type=int,
+        metavar="N",
+        help="number of runs at the same time (default: one per core)",
     )
 
 

@@ -1,5 +1,5 @@
-"""List what a step of a model computes and what it leaves out, with the reason and with the
-operations that each entry costs.
+"""List what a step of a model computes and how many operations each entry costs, and what the step
+leaves out and why.
 
 Example:
   stepcore plan gymnasium:half_cheetah --time
@@ -19,8 +19,8 @@ from stepcore.report.result import Result
 def add(command: argparse.ArgumentParser) -> None:
     add_file(command)
     add_key(command)
-    command.add_argument("--time", action="store_true", help="measure times [µs] as well")
-    add_output(command, full="print the names of all elements")
+    command.add_argument("--time", action="store_true", help="also measure times [µs]")
+    add_output(command, full="print the names of all elements of each entry")
 
 
 def call(args: argparse.Namespace) -> Result:

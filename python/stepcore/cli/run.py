@@ -33,9 +33,15 @@ def add(command: argparse.ArgumentParser) -> None:
         "--dt", type=float, metavar="S", help="time step [s] (default: the model's)"
     )
     command.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="any field of Settings"
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="change a setting (any field of stepcore.Settings); may be given several times",
     )
-    command.add_argument("--replay", metavar="OUT", help="where a failed run is written")
+    command.add_argument(
+        "--replay", metavar="OUT", help="where to write the replay if the run fails"
+    )
     command.add_argument("--plot", metavar="OUT", help="write the plot of energy over time")
     add_json(command)
 

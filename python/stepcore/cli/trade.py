@@ -36,7 +36,7 @@ def add(command: argparse.ArgumentParser) -> None:
         type=int,
         default=16,
         metavar="N",
-        help="further starts that a recommendation is confirmed on (default: %(default)s)",
+        help="number of further starts that must confirm a recommendation (default: %(default)s)",
     )
     command.add_argument(
         "--by",

@@ -95,7 +95,7 @@ def known(
             bases[name] = f"twice the distance to {other}"
         else:
             sure[name] = 2 * last
-            bases[name] = "twice what the last halving moved it: no other integrator runs"
+            bases[name] = "twice the change in its last halving, because no other integrator runs"
     # No start is worse than the worst, so neither is their median.
     if sure["high"] < sure["error"]:
         sure["error"], orders["error"], bases["error"] = sure["high"], orders["high"], bases["high"]

@@ -58,7 +58,7 @@ class _Listing:
         yield _used("files", "files read", files, kind="file")
         yield _out("files", "files not read", unread, "used for drawing only", kind="file")
         ignored = [line.rsplit(" (", 1)[0] for line in self.scene.ignored]
-        why = "for drawing or sensing, or in no equation"
+        why = "only for drawing or sensing, or unused by every equation"
         yield _out("files", "elements of the file", ignored, why, kind="file")
 
     def poses(self) -> Iterator[Listed]:
@@ -94,12 +94,12 @@ class _Listing:
         trees, on = self.tree_names, self.scene.features
         changing = [name for name, fixed in zip(trees, constant, strict=True) if not fixed]
         stages = ("place/inertia", "place/factor")
-        yield _used("place", "mass matrix and its factors, of trees", changing, stages=stages)
-        name = "bias force (gravity, velocities), of trees"
+        yield _used("place", "mass matrix and its factors (by tree)", changing, stages=stages)
+        name = "bias force of gravity and velocity (by tree)"
         yield _used("place", name, changing, stages=("place/bias",))
         sliding = [n for n, s in zip(trees, slides, strict=True) if s]
         balls = [n for n, c, s in zip(trees, constant, slides, strict=True) if c and not s]
-        name = "mass matrix, factors and bias force, of trees"
+        name = "mass matrix, factors and bias force (by tree)"
         yield _out("place", name, sliding, "constant: nothing rotates")
         yield _out("place", name, balls, "isotropic: constant, and no gyroscopic term")
         removals = {removal.kind: removal for removal in self.features.terms()}
@@ -124,7 +124,7 @@ class _Listing:
             yield _used("place", "actuators", actuators, removal=removal)
         else:
             yield _out("place", "actuators", actuators, "switched off (actuation)")
-        name = "velocity before constraints, dofs of"
+        name = "velocity before constraints (by joint)"
         yield _used("place", name, self.joint_names, stages=("place/guess",))
         if not on.gravity or not any(self.scene.gravity):
             yield _out("place", "gravity", [], "0" if on.gravity else "switched off", count=1)
@@ -211,7 +211,7 @@ class _Listing:
         condim, still, friction = plan["condim"], plan["still"], plan["friction"]
         every = range(len(condim))
         if law == "penalty":
-            why = "law penalty: springs, no rows"
+            why = "the law penalty uses springs, not rows"
             yield _out("solve", "contact rows", self._pair_names(every), why, kind="row")
             return
         normal = self._pair_names(i for i in every if condim[i] == 1)
@@ -239,7 +239,7 @@ class _Listing:
             )
             if tangents < 2:
                 full = self._rows_of_contact(2)
-                why = f"no body can move along it: {rows} rows instead of {full}"
+                why = f"no body can move that way: {rows} rows instead of {full}"
                 word = "one tangent" if tangents else "both tangents"
                 yield _out("solve", f"friction along {word}", names, why, kind="row")
         if zero and not dropped:
@@ -256,9 +256,9 @@ class _Listing:
     def commit(self) -> Iterator[Listed]:
         """The solver, what the integrator adds, and quaternions."""
         settings, on, plan = self.settings, self.scene.features, self.plan
-        name = f"impulses: {settings.solver}, islands"
+        name = f"impulses: {settings.solver} (by island)"
         yield _used("solve", name, self._islands(), stages=("solve/impulses",))
-        name = f"integrator: {settings.integrator}, dofs of"
+        name = f"integrator: {settings.integrator} (by joint)"
         yield _used("commit", name, self.joint_names, stages=("commit",))
         if not settings.warm_start:
             yield _out("solve", "warm start", [], "switched off", count=1)
@@ -267,7 +267,7 @@ class _Listing:
         damped = [d or (fast and v) for d, v in zip(plan["damped"], plan["served"], strict=True)]
         have = [n for n, d in zip(names, damped, strict=True) if d]
         lack = [n for n, d in zip(names, damped, strict=True) if not d]
-        name = "implicit damping, of trees"
+        name = "implicit damping (by tree)"
         if fast or (integrator == "euler" and on.eulerdamp):
             yield _used("commit", name, have)
             yield _out("commit", name, lack, "nothing is damped")
@@ -277,7 +277,7 @@ class _Listing:
                 why = "switched off (eulerdamp)"
             yield _out("commit", name, have, why)
         if fast:
-            name = "gyroscopic derivative, of free bodies"
+            name = "gyroscopic derivative (by free body)"
             free = [i for i, is_free in enumerate(plan["free"]) if is_free]
             have = [names[i] for i in free if plan["gyroscopic"][i]]
             lack = [names[i] for i in free if not plan["gyroscopic"][i]]
@@ -285,7 +285,7 @@ class _Listing:
             yield _out("commit", name, lack, "isotropic" if on.coriolis else "switched off")
         have, lack = self._split(lambda joint: joint.type in ("free", "ball"))
         yield _used("commit", "quaternions", have)
-        yield _out("commit", "quaternions", lack, "one coordinate each")
+        yield _out("commit", "quaternions", lack, "slides and hinges have none")
 
     def _split(self, test: Callable[[Any], object]) -> tuple[list[str], list[str]]:
         """Names of the joints that pass a test, and of the others."""

@@ -1,4 +1,4 @@
-"""What to bear in mind of a trade: its reference, what is observed in it, and what failed."""
+"""Notes on a trade: on its reference, on what it observed, and on the settings that failed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stepcore.experiment.growth import GROWTH, NEARBY
 from stepcore.experiment.reference import FINER, Gap, Reference, smallest
 from stepcore.experiment.schedule import Schedule
 from stepcore.measure.trade.row import TradeRow
-from stepcore.report.units import metres, seconds
+from stepcore.report.units import metres, seconds, times
 
 # A residual of the reference that is worth saying [m/s].
 UNSOLVED = 1e-9
@@ -30,8 +30,8 @@ def about_run(
     """
     if asked is not None and schedule.horizon < asked * (1 - 1e-9):
         yield (
-            f"the horizon is {seconds(schedule.horizon)} and not {seconds(asked)}, so that it is "
-            "a whole number of samples"
+            f"the horizon is {seconds(schedule.horizon)} instead of {seconds(asked)}, because it "
+            "must be a whole number of samples"
         )
     if rows == 0:
         yield "no contact, limit or other row was ever active, so the solver does not matter"
@@ -51,20 +51,19 @@ def about_reference(reference: Reference, rows: Sequence[TradeRow], size: float)
     lost = int(np.isfinite(ends).sum())
     if lost:
         yield (
-            f"{lost} of {len(ends)} starts cannot be predicted to the end, the first one only for "
-            f"{seconds(float(ends.min()))}; errors are those before that. Runs perturbed by "
-            f"{NEARBY:g} of the scene's size are then more than {GROWTH:g} times as far apart"
+            f"{lost} of {len(ends)} starts cannot be predicted to the end (the first one only for "
+            f"{seconds(float(ends.min()))}), and their errors count only until then: a "
+            f"perturbation of {NEARBY:g} of the scene's size has grown more than {GROWTH:g} times"
         )
     if reference.exact is not None:
         yield (
-            "the motion has a closed form, from which errors are measured; the converged run "
-            f"differs from it by {metres(reference.exact.check)}"
+            "errors are measured from the closed form of the motion; the converged run differs "
+            f"from it by {metres(reference.exact.check)}"
         )
     if reference.stiffens:
         yield (
-            f'under the law "{reference.settings.law}" contacts stiffen as dt shrinks (beta/dt), '
-            "so the limit dt → 0 from which errors are measured is a harder scene than the "
-            "shipped one"
+            f'under the law "{reference.settings.law}" contacts stiffen as dt shrinks (beta/dt): '
+            "errors are measured from the limit dt → 0, where contacts are harder than as shipped"
         )
     for name, gap in reference.gaps.items():
         yield _modelling(name, gap)
@@ -72,14 +71,14 @@ def about_reference(reference: Reference, rows: Sequence[TradeRow], size: float)
     if reference.high * FINER > least > 0:
         yield (
             f"the reference's own error of {metres(reference.high)} is not {FINER:.0f} times "
-            f"smaller than the smallest error, {metres(least)}; a smaller error than the "
-            "reference's own is shown as < that"
+            f"smaller than the smallest error, {metres(least)}; errors below the reference's own "
+            "are shown as < that error"
         )
     marked = sum(row.best and row.below_max and not row.below for row in rows)
     if marked:
         yield (
-            f"the largest error of {marked} of the best rows is below the reference's own largest "
-            f"error of {metres(reference.largest)}, and is not known better than that"
+            f"the column max is uncertain by {metres(reference.largest)}, the reference's own "
+            f"largest error; in {marked} of the best rows it is below that"
         )
     rest = max(path.residual for path in reference.paths)
     if rest > UNSOLVED:
@@ -98,12 +97,12 @@ def observed(reference: Reference, horizon: float, orders: Mapping[str, float]) 
     """How long the motion can be predicted, and the order that each integrator shows."""
     growth = reference.growth
     if np.isfinite(growth.overall):
-        yield f"predictable for {seconds(growth.overall)} of {seconds(horizon)}"
+        yield f"the motion can be predicted for {seconds(growth.overall)} of {seconds(horizon)}"
     else:
         most = float(growth.factor.max())
         yield (
-            f"predictable over all of {seconds(horizon)}: perturbed runs end up at most {most:.2g} "
-            "times as far apart as they began"
+            f"the motion can be predicted over all of {seconds(horizon)}: perturbations grow at "
+            f"most {times(most)}"
         )
     if orders:
         shown = ", ".join(f"{name} {order:.2g}" for name, order in orders.items())
@@ -135,5 +134,5 @@ def _modelling(name: str, gap: Gap) -> str:
     least = "" if gap.settled else " at least"
     return (
         f"modelling error: {what}{least} {metres(gap.distance)} (RMS, worst start; compared with "
-        f"{gap.against}); no dt and no solver changes that"
+        f"{gap.against}); no time step and no solver changes this"
     )

@@ -93,7 +93,7 @@ class Trade(Result):
         return (
             f"{counted(len(self.rows), 'setting')}{tried}, over {seconds(self.horizon)} from "
             f"{counted(self.starts, 'start')}. The reference ({ref.level.integrator or 'exact'}, "
-            f"dt {seconds(ref.settings.dt)}) is known to {metres(ref.high)} ({ref.basis})."
+            f"dt {seconds(ref.settings.dt)}) is accurate to {metres(ref.high)} ({ref.basis})."
         )
 
     @property

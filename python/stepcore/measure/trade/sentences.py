@@ -40,11 +40,12 @@ def _for_error(trade: Trade, error: float) -> Iterator[str]:
         yield f"Recommended for an error of at most {metres(error)}: {_described(trade, row)}"
         yield _next_better(trade, row)
         return
-    yield f"No setting that was tried keeps to {metres(error)} in every start."
+    yield f"No setting tried has an error of at most {metres(error)} in every start."
     ran = [other for other in trade.rows if other.errors is not None]
     if ran:
         least = min(ran, key=lambda other: (trade.error(other), trade.price(other)))
-        yield f"The nearest is {_named(trade, least)}: its error is {metres(trade.error(least))}."
+        best = metres(trade.error(least))
+        yield f"The most accurate one is {_named(trade, least)}, with an error of {best}."
 
 
 def _for_budget(trade: Trade, budget: float) -> Iterator[str]:
@@ -56,11 +57,11 @@ def _for_budget(trade: Trade, budget: float) -> Iterator[str]:
         yield f"{what}: {_described(trade, row)}"
         yield _next_better(trade, row)
         return
-    yield f"No setting that was tried costs as little as {within} per simulated second."
+    yield f"No setting tried costs at most {within} per simulated second."
     ran = [other for other in trade.rows if not other.failure]
     if ran:
         least = min(ran, key=trade.price)
-        yield f"The cheapest is {_named(trade, least)}, at {_priced(trade, least)}."
+        yield f"The cheapest one is {_named(trade, least)}, at {_priced(trade, least)}."
 
 
 def _described(trade: Trade, row: TradeRow) -> str:
@@ -86,20 +87,20 @@ def _confirmed(trade: Trade, row: TradeRow) -> str:
         return f" It could not be confirmed: {tried.failure}."
     count = counted(tried.starts, "further start")
     if trade.target is None:
-        return f" That includes {count}."
+        return f" This includes {count}."
     if tried.held == tried.starts:
         return f" Confirmed on {count}."
-    return f" Of {count}, {tried.held} kept to it."
+    return f" The error stayed within it on {tried.held} of {count}."
 
 
 def _next_better(trade: Trade, row: TradeRow) -> str:
     """What at most half of the error costs."""
     better = trade.next_better(trade.error(row))
     if better is None:
-        return "No setting that was tried has at most half that error."
+        return "No setting tried halves that error."
     times = trade.price(better) / trade.price(row)
     return (
-        f"At most half that error costs {times:.2f} times as much: {_named(trade, better)}, with "
+        f"Halving that error costs {times:.2f} times as much: {_named(trade, better)}, with "
         f"an error of {metres(trade.error(better))}."
     )
 
@@ -120,7 +121,7 @@ def _shipped(trade: Trade) -> str:
     # The error counts rotation as well, so that the largest of centres may be below it.
     return (
         f"{what} the RMS position error over {seconds(trade.horizon)} is {error}{where}, for "
-        f"{_priced(trade, row)}. A centre of mass is at most {metres(e.position_max)} off."
+        f"{_priced(trade, row)}. The largest error of a centre of mass is {metres(e.position_max)}."
     )
 
 
@@ -131,17 +132,17 @@ def _improvements(trade: Trade) -> Iterator[str]:
         ran = [other for other in trade.rows if not other.failure]
         if ran:
             least = min(ran, key=trade.price)
-            wrong = metres(trade.error(least))
-            yield f"The cheapest setting that runs is {_named(trade, least)}: its error is {wrong}."
+            named, least_error = _named(trade, least), metres(trade.error(least))
+            yield f"The cheapest setting that runs is {named}, with an error of {least_error}."
         return
     error = trade.error(row)
     try:
-        yield f"At most half that error {_offer(trade, trade.cheapest(error / 2))}"
+        yield f"Halving that error {_offer(trade, trade.cheapest(error / 2))}"
     except ValueError:
-        yield "No setting that was tried has at most half that error."
+        yield "No setting tried halves that error."
     same = trade.cheapest(error)
     if trade.price(same) < NOTABLE * trade.price(row):
-        yield f"At most the same error {_offer(trade, same)}"
+        yield f"The same error or less {_offer(trade, same)}"
 
 
 def _offer(trade: Trade, row: TradeRow) -> str:

@@ -23,9 +23,10 @@ LEGEND = """\
 softens rows at this dt; ref: the reference. dt in ms; cost in µs, flops and row updates per \
 simulated second. error: RMS position error of the worst start [m], of centres of mass and of \
 rotation times radius of gyration (<: below the reference's own error, which is shown). median: \
-of the starts. numeric, model: parts of the error, where a setting changes the model. max: largest \
-error of a centre of mass. angle: RMS rotation error [rad]. gained, lost: energy beyond the work \
-done [J]. overlap: deepest [m]. resid: largest residual [m/s]. also: what else is not as shipped."""
+the same of the median start. numeric, model: numerical and modelling part of the error, for \
+settings that change the model. max: largest error of a centre of mass. angle: RMS rotation error \
+[rad]. gained, lost: energy beyond the work done [J]. overlap: deepest overlap [m]. resid: largest \
+residual [m/s]. also: other settings that differ from the shipped ones."""
 MUJOCO = " m: MuJoCo, where none of its settings is better."
 
 HEADS = ("", "dt", "integrator", "solver", "error")
