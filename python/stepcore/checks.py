@@ -34,8 +34,8 @@ def nearest(name: str, known: Iterable[str], listed: int = KNOWN) -> str:
     names = [k for k in known if k]
     # Letters count in either case, so that "rk4" is near "RK4".
     folded = {k.lower(): k for k in reversed(names)}
-    found = difflib.get_close_matches(name.lower(), folded, n=3, cutoff=0.5)
-    close = [folded[k] for k in found]
+    matches = difflib.get_close_matches(name.lower(), folded, n=3, cutoff=0.5)
+    close = [folded[k] for k in matches]
     if close:
         return "; nearest: " + ", ".join(f'"{c}"' for c in close)
     if not listed:

@@ -53,7 +53,7 @@ def _value(text: str) -> Any:
     return float(text) if _REAL.fullmatch(text) else text
 
 
-def found(nodes: Iterable[Node]) -> list[Node]:
+def own_texts(nodes: Iterable[Node]) -> list[Node]:
     """stepcore's own text if a file has one, as a list; a second one is an error."""
     texts = [node for node in nodes if ours(node)]
     if len(texts) > 1:

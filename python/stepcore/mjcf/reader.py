@@ -81,7 +81,7 @@ def _fill(scene: Scene, root: Node, source: Source) -> None:
         keyframes.add_empty_keys(scene, _sections(root, "size"))
         check_references(world, root)
         list_visual_geoms(world, layout)
-        for node in custom.found(_inside(root, "custom")):
+        for node in custom.own_texts(_inside(root, "custom")):
             _at(node, lambda node: custom.read(scene, node))
         check(layout)
     except ElementError as error:

@@ -114,15 +114,15 @@ class _Marks:
         where = "/".join([*self.path[1:], tag])
         self.path.append(tag)
         self.names_files |= "file" in attrs
-        found = _tag(data, at)
+        mark = _tag(data, at)
         if len(self.path) == 1:
-            self.root = found
+            self.root = mark
         elif where == "option":
-            self.option, self.flag = found, None
+            self.option, self.flag = mark, None
         elif where == "option/flag":
-            self.flag = found
+            self.flag = mark
         elif where == "custom/text" and attrs.get("name") == custom.NAME:
-            self.text = found
+            self.text = mark
 
 
 def _tag(data: bytes, start: int) -> _Open:

@@ -52,9 +52,9 @@ def validate(root: Node) -> list[str]:
 
 def _check_once(node: Node, spec: Spec) -> None:
     for tag in spec.once:
-        found = [child for child in node.children if child.tag == tag]
-        if len(found) > 1:
-            raise found[1].error(f"a second <{tag}> in the same <{node.tag}>")
+        same = [child for child in node.children if child.tag == tag]
+        if len(same) > 1:
+            raise same[1].error(f"a second <{tag}> in the same <{node.tag}>")
 
 
 def _values(node: Node, spec: Spec) -> dict[str, object]:

@@ -50,10 +50,10 @@ class Layout:
 
     def body(self, owner: Element | str, body: Body) -> int:
         """The index of a body; an error about `owner`, which refers to it, if it has none."""
-        found = self.index.get(id(body))
-        if found is None:
+        index = self.index.get(id(body))
+        if index is None:
             raise checks.ElementError(owner, f"refers to {body}, which is not in this scene")
-        return found
+        return index
 
     @property
     def nq(self) -> int:
