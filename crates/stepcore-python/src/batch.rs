@@ -6,11 +6,13 @@ use numpy::{PyArrayDyn, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
+use stepcore::arrays::Given;
 use stepcore::batch::Play;
+use stepcore::error::Error;
 use stepcore::model::Model as EngineModel;
 use stepcore::settings::Settings as EngineSettings;
 
-use crate::errors::raise;
+use crate::errors::{raise, Raised};
 use crate::extract::{At, Read};
 use crate::gil;
 use crate::memory::Arrays;
@@ -37,20 +39,29 @@ impl Batch {
         gil::lock(&self.worlds, "Batch")
     }
 
+    /// Lets `each(world, given)` see every world's arrays in turn.
+    fn read(
+        &self,
+        py: Python<'_>,
+        mut each: impl FnMut(usize, &Given) -> Result<(), Error> + Send,
+    ) -> PyResult<()> {
+        let mut worlds = 0..self.arrays.worlds;
+        worlds.try_for_each(|world| {
+            self.arrays.read(py, world, |given| each(world, given)).raised(py)
+        })
+    }
+
     fn check(&self, py: Python<'_>, worlds: &dyn Worlds) -> PyResult<()> {
-        for world in 0..self.arrays.worlds {
-            worlds.check(world, &self.arrays.given(py, world)).map_err(|error| raise(py, error))?;
-        }
-        Ok(())
+        self.read(py, |world, given| worlds.check(world, given))
     }
 
     /// Checks all arrays, then copies them into the engine.
     fn load(&self, py: Python<'_>, worlds: &mut dyn Worlds) -> PyResult<()> {
         self.check(py, worlds)?;
-        for world in 0..self.arrays.worlds {
-            worlds.put(world, &self.arrays.given(py, world));
-        }
-        Ok(())
+        self.read(py, |world, given| {
+            worlds.put(world, given);
+            Ok(())
+        })
     }
 
     fn store(&self, py: Python<'_>, worlds: &dyn Worlds) {
@@ -64,14 +75,14 @@ impl Batch {
     /// Reads every world's present state in turn.
     fn placed<'py>(&self, py: Python<'py>, what: Placed, shape: &[usize]) -> PyResult<Array<'py>> {
         let guard = self.lock()?;
+        let worlds = &**guard;
         let mut all = Vec::new();
-        let mut reader =
-            world(self.model.clone(), &self.settings).map_err(|error| raise(py, error))?;
-        for world in 0..self.arrays.worlds {
-            let given = self.arrays.given(py, world);
-            guard.check(world, &given).map_err(|error| raise(py, error))?;
-            all.extend(reader.placed(&given, what).map_err(|error| raise(py, error))?);
-        }
+        let mut reader = world(self.model.clone(), &self.settings).raised(py)?;
+        self.read(py, |world, given| {
+            worlds.check(world, given)?;
+            all.extend(reader.placed(given, what)?);
+            Ok(())
+        })?;
         result(py, all, &[&[self.arrays.worlds], shape].concat())
     }
 
@@ -264,8 +275,9 @@ impl Batch {
     /// One snapshot a world.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyBytes>>> {
         let memos = self.lock()?.memos();
+        let dt = self.settings.dt;
         let snapshot = |(world, memo)| {
-            PyBytes::new(py, &encode(self.settings.dt, memo, &self.arrays.given(py, world)))
+            PyBytes::new(py, &self.arrays.read(py, world, |given| encode(dt, memo, given)))
         };
         Ok(memos.iter().enumerate().map(snapshot).collect())
     }

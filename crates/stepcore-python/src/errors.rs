@@ -27,6 +27,17 @@ pyo3::create_exception!(
      step that would have been stable [s], or None; replay: a `stepcore.Replay` of the failure."
 );
 
+/// Whatever the engine refuses is raised in Python.
+pub trait Raised<T> {
+    fn raised(self, py: Python<'_>) -> PyResult<T>;
+}
+
+impl<T> Raised<T> for Result<T, Error> {
+    fn raised(self, py: Python<'_>) -> PyResult<T> {
+        self.map_err(|error| raise(py, error))
+    }
+}
+
 /// The Python exception of an engine error.
 pub fn raise(py: Python<'_>, error: Error) -> PyErr {
     let text = error.to_string();

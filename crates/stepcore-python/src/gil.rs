@@ -8,7 +8,7 @@ use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use stepcore::error::Error;
 
-use crate::errors::raise;
+use crate::errors::Raised;
 
 /// How long Python may wait for a Ctrl-C to be seen.
 const PATIENCE: Duration = Duration::from_millis(20);
@@ -19,7 +19,7 @@ pub fn release<T: Send>(
     run: impl FnOnce() -> Result<T, Error> + Send,
 ) -> PyResult<T> {
     match py.detach(|| catch_unwind(AssertUnwindSafe(run))) {
-        Ok(outcome) => outcome.map_err(|error| raise(py, error)),
+        Ok(outcome) => outcome.raised(py),
         Err(panic) => {
             let text = panic.downcast_ref::<String>().map(String::as_str);
             let text = text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("unknown");

@@ -6,7 +6,7 @@
 use std::cell::UnsafeCell;
 use std::ops::Range;
 
-use numpy::ndarray::{ArrayView, IxDyn};
+use numpy::ndarray::{ArrayViewMut, IxDyn};
 use numpy::{PyArray, PyArrayDyn};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
@@ -37,18 +37,34 @@ impl Arrays {
         start..start + self.worlds * self.lengths[array]
     }
 
-    /// One world's arrays; valid until Python code runs again.
-    pub fn given<'a>(&'a self, py: Python<'a>, world: usize) -> Given<'a> {
-        let of = |array| {
-            let start = self.range(array).start + world * self.lengths[array];
-            self.memory.get().read(py, start..start + self.lengths[array])
-        };
-        Given { qpos: of(0), qvel: of(1), ctrl: of(2), qfrc_applied: of(3), xfrc_applied: of(4) }
+    /// Lets `read` see one world's arrays.
+    pub fn read<T>(
+        &self,
+        py: Python<'_>,
+        world: usize,
+        read: impl FnOnce(&Given) -> T + Send,
+    ) -> T {
+        self.memory.get().read(py, |numbers| {
+            let of = |array| {
+                let start = self.range(array).start + world * self.lengths[array];
+                &numbers[start..start + self.lengths[array]]
+            };
+            read(&Given {
+                qpos: of(0),
+                qvel: of(1),
+                ctrl: of(2),
+                qfrc_applied: of(3),
+                xfrc_applied: of(4),
+            })
+        })
     }
 
     /// Lets `take(world, qpos, qvel)` overwrite every world's positions and velocities.
-    /// It must not run Python code.
-    pub fn store(&self, py: Python<'_>, mut take: impl FnMut(usize, &mut [f64], &mut [f64])) {
+    pub fn store(
+        &self,
+        py: Python<'_>,
+        mut take: impl FnMut(usize, &mut [f64], &mut [f64]) + Send,
+    ) {
         let ([nq, nv, ..], n) = (self.lengths, self.worlds);
         self.memory.get().edit(py, 0..n * (nq + nv), |numbers| {
             let (qpos, qvel) = numbers.split_at_mut(n * nq);
@@ -88,29 +104,38 @@ pub struct Memory {
     numbers: Box<[UnsafeCell<f64>]>,
 }
 
-// SAFETY: the numbers are reached through numpy views and through `read` and `edit`,
-// which need the GIL: never by two threads at once, except from native code that
-// writes to a numpy array without the GIL, which is a race for every numpy array.
+// SAFETY: the numbers are reached through numpy views, and through `read` and `edit`, all of
+// which need the GIL: never by two threads at once, except from native code that writes to a
+// numpy array without the GIL, which is a race for every numpy array.
 unsafe impl Sync for Memory {}
 
+/// Slices of the numbers exist only while a closure of `read` or `edit` runs. The closure is
+/// `Send`, so it cannot hold what Python code is run by (`Python`, `Bound`): while there is a
+/// slice, nothing else reaches the numbers.
 impl Memory {
     fn new(count: usize) -> Self {
         Self { numbers: (0..count).map(|_| UnsafeCell::new(0.0)).collect() }
     }
 
-    /// The numbers of a range; valid until Python code runs again.
-    fn read<'a>(&'a self, _py: Python<'a>, range: Range<usize>) -> &'a [f64] {
-        let cells = &self.numbers[range];
-        // SAFETY: UnsafeCell<f64> has the layout of f64; nobody writes while the GIL is
-        // held here, and no caller keeps the slice while it lets Python run.
-        unsafe { std::slice::from_raw_parts(cells.as_ptr().cast(), cells.len()) }
+    /// Where a range starts. The pointer may be written through: it comes from the cells, not
+    /// from a reference to a number.
+    fn start(&self, range: &Range<usize>) -> *mut f64 {
+        UnsafeCell::raw_get(self.numbers[range.clone()].as_ptr())
     }
 
-    /// Lets `write` overwrite the numbers of a range. It must not run Python code.
-    fn edit(&self, _py: Python<'_>, range: Range<usize>, write: impl FnOnce(&mut [f64])) {
-        let cells = &self.numbers[range];
-        // SAFETY: as for `read`; the slice ends with `write`, which runs no Python code.
-        write(unsafe { std::slice::from_raw_parts_mut(cells.as_ptr() as *mut f64, cells.len()) });
+    /// Lets `read` see all numbers.
+    fn read<T>(&self, _py: Python<'_>, read: impl FnOnce(&[f64]) -> T + Send) -> T {
+        let count = self.numbers.len();
+        // SAFETY: the cells are `count` numbers in a row; the GIL is held, and no Python code
+        // runs until the slice is gone, so nobody writes.
+        read(unsafe { std::slice::from_raw_parts(self.start(&(0..count)), count) })
+    }
+
+    /// Lets `write` overwrite the numbers of a range.
+    fn edit(&self, _py: Python<'_>, range: Range<usize>, write: impl FnOnce(&mut [f64]) + Send) {
+        let start = self.start(&range);
+        // SAFETY: as for `read`; nobody else reads or writes.
+        write(unsafe { std::slice::from_raw_parts_mut(start, range.len()) });
     }
 
     /// Overwrites the numbers from `start` on.
@@ -124,12 +149,13 @@ impl Memory {
         range: Range<usize>,
         shape: &[usize],
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        let cells = &this.get().numbers[range];
-        // SAFETY: as for `read`; only the address and the shape are taken from the view.
-        let numbers: &[f64] =
-            unsafe { std::slice::from_raw_parts(cells.as_ptr().cast(), cells.len()) };
-        let view = ArrayView::from_shape(IxDyn(shape), numbers)
-            .map_err(|e| PyRuntimeError::new_err(e.to_string()))?;
+        if shape.iter().product::<usize>() != range.len() {
+            let text = format!("a view of {} numbers cannot have shape {shape:?}", range.len());
+            return Err(PyRuntimeError::new_err(text));
+        }
+        // SAFETY: the pointer is that of as many numbers as the shape has, and they may be
+        // written. No reference to a number is made: numpy gets the address and the shape.
+        let view = unsafe { ArrayViewMut::from_shape_ptr(IxDyn(shape), this.get().start(&range)) };
         // SAFETY: the block is never moved or freed before `this`, which the array holds.
         Ok(unsafe { PyArray::borrow_from_array(&view, this.clone().into_any()) })
     }

@@ -7,7 +7,7 @@ use stepcore::settings::{
     Acceleration, Cone, Integrator, Law, Precision, Settings as Engine, Solver, Sweeps,
 };
 
-use crate::errors::{nearest, raise};
+use crate::errors::{nearest, Raised};
 use crate::extract::{refuse, At, Read};
 
 /// A field as Python gets it.
@@ -39,7 +39,7 @@ macro_rules! shown_by_name {
         impl Read for $type {
             fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
                 let name = String::read(value, at)?;
-                <$type>::parse(&name).map_err(|error| raise(value.py(), error))
+                <$type>::parse(&name).raised(value.py())
             }
         }
     )+};
@@ -198,7 +198,7 @@ fn changed(base: &Engine, fields: Option<&Bound<'_, PyDict>>) -> PyResult<Settin
         for (name, value) in fields {
             set(&mut settings, &name.extract::<String>()?, &value)?;
         }
-        settings.check().map_err(|error| raise(fields.py(), error))?;
+        settings.check().raised(fields.py())?;
     }
     Ok(Settings(settings))
 }

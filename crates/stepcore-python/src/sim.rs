@@ -7,13 +7,12 @@ use numpy::PyArrayDyn;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use stepcore::arrays::Given;
 use stepcore::elements::Element;
 use stepcore::model::Model as EngineModel;
 use stepcore::real::Stage;
 
 use crate::element::{id, Id};
-use crate::errors::raise;
+use crate::errors::Raised;
 use crate::extract::{At, Read};
 use crate::gil;
 use crate::memory::Arrays;
@@ -62,7 +61,6 @@ pub fn check_body(model: &EngineModel, body: usize) -> PyResult<()> {
 #[pyclass(module = "stepcore._core", frozen)]
 pub struct Sim {
     model: Arc<EngineModel>,
-    dt: f64,
     arrays: Arrays,
     world: Mutex<Box<dyn World>>,
 }
@@ -72,25 +70,24 @@ impl Sim {
         gil::lock(&self.world, "Sim")
     }
 
-    fn given<'a>(&'a self, py: Python<'a>) -> Given<'a> {
-        self.arrays.given(py, 0)
-    }
-
     /// Checks the arrays and copies them into the engine.
     fn load(&self, py: Python<'_>, world: &mut dyn World) -> PyResult<()> {
-        let given = self.given(py);
-        world.check(&given).map_err(|error| raise(py, error))?;
-        world.put(&given);
-        Ok(())
+        let loaded = self.arrays.read(py, 0, |given| {
+            world.check(given)?;
+            world.put(given);
+            Ok(())
+        });
+        loaded.raised(py)
     }
 
-    fn store(&self, py: Python<'_>, world: &dyn World) {
-        self.arrays.store(py, |_, qpos, qvel| world.take(qpos, qvel));
+    fn store(&self, py: Python<'_>, world: &mut dyn World) {
+        self.arrays.store(py, move |_, qpos, qvel| world.take(qpos, qvel));
     }
 
     fn placed<'py>(&self, py: Python<'py>, what: Placed, shape: &[usize]) -> PyResult<Array<'py>> {
-        let numbers =
-            self.lock()?.placed(&self.given(py), what).map_err(|error| raise(py, error))?;
+        let mut guard = self.lock()?;
+        let world = &mut **guard;
+        let numbers = self.arrays.read(py, 0, |given| world.placed(given, what)).raised(py)?;
         result(py, numbers, shape)
     }
 
@@ -108,7 +105,7 @@ impl Sim {
         let model = model.0.clone();
         let world = gil::release(py, || world(model.clone(), &settings.0))?;
         let arrays = Arrays::new(py, &model, 1)?;
-        Ok(Self { model, dt: settings.0.dt, arrays, world: Mutex::new(world) })
+        Ok(Self { model, arrays, world: Mutex::new(world) })
     }
 
     #[getter]
@@ -236,14 +233,17 @@ impl Sim {
     }
 
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        let memo = self.lock()?.memo();
-        Ok(PyBytes::new(py, &encode(self.dt, &memo, &self.given(py))))
+        let (dt, memo) = {
+            let world = self.lock()?;
+            (world.dt(), world.memo())
+        };
+        Ok(PyBytes::new(py, &self.arrays.read(py, 0, |given| encode(dt, &memo, given))))
     }
 
     fn restore(&self, py: Python<'_>, state: &[u8]) -> PyResult<()> {
         let mut world = self.lock()?;
         let mut snapshot = decode(state, self.arrays.lengths).map_err(PyValueError::new_err)?;
-        snapshot.count_in(self.dt);
+        snapshot.count_in(world.dt());
         world.set_memo(&snapshot.memo);
         self.arrays.restore(py, 0, &snapshot.numbers);
         Ok(())

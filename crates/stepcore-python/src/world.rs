@@ -89,7 +89,9 @@ pub trait World: Send {
     fn forward(&mut self) -> Result<()>;
     /// Steps once, and says what each element fed in meanwhile.
     fn taped_step(&mut self) -> Result<StepGains>;
+    /// Time of the state, and time step [s].
     fn time(&self) -> f64;
+    fn dt(&self) -> f64;
     fn memo(&self) -> Memo;
     fn set_memo(&mut self, memo: &Memo);
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>>;
@@ -172,6 +174,9 @@ impl<R: Real> World for One<R> {
     }
     fn time(&self) -> f64 {
         self.sim().time()
+    }
+    fn dt(&self) -> f64 {
+        self.sim().settings().dt
     }
     fn memo(&self) -> Memo {
         Memo::of(&self.sim().state, 0)
