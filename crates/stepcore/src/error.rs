@@ -80,11 +80,11 @@ impl fmt::Display for Divergence {
         if self.batch {
             write!(f, " in world {}", self.world)?;
         }
+        f.write_str(".")?;
         if let Some(post) = &self.post {
-            let element = post.element.as_ref().map_or("no single element", |named| &named.name);
-            write!(f, "; what drove it is {element}{}", post.sentence())?;
+            post.fmt(f)?;
         }
-        f.write_str("; the last finite state is kept")
+        f.write_str(" The last finite state is kept.")
     }
 }
 
@@ -96,11 +96,11 @@ impl fmt::Display for Fault {
             }
             Self::Position => f.write_str("a position is not finite"),
             Self::Midpoint => {
-                f.write_str("the midpoint iteration does not converge (take a smaller dt)")
+                f.write_str("the midpoint iteration does not converge (use a smaller dt)")
             }
             Self::Energy { has, allowed } => write!(
                 f,
-                "the energy of motion and springs is {} J, of which a passive scene can have {} J",
+                "the energy of motion and springs is {} J, but a passive scene can have at most {} J",
                 short(*has),
                 short(*allowed)
             ),

@@ -1,6 +1,6 @@
 //! What a failed run tells about itself, as plain data, and its paragraph.
 
-use std::fmt::Write;
+use std::fmt;
 
 use crate::elements::Named;
 
@@ -63,57 +63,69 @@ pub struct PostMortem {
     pub integrator: &'static str,
 }
 
-impl PostMortem {
-    /// The part of the paragraph that says where the energy came from and what would help.
-    pub fn sentence(&self) -> String {
-        let mut text = String::new();
-        let percent = |share: f64| format!("{:.0} %", 100.0 * share);
-        if let Some((name, share)) = self.shares.first() {
-            let since = self
-                .since
-                .map_or("over the steps that are kept".into(), |step| format!("since step {step}"));
-            let _ = write!(text, "; of the energy fed in {since} {name} gave {}", percent(*share));
-            if let Some((name, share)) = self.shares.get(1).filter(|(_, share)| *share >= 0.005) {
-                let _ = write!(text, ", {name} {}", percent(*share));
+impl fmt::Display for PostMortem {
+    /// Sentences, a space before each: the cause, the growth, and which dt would help.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.element {
+            None => write!(f, " No single element stands out")?,
+            Some(element) => write!(f, " The cause is {element}")?,
+        }
+        let mut shares = self.shares.iter().map(|(element, share)| (element, 100.0 * share));
+        if let Some((_, percent)) = shares.next() {
+            write!(f, ", the source of {percent:.0} % of the energy injected ")?;
+            match self.since {
+                None => write!(f, "in the last steps")?,
+                Some(step) => write!(f, "since step {step}")?,
+            }
+            if let Some((element, percent)) = shares.next().filter(|(_, percent)| *percent >= 0.5) {
+                write!(f, " (next: {element}, {percent:.0} %)")?;
             }
         }
+        f.write_str(".")?;
         if let Some(growth) = self.growth {
-            let _ = write!(
-                text,
-                "; the energy of motion and springs grows {} times a step (at a rate of {} /s)",
-                short(growth.exp()),
-                short(growth / self.dt)
-            );
+            let (factor, rate) = (short(growth.exp()), short(growth / self.dt));
+            write!(
+                f,
+                " The energy of motion and springs grows by a factor of {factor} per step \
+                 (rate {rate} 1/s)."
+            )?;
         }
-        let name = self.integrator;
-        let _ = match self.stable {
-            Stable::Unknown => Ok(()),
-            Stable::Springs { dt, tried } => write!(
-                text,
-                "; under {name} the springs, dampers and servos here are stable below dt = {} s ({})",
-                short(dt),
-                if tried {
-                    "from their own linear step; the same stretch run again just below it stays bounded"
-                } else {
-                    "from their own linear step"
+        self.stable.fmt_under(self.integrator, f)
+    }
+}
+
+impl Stable {
+    fn fmt_under(self, integrator: &str, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unknown => Ok(()),
+            Self::Springs { dt, tried } => {
+                let rerun = if tried { "; a rerun just below it stays bounded" } else { "" };
+                write!(
+                    f,
+                    " Under {integrator}, the springs, dampers and servos are stable below \
+                     dt = {} s (linear analysis{rerun}).",
+                    short(dt)
+                )
+            }
+            Self::Never { semi_implicit } => {
+                write!(
+                    f,
+                    " No dt is stable: {integrator} adds energy to these springs in every step; "
+                )?;
+                match semi_implicit {
+                    None => write!(f, "semi-implicit is stable at this dt."),
+                    Some(dt) => write!(f, "semi-implicit is stable below dt = {} s.", short(dt)),
                 }
-            ),
-            Stable::Never { semi_implicit } => write!(
-                text,
-                "; no dt is stable, {name} feeds these springs at every step; semi-implicit is \
-                 stable {}",
-                semi_implicit.map_or("at this dt".into(), |dt| format!("below dt = {} s", short(dt)))
-            ),
-            Stable::Halved { dt } => write!(
-                text,
-                "; with dt = {} s the same stretch gains next to nothing (run again with halved steps)",
+            }
+            Self::Halved { dt } => write!(
+                f,
+                " A rerun of these steps with dt = {} s gains almost no energy.",
                 short(dt)
             ),
-            Stable::NotFound => {
-                write!(text, "; the same stretch run again with halved steps gains as well")
+            Self::NotFound => {
+                f.write_str(" Reruns of these steps with smaller dt gain energy as well.")
             }
-        };
-        text
+        }
     }
 }
 

@@ -154,7 +154,7 @@ fn all_worlds_stop_before_the_first_that_diverges() {
         };
         let step = divergence.step;
         assert_eq!(divergence.world, 18);
-        assert!(divergence.to_string().contains(" in world 18; "), "{divergence}");
+        assert!(divergence.to_string().contains(" in world 18. "), "{divergence}");
         assert_eq!(batch.time(), step as f64 * 0.1);
         let mut alone = batch_of::<f64>(&scene, &settings, &worlds, 1);
         alone.step(step).unwrap();
