@@ -74,9 +74,9 @@ impl Given<'_> {
             let square = quat.iter().fold(R::zero(), |sum, x| sum + R::of(*x) * R::of(*x));
             // Too short to be divided by, or so long that its square overflows.
             if !(square.gt(R::of(SHORTEST_SQUARE)).all() && square.is_finite().all()) {
-                let place = place(&joint_name(model, index), world);
+                let whose = whose(&joint_name(model, index), world);
                 let field = format!("qpos[{first}:{}]", first + 4);
-                let limit = format!("a quaternion of a length that can be scaled to 1 ({place}); nothing was stepped");
+                let limit = format!("a quaternion of a length that can be scaled to 1 ({whose}); nothing was stepped");
                 return Err(Error::value(field, format!("{quat:?}"), limit));
             }
         }
@@ -86,10 +86,10 @@ impl Given<'_> {
 
 fn refuse<R: Real>(field: String, value: f64, element: &str, world: Option<usize>) -> Error {
     let kind = if R::EPSILON > f64::EPSILON { "finite in single precision" } else { "finite" };
-    Error::value(field, value, format!("{kind} ({}); nothing was stepped", place(element, world)))
+    Error::value(field, value, format!("{kind} ({}); nothing was stepped", whose(element, world)))
 }
 
-fn place(element: &str, world: Option<usize>) -> String {
+fn whose(element: &str, world: Option<usize>) -> String {
     match world {
         Some(world) => format!("{element}, world {world}"),
         None => element.into(),

@@ -53,7 +53,6 @@ pub mod commit;
 pub mod detect;
 pub mod elements;
 pub mod error;
-pub mod failed;
 pub mod model;
 pub mod observer;
 pub mod place;

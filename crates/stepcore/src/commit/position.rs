@@ -11,18 +11,18 @@ pub fn advance<R: Real>(model: &Model, qpos: &[R], qvel: &[R], dt: R, out: &mut 
         let (q, v) = (joint.qpos, joint.dof);
         match joint.kind {
             JointType::Slide | JointType::Hinge => out[q] = qpos[q] + dt * qvel[v],
-            JointType::Ball => turn(&qpos[q..q + 4], &qvel[v..v + 3], dt, &mut out[q..q + 4]),
+            JointType::Ball => rotate(&qpos[q..q + 4], &qvel[v..v + 3], dt, &mut out[q..q + 4]),
             JointType::Free => {
                 for k in 0..3 {
                     out[q + k] = qpos[q + k] + dt * qvel[v + k];
                 }
-                turn(&qpos[q + 3..q + 7], &qvel[v + 3..v + 6], dt, &mut out[q + 3..q + 7]);
+                rotate(&qpos[q + 3..q + 7], &qvel[v + 3..v + 6], dt, &mut out[q + 3..q + 7]);
             }
         }
     }
 }
 
-fn turn<R: Real>(quat: &[R], rate: &[R], dt: R, out: &mut [R]) {
+fn rotate<R: Real>(quat: &[R], rate: &[R], dt: R, out: &mut [R]) {
     let vector = V3::new(rate[0] * dt, rate[1] * dt, rate[2] * dt);
     let still = vector.dot(&vector).le(R::zero());
     let turned = Quat::of(quat).mul(&Quat::exp(&vector));

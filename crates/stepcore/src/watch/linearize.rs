@@ -93,7 +93,7 @@ impl Linearizer {
             Direction::Velocity(dof) => self.sim.state.qvel[dof].slopes[slot] = 1.0,
             Direction::Control(index) => self.sim.inputs.ctrl[index].slopes[slot] = 1.0,
             Direction::Position(dof) => {
-                let (place, axis) = place(&self.sim.model, dof);
+                let (place, axis) = coordinate(&self.sim.model, dof);
                 let qpos = &mut self.sim.state.qpos[place..];
                 let Some(axis) = axis else {
                     qpos[0].slopes[slot] = 1.0;
@@ -114,7 +114,7 @@ impl Linearizer {
         let (nv, width) = (self.sim.model.nv, self.width());
         let state = &self.sim.state;
         for dof in 0..nv {
-            let (place, axis) = place(&self.sim.model, dof);
+            let (place, axis) = coordinate(&self.sim.model, dof);
             let dq = match axis {
                 None => state.qpos[place].slopes[slot],
                 // 2 q̄ · dq / |q|².
@@ -146,7 +146,7 @@ impl Linearizer {
 }
 
 /// Where a dof's position is in qpos, or its quaternion and the axis of that.
-fn place(model: &Model, dof: usize) -> (usize, Option<usize>) {
+fn coordinate(model: &Model, dof: usize) -> (usize, Option<usize>) {
     let joint = &model.joints[model.dofs[dof].joint];
     let within = dof - joint.dof;
     match joint.kind {

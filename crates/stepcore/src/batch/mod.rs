@@ -5,46 +5,29 @@
 //! computes depends on nothing else, so results are the same bits at any number of
 //! threads, and, because a lane is a world, in lanes or one by one.
 
+mod failed;
+mod group;
+mod play;
+
+pub use failed::Failed;
+pub use group::Last;
+pub use play::Play;
+
 use std::sync::{Arc, Mutex, PoisonError};
+
+use group::{in_batch, Group};
+use play::Part;
 
 use crate::arrays::Given;
 use crate::error::{Error, Result};
-use crate::failed::{Failed, Standing};
 use crate::model::Model;
 use crate::real::Real;
 use crate::settings::Settings;
 use crate::state::{Inputs, State};
-use crate::watch::{Ledger, Watched};
+use crate::watch::Watched;
 
 /// The most threads that a batch may ask for.
 const MOST_THREADS: usize = 1024;
-
-/// What the last solve of the worlds belonged to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Last {
-    Nothing,
-    Forward,
-    Step,
-}
-
-/// As many worlds as a number has lanes.
-struct Group<R: Real> {
-    state: State<R>,
-    inputs: Inputs<R>,
-    /// Acceleration of the last solve.
-    qacc: Vec<R>,
-    /// The state when the call began.
-    start: State<R>,
-    /// The state when the last solve began, from which it can be done again: its rows
-    /// are in the working space of a thread, and gone with the next group.
-    before: State<R>,
-    last: Last,
-    /// Steps done in this call before one failed, and why it did.
-    failed: Option<(u64, Error)>,
-    /// Worlds that failed while the others went on.
-    standing: Standing,
-    ledger: Option<Box<Ledger<R>>>,
-}
 
 pub struct Batch<R: Real> {
     pub worlds: usize,
@@ -55,26 +38,6 @@ pub struct Batch<R: Real> {
     workers: Vec<Watched<R>>,
     /// A world that fails stands still, and the others go on; else all stop with it.
     pub goes_on: bool,
-}
-
-/// Controls for every world and step, and room for the states after each step: world,
-/// then step, then entry.
-pub struct Play<'a> {
-    pub steps: usize,
-    pub ctrl: &'a [f64],
-    pub qpos: &'a mut [f64],
-    pub qvel: &'a mut [f64],
-}
-
-/// A group's part of a `Play`.
-struct Part<'a> {
-    worlds: usize,
-    steps: usize,
-    /// nu, nq, nv.
-    sizes: [usize; 3],
-    ctrl: &'a [f64],
-    qpos: &'a mut [f64],
-    qvel: &'a mut [f64],
 }
 
 impl<R: Real> Batch<R> {
@@ -96,16 +59,9 @@ impl<R: Real> Batch<R> {
         if bytes.is_none_or(|bytes| Vec::<u8>::new().try_reserve_exact(bytes).is_err()) {
             return Err(Error::value("n", worlds, "a number of worlds that the memory can hold"));
         }
-        let group = |index: usize| Group {
-            state: State::new(&model),
-            inputs: Inputs::new(&model),
-            qacc: vec![R::zero(); model.nv],
-            start: State::new(&model),
-            before: State::new(&model),
-            last: Last::Nothing,
-            failed: None,
-            standing: Standing::new((worlds - index * R::LANES).min(R::LANES)),
-            ledger: settings.ledger.then(|| Box::new(Ledger::new(&model))),
+        let group = |index: usize| {
+            let own = (worlds - index * R::LANES).min(R::LANES);
+            Group::new(&model, own, settings.ledger)
         };
         let workers =
             (0..threads.min(count)).map(|_| Watched::new(model.clone(), settings.clone()));
@@ -215,18 +171,9 @@ impl<R: Real> Batch<R> {
 
     /// Steps `from..from + n` of a play.
     pub fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()> {
-        let (worlds, steps) = (self.worlds, play.steps);
         let sizes = [self.model.actuators.len(), self.model.nq, self.model.nv];
-        let [nu, nq, nv] = sizes.map(|size| size * steps * R::LANES);
-        let (mut ctrl, mut qpos, mut qvel) = (play.ctrl, &mut *play.qpos, &mut *play.qvel);
-        let parts: Vec<Mutex<Part>> = (0..self.groups.len())
-            .map(|index| {
-                let worlds = (worlds - index * R::LANES).min(R::LANES);
-                let (ctrl, qpos, qvel) =
-                    (cut(&mut ctrl, nu), cut_mut(&mut qpos, nq), cut_mut(&mut qvel, nv));
-                Mutex::new(Part { worlds, steps, sizes, ctrl, qpos, qvel })
-            })
-            .collect();
+        let parts = play.parts(self.worlds, R::LANES, sizes);
+        let parts: Vec<Mutex<Part>> = parts.into_iter().map(Mutex::new).collect();
         self.advance(n as u64, |index, k, watched| {
             let mut part = parts[index].lock().unwrap_or_else(PoisonError::into_inner);
             let step = from + k as usize;
@@ -235,6 +182,7 @@ impl<R: Real> Batch<R> {
             part.record(step, &watched.sim.state);
             Ok(())
         })?;
+        drop(parts);
         self.stand(play, from, n);
         Ok(())
     }
@@ -286,137 +234,6 @@ impl<R: Real> Batch<R> {
     }
 }
 
-impl<R: Real> Group<R> {
-    /// Runs `one` up to `n` times on this group's state in a thread's working space.
-    fn run(
-        &mut self,
-        watched: &mut Watched<R>,
-        index: usize,
-        n: u64,
-        last: Last,
-        goes_on: bool,
-        one: &impl Fn(usize, u64, &mut Watched<R>) -> Result<()>,
-    ) {
-        let Self { state, inputs, ledger, standing, before, qacc, .. } = self;
-        standing.lanes.iter_mut().flatten().for_each(|failed| failed.done = 0);
-        if standing.any() && !standing.mirror(state, inputs) {
-            // Nobody is left; time goes on.
-            state.steps += if last == Last::Step { n } else { 0 };
-            return;
-        }
-        let copies = standing.mask::<R>();
-        let guest = Guest::new(watched, state, inputs, ledger, copies);
-        self.failed = (0..n).find_map(|k| {
-            if k + 1 == n {
-                guest.watched.sim.state.copy_to(before);
-            }
-            loop {
-                let error = one(index, k, guest.watched).err()?;
-                if !(goes_on && set_aside(standing, guest.watched, index, k, &error)) {
-                    return Some((k, error));
-                }
-                if standing.healthy().is_none() {
-                    guest.watched.sim.state.steps += if last == Last::Step { n - k } else { 0 };
-                    return Some((u64::MAX, error));
-                }
-            }
-        });
-        self.failed = self.failed.take().filter(|(k, _)| *k != u64::MAX);
-        if n > 0 {
-            self.last = last;
-            qacc.copy_from_slice(&guest.watched.sim.qacc);
-        }
-    }
-}
-
-/// A group's worlds in the working space of a thread. They go back when this is dropped, after
-/// a panic too.
-struct Guest<'a, R: Real> {
-    watched: &'a mut Watched<R>,
-    state: &'a mut State<R>,
-    inputs: &'a mut Inputs<R>,
-    ledger: &'a mut Option<Box<Ledger<R>>>,
-}
-
-impl<'a, R: Real> Guest<'a, R> {
-    fn new(
-        watched: &'a mut Watched<R>,
-        state: &'a mut State<R>,
-        inputs: &'a mut Inputs<R>,
-        ledger: &'a mut Option<Box<Ledger<R>>>,
-        copies: u64,
-    ) -> Self {
-        let mut guest = Self { watched, state, inputs, ledger };
-        guest.swap(copies);
-        guest
-    }
-
-    fn swap(&mut self, copies: u64) {
-        self.watched.swap(self.ledger, copies);
-        std::mem::swap(&mut self.watched.sim.state, self.state);
-        std::mem::swap(&mut self.watched.sim.inputs, self.inputs);
-    }
-}
-
-impl<R: Real> Drop for Guest<'_, R> {
-    fn drop(&mut self) {
-        self.swap(0);
-    }
-}
-
-/// Takes the world that failed out of the run, if one did; false for other errors.
-fn set_aside<R: Real>(
-    standing: &mut Standing,
-    watched: &mut Watched<R>,
-    index: usize,
-    done: u64,
-    error: &Error,
-) -> bool {
-    let Error::Diverged(divergence) = error else { return false };
-    let (lane, mut error) = (divergence.world, error.clone());
-    in_batch::<R>(&mut error, index);
-    standing.take(&watched.sim.state, lane, done, error);
-    standing.mirror_in(watched);
-    true
-}
-
-/// A lane's failure becomes that of a world of the batch.
-fn in_batch<R: Real>(error: &mut Error, index: usize) {
-    if let Error::Diverged(divergence) = error {
-        divergence.world += index * R::LANES;
-        divergence.batch = true;
-    }
-}
-
-impl Part<'_> {
-    /// Puts the controls of a step in; lanes without a world repeat the last one.
-    fn control<R: Real>(&self, step: usize, watched: &mut Watched<R>) {
-        let nu = self.sizes[0];
-        let own = (0..R::LANES).find(|lane| watched.is_world(*lane)).unwrap_or(0);
-        for lane in 0..R::LANES {
-            let world = if watched.is_world(lane) { lane.min(self.worlds - 1) } else { own };
-            let start = (world * self.steps + step) * nu;
-            for (to, from) in watched.sim.inputs.ctrl.iter_mut().zip(&self.ctrl[start..start + nu])
-            {
-                to.set_lane(lane, *from);
-            }
-        }
-    }
-
-    /// Keeps the state after a step.
-    fn record<R: Real>(&mut self, step: usize, state: &State<R>) {
-        let [_, nq, nv] = self.sizes;
-        for lane in 0..self.worlds {
-            let at = lane * self.steps + step;
-            state.take(
-                lane,
-                &mut self.qpos[at * nq..(at + 1) * nq],
-                &mut self.qvel[at * nv..(at + 1) * nv],
-            );
-        }
-    }
-}
-
 /// Lets every worker take the next group until none is left.
 fn share<R: Real>(
     workers: &mut [Watched<R>],
@@ -438,18 +255,4 @@ fn share<R: Real>(
             });
         }
     });
-}
-
-/// Takes up to `count` entries off the front.
-fn cut<'a>(all: &mut &'a [f64], count: usize) -> &'a [f64] {
-    let (head, tail) = all.split_at(count.min(all.len()));
-    *all = tail;
-    head
-}
-
-fn cut_mut<'a>(all: &mut &'a mut [f64], count: usize) -> &'a mut [f64] {
-    let whole = std::mem::take(all);
-    let (head, tail) = whole.split_at_mut(count.min(whole.len()));
-    *all = tail;
-    head
 }

@@ -28,7 +28,7 @@ impl Failed {
 }
 
 /// By lane of a group: those that failed.
-pub(crate) struct Standing {
+pub(super) struct Standing {
     pub lanes: Vec<Option<Failed>>,
 }
 

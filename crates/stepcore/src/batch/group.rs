@@ -1,0 +1,152 @@
+//! The worlds of one register of lanes, and their stay in the working space of a thread.
+
+use super::failed::Standing;
+use crate::error::{Error, Result};
+use crate::model::Model;
+use crate::real::Real;
+use crate::state::{Inputs, State};
+use crate::watch::{Ledger, Watched};
+
+/// What the last solve of the worlds belonged to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Last {
+    Nothing,
+    Forward,
+    Step,
+}
+
+/// As many worlds as a number has lanes.
+pub(super) struct Group<R: Real> {
+    pub state: State<R>,
+    pub inputs: Inputs<R>,
+    /// Acceleration of the last solve.
+    pub qacc: Vec<R>,
+    /// The state when the call began.
+    pub start: State<R>,
+    /// The state when the last solve began, from which it can be done again: its rows
+    /// are in the working space of a thread, and gone with the next group.
+    pub before: State<R>,
+    pub last: Last,
+    /// Steps done in this call before one failed, and why it did.
+    pub failed: Option<(u64, Error)>,
+    /// Worlds that failed while the others went on.
+    pub standing: Standing,
+    pub ledger: Option<Box<Ledger<R>>>,
+}
+
+impl<R: Real> Group<R> {
+    /// `worlds` of a model, at qpos0 and at rest.
+    pub fn new(model: &Model, worlds: usize, ledger: bool) -> Self {
+        Self {
+            state: State::new(model),
+            inputs: Inputs::new(model),
+            qacc: vec![R::zero(); model.nv],
+            start: State::new(model),
+            before: State::new(model),
+            last: Last::Nothing,
+            failed: None,
+            standing: Standing::new(worlds),
+            ledger: ledger.then(|| Box::new(Ledger::new(model))),
+        }
+    }
+
+    /// Runs `one` up to `n` times on this group's state in a thread's working space.
+    pub fn run(
+        &mut self,
+        watched: &mut Watched<R>,
+        index: usize,
+        n: u64,
+        last: Last,
+        goes_on: bool,
+        one: &impl Fn(usize, u64, &mut Watched<R>) -> Result<()>,
+    ) {
+        let Self { state, inputs, ledger, standing, before, qacc, .. } = self;
+        standing.lanes.iter_mut().flatten().for_each(|failed| failed.done = 0);
+        if standing.any() && !standing.mirror(state, inputs) {
+            // Nobody is left; time goes on.
+            state.steps += if last == Last::Step { n } else { 0 };
+            return;
+        }
+        let copies = standing.mask::<R>();
+        let guest = Guest::new(watched, state, inputs, ledger, copies);
+        self.failed = (0..n).find_map(|k| {
+            if k + 1 == n {
+                guest.watched.sim.state.copy_to(before);
+            }
+            loop {
+                let error = one(index, k, guest.watched).err()?;
+                if !(goes_on && set_aside(standing, guest.watched, index, k, &error)) {
+                    return Some((k, error));
+                }
+                if standing.healthy().is_none() {
+                    guest.watched.sim.state.steps += if last == Last::Step { n - k } else { 0 };
+                    return Some((u64::MAX, error));
+                }
+            }
+        });
+        self.failed = self.failed.take().filter(|(k, _)| *k != u64::MAX);
+        if n > 0 {
+            self.last = last;
+            qacc.copy_from_slice(&guest.watched.sim.qacc);
+        }
+    }
+}
+
+/// A group's worlds in the working space of a thread. They go back when this is dropped, after
+/// a panic too.
+struct Guest<'a, R: Real> {
+    watched: &'a mut Watched<R>,
+    state: &'a mut State<R>,
+    inputs: &'a mut Inputs<R>,
+    ledger: &'a mut Option<Box<Ledger<R>>>,
+}
+
+impl<'a, R: Real> Guest<'a, R> {
+    fn new(
+        watched: &'a mut Watched<R>,
+        state: &'a mut State<R>,
+        inputs: &'a mut Inputs<R>,
+        ledger: &'a mut Option<Box<Ledger<R>>>,
+        copies: u64,
+    ) -> Self {
+        let mut guest = Self { watched, state, inputs, ledger };
+        guest.swap(copies);
+        guest
+    }
+
+    fn swap(&mut self, copies: u64) {
+        self.watched.swap(self.ledger, copies);
+        std::mem::swap(&mut self.watched.sim.state, self.state);
+        std::mem::swap(&mut self.watched.sim.inputs, self.inputs);
+    }
+}
+
+impl<R: Real> Drop for Guest<'_, R> {
+    fn drop(&mut self) {
+        self.swap(0);
+    }
+}
+
+/// Takes the world that failed out of the run, if one did; false for other errors.
+fn set_aside<R: Real>(
+    standing: &mut Standing,
+    watched: &mut Watched<R>,
+    index: usize,
+    done: u64,
+    error: &Error,
+) -> bool {
+    let Error::Diverged(divergence) = error else { return false };
+    let (lane, mut error) = (divergence.world, error.clone());
+    in_batch::<R>(&mut error, index);
+    standing.take(&watched.sim.state, lane, done, error);
+    standing.mirror_in(watched);
+    true
+}
+
+/// A lane's failure becomes that of a world of the batch.
+pub(super) fn in_batch<R: Real>(error: &mut Error, index: usize) {
+    if let Error::Diverged(divergence) = error {
+        divergence.world += index * R::LANES;
+        divergence.batch = true;
+    }
+}
