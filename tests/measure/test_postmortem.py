@@ -61,7 +61,7 @@ def test_explicit_euler_feeds_an_oscillator_at_every_dt():
     assert error.gained and error.element == "spring of joint `spring`"
     assert 2.0 <= (1 + z * z) ** error.step < 3.0
     assert error.growth == pytest.approx(math.log(1 + z * z) / (z / 10), rel=0.02)
-    assert error.stable_dt is None and "no dt is stable" in str(error)
+    assert error.stable_dt is None and "No dt is stable" in str(error)
     assert sum(sim.energy) == pytest.approx(50 * (1 + z * z) ** error.step)
 
 
@@ -361,7 +361,7 @@ def test_the_others_go_on(lanes, ledger):
         error, (sim, same) = batch.failures[world], alone([1.0, start], 1000, ledger)
         assert (error.world, error.step, error.element) == (world, same.step, same.element)
         assert (batch.qpos[world] == sim.qpos).all() and (batch.qvel[world] == sim.qvel).all()
-        assert f"in world {world};" in str(error) and error.replay.run().same
+        assert f"in world {world}." in str(error) and error.replay.run().same
         assert batch.failures[world] is error
     assert [len(rows) for rows in batch.rows] == [0] * 20 and np.isfinite(batch.energy[:13]).all()
     # Written anew, a world moves again.
@@ -388,7 +388,7 @@ def test_a_rollout_goes_on():
 def test_a_batch_that_stops_tells_as_much():
     batch = sc.Batch(unstable(), 9, ledger=True)
     batch.qpos[4, 1] = 1.0
-    with pytest.raises(sc.SimulationError, match=r"in world 4; .*`wild`") as caught:
+    with pytest.raises(sc.SimulationError, match=r"in world 4\. .*`wild`") as caught:
         batch.step(1000)
     assert caught.value.world == 4 and caught.value.replay.run().same
     with pytest.raises(ValueError, match="on_failure = 'ignore': must be one of"):
