@@ -105,7 +105,12 @@ impl<R: Real> Sim<R> {
         damped.slopes.fill([R::zero(); 2]);
         slopes(&now, Group::Passive, |_, k, slopes| {
             for (sum, slope) in damped.slopes[k].iter_mut().zip(slopes) {
-                *sum = if sum.is_zero() { slope } else { *sum + slope };
+                // A sum of one term is that term: nothing is added to it.
+                *sum = match (sum.is_zero(), slope.is_zero()) {
+                    (true, _) => slope,
+                    (_, true) => *sum,
+                    _ => *sum + slope,
+                };
             }
         });
         for (dof, [stiffness, damping]) in model.dofs.iter().zip(&damped.slopes) {
