@@ -86,11 +86,12 @@ impl JointType {
     }
 }
 
-/// Coefficients of a force by the powers of what it answers to, the first power first.
-pub type Coefficients = [f64; 1];
+/// Coefficients a, b, c of a polynomial force by the powers of what it answers to, the first
+/// power first: MuJoCo's, see `elements/spring.rs` and `elements/damper.rs`.
+pub type Coefficients = [f64; 3];
 
 /// No force.
-pub const NONE: Coefficients = [0.0; 1];
+pub const NONE: Coefficients = [0.0; 3];
 
 /// Dofs between a body and its parent. Lengths in m, angles in rad; forces in N or N·m by
 /// the kind of joint.

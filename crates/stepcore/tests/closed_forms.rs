@@ -49,7 +49,8 @@ fn lesson(law: Law) -> Settings {
 fn a_spring_under_each_integrator() {
     let mut scene = Scene { gravity: [0.0; 3], ..Scene::default() };
     scene.bodies.push(Body::default());
-    let joint = Joint { body: 1, kind: JointType::Slide, stiffness: [100.0], ..Joint::default() };
+    let joint =
+        Joint { body: 1, kind: JointType::Slide, stiffness: [100.0, 0.0, 0.0], ..Joint::default() };
     scene.joints.push(joint);
     scene.geoms.push(sphere(1));
     let table = [

@@ -170,8 +170,8 @@ class WorldReader:
             range=limits and tuple(convert(bound) for bound in limits),
             ref=convert(values.get("ref", 0.0)) if scalar else 0.0,
             springref=convert(values.get("springref", 0.0)) if scalar else 0.0,
-            stiffness=values.get("stiffness", (0.0,))[0],
-            damping=values.get("damping", (0.0,))[0],
+            **_polynomial(values, "stiffness"),
+            **_polynomial(values, "damping"),
             **{f: values[f] for f in ("margin", "armature", "frictionloss") if f in values},
             **soft(values, "solreflimit", "solimplimit"),
             **soft(values, "solreffriction", "solimpfriction"),
@@ -181,9 +181,6 @@ class WorldReader:
             self.ranges[id(joint)] = angles
 
     def _refuse_joint(self, node: Node, kind: str, values: dict[str, Any]) -> None:
-        for name in ("stiffness", "damping"):
-            if any(values.get(name, ())[1:]):
-                raise node.unbuilt(f"a joint's nonlinear {name}")
         if min(values.get("springdamper", (0.0,))) > 0:
             raise node.unbuilt("springdamper")
         if values.get("springyield", 0) != 0 and kind != "free":
@@ -302,3 +299,9 @@ def soft(values: dict[str, Any], solref: str, solimp: str) -> dict[str, Any]:
         if field in values:
             result[field] = values[field] + default[len(values[field]) :]
     return result
+
+
+def _polynomial(values: dict[str, Any], name: str) -> dict[str, Any]:
+    """Stiffness or damping as the fields of a joint: the first power, and those above."""
+    first, *poly = values.get(name, (0.0,))
+    return {name: first, f"{name}poly": tuple(poly)} if any(poly) else {name: first}

@@ -41,6 +41,7 @@ Quat = Annotated[Vec, checks.unit(4)]
 Size = Annotated[Vec, checks.vector(3, low=0, fill=(0.0, 0.0, 0.0))]
 Friction = Annotated[Vec, checks.vector(3, low=0, fill=FRICTION)]
 Gear = Annotated[Vec, checks.vector(6, fill=GEAR)]
+Poly = Annotated[Vec, checks.vector(2, fill=(0.0, 0.0))]
 Bias = Annotated[Vec | None, checks.optional(checks.vector(3, fill=ORIGIN))]
 SolRef = Annotated[Vec, checks.solref]
 SolImp = Annotated[Vec, checks.vector(5, fill=SOLIMP)]
@@ -145,7 +146,11 @@ class Joint(Element):
     ref: coordinate of a hinge or slide in the pose in which the scene is described [rad or m].
     springref: coordinate at which the spring is relaxed [rad or m].
     stiffness: of the spring [N·m/rad or N/m].
+    stiffnesspoly: b [.../rad or m] and c [.../rad² or m²] of a spring that pulls back with
+        (stiffness + b x + c x²) x at a stretch x; of a ball, and of a free joint's way and turn
+        apart, x is the length of the stretch.
     damping: [N·m·s/rad or N·s/m].
+    dampingpoly: b and c of a damper that pulls with (damping + b |v| + c v²) v.
     armature: inertia added to each of its dofs [kg·m² or kg], >= 0.
     frictionloss: dry friction [N·m or N], >= 0.
     solreflimit, solimplimit: softness of the limit.
@@ -162,7 +167,9 @@ class Joint(Element):
     ref: Real = 0.0
     springref: Real = 0.0
     stiffness: Real = 0.0
+    stiffnesspoly: Poly = (0.0, 0.0)
     damping: Real = 0.0
+    dampingpoly: Poly = (0.0, 0.0)
     armature: NonNegative = 0.0
     frictionloss: NonNegative = 0.0
     solreflimit: SolRef = SOLREF
@@ -180,10 +187,21 @@ class Joint(Element):
         """Whether it has a damper."""
         return any(self.record()["damping"])
 
+    def values(self) -> dict[str, Any]:
+        """As for every element; coefficients of one polynomial stand together, if there are any."""
+        values = super().values()
+        for field in ("stiffness", "damping"):
+            if any(poly := values.pop(field + "poly")):
+                values[field] = (values[field], *poly)
+        return values
+
     def record(self) -> dict[str, Any]:
-        """As for every element; stiffness and damping are lists of coefficients."""
-        record = super().record()
-        return record | {field: [record[field]] for field in ("stiffness", "damping")}
+        """As for every element; stiffness and damping are lists of all three coefficients."""
+        coefficients = {
+            "stiffness": [self.stiffness, *self.stiffnesspoly],
+            "damping": [self.damping, *self.dampingpoly],
+        }
+        return super().record() | coefficients
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

@@ -27,7 +27,9 @@ class JointFields(TypedDict, total=False):
     ref: float
     springref: float
     stiffness: float
+    stiffnesspoly: Vector
     damping: float
+    dampingpoly: Vector
     armature: float
     frictionloss: float
     solreflimit: Vector

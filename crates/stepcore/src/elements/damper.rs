@@ -1,4 +1,4 @@
-//! The damper in a joint: a force −b·v on each of its dofs.
+//! The damper in a joint: a force −b·v on each of its dofs, whose damping b may grow with v.
 
 use super::force::{Forces, Group, Moment, Sum};
 use super::Kind;
@@ -8,16 +8,24 @@ use crate::scene::{Coefficients, NONE};
 
 pub(super) struct Damper;
 
-/// −b v.
+/// −(a + b |v| + c v²) v: MuJoCo's polynomial, odd in v (documentation, "Polynomial forces").
 #[inline(always)]
-fn pull<R: Real>([b]: &Coefficients, velocity: R) -> R {
-    -(R::of(*b) * velocity)
+fn pull<R: Real>(&[a, b, c]: &Coefficients, velocity: R) -> R {
+    let mut damping = R::of(a);
+    if b != 0.0 || c != 0.0 {
+        damping += R::of(b) * velocity.abs() + R::of(c) * velocity * velocity;
+    }
+    -(damping * velocity)
 }
 
-/// Minus the derivative of that.
+/// Minus the derivative of that: a + 2 b |v| + 3 c v².
 #[inline(always)]
-fn slope<R: Real>([b]: &Coefficients, _velocity: R) -> R {
-    R::of(*b)
+fn slope<R: Real>(&[a, b, c]: &Coefficients, velocity: R) -> R {
+    let mut damping = R::of(a);
+    if b != 0.0 || c != 0.0 {
+        damping += R::of(2.0 * b) * velocity.abs() + R::of(3.0 * c) * velocity * velocity;
+    }
+    damping
 }
 
 impl Forces for Damper {

@@ -1,5 +1,6 @@
 //! The spring in a joint: a force −k·s on each of its dofs, s being how far the joint is from
-//! the spring's rest; of a ball or a free joint's turn, a rotation vector.
+//! the spring's rest; of a ball or a free joint's turn, a rotation vector. Its stiffness k may
+//! grow with the length of s.
 
 use super::force::{Forces, Group, Moment};
 use super::Kind;
@@ -10,25 +11,50 @@ use crate::spatial::Quat;
 
 pub(super) struct Spring;
 
-/// Calls `add(part, force)` with −k s for every part of a stretch s.
+/// Calls `add(part, force)` with −(a + b x + c x²) s for every part of a stretch s, x being its
+/// length: MuJoCo's polynomial (documentation, "Polynomial forces").
 #[inline(always)]
-fn pull<R: Real>([k]: &Coefficients, stretch: &[R], mut add: impl FnMut(usize, R)) {
+fn pull<R: Real>(law: &Coefficients, stretch: &[R], mut add: impl FnMut(usize, R)) {
+    let [mut k, b, c] = law.map(R::of);
+    if !linear(law) {
+        let x = length(stretch);
+        k += b * x + c * x * x;
+    }
     for (at, s) in stretch.iter().enumerate() {
-        add(at, -(R::of(*k) * *s));
+        add(at, -(k * *s));
     }
 }
 
-/// Minus the derivative of that.
+/// Minus the derivative of that along the stretch: a + 2 b x + 3 c x².
 #[inline(always)]
-fn slope<R: Real>([k]: &Coefficients, _stretch: &[R]) -> R {
-    R::of(*k)
+fn slope<R: Real>(law: &Coefficients, stretch: &[R]) -> R {
+    let ([a, b, c], x) = (law.map(R::of), length(stretch));
+    a + R::of(2.0) * b * x + R::of(3.0) * c * x * x
 }
 
-/// ½ k s², part by part.
+/// a x²/2 + b x³/3 + c x⁴/4, the first part by part.
 #[inline(always)]
-fn energy<R: Real>([k]: &Coefficients, stretch: &[R], mut add: impl FnMut(R)) {
+fn energy<R: Real>(law: &Coefficients, stretch: &[R], mut add: impl FnMut(R)) {
+    let [a, b, c] = *law;
     for s in stretch {
-        add(R::of(0.5 * k) * *s * *s);
+        add(R::of(0.5 * a) * *s * *s);
+    }
+    if !linear(law) {
+        let x = length(stretch);
+        add((R::of(b / 3.0) + R::of(0.25 * c) * x) * x * x * x);
+    }
+}
+
+fn linear([_, b, c]: &Coefficients) -> bool {
+    *b == 0.0 && *c == 0.0
+}
+
+/// Of one number with its sign.
+#[inline(always)]
+fn length<R: Real>(stretch: &[R]) -> R {
+    match stretch {
+        [x] => *x,
+        _ => stretch.iter().fold(R::zero(), |sum, s| sum + *s * *s).sqrt(),
     }
 }
 
@@ -49,12 +75,19 @@ impl Forces for Spring {
     #[inline(always)]
     fn slopes<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, [R; 2])) {
         let joint = &now.model.joints[joint];
-        if joint.stiffness != NONE {
-            stretches(now.model, joint, now.qpos, |first, stretch| {
-                let slope = slope(&joint.stiffness, stretch);
-                (0..stretch.len()).for_each(|at| add(first + at, [slope, R::zero()]));
-            });
+        if joint.stiffness == NONE {
+            return;
         }
+        if linear(&joint.stiffness) {
+            // Wherever the joint is.
+            let slope = R::of(joint.stiffness[0]);
+            (joint.dof..joint.dof + joint.dofs()).for_each(|k| add(k, [slope, R::zero()]));
+            return;
+        }
+        stretches(now.model, joint, now.qpos, |first, stretch| {
+            let slope = slope(&joint.stiffness, stretch);
+            (0..stretch.len()).for_each(|at| add(first + at, [slope, R::zero()]));
+        });
     }
 
     #[inline(always)]
