@@ -221,7 +221,7 @@ class Sim:
         """Balances the ledger at the present state."""
 
     def taped_step(self) -> tuple[float, float, list[tuple[_Element, float]]]:
-        """Steps once: energy of motion and springs before and after, what each element fed in."""
+        """Steps once: kinetic and spring energy before and after; energy that elements injected."""
 
     def forward(self) -> None: ...
     def forget(self) -> None:

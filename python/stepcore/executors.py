@@ -194,7 +194,7 @@ def _check_sendable(function: Callable[[T], R], points: Sequence[T], executor: E
         pickle.dumps((function, points[0]))
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise ValueError(
-            f"the executor's processes cannot be sent this work: {checks.one_line(error)}; use "
+            f"this work cannot be sent to the executor's processes: {checks.one_line(error)}; use "
             "functions of a module, not lambdas or functions within functions"
         ) from error
 

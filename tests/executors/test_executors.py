@@ -68,7 +68,7 @@ def test_errors_of_the_users_own_are_raised(pool):
     model = lesson.drop().compile()
     with pytest.raises(ZeroDivisionError, match="a mistake of the user"):
         sc.sweep(model, {"sweeps": [1, 2, 3]}, workers.broken, executor=pool)
-    with pytest.raises(ValueError, match=r"cannot be sent this work.*functions of a module"):
+    with pytest.raises(ValueError, match=r"this work cannot be sent.*functions of a module"):
         sc.sweep(model, {"sweeps": [1]}, lambda sim: 1.0, executor=pool)
     with pytest.raises(ValueError, match="executor = 3: must be"):
         sc.sweep(model, {"sweeps": [1]}, workers.where, executor=3)

@@ -191,7 +191,7 @@ def test_the_command_prints_and_writes(tmp_path: Path, capsys) -> None:
     args = ["--json", out["json"], "--plot", out["png"], "--html", out["html"]]
     assert main(["plan", "gymnasium:ant", *args]) == 0
     printed = capsys.readouterr().out
-    assert "A step does\n" in printed and "It leaves out\n" in printed
+    assert "Computed in a step\n" in printed and "Left out of a step\n" in printed
     assert "It tests " in printed and " pairs of geoms." in printed
     assert max(map(len, printed.splitlines())) <= WIDTH
     data = json.loads(Path(out["json"]).read_text())

@@ -295,7 +295,11 @@ def test_fills_are_told_apart_without_colour():
         (("lesson:spring", SPRING), {"key": "nowhere"}, "nowhere"),
         (("lesson:spring", SPRING), {"executor": 3}, "executor"),
         (("lesson:spring", SPRING), {"progress": 3}, "progress"),
-        (("lesson:spring", "joint/spring/damping"), {}, "is 0.0, so give them"),
+        (
+            ("lesson:spring", "joint/spring/damping"),
+            {},
+            "must be given, because joint/spring/damping is 0.0",
+        ),
         (("lesson:stack",), {"integrator": "rk4"}, "by law and sweeps"),
         ((), {"key": "start"}, "their own start"),
         (("lesson:spring", SPRING, [1]), {"integrator": "explicit", "threads": 0}, "threads"),

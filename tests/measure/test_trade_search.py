@@ -219,7 +219,7 @@ def test_an_error_that_is_none_is_refused(value):
 
 
 def test_a_search_with_axes_is_refused():
-    with pytest.raises(ValueError, match="dts is given, which asks for a grid"):
+    with pytest.raises(ValueError, match="must be 'grid' or None where dts is given"):
         sc.trade(lesson.drop(), search="frugal", dts=[0.001])
     with pytest.raises(ValueError, match="search = 'clever'"):
         sc.trade(lesson.drop(), search="clever")

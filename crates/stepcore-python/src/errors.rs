@@ -21,10 +21,11 @@ pyo3::create_exception!(
      The last finite state is kept. The text is the post-mortem, one paragraph.\n\n\
      step: steps done before it; time: of that state [s]; world: its index in a Batch (0 in a Sim);\n\
      gained: True for energy that cannot have been gained, False for what is not finite;\n\
-     element: the name of what drove it; element_id: the same as (kind, index, part), or None;\n\
-     shares: what part of the energy fed in over the last steps each element gave, by name;\n\
-     share_ids: the (kind, index, part) of each; growth: rate at which the energy grew [1/s], or None; stable_dt: a\n\
-     step that would have been stable [s], or None; replay: a `stepcore.Replay` of the failure."
+     element: the name of the element that injected the most energy; element_id: the same element\n\
+     as (kind, index, part), or None; shares: each element's share of the energy injected over the\n\
+     last steps, by name; share_ids: the (kind, index, part) of each; growth: rate at which the\n\
+     energy grew [1/s], or None; stable_dt: a step that would have been stable [s], or None;\n\
+     replay: a `stepcore.Replay` of the failure."
 );
 
 /// Whatever the engine refuses is raised in Python.

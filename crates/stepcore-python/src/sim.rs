@@ -154,8 +154,8 @@ impl Sim {
         outcome
     }
 
-    /// Steps once; returns the energy of motion and springs before and after, and what each
-    /// element fed in.
+    /// Steps once; returns the kinetic and spring energy before and after, and the energy that
+    /// each element injected.
     fn taped_step(&self, py: Python<'_>) -> PyResult<TapedStep> {
         let mut guard = self.lock()?;
         let world = &mut **guard;

@@ -87,7 +87,7 @@ pub trait World: Send {
     /// A call of so many steps ends: balances the ledger if they are enough.
     fn balance_at_end(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
-    /// Steps once, and says what each element fed in meanwhile.
+    /// Steps once, and says how much energy each element injected.
     fn taped_step(&mut self) -> Result<StepGains>;
     /// Time of the state, and time step [s].
     fn time(&self) -> f64;

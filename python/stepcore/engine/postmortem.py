@@ -81,8 +81,8 @@ class PostMortem(Result):
         """What the error said, and whether it came again."""
         text = self.paragraph
         step = self.replay.happened["step"]
-        again = f"The run fails again after {self.replay.steps} steps, with the same bits."
-        other = f"The run does not fail again in step {step} with the same bits."
+        again = f"The replay fails again after {self.replay.steps} steps, with the same bits."
+        other = f"The replay does not fail in step {step} with the same bits as the run."
         said = [text[:1].upper() + text[1:].removesuffix(".") + ".", again if self.same else other]
         if not len(self.time):
             said.append(
@@ -149,12 +149,12 @@ def run_again(failure: Replay) -> PostMortem:
     time, energy, steps = [], [], []
     for step in range(failure.steps):
         _put(sim, changes.get(step))
-        before, after, fed = sim.taped_step()
+        before, after, injected = sim.taped_step()
         energy += [before, after] if step == 0 else [after]
         time.append(sim.time)
-        steps.append(dict(fed))
+        steps.append(dict(injected))
     _put(sim, changes.get(failure.steps))
-    elements = sorted({element for fed in steps for element in fed})
+    elements = sorted({element for injected in steps for element in injected})
     return PostMortem(
         name=failure.name or "scene",
         replay=failure,
@@ -162,7 +162,7 @@ def run_again(failure: Replay) -> PostMortem:
         time=np.array(time),
         energy=np.array(energy),
         work={
-            model.element_name(*element): np.array([fed.get(element, 0.0) for fed in steps])
+            model.element_name(*element): np.array([step.get(element, 0.0) for step in steps])
             for element in elements
         },
     )

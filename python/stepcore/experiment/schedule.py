@@ -141,8 +141,8 @@ def _common(dts: Sequence[float], horizon: float) -> float:
     )
     if period > horizon:
         raise ValueError(
-            f"dts = {list(dts)}: first meet after {float(period):g} s, beyond the horizon of "
-            f"{horizon:g} s; choose steps with a common multiple"
+            f"dts = {list(dts)}: their least common multiple is {float(period):g} s, longer than "
+            f"the horizon of {horizon:g} s; choose steps with a smaller one"
         )
     return float(period)
 

@@ -125,7 +125,8 @@ class Predictability(Result):
     def tables(self, full: bool) -> list[Table]:
         """The starts."""
         heading = (
-            "By start: predictable for [s]; growth of the perturbation, at the end and at most"
+            "For each start: the time that can be predicted [s]; the growth of the perturbation "
+            "by the end, and its largest"
         )
         return [Table(self.table, heading=heading)]
 

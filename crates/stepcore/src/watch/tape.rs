@@ -27,7 +27,7 @@ pub struct Tape {
     bias: Vec<f64>,
 }
 
-/// One step: what every element fed in [J], and the energies before and after.
+/// One step: the energy that every element injected [J], and the energies before and after.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepGains {
     pub gains: BTreeMap<Element, f64>,

@@ -119,9 +119,9 @@ class Plan(Result):
 
     def tables(self, full: bool) -> list[Table]:
         """What the step does, and what it leaves out; `full`: and every element of an entry."""
-        does = _table(self.used, "A step does")
+        does = _table(self.used, "Computed in a step")
         does.legend = LEGEND
-        tables = [does, _table(self.left_out, "It leaves out")]
+        tables = [does, _table(self.left_out, "Left out of a step")]
         if full:
             elements = [
                 {"used": "yes" if entry.used else "no", "what": entry.name, "element": name}

@@ -20,7 +20,7 @@ from stepcore.scene.scene import Scene
 LEGEND = (
     "saved: share of the work per simulated second ({work}), negative if the variant costs more; "
     "µs: computing time saved per simulated second; added: RMS position error added to the motion "
-    "in the worst start [m]; max: the largest of any body and sample [m]; error: RMS position "
+    "in the worst start [m]; max: the largest error added to any body [m]; error: RMS position "
     "error against the converged motion in the worst start [m]"
 )
 
@@ -186,33 +186,36 @@ class Ablation(Result):
         largest = max(ran, key=lambda row: row.outcome.worst, default=None)
         if largest is not None and largest.outcome.worst > self.error:
             sentences.append(
-                f"The largest effect: without {largest.removal.label} the worst start is off by "
-                f"{metres(largest.outcome.worst)}."
+                f"The largest effect: without {largest.removal.label} the error in the worst start "
+                f"is {metres(largest.outcome.worst)}."
             )
         failed = [row for row in self.rows if row.outcome.failure]
-        sentences += [f"Without {r.removal.label} it fails: {r.outcome.failure}." for r in failed]
+        sentences += [
+            f"Without {r.removal.label} the run fails: {r.outcome.failure}." for r in failed
+        ]
         return sentences
 
     def _smallest(self) -> list[str]:
-        """What the smallest model goes without, and how good it is."""
+        """What the smallest model leaves out, and the error that this adds."""
         within = metres(self.error)
         if not self.removed:
             return [
-                f"No feature can be removed within {within}: each that costs work adds more error."
+                f"No feature can be removed within {within}: removing any that costs work adds a "
+                "larger error."
             ]
         ratio = self.whole.cost / self.best.cost if self.best.cost > 0 else math.nan
         faster = "" if math.isnan(ratio) else f" and runs at {ratio:.2f}× the speed"
         sentences = [
             f"The smallest model within {within} saves {percent(self.saved(self.best))} of the "
             f"work{faster}.",
-            f"It goes without {_listed(self.removed)}.",
-            f"It adds {metres(self.best.outcome.worst)} in the worst start, and "
-            f"{metres(self.confirmed.worst)} in the worst of {len(self.confirmed.added)} starts "
-            "that it was not chosen on.",
+            f"It leaves out {_listed(self.removed)}.",
+            f"It adds an error of {metres(self.best.outcome.worst)} in the worst start, and "
+            f"{metres(self.confirmed.worst)} in the worst of {len(self.confirmed.added)} other "
+            "starts.",
         ]
         if self.restored:
             sentences.append(
-                "Other starts exceed the tolerance, so these were restored: "
+                "Some of the other starts exceeded the tolerance, so these were restored: "
                 f"{_listed(self.restored)}."
             )
         return sentences

@@ -207,7 +207,7 @@ class Convergence(Result):
             heading="Rows after the shipped sweeps, the largest missing impulse first",
             legend=(
                 "missing: missing impulse as a speed [m/s]; residual [m/s]; force reached and "
-                "converged force (solved) [N or N·m]; states: in how many it has rows"
+                "converged force (solved) [N or N·m]; states: number of states in which it has rows"
             ),
         )
 
@@ -258,10 +258,10 @@ class Convergence(Result):
         """
         some = self.candidates
         named = [(f"{s.steps}x{s.sweeps}", s.settings) for s in some.splits]
-        named.append(("own", self.settings))
-        named += [("own, 4 x sweeps", some.more)] if some.more else []
-        named += [("own, 1/4 dt", some.quarter)] if some.quarter else []
-        named.append(("own dt, converged", some.solved))
+        named.append(("shipped", self.settings))
+        named += [("shipped, 4 x sweeps", some.more)] if some.more else []
+        named += [("shipped, 1/4 dt", some.quarter)] if some.quarter else []
+        named.append(("shipped dt, converged", some.solved))
         records = []
         for name, settings in named:
             run = self.runs[settings]

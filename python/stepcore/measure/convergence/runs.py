@@ -58,7 +58,7 @@ class HalvedReference:
 
     @property
     def notes(self) -> list[str]:
-        """What to bear in mind of it."""
+        """Limits of the comparison with it."""
         short = sum(not mask.all() for mask in self.scored)
         if not short:
             return []

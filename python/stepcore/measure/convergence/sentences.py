@@ -33,7 +33,7 @@ def _verdict(result: Convergence) -> str:
         return "The motion has no contact, limit or other row, so sweeps do not matter."
     solver, size = result.ending.solver, result.reference.size
     apart = f"{_length(solver, size)} (RMS) from the motion with converged forces"
-    step = f"The time step makes an error of {_length(result.solved.error, size)}."
+    step = f"The time step itself causes an error of {_length(result.solved.error, size)}."
     if result.verdict == "solved" and solver < 1e-9 * size:
         return f"Solved: the forces are converged. {step}"
     if result.verdict == "solved":

@@ -126,8 +126,8 @@ def notes(
         )
     if any(limits.element.kind in ("contact", "limit", "friction loss") for limits in elements):
         yield (
-            "rows are linearised as they act at each state; beyond its limit a contact or limit "
-            "that opens on rebound stays finite, and rattles"
+            "rows are linearised as they act at each state; a contact or limit that opens on "
+            "rebound rattles beyond its largest stable dt, but stays finite"
         )
     if here.model.settings.law in VELOCITY_LAWS:
         yield (

@@ -132,7 +132,10 @@ def stability_map(
     if case is None:
         case = _case(setup.model, path, values, dts, integrator, key, size)
     elif key is not None:
-        raise ValueError(f"key = {checks.shown(key)}: the lesson's maps have their own start")
+        raise ValueError(
+            f"key = {checks.shown(key)}: must be None, because the lesson's maps have their own "
+            "start"
+        )
     horizon = setup.motion.horizon or case.horizon or max(1.0, STEPS * max(case.dts))
     _check_steps(case, horizon)
     cell, converged = CellMotion(horizon, case.key), dict[str, list[TrueMotion]]()
@@ -161,7 +164,10 @@ def _narrow(
     """Takes the axes and integrators that were asked for into a map of the lesson."""
     if integrator is not None:
         if lesson == "stack":
-            raise ValueError("integrator: the map of the stack is by law and sweeps; give a path")
+            raise ValueError(
+                f"integrator = {checks.shown(integrator)}: must be None, because the map of the "
+                "stack is by law and sweeps; name a value to map it by integrator"
+            )
         named = _integrators(integrator)
         case.settings = [setting for setting in case.settings if setting.label in named]
     if values is not None:
@@ -191,7 +197,9 @@ def _case(
         present = getattr(element, field)
         number = checks.number(present)
         if number is None or number <= 0:
-            raise ValueError(f"values = None: {path} is {checks.shown(present)}, so give them")
+            raise ValueError(
+                f"values = None: must be given, because {path} is {checks.shown(present)}"
+            )
         values = np.geomspace(number / 100, number * 100, 13).tolist()
     if dts is None:
         dts = np.geomspace(model.settings.dt / 10, 10 * model.settings.dt, 13).tolist()
@@ -298,5 +306,5 @@ def _ascending(name: str, values: Sequence[float]) -> list[float]:
     """Positive numbers without repetition, in order."""
     some = [_positive(f"{name}[{k}]", v) for k, v in enumerate(checks.several(name, values))]
     if len(set(some)) < len(some):
-        raise ValueError(f"{name}: the same number twice")
+        raise ValueError(f"{name}: contains the same number twice")
     return sorted(some)

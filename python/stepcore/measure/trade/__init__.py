@@ -198,7 +198,7 @@ def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
     for dt in given.get("dts", ()):
         checks.real(above=0)("trade", "dts", dt)
     if given and search == "frugal":
-        raise ValueError(f"search = 'frugal': {min(given)} is given, which asks for a grid")
+        raise ValueError(f"search = 'frugal': must be 'grid' or None where {min(given)} is given")
     return bool(given) or search == "grid"
 
 
