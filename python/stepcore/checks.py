@@ -45,8 +45,8 @@ def nearest(name: str, known: Iterable[str], listed: int = KNOWN) -> str:
 
 
 def one_line(error: BaseException) -> str:
-    """The text of an error on one line."""
-    return " ".join(str(error).split()) or type(error).__name__
+    """The text of an error on one line, without its last full stop: it stands within sentences."""
+    return " ".join(str(error).split()).removesuffix(".") or type(error).__name__
 
 
 class KnownNames:

@@ -12,7 +12,7 @@ from time import perf_counter
 from typing import Any
 
 from stepcore._core import Settings, SimulationError
-from stepcore.checks import nearest
+from stepcore.checks import nearest, one_line
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
 from stepcore.cli.output import add_json, print_json
 from stepcore.cli.usage import Usage
@@ -74,7 +74,8 @@ def call(args: argparse.Namespace) -> None:
             sim.run(run, record=("energy", "overlap")).plot(args.plot)
         sim.balance()
     except SimulationError as error:
-        raise RuntimeError(f"{error}; stepcore replay {_written(error, args.replay)}") from None
+        show = f"stepcore replay {_written(error, args.replay)}"
+        raise RuntimeError(f"{one_line(error)}. To see what failed: {show}") from None
     _report(sim, steps, perf_counter() - begin, notes, args.json)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepcore._core import SimulationError
+from stepcore.checks import one_line
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
@@ -21,11 +22,11 @@ from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.measure.diagnosis.linear_step import State, sim_at, state_of
 
-# The most states, steps and looks at the rows of one run.
-STATES, STEPS, LOOKS = 8, 20_000, 200
+# The most states that are kept, and the most steps and samples of the run.
+STATES, STEPS, SAMPLES = 8, 20_000, 200
 # The most dofs at all states together, with at least two states.
 DOFS = 200
-# The part of the motion over which seeded controls come in.
+# The share of the motion over which the seeded controls are blended in.
 EASING = 0.25
 
 
@@ -41,9 +42,9 @@ class Visit:
 
 
 def eased(schedule: Schedule, ctrl: Floats) -> Schedule:
-    """The schedule with its controls coming in from `ctrl`.
+    """The schedule with its controls blended in from `ctrl`.
 
-    Nobody asked for a jump, and a stiff servo would answer it with a blow.
+    A jump of the controls would make a stiff servo act with a shock that nobody asked for.
     """
     if schedule.ctrl is None:
         return schedule
@@ -67,20 +68,20 @@ def visited(model: Model, schedule: Schedule, safe: float) -> Visit:
     # A period longer than all the steps that are allowed is cut short.
     period = min(count, STEPS) * dt
     periods = max(1, min(schedule.periods, STEPS // count))
-    run = replace(schedule, period=period, periods=periods, every=max(1, periods // LOOKS))
+    run = replace(schedule, period=period, periods=periods, every=max(1, periods // SAMPLES))
     runner = Runner(model, run)
     sim = runner.sim(model.settings.replace(integrator="implicitfast", dt=dt))
-    looks, failure = _Looks(), ""
+    sampled, failure = _SampledStates(), ""
     try:
-        runner.follow(sim, 0, [looks])
+        runner.follow(sim, 0, [sampled])
         if periods % run.every:
-            looks.sample(sim)
+            sampled.sample(sim)
     except SimulationError as error:
-        failure = str(error)
-    return Visit(_chosen([start(model, schedule), *looks.states]), dt, sim.time, failure)
+        failure = one_line(error)
+    return Visit(_chosen([start(model, schedule), *sampled.states]), dt, sim.time, failure)
 
 
-class _Looks(Probe):
+class _SampledStates(Probe):
     """Keeps the states of a run at its samples."""
 
     def __init__(self) -> None:
