@@ -235,7 +235,8 @@ def doubled(scene):
     twin = copy.deepcopy(scene)
     for geom in twin.geoms:
         geom.contype, geom.conaffinity = geom.contype << 16, geom.conaffinity << 16
-    for elements in twin.named():
+    lists = (twin.bodies, twin.joints, twin.geoms, twin.sites, twin.actuators, twin.equalities)
+    for elements in lists:
         for element in elements:
             element.name = element.name and f"{element.name}_twin"
     world = scene.bodies[0]

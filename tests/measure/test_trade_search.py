@@ -133,7 +133,7 @@ def test_a_budget_buys_the_least_error_it_can():
     assert result.sentences[0].startswith(
         "Recommended for at most 200 kflop per simulated second: "
     )
-    assert result.sentences[0].endswith("That includes 4 further starts.")
+    assert result.sentences[0].endswith("This includes 4 further starts.")
 
 
 def test_nothing_within_reach_is_said():
