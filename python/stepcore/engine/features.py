@@ -26,7 +26,11 @@ Edit = tuple[str, Any]
 
 @dataclass(frozen=True)
 class Removal:
-    """One feature removed. kind: of the feature; name: which one; edits: see `without`."""
+    """One feature removed.
+
+    kind: the kind of feature. name: which one it is.
+    edits: the changes of the scene; see `without`.
+    """
 
     kind: str
     name: str

@@ -25,13 +25,16 @@ PRINTED_ELEMENTS = 5
 class PostMortem(Result):
     """A failure that was run again, and the energy that each element injected in each step.
 
-    name: of the scene. same: it failed in the same step with the same bits. time: after each step
-    [s], shape (n,). energy: kinetic energy and that of springs and penalty contacts [J], before the
-    first step and after each, shape (n + 1,). work: by element, the energy that it injected in each
-    step [J], shape (n,): its work on the motion and the change of what it stores. The sum over all
-    elements is the change of the whole energy, gravity's included; in an exact motion a
-    conservative element injects nothing. shares: each element's part of the growth, the largest
-    first.
+    name: the name of the scene.
+    same: whether the replay failed in the same step with the same bits.
+    time: the time after each step [s], shape (n,).
+    energy: kinetic energy and that of springs and penalty contacts [J], before the first step and
+        after each, shape (n + 1,).
+    work: by element, the energy that it injected in each step [J], shape (n,): its work on the
+        motion plus the change of the energy that it stores. The sum over all elements is the change
+        of the whole energy, gravity's included. In an exact motion a conservative element injects
+        nothing.
+    shares: each element's share of the energy injected, the largest first.
 
     >>> import stepcore as sc
     >>> sim = sc.Sim(sc.lesson.spring(), dt=0.1, integrator="explicit", ledger=True)

@@ -42,10 +42,13 @@ HAPPENED = (
 class Replay:
     """A run from a good state to its failure; an error has it as `SimulationError.replay`.
 
-    name: of the scene. settings: of the run. state: the complete state (`Sim.state`) from which the
-    run fails again. inputs: (step, ctrl, qfrc_applied, xfrc_applied) wherever they change; steps
-    count from that state. steps: how many lead to the last finite state. In the step after it
-    something is not finite; or, with a ledger, that state has energy that it cannot have gained.
+    name: the name of the scene.
+    settings: the settings of the run.
+    state: the complete state (`Sim.state`) from which the run fails again.
+    inputs: (step, ctrl, qfrc_applied, xfrc_applied) wherever they change; steps count from that
+        state.
+    steps: the number of steps to the last finite state. In the step after it something is not
+        finite; or, with a ledger, that state has energy that it cannot have gained.
     happened: the attributes of the error, its text, and a digest of the last finite state.
 
     >>> import stepcore as sc

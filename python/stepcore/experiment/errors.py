@@ -22,24 +22,31 @@ STICKS = {"pyramidal": 0.7, "elliptic": 0.99}
 class Errors:
     """Errors of one setting over all starts.
 
-    position [m], angle [rad]: root mean square over samples and moving bodies, of centres of
-    mass and of orientations in the world; the median of the starts. …_max: the largest of any
-    body, sample and start; worst: the start that position_max is from. gained, lost [J]: the
-    most by which the energy balance of `Path` rose above its start, and fell below it, in any
-    start. each [m]: the RMS position error of every start, of centres of mass and of
-    orientations times the body's radius of gyration. relative, relative_max:
-    position and position_max over the scene's size.
+    position [m], angle [rad]: RMS error over samples and moving bodies, of centres of mass and of
+        orientations in the world, in the median start.
+    position_max, angle_max: the largest error of any body, sample and start.
+    worst: the index of the start with the largest position error.
+    each [m]: the RMS position error of every start, of centres of mass and of orientations times
+        the body's radius of gyration.
+    relative, relative_max: `position` and `position_max` over the scene's size.
+    gained, lost [J]: the largest rise of the energy balance of `Path` above its start, and the
+        largest fall below it, in any start.
+    numerical, modelling [m]: the two parts of `high` if a setting changes the model (another cone,
+        another law, f32): the distance to that model's own limit, and the distance between the two
+        limits; see `stepcore.experiment.other_models`. Otherwise numerical is `high`, modelling 0.
 
-    numerical, modelling [m]: what `high` is made of where a setting changes the model (other cone,
-    other law, f32): its distance to that model's own limit, and the distance of the two limits;
-    see `stepcore.experiment.other_models`. Elsewhere numerical is `high`, and modelling 0.
+    The next ones are the largest of all starts, or None if the scene has no such quantity or it
+    cannot be known.
 
-    The largest of any start, None where the scene has no such thing or it cannot be known:
-    momentum [kg·m/s], angular_momentum [kg·m²/s]: what internal forces and gravity do not
-    explain; joint [m]: the widest gap of a connection; limit [rad or m]: how far a joint was
-    beyond its range; overlap [m]; creep [m/s]: the fastest slip in a contact that the reference
-    holds; anisotropy [rad]: between friction and the direction against the slip, at contacts
-    that slide; residual [m/s].
+    momentum [kg·m/s], angular_momentum [kg·m²/s]: the part that internal forces and gravity do not
+        explain.
+    joint [m]: the widest gap of a connection.
+    limit [rad or m]: how far a joint was beyond its range.
+    overlap [m]: the deepest overlap.
+    creep [m/s]: the fastest slip in a contact that does not slip in the reference.
+    anisotropy [rad]: the angle between friction and the direction against the slip, at contacts
+        that slide.
+    residual [m/s]: the largest residual.
     """
 
     position: float

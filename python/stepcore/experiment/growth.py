@@ -39,9 +39,9 @@ DIRECTIONS = 3
 class Growth:
     """How fast perturbed runs separate.
 
-    times [s], shape (n,). factor: how many times further apart than at the start, the largest of
-    the directions, shape (starts, n). ends: when it first passes 1e3 in each start [s], inf if it
-    never does.
+    times: [s], shape (n,).
+    factor: the distance over that at the start, the largest of the directions, shape (starts, n).
+    ends: the time at which each start first exceeds 1e3 [s]; inf if it never does.
     """
 
     times: np.ndarray

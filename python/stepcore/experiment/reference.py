@@ -88,13 +88,18 @@ class Gap:
 class Reference:
     """The converged motion of a scene.
 
-    level: the finest run of one integrator, levels: its halvings. known: what `level` may be wrong
-    by. orders: what the halvings of each integrator showed of the median start, coarsest first.
-    agreement [m]: distance to the finest run of another integrator, `other`, whose own halving
-    moved it by other_error. growth: of the perturbed runs. exact: the closed form, where there is
-    one. gaps: to other models, see `stepcore.experiment.other_models`.
-    stiffens: rows act whose law grows stiffer as dt shrinks, so that the limit is a harder scene.
-    stalls: halvings in a row that did not help.
+    level: the finest run of one integrator; levels: its halvings.
+    known: the error of `level`.
+    orders: the order that the halvings of each integrator showed in the median start, coarsest
+        first.
+    agreement [m]: the distance to the finest run of another integrator, `other`.
+    other_error [m]: the change of that run in its own last halving.
+    growth: the growth of the perturbed runs.
+    exact: the closed form of the motion, if there is one.
+    gaps: the distances to other models; see `stepcore.experiment.other_models`.
+    stiffens: whether rows act whose law stiffens as dt shrinks, so that the limit has harder
+        contacts.
+    stalls: the number of last halvings in a row that did not help.
     """
 
     settings: Settings

@@ -28,10 +28,11 @@ HORIZON = 10.0
 
 @dataclass(frozen=True)
 class StartGrowth:
-    """How a perturbation of one start grew: over what it was at first.
+    """Growth of a perturbation from one start, relative to its initial size.
 
-    predictable: until when the start can be predicted [s], inf beyond the horizon. growth: at the
-    end; largest: at most.
+    predictable: the time until which the start can be predicted [s], inf beyond the horizon.
+    growth: the growth by the end.
+    largest: the largest growth.
     """
 
     start: int
@@ -42,11 +43,13 @@ class StartGrowth:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Predictability(Result):
-    """How fast perturbations grow in a scene; made by `stepcore.predictability`.
+    """How long a scene can be predicted; `stepcore.predictability` returns it.
 
-    name: of the scene. settings: its own. motion: what was run, over `horizon` [s] in steps of
-    `dt` [s] under `integrator`. growth: see `stepcore.experiment.growth.Growth`. time: when the
-    first start can no longer be predicted [s], inf if all can over the horizon.
+    name: the name of the scene.
+    settings: its own settings.
+    motion: the motion that was run, over `horizon` [s] in steps of `dt` [s] under `integrator`.
+    growth: the growth of the perturbations; see `stepcore.experiment.growth.Growth`.
+    time: the time at which the first start is lost [s], inf if none is within the horizon.
     """
 
     kind = "predictability"

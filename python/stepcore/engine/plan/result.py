@@ -24,13 +24,17 @@ LEGEND = (
 
 @dataclass(frozen=True)
 class PlanEntry:
-    """One thing that a step does, or leaves out.
+    """One entry of a plan: something that a step computes, or leaves out.
 
-    stage: "files", "place", "detect", "solve" or "commit". kind: "file", "term", "pair" or "row".
-    name: of the work; names: the elements it is done for, count: how many. used: whether the step
-    does it. why: the reason for leaving it out, or a remark. rows: how many the state has. stages:
-    of `Sim.stage_flops`, where the entry is those. flops: operations per step; micros [µs per
-    step]; None where they were not measured.
+    stage: "files", "place", "detect", "solve" or "commit".
+    kind: "file", "term", "pair" or "row".
+    name: the name of the work.
+    names, count: the elements that it is done for, and their number.
+    used: whether the step does it.
+    why: the reason for leaving it out, or a remark.
+    rows: the number of rows at the state.
+    stages: the stages of `Sim.stage_flops` that the entry stands for, if it does.
+    flops, micros: operations and time [µs] per step; None if they were not measured.
     """
 
     stage: str
@@ -48,10 +52,11 @@ class PlanEntry:
 
 @dataclass(eq=False, repr=False)
 class Plan(Result):
-    """What a step does and what it leaves out; made by `stepcore.plan`.
+    """What a step computes and what it leaves out; `stepcore.plan` returns it.
 
-    entries: all of it. flops: of a whole step at the state `at`; stages: the same by stage.
-    micros: [µs] of a whole step, None if not timed.
+    entries: all entries.
+    flops: operations of a whole step at the state `at`; stages: the same by stage.
+    micros: time of a whole step [µs]; None if it was not measured.
 
     >>> from stepcore import lesson, plan
     >>> plan(lesson.drop())

@@ -27,7 +27,7 @@ LEGEND = (
 
 @dataclass(frozen=True)
 class FeatureEffect:
-    """One feature removed. cost [µs per simulated second]."""
+    """One feature removed: which, its effect, and the cost without it [µs per simulated second]."""
 
     removal: Removal
     outcome: VariantOutcome
@@ -36,12 +36,17 @@ class FeatureEffect:
 
 @dataclass(eq=False, repr=False)
 class Ablation(Result):
-    """What each modelled feature costs, and the error that removing it adds; made by `ablate`.
+    """What each modelled feature costs, and the error that removing it adds; `ablate` returns it.
 
-    whole: the model as it is; rows: each feature removed alone. removed: what the smallest model
-    goes without; best: that model on the starts it was chosen on, confirmed: on others, restored:
-    what had to be restored because of those. smallest: its Scene. error: the tolerance [m];
-    reference: error of the converged motion [m], None where there is none.
+    whole: the model with all features.
+    rows: one for each feature, removed alone.
+    removed: the features that the smallest model leaves out.
+    best: the smallest model on the starts on which it was chosen.
+    confirmed: the smallest model on other starts.
+    restored: features that had to be restored because of those other starts.
+    smallest: the smallest model as a Scene.
+    error: the tolerance [m].
+    reference: the error of the converged motion [m]; None if there is no converged motion.
 
     >>> from stepcore import ablate, lesson
     >>> result = ablate(lesson.drop(), horizon=0.2, starts=1, progress=False)

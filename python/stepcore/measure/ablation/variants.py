@@ -28,12 +28,14 @@ READINGS = 500
 
 @dataclass(frozen=True)
 class VariantOutcome:
-    """How one variant of a model does the motion.
+    """The motion of one variant of a model, and what it costs.
 
-    added [m]: RMS distance from the whole model's motion at the same settings, in every start;
-    added_max: of any body, sample and start. error [m]: RMS distance from the converged motion of
-    the whole model, in every start. flops: floating-point operations, None where they cannot be
-    counted; row_updates; both per simulated second. failure: why it failed.
+    added [m]: RMS distance from the whole model's motion at the same settings, in every start.
+    added_max [m]: the largest such distance of any body, sample and start.
+    error [m]: RMS distance from the converged motion of the whole model, in every start.
+    flops: floating-point operations per simulated second; None if they cannot be counted.
+    row_updates: updates of rows per simulated second.
+    failure: why the run failed.
     """
 
     added: tuple[float, ...] = ()

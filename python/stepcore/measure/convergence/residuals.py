@@ -42,12 +42,14 @@ class MotionState:
 
 @dataclass(frozen=True)
 class RowForce:
-    """An element that has rows (a contact, a limit …) after the settings' own sweeps.
+    """The rows of one element (a contact, a limit …) after the settings' own sweeps.
 
-    missing: the impulse that its worst row lacks, as a speed weighted as residuals are [m/s].
-    residual: of its worst row [m/s]. force, solved: its force, and its converged force [N or N·m];
-    of a contact the normal force, of a connection the magnitude. states: in how many states it has
-    rows.
+    missing: the impulse that is missing in its worst row, as a speed weighted as residuals are
+        [m/s].
+    residual: the residual of its worst row [m/s].
+    force, solved: its force and its converged force [N or N·m]; the normal force of a contact, the
+        magnitude of a connection.
+    states: the number of states in which it has rows.
     """
 
     name: str
@@ -60,12 +62,14 @@ class RowForce:
 
 @dataclass(frozen=True)
 class ResidualHistory:
-    """Sweeps at one state of the motion, under one time step.
+    """The residual by sweeps at one state of the motion, under one time step.
 
-    sweeps: their numbers. cold, warm: the residual after each [m/s], from zero impulses and from
-    those of the step before. contraction: the share of the distance to the solution that a sweep
-    leaves in the end, as measured; None with a single row or where it cannot be read. forces: by
-    element, after the settings' own sweeps.
+    sweeps: the numbers of sweeps.
+    cold, warm: the residual after each number [m/s], from zero impulses and from those of the step
+        before.
+    contraction: the measured share of the distance to the solution that a sweep leaves in the end;
+        None with a single row, or if it cannot be read.
+    forces: the force of each element after the settings' own sweeps.
     """
 
     start: int

@@ -54,9 +54,11 @@ class Ending:
 class Convergence(Result):
     """Whether a scene's rows are solved, and whether sweeps or smaller steps gain more accuracy.
 
-    candidates: which settings were run, and runs: how they did. histories: of the residual, at
-    states of the motion. reference: the converged motion that all are compared with. ending: None
-    where a run fails.
+    candidates: the settings that were run.
+    runs: the result of each of them.
+    histories: the residual by sweeps at states of the motion.
+    reference: the converged motion that all runs are compared with.
+    ending: where the motion ends; None if a run fails.
 
     >>> from stepcore import converge, lesson
     >>> tower = lesson.stack(50, "rigid", (1.0, 1.0))

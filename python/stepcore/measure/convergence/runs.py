@@ -27,11 +27,14 @@ FAR = 3.0
 
 @dataclass(frozen=True)
 class CandidateRun:
-    """One setting over all starts.
+    """The result of one setting over all starts.
 
-    error: RMS position error over samples and bodies against the reference, median of starts [m];
-    nan where it failed. overlap, joint: the deepest and the widest gap [m]; residual: the worst
-    [m/s]. updates: of rows, per simulated second. failure: why it ended early.
+    error: RMS position error over samples and bodies against the reference, in the median start
+        [m]; nan if it failed.
+    overlap, joint: the deepest overlap and the widest gap of a connection [m].
+    residual: the largest residual [m/s].
+    updates: row updates per simulated second.
+    failure: why it ended early.
     """
 
     settings: Settings

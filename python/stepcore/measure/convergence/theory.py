@@ -29,10 +29,12 @@ SAME = 1e-9
 
 @dataclass(frozen=True)
 class SweepTheory:
-    """The share of the error that a sweep leaves.
+    """The share of the error that a sweep leaves, from theory.
 
-    radius: of the matrix of the rows, None with `why`. formula: the closed form where the scene has
-    one, with its value `closed`. It holds for rigid rows; the radius of soft rows is smaller.
+    radius: the spectral radius of the matrix of the rows; None, with the reason in `why`, if there
+        is no such matrix.
+    closed, formula: value and text of the closed form, if the scene has one. It holds for rigid
+        rows; the radius of soft rows is smaller.
     """
 
     radius: float | None = None

@@ -29,12 +29,15 @@ NOTHING = 1e-6
 
 @dataclass(frozen=True)
 class ElementLimits:
-    """One element on its own, at the state where it is stiffest.
+    """One element on its own, at the state at which it is stiffest.
 
-    omega: natural frequency [rad/s], 0 without stiffness. ratio: damping ratio with all damping
-    along its direction, nan without stiffness. rate: its own damping over the mass that it moves
-    [1/s]. limits: its largest stable dt by integrator [s], inf beyond `LONGEST`. softened: the dt
-    from which `refsafe` softens it [s], inf where it never does. state: the index of the state.
+    element: which one it is.
+    omega: natural frequency [rad/s], 0 without stiffness.
+    ratio: damping ratio with all damping along its direction, nan without stiffness.
+    rate: its own damping over the mass that it moves [1/s].
+    limits: its largest stable dt by integrator [s], inf beyond `LONGEST`.
+    softened: the dt from which `refsafe` softens it [s], inf if it never does.
+    state: the index of the state.
     """
 
     element: ElementId

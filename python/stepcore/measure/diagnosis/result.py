@@ -24,15 +24,21 @@ DT = "largest stable dt [s]"
 
 @dataclass(eq=False, repr=False)
 class Diagnosis(Result):
-    """Which element limits the time step of a scene; made by `stepcore.diagnose`.
+    """Which element limits the time step of a scene; `stepcore.diagnose` returns it.
 
-    name: of the scene. settings: of the scene, with rows solved to rounding. motion: see
-    `diagnose`. wanted: the step asked about [s]. states: where the step was linearised. limits: by
-    integrator. element_shares: by integrator, each element's share in the mode that sets the
-    limit, or in the fastest motion where nothing does. rows: the elements on their own, the
-    stiffest first. advice: ways to make the wanted step stable. physical: the fastest growth of
-    the motion itself [1/s]. rate: growth at the wanted step that the integrator causes [1/s], None
-    where the step is stable.
+    name: the name of the scene.
+    settings: the settings of the scene, with rows solved to rounding.
+    motion: the motion along which the states lie; see `diagnose`.
+    wanted: the time step asked about [s].
+    states: the states at which the step was linearised.
+    limits: the largest stable dt by integrator.
+    element_shares: by integrator, each element's share in the mode that sets the limit, or in the
+        fastest motion if nothing sets a limit.
+    rows: the elements on their own, the stiffest first.
+    advice: changes that make the wanted step stable.
+    physical: the fastest growth of the motion itself [1/s].
+    rate: the growth at the wanted step that the integrator causes [1/s]; None if the step is
+        stable.
     """
 
     kind = "diagnosis"

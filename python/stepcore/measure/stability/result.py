@@ -22,8 +22,12 @@ UNJUDGED = "?"
 
 @dataclass(frozen=True)
 class MapCell:
-    """One run. error: its largest distance from the true motion over the size of that, nan where
-    it is not known. judged: there is a true motion to judge it by. reason: why it failed."""
+    """One run of a stability map.
+
+    error: its largest distance from the true motion over the size of the motion; nan if not known.
+    judged: whether there is a true motion with which it can be compared.
+    reason: why it failed.
+    """
 
     value: float
     dt: float
@@ -37,9 +41,10 @@ class MapCell:
 class MapPanel:
     """The cells of one setting, values outermost, and its theory.
 
-    boundary: the dt [s] at which theory says that the cells change, for each value: 0 where none is
-    stable, inf where all are; None without a theory. beyond: what happens beyond it. reference:
-    what the cells are compared with.
+    boundary: by value, the dt [s] at which theory says that the cells change: 0 if no step is
+        stable, inf if all are; None without a theory.
+    beyond: what happens beyond the boundary.
+    reference: what the cells are compared with.
     """
 
     label: str
@@ -55,11 +60,13 @@ class MapPanel:
 
 @dataclass(eq=False, repr=False)
 class StabilityMap(Result):
-    """A map of stability and accuracy; made by `stepcore.stability_map`.
+    """A map of stability and accuracy over dt and one value; `stepcore.stability_map` returns it.
 
-    path: the value that is varied; axis: the same as an axis names it. values, dts [s]: the grid.
-    tolerance: a run with a larger error is inaccurate; far: beyond so many sizes of the motion it
-    has exploded. panels: one for each setting.
+    path: the value that is varied; axis: how the plot names it, with its unit.
+    values, dts [s]: the grid.
+    tolerance: a run with a larger error is inaccurate.
+    far: a run with an error above this many sizes of the motion has exploded.
+    panels: one for each setting.
 
     >>> from stepcore import stability_map
     >>> stability_map(values=[100.0], dts=[0.001, 0.5], progress=False)

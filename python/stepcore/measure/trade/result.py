@@ -26,13 +26,18 @@ ERROR = 1e-3
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trade(Result):
-    """What speed costs in accuracy for one scene; made by `stepcore.trade`.
+    """What speed costs in accuracy for one scene; `stepcore.trade` returns it.
 
-    motion: that every setting ran. frontier: every setting that ran from all starts, and those
-    that failed. reference: the converged motion and its error. horizon: simulated time [s].
-    notes: what to bear in mind. target [m], budget: what was asked for. size: of the scene [m].
-    mujoco: MuJoCo's points, where asked for. screened: how many settings were tried at all; runs:
-    how many runs that took. chosen: the row for `target` that further starts confirmed.
+    motion: the motion that every setting ran.
+    horizon: the simulated time [s].
+    size: the size of the scene [m].
+    frontier: every setting that ran from all starts, and every one that failed.
+    reference: the converged motion, with its error.
+    target, budget: the error [m] or the budget that was asked for.
+    chosen: the row for `target` that further starts confirmed.
+    mujoco: MuJoCo's points, if they were asked for.
+    screened: the number of settings that were tried at all; runs: the number of runs they took.
+    notes: remarks on the reference, the motion and the failures.
     """
 
     kind = "trade"

@@ -57,10 +57,12 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Further:
-    """How a recommendation did on starts that the search had not seen.
+    """Results of a recommendation on starts that the search had not used.
 
-    starts: how many; held: how many of them kept to the error asked for; high: the root mean
-    square of the worst [m]; failure: of the first that failed.
+    starts: the number of starts.
+    held: the number of them on which the error stayed within the one asked for.
+    high: the RMS position error of the worst start [m].
+    failure: why the first failing start failed.
     """
 
     starts: int
@@ -71,9 +73,20 @@ class Further:
 
 @dataclass(frozen=True)
 class TradeRow:
-    """One setting. cost [µs per simulated second]; row_updates, flops [per simulated second];
-    nbytes: memory of state and working space; further: tried on further starts. after:
-    differences of means once the motion cannot be predicted, where they were measured.
+    """One setting of a trade.
+
+    settings: the setting.
+    errors: its errors; None if it failed.
+    cost: computing time [µs per simulated second].
+    flops, row_updates: floating-point operations and row updates [per simulated second].
+    nbytes: memory of the state and the working space.
+    further: its results on further starts, if it was tried there.
+    after: differences of means once the motion can no longer be predicted, if they were measured.
+    shipped: whether these are the shipped settings.
+    clamped: whether refsafe softens rows at this dt.
+    below, below_max: whether the error and the largest error are below the reference's own.
+    best: whether no other setting is cheaper and at least as accurate.
+    failure: why it failed.
     """
 
     settings: Settings
