@@ -1,5 +1,7 @@
 """A motion is one object or its fields; one schedule makes it definite."""
 
+import pickle
+
 import pytest
 
 import stepcore as sc
@@ -71,3 +73,13 @@ def test_a_motion_shows_what_was_set():
     assert repr(sc.Motion()) == "Motion()"
     assert repr(sc.Motion(horizon=2.0, key="home")) == "Motion(horizon=2.0, key='home')"
     assert sc.trade(lesson.spring(), horizon=0.1, starts=1, **QUIET).motion.horizon == 0.1
+
+
+def test_a_result_pickles_whatever_function_controlled_it():
+    made = sc.trade(
+        "lesson:spring", horizon=0.2, starts=1, dts=[0.01], control=lambda time, sim: (), **QUIET
+    )
+    copy = pickle.loads(pickle.dumps(made))
+    assert str(copy) == str(made)
+    with pytest.raises(ValueError, match="lambda> could not be pickled"):
+        copy.motion.control(0.0, None)

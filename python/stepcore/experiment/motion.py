@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import pickle
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, TypedDict
@@ -14,6 +15,26 @@ from stepcore.engine.sim import Sim
 
 # As in `Sim.run`: of (time, sim), the controls.
 Control = Callable[[float, Sim], ArrayLike]
+
+
+@dataclass(frozen=True)
+class LostControl:
+    """Stands for a control function that could not be pickled; calling it is a ValueError."""
+
+    name: str
+
+    def __call__(self, time: float, sim: Sim) -> ArrayLike:
+        raise ValueError(
+            f"control `{self.name}` could not be pickled: make the Motion with it again"
+        )
+
+
+def _pickles(function: Control) -> bool:
+    try:
+        pickle.dumps(function)
+    except Exception:  # what a function's own pickling raises is of any type
+        return False
+    return True
 
 
 class MotionFields(TypedDict, total=False):
@@ -106,6 +127,13 @@ class Motion:
             if getattr(motion, word) is not getattr(cls, word):
                 raise ValueError(f"motion: {name} does not use {word}; leave it out of the Motion")
         return motion
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = dict(self.__dict__)
+        if self.control is not None and not _pickles(self.control):
+            # A result still pickles that was made with a lambda or a function of a notebook.
+            state["control"] = LostControl(getattr(self.control, "__qualname__", "control"))
+        return state
 
     def __repr__(self) -> str:
         parts = [
