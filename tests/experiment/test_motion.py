@@ -81,5 +81,5 @@ def test_a_result_pickles_whatever_function_controlled_it():
     )
     copy = pickle.loads(pickle.dumps(made))
     assert str(copy) == str(made)
-    with pytest.raises(ValueError, match="lambda> could not be pickled"):
+    with pytest.raises(ValueError, match="lambda>` could not be pickled"):
         copy.motion.control(0.0, None)
