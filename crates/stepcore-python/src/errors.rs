@@ -54,8 +54,8 @@ pub fn raise(py: Python<'_>, error: Error) -> PyErr {
         }
         Error::Diverged(divergence) => {
             let raised = SimulationError::new_err(text);
-            let told = tell(raised.value(py), &divergence);
-            told.err().unwrap_or(raised)
+            let attached = attach(raised.value(py), &divergence);
+            attached.err().unwrap_or(raised)
         }
     }
 }
@@ -71,16 +71,16 @@ fn mention(text: &str, mention: &Mention) -> (usize, usize, &'static str, u32) {
 }
 
 /// What is known of a step that could not be committed, as attributes.
-fn tell(error: &Bound<'_, PyBaseException>, divergence: &Divergence) -> PyResult<()> {
+fn attach(error: &Bound<'_, PyBaseException>, divergence: &Divergence) -> PyResult<()> {
     error.setattr("step", divergence.step)?;
     error.setattr("time", divergence.time)?;
     error.setattr("world", divergence.world)?;
     error.setattr("gained", matches!(divergence.fault, Fault::Energy { .. }))?;
-    divergence.post.as_ref().map_or(Ok(()), |post| tell_post_mortem(error, post))
+    divergence.post.as_ref().map_or(Ok(()), |post| attach_post_mortem(error, post))
 }
 
 /// What a post-mortem found, and from where its failure comes again.
-fn tell_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> PyResult<()> {
+fn attach_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> PyResult<()> {
     let py = error.py();
     let element = post.element.as_ref();
     error.setattr("element_id", element.map(|named| id(named.element)))?;

@@ -75,7 +75,7 @@ named!(
     }
 );
 impl Law {
-    /// Looks at the guess instead of the present positions: rows exist where the guess
+    /// Uses the guess instead of the present positions: rows exist where the guess
     /// overlaps, and their friction is Coulomb's.
     pub fn on_guess(self) -> bool {
         matches!(self, Self::Lesson | Self::Relaxed | Self::Rigid)

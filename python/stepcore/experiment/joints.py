@@ -1,4 +1,4 @@
-"""How far connections come apart and joints go beyond their limits."""
+"""Gaps of connections, and how far joints go beyond their limits."""
 
 from __future__ import annotations
 

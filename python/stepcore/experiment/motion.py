@@ -51,17 +51,19 @@ class MotionFields(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The motion that a measurement looks at. Every measurement takes one, or its fields.
+    """The motion of a measurement. Every measurement takes one, or its fields as arguments.
 
-    horizon: simulated time [s]. starts: from how many initial states it runs: the keyframe, and
-        states near it that `seed` draws. Where they are None, the measurement has a default.
-    seed: of the starts, and of the controls where none are given.
-    key: the keyframe to start from, by name or index; by default the first one, or the pose of
-        the scene at rest.
+    horizon: simulated time [s]; by default the measurement chooses it.
+    starts: the number of initial states: the keyframe, and random states near it. By default the
+        measurement chooses it.
+    seed: random seed of the starts, and of the controls if none are given.
+    key: the keyframe to start from, by name or index; by default the first one, or the pose of the
+        scene at rest.
     ctrl: controls, shape (n, nu), one row for each control period; the last row is held.
     control: in place of `ctrl`, a function of (time, sim) that returns the controls. It is called
-        once a control period, possibly from several threads, and must depend on nothing else.
-        Without `ctrl` and `control` every actuator follows a few seeded sines in its range.
+        once per control period, possibly from several threads, and must depend on nothing else.
+        Without `ctrl` and `control` every actuator follows a sum of a few random sines within its
+        range.
     control_dt: the control period [s], a multiple of every time step; by default the measurement
         chooses one.
 

@@ -1,4 +1,4 @@
-"""`Probe`: what looks at a run while it goes on."""
+"""`Probe`: observes a run while it goes on."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ from stepcore.experiment.path import Path
 
 
 class Probe:
-    """Looks at a run at the times that `Runner.follow` calls it; a subclass overrides some.
+    """Observes a run at the times at which `Runner.follow` calls it; a subclass overrides some
+    methods.
 
     sim: the `Sim` that runs, or another engine's world that has its step, qpos and qvel.
     """
 
     def stride(self, steps: int) -> int | None:
-        """Steps between two calls of `step`, of so many in a period; None: it need not be called.
+        """Steps between two calls of `step`, out of `steps` in a period; None if it need not be
+        called.
 
-        Where several probes run together all are called at the shortest of their strides.
+        If several probes run together, all are called at the shortest of their strides.
         """
         return None
 
@@ -33,4 +35,4 @@ class Probe:
         """A sample of the schedule is reached."""
 
     def end(self, sim: Any, path: Path) -> None:
-        """The run has come through: what was seen goes into its path."""
+        """The run has ended without a failure: the probe writes what it recorded into its path."""

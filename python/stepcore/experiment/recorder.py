@@ -1,6 +1,6 @@
 """The two probes that make a path: `Recorder` measures all of it, `Positions` only positions.
 
-A search looks at hundreds of runs through `Positions`; the errors in a table are of `Recorder`.
+A search records hundreds of runs with `Positions`; the errors in a table come from `Recorder`.
 """
 
 from __future__ import annotations

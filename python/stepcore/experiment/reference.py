@@ -269,7 +269,7 @@ class ReferenceRuns:
         raise ValueError(f"the scene fails at dt = {dt:g} s: {base.failed}")
 
     def can_refine(self, reference: Reference) -> bool:
-        """Whether a further halving is affordable and would still tell something."""
+        """Whether a further halving is affordable and would still improve the reference."""
         done = reference.exact is not None or reference.high <= ROUNDING * self.size
         if done or reference.stalls > 1:
             return False

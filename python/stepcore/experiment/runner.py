@@ -42,7 +42,7 @@ class Runner:
     def run(self, settings: Any, start: int, probes: Sequence[Probe] | None = None) -> Path:
         """The motion from one start; a failure ends it and says why.
 
-        settings: of `sim`. probes: what looks at it and fills the path; by default a `Recorder`.
+        settings: of `sim`. probes: they observe the run and fill the path; by default a `Recorder`.
         """
         path = Path()
         if probes is None:

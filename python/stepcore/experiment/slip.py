@@ -34,7 +34,7 @@ Slips = dict[tuple[int, int, int], Slip]
 
 
 class Friction:
-    """Which geoms of a model rub on which, and how fast. moving: indices of the moving bodies."""
+    """Which geoms of a model slide on which, and how fast. moving: indices of the moving bodies."""
 
     def __init__(self, model: Model, moving: list[int]) -> None:
         plan = model.core.plan()

@@ -14,11 +14,13 @@ from stepcore.scene.scene import Scene
 def plan(
     model: Model | Scene | str | os.PathLike[str], *, sim: Sim | None = None, time: bool = False
 ) -> Plan:
-    """Lists what a step does (terms, pairs, kinds of rows, files) and what it leaves out, and why.
+    """Lists what a step computes (terms, pairs, kinds of rows, files), and what it leaves out and
+    why.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
-    sim: a Sim of this model, at whose state and settings the work of a step is counted; by default
-        the first keyframe or the initial pose. time: measure in µs as well.
+    sim: a Sim of this model; the work of a step is counted at its state and settings. By default
+        that is the first keyframe or the initial pose.
+    time: whether to measure times [µs] as well.
 
     Raises ValueError for a Sim of another model.
 

@@ -160,18 +160,20 @@ def predictability(
     progress: Choice = None,
     **fields: Unpack[MotionFields],
 ) -> Predictability:
-    """How long a scene can be predicted: until runs that start a rounding apart separate.
+    """Measures how long a scene can be predicted: until perturbed runs separate.
 
-    From every start the motion runs again from three states, 1e-9 of the scene's size away, under
-    rk4 at a 16th of the shipped time step (a quarter of that, or another integrator, where that
-    fails), rows solved to rounding. The scene can be predicted until they are 1e3 times as far
-    apart as they began; beyond that only statistics of its motion mean anything.
+    From every start the motion runs again from three perturbed states, 1e-9 of the scene's size
+    away. The runs use rk4 at a 16th of the shipped time step (a quarter of that, or another
+    integrator, if that fails), with rows solved to rounding. The scene can be predicted until they
+    are 1e3 times as far apart as they began; beyond that only statistics of its motion are
+    meaningful.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
-    motion: the `Motion` that is run; or write its fields as arguments. The horizon is 10 s by
-        default; there are 8 starts.
-    threads: how many runs at once (default: one a core); executor: any concurrent.futures
-        executor in their place. progress: False for no bar, or a function of (label, done, total).
+    motion: the `Motion` that is run; or write its fields as arguments. By default the horizon is 10
+        s, and there are 8 starts.
+    threads: the number of runs at the same time (default: one per core).
+    executor: any concurrent.futures executor, used in place of threads.
+    progress: False for no bar, or a function of (label, done, total).
 
     Raises ValueError for an argument outside its limits, or if the scene cannot be run.
 

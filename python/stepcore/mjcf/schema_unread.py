@@ -151,7 +151,7 @@ SENSORS: dict[str, Tree] = {
     "plugin": ("name plugin instance cutoff objtype objname reftype refname user", CONFIG),
 }
 
-# Data and looks.
+# Data and appearance.
 CUSTOM: dict[str, Tree] = {
     "numeric": "name size data",
     "text": "name data",

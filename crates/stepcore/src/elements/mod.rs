@@ -45,7 +45,7 @@ pub enum Kind {
     FrictionLoss,
     /// Part: 0 for the lower bound, 1 for the upper one.
     Limit,
-    /// The inertial forces of a tree, told by the joint on which they work most.
+    /// The inertial forces of a tree, identified by the joint on which they do most work.
     Inertia,
     /// `qfrc_applied` on a joint.
     JointForce,

@@ -45,16 +45,17 @@ def ablate(
 ) -> Ablation:
     """Removes one modelled feature at a time, and measures the work saved and the error added.
 
-    Then it removes as many together as leave the motion within `error`: the smallest model, chosen
-    on some starts and confirmed on as many others.
+    Then it removes as many features together as possible within `error`: this smallest model is
+    chosen on some starts and confirmed on as many others.
 
-    model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Everything runs
-        under its own settings.
+    model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Everything runs under
+        its own settings.
     error: the RMS position error, over samples and bodies, that the smallest model may add to the
         whole model's motion in the worst start: metres, "1mm", or "0.1%" of the scene's size.
-    motion: a `Motion`, or its fields as arguments. By default 1 s and 8 starts to choose on.
-    threads: how many runs at once (default: one per core). executor: any `concurrent.futures`
-        executor in place of threads. progress: False, or a function of (label, done, total).
+    motion: a `Motion`, or its fields as arguments. By default 1 s, and 8 starts to choose on.
+    threads: the number of runs at the same time (default: one per core).
+    executor: any `concurrent.futures` executor, used in place of threads.
+    progress: False for no bar, or a function of (label, done, total).
 
     Raises ValueError for an argument outside its limits, or if the whole model fails.
 

@@ -71,20 +71,21 @@ def converge(
 ) -> Convergence:
     """Measures whether a scene's rows are solved along its motion, and what would solve them.
 
-    At states along the motion: the residual by the number of sweeps, cold and warm, the share of
-    the error that a sweep leaves beside what theory says, and the rows that are furthest from
-    their converged force. Over the motion: the error at other time steps, with converged forces,
-    and at equal row updates split into many sweeps or many steps, all against one converged
-    reference.
+    At states along the motion it measures the residual by the number of sweeps, cold and warm; the
+    share of the error that a sweep leaves, beside the theoretical value; and which rows are
+    furthest from their converged force. Over the whole motion it measures the error at other time
+    steps, with converged forces, and at equal row updates split into many sweeps or many steps. All
+    runs are compared with one converged reference.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name"). Its settings are
         judged.
     motion: a `Motion`, or its fields as arguments. By default 3 starts and 1 s.
-    states: at how many states sweeps are measured.
-    threads: how many runs at once (default: one per core); executor: any `concurrent.futures`
-        executor in their place. progress: False, or a function of (label, done, total).
+    states: the number of states at which sweeps are measured.
+    threads: the number of runs at the same time (default: one per core).
+    executor: any `concurrent.futures` executor, used in place of threads.
+    progress: False for no bar, or a function of (label, done, total).
 
-    Raises ValueError for an argument outside its limits, or where the reference itself fails.
+    Raises ValueError for an argument outside its limits, or if the reference itself fails.
 
     >>> from stepcore import lesson
     >>> heavy = lesson.stack(5, "rigid", (1.0, 1000.0), warm_start=False)

@@ -47,24 +47,26 @@ def diagnose(
     progress: Choice = None,
     **fields: Unpack[MotionFields],
 ) -> Diagnosis:
-    """Finds the element that limits the time step, by name, and what to change.
+    """Finds the element that limits the time step, and the changes that make a wanted step stable.
 
     The step is linearised (`Sim.linearize`) at the start and at some states along the motion. The
     largest stable dt is where an eigenvalue begins to grow faster than the motion itself, found by
     bisection for each integrator; the worst state decides.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
-    motion: the `Motion` along which the states lie; or write its fields as arguments, all but
-        `starts`: there is one start. The horizon is 1 s by default; a motion that neither grows nor
-        decays by itself counts as unstable if a step makes it grow e-fold in this time. Without
-        controls the motion begins with those of the keyframe (zero without one) and goes over to
-        smooth seeded ones.
-    dt: the step that is wanted [s]; by default the scene's own. If it is unstable, each suggestion
-        is made on a copy of the model and verified on its linearised step.
-    threads, executor: integrators at once, or elsewhere. progress: as in `trade`.
+    motion: the `Motion` along which the states lie; or write its fields as arguments, except
+        `starts`, because there is one start. The horizon is 1 s by default; a motion that neither
+        grows nor decays by itself counts as unstable if a step makes it grow e-fold in this time.
+        If no controls are given, the motion begins with those of the keyframe (zero without one)
+        and blends into smooth random ones.
+    dt: the wanted time step [s]; by default the scene's own. If it is unstable, each suggestion is
+        made on a copy of the model and verified on its linearised step.
+    threads: the number of integrators at the same time (default: one per core).
+    executor: any concurrent.futures executor, used in place of threads.
+    progress: False for no bar, or a function of (label, done, total).
 
-    Raises ValueError for an argument outside its limits, a scene in which nothing can move, and
-    one whose accelerations are not finite at the start.
+    Raises ValueError for an argument outside its limits, for a scene in which nothing can move, and
+    for one whose accelerations are not finite at the start.
 
     >>> from stepcore import Scene
     >>> scene = Scene().with_settings(dt=0.005, integrator="semi-implicit")

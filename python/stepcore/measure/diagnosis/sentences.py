@@ -1,4 +1,4 @@
-"""A diagnosis in words: the answer first, then what to do, then what to bear in mind."""
+"""A diagnosis in words: the answer first, then the advice, then notes on its limits."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def _traits(limits: ElementLimits) -> str:
 def notes(
     here: StepStability, visit: Visit, elements: list[ElementLimits], horizon: float
 ) -> Iterator[str]:
-    """What to bear in mind."""
+    """Notes on the limits of the diagnosis."""
     labels = ", ".join(state.label for state in here.states)
     run = f"a run of {seconds(visit.reached)} at dt {seconds(visit.dt)} under implicitfast"
     yield f"linearised at {counted(len(here.states), 'state')} of {run}: {labels}"

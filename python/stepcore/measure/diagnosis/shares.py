@@ -44,7 +44,7 @@ def limiting_shares(here: StepStability, limit: Limit) -> Shares:
     with np.errstate(over="ignore", invalid="ignore"):
         made = motion.step(limit.integrator, dt)
     if not np.all(np.isfinite(made)):
-        # So long a step leaves the range in which anything can be told.
+        # So long a step leaves the range in which shares have a meaning.
         return _fastest(here, limit.state)
     growth = step_growth(made, dt, np.linalg.eigvals(motion.rates), here.horizon)
     if not growth.stable:

@@ -19,7 +19,7 @@ from stepcore.experiment.schedule import HORIZON, scheduled, time_steps
 from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.workers import Workers
 from stepcore.measure.trade import frugal, notes
-from stepcore.measure.trade import mujoco as opponent
+from stepcore.measure.trade import mujoco as mujoco_points
 from stepcore.measure.trade.finish import Finisher
 from stepcore.measure.trade.frontier import Frontier
 from stepcore.measure.trade.moves import Steps, longest, slides
@@ -62,34 +62,38 @@ def trade(
     progress: Choice = None,
     **fields: Unpack[MotionFields],
 ) -> Trade:
-    """Measures what speed costs in accuracy, and recommends settings: a scene under many of them.
+    """Measures what speed costs in accuracy: runs a scene under many settings, and recommends some.
 
-    Every setting runs the same motion and is compared with the scene's own converged motion,
-    whose error is stated. See `Errors` for what is measured and `stepcore.measure.trade.search`
-    for how the settings are found.
+    Every setting runs the same motion and is compared with the scene's own converged motion, whose
+    error is stated. `Errors` lists what is measured; `stepcore.measure.trade.search` describes how
+    the settings are found.
 
     model: a Model, a Scene, or the path of an MJCF file (or "package:name", see
         `stepcore.loading`). Its settings are the shipped ones.
-    motion: the `Motion` that every setting runs; or write its fields as arguments. The horizon is
-        1 s by default, or a whole number of samples near it; there are 8 starts; the control
-        period is the largest time step tried.
-    error: recommend the cheapest settings that keep to it in every start: metres, "1mm", or
-        "0.1%" of the scene's size. What counts is the RMS position error over bodies and time.
-    budget: recommend the most accurate settings within it: "20us/step" (of computing per
-        shipped time step simulated), "5ms/s" (per simulated second), "100x" (times real time),
-        or µs per simulated second; "2kflop/step" and the like where `by` is "flops".
-    further: on how many more starts, which the search has not seen, a recommendation is
-        confirmed; 0: none.
-    search: "frugal", or "grid" for every combination of the axes; by default "frugal" unless
-        an axis is given: dts [s], integrators, solvers, sweeps, precisions: what to try.
-        The shipped settings are always among it.
+    motion: the `Motion` that every setting runs; or write its fields as arguments. By default the
+        horizon is 1 s, or a whole number of samples near it; there are 8 starts; the control period
+        is the largest time step tried.
+    error: the error that the recommended settings may have in every start (RMS position error over
+        bodies and time): metres, "1mm", or "0.1%" of the scene's size. The cheapest are
+        recommended.
+    budget: the cost that the recommended settings may have: "20us/step" (of computing per shipped
+        time step simulated), "5ms/s" (per simulated second), "100x" (times real time), or µs per
+        simulated second; "2kflop/step" and the like if `by` is "flops". The most accurate are
+        recommended.
+    further: the number of further starts, not used by the search, that must confirm a
+        recommendation; 0 for none.
+    search: "frugal", or "grid" for every combination of the axes. The default is "frugal", unless
+        an axis is given.
+    dts [s], integrators, solvers, sweeps, precisions: the axes, with the values to try. The shipped
+        settings are always tried too.
     by: the cost metric: "time" for measured wall time, or "flops" for counted floating-point
         operations. With "flops" nothing is timed, and the same seed gives the same result on any
         machine.
-    mujoco: also run MuJoCo on the scene (needs the package mujoco); see `Trade.mujoco`.
+    mujoco: whether to run MuJoCo on the scene too (needs the package mujoco); see `Trade.mujoco`.
     effort: the most that the reference may cost, in steps × (dofs + 2).
-    threads: how many runs at once (default: one a core); executor: any concurrent.futures
-        executor in their place. Costs are timed on one thread, afterwards.
+    threads: the number of runs at the same time (default: one per core).
+    executor: any concurrent.futures executor, used in place of threads. Costs are timed afterwards,
+        on one thread.
     progress: False for no bar, or a function of (label, done, total).
 
     Raises ValueError for an argument outside its limits, or if the reference itself fails.
@@ -125,7 +129,7 @@ def trade(
     shipped = model.settings
     limit = None if budget is None else units.budget("trade", "budget", budget, shipped.dt, by)
     if mujoco:
-        opponent.load(source, model)
+        mujoco_points.load(source, model)
     length = HORIZON if motion.horizon is None else motion.horizon
     steps, period = time_steps(shipped.dt, dts, motion.control_dt, length)
     if not (full or model.nu or motion.control or motion.control_dt):
@@ -150,10 +154,12 @@ def trade(
     split = ErrorSplit(runs, trials.reference, size)
     reference = dataclasses.replace(trials.reference, gaps=split.gaps())
     finisher = Finisher(trials, split, shipped, tau, by)
-    points: list[opponent.Point] = []
+    points: list[mujoco_points.Point] = []
     timed: list[TimedRun] = []
     if mujoco:
-        points, timed = opponent.Opponent(source, runner, reference, size).points(counts, workers)
+        points, timed = mujoco_points.MujocoTrials(source, runner, reference, size).points(
+            counts, workers
+        )
     frontier = Frontier.of(finisher.rows(tried, timed), reference.high, reference.largest, by)
     frontier = _with_statistics(frontier, runs, reference, motion, workers)
     chosen = None
@@ -182,7 +188,7 @@ def trade(
         target=target,
         budget=limit,
         size=size,
-        mujoco=opponent.timed(points, timed),
+        mujoco=mujoco_points.timed(points, timed),
         screened=len({*trials.paths, *trials.screened}),
         runs=trials.runs,
         chosen=chosen,

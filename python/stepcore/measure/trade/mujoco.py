@@ -224,8 +224,8 @@ class Poses(Probe):
             path.com, path.quat, path.gyration = seen.com, seen.quat, self.bodies.gyration
 
 
-class Opponent:
-    """MuJoCo's points on a trade's motion."""
+class MujocoTrials:
+    """MuJoCo's settings run on a trade's motion."""
 
     def __init__(self, source: Any, runner: Runner, reference: Reference, size: float) -> None:
         self.runner = MujocoRunner(runner.model, runner.schedule, load(source, runner.model))

@@ -1,4 +1,4 @@
-//! After a failure: the last steps again with everything written down, and what they tell.
+//! After a failure: the last steps are repeated and recorded, and the post-mortem is read from them.
 
 mod blame;
 mod injected;
@@ -151,7 +151,7 @@ impl<R: Real> Run<'_, R> {
         strongest(sim, &way, lane)
     }
 
-    /// Which dt would have been stable, as far as it can be told cheaply.
+    /// Which dt would have been stable, as far as that can be found cheaply.
     fn stable(&self, segment: &Segment<R>, lane: usize, exact: bool) -> Stable {
         let sim = self.sim;
         let Some(mut start) = segment.world(sim) else { return Stable::Unknown };
