@@ -169,7 +169,7 @@ fn check_masses<R: Real>(model: &Model, solver: Solver) -> Result<()> {
             || inverse.is_zero()
         {
             let limit =
-                "such that the precision can hold it and its inverse (under newton, their squares)";
+                "representable in this precision, as must its inverse (under newton, their squares)";
             return Err(Error::value(
                 format!("mass of {}", model.element_name(Element::whole(Kind::Body, index))),
                 body.mass,

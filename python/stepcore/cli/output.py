@@ -30,7 +30,7 @@ def add_json(command: argparse.ArgumentParser) -> None:
 
 
 def check_output(args: argparse.Namespace) -> None:
-    """Before minutes of work: can everything be written at the end?"""
+    """Checks, before minutes of work, that everything can be written at the end."""
     for name in ("plot", "html", "json", "save", "replay"):
         out = getattr(args, name, None)
         if isinstance(out, str) and out != "-":

@@ -1,5 +1,5 @@
-"""`Usage`: an error of what was asked for."""
+"""`Usage`: an error in the arguments of a command."""
 
 
 class Usage(ValueError):
-    """What the user asked for cannot be done as asked."""
+    """The arguments of a command are wrong, or contradict each other."""

@@ -1,1 +1,1 @@
-"""The questions: each is asked of the same experiment."""
+"""The measurements: each answers one question about the same experiment."""

@@ -15,11 +15,13 @@ from stepcore.report.table import Table, jsonable
 
 
 class Result(ABC):
-    """What a measurement returns: it prints itself, and is a plot, a page and data as well.
+    """The result of a measurement: it prints itself, and can be a plot, a page or data.
 
-    name: of the scene. notes: what to bear in mind. A subclass says what it measured and how
-    (`title`, `setup`), the answer (`sentences`), and the figures (`table`, and `tables` as they are
-    printed); everything else is made of these.
+    name: the name of the scene.
+    notes: remarks on how the figures were obtained, and on their limits.
+
+    A subclass defines what it measured and how (`title`, `setup`), the answer (`sentences`), and
+    the figures (`table`, and `tables` as they are printed); everything else is made from these.
     """
 
     # What was measured, and the units of the columns of `table`.

@@ -51,7 +51,7 @@ impl Subject {
             Err(self.refuse(
                 field,
                 format!("{values:?}"),
-                "of a length that is neither zero nor beyond the numbers",
+                "a vector whose length is > 0 and finite",
             ))
         }
     }

@@ -19,7 +19,7 @@ pub fn planes_stand_still(model: &Model) -> Result<()> {
                 Text::label(Kind::Geom, &g.name, i),
                 " is a plane on ",
                 Text::label(Kind::Body, &model.bodies[g.body].name, g.body),
-                ", which moves: a plane stands still"
+                ", which moves: a plane must be on a fixed body"
             ]));
         }
     }

@@ -125,9 +125,9 @@ def report(cells: Iterable[Cell]) -> str:
     missed = [cell for cell in cells if not cell.ok]
     lines += [
         "",
-        "<ulp: what the law asks for is below the resolution of the numbers, and stays there.",
-        f"{len(cells)} cells: {by_law} checked by a law, {errors} by an error that names an "
-        f"element, {finite} only for finite numbers; {len(missed)} missed.",
+        "<ulp: the value that the law requires is below the rounding of the numbers, and stays so.",
+        f"{len(cells)} cells: {by_law} checked against a law, {errors} against an error that must "
+        f"name an element, {finite} only for finite numbers; {len(missed)} missed.",
     ]
     for cell in missed:
         title = cell.table.splitlines()[0]

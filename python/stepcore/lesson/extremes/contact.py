@@ -40,15 +40,15 @@ def cases() -> Iterator[Case]:
     yield from table_cases(
         "drop on a penalty",
         f"rest at depth m g/k while (ω dt)² + 4 ζ ω dt < 4, ζ = {DAMPING}; beyond, energy is "
-        "gained; shown: the largest excursion over the initial push",
+        "gained; shown: the largest excursion over the initial displacement",
         penalty,
         TIME_STEPS,
         STIFFNESSES,
     )
     yield from table_cases(
         "stack of two",
-        "each sweep leaves m_top/(m_top + m_bottom) of the error, 0 sweeps are free fall; shown: "
-        "the error left",
+        "each sweep leaves m_top/(m_top + m_bottom) of the error, with 0 sweeps free fall; shown: "
+        "the remaining error",
         stack,
         {f"dt {dt:.0e}, {n} sweeps": (dt, n) for dt in (1e-6, 1e-3, 1e-1) for n in SWEEPS},
         RATIOS,

@@ -35,7 +35,7 @@ def cases() -> Iterator[Case]:
     every = "momentum is balanced, no row pulls; "
     yield from table_cases(
         "grasp",
-        every + "0 sweeps are free fall; held while dt < 2 m/c = 20 ms, beyond which a damper "
+        every + "with 0 sweeps free fall; held while dt < 2 m/c = 20 ms, beyond which a damper "
         "throws it apart; shown: slip [m]",
         lambda dt, sweeps, precision: hold(0.1, dt, sweeps, precision),
         TIME_STEPS,

@@ -39,8 +39,8 @@ STEPS = 200
 # The feet of ant at the middle of their range; everything else as the file has it.
 ANKLES = {"ankle_1": 0.9, "ankle_2": -0.9, "ankle_3": -0.9, "ankle_4": 0.9}
 LAW = (
-    "in every step momentum is balanced, no row pulls, no energy is gained and limits hold; where "
-    "the springs' linear motion grows, an error; shown: the balance"
+    "in every step momentum is balanced, no row pulls, no energy is gained and limits hold; an "
+    "error is expected if the springs' linear motion grows; shown: the balance"
 )
 
 

@@ -1,8 +1,8 @@
-"""Confirms a recommendation on starts that the search has not seen.
+"""Confirms a recommendation on starts that the search has not used.
 
-The target must be met in every start: those of the search, and as many further ones as are asked
-for. Of n + 1 starts drawn alike each is equally likely to be the worst, so after n that keep to the
-target the next one misses it with a probability of at most 1/(n + 1).
+The target must be met in every start: in those of the search, and in as many further ones as the
+user asks for. Each of n + 1 random starts is equally likely to be the worst, so after n that meet
+the target the next one misses it with a probability of at most 1/(n + 1).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`TradeRow`: one setting of a trade, with its errors, its costs and what further starts said."""
+"""`TradeRow`: one setting of a trade, with its errors, its costs and its further starts."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ def equal_error(score: Score, error: float, order: float) -> float:
 
 
 class SettingsSearch:
-    """Looks for the cheapest settings that meet an error; what it runs stays in its trials.
+    """Searches for the cheapest settings that meet an error; its runs stay in its trials.
 
     rows: the most at once in the reference. friction: whether a contact can have friction.
     """

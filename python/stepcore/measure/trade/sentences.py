@@ -65,7 +65,7 @@ def _for_budget(trade: Trade, budget: float) -> Iterator[str]:
 
 
 def _described(trade: Trade, row: TradeRow) -> str:
-    """Recommended settings with their error, their cost and what further starts said."""
+    """Recommended settings with their error, their cost and the result on further starts."""
     shipped, price = trade.shipped, _priced(trade, row)
     if row.settings == shipped.settings:
         price += ", as shipped"
@@ -79,7 +79,7 @@ def _described(trade: Trade, row: TradeRow) -> str:
 
 
 def _confirmed(trade: Trade, row: TradeRow) -> str:
-    """What further starts said."""
+    """The result on further starts."""
     tried = row.further
     if tried is None:
         return " It was not tried on further starts."
@@ -106,7 +106,7 @@ def _next_better(trade: Trade, row: TradeRow) -> str:
 
 
 def _shipped(trade: Trade) -> str:
-    """How wrong the shipped settings are: in the worst start, and in the median of the starts."""
+    """The error of the shipped settings: in the worst start, and in the median of the starts."""
     row = trade.shipped
     what = f"As shipped ({label(row.settings)})"
     if row.errors is None:
@@ -126,7 +126,7 @@ def _shipped(trade: Trade) -> str:
 
 
 def _improvements(trade: Trade) -> Iterator[str]:
-    """What half of the shipped error would cost, and no more than that."""
+    """The cost of half the shipped error, and of the shipped error itself."""
     row = trade.shipped
     if row.errors is None:
         ran = [other for other in trade.rows if not other.failure]

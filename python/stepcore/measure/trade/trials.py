@@ -93,7 +93,7 @@ class Trials:
         return self.far(paths)
 
     def far(self, paths: Sequence[Path]) -> str | None:
-        """Why paths are too far from the reference to be an error of it, if they are."""
+        """Why paths count as failed: they are too far from the reference. None if they are not."""
         return far_off(paths, self.reference.paths[: len(paths)], self.size)
 
 

@@ -33,7 +33,7 @@ fn what_is_refused_is_named() {
             |s| (s.geoms[1].kind, s.geoms[1].size) = (GeomType::Box, [1.0; 3]),
             "geom 'floor' and geom 'ball'",
         ),
-        (|s| s.geoms[1].kind = GeomType::Plane, "stands still"),
+        (|s| s.geoms[1].kind = GeomType::Plane, "must be on a fixed body"),
         (|s| s.geoms[1].name = "floor".into(), "'floor'"),
         (|s| s.geoms[1].body = 7, "geom 'ball' body"),
         (|s| s.bodies[1].quat = [0.0; 4], "body 'toy' quat"),
