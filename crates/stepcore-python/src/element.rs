@@ -5,7 +5,7 @@ use pyo3::prelude::*;
 use stepcore::elements::{Element, Kind};
 use stepcore::model::Model;
 
-use crate::errors::nearest;
+use crate::nearest::nearest;
 
 /// Kind by its word, index in the model's list, part.
 pub type Id = (&'static str, u32, i64);

@@ -7,7 +7,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyString};
 
-use crate::errors::nearest;
+use crate::nearest::nearest;
 
 /// Where a value stands; printed only when something is wrong with it.
 #[derive(Clone, Copy)]

@@ -12,6 +12,7 @@ mod extract;
 mod gil;
 mod memory;
 mod model;
+mod nearest;
 mod scene;
 mod settings;
 mod sim;

@@ -7,8 +7,9 @@ use stepcore::settings::{
     Acceleration, Cone, Integrator, Law, Precision, Settings as Engine, Solver, Sweeps,
 };
 
-use crate::errors::{nearest, Raised};
+use crate::errors::Raised;
 use crate::extract::{refuse, At, Read};
+use crate::nearest::nearest;
 
 /// A field as Python gets it.
 trait Shown {
