@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .model import Model
 from .rotation import Array, cross, from_vector, multiply, unit
-
-if TYPE_CHECKING:
-    from .sim import Sim
+from .world import World
 
 Acceleration = Callable[[Array, Array], Array]  # of any qpos and qvel
 Smooth = tuple[Array, Array]  # the mean velocity of the smooth motion, and its last one
@@ -51,27 +48,27 @@ def pulled_back(model: Model, moved: Array, v: Array) -> Array:
     return rate
 
 
-def euler(sim: Sim, acceleration: Acceleration) -> Smooth:
+def euler(world: World, acceleration: Acceleration) -> Smooth:
     """The guess of both Euler rules: forces at the start."""
-    v1 = sim.qvel + sim.settings.dt * acceleration(sim.qpos, sim.qvel)
+    v1 = world.qvel + world.settings.dt * acceleration(world.qpos, world.qvel)
     return v1, v1
 
 
-def midpoint(sim: Sim, acceleration: Acceleration) -> Smooth:
+def midpoint(world: World, acceleration: Acceleration) -> Smooth:
     """v1 = v + dt a(q_m, v_m) at the middle of the step, solved to rounding.
 
     Newton with a Jacobian by differences, kept for the whole step.
     """
-    dt, v = sim.settings.dt, sim.qvel
+    dt, v = world.settings.dt, world.qvel
 
     def middle(v1: Array) -> Array:
         return (v + v1) / 2
 
     def error(v1: Array) -> Array:
-        q_m = add(sim.model, sim.qpos, dt / 2 * middle(v1))
+        q_m = add(world.model, world.qpos, dt / 2 * middle(v1))
         return v1 - v - dt * acceleration(q_m, middle(v1))
 
-    v1 = v + dt * acceleration(sim.qpos, v)
+    v1 = v + dt * acceleration(world.qpos, v)
     start = error(v1)
     h = 1e-6 * (1 + np.abs(v1))
     slope = np.array([(error(v1 + h * e) - start) / (h @ e) for e in np.eye(len(v))]).T
@@ -85,15 +82,15 @@ def midpoint(sim: Sim, acceleration: Acceleration) -> Smooth:
     return middle(v1), v1
 
 
-def rk4(sim: Sim, acceleration: Acceleration) -> Smooth:
+def rk4(world: World, acceleration: Acceleration) -> Smooth:
     """Classical Runge-Kutta, fourth order."""
-    dt, v = sim.settings.dt, sim.qvel
+    dt, v = world.settings.dt, world.qvel
     rate, push = np.zeros_like(v), np.zeros_like(v)
     total_rate, total_push = np.zeros_like(v), np.zeros_like(v)
     for reach, weight in ((0, 1), (0.5, 2), (0.5, 2), (1, 1)):
         moved, speed = reach * dt * rate, v + reach * dt * push
-        rate = pulled_back(sim.model, moved, speed)
-        push = acceleration(add(sim.model, sim.qpos, moved), speed)
+        rate = pulled_back(world.model, moved, speed)
+        push = acceleration(add(world.model, world.qpos, moved), speed)
         total_rate, total_push = total_rate + weight * rate, total_push + weight * push
     return total_rate / 6, v + dt / 6 * total_push
 
@@ -101,14 +98,14 @@ def rk4(sim: Sim, acceleration: Acceleration) -> Smooth:
 SMOOTH = {"explicit": euler, "semi-implicit": euler, "midpoint": midpoint, "rk4": rk4}
 
 
-def commit(sim: Sim, guess: Array, last: Array, solved: Array) -> None:
+def commit(world: World, guess: Array, last: Array, solved: Array) -> None:
     """Positions by the rule of the integrator; velocities as solved; one more dt on the clock.
 
     The rows judged the guess, the mean velocity of the smooth motion, because that moves the
     positions; what they changed in it they change in the last velocity too.
     """
-    dt = sim.settings.dt
-    moving = sim.qvel if sim.settings.integrator == "explicit" else solved
-    sim.qpos[:] = add(sim.model, sim.qpos, dt * moving)
-    sim.qvel[:] = solved if last is guess else last + (solved - guess)
-    sim.steps += 1
+    dt = world.settings.dt
+    moving = world.qvel if world.settings.integrator == "explicit" else solved
+    world.qpos[:] = add(world.model, world.qpos, dt * moving)
+    world.qvel[:] = solved if last is guess else last + (solved - guess)
+    world.steps += 1

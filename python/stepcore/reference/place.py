@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from .model import Model
 from .rotation import Array, cross, from_vector, matrix, multiply, to_vector, unit
-
-if TYPE_CHECKING:
-    from .model import Model
-    from .sim import Sim
+from .world import World
 
 
 @dataclass
@@ -159,13 +157,13 @@ def damper_force(joint: dict[str, Any], v: Array) -> Array:
     return -sum(k * abs(v) ** n for n, k in enumerate(joint["damping"])) * v
 
 
-def known_forces(sim: Sim, placed: Placed, qpos: Array, v: Array) -> Array:
+def known_forces(world: World, placed: Placed, qpos: Array, v: Array) -> Array:
     """Every force that no row decides: applied, actuation, springs, dampers, minus the bias."""
-    model, on = sim.model, sim.model.scene["features"]
-    force = sim.qfrc_applied - bias(model, placed, v if on["coriolis"] else 0 * v)
-    for b in np.flatnonzero(sim.xfrc_applied.any(axis=1)):
+    model, on = world.model, world.model.scene["features"]
+    force = world.qfrc_applied - bias(model, placed, v if on["coriolis"] else 0 * v)
+    for b in np.flatnonzero(world.xfrc_applied.any(axis=1)):
         linear, spin = jacobians(model, placed, b, placed.com[b])
-        force = force + sim.xfrc_applied[b, :3] @ linear + sim.xfrc_applied[b, 3:] @ spin
+        force = force + world.xfrc_applied[b, :3] @ linear + world.xfrc_applied[b, 3:] @ spin
     for joint in model.joints:
         own = slice(joint["dof"], joint["dof"] + joint["width"])
         if on["damper"]:
@@ -174,7 +172,7 @@ def known_forces(sim: Sim, placed: Placed, qpos: Array, v: Array) -> Array:
             for part in parts(joint):
                 force[own][part] += spring_force(joint, stretch(model, joint, qpos)[part])
     for actuator, bias_, signal in zip(
-        model.scene["actuators"], model.actuator_bias, sim.ctrl, strict=True
+        model.scene["actuators"], model.actuator_bias, world.ctrl, strict=True
     ):
         if on["actuation"]:
             joint = model.joints[actuator["joint"]]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +18,8 @@ from .detect import Contact, contact_jacobian
 from .model import Model
 from .place import Placed, jacobians
 from .rotation import Array, to_vector, unit
-
-if TYPE_CHECKING:
-    from .sim import Settings, Sim
+from .settings import Settings
+from .world import World
 
 INF = float("inf")
 
@@ -78,27 +77,27 @@ def softness(settings: Settings) -> tuple[float, float]:
 
 
 def build(
-    sim: Sim, placed: Placed, contacts: list[Contact], M: Array, v: Array, guess: Array
+    world: World, placed: Placed, contacts: list[Contact], M: Array, v: Array, guess: Array
 ) -> Rows:
     """All rows in order: equality, friction loss, limits, contacts."""
     rows: list[Row] = []
     blocks: list[tuple[int, float | None]] = []
-    on = sim.model.scene["features"]
-    if on["constraint"] and sim.settings.law != "penalty":
+    on = world.model.scene["features"]
+    if on["constraint"] and world.settings.law != "penalty":
         makers: list[tuple[bool, Iterable[Row]]] = [
-            (on["equality"], equality_rows(sim, placed)),
-            (on["frictionloss"], friction_loss_rows(sim)),
-            (on["limit"], limit_rows(sim, v, guess)),
+            (on["equality"], equality_rows(world, placed)),
+            (on["frictionloss"], friction_loss_rows(world)),
+            (on["limit"], limit_rows(world, v, guess)),
         ]
         for wanted, single in makers:
             if wanted:
                 for row in single:
                     blocks.append((len(rows), None))
                     rows.append(row)
-        for made, mu in contact_rows(sim, placed, contacts, v, guess):
+        for made, mu in contact_rows(world, placed, contacts, v, guess):
             blocks.append((len(rows), mu))
             rows += made
-    return assemble(sim.model, rows, blocks, M)
+    return assemble(world.model, rows, blocks, M)
 
 
 def assemble(
@@ -115,9 +114,9 @@ def assemble(
     return Rows(rows, blocks, J, W, A, t, c, A + c + soft, lo, hi, mass)
 
 
-def equality_rows(sim: Sim, placed: Placed) -> Iterator[Row]:
+def equality_rows(world: World, placed: Placed) -> Iterator[Row]:
     """connect: a point of one body and a point of another are one, along x, y and z."""
-    model, settings = sim.model, sim.settings
+    model, settings = world.model, world.settings
     c, soft = softness(settings)
     for index, equality in enumerate(model.scene["equalities"]):
         if not equality["active"]:
@@ -133,25 +132,25 @@ def equality_rows(sim: Sim, placed: Placed) -> Iterator[Row]:
             yield Row(("connect", index, k), J[k], dofs, t, c, soft, -INF, INF)
 
 
-def friction_loss_rows(sim: Sim) -> Iterator[Row]:
+def friction_loss_rows(world: World) -> Iterator[Row]:
     """Dry friction in a joint: any impulse up to dt times the loss, against the motion."""
-    model = sim.model
+    model = world.model
     for joint in model.joints:
         for dof in range(joint["dof"], joint["dof"] + joint["width"]):
             if joint["frictionloss"] > 0:
-                bound = sim.settings.dt * joint["frictionloss"]
+                bound = world.settings.dt * joint["frictionloss"]
                 unit_row = np.eye(model.nv)[dof]
                 yield Row(("friction loss", dof, 0), unit_row, unit_row > 0, lo=-bound, hi=bound)
 
 
-def limit_rows(sim: Sim, v: Array, guess: Array) -> Iterator[Row]:
+def limit_rows(world: World, v: Array, guess: Array) -> Iterator[Row]:
     """The sides of joint ranges that the guess violates."""
-    model, settings = sim.model, sim.settings
+    model, settings = world.model, world.settings
     c, soft = softness(settings)
     for index, joint in enumerate(model.joints):
         if joint["range"] is None:
             continue
-        for side, phi, J in sides(model, joint, sim.qpos):
+        for side, phi, J in sides(model, joint, world.qpos):
             if phi + settings.dt * (J @ guess) < 0:
                 t = push_target(settings, phi, float(J @ v), bounces=False)
                 yield Row(("limit", index, side), J, J != 0, t, c, soft)
@@ -175,10 +174,10 @@ def sides(model: Model, joint: dict[str, Any], qpos: Array) -> Iterator[tuple[in
 
 
 def contact_rows(
-    sim: Sim, placed: Placed, contacts: list[Contact], v: Array, guess: Array
+    world: World, placed: Placed, contacts: list[Contact], v: Array, guess: Array
 ) -> Iterator[tuple[list[Row], float | None]]:
     """A contact whose guess overlaps: its normal, and two tangents where it has friction."""
-    model, settings = sim.model, sim.settings
+    model, settings = world.model, world.settings
     c, soft = softness(settings)
     for contact in contacts:
         pair = contact.pair
@@ -195,14 +194,16 @@ def contact_rows(
         yield made, pair.mu if pair.condim > 1 else None
 
 
-def penalty_force(sim: Sim, placed: Placed, contacts: list[Contact], v: Array, M: Array) -> Array:
+def penalty_force(
+    world: World, placed: Placed, contacts: list[Contact], v: Array, M: Array
+) -> Array:
     """The trap: a spring and a damper along the normal of each overlap, shape (nv,)."""
-    settings = sim.settings
+    settings = world.settings
     k, ratio = settings.penalty_stiffness, settings.penalty_damping_ratio
-    force = np.zeros(sim.model.nv)
+    force = np.zeros(world.model.nv)
     for contact in contacts:
         if contact.dist < 0:
-            J = contact_jacobian(sim.model, placed, contact)[0]
+            J = contact_jacobian(world.model, placed, contact)[0]
             inverse_mass = J @ np.linalg.solve(M, J)
             damping = 2 * ratio * np.sqrt(k / inverse_mass) if inverse_mass > 0 else 0.0
             force += J * (-k * contact.dist - damping * (J @ v))

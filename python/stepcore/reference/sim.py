@@ -2,58 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from . import commit, detect, place, rows, solve
-from .model import compile_scene
+from .compile import compile_scene
 from .rotation import Array
+from .settings import Settings
+from .world import World
 
 
-@dataclass(frozen=True)
-class Settings:
-    """How to compute: the fields and defaults of the engine that the reference knows."""
-
-    dt: float = 0.002
-    integrator: str = "semi-implicit"
-    solver: str = "pgs"
-    acceleration: str = "none"
-    sweeps: int | str = 100  # or "auto"
-    tolerance: float = 1e-10
-    warm_start: bool = True
-    law: str = "lesson"
-    beta: float = 0.2
-    softness: float = 0.0
-    restitution: float = 0.0
-    slop: float = 0.0
-    penalty_stiffness: float = 1e5
-    penalty_damping_ratio: float = 0.1
-    cone: str = "pyramidal"
-    precision: str = "f64"
-
-    def __post_init__(self) -> None:
-        known = {
-            "integrator": tuple(commit.SMOOTH),
-            "solver": ("pgs",),
-            "acceleration": ("none",),
-            "law": ("lesson", "relaxed", "rigid", "penalty"),
-            "cone": ("pyramidal", "elliptic"),
-            "precision": ("f64",),
-        }
-        for name, values in known.items():
-            if getattr(self, name) not in values:
-                raise ValueError(
-                    f"{name} '{getattr(self, name)}': the reference has {', '.join(values)}"
-                )
-        if not self.dt > 0:
-            raise ValueError(f"dt {self.dt}: must be > 0 s")
-        if self.sweeps == "auto" and not self.tolerance > 0:
-            raise ValueError(f"tolerance {self.tolerance}: must be > 0 with sweeps 'auto'")
-
-
-class Sim:
+class Sim(World):
     """One world in plain numpy: the yardstick for the engine's numbers and its speed.
 
     Takes a Scene (or its dict) and settings by keyword. f64 only.
@@ -63,17 +24,13 @@ class Sim:
         scene = getattr(scene, "scene", scene)  # a compiled model remembers its scene
         names = {f.name for f in fields(Settings)}
         own = {k: v for k, v in getattr(scene, "options", {}).items() if k in names}
-        self.settings = Settings(**(own | settings))
-        self.model = m = compile_scene(scene)
+        wanted = Settings(**(own | settings))
+        m = compile_scene(scene)
         detect.check(m)
         held = any(j["range"] or j["frictionloss"] for j in m.joints) or m.scene["equalities"]
-        if self.settings.law == "penalty" and held:
+        if wanted.law == "penalty" and held:
             raise ValueError("law 'penalty': the reference has it for contacts only")
-        self.qpos, self.qvel = np.array(m.qpos0, float), np.zeros(m.nv)
-        self.ctrl = np.zeros(len(m.scene["actuators"]))
-        self.qfrc_applied = np.zeros(m.nv)
-        self.xfrc_applied = np.zeros((len(m.scene["bodies"]), 6))
-        self.steps = 0
+        super().__init__(m, wanted)
         self.sweeps_done = 0
         self._warm: dict[Any, float] = {}  # impulse of each row of the last step, by the row's key
         self.forward()

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from .rotation import Array
 from .rows import Rows
-
-if TYPE_CHECKING:
-    from .sim import Settings
-
+from .settings import Settings
 
 # Where sweeps "auto" gives up, as in the engine.
 AUTO_MOST = 10_000

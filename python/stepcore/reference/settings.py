@@ -1,0 +1,46 @@
+"""`Settings`: how the reference computes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to compute: the fields and defaults of the engine that the reference knows."""
+
+    dt: float = 0.002
+    integrator: str = "semi-implicit"
+    solver: str = "pgs"
+    acceleration: str = "none"
+    sweeps: int | str = 100  # or "auto"
+    tolerance: float = 1e-10
+    warm_start: bool = True
+    law: str = "lesson"
+    beta: float = 0.2
+    softness: float = 0.0
+    restitution: float = 0.0
+    slop: float = 0.0
+    penalty_stiffness: float = 1e5
+    penalty_damping_ratio: float = 0.1
+    cone: str = "pyramidal"
+    precision: str = "f64"
+
+    def __post_init__(self) -> None:
+        known = {
+            "integrator": ("explicit", "semi-implicit", "midpoint", "rk4"),
+            "solver": ("pgs",),
+            "acceleration": ("none",),
+            "law": ("lesson", "relaxed", "rigid", "penalty"),
+            "cone": ("pyramidal", "elliptic"),
+            "precision": ("f64",),
+        }
+        for name, values in known.items():
+            if getattr(self, name) not in values:
+                raise ValueError(
+                    f"{name} '{getattr(self, name)}': the reference has {', '.join(values)}"
+                )
+        if not self.dt > 0:
+            raise ValueError(f"dt {self.dt}: must be > 0 s")
+        if self.sweeps == "auto" and not self.tolerance > 0:
+            raise ValueError(f"tolerance {self.tolerance}: must be > 0 with sweeps 'auto'")
