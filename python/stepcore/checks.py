@@ -1,4 +1,4 @@
-"""Checks of what a user gives: they convert it to the type of its field, or say what is wrong.
+"""Checks of values that a user gives: they convert a value to its type, or say what is wrong.
 
 Each function here makes a *check*: it takes ``(owner, field, value)``, returns the value to
 store, and raises `ValueError` naming the element, the field, the value and the limit.

@@ -65,12 +65,12 @@ class PostMortem(Result):
 
     @property
     def paragraph(self) -> str:
-        """What the error said."""
+        """The text of the error."""
         return str(self.replay.happened["text"])
 
     @property
     def shares(self) -> dict[str, float]:
-        """Each element's part of the growth, the largest first."""
+        """Each element's share of the energy injected, the largest first."""
         shares: dict[str, float] = self.replay.happened["shares"]
         return shares
 
@@ -81,7 +81,7 @@ class PostMortem(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """What the error said, and whether it came again."""
+        """The text of the error, and whether the replay failed again."""
         text = self.paragraph
         step = self.replay.happened["step"]
         again = f"The replay fails again after {self.replay.steps} steps, with the same bits."

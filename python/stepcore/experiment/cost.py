@@ -1,4 +1,4 @@
-"""What a setting costs: time, measured in turn with others; operations and memory, counted."""
+"""The cost of a setting: time, measured in turn with others; operations and memory, counted."""
 
 from __future__ import annotations
 

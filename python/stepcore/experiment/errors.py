@@ -1,4 +1,4 @@
-"""How far a run is from the reference, in numbers that mean the same in every scene."""
+"""Errors of a run against the reference, in numbers that mean the same in every scene."""
 
 from __future__ import annotations
 

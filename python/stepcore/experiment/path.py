@@ -1,4 +1,4 @@
-"""What one run did, at the samples, and how far two runs are apart."""
+"""`Path`: one run as recorded at the samples; the distance between two runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every measurement begins with: its model, its motion and its workers, all checked."""
+"""The common beginning of every measurement: model, motion and workers, all checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where runs begin, and the controls that nobody gave: both are drawn from a seed."""
+"""The starts of runs, and the default controls: both are drawn from a seed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the entries of a plan cost: the work of a step with them, and of one without."""
+"""The cost of a plan's entries: the work of a step with them, and of one without."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The motion under each of the candidates: the states it goes through, and how wrong it is."""
+"""The motion under each of the candidates: the states that it visits, and its error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a convergence says, in sentences."""
+"""The report of a convergence in sentences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What to change so that the wanted dt is stable: values found on the model itself, and verified.
+"""Changes that make the wanted dt stable: values searched on the model itself, and verified.
 
 For each way to change the limiting elements the least change that is stable at the wanted dt is
 searched for, on copies of the model and at every state. Where one element is not enough, those

@@ -1,4 +1,4 @@
-"""What the search tries: families of settings to begin with, and one setting changed at a time.
+"""The settings that the search tries: families to begin with, then one setting changed at a time.
 
 Substeps are no setting of their own: k substeps are a time step k times shorter and, at equal row
 updates, a k-th of the sweeps. Trying dt and sweeps covers them.

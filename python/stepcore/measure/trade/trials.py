@@ -86,7 +86,7 @@ class Trials:
         return Score(self.work[settings].flops, errors(paths, truth, scored).high)
 
     def failure(self, settings: Settings) -> str | None:
-        """Why a setting that has been run failed, if it did."""
+        """Why a setting failed; None if it did not."""
         paths = self.paths[settings]
         if paths[-1].failure:
             return f"start {len(paths) - 1}: {paths[-1].failure}"
