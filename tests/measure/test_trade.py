@@ -201,7 +201,7 @@ def test_the_sentences_name_the_shipped_settings():
     shipped, half, *_ = few(lesson.drop(), starts=1, horizon=0.4).sentences
     what = "As shipped (semi-implicit, pgs 1 sweep, dt 2 ms) the RMS position error over 400 ms is "
     assert shipped.startswith(what)
-    assert half.startswith("Halving that error costs ")
+    assert half.startswith("Half that error or less costs ")
 
 
 def test_newton_has_no_sweeps_and_single_rows_need_one():

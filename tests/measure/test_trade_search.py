@@ -83,7 +83,7 @@ def test_it_keeps_to_the_error_and_says_what_less_would_cost(ball):
     answer, next_better, *_ = ball.sentences
     assert answer.startswith("Recommended for an error of at most 100 µm: ")
     assert answer.endswith("Confirmed on 8 further starts.")
-    assert next_better.startswith("Halving that error costs ")
+    assert next_better.startswith("Half that error or less costs ")
 
 
 def test_the_next_better_is_better_than_what_was_found():

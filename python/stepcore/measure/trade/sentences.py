@@ -100,7 +100,7 @@ def _next_better(trade: Trade, row: TradeRow) -> str:
         return "No setting tried halves that error."
     times = trade.price(better) / trade.price(row)
     return (
-        f"Halving that error costs {times:.2f} times as much: {_named(trade, better)}, with "
+        f"Half that error or less costs {times:.2f} times as much: {_named(trade, better)}, with "
         f"an error of {metres(trade.error(better))}."
     )
 
@@ -137,7 +137,7 @@ def _improvements(trade: Trade) -> Iterator[str]:
         return
     error = trade.error(row)
     try:
-        yield f"Halving that error {_offer(trade, trade.cheapest(error / 2))}"
+        yield f"Half that error or less {_offer(trade, trade.cheapest(error / 2))}"
     except ValueError:
         yield "No setting tried halves that error."
     same = trade.cheapest(error)
