@@ -26,13 +26,14 @@ from stepcore.measure.convergence.candidates import (
     divides,
     with_converged,
 )
+from stepcore.measure.convergence.findings import Ending
 from stepcore.measure.convergence.residuals import (
     MotionState,
     ResidualHistory,
     RowForce,
     residual_history,
 )
-from stepcore.measure.convergence.result import Convergence, Ending
+from stepcore.measure.convergence.result import Convergence
 from stepcore.measure.convergence.runs import (
     CandidateRun,
     HalvedReference,

@@ -1,57 +1,28 @@
-"""`Convergence`: what `converge` returns."""
+"""`Convergence`: what `converge` returns, its findings in sentences, tables and data."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from stepcore._core import Settings
-from stepcore.experiment.motion import Motion
 from stepcore.measure.convergence import sentences
-from stepcore.measure.convergence.candidates import Candidates
-from stepcore.measure.convergence.residuals import ResidualHistory, RowForce
-from stepcore.measure.convergence.runs import CandidateRun, HalvedReference
-from stepcore.measure.convergence.theory import SweepTheory
+from stepcore.measure.convergence.findings import ConvergenceFindings
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
 from stepcore.report.units import counted, metres, seconds
 
-# Unconverged forces matter where they move bodies by more than this share of what the time step
-# does, and by more than `sentences.NOTABLE` of the scene's size.
-SHARE = 1.0
-# A residual moves a body no further than its speed times the duration of the motion, times this
-# factor where small differences grow.
-GROWTH = 100.0
-# Errors that differ by less than this factor count as equal.
-ALIKE = 1.2
 # Residuals below this share of the largest are rounding.
 ROUNDING = 1e-13
 # The rows that are printed.
 PRINTED = 10
 
 
-@dataclass(frozen=True)
-class Ending:
-    """Where the motion ends under the settings' own sweeps and with converged forces.
-
-    body: the one furthest apart, by `apart` [m], in which start. speed, solved_speed: its mean
-    over the last tenth of the motion [m/s]. solver: RMS distance over the whole motion [m].
-    """
-
-    start: int
-    body: str
-    apart: float
-    speed: float
-    solved_speed: float
-    solver: float
-
-
 @dataclass(eq=False, repr=False)
-class Convergence(Result):
+class Convergence(ConvergenceFindings, Result):
     """Whether a scene's rows are solved, and whether sweeps or smaller steps gain more accuracy.
 
     candidates: the settings that were run.
@@ -81,18 +52,6 @@ class Convergence(Result):
         "updates": "1/s",
     }
 
-    name: str
-    settings: Settings
-    motion: Motion
-    horizon: float
-    starts: int
-    candidates: Candidates
-    runs: dict[Settings, CandidateRun]
-    histories: list[ResidualHistory]
-    reference: HalvedReference
-    ending: Ending | None
-    notes: list[str] = field(default_factory=list)
-
     def __post_init__(self) -> None:
         self.notes = [*self.reference.notes, *self.notes, *sentences.cautions(self)]
 
@@ -112,90 +71,9 @@ class Convergence(Result):
         )
 
     @property
-    def own(self) -> CandidateRun:
-        """The run under the scene's own settings."""
-        return self.runs[self.settings]
-
-    @property
-    def solved(self) -> CandidateRun:
-        """The same with converged forces."""
-        return self.runs[self.candidates.solved]
-
-    @property
-    def verdict(self) -> str:
-        """ "diverging", "under-solved", "no rows" or "solved"."""
-        if self.ending is None:
-            return "diverging"
-        if not self.histories:
-            return "no rows"
-        apart, notable = self.ending.solver, sentences.NOTABLE * self.reference.size
-        matters = apart > max(SHARE * self.solved.error, notable)
-        able = apart < GROWTH * self.own.residual * self.horizon
-        return "under-solved" if matters and able else "solved"
-
-    @property
-    def better(self) -> str:
-        """ "smaller steps", "more sweeps" or "neither": more accurate at equal row updates."""
-        if not self.histories:
-            return "neither"
-        splits = [(split, self.runs[split.settings]) for split in self.candidates.splits]
-        done = [(split, run.error) for split, run in splits if not run.failure]
-        steps = min((e for split, e in done if split.steps > split.sweeps), default=math.inf)
-        sweeps = min((e for split, e in done if split.steps < split.sweeps), default=math.inf)
-        if steps * ALIKE < sweeps:
-            return "smaller steps"
-        return "more sweeps" if sweeps * ALIKE < steps else "neither"
-
-    @property
     def sentences(self) -> list[str]:
         """The verdict, what limits it, how fast sweeps converge, and what gains more."""
         return sentences.of(self)
-
-    @property
-    def slowest(self) -> ResidualHistory | None:
-        """The state at which sweeps converge slowest, at the settings' own time step."""
-        known = [h for h in self.at(self.settings.dt) if h.contraction is not None]
-        return max(known, key=lambda h: h.contraction or 0.0, default=None)
-
-    @property
-    def contraction(self) -> float | None:
-        """The share of the error that a sweep leaves in the end, at the slowest state, measured."""
-        return self.slowest.contraction if self.slowest else None
-
-    @property
-    def theory(self) -> SweepTheory:
-        """The same by theory, at the same state."""
-        return self.slowest.theory if self.slowest else SweepTheory(why="no two rows act at once")
-
-    def at(self, dt: float) -> list[ResidualHistory]:
-        """The residual histories at one time step."""
-        return [history for history in self.histories if history.dt == dt]
-
-    def residual(self, dt: float, sweeps: int, warm: bool = False) -> float:
-        """After this number of sweeps (one of `ResidualHistory.sweeps`), median of states [m/s]."""
-        values = []
-        for history in self.at(dt):
-            if history.cold:
-                residuals = history.warm if warm else history.cold
-                values.append(residuals[history.sweeps.index(sweeps)])
-        return float(np.median(values)) if values else math.nan
-
-    @property
-    def rows(self) -> list[RowForce]:
-        """Elements that have rows, the furthest from its converged force first.
-
-        After the settings' own sweeps, each at the state where most is missing.
-        """
-        worst: dict[str, RowForce] = {}
-        count: dict[str, int] = {}
-        for history in self.at(self.settings.dt):
-            for force in history.forces:
-                name = force.name
-                if name not in worst or force.missing > worst[name].missing:
-                    worst[name] = force
-                count[name] = count.get(name, 0) + 1
-        order = sorted(worst.values(), key=lambda force: -force.missing)
-        return [replace(force, states=count[force.name]) for force in order]
 
     @property
     def table(self) -> Table:

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
+from stepcore.measure.convergence.findings import NOTABLE, ConvergenceFindings, Ending
 from stepcore.report.units import metres, seconds, speed
 
-if TYPE_CHECKING:
-    from stepcore.measure.convergence.result import Convergence, Ending
-
-# A difference below this share of the scene's size is none.
-NOTABLE = 1e-5
 # A body that moves less than this share of the distance in the whole motion rests.
 STILL = 0.1
 # The number of rows that are named; a row that lacks less than this share of the largest is not.
 NAMED, SHARE = 3, 0.1
 
 
-def of(result: Convergence) -> list[str]:
+def of(result: ConvergenceFindings) -> list[str]:
     """The verdict, what limits it, how fast sweeps converge, and what gains more."""
     said = [_verdict(result)]
     if result.histories:
@@ -26,7 +21,7 @@ def of(result: Convergence) -> list[str]:
     return [sentence for sentence in said if sentence]
 
 
-def _verdict(result: Convergence) -> str:
+def _verdict(result: ConvergenceFindings) -> str:
     if result.ending is None:
         return _diverging(result)
     if result.verdict == "no rows":
@@ -47,7 +42,7 @@ def _length(value: float, size: float) -> str:
     return metres(value) if value >= least else f"less than {metres(least)}"
 
 
-def _ending(result: Convergence, ending: Ending) -> str:
+def _ending(result: ConvergenceFindings, ending: Ending) -> str:
     """Where an under-solved motion ends."""
     apart = f"{metres(ending.apart)} from where converged forces take it"
     slow = STILL * ending.apart / result.horizon
@@ -63,7 +58,7 @@ def _ending(result: Convergence, ending: Ending) -> str:
     return f"{ending.body} ends {apart}."
 
 
-def _diverging(result: Convergence) -> str:
+def _diverging(result: ConvergenceFindings) -> str:
     if not result.own.failure:
         return (
             f"Diverging: with converged forces the motion fails ({result.solved.failure}); it runs "
@@ -85,7 +80,7 @@ def _diverging(result: Convergence) -> str:
     return f"{why} Neither converged forces nor the smaller time steps tried help."
 
 
-def _rows(result: Convergence) -> str:
+def _rows(result: ConvergenceFindings) -> str:
     rows = [row for row in result.rows if row.missing > 0]
     if not rows or result.verdict == "solved":
         return ""
@@ -98,7 +93,7 @@ def _rows(result: Convergence) -> str:
     return f"Force reached, of the converged force: {', '.join(limiting[:NAMED])}."
 
 
-def _contraction(result: Convergence) -> str:
+def _contraction(result: ConvergenceFindings) -> str:
     rate = result.contraction
     if rate is None:
         return "No two rows act at once, so one sweep solves them."
@@ -126,7 +121,7 @@ def _share(value: float) -> str:
     return f"{value:.{digits}f}"
 
 
-def _work(result: Convergence) -> str:
+def _work(result: ConvergenceFindings) -> str:
     errors = []
     for split in result.candidates.splits:
         run = result.runs[split.settings]
@@ -140,7 +135,7 @@ def _work(result: Convergence) -> str:
     return f"At equal row updates {answer} (steps x sweeps): {', '.join(errors)}."
 
 
-def _four_times(result: Convergence) -> str:
+def _four_times(result: ConvergenceFindings) -> str:
     """What four times the work gains from here."""
     more, quarter = result.candidates.more, result.candidates.quarter
     if more is None or quarter is None or result.own.failure:
@@ -154,7 +149,7 @@ def _four_times(result: Convergence) -> str:
     )
 
 
-def cautions(result: Convergence) -> list[str]:
+def cautions(result: ConvergenceFindings) -> list[str]:
     """Where the reference is too poor."""
     said = []
     references = result.candidates.references

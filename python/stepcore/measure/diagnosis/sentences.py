@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from stepcore.measure.diagnosis.element_id import INERTIAL
+from stepcore.measure.diagnosis.element_limits import ElementLimits
+from stepcore.measure.diagnosis.findings import DiagnosisFindings
 from stepcore.measure.diagnosis.linear_step import VELOCITY_LAWS
+from stepcore.measure.diagnosis.step_stability import StepStability
+from stepcore.measure.diagnosis.visited_states import Visit
 from stepcore.report.units import counted, hertz, seconds, times
-
-if TYPE_CHECKING:
-    from stepcore.measure.diagnosis.element_limits import ElementLimits
-    from stepcore.measure.diagnosis.result import Diagnosis
-    from stepcore.measure.diagnosis.step_stability import StepStability
-    from stepcore.measure.diagnosis.visited_states import Visit
 
 # Growth of the motion itself that deserves a note [1/s].
 NOTABLE = 0.1
@@ -24,7 +21,7 @@ SLOW = 10.0
 NAMES = 4
 
 
-def sentences(d: Diagnosis) -> Iterator[str]:
+def sentences(d: DiagnosisFindings) -> Iterator[str]:
     """The answer, the advice, and the state that decides."""
     own = d.settings.integrator
     yield _answer(d, own)
@@ -47,7 +44,7 @@ def sentences(d: Diagnosis) -> Iterator[str]:
         yield f"The limiting state is {state.label}" + (f", where {acting} act." if acting else ".")
 
 
-def _answer(d: Diagnosis, own: str) -> str:
+def _answer(d: DiagnosisFindings, own: str) -> str:
     """Whether the wanted dt is stable, and which element limits it."""
     limit, wanted, limiting = d.limit(own), seconds(d.wanted), d.limiting(own)
     name, traits = d.stiffest(own), _traits(limiting) if limiting else ""
@@ -70,7 +67,7 @@ def limits_dt(name: str, dt: float, traits: str = "") -> str:
     return f"{name or 'no single element'}{traits} {verb} dt to {seconds(dt)}"
 
 
-def _outcome(d: Diagnosis, limiting: ElementLimits | None) -> str:
+def _outcome(d: DiagnosisFindings, limiting: ElementLimits | None) -> str:
     """What happens beyond the limit."""
     kind = limiting.element.kind if limiting else ""
     if kind == "friction loss":

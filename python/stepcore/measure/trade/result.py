@@ -1,31 +1,21 @@
-"""`Trade`: the settings with their errors and costs, and the cheapest of them for an error."""
+"""`Trade`: what `trade` returns, its findings in sentences, tables and data."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from stepcore._core import Settings
-from stepcore.experiment.motion import Motion
-from stepcore.experiment.reference import Reference
-from stepcore.measure.trade.frontier import Frontier
-from stepcore.measure.trade.mujoco import Point
-from stepcore.measure.trade.orders import observed_orders
-from stepcore.measure.trade.row import UNITS, TradeRow
+from stepcore.measure.trade.findings import TradeFindings
+from stepcore.measure.trade.row import UNITS
 from stepcore.measure.trade.sentences import sentences
 from stepcore.measure.trade.tables import settings_table, statistics_tables
 from stepcore.report.result import Result
 from stepcore.report.table import Table
-from stepcore.report.units import counted, length, metres, seconds
-
-# What `Trade.best` looks for where nobody says it [m].
-ERROR = 1e-3
+from stepcore.report.units import counted, metres, seconds
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Trade(Result):
+class Trade(TradeFindings, Result):
     """What speed costs in accuracy for one scene; `stepcore.trade` returns it.
 
     motion: the motion that every setting ran.
@@ -42,47 +32,6 @@ class Trade(Result):
 
     kind = "trade"
     units: ClassVar = UNITS
-
-    name: str
-    motion: Motion
-    frontier: Frontier
-    reference: Reference
-    horizon: float
-    notes: list[str] = field(default_factory=list)
-    target: float | None = None
-    budget: float | None = None
-    size: float = math.nan
-    mujoco: Sequence[Point] = ()
-    screened: int = 0
-    runs: int = 0
-    chosen: TradeRow | None = None
-
-    @property
-    def rows(self) -> list[TradeRow]:
-        """Every setting that ran from all starts, and those that failed; coarsest step first."""
-        return list(self.frontier.rows)
-
-    @property
-    def starts(self) -> int:
-        """From how many starts every setting ran."""
-        return len(self.reference.paths)
-
-    @property
-    def by(self) -> str:
-        """The cost metric: "time" [µs] or "flops", per simulated second."""
-        return self.frontier.by
-
-    def error(self, row: TradeRow) -> float:
-        """The error that a row can claim [m]: inf if it failed.
-
-        The RMS position error of the worst start, further ones among them; not below the
-        reference's own.
-        """
-        return self.frontier.error(row)
-
-    def price(self, row: TradeRow) -> float:
-        """What a row costs per simulated second: µs, or operations if that is the metric."""
-        return self.frontier.price(row)
 
     @property
     def title(self) -> str:
@@ -107,34 +56,6 @@ class Trade(Result):
         return list(sentences(self))
 
     @property
-    def shipped(self) -> TradeRow:
-        """The settings that came with the scene."""
-        return next(row for row in self.rows if row.shipped)
-
-    @property
-    def settings(self) -> Settings:
-        """The settings that came with the scene."""
-        return self.shipped.settings
-
-    @property
-    def orders(self) -> dict[str, float]:
-        """The order of accuracy that each integrator shows in the worst start; see `orders`."""
-        return observed_orders(self.rows, self.reference)
-
-    @property
-    def predictable(self) -> float:
-        """When the first of the starts can no longer be predicted [s]; inf beyond the horizon.
-
-        Trajectory errors are those before it; see `stepcore.predictability`.
-        """
-        return self.reference.growth.overall
-
-    @property
-    def failures(self) -> list[TradeRow]:
-        """The rows that failed; `TradeRow.failure` says why."""
-        return [row for row in self.rows if row.failure]
-
-    @property
     def table(self) -> Table:
         """All rows, coarsest step first; units as in `Errors` and `TradeRow`."""
         return Table(row.record() for row in self.rows)
@@ -142,60 +63,6 @@ class Trade(Result):
     def tables(self, full: bool) -> list[Table]:
         """The settings that matter (`full`: all), and means after the motion is unpredictable."""
         return [settings_table(self, full), *statistics_tables(self)]
-
-    @property
-    def recommended(self) -> TradeRow | None:
-        """The row for the error or budget that was asked for; None where no row is, or no ask."""
-        if self.chosen is not None:
-            return self.chosen
-        try:
-            if self.target is not None:
-                return self.cheapest(self.target)
-            return None if self.budget is None else self.most_accurate(self.budget)
-        except ValueError:
-            return None
-
-    def best(self, error: float | str | None = None) -> Settings:
-        """The cheapest Settings that keep to an error in every start.
-
-        error: metres, "1mm", or "0.1%" of the scene's size; by default what the trade was made
-            for (an error or a budget), else 1 mm.
-
-        Raises ValueError, naming the smallest error there is, if none is that good.
-        """
-        if error is None and self.target is None and self.budget is not None:
-            return self.most_accurate(self.budget).settings
-        if self.chosen is not None and error in (None, self.target):
-            return self.chosen.settings
-        return self.cheapest(error).settings
-
-    def next_better(self, error: float | str | None = None) -> TradeRow | None:
-        """The cheapest row with at most half of that error; None if there is none.
-
-        error: as in `best`; by default that of the recommended row.
-        """
-        if error is None and self.recommended is not None:
-            error = self.error(self.recommended)
-        try:
-            return self.frontier.cheapest(self._length(error) / 2)
-        except ValueError:
-            return None
-
-    def cheapest(self, error: float | str | None = None) -> TradeRow:
-        """The row of the lowest price whose error is at most `error`, as in `best`."""
-        return self.frontier.cheapest(self._length(error))
-
-    def _length(self, error: float | str | None) -> float:
-        if error is None:
-            return ERROR if self.target is None else self.target
-        return length("best", "error", error, self.size)
-
-    def most_accurate(self, budget: float) -> TradeRow:
-        """The row with the smallest error whose price is at most `budget`.
-
-        Raises ValueError, naming the lowest price there is, if none is that cheap.
-        """
-        return self.frontier.most_accurate(budget)
 
     def details(self) -> dict[str, Any]:
         """The reference, what was asked for and is recommended, and MuJoCo's points."""

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
+from stepcore.measure.trade.findings import TradeFindings
 from stepcore.measure.trade.mujoco import compared_with_mujoco
+from stepcore.measure.trade.row import TradeRow
 from stepcore.report.settings import label
 from stepcore.report.units import computing, counted, metres, operations, seconds
-
-if TYPE_CHECKING:
-    from stepcore.measure.trade.result import Trade
-    from stepcore.measure.trade.row import TradeRow
 
 # From here on the worst start says something else than the median of the starts.
 DIFFER = 30.0
@@ -20,7 +17,7 @@ DIFFER = 30.0
 NOTABLE = 0.9
 
 
-def sentences(trade: Trade) -> Iterator[str]:
+def sentences(trade: TradeFindings) -> Iterator[str]:
     """The recommendation first, then the shipped settings, then MuJoCo."""
     if trade.target is not None:
         yield from _for_error(trade, trade.target)
@@ -33,7 +30,7 @@ def sentences(trade: Trade) -> Iterator[str]:
         yield from compared_with_mujoco(trade.mujoco, trade.shipped)
 
 
-def _for_error(trade: Trade, error: float) -> Iterator[str]:
+def _for_error(trade: TradeFindings, error: float) -> Iterator[str]:
     """The cheapest settings within an error and the next better, or what came nearest."""
     row = trade.recommended
     if row is not None:
@@ -48,7 +45,7 @@ def _for_error(trade: Trade, error: float) -> Iterator[str]:
         yield f"The most accurate one is {_named(trade, least)}, with an error of {best}."
 
 
-def _for_budget(trade: Trade, budget: float) -> Iterator[str]:
+def _for_budget(trade: TradeFindings, budget: float) -> Iterator[str]:
     """The most accurate settings within a budget and the next better, or the cheapest."""
     within = operations(budget) if trade.by == "flops" else computing(budget)
     row = trade.recommended
@@ -64,7 +61,7 @@ def _for_budget(trade: Trade, budget: float) -> Iterator[str]:
         yield f"The cheapest one is {_named(trade, least)}, at {_priced(trade, least)}."
 
 
-def _described(trade: Trade, row: TradeRow) -> str:
+def _described(trade: TradeFindings, row: TradeRow) -> str:
     """Recommended settings with their error, their cost and the result on further starts."""
     shipped, price = trade.shipped, _priced(trade, row)
     if row.settings == shipped.settings:
@@ -78,7 +75,7 @@ def _described(trade: Trade, row: TradeRow) -> str:
     )
 
 
-def _confirmed(trade: Trade, row: TradeRow) -> str:
+def _confirmed(trade: TradeFindings, row: TradeRow) -> str:
     """The result on further starts."""
     tried = row.further
     if tried is None:
@@ -93,7 +90,7 @@ def _confirmed(trade: Trade, row: TradeRow) -> str:
     return f" The error stayed within it on {tried.held} of {count}."
 
 
-def _next_better(trade: Trade, row: TradeRow) -> str:
+def _next_better(trade: TradeFindings, row: TradeRow) -> str:
     """What at most half of the error costs."""
     better = trade.next_better(trade.error(row))
     if better is None:
@@ -105,7 +102,7 @@ def _next_better(trade: Trade, row: TradeRow) -> str:
     )
 
 
-def _shipped(trade: Trade) -> str:
+def _shipped(trade: TradeFindings) -> str:
     """The error of the shipped settings: in the worst start, and in the median of the starts."""
     row = trade.shipped
     what = f"As shipped ({label(row.settings)})"
@@ -125,7 +122,7 @@ def _shipped(trade: Trade) -> str:
     )
 
 
-def _improvements(trade: Trade) -> Iterator[str]:
+def _improvements(trade: TradeFindings) -> Iterator[str]:
     """The cost of half the shipped error, and of the shipped error itself."""
     row = trade.shipped
     if row.errors is None:
@@ -145,7 +142,7 @@ def _improvements(trade: Trade) -> Iterator[str]:
         yield f"The same error or less {_offer(trade, same)}"
 
 
-def _offer(trade: Trade, row: TradeRow) -> str:
+def _offer(trade: TradeFindings, row: TradeRow) -> str:
     times = trade.price(row) / trade.price(trade.shipped)
     return (
         f"costs {times:.2f} times as much: {_named(trade, row)}, with an error of "
@@ -153,12 +150,12 @@ def _offer(trade: Trade, row: TradeRow) -> str:
     )
 
 
-def _named(trade: Trade, row: TradeRow) -> str:
+def _named(trade: TradeFindings, row: TradeRow) -> str:
     """Settings in words, with all that is not as shipped."""
     return label(row.settings, trade.shipped.settings)
 
 
-def _priced(trade: Trade, row: TradeRow) -> str:
+def _priced(trade: TradeFindings, row: TradeRow) -> str:
     """The price in words."""
     if trade.by == "flops":
         return f"{operations(row.flops)} per simulated second"

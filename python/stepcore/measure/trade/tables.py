@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from stepcore.measure.trade.findings import TradeFindings
+from stepcore.measure.trade.mujoco import Point
+from stepcore.measure.trade.row import TradeRow
 from stepcore.measure.trade.statistics import QUANTITIES
 from stepcore.report.settings import differences, label
 from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, seconds
-
-if TYPE_CHECKING:
-    from stepcore.measure.trade.mujoco import Point
-    from stepcore.measure.trade.result import Trade
-    from stepcore.measure.trade.row import TradeRow
 
 # A printed trade shows all rows up to this many, then the ones that matter.
 FULL = 40
@@ -41,7 +39,7 @@ NAMES = ("", "dt", "integrator", "solver", "also", *NUMBERS)
 BLANK = ("", None, "0")
 
 
-def settings_table(trade: Trade, full: bool) -> Table:
+def settings_table(trade: TradeFindings, full: bool) -> Table:
     """The rows, the reference and MuJoCo's best; `full`: all rows, however many there are."""
     shown = trade.rows if full or len(trade.rows) <= FULL else _main_rows(trade)
     records = [*(_cells(trade, row) for row in shown), _reference_cells(trade)]
@@ -54,7 +52,7 @@ def settings_table(trade: Trade, full: bool) -> Table:
     return Table(records, columns, dict.fromkeys((*NUMBERS, "dt"), ""), legend=legend)
 
 
-def statistics_tables(trade: Trade) -> list[Table]:
+def statistics_tables(trade: TradeFindings) -> list[Table]:
     """The means after the motion cannot be predicted; none where all of it can be."""
     rows = [(row, row.after) for row in trade.rows if row.after is not None]
     if not rows:
@@ -79,7 +77,7 @@ def statistics_tables(trade: Trade) -> list[Table]:
     return [Table(records, heading=heading)]
 
 
-def _main_rows(trade: Trade) -> Sequence[TradeRow]:
+def _main_rows(trade: TradeFindings) -> Sequence[TradeRow]:
     """The best rows, the shipped one, and those that differ from it in dt alone."""
     own, chosen = trade.shipped.settings, trade.recommended
     kept = {own} if chosen is None else {own, chosen.settings}
@@ -90,7 +88,7 @@ def _main_rows(trade: Trade) -> Sequence[TradeRow]:
     ]
 
 
-def _cells(trade: Trade, row: TradeRow) -> dict[str, Any]:
+def _cells(trade: TradeFindings, row: TradeRow) -> dict[str, Any]:
     """One printed row."""
     s, e = row.settings, row.errors
     marks = "*" * row.best + "s" * row.shipped + "c" * row.clamped
@@ -120,7 +118,7 @@ def _cells(trade: Trade, row: TradeRow) -> dict[str, Any]:
     return record
 
 
-def _reference_cells(trade: Trade) -> dict[str, Any]:
+def _reference_cells(trade: TradeFindings) -> dict[str, Any]:
     """The reference's own row, to compare with what the scene itself loses or overlaps."""
     ref = trade.reference
     gained = max(float(path.balance.max()) for path in ref.paths)

@@ -1,0 +1,92 @@
+"""What a diagnosis found: the largest stable dt by integrator, and the elements that limit it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from stepcore import checks
+from stepcore._core import Settings
+from stepcore.experiment.motion import Motion
+from stepcore.measure.diagnosis.advice import Advice
+from stepcore.measure.diagnosis.dt_limits import Limit
+from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
+from stepcore.measure.diagnosis.element_limits import ElementLimits
+from stepcore.measure.diagnosis.linear_step import State
+
+
+@dataclass(eq=False, repr=False)
+class DiagnosisFindings:
+    """The fields of a `Diagnosis`, which says what each is, and the questions they answer."""
+
+    name: str
+    settings: Settings
+    motion: Motion
+    wanted: float
+    states: list[State]
+    limits: dict[str, Limit]
+    element_shares: dict[str, dict[ElementId, float]]
+    rows: list[ElementLimits]
+    advice: list[Advice] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    physical: float = 0.0
+    rate: float | None = None
+
+    @property
+    def horizon(self) -> float:
+        """Length of the motion [s], over which undamped growth counts."""
+        return self.motion.horizon or 0.0
+
+    def limit(self, integrator: str | None = None) -> float:
+        """The largest stable dt [s] under an integrator (default: the scene's).
+
+        inf where nothing limits it, 0 where no step is stable. An integrator that was not
+        diagnosed is a ValueError.
+        """
+        return self.limits[self._known(integrator)].dt
+
+    def stiffest(self, integrator: str | None = None) -> str:
+        """The name of the element that limits dt under an integrator (default: the scene's).
+
+        It has the largest share in the mode that sets the limit; where nothing limits dt, in the
+        fastest motion. "" where no element has a share in it.
+        """
+        element = self._stiffest(self._known(integrator))
+        return element.name if element else ""
+
+    def limiting(self, integrator: str | None = None) -> ElementLimits | None:
+        """Frequency, damping and limits of the element that `stiffest` names, on its own."""
+        element = self._stiffest(self._known(integrator))
+        return next((row for row in self.rows if row.element == element), None)
+
+    def _stiffest(self, integrator: str) -> ElementId | None:
+        shares = dict(self.element_shares[integrator])
+        unlimited = math.isinf(self.limits[integrator].dt)
+        if unlimited:
+            shares.pop(INERTIAL, None)
+        if any(shares.values()):
+            return max(shares, key=lambda element: shares[element])
+        # A row that begins to act within the step has no share at its start.
+        alone = [row for row in self.rows if math.isfinite(row.limits[integrator])]
+        if unlimited or not alone:
+            return None
+        return min(alone, key=lambda row: row.limits[integrator]).element
+
+    def _known(self, integrator: str | None) -> str:
+        name = self.settings.integrator if integrator is None else integrator
+        if name not in self.limits:
+            near = checks.nearest(str(name), self.limits)
+            raise ValueError(f"integrator = {checks.shown(name)}: was not diagnosed{near}")
+        return name
+
+    def element(self, name: str) -> ElementLimits | None:
+        """An element on its own, by its name; None where no such element acts."""
+        return next((row for row in self.rows if row.name == name), None)
+
+    @property
+    def shares(self) -> dict[str, dict[str, float]]:
+        """`element_shares` by the elements' names."""
+        return {
+            integrator: {element.name: share for element, share in shares.items()}
+            for integrator, shares in self.element_shares.items()
+        }
