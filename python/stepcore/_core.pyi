@@ -227,8 +227,8 @@ class Sim:
     def forget(self) -> None:
         """Forgets the impulses of the last step."""
 
-    def linearize(self) -> _Floats:
-        """A (2 nv, 2 nv) and B (2 nv, nu) side by side."""
+    def linearize(self) -> tuple[_Floats, list[_Element]]:
+        """A (2 nv, 2 nv) and B (2 nv, nu) side by side; elements at which they are one-sided."""
 
     def count(self, n: int) -> list[tuple[str, int]]:
         """Floating-point operations of the next n steps, by stage."""

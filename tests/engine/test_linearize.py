@@ -243,6 +243,30 @@ def test_refusals_and_printing():
     assert step.to_dict()["labels"] == ["shoulder", "elbow"]
 
 
+@pytest.mark.parametrize("law", ["rigid", "lesson"])
+def test_one_sided_where_friction_just_holds(law):
+    """A motor pushes with exactly the friction loss: more would slip, less would stick."""
+    scene = sc.Scene().with_settings(dt=0.01, integrator="semi-implicit", law=law, solver="pgs")
+    cart = scene.add_body("cart")
+    scene.add_joint(cart, "slide", name="rail", axis=(1, 0, 0), frictionloss=0.5)
+    scene.add_geom(cart, "sphere", 0.1, mass=2.0)
+    scene.add_actuator("rail", name="motor")
+    sim = Sim(scene)
+    for push in (0.4, 0.6):
+        sim.ctrl[0] = push
+        step = sim.linearize()
+        assert step.degenerate == () and "one-sided" not in repr(step)
+        assert step.B[1, 0] == pytest.approx(0.0 if push < 0.5 else 0.005, abs=1e-15)
+    sim.ctrl[0] = 0.5
+    step = sim.linearize()
+    assert step.degenerate_ids == (("friction loss", 0, 0),)
+    assert step.degenerate == ("friction loss of joint `rail`",)
+    assert repr(step).endswith("; one-sided at: friction loss of joint `rail`>")
+    assert step.to_dict()["degenerate"] == list(step.degenerate)
+    # One side's: it slips, or it sticks.
+    assert min(abs(step.B[1, 0] - side) for side in (0.0, 0.005)) < 1e-15
+
+
 @pytest.mark.parametrize("name", ["half_cheetah", "hopper", "walker2d"])
 @pytest.mark.parametrize("integrator", ["euler", "implicitfast"])
 def test_mujoco_differences_its_own_step_to_the_same(name, integrator):

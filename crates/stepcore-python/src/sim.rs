@@ -200,8 +200,9 @@ impl Sim {
         Ok(())
     }
 
-    /// A (2 nv × 2 nv) and B (2 nv × nu), side by side, of the step from the present state.
-    fn linearize<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+    /// A (2 nv × 2 nv) and B (2 nv × nu), side by side, of the step from the present state; the
+    /// elements at which they are one-sided.
+    fn linearize<'py>(&self, py: Python<'py>) -> PyResult<(Array<'py>, Vec<Id>)> {
         let mut linearizer = {
             let mut guard = self.lock()?;
             let world = &mut **guard;
@@ -210,7 +211,9 @@ impl Sim {
         };
         gil::steps(py, linearizer.steps(), |n| linearizer.advance(n))?;
         let rows = 2 * self.model.nv;
-        result(py, linearizer.matrix, &[rows, rows + self.model.actuators.len()])
+        let degenerate = linearizer.degenerate().iter().copied().map(id).collect();
+        let matrix = result(py, linearizer.matrix, &[rows, rows + self.model.actuators.len()])?;
+        Ok((matrix, degenerate))
     }
 
     /// Floating-point operations of the next n steps, by stage.

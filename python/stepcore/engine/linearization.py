@@ -29,6 +29,8 @@ class Linearization:
 
     A: shape (2 nv, 2 nv). B: shape (2 nv, nu). dt: the time step [s].
     labels: names of the dofs. controls: names of the actuators.
+    degenerate: names of the elements at which A and B are one-sided, because a row of theirs is
+    exactly where it becomes active; empty as a rule. degenerate_ids: (kind, index, part) of each.
 
     >>> from stepcore import Scene, Sim
     >>> scene = Scene()
@@ -51,11 +53,15 @@ class Linearization:
         dt: float,
         labels: tuple[str, ...],
         controls: tuple[str, ...] = (),
+        degenerate: tuple[str, ...] = (),
+        degenerate_ids: tuple[tuple[str, int, int], ...] = (),
     ) -> None:
         self.A, self.B = A, B
         self.dt = dt
         self.labels = labels
         self.controls = controls
+        self.degenerate = degenerate
+        self.degenerate_ids = degenerate_ids
 
     @property
     def nv(self) -> int:
@@ -81,17 +87,23 @@ class Linearization:
             "dt": self.dt,
             "labels": list(self.labels),
             "controls": list(self.controls),
+            "degenerate": list(self.degenerate),
+            "degenerate_ids": [list(element) for element in self.degenerate_ids],
             "spectral_radius": self.spectral_radius,
         }
 
     def __repr__(self) -> str:
         count = f"{self.nv} dofs, {len(self.controls)} controls"
         radius = f"spectral radius {self.spectral_radius:.6g}"
-        return f"<Linearization: {count}; a step of {self.dt:g} s; {radius}>"
+        sides = f"; one-sided at: {', '.join(self.degenerate)}" if self.degenerate else ""
+        return f"<Linearization: {count}; a step of {self.dt:g} s; {radius}{sides}>"
 
 
-def linearized(sim: Sim, numbers: Floats) -> Linearization:
-    """The linearisation of a Sim's next step; numbers: A and B side by side."""
+def linearized(sim: Sim, numbers: Floats, degenerate: list[tuple[str, int, int]]) -> Linearization:
+    """The linearisation of a Sim's next step; numbers: A and B side by side.
+
+    degenerate: the elements at which these are one-sided.
+    """
     model = sim.model
     split = 2 * model.nv
     labels = tuple(
@@ -100,4 +112,12 @@ def linearized(sim: Sim, numbers: Floats) -> Linearization:
         for axis in AXES[kind]
     )
     controls = tuple(name or f"actuator {i}" for i, name in enumerate(model.actuator_names))
-    return Linearization(numbers[:, :split], numbers[:, split:], sim.settings.dt, labels, controls)
+    return Linearization(
+        numbers[:, :split],
+        numbers[:, split:],
+        sim.settings.dt,
+        labels,
+        controls,
+        tuple(model.element_name(*element) for element in degenerate),
+        tuple(degenerate),
+    )

@@ -132,14 +132,15 @@ class Sim(Stepped):
         solver included, with this Sim's settings and in float64. Controls, applied forces and the
         solver's starting impulses are constant in the map. Where a law switches (a contact that
         just touches, a limit just reached, a clamped control) the derivatives are one-sided: those
-        of what the step does at this state.
+        of what the step does at this state. `degenerate` of the result names the elements whose
+        rows are exactly at such a place.
 
         The cost is that of about (2 nv + nu)/4 steps in dual numbers, each a few times a plain
         step. The GIL is released. See docs/linearize.md.
 
         Raises what `step` raises, and ValueError if the step has an infinite derivative.
         """
-        return linearized(self, self._core.linearize())
+        return linearized(self, *self._core.linearize())
 
     def count_flops(self, n: int = 1) -> int:
         """Counts the floating-point operations of the next n steps, without taking them.

@@ -11,21 +11,24 @@
 //!
 //! That is the implicit function theorem, and the same for every solver that reached a
 //! solution. Sweeps that did not reach one are differentiated as what they are: in numbers
-//! that carry their slopes along. (Where a change of p may leave the active rows as they are
-//! or not, these are the derivatives of one side.)
+//! that carry their slopes along. Where a change of p may leave the active rows as they are
+//! or not (`corners.rs`), these are the derivatives of one side, and `degenerate` says where.
 
 mod active;
+mod corners;
 mod factor;
 
 use super::islands::Islands;
 use super::limits::Report;
 use super::rows::{Block, Row, Rows};
 use super::solver::{Solve, Solvers, Unconstrained};
+use crate::elements::Element;
 use crate::error::Result;
 use crate::real::{Dual, Real, WAYS};
 use crate::room::{listed, room, Room};
 use crate::settings::{Settings, Solver};
 use active::{Direction, Matrix};
+use corners::{corners, Corner};
 use factor::Factors;
 use num_traits::Zero;
 
@@ -46,6 +49,8 @@ pub(crate) struct Differentiated {
     force: Vec<Dual>,
     /// By direction.
     rhs: Vec<[f64; WAYS]>,
+    /// Elements whose rows had derivatives of one side; ascending.
+    degenerate: Vec<Element>,
 }
 
 /// What is solved, without slopes.
@@ -66,6 +71,7 @@ struct Solution {
     impulse: Vec<f64>,
     u: Vec<f64>,
     islands: Vec<(Vec<Direction>, Factors)>,
+    corners: Vec<Corner>,
 }
 
 impl Room for Differentiated {
@@ -77,6 +83,7 @@ impl Room for Differentiated {
             + self.carried.room()
             + listed(&self.force)
             + listed(&self.rhs)
+            + listed(&self.degenerate)
             + self.solutions.room()
             + islands.sum::<usize>()
     }
@@ -86,7 +93,8 @@ room!(Given: inv_d, guess, rows, blocks, y, u);
 
 impl Room for Solution {
     fn room(&self) -> usize {
-        self.given.room() + listed(&self.impulse) + listed(&self.u) + listed(&self.islands)
+        let lists = listed(&self.impulse) + listed(&self.u) + listed(&self.islands);
+        self.given.room() + lists + listed(&self.corners)
     }
 }
 
@@ -112,6 +120,10 @@ impl Solve<Dual> for Differentiated {
         }
         self.carried.solve(settings, free, rows)
     }
+
+    fn degenerate(&self) -> &[Element] {
+        &self.degenerate
+    }
 }
 
 impl Differentiated {
@@ -124,6 +136,7 @@ impl Differentiated {
             carried: Solvers::new(),
             force: Vec::new(),
             rhs: Vec::new(),
+            degenerate: Vec::new(),
         }
     }
 
@@ -142,7 +155,7 @@ impl Differentiated {
 
     /// Writes the impulses and u of a solution, with their slopes.
     fn differentiate(&mut self, at: usize, free: Unconstrained<Dual>, rows: &mut Rows<Dual>) {
-        let Self { solutions, force, rhs, .. } = self;
+        let Self { solutions, force, rhs, degenerate, .. } = self;
         let solution = &solutions[at];
         let Given { inv_d, y, .. } = &solution.given;
         hold(&solution.impulse, free, rows, force);
@@ -171,6 +184,12 @@ impl Differentiated {
         }
         for (u, solved) in rows.u.iter_mut().zip(&solution.u) {
             u.value = *solved;
+        }
+        for corner in &solution.corners {
+            let Err(at) = degenerate.binary_search(&corner.element) else { continue };
+            if corner.leaves(rows, free.dof_lists, free.guess) {
+                degenerate.insert(at, corner.element);
+            }
         }
     }
 }
@@ -231,21 +250,31 @@ impl Given {
         (rows.rows, rows.blocks, rows.y, rows.u) = (given.rows, given.blocks, given.y, given.u);
         let free = Unconstrained { dof_lists, inv_d, guess };
         let report = solvers.solve(settings, free, &mut rows)?;
-        let mut islands = Vec::new();
+        let (mut islands, mut at_corners) = (Vec::new(), Vec::new());
         if !report.open {
             let mut order = Islands::default();
             order.sort(&rows.blocks);
+            at_corners = corners(&rows, dof_lists, inv_d, guess);
             let mut matrix = Matrix::new(&rows, dof_lists, inv_d);
             for island in 0..order.count() {
                 let blocks = order.of(island).iter();
                 let blocks = blocks.map(|at| &rows.blocks[*at]).filter(|block| block.mask);
-                let directions = matrix.directions(blocks);
+                let directions = matrix.directions(blocks.clone());
                 let factors = Factors::of(matrix.of(&directions), directions.len());
+                for corner in &mut at_corners {
+                    let others = blocks.clone().filter(|block| block.rows.start != corner.block);
+                    let others = matrix.directions(others);
+                    if others.len() < directions.len() {
+                        let rank = Factors::of(matrix.of(&others), others.len()).rank();
+                        corner.repeats = rank == factors.rank();
+                    }
+                }
                 islands.push((directions, factors));
             }
         }
         let impulse = rows.rows.iter().map(|row| row.impulse).collect();
-        Ok(Solution { given: self.clone(), report, impulse, u: rows.u, islands })
+        let (given, u, corners) = (self.clone(), rows.u, at_corners);
+        Ok(Solution { given, report, impulse, u, islands, corners })
     }
 }
 

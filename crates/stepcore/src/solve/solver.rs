@@ -4,6 +4,7 @@ use super::limits::{Limits, Report};
 use super::newton::Newton;
 use super::pgs::Pgs;
 use super::rows::Rows;
+use crate::elements::Element;
 use crate::error::Result;
 use crate::real::Real;
 use crate::room::{room, Room};
@@ -30,6 +31,11 @@ pub(crate) trait Solve<R: Real>: Room + Send + Sync {
         free: Unconstrained<R>,
         rows: &mut Rows<R>,
     ) -> Result<Report<R>>;
+
+    /// Elements at which the slopes so far are those of one side; ascending.
+    fn degenerate(&self) -> &[Element] {
+        &[]
+    }
 }
 
 /// Every solver's memory.

@@ -58,6 +58,12 @@ impl Linearizer {
         self.width().div_ceil(WAYS) as u64
     }
 
+    /// Elements at which the derivatives are those of one side: a row of theirs is exactly where it
+    /// becomes active.
+    pub fn degenerate(&self) -> &[Element] {
+        self.sim.solver.degenerate()
+    }
+
     /// Takes the next `n` of them.
     pub fn advance(&mut self, n: u64) -> Result<()> {
         for _ in 0..n {

@@ -61,6 +61,10 @@ impl Factors {
         Self { lu, rows, columns }
     }
 
+    pub fn rank(&self) -> usize {
+        self.rows.len()
+    }
+
     /// x ← M⁻¹ x, for several right-hand sides.
     pub fn solve(&self, x: &mut [[f64; WAYS]]) {
         let rank = self.rows.len();

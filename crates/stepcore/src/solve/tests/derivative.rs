@@ -40,8 +40,8 @@ fn solution(problem: &Problem, settings: &Settings) -> Option<Vec<f64>> {
     solve(&mut Solvers::new(), settings, given, &mut rows).then_some(rows.u)
 }
 
-/// u's slopes along `way`.
-fn slopes(problem: &Problem, way: &[f64], settings: &Settings) -> Option<Vec<f64>> {
+/// u's slopes along `way`, and the blocks at which they are one-sided.
+fn slopes(problem: &Problem, way: &[f64], settings: &Settings) -> Option<(Vec<f64>, Vec<u32>)> {
     let mut tangent = problem.clone();
     numbers(&mut tangent).into_iter().zip(way).for_each(|(x, way)| *x = *way);
     let join = |values: &[f64], ways: &[f64]| -> Vec<Dual> {
@@ -65,12 +65,14 @@ fn slopes(problem: &Problem, way: &[f64], settings: &Settings) -> Option<Vec<f64
         row.inv_s = (row.a + row.c).recip_or_zero();
     }
     let plain = solution(problem, settings)?;
-    assert!(solve(&mut Differentiated::new(), settings, [&inv_d, &guess], &mut rows));
+    let mut solver = Differentiated::new();
+    assert!(solve(&mut solver, settings, [&inv_d, &guess], &mut rows));
     for (u, plain) in rows.u.iter().zip(plain) {
         assert_eq!(u.value.to_bits(), plain.to_bits());
         assert_eq!(u.slopes[0], 0.0);
     }
-    Some(rows.u.iter().map(|u| u.slopes[1]).collect())
+    let degenerate = solver.degenerate().iter().map(|element| element.index).collect();
+    Some((rows.u.iter().map(|u| u.slopes[1]).collect(), degenerate))
 }
 
 fn apart(a: &[f64], b: &[f64]) -> f64 {
@@ -86,7 +88,10 @@ fn check(settings: &Settings, mut make: impl FnMut(usize, &mut Random) -> Proble
         let mut problem = make(case, &mut random);
         let way: Vec<f64> = numbers(&mut problem).iter().map(|_| random.next()).collect();
         let way = repeated(&problem, way);
-        let Some(got) = slopes(&problem, &way, settings) else { continue };
+        let Some((got, one_sided)) = slopes(&problem, &way, settings) else { continue };
+        // Rigid copies share an impulse in any way, and one of them may end at a corner.
+        let shared = settings.law == Law::Rigid && case % 2 == 1;
+        assert!(one_sided.is_empty() || shared, "case {case}: {one_sided:?}");
         let h = 1e-6;
         let at = |s: f64| solution(&moved(&problem, &way, s * h), settings);
         let (Some(up), Some(here), Some(down)) = (at(1.0), at(0.0), at(-1.0)) else { continue };
@@ -194,4 +199,39 @@ fn sweeps_without_softness() {
             problem
         });
     }
+}
+
+/// The end of an interval, and of each cone its apex and its surface: one-sided exactly there.
+#[test]
+fn corners_are_told() {
+    let settings = settings(Solver::Pgs, Law::Rigid);
+    let one_sided = |set, guess: [f64; 3], copies: usize| -> Vec<u32> {
+        let mut problem = Problem::new(&[3.0, 1.0, 1.0], &guess);
+        let unit = |k: usize| (0..3).map(|i| f64::from(u8::from(i == k))).collect::<Vec<_>>();
+        let (count, lo) = if set == Set::Interval { (1, -0.7) } else { (3, 0.0) };
+        let hi = if set == Set::Interval { 0.7 } else { INF };
+        let list: Vec<_> = (0..count).map(|k| (unit(k), 0.0, 0.0, lo, hi)).collect();
+        problem.blocks = vec![(set, 0.7, list); copies];
+        let mut way: Vec<f64> = numbers(&mut problem).iter().map(|_| 0.0).collect();
+        way[..3].copy_from_slice(&[0.3, -0.2, 0.1]);
+        slopes(&problem, &way, &settings).unwrap().1
+    };
+    for (push, want) in [(2.1, vec![0]), (-2.1, vec![0]), (2.1001, vec![]), (2.0, vec![])] {
+        assert_eq!(one_sided(Set::Interval, [push, 0.0, 0.0], 1), want, "{push}");
+    }
+    for set in [Set::Convex, Set::CoulombRound, Set::CoulombBox] {
+        // An impulse of 1, and in the tangent what the cone just holds, less, or more.
+        for (push, want) in [(0.7, vec![0]), (0.69, vec![]), (0.71, vec![])] {
+            assert_eq!(one_sided(set, [-3.0, push, 0.0], 1), want, "{set:?} {push}");
+        }
+        assert_eq!(one_sided(set, [0.0; 3], 1), [0], "{set:?}");
+        assert_eq!(one_sided(set, [0.1, 0.0, 0.0], 1), [0; 0], "{set:?}");
+    }
+    // The second only repeats the first, which leaves it no impulse and no slack.
+    let limits = |guess: f64| {
+        let mut problem = Problem::new(&[1.0], &[guess]);
+        (0..2).for_each(|_| problem.limit(&[1.0], 0.0, 0.0));
+        slopes(&problem, &[1.0, 0.0, 0.0, 0.0, 0.0, 0.0], &settings).unwrap().1
+    };
+    assert_eq!((limits(-1.0), limits(0.0)), (vec![], vec![0, 1]));
 }
