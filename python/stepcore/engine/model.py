@@ -314,7 +314,8 @@ class Model:
         Raises ValueError, with the nearest names, for an unknown kind, name or field, and for a bad
         value.
         """
-        return Model(changed(self._scene, values, self), self._settings)
+        mass = dict(zip(self.body_names, self.body_mass.tolist(), strict=True))
+        return Model(changed(self._scene, values, mass), self._settings)
 
     def with_settings(
         self, settings: Settings | None = None, **fields: Unpack[SettingsFields]

@@ -17,7 +17,7 @@ from stepcore.mjcf.schema import FLAGS
 from stepcore.scene.elements import Features, fields_of
 
 if TYPE_CHECKING:
-    from stepcore.scene.scene import Scene
+    from stepcore.scene.contents import Contents
 
 NAME = "stepcore"
 # Features without an MJCF flag.
@@ -61,7 +61,7 @@ def own_texts(nodes: Iterable[Node]) -> list[Node]:
     return texts
 
 
-def read(scene: Scene, node: Node) -> None:
+def read(scene: Contents, node: Node) -> None:
     """Reads stepcore's own text into a scene that is otherwise complete."""
     from stepcore._core import Settings
 
@@ -88,7 +88,7 @@ def read(scene: Scene, node: Node) -> None:
     scene.options.update({name: whole[name] for name in settings})
 
 
-def _unname(scene: Scene, node: Node, text: str) -> None:
+def _unname(scene: Contents, node: Node, text: str) -> None:
     for word in text.split(","):
         kind, _, name = word.partition("/")
         if kind not in KINDS:

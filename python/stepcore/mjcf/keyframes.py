@@ -11,7 +11,7 @@ from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
-    from stepcore.scene.scene import Scene
+    from stepcore.scene.contents import Contents
 
 MAX_KEYS = 100_000
 
@@ -42,7 +42,7 @@ def key(world: WorldReader, layout: Layout, node: Node) -> None:
     world.keep(node, added)
 
 
-def add_empty_keys(scene: Scene, sizes: Iterable[Node]) -> None:
+def add_empty_keys(scene: Contents, sizes: Iterable[Node]) -> None:
     """Adds default states until there are as many keyframes as ``<size nkey>`` says."""
     count = 0
     for node in sizes:

@@ -9,7 +9,7 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 
 if TYPE_CHECKING:
-    from stepcore.scene.scene import Scene
+    from stepcore.scene.contents import Contents
 
 INTEGRATORS = {"Euler": "euler", "RK4": "rk4", "implicitfast": "implicitfast"}
 SOLVERS = {"PGS": "pgs", "Newton": "newton", "CG": "newton"}
@@ -38,7 +38,7 @@ FLAG_DEFAULT_OFF = frozenset(
 FLAGS_UNBUILT = ("override", "sleep", "diagexact", "ipc", "speculative")
 
 
-def read(scene: Scene, node: Node) -> None:
+def read(scene: Contents, node: Node) -> None:
     """Reads an option section into `scene`; a later section replaces values of an earlier one."""
     values, options = node.values, scene.options
     if "timestep" in values:
@@ -87,7 +87,7 @@ def _refuse(node: Node) -> None:
         raise node.unbuilt("disabling groups of actuators (actuatorgroupdisable)")
 
 
-def _flags(scene: Scene, node: Node) -> None:
+def _flags(scene: Contents, node: Node) -> None:
     for name, word in node.values.items():
         on = word == "enable"
         if name == "warmstart":
@@ -104,7 +104,7 @@ def _flags(scene: Scene, node: Node) -> None:
             setattr(scene.features, name, on)
 
 
-def _note(scene: Scene, node: Node, text: str) -> None:
+def _note(scene: Contents, node: Node, text: str) -> None:
     scene.notes.append(f"{node.file}:{node.line}: {text}")
 
 

@@ -26,10 +26,10 @@ from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.layout import Layout, check
 
 if TYPE_CHECKING:
-    from stepcore.scene.scene import Scene
+    from stepcore.scene.contents import Contents
 
 
-def read_file(scene: Scene, path: str | os.PathLike[str]) -> None:
+def read_file(scene: Contents, path: str | os.PathLike[str]) -> None:
     """Fills an empty scene from an MJCF file; see `stepcore.load`."""
     shown = os.fsdecode(path)
     main = Path(shown)
@@ -40,7 +40,7 @@ def read_file(scene: Scene, path: str | os.PathLike[str]) -> None:
 
 
 def read_text(
-    scene: Scene,
+    scene: Contents,
     text: str | bytes,
     *,
     base: str | os.PathLike[str] | None = None,
@@ -55,7 +55,7 @@ def read_text(
     _fill(scene, root, Source(data, None if base is None else os.path.abspath(base)))
 
 
-def _fill(scene: Scene, root: Node, source: Source) -> None:
+def _fill(scene: Contents, root: Node, source: Source) -> None:
     """Fills the scene from a whole model whose includes are expanded."""
     scene.name = root.attrs.get("model", "")
     scene._source = source.of(root)

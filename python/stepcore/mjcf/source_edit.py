@@ -21,17 +21,17 @@ from stepcore.mjcf.write import Tag, escaped, written
 
 if TYPE_CHECKING:
     from stepcore.mjcf.nodes import Source
-    from stepcore.scene.scene import Scene
+    from stepcore.scene.contents import Contents
 
 
-def save(scene: Scene, path: str | os.PathLike[str]) -> None:
+def save(scene: Contents, path: str | os.PathLike[str]) -> None:
     """Writes the scene to a file; see `Scene.save`."""
     target = Path(os.fsdecode(path))
     data = kept(scene, os.path.abspath(target.parent))
     target.write_bytes(written(scene).encode() if data is None else data)
 
 
-def kept(scene: Scene, directory: str) -> bytes | None:
+def kept(scene: Contents, directory: str) -> bytes | None:
     """The text of the scene's file with its present settings; None if that is not possible.
 
     directory: the folder that the text is saved to.
@@ -57,7 +57,7 @@ def kept(scene: Scene, directory: str) -> bytes | None:
     return None
 
 
-def _read(scene: Scene, data: bytes, source: Source) -> Scene | None:
+def _read(scene: Contents, data: bytes, source: Source) -> Contents | None:
     """Fills an empty scene from a text; None if the text cannot be read."""
     try:
         read_text(scene, data, base=source.directory)
@@ -66,7 +66,7 @@ def _read(scene: Scene, data: bytes, source: Source) -> Scene | None:
     return scene
 
 
-def _only_settings_differ(original: Scene, scene: Scene) -> bool:
+def _only_settings_differ(original: Contents, scene: Contents) -> bool:
     same = original.with_settings(scene.settings)
     same.name = scene.name
     return same == scene
@@ -137,7 +137,7 @@ _Edit = tuple[int, int, bytes]
 
 
 def _edited(
-    data: bytes, marks: _Marks, option: _Open | None, original: Scene, scene: Scene
+    data: bytes, marks: _Marks, option: _Open | None, original: Contents, scene: Contents
 ) -> bytes | None:
     """The text with the settings of `scene`, in this option tag or in a new one at the end."""
     if marks.root is None or marks.root.closed:

@@ -15,7 +15,7 @@ from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element
 from stepcore.scene.frames import Vec
 
 if TYPE_CHECKING:
-    from stepcore.scene.scene import Scene
+    from stepcore.scene.contents import Contents
 
 AT_ORIGIN = (frames.ORIGIN, frames.IDENTITY)
 
@@ -49,7 +49,7 @@ class WorldReader:
     refer to, by kind.
     """
 
-    def __init__(self, scene: Scene, compiler: Compiler, defaults: Defaults) -> None:
+    def __init__(self, scene: Contents, compiler: Compiler, defaults: Defaults) -> None:
         self.scene = scene
         self.compiler = compiler
         self.defaults = defaults

@@ -26,7 +26,7 @@ from stepcore.scene.elements import (
 from stepcore.scene.layout import SIZES, Layout, check
 
 if TYPE_CHECKING:
-    from stepcore.scene.scene import Scene
+    from stepcore.scene.contents import Contents
 
 # Characters that XML 1.0 does not allow, even escaped.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
@@ -74,7 +74,7 @@ def changed(element: Element, *skip: str) -> dict[str, Any]:
     return {field: value for field, value in values.items() if value != defaults[field]}
 
 
-def written(scene: Scene) -> str:
+def written(scene: Contents) -> str:
     """The scene as an MJCF text; see `Scene.to_mjcf`."""
     layout = Layout(scene)
     check(layout)
@@ -142,7 +142,7 @@ def _compiler(root: Tag, rules: MassRules) -> None:
     root.add(Tag("compiler", angle="radian", **given))
 
 
-def _option(root: Tag, scene: Scene) -> dict[str, Any]:
+def _option(root: Tag, scene: Contents) -> dict[str, Any]:
     """Adds the option section; returns the settings that it cannot hold."""
     default, settings = Settings().as_dict(), scene.settings.as_dict()
     own = {name: value for name, value in settings.items() if value != default[name]}
@@ -249,7 +249,7 @@ def _key(key: Key) -> Tag:
     return Tag("key", **{name: value for name, value in given.items() if value != ()})
 
 
-def _left_out(scene: Scene) -> str:
+def _left_out(scene: Contents) -> str:
     """The comment about elements of the scene's file that this text leaves out."""
     count = len(scene.ignored)
     if not count:

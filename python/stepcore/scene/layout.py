@@ -17,7 +17,7 @@ from stepcore.scene.elements import Body, Element, Geom, Joint
 from stepcore.scene.frames import IDENTITY, ORIGIN
 
 if TYPE_CHECKING:
-    from stepcore.scene.scene import Scene
+    from stepcore.scene.contents import Contents
 
 QPOS = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 DOFS = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
@@ -34,7 +34,7 @@ SIZE_WORDS = {
 class Layout:
     """The elements of a scene in the order of the compiled model."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Contents) -> None:
         self.scene = scene
         self.bodies = _depth_first(scene.bodies)
         self.index = {id(body): i for i, body in enumerate(self.bodies)}

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore import checks
 from stepcore.scene.elements import Body, Element, fields_of
 
 if TYPE_CHECKING:
-    from stepcore.engine.model import Model
-    from stepcore.scene.scene import Scene
+    from stepcore.scene.contents import Contents
+
+SomeScene = TypeVar("SomeScene", bound="Contents")
 
 KINDS = ("body", "joint", "geom", "site", "actuator", "equality", "key")
 
 
-def changed(scene: Scene, values: Mapping[str, Any], model: Model) -> Scene:
-    """A copy of `scene` with these values; `model` is what it was compiled to."""
+def changed(
+    scene: SomeScene, values: Mapping[str, Any], body_mass: Mapping[str, float]
+) -> SomeScene:
+    """A copy of `scene` with these values.
+
+    body_mass: the mass of each body in the compiled model, by name [kg].
+    """
     if not isinstance(values, Mapping):
         raise ValueError(f"values = {checks.shown(values)}: must be a dict of paths and values")
     scene = copy.deepcopy(scene)
@@ -27,13 +33,13 @@ def changed(scene: Scene, values: Mapping[str, Any], model: Model) -> Scene:
             continue
         element, field = find(scene, path)
         if field == "mass" and isinstance(element, Body) and element.mass is None:
-            _scale_geoms(scene, model, element, value)
+            _scale_geoms(scene, element, body_mass[element.name], value)
         else:
             _set(element, field, value)
     return scene
 
 
-def find(scene: Scene, path: object) -> tuple[Element, str]:
+def find(scene: Contents, path: object) -> tuple[Element, str]:
     """The element and the field at a path."""
     parts = path.split("/") if isinstance(path, str) else []
     if len(parts) < 3:
@@ -61,11 +67,10 @@ def _set(element: Element, field: str, value: Any) -> None:
     setattr(element, field, value)
 
 
-def _scale_geoms(scene: Scene, model: Model, body: Body, value: Any) -> None:
-    """Changes the mass of a body that gets it from its geoms, by scaling the geoms."""
+def _scale_geoms(scene: Contents, body: Body, old: float, value: Any) -> None:
+    """Changes the mass of a body that gets it from its geoms, `old`, by scaling the geoms."""
     mass: float = checks.real(above=0)(body, "mass", value)
-    index = model.index("body", body.name)
-    factor = mass / float(model.body_mass[index])
+    factor = mass / old
     low, high = scene.mass_rules.inertiagrouprange
     for geom in scene.geoms:
         if geom.body is body and low <= geom.group <= high:

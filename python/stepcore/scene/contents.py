@@ -1,0 +1,312 @@
+"""`Contents`: what a scene holds, its elements and settings, and the methods that add to them.
+
+`Scene` stands on it and reads, writes and compiles them. What reads and fills scenes, such as
+`Layout` and the MJCF reader, needs only this.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from stepcore import checks
+from stepcore.scene import frames
+from stepcore.scene.elements import (
+    GRAVITY,
+    Actuator,
+    Body,
+    Element,
+    Equality,
+    Features,
+    Geom,
+    Joint,
+    Key,
+    MassRules,
+    Site,
+    fields_of,
+)
+
+if TYPE_CHECKING:
+    from typing import Self, Unpack
+
+    from stepcore._core import Settings
+    from stepcore.engine.settings_fields import SettingsFields
+    from stepcore.mjcf.nodes import Source
+    from stepcore.scene.fields import (
+        ActuatorFields,
+        EqualityFields,
+        GeomFields,
+        JointFields,
+        KeyFields,
+        Numbers,
+        SiteFields,
+        Vector,
+    )
+
+E = TypeVar("E", bound=Element)
+
+
+class Contents(checks.KnownNames):
+    """The elements and settings of a `Scene`, which documents them."""
+
+    _attributes = (
+        *("name", "bodies", "joints", "geoms", "sites", "actuators", "equalities", "keys"),
+        *("excludes", "mass_rules", "features", "options", "ignored", "notes"),
+    )
+
+    def __init__(self, gravity: Vector = GRAVITY, name: str = "") -> None:
+        self.gravity = gravity
+        self.name = checks.text("scene", "name", name)
+        self.bodies: list[Body] = [Body(name="world")]
+        self.joints: list[Joint] = []
+        self.geoms: list[Geom] = []
+        self.sites: list[Site] = []
+        self.actuators: list[Actuator] = []
+        self.equalities: list[Equality] = []
+        self.keys: list[Key] = []
+        self.excludes: list[tuple[Body, Body]] = []
+        self.mass_rules = MassRules()
+        self.features = Features()
+        self.options: dict[str, Any] = {}
+        self.ignored: list[str] = []
+        self.notes: list[str] = []
+        # The text that the scene was read from, so that saving can keep it.
+        self._source: Source | None = None
+
+    @property
+    def gravity(self) -> frames.Vec:
+        """Gravitational acceleration [m/s²], shape (3,)."""
+        return self._gravity
+
+    @gravity.setter
+    def gravity(self, value: Vector) -> None:
+        self._gravity: frames.Vec = checks.vector(3)("scene", "gravity", value)
+
+    @property
+    def world(self) -> Body:
+        """The world: the body that everything stands on, which does not move."""
+        return self.bodies[0]
+
+    # What is in the scene.
+
+    def body(self, name: str | Body) -> Body:
+        """Returns the body of this name; ValueError with the nearest names if there is none."""
+        return _find(self.bodies, "body", name)
+
+    def joint(self, name: str | Joint) -> Joint:
+        """Returns the joint of this name."""
+        return _find(self.joints, "joint", name)
+
+    def geom(self, name: str | Geom) -> Geom:
+        """Returns the geom of this name."""
+        return _find(self.geoms, "geom", name)
+
+    def site(self, name: str | Site) -> Site:
+        """Returns the site of this name."""
+        return _find(self.sites, "site", name)
+
+    def actuator(self, name: str | Actuator) -> Actuator:
+        """Returns the actuator of this name."""
+        return _find(self.actuators, "actuator", name)
+
+    def equality(self, name: str | Equality) -> Equality:
+        """Returns the equality of this name."""
+        return _find(self.equalities, "equality", name)
+
+    def key(self, name: str | Key) -> Key:
+        """Returns the keyframe of this name."""
+        return _find(self.keys, "key", name)
+
+    # Adding to it.
+
+    def add_body(
+        self,
+        name: str = "",
+        parent: str | Body = "world",
+        pos: Vector = frames.ORIGIN,
+        quat: Vector = frames.IDENTITY,
+        *,
+        mass: float | None = None,
+        inertia: Vector | None = None,
+        ipos: Vector | None = None,
+    ) -> Body:
+        """Adds a body.
+
+        name: unique among bodies, or "".
+        parent: the body that carries it, as a name or a `Body`.
+        pos, quat: its position [m] and orientation (w x y z) in the parent's frame.
+        mass: [kg]; without it, mass, centre of mass and inertia come from the body's geoms.
+        ipos: centre of mass in the body's frame [m].
+        inertia: about the centre of mass, in body axes [kg·m²]: xx yy zz, or xx yy zz xy xz yz.
+            A mass without an inertia is a point mass.
+        """
+        fields: dict[str, Any] = {"name": name, "pos": pos, "quat": quat, "mass": mass}
+        if inertia is not None:
+            fields["inertia"] = inertia
+        if ipos is not None:
+            fields["ipos"] = ipos
+        body = Body(parent=self.body(parent), **fields)
+        if mass is None and len(fields) > 4:
+            raise checks.refuse(body, "mass", None, "given where ipos or inertia is")
+        return _append(self.bodies, body)
+
+    def add_joint(
+        self, body: str | Body, type: str = "hinge", **fields: Unpack[JointFields]
+    ) -> Joint:
+        """Adds a joint between a body and its parent.
+
+        body: the body that it moves, as a name or a `Body`.
+        type: "hinge", "slide", "ball" or "free".
+        fields: of `Joint`: name, pos [m], axis, range [rad or m], ref, stiffness [N·m/rad or N/m],
+            damping [N·m·s/rad or N·s/m], armature [kg·m² or kg], frictionloss [N·m or N], …
+        """
+        return self._add(self.joints, Joint, fields, body=self.body(body), type=type)
+
+    def add_geom(
+        self,
+        body: str | Body = "world",
+        type: str = "sphere",
+        size: Numbers = (0.0, 0.0, 0.0),
+        *,
+        fromto: Vector | None = None,
+        **fields: Unpack[GeomFields],
+    ) -> Geom:
+        """Adds a shape to a body.
+
+        body: the body that it is fixed to, as a name or a `Body`.
+        type: "plane", "sphere", "capsule", "ellipsoid", "cylinder" or "box".
+        size: [m], up to 3 numbers whose meaning depends on the type; see `Geom`.
+        fromto: both end points of a capsule, cylinder, box or ellipsoid [m], shape (6,), in place
+            of pos, quat and every size but the first.
+        fields: of `Geom`: name, pos [m], quat, mass [kg], density [kg/m³], friction, condim,
+            solref, solimp, …
+        """
+        geom = _make(Geom, fields, body=self.body(body), type=type, size=size)
+        if fromto is not None:
+            both = [field for field in ("pos", "quat") if field in fields]
+            if both:
+                raise checks.ElementError(geom, f"{both[0]} and fromto are both given")
+            ends = checks.vector(6)(geom, "fromto", fromto)
+            try:
+                geom.size, geom.pos, geom.quat = frames.from_to(type, ends, geom.size[0])
+            except ValueError as error:
+                raise checks.ElementError(geom, str(error)) from None
+        return _append(self.geoms, geom)
+
+    def add_site(self, body: str | Body = "world", **fields: Unpack[SiteFields]) -> Site:
+        """Adds a site, a named place on a body.
+
+        fields: of `Site`: name, pos [m], quat.
+        """
+        return self._add(self.sites, Site, fields, body=self.body(body))
+
+    def add_actuator(
+        self, joint: str | Joint, type: str = "motor", **fields: Unpack[ActuatorFields]
+    ) -> Actuator:
+        """Adds an actuator on a joint.
+
+        joint: a name or a `Joint`.
+        type: "motor", "position" (servo), "velocity" (servo) or "general".
+        fields: of `Actuator`: name, gear, kp, kv, dampratio, ctrlrange, forcerange [N or N·m], …
+        """
+        return self._add(self.actuators, Actuator, fields, joint=self.joint(joint), type=type)
+
+    def add_equality(
+        self,
+        type: str = "connect",
+        body1: str | Body = "",
+        body2: str | Body = "world",
+        anchor: Vector = frames.ORIGIN,
+        **fields: Unpack[EqualityFields],
+    ) -> Equality:
+        """Adds a constraint that holds a point of one body on another.
+
+        type: "connect". body1, body2: names or `Body` objects.
+        anchor: the shared point in the frame of body1 [m], shape (3,).
+        fields: of `Equality`: name, active, solref, solimp.
+        """
+        ends = {"body1": self.body(body1), "body2": self.body(body2)}
+        return self._add(self.equalities, Equality, fields, type=type, anchor=anchor, **ends)
+
+    def add_key(self, name: str = "", **fields: Unpack[KeyFields]) -> Key:
+        """Adds a keyframe, a named state.
+
+        fields: of `Key`: time [s], qpos, qvel and ctrl in the compiled model's order.
+        """
+        return self._add(self.keys, Key, fields, name=name)
+
+    def exclude(self, body1: str | Body, body2: str | Body) -> None:
+        """Excludes collisions between the geoms of two bodies."""
+        self.excludes.append((self.body(body1), self.body(body2)))
+
+    def _add(self, into: list[E], kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
+        return _append(into, _make(kind, fields, **own))
+
+    # How it is computed.
+
+    @property
+    def settings(self) -> Settings:
+        """The scene's `Settings`: its `options`, and defaults for the rest.
+
+        Raises ValueError for an option that is not a field of `Settings` or is outside its limit.
+        """
+        from stepcore._core import Settings
+
+        return Settings(**self.options)
+
+    @settings.setter
+    def settings(self, value: Settings) -> None:
+        self.options = value.as_dict()
+
+    def with_settings(
+        self,
+        settings: Settings | Mapping[str, Any] | None = None,
+        **fields: Unpack[SettingsFields],
+    ) -> Self:
+        """Returns a copy of the scene with other settings.
+
+        settings: a `Settings`, which replaces them all, or a dict of fields.
+        fields: single fields of `Settings`.
+        """
+        scene = copy.deepcopy(self)
+        if settings is not None:
+            if isinstance(settings, Mapping):
+                scene.options.update(settings)
+            else:
+                scene.options = settings.as_dict()
+        scene.options.update(fields)
+        return scene
+
+
+def _find(elements: Sequence[E], kind: str, name: object) -> E:
+    """The element of this name, or the element itself if it is one of these."""
+    for element in elements:
+        if element is name or (name and element.name == name):  # type: ignore[attr-defined]
+            return element
+    if isinstance(name, str):
+        near = checks.nearest(name, [e.name for e in elements])  # type: ignore[attr-defined]
+        text = f'no {kind} is named "{name}"{near}'
+    elif isinstance(name, Element):
+        text = f"{name} is not a {kind} of this scene"
+    else:
+        text = f"{kind} = {checks.shown(name)}: must be a name or a {kind.capitalize()}"
+    raise ValueError(text)
+
+
+def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
+    """A new element; a field that it does not have is a ValueError with the nearest one."""
+    known = fields_of(kind)
+    for field in fields:
+        if field not in known:
+            near = checks.nearest(field, known)
+            raise ValueError(f'a {kind.__name__.lower()} has no field "{field}"{near}')
+    return kind(**own, **fields)
+
+
+def _append(into: list[E], element: E) -> E:
+    name = element.name  # type: ignore[attr-defined]
+    if name and any(other.name == name for other in into):  # type: ignore[attr-defined]
+        raise checks.ElementError(element, "the name is used twice")
+    into.append(element)
+    return element
