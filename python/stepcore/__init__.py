@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from stepcore.engine.batch import Batch as Batch
     from stepcore.engine.batch import Rollout as Rollout
     from stepcore.engine.linearization import Linearization as Linearization
-    from stepcore.engine.model import Keyframe as Keyframe
     from stepcore.engine.model import Model as Model
+    from stepcore.engine.model_data import Keyframe as Keyframe
     from stepcore.engine.plan import Plan as Plan
     from stepcore.engine.plan import PlanEntry as PlanEntry
     from stepcore.engine.postmortem import PostMortem as PostMortem
@@ -92,10 +92,8 @@ _MODULES = {
         "Rollout",
     ),
     "stepcore.engine.linearization": ("Linearization",),
-    "stepcore.engine.model": (
-        "Keyframe",
-        "Model",
-    ),
+    "stepcore.engine.model": ("Model",),
+    "stepcore.engine.model_data": ("Keyframe",),
     "stepcore.engine.plan": (
         "Plan",
         "PlanEntry",

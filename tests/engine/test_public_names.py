@@ -95,7 +95,11 @@ def classes_in(module, annotation):
 
 
 def handed_out(thing):
-    """The classes that a function returns, or that the public methods of a class return."""
+    """The classes that a function returns, or that the public methods of a class return.
+
+    A method that a class overrides counts as the class has it, not as its base does.
+    """
+    overridden = set()
     for kind in getattr(thing, "__mro__", (thing,)):
         module = kind.__module__
         if not module.startswith("stepcore."):
@@ -107,8 +111,9 @@ def handed_out(thing):
         )
         for node in [definition, *definition.body]:
             public = isinstance(node, ast.FunctionDef) and not node.name.startswith("_")
-            if public and node.returns is not None:
+            if public and node.returns is not None and node.name not in overridden:
                 yield from classes_in(module, node.returns)
+        overridden |= {getattr(node, "name", "") for node in definition.body}
 
 
 PUBLIC = [

@@ -10,17 +10,18 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore._core import Settings
 from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
-    from stepcore.engine.model import Model
-    from stepcore.scene.scene import Scene
+    from stepcore.engine.model_data import ModelData
+    from stepcore.scene.contents import Contents
 
 # With more pairs of bodies in contact than this, pairs are removed body by body.
 MAX_PAIRS = 30
+SomeScene = TypeVar("SomeScene", bound="Contents")
 Edit = tuple[str, Any]
 
 
@@ -53,7 +54,7 @@ class MotionUsage:
     limited: frozenset[int]
 
 
-def without(scene: Scene, removals: Iterable[Removal]) -> Scene:
+def without(scene: SomeScene, removals: Iterable[Removal]) -> SomeScene:
     """A copy of the scene with these features removed."""
     scene = copy.deepcopy(scene)
     for removal in removals:
@@ -62,42 +63,42 @@ def without(scene: Scene, removals: Iterable[Removal]) -> Scene:
     return scene
 
 
-def _feature(scene: Scene, name: str) -> None:
+def _feature(scene: Contents, name: str) -> None:
     setattr(scene.features, name, False)
 
 
-def _exclude(scene: Scene, pairs: Iterable[tuple[int, int]]) -> None:
+def _exclude(scene: Contents, pairs: Iterable[tuple[int, int]]) -> None:
     for a, b in pairs:
         # Not by `Scene.exclude`, which searches all bodies for the two.
         scene.excludes.append((scene.bodies[a], scene.bodies[b]))
 
 
-def _no_range(scene: Scene, joints: Iterable[int]) -> None:
+def _no_range(scene: Contents, joints: Iterable[int]) -> None:
     for joint in joints:
         scene.joints[joint].range = None
 
 
-def _no_armature(scene: Scene, joints: Iterable[int]) -> None:
+def _no_armature(scene: Contents, joints: Iterable[int]) -> None:
     for joint in joints:
         scene.joints[joint].armature = 0.0
 
 
-def _frictionless(scene: Scene, geoms: Iterable[int]) -> None:
+def _frictionless(scene: Contents, geoms: Iterable[int]) -> None:
     for geom in geoms:
         scene.geoms[geom].condim = 1
 
 
-def _no_contact(scene: Scene, geoms: Iterable[int]) -> None:
+def _no_contact(scene: Contents, geoms: Iterable[int]) -> None:
     for geom in geoms:
         scene.geoms[geom].contype = scene.geoms[geom].conaffinity = 0
 
 
-def _inactive(scene: Scene, equalities: Iterable[int]) -> None:
+def _inactive(scene: Contents, equalities: Iterable[int]) -> None:
     for equality in equalities:
         scene.equalities[equality].active = False
 
 
-def _settings(scene: Scene, values: tuple[tuple[str, Any], ...]) -> None:
+def _settings(scene: Contents, values: tuple[tuple[str, Any], ...]) -> None:
     scene.options.update(values)
 
 
@@ -120,7 +121,7 @@ class RemovableFeatures:
     geom: by index in the compiled model, the index in the scene's lists.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: ModelData) -> None:
         self.model, self.scene = model, model.scene
         self.plan: dict[str, Any] = model.core.plan()
         self.pairs: list[tuple[int, int]] = model.core.pairs()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from stepcore.engine.arrays import Floats
 
 if TYPE_CHECKING:
-    from stepcore.engine.sim import Sim
+    from stepcore.engine.model_data import ModelData
 
 AXES = {
     "slide": ("",),
@@ -99,12 +99,13 @@ class Linearization:
         return f"<Linearization: {count}; a step of {self.dt:g} s; {radius}{sides}>"
 
 
-def linearized(sim: Sim, numbers: Floats, degenerate: list[tuple[str, int, int]]) -> Linearization:
-    """The linearisation of a Sim's next step; numbers: A and B side by side.
+def linearized(
+    model: ModelData, dt: float, numbers: Floats, degenerate: list[tuple[str, int, int]]
+) -> Linearization:
+    """The linearisation of a step of dt [s]; numbers: A and B side by side.
 
     degenerate: the elements at which these are one-sided.
     """
-    model = sim.model
     split = 2 * model.nv
     labels = tuple(
         (name or f"joint {index}") + axis
@@ -115,7 +116,7 @@ def linearized(sim: Sim, numbers: Floats, degenerate: list[tuple[str, int, int]]
     return Linearization(
         numbers[:, :split],
         numbers[:, split:],
-        sim.settings.dt,
+        dt,
         labels,
         controls,
         tuple(model.element_name(*element) for element in degenerate),

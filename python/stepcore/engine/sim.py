@@ -140,7 +140,7 @@ class Sim(Stepped):
 
         Raises what `step` raises, and ValueError if the step has an infinite derivative.
         """
-        return linearized(self, *self._core.linearize())
+        return linearized(self._model, self.settings.dt, *self._core.linearize())
 
     def count_flops(self, n: int = 1) -> int:
         """Counts the floating-point operations of the next n steps, without taking them.
@@ -216,7 +216,9 @@ class Sim(Stepped):
         >>> trajectory
         <Trajectory: 0 to 0.05 s, 6 instants; qpos (6, 1), energy (6, 2)>
         """
-        return record_run(self, duration, control, control_dt, record)
+        trajectory = record_run(self, duration, control, control_dt, record)
+        self.balance()
+        return trajectory
 
     # The present state.
 

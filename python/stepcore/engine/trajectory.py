@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,9 +15,10 @@ from stepcore import checks
 from stepcore.engine.arrays import numbers
 
 if TYPE_CHECKING:
-    from stepcore.engine.sim import Sim
+    from stepcore.engine.world import World
 
-Control = Callable[[float, "Sim"], ArrayLike] | ArrayLike | None
+SomeWorld = TypeVar("SomeWorld", bound="World")
+Control = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
 RECORDED = (
     *("qpos", "qvel", "act", "ctrl", "qfrc_applied", "xfrc_applied"),
@@ -72,14 +73,18 @@ class Trajectory:
 
 
 def record_run(
-    sim: Sim, duration: float, control: Control, control_dt: float | None, record: Sequence[str]
+    sim: SomeWorld,
+    duration: float,
+    control: Control[SomeWorld],
+    control_dt: float | None,
+    record: Sequence[str],
 ) -> Trajectory:
     """See `Sim.run`."""
     dt = sim.settings.dt
     steps = whole_steps("duration", duration, dt)
     period = 1 if control_dt is None else whole_steps("control_dt", control_dt, dt, least=1)
     controls = _controls(sim, control)
-    names = _names(sim, record)
+    names = _names(record)
     time = np.empty(steps + 1)
     data = {}
     for name in names:
@@ -93,7 +98,6 @@ def record_run(
             if controls is not None and step % period == 0:
                 sim.ctrl = _finite(sim, controls(step // period), f"at time {sim.time:g} s")
             sim.step()
-    sim.balance()
     return Trajectory(time, data)
 
 
@@ -109,7 +113,7 @@ def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
     return steps
 
 
-def _controls(sim: Sim, control: Control) -> Callable[[int], ArrayLike] | None:
+def _controls(sim: SomeWorld, control: Control[SomeWorld]) -> Callable[[int], ArrayLike] | None:
     """A function from the index of a control period to its ctrl."""
     if control is None:
         return None
@@ -124,7 +128,7 @@ def _controls(sim: Sim, control: Control) -> Callable[[int], ArrayLike] | None:
     return lambda period: table[min(period, len(table) - 1)]
 
 
-def _finite(sim: Sim, ctrl: ArrayLike, where: str) -> NDArray[np.float64]:
+def _finite(sim: World, ctrl: ArrayLike, where: str) -> NDArray[np.float64]:
     """Checks controls before they are written, so that an error leaves ctrl as it was."""
     table = numbers("ctrl", ctrl)
     single = sim.settings.precision == "f32"
@@ -142,7 +146,7 @@ def _finite(sim: Sim, ctrl: ArrayLike, where: str) -> NDArray[np.float64]:
     return table
 
 
-def _names(sim: Sim, record: Sequence[str]) -> tuple[str, ...]:
+def _names(record: Sequence[str]) -> tuple[str, ...]:
     if isinstance(record, str):
         record = (record,)
     for name in record:

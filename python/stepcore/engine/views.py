@@ -11,13 +11,13 @@ from stepcore.engine.arrays import Floats, fill
 from stepcore.scene.layout import DOFS, QPOS
 
 if TYPE_CHECKING:
-    from stepcore.engine.stepped import Stepped
+    from stepcore.engine.world import World
 
 
 class _View(KnownNames):
     kind = ""
 
-    def __init__(self, sim: Stepped, index: int) -> None:
+    def __init__(self, sim: World, index: int) -> None:
         self._sim = sim
         self._index = index
 

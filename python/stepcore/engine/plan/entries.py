@@ -12,13 +12,13 @@ from stepcore.engine.features import RemovableFeatures, Removal
 from stepcore.engine.plan.result import PlanEntry
 
 if TYPE_CHECKING:
-    from stepcore.engine.model import Model
+    from stepcore.engine.model_data import ModelData
 
 # An entry, and the removal that would leave it out, if there is one.
 Listed = tuple[PlanEntry, Removal | None]
 
 
-def entries(model: Model, settings: Settings, rows: Counter[str]) -> Iterator[Listed]:
+def entries(model: ModelData, settings: Settings, rows: Counter[str]) -> Iterator[Listed]:
     """All entries of a plan. rows: how many of each kind the state has."""
     listing = _Listing(model, settings, rows)
     parts = (
@@ -35,7 +35,7 @@ def entries(model: Model, settings: Settings, rows: Counter[str]) -> Iterator[Li
 
 
 class _Listing:
-    def __init__(self, model: Model, settings: Settings, rows: Counter[str]) -> None:
+    def __init__(self, model: ModelData, settings: Settings, rows: Counter[str]) -> None:
         self.model, self.scene, self.settings, self.row_count = model, model.scene, settings, rows
         self.features = RemovableFeatures(model)
         self.plan = self.features.plan

@@ -1,0 +1,263 @@
+"""`ModelData`: what can be read of a compiled scene: counts, names, arrays and keyframes.
+
+`Model` stands on it and makes it. What reads models, such as a plan, a replay or a view of one
+body, needs only this.
+"""
+
+from __future__ import annotations
+
+import functools
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore import checks
+from stepcore.engine.arrays import Floats, ModelArray
+
+if TYPE_CHECKING:
+    from stepcore import _core
+    from stepcore._core import Settings
+    from stepcore.scene.contents import Contents
+
+
+class Keyframe(NamedTuple):
+    """A named state, with defaults for what the scene leaves open.
+
+    time: [s]. qpos: shape (nq,). qvel: shape (nv,). ctrl: shape (nu,).
+    """
+
+    name: str
+    time: float
+    qpos: Floats
+    qvel: Floats
+    ctrl: Floats
+
+
+class ModelData(ABC):
+    """Counts, names, arrays and keyframes of a `Model`, which documents them."""
+
+    def __init__(self, core: _core.Model, settings: Settings) -> None:
+        self._core = core
+        self._settings = settings
+
+    @property
+    @abstractmethod
+    def scene(self) -> Contents:
+        """The scene that was compiled."""
+
+    @property
+    def settings(self) -> Settings:
+        """The settings that a `Sim` of this model has unless it changes them."""
+        return self._settings
+
+    @property
+    def core(self) -> _core.Model:
+        """The engine's own object; for use within stepcore."""
+        return self._core
+
+    # Counts.
+
+    @property
+    def nq(self) -> int:
+        """Length of qpos."""
+        return self._core.nq
+
+    @property
+    def nv(self) -> int:
+        """Length of qvel: the number of dofs."""
+        return self._core.nv
+
+    @property
+    def nu(self) -> int:
+        """Length of ctrl: the number of actuators."""
+        return len(self.actuator_names)
+
+    @property
+    def na(self) -> int:
+        """Length of act; no actuator has an activation yet, so it is 0."""
+        return 0
+
+    @property
+    def nbody(self) -> int:
+        """The number of bodies, the world included."""
+        return len(self.body_names)
+
+    @property
+    def njnt(self) -> int:
+        """The number of joints."""
+        return len(self.joint_names)
+
+    @property
+    def ngeom(self) -> int:
+        """The number of geoms."""
+        return len(self.geom_names)
+
+    @property
+    def nsite(self) -> int:
+        """The number of sites."""
+        return len(self.site_names)
+
+    # Names, in the order of the arrays.
+
+    @functools.cached_property
+    def names(self) -> dict[str, tuple[str, ...]]:
+        """Names by kind: "body", "joint", "geom", "site", "actuator", "equality", "key"."""
+        return {kind: tuple(names) for kind, names in self._core.names().items()}
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Names of the bodies, the world first."""
+        return self.names["body"]
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return self.names["joint"]
+
+    def element_name(self, kind: str, index: int, part: int = -1) -> str:
+        """What an element is called: "spring of joint `knee`", "contact `floor`/`foot`".
+
+        kind, index, part: as in `Sim.rows`, `Sim.contacts` and a `SimulationError`; part -1 is
+        the whole element. An unknown kind or an index too large is a ValueError.
+        """
+        return self._core.element_name(kind, index, part)
+
+    def element_force(self, kind: str, ctrl: Floats, qpos: Floats, qvel: Floats) -> Floats:
+        """Generalised force of all elements of one kind at many states, shape (…, nv) [N or N·m].
+
+        kind: "spring", "damper" or "actuator". ctrl, qpos, qvel: shapes (…, nu), (…, nq), (…, nv),
+        with the same leading axes.
+        """
+        states = int(np.prod(np.shape(qvel)[:-1], dtype=int))
+        flat = [
+            np.ascontiguousarray(array, float).reshape(states, count)
+            for array, count in ((ctrl, self.nu), (qpos, self.nq), (qvel, self.nv))
+        ]
+        force = self._core.element_force(kind, *flat)
+        return force.reshape(np.shape(qvel))
+
+    @property
+    def geom_names(self) -> tuple[str, ...]:
+        """Names of the geoms."""
+        return self.names["geom"]
+
+    @property
+    def site_names(self) -> tuple[str, ...]:
+        """Names of the sites."""
+        return self.names["site"]
+
+    @property
+    def actuator_names(self) -> tuple[str, ...]:
+        """Names of the actuators."""
+        return self.names["actuator"]
+
+    @property
+    def key_names(self) -> tuple[str, ...]:
+        """Names of the keyframes."""
+        return self.names["key"]
+
+    def index(self, kind: str, name: str | int) -> int:
+        """Returns the index of an element.
+
+        kind: "body", "joint", "geom", "site", "actuator", "equality" or "key".
+        name: its name, or an index, which may be negative.
+
+        Raises ValueError, with the nearest names, if there is no such element.
+        """
+        names = self.names[kind]
+        if isinstance(name, str):
+            if name and name in names:
+                return names.index(name)
+            raise ValueError(f'no {kind} is named "{name}"{checks.nearest(name, names)}')
+        try:
+            index = range(len(names))[name]
+        except (TypeError, IndexError):
+            limit = f"the name of a {kind} or an index below {len(names)}"
+            raise ValueError(f"{kind} = {checks.shown(name)}: must be {limit}") from None
+        return index
+
+    # Arrays.
+
+    @functools.cached_property
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        lists = self._core.addresses().items()
+        addresses = {name: np.array(entries, dtype=np.int32) for name, entries in lists}
+        addresses["pair_geoms"] = np.array(self._core.pairs(), dtype=np.int32).reshape(-1, 2)
+        return {name: _frozen(array) for name, array in (self._core.tables() | addresses).items()}
+
+    qpos0 = ModelArray("Positions in the pose in which the scene is described, shape (nq,).")
+    body_mass = ModelArray("Mass of each body [kg], shape (nbody,).")
+    body_ipos = ModelArray("Centre of mass in the body's frame [m], shape (nbody, 3).")
+    body_inertia = ModelArray(
+        "Inertia about the centre of mass, in the body's axes [kg·m²], shape (nbody, 3, 3)."
+    )
+    body_parent = ModelArray("Index of each body's parent, shape (nbody,).")
+    body_invweight0 = ModelArray(
+        "Mean inverse mass [1/kg] and inverse inertia [1/(kg·m²)] at qpos0, shape (nbody, 2)."
+    )
+    dof_invweight0 = ModelArray(
+        "Diagonal of the inverse mass matrix at qpos0, averaged over each joint, shape (nv,)."
+    )
+    jnt_qposadr = ModelArray("Index in qpos at which each joint begins, shape (njnt,).")
+    jnt_dofadr = ModelArray("Index in qvel at which each joint begins, shape (njnt,).")
+    jnt_body = ModelArray("Index of the body that each joint moves, shape (njnt,).")
+    jnt_range = ModelArray(
+        "Lower and upper limit of each joint [rad or m], ±inf without one, shape (njnt, 2)."
+    )
+    jnt_axis = ModelArray("Axis of each joint in the body's frame, a unit vector, shape (njnt, 3).")
+    jnt_pos = ModelArray("Anchor of each joint in the body's frame [m], shape (njnt, 3).")
+    geom_size = ModelArray("Sizes of each geom in MuJoCo's convention [m], shape (ngeom, 3).")
+    geom_body = ModelArray("Index of each geom's body, shape (ngeom,).")
+    site_body = ModelArray("Index of each site's body, shape (nsite,).")
+    actuator_joint = ModelArray("Index of the joint that each actuator drives, shape (nu,).")
+    actuator_ctrlrange = ModelArray(
+        "Range to which each control is clamped, ±inf without one, shape (nu, 2)."
+    )
+    actuator_gear = ModelArray("Gear of each actuator for each dof of its joint, shape (nu, 6).")
+    actuator_gain = ModelArray("Force per unit of control, before the gear, shape (nu,).")
+    actuator_bias = ModelArray(
+        "Force at control 0, and per unit of length and of velocity, before the gear, "
+        "shape (nu, 3). A damping ratio is converted to the damping that it stands for."
+    )
+    actuator_forcerange = ModelArray(
+        "Range to which each force is clamped before the gear [N or N·m], ±inf without one, "
+        "shape (nu, 2)."
+    )
+    pair_geoms = ModelArray("The two geoms of each pair that can ever collide, shape (npair, 2).")
+    pair_solref = ModelArray("The solref that the geoms of each pair have together, (npair, 2).")
+    pair_friction = ModelArray("Coefficient of sliding friction of each pair, shape (npair,).")
+    pair_invweight0 = ModelArray(
+        "Sum of both bodies' mean inverse mass of each pair at qpos0 [1/kg], shape (npair,)."
+    )
+
+    @functools.cached_property
+    def jnt_type(self) -> tuple[str, ...]:
+        """Type of each joint: "free", "ball", "slide" or "hinge"."""
+        return tuple(self._core.joint_types())
+
+    @functools.cached_property
+    def geom_type(self) -> tuple[str, ...]:
+        """Type of each geom: "plane", "sphere", "capsule", "ellipsoid", "cylinder" or "box"."""
+        return tuple(self._core.geom_types())
+
+    @functools.cached_property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of geoms that can ever collide, by name ("#index" for a geom without one)."""
+        names = [name or f"#{i}" for i, name in enumerate(self.geom_names)]
+        return tuple((names[a], names[b]) for a, b in self._core.pairs())
+
+    @functools.cached_property
+    def keys(self) -> tuple[Keyframe, ...]:
+        """The keyframes, with defaults for what they leave open."""
+        states = zip(self.key_names, self._core.keys(), strict=True)
+        return tuple(
+            Keyframe(name, time, *(_frozen(np.array(x, dtype=float)) for x in arrays))
+            for name, (time, *arrays) in states
+        )
+
+
+def _frozen(array: Any) -> Any:
+    array.flags.writeable = False
+    return array
