@@ -41,7 +41,9 @@ def sentences(d: DiagnosisFindings) -> Iterator[str]:
     if limit.state > 0:
         state = d.states[limit.state]
         acting = listed([element.name for element in state.rows])
-        yield f"The limiting state is {state.label}" + (f", where {acting} act." if acting else ".")
+        verb = "acts" if len(state.rows) == 1 else "act"
+        where = f", where {acting} {verb}" if acting else ""
+        yield f"The limiting state is {state.label}{where}."
 
 
 def _answer(d: DiagnosisFindings, own: str) -> str:
