@@ -22,12 +22,15 @@ def with_file_lines(error: ValueError, layout: Layout) -> ValueError:
     parts: list[str] = []
     end = 0
     mentions: list[tuple[int, int, str, int]] = getattr(error, "mentions", [])
-    for start, stop, kind, index in mentions:
-        element = _elements(layout, kind)[index]
+    mentioned = [_elements(layout, kind)[index] for _, _, kind, index in mentions]
+    for at, (start, stop, _, _) in enumerate(mentions):
+        element = mentioned[at]
         label = text[start:stop]
         body = getattr(element, "body", None)
         unnamed = not getattr(element, "name", "")
-        if isinstance(body, Body) and unnamed and not text.startswith(" of body ", stop):
+        # The engine may name the body itself, right after the element.
+        told = at + 1 < len(mentioned) and mentioned[at + 1] is body
+        if isinstance(body, Body) and unnamed and not told:
             label += f" of {_body(layout, body)}"
         place = str(element.place)
         first = first or place
