@@ -15,7 +15,7 @@ from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.starts import home
 from stepcore.measure.diagnosis.advice import advise
 from stepcore.measure.diagnosis.closed_form_bound import closed_form_bound
-from stepcore.measure.diagnosis.dt_limits import LONGEST, Limit, dt_limit
+from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST, Limit, dt_limit
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits, IsolatedElements
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
@@ -103,7 +103,9 @@ def diagnose(
         here = step_stability(model, visit.states, horizon)
         bar.advance()
     longest = max(LONGEST, 2 * wanted, 2 * settings.dt)
-    each_limit = workers.each(partial(dt_limit, here, longest=longest), INTEGRATORS, "limits")
+    shortest = min(SHORTEST, wanted / 2, settings.dt / 2)
+    limit_of = partial(dt_limit, here, longest=longest, shortest=shortest)
+    each_limit = workers.each(limit_of, INTEGRATORS, "limits")
     limits = {limit.integrator: limit for limit in each_limit}
     elements = _element_limits(here)
     each_shares = workers.each(partial(limiting_shares, here), each_limit, "shares")
@@ -141,7 +143,7 @@ def _safe_dt(at_start: StepStability) -> float:
     """A step [s] at which the run to other states can be made."""
     model = at_start.model
     limit = dt_limit(at_start, "implicitfast").dt
-    return max(SAFE * min(limit, closed_form_bound(model).dt, model.settings.dt / SAFE), 1e-9)
+    return max(SAFE * min(limit, closed_form_bound(model), model.settings.dt / SAFE), SHORTEST)
 
 
 def _element_limits(here: StepStability) -> dict[ElementId, ElementLimits]:

@@ -23,16 +23,6 @@ MOST_PAIRS = 1000
 
 
 @dataclass(frozen=True)
-class Bound:
-    """dt [s]: a step that is stable whatever the elements do together. alone [s]: a step beyond
-    which the stiffest element is unstable on its own; element: which one that is."""
-
-    dt: float
-    alone: float
-    element: ElementId | None
-
-
-@dataclass(frozen=True)
 class _Oscillator:
     """ω² [1/s²] and damping rates [1/s] of an element as an integrator treats them.
 
@@ -40,30 +30,28 @@ class _Oscillator:
     else acts.
     """
 
-    element: ElementId
     tree: int
     square: float
     explicit: float
     implicit: float = 0.0
 
 
-def closed_form_bound(model: Model, integrator: str | None = None) -> Bound:
-    """The bound under an integrator (default: the model's own)."""
+def closed_form_bound(model: Model, integrator: str | None = None) -> float:
+    """A step [s] that is stable whatever the elements do together; numbers out of range are stiff.
+
+    integrator: by default the model's own.
+    """
     integrator = integrator or model.settings.integrator
     joints = list(_joints(model, integrator))
-    safe = alone = math.inf
-    stiffest = None
-    for one in [*joints, *_rows(model), *_penalties(model)]:
-        limit = oscillator_dt(math.sqrt(one.square), one.explicit, one.implicit, integrator)
-        if limit < alone:
-            alone, stiffest = limit, one.element
-        if one.tree < 0:
-            safe = min(safe, limit)
+    safe = math.inf
+    for row in [*_rows(model), *_penalties(model)]:
+        omega = math.sqrt(row.square)
+        safe = min(safe, oscillator_dt(omega, row.explicit, row.implicit, integrator))
     for tree in {one.tree for one in joints}:
         own = [one for one in joints if one.tree == tree]
         square, explicit = sum(one.square for one in own), sum(one.explicit for one in own)
         safe = min(safe, oscillator_dt(math.sqrt(square), explicit, 0.0, integrator))
-    return Bound(safe, alone, stiffest)
+    return safe
 
 
 def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
@@ -78,8 +66,7 @@ def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
         own = dampers[gain.joint] * weight * ("damper" in hidden)
         implicit = gain.kind in hidden
         if square > 0 or (rate > 0 and not (gain.kind == "damper" and implicit)):
-            element = ElementId.of(model, gain.kind, gain.index)
-            yield _Oscillator(element, tree, square, rate * (not implicit), own + rate * implicit)
+            yield _Oscillator(tree, square, rate * (not implicit), own + rate * implicit)
 
 
 def _rows(model: Model) -> Iterator[_Oscillator]:
@@ -90,7 +77,9 @@ def _rows(model: Model) -> Iterator[_Oscillator]:
         if solref is None:
             continue
         if solref[0] > 0:
-            square, rate = 1 / (solref[0] * solref[1]) ** 2, 2 / solref[0]
+            inverse = solref[0] * solref[1]
+            square = 1 / inverse / inverse if inverse > 0 else math.inf
+            rate = 2 / solref[0]
             limit = oscillator_dt(math.sqrt(square), rate, 0.0, model.settings.integrator)
             if softened_from(model, layout, element) < limit:
                 continue
@@ -98,7 +87,7 @@ def _rows(model: Model) -> Iterator[_Oscillator]:
             square, rate = -solref[0], -solref[1]
         if element.kind == "friction loss":
             square = 0.0
-        yield _Oscillator(element, -1, max(square, 0.0), max(rate, 0.0))
+        yield _Oscillator(-1, max(square, 0.0), max(rate, 0.0))
 
 
 def _row_elements(model: Model, layout: Layout) -> Iterator[ElementId]:
@@ -125,10 +114,10 @@ def _penalties(model: Model) -> Iterator[_Oscillator]:
     """The spring of a contact under the law `penalty`, on the masses of both bodies."""
     s = model.settings
     weights = model.pair_invweight0[:MOST_PAIRS] if s.law == "penalty" else ()
-    for pair, weight in enumerate(weights):
+    for weight in weights:
         square = s.penalty_stiffness * float(weight)
         rate = 2 * s.penalty_damping_ratio * math.sqrt(square)
-        yield _Oscillator(ElementId.of(model, "contact", pair), -1, square, rate)
+        yield _Oscillator(-1, square, rate)
 
 
 def _weight(model: Model, joint: int) -> float:

@@ -10,8 +10,9 @@ from stepcore.measure.diagnosis.growth import FACTOR, FINE, bisected, largest_st
 from stepcore.measure.diagnosis.linear_step import state_after, without_rows
 from stepcore.measure.diagnosis.step_stability import StepStability
 
-# The longest step tried [s].
-LONGEST = 1.0
+# The longest and the shortest step tried [s]: a scene that is unstable below that has another
+# question to answer than its time step.
+LONGEST, SHORTEST = 1.0, 1e-6
 # Relative resolution of a state's limit until it is known to be the least.
 COARSE = 0.03
 # Relative resolution of a limit from the motion's rates, and how close beside it a step must be
@@ -25,23 +26,28 @@ BELOW = (0.999, 0.7, 0.5, 0.25, 0.1)
 class Limit:
     """The largest stable dt of an integrator.
 
-    dt: [s], inf where no step up to `longest` [s] is unstable. state: the index of the state that
-    decides, -1 where none does.
+    dt: [s], inf where no step up to `longest` [s] is unstable, 0 where every step tried down to
+    `shortest` [s] is. state: the index of the state that decides, -1 where none does.
     """
 
     integrator: str
     dt: float
     state: int
     longest: float = LONGEST
+    shortest: float = SHORTEST
 
 
-def dt_limit(here: StepStability, integrator: str, longest: float = LONGEST) -> Limit:
-    """The least of all states' largest stable steps."""
+def dt_limit(
+    here: StepStability, integrator: str, longest: float = LONGEST, shortest: float = SHORTEST
+) -> Limit:
+    """The least of all states' largest stable steps, between `shortest` and `longest` [s]."""
     least, worst = math.inf, -1
     for k in range(len(here.states)):
-        coarse = _coarse_limit(here, integrator, k, min(least, longest))
+        coarse = _coarse_limit(here, integrator, k, shortest, min(least, longest))
         if coarse < least:
             least, worst = coarse, k
+        if least <= 0:
+            break
 
     def stable(dt: float) -> bool:
         return here.growth(integrator, dt, worst).stable
@@ -50,10 +56,12 @@ def dt_limit(here: StepStability, integrator: str, longest: float = LONGEST) -> 
         near = least * (1 + COARSE)
         if not stable(near):
             least = bisected(stable, least * TIGHT, near)
-    return Limit(integrator, least, worst, longest)
+    return Limit(integrator, least, worst, longest, shortest)
 
 
-def _coarse_limit(here: StepStability, integrator: str, state: int, high: float) -> float:
+def _coarse_limit(
+    here: StepStability, integrator: str, state: int, shortest: float, high: float
+) -> float:
     """A state's largest stable step [s] to a few per cent; inf where it is not below `high`."""
 
     def stable(dt: float) -> bool:
@@ -62,7 +70,7 @@ def _coarse_limit(here: StepStability, integrator: str, state: int, high: float)
     def stable_below(limit: float) -> bool:
         return all(stable(limit * part) for part in BELOW if limit * part > low)
 
-    low = here.shortest(state)
+    low = min(max(here.shortest(state), shortest), high / FACTOR)
     guess = _limit_from_rates(here, integrator, state, low, high)
     if guess is None:
         others = state > 0 and high < LONGEST

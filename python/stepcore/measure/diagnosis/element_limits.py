@@ -14,7 +14,7 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.linear_maps import INTEGRATORS
-from stepcore.measure.diagnosis.dt_limits import LONGEST
+from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST
 from stepcore.measure.diagnosis.element_id import INERTIAL, ROWS, ElementId
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.oscillator import (
@@ -35,7 +35,7 @@ class ElementLimits:
     omega: natural frequency [rad/s], 0 without stiffness.
     ratio: damping ratio with all damping along its direction, nan without stiffness.
     rate: its own damping over the mass that it moves [1/s].
-    limits: its largest stable dt by integrator [s], inf beyond `LONGEST`.
+    limits: its largest stable dt by integrator [s], inf beyond `LONGEST`, 0 below `SHORTEST`.
     softened: the dt from which `refsafe` softens it [s], inf if it never does.
     state: the index of the state.
     """
@@ -96,7 +96,7 @@ class IsolatedElements:
             if rate > 0:
                 dt = min(dt, self._limit(name, element, 0.0, direction))
             # Softened with dt from there on, it limits nothing that it did not limit before.
-            limits[name] = dt if dt <= min(softened, LONGEST) else math.inf
+            limits[name] = _as_tried(dt) if dt <= softened else math.inf
         ratio = float(mode @ self.damping @ mode) / (2 * omega) if omega > 0 else math.nan
         return ElementLimits(element, omega, ratio, rate, limits, softened, self.state)
 
@@ -106,7 +106,7 @@ class IsolatedElements:
         for name in INTEGRATORS:
             implicit = element in self.motion.implicit.get(name, ())
             dt = nutation_dt(omega, name, implicit, self.horizon)
-            limits[name] = dt if dt <= LONGEST else math.inf
+            limits[name] = _as_tried(dt)
         return ElementLimits(element, omega, 0.0, 0.0, limits, softened, self.state)
 
     def _limit(self, name: str, element: ElementId, omega: float, direction: Floats) -> float:
@@ -133,6 +133,11 @@ class IsolatedElements:
         """The largest eigenvalue of M⁻¹X, X made symmetric, and its direction of unit mass."""
         value, vector = _largest(self._per_mass(matrix))
         return value, self.root.T @ vector
+
+
+def _as_tried(dt: float) -> float:
+    """A limit [s] among the steps that are tried: inf beyond the longest, 0 below the shortest."""
+    return math.inf if dt > LONGEST else dt if dt >= SHORTEST else 0.0
 
 
 def _largest(matrix: Floats) -> tuple[float, Floats]:

@@ -21,6 +21,10 @@ import math
 from stepcore.engine.linear_maps import amplification
 from stepcore.measure.diagnosis.growth import DAMPED, largest_stable, neutral_growth
 
+# Rates [1/s] beyond this are taken as this, and those below its inverse as none, so that no square
+# leaves the range of numbers: limits there are far from any step that could be asked for.
+FASTEST = 1e120
+
 
 def oscillator_dt(
     omega: float, explicit: float, implicit: float, integrator: str, horizon: float = 1.0
@@ -30,7 +34,7 @@ def oscillator_dt(
     omega: natural frequency ω [rad/s]. explicit, implicit: the damping rates c that the integrator
     treats explicitly and implicitly [1/s]. horizon: see `nutation_dt` [s].
     """
-    explicit, implicit = max(explicit, 0.0), max(implicit, 0.0)
+    omega, explicit, implicit = _in_range(omega), _in_range(explicit), _in_range(implicit)
     damping = explicit + implicit
     if integrator == "midpoint" or (omega <= 0 and damping <= 0):
         return math.inf
@@ -50,6 +54,7 @@ def row_dt_under_midpoint(omega: float, damping: float) -> float:
 
     The row acts after the implicit step: v⁺ = v + Δ, q⁺ = q + h (v + Δ/2), Δ = −h (c v + ω² q).
     """
+    omega, damping = _in_range(omega), _in_range(damping)
     limit = 2 / damping if damping > 0 else math.inf
     return min(limit, 2 * damping / omega**2) if omega > 0 else limit
 
@@ -60,6 +65,7 @@ def nutation_dt(omega: float, integrator: str, implicit: bool, horizon: float) -
     Explicit integrators make it grow by ω² dt/2 at every dt. The limit is the dt at which this
     reaches the growth that `growth.neutral_growth` allows in the horizon [s].
     """
+    omega = _in_range(omega)
     if omega <= 0 or integrator == "midpoint" or implicit:
         return math.inf
     if integrator == "rk4":
@@ -86,7 +92,14 @@ def _jury(omega: float, damping: float) -> float:
 
 
 def _rk4(s: complex) -> float:
-    def stable(h: float) -> bool:
-        return bool(abs(amplification("rk4", h * s)) <= 1 + 1e-9)
+    size = abs(s)
 
-    return largest_stable(stable, 1e-2 / abs(s), 4 / abs(s))
+    def stable(h: float) -> bool:
+        return bool(abs(amplification("rk4", h * (s / size))) <= 1 + 1e-9)
+
+    return largest_stable(stable, 1e-2, 4.0) / size
+
+
+def _in_range(rate: float) -> float:
+    """A rate [1/s] whose square is a number; 0 for one below 0, and for nan."""
+    return min(rate, FASTEST) if rate > 1 / FASTEST else 0.0

@@ -54,8 +54,8 @@ def _answer(d: DiagnosisFindings, own: str) -> str:
         fastest = f" The fastest element is {name}{traits}." if name else ""
         return f"No element limits dt below {seconds(d.limits[own].longest)} under {own}.{fastest}"
     if limit <= 0:
-        grows = "grow" if name == INERTIAL.name else "grows"
-        return f"No dt is stable under {own}: {name or 'a motion'}{traits} {grows} at every dt."
+        cause = no_stable_dt(name, d.limits[own].shortest, traits)
+        return f"A step of {wanted} explodes under {own}: {cause}."
     cause = limits_dt(name, limit, traits)
     if d.wanted > limit:
         return f"A step of {wanted} {_outcome(d, limiting)} under {own}: {cause}."
@@ -67,6 +67,13 @@ def limits_dt(name: str, dt: float, traits: str = "") -> str:
     """Which element limits dt to how much [s]; name: "" where no single one does."""
     verb = "limit" if name == INERTIAL.name else "limits"
     return f"{name or 'no single element'}{traits} {verb} dt to {seconds(dt)}"
+
+
+def no_stable_dt(name: str, shortest: float, traits: str = "") -> str:
+    """Which element makes every step that was tried, down to `shortest` [s], unstable."""
+    verb = "make" if name == INERTIAL.name else "makes"
+    tried = f"every step tried unstable, down to {seconds(shortest)}"
+    return f"{name or 'the motion'}{traits} {verb} {tried}"
 
 
 def _outcome(d: DiagnosisFindings, limiting: ElementLimits | None) -> str:

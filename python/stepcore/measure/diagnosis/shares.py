@@ -35,7 +35,7 @@ def limiting_shares(here: StepStability, limit: Limit) -> Shares:
     if math.isinf(limit.dt):
         every = range(len(here.rates))
         return _fastest(here, max(every, key=lambda k: abs(here.rates[k]).max(initial=0.0)))
-    dt = max(limit.dt, here.shortest(limit.state)) * BEYOND
+    dt = (limit.dt or limit.shortest) * BEYOND
     state, worst = here.growth_where_seen(limit.integrator, dt, limit.state)
     motion = here.motion(state, dt)
     if motion is None:

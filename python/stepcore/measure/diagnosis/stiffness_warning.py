@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 MARGIN = 2.0
 # Growth that counts where nothing damps: e-fold in this time [s].
 HORIZON = 1.0
-# A scene with more joints or geoms is not looked at; the step of one with more dofs is not
-# linearised: the element that is stiffest on its own decides. Each is some milliseconds.
-MOST_JOINTS, MOST_GEOMS, MOST_DOFS = 100, 1000, 12
+# A scene with more joints, geoms or dofs is not looked at: each of those below these takes some
+# milliseconds, up to tens at the most dofs. `diagnose` looks at all.
+MOST_JOINTS, MOST_GEOMS, MOST_DOFS = 100, 1000, 40
 
 
 class StiffnessWarning(UserWarning):
@@ -40,10 +40,15 @@ def warn_of_stiffness(scene: Scene, stacklevel: int = 3) -> None:
     """Warns in one line if the scene's own dt has a stability margin below 2.
 
     stacklevel: as of `warnings.warn`, seen from here. The closed forms of `closed_form_bound`
-    decide first; only where they come near, the step itself is linearised at the first keyframe or
-    qpos0. A scene that does not compile raises no warning: whoever compiles it gets the error.
+    show most scenes to be safe; where they do not, the whole step is linearised at the first
+    keyframe or qpos0, and nothing else is ever claimed. A scene that does not compile, or whose
+    numbers leave their range, raises no warning: whoever compiles or runs it gets the error.
     """
-    text = stiffness(scene)
+    try:
+        text = stiffness(scene)
+    except (ValueError, ArithmeticError, RuntimeError):
+        # A warning never fails a load.
+        return
     if text:
         warnings.warn(StiffnessWarning(text), stacklevel=stacklevel)
 
@@ -52,22 +57,18 @@ def stiffness(scene: Scene) -> str:
     """The text of the warning; "" if there is nothing to warn of."""
     if not _may_be_stiff(scene):
         return ""
+    import numpy as np
+
     from stepcore.engine.model import Model
     from stepcore.measure.diagnosis.closed_form_bound import closed_form_bound
 
-    try:
-        model = Model(scene)
-    except ValueError:
+    model = Model(scene)
+    if model.nv > MOST_DOFS:
         return ""
-    enough = MARGIN * model.settings.dt
-    bound = closed_form_bound(model)
-    if bound.dt >= enough:
-        return ""
-    if model.nv <= MOST_DOFS:
+    with np.errstate(all="ignore"):
+        if closed_form_bound(model) >= MARGIN * model.settings.dt:
+            return ""
         return _linearised(model)
-    if bound.alone < enough and bound.element is not None:
-        return _text(model.settings, bound.alone, bound.element.name)
-    return ""
 
 
 def _may_be_stiff(scene: Scene) -> bool:
@@ -94,7 +95,7 @@ def _linearised(model: Model) -> str:
     """The text from the step itself, linearised at the first keyframe or qpos0."""
     import numpy as np
 
-    from stepcore.measure.diagnosis.dt_limits import Limit
+    from stepcore.measure.diagnosis.dt_limits import SHORTEST, Limit
     from stepcore.measure.diagnosis.growth import bisected
     from stepcore.measure.diagnosis.linear_step import State, with_converged_rows
     from stepcore.measure.diagnosis.shares import limiting_shares
@@ -106,33 +107,32 @@ def _linearised(model: Model) -> str:
     if model.keys:
         key = model.keys[0]
         state = State("the start", 0.0, key.qpos, key.qvel, key.ctrl)
-    try:
-        here = step_stability(model, [state], HORIZON)
-    except ValueError:
-        return ""
+    here = step_stability(model, [state], HORIZON)
 
     def stable(dt: float) -> bool:
         return here.stable(settings.integrator, dt)
 
-    near, low = MARGIN * settings.dt, here.shortest(0)
+    near = MARGIN * settings.dt
+    low = min(SHORTEST, settings.dt / 2)
     if stable(near):
         return ""
     while near > low and not stable(near):
         near /= 2
     limit = bisected(stable, near, 2 * near, fine=5e-3) if near > low else 0.0
-    shares = limiting_shares(here, Limit(settings.integrator, limit, 0))
+    shares = limiting_shares(here, Limit(settings.integrator, limit, 0, shortest=low))
     stiffest = max(shares, key=lambda element: shares[element], default=None)
-    return _text(settings, limit, stiffest.name if stiffest else "")
+    return _text(settings, limit, low, stiffest.name if stiffest else "")
 
 
-def _text(settings: Settings, limit: float, name: str) -> str:
+def _text(settings: Settings, limit: float, shortest: float, name: str) -> str:
     """One line: whether dt [s] is unstable or nearly so, and which element limits it."""
-    from stepcore.measure.diagnosis.sentences import limits_dt
+    from stepcore.measure.diagnosis.sentences import limits_dt, no_stable_dt
     from stepcore.report.units import seconds, times
 
     dt, own = settings.dt, f"dt {seconds(settings.dt)}"
-    limits = f"{limits_dt(name, limit)} (run stepcore diagnose for advice)"
+    cause = limits_dt(name, limit) if limit > 0 else no_stable_dt(name, shortest)
+    cause += " (run stepcore diagnose for advice)"
     if dt > limit:
-        return f"{own} explodes under {settings.integrator}: {limits}"
+        return f"{own} explodes under {settings.integrator}: {cause}"
     margin = f"a stability margin of only {times(limit / dt)} under {settings.integrator}"
-    return f"{own} has {margin}: {limits}"
+    return f"{own} has {margin}: {cause}"
