@@ -141,7 +141,7 @@ def test_info(capsys):
         (["trade", "BALL", "--starts", "none"], "--starts"),
         (["trade", "BALL", "--ctrl", "no.npy"], "no such file"),
         (["trade", "BALL", "--ctrl", "BALL"], ".npy or .csv"),
-        (["trade", "BALL", "--control", "json"], "MODULE:FUNCTION"),
+        (["trade", "BALL", "--control", "json"], "FILE.py:FUNCTION or MODULE:FUNCTION"),
         (["trade", "BALL", "--control", "no_such_module:f"], "no_such_module"),
         (["trade", "BALL", "--json", "no/such/folder/x.json"], "no such folder"),
         (["trade", "BALL", "--html", "."], "a folder"),

@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import functools
 import importlib
+import importlib.util
 import os
 import sys
 import traceback
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -36,7 +38,10 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "help": "random seed of the starts and of the default controls (default: 0)",
     },
     "key": {"help": "keyframe to start from, by name or index (default: the first)"},
-    "control": {"metavar": "MODULE:FUNCTION", "help": "a function (time, sim) -> controls"},
+    "control": {
+        "metavar": "FILE.py:FUNCTION",
+        "help": "a function (time, sim) -> controls, in a file or a module",
+    },
     "ctrl": {
         "metavar": "FILE",
         "help": "controls (.npy or .csv), one row for each control period",
@@ -102,13 +107,14 @@ def motion_of(args: argparse.Namespace, model: Model) -> dict[str, Any]:
     given = {name: getattr(args, name, None) for name in (*OPTIONS, "threads")}
     given["key"] = key_of(args, model)
     if given["ctrl"] is not None:
-        given["ctrl"] = _controls(given["ctrl"])
+        given["ctrl"] = controls_of(given["ctrl"])
     if given["control"] is not None:
-        given["control"] = _function(given["control"])
+        given["control"] = control_function(given["control"])
     return {name: value for name, value in given.items() if value is not None}
 
 
-def _controls(path: str) -> Any:
+def controls_of(path: str) -> Any:
+    """The rows of controls in a file, .npy or .csv."""
     if not os.path.isfile(path):
         raise Usage(f"--ctrl {path}: no such file")
     if not path.endswith((".npy", ".csv")):
@@ -128,15 +134,18 @@ def _controls(path: str) -> Any:
     return values
 
 
-def _function(text: str) -> Callable[..., Any]:
-    """The function that "module:function" names, found as `python -m` would from here."""
-    module, colon, name = text.partition(":")
+def control_function(text: str) -> Callable[..., Any]:
+    """The function that "file.py:function" or "module:function" names.
+
+    A module is found as `python -m` would from here.
+    """
+    module, colon, name = text.rpartition(":")
     if not colon or not module or not name:
-        raise Usage(f"--control {text}: must be MODULE:FUNCTION")
-    if "" not in sys.path and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
+        raise Usage(f"--control {text}: must be FILE.py:FUNCTION or MODULE:FUNCTION")
+    if module.endswith(".py") and not os.path.isfile(module):
+        raise Usage(f"--control {text}: {module}: no such file")
     try:
-        imported = importlib.import_module(module)
+        imported = _file(module) if module.endswith(".py") else _module(module)
     except Exception as error:
         raise Usage(f"--control {text}: {_place(error)}") from None
     function = getattr(imported, name, None)
@@ -155,6 +164,27 @@ def _function(text: str) -> Callable[..., Any]:
             raise RuntimeError(f"--control {text}: {_place(error)}") from error
 
     return control
+
+
+def _module(name: str) -> ModuleType:
+    if "" not in sys.path and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    return importlib.import_module(name)
+
+
+def _file(path: str) -> ModuleType:
+    """A file as a module, whatever else has its name; it finds the files beside it."""
+    file = Path(path).resolve()
+    if str(file.parent) not in sys.path:
+        sys.path.insert(0, str(file.parent))
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path}: is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    # Functions of the module can be pickled if it is known by its name.
+    sys.modules.setdefault(file.stem, module)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _place(error: Exception) -> str:

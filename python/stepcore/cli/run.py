@@ -2,21 +2,22 @@
 a replay file, from which `stepcore replay` shows what failed.
 
 Example:
-  stepcore run gymnasium:half_cheetah --duration 2 --set integrator=implicitfast
+  stepcore run gymnasium:half_cheetah --duration 2 --ctrl bthigh=1,fthigh=-1 --push torso:50,0,0@1
 """
 
 from __future__ import annotations
 
 import argparse
-from time import perf_counter
 from typing import Any
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import nearest, one_line
+from stepcore.cli.inputs import add_inputs, control_of, pushes_of
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
 from stepcore.cli.output import add_json, print_json
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
+from stepcore.experiment.single_run import SingleRun
 
 # The counter of steps has 64 bits.
 MOST_STEPS = 2.0**64
@@ -43,6 +44,7 @@ def add(command: argparse.ArgumentParser) -> None:
         "--replay", metavar="OUT", help="where to write the replay if the run fails"
     )
     command.add_argument("--plot", metavar="OUT", help="write the plot of energy over time")
+    add_inputs(command)
     add_json(command)
 
 
@@ -66,17 +68,23 @@ def call(args: argparse.Namespace) -> None:
             f"--duration {duration:g} s is not a whole number of steps of "
             f"{sim.settings.dt:g} s: the run is {run:g} s long"
         )
-    begin = perf_counter()
+    record = ("energy", "overlap") if args.plot is not None else ()
+    single = SingleRun(
+        sim,
+        control=control_of(args, sim),
+        control_dt=args.control_dt,
+        pushes=pushes_of(args, model),
+        record=record,
+    )
     try:
-        if args.plot is None:
-            sim.step(steps)
-        else:
-            sim.run(run, record=("energy", "overlap")).plot(args.plot)
+        single.run(steps)
         sim.balance()
     except SimulationError as error:
         show = f"stepcore replay {_written(error, args.replay)}"
         raise RuntimeError(f"{one_line(error)}. To see what failed: {show}") from None
-    _report(sim, steps, perf_counter() - begin, notes, args.json)
+    if single.trajectory is not None:
+        single.trajectory.plot(args.plot)
+    _report(sim, steps, single.spent, notes, args.json)
 
 
 def _report(sim: Sim, steps: int, spent: float, notes: list[str], as_json: bool) -> None:

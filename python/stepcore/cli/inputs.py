@@ -1,0 +1,134 @@
+"""What drives the run of `stepcore run`: --ctrl, --control, --control-dt and --push."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+import numpy as np
+
+from stepcore.checks import nearest
+from stepcore.cli.motion import control_function, controls_of
+from stepcore.cli.usage import Usage
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.engine.trajectory import whole_steps
+from stepcore.experiment.motion import Control
+from stepcore.experiment.single_run import Push
+
+# How long a push lasts where nobody says it [s].
+PUSH = 0.1
+PUSH_FORM = "BODY:FX,FY,FZ@T or BODY:FX,FY,FZ@T+DURATION, in N and s"
+
+
+def add_inputs(command: argparse.ArgumentParser) -> None:
+    """The options that drive a run."""
+    inputs = command.add_argument_group("inputs")
+    inputs.add_argument(
+        "--ctrl",
+        metavar="VALUES",
+        help='constant controls, "1,0,-1" or "hip=1,knee=-1"; or a file (.npy or .csv) with one '
+        "row for each control period",
+    )
+    inputs.add_argument(
+        "--control",
+        metavar="FILE.py:FUNCTION",
+        help="a function (time, sim) -> controls, in a file or a module",
+    )
+    inputs.add_argument(
+        "--control-dt", type=float, metavar="S", help="control period [s] (default: every step)"
+    )
+    inputs.add_argument(
+        "--push",
+        action="append",
+        default=[],
+        metavar="BODY:F@T",
+        help=f"a force on a body's centre of mass, {PUSH_FORM} (default: {PUSH:g} s), T counted "
+        "from the beginning of the run; may be given several times",
+    )
+
+
+def control_of(args: argparse.Namespace, sim: Sim) -> Control | None:
+    """Sets constant controls of a Sim, or returns the function that gives them."""
+    model = sim.model
+    if args.ctrl is not None and args.control is not None:
+        raise Usage("--ctrl and --control are both given: a run has one of them")
+    if args.control_dt is not None:
+        whole_steps("--control-dt", args.control_dt, sim.settings.dt, least=1)
+    if args.control is not None:
+        return control_function(args.control)
+    if args.ctrl is None:
+        return None
+    if args.ctrl.endswith((".npy", ".csv")):
+        return _table(args.ctrl, args.control_dt, sim)
+    for index, value in _values(args.ctrl, model).items():
+        sim.ctrl[index] = value
+    return None
+
+
+def _table(path: str, control_dt: float | None, sim: Sim) -> Control:
+    """The rows of a file, one for each control period; the last is held."""
+    rows = controls_of(path)
+    if rows.ndim != 2 or rows.shape[1] != sim.model.nu:
+        raise Usage(f"--ctrl {path}: has shape {rows.shape}; must be (n, {sim.model.nu})")
+    if not np.isfinite(rows).all():
+        raise Usage(f"--ctrl {path}: its numbers must be finite")
+    period, begin = control_dt or sim.settings.dt, sim.time
+
+    def control(time: float, sim: Sim) -> np.ndarray:
+        row: np.ndarray = rows[min(round((time - begin) / period), len(rows) - 1)]
+        return row
+
+    return control
+
+
+def _values(text: str, model: Model) -> dict[int, float]:
+    """Controls by the index of their actuator."""
+    parts = [part.strip() for part in text.split(",")]
+    if not any("=" in part for part in parts):
+        if len(parts) != model.nu:
+            raise Usage(f"--ctrl {text}: must be {model.nu} numbers, one for each actuator")
+        return {k: _number("--ctrl", text, part) for k, part in enumerate(parts)}
+    values = {}
+    for part in parts:
+        name, equals, value = (word.strip() for word in part.partition("="))
+        if not equals:
+            raise Usage(f"--ctrl {text}: '{part}' must be NAME=VALUE, as the others are")
+        if not name or name not in model.actuator_names:
+            near = nearest(name, model.actuator_names)
+            raise Usage(f"--ctrl {text}: no actuator is named '{name}'{near}")
+        values[model.actuator_names.index(name)] = _number("--ctrl", text, value)
+    return values
+
+
+def pushes_of(args: argparse.Namespace, model: Model) -> list[Push]:
+    """The pushes of --push."""
+    return [_push(text, model) for text in args.push]
+
+
+def _push(text: str, model: Model) -> Push:
+    body, colon, rest = text.rpartition(":")
+    force, at, when = rest.partition("@")
+    parts = force.split(",")
+    if not colon or not at or len(parts) != 3:
+        raise Usage(f"--push {text}: must be {PUSH_FORM}")
+    if not body or body not in model.body_names[1:]:
+        near = nearest(body, model.body_names[1:])
+        raise Usage(f"--push {text}: no body is named '{body}'{near}")
+    # A sign may stand in an exponent: "1e+0".
+    start, plus, duration = when.partition("+") if "e+" not in when else (when, "", "")
+    x, y, z = (_number("--push", text, part) for part in parts)
+    times = [_number("--push", text, start), _number("--push", text, duration) if plus else PUSH]
+    if min(times) < 0:
+        raise Usage(f"--push {text}: its times must be >= 0 s")
+    return Push(model.body_names.index(body), (x, y, z), *times)
+
+
+def _number(option: str, text: str, part: str) -> float:
+    try:
+        value = float(part)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise Usage(f"{option} {text}: '{part}' must be a finite number")
+    return value

@@ -1,0 +1,103 @@
+"""One run of a Sim under a user's controls and pushes, observed by probes, its steps timed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+
+from stepcore.engine.sim import Sim
+from stepcore.engine.trajectory import Trajectory, whole_steps
+from stepcore.experiment.motion import Control
+from stepcore.experiment.probe import Probe
+
+# About how often probes look at a run, unless they ask for more.
+LOOKS = 2000
+
+
+@dataclass(frozen=True)
+class Push:
+    """A force on a body's centre of mass for some time.
+
+    body: its index. force: in world axes [N]. start: time since the run began [s]. duration: [s];
+    it lasts for at least one step.
+    """
+
+    body: int
+    force: tuple[float, float, float]
+    start: float
+    duration: float
+
+    def span(self, dt: float) -> range:
+        """The steps during which it acts."""
+        first = round(self.start / dt)
+        return range(first, first + max(1, round(self.duration / dt)))
+
+
+@dataclass
+class SingleRun:
+    """Runs a Sim from the state that it has.
+
+    control: a function of (time, sim) that gives the controls, called every `control_dt` [s], by
+    default before every step; None leaves them as they are. pushes: forces, added to what is
+    applied already. probes: observe the run about `LOOKS` times. record: what the trajectory
+    holds, at every step; without any there is none.
+
+    spent: the time that steps took [s], without probes, controls and recording.
+    """
+
+    sim: Sim
+    control: Control | None = None
+    control_dt: float | None = None
+    pushes: Sequence[Push] = ()
+    probes: Sequence[Probe] = ()
+    record: Sequence[str] = ()
+    spent: float = 0.0
+    trajectory: Trajectory | None = field(default=None, init=False)
+
+    def run(self, steps: int) -> None:
+        """Takes so many steps; raises what `Sim.step` raises, and what the control raises."""
+        sim, dt = self.sim, self.sim.settings.dt
+        period = 1 if self.control_dt is None else whole_steps("control_dt", self.control_dt, dt, 1)
+        stride = 1 if self.record else max(1, steps // LOOKS)
+        applied = np.array(sim.xfrc_applied)
+        spans = [(push, push.span(dt)) for push in self.pushes]
+        edges = sorted({edge for _, span in spans for edge in (span.start, span.stop)})
+        data: dict[str, list[np.ndarray]] = {name: [] for name in ("time", *self.record)}
+        for probe in self.probes:
+            probe.begin(sim)
+        self._note(data)
+        done = 0
+        while done < steps:
+            if self.control is not None and done % period == 0:
+                sim.ctrl = self.control(sim.time, sim)
+            if done in edges or (done == 0 and spans):
+                sim.xfrc_applied[:] = applied
+                for push, span in spans:
+                    if done in span:
+                        sim.xfrc_applied[push.body, :3] += push.force
+            upto = [steps, *(edge for edge in edges if edge > done)]
+            if self.control is not None:
+                upto.append((done // period + 1) * period)
+            if self.probes or self.record:
+                upto.append((done // stride + 1) * stride)
+            count = min(upto) - done
+            begin = perf_counter()
+            sim.step(count)
+            self.spent += perf_counter() - begin
+            done += count
+            if done % stride == 0 or done == steps:
+                for probe in self.probes:
+                    probe.step(sim)
+                self._note(data)
+        sim.xfrc_applied[:] = applied
+        if self.record:
+            arrays = {name: np.array(values) for name, values in data.items()}
+            self.trajectory = Trajectory(arrays.pop("time"), arrays)
+
+    def _note(self, data: dict[str, list[np.ndarray]]) -> None:
+        if self.record:
+            for name, values in data.items():
+                values.append(np.array(getattr(self.sim, name)))
