@@ -52,6 +52,7 @@ def test_sweeps_are_counted_by_the_row():
         sim = Sim(model, solver="pgs", sweeps=sweeps, tolerance=0.0, law="lesson", softness=1e-4)
         sim.forward()
         updates.append(sim.row_updates)
+        assert sim.most_rows == len(sim.rows) > 0
         work.append(sim.stage_flops()["solve/impulses"])
     slopes = np.diff(work) / np.diff(updates)
     assert updates[0] > 0 and np.ptp(slopes) == 0 and 5 < slopes[0] < 40

@@ -8,7 +8,7 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.experiment.motion import Motion
-from stepcore.experiment.other_models import ErrorSplit, stiffer
+from stepcore.experiment.other_models import ErrorSplit, stiffer, time_scale
 from stepcore.experiment.reference import ReferenceRuns
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
@@ -44,11 +44,11 @@ def slider(degrees, **options):
     return scene
 
 
-def models(scene, horizon=0.16, period=0.008):
+def models(scene, horizon=0.16, period=0.008, finest=0.002):
     """The models of a scene, with their reference, one start."""
     model = scene.compile()
     runner = Runner(model, scheduled(Motion(horizon=horizon, starts=1), model, period))
-    runs = ReferenceRuns(runner, model.settings, 0.002, 1e6, Workers())
+    runs = ReferenceRuns(runner, model.settings, finest, 1e6, Workers())
     reference = runs.reference(Progress("", 1, False))
     return ErrorSplit(runs, reference, runs.size)
 
@@ -158,3 +158,50 @@ def test_single_precision_is_a_modelling_error():
     assert 1e-9 < rows["f32"].modelling < 1e-5
     record = result.table[0]
     assert set(record) >= {"numerical", "modelling", "momentum", "joint", "limit", "creep"}
+
+
+def dropped(tau):
+    """A ball let go 0.05 m above a floor that is given this time constant [s]."""
+    scene = resting(dt=0.002)
+    scene.body("ball").pos = (0, 0, 0.15)
+    for geom in scene.geoms:
+        geom.solref = (tau, 1.0)
+    return scene
+
+
+def test_the_softness_of_a_stiff_contact_is_measured_at_steps_that_resolve_it():
+    # The ball with a sixteenth of the time constant, by plain steps of a 64th of that.
+    found = models(dropped(0.004), horizon=0.2, finest=0.0005)
+    gap = found.gaps()["softness"]
+    times = found.runs.runner.schedule.times
+    heights = []
+    for tau in (0.004, 0.004 / 16):
+        steps = round(times[0] * 64 / tau)
+        sim = sc.Sim(dropped(tau), dt=times[0] / steps, integrator="rk4", refsafe=False)
+        heights.append([])
+        for _ in times:
+            sim.step(steps)
+            heights[-1].append(float(sim.qpos[0]))
+    wanted = math.sqrt(np.mean(np.subtract(*heights) ** 2))
+    assert gap.distance == pytest.approx(wanted, rel=0.02)
+    # Five hundredths of a metre cannot move by more; what was printed here once was metres.
+    assert gap.distance < 0.05
+
+
+def test_softness_that_no_affordable_step_resolves_is_not_told():
+    """1/16 of a time constant of 0.5 ms takes steps of 4 µs: more than the budget of 1e4 allows."""
+    found = models(dropped(0.0005), horizon=0.2)
+    found.runs.budget = 1e4
+    assert found.acts and "softness" not in found.gaps()
+
+
+def test_the_shortest_time_of_a_contact_is_that_of_its_oscillator_or_its_damper():
+    scene = resting()
+    scene.geoms[1].solref = (0.008, 0.5)
+    assert time_scale(scene) == 0.004
+    # 1/√k = 10 ms, 2/b = 1 ms.
+    scene.geoms[1].solref = (-1e4, -2000.0)
+    assert time_scale(scene) == pytest.approx(1e-3)
+    scene.geoms[0].contype = scene.geoms[0].conaffinity = 0
+    scene.geoms[1].contype = scene.geoms[1].conaffinity = 0
+    assert time_scale(scene) == math.inf

@@ -320,3 +320,47 @@ def test_the_default_horizon_is_a_whole_number_of_samples():
     assert not any("horizon" in note for note in result.notes)
     result = few(falling(dt=0.02), integrators=["semi-implicit"], starts=1, horizon=1.0)
     assert any("horizon" in note for note in result.notes)
+
+
+def bouncing(**options):
+    """A ball that falls 5 cm onto a floor so stiff that it has left again within 2 ms."""
+    scene = sc.Scene(gravity=(0, 0, -G), name="bouncing")
+    scene.add_geom("world", "plane", condim=1, solref=(5e-4, 1.0))
+    ball = scene.add_body("ball", pos=(0, 0, 0.1503))
+    scene.add_joint(ball, "slide", axis=(0, 0, 1))
+    scene.add_geom(ball, "sphere", 0.1, mass=1.0, condim=1, solref=(-1e6, -10.0))
+    scene.options = {"dt": 0.002, "integrator": "euler"} | options
+    return scene
+
+
+def test_rows_are_counted_at_every_step():
+    """The bounce, after 0.1 s, is over by the next sample: 16 ms lie between two."""
+    scene = bouncing()
+    for geom in scene.geoms:
+        geom.solref = (-1e6, -10.0)
+    options = {"dts": [0.002, 0.0005], "integrators": ["rk4"], "control_dt": 0.016, "starts": 1}
+    result = few(scene, horizon=0.24, effort=1e5, **options)
+    path = result.reference.paths[0]
+    # No sample touches, and the ball is thrown back: gravity alone does not turn it around.
+    assert not path.touching.any() and (np.diff(path.com[:, 0, 2]) > 0.01).any()
+    assert path.rows == 1
+    assert not any("solver does not matter" in note for note in result.notes)
+    assert {row.settings.solver for row in result.rows} == {"newton", "pgs"}
+
+
+def test_refsafe_is_marked_where_contacts_act_between_samples_alone():
+    scene = bouncing()
+    for geom in scene.geoms:
+        geom.solref = (5e-4, 1.0)
+    options = {"dts": [0.002, 0.00025], "integrators": ["rk4"], "starts": 1, "horizon": 0.12}
+    result = few(scene, effort=1e5, **options)
+    assert {row.settings.dt: row.clamped for row in result.rows} == {0.002: True, 0.00025: False}
+    assert any("refsafe" in note for note in result.notes)
+
+
+def test_a_penalty_has_contacts_though_it_has_no_rows():
+    options = {"law": "penalty", "integrator": "semi-implicit", "solver": "pgs"}
+    result = few(bouncing(**options), starts=1, horizon=0.2, dts=[2e-3, 1e-3], effort=1e5)
+    assert any(path.overlap for path in result.reference.paths)
+    (note,) = [note for note in result.notes if "ever active" in note]
+    assert note.startswith("contacts are forces under the law penalty, and no limit or other row ")

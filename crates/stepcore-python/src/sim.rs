@@ -358,6 +358,10 @@ impl Sim {
         Ok(self.lock()?.effort().row_updates)
     }
     #[getter]
+    fn most_rows(&self) -> PyResult<usize> {
+        Ok(self.lock()?.effort().most_rows)
+    }
+    #[getter]
     fn decrement(&self) -> PyResult<f64> {
         Ok(self.lock()?.effort().decrement)
     }

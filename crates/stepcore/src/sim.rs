@@ -24,6 +24,8 @@ pub struct Effort {
     pub sweeps: u32,
     /// Row updates since the start, over all lanes together.
     pub row_updates: u64,
+    /// The most rows that any solve since the start had.
+    pub most_rows: usize,
     /// Newton's last decrement, relative; 0 under PGS.
     pub decrement: f64,
 }
@@ -119,7 +121,7 @@ impl<R: Real> Sim<R> {
         }
         let free = Unconstrained { dof_lists: &model.dof_lists, inv_d, guess: &self.placed.guess };
         let report = self.solver.solve(&self.settings, free, &mut self.rows)?;
-        self.effort.note(&report);
+        self.effort.note(&report, self.rows.rows.len());
         Ok(())
     }
 
@@ -186,8 +188,9 @@ impl Effort {
         (self.sweeps, self.decrement) = (0, 0.0);
     }
 
-    fn note<R: Real>(&mut self, report: &Report<R>) {
+    fn note<R: Real>(&mut self, report: &Report<R>, rows: usize) {
         let lanes = 0..R::LANES;
+        self.most_rows = self.most_rows.max(rows);
         self.sweeps = lanes.clone().map(|lane| report.sweeps.lane(lane) as u32).max().unwrap_or(0);
         self.row_updates += lanes.clone().map(|lane| report.updates.lane(lane)).sum::<u64>();
         self.decrement = lanes.map(|lane| report.decrement.lane(lane)).fold(0.0, f64::max);

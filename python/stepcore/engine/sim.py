@@ -310,6 +310,11 @@ class Sim(Stepped):
         return self._core.row_updates
 
     @property
+    def most_rows(self) -> int:
+        """The most rows that any step since this Sim was created had at once."""
+        return self._core.most_rows
+
+    @property
     def decrement(self) -> float:
         """Relative Newton decrement at the end of the last solve; 0 with solver "pgs"."""
         return self._core.decrement

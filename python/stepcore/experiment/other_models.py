@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -37,8 +38,12 @@ SMOOTH = ("euler", "implicitfast")
 STIFFER = (4.0, 16.0)
 # Laws whose limit is soft, and how they are made harder, in words.
 HARDER = {"solref": "solref time constants / {0:g}", "penalty": "penalty_stiffness × {1:g}"}
-# The last two may differ by this share of the last for the effect of softness to be known.
+# The last two may differ by this share of the last for the effect of softness to be known; so may
+# each by what half its step changes, and by the reference's own error.
 SETTLED = 0.25
+# Steps in the shortest time scale of a contact that resolve it; the share of the reference's budget
+# that one harder scene may cost.
+RESOLVED, SHARE = 8.0, 0.25
 
 
 class ErrorSplit:
@@ -111,37 +116,67 @@ class ErrorSplit:
         penalty, whose limit is soft; contacts are made harder until that changes little. Empty
         where no row acts.
         """
-        gaps: dict[str, Gap] = {}
-        runner, shipped, here = self.runs.runner, self.runs.shipped, self.cheap.paths
         if not self.acts:
-            return gaps
-        if shipped.cone == "pyramidal" and any(any(path.slips) for path in here):
-            limit = self._level(runner, shipped.replace(cone="elliptic"), self.cheap)
-            if not limit.failed:
-                apart = self._apart(limit.paths, here).high
-                gaps["pyramid"] = Gap(apart, "elliptic cones")
-        apart_by: list[float] = []
-        for factor in STIFFER if shipped.law in HARDER else ():
-            level = self._harder(factor)
-            if level.failed:
-                break
-            apart_by.append(self._apart(level.paths, here).high)
-        if apart_by:
-            last, factor = apart_by[-1], STIFFER[len(apart_by) - 1]
-            steady = len(apart_by) > 1 and abs(last - apart_by[-2]) <= SETTLED * last
-            gaps["softness"] = Gap(last, HARDER[shipped.law].format(factor, factor**2), steady)
-        return gaps
+            return {}
+        gaps = {"pyramid": self._pyramid(), "softness": self._softness()}
+        return {name: gap for name, gap in gaps.items() if gap is not None}
 
-    def _harder(self, factor: float) -> Level:
-        """The limit of the scene with contacts whose time constants are shorter."""
+    def _pyramid(self) -> Gap | None:
+        """The distance to elliptic cones, at a step that resolves the contacts."""
         runner, shipped = self.runs.runner, self.runs.shipped
-        if shipped.law == "penalty":
-            hard = shipped.replace(penalty_stiffness=shipped.penalty_stiffness * factor**2)
-            # Explicit: the step must follow the spring.
-            like = Level(self.cheap.dt / factor, self.cheap.integrator, [])
-            return self._level(runner, hard, like)
-        model = Model(stiffer(runner.model.scene, factor), runner.model.settings)
-        return self._level(Runner(model, runner.schedule), shipped, self.cheap)
+        if shipped.cone != "pyramidal" or not any(any(path.slips) for path in self.cheap.paths):
+            return None
+        shortest = time_scale(runner.model.scene) if shipped.law == "solref" else math.inf
+        levels = [self.cheap, *(level for chain in self.runs.chains.values() for level in chain)]
+        fine = [level for level in levels if level.dt * RESOLVED <= shortest]
+        if not fine:
+            return None
+        near = next((level for level in fine if level is self.cheap), None)
+        near = near or max(fine, key=lambda level: (level.dt, level.integrator != "rk4"))
+        limit = self._level(runner, shipped.replace(cone="elliptic"), near)
+        if limit.failed:
+            return None
+        return Gap(self._apart(limit.paths, near.paths).high, "elliptic cones")
+
+    def _softness(self) -> Gap | None:
+        """The distance to the hardest contacts that could be run at steps that resolve them."""
+        law, found = self.runs.shipped.law, None
+        for factor in STIFFER if law in HARDER else ():
+            distance = self._softer_by(factor)
+            if distance is None:
+                break
+            steady = found is not None and abs(distance - found.distance) <= SETTLED * distance
+            found = Gap(distance, HARDER[law].format(factor, factor**2), steady)
+        return found
+
+    def _softer_by(self, factor: float) -> float | None:
+        """How far the scene is from one with harder contacts [m].
+
+        None where that cannot be known: where the harder scene fails, where a step that resolves
+        it costs too much, or where half that step still moves it by more than a share.
+        """
+        runs = self.runs
+        runner, settings = runs.runner, runs.shipped
+        if settings.law == "penalty":
+            stiff = settings.penalty_stiffness * factor**2
+            settings, dt = settings.replace(penalty_stiffness=stiff), self.cheap.dt / factor
+        else:
+            scene = stiffer(runner.model.scene, factor)
+            runner, dt = Runner(Model(scene, runner.model.settings), runner.schedule), self.cheap.dt
+            halvings = math.log2(max(1.0, dt * RESOLVED / time_scale(scene)))
+            dt /= 2 ** math.ceil(halvings - 1e-9)
+        coarse, fine = (Level(step, self.cheap.integrator, []) for step in (dt, dt / 2))
+        if sum(runs.cost(level.integrator, level.dt) for level in (coarse, fine)) > (
+            SHARE * runs.budget
+        ):
+            return None
+        coarse = self._level(runner, settings, coarse)
+        fine = fine if coarse.failed else self._level(runner, settings, fine)
+        if coarse.failed or fine.failed:
+            return None
+        distance = self._apart(fine.paths, self.reference.paths).high
+        unsure = self._apart(coarse.paths, fine.paths).high + self.reference.high
+        return distance if unsure <= SETTLED * distance else None
 
     def _level(self, runner: Runner, settings: Settings, like: Level) -> Level:
         """All starts of another model's runner, at the step and with the integrator of a level."""
@@ -220,13 +255,34 @@ def _modelled(settings: Settings) -> tuple[Any, ...]:
     return tuple(values.values())
 
 
+def time_scale(scene: Scene) -> float:
+    """The shortest time in which a contact, limit or connection pushes back [s]; inf without any.
+
+    A contact with solref (T, ζ) is an oscillator with 1/ω = ζT whose damping alone takes T, one
+    with (−k, −b) has 1/ω = 1/√k and takes 2/b (the acceleration per overlap, and per speed).
+    """
+    shortest = math.inf
+    for first, second in _solrefs(scene):
+        if first > 0:
+            shortest = min(shortest, first * min(1.0, second))
+        elif first < 0:
+            damping = 2.0 / -second if second < 0 else math.inf
+            shortest = min(shortest, 1.0 / math.sqrt(-first), damping)
+    return shortest
+
+
+def _solrefs(scene: Scene) -> list[Ref]:
+    """Of everything in a scene that can make rows."""
+    refs = [g.solref for g in scene.geoms if g.contype or g.conaffinity]
+    refs += [j.solreflimit for j in scene.joints if j.range is not None]
+    refs += [j.solreffriction for j in scene.joints if j.frictionloss > 0]
+    refs += [e.solref for e in scene.equalities if e.active]
+    return refs
+
+
 def clamping(scene: Scene) -> float | None:
     """The shortest time constant that `refsafe` guards [s]: at a dt above half of it, rows soften.
 
     None where no solref in the scene is a time constant.
     """
-    softness = [g.solref for g in scene.geoms if g.contype or g.conaffinity]
-    softness += [j.solreflimit for j in scene.joints if j.range is not None]
-    softness += [j.solreffriction for j in scene.joints if j.frictionloss > 0]
-    softness += [e.solref for e in scene.equalities if e.active]
-    return min((ref[0] for ref in softness if ref[0] > 0), default=None)
+    return min((ref[0] for ref in _solrefs(scene) if ref[0] > 0), default=None)

@@ -19,9 +19,10 @@ class Path:
     balance: energy, less that at the start, less the work of the actuators, plus what the joint
     dampers took [J], (n,). kinetic: energy [J], height: of the centre of mass against gravity
     [m], touching: contacts that touch; (n,) each. slips: contacts with friction, by sample.
-    overlap: deepest [m]. residual: worst [m/s]. rows: the most at once. momentum [kg·m/s], spin
-    [kg·m²/s]: see `stepcore.experiment.momentum`. joint [m], limit [rad or m]: see
-    `stepcore.experiment.joints`. failure: why the run ended early; the arrays are then short.
+    overlap: deepest [m]. residual: worst [m/s]. rows: the most of any step.
+    momentum [kg·m/s], spin [kg·m²/s]: see `stepcore.experiment.momentum`. joint [m], limit [rad or
+    m]: see `stepcore.experiment.joints`. failure: why the run ended early; the arrays are then
+    short.
 
     A run that only `Positions` looked at has com, quat, gyration, row_updates and failure.
     """

@@ -52,7 +52,6 @@ class Recorder(Probe):
         self.meets = bool(bodies.model.pairs)
         self.grounded = False
         self.overlap = self.residual = 0.0
-        self.rows = 0
 
     def stride(self, steps: int) -> int:
         return max(1, steps // STATES)
@@ -74,7 +73,6 @@ class Recorder(Probe):
 
     def sample(self, sim: Sim) -> None:
         self.samples.append(len(self.qpos) - 1)
-        self.rows = max(self.rows, len(sim.rows))
         contacts = sim.contacts if self.meets else None
         self.touching.append(0 if contacts is None else int((contacts["dist"] <= 0).sum()))
         self.slips.append({} if contacts is None else self.bodies.friction.slips(sim, contacts))
@@ -109,7 +107,7 @@ class Recorder(Probe):
         path.gyration = bodies.gyration
         path.touching, path.slips = np.array(self.touching), self.slips
         path.overlap, path.residual = self.overlap, self.residual
-        path.row_updates, path.rows = sim.row_updates, self.rows
+        path.row_updates, path.rows = sim.row_updates, sim.most_rows
 
     def _work(self, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
         """Work done on the bodies between two states by actuators and dampers [J].

@@ -172,6 +172,7 @@ def trade(
         elif limit is not None:
             frontier = within_budget(frontier, limit, confirm, finisher.row, counts)
     schedule = runner.schedule
+    forces = shipped.law == "penalty" and bool(model.pairs)
     return Trade(
         name=setup.name,
         motion=motion,
@@ -180,7 +181,7 @@ def trade(
         horizon=schedule.horizon,
         notes=[
             *model.scene.notes,
-            *notes.about_run(schedule, rows, tau, motion.horizon),
+            *notes.about_run(schedule, rows, forces, tau, motion.horizon),
             *notes.about_reference(reference, frontier.rows, size),
             *notes.observed(reference, schedule.horizon, observed_orders(frontier.rows, reference)),
             *notes.failed(frontier.rows),

@@ -21,12 +21,12 @@ DISAGREE = 4.0
 
 
 def about_run(
-    schedule: Schedule, rows: int, softened: float | None, asked: float | None
+    schedule: Schedule, rows: int, forces: bool, softened: float | None, asked: float | None
 ) -> Iterator[str]:
     """Notes on the motion.
 
-    rows: the most at once. softened: the time constant that refsafe guards [s], or None. asked:
-    the horizon that was asked for [s].
+    rows: the most at once. forces: contacts are forces and not rows. softened: the time constant
+    that refsafe guards [s], or None. asked: the horizon that was asked for [s].
     """
     if asked is not None and schedule.horizon < asked * (1 - 1e-9):
         yield (
@@ -34,7 +34,9 @@ def about_run(
             "must be a whole number of samples"
         )
     if rows == 0:
-        yield "no contact, limit or other row was ever active, so the solver does not matter"
+        what = "contacts are forces under the law penalty, and" if forces else "no contact,"
+        what += " no limit or other row" if forces else " limit or other row"
+        yield f"{what} was ever active, so the solver does not matter"
     if schedule.undriven:
         names = ", ".join(schedule.undriven)
         yield f"actuators without a control range are not driven: {names}"

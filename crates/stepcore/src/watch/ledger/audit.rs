@@ -13,9 +13,9 @@ impl<R: Real> Sim<R> {
     /// Places, detects and solves at the present state, as the next step will, and sums up.
     /// False if that failed: the step will say why.
     pub(super) fn audit(&mut self, levels: &mut [Level]) -> bool {
-        let updates = self.effort.row_updates;
+        let (updates, most) = (self.effort.row_updates, self.effort.most_rows);
         let solved = self.place_detect_solve(At::State).is_ok();
-        self.effort.row_updates = updates;
+        (self.effort.row_updates, self.effort.most_rows) = (updates, most);
         if !solved {
             return false;
         }
