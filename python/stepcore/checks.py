@@ -10,8 +10,8 @@ import difflib
 import inspect
 import math
 import os
+import stat
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 Check = Callable[[Any, str, Any], Any]
@@ -22,11 +22,23 @@ TINY = 1e-14
 # Where no name is near, so many of those that exist are listed.
 KNOWN = 10
 
+# No text of an error is longer, whatever a file or an argument holds [characters].
+LONGEST = 1000
+
 
 def shown(value: object, width: int = 80) -> str:
     """``repr`` on one line, cut to `width` characters."""
-    text = " ".join(repr(value).split())
+    return cut(" ".join(repr(value).split()), width)
+
+
+def cut(text: str, width: int = LONGEST) -> str:
+    """The text, cut to `width` characters."""
     return text if len(text) <= width else text[: width - 1] + "…"
+
+
+def quoted(name: str) -> str:
+    """A user's name in quotation marks, cut so that it fits into a sentence."""
+    return f'"{cut(name, 80)}"'
 
 
 def nearest(name: str, known: Iterable[str], listed: int = KNOWN) -> str:
@@ -34,14 +46,15 @@ def nearest(name: str, known: Iterable[str], listed: int = KNOWN) -> str:
     names = [k for k in known if k]
     # Letters count in either case, so that "rk4" is near "RK4".
     folded = {k.lower(): k for k in reversed(names)}
-    matches = difflib.get_close_matches(name.lower(), folded, n=3, cutoff=0.5)
+    # The time of the comparison grows with the square of the length.
+    matches = difflib.get_close_matches(cut(name, 200).lower(), folded, n=3, cutoff=0.5)
     close = [folded[k] for k in matches]
     if close:
-        return "; nearest: " + ", ".join(f'"{c}"' for c in close)
+        return "; nearest: " + ", ".join(quoted(c) for c in close)
     if not listed:
         return ""
     more = f" and {len(names) - listed} more" if len(names) > listed else ""
-    return "; known: " + (", ".join(f'"{n}"' for n in names[:listed]) or "none") + more
+    return "; known: " + (", ".join(quoted(n) for n in names[:listed]) or "none") + more
 
 
 def one_line(error: BaseException) -> str:
@@ -69,7 +82,7 @@ class ElementError(ValueError):
     """An error about one element of a scene, `owner`."""
 
     def __init__(self, owner: object, text: str) -> None:
-        super().__init__(f"{owner}: {text}")
+        super().__init__(f"{cut(str(owner), 200)}: {cut(text)}")
         self.owner = owner
         self.text = text
 
@@ -77,14 +90,31 @@ class ElementError(ValueError):
         return type(self), (str(self.owner), self.text)
 
 
+# No model and no replay is larger [bytes]; a file that is would fill the memory.
+LARGEST_FILE = 2**28
+
+
 def file_bytes(path: str | os.PathLike[str], expected: str) -> bytes:
-    """Reads a file; an error in one line names it if it is missing or a folder.
+    """Reads a regular file of at most `LARGEST_FILE` bytes.
 
     expected: what it should be, such as "an MJCF file".
+
+    An error in one line names the file: FileNotFoundError, IsADirectoryError; ValueError for a
+    device, a pipe or a socket, which are not opened, and for a file that is too large.
     """
     name = os.fsdecode(path)
     try:
-        return Path(name).read_bytes()
+        status = os.stat(name)
+        if stat.S_ISDIR(status.st_mode):
+            raise IsADirectoryError
+        if not stat.S_ISREG(status.st_mode):
+            raise ValueError(f"{cut(name, 300)}: is not a regular file, so it is not read")
+        with open(name, "rb") as file:
+            data = file.read(LARGEST_FILE + 1)
+        if len(data) > LARGEST_FILE:
+            limit = f"has more than {LARGEST_FILE // 2**20} MiB"
+            raise ValueError(f"{cut(name, 300)}: {limit}, which {expected} never has")
+        return data
     except FileNotFoundError:
         raise FileNotFoundError(f"{name}: no such file") from None
     except IsADirectoryError:
@@ -98,7 +128,10 @@ def refuse(owner: Any, field: str, value: object, limit: str) -> ElementError:
 
 def number(value: object) -> float | None:
     """`value` as a finite float, or None."""
-    if isinstance(value, (str, bytes, bool)) or value is None or getattr(value, "ndim", False):
+    if isinstance(value, (str, bytes, bool, complex)) or value is None:
+        return None
+    # Of an array with entries, or a number of numpy's with an imaginary part, none is made.
+    if getattr(value, "ndim", False) or getattr(getattr(value, "dtype", None), "kind", "") == "c":
         return None
     try:
         result = float(value)  # type: ignore[arg-type]
@@ -110,19 +143,26 @@ def number(value: object) -> float | None:
 # Arguments of calls, which no element owns.
 
 
-def count(name: str, value: object, least: int = 1) -> int:
-    """`value` as a whole number >= `least`."""
+def count(name: str, value: object, least: int = 1, most: int = 10**9) -> int:
+    """`value` as a whole number from `least` to `most`."""
     result = number(value)
-    if result is None or result != int(result) or result < least:
-        raise ValueError(f"{name} = {shown(value)}: must be a whole number >= {least}")
+    if result is None or result != int(result) or not least <= result <= most:
+        limit = f">= {least}" if result is None or result < least else f"from {least} to {most:g}"
+        raise ValueError(f"{name} = {shown(value)}: must be a whole number {limit}")
     return int(result)
 
 
+# Some 30 million years: whatever is longer is a mistake, and its squares may overflow.
+LONGEST_TIME = 1e15
+
+
 def seconds(name: str, value: object) -> float:
-    """`value` as a time > 0 [s]."""
+    """`value` as a time > 0 [s], at most `LONGEST_TIME`."""
     result = number(value)
     if result is None or result <= 0:
         raise ValueError(f"{name} = {shown(value)}: must be a finite number of seconds > 0")
+    if result > LONGEST_TIME:
+        raise ValueError(f"{name} = {shown(value)}: must be at most {LONGEST_TIME:g} s")
     return result
 
 

@@ -133,7 +133,8 @@ class _Chunks(Generic[T, R]):
         chunk = [self.points[i] for i in indices]
         # Dask takes two submissions with equal arguments for one; the key tells them apart.
         key = f"{self.key} {attempt}"
-        future = self.executor.submit(_run_chunk, self.function, chunk, key)
+        work = _run_chunk if isinstance(self.executor, ThreadPoolExecutor) else _run_sent_chunk
+        future = self.executor.submit(work, self.function, chunk, key)
         self.pending[future] = indices
         future.add_done_callback(self.finished.put)
 
@@ -163,6 +164,19 @@ class _Chunks(Generic[T, R]):
 def _run_chunk(function: Callable[[T], R], points: Sequence[T], key: str) -> list[R]:
     """What a worker does with a chunk."""
     return [function(point) for point in points]
+
+
+def _run_sent_chunk(function: Callable[[T], R], points: Sequence[T], key: str) -> list[R]:
+    """The same in another process, whose errors must come back: what cannot keeps its text."""
+    try:
+        return _run_chunk(function, points, key)
+    except Exception as error:
+        try:
+            pickle.loads(pickle.dumps(error))
+        except Exception:
+            text = f"{type(error).__name__}: {checks.one_line(error)}"
+            raise RuntimeError(f"{text} (raised in another process)") from None
+        raise
 
 
 def checkpoint() -> None:

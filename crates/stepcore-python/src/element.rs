@@ -5,7 +5,7 @@ use pyo3::prelude::*;
 use stepcore::elements::{Element, Kind};
 use stepcore::model::Model;
 
-use crate::nearest::nearest;
+use crate::nearest::{cut, nearest};
 
 /// Kind by its word, index in the model's list, part.
 pub type Id = (&'static str, u32, i64);
@@ -20,7 +20,7 @@ pub fn read(model: &Model, kind: &str, index: usize, part: i64) -> PyResult<Elem
     let Some(found) = Kind::ALL.into_iter().find(|known| known.word() == kind) else {
         let known = Kind::ALL.map(Kind::word);
         let near = nearest(kind, &known);
-        return Err(PyValueError::new_err(format!("kind = '{kind}': no such kind{near}")));
+        return Err(PyValueError::new_err(format!("kind = '{}': no such kind{near}", cut(kind))));
     };
     let count = model.count(found);
     if index >= count {

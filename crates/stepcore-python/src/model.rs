@@ -12,6 +12,7 @@ use stepcore::scene::{JointType, Scene};
 
 use crate::element::read;
 use crate::extract::{At, Read};
+use crate::nearest::cut;
 
 /// An array of this shape that owns its numbers.
 pub fn shaped<'py>(
@@ -116,7 +117,7 @@ impl Model {
         let forces = found.and_then(|kind| joint_forces(m, kind, &ctrl, &qpos, &qvel));
         let Some(forces) = forces else {
             let limit = "must be 'spring', 'damper' or 'actuator'";
-            return Err(PyValueError::new_err(format!("kind = '{kind}': {limit}")));
+            return Err(PyValueError::new_err(format!("kind = '{}': {limit}", cut(kind))));
         };
         result(py, forces, &[n, m.nv])
     }

@@ -1,7 +1,17 @@
 //! The known names that a mistyped one may have meant.
 
+/// A name as a text shows it, cut to 80 characters.
+pub fn cut(name: &str) -> String {
+    if name.chars().count() <= 80 {
+        return name.to_string();
+    }
+    name.chars().take(79).chain(['…']).collect()
+}
+
 /// "; nearest: a, b" out of the known names, for a name that is not among them.
 pub fn nearest(name: &str, known: &[&str]) -> String {
+    // The time of the comparison grows with the length.
+    let name = &cut(name);
     let mut near: Vec<(usize, &str)> = known
         .iter()
         .map(|other| (edits(name, other), *other))

@@ -9,7 +9,7 @@ use stepcore::settings::{
 
 use crate::errors::Raised;
 use crate::extract::{refuse, At, Read};
-use crate::nearest::nearest;
+use crate::nearest::{cut, nearest};
 
 /// A field as Python gets it.
 trait Shown {
@@ -40,7 +40,7 @@ macro_rules! shown_by_name {
         impl Read for $type {
             fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
                 let name = String::read(value, at)?;
-                <$type>::parse(&name).raised(value.py())
+                <$type>::parse(&cut(&name)).raised(value.py())
             }
         }
     )+};
@@ -85,7 +85,7 @@ macro_rules! settings {
             match name {
                 $(stringify!($field) => settings.$field = <$type>::read(value, &at)?,)+
                 _ => {
-                    let text = format!("settings have no '{name}'{}", nearest(name, FIELDS));
+                    let text = format!("settings have no '{}'{}", cut(name), nearest(name, FIELDS));
                     return Err(PyValueError::new_err(text));
                 }
             }

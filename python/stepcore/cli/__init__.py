@@ -15,6 +15,8 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
+from stepcore.cli.terminal import print_what_can_be_printed
+
 COMMANDS = {
     "lesson": "check the engine on four small scenes whose results are known",
     "run": "simulate a model and print its final state",
@@ -64,6 +66,7 @@ class _Version(argparse.Action):
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; returns the exit status."""
     debug = False
+    print_what_can_be_printed()
     try:
         args = parser(sys.argv[1:] if argv is None else argv).parse_args(argv)
         debug = args.debug

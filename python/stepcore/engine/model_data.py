@@ -166,11 +166,16 @@ class ModelData(ABC):
 
         Raises ValueError, with the nearest names, if there is no such element.
         """
-        names = self.names[kind]
+        names = self.names.get(kind) if isinstance(kind, str) else None
+        if names is None:
+            limit = f"one of {', '.join(self.names)}"
+            raise ValueError(f"kind = {checks.shown(kind)}: must be {limit}")
         if isinstance(name, str):
             if name and name in names:
                 return names.index(name)
-            raise ValueError(f'no {kind} is named "{name}"{checks.nearest(name, names)}')
+            raise ValueError(
+                f"no {kind} is named {checks.quoted(name)}{checks.nearest(name, names)}"
+            )
         try:
             index = range(len(names))[name]
         except (TypeError, IndexError):

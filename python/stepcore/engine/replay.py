@@ -109,16 +109,17 @@ class Replay:
         another version; FileNotFoundError for a missing file, IsADirectoryError for a folder.
         """
         shown = os.fsdecode(path)
+        text = checks.file_bytes(path, "a replay file")
         try:
-            data = json.loads(checks.file_bytes(path, "a replay file"))
+            data = json.loads(text)
         except (ValueError, RecursionError):
             raise ValueError(f"{shown}: not a replay file, or incomplete") from None
         if not isinstance(data, dict) or data.pop("kind", None) != KIND:
             raise ValueError(f"{shown}: not a replay file")
         version = data.pop("version", None)
         if version != VERSION:
-            text = f"version {version!r} of a replay file; this stepcore reads version {VERSION}"
-            raise ValueError(f"{shown}: {text}")
+            what = f"version {checks.shown(version)} of a replay file"
+            raise ValueError(f"{shown}: {what}; this stepcore reads version {VERSION}")
         check = data.pop("check", None)
         typed = all(isinstance(data.get(key), kind) for key, kind in FIELDS.items())
         if set(data) != set(FIELDS) or not typed or check != _check(data):

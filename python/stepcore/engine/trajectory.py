@@ -85,11 +85,15 @@ def record_run(
     period = 1 if control_dt is None else whole_steps("control_dt", control_dt, dt, least=1)
     controls = _controls(sim, control)
     names = _names(record)
-    time = np.empty(steps + 1)
     data = {}
-    for name in names:
-        value = np.asarray(getattr(sim, name))
-        data[name] = np.empty((steps + 1, *value.shape), dtype=value.dtype)
+    try:
+        time = np.empty(steps + 1)
+        for name in names:
+            value = np.asarray(getattr(sim, name))
+            data[name] = np.empty((steps + 1, *value.shape), dtype=value.dtype)
+    except MemoryError:
+        what = f"duration = {duration:g}: {steps} steps of {', '.join(names)} exceed the memory"
+        raise ValueError(f"{what}; run shorter pieces, or record less") from None
     for step in range(steps + 1):
         time[step] = sim.time
         for name in names:
@@ -106,6 +110,9 @@ def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
     number = checks.number(value)
     if number is None or number < 0:
         raise ValueError(f"{name} = {checks.shown(value)}: must be a finite number of seconds >= 0")
+    if not number / dt <= checks.MOST_STEPS:
+        limit = f"at most {checks.MOST_STEPS:g} steps of dt = {dt:g} s"
+        raise ValueError(f"{name} = {number:g}: must be {limit}")
     steps = round(number / dt)
     if steps < least or not math.isclose(steps * dt, number, rel_tol=1e-6, abs_tol=1e-9 * dt):
         limit = f"a whole number of steps of dt = {dt:g} s"
@@ -147,9 +154,11 @@ def _finite(sim: World, ctrl: ArrayLike, where: str) -> NDArray[np.float64]:
 
 
 def _names(record: Sequence[str]) -> tuple[str, ...]:
-    if isinstance(record, str):
-        record = (record,)
-    for name in record:
+    names = [record] if isinstance(record, str) else checks.listed(record)
+    if names is None or not all(isinstance(name, str) for name in names):
+        raise ValueError(f'record = {checks.shown(record)}: must be names, such as ("qpos",)')
+    for name in names:
         if name not in RECORDED:
-            raise ValueError(f'record: "{name}" cannot be recorded{checks.nearest(name, RECORDED)}')
-    return tuple(record)
+            near = checks.nearest(name, RECORDED)
+            raise ValueError(f"record: {checks.quoted(name)} cannot be recorded{near}")
+    return tuple(names)

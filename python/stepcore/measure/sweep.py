@@ -97,7 +97,8 @@ def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
                 find(model.scene, name)
         elif name not in fields:
             raise ValueError(
-                f"grid['{name}']: settings have no '{name}'{checks.nearest(name, fields)}"
+                f"grid[{checks.shown(name)}]: settings have no {checks.quoted(name)}"
+                f"{checks.nearest(name, fields)}"
             )
 
 

@@ -100,6 +100,9 @@ def _ctrlrange(
     bounds = world.ranges.get(id(joint))
     if bounds is None or bounds[0] == bounds[1]:
         raise node.error(f"<{node.tag}> inheritrange: {joint} has no range")
+    if joint.range is None and joint.type == "hinge" and world.compiler.degrees:
+        what = f"the range of {joint} is inherited unconverted, as radians, as MuJoCo does"
+        world.scene.notes.append(f"{node.file}:{node.line}: {what}: the joint is not limited")
     if values.get("ctrllimited", "auto") is False:
         return None
     middle, half = (bounds[0] + bounds[1]) / 2, gains.inheritrange * (bounds[1] - bounds[0]) / 2

@@ -25,11 +25,12 @@ def read_bytes(shown: str) -> bytes:
         raise MJCFError(shown, 1, f"cannot be read: {reason}") from None
 
 
-def expand(root: Node, base: Path | None, main: Path | None) -> None:
+def expand(root: Node, base: Path | None, main: Path | None) -> list[str]:
     """Replaces every include below `root`, in place.
 
     As in MuJoCo, a file is looked for in the folder of the main file (`base`), then in that of
-    the file that includes it, and can be included once.
+    the file that includes it, can be included once, and may lie outside these folders. Only
+    regular files are read. Returns a note on each file outside the folder of the main file.
     """
     seen = {_identity(main)} if main is not None else set()
     included_by: dict[str, str] = {}
@@ -45,6 +46,11 @@ def expand(root: Node, base: Path | None, main: Path | None) -> None:
             else:
                 node.children.append(child)
                 pending.append(child)
+    return [
+        f"{by}: <include> reads {file}, which is outside the folder of the main file"
+        for file, by in included_by.items()
+        if base is not None and not Path(_identity(Path(file))).is_relative_to(_identity(base))
+    ]
 
 
 def _identity(path: Path) -> str:
@@ -60,7 +66,7 @@ def _included(
     if base is None:
         raise node.error(f'<include file="{name}"> in a text needs loads(text, base=folder)')
     places = [base / name, Path(node.file).parent / name]
-    path = next((place for place in places if place.is_file()), places[0])
+    path = next((place for place in places if os.path.isfile(place)), places[0])
     if _identity(path) in seen:
         above: str | None = node.file
         while above is not None and _identity(Path(above)) != _identity(path):

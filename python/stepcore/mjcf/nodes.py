@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 from xml.parsers import expat
 
+from stepcore.checks import cut
+
 # MuJoCo's own parser stops at this depth too.
 DEPTH = 500
 
@@ -18,7 +20,7 @@ class MJCFError(ValueError):
     """
 
     def __init__(self, file: str, line: int, text: str) -> None:
-        super().__init__(f"{file}:{line}: {' '.join(text.split())}")
+        super().__init__(f"{cut(file, 300)}:{line}: {cut(' '.join(text.split()))}")
         self.file = file
         self.line = line
         self.text = text

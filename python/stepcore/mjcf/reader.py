@@ -35,7 +35,7 @@ def read_file(scene: Contents, path: str | os.PathLike[str]) -> None:
     main = Path(shown)
     data = read_bytes(shown)
     root = parse(data, shown)
-    expand(root, main.parent, main)
+    scene.notes += expand(root, main.parent, main)
     _fill(scene, root, Source(data, os.path.abspath(main.parent)))
 
 
@@ -50,7 +50,7 @@ def read_text(
     if not isinstance(text, (str, bytes)):
         raise MJCFError(name, 1, "an MJCF text must be a str or bytes")
     root = parse(text, name)
-    expand(root, None if base is None else Path(base), None)
+    scene.notes += expand(root, None if base is None else Path(base), None)
     data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
     _fill(scene, root, Source(data, None if base is None else os.path.abspath(base)))
 

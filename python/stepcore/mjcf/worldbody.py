@@ -178,7 +178,8 @@ class WorldReader:
         )
         self.keep(node, joint)
         if angles:
-            self.ranges[id(joint)] = angles
+            # MuJoCo converts the range of a limited joint only.
+            self.ranges[id(joint)] = angles if limits else values["range"]
 
     def _refuse_joint(self, node: Node, kind: str, values: dict[str, Any]) -> None:
         if min(values.get("springdamper", (0.0,))) > 0:

@@ -253,6 +253,9 @@ class Contents(checks.KnownNames):
         """
         from stepcore._core import Settings
 
+        for field in self.options:
+            if not isinstance(field, str):
+                raise ValueError(f"settings: {checks.shown(field)} must be the name of a field")
         return Settings(**self.options)
 
     @settings.setter
@@ -268,14 +271,20 @@ class Contents(checks.KnownNames):
 
         settings: a `Settings`, which replaces them all, or a dict of fields.
         fields: single fields of `Settings`.
+
+        Raises ValueError for a field that settings do not have, or a value outside its limits.
         """
         scene = copy.deepcopy(self)
         if settings is not None:
             if isinstance(settings, Mapping):
                 scene.options.update(settings)
-            else:
+            elif hasattr(settings, "as_dict"):
                 scene.options = settings.as_dict()
+            else:
+                limit = "Settings, or a dict of their fields"
+                raise ValueError(f"settings = {checks.shown(settings)}: must be {limit}")
         scene.options.update(fields)
+        _ = scene.settings  # Raises for what settings do not take.
         return scene
 
 
@@ -286,7 +295,7 @@ def _find(elements: Sequence[E], kind: str, name: object) -> E:
             return element
     if isinstance(name, str):
         near = checks.nearest(name, [e.name for e in elements])  # type: ignore[attr-defined]
-        text = f'no {kind} is named "{name}"{near}'
+        text = f"no {kind} is named {checks.quoted(name)}{near}"
     elif isinstance(name, Element):
         text = f"{name} is not a {kind} of this scene"
     else:
@@ -300,7 +309,7 @@ def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
     for field in fields:
         if field not in known:
             near = checks.nearest(field, known)
-            raise ValueError(f'a {kind.__name__.lower()} has no field "{field}"{near}')
+            raise ValueError(f"a {kind.__name__.lower()} has no field {checks.quoted(field)}{near}")
     return kind(**own, **fields)
 
 

@@ -73,7 +73,9 @@ class Element:
     def __setattr__(self, field: str, value: object) -> None:
         known = _checks_of(type(self))
         if field not in known:
-            raise AttributeError(f'{self} has no field "{field}"{checks.nearest(field, known)}')
+            raise AttributeError(
+                f"{self} has no field {checks.quoted(field)}{checks.nearest(field, known)}"
+            )
         object.__setattr__(self, field, known[field](self, field, value))
 
     def values(self) -> dict[str, Any]:

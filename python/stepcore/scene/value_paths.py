@@ -42,19 +42,22 @@ def changed(
 def find(scene: Contents, path: object) -> tuple[Element, str]:
     """The element and the field at a path."""
     parts = path.split("/") if isinstance(path, str) else []
+    shown = checks.cut(str(path), 80)
     if len(parts) < 3:
         raise ValueError(f'{checks.shown(path)}: must be "gravity" or "kind/name/field"')
     # A name may hold slashes itself.
     kind, name, field = parts[0], "/".join(parts[1:-1]), parts[-1]
     if kind not in KINDS:
-        raise ValueError(f'{path}: no kind of element is "{kind}"{checks.nearest(kind, KINDS)}')
+        near = checks.nearest(kind, KINDS)
+        raise ValueError(f"{shown}: no kind of element is {checks.quoted(kind)}{near}")
     try:
         element: Element = getattr(scene, kind)(name)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{shown}: {error}") from None
     known = [f for f in fields_of(type(element)) if f not in ("name", "body", "parent", "joint")]
     if field not in known:
-        raise ValueError(f'{path}: a {kind} has no value "{field}"{checks.nearest(field, known)}')
+        near = checks.nearest(field, known)
+        raise ValueError(f"{shown}: a {kind} has no value {checks.quoted(field)}{near}")
     return element, field
 
 

@@ -106,12 +106,27 @@ fn same_frame(offset: &Vector3<f64>, quat: [f64; 4], size: f64) -> bool {
     offset.amax() <= SAME_FRAME * size && quat[1..].iter().all(|x| x.abs() < SAME_FRAME)
 }
 
+/// No rule for masses mends a negative moment, nor, as in MuJoCo, a full matrix without one.
+fn positive(element: &Text, load: &Load) -> Result<()> {
+    let m = SymmetricEigen::new(load.inertia).eigenvalues;
+    let least = if diagonal(&load.inertia) { -ROUNDING } else { ROUNDING };
+    if m.min() >= least * m.amax() {
+        return Ok(());
+    }
+    Err(Error::value(
+        text![element, " inertia"],
+        format!("[{}, {}, {}]", m[0], m[1], m[2]),
+        "positive principal moments",
+    ))
+}
+
 /// Bounds from below, then no principal moment greater than the sum of the others.
 fn apply_rules(scene: &Scene, body: usize, load: &mut Load) -> Result<()> {
     let rules = &scene.mass_rules;
     let element = Text::label(Kind::Body, &scene.bodies[body].name, body);
     finite(&element, load)?;
     load.mass = load.mass.max(rules.bound_mass);
+    positive(&element, load)?;
     if rules.bound_inertia > 0.0 {
         let eigen = SymmetricEigen::new(load.inertia);
         if eigen.eigenvalues.min() < rules.bound_inertia {

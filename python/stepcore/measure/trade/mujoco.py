@@ -103,8 +103,15 @@ def require() -> Any:
     """The module mujoco; ImportError with the way out where it is missing."""
     try:
         import mujoco  # type: ignore[import-untyped,unused-ignore]
-    except ImportError:
+    except ModuleNotFoundError as error:
+        if error.name != "mujoco":
+            raise
         raise ImportError("mujoco=True needs MuJoCo: pip install mujoco") from None
+    except ImportError as error:
+        # A compiled module that Ctrl-C stops while it loads says so in its text alone.
+        if "KeyboardInterrupt" in str(error):
+            raise KeyboardInterrupt from None
+        raise
     return mujoco
 
 

@@ -1,0 +1,40 @@
+"""Output on terminals that cannot show every character, and Ctrl-C while MuJoCo is imported."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from stepcore.measure.trade import mujoco as points
+
+
+def output(*args, encoding):
+    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    command = [sys.executable, "-m", "stepcore", *args]
+    return subprocess.run(command, env=environment, capture_output=True, timeout=60)
+
+
+def test_a_result_is_printed_on_an_ascii_terminal():
+    done = output("run", "lesson:stack", encoding="ascii")
+    assert done.returncode == 0
+    assert b" us per step" in done.stdout
+    assert output("run", "lesson:stack", encoding="utf-8").stdout.decode().count("µs") == 1
+
+
+def test_ctrl_c_while_mujoco_is_imported_is_no_missing_package(monkeypatch):
+    class Interrupted:
+        def find_spec(self, name, *_):
+            if name == "mujoco":
+                raise ImportError("KeyboardInterrupt: <EMPTY MESSAGE>")
+
+    monkeypatch.delitem(sys.modules, "mujoco", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    with pytest.raises(KeyboardInterrupt):
+        points.require()
+
+
+def test_a_missing_mujoco_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ImportError, match="pip install mujoco"):
+        points.require()

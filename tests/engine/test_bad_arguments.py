@@ -1,0 +1,126 @@
+"""Arguments of a wrong type or size: a ValueError in one short line, never another exception."""
+
+import warnings
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import pytest
+from small import pendulum
+
+import stepcore as sc
+from stepcore import executors
+from stepcore.report.progress import Progress
+
+LONG = "b" * 1_000_000
+
+
+@pytest.fixture(scope="module")
+def model():
+    return pendulum().compile()
+
+
+def text_of(call):
+    with pytest.raises(ValueError) as caught:
+        call()
+    text = str(caught.value)
+    assert "\n" not in text
+    assert len(text) < 1500
+    return text
+
+
+@pytest.mark.parametrize("duration", [1e9, 1e308])
+def test_a_run_that_never_ends_is_refused_before_its_arrays_are_made(model, duration):
+    assert "at most 1e+09 steps" in text_of(lambda: sc.Sim(model).run(duration))
+
+
+def test_a_run_whose_record_exceeds_the_memory_says_so(model, monkeypatch):
+    def full(*_args, **_kwargs):
+        raise MemoryError
+
+    sim = sc.Sim(model)
+    monkeypatch.setattr(np, "empty", full)
+    assert "exceed the memory" in text_of(lambda: sim.run(1.0))
+
+
+@pytest.mark.parametrize("record", [3, [3], [["qpos"]], None, {"qpos"}])
+def test_record_takes_names(model, record):
+    assert text_of(lambda: sc.Sim(model).run(0.1, record=record)).startswith("record = ")
+
+
+@pytest.mark.parametrize(
+    "settings", [3, "dt", {"dt": "a"}, {3: 1}, {"integrator": ["euler"]}, {"tolerence": 1}]
+)
+def test_with_settings_refuses_at_once(settings):
+    text_of(lambda: pendulum().with_settings(settings))
+
+
+@pytest.mark.parametrize("kind", [3, None, "bodies", ["body"]])
+def test_an_index_of_no_kind(model, kind):
+    assert "must be one of body, joint" in text_of(lambda: model.index(kind, "upper"))
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda scene: sc.diagnose(scene, dt=1e308),
+        lambda scene: sc.ablate(scene, starts=1e308),
+        lambda scene: sc.trade(scene, starts=1e308),
+        lambda scene: sc.trade(scene, horizon=1e308),
+    ],
+    ids=["diagnose dt", "ablate starts", "trade starts", "trade horizon"],
+)
+def test_numbers_beyond_all_use(call):
+    text_of(lambda: call(pendulum()))
+
+
+@pytest.mark.parametrize(
+    "value", [1j, np.complex64(1j), np.array(1j), [1j, 0, 0], np.array([1j, 0, 0])]
+)
+def test_an_imaginary_part_is_refused_and_not_dropped(value):
+    scene = sc.Scene()
+    pos = value if np.ndim(value) else [value, 0, 0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        text_of(lambda: scene.add_body("a", pos=pos))
+    assert len(scene.bodies) == 1
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda model: model.index("body", LONG),
+        lambda model: sc.Sim(model, integrator=LONG),
+        lambda model: sc.Sim(model, **{LONG: 1}),
+        lambda model: sc.load(LONG),
+        lambda model: sc.loads(f"<mujoco><{LONG}/></mujoco>"),
+        lambda model: sc.loads(f"<mujoco {LONG}='1'/>"),
+        lambda model: sc.loads("<mujoco/>", name=LONG) and sc.loads("<mujoc/>", name=LONG),
+        lambda model: sc.loads(f'<mujoco><include file="{LONG}"/></mujoco>', base="."),
+        lambda model: model.with_values({f"geom/{LONG}/mass": 1.0}),
+        lambda model: model.with_values({f"geom/rod/{LONG}": 1.0}),
+        lambda model: sc.sweep(model, {LONG: [1]}, lambda sim: 1),
+        lambda model: pendulum().add_geom("world", "sphere", **{LONG: 1}),
+        lambda model: pendulum().add_geom(LONG, "sphere"),
+        lambda model: sc.Sim(model).run(0.1, record=LONG),
+        lambda model: sc.Sim(model).reset(key=LONG),
+    ],
+)
+def test_a_name_of_a_megabyte_makes_no_text_of_a_megabyte(model, call):
+    text_of(lambda: call(model))
+
+
+class Unsendable(Exception):
+    def __init__(self, text, code):
+        super().__init__(f"{text} ({code})")
+
+
+def fails(point):
+    raise Unsendable("the sensor of point 3 broke", point)
+
+
+def test_an_error_that_cannot_be_sent_back_keeps_its_text():
+    with (
+        ProcessPoolExecutor(1) as pool,
+        pytest.raises(RuntimeError, match=r"Unsendable: the sensor of point 3 broke \(3\)"),
+    ):
+        executors.each(fails, [3, 4], bar=Progress("", 2, False), executor=pool)
