@@ -7,30 +7,11 @@ import sys
 
 ERRORS = "stepcore.plain"
 # What stands in for a character that cannot be printed.
-PLAIN = {
-    **{
-        "µ": "u",
-        "²": "^2",
-        "³": "^3",
-        "·": "*",
-        "×": "x",
-        "−": "-",
-        "–": "-",
-        "…": "...",
-        "±": "+-",
-    },
-    **{"≤": "<=", "≥": ">=", "≈": "~", "∞": "inf", "√": "sqrt", "°": " deg", "→": "->", "“": '"'},
-    **{
-        "”": '"',
-        "’": "'",
-        "Δ": "d",
-        "ω": "omega",
-        "ζ": "zeta",
-        "μ": "mu",
-        "λ": "lambda",
-        "ρ": "rho",
-    },
-}
+SPELT = (
+    'µ u ² ^2 ³ ^3 · * × x − - – - … ... ± +- ≤ <= ≥ >= ≈ ~ ∞ inf √ sqrt ° deg → -> “ " ” " ’ \' '
+    "Δ d ω omega ζ zeta μ mu λ lambda ρ rho"
+).split()
+PLAIN = dict(zip(SPELT[::2], SPELT[1::2], strict=True))
 
 
 def _plain(error: UnicodeError) -> tuple[str, int]:
