@@ -7,11 +7,12 @@ import sys
 
 ERRORS = "stepcore.plain"
 # What stands in for a character that cannot be printed.
-SPELT = (
-    'µ u ² ^2 ³ ^3 · * × x − - – - … ... ± +- ≤ <= ≥ >= ≈ ~ ∞ inf √ sqrt ° deg → -> “ " ” " ’ \' '
-    "Δ d ω omega ζ zeta μ mu λ lambda ρ rho"
-).split()
-PLAIN = dict(zip(SPELT[::2], SPELT[1::2], strict=True))
+SPELT = """
+µ u ² ^2 ³ ^3 · * × x − - – - … ... ± +- ≤ <= ≥ >= ≈ ~ ∞ inf √ sqrt ° deg → -> “ " ” " ’ '
+Δ d ω omega ζ zeta μ mu λ lambda ρ rho
+"""
+WORDS = SPELT.split()
+PLAIN = dict(zip(WORDS[::2], WORDS[1::2], strict=True))
 
 
 def _plain(error: UnicodeError) -> tuple[str, int]:
