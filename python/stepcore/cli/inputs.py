@@ -13,7 +13,7 @@ from stepcore.cli.usage import Usage
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import whole_steps
-from stepcore.experiment.motion import Control
+from stepcore.experiment.control import Control
 from stepcore.experiment.single_run import Push
 
 # How long a push lasts where nobody says it [s].

@@ -49,7 +49,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "control_dt": {
         "type": float,
         "metavar": "S",
-        "help": "control period [s] (default: chosen to fit)",
+        "help": "control period [s] (default: the model's time step with --control or --ctrl, else "
+        "chosen to fit)",
     },
 }
 

@@ -8,13 +8,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, TypedDict
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore.engine.sim import Sim
-
-# As in `Sim.run`: of (time, sim), the controls.
-Control = Callable[[float, Sim], ArrayLike]
+from stepcore.experiment.control import Control
 
 
 @dataclass(frozen=True)
@@ -35,6 +34,15 @@ def _pickles(function: Control) -> bool:
     except Exception:  # what a function's own pickling raises is of any type
         return False
     return True
+
+
+def _changes(ctrl: ArrayLike | None) -> bool:
+    """Whether a table of controls has rows that differ; what is no table is refused elsewhere."""
+    try:
+        table = np.asarray(ctrl, float)
+    except (TypeError, ValueError):
+        return False
+    return bool(table.ndim and len(table) > 1 and np.any(table != table[:1]))
 
 
 class MotionFields(TypedDict, total=False):
@@ -64,8 +72,10 @@ class Motion:
         once per control period, possibly from several threads, and must depend on nothing else.
         Without `ctrl` and `control` every actuator follows a sum of a few random sines within its
         range.
-    control_dt: the control period [s], a multiple of every time step; by default the measurement
-        chooses one.
+    control_dt: the control period [s], a multiple of every time step. By default `control` and the
+        rows of `ctrl` have the scene's own time step, as in a loop that sets ctrl and steps;
+        without them the measurement chooses the period. Where time steps are compared, the period
+        stays what it is: it is part of the physics.
 
     Raises ValueError for a value outside its limits.
 
@@ -92,6 +102,15 @@ class Motion:
             checks.function("time", "sim")("motion", "control", self.control)
             if self.ctrl is not None:
                 raise ValueError("control and ctrl are both given: a motion has one of them")
+
+    def period(self, dt: float) -> float | None:
+        """The control period [s] of a scene with time step `dt` [s]; None where nothing sets it.
+
+        Controls that never change have none.
+        """
+        if self.control_dt is not None or (self.control is None and self.ctrl is None):
+            return self.control_dt
+        return dt if self.control is not None or _changes(self.ctrl) else None
 
     @classmethod
     def of(

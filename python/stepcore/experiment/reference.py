@@ -25,6 +25,7 @@ from stepcore.experiment.errors import Errors, errors, extent
 from stepcore.experiment.growth import DIRECTIONS, Growth, growth
 from stepcore.experiment.order import Known, known, observed, shown
 from stepcore.experiment.path import Path
+from stepcore.experiment.runaway import driven, runaway
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
@@ -213,19 +214,23 @@ class ReferenceRuns:
 
     def reference(self, bar: Progress) -> Reference:
         """Two integrators at three halvings each, and perturbed runs; the better known one."""
-        steps = self._steps()
+        steps, failed = self._steps(), None
         for integrator in (self.second, "rk4"):
             levels = [self.level(integrator, dt, bar) for dt in steps]
+            failed = next((level.failed for level in levels[::-1] if level.failed), failed)
             whole = [i for i, level in enumerate(levels) if level.failed]
             levels = levels[whole[-1] + 1 :] if whole else levels
             if len(levels) > 1:
                 self.chains[integrator] = levels
-            failed = next((level.failed for level in levels[::-1] if level.failed), None)
         if not self.chains:
             raise ValueError(
-                f"the reference fails at dt = {steps[-1]:g} s, so there is nothing to compare "
-                f"with: {failed}"
+                f"the reference fails at dt = {steps[-1]:g} s{driven(self.runner)}, so there is "
+                f"nothing to compare with: {failed}"
             )
+        for levels in self.chains.values():
+            explodes = runaway(self.runner, levels[-1].paths)
+            if explodes:
+                raise ValueError(explodes)
         # The finer of two where there are only those; rk4's, where it runs.
         base = list(self.chains.values())[-1][-3:][0]
         self.size = extent(base.paths, self.runner.model.scene)
@@ -264,6 +269,9 @@ class ReferenceRuns:
             for integrator in ("rk4", self.second):
                 base = self.level(integrator, dt, bar)
                 if not base.failed:
+                    explodes = runaway(self.runner, base.paths)
+                    if explodes:
+                        raise ValueError(explodes)
                     self.size = extent(base.paths, self.runner.model.scene)
                     return base, self._growth(base, bar)
         raise ValueError(f"the scene fails at dt = {dt:g} s: {base.failed}")

@@ -13,6 +13,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.executors import checkpoint
 from stepcore.experiment.bodies import Bodies
+from stepcore.experiment.control import ControlError, controls
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.path import Path
 from stepcore.experiment.probe import Probe
@@ -42,6 +43,8 @@ class Runner:
     def run(self, settings: Any, start: int, probes: Sequence[Probe] | None = None) -> Path:
         """The motion from one start; a failure ends it and says why.
 
+        Raises ControlError for a control function that no settings can run.
+
         settings: of `sim`. probes: they observe the run and fill the path; by default a `Recorder`.
         """
         path = Path()
@@ -50,6 +53,8 @@ class Runner:
         try:
             sim = self.sim(settings)
             self.follow(sim, start, probes)
+        except ControlError:
+            raise
         except (ValueError, SimulationError) as error:
             path.failure = one_line(error)
             return path
@@ -111,6 +116,6 @@ class Runner:
         """Sets the controls of a Sim at the beginning of a period."""
         schedule = self.schedule
         if schedule.control is not None:
-            sim.ctrl = schedule.control(sim.time, sim)
+            sim.ctrl = controls(schedule.control, sim)
         elif schedule.ctrl is not None:
             sim.ctrl[:] = schedule.ctrl[start][period]

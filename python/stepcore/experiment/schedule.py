@@ -17,8 +17,9 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.model import Model
 from stepcore.experiment import starts as drawing
+from stepcore.experiment.control import Control
 from stepcore.experiment.coordinates import Coordinates, Start
-from stepcore.experiment.motion import Control, Motion
+from stepcore.experiment.motion import Motion
 
 # Default time steps, over the shipped one.
 FACTORS = (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)
@@ -154,7 +155,7 @@ def _check_divide(dts: Sequence[float], period: float) -> None:
             near = period / max(1, round(count))
             raise ValueError(
                 f"dt = {dt:g} s: must divide the control period of {period:g} s "
-                f"(nearest: {near:g} s)"
+                f"(nearest: {near:g} s; control_dt sets the period)"
             )
 
 

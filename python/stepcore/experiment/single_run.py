@@ -10,7 +10,7 @@ import numpy as np
 
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory, whole_steps
-from stepcore.experiment.motion import Control
+from stepcore.experiment.control import Control
 from stepcore.experiment.probe import Probe
 
 # About how often probes look at a run, unless they ask for more.

@@ -194,7 +194,8 @@ def predictability(
     )
     horizon = HORIZON if motion.horizon is None else motion.horizon
     motion = dataclasses.replace(motion, horizon=horizon, starts=motion.starts or STARTS)
-    steps, period = time_steps(model.settings.dt, None, motion.control_dt, horizon)
+    own = model.settings.dt
+    steps, period = time_steps(own, None, motion.period(own), horizon)
     runner = Runner(model, scheduled(motion, model, period))
     runs = ReferenceRuns(runner, model.settings, min(steps), 0.0, workers)
     with workers.bar("predictability", (2 + DIRECTIONS) * runs.starts) as bar:

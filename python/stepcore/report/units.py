@@ -77,6 +77,11 @@ def newtons(value: float) -> str:
     return quantity(value, FORCES)
 
 
+def joules(value: float) -> str:
+    """An energy [J] with the unit that makes it readable."""
+    return quantity(value, ENERGIES)
+
+
 def radians(value: float) -> str:
     """An angle [rad] with the unit that makes it readable."""
     return quantity(value, ANGLES)

@@ -16,6 +16,7 @@ from stepcore.engine.model import Model
 from stepcore.experiment.errors import extent, far_off
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.reference import Reference, ReferenceRuns
+from stepcore.experiment.runaway import runaway
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, STARTS, Schedule, scheduled, time_steps
 from stepcore.experiment.setup import Source, set_up
@@ -82,7 +83,7 @@ def ablate(
     )
     model, motion, workers = setup
     starts, dt = motion.starts or STARTS, model.settings.dt
-    _, period = time_steps(dt, None, motion.control_dt, motion.horizon or HORIZON)
+    _, period = time_steps(dt, None, motion.period(dt), motion.horizon or HORIZON)
     # Three sets of starts: to choose on, to confirm on, and to confirm what is left then.
     schedule = scheduled(motion, model, period, starts=SETS * starts)
     runner = Runner(model, schedule.part(0, starts))
@@ -146,6 +147,9 @@ def _baseline(runner: Runner, reference: Reference | None) -> Baseline:
     if paths[-1].failure:
         start = len(paths) - 1
         raise ValueError(f"the whole model fails from start {start}: {paths[-1].failure}")
+    explodes = runaway(runner, paths)
+    if explodes:
+        raise ValueError(explodes)
     if reference is None:
         scored = np.ones((len(paths), len(runner.schedule.times)), bool)
         return Baseline(runner.model, runner.schedule, tuple(paths), None, scored)

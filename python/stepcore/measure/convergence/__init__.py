@@ -16,6 +16,7 @@ from stepcore.engine.model import Model
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.path import Path
+from stepcore.experiment.runaway import runaway
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, scheduled
 from stepcore.experiment.setup import Source, set_up
@@ -113,7 +114,7 @@ def converge(
         limit = f"must be a whole number of steps of {own.dt:g} s"
         raise ValueError(f"control_dt = {motion.control_dt:g}: {limit}")
     starts = motion.starts or STARTS
-    some = candidates(own, motion.control_dt, motion.horizon or HORIZON)
+    some = candidates(own, motion.period(own.dt), motion.horizon or HORIZON)
     schedule = scheduled(motion, model, some.period, starts)
     runner = Runner(model, schedule)
     paths = _runs(runner, some.tried, "runs", workers)
@@ -122,6 +123,9 @@ def converge(
     missing = [settings for settings in some.converged if settings not in paths]
     paths |= _runs(runner, missing, "converged runs", workers)
     fine, coarse = (paths[s] for s in some.references)
+    explodes = runaway(runner, fine)
+    if explodes:
+        raise ValueError(explodes)
     reference = halved_reference(fine, coarse, model.scene)
     histories = _histories(runner, some, states, workers)
     runs = {s: run_of(s, paths_of, reference, schedule.horizon) for s, paths_of in paths.items()}

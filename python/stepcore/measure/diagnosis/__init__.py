@@ -93,7 +93,8 @@ def diagnose(
     wanted = settings.dt if dt is None else checks.seconds("dt", dt)
     horizon = setup.motion.horizon or HORIZON
     motion = dataclasses.replace(setup.motion, horizon=horizon)
-    period = min(horizon, motion.control_dt or max(settings.dt, horizon * PERIOD))
+    held = motion.period(settings.dt)
+    period = min(horizon, held or max(settings.dt, horizon * PERIOD))
     schedule = scheduled(motion, model, period, starts=1)
     if motion.ctrl is None and motion.control is None:
         schedule = eased(schedule, home(model, motion.key)[1])

@@ -72,7 +72,7 @@ def trade(
         `stepcore.loading`). Its settings are the shipped ones.
     motion: the `Motion` that every setting runs; or write its fields as arguments. By default the
         horizon is 1 s, or a whole number of samples near it; there are 8 starts; the control period
-        is the largest time step tried.
+        is the largest time step tried, and with `control` or `ctrl` the shipped one.
     error: the error that the recommended settings may have in every start (RMS position error over
         bodies and time): metres, "1mm", or "0.1%" of the scene's size. The cheapest are
         recommended.
@@ -131,8 +131,9 @@ def trade(
     if mujoco:
         mujoco_points.load(source, model)
     length = HORIZON if motion.horizon is None else motion.horizon
-    steps, period = time_steps(shipped.dt, dts, motion.control_dt, length)
-    if not (full or model.nu or motion.control or motion.control_dt):
+    held = motion.period(shipped.dt)
+    steps, period = time_steps(shipped.dt, dts, held, length)
+    if not (full or model.nu or held):
         period = longest(period, length)
     runner = Runner(model, scheduled(motion, model, period))
     runs = ReferenceRuns(runner, shipped, min(steps), effort, workers)
