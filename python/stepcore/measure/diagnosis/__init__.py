@@ -18,6 +18,7 @@ from stepcore.measure.diagnosis.closed_form_bound import closed_form_bound
 from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST, Limit, dt_limit
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits, IsolatedElements
+from stepcore.measure.diagnosis.limiters import limiters
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
 from stepcore.measure.diagnosis.result import Diagnosis
 from stepcore.measure.diagnosis.sentences import notes
@@ -111,11 +112,11 @@ def diagnose(
     elements = _element_limits(here)
     each_shares = workers.each(partial(limiting_shares, here), each_limit, "shares")
     shares = dict(zip(limits, each_shares, strict=True))
+    limiting = {name: limiters(here, limits[name], shares[name]) for name in limits}
     own, advice = settings.integrator, []
-    if limits[own].dt < wanted and shares[own]:
+    if limits[own].dt < wanted and limiting[own]:
         with workers.bar("advice", 1) as bar:
-            stiffest = max(shares[own], key=lambda element: shares[own][element])
-            advice = advise(here, limits, elements, wanted, stiffest)
+            advice = advise(here, limits, elements, wanted, limiting[own])
             bar.advance()
     return Diagnosis(
         name=setup.name,
@@ -125,6 +126,7 @@ def diagnose(
         states=list(here.states),
         limits=limits,
         element_shares=shares,
+        limiters=limiting,
         rows=list(elements.values()),
         advice=advice,
         notes=list(notes(here, visit, list(elements.values()), horizon)),

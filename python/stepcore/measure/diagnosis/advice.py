@@ -56,15 +56,15 @@ def advise(
     limits: dict[str, Limit],
     elements: dict[ElementId, ElementLimits],
     wanted: float,
-    stiffest: ElementId,
+    stiffest: Sequence[ElementId],
 ) -> list[Advice]:
     """All ways that were found, values first, then settings.
 
-    limits: by integrator. wanted: the dt [s]. stiffest: what limits the model's own integrator.
+    limits: by integrator. wanted: the dt [s]. stiffest: what limits the model's own integrator, of one kind.
     """
     settings = now.model.settings
     search = _Search(now, elements, settings.integrator, wanted, limits[settings.integrator].state)
-    tried = [search.least(change, stiffest) for change in CHANGES.get(stiffest.kind, ())]
+    tried = [search.least(change, stiffest) for change in CHANGES.get(stiffest[0].kind, ())]
     advice = [a for a in tried if a is not None]
     if any(a.met for a in advice if a.what in ("kp", "kv")):
         # One gain is enough: both together is more change than is needed.
@@ -99,9 +99,9 @@ class _Search:
     wanted: float
     worst: int
 
-    def least(self, change: Change, first: ElementId) -> Advice | None:
-        """Changes the limiting element, and what limits dt next, as little as is enough."""
-        group = [self.elements[first]] if first in self.elements else []
+    def least(self, change: Change, first: Sequence[ElementId]) -> Advice | None:
+        """Changes the limiting elements, and what limits dt next, as little as is enough."""
+        group = [self.elements[element] for element in first if element in self.elements]
         if not group or not self._made(group, change, change.xs[-1])[1]:
             return None
         while (x := self._factor(group, change)) is None:

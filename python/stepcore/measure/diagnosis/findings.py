@@ -12,6 +12,7 @@ from stepcore.measure.diagnosis.advice import Advice
 from stepcore.measure.diagnosis.dt_limits import Limit
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits
+from stepcore.measure.diagnosis.element_names import named
 from stepcore.measure.diagnosis.linear_step import State
 
 
@@ -26,6 +27,7 @@ class DiagnosisFindings:
     states: list[State]
     limits: dict[str, Limit]
     element_shares: dict[str, dict[ElementId, float]]
+    limiters: dict[str, tuple[ElementId, ...]]
     rows: list[ElementLimits]
     advice: list[Advice] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -46,31 +48,39 @@ class DiagnosisFindings:
         return self.limits[self._known(integrator)].dt
 
     def stiffest(self, integrator: str | None = None) -> str:
-        """The name of the element that limits dt under an integrator (default: the scene's).
+        """What limits dt under an integrator (default: the scene's), by name.
 
-        It has the largest share in the mode that sets the limit; where nothing limits dt, in the
-        fastest motion. "" where no element has a share in it.
+        It shares the mode that sets the limit, and softened it raises the limit most; equal
+        elements that do so only together are named together (`together`). Where nothing limits dt
+        it has the largest share in the fastest motion. "" where no element has a share in it.
         """
-        element = self._stiffest(self._known(integrator))
-        return element.name if element else ""
+        return named([element.name for element in self._stiffest(self._known(integrator))])
+
+    def together(self, integrator: str | None = None) -> list[str]:
+        """The names of the elements that limit dt together, one in most scenes."""
+        return [element.name for element in self._stiffest(self._known(integrator))]
 
     def limiting(self, integrator: str | None = None) -> ElementLimits | None:
-        """Frequency, damping and limits of the element that `stiffest` names, on its own."""
-        element = self._stiffest(self._known(integrator))
-        return next((row for row in self.rows if row.element == element), None)
+        """Frequency, damping and limits of the element that `stiffest` names, on its own.
 
-    def _stiffest(self, integrator: str) -> ElementId | None:
-        shares = dict(self.element_shares[integrator])
+        Of several, those of the stiffest.
+        """
+        elements = self._stiffest(self._known(integrator))
+        return next((row for row in self.rows if row.element in elements), None)
+
+    def _stiffest(self, integrator: str) -> tuple[ElementId, ...]:
         unlimited = math.isinf(self.limits[integrator].dt)
+        elements = self.limiters[integrator]
+        if elements and not (unlimited and INERTIAL in elements):
+            return elements
         if unlimited:
+            shares = dict(self.element_shares[integrator])
             shares.pop(INERTIAL, None)
-        if any(shares.values()):
-            return max(shares, key=lambda element: shares[element])
+            largest = max(shares, key=lambda element: shares[element], default=None)
+            return (largest,) if largest is not None and shares[largest] else ()
         # A row that begins to act within the step has no share at its start.
         alone = [row for row in self.rows if math.isfinite(row.limits[integrator])]
-        if unlimited or not alone:
-            return None
-        return min(alone, key=lambda row: row.limits[integrator]).element
+        return (min(alone, key=lambda row: row.limits[integrator]).element,) if alone else ()
 
     def _known(self, integrator: str | None) -> str:
         name = self.settings.integrator if integrator is None else integrator

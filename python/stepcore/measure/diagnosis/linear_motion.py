@@ -8,7 +8,8 @@ step is then a function of M, J and the damping that the integrator treats impli
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -87,6 +88,17 @@ class LinearMotion:
             force = self.elements[scaled].force(x)
             product[len(self.mass) :] += by * np.linalg.solve(self.mass, force)
         return product
+
+
+    def softened(self, elements: Collection[ElementId], to: float) -> LinearMotion:
+        """The motion with the stiffness and damping of some elements multiplied by `to`."""
+        n, rates, parts = len(self.mass), self.rates.copy(), dict(self.elements)
+        for element in elements:
+            stiffness, damping = parts[element].stiffness, parts[element].damping
+            pull = np.linalg.solve(self.mass, np.hstack([stiffness, damping]))
+            rates[n:] += (1 - to) * pull
+            parts[element] = ElementMatrices(to * stiffness, to * damping)
+        return replace(self, rates=rates, elements=parts)
 
 
 def linear_motion(model: Model, state: State, dt: float | None) -> LinearMotion | None:

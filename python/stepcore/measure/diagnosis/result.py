@@ -30,6 +30,7 @@ class Diagnosis(DiagnosisFindings, Result):
     limits: the largest stable dt by integrator.
     element_shares: by integrator, each element's share in the mode that sets the limit, or in the
         fastest motion if nothing sets a limit.
+    limiters: by integrator, the elements that limit dt; several where none does by itself.
     rows: the elements on their own, the stiffest first.
     advice: changes that make the wanted step stable.
     physical: the fastest growth of the motion itself [1/s].
@@ -131,6 +132,7 @@ class Diagnosis(DiagnosisFindings, Result):
                     "dt": limit.dt,
                     "limited": math.isfinite(limit.dt),
                     "stiffest": self.stiffest(name),
+                    "together": self.together(name),
                     "state": limit.state,
                     "longest": limit.longest,
                     "shares": shares,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from stepcore.measure.diagnosis.element_id import INERTIAL
 from stepcore.measure.diagnosis.element_limits import ElementLimits
+from stepcore.measure.diagnosis.element_names import are_several, listed
 from stepcore.measure.diagnosis.findings import DiagnosisFindings
 from stepcore.measure.diagnosis.linear_step import VELOCITY_LAWS
 from stepcore.measure.diagnosis.step_stability import StepStability
@@ -17,8 +17,6 @@ from stepcore.report.units import counted, hertz, seconds, times
 NOTABLE = 0.1
 # Slower growth, by less than e to this power over the horizon, is not called an explosion.
 SLOW = 10.0
-# The most names in a list.
-NAMES = 4
 
 
 def sentences(d: DiagnosisFindings) -> Iterator[str]:
@@ -49,7 +47,8 @@ def sentences(d: DiagnosisFindings) -> Iterator[str]:
 def _answer(d: DiagnosisFindings, own: str) -> str:
     """Whether the wanted dt is stable, and which element limits it."""
     limit, wanted, limiting = d.limit(own), seconds(d.wanted), d.limiting(own)
-    name, traits = d.stiffest(own), _traits(limiting) if limiting else ""
+    name = d.stiffest(own)
+    traits = _traits(limiting, len(d.together(own)) > 1) if limiting else ""
     if math.isinf(limit):
         fastest = f" The fastest element is {name}{traits}." if name else ""
         return f"No element limits dt below {seconds(d.limits[own].longest)} under {own}.{fastest}"
@@ -65,13 +64,13 @@ def _answer(d: DiagnosisFindings, own: str) -> str:
 
 def limits_dt(name: str, dt: float, traits: str = "") -> str:
     """Which element limits dt to how much [s]; name: "" where no single one does."""
-    verb = "limit" if name == INERTIAL.name else "limits"
+    verb = "limit" if are_several(name) else "limits"
     return f"{name or 'no single element'}{traits} {verb} dt to {seconds(dt)}"
 
 
 def no_stable_dt(name: str, shortest: float, traits: str = "") -> str:
     """Which element makes every step that was tried, down to `shortest` [s], unstable."""
-    verb = "make" if name == INERTIAL.name else "makes"
+    verb = "make" if are_several(name) else "makes"
     tried = f"every step tried unstable, down to {seconds(shortest)}"
     return f"{name or 'the motion'}{traits} {verb} {tried}"
 
@@ -90,16 +89,16 @@ def _outcome(d: DiagnosisFindings, limiting: ElementLimits | None) -> str:
     return f"slowly gains energy from the integrator (e-fold in {seconds(1 / d.rate)})"
 
 
-def _traits(limits: ElementLimits) -> str:
-    """Frequency and damping of an element, in brackets."""
-    traits = []
+def _traits(limits: ElementLimits, several: bool) -> str:
+    """Frequency and damping of an element, in brackets; several: of the stiffest of equal ones."""
+    traits = ["the stiffest by itself"] if several else []
     if limits.omega > 0:
         traits.append(f"{hertz(limits.omega)}, {limits.omega:.4g} rad/s")
         if not math.isnan(limits.ratio) and limits.element.kind != "spin":
             traits.append(f"damping ratio {limits.ratio:.2g}")
     elif limits.rate > 0:
         traits.append(f"damping rate {limits.rate:.4g}/s")
-    return f" ({', '.join(traits)})" if traits else ""
+    return f" ({', '.join(traits)})" if len(traits) > several else ""
 
 
 def notes(
@@ -140,9 +139,3 @@ def notes(
             f"under the law {here.model.settings.law} the stiffness of a row is 1/dt², so rows "
             "limit no dt"
         )
-
-
-def listed(names: list[str]) -> str:
-    """The first names, and how many more there are."""
-    more = len(names) - NAMES
-    return ", ".join(names[:NAMES]) + (f" and {more} more" if more > 0 else "")

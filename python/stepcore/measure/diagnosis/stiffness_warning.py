@@ -96,7 +96,9 @@ def _linearised(model: Model) -> str:
     import numpy as np
 
     from stepcore.measure.diagnosis.dt_limits import SHORTEST, Limit
+    from stepcore.measure.diagnosis.element_names import named
     from stepcore.measure.diagnosis.growth import bisected
+    from stepcore.measure.diagnosis.limiters import limiters
     from stepcore.measure.diagnosis.linear_step import State, with_converged_rows
     from stepcore.measure.diagnosis.shares import limiting_shares
     from stepcore.measure.diagnosis.step_stability import step_stability
@@ -119,9 +121,9 @@ def _linearised(model: Model) -> str:
     while near > low and not stable(near):
         near /= 2
     limit = bisected(stable, near, 2 * near, fine=5e-3) if near > low else 0.0
-    shares = limiting_shares(here, Limit(settings.integrator, limit, 0, shortest=low))
-    stiffest = max(shares, key=lambda element: shares[element], default=None)
-    return _text(settings, limit, low, stiffest.name if stiffest else "")
+    least = Limit(settings.integrator, limit, 0, shortest=low)
+    elements = limiters(here, least, limiting_shares(here, least))
+    return _text(settings, limit, low, named([element.name for element in elements]))
 
 
 def _text(settings: Settings, limit: float, shortest: float, name: str) -> str:

@@ -1,0 +1,43 @@
+"""Several elements by name, in a few words."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from stepcore.measure.diagnosis.element_id import INERTIAL
+
+# The most names in a list, and the last word of the name of several elements.
+NAMES, TOGETHER = 4, " together"
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first names, and how many more there are."""
+    more = len(names) - NAMES
+    return ", ".join(names[:NAMES]) + (f" and {more} more" if more > 0 else "")
+
+
+def named(names: Sequence[str]) -> str:
+    """One element by its name; equal elements as what they are together.
+
+    >>> named([f"spring of joint `h{i}`" for i in range(10)])
+    'the 10 springs of joints `h0`, `h1`, `h2`, `h3` and 6 more together'
+    """
+    if len(names) < 2:
+        return "".join(names)
+    kinds = {name.split("`")[0] for name in names}
+    if len(kinds) > 1 or not all("`" in name for name in names):
+        return f"{listed(names)}{TOGETHER}"
+    kind = kinds.pop().strip()
+    several = re.sub(r"\w+(?= of\b|$)", lambda word: _plural(word[0]), kind)
+    owners = listed([name[len(kind) + 1 :] for name in names])
+    return f"the {len(names)} {several} {owners}{TOGETHER}"
+
+
+def are_several(name: str) -> bool:
+    """Whether a name is that of several things, as the verb after it must be."""
+    return name == INERTIAL.name or name.endswith(TOGETHER)
+
+
+def _plural(word: str) -> str:
+    return f"{word}es" if word.endswith("s") else f"{word}s"
