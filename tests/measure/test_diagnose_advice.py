@@ -100,12 +100,12 @@ def planar(kp, kv, **options):
     """Links of 0.3 m and 0.5 kg in a plane, a position servo on each hinge."""
     scene = sc.Scene(gravity=(0, 0, 0), name="planar").with_settings(**options)
     parent = scene.world
-    for i, (stiffness, damping) in enumerate(zip(kp, kv, strict=True)):
+    for i, (gain, damping) in enumerate(zip(kp, kv, strict=True)):
         parent = scene.add_body(f"link{i}", parent=parent, pos=(0.3 * (i > 0), 0, 0))
         scene.add_joint(parent, "hinge", name=f"j{i}", axis=(0, 1, 0))
         ends = (0, 0, 0, 0.3, 0, 0)
         scene.add_geom(parent, "capsule", 0.03, fromto=ends, mass=0.5, **stiff.INERT)
-        servo = {"type": "position", "kp": stiffness, "kv": damping}
+        servo = {"type": "position", "kp": gain, "kv": damping}
         scene.add_actuator(f"j{i}", name=f"servo{i}", **servo)
     return scene
 

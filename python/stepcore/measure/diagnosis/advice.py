@@ -60,7 +60,8 @@ def advise(
 ) -> list[Advice]:
     """All ways that were found, values first, then settings.
 
-    limits: by integrator. wanted: the dt [s]. stiffest: what limits the model's own integrator, of one kind.
+    limits: by integrator. wanted: the dt [s]. stiffest: what limits the model's own integrator, of
+    one kind.
     """
     settings = now.model.settings
     search = _Search(now, elements, settings.integrator, wanted, limits[settings.integrator].state)

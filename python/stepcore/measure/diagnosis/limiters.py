@@ -1,8 +1,8 @@
 """Which elements limit dt: those that share the mode and whose softening raises the limit most.
 
-A share is a derivative: it tells what a small change would do. An element with the largest share may
-be held in the mode by another one, and be good for a longer step alone; softened by a lot, it changes
-little. Equal elements in a row hold each other: none of them limits dt by itself.
+A share is a derivative: it tells what a small change would do. An element with the largest share
+may be held in the mode by another one, and be good for a longer step alone; softened by a lot, it
+changes little. Equal elements in a row hold each other: none of them limits dt by itself.
 """
 
 from __future__ import annotations

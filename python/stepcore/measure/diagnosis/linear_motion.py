@@ -89,7 +89,6 @@ class LinearMotion:
             product[len(self.mass) :] += by * np.linalg.solve(self.mass, force)
         return product
 
-
     def softened(self, elements: Collection[ElementId], to: float) -> LinearMotion:
         """The motion with the stiffness and damping of some elements multiplied by `to`."""
         n, rates, parts = len(self.mass), self.rates.copy(), dict(self.elements)
