@@ -112,3 +112,15 @@ def test_a_bad_input_is_one_line(capsys, carts, args, words):
     assert main(["run", carts, *args]) == 2
     said = capsys.readouterr()
     assert words in said.err and said.err.count("\n") == 1 and not said.out
+
+
+def test_a_run_says_what_it_showed(capsys, carts):
+    """A control of 30 in a range of ±10."""
+    assert main(["run", carts, "--ctrl", "b=30"]) == 0
+    said = capsys.readouterr().out
+    assert "warning: The control of motor `b` is clamped for 100 % of the run" in said
+    assert main(["run", carts, "--ctrl", "b=30", "--json"]) == 0
+    (finding,) = json.loads(capsys.readouterr().out)["findings"]
+    assert finding["kind"] == "clamped control" and finding["element"] == "motor `b`"
+    assert main(["run", carts, "--ctrl", "b=3"]) == 0
+    assert "warning" not in capsys.readouterr().out

@@ -1,5 +1,6 @@
-"""Simulate a model and print its final state, energy and computing time. A run that fails writes
-a replay file, from which `stepcore replay` shows what failed.
+"""Simulate a model and print its final state, energy and computing time, and what went wrong on
+the way: contacts that creep, joints beyond their limits, servos that do not hold. A run that fails
+writes a replay file, from which `stepcore replay` shows what failed.
 
 Example:
   stepcore run gymnasium:half_cheetah --duration 2 --ctrl bthigh=1,fthigh=-1 --push torso:50,0,0@1
@@ -18,6 +19,8 @@ from stepcore.cli.output import add_json, print_json
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
 from stepcore.experiment.single_run import SingleRun
+from stepcore.experiment.watch import Watch
+from stepcore.measure.findings import Finding, findings_of
 
 # The counter of steps has 64 bits.
 MOST_STEPS = 2.0**64
@@ -69,11 +72,13 @@ def call(args: argparse.Namespace) -> None:
             f"{sim.settings.dt:g} s: the run is {run:g} s long"
         )
     record = ("energy", "overlap") if args.plot is not None else ()
+    watch = Watch(sim.model)
     single = SingleRun(
         sim,
         control=control_of(args, sim),
         control_dt=args.control_dt,
         pushes=pushes_of(args, model),
+        probes=[watch] if steps else [],
         record=record,
     )
     try:
@@ -84,11 +89,14 @@ def call(args: argparse.Namespace) -> None:
         raise RuntimeError(f"{one_line(error)}. To see what failed: {show}") from None
     if single.trajectory is not None:
         single.trajectory.plot(args.plot)
-    _report(sim, steps, single.spent, notes, args.json)
+    found = findings_of(sim.model, watch) if steps else []
+    _report(sim, steps, single.spent, notes, found, args.json)
 
 
-def _report(sim: Sim, steps: int, spent: float, notes: list[str], as_json: bool) -> None:
-    """Prints the final state; spent: computing time [s]."""
+def _report(
+    sim: Sim, steps: int, spent: float, notes: list[str], found: list[Finding], as_json: bool
+) -> None:
+    """Prints the final state and what the run showed; spent: computing time [s]."""
     kinetic, potential = (float(part) for part in sim.energy)
     cost = 1e6 * spent / steps if steps else None
     if as_json:
@@ -104,6 +112,7 @@ def _report(sim: Sim, steps: int, spent: float, notes: list[str], as_json: bool)
             "residual": sim.residual,
             "us_per_step": cost,
             "notes": notes,
+            "findings": found,
         }
         print_json(data)
         return
@@ -118,6 +127,8 @@ def _report(sim: Sim, steps: int, spent: float, notes: list[str], as_json: bool)
         print(f"computing  {cost:.3g} µs per step")
     for note in notes:
         print(f"note: {note}")
+    for finding in found:
+        print(f"{finding.severity}: {finding.text}")
 
 
 def _steps(duration: float, dt: float) -> int:

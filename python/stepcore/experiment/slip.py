@@ -65,13 +65,18 @@ class Friction:
         for pair in pairs:
             seen[pair] = seen.get(pair, -1) + 1
             keys.append((*pair, seen[pair]))
-        some = [pairs[k] for k in rubs]
         # What diverges is finite until the step that it fails in, and may be too large to multiply.
         with np.errstate(over="ignore", invalid="ignore"):
-            speed = self._speed(sim, contacts["pos"][rubs], [self.body[b] for _, b in some])
-            speed -= self._speed(sim, contacts["pos"][rubs], [self.body[a] for a, _ in some])
+            speed = self.passing(sim, contacts[rubs])
             slips = _slips(speed, force[rubs], normal[rubs], mu[rubs] * pushed[rubs])
         return {keys[k]: slip for k, slip in zip(rubs, slips, strict=True)}
+
+    def passing(self, sim: Sim, contacts: np.ndarray) -> np.ndarray:
+        """Velocity of geom 2 past geom 1 at each contact [m/s], (n, 3)."""
+        pos = contacts["pos"]
+        first, second = ([self.body[g] for g in contacts[n].tolist()] for n in ("geom1", "geom2"))
+        past: np.ndarray = self._speed(sim, pos, second) - self._speed(sim, pos, first)
+        return past
 
     def _speed(self, sim: Sim, points: np.ndarray, bodies: list[int]) -> np.ndarray:
         """Velocities of points that are fixed to bodies [m/s], (n, 3)."""

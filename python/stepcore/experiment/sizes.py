@@ -1,0 +1,63 @@
+"""How large geoms and bodies are: what a depth, a gap or a speed of creep is compared with."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from stepcore.engine.model import Model
+
+# Where nothing in a scene has a size [m].
+UNKNOWN = 1.0
+
+
+class Sizes:
+    """Lengths of a model's geoms and bodies [m].
+
+    thick: the smallest half size of each geom (a radius), inf of a plane. reach: from the centre
+    of each geom to its furthest point, inf of a plane.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.thick: list[float] = []
+        self.reach: list[float] = []
+        for kind, size in zip(model.geom_type, model.geom_size.tolist(), strict=True):
+            thick, reach = _half_sizes(kind, size)
+            self.thick.append(thick)
+            self.reach.append(reach)
+        self.bodies = [self._body(model, body) for body in range(model.nbody)]
+
+    def _body(self, model: Model, body: int) -> float:
+        """A body's largest geom; without one, its radius of gyration or its distance to a child."""
+        own = np.flatnonzero(model.geom_body == body)
+        reaches = [r for k in own if math.isfinite(r := self.reach[k])]
+        if reaches:
+            return max(reaches)
+        mass, inertia = float(model.body_mass[body]), np.asarray(model.body_inertia[body])
+        if mass > 0 and np.trace(inertia) > 0:
+            return math.sqrt(float(np.trace(inertia)) / 2 / mass)
+        return UNKNOWN
+
+    def contact(self, geom1: int, geom2: int) -> float:
+        """The thickness that a depth between two geoms is compared with [m]."""
+        least = min(self.thick[geom1], self.thick[geom2])
+        return least if math.isfinite(least) else UNKNOWN
+
+    def pair(self, body1: int, body2: int) -> float:
+        """The size of the smaller of two bodies [m]."""
+        return min(self.bodies[body1], self.bodies[body2])
+
+
+def _half_sizes(kind: str, size: list[float]) -> tuple[float, float]:
+    if kind == "plane":
+        return math.inf, math.inf
+    if kind == "sphere":
+        return size[0], size[0]
+    if kind == "capsule":
+        return size[0], size[0] + size[1]
+    if kind == "cylinder":
+        return min(size[:2]), math.hypot(size[0], size[1])
+    if kind == "ellipsoid":
+        return min(size), max(size)
+    return min(size), math.hypot(*size)

@@ -1,0 +1,55 @@
+"""`Watch`: a probe that sees what goes wrong in a run: creep, gaps, depths, saturation.
+
+It only records; `stepcore.measure.findings` judges. Everything is measured on the run itself and
+needs no reference, so that any run can be watched.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stepcore.engine.model import Model
+from stepcore.experiment.bodies import Bodies
+from stepcore.experiment.coordinates import Coordinates
+from stepcore.experiment.probe import Probe
+from stepcore.experiment.watch.actuators import ActuatorWatch
+from stepcore.experiment.watch.contacts import ContactWatch
+from stepcore.experiment.watch.joints import JointWatch
+
+# About so many looks in a control period.
+LOOKS = 32
+
+
+class Watch(Probe):
+    """Watches a run. contacts, joints, actuators: what was seen of each; residual: the worst [m/s].
+
+    times: when it looked [s].
+    """
+
+    def __init__(self, model: Model, bodies: Bodies | None = None) -> None:
+        bodies = bodies or Bodies(model, Coordinates(model))
+        self.model = model
+        self.contacts = ContactWatch(model, bodies.friction)
+        self.joints = JointWatch(model, bodies)
+        self.actuators = ActuatorWatch(model)
+        self.times: list[float] = []
+        self.residual = 0.0
+
+    @property
+    def span(self) -> float:
+        """How long was watched [s]."""
+        return self.times[-1] - self.times[0] if self.times else 0.0
+
+    def stride(self, steps: int) -> int:
+        return max(1, steps // LOOKS)
+
+    def begin(self, sim: Any) -> None:
+        self.times.append(sim.time)
+        self.contacts.begin(sim)
+
+    def step(self, sim: Any) -> None:
+        self.times.append(sim.time)
+        self.residual = max(self.residual, sim.residual)
+        self.contacts.look(sim)
+        self.joints.look(sim)
+        self.actuators.look(sim)

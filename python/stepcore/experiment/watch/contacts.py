@@ -1,0 +1,188 @@
+"""What a run's contacts did: overlaps at its start, creep while friction held, depths at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.experiment.errors import STICKS
+from stepcore.experiment.slip import Friction
+
+# The part of a run, at its end, in which something may have come to rest.
+REST = 0.25
+# At rest a quantity varies by less than this share of its mean.
+STEADY = 0.2
+# The velocity of a creep differs by less than this share from its mean.
+UNSTEADY = 0.5
+# Fewer looks say nothing of rest or of creep.
+FEWEST = 8
+# An edge of a friction pyramid that pushes with less than this share of the strongest does not.
+EDGE = 1e-6
+
+Key = tuple[int, int]
+Look = tuple[int, float, float, float, bool, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Two geoms that overlap at the start. pair: see `Creep`; depth: [m]."""
+
+    pair: int
+    depth: float
+
+
+@dataclass(frozen=True)
+class Creep:
+    """A contact that moves although its friction holds it.
+
+    pair: of geoms, part: which of its contacts. speed: mean of the tangential velocity over the
+    second half of the time `held` [m/s] ([s]). share: friction over μ × normal force.
+    """
+
+    pair: int
+    part: int
+    speed: float
+    held: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Slide:
+    """A contact without friction that slides. speed: mean [m/s]."""
+
+    pair: int
+    part: int
+    speed: float
+
+
+@dataclass(frozen=True)
+class Resting:
+    """A contact at rest at the end of a run. depth: [m]; force: normal [N]."""
+
+    pair: int
+    part: int
+    depth: float
+    force: float
+
+
+class ContactWatch:
+    """The contacts of one run. pairs: of geoms, as `Model.pairs`."""
+
+    def __init__(self, model: Model, friction: Friction) -> None:
+        self.model, self.friction = model, friction
+        self.pairs = [(int(a), int(b)) for a, b in model.pair_geoms]
+        self.mu = [friction.mu[min(pair), max(pair)] for pair in self.pairs]
+        self.starts: list[Overlap] = []
+        self.seen: dict[Key, list[Look]] = {}
+        self.looks = 0
+
+    def begin(self, sim: Sim) -> None:
+        """The overlaps of the start, by a Sim aside: this one keeps its warm impulses."""
+        if not self.pairs:
+            return
+        aside = Sim(self.model, sim.settings)
+        aside.qpos[:] = sim.qpos
+        aside.forward()
+        contacts = aside.contacts
+        for k in np.flatnonzero(contacts["dist"] < 0):
+            self.starts.append(Overlap(int(contacts["index"][k]), -float(contacts["dist"][k])))
+        self.starts.sort(key=lambda overlap: -overlap.depth)
+
+    def look(self, sim: Sim) -> None:
+        """Every contact now."""
+        if not self.pairs:
+            return
+        look, self.looks = self.looks, self.looks + 1
+        contacts = sim.contacts
+        if not len(contacts):
+            return
+        # What diverges may be too large to multiply.
+        with np.errstate(over="ignore", invalid="ignore"):
+            force, normal = contacts["force"], contacts["normal"]
+            pushed = np.einsum("ci,ci->c", force, normal)
+            rubbed = np.linalg.norm(force - pushed[:, None] * normal, axis=1)
+            past = self.friction.passing(sim, contacts)
+            past = past - np.einsum("ci,ci->c", past, normal)[:, None] * normal
+        sticks = self._sticks(sim)
+        for k in np.flatnonzero(pushed > 0):
+            key = int(contacts["index"][k]), int(contacts["part"][k])
+            most = self.mu[key[0]] * pushed[k]
+            share = rubbed[k] / most if most > 0 else 0.0
+            held = share < STICKS[sim.settings.cone] or sticks.get(key, False)
+            depth = -float(contacts["dist"][k])
+            seen = (look, depth, float(pushed[k]), float(share), bool(held), past[k])
+            self.seen.setdefault(key, []).append(seen)
+
+    def _sticks(self, sim: Sim) -> dict[Key, bool]:
+        """Contacts whose friction is within its pyramid, because every edge pushes.
+
+        Between its edges a pyramid yields at less friction than along them.
+        """
+        settings = sim.settings
+        if settings.law != "solref" or settings.cone != "pyramidal":
+            return {}
+        rows = sim.rows
+        rows = rows[rows["kind"] == "contact"]
+        forces: dict[Key, list[float]] = {}
+        for index, part, force in zip(rows["index"], rows["part"], rows["force"], strict=True):
+            forces.setdefault((int(index), int(part)), []).append(float(force))
+        return {key: min(edges) > EDGE * max(edges) for key, edges in forces.items()}
+
+    def creeps(self, times: list[float]) -> Iterator[Creep]:
+        """Contacts held by friction for a fifth of the run or more that move steadily.
+
+        A contact that a moving body comes to rest on, or rolls on, has a speed that changes; under
+        a load that stays, creep goes on. times: of the looks [s].
+        """
+        for (pair, part), seen in self.seen.items():
+            if self.mu[pair] <= 0:
+                continue
+            held = _longest(seen)
+            if len(held) < max(FEWEST, 0.2 * self.looks):
+                continue
+            late = held[len(held) // 2 :]
+            past = np.array([one[5] for one in late])
+            drift = past.mean(axis=0)
+            if np.linalg.norm(past - drift, axis=1).max() > UNSTEADY * np.linalg.norm(drift):
+                continue
+            span = times[held[-1][0]] - times[held[0][0]]
+            share = float(np.mean([one[3] for one in late]))
+            yield Creep(pair, part, float(np.linalg.norm(drift)), span, share)
+
+    def slides(self) -> Iterator[Slide]:
+        """Contacts without friction that were there for a fifth of the run or more."""
+        for (pair, part), seen in self.seen.items():
+            if self.mu[pair] > 0 or len(seen) < max(FEWEST, 0.2 * self.looks):
+                continue
+            speed = float(np.mean([np.linalg.norm(one[5]) for one in seen]))
+            yield Slide(pair, part, speed)
+
+    def resting(self) -> Iterator[Resting]:
+        """Contacts that keep their depth to the end of the run."""
+        for (pair, part), seen in self.seen.items():
+            first = self.looks - max(FEWEST, int(REST * self.looks))
+            late = [one for one in seen if one[0] >= first]
+            depth = np.array([one[1] for one in late])
+            if len(late) < self.looks - first or depth.min() <= 0:
+                continue
+            if np.ptp(depth) < STEADY * depth.mean():
+                force = float(np.mean([one[2] for one in late]))
+                yield Resting(pair, part, float(depth.mean()), force)
+
+
+def _longest(seen: list[Look]) -> list[Look]:
+    """The longest run of looks, one after the other, in which friction held."""
+    best: list[Look] = []
+    now: list[Look] = []
+    for one in seen:
+        if not one[4]:
+            now = []
+            continue
+        now = [*now, one] if now and one[0] == now[-1][0] + 1 else [one]
+        if len(now) > len(best):
+            best = now
+    return best

@@ -1,0 +1,135 @@
+"""How deep a soft row yields under a load, and the solref with which it yields less.
+
+A row of `solref` at rest (MuJoCo's documentation, "Computation", "Constraint model"): its force f
+meets R f = k r, with r the violation, R = (1 − d)/d · Â, and
+
+    k = d / (dmax² tc² ζ²)        solref = (tc, ζ), a time constant [s] and a damping ratio
+    k = d · stiffness / dmax²     solref = (−stiffness, −damping)
+
+where d = d(r) is the impedance of solimp. So r = f Â · (1 − d)/d² · dmax² · (tc ζ)²: under the same
+load r / ((1 − d)/d²) is proportional to tc², or to 1/stiffness.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from stepcore._core import Settings
+from stepcore.report.units import metres, seconds
+
+# MuJoCo's bounds of an impedance.
+LEAST, MOST = 1e-4, 0.9999
+# A solimp of hardly any softness.
+HARD = (0.99, 0.99, 0.001, 0.5, 2.0)
+# A finer solref is not advised: its step would be too short [s].
+SHORTEST = 1e-5
+
+
+def impedance(solimp: Sequence[float], violation: float) -> float:
+    """The impedance d of a row at a violation [m or rad]; MuJoCo's `solimp`."""
+    first, last, width, middle, power = solimp
+    first, last = (min(max(d, LEAST), MOST) for d in (first, last))
+    x = min(abs(violation) / width, 1.0) if width > 0 else 1.0
+    middle, power = min(max(middle, LEAST), MOST), max(power, 1.0)
+    if power == 1 or x in (0.0, 1.0):
+        y = x
+    elif x <= middle:
+        y = x**power / middle ** (power - 1)
+    else:
+        y = 1 - (1 - x) ** power / (1 - middle) ** (power - 1)
+    return first + y * (last - first)
+
+
+def yielding(solref: Sequence[float], solimp: Sequence[float], load: float, dt: float) -> float:
+    """The violation at rest [m or rad] under a load: the unconstrained acceleration f Â.
+
+    load: [m/s² or rad/s²]. dt: below half of the time constant refsafe lengthens it [s]; 0 without.
+
+    >>> print(f"{1e3 * yielding((0.02, 1), (0.9, 0.95, 0.001, 0.5, 2), 9.81, 0.002):.3f} mm")
+    0.363 mm
+    """
+
+    def deeper(violation: float) -> bool:
+        return load * _compliance(solref, solimp, violation, dt) > violation
+
+    high = 1e-12
+    while deeper(high) and high < 1e12:
+        high *= 2
+    low = 0.0
+    for _ in range(80):
+        middle = (low + high) / 2
+        low, high = (middle, high) if deeper(middle) else (low, middle)
+    return high
+
+
+def _compliance(
+    solref: Sequence[float], solimp: Sequence[float], violation: float, dt: float
+) -> float:
+    """Violation over load [s²]."""
+    d, most = impedance(solimp, violation), min(max(solimp[1], LEAST), MOST)
+    if solref[0] > 0:
+        square = (max(solref[0], 2 * dt) * solref[1]) ** 2
+    else:
+        square = 1 / -solref[0] if solref[0] < 0 else math.inf
+    return (1 - d) / d**2 * most**2 * square
+
+
+def stiffer(
+    solref: Sequence[float],
+    solimp: Sequence[float],
+    now: float,
+    wanted: float,
+    settings: Settings,
+    other: Sequence[float] | None = None,
+) -> tuple[float, float]:
+    """The solref with which a row that yields by `now` yields by `wanted` under the same load.
+
+    other: the solimp that goes with it, where it is not the same.
+    """
+    dt = settings.dt if settings.refsafe else 0.0
+    softer = (wanted / now) * _slope(solimp, now) / _slope(other or solimp, wanted)
+    if solref[0] > 0:
+        return max(solref[0], 2 * dt) * math.sqrt(softer), solref[1]
+    return solref[0] / softer, solref[1] / math.sqrt(softer)
+
+
+def _slope(solimp: Sequence[float], violation: float) -> float:
+    """(1 − d)/d² · dmax²."""
+    d, most = impedance(solimp, violation), min(max(solimp[1], LEAST), MOST)
+    return (1 - d) / d**2 * most**2
+
+
+def advised(
+    suffix: str,
+    solref: Sequence[float],
+    solimp: Sequence[float],
+    now: float,
+    wanted: float,
+    settings: Settings,
+    length: str | None = None,
+) -> str:
+    """The cure in words: 'solref="0.005 1" leaves 20 µm', with a solimp where that is needed.
+
+    suffix: of the attributes' names, "" or "limit". length: `wanted` in words, where it is no
+    length.
+    """
+    leaves = f"leaves {length or metres(wanted)}"
+    new, words = stiffer(solref, solimp, now, wanted, settings), ""
+    if not _resolved(new, settings):
+        harder = stiffer(solref, solimp, now, wanted, settings, HARD)
+        if harder[0] > SHORTEST or harder[0] < 0:
+            new, words = harder, f' with solimp{suffix}="{HARD[0]:g} {HARD[1]:g} {HARD[2]:g}"'
+    if 0 < new[0] < SHORTEST:
+        return f"smaller time constants in solref{suffix} and smaller time steps leave less"
+    text = f'solref{suffix}="{new[0]:.3g} {new[1]:.3g}"{words} {leaves}'
+    if not _resolved(new, settings):
+        # Rounded down: the three digits that are written are not to be softened.
+        half = math.floor(float(f"{new[0]:.3g}") / 2 * 1e6) / 1e6
+        text += f" (refsafe asks for a dt of at most {seconds(half)})"
+    return text
+
+
+def _resolved(solref: Sequence[float], settings: Settings) -> bool:
+    """Whether refsafe leaves a solref as it is."""
+    return not settings.refsafe or solref[0] <= 0 or solref[0] >= 2 * settings.dt

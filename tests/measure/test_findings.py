@@ -1,0 +1,342 @@
+"""What a watched run shows, each number against a closed form, each cure made and measured.
+
+A row of solref at rest under a force f yields by r with R f = k r (MuJoCo's documentation,
+"Computation"): r = f Â (1 − d)/d² dmax² (tc ζ)², with the impedance d = d(r).
+"""
+
+import math
+import re
+
+import pytest
+
+import stepcore as sc
+from stepcore.experiment.single_run import SingleRun
+from stepcore.experiment.watch import Watch
+from stepcore.measure.findings import findings_of
+from stepcore.measure.findings.softness import impedance, yielding
+
+G = 9.81
+SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
+
+
+def watched(scene, time=1.0, key=None, control=None, **settings):
+    """A watched run of a scene, and its findings."""
+    model = scene.compile().with_settings(**settings)
+    sim = sc.Sim(model)
+    sim.reset(0 if key is None and model.keys else key)
+    watch = Watch(model)
+    SingleRun(sim, control=control, probes=[watch]).run(round(time / sim.settings.dt))
+    return watch, findings_of(model, watch)
+
+
+def the(findings, kind):
+    """The only finding of a kind."""
+    (one,) = (finding for finding in findings if finding.kind == kind)
+    return one
+
+
+def pair(text, name="solref"):
+    """The two numbers that a sentence gives an attribute, the last time it is named."""
+    return tuple(map(float, re.findall(rf'{name}="(\S+) (\S+)"', text)[-1]))
+
+
+def ball(radius, solref="0.02 1", solimp="0.9 0.95 0.001", mass=1.0, height=None):
+    return sc.loads(
+        f"""<mujoco><default><geom solref="{solref}" solimp="{solimp}"/></default><worldbody>
+        <geom name="floor" type="plane" size="1 1 1"/><body name="ball"
+        pos="0 0 {radius if height is None else height}"><freejoint/>
+        <geom name="ball" size="{radius}" mass="{mass}"/></body></worldbody></mujoco>"""
+    )
+
+
+# Depth at rest.
+
+
+@pytest.mark.parametrize(
+    ("solref", "solimp", "mass"),
+    [
+        ("0.02 1", "0.9 0.95 0.001", 1.0),
+        ("0.05 1", "0.9 0.95 0.001", 1.0),
+        ("0.05 0.7", "0.3 0.8 0.01", 3.0),
+        ("-2000 -100", "0.9 0.95 0.001", 0.1),
+    ],
+)
+def test_the_depth_of_a_ball_at_rest(solref, solimp, mass):
+    """The load of a free ball is g, whatever its mass."""
+    watch, _ = watched(ball(0.002, solref, solimp, mass), time=2.0)
+    (rest,) = watch.contacts.resting()
+    values = (*map(float, solimp.split()), 0.5, 2.0)
+    predicted = yielding(tuple(map(float, solref.split())), values, G, dt=0.002)
+    assert rest.depth == pytest.approx(predicted, rel=1e-6)
+    assert rest.force == pytest.approx(mass * G, rel=1e-6)
+    # By the equation itself, not by the iteration that solves it.
+    d, (tc, ratio) = impedance(values, rest.depth), map(float, solref.split())
+    square = (tc * ratio) ** 2 if tc > 0 else -1 / tc
+    assert rest.depth == pytest.approx(G * (1 - d) / d**2 * values[1] ** 2 * square, rel=1e-6)
+
+
+@pytest.mark.parametrize("solref", ["0.02 1", "-3000 -100"])
+def test_the_solref_of_a_wanted_depth_gives_it(solref):
+    scene = ball(0.05, solref)
+    watch, findings = watched(scene)
+    assert findings == []
+    wanted = findings_of(sc.Sim(scene.compile()).model, watch, depth=1e-4)
+    one = the(wanted, "depth at rest")
+    assert one.severity == "remark" and "leaves 100 µm" in one.text
+    new = pair(one.text)
+    dt = 0.002 if new[0] < 0 else min(0.002, new[0] / 2)
+    again, _ = watched(ball(0.05, f"{new[0]} {new[1]}"), dt=dt)
+    assert next(again.contacts.resting()).depth == pytest.approx(1e-4, rel=0.02)
+
+
+def test_a_ball_that_sinks_in_is_told_without_being_asked():
+    _, findings = watched(ball(0.05, "0.2 1"), time=4.0)
+    one = the(findings, "depth at rest")
+    assert one.severity == "warning" and one.element == "contact `floor`/`ball`"
+    assert one.value == pytest.approx(yielding((0.2, 1), SOLIMP, G, 0.002), rel=1e-3)
+    new = pair(one.text)
+    again, rest = watched(ball(0.05, f"{new[0]} {new[1]}"))
+    assert rest == []
+    assert next(again.contacts.resting()).depth == pytest.approx(0.05 * 0.01, rel=0.02)
+
+
+# Creep.
+
+
+def incline(degrees, cone="elliptic", impratio=1.0, solref="0.02 1"):
+    """A ball that slides in a plane and does not turn, on an incline."""
+    return sc.loads(
+        f"""<mujoco><option cone="{cone}" impratio="{impratio}"/>
+        <default><geom solref="{solref}"/></default><worldbody>
+        <geom name="slope" type="plane" size="5 5 1" euler="0 {degrees} 0"/>
+        <body name="b" pos="0 0 {0.1 / math.cos(math.radians(degrees))}">
+        <joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>
+        <geom name="ball" size=".1" mass="2"/></body></worldbody></mujoco>"""
+    )
+
+
+@pytest.mark.parametrize(("degrees", "impratio"), [(10, 1.0), (30, 1.0), (30, 5.0)])
+def test_creep_on_an_incline(degrees, impratio):
+    """A friction row pulls back with R f = b v; f = m g sin, b = 2/(dmax tc), R = R_n/impratio."""
+    scene = incline(degrees, impratio=impratio)
+    watch, findings = watched(scene)
+    (creep,) = watch.contacts.creeps(watch.times)
+    (rest,) = watch.contacts.resting()
+    angle, d = math.radians(degrees), impedance(SOLIMP, rest.depth)
+    r = (1 - d) / d * float(scene.compile().pair_invweight0[0]) / impratio
+    speed = r * 2 * G * math.sin(angle) * 0.95 * 0.02 / 2
+    assert creep.speed == pytest.approx(speed, rel=1e-3)
+    assert creep.share == pytest.approx(math.tan(angle), rel=1e-3)
+    if speed > 1e-3:
+        assert the(findings, "creep").value == pytest.approx(speed, rel=1e-3)
+
+
+@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
+def test_the_impratio_that_is_named_leaves_what_is_said(cone):
+    one = the(watched(incline(30, cone))[1], "creep")
+    assert one.severity == "warning" and one.element == "contact `slope`/`ball`"
+    assert "noslip" in one.text and 'law="rigid"' in one.text
+    impratio = float(re.search(r'impratio="(\S+)"', one.text)[1])
+    left, unit = re.search(r"leaves ([\d.]+) (\S+) or less", one.text).groups()
+    watch, findings = watched(incline(30, impratio=impratio))
+    (creep,) = watch.contacts.creeps(watch.times)
+    assert unit == "µm/s" and creep.speed <= float(left) * 1e-6 * 1.01
+    assert findings == []
+    settings = {"law": "rigid", "solver": "pgs", "integrator": "semi-implicit", "sweeps": 200}
+    watch, findings = watched(incline(30), **settings)
+    assert findings == [] and sc.Sim(incline(30)).model.nv == 2
+    assert all(abs(creep.speed) < 1e-12 for creep in watch.contacts.creeps(watch.times))
+
+
+def test_what_slides_or_rolls_does_not_creep():
+    for scene in (incline(50), ball(0.1)):
+        if scene.joints[0].type == "free":
+            scene.add_key("roll", qvel=(1, 0, 0, 0, 10, 0))
+        assert not [f for f in watched(scene)[1] if f.kind == "creep"]
+
+
+def test_sliding_without_friction_is_told_with_the_reason():
+    scene = incline(30)
+    for geom in scene.geoms:
+        geom.condim = 1
+    one = the(watched(scene)[1], "no friction")
+    assert one.severity == "remark" and "condim is 1" in one.text
+    # v = g sin t, on average g sin T/2.
+    assert one.value == pytest.approx(G * 0.5 / 2, rel=0.05)
+    for geom in scene.geoms:
+        geom.condim, geom.friction = 3, 0
+    assert "its friction is 0" in the(watched(scene)[1], "no friction").text
+
+
+# Connections.
+
+
+def hung(solref, mass=2.0):
+    return sc.loads(
+        f"""<mujoco><worldbody><body name="bob" pos="0 0 1"><freejoint/>
+        <geom size=".05" mass="{mass}" contype="0" conaffinity="0"/></body></worldbody><equality>
+        <connect name="hook" body1="bob" anchor="0 0 0" solref="{solref}"/></equality></mujoco>"""
+    )
+
+
+@pytest.mark.parametrize("solref", ["0.1 1", "-100 -20"])
+def test_the_gap_of_a_hung_mass(solref):
+    """Its load is g: the gap is that of a contact with this solref."""
+    numbers = tuple(map(float, solref.split()))
+    _, findings = watched(hung(solref), time=4.0)
+    one = the(findings, "gap")
+    assert one.element == "connect `hook`"
+    assert one.value == pytest.approx(yielding(numbers, SOLIMP, G, 0.002), rel=1e-3)
+    new = pair(one.text)
+    watch, findings = watched(hung(f"{new[0]} {new[1]}"), dt=min(0.002, abs(new[0]) / 2))
+    assert findings == []
+    (gape,) = watch.joints.gapes()
+    assert gape.rest == pytest.approx(0.05 * 0.01 * 0.1, rel=0.02)
+
+
+def test_a_connection_that_holds_is_not_told():
+    assert watched(hung("0.02 1"))[1] == []
+
+
+# Limits.
+
+
+def stop(torque, solref="0.02 1", gravity=0.0):
+    return sc.loads(
+        f"""<mujoco><option gravity="0 0 {-gravity}"/><worldbody><body name="arm">
+        <joint name="elbow" axis="0 1 0" range="-60 60" solreflimit="{solref}" damping=".01"/>
+        <inertial pos=".1 0 0" mass="1" diaginertia=".001 .001 .001"/></body></worldbody>
+        <actuator><motor name="drive" joint="elbow" gear="{torque}" ctrlrange="-1 1"/></actuator>
+        </mujoco>"""
+    )
+
+
+def test_how_far_a_motor_pushes_beyond_a_limit():
+    """Its load is torque × dof_invweight0, in a tree of one dof torque / I."""
+
+    def push(time, sim):
+        return [1.0]
+
+    watch, findings = watched(stop(5.0, "0.1 1"), time=3.0, control=push)
+    one, (beyond,) = the(findings, "limit"), watch.joints.overshoots()
+    assert beyond.rest == pytest.approx(yielding((0.1, 1), SOLIMP, 5 / 0.011, 0.002), rel=1e-3)
+    assert one.value == pytest.approx(beyond.rest, rel=0.05)
+    assert beyond.forces[0] == (("actuator", 0), pytest.approx(5))
+    assert beyond.limit == pytest.approx(5, rel=1e-3)
+    assert one.text.startswith("Motor `drive` pushes joint `elbow` ")
+    assert "with 5 N·m" in one.text and "ctrlrange of motor `drive`" in one.text
+    new = pair(one.text, "solreflimit")
+    harder = stop(5.0, f"{new[0]} {new[1]}")
+    harder.joint("elbow").solimplimit = pair_of_three(one.text) or SOLIMP
+    again, findings = watched(harder, time=3.0, control=push, dt=min(0.002, new[0] / 2))
+    # What is written leaves a tenth of what is worth saying, 5 % of the range.
+    (beyond,) = again.joints.overshoots()
+    assert beyond.rest == pytest.approx(0.005 * math.radians(120), rel=0.05)
+    assert findings == []
+
+
+def pair_of_three(text):
+    written = re.findall(r'solimplimit="(\S+) (\S+) (\S+)"', text)
+    return tuple(map(float, written[-1])) if written else None
+
+
+def test_gravity_is_named_where_it_pushes():
+    scene = stop(1.0, solref="0.3 1", gravity=G)
+    one = the(watched(scene, time=6.0)[1], "limit")
+    assert one.text.startswith("Gravity pushes joint `elbow` ")
+
+
+def test_a_joint_that_only_runs_into_its_limit_is_not_told():
+    scene = stop(1.0)
+    scene.add_key("fast", qvel=[30.0])
+    watch, findings = watched(scene, time=1.0)
+    assert next(watch.joints.overshoots()).most > 0 and findings == []
+
+
+# Actuators.
+
+
+def lift(kp, mass=2.0, force=None):
+    ranged = f'forcerange="{-force} {force}"' if force else ""
+    return sc.loads(
+        f"""<mujoco><worldbody><body name="load" pos="0 0 1">
+        <joint name="rail" type="slide" axis="0 0 1" range="-.5 .5"/>
+        <geom size=".05" mass="{mass}"/></body></worldbody><actuator>
+        <position name="hoist" joint="rail" kp="{kp}" kv="{kp / 10}" {ranged}/>
+        </actuator></mujoco>"""
+    )
+
+
+def test_how_far_a_servo_sags():
+    """m g / kp; with the kp that is named, a tenth of what is worth saying."""
+    one = the(watched(lift(80), time=6.0)[1], "servo sags")
+    assert one.value == pytest.approx(2 * G / 80, rel=1e-3) and one.element == "servo `hoist`"
+    assert "load of 19.6 N" in one.text
+    kp = float(re.search(r"kp (\S+) leaves", one.text)[1])
+    watch, findings = watched(lift(kp), time=3.0)
+    assert findings == []
+    (servo,) = watch.actuators.at_rest()
+    assert abs(servo.error) == pytest.approx(0.1 * 0.1, rel=0.01)
+
+
+def test_a_servo_too_weak_for_its_load():
+    """It lies on its limit, at the end of its force range."""
+    one = the(watched(lift(1000, force=15), time=3.0)[1], "servo too weak")
+    assert one.severity == "error" and "forcerange (15 N)" in one.text
+
+
+def test_clamped_controls_are_told_with_the_range():
+    def ask(time, sim):
+        return [3.0 if time < 0.5 else 0.5]
+
+    one = the(watched(stop(0.001), control=ask)[1], "clamped control")
+    assert one.value == pytest.approx(0.5, abs=0.02) and "3 to its ctrlrange of -1 to 1" in one.text
+
+
+# Overlaps.
+
+
+def two(apart, tree):
+    """Balls of 0.1 m; tree: the second one hangs on the first by a body between them."""
+    inner = f'<body name="b" pos="{apart} 0 0">{{}}<geom name="b" size=".1"/></body>'
+    hinge = '<joint axis="0 1 0" stiffness="10" damping="1"/>'
+    rod = f'<body><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>{hinge}{inner}</body>'
+    first = '<body name="a"><freejoint/><geom name="a" size=".1"/>{}</body>'
+    bodies = first.format(rod.format(hinge)) if tree else first.format("")
+    bodies += "" if tree else inner.format("<freejoint/>")
+    return sc.loads(f'<mujoco><option gravity="0 0 0"/><worldbody>{bodies}</worldbody></mujoco>')
+
+
+def test_an_overlap_at_the_start_is_told_with_its_depth():
+    one = the(watched(two(0.17, False))[1], "overlap at the start")
+    assert one.severity == "error" and one.value == pytest.approx(0.03)
+    assert "Geoms `a` and `b` overlap by 30 mm" in one.text and "move body `b` away" in one.text
+    assert watched(two(0.201, False))[1] == []
+
+
+def test_geoms_that_joints_hold_in_each_other_are_to_be_left_out():
+    one = the(watched(two(0.1, True))[1], "overlap")
+    assert '<exclude body1="a" body2="b"/>' in one.text
+
+
+def test_a_start_at_the_depth_of_rest_is_not_told():
+    depth = yielding((0.05, 1), SOLIMP, G, 0.002)
+    scene = ball(0.03, "0.05 1", height=0.03 - depth)
+    assert depth > 0.01 * 0.03
+    assert watched(scene)[1] == []
+
+
+# Healthy scenes.
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("lesson:spring", "lesson:drop", "lesson:stack", "lesson:grasp"),
+        *("gymnasium:ant", "gymnasium:hopper", "gymnasium:reacher", "gymnasium:walker2d"),
+        *("gymnasium:inverted_double_pendulum", "dm_control:suite/acrobot"),
+        *("dm_control:suite/cartpole", "dm_control:suite/hopper", "dm_control:suite/pendulum"),
+    ],
+)
+def test_nothing_is_told_of_a_healthy_scene(name):
+    assert watched(sc.load(name))[1] == []
