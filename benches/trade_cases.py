@@ -28,7 +28,7 @@ from stepcore.experiment.schedule import scheduled, time_steps
 from stepcore.experiment.workers import Workers
 from stepcore.measure.trade.moves import Steps, longest
 from stepcore.measure.trade.settings import COULOMB_LAW, SMOOTH_LAW
-from stepcore.measure.trade.trials import priced, screen
+from stepcore.measure.trade.trials import priced
 from stepcore.report.progress import Progress
 
 G = (0, 0, -9.81)
@@ -204,7 +204,7 @@ class Judge:
 
     def wrong(self, settings: sc.Settings, start: int) -> float:
         """The error from one start [m]; inf for a failure."""
-        path = screen(self.runner, settings, start)
+        path = self.runner.screen(settings, start)
         true: Path = self.truth.paths[start]
         if path.failure or far_off([path], [true], 1e3):
             return math.inf

@@ -69,7 +69,7 @@ def growth(
     A perturbed run that fails says nothing, and is left out.
     """
     schedule = perturbed(runner, size)
-    job = partial(Runner(runner.model, schedule).run, settings)
+    job = partial(Runner(runner.model, schedule).screen, settings)
     runs = workers.each(job, range(len(schedule.starts)), bar)
     count = len(runner.schedule.starts)
     factor = np.ones((count, len(schedule.times)))

@@ -14,9 +14,11 @@ from stepcore.experiment.probe import Probe
 from stepcore.experiment.schedule import Schedule
 from stepcore.experiment.slip import Slips
 
-# The state is recorded this often in a period (or every step), contacts are looked at less often.
-STATES = 32
-CONTACTS = 8
+# The state is recorded this often in a period (or every step), contacts are looked at less often;
+# and in a run of many periods about so often in all, states four times as often where the work of
+# actuators and dampers is summed up from them.
+STATES, ALL_STATES = 32, 1000
+CONTACTS, ALL_CONTACTS = 8, 500
 
 
 class Positions(Probe):
@@ -50,19 +52,27 @@ class Recorder(Probe):
         self.slips: list[Slips] = []
         self.touching: list[int] = []
         self.meets = bool(bodies.model.pairs)
+        self.works = bool(bodies.model.nu) or any(
+            np.any(j.damping) for j in bodies.model.scene.joints
+        )
         self.grounded = False
         self.overlap = self.residual = 0.0
 
     def stride(self, steps: int) -> int:
-        return max(1, steps // STATES)
+        most = ALL_STATES * (4 if self.works else 1) // self.schedule.periods
+        return max(1, steps // min(STATES, max(1, most)))
 
     def begin(self, sim: Sim) -> None:
         steps = self.schedule.steps(sim.settings.dt)
-        self.often = max(1, steps // self.stride(steps) // CONTACTS)
+        states = max(1, steps // self.stride(steps))
+        looks = ALL_CONTACTS / self.schedule.periods
+        self.often = max(1, round(states / min(CONTACTS, looks)))
+        self.calls = 0
+        self.updates, self.rowless = sim.row_updates, sim.settings.law != "penalty"
         self._state(sim)
 
     def period(self, sim: Sim, period: int) -> None:
-        self.held, self.calls = np.array(sim.ctrl), 0
+        self.held = np.array(sim.ctrl)
 
     def step(self, sim: Sim) -> None:
         self._state(sim)
@@ -82,6 +92,10 @@ class Recorder(Probe):
         self.qvel.append(np.array(sim.qvel))
 
     def _contacts(self, sim: Sim) -> None:
+        # Without a row since the last look there is nothing to see, but for penalties.
+        if self.rowless and sim.row_updates == self.updates:
+            return
+        self.updates = sim.row_updates
         self.residual = max(self.residual, sim.residual)
         if self.meets:
             contacts = sim.contacts

@@ -38,6 +38,8 @@ STALLED = 0.9
 ROUNDING = 1e-11
 # To see an order.
 HALVINGS = 3
+# The first of them, in steps of the finest that is to be judged: the less the dearer.
+BEGIN = (2.0, 4.0, 8.0, 16.0)
 # From here on the other integrator, not the reference's own halving, decides what is known.
 EAGER = 4.0
 # Coarser runs that may be added where the finer ones have met rounding, in steps of the finest.
@@ -206,10 +208,11 @@ class ReferenceRuns:
         steps = schedule.periods * schedule.steps(dt) * self.starts
         return steps * (self.runner.model.nv + 2) * (1.0 if integrator == "rk4" else 0.25)
 
-    def level(self, integrator: str, dt: float, bar: Progress) -> Level:
-        """All starts at one step."""
+    def level(self, integrator: str, dt: float, bar: Progress, bare: bool = False) -> Level:
+        """All starts at one step; bare: only positions are recorded."""
         self.spent += self.cost(integrator, dt)
-        job = partial(self.runner.run, self.settings(integrator, dt))
+        run = self.runner.screen if bare else self.runner.run
+        job = partial(run, self.settings(integrator, dt))
         return Level(dt, integrator, self.workers.each(job, range(self.starts), bar))
 
     def reference(self, bar: Progress) -> Reference:
@@ -255,13 +258,18 @@ class ReferenceRuns:
         return None if meets else dataclasses.replace(exact, check=check)
 
     def _steps(self) -> list[float]:
-        """Three halvings, from twice the finest step; from four times where that costs too much."""
-        for begin in (4.0, 2.0, 1.0):
+        """Three halvings, from twice the finest step; coarser by so much as that costs too much.
+
+        What is judged finer than these can be asks for refinements.
+        """
+        chosen = [self.finest / 2**k for k in range(HALVINGS + 1)]
+        for begin in BEGIN:
             steps = [self.finest * begin / 2**k for k in range(HALVINGS + 1)]
-            dear = sum(self.cost("rk4", dt / 2) for dt in steps) > self.budget
-            if self._fits(steps[0]) and (begin < 4 or dear):
-                break
-        return steps
+            if self._fits(steps[0]):
+                chosen = steps
+                if sum(self.cost("rk4", dt / 2) for dt in steps) <= self.budget:
+                    break
+        return chosen
 
     def growth(self, bar: Progress) -> tuple[Level, Growth]:
         """Every start and perturbed ones at one step: how long it can be predicted."""

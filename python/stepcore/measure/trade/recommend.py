@@ -24,7 +24,7 @@ from stepcore.measure.trade.frontier import Frontier
 from stepcore.measure.trade.frugal import MARGIN
 from stepcore.measure.trade.moves import Steps
 from stepcore.measure.trade.row import Further, TradeRow
-from stepcore.measure.trade.trials import Trials, screen
+from stepcore.measure.trade.trials import Trials
 
 # So many rows are tested on the further starts before the search gives up.
 TRIES = 30
@@ -55,7 +55,7 @@ class Confirmation:
         level = trials.reference.level
         count = len(others.starts)
         with self.workers.bar("further starts", count) as bar:
-            self.truth = own.level(level.integrator, level.dt, bar)
+            self.truth = own.level(level.integrator, level.dt, bar, bare=True)
         if self.truth.failed:
             return
         if trials.reference.growth.factor.max() < CALM:
@@ -98,7 +98,7 @@ class Confirmation:
 
     def _runs(self, settings: Settings, starts: list[int]) -> list[Ran]:
         assert self.scored is not None
-        job = partial(screen, self.runner, settings)
+        job = partial(self.runner.screen, settings)
         paths = self.workers.each(job, starts, "further starts")
         ran: list[Ran] = []
         for start, path in zip(starts, paths, strict=True):

@@ -97,11 +97,6 @@ class Trials:
         return far_off(paths, self.reference.paths[: len(paths)], self.size)
 
 
-def screen(runner: Runner, settings: Settings, start: int) -> Path:
-    """One run of which only positions are recorded."""
-    return runner.run(settings, start, [Positions(runner.bodies)])
-
-
 def priced(runner: Runner, settings: Settings) -> tuple[Path, Work]:
     """The positions of the run from the first start, and its work."""
     counter = Counter(runner)
@@ -116,7 +111,7 @@ def screen_starts(runner: Runner, job: tuple[Settings, int, int]) -> Ran:
         if start == 0:
             path, work = priced(runner, settings)
         else:
-            path = screen(runner, settings, start)
+            path = runner.screen(settings, start)
         paths.append(path)
         if path.failure:
             break
