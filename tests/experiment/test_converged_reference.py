@@ -1,5 +1,6 @@
 """How well the truth of a trade is known: orders, closed forms, and the rule without either."""
 
+import decimal
 from dataclasses import replace
 
 import numpy as np
@@ -7,9 +8,16 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.experiment.closed_form import closed
+from stepcore.experiment.coordinates import Start
 from stepcore.experiment.errors import Errors
 from stepcore.experiment.expm import expm
 from stepcore.experiment.order import known, observed, shown
+from stepcore.experiment.path import Path
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import Schedule
+
+PI = decimal.Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
 
 
 def trade(scene, **options):
@@ -87,6 +95,26 @@ def test_richardsons_estimate_is_the_reference_s_error_where_that_is_known():
     assert reference.orders["rk4"] == pytest.approx([4, 4], abs=0.05)
     assert result.to_dict()["reference"]["closed_form"] == reference.exact.check
     assert "closed form" in str(result)
+
+
+@pytest.mark.parametrize("stiffness", [1e2, 1.7e4, 1.3e6, 1.1e8, 1.9e10])
+@pytest.mark.parametrize("period", [0.001, 1.0])
+def test_the_closed_form_states_its_own_error_also_after_thousands_of_oscillations(
+    stiffness, period
+):
+    # x = 0.1 cos ωt, whose phase is reduced exactly by decimals of 60 digits.
+    scene = sc.Scene(gravity=(0, 0, 0))
+    mass = 1.3
+    scene.add_body("mass", mass=mass, inertia=(1, 1, 1))
+    scene.add_joint("mass", "slide", axis=(1, 0, 0), stiffness=stiffness)
+    model, count = scene.compile(), 300 if period < 1 else 20
+    begin = Start(np.array([0.1]), np.array([0.0]))
+    exact = closed(Runner(model, Schedule(period, count, 1, (begin,), None, None, ())), [Path()])
+    with decimal.localcontext(prec=60):
+        rate = (decimal.Decimal(stiffness) / decimal.Decimal(mass)).sqrt()
+        turn = [float(rate * decimal.Decimal(period) * k % (2 * PI)) for k in range(1, count + 1)]
+    true = np.abs(exact.paths[0].com[-count:, 0, 0] - 0.1 * np.cos(turn)).max()
+    assert true <= exact.error <= 500 * true + 1e-13
 
 
 def pair(damping=0.7):

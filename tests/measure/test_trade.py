@@ -70,7 +70,8 @@ def test_free_fall_is_wrong_by_half_g_dt_t():
 
 def test_the_orders_of_the_integrators_on_a_spring():
     orders = {"semi-implicit": 1, "explicit": 1, "midpoint": 2, "rk4": 4}
-    result = few(lesson.spring(), dts=[0.01, 0.005, 0.0025], integrators=list(orders), starts=2)
+    dts = [0.01, 0.005, 0.0025, 0.00125]
+    result = few(lesson.spring(), dts=dts, integrators=list(orders), starts=2)
     for name, order in orders.items():
         errors = [by(result, integrator=name, dt=dt).errors.position for dt in (0.005, 0.0025)]
         assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.12)

@@ -74,6 +74,10 @@ def test_the_order_of_a_table_is_the_slope_of_errors_over_steps():
 
     second = [row(dt, 3 * dt**2) for dt in (0.01, 0.008, 0.004, 0.001)]
     assert orders(second, 0.0)["euler"] == pytest.approx(2)
+    # Errors of events, not of the method: 2.4 is no order, and neither is a 2 made of 1 and 3.
+    assert orders([row(dt, dt**2.4) for dt in (0.01, 0.005, 0.0025)], 0.0) == {}
+    assert orders([row(dt, dt**0.15) for dt in (0.01, 0.005, 0.0025)], 0.0) == {}
+    assert orders([row(4, 8.0), row(2, 4.0), row(1, 0.5)], 0.0) == {}
     # At the reference's own error a slope says nothing, and neither does it over a short span.
     assert orders(second[:2], 0.0) == {}
     assert orders([row(0.01, 1e-3), row(0.001, 1e-9)], 1e-6) == {}

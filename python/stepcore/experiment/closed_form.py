@@ -30,14 +30,18 @@ from stepcore.experiment.runner import Runner
 
 # What accelerations may differ by from the form's, over the largest seen: rounding, generously.
 AGREES = 1e-9
+# Its error is stated as so many times the largest difference seen.
+CAUTION = 4.0
+# The entries of F are differences of accelerations, of which each has some roundings.
+ROUNDED = 4 * np.finfo(float).eps
 
 
 @dataclass(frozen=True)
 class Exact:
     """The truth in closed form.
 
-    error [m], angle [rad]: rounding, seen by going in half periods. check [m]: how far the
-    reference is from it, as errors are measured.
+    error [m], angle [rad]: of the matrix exponential and of its entries, see `closed`. check [m]:
+    how far the reference is from it, as errors are measured.
     """
 
     paths: list[Path]
@@ -52,7 +56,12 @@ class Unfit(Exception):
 
 
 def closed(runner: Runner, paths: Sequence[Path]) -> Exact | None:
-    """The closed form of a runner's motion, or None; paths: the converged runs."""
+    """The closed form of a runner's motion, or None; paths: the converged runs.
+
+    Its own error is seen by computing it again in another way: in thirds of a period (halves would
+    repeat the same squarings), and with every entry of F moved by its rounding. Squaring, and
+    thousands of oscillations, make that grow.
+    """
     if runner.schedule.control is not None or any(path.rows for path in paths):
         return None
     if any(joint[0] == "ball" for joint in runner.coordinates.joints):
@@ -61,15 +70,17 @@ def closed(runner: Runner, paths: Sequence[Path]) -> Exact | None:
         form = _Form(runner)
         exact, error, angle = [], 0.0, 0.0
         for start in range(len(runner.schedule.starts)):
-            whole, halves = form.motion(start, 1), form.motion(start, 2)
-            a, b = runner.bodies.states(*whole), runner.bodies.states(*halves)
-            error = max(error, float(np.abs(a.com - b.com).max(initial=0.0)))
-            angle = max(angle, float(np.abs(whole[0] - halves[0]).max(initial=0.0)))
+            whole = form.motion(start)
+            a = runner.bodies.states(*whole)
+            for again in (form.motion(start, parts=3), form.motion(start, rounded=True)):
+                b = runner.bodies.states(*again)
+                error = max(error, float(np.abs(a.com - b.com).max(initial=0.0)))
+                angle = max(angle, float(np.abs(whole[0] - again[0]).max(initial=0.0)))
             exact.append(runner.bodies.path(*whole))
     except (Unfit, ValueError, SimulationError):
         return None
     size = max(float(np.abs(path.com).max(initial=0.0)) for path in exact)
-    return Exact(exact, 2 * error + 1e-15 * size, 2 * angle + 1e-15)
+    return Exact(exact, CAUTION * error + 1e-15 * size, CAUTION * angle + 1e-15)
 
 
 class _Free(NamedTuple):
@@ -101,10 +112,16 @@ class _Form:
         whole[n : 2 * n, 2 * n :] = np.eye(n)
         self.whole = whole
 
-    def motion(self, start: int, parts: int) -> tuple[np.ndarray, np.ndarray]:
-        """qpos and qvel at time 0 and at the samples; parts: of a period at a time."""
+    def motion(
+        self, start: int, parts: int = 1, rounded: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """qpos and qvel at time 0 and at the samples.
+
+        parts: how many steps make a period. rounded: F's entries are moved by their rounding.
+        """
         schedule, n = self.runner.schedule, len(self.q)
-        step = expm(self.whole * (schedule.period / parts))[: 2 * n]
+        whole = self.whole * (1 + ROUNDED) if rounded else self.whole
+        step = expm(whole * (schedule.period / parts))[: 2 * n]
         begin = schedule.starts[start]
         state = np.concatenate([begin.qpos[self.q], begin.qvel[self.v]])
         qpos, qvel = [begin.qpos], [begin.qvel]
