@@ -1,5 +1,6 @@
 """`diagnose`: cures by bisection on the real step, names, and a warning that never fails a load."""
 
+import copy
 import math
 import warnings
 
@@ -147,3 +148,136 @@ def test_ten_equal_springs_are_named_together():
     scene = series(10, 1e4, dt=0.005, integrator="semi-implicit")
     scene.joints[4].stiffness = 1e5
     assert diagnosed(scene).together() == ["spring of joint `h4`"]
+
+
+# --- cures --------------------------------------------------------------------------------------
+
+MARGIN = 1.5
+
+
+def cured(scene, advice):
+    """A copy of the scene with a piece of advice made by hand, from what it says."""
+    scene = copy.deepcopy(scene).with_settings(**advice.settings)
+    for value in advice.values:
+        names = value.owner.split("`")[1::2]
+        after = value.after if value.field.startswith(("sol", "bias")) else value.after[0]
+        if value.owner.startswith("servo"):
+            setattr(scene.actuator(names[0]), value.field, after)
+        elif value.owner.startswith("both geoms"):
+            for name in names:
+                setattr(scene.geom(name), value.field, after)
+        else:
+            setattr(scene.joint(names[0]), value.field, after)
+    return scene
+
+
+def check_cures(scene, whats, within=0.2, wanted=5e-3, least=True):
+    """Every cure is bisected on the real step: its limit is the margin times the wanted dt, and
+    not much beyond where the least change was searched for."""
+    d = diagnosed(scene, dt=wanted)
+    met = [a for a in d.advice if a.met]
+    assert set(whats) <= {a.what for a in met}, [a.text for a in d.advice]
+    sizes = [a.size for a in met]
+    assert sizes == sorted(sizes)
+    for advice in met:
+        changed = cured(scene, advice)
+        integrator = changed.settings.integrator
+        model = changed.compile()
+        assert stiff.stays(model, integrator, wanted, 1000), advice.text
+        near = (1 - within) * MARGIN * wanted
+        assert stiff.stays(model, integrator, near, 1000), advice.text
+        if least and advice.values:
+            far = (1 + within) * MARGIN * wanted
+            steps = 20_000 if model.nv == 1 else 2000
+            assert not stiff.stays(model, integrator, far, steps, grown=10), advice.text
+    return d
+
+
+def servo(kp, kv, integrator, **joint):
+    """A wheel of 1 kg m² on a position servo."""
+    scene = sc.Scene(gravity=(0, 0, 0), name="wheel").with_settings(integrator=integrator, dt=5e-3)
+    wheel = scene.add_body("wheel")
+    scene.add_joint(wheel, "hinge", name="axle", axis=(0, 0, 1), **joint)
+    wheel.mass, wheel.inertia = 1.0, (1.0, 1.0, 1.0)
+    scene.add_actuator("axle", type="position", name="drive", kp=kp, kv=kv)
+    return scene
+
+
+def test_a_lower_kv_cures_where_none_at_all_would_not():
+    """Law: explicit, ω = 10: damped by c h < 2 and c > ω² h. kv 1000 is to be 2/(1.5 h) = 266."""
+    d = check_cures(servo(100.0, 1000.0, "explicit"), {"kv", "armature"})
+    kv = next(a for a in d.advice if a.what == "kv")
+    assert kv.met and kv.values[0].after[0] == pytest.approx(2 / 7.5e-3, rel=0.03)
+
+
+def test_a_higher_kv_cures_where_a_lower_one_does_not():
+    """Law: the same with too little damping: kv 1 is to be ω² 1.5 h = 75; and from none."""
+    d = check_cures(servo(1e4, 1.0, "explicit"), {"kv", "kp"})
+    kv = next(a for a in d.advice if a.what == "kv")
+    assert kv.values[0].after[0] == pytest.approx(1e4 * 7.5e-3, rel=0.03)
+    d = check_cures(servo(4e4, 0.0, "explicit"), {"kv"}, wanted=2e-3)
+    kv = next(a for a in d.advice if a.what == "kv")
+    assert kv.values[0].before == (0.0,)
+    assert kv.values[0].after[0] == pytest.approx(4e4 * 3e-3, rel=0.03)
+
+
+@pytest.mark.parametrize("integrator", ["implicitfast", "rk4", "semi-implicit"])
+def test_cures_of_a_stiff_servo(integrator):
+    """kp 4e5 on 1 kg m² at 5 ms, under three integrators; verified cures, the least first."""
+    whats = {"kp", "armature", "integrator"}
+    check_cures(servo(4e5, 20.0, integrator, damping=0.1), whats)
+
+
+def test_cures_of_an_arm_of_equal_servos():
+    """Six servos too strongly damped for an explicit rule: changed together."""
+    d = check_cures(planar([100] * 6, [3] * 6, dt=5e-3, integrator="rk4"), {"kv", "armature"})
+    assert len(d.together()) == 6 and len(next(a for a in d.advice if a.what == "kv").values) == 6
+
+
+def test_armature_on_the_whole_chain():
+    """One stiff servo in an arm: armature on its joint, or on all six, and the real step agrees."""
+    kp = [50, 50, 5000, 50, 50, 50]
+    d = check_cures(
+        planar(kp, [1] * 6, dt=5e-3, integrator="implicitfast"),
+        {"armature", "armature of the whole chain"},
+    )
+    chain = next(a for a in d.advice if a.what == "armature of the whole chain")
+    assert [value.owner for value in chain.values] == [f"joint `j{i}`" for i in range(6)]
+    assert "of the inertia that each moves" in chain.text
+
+
+def bounces(scene, dt):
+    """Whether a ball that rests on the floor begins to bounce at a step [s]."""
+    model = scene.compile()
+    rest = sc.Sim(model, integrator="euler", dt=2e-5)
+    rest.step(20_000)
+    sim = sc.Sim(model, integrator="euler", dt=dt)
+    sim.qpos[:] = 1.001 * rest.qpos
+    sim.step(3000)
+    return max(abs(float((sim.step(), sim.qvel[0])[1])) for _ in range(200)) > 1e-6
+
+
+@pytest.mark.parametrize("solref", [(-1e6, -200.0), (-1e5, -1500.0)])
+def test_cures_of_a_contact_in_direct_form(solref):
+    """A softer solref in direct form, and one of the standard form in its place: at rest at 1.5
+    times the wanted dt where the ball bounced before; the direct one within 20 % of its limit."""
+    scene = stiff.pad(solref, dt=5e-3, integrator="euler")
+    assert bounces(scene, 5e-3)
+    d = diagnosed(scene)
+    met = {a.what: a for a in d.advice if a.met}
+    assert {"solref", "standard form of solref"} <= met.keys()
+    assert met["standard form of solref"].values[0].after[0] >= 2 * MARGIN * 5e-3
+    for advice in met.values():
+        if advice.values:
+            assert not bounces(cured(scene, advice), 0.8 * MARGIN * 5e-3), advice.text
+    assert bounces(cured(scene, met["solref"]), 1.2 * MARGIN * 5e-3)
+
+
+def test_a_cure_that_is_smaller_comes_first():
+    """Law: the size of a change is |log| of its factor; that of armature is beside the inertia."""
+    d = check_cures(servo(4e5, 20.0, "semi-implicit"), {"kp", "armature"})
+    met = {a.what: a for a in d.advice if a.met}
+    kp, armature = met["kp"].values[0], met["armature"].values[0]
+    assert met["kp"].size == pytest.approx(math.log(kp.before[0] / kp.after[0]))
+    assert met["armature"].size == pytest.approx(math.log(1 + armature.after[0]), rel=0.02)
+    assert d.sentences[1].endswith("the smallest change of the model first:")

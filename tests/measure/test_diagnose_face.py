@@ -22,7 +22,8 @@ def diagnosed(scene, **options):
 
 
 def test_advice_is_true():
-    """Every value named is stable at the wanted dt on the real step, and 3 % less change is not."""
+    """Every value named is stable at 1.5 times the wanted dt on the real step, the margin of cures,
+    and 3 % less change is not."""
     scene = stiff.chain((50.0, 20.0, 4e4, 20.0), dt=1e-3, integrator="semi-implicit")
     d = diagnosed(scene, dt=5e-3)
     assert d.limit() < 5e-3
@@ -32,16 +33,16 @@ def test_advice_is_true():
     assert value.owner == "spring of joint `joint2`" and value.before == (4e4,)
     model = scene.compile()
     changed = model.with_values({"joint/joint2/stiffness": value.after[0]})
-    assert stiff.stays(changed, "semi-implicit", 5e-3)
+    assert stiff.stays(changed, "semi-implicit", 7.4e-3)
     nearly = model.with_values({"joint/joint2/stiffness": 1.03 * value.after[0]})
-    assert not stiff.stays(nearly, "semi-implicit", 5e-3)
+    assert not stiff.stays(nearly, "semi-implicit", 7.5e-3)
     value = met["armature"].values[0]
     changed = model.with_values({"joint/joint2/armature": value.after[0]})
-    assert stiff.stays(changed, "semi-implicit", 5e-3)
+    assert stiff.stays(changed, "semi-implicit", 7.4e-3)
     assert not stiff.stays(
-        model.with_values({"joint/joint2/armature": 0.95 * value.after[0]}), "semi-implicit", 5e-3
+        model.with_values({"joint/joint2/armature": 0.95 * value.after[0]}), "semi-implicit", 7.5e-3
     )
-    assert "Any one of these changes makes 5 ms stable:" in d.text()
+    assert "Any one of these changes makes 5 ms stable with a margin of 1.5×" in d.text()
 
 
 def test_two_stiff_springs_are_changed_together():

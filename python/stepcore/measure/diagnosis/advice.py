@@ -1,47 +1,55 @@
 """Changes that make the wanted dt stable: values searched on the model itself, and verified.
 
-For each way to change the limiting elements the least change that is stable at the wanted dt is
-searched for, on copies of the model and at every state. Where one element is not enough, those
-that limit dt next are changed by the same factor.
+For each way to change the limiting elements the least change that leaves a margin at the wanted dt
+is searched for, in both directions, on copies of the model and at every state; a run of the real
+step confirms it. Where one element is not enough, those that limit dt next are changed by the same
+factor.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from stepcore._core import Settings
 from stepcore.engine.model import Model
+from stepcore.measure.diagnosis.bounded_run import stays_bounded
 from stepcore.measure.diagnosis.changes import (
+    ARMATURE,
+    CHAIN,
     CHANGES,
-    DAMPING,
     GAINS,
     Change,
-    NewValue,
     changed,
 )
 from stepcore.measure.diagnosis.dt_limits import Limit
 from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits
+from stepcore.measure.diagnosis.element_names import named
 from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import step_map
+from stepcore.measure.diagnosis.new_value import NewValue, text_of
 from stepcore.measure.diagnosis.shares import step_shares
 from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 from stepcore.report.units import seconds
 
+# The stability margin that a change leaves: the largest stable dt over the wanted one.
+MARGIN = 1.5
 # The most elements that one piece of advice changes, and the relative resolution of its factor.
 TOGETHER, FINE = 8, 1.01
 
 
 @dataclass(frozen=True)
 class Advice:
-    """One way to make the wanted dt stable.
+    """One way to make the wanted dt stable, with a stability margin of `MARGIN`.
 
     what: what is changed, such as "kp" or "integrator". values: the new values of the scene;
     settings: or the new settings. met: it was made on the model, and the dt is stable at every
-    state; where no change of its kind is enough it is False, and the text says so.
+    state; where no change of its kind is enough it is False, and the text says so. size: how much
+    it changes the model, |log| of the factors of its values (root of the sum of squares); 0 for
+    settings.
     """
 
     what: str
@@ -49,6 +57,7 @@ class Advice:
     settings: dict[str, Any]
     met: bool
     text: str
+    size: float = 0.0
 
 
 def advise(
@@ -58,7 +67,7 @@ def advise(
     wanted: float,
     stiffest: Sequence[ElementId],
 ) -> list[Advice]:
-    """All ways that were found, values first, then settings.
+    """All ways that were found, those that change the model least first; then what is not enough.
 
     limits: by integrator. wanted: the dt [s]. stiffest: what limits the model's own integrator, of
     one kind.
@@ -66,28 +75,41 @@ def advise(
     settings = now.model.settings
     search = _Search(now, elements, settings.integrator, wanted, limits[settings.integrator].state)
     tried = [search.least(change, stiffest) for change in CHANGES.get(stiffest[0].kind, ())]
-    advice = [a for a in tried if a is not None]
-    if any(a.met for a in advice if a.what in ("kp", "kv")):
-        # One gain is enough: both together is more change than is needed.
+    advice = [*_settings(now, limits, settings, wanted), *(a for a in tried if a is not None)]
+    met = {a.what: a for a in advice if a.met}
+    if "kp" in met or "kv" in met:
+        # A gain that is enough by itself is less change than both.
         advice = [a for a in advice if a.what != GAINS.what]
-    return advice + _settings(now, limits, settings, wanted)
+    if _owners(met.get(ARMATURE.what)) == _owners(met.get(CHAIN.what)):
+        advice = [a for a in advice if a.what != CHAIN.what]
+    return sorted(advice, key=lambda a: (not a.met, a.size))
+
+
+def _owners(advice: Advice | None) -> set[str]:
+    return {value.owner for value in advice.values} if advice else set()
 
 
 def _settings(
     now: StepStability, limits: dict[str, Limit], settings: Settings, wanted: float
-) -> list[Advice]:
-    advice = []
+) -> Iterator[Advice]:
     for name, limit in limits.items():
-        if name != settings.integrator and limit.dt >= wanted:
-            dt = "at any dt" if math.isinf(limit.dt) else f"up to {seconds(limit.dt)}"
-            text = f"use integrator {name}, stable {dt}"
-            advice.append(Advice("integrator", (), {"integrator": name}, True, text))
+        if name == settings.integrator or limit.dt < wanted:
+            continue
+        dt = "at any dt" if math.isinf(limit.dt) else f"up to {seconds(limit.dt)}"
+        met = limit.dt >= MARGIN * wanted and _bounded(now, now.model, name, wanted, limit.state)
+        text = f"use integrator {name}, stable {dt}" if met else f"integrator {name}, stable {dt}"
+        yield Advice("integrator", (), {"integrator": name}, met, text)
     if settings.law == "solref" and not settings.refsafe:
         safe = step_stability(now.model.with_settings(refsafe=True), now.states, now.horizon)
-        if safe.stable(settings.integrator, wanted):
+        if all(safe.stable(settings.integrator, dt) for dt in (wanted, MARGIN * wanted)):
             text = "use refsafe=True, which softens rows that are too stiff for the step"
-            advice.append(Advice("refsafe", (), {"refsafe": True}, True, text))
-    return advice
+            yield Advice("refsafe", (), {"refsafe": True}, True, text)
+
+
+def _bounded(now: StepStability, model: Model, name: str, dt: float, worst: int) -> bool:
+    """Whether runs of the real step from the first state and the worst one stay bounded."""
+    states = dict.fromkeys((0, max(worst, 0)))
+    return all(stays_bounded(model, now.states[k], name, dt, now.horizon) for k in states)
 
 
 @dataclass
@@ -99,82 +121,96 @@ class _Search:
     integrator: str
     wanted: float
     worst: int
+    # The x that came nearest to being enough, by the growth beyond what is allowed [1/s].
+    nearest: tuple[float, float] = field(default=(math.inf, 1.0))
 
     def least(self, change: Change, first: Sequence[ElementId]) -> Advice | None:
         """Changes the limiting elements, and what limits dt next, as little as is enough."""
         group = [self.elements[element] for element in first if element in self.elements]
-        if not group or not self._made(group, change, change.xs[-1])[1]:
+        if not group or not any(self._made(group, change, x)[1] for x in change.xs[:2]):
             return None
-        while (x := self._factor(group, change)) is None:
+        while (x := self._enough(group, change)) is None:
             following = self._next(group, change)
-            if following is None or len(group) >= TOGETHER:
-                return _not_enough(change, group)
+            if following is None or len(group) >= max(TOGETHER, len(first)):
+                return _not_enough(change, group[len(first) :])
             group.append(following)
         values = tuple(self._made(group, change, x)[1])
-        text = ", ".join(value.text for value in values)
-        return Advice(change.what, values, {}, True, text)
+        size = math.sqrt(sum(value.size**2 for value in values))
+        text = _chain_text(values, x) if change is CHAIN else text_of(values)
+        return Advice(change.what, values, {}, True, text, size)
 
     def _made(
         self, group: Sequence[ElementLimits], change: Change, x: float
-    ) -> tuple[StepStability, list[NewValue]]:
-        """The model with the change made, at the same states."""
-        scene, values = changed(self.now.model, group, change, x)
-        model = Model(scene, self.now.model.settings)
-        return step_stability(model, self.now.states, self.now.horizon), values
+    ) -> tuple[Model, list[NewValue]]:
+        """The model with the change made, and its new values."""
+        scene, values = changed(self.now.model, group, change, x, MARGIN * self.wanted)
+        return Model(scene, self.now.model.settings), values
 
     def _stable(self, group: Sequence[ElementLimits], change: Change, x: float) -> bool:
+        """Whether the wanted dt is stable at every state, and so is the margin beyond it."""
         try:
-            made, _ = self._made(group, change, x)
+            model, values = self._made(group, change, x)
         except ValueError:
             # A value that the scene refuses.
             return False
-        # The state that decides first: it is unstable most often.
-        if (
-            self.worst < len(made.states)
-            and not made.growth(self.integrator, self.wanted, self.worst).stable
-        ):
+        if not values:
             return False
-        return made.stable(self.integrator, self.wanted)
+        # The state that decides first: it is unstable most often.
+        worst = self.now.states[self.worst]
+        return self._excess(model, [worst], x) <= 0 and self._excess(model, self.now.states) <= 0
 
-    def _factor(self, group: Sequence[ElementLimits], change: Change) -> float | None:
-        """The first x that is enough, refined by bisection; None where none is."""
-        enough = self._first(group, change)
-        if enough is None:
-            return None
-        good = change.xs[enough]
-        bad = change.xs[enough - 1] if enough else (1.0 if good < 1 else good / 2)
+    def _excess(self, model: Model, states: Sequence[Any], x: float | None = None) -> float:
+        """The largest growth above what is allowed [1/s], at the wanted dt and at its margin."""
+        try:
+            made = step_stability(model, states, self.now.horizon)
+        except ValueError:
+            return math.inf
+        largest = -math.inf
+        for dt in (MARGIN * self.wanted, self.wanted):
+            for k in range(len(made.states)):
+                largest = max(largest, made.growth(self.integrator, dt, k).excess)
+                if largest > 0:
+                    break
+        if x is not None:
+            self.nearest = min(self.nearest, (largest, x))
+        return largest
+
+    def _enough(self, group: Sequence[ElementLimits], change: Change) -> float | None:
+        """The x nearest to no change that is enough, refined by bisection; None where none is."""
+        self.nearest = (math.inf, change.xs[0])
+        for x in change.xs:
+            if not self._stable(group, change, x):
+                continue
+            refined = self._refined(group, change, x)
+            for found in dict.fromkeys((refined, x)):
+                model, _ = self._made(group, change, found)
+                if _bounded(self.now, model, self.integrator, self.wanted, self.worst):
+                    return found
+        return None
+
+    def _refined(self, group: Sequence[ElementLimits], change: Change, good: float) -> float:
+        """The least change between an x that is enough and the one before it."""
+        bad = change.before(good)
         while max(good / bad, bad / good) > FINE:
             middle = math.sqrt(good * bad)
             good, bad = (middle, bad) if self._stable(group, change, middle) else (good, middle)
         return good
 
-    def _first(self, group: Sequence[ElementLimits], change: Change) -> int | None:
-        """The index of the first x that is enough."""
-        xs = change.xs
-        if change is DAMPING:
-            # Explicit damping beyond what is enough is unstable again.
-            return next((k for k, x in enumerate(xs) if self._stable(group, change, x)), None)
-        low, high = -1, len(xs) - 1
-        if not self._stable(group, change, xs[high]):
-            return None
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (low, middle) if self._stable(group, change, xs[middle]) else (middle, high)
-        return high
-
     def _next(self, group: Sequence[ElementLimits], change: Change) -> ElementLimits | None:
-        """The element that limits dt once these are changed by as much as is tried."""
-        made, _ = self._made(group, change, change.xs[-1])
+        """The element that limits dt once these are changed by as much as helps most."""
+        model, _ = self._made(group, change, self.nearest[1])
+        made = step_stability(model, self.now.states, self.now.horizon)
+        dt = MARGIN * self.wanted
         every = range(len(made.states))
-        growths = [made.growth(self.integrator, self.wanted, k) for k in every]
+        growths = [made.growth(self.integrator, dt, k) for k in every]
         worst = max(every, key=lambda k: growths[k].excess)
         state = made.states[worst]
-        motion = linear_motion(made.model, state, self.wanted)
-        matrix = step_map(made.model, state, self.integrator, self.wanted)
+        motion = linear_motion(made.model, state, dt)
+        matrix = step_map(made.model, state, self.integrator, dt)
         if motion is None or matrix is None or growths[worst].stable:
             return None
         value = growths[worst].value
-        shares = step_shares(motion, self.integrator, self.wanted, matrix, value)
+        shares = step_shares(motion, self.integrator, dt, matrix, value)
         have = {limits.element for limits in group}
         for element in sorted(shares, key=lambda element: -shares[element]):
             if shares[element] > 0.1 and element in self.elements and element not in have:
@@ -183,6 +219,18 @@ class _Search:
         return None
 
 
-def _not_enough(change: Change, group: Sequence[ElementLimits]) -> Advice:
-    names = " and ".join(limits.name for limits in group)
-    return Advice(change.what, (), {}, False, f"change {change.what} of {names} alone")
+def _not_enough(change: Change, more: Sequence[ElementLimits]) -> Advice:
+    """more: the elements that were changed beside those that limit dt."""
+    names = named([limits.name for limits in more])
+    text = f"{change.what}, of {names} too" if more else change.what
+    return Advice(change.what, (), {}, False, text)
+
+
+def _chain_text(values: Sequence[NewValue], x: float) -> str:
+    joints = named([value.owner for value in values])
+    low, high = min(v.after[0] for v in values), max(v.after[0] for v in values)
+    unit = values[0].unit if len({value.unit for value in values}) == 1 else ""
+    return (
+        f"add armature to {joints}: {x:.3g} of the inertia that each moves, "
+        f"which makes it {low:.3g} to {high:.3g} {unit}".rstrip()
+    )

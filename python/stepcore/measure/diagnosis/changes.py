@@ -13,88 +13,117 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from stepcore.engine.model import Model
+from stepcore.measure.diagnosis.closed_form_bound import root_of
 from stepcore.measure.diagnosis.element_limits import ElementLimits
+from stepcore.measure.diagnosis.new_value import NewValue, ratio, rounded
 from stepcore.measure.diagnosis.solref import solref_of
+from stepcore.measure.diagnosis.solref_changes import (
+    ROW_DAMPING,
+    SOLREF,
+    STANDARD,
+    new_solref,
+    size_of,
+)
 from stepcore.report.units import unit_of
 from stepcore.scene.elements import Actuator, Joint
 from stepcore.scene.layout import Layout
 from stepcore.scene.scene import Scene
 
-DIGITS = 3
+# How far a gain is changed in both directions, and how far something is added, in octaves.
+LESS, GREATER, LEAST, MOST = 24, 8, -7, 14
+# A gain of zero grows from this part of the critical damping.
+FROM_NOTHING = 1 / 64
+# A smaller damping ratio counts as this one where damping is added to it.
+UNDAMPED = 0.01
 
 
 @dataclass(frozen=True)
 class Change:
-    """A way to change elements. xs: the values of x to try, from little change to large."""
+    """A way to change elements. xs: the values of x to try, from little change to large.
+
+    adds: x = 0 is no change, and not x = 1.
+    """
 
     what: str
     xs: tuple[float, ...]
+    adds: bool = False
+
+    def before(self, x: float) -> float:
+        """The value an octave nearer to no change."""
+        if x == 1.0 and not self.adds:
+            return 1.0
+        return 2 * x if x < 1 and not self.adds else x / 2
 
 
 def _less(what: str) -> Change:
-    return Change(what, tuple(2.0**-k for k in range(1, 31)))
+    return Change(what, tuple(2.0**-k for k in range(1, LESS + 1)))
+
+
+def _both(what: str) -> Change:
+    octaves = [k for n in range(1, LESS + 1) for k in ((-n, n) if n <= GREATER else (-n,))]
+    return Change(what, tuple(2.0**k for k in octaves))
 
 
 def _more(what: str) -> Change:
-    return Change(what, tuple(2.0**k for k in range(-7, 15)))
+    return Change(what, tuple(2.0**k for k in range(LEAST, MOST + 1)), adds=True)
 
 
-GAINS = _less("kp and kv")
-ARMATURE, DAMPING, SOLREF = _more("armature"), _more("more damping"), _less("solref")
+GAINS, ARMATURE, DAMPING = _both("kp and kv"), _more("armature"), _more("more damping")
+CHAIN = _more("armature of the whole chain")
+ROWS = (
+    _both(SOLREF),
+    _both(ROW_DAMPING),
+    # At x = 1 another form of the same stiffness.
+    Change(STANDARD, (1.0, *_less(STANDARD).xs)),
+)
 CHANGES: dict[str, tuple[Change, ...]] = {
-    "spring": (_less("stiffness"), ARMATURE, DAMPING),
-    "damper": (_less("damping"), ARMATURE),
-    "actuator": (_less("kp"), _less("kv"), GAINS, ARMATURE, DAMPING),
-    "contact": (SOLREF,),
-    "limit": (SOLREF,),
-    "friction loss": (SOLREF,),
-    "connect": (SOLREF,),
+    "spring": (_less("stiffness"), ARMATURE, CHAIN, DAMPING),
+    "damper": (_both("damping"), ARMATURE, CHAIN),
+    "actuator": (_both("kp"), _both("kv"), GAINS, ARMATURE, CHAIN, DAMPING),
+    "contact": ROWS,
+    "limit": ROWS,
+    "friction loss": ROWS,
+    "connect": ROWS,
 }
 
 
-@dataclass(frozen=True)
-class NewValue:
-    """A value of the scene before and after a change.
-
-    owner: the name of the element that has it, such as "servo `elbow`". field: which of its fields,
-    as in `Scene`. before, after: the numbers, in `unit`.
-    """
-
-    owner: str
-    field: str
-    before: tuple[float, ...]
-    after: tuple[float, ...]
-    unit: str = ""
-
-    @property
-    def text(self) -> str:
-        """The change in words."""
-        old, new = (" ".join(f"{x:.6g}" for x in side) for side in (self.before, self.after))
-        unit = f" {self.unit}" if self.unit else ""
-        return f"change {self.field} of {self.owner} from {old} to {new}{unit}"
-
-
 def changed(
-    model: Model, elements: Sequence[ElementLimits], change: Change, x: float
+    model: Model, elements: Sequence[ElementLimits], change: Change, x: float, dt: float
 ) -> tuple[Scene, list[NewValue]]:
-    """A copy of the model's scene with `change` made to some elements, and its new values."""
+    """A copy of the model's scene with `change` made to some elements, and its new values.
+
+    dt [s]: the step that is to be stable.
+    """
     scene = copy.deepcopy(model.scene)
     layout = Layout(scene)
     values: list[NewValue] = []
+    done: set[int] = set()
     for element in elements:
         if change not in CHANGES.get(element.element.kind, ()):
             continue
-        if change is SOLREF:
-            values += _softer(model, layout, element, x)
-        elif change in (ARMATURE, DAMPING):
-            values += _added(model, layout, element, change, x)
+        if change in ROWS:
+            softest = 2 * dt if model.settings.refsafe else 0.0
+            values += _solref(model, layout, element, change.what, x, softest)
+        elif change in (ARMATURE, DAMPING, CHAIN):
+            own = layout.joints.index(_joint(layout, element))
+            joints = _chain(model, layout, own) if change is CHAIN else [own]
+            # A joint with a spring and a servo, or of a chain, is changed once.
+            fresh = [joint for joint in joints if joint not in done]
+            done |= set(fresh)
+            for joint in fresh:
+                values += _added(model, layout, joint, change, x, element)
         else:
             for field in ("kp", "kv") if change is GAINS else (change.what,):
-                values += _scaled(layout, element, field, x)
+                values += _scaled(model, layout, element, field, x)
+    if change is CHAIN and len(values) < 2:
+        # One joint: that is the change of its armature.
+        return scene, []
     return scene, values
 
 
-def _scaled(layout: Layout, element: ElementLimits, field: str, x: float) -> list[NewValue]:
+def _scaled(
+    model: Model, layout: Layout, element: ElementLimits, field: str, x: float
+) -> list[NewValue]:
     """A gain of the element times x."""
     joint = _joint(layout, element)
     owner: Joint | Actuator = joint
@@ -110,11 +139,18 @@ def _scaled(layout: Layout, element: ElementLimits, field: str, x: float) -> lis
     if old is None:
         # The default of the gain that the actuator's type is named after.
         old = 1.0 if (field == "kp") == (getattr(owner, "type", "") == "position") else 0.0
-    if old <= 0:
+    if old == 0 and field == "kv" and x > 1 and element.omega > 0:
+        square = float(model.actuator_gear[element.element.index, 0]) ** 2
+        critical = 2 * _mass(model, layout.joints.index(joint)) * element.omega / square
+        new = rounded(FROM_NOTHING * x * critical, up=True)
+        size = _damped(FROM_NOTHING * x, element)
+    elif old <= 0:
         return []
-    new = rounded(old * x, up=False)
+    else:
+        new = rounded(old * x, up=x > 1)
+        size = ratio(old, new)
     setattr(owner, field, new)
-    return [NewValue(element.name, field, (old,), (new,), _unit(field, joint))]
+    return [NewValue(element.name, field, (old,), (new,), _unit(field, joint), size)]
 
 
 def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> list[NewValue]:
@@ -123,7 +159,7 @@ def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> l
     at = 1 if field == "kp" else 2
     if bias[at] == 0:
         return []
-    new = math.copysign(rounded(abs(bias[at]) * x, up=False), bias[at])
+    new = math.copysign(rounded(abs(bias[at]) * x, up=x > 1), bias[at])
     if at == 1:
         factor = new / bias[1]
         if servo.gainprm is not None:
@@ -132,47 +168,67 @@ def _general(servo: Actuator, element: ElementLimits, field: str, x: float) -> l
     else:
         after = (bias[0], bias[1], new)
     servo.biasprm = after
-    return [NewValue(element.name, "biasprm", bias, after)]
+    return [NewValue(element.name, "biasprm", bias, after, size=ratio(bias[at], new))]
 
 
 def _added(
-    model: Model, layout: Layout, element: ElementLimits, change: Change, x: float
+    model: Model, layout: Layout, index: int, change: Change, x: float, element: ElementLimits
 ) -> list[NewValue]:
-    """Armature or damping on the element's joint, beside the mass that it moves."""
-    joint = _joint(layout, element)
-    if change is DAMPING and element.omega == 0:
+    """Armature or damping on a joint, beside the mass that it moves."""
+    joint, mass = layout.joints[index], _mass(model, index)
+    field = "damping" if change is DAMPING else "armature"
+    added = x * 2 * mass * element.omega if change is DAMPING else x * mass
+    if added <= 0:
         return []
-    dof = model.jnt_dofadr[layout.joints.index(joint)]
-    mass = 1 / float(model.dof_invweight0[dof])
-    field = "armature" if change is ARMATURE else "damping"
     old = getattr(joint, field)
-    more = x * mass if change is ARMATURE else x * 2 * mass * element.omega
-    new = rounded(old + more, up=True)
+    new = rounded(old + added, up=True)
     setattr(joint, field, new)
-    owner = model.element_name("joint", layout.joints.index(joint))
-    return [NewValue(owner, field, (old,), (new,), _unit(field, joint))]
+    owner = model.element_name("joint", index)
+    size = _damped(x, element) if change is DAMPING else math.log1p(x)
+    return [NewValue(owner, field, (old,), (new,), _unit(field, joint), size)]
 
 
-def _softer(model: Model, layout: Layout, element: ElementLimits, x: float) -> list[NewValue]:
-    """A solref slower by 1/x: tc / x, or in direct form stiffness x² and damping x."""
+def _damped(x: float, element: ElementLimits) -> float:
+    """The size of a change that adds x times the critical damping to what an element has."""
+    return math.log1p(x / max(element.ratio, UNDAMPED))
+
+
+def _mass(model: Model, joint: int) -> float:
+    """The inertia that a torque on a joint moves, the others free [kg·m² or kg]; 0 if none."""
+    weight = float(model.dof_invweight0[model.jnt_dofadr[joint]])
+    return 1 / weight if weight > 0 else 0.0
+
+
+def _chain(model: Model, layout: Layout, joint: int) -> list[int]:
+    """The hinges and slides of the tree that a joint belongs to."""
+    roots = [root_of(model, int(body)) for body in model.jnt_body]
+    return [
+        j
+        for j, other in enumerate(layout.joints)
+        if roots[j] == roots[joint] and other.type in ("hinge", "slide")
+    ]
+
+
+def _solref(
+    model: Model, layout: Layout, element: ElementLimits, what: str, x: float, softest: float
+) -> list[NewValue]:
+    """Another solref of a row; see `new_solref`."""
     kind, index = element.element.kind, element.element.index
     old = solref_of(model, Layout(model.scene), element.element)
-    if old is None:
+    new = new_solref(what, old, x, softest) if old is not None else None
+    if old is None or new is None:
         return []
-    if old[0] > 0:
-        new = (rounded(old[0] / x, up=True), old[1])
-    else:
-        new = (-rounded(-old[0] * x * x, up=False), -rounded(-old[1] * x, up=False))
+    size = size_of(old, new)
     if kind == "contact":
         for geom in model.pair_geoms[index]:
             layout.geoms[geom].solref = new
-        return [NewValue(f"both geoms of {element.name}", "solref", old, new)]
+        return [NewValue(f"both geoms of {element.name}", "solref", old, new, size=size)]
     if kind == "connect":
         layout.scene.equalities[index].solref = new
-        return [NewValue(element.name, "solref", old, new)]
+        return [NewValue(element.name, "solref", old, new, size=size)]
     field = "solreflimit" if kind == "limit" else "solreffriction"
     setattr(layout.joints[index], field, new)
-    return [NewValue(element.name, field, old, new)]
+    return [NewValue(element.name, field, old, new, size=size)]
 
 
 def _joint(layout: Layout, element: ElementLimits) -> Joint:
@@ -184,20 +240,3 @@ def _joint(layout: Layout, element: ElementLimits) -> Joint:
 
 def _unit(field: str, joint: Joint) -> str:
     return unit_of(field, joint.type in ("hinge", "ball"))
-
-
-def rounded(value: float, *, up: bool) -> float:
-    """A number >= 0 rounded to three digits, upwards or downwards.
-
-    >>> rounded(1234.5, up=False), rounded(0.0012341, up=True)
-    (1230.0, 0.00124)
-    """
-    if value <= 0:
-        return 0.0
-    place = math.floor(math.log10(value)) - DIGITS + 1
-    count = value / 10.0**place
-    # A number that has three digits already stays as it is.
-    whole = round(count)
-    if not math.isclose(count, whole, rel_tol=1e-9):
-        whole = math.ceil(count) if up else math.floor(count)
-    return float(f"{whole}e{place}")

@@ -60,7 +60,7 @@ def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
     gains = list(joint_gains(model))
     dampers = {gain.joint: gain.damping for gain in gains if gain.kind == "damper"}
     for gain in gains:
-        weight, tree = _weight(model, gain.joint), _root(model, int(model.jnt_body[gain.joint]))
+        weight, tree = _weight(model, gain.joint), root_of(model, int(model.jnt_body[gain.joint]))
         # A servo that pushes away from its target grows physically, at any dt.
         square, rate = max(gain.stiffness, 0.0) * weight, gain.damping * weight
         own = dampers[gain.joint] * weight * ("damper" in hidden)
@@ -125,7 +125,8 @@ def _weight(model: Model, joint: int) -> float:
     return float(model.dof_invweight0[joint_dofs(model, joint)].max())
 
 
-def _root(model: Model, body: int) -> int:
+def root_of(model: Model, body: int) -> int:
+    """The body at the root of a body's tree."""
     while model.body_parent[body] > 0:
         body = int(model.body_parent[body])
     return body

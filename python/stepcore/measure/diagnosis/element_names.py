@@ -17,21 +17,26 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
+def together(names: Sequence[str]) -> str:
+    """One element by its name; several as what does something together."""
+    return named(names) + (TOGETHER if len(names) > 1 else "")
+
+
 def named(names: Sequence[str]) -> str:
-    """One element by its name; equal elements as what they are together.
+    """One element by its name; equal elements as what they are.
 
     >>> named([f"spring of joint `h{i}`" for i in range(10)])
-    'the 10 springs of joints `h0`, `h1`, `h2`, `h3` and 6 more together'
+    'the 10 springs of joints `h0`, `h1`, `h2`, `h3` and 6 more'
     """
     if len(names) < 2:
         return "".join(names)
     kinds = {name.split("`")[0] for name in names}
     if len(kinds) > 1 or not all("`" in name for name in names):
-        return f"{listed(names)}{TOGETHER}"
+        return listed(names)
     kind = kinds.pop().strip()
     several = re.sub(r"\w+(?= of\b|$)", lambda word: _plural(word[0]), kind)
     owners = listed([name[len(kind) + 1 :] for name in names])
-    return f"the {len(names)} {several} {owners}{TOGETHER}"
+    return f"the {len(names)} {several} {owners}"
 
 
 def are_several(name: str) -> bool:

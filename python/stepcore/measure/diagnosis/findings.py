@@ -12,7 +12,7 @@ from stepcore.measure.diagnosis.advice import Advice
 from stepcore.measure.diagnosis.dt_limits import Limit
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits
-from stepcore.measure.diagnosis.element_names import named
+from stepcore.measure.diagnosis.element_names import together
 from stepcore.measure.diagnosis.linear_step import State
 
 
@@ -54,7 +54,7 @@ class DiagnosisFindings:
         elements that do so only together are named together (`together`). Where nothing limits dt
         it has the largest share in the fastest motion. "" where no element has a share in it.
         """
-        return named([element.name for element in self._stiffest(self._known(integrator))])
+        return together([element.name for element in self._stiffest(self._known(integrator))])
 
     def together(self, integrator: str | None = None) -> list[str]:
         """The names of the elements that limit dt together, one in most scenes."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from stepcore.measure.diagnosis.advice import MARGIN
 from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.element_names import are_several, listed
 from stepcore.measure.diagnosis.findings import DiagnosisFindings
@@ -26,15 +27,18 @@ def sentences(d: DiagnosisFindings) -> Iterator[str]:
     met = [a.text for a in d.advice if a.met]
     failed = [a.text for a in d.advice if not a.met]
     if met:
-        yield f"Any one of these changes makes {seconds(d.wanted)} stable:"
+        stable = f"makes {seconds(d.wanted)} stable with a margin of {times(MARGIN)}"
+        yield f"Any one of these changes {stable}, the smallest change of the model first:"
         yield from (f"- {text}" for text in met)
         verified = f"verified on the linearised step at {counted(len(d.states), 'state')}"
-        yield f"Each was made on a copy of the model and {verified}."
+        yield f"Each was made on a copy of the model, {verified} and in a run of the real step."
     elif d.limit(own) < d.wanted:
         yield f"No change that was tried makes {seconds(d.wanted)} stable."
     if failed:
-        yield "Not enough:"
-        yield from (f"- {text}" for text in failed)
+        yield f"Not enough: {'; '.join(failed)}."
+    if 0 < d.limit(own) < d.wanted:
+        safe = seconds(round_below(d.limit(own) / MARGIN))
+        yield f"Unchanged, the scene needs a step of {safe} for the same margin."
     limit = d.limits[own]
     if limit.state > 0:
         state = d.states[limit.state]
@@ -99,6 +103,16 @@ def _traits(limits: ElementLimits, several: bool) -> str:
     elif limits.rate > 0:
         traits.append(f"damping rate {limits.rate:.4g}/s")
     return f" ({', '.join(traits)})" if len(traits) > several else ""
+
+
+def round_below(value: float) -> float:
+    """The largest round number that is not above a value > 0.
+
+    >>> round_below(0.00071), round_below(0.0199), round_below(0.001)
+    (0.0005, 0.01, 0.001)
+    """
+    place = math.floor(math.log10(value) + 1e-9)
+    return max(x for k in (1, 2, 5) if (x := float(f"{k}e{place}")) <= value * (1 + 1e-9))
 
 
 def notes(

@@ -96,7 +96,7 @@ def _linearised(model: Model) -> str:
     import numpy as np
 
     from stepcore.measure.diagnosis.dt_limits import SHORTEST, Limit
-    from stepcore.measure.diagnosis.element_names import named
+    from stepcore.measure.diagnosis.element_names import together
     from stepcore.measure.diagnosis.growth import bisected
     from stepcore.measure.diagnosis.limiters import limiters
     from stepcore.measure.diagnosis.linear_step import State, with_converged_rows
@@ -123,7 +123,7 @@ def _linearised(model: Model) -> str:
     limit = bisected(stable, near, 2 * near, fine=5e-3) if near > low else 0.0
     least = Limit(settings.integrator, limit, 0, shortest=low)
     elements = limiters(here, least, limiting_shares(here, least))
-    return _text(settings, limit, low, named([element.name for element in elements]))
+    return _text(settings, limit, low, together([element.name for element in elements]))
 
 
 def _text(settings: Settings, limit: float, shortest: float, name: str) -> str:

@@ -1,0 +1,49 @@
+"""Whether the real step of a model stays bounded: what the linearised step may not show."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stepcore._core import SimulationError
+from stepcore.engine.model import Model
+from stepcore.measure.diagnosis.linear_step import State, sim_at
+
+# The most steps of a run, and in how many shorter ones it is repeated where it grows.
+STEPS, SHORTER = 500, 4
+# A push in every dof, to alternate sides [m/s or rad/s].
+PUSH = 1e-3
+# A speed is of the motion itself if shorter steps reach this part of it.
+PART = 0.1
+
+
+def stays_bounded(model: Model, state: State, integrator: str, dt: float, horizon: float) -> bool:
+    """Whether a run from a state, pushed a little, reaches no speed that shorter steps do not.
+
+    dt [s]; horizon [s]: the time of the run, at most `STEPS` steps.
+    """
+    count = max(1, min(STEPS, round(horizon / dt)))
+    first = np.abs(state.qvel).max(initial=PUSH)
+    speed = _largest_speed(model, state, integrator, dt, count)
+    if speed is None:
+        return False
+    if PART * speed <= first:
+        return True
+    finer = _largest_speed(model, state, integrator, dt / SHORTER, count * SHORTER)
+    # Where shorter steps end as well, nothing is learned of this one.
+    return finer is None or PART * speed <= finer
+
+
+def _largest_speed(
+    model: Model, state: State, integrator: str, dt: float, count: int
+) -> float | None:
+    """The largest speed of any dof in a run; None where it does not stay finite."""
+    sim = sim_at(model, state, integrator=integrator, dt=dt)
+    sim.qvel[:] += PUSH * (-1.0) ** np.arange(model.nv)
+    largest = 0.0
+    try:
+        for _ in range(count):
+            sim.step()
+            largest = max(largest, float(np.abs(sim.qvel).max()))
+    except SimulationError:
+        return None
+    return largest
