@@ -128,7 +128,10 @@ def converge(
         raise ValueError(explodes)
     reference = halved_reference(fine, coarse, model.scene)
     histories = _histories(runner, some, states, workers)
-    runs = {s: run_of(s, paths_of, reference, schedule.horizon) for s, paths_of in paths.items()}
+    weight = float(np.sum(model.body_mass) * np.linalg.norm(runner.bodies.gravity))
+    runs = {
+        s: run_of(s, paths_of, reference, schedule.horizon, weight) for s, paths_of in paths.items()
+    }
     ending = None
     if not (runs[own].failure or runs[some.solved].failure):
         ending = _ending(model, paths[own], paths[some.solved], reference, schedule.times)

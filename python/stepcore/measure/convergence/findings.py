@@ -85,13 +85,21 @@ class ConvergenceFindings:
         """ "smaller steps", "more sweeps" or "neither": more accurate at equal row updates."""
         if not self.histories:
             return "neither"
-        splits = [(split, self.runs[split.settings]) for split in self.candidates.splits]
-        done = [(split, run.error) for split, run in splits if not run.failure]
-        steps = min((e for split, e in done if split.steps > split.sweeps), default=math.inf)
-        sweeps = min((e for split, e in done if split.steps < split.sweeps), default=math.inf)
+        steps, sweeps = (min(errors, default=math.inf) for errors in self.at_equal_work)
         if steps * ALIKE < sweeps:
             return "smaller steps"
         return "more sweeps" if sweeps * ALIKE < steps else "neither"
+
+    @property
+    def at_equal_work(self) -> tuple[list[float], list[float]]:
+        """Errors [m] of the splits with more steps than sweeps, and of those with fewer.
+
+        Splits that fail have none.
+        """
+        splits = [(split, self.runs[split.settings]) for split in self.candidates.splits]
+        done = [(split, run.error) for split, run in splits if not run.failure]
+        steps = [error for split, error in done if split.steps > split.sweeps]
+        return steps, [error for split, error in done if split.steps < split.sweeps]
 
     @property
     def slowest(self) -> ResidualHistory | None:

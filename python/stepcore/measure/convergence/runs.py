@@ -17,12 +17,17 @@ from stepcore.experiment.path import Path, distance
 from stepcore.experiment.probe import Probe
 from stepcore.experiment.runner import Runner
 from stepcore.measure.convergence.residuals import MotionState
+from stepcore.report.units import joules
 from stepcore.scene.scene import Scene
 
 # The reference at two time steps this far apart, over the scene's size, is unknown from there on.
 APART = 1e-2
 # A run that is further from the reference than this many times the scene's size has failed.
 FAR = 3.0
+# So has one that gains more energy than lifts the scene by so many times its size, and so many
+# times what the reference ever has in motion: an integrator's own energy error is less.
+GAIN = 10.0
+CLIMB = 1.0
 
 
 @dataclass(frozen=True)
@@ -88,11 +93,12 @@ def halved_reference(fine: list[Path], coarse: list[Path], scene: Scene) -> Halv
 
 
 def run_of(
-    settings: Settings, paths: list[Path], truth: HalvedReference, horizon: float
+    settings: Settings, paths: list[Path], truth: HalvedReference, horizon: float, weight: float
 ) -> CandidateRun:
-    """One setting's numbers."""
+    """One setting's numbers. weight: of all bodies [N]."""
     failures = (f"start {i}: {path.failure}" for i, path in enumerate(paths) if path.failure)
     failure = next(failures, None) or far_off(paths, truth.paths, truth.size, FAR)
+    failure = failure or _climbs(paths, truth, weight)
     if failure is not None:
         return CandidateRun(settings, failure=failure)
     joints = [path.joint for path in paths if path.joint is not None]
@@ -104,6 +110,19 @@ def run_of(
         residual=max(path.residual for path in paths),
         updates=float(np.mean([path.row_updates for path in paths])) / horizon,
     )
+
+
+def _climbs(paths: Sequence[Path], truth: HalvedReference, weight: float) -> str | None:
+    """What fails a run with energy that nothing in the scene gave it: rows that push too much."""
+    for start, (path, true) in enumerate(zip(paths, truth.paths, strict=True)):
+        given = max(float(true.balance.max(initial=0.0)), 0.0)
+        moving = float(true.kinetic.max(initial=0.0)) + float(
+            np.ptp(true.balance) if len(true.balance) else 0.0
+        )
+        gained = float(path.balance.max(initial=0.0)) - given
+        if not gained <= GAIN * moving + CLIMB * weight * truth.size:
+            return f"start {start}: gains {joules(gained)} of energy that nothing gives it"
+    return None
 
 
 def median_error(paths: Sequence[Path], others: Sequence[Path], scored: Sequence[Floats]) -> float:

@@ -9,6 +9,8 @@ from stepcore.report.units import metres, seconds, speed
 
 # A body that moves less than this share of the distance in the whole motion rests.
 STILL = 0.1
+# A share of the error that is none.
+NOTHING = 1e-12
 # The number of rows that are named; a row that lacks less than this share of the largest is not.
 NAMED, SHARE = 3, 0.1
 
@@ -100,7 +102,7 @@ def _contraction(result: ConvergenceFindings) -> str:
     if rate >= 1 - 1e-9:
         return f"Sweeps do not converge: each leaves {rate:.6g} of the error."
     said = f"A sweep leaves {_share(rate)} of the error"
-    if rate > 0:
+    if rate > NOTHING:
         said += f" ({math.log(10) / -math.log(rate):.3g} sweeps per decimal)"
     theory = result.theory
     parts = []
@@ -115,6 +117,8 @@ def _contraction(result: ConvergenceFindings) -> str:
 
 def _share(value: float) -> str:
     """Enough digits to tell a number near 1 from 1."""
+    if value <= NOTHING:
+        return "nothing"
     if 0 < value < 1e-3:
         return f"{value:.1e}"
     digits = 4 if value < 0.99 else 2 + math.ceil(-math.log10(max(1 - value, 1e-12)))
@@ -127,11 +131,17 @@ def _work(result: ConvergenceFindings) -> str:
         run = result.runs[split.settings]
         error = "fails" if run.failure else metres(run.error)
         errors.append(f"{split.steps}x{split.sweeps} {error}")
-    answer = {
-        "smaller steps": "smaller steps are more accurate than more sweeps",
-        "more sweeps": "more sweeps are more accurate than smaller steps",
-        "neither": "smaller steps and more sweeps are equally accurate",
-    }[result.better]
+    steps, sweeps = result.at_equal_work
+    if not (steps or sweeps):
+        answer = "neither smaller steps nor more sweeps give a motion"
+    elif not (steps and sweeps):
+        answer = f"only {'smaller steps' if steps else 'more sweeps'} give a motion"
+    else:
+        answer = {
+            "smaller steps": "smaller steps are more accurate than more sweeps",
+            "more sweeps": "more sweeps are more accurate than smaller steps",
+            "neither": "smaller steps and more sweeps are equally accurate",
+        }[result.better]
     return f"At equal row updates {answer} (steps x sweeps): {', '.join(errors)}."
 
 

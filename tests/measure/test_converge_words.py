@@ -1,0 +1,86 @@
+"""What `converge` says where runs fail, where rows push too much, and where a sweep solves all."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from test_converge import heavy_end
+
+import stepcore as sc
+from stepcore import lesson
+from stepcore.experiment.path import Path
+from stepcore.measure.convergence import sentences
+from stepcore.measure.convergence.runs import HalvedReference, run_of
+
+
+@pytest.fixture(scope="module")
+def heavy():
+    settings = {"law": "rigid", "solver": "pgs", "sweeps": 3}
+    return sc.converge(lesson.tower((1.0, 100.0)).with_settings(settings), progress=False)
+
+
+def failing(result, fails):
+    """The same result, of which the splits that `fails` takes have failed."""
+    runs = dict(result.runs)
+    for split in result.candidates.splits:
+        run = dataclasses.replace(runs[split.settings], failure=None, error=1e-3)
+        if fails(split):
+            run = dataclasses.replace(run, failure="start 0: diverged", error=np.nan)
+        runs[split.settings] = run
+    return dataclasses.replace(result, runs=runs)
+
+
+def work(result):
+    return next(s for s in sentences.of(result) if s.startswith("At equal row updates"))
+
+
+def test_no_verdict_stands_over_a_row_of_failures(heavy):
+    said = work(failing(heavy, lambda split: True))
+    assert said.startswith("At equal row updates neither smaller steps nor more sweeps give a mot")
+    said = work(failing(heavy, lambda split: split.sweeps > split.steps))
+    assert said.startswith("At equal row updates only smaller steps give a motion")
+    said = work(failing(heavy, lambda split: split.sweeps < split.steps))
+    assert said.startswith("At equal row updates only more sweeps give a motion")
+    assert "fails" in said
+
+
+def test_few_sweeps_can_hide_what_diverges(heavy):
+    runs = dict(heavy.runs)
+    solved = heavy.candidates.solved
+    runs[solved] = dataclasses.replace(runs[solved], failure="start 0: far off", error=np.nan)
+    found = dataclasses.replace(heavy, runs=runs, ending=None)
+    assert found.verdict == "diverging"
+    verdict, *_ = sentences.of(found)
+    assert verdict.startswith("Diverging: with converged forces the motion fails (start 0: far off")
+    assert verdict.endswith("it runs only because sweeps are too few.")
+
+
+def path(height, energy):
+    com = np.zeros((5, 1, 3))
+    com[:, 0, 2] = height
+    return Path(com=com, balance=np.array(energy, float), kinetic=np.zeros(5))
+
+
+def test_a_stack_that_climbs_is_diverging_and_not_under_solved():
+    # 10 kg in a scene of 4 m: it may not gain 393 J, and has not moved at all.
+    rest = path(0.0, [0, 0, 0, 0, 0])
+    truth = HalvedReference([rest], [np.ones(5, bool)], 0.0, 4.0)
+    climbs = path([0, 1, 2, 4, 9], [0, 98, 196, 392, 883])
+    failure = run_of(sc.Settings(), [climbs], truth, 1.0, 98.1).failure
+    assert failure == "start 0: gains 883 J of energy that nothing gives it"
+    settles = path(-1e-3, [-0.1] * 5)
+    assert run_of(sc.Settings(), [settles], truth, 1.0, 98.1).failure is None
+
+
+def test_what_one_sweep_solves_leaves_nothing(heavy):
+    assert sentences._share(0.0) == sentences._share(1e-17) == "nothing"
+    assert sentences._share(0.4871) == "0.4871"
+    assert "0.0000" not in heavy.text(full=True)
+
+
+def test_a_chain_that_gains_energy_is_diverging_although_it_is_still_in_its_place():
+    # Four sweeps a step: 48 steps lose energy, then the joints whirl at 2,400 rad/s.
+    scene = heavy_end(8).with_settings(law="solref", integrator="euler", dt=1 / 60, sweeps=4)
+    found = sc.converge(scene, horizon=0.8, starts=1, states=2, progress=False)
+    assert found.verdict == "diverging"
+    assert "of energy that nothing gives it" in found.own.failure
