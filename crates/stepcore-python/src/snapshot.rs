@@ -6,7 +6,10 @@ use stepcore::state::Warm;
 use crate::world::Memo;
 
 /// First bytes of a snapshot; the number goes up when the layout changes.
-const HEAD: &[u8; 16] = b"stepcore state 1";
+const HEAD: &[u8; 16] = b"stepcore state 2";
+
+/// Steps are counted in numbers that hold every one of them.
+const MOST_STEPS: u64 = 1 << 53;
 
 /// What a snapshot holds.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,13 +47,25 @@ pub fn encode(dt: f64, memo: &Memo, given: &Given) -> Vec<u8> {
     for warm in &memo.warm {
         bytes.extend(warm.slot.to_le_bytes());
     }
+    bytes.extend(checksum(&bytes).to_le_bytes());
     bytes
+}
+
+/// FNV-1a, 64 bits: every damage to a single byte changes it.
+fn checksum(bytes: &[u8]) -> u64 {
+    let mix = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3);
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, mix)
 }
 
 /// The snapshot in `bytes`, or what is wrong with them.
 pub fn decode(bytes: &[u8], lengths: [usize; 5]) -> Result<Snapshot, String> {
-    let mut rest =
-        bytes.strip_prefix(HEAD.as_slice()).ok_or("these are not the bytes of a state()")?;
+    const NONE: &str = "these are not the bytes of a state() of this version";
+    const CHANGED: &str = "the bytes of this state() were changed";
+    let (bytes, sum) = bytes.split_last_chunk().ok_or(NONE)?;
+    let mut rest = bytes.strip_prefix(HEAD.as_slice()).ok_or(NONE)?;
+    if checksum(bytes) != u64::from_le_bytes(*sum) {
+        return Err(CHANGED.into());
+    }
     let mut next = |count: usize| {
         let (head, tail) =
             rest.split_at_checked(count).ok_or("the bytes of this state() are cut short")?;
@@ -87,9 +102,11 @@ pub fn decode(bytes: &[u8], lengths: [usize; 5]) -> Result<Snapshot, String> {
         let slot = u32::from_le_bytes([slot[0], slot[1], slot[2], slot[3]]);
         warm.push(Warm { slot, impulse: std::array::from_fn(|k| numbers[k]) });
     }
-    let finite = clock.iter().chain(&impulses).all(|x| x.is_finite());
-    if !rest.is_empty() || !finite || warm.windows(2).any(|w| w[0].slot >= w[1].slot) {
-        return Err("the bytes of this state() were changed".into());
+    let [dt, start] = [clock[0], clock[1]];
+    let ascending = warm.windows(2).all(|w| w[0].slot < w[1].slot);
+    let counted = steps <= MOST_STEPS && dt > 0.0 && (start + steps as f64 * dt).is_finite();
+    if !rest.is_empty() || !ascending || !counted || !impulses.iter().all(|x| x.is_finite()) {
+        return Err(CHANGED.into());
     }
-    Ok(Snapshot { dt: clock[0], memo: Memo { start: clock[1], steps, warm }, numbers: arrays })
+    Ok(Snapshot { dt, memo: Memo { start, steps, warm }, numbers: arrays })
 }

@@ -7,7 +7,7 @@ use stepcore::arrays::Given;
 use stepcore::elements::Element;
 use stepcore::error::Result;
 use stepcore::model::Model;
-use stepcore::real::Real;
+use stepcore::real::{Mask, Real};
 use stepcore::settings::{Precision, Settings};
 use stepcore::sim::{Effort, Sim};
 use stepcore::spatial::V3;
@@ -76,6 +76,15 @@ impl Memo {
             .map(|w| Warm { slot: w.slot, impulse: w.impulse.map(|x| x.lane(lane)) });
         let warm = warm.filter(|w| w.impulse.iter().any(|x| *x != 0.0));
         Self { start: state.start, steps: state.steps, warm: warm.collect() }
+    }
+}
+
+/// An impulse of a snapshot; that of an f64 world may be no number in f32, and is then none.
+pub fn impulse<R: Real>(x: f64) -> f64 {
+    if R::of(x).is_finite().all() {
+        x
+    } else {
+        0.0
     }
 }
 
@@ -184,10 +193,106 @@ impl<R: Real> World for One<R> {
     fn set_memo(&mut self, memo: &Memo) {
         let state = &mut self.watched.sim.state;
         (state.start, state.steps) = (memo.start, memo.steps);
+        let number = |x: f64| R::of(impulse::<R>(x));
+        let warm = memo.warm.iter();
+        let warm = warm.map(|w| Warm { slot: w.slot, impulse: w.impulse.map(number) });
+        self.watched.put_impulses(warm);
+    }
+
+    fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>>;
+    fn solved(&self, what: Solved) -> Vec<f64>;
+    fn contacts(&self) -> Contacts;
+    /// The generalised force of every element that pushes.
+    fn element_forces(&self) -> BTreeMap<Element, Vec<f64>>;
+    fn rows(&self) -> Rows;
+    fn coupling(&self) -> Coupling;
+    fn residual(&self) -> f64;
+    fn effort(&self) -> Effort;
+    /// How often the list of contacts had to grow.
+    fn grown(&self) -> u64;
+    fn linearizer(&mut self) -> Result<Linearizer>;
+    fn counter(&mut self) -> Result<Counter>;
+    fn bytes(&self) -> usize;
+}
+
+/// A world in the precision that the settings ask for.
+pub fn world(model: Arc<Model>, settings: &Settings) -> Result<Box<dyn World>> {
+    Ok(match settings.precision {
+        Precision::F64 => Box::new(One::<f64>::new(model, settings)?),
+        Precision::F32 => Box::new(One::<f32>::new(model, settings)?),
+    })
+}
+
+struct One<R: Real> {
+    watched: Watched<R>,
+    /// Placed anew whenever something of the present state is read, so that reading
+    /// leaves the last solve as it is. Made when first needed.
+    reader: Option<Box<Sim<R>>>,
+}
+
+impl<R: Real> One<R> {
+    fn new(model: Arc<Model>, settings: &Settings) -> Result<Self> {
+        Ok(Self { watched: Watched::new(model, settings.clone())?, reader: None })
+    }
+
+    fn sim(&self) -> &Sim<R> {
+        &self.watched.sim
+    }
+}
+
+impl<R: Real> One<R> {
+    /// The reader at the present state.
+    fn reader(&mut self, given: &Given) -> Result<&mut Sim<R>> {
+        self.check(given)?;
+        let sim = &self.watched.sim;
+        let reader = match &mut self.reader {
+            Some(reader) => reader,
+            none => none.insert(Box::new(Sim::new(sim.model().clone(), sim.settings().clone())?)),
+        };
+        reader.put(0, given);
+        reader.refresh();
+        Ok(reader)
+    }
+}
+
+impl<R: Real> World for One<R> {
+    fn check(&self, given: &Given) -> Result<()> {
+        given.check::<R>(self.sim().model(), None)
+    }
+    fn put(&mut self, given: &Given) {
+        self.watched.put(0, given);
+    }
+    fn take(&self, qpos: &mut [f64], qvel: &mut [f64]) {
+        self.sim().state.take(0, qpos, qvel);
+    }
+    fn step(&mut self, n: u64) -> Result<()> {
+        self.watched.step(n)
+    }
+    fn balance_at_end(&mut self, n: u64) -> Result<()> {
+        self.watched.balance_at_end(n)
+    }
+    fn forward(&mut self) -> Result<()> {
+        self.watched.forward()
+    }
+    fn taped_step(&mut self) -> Result<StepGains> {
+        self.watched.taped_step(0)
+    }
+    fn time(&self) -> f64 {
+        self.sim().time()
+    }
+    fn dt(&self) -> f64 {
+        self.sim().settings().dt
+    }
+    fn memo(&self) -> Memo {
+        Memo::of(&self.sim().state, 0)
+    }
+    fn set_memo(&mut self, memo: &Memo) {
+        let state = &mut self.watched.sim.state;
+        (state.start, state.steps) = (memo.start, memo.steps);
         state.warm.clear();
-        state
-            .warm
-            .extend(memo.warm.iter().map(|w| Warm { slot: w.slot, impulse: w.impulse.map(R::of) }));
+        let number = |x: f64| R::of(impulse::<R>(x));
+        let warm = memo.warm.iter();
+        state.warm.extend(warm.map(|w| Warm { slot: w.slot, impulse: w.impulse.map(number) }));
         self.watched.forget();
     }
 

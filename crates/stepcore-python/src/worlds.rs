@@ -11,7 +11,7 @@ use stepcore::real::{Lanes, Real};
 use stepcore::settings::{Precision, Settings};
 use stepcore::state::Warm;
 
-use crate::world::{Memo, World};
+use crate::world::{impulse, Memo, World};
 
 pub trait Worlds: Send + Sync {
     fn check(&self, world: usize, given: &Given) -> Result<()>;
@@ -142,16 +142,16 @@ impl<R: Real> Worlds for Batch<R> {
             slots.dedup();
             state.warm.clear();
             for slot in slots {
-                let mut impulse = [R::zero(); 6];
+                let mut impulses = [R::zero(); 6];
                 for lane in 0..R::LANES {
                     // Lanes without a world repeat the last one.
                     let memo = &memos[lane.min(memos.len() - 1)];
                     let kept = memo.warm.iter().find(|w| w.slot == slot);
-                    for (k, x) in impulse.iter_mut().enumerate() {
-                        x.set_lane(lane, kept.map_or(0.0, |w| w.impulse[k]));
+                    for (k, x) in impulses.iter_mut().enumerate() {
+                        x.set_lane(lane, kept.map_or(0.0, |w| impulse::<R>(w.impulse[k])));
                     }
                 }
-                state.warm.push(Warm { slot, impulse });
+                state.warm.push(Warm { slot, impulse: impulses });
             }
         }
     }

@@ -26,6 +26,8 @@ pub struct Effort {
     pub row_updates: u64,
     /// The most rows that any solve since the start had.
     pub most_rows: usize,
+    /// How often forces were evaluated since the start: once a step or once a stage.
+    pub evaluations: u64,
     /// Newton's last decrement, relative; 0 under PGS.
     pub decrement: f64,
 }

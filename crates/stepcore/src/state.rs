@@ -51,6 +51,15 @@ impl<R: Real> State<R> {
         to.warm.clone_from(&self.warm);
     }
 
+    /// One lane's next step starts without impulses.
+    pub(crate) fn forget_impulses(&mut self, lane: usize) {
+        if R::LANES == 1 {
+            return self.warm.clear();
+        }
+        let impulses = self.warm.iter_mut().flat_map(|warm| &mut warm.impulse);
+        impulses.for_each(|impulse| impulse.set_lane(lane, 0.0));
+    }
+
     /// Time [s] of this state in steps of `dt`.
     pub fn time(&self, dt: f64) -> f64 {
         self.start + self.steps as f64 * dt

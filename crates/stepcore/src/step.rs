@@ -58,6 +58,7 @@ impl<R: Real> Sim<R> {
 
     pub(crate) fn detect_and_solve(&mut self, at: At) -> Result<()> {
         R::enter(Stage::Detect);
+        self.effort.evaluations += 1;
         let (qpos, _) = at.of(&self.state, &self.next);
         self.detected.detect(&self.model, &self.placed, &self.settings, qpos);
         let now = Situation {
@@ -89,6 +90,7 @@ impl<R: Real> Sim<R> {
 
     /// The acceleration that the smooth forces alone give.
     pub(crate) fn smooth(&mut self, at: At) {
+        self.effort.evaluations += 1;
         let (qpos, qvel) = at.of(&self.state, &self.next);
         self.placed.positions_in_step(&self.model, qpos);
         self.placed.dynamics(&self.model, qpos, qvel, &self.inputs);

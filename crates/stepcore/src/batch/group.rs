@@ -31,6 +31,8 @@ pub(super) struct Group<R: Real> {
     pub failed: Option<(u64, Error)>,
     /// Worlds that failed while the others went on.
     pub standing: Standing,
+    /// By lane: all worlds stopped because of it. Its impulses are no start for another state.
+    pub ended: Vec<bool>,
     pub ledger: Option<Box<Ledger<R>>>,
 }
 
@@ -46,6 +48,7 @@ impl<R: Real> Group<R> {
             last: Last::Nothing,
             failed: None,
             standing: Standing::new(worlds),
+            ended: vec![false; R::LANES],
             ledger: ledger.then(|| Box::new(Ledger::new(model))),
         }
     }

@@ -63,13 +63,12 @@ impl<R: Real> Batch<R> {
             let own = (worlds - index * R::LANES).min(R::LANES);
             Group::new(&model, own, settings.ledger)
         };
-        let workers =
-            (0..threads.min(count)).map(|_| Watched::new(model.clone(), settings.clone()));
+        let worker = |_| Ok(Watched::new(model.clone(), settings.clone())?.among(worlds));
         Ok(Self {
             worlds,
             dt: settings.dt,
             groups: (0..count).map(group).collect(),
-            workers: workers.collect::<Result<_>>()?,
+            workers: (0..threads.min(count)).map(worker).collect::<Result<_>>()?,
             goes_on: false,
             model,
         })
@@ -100,10 +99,15 @@ impl<R: Real> Batch<R> {
                 return;
             }
             group.standing.lanes[world % R::LANES] = None;
+            // Its lane repeated another, whose impulses are none of its own.
+            group.state.forget_impulses(world % R::LANES);
         }
         let last = if world + 1 == self.worlds { R::LANES } else { world % R::LANES + 1 };
         for lane in world % R::LANES..last {
             if group.state.put(lane, given) {
+                if std::mem::take(&mut group.ended[lane]) {
+                    group.state.forget_impulses(lane);
+                }
                 group.ledger.iter_mut().for_each(|ledger| ledger.forget());
             }
             group.inputs.put(lane, given);
@@ -149,6 +153,7 @@ impl<R: Real> Batch<R> {
             // Whoever writes a state starts anew.
             group.ledger.iter_mut().for_each(|ledger| ledger.forget());
             group.standing.lanes.fill(None);
+            group.ended.fill(false);
             &mut group.state
         })
     }
@@ -220,6 +225,10 @@ impl<R: Real> Batch<R> {
             group.ledger.iter_mut().for_each(|ledger| ledger.forget());
             group.run(watched, index, done, Last::Step, goes_on, &one);
         });
+        if let Error::Diverged(divergence) = &error {
+            let (group, lane) = (divergence.world / R::LANES, divergence.world % R::LANES);
+            self.groups[group].ended[lane] = true;
+        }
         Err(error)
     }
 

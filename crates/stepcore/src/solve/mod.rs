@@ -27,7 +27,7 @@ pub use rows::{Block, Push, Row, Rows, Set, Situation};
 pub(crate) use solver::{Solve, Solvers, Unconstrained};
 
 use crate::model::{Model, Span};
-use crate::real::Real;
+use crate::real::{Mask, Real};
 use crate::spatial::{Force, V3};
 use crate::state::{Warm, WARM_ROWS};
 
@@ -91,13 +91,14 @@ impl<R: Real> Rows<R> {
         self.apply_impulses(model, inv_d);
     }
 
-    /// Keeps every impulse for the next step.
+    /// Keeps every impulse for the next step, but for what is no number.
     pub fn store_warm(&self, warm: &mut Vec<Warm<R>>) {
         warm.clear();
         for block in &self.blocks {
             let mut impulse = [R::zero(); WARM_ROWS];
             for (k, row) in self.rows[block.rows.range()].iter().enumerate() {
-                impulse[k] = R::select(block.mask, row.impulse, R::zero());
+                let kept = block.mask.and(row.impulse.is_finite());
+                impulse[k] = R::select(kept, row.impulse, R::zero());
             }
             warm.push(Warm { slot: block.slot, impulse });
         }

@@ -323,7 +323,8 @@ impl<R: Real> Momentum<R> {
             for b in a + 1..DEPTH {
                 x -= h[a][b] * tau[b];
             }
-            tau[a] = R::select(inv[a].gt(zero), x, zero);
+            // Products below all normal numbers have an inverse that is none.
+            tau[a] = R::select(inv[a].gt(zero).and(x.is_finite()), x, zero);
         }
         let linear = along(&tau.map(R::abs), &self.errors).le(R::of(ERRORS));
         Step { tau, linear }

@@ -15,6 +15,7 @@ use crate::real::Real;
 use crate::room::Room;
 use crate::settings::Settings;
 use crate::sim::Sim;
+use crate::state::Warm;
 
 /// A `Sim` whose failures say which element they came from, and which keeps a ledger of its
 /// energy if the settings ask for one.
@@ -22,8 +23,24 @@ pub struct Watched<R: Real> {
     pub sim: Sim<R>,
     past: Past<R>,
     ledger: Option<Box<Ledger<R>>>,
+    others: Others,
+    /// The last step failed: its impulses are no start for another state.
+    failed: bool,
+}
+
+/// The worlds beside one.
+#[derive(Clone, Copy)]
+struct Others {
     /// Lanes (bits) that only repeat another, whose failures are reported there.
     copies: u64,
+    /// How many worlds there are; see `Run`.
+    worlds: usize,
+}
+
+impl Others {
+    fn is_world(self, lane: usize) -> bool {
+        self.copies >> lane & 1 == 0
+    }
 }
 
 impl<R: Real> Watched<R> {
@@ -35,14 +52,24 @@ impl<R: Real> Watched<R> {
         Self {
             past: Past::new(&sim.model),
             ledger: sim.settings.ledger.then(|| Box::new(Ledger::new(&sim.model))),
-            copies: 0,
+            others: Others { copies: 0, worlds: 1 },
+            failed: false,
             sim,
         }
+    }
+
+    /// One among so many, which share what explaining their failures may cost.
+    pub(crate) fn among(mut self, worlds: usize) -> Self {
+        self.others.worlds = worlds;
+        self
     }
 
     /// Takes one world's arrays, which were checked. Lane 0 comes first.
     pub fn put(&mut self, lane: usize, given: &Given) {
         if self.sim.put(lane, given) {
+            if std::mem::take(&mut self.failed) {
+                self.sim.state.warm.clear();
+            }
             self.past.forget();
             self.forget();
         }
@@ -55,31 +82,31 @@ impl<R: Real> Watched<R> {
 
     /// Advances by `n` steps, or to the last finite state before an error.
     pub fn step(&mut self, n: u64) -> Result<()> {
-        let Self { sim, past, ledger, copies } = self;
+        let Self { sim, past, ledger, others, .. } = self;
         let outcome = match ledger {
             None => sim.step_watched(n, past),
             Some(ledger) => ledger.step(sim, n, past, |ledger, sim, past, lane, gained| {
-                suspect(*copies, ledger, sim, past, lane, gained)
+                suspect(*others, ledger, sim, past, lane, gained)
             }),
         };
-        outcome.map_err(|error| self.explained(error))
+        outcome.map_err(|error| self.failed(error))
     }
 
     /// Takes one step and writes down what each element did in it, in one lane.
     pub fn taped_step(&mut self, lane: usize) -> Result<StepGains> {
-        let Self { sim, past, ledger, copies } = self;
+        let Self { sim, past, ledger, others, .. } = self;
         let outcome = taped(sim, lane, |sim, tape| {
             let mut watchers: (&mut Past<R>, &mut Tape) = (past, tape);
             match ledger {
                 None => sim.step_watched(1, &mut watchers),
                 Some(ledger) => {
                     ledger.step(sim, 1, &mut watchers, |ledger, sim, (past, _), lane, gained| {
-                        suspect(*copies, ledger, sim, past, lane, gained)
+                        suspect(*others, ledger, sim, past, lane, gained)
                     })
                 }
             }
         });
-        outcome.map_err(|error| self.explained(error))
+        outcome.map_err(|error| self.failed(error))
     }
 
     /// The generalised force of every element that pushes at the state of the last solve, in one
@@ -97,11 +124,30 @@ impl<R: Real> Watched<R> {
     /// the ledger if the call was long, or it never was balanced. Nothing that can be read
     /// changes.
     pub fn balance_at_end(&mut self, n: u64) -> Result<()> {
-        let Self { sim, past, ledger, copies } = self;
+        let Self { sim, past, ledger, others, .. } = self;
         let Some(ledger) = ledger else { return Ok(()) };
-        ledger.balance_at_end(sim, n, |ledger, sim, lane, gained| {
-            suspect(*copies, ledger, sim, past, lane, gained)
-        })
+        let outcome = ledger.balance_at_end(sim, n, |ledger, sim, lane, gained| {
+            suspect(*others, ledger, sim, past, lane, gained)
+        });
+        outcome.map_err(|error| self.failed(error))
+    }
+
+    /// A step failed.
+    fn failed(&mut self, error: Error) -> Error {
+        self.failed = true;
+        self.explained(error)
+    }
+
+    /// These are the impulses of the last step that went well.
+    pub fn put_impulses(&mut self, warm: impl Iterator<Item = Warm<R>>) {
+        let (warm, kept): (Vec<_>, _) = (warm.collect(), &self.sim.state.warm);
+        // An impulse of zero is as good as none.
+        let acts = |w: &&Warm<R>| w.impulse.iter().any(|x| !x.is_zero());
+        if !kept.iter().filter(acts).eq(warm.iter().filter(acts)) {
+            self.failed = false;
+        }
+        self.sim.state.warm = warm;
+        self.forget();
     }
 
     /// An error with what can be found out about it.
@@ -113,7 +159,8 @@ impl<R: Real> Watched<R> {
                 let first = (0..R::LANES).find(|lane| self.is_world(*lane));
                 divergence.world = first.unwrap_or(divergence.world);
             }
-            let run = Run { sim: &self.sim, past: &self.past, ledger: self.ledger.as_deref() };
+            let ledger = self.ledger.as_deref();
+            let run = Run { sim: &self.sim, past: &self.past, ledger, worlds: self.others.worlds };
             *divergence = run.explain(*divergence);
         }
         Error::Diverged(divergence)
@@ -134,15 +181,15 @@ impl<R: Real> Watched<R> {
     pub(crate) fn swap(&mut self, ledger: &mut Option<Box<Ledger<R>>>, copies: u64) {
         std::mem::swap(&mut self.ledger, ledger);
         self.past.forget();
-        self.copies = copies;
+        self.others.copies = copies;
     }
 
     /// Some lanes (bits) repeat lane `from` from now on: their worlds have failed.
     pub(crate) fn repeat(&mut self, from: usize, copies: u64) {
-        self.copies = copies;
+        self.others.copies = copies;
         if let Some(ledger) = &mut self.ledger {
             (0..R::LANES)
-                .filter(|lane| !is_world(copies, *lane))
+                .filter(|lane| !self.others.is_world(*lane))
                 .for_each(|lane| ledger.repeat(lane, from));
             ledger.go_on(&self.sim.state);
         }
@@ -150,27 +197,23 @@ impl<R: Real> Watched<R> {
 
     /// A lane that stands for a world of its own.
     pub(crate) fn is_world(&self, lane: usize) -> bool {
-        is_world(self.copies, lane)
+        self.others.is_world(lane)
     }
 }
 
 /// A world gained more energy than it can have. A copy says nothing: its world does.
 fn suspect<R: Real>(
-    copies: u64,
+    others: Others,
     ledger: &mut Ledger<R>,
     sim: &Sim<R>,
     past: &Past<R>,
     lane: usize,
     gained: f64,
 ) -> Result<()> {
-    if !is_world(copies, lane) {
+    if !others.is_world(lane) {
         return Ok(());
     }
-    look_into(ledger, sim, past, lane, gained)
-}
-
-fn is_world(copies: u64, lane: usize) -> bool {
-    copies >> lane & 1 == 0
+    look_into(ledger, sim, past, others.worlds, lane, gained)
 }
 
 /// Why the next step of an accompanying copy failed: the same step in plain numbers says.

@@ -6,8 +6,10 @@
 //! method keeps another energy than this one: it may swing by (1 + z/2)/(1 − z/2),
 //! z = ω dt, and be healthy. ‖Aⁿ‖ for n = 1, 2, 4, … tells that from growth.
 
+use nalgebra::linalg::Schur;
 use nalgebra::DMatrix;
 
+use super::budget::Budget;
 use crate::elements::force::Group;
 use crate::elements::forces::slopes;
 use crate::model::Tree;
@@ -21,6 +23,10 @@ const SQUARINGS: u32 = 18;
 const GROWS: f64 = 1e-4;
 /// The most dofs of a tree that is looked into.
 const MOST_DOFS: usize = 48;
+/// The most halvings from an unstable dt to a stable one.
+const HALVINGS: u32 = 40;
+/// QR iterations for the eigenvalues of a map, by row: twice what any took that converged.
+const ITERATIONS: usize = 60;
 
 /// Mass, stiffness and damping of one tree.
 struct Oscillator {
@@ -34,14 +40,14 @@ struct Oscillator {
 impl<R: Real> Sim<R> {
     /// How many times the energy at hand a healthy run of these springs may show; 1 where
     /// the springs themselves diverge, or do not swing.
-    pub(super) fn swing(&mut self, lane: usize, dt: f64) -> f64 {
+    pub(super) fn swing(&mut self, lane: usize, dt: f64, budget: &Budget) -> f64 {
         let integrator = self.damped_by(self.settings.integrator);
         if integrator == Integrator::Explicit {
             return 1.0;
         }
         let all = self.oscillators(lane);
-        let swings = all.iter().map(|one| one.map(integrator, dt)).map(|map| {
-            let [radius, most] = growth(map);
+        let known = all.iter().filter_map(|one| one.growth(integrator, dt, budget));
+        let swings = known.map(|[radius, most]| {
             if radius > GROWS {
                 1.0
             } else {
@@ -52,38 +58,20 @@ impl<R: Real> Sim<R> {
         swings.fold(1.0, f64::max)
     }
 
-    /// The largest stable dt of springs and dampers that are unstable now: None if none is;
-    /// zero if no dt is stable.
-    pub(super) fn spring_limit(&mut self, lane: usize, integrator: Integrator) -> Option<f64> {
+    /// The largest stable dt of springs and dampers that are unstable now: None if none is, or
+    /// it is not known; zero if no dt is stable.
+    pub(super) fn spring_limit(
+        &mut self,
+        lane: usize,
+        integrator: Integrator,
+        budget: &Budget,
+    ) -> Option<f64> {
         let (dt, integrator) = (self.clock.seconds, self.damped_by(integrator));
         let limits = self.oscillators(lane).into_iter().filter_map(|one| {
             if integrator == Integrator::Explicit {
-                return one.explicit_limit().filter(|limit| *limit <= dt);
+                return one.explicit_limit(budget).filter(|limit| *limit <= dt);
             }
-            let unstable = |dt: f64| growth(one.map(integrator, dt))[0] > GROWS;
-            if !unstable(dt) {
-                return None;
-            }
-            let (mut low, mut high) = (0.0, dt);
-            for _ in 0..14 {
-                if !unstable(0.5 * high) {
-                    low = 0.5 * high;
-                    break;
-                }
-                high *= 0.5;
-            }
-            if low == 0.0 {
-                return Some(0.0);
-            }
-            while high - low > 1e-4 * low {
-                let middle = 0.5 * (low + high);
-                if unstable(middle) {
-                    high = middle;
-                } else {
-                    low = middle;
-                }
-            }
-            Some(low)
+            one.limit(integrator, dt, budget)
         });
         limits.reduce(f64::min)
     }
@@ -145,11 +133,13 @@ impl<R: Real> Sim<R> {
 }
 
 impl Oscillator {
-    /// |1 + dt s| < 1 for every eigenvalue s of F: dt < −2 Re s / |s|².
-    fn explicit_limit(&self) -> Option<f64> {
+    /// |1 + dt s| < 1 for every eigenvalue s of F: dt < −2 Re s / |s|². None if they are not
+    /// known.
+    fn explicit_limit(&self, budget: &Budget) -> Option<f64> {
         let n = self.damping.len();
         // One step of dt = 1 of the explicit map is 1 + F.
-        let rate = self.map(Integrator::Explicit, 1.0) - DMatrix::identity(2 * n, 2 * n);
+        let map = self.map(Integrator::Explicit, 1.0, budget)?;
+        let rate = map - DMatrix::identity(2 * n, 2 * n);
         // What neither swings nor decays stands still, and has no limit.
         let limit = |s: &nalgebra::Complex<f64>| {
             let (size, damped) = (s.norm(), -s.re);
@@ -159,11 +149,53 @@ impl Oscillator {
                 2.0 * damped / size / size
             })
         };
-        rate.complex_eigenvalues().iter().filter_map(limit).reduce(f64::min)
+        let schur = Schur::try_new(rate, f64::EPSILON, ITERATIONS * 2 * n)?;
+        let limits = schur.complex_eigenvalues();
+        limits.iter().filter_map(limit).filter(|limit| limit.is_finite()).reduce(f64::min)
     }
 
-    /// The step in coordinates (√K x, Lᵀ v), M = L Lᵀ, whose square is twice the energy.
-    fn map(&self, integrator: Integrator, dt: f64) -> DMatrix<f64> {
+    /// The largest stable dt, to 1e-4, where `dt` is unstable; None where it is stable, or
+    /// nothing is known.
+    fn limit(&self, integrator: Integrator, dt: f64, budget: &Budget) -> Option<f64> {
+        let unstable =
+            |dt: f64| self.growth(integrator, dt, budget).map(|[radius, _]| radius > GROWS);
+        if !unstable(dt)? {
+            return None;
+        }
+        let mut high = dt;
+        let mut halvings = 0;
+        while unstable(0.5 * high)? {
+            (high, halvings) = (0.5 * high, halvings + 1);
+            if halvings == HALVINGS {
+                return None;
+            }
+        }
+        let mut low = 0.5 * high;
+        while high - low > 1e-4 * low {
+            let middle = 0.5 * (low + high);
+            if unstable(middle)? {
+                high = middle;
+            } else {
+                low = middle;
+            }
+        }
+        Some(low)
+    }
+
+    /// `growth` of the step; None if it is not known.
+    fn growth(&self, integrator: Integrator, dt: f64, budget: &Budget) -> Option<[f64; 2]> {
+        let map = self.map(integrator, dt, budget)?;
+        budget.product(map.nrows(), SQUARINGS).then(|| growth(map))
+    }
+
+    /// The step in coordinates (√K x, Lᵀ v), M = L Lᵀ, whose square is twice the energy. None
+    /// where M has no such factor in these numbers, or an entry is not finite.
+    fn map(&self, integrator: Integrator, dt: f64, budget: &Budget) -> Option<DMatrix<f64>> {
+        let map = budget.product(2 * self.damping.len(), 8).then(|| self.step_map(integrator, dt));
+        map.flatten().filter(|map| map.iter().all(|x| x.is_finite()))
+    }
+
+    fn step_map(&self, integrator: Integrator, dt: f64) -> Option<DMatrix<f64>> {
         let n = self.damping.len();
         let one = DMatrix::identity(n, n);
         let root = DMatrix::from_diagonal(&nalgebra::DVector::from_iterator(
@@ -172,9 +204,8 @@ impl Oscillator {
         ));
         let diagonal =
             |list: &[f64]| DMatrix::from_diagonal(&nalgebra::DVector::from_column_slice(list));
-        let Some(factor) = self.mass.clone().cholesky() else { return DMatrix::identity(1, 1) };
-        let lower = factor.l();
-        let Some(inverse) = lower.clone().try_inverse() else { return DMatrix::identity(1, 1) };
+        let lower = self.mass.clone().cholesky()?.l();
+        let inverse = lower.clone().try_inverse()?;
         // ẏ = S w, ẇ = −Sᵀ y − C w with y = √K x, w = Lᵀ v.
         let s = &root * inverse.transpose();
         let in_w = |damping: &[f64]| &inverse * diagonal(damping) * inverse.transpose();
@@ -193,14 +224,14 @@ impl Oscillator {
             Integrator::ImplicitFast => c.clone(),
             _ => DMatrix::zeros(n, n),
         };
-        match integrator {
+        Some(match integrator {
             Integrator::Midpoint | Integrator::Rk4 => {
                 let zero = DMatrix::zeros(n, n);
                 let rate = join(&zero, s.clone(), -s.transpose(), -c) * dt;
                 let whole = DMatrix::identity(2 * n, 2 * n);
                 if integrator == Integrator::Midpoint {
-                    let left = (&whole - &rate * 0.5).try_inverse();
-                    return left.map_or(whole.clone(), |left| left * (&whole + &rate * 0.5));
+                    let left = (&whole - &rate * 0.5).try_inverse()?;
+                    return Some(left * (&whole + &rate * 0.5));
                 }
                 let square = &rate * &rate;
                 let cube = &square * &rate;
@@ -209,17 +240,17 @@ impl Oscillator {
             }
             _ => {
                 // w⁺ = w + dt H (−Sᵀ y − C w), H = (1 + dt C')⁻¹, C' what is implicit of C.
-                let h = (&one + &late * dt).try_inverse().unwrap_or(one.clone());
+                let h = (&one + &late * dt).try_inverse()?;
                 let wy = -(&h * s.transpose()) * dt;
                 let ww = &one - &h * &c * dt;
                 if integrator == Integrator::Explicit {
-                    return join(&one, &s * dt, wy, ww);
+                    return Some(join(&one, &s * dt, wy, ww));
                 }
                 let yy = &one + &s * &wy * dt;
                 let yw = &s * &ww * dt;
                 join(&yy, yw, wy, ww)
             }
-        }
+        })
     }
 }
 

@@ -1,13 +1,15 @@
 //! After a failure: the last steps are repeated and recorded, and the post-mortem is read from them.
 
 mod blame;
+mod budget;
 mod injected;
 mod linear;
 mod segment;
 
 use blame::strongest;
+use budget::Budget;
 use injected::{feeding, growth, shares};
-use segment::Segment;
+use segment::{Halved, Segment};
 
 use super::ledger::Ledger;
 use super::past::Past;
@@ -16,18 +18,23 @@ use crate::elements::Element;
 use crate::error::{Divergence, Error, Fault, Result};
 use crate::post_mortem::{Held, PostMortem, Stable, Start};
 use crate::real::Real;
-use crate::settings::Integrator;
+use crate::settings::{Integrator, Law};
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
 
 /// Without a ledger, trees up to this many dofs are looked into.
 const SMALL: usize = 12;
 
+/// How often as long a rerun under law `penalty` goes on, for its contacts to come again.
+const AFTERWARDS: u32 = 7;
+
 /// What is known of a run.
 pub(super) struct Run<'a, R: Real> {
     pub sim: &'a Sim<R>,
     pub past: &'a Past<R>,
     pub ledger: Option<&'a Ledger<R>>,
+    /// Worlds that may fail as well, and share what explaining may cost.
+    pub worlds: usize,
 }
 
 /// More energy than there can be: an error, unless a closer look shows where it is from, and
@@ -37,20 +44,27 @@ pub(super) fn look_into<R: Real>(
     ledger: &mut Ledger<R>,
     sim: &Sim<R>,
     past: &Past<R>,
+    worlds: usize,
     lane: usize,
     gained: f64,
 ) -> Result<()> {
     let Some(account) = ledger.account(lane) else { return Ok(()) };
     let scale = account.scale;
     let present = Segment::at_present(sim, lane);
-    let swing = present.world(sim).map_or(1.0, |mut world| world.swing(lane, sim.clock.seconds));
+    let (dt, budget) = (sim.clock.seconds, Budget::whole());
+    let swing = present.world(sim).map_or(1.0, |mut world| world.swing(lane, dt, &budget));
     if gained <= (swing - 1.0) * scale {
         // A healthy run of these springs swings as far.
         account.allow(gained, swing - 1.0);
         return Ok(());
     }
-    let segment = Segment::since_well(ledger, lane, sim.state.steps);
-    if segment.is_some_and(|segment| !segment.smaller_steps_gain_less(sim, lane)) {
+    // The whole of it, or the newest part of it if that would take too long.
+    let stretches = [Segment::since_well, Segment::since_last].iter();
+    let stretches = stretches.filter_map(|since| since(ledger, lane, sim.state.steps));
+    let less = stretches
+        .filter_map(|stretch| stretch.smaller_steps_gain_less(sim, lane, &Budget::whole()))
+        .next();
+    if less != Some(true) {
         if let Some(account) = ledger.account(lane) {
             account.allow(gained, 0.0);
         }
@@ -65,7 +79,7 @@ pub(super) fn look_into<R: Real>(
         fault,
         post: None,
     };
-    let run = Run { sim, past, ledger: Some(ledger) };
+    let run = Run { sim, past, ledger: Some(ledger), worlds };
     Err(Error::Diverged(Box::new(run.explain(divergence))))
 }
 
@@ -78,14 +92,14 @@ impl<R: Real> Run<'_, R> {
     }
 
     fn post_mortem(&self, lane: usize, gained: bool) -> PostMortem {
-        let sim = self.sim;
+        let (sim, budget) = (self.sim, Budget::shared(self.worlds));
         let replayed = self
             .ledger
             .and_then(|ledger| Segment::since_well(ledger, lane, sim.state.steps))
-            .and_then(|segment| self.replayed(&segment, lane).map(|steps| (segment, steps)));
+            .and_then(|segment| Some((self.replayed(&segment, lane, &budget)?, segment)));
         let (segment, steps, exact) = match replayed {
-            Some((segment, steps)) => (segment, steps, true),
-            None => (Segment::at_present(sim, lane), self.kept_steps(lane), false),
+            Some((steps, segment)) => (segment, steps, true),
+            None => (Segment::at_present(sim, lane), self.kept_steps(lane, &budget), false),
         };
         let scale = self.ledger.and_then(|ledger| ledger.scale(lane));
         let (from, window) = feeding(&sim.model, &steps, scale, gained);
@@ -93,10 +107,13 @@ impl<R: Real> Run<'_, R> {
         let shares = shares(window);
         let element = match shares.first() {
             Some((element, _)) => Some(*element),
-            None => self.strongest(lane, was_well),
+            None => self.strongest(lane, was_well, &budget),
         };
         let shares = shares.into_iter();
-        let stable = if was_well { Stable::Unknown } else { self.stable(&segment, lane, exact) };
+        let stable = match was_well {
+            true => Stable::Unknown,
+            false => self.stable(&segment, lane, exact, &budget),
+        };
         PostMortem {
             start: start(&segment.state, lane),
             inputs: held(&segment.inputs, lane),
@@ -112,10 +129,15 @@ impl<R: Real> Run<'_, R> {
         }
     }
 
-    /// The segment step by step; None where it does not end in the state at hand.
-    fn replayed(&self, segment: &Segment<R>, lane: usize) -> Option<Vec<StepGains>> {
+    /// The segment step by step; None where it does not end in the state at hand, or is too long.
+    fn replayed(
+        &self,
+        segment: &Segment<R>,
+        lane: usize,
+        budget: &Budget,
+    ) -> Option<Vec<StepGains>> {
         let mut sim = segment.world(self.sim)?;
-        let steps = segment.play(&mut sim, |sim| one_taped(sim, lane))?;
+        let steps = segment.play(&mut sim, |sim| one_taped(sim, lane, budget))?;
         let same = |a: &[R], b: &[R]| {
             a.iter().zip(b).all(|(a, b)| a.lane(lane).to_bits() == b.lane(lane).to_bits())
         };
@@ -124,7 +146,7 @@ impl<R: Real> Run<'_, R> {
     }
 
     /// Without a ledger: the steps from the last states, started without their impulses.
-    fn kept_steps(&self, lane: usize) -> Vec<StepGains> {
+    fn kept_steps(&self, lane: usize, budget: &Budget) -> Vec<StepGains> {
         let Some(mut sim) = Segment::at_present(self.sim, lane).world(self.sim) else {
             return Vec::new();
         };
@@ -132,53 +154,72 @@ impl<R: Real> Run<'_, R> {
             to.iter_mut().zip(from).for_each(|(to, from)| *to = R::of(from.lane(lane)));
         };
         let mut steps = Vec::new();
-        for (qpos, qvel) in self.past.states() {
+        let states: Vec<_> = self.past.states().collect();
+        // Half of what is left is for the rest.
+        let few = states.len() - budget.count(2 * self.sim.tape(), states.len());
+        for (qpos, qvel) in &states[few..] {
             all(&mut sim.state.qpos, qpos);
             all(&mut sim.state.qvel, qvel);
             sim.state.warm.clear();
-            steps.extend(one_taped(&mut sim, lane));
+            steps.extend(one_taped(&mut sim, lane, budget));
         }
         steps
     }
 
     /// The element that became the strongest on the way here, or, where all was well until
     /// then, that is the strongest now.
-    fn strongest(&self, lane: usize, was_well: bool) -> Option<Element> {
+    fn strongest(&self, lane: usize, was_well: bool, budget: &Budget) -> Option<Element> {
         let sim = Segment::at_present(self.sim, lane).world(self.sim)?;
         let past = self.past.states().filter(|_| !was_well);
         let mut way: Vec<_> = past.map(|(qpos, qvel)| (&qpos[..], &qvel[..])).collect();
+        way.drain(..way.len() - budget.count(self.sim.tape(), way.len()));
         way.push((&self.sim.state.qpos, &self.sim.state.qvel));
         strongest(sim, &way, lane)
     }
 
     /// Which dt would have been stable, as far as that can be found cheaply.
-    fn stable(&self, segment: &Segment<R>, lane: usize, exact: bool) -> Stable {
+    fn stable(&self, segment: &Segment<R>, lane: usize, exact: bool, budget: &Budget) -> Stable {
         let sim = self.sim;
         let Some(mut start) = segment.world(sim) else { return Stable::Unknown };
         if !exact && sim.model.trees.iter().any(|tree| tree.dofs.len > SMALL) {
             return Stable::Unknown;
         }
-        match start.spring_limit(lane, sim.settings.integrator) {
+        let integrator = sim.settings.integrator;
+        // The contacts' own springs are none of those that are known: only a rerun tells, and
+        // one that meets them again.
+        let penalty = sim.settings.law == Law::Penalty;
+        let more = if penalty { AFTERWARDS } else { 0 };
+        match start.spring_limit(lane, integrator, budget) {
             Some(0.0) => {
-                let semi_implicit = start.spring_limit(lane, Integrator::SemiImplicit);
-                Stable::Never { semi_implicit }
+                let semi_implicit = start.spring_limit(lane, Integrator::SemiImplicit, budget);
+                return Stable::Never { semi_implicit };
             }
             Some(dt) => {
                 let below = 0.95 * dt;
-                let swing = start.swing(lane, below);
-                Stable::Springs { dt, tried: exact && segment.swings(sim, below, lane, swing) }
+                let swing = start.swing(lane, below, budget);
+                let tried = exact && segment.swings(sim, below, lane, swing, more, budget);
+                if tried || !penalty {
+                    return Stable::Springs { dt, tried };
+                }
             }
-            None if exact => {
-                segment.halved(sim, lane).map_or(Stable::NotFound, |dt| Stable::Halved { dt })
-            }
-            None => Stable::Unknown,
+            None => {}
+        }
+        if !exact {
+            return Stable::Unknown;
+        }
+        match segment.halved(sim, lane, more, budget) {
+            Halved::Dt(dt) => Stable::Halved { dt },
+            Halved::NotFound => Stable::NotFound,
+            Halved::Untried => Stable::Unknown,
         }
     }
 }
 
-/// One step under a tape, if it can be committed.
-fn one_taped<R: Real>(sim: &mut Sim<R>, lane: usize) -> Option<StepGains> {
-    taped(sim, lane, |sim, tape| sim.step_watched(1, tape)).ok()
+/// One step under a tape, if it can be committed and is within the budget.
+fn one_taped<R: Real>(sim: &mut Sim<R>, lane: usize, budget: &Budget) -> Option<StepGains> {
+    let effort = sim.effort;
+    let gains = taped(sim, lane, |sim, tape| sim.step_watched(1, tape)).ok();
+    budget.take(sim.work_since(&effort) + sim.tape()).then_some(gains).flatten()
 }
 
 fn numbers<R: Real>(list: &[R], lane: usize) -> Vec<f64> {

@@ -1,5 +1,6 @@
 //! The last steps again, from a milestone, with the same dt or another.
 
+use super::budget::Budget;
 use crate::real::Real;
 use crate::settings::Settings;
 use crate::sim::Sim;
@@ -8,8 +9,29 @@ use crate::watch::ledger::{Ledger, Milestone};
 
 /// A gain beside `scale` below which all is well.
 const WELL: f64 = 0.1;
-/// Steps that the search for a stable dt may take.
-const MOST_STEPS: f64 = 40_000.0;
+/// The most halvings of dt that are tried.
+const HALVINGS: u32 = 8;
+
+/// What came of running a stretch again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Trial {
+    /// The energy gained, and the energy that circulated [J].
+    Gained { gained: f64, scale: f64 },
+    /// It left the finite numbers.
+    Diverged,
+    /// It would take too long.
+    Untried,
+}
+
+/// Which of dt/2, dt/4, … lets a stretch gain nothing to speak of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Halved {
+    Dt(f64),
+    /// None of them.
+    NotFound,
+    /// They were not all tried.
+    Untried,
+}
 
 /// A stretch of one world's run: where it starts, and its inputs by step.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,10 +46,24 @@ pub(super) struct Segment<R: Real> {
 impl<R: Real> Segment<R> {
     /// A world's run from the last milestone at which all was well to step `until`.
     pub fn since_well(ledger: &Ledger<R>, lane: usize, until: u64) -> Option<Self> {
+        Self::since(ledger, lane, until, |milestone| milestone.gained[lane] <= WELL)
+    }
+
+    /// A world's run from the last milestone before step `until`.
+    pub fn since_last(ledger: &Ledger<R>, lane: usize, until: u64) -> Option<Self> {
+        Self::since(ledger, lane, until, |_| true)
+    }
+
+    fn since(
+        ledger: &Ledger<R>,
+        lane: usize,
+        until: u64,
+        from: impl Fn(&Milestone<R>) -> bool,
+    ) -> Option<Self> {
         let mut kept: Vec<&Milestone<R>> = Vec::new();
         for milestone in ledger.newest_first() {
             kept.push(milestone);
-            if milestone.gained[lane] <= WELL && milestone.state.steps < until {
+            if milestone.state.steps < until && from(milestone) {
                 break;
             }
         }
@@ -114,60 +150,103 @@ impl<R: Real> Segment<R> {
         Some(done)
     }
 
-    /// What the whole stretch gains with steps of dt / `parts`, and the energy that
-    /// circulates; None if it leaves the finite numbers.
-    fn gain(&self, of: &Sim<R>, dt: f64, lane: usize) -> Option<[f64; 2]> {
-        let mut sim = Sim::new(of.model.clone(), Settings { dt, ..of.settings.clone() }).ok()?;
+    /// What the whole stretch gains with steps of `dt`, and, the last inputs held, as long
+    /// again `more` times.
+    fn gain(&self, of: &Sim<R>, dt: f64, lane: usize, more: u32, budget: &Budget) -> Trial {
+        let settings = Settings { dt, ..of.settings.clone() };
+        let Ok(mut sim) = Sim::new(of.model.clone(), settings) else { return Trial::Untried };
         let mut ledger = Ledger::new(&of.model);
         sim.state = self.state.clone();
         sim.state.warm.clear();
         let whole = self.steps as f64 * of.clock.seconds;
-        let steps = (whole / dt).round() as u64;
-        for step in 0..steps {
+        let steps = (whole / dt).round() * f64::from(1 + more);
+        let work = steps * sim.least_step() as f64;
+        if work.is_nan() || work > budget.left() as f64 {
+            return Trial::Untried;
+        }
+        for step in 0..steps as u64 {
             let before = ((step as f64 + 0.5) * dt / of.clock.seconds) as u64;
             sim.inputs.clone_from(self.inputs_at(before));
-            ledger.step(&mut sim, 1, &mut (), |_, _, _, _, _| Ok(())).ok()?;
+            let effort = sim.effort;
+            // Nobody looks into what a trial does.
+            let Ok(()) = ledger.step(&mut sim, 1, &mut (), |_, _, _, _, _| Ok(())) else {
+                return Trial::Diverged;
+            };
+            if !budget.take(sim.work_since(&effort)) {
+                return Trial::Untried;
+            }
         }
-        ledger.total(&mut sim, lane)
+        match ledger.total(&mut sim, lane) {
+            Some([gained, scale]) => Trial::Gained { gained, scale },
+            None => Trial::Diverged,
+        }
     }
 
-    /// The largest of dt/2, dt/4, … with which the stretch gains nothing to speak of.
-    pub fn halved(&self, of: &Sim<R>, lane: usize) -> Option<f64> {
+    /// The largest of dt/2, dt/4, … with which the stretch gains nothing to speak of, nor as
+    /// long again `more` times.
+    pub fn halved(&self, of: &Sim<R>, lane: usize, more: u32, budget: &Budget) -> Halved {
         let dt = of.clock.seconds;
-        let now = self.gain(of, dt, lane).map(|[gained, _]| gained);
-        let mut left = MOST_STEPS;
-        for halvings in 1..=8 {
+        let now = self.gain(of, dt, lane, 0, budget);
+        for halvings in 1..=HALVINGS {
             let smaller = dt / f64::from(1 << halvings);
-            left -= self.steps as f64 * dt / smaller;
-            if left < 0.0 {
-                return None;
+            let trial = self.gain(of, smaller, lane, more, budget);
+            if trial == Trial::Untried {
+                return Halved::Untried;
             }
-            if self.holds(of, smaller, lane, now) {
-                return Some(smaller);
+            if trial.gains_little(now) {
+                return Halved::Dt(smaller);
             }
         }
-        None
+        Halved::NotFound
     }
 
     /// With steps of `dt` it stays within `swing` times the energy that circulates.
-    pub fn swings(&self, of: &Sim<R>, dt: f64, lane: usize, swing: f64) -> bool {
-        self.gain(of, dt, lane).is_some_and(|[gained, scale]| gained <= swing * scale)
+    pub fn swings(
+        &self,
+        of: &Sim<R>,
+        dt: f64,
+        lane: usize,
+        swing: f64,
+        more: u32,
+        budget: &Budget,
+    ) -> bool {
+        let trial = self.gain(of, dt, lane, more, budget);
+        matches!(trial, Trial::Gained { gained, scale } if gained <= swing * scale)
     }
 
-    /// With steps of `dt` nothing is gained to speak of,
-    /// and little beside what is gained `now`.
-    pub fn holds(&self, of: &Sim<R>, dt: f64, lane: usize, now: Option<f64>) -> bool {
-        let little = 0.05 * now.unwrap_or(f64::INFINITY);
-        let small = |[gained, scale]: [f64; 2]| gained <= (0.25 * scale).min(little);
-        self.gain(of, dt, lane).is_some_and(small)
-    }
-
-    /// Whether what it gains comes from the size of the step.
-    pub fn smaller_steps_gain_less(&self, of: &Sim<R>, lane: usize) -> bool {
+    /// Whether what it gains comes from the size of the step; None where that would take too
+    /// long to find out.
+    pub fn smaller_steps_gain_less(
+        &self,
+        of: &Sim<R>,
+        lane: usize,
+        budget: &Budget,
+    ) -> Option<bool> {
         let dt = of.clock.seconds;
-        let Some([now, _]) = self.gain(of, dt, lane) else { return true };
-        [4.0, 16.0]
-            .iter()
-            .any(|parts| self.gain(of, dt / parts, lane).is_some_and(|[less, _]| less < 0.5 * now))
+        let now = match self.gain(of, dt, lane, 0, budget) {
+            Trial::Gained { gained, .. } => gained,
+            Trial::Diverged => return Some(true),
+            Trial::Untried => return None,
+        };
+        let mut known = None;
+        for parts in [4.0, 16.0] {
+            match self.gain(of, dt / parts, lane, 0, budget) {
+                Trial::Gained { gained, .. } if gained < 0.5 * now => return Some(true),
+                Trial::Untried => break,
+                _ => known = Some(false),
+            }
+        }
+        known
+    }
+}
+
+impl Trial {
+    /// Nothing is gained to speak of, and little beside what is gained `now`.
+    fn gains_little(self, now: Self) -> bool {
+        let most = match now {
+            Self::Gained { gained, .. } => 0.05 * gained,
+            Self::Diverged | Self::Untried => f64::INFINITY,
+        };
+        matches!(self, Self::Gained { gained, scale } if gained <= (0.25 * scale).min(most))
     }
 }
