@@ -22,6 +22,8 @@ from .settings import Settings
 from .world import World
 
 INF = float("inf")
+UNMOVED = 1e-24  # A times mass below this is rounding
+WEIGHTLESS = 2.0**-35  # the least c of a normal that nothing can move, beside A of its tangents
 
 
 @dataclass
@@ -111,6 +113,11 @@ def assemble(
         np.array([getattr(row, name) for row in rows]) for name in ("t", "c", "soft", "lo", "hi")
     )
     mass = np.array([model.mass_of(row.dofs) for row in rows])
+    for first, mu in blocks:
+        # A normal that nothing can move: its load is t/c, without end, and so is its friction.
+        if mu is not None and A[first] * mass[first] < UNMOVED and c[first] == 0.0:
+            most = A[first : first + 3].max()
+            c[first] = WEIGHTLESS * (most if most > 0.0 else 1.0 / mass[first])
     return Rows(rows, blocks, J, W, A, t, c, A + c + soft, lo, hi, mass)
 
 

@@ -5,7 +5,7 @@ use super::{Element, Kind};
 use crate::model::{Equality, Model, NONE};
 use crate::real::{Mask, Real};
 use crate::settings::Law;
-use crate::solve::law::{OnGuess, SolRef};
+use crate::solve::law::{least_softness, OnGuess, SolRef};
 use crate::solve::{Rows, Set, Situation};
 use crate::spatial::{rotate, splat, V3};
 
@@ -47,13 +47,17 @@ impl<R: Real> Rows<R> {
             self.clear_scratch(equality.dofs.of(&now.model.dof_lists));
             self.add_jacobian(now, equality.body1, &p1, &axis);
             self.add_jacobian(now, equality.body2, &p2, &-axis);
-            let row = self.push_scratch(now, equality.dofs);
-            row.lo = R::of(f64::NEG_INFINITY);
-            if now.settings.law == Law::SolRef {
-                let dt = now.settings.dt;
-                let law =
-                    SolRef::at(&equality.soft, apart.dot(&apart).sqrt(), dt, now.settings.refsafe);
-                law.fill(row, apart[k], R::of(equality.invweight), R::of(dt));
+            self.push_scratch(now, equality.dofs).lo = R::of(f64::NEG_INFINITY);
+            self.drop_rounding(now, [equality.body1, equality.body2], &p1, equality.mass);
+        }
+        let dt = now.settings.dt;
+        let least = least_softness(&self.rows[first..], equality.mass);
+        let soft =
+            || SolRef::at(&equality.soft, apart.dot(&apart).sqrt(), dt, now.settings.refsafe);
+        let soft = (now.settings.law == Law::SolRef).then(soft);
+        for (k, row) in self.rows[first..].iter_mut().enumerate() {
+            if let Some(law) = &soft {
+                law.fill(row, apart[k], R::of(equality.invweight), least, R::of(dt));
                 row.t -= R::of(dt) * curving[k];
             } else {
                 OnGuess::new(now.settings).equality(row, apart[k]);

@@ -11,7 +11,7 @@ use crate::detect::Contact;
 use crate::model::{Model, Pair};
 use crate::real::{Mask, Real};
 use crate::settings::{Cone, Law};
-use crate::solve::law::{OnGuess, SolRef};
+use crate::solve::law::{least_softness, weightless_softness, OnGuess, SolRef};
 use crate::solve::{Rows, Set, Situation};
 use crate::spatial::V3;
 
@@ -59,6 +59,7 @@ impl<R: Real> Rows<R> {
         let bodies = [now.model.geoms[pair.geom1].body, now.model.geoms[pair.geom2].body];
         self.relative_jacobian(now, bodies, pair.dofs, &contact.pos, along);
         self.push_scratch(now, pair.dofs);
+        self.drop_rounding(now, bodies, &contact.pos, pair.mass);
     }
 
     pub(super) fn normal_row(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
@@ -73,6 +74,15 @@ impl<R: Real> Rows<R> {
         let tangents = contact.tangents(now.model, now.placed);
         for (tangent, _) in tangents.iter().zip(pair.still).filter(|(_, still)| !still) {
             self.contact_row(now, contact, pair, tangent);
+        }
+    }
+
+    fn least_softness(&self, first: usize, pair: &Pair) -> R {
+        let rows = &self.rows[first..];
+        if pair.invweight > 0.0 {
+            least_softness(rows, pair.mass)
+        } else {
+            weightless_softness(rows, pair.mass)
         }
     }
 
@@ -104,29 +114,56 @@ impl<R: Real> Rows<R> {
         let first = self.rows.len();
         self.normal_row(now, contact, pair);
         if pair.condim == 1 {
-            law.fill(&mut self.rows[first], r, R::of(weight), dt);
+            let least = self.least_softness(first, pair);
+            law.fill(&mut self.rows[first], r, R::of(weight), least, dt);
             return self.close(now, contact, first, Set::Interval, mask);
         }
         if settings.cone == Cone::Elliptic {
-            law.fill(&mut self.rows[first], r, R::of(weight), dt);
             self.tangent_rows(now, contact, pair);
+            let least = self.least_softness(first, pair);
+            law.fill(&mut self.rows[first], r, R::of(weight), least, dt);
             for row in &mut self.rows[first + 1..] {
-                law.without_position().fill(row, R::zero(), R::of(weight / impratio), dt);
+                law.without_position().fill(row, R::zero(), R::of(weight / impratio), least, dt);
                 row.lo = R::of(f64::NEG_INFINITY);
             }
             return self.close(now, contact, first, Set::Convex, mask);
         }
         let edge = weight * 2.0 * mu * mu / impratio * (1.0 + mu * mu);
+        let unmoved = R::Mask::of(weight == 0.0).and(self.rows[first].a.le(R::zero()));
         self.pyramid(now, contact, pair, first);
         let still = pair.still.iter().filter(|still| **still).count();
         let edges = self.rows.len() - first;
+        let least = self.least_softness(first, pair);
         for (k, row) in self.rows[first..].iter_mut().enumerate() {
             // The fold stands last: 2 or 4 equal rows in one.
             let folded = still > 0 && k + 1 == edges;
             let weight = if folded { edge * 0.5 / still as f64 } else { edge };
-            law.fill(row, r, R::of(weight), dt);
+            law.fill(row, r, R::of(weight), least, dt);
+        }
+        if mask.and(unmoved).any() {
+            self.unfold(law, first, edges - edges % 2, unmoved, dt);
         }
         self.close(now, contact, first, Set::Interval, mask);
+    }
+
+    /// Makes each pair of edges ±μ J_t, where the normal moves nothing and its load has no end, into
+    /// a tangent without bounds and a row that carries the load: as a pair they would be solved by
+    /// differences of loads, which leave no digits, and which sweeps never reach.
+    fn unfold(&mut self, law: SolRef<R>, first: usize, edges: usize, unmoved: R::Mask, dt: R) {
+        let zero = R::zero();
+        let set = |x: &mut R, new: R| *x = R::select(unmoved, new, *x);
+        for at in (first..first + edges).step_by(2) {
+            let [tangent, load] = &mut self.rows[at..at + 2] else { return };
+            set(&mut tangent.lo, R::of(f64::NEG_INFINITY));
+            set(&mut tangent.gap, zero);
+            set(&mut tangent.t, tangent.velocity - dt * (law.b * tangent.velocity));
+            set(&mut load.velocity, zero);
+            set(&mut load.t, -(dt * (law.kd * load.gap)));
+            set(&mut load.a, zero);
+            set(&mut load.inv_s, load.c.recip_or_zero());
+            let own = load.y..load.y + load.dofs.len;
+            self.y[own].iter_mut().for_each(|y| set(y, zero));
+        }
     }
 
     /// Replaces the normal row at `first` by the edges J_n ± μ J_t, then the fold.
@@ -173,6 +210,8 @@ impl<R: Real> Rows<R> {
             return self.close(now, contact, first, Set::Interval, mask);
         }
         self.tangent_rows(now, contact, pair);
+        let least = weightless_softness(&self.rows[first..], pair.mass);
+        law.unmoved(&mut self.rows[first], least);
         for row in &mut self.rows[first + 1..] {
             law.friction(row);
             row.lo = R::of(f64::NEG_INFINITY);

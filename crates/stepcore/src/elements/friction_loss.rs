@@ -5,8 +5,9 @@ use super::{Element, Kind};
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::settings::Law;
-use crate::solve::law::{OnGuess, SolRef};
+use crate::solve::law::{least_softness, OnGuess, SolRef};
 use crate::solve::{Rows, Set};
+use std::slice;
 
 pub(super) struct FrictionLoss;
 
@@ -29,6 +30,7 @@ impl Constraint for FrictionLoss {
             let dofs = model.chain_of_dof(k);
             rows.clear_scratch(dofs.of(&model.dof_lists));
             rows.scratch[k] = R::one();
+            let mass = model.trees[dof.tree].mass;
             let first = rows.rows.len();
             let row = rows.push_scratch(now, dofs);
             row.lo = R::of(-dt * dof.frictionloss);
@@ -36,20 +38,14 @@ impl Constraint for FrictionLoss {
             if settings.law == Law::SolRef {
                 let law =
                     SolRef::at(&dof.friction, R::zero(), dt, settings.refsafe).without_position();
-                law.fill(row, R::zero(), R::of(dof.invweight), R::of(dt));
+                let least = least_softness(slice::from_ref(row), mass);
+                law.fill(row, R::zero(), R::of(dof.invweight), least, R::of(dt));
             } else {
                 OnGuess::new(settings).friction(row);
             }
             let part = k - model.joints[dof.joint].dof;
             let element = Element::part(Kind::FrictionLoss, dof.joint, part);
-            rows.push_block(
-                first,
-                Set::Interval,
-                R::Mask::of(true),
-                now,
-                element,
-                model.trees[dof.tree].mass,
-            );
+            rows.push_block(first, Set::Interval, R::Mask::of(true), now, element, mass);
         }
     }
 }

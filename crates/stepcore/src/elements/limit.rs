@@ -5,9 +5,10 @@ use super::{Element, Kind};
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::scene::JointType;
-use crate::solve::law::{OnGuess, SolRef};
+use crate::solve::law::{least_softness, OnGuess, SolRef};
 use crate::solve::{Rows, Set, Situation};
 use crate::transmission::{Reach, Transmission};
+use std::slice;
 
 pub(super) struct Limit;
 
@@ -54,12 +55,14 @@ impl<R: Real> Rows<R> {
             self.scratch[dof] = if side == 0 { arm } else { -arm };
         }
         let first = self.rows.len();
+        let mass = model.trees[model.dofs[joint.dof].tree].mass;
         let row = self.push_scratch(now, dofs);
         let mask = if by_position {
             let dof = &model.dofs[joint.dof];
             let r = phi - R::of(joint.margin);
             let law = SolRef::at(&joint.limit, r, settings.dt, settings.refsafe);
-            law.fill(row, r, R::of(dof.invweight), R::of(settings.dt));
+            let least = least_softness(slice::from_ref(row), mass);
+            law.fill(row, r, R::of(dof.invweight), least, R::of(settings.dt));
             near
         } else {
             OnGuess::new(settings).distance(row, phi, 0.0);
@@ -70,13 +73,6 @@ impl<R: Real> Rows<R> {
             return;
         }
         let element = Element::part(Kind::Limit, index, side);
-        self.push_block(
-            first,
-            Set::Interval,
-            mask,
-            now,
-            element,
-            model.trees[model.dofs[joint.dof].tree].mass,
-        );
+        self.push_block(first, Set::Interval, mask, now, element, mass);
     }
 }

@@ -13,6 +13,10 @@ use nalgebra::{DMatrix, DVector, Vector3};
 /// motion of its own.
 const SINGULAR: f64 = 1e-14;
 
+/// The inverse weight of a centre of mass that no dof moves is rounding: this much beside the
+/// inverse of its tree's mass is none.
+const WEIGHTLESS: f64 = 1e-20;
+
 /// A dof's unit motion at qpos0 in world axes: the velocity at `at`, and the turn.
 struct Motion {
     linear: Vector3<f64>,
@@ -153,6 +157,9 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
                 &model.bodies[i],
                 poses[i].point(model.bodies[i].ipos),
             );
+            if bodies[i][0] * tree.mass < WEIGHTLESS {
+                bodies[i][0] = 0.0;
+            }
         }
         for i in tree.dofs.range() {
             let mut unit = DVector::zeros(n);

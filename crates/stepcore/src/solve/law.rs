@@ -15,6 +15,9 @@ const IMPEDANCE: [f64; 2] = [0.0001, 0.9999];
 
 /// The least R beside A, in roundings.
 const LEAST_SOFTNESS: f64 = 64.0;
+/// The least R of a contact without inverse weight beside A: 2⁻³⁵, and 2⁻¹⁵ in f32.
+const WEIGHTLESS: f64 = 1.0 / (1u64 << 35) as f64;
+const WEIGHTLESS_F32: f64 = 1.0 / (1u64 << 15) as f64;
 
 /// Spring, damper and impedance of one row or block under `solref`.
 #[derive(Clone, Copy)]
@@ -46,17 +49,40 @@ impl<R: Real> SolRef<R> {
         Self { kd: R::zero(), ..self }
     }
 
-    /// Fills a row in: t = u + dt·a_ref at the violation `r`, c = R = softness × `weight`.
-    ///
-    /// An R that is only rounding beside A could not be told from zero, and would leave
-    /// Newton's Hessian without digits: see `LEAST_SOFTNESS`.
+    /// Fills a row in: t = u + dt·a_ref at the violation `r`, c = R = softness × `weight`, and
+    /// no less than what `least_softness` says of its block.
     #[inline(always)]
-    pub fn fill(&self, row: &mut Row<R>, r: R, weight: R, dt: R) {
+    pub fn fill(&self, row: &mut Row<R>, r: R, weight: R, least: R, dt: R) {
         row.gap = r;
         row.t = row.velocity - dt * (self.b * row.velocity + self.kd * r);
-        row.c = (self.softness * weight).max(R::of(LEAST_SOFTNESS * R::EPSILON) * row.a);
+        row.c = (self.softness * weight).max(least);
         row.inv_s = (row.a + row.c).recip_or_zero();
     }
+}
+
+/// The least regulariser of a block's rows: an R that is only rounding beside A could not be told
+/// from zero, and would leave Newton's Hessian without digits.
+///
+/// It goes by the row that is moved most, because the rows of a block need each other: a normal
+/// that nothing can move (A = 0), of bodies without inverse weight, carries the load t/R, and
+/// the friction on it is what holds a wheel with a fixed axle. MuJoCo's `mjMINVAL` does this for
+/// numbers near 1. Where nothing moves any row, `mass` stands for 1/A.
+#[inline(always)]
+pub fn least_softness<R: Real>(rows: &[Row<R>], mass: f64) -> R {
+    R::of(LEAST_SOFTNESS * R::EPSILON) * most_moved(rows, mass)
+}
+
+/// The same for the rows of a contact without inverse weight. Only this stands between them and
+/// loads without end, whose rounding moves what they press on by ε/R: R is ε^⅔ of A, so that
+/// neither that nor R itself shows.
+pub fn weightless_softness<R: Real>(rows: &[Row<R>], mass: f64) -> R {
+    let share = if R::EPSILON < 1e-10 { WEIGHTLESS } else { WEIGHTLESS_F32 };
+    R::of(share) * most_moved(rows, mass)
+}
+
+fn most_moved<R: Real>(rows: &[Row<R>], mass: f64) -> R {
+    let most = rows.iter().fold(R::zero(), |most, row| most.max(row.a));
+    R::select(most.gt(R::zero()), most, R::of(1.0 / mass))
 }
 
 fn impedance(d: f64) -> f64 {
@@ -128,6 +154,15 @@ impl OnGuess {
         self.soften(row);
     }
 
+    /// A distance that nothing can open (A = 0) in a block whose other rows are moved: its load is
+    /// t over the least regulariser, so that it has friction.
+    pub fn unmoved<R: Real>(&self, row: &mut Row<R>, least: R) {
+        let still = row.a.le(R::zero()).and(row.c.le(least));
+        row.c = R::select(still, least, row.c);
+        let inv_s = (least + R::of(self.denominator())).recip_or_zero();
+        row.inv_s = R::select(still, inv_s, row.inv_s);
+    }
+
     /// A friction row: no slip, exactly.
     pub fn friction<R: Real>(&self, row: &mut Row<R>) {
         row.t = R::zero();
@@ -135,11 +170,16 @@ impl OnGuess {
         row.inv_s = row.a.recip_or_zero();
     }
 
-    fn soften<R: Real>(&self, row: &mut Row<R>) {
-        let soft = match self.law {
+    /// What softness adds to the denominator of an update.
+    fn denominator(&self) -> f64 {
+        match self.law {
             Law::Rigid => 0.0,
             _ => self.softness,
-        };
+        }
+    }
+
+    fn soften<R: Real>(&self, row: &mut Row<R>) {
+        let soft = self.denominator();
         row.c = R::of(if self.law == Law::Lesson { soft } else { 0.0 });
         row.inv_s = (row.a + R::of(soft)).recip_or_zero();
     }

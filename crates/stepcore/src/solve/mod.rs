@@ -31,6 +31,11 @@ use crate::real::{Mask, Real};
 use crate::spatial::{Force, V3};
 use crate::state::{Warm, WARM_ROWS};
 
+/// A·m below this many squared roundings may be rounding; beside the squares of its terms, it is
+/// below this many.
+const SUSPECT: f64 = 1e8;
+const ROUNDED: f64 = 1024.0;
+
 impl<R: Real> Rows<R> {
     /// Sets `scratch` to the Jacobian of the relative velocity of two body points at
     /// `at` (body 2 minus body 1) along `direction`, on the union `dofs` of their chains.
@@ -71,6 +76,49 @@ impl<R: Real> Rows<R> {
         let wrench = Force { ang: arm.cross(direction), lin: *direction };
         for &k in body.chain.of(&now.model.dof_lists) {
             self.scratch[k] += now.placed.motion[k].dot(&wrench);
+        }
+    }
+
+    /// Makes the row pushed last a row that nothing moves (J = 0) where its J, the relative velocity
+    /// of two body points at `at`, is but the rounding of what cancels in it.
+    ///
+    /// 1/A of such a row is a number without meaning: where its regulariser is as small, it
+    /// would ask for a motion at any speed.
+    pub(crate) fn drop_rounding(
+        &mut self,
+        now: &Situation<R>,
+        bodies: [usize; 2],
+        at: &V3<R>,
+        mass: f64,
+    ) {
+        let Some(row) = self.rows.last() else { return };
+        let suspect = (row.a * R::of(mass)).lt(R::of(SUSPECT * R::EPSILON * R::EPSILON));
+        if suspect.none() {
+            return;
+        }
+        // What A would be if no term cancelled another.
+        let list = row.dofs.of(&now.model.dof_lists);
+        let (y, mut terms) = (row.y, R::zero());
+        for body in bodies.map(|body| &now.model.bodies[body]) {
+            if body.tree == crate::model::NONE {
+                continue;
+            }
+            let arm = at - now.placed.origin[body.tree];
+            for &k in body.chain.of(&now.model.dof_lists) {
+                let motion = &now.placed.motion[k];
+                let turning = motion.ang.dot(&motion.ang) * arm.dot(&arm);
+                let term = turning + motion.lin.dot(&motion.lin);
+                terms += now.placed.metric.inv_d[k] * term;
+            }
+        }
+        let none = suspect.and(row.a.le(R::of(ROUNDED * R::EPSILON * R::EPSILON) * terms));
+        for y in &mut self.y[y..y + list.len()] {
+            *y = R::select(none, R::zero(), *y).with_slopes_of(none, || *y);
+        }
+        if let Some(row) = self.rows.last_mut() {
+            row.a = R::select(none, R::zero(), row.a);
+            let velocity = row.velocity;
+            row.velocity = R::select(none, R::zero(), velocity).with_slopes_of(none, || velocity);
         }
     }
 

@@ -98,18 +98,22 @@ impl<R: Real> Sim<R> {
     }
 
     fn block_force(&self, block: &Block<R>, contact: &Contact<R>, lane: usize) -> [f64; 3] {
-        let impulse: Vec<f64> =
-            self.rows.rows[block.rows.range()].iter().map(|row| row.impulse.lane(lane)).collect();
+        let rows = &self.rows.rows[block.rows.range()];
+        let impulse: Vec<f64> = rows.iter().map(|row| row.impulse.lane(lane)).collect();
+        let bounded = |at: usize| rows[at].lo.lane(lane) >= 0.0;
         let still = self.model.pairs[contact.pair].still;
         let tangents = contact.tangents(&self.model, &self.placed);
         let moving = tangents.iter().zip(still).filter(|(_, still)| !still);
-        // A pyramid's rows are its edges J_n ± μ J_t and, if need be, their fold.
+        // A pyramid's rows are its edges J_n ± μ J_t and, if need be, their fold; a pair of edges
+        // whose normal nothing moves is a tangent without bounds, and its load.
         let edges = block.set == Set::Interval;
-        let normal = if edges { impulse.iter().sum() } else { impulse[0] };
+        let loads = || (0..impulse.len()).filter(|at| bounded(*at)).map(|at| impulse[at]);
+        let normal = if edges { loads().sum() } else { impulse[0] };
         let mut force = scaled(&contact.normal, normal / self.clock.seconds, lane);
         for (k, (tangent, _)) in moving.enumerate() {
             let along = match impulse.len() {
                 1 => 0.0,
+                _ if edges && !bounded(2 * k) => block.mu.lane(lane) * impulse[2 * k],
                 _ if edges => block.mu.lane(lane) * (impulse[2 * k] - impulse[2 * k + 1]),
                 _ => impulse[k + 1],
             };

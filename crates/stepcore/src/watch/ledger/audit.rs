@@ -56,10 +56,11 @@ impl<R: Real> Sim<R> {
         true
     }
 
-    /// What a block's rows give back at most: their force through the whole violation [J].
+    /// What a block's rows give back at most: their force through the whole violation [J]. A row
+    /// that nothing moves gives nothing, whatever its load.
     fn bent(&self, block: &Block<R>, lane: usize) -> f64 {
         let rows = self.rows.rows[block.rows.range()].iter();
-        let held = rows.map(|row| {
+        let held = rows.filter(|row| row.a.lane(lane) > 0.0).map(|row| {
             let gap = row.gap.lane(lane);
             let both_ways = row.lo.lane(lane) < 0.0;
             let depth = if both_ways { gap.abs() } else { (-gap).max(0.0) };
