@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from stepcore.measure.ablation import Ablation as Ablation
     from stepcore.measure.ablation import FeatureEffect as FeatureEffect
     from stepcore.measure.ablation import ablate as ablate
+    from stepcore.measure.check import Check as Check
+    from stepcore.measure.check import check as check
     from stepcore.measure.convergence import CandidateRun as CandidateRun
     from stepcore.measure.convergence import Convergence as Convergence
     from stepcore.measure.convergence import ResidualHistory as ResidualHistory
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
     from stepcore.measure.diagnosis import diagnose as diagnose
     from stepcore.measure.diagnosis.element_limits import ElementLimits as ElementLimits
     from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning as StiffnessWarning
+    from stepcore.measure.findings import Finding as Finding
     from stepcore.measure.plan import plan as plan
     from stepcore.measure.predictability import Predictability as Predictability
     from stepcore.measure.predictability import StartGrowth as StartGrowth
@@ -121,6 +124,7 @@ _MODULES = {
         "FeatureEffect",
         "ablate",
     ),
+    "stepcore.measure.check": ("Check", "check"),
     "stepcore.measure.convergence": (
         "CandidateRun",
         "Convergence",
@@ -135,6 +139,7 @@ _MODULES = {
     ),
     "stepcore.measure.diagnosis.element_limits": ("ElementLimits",),
     "stepcore.measure.diagnosis.stiffness_warning": ("StiffnessWarning",),
+    "stepcore.measure.findings": ("Finding",),
     "stepcore.measure.plan": ("plan",),
     "stepcore.measure.predictability": ("Predictability", "StartGrowth", "predictability"),
     "stepcore.measure.stability": (

@@ -18,6 +18,12 @@ def failure():
     return sc.replay(error.value.replay)
 
 
+def overlapping():
+    scene = lesson.drop()
+    scene.keys[0].qpos = [-0.05]
+    return scene
+
+
 MADE = {
     "trade": lambda: sc.trade(
         lesson.spring(),
@@ -36,6 +42,7 @@ MADE = {
     "stability": lambda: sc.stability_map(
         "lesson:spring", values=[10, 100], dts=[0.01, 0.1], integrator=["euler", "rk4"], **FAST
     ),
+    "check": lambda: sc.check(overlapping(), horizon=0.1, **FAST),
     "plan": lambda: sc.plan(lesson.drop()),
     "diagnosis": lambda: sc.diagnose(lesson.spring(), progress=False),
     "postmortem": failure,

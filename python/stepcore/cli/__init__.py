@@ -19,6 +19,7 @@ from stepcore.cli.terminal import print_what_can_be_printed
 
 COMMANDS = {
     "lesson": "check the engine on four small scenes whose results are known",
+    "check": "look for what makes a model misbehave: the first command to run",
     "run": "simulate a model and print its final state",
     "replay": "run a failed simulation again and show which elements injected its energy",
     "trade": "measure what speed costs in accuracy, and recommend settings",

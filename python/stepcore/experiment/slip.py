@@ -78,6 +78,21 @@ class Friction:
         past: np.ndarray = self._speed(sim, pos, second) - self._speed(sim, pos, first)
         return past
 
+    def movable(self, sim: Sim, contacts: np.ndarray) -> list[bool]:
+        """Whether some dof moves the two geoms of each contact along its normal."""
+        place, found = sim.xpos, []
+        for contact in contacts:
+            point = np.zeros((3, len(sim.qvel)))
+            for geom, sign in (("geom1", -1.0), ("geom2", 1.0)):
+                body = self.body[int(contact[geom])]
+                if body in self.moving:
+                    jacobian = sim.jacobian(body)
+                    arm = contact["pos"] - place[body]
+                    point += sign * (jacobian[:3] + np.cross(jacobian[3:].T, arm).T)
+            along = np.abs(contact["normal"] @ point).max(initial=0.0)
+            found.append(bool(along > 1e-9 * np.abs(point).max(initial=0.0)))
+        return found
+
     def _speed(self, sim: Sim, points: np.ndarray, bodies: list[int]) -> np.ndarray:
         """Velocities of points that are fixed to bodies [m/s], (n, 3)."""
         qvel, place = np.array(sim.qvel), sim.xpos

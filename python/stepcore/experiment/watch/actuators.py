@@ -93,6 +93,8 @@ class ActuatorWatch:
         room = AT_END * np.abs(bounds)
         with np.errstate(invalid="ignore"):
             low, high = force <= bounds[:, 0] + room[:, 0], force >= bounds[:, 1] - room[:, 1]
+        # One that rests at 0 is not saturated where its range begins there.
+        low, high = low & (force != 0), high & (force != 0)
         for k in np.flatnonzero((low | high).any(axis=0)):
             end = bounds[k, 0] if low[:, k].sum() > high[:, k].sum() else bounds[k, 1]
             yield Saturated(int(k), float(np.mean(low[:, k] | high[:, k])), float(end))

@@ -29,10 +29,14 @@ Look = tuple[int, float, float, float, bool, np.ndarray]
 
 @dataclass(frozen=True)
 class Overlap:
-    """Two geoms that overlap at the start. pair: see `Creep`; depth: [m]."""
+    """Two geoms that overlap at the start.
+
+    pair: see `Creep`; depth: [m]. movable: whether some joint moves them apart.
+    """
 
     pair: int
     depth: float
+    movable: bool = True
 
 
 @dataclass(frozen=True)
@@ -87,9 +91,9 @@ class ContactWatch:
         aside = Sim(self.model, sim.settings)
         aside.qpos[:] = sim.qpos
         aside.forward()
-        contacts = aside.contacts
-        for k in np.flatnonzero(contacts["dist"] < 0):
-            self.starts.append(Overlap(int(contacts["index"][k]), -float(contacts["dist"][k])))
+        contacts = aside.contacts[aside.contacts["dist"] < 0]
+        for contact, movable in zip(contacts, self.friction.movable(aside, contacts), strict=True):
+            self.starts.append(Overlap(int(contact["index"]), -float(contact["dist"]), movable))
         self.starts.sort(key=lambda overlap: -overlap.depth)
 
     def look(self, sim: Sim) -> None:

@@ -97,12 +97,13 @@ def _overlaps(
     names = [model.element_name("contact", pair) for pair in deep]
     worst = next(iter(deep.values()))
     share = worst.depth / sizes.contact(*model.pair_geoms[worst.pair].tolist())
+    becomes = "and are thrown apart" if worst.movable else "and no joint can move them apart"
     yield Finding(
         "overlap at the start",
         "error" if share > OVERLAP * 10 else "warning",
         names[0],
         f"{_pair(names[0])} overlap by {metres(worst.depth)} at the start, {percent(share)} of the "
-        f"thinner one's half thickness{others(names, 'pairs')}, and are thrown apart: "
+        f"thinner one's half thickness{others(names, 'pairs')}, {becomes}: "
         f"{_apart(model, worst)}.",
         worst.depth,
         "m",
@@ -117,15 +118,12 @@ def _pair(contact: str) -> str:
 def _apart(model: Model, overlap: Overlap) -> str:
     """How two geoms come apart: other positions, or no contact between the two bodies."""
     bodies = [int(model.geom_body[g]) for g in model.pair_geoms[overlap.pair]]
-    names = [model.body_names[b] or f"body {b}" for b in bodies]
     tree = [_root(model, b) for b in bodies]
     if tree[0] == tree[1] and tree[0]:
-        return (
-            f'leave the pair out with <exclude body1="{names[0]}" body2="{names[1]}"/>, or make '
-            "the geoms smaller"
-        )
-    mover = names[1] if tree[1] else names[0]
-    return f"move body `{mover}` away by that much in the model or in the keyframe"
+        a, b = (model.body_names[body] or "…" for body in bodies)
+        return f'leave them out with <exclude body1="{a}" body2="{b}"/>, or make the geoms smaller'
+    mover = model.element_name("body", bodies[1] if tree[1] else bodies[0])
+    return f"move {mover} away by that much in the model or in the keyframe"
 
 
 def _root(model: Model, body: int) -> int:

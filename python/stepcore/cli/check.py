@@ -1,0 +1,35 @@
+"""Look for what makes a model misbehave, in seconds: overlaps, masses that no real thing has, units
+that look like mm or degrees, states outside of limits, servos that are too weak, too stiff or
+saturated, contacts that creep or sink in; then the element that limits the time step. Each finding
+names its cure. The first command to run on a scene that misbehaves.
+
+Example:
+  stepcore check gymnasium:half_cheetah
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
+from stepcore.cli.output import add_output
+from stepcore.experiment.schedule import HORIZON
+from stepcore.measure.check import check
+from stepcore.report.result import Result
+
+
+def add(command: argparse.ArgumentParser) -> None:
+    add_file(command)
+    command.add_argument(
+        "--depth",
+        metavar="LENGTH",
+        help='name the solref with which contacts rest at this depth: metres, or "0.1mm"',
+    )
+    add_motion(command, without=("starts",), horizon=HORIZON)
+    add_output(command)
+
+
+def call(args: argparse.Namespace) -> Result:
+    # What would be warned of is what the result says in full.
+    model = model_of(args, warn=False)
+    return check(args.file, depth=args.depth, **motion_of(args, model))

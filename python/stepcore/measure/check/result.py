@@ -1,0 +1,97 @@
+"""`Check`: what `check` returns, its findings in sentences, a table and data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from stepcore._core import Settings
+from stepcore.experiment.motion import Motion
+from stepcore.measure.diagnosis import Diagnosis
+from stepcore.measure.findings import Finding
+from stepcore.report.result import Result
+from stepcore.report.settings import label
+from stepcore.report.table import Table
+from stepcore.report.units import counted, seconds
+
+
+@dataclass(eq=False, repr=False)
+class Check(Result):
+    """What is wrong with a scene, or may be; `stepcore.check` returns it.
+
+    name: of the scene. settings: as shipped. motion: what was run.
+    findings: the most severe first.
+    diagnosis: of the time step; None where it failed, and a note says why.
+    commands: what to run next, and why.
+    """
+
+    kind = "check"
+    units: ClassVar = {"value": "unit"}
+
+    name: str
+    settings: Settings
+    motion: Motion
+    findings: list[Finding]
+    diagnosis: Diagnosis | None
+    commands: list[tuple[str, str]]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def title(self) -> str:
+        """What was checked."""
+        return f"{self.name}: check"
+
+    @property
+    def setup(self) -> str:
+        """What was run."""
+        ran = self.motion
+        held = ran.ctrl is None and ran.control is None
+        controls = "the keyframe's controls held" if held else "the given controls"
+        return f"{seconds(ran.horizon or 0.0)} under {label(self.settings)}, {controls}."
+
+    @property
+    def rows(self) -> list[Finding]:
+        """The findings."""
+        return self.findings
+
+    @property
+    def sentences(self) -> list[str]:
+        """What was found with its cures, the diagnosis' answer, and the commands to run next."""
+        return list(self._said())
+
+    def _said(self) -> Iterator[str]:
+        if self.findings:
+            yield f"Found {counted(len(self.findings), 'thing')}, the most severe first:"
+            yield from (f"- {finding.severity}: {finding.text}" for finding in self.findings)
+        else:
+            yield "Nothing found."
+        if self.diagnosis is not None:
+            said = self.diagnosis.sentences
+            if math.isinf(self.diagnosis.limit()) or self.diagnosis.rate is None:
+                said = said[:1]
+            yield from said
+        yield "Next:"
+        yield from (f"- {command} ({why})" for command, why in self.commands)
+
+    @property
+    def table(self) -> Table:
+        """The findings; see `Finding`."""
+        columns = ["severity", "kind", "element", "value", "unit", "text"]
+        return Table(map(vars, self.findings), columns)
+
+    def tables(self, full: bool) -> list[Table]:
+        """The numbers that the findings are judged by."""
+        if not self.findings:
+            return []
+        columns = ["severity", "kind", "element", "value", "unit"]
+        return [Table(map(vars, self.findings), columns, heading="By element and value")]
+
+    def details(self) -> dict[str, Any]:
+        """The commands, and the diagnosis as data."""
+        found = None if self.diagnosis is None else self.diagnosis.to_dict()
+        return {"next": [command for command, _ in self.commands], "diagnosis": found}
+
+    def __repr__(self) -> str:
+        return f"<Check of {self.name}: {counted(len(self.findings), 'finding')}>"

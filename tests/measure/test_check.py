@@ -1,0 +1,300 @@
+"""`check`: every kind of finding on a scene made for it, and none on the same scene made right."""
+
+import math
+import re
+import warnings
+
+import pytest
+
+import stepcore as sc
+from stepcore.measure.findings.softness import yielding
+
+G = 9.81
+
+
+def checked(text, **options):
+    options = {"horizon": 0.2, "threads": 1, "progress": False} | options
+    with warnings.catch_warnings():
+        # What a load warns of is what the diagnosis says.
+        warnings.simplefilter("ignore", sc.StiffnessWarning)
+        scene = sc.loads(text)
+    return sc.check(scene, **options)
+
+
+def kinds(text, **options):
+    return [finding.kind for finding in checked(text, **options).findings]
+
+
+def the(text, kind, **options):
+    """The only finding of a scene, which has this kind."""
+    (finding,) = checked(text, **options).findings
+    assert finding.kind == kind, finding
+    return finding
+
+
+def arm(joint="", geom='size=".1"', rest="", body="", option="", compiler=""):
+    """One hinge without a load."""
+    return f"""<mujoco><compiler {compiler}/><option {option}/><worldbody><body name="arm" {body}>
+    <joint name="knee" axis="0 0 1" {joint}/><geom {geom}/></body></worldbody>{rest}</mujoco>"""
+
+
+def key(qpos, ctrl=""):
+    given = f'ctrl="{ctrl}"' if ctrl else ""
+    return f'<keyframe><key name="home" qpos="{qpos}" {given}/></keyframe>'
+
+
+def servo(more="", kp=10):
+    return f"""<actuator><position name="servo" joint="knee" kp="{kp}" {more}/></actuator>"""
+
+
+# Nothing.
+
+
+@pytest.mark.parametrize(
+    "name", ["lesson:spring", "lesson:stack", "gymnasium:hopper", "gymnasium:reacher"]
+)
+def test_nothing_is_found_in_a_healthy_scene(name):
+    result = sc.check(name, horizon=0.5, threads=1, progress=False)
+    assert result.findings == [] and result.sentences[0] == "Nothing found."
+    assert result.sentences[1] == result.diagnosis.sentences[0]
+    commands = [command for command, _ in result.commands]
+    assert commands[0] == f"stepcore trade {name} --error 1mm" and len(commands) == 3
+
+
+# Units.
+
+
+@pytest.mark.parametrize(
+    ("scale", "gravity", "found"), [(1, G, []), (500, G, ["units"]), (500, 9810, [])]
+)
+def test_sizes_in_millimetres(scale, gravity, found):
+    text = arm(geom=f'size="{0.1 * scale}"', option=f'gravity="0 0 -{gravity}"')
+    assert kinds(text) == found
+
+
+def test_gravity_in_millimetres():
+    one = the(arm(option='gravity="0 0 -9810"'), "units")
+    assert one.severity == "error" and "9810 m/s² while" in one.text
+
+
+@pytest.mark.parametrize(
+    ("unit", "bounds", "said"),
+    [
+        ("degree", "-1.57 1.57", 'compiler angle="radian"'),
+        ("degree", "-90 90", None),
+        ("radian", "-90 90", 'compiler angle="degree"'),
+        ("radian", "-1.57 1.57", None),
+        ("degree", "-0.1 0.1", None),
+    ],
+)
+def test_ranges_in_the_other_unit(unit, bounds, said):
+    text = arm(f'range="{bounds}"', compiler=f'angle="{unit}"')
+    if said is None:
+        assert kinds(text) == []
+    else:
+        assert said in the(text, "units").text
+
+
+def test_a_keyframe_in_degrees():
+    one = the(arm(rest=key(90)), "units")
+    assert "Keyframe `home` puts joint `knee` at 90 rad" in one.text
+    assert kinds(arm(rest=key(1.57))) == []
+
+
+def test_a_control_range_in_degrees():
+    wrong = servo('ctrlrange="-90 90"')
+    one = the(arm('range="-90 90" damping="1"', rest=wrong), "units")
+    assert one.element == "servo `servo`" and "-90 to 90 rad" in one.text
+    assert kinds(arm('range="-90 90" damping="1"', rest=servo('ctrlrange="-1.5 1.5"'))) == []
+
+
+# Masses and inertias.
+
+
+@pytest.mark.parametrize(
+    ("mass", "said"),
+    [(4.18, None), (130, "3.95× the density of steel and 31× that of water"), (1e-4, "air")],
+)
+def test_densities(mass, said):
+    """A ball of 0.1 m has 4.19 litres."""
+    if said is None:
+        assert kinds(arm(geom=f'size=".1" mass="{mass}"')) == []
+        return
+    one = the(arm(geom=f'size=".1" mass="{mass}"'), "density")
+    assert one.value == pytest.approx(mass / (4 / 3 * math.pi * 1e-3)) and said in one.text
+    assert one.severity == "remark"
+
+
+@pytest.mark.parametrize(
+    ("inertia", "found"), [(4e-3, []), (1.0, ["inertia"]), (1e-7, ["inertia"])]
+)
+def test_inertias_that_belong_to_another_body(inertia, found):
+    """A ball of 1 kg and 0.1 m has 0.004 kg·m²; 1 kg·m² is that of mass 1.2 m away."""
+    inertial = f'<inertial pos="0 0 0" mass="1" diaginertia="{inertia} {inertia} {inertia}"/>'
+    text = arm().replace("<geom", f"{inertial}<geom")
+    assert kinds(text) == found
+    if inertia == 1.0:
+        one = the(text, "inertia")
+        assert one.value == pytest.approx(math.sqrt(1.5)) and "0.004 kg·m²" in one.text
+
+
+def test_a_light_body_under_a_heavy_one():
+    text = """<mujoco><option solver="PGS"/><worldbody><body name="a"><freejoint/>
+    <geom size=".1" mass="{}"/></body><body name="b" pos="0 0 .3"><freejoint/>
+    <geom size=".1" mass="50"/></body></worldbody></mujoco>"""
+    assert kinds(text.format(1)) == []
+    assert the(text.format(4.9e-3), "mass ratio").value == pytest.approx(50 / 4.9e-3)
+
+
+# Limits and ranges.
+
+
+def test_a_start_outside_of_a_limit():
+    one = the(arm('range="20 90"'), "outside a limit")
+    assert one.severity == "warning" and "at 0 rad, outside of its range of 349 mrad" in one.text
+    assert kinds(arm('range="20 90"', rest=key(0.5))) == []
+
+
+def test_a_keyframe_outside_of_a_limit():
+    one = the(arm('range="-60 60"', rest=key(1.2)), "outside a limit")
+    assert one.severity == "error" and "(the nearest is 1.047)" in one.text
+    assert "Keyframe `home` has joint `knee` at 1.2 rad" in one.text
+
+
+def test_a_keyframe_whose_control_is_clamped():
+    text = arm(rest=servo('ctrlrange="-1 1"') + key(0.5, 2))
+    assert set(kinds(text)) == {"clamped control"}
+    assert "Keyframe `home` has a control of 2 for servo `servo`" in str(checked(text))
+
+
+def test_a_force_range_of_one_direction():
+    one = the(arm(rest=servo('forcerange="0 5"')), "force range")
+    assert "-5 to 5 lets it hold" in one.text
+    assert kinds(arm(rest=servo('forcerange="-5 5"'))) == []
+
+
+# Servos.
+
+
+def test_a_servo_that_is_saturated_at_the_start():
+    """kp (ctrl − q) = 1000 × (0 − 0.5)."""
+    text = arm('armature="1" damping="5"', rest=servo('forcerange="-52 52"', 1000) + key(0.5))
+    one = the(text, "saturation")
+    assert one.value == pytest.approx(-500) and "has -52 N·m" in one.text
+    assert kinds(text.replace('qpos="0.5"', 'qpos="0.5" ctrl="0.5"')) == []
+
+
+def lever(force, more=""):
+    """1 kg at 0.5 m: m g l at the start, which is level, and half of that at 60°."""
+    return f"""<mujoco><worldbody><body name="arm">
+    <joint name="knee" axis="0 -1 0" range="-90 90" armature=".1"/>
+    <inertial pos=".5 0 0" mass="1" diaginertia=".01 .01 .01"/></body></worldbody>
+    <actuator><position name="servo" joint="knee" kp="200" kv="20"
+    forcerange="-{force} {force}"/></actuator>{more}</mujoco>"""
+
+
+def test_a_servo_that_cannot_hold_its_load():
+    """m g l = 4.905 N·m."""
+    one = next(f for f in checked(lever(4.8)).findings if f.kind == "servo too weak")
+    assert one.value == pytest.approx(G * 0.5, rel=1e-6) and one.severity == "error"
+    assert "cannot hold the start: its load there is 4.91 N·m and its forcerange ends at 4.8" in (
+        one.text
+    )
+    assert kinds(lever(8.0), horizon=2.0) == []
+    # What stands on the floor beside it changes nothing of that.
+    beside = """<geom type="plane" size="1 1 1" pos="0 0 -2"/><body pos="0 5 -1.9"><freejoint/>
+    <geom size=".1"/></body></worldbody>"""
+    found = checked(lever(4.8).replace("</worldbody>", beside)).findings
+    assert [f.value for f in found if f.kind == "servo too weak"] == [one.value]
+    # Half the load at 60°: the keyframe can be held where the level arm cannot.
+    up = f'<keyframe><key name="up" qpos="{math.pi / 3}" ctrl="{math.pi / 3}"/></keyframe>'
+    assert kinds(lever(3.0, up), horizon=2.0) == []
+    both = up.replace("</keyframe>", '<key name="level"/></keyframe>')
+    text = next(f for f in checked(lever(3.0, both)).findings).text
+    assert "cannot hold keyframe `level`" in text
+
+
+@pytest.mark.parametrize(("kp", "kv", "said"), [(400, 0, "kp 400"), (0.1, 5, "kv 5")])
+def test_gains_beside_a_joint_without_armature(kp, kv, said):
+    """ω dt = √(kp/I) dt, or kv dt/I; with the armature that is named both are as they may be."""
+    text = arm(geom='size=".1" mass="1"', rest=servo(f'kv="{kv}"', kp), option='timestep=".01"')
+    one = next(f for f in checked(text).findings if f.kind == "armature")
+    inertia = 0.4 * 0.1**2
+    assert one.value == pytest.approx(inertia) and said in one.text
+    armature = float(re.search(r'armature="(\S+)"', one.text)[1])
+    moved = armature + inertia
+    assert max(math.sqrt(kp / moved) * 0.01 / 0.5, kv * 0.01 / moved) == pytest.approx(1, rel=0.1)
+    right = arm(
+        f'armature="{armature}"',
+        geom='size=".1" mass="1"',
+        rest=servo(f'kv="{kv}"', kp),
+        option='timestep=".01"',
+    )
+    assert kinds(right) == []
+
+
+def test_a_limit_that_a_motor_overpowers():
+    """A motor of τ pushes beyond by what the softness of the limit yields under τ/I."""
+    motor = '<actuator><motor name="m" joint="knee" gear="{}" ctrlrange="-1 1"/></actuator>'
+    limits = 'range="-60 60" solreflimit=".05 1"'
+    mass = 'size=".1" mass="1"'
+    one = the(arm(limits, mass, rest=motor.format(4)), "limit")
+    load = 4 / (0.4 * 0.1**2)
+    assert one.value == pytest.approx(yielding((0.05, 1), (0.9, 0.95, 0.001, 0.5, 2), load, 0.002))
+    assert one.text.startswith("Motor `m` can push joint `knee` ") and "with 4 N·m" in one.text
+    assert kinds(arm(limits, mass, rest=motor.format(0.5))) == []
+    # It goes there under a full control, and is told once.
+    pushed = checked(arm(limits, mass, rest=motor.format(4)), horizon=2.0, ctrl=[[1.0]])
+    (run,) = pushed.findings
+    assert run.value == pytest.approx(one.value, rel=0.02) and "pushes" in run.text
+
+
+# The run and the diagnosis.
+
+
+def test_a_run_that_fails_and_its_diagnosis():
+    text = arm('stiffness="1e5"', 'size=".1" mass="1"', option='timestep=".02"', rest=key(0.1))
+    result = checked(text, horizon=4.0)
+    assert result.findings[0].kind == "failure" and result.findings[0].severity == "error"
+    assert "spring of joint `knee`" in result.findings[0].text
+    assert "explodes under euler" in str(result) and "Any one of these changes" in str(result)
+    assert result.commands[0][0] == "stepcore diagnose FILE"
+    assert re.fullmatch(r"stepcore run FILE --dt \S+", result.commands[1][0])
+
+
+def test_what_the_run_shows_is_found():
+    """The ball sinks in under its solref, and is asked to sink in less."""
+    text = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 .05"><freejoint/>
+    <geom size=".05" solref="{}" mass="1"/></body></worldbody></mujoco>"""
+    assert the(text.format("0.2 1"), "depth at rest", horizon=4.0).severity == "warning"
+    soft = text.format("0.02 1")
+    assert kinds(soft, horizon=1.0) == []
+    asked = the(soft, "depth at rest", horizon=1.0, depth="0.1mm")
+    assert asked.severity == "remark" and "leaves 100 µm" in asked.text
+
+
+def test_the_motion_is_the_users():
+    """A control of 9 where 1 is allowed."""
+    text = arm(rest='<actuator><motor name="m" joint="knee" ctrlrange="-1 1"/></actuator>')
+    assert kinds(text) == []
+    assert the(text, "clamped control", control=lambda time, sim: [9.0]).element == "motor `m`"
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"depth": -1}, "depth = -1"),
+        ({"depth": "1 furlong"}, "must be a length"),
+        ({"starts": 3}, 'no argument "starts"'),
+        ({"horizon": -1}, "horizon = -1"),
+        ({"key": "away"}, "away"),
+    ],
+)
+def test_bad_arguments(options, said):
+    with pytest.raises((ValueError, TypeError), match=re.escape(said)):
+        checked(arm(), **options)
+
+
+def test_nothing_moves():
+    with pytest.raises(ValueError, match="nothing in it can move"):
+        sc.check(sc.loads('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>'))
