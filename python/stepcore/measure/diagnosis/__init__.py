@@ -15,9 +15,11 @@ from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.starts import home
 from stepcore.measure.diagnosis.advice import advise
 from stepcore.measure.diagnosis.closed_form_bound import closed_form_bound
+from stepcore.measure.diagnosis.control_probe import with_feedback
 from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST, Limit, dt_limit
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits, IsolatedElements
+from stepcore.measure.diagnosis.held_control import held_for, sampled_often
 from stepcore.measure.diagnosis.limiters import limiters
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
 from stepcore.measure.diagnosis.result import Diagnosis
@@ -100,9 +102,20 @@ def diagnose(
     if motion.ctrl is None and motion.control is None:
         schedule = eased(schedule, home(model, motion.key)[1])
     with workers.bar("states", 1) as bar:
-        at_start = step_stability(model, [start(model, schedule)], horizon)
-        visit = visited(model, schedule, _safe_dt(at_start))
-        here = step_stability(model, visit.states, horizon)
+        begin, control = start(model, schedule), motion.control
+        if control is not None:
+            (begin,) = with_feedback(model, [begin], control, period, horizon)
+        at_start = step_stability(model, [begin], horizon)
+        safe = _safe_dt(at_start)
+        if control is not None:
+            # Sampled often enough that it cannot blow the run up.
+            schedule = sampled_often(schedule, safe)
+        visit = visited(model, schedule, safe)
+        states = visit.states
+        if control is not None:
+            states = with_feedback(model, states, control, period, horizon)
+            states = [held_for(state, motion.control_dt) for state in states]
+        here = step_stability(model, states, horizon)
         bar.advance()
     longest = max(LONGEST, 2 * wanted, 2 * settings.dt)
     shortest = min(SHORTEST, wanted / 2, settings.dt / 2)

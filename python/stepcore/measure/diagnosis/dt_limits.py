@@ -95,10 +95,13 @@ def _limit_from_rates(
 ) -> float | None:
     """The limit [s] that the rates of the motion give where no row acts, without a linearised step.
 
-    None for states with rows and for integrators whose step is not a function of dt·J.
+    None for states with rows or a control function, and for integrators whose step is not a
+    function of dt·J.
     """
     rates, start = here.rates[state], here.states[state]
-    if not here.without_rows(start) or amplification(integrator, low * rates) is None:
+    if start.feedback is not None or not here.without_rows(start):
+        return None
+    if amplification(integrator, low * rates) is None:
         return None
     model = without_rows(here.model)
 

@@ -17,8 +17,9 @@ class ElementId:
     """One element of a model.
 
     kind: "spring", "damper", "actuator", "limit", "friction loss", "connect" or "contact" as in
-    `Sim.rows` and `Sim.contacts`, or "spin", the gyroscopic torque of a body. index: of its joint,
-    actuator, equality, pair of geoms or body. name: as `Model.element_name` has it.
+    `Sim.rows` and `Sim.contacts`, or "spin", the gyroscopic torque of a body, or "control", what
+    the user's control function makes of an actuator. index: of its joint, actuator, equality, pair
+    of geoms or body. name: as `Model.element_name` has it.
     """
 
     kind: str
@@ -30,6 +31,8 @@ class ElementId:
         """The element of a kind with its name."""
         if kind == "spin":
             return cls(kind, index, f"spin of {model.element_name('body', index)}")
+        if kind == "control":
+            return cls(kind, index, f"control of {model.element_name('actuator', index)}")
         return cls(kind, index, model.element_name(kind, index))
 
 

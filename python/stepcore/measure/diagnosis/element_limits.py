@@ -14,6 +14,7 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.linear_maps import INTEGRATORS
+from stepcore.measure.diagnosis.control_elements import KIND, control_dt
 from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST
 from stepcore.measure.diagnosis.element_id import INERTIAL, ROWS, ElementId
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
@@ -116,6 +117,9 @@ class IsolatedElements:
             return max(float(direction @ damping @ direction), 0.0)
 
         own = along(self.motion.elements[element].damping)
+        if element.kind == KIND:
+            hidden = along(self.implicit[name]) if name in self.implicit else 0.0
+            return control_dt(omega, own, hidden, name, self.horizon, LONGEST)
         if name == "midpoint" and element.kind in ROWS:
             return row_dt_under_midpoint(omega, own)
         if name == "explicit" and omega > 0:

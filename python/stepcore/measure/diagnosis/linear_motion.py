@@ -18,8 +18,15 @@ from stepcore.engine.arrays import Floats
 from stepcore.engine.linear_maps import DAMPING_IMPLICIT, stepped
 from stepcore.engine.model import Model
 from stepcore.experiment.joint_gains import implicit_kinds
+from stepcore.measure.diagnosis.control_elements import (
+    KIND,
+    control_inputs,
+    control_matrices,
+    held_step,
+)
 from stepcore.measure.diagnosis.element_id import INERTIAL, ROWS, ElementId
 from stepcore.measure.diagnosis.element_matrices import ElementMatrices, element_matrices
+from stepcore.measure.diagnosis.feedback import Feedback
 from stepcore.measure.diagnosis.linear_step import (
     TINY_STEP,
     VELOCITY_LAWS,
@@ -37,7 +44,8 @@ class LinearMotion:
 
     mass: M, shape (nv, nv). rates: J, shape (2 nv, 2 nv) [1/s]. elements: K_e and D_e of each.
     implicit: whose damping each integrator treats implicitly. after: the elements whose impulses
-    come on top of the midpoint step.
+    come on top of the midpoint step. feedback: the user's control function, whose forces are held;
+    J has it as if it were not. inputs: the force of each control, shape (nv, nu).
     """
 
     mass: Floats
@@ -45,6 +53,8 @@ class LinearMotion:
     elements: dict[ElementId, ElementMatrices]
     implicit: dict[str, frozenset[ElementId]]
     after: frozenset[ElementId] = frozenset()
+    feedback: Feedback | None = None
+    inputs: Floats | None = None
 
     def step(
         self,
@@ -53,11 +63,12 @@ class LinearMotion:
         scaled: ElementId | None = None,
         by: float = 0.0,
         of: Any = None,
+        hold: int = 1,
     ) -> Any:
-        """A of a step of dt [s], shape (2 nv, 2 nv).
+        """A of a step of dt [s], shape (2 nv, 2 nv), as `linear_step.step_map`.
 
         scaled: an element whose stiffness and damping are multiplied by 1 + by. of: gives A times
-        this block instead, with less work.
+        this block instead, with less work. hold: so many steps, the controls of the first held.
         """
         n = len(self.mass)
         implicit = np.zeros((n, n))
@@ -71,6 +82,25 @@ class LinearMotion:
                 force = force + gain * self.elements[element].force(y)
             return np.linalg.solve(self.mass, force)
 
+        if self.feedback is not None and self.inputs is not None:
+            feedback, inputs = self.feedback, self.inputs
+            if scaled is not None and scaled.kind == KIND:
+                inputs = inputs.copy()
+                inputs[:, scaled.index] *= 1 + by
+
+            def free(y: Any) -> Any:
+                return self._free(scaled, by, y)
+
+            def smooth(y: Any) -> Any:
+                product = free(y)
+                product[n:] -= after(y)
+                return product
+
+            block = np.eye(2 * n + feedback.order) if of is None else of
+            within = smooth if self.after else None
+            return held_step(
+                integrator, dt, hold, free, block, self.mass, implicit, within, feedback, inputs
+            )
         return stepped(
             integrator,
             dt,
@@ -80,6 +110,14 @@ class LinearMotion:
             implicit,
             after if self.after else None,
         )
+
+    def _free(self, scaled: ElementId | None, by: float, x: Any) -> Any:
+        """J x without the controls."""
+        other = None if scaled is not None and scaled.kind == KIND else scaled
+        product = self.rates_times(other, by, x)
+        pulls = [m.force(x) for element, m in self.elements.items() if element.kind == KIND]
+        product[len(self.mass) :] -= np.linalg.solve(self.mass, sum(pulls))
+        return product
 
     def rates_times(self, scaled: ElementId | None, by: float, x: Any) -> Any:
         """J x, with one element's stiffness and damping multiplied by 1 + by."""
@@ -113,13 +151,20 @@ def linear_motion(model: Model, state: State, dt: float | None) -> LinearMotion 
     own: dict[str, Any] = {"dt": TINY_STEP, "refsafe": False} if dt is None else {"dt": dt}
     sim = sim_at(model, state, integrator="explicit", **own)
     elements = element_matrices(model, sim, state)
-    mass, n = np.array(sim.mass_matrix()), model.nv
+    mass, n, inputs = np.array(sim.mass_matrix()), model.nv, None
+    feedback = state.feedback
+    if feedback is not None:
+        inputs = control_inputs(model, state, mass)
+        elements |= control_matrices(model, feedback, inputs)
+        if not any(element.kind == KIND for element in elements):
+            feedback = inputs = None
     rest = -mass @ rates[n:]
     rest -= sum((np.hstack([e.stiffness, e.damping]) for e in elements.values()), 0 * rest)
     elements[INERTIAL] = ElementMatrices(rest[:, :n], rest[:, n:])
     penalty = model.settings.law == "penalty"
     rows = {e for e in elements if e.kind in ROWS and not (penalty and e.kind == "contact")}
-    return LinearMotion(mass, rates, elements, _implicit(model, elements), frozenset(rows))
+    implicit = _implicit(model, elements)
+    return LinearMotion(mass, rates, elements, implicit, frozenset(rows), feedback, inputs)
 
 
 def _implicit(model: Model, elements: dict[ElementId, Any]) -> dict[str, frozenset[ElementId]]:

@@ -8,6 +8,7 @@ itself grows, decays and turns.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import dataclasses
 import functools
@@ -20,8 +21,10 @@ from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.experiment.control import controls
 from stepcore.experiment.converged import converged_settings
 from stepcore.measure.diagnosis.element_id import ElementId, acting_elements
+from stepcore.measure.diagnosis.feedback import Feedback
 from stepcore.measure.diagnosis.midpoint_map import midpoint_map
 
 # The step from which J is read [s]: a free rotation turns by dt·v, an error of this size.
@@ -37,7 +40,8 @@ class State:
     """A state at which the step is linearised.
 
     label: where in the motion it is. time: of the motion [s]. qpos: shape (nq,); qvel: shape
-    (nv,); ctrl: shape (nu,). rows: the elements whose rows act there.
+    (nv,); ctrl: shape (nu,). rows: the elements whose rows act there. feedback: the user's control
+    function at this state, if the controls depend on it.
     """
 
     label: str
@@ -46,6 +50,7 @@ class State:
     qvel: Floats
     ctrl: Floats
     rows: tuple[ElementId, ...] = ()
+    feedback: Feedback | None = None
 
 
 def with_converged_rows(model: Model) -> Model:
@@ -83,7 +88,7 @@ def state_after(
     """
     sim = sim_at(model, state, integrator=integrator, dt=dt)
     try:
-        sim.step(count)
+        _stepped(sim, state, count)
         met = set(acting_elements(sim))
         sim.forward()
     except SimulationError:
@@ -91,11 +96,35 @@ def state_after(
     steps = "a step" if count == 1 else f"{count} steps"
     label = f"{state.label} and {steps} of {dt:.3g} s"
     after = state_of(sim, label, state.time + count * dt)
+    after = dataclasses.replace(after, feedback=state.feedback)
     return after, met | set(after.rows)
 
 
+def _stepped(sim: Sim, state: State, count: int) -> None:
+    """Takes steps; a control function is asked before each but the first."""
+    if state.feedback is None:
+        sim.step(count)
+        return
+    for step in range(count):
+        if step:
+            _ask(sim, state)
+        sim.step()
+
+
+def _ask(sim: Sim, state: State) -> None:
+    """Sets the controls that the state's control function gives; one with a memory is not asked."""
+    feedback = state.feedback
+    if feedback is not None and not feedback.order:
+        with contextlib.suppress(ValueError):
+            sim.ctrl[:] = controls(feedback.function, sim)
+
+
 def step_map(model: Model, state: State, integrator: str, dt: float) -> Floats | None:
-    """A of one step, shape (2 nv, 2 nv); None where the step or its derivative is not finite."""
+    """A of one step, shape (2 nv, 2 nv); None where the step or its derivative is not finite.
+
+    Where controls depend on the state it is that of the closed loop, sampled at the step. A control
+    function that remembers adds what it remembers to x.
+    """
     return step_maps(model, state, integrator, dt, 1)
 
 
@@ -105,20 +134,24 @@ def step_maps(model: Model, state: State, integrator: str, dt: float, count: int
     product = None
     try:
         for k in range(count):
-            matrix = _tangent(sim)
+            matrix = closed_step(sim, state.feedback)
             product = matrix if product is None else matrix @ product
             if k < count - 1:
                 sim.step()
+                _ask(sim, state)
     except (SimulationError, ValueError):
         return None
     return product if product is not None and np.isfinite(product).all() else None
 
 
-def _tangent(sim: Sim) -> Floats:
-    """A of the next step of a Sim; the Sim stays where it is."""
+def closed_step(sim: Sim, feedback: Feedback | None, hold: int = 1) -> Floats:
+    """A of the next steps of a Sim, with the controls of the first held; it stays where it is."""
     if sim.settings.integrator == "midpoint" and not sim.model.scene.features.constraint:
-        return midpoint_map(sim)
-    return sim.linearize().A
+        step, inputs = midpoint_map(sim)
+    else:
+        linear = sim.linearize()
+        step, inputs = linear.A, linear.B
+    return step if feedback is None else feedback.closed(step, inputs, hold)
 
 
 def rates_matrix(model: Model, state: State, dt: float | None = None) -> Floats | None:
@@ -130,6 +163,9 @@ def rates_matrix(model: Model, state: State, dt: float | None = None) -> Floats 
     """
     if dt is None and model.settings.law in VELOCITY_LAWS:
         model = without_rows(model)
+    if state.feedback is not None:
+        # Sampled all the time, as if nothing were held.
+        state = dataclasses.replace(state, feedback=state.feedback.prompt)
     matrix = step_map(model.with_settings(refsafe=False), state, "explicit", TINY_STEP)
     if matrix is None:
         return None

@@ -5,7 +5,8 @@ q⁺ = q ⊕ dt v_m. Its derivative is the solution of one linear system,
 
     (1 − h² a_q T − h a_v) δv_m = δv + h a_q E δq,
 
-where a_q and a_v are the derivatives of the acceleration at (q_m, v_m), and q ⊕ h v moves by
+where a_q and a_v are the derivatives of the acceleration at (q_m, v_m), with h a_u δu on the right
+for a change δu of the controls, and q ⊕ h v moves by
 E δq + h T δv. E and T are 1 except for rotations, whose T is the right Jacobian of SO(3).
 `Sim.linearize` iterates instead, for longer the nearer the step is to where the iteration no
 longer converges.
@@ -26,8 +27,8 @@ from stepcore.experiment.coordinates import Coordinates
 SHORT = 1e-7
 
 
-def midpoint_map(sim: Sim) -> Floats:
-    """A of the midpoint step of a Sim without rows, shape (2 nv, 2 nv).
+def midpoint_map(sim: Sim) -> tuple[Floats, Floats]:
+    """A and B of the midpoint step of a Sim without rows, shapes (2 nv, 2 nv) and (2 nv, nu).
 
     Raises SimulationError where the iteration of the step does not converge.
     """
@@ -38,16 +39,18 @@ def midpoint_map(sim: Sim) -> Floats:
     stepped.step()
     mean = (qvel + np.array(stepped.qvel)) / 2
     middle = _at(sim, dofs.moved(qpos, h * mean), mean, integrator="explicit", dt=SHORT)
-    slopes = (middle.linearize().A - np.eye(2 * n))[n:] / SHORT
-    by_position, by_velocity = slopes[:, :n], slopes[:, n:]
+    linear = middle.linearize()
+    slopes = (linear.A - np.eye(2 * n))[n:] / SHORT
+    by_position, by_velocity, by_control = slopes[:, :n], slopes[:, n:], linear.B[n:] / SHORT
     turn, gain = _displacement_maps(dofs, h * mean)
     system = np.eye(n) - h * h * by_position @ gain - h * by_velocity
-    mean_by = np.linalg.solve(system, np.hstack([h * by_position @ turn, np.eye(n)]))
+    known = np.hstack([h * by_position @ turn, np.eye(n), h * by_control])
+    mean_by, mean_by_control = np.split(np.linalg.solve(system, known), [2 * n], axis=1)
     turn, gain = _displacement_maps(dofs, 2 * h * mean)
     whole = np.vstack([2 * h * gain @ mean_by, 2 * mean_by])
     whole[:n, :n] += turn
     whole[n:, n:] -= np.eye(n)
-    return whole
+    return whole, np.vstack([2 * h * gain @ mean_by_control, 2 * mean_by_control])
 
 
 def _at(sim: Sim, qpos: Floats, qvel: Floats, **settings: Any) -> Sim:

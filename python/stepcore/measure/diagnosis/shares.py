@@ -16,8 +16,9 @@ from stepcore.engine.arrays import Floats
 from stepcore.measure.diagnosis.dt_limits import Limit
 from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.growth import step_growth
+from stepcore.measure.diagnosis.held_control import folded, steps_held
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
-from stepcore.measure.diagnosis.linear_step import step_map
+from stepcore.measure.diagnosis.linear_step import State, step_map
 from stepcore.measure.diagnosis.step_stability import StepStability
 
 # Past the limit an eigenvalue has left its partner: there it shows what drives it.
@@ -26,6 +27,8 @@ BEYOND = 1.05
 NUDGE = 1e-4
 # Eigenvalues that are equal, as part of their distance from 1; points of the contour around them.
 EQUAL, CONTOUR = 1e-2, 16
+# The most steps of a control period that is made of the elements.
+HOLD = 64
 
 Shares = dict[ElementId, float]
 
@@ -40,6 +43,9 @@ def limiting_shares(here: StepStability, limit: Limit) -> Shares:
     motion = here.motion(state, dt)
     if motion is None:
         return _fastest(here, limit.state)
+    held = _held_shares(here, limit, state, motion, dt)
+    if held is not None:
+        return held
     # The step made of the elements, where it grows too: what it leaves out belongs to no element.
     with np.errstate(over="ignore", invalid="ignore"):
         made = motion.step(limit.integrator, dt)
@@ -56,6 +62,31 @@ def limiting_shares(here: StepStability, limit: Limit) -> Shares:
     if matrix is None:
         return _fastest(here, limit.state)
     return step_shares(motion, limit.integrator, dt, matrix, worst.value)
+
+
+def _held_shares(
+    here: StepStability, limit: Limit, state: State, motion: LinearMotion, dt: float
+) -> Shares | None:
+    """The shares over a control period of several steps; None where that does not grow."""
+    count, step = steps_held(state, dt)
+    if count == 1 or motion.feedback is None:
+        return None
+    # Shares need no more steps than this.
+    hold, step = (count, step) if count <= HOLD else (HOLD, count * step / HOLD)
+    span = hold * step
+    with np.errstate(over="ignore", invalid="ignore"):
+        made = motion.step(limit.integrator, step, hold=hold)
+    if not np.isfinite(made).all():
+        return None
+    rates = folded(np.linalg.eigvals(motion.rates), span)
+    growth = step_growth(made, span, rates, here.horizon)
+    if growth.stable:
+        return None
+
+    def changed(element: ElementId, by: float, block: Any) -> Any:
+        return motion.step(limit.integrator, step, element, by, block, hold)
+
+    return _shares(motion, made, growth.value, changed)
 
 
 def step_shares(

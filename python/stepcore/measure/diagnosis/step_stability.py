@@ -17,6 +17,7 @@ from stepcore.measure.diagnosis.growth import (
     growth_beyond_motion,
     step_growth,
 )
+from stepcore.measure.diagnosis.held_control import CLEAR, growth_when_held
 from stepcore.measure.diagnosis.linear_motion import LinearMotion, linear_motion
 from stepcore.measure.diagnosis.linear_step import (
     VELOCITY_LAWS,
@@ -31,8 +32,6 @@ from stepcore.measure.diagnosis.solref import first_softened
 
 # The shortest step tried, in units of the fastest time of the motion.
 SHORTEST = 1e-4
-# An eigenvalue of this size is an explosion whatever the motion does.
-CLEAR = 1.5
 # How many shorter steps show what the motion does within one.
 SHORTER = 4
 # Steps that a row may take to begin to act; steps after which a row that refsafe softens, to a
@@ -90,8 +89,18 @@ class StepStability:
         """
         at = (integrator, dt, state)
         if at not in self._seen:
-            self._seen[at] = self._find_growth(integrator, dt, state)
+            self._seen[at] = self._worse_when_held(*at, *self._find_growth(integrator, dt, state))
         return self._seen[at]
+
+    def _worse_when_held(
+        self, integrator: str, dt: float, state: int, seen: State, growth: StepGrowth
+    ) -> tuple[State, StepGrowth]:
+        """The growth over a control period of several steps, if that is worse than the step's."""
+        own, rates = self.states[state], self.rates[state]
+        held = growth_when_held(self.model_at(own), own, rates, integrator, dt, self.horizon)
+        if held is None or held.excess <= growth.excess:
+            return seen, growth
+        return own, held
 
     def _find_growth(self, integrator: str, dt: float, state: int) -> tuple[State, StepGrowth]:
         here = self.states[state]

@@ -1,0 +1,214 @@
+"""A user's control function in the linear step: its limit against the z-map and the real step."""
+
+import collections
+import math
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore.measure.diagnosis.control_probe import with_feedback
+from stepcore.measure.diagnosis.linear_motion import linear_motion
+from stepcore.measure.diagnosis.linear_step import State, step_map
+
+INTEGRATORS = ("explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4")
+INERTIA, KP, KD = 0.115, 2000.0, 20.0
+QUIET = {"horizon": 1.0, "threads": 1, "progress": False}
+
+
+def leg(joint="", option=""):
+    """One hinge of a known inertia, with a motor."""
+    return sc.loads(
+        f"""<mujoco><option timestep="0.002" gravity="0 0 0" {option}/><worldbody>
+        <body name="leg"><joint name="ankle" axis="0 1 0" {joint}/>
+        <inertial pos="0 0 0" mass="1" diaginertia="{INERTIA} {INERTIA} {INERTIA}"/></body>
+        </worldbody><actuator><motor name="ankle" joint="ankle"/></actuator></mujoco>"""
+    )
+
+
+def pd(time, sim, kp=KP, kd=KD):
+    return [-kp * sim.qpos[0] - kd * sim.qvel[0]]
+
+
+class Delayed:
+    """The PD, so many samples late."""
+
+    def __init__(self, samples):
+        self.waiting = collections.deque([0.0] * samples)
+
+    def __call__(self, time, sim):
+        self.waiting.append(pd(time, sim)[0])
+        return [self.waiting.popleft()]
+
+
+class Filtered:
+    """The PD behind a low-pass filter of first order."""
+
+    def __init__(self):
+        self.value = 0.0
+
+    def __call__(self, time, sim):
+        self.value += 0.3 * (pd(time, sim)[0] - self.value)
+        return [self.value]
+
+
+class Integrating:
+    """A PID; it sums up its error at every call."""
+
+    def __init__(self):
+        self.sum = 0.0
+
+    def __call__(self, time, sim):
+        self.sum += sim.qpos[0]
+        return [pd(time, sim)[0] - 50.0 * self.sum]
+
+
+def late_closure():
+    """A delay that no copy can reach."""
+    waiting = collections.deque([0.0, 0.0])
+
+    def control(time, sim):
+        waiting.append(pd(time, sim)[0])
+        return [waiting.popleft()]
+
+    return control
+
+
+def stays(scene, control, dt, hold=1, seconds=3.0, **settings):
+    """Whether the real step brings a small kick to rest, with controls held for so many steps."""
+    sim = sc.Sim(scene, dt=dt, **settings)
+    sim.qvel[:] = 1e-3
+    count = max(400, math.ceil(seconds / dt))
+    speeds = np.empty(count)
+    for k in range(count):
+        if k % hold == 0:
+            sim.ctrl = control(sim.time, sim)
+        try:
+            sim.step()
+        except sc.SimulationError:
+            return False
+        speeds[k] = np.abs(sim.qvel).max()
+    return bool(speeds[-count // 4 :].max() < min(1.0, speeds[: count // 4].max()))
+
+
+def z_map_limit(integrator, kp=KP, kd=KD, inertia=INERTIA):
+    """The closed form: Jury's conditions for the characteristic polynomial of each z-map."""
+    if integrator in ("rk4", "midpoint"):
+        # q⁺ = q + T v + T² u/2I: z² − (2 − T kd/I − T² kp/2I) z + 1 − T kd/I + T² kp/2I.
+        return min(2 * inertia / kd, 2 * kd / kp)
+    if integrator == "explicit":
+        # z = 1 + T s of the roots of I s² + kd s + kp, here complex.
+        return kd / kp
+    # v⁺ = v + T u/I, q⁺ = q + T v⁺: T² kp + 2 T kd = 4 I.
+    return (math.sqrt(kd**2 + 4 * inertia * kp) - kd) / kp
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_pd_on_a_hinge_has_the_limit_of_its_z_map(integrator):
+    d = sc.diagnose(leg(), control=pd, **QUIET)
+    assert d.limit(integrator) == pytest.approx(z_map_limit(integrator), rel=5e-3)
+    assert d.stiffest(integrator) == "control of motor `ankle`"
+    alone = d.element("control of motor `ankle`")
+    assert alone.limits[integrator] == pytest.approx(z_map_limit(integrator), rel=5e-3)
+    assert alone.omega == pytest.approx(math.sqrt(KP / INERTIA), rel=1e-6)
+    assert alone.rate == pytest.approx(KD / INERTIA, rel=1e-6)
+
+
+@pytest.mark.parametrize("integrator", ["euler", "rk4", "explicit"])
+@pytest.mark.parametrize(
+    "make",
+    [lambda: pd, lambda: Delayed(2), Filtered, Integrating, late_closure],
+    ids=["pd", "delayed", "filtered", "integrating", "closure"],
+)
+def test_the_limit_is_that_of_the_real_step_whatever_the_function_remembers(make, integrator):
+    limit = sc.diagnose(leg(), control=make(), **QUIET).limit(integrator)
+    assert stays(leg(), make(), 0.98 * limit, integrator=integrator)
+    assert not stays(leg(), make(), 1.02 * limit, integrator=integrator)
+
+
+def test_damping_of_the_joint_that_euler_treats_implicitly_helps():
+    scene = leg('damping="5"')
+    d = sc.diagnose(scene, control=pd, **QUIET)
+    for integrator in ("euler", "semi-implicit"):
+        assert stays(scene, pd, 0.98 * d.limit(integrator), integrator=integrator)
+        assert not stays(scene, pd, 1.02 * d.limit(integrator), integrator=integrator)
+    assert d.limit("euler") > 1.1 * d.limit("semi-implicit")
+
+
+def arm():
+    """Two links in a plane, both driven."""
+    return sc.loads(
+        """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>
+        <body name="upper" pos="0 0 1">
+        <joint name="hip" axis="0 1 0"/><geom type="capsule" size=".03" fromto="0 0 0 .4 0 0"
+        mass="3"/><body name="lower" pos=".4 0 0"><joint name="ankle" axis="0 1 0"/>
+        <geom type="capsule" size=".02" fromto="0 0 0 .1 0 0" mass=".1"/></body></body></worldbody>
+        <actuator><motor name="hip" joint="hip" gear="2"/><motor name="ankle" joint="ankle"/>
+        </actuator></mujoco>"""
+    )
+
+
+def both(time, sim):
+    return -np.array([200.0, 20.0]) * sim.qpos - np.array([15.0, 0.3]) * sim.qvel
+
+
+def test_of_two_motors_the_one_is_named_whose_control_limits():
+    scene = arm()
+    d = sc.diagnose(scene, control=both, dt=0.006, **QUIET)
+    assert d.stiffest() == "control of motor `ankle`"
+    limit = d.limit("euler")
+    assert stays(scene, both, 0.98 * limit, integrator="euler")
+    assert not stays(scene, both, 1.02 * limit, integrator="euler")
+    assert "control of motor `ankle` (" in d.sentences[0]
+
+
+def test_a_policy_in_single_precision_is_differentiated():
+    weights = np.float32([-KP, -KD]) / np.float32(100.0)
+
+    def policy(time, sim):
+        seen = np.float32([sim.qpos[0], sim.qvel[0]])
+        return 100.0 * np.tanh(weights @ seen)
+
+    d = sc.diagnose(leg(), control=policy, **QUIET)
+    assert d.limit("euler") == pytest.approx(z_map_limit("euler"), rel=2e-2)
+
+
+def test_controls_that_do_not_depend_on_the_state_are_no_element():
+    d = sc.diagnose(leg(), control=lambda time, sim: [math.sin(9 * time)], **QUIET)
+    assert math.isinf(d.limit("euler")) and d.element("control of motor `ankle`") is None
+
+
+def test_a_table_by_time_is_never_asked_outside_the_motion():
+    table = np.zeros(500)
+
+    def replayed(time, sim):
+        assert 0 <= time < 1.0 - 1e-6
+        return [table[round(time / 0.002)] - KP * sim.qpos[0] - KD * sim.qvel[0]]
+
+    d = sc.diagnose(leg(), control=replayed, **QUIET)
+    assert d.limit("euler") == pytest.approx(z_map_limit("euler"), rel=5e-3)
+
+
+def test_the_step_made_of_its_elements_is_the_step():
+    model = arm().compile()
+    state = State("here", 0.0, np.array([0.1, 0.3]), np.array([0.5, -0.2]), np.zeros(2))
+    for control in (both, Delayed2()):
+        (state,) = with_feedback(model, [state], control, 0.002, 1.0)
+        motion = linear_motion(model, state, None)
+        for integrator in INTEGRATORS:
+            made, real = (
+                motion.step(integrator, 1e-4),
+                step_map(model, state, integrator, 1e-4),
+            )
+            assert np.abs(made - real).max() < 1e-4 * np.abs(real).max()
+
+
+class Delayed2:
+    """Both motors, one sample late."""
+
+    def __init__(self):
+        self.last = np.zeros(2)
+
+    def __call__(self, time, sim):
+        self.last, late = both(time, sim), self.last
+        return late
