@@ -2,6 +2,7 @@
 
 import copy
 import math
+import re
 import warnings
 
 import pytest
@@ -281,3 +282,33 @@ def test_a_cure_that_is_smaller_comes_first():
     assert met["kp"].size == pytest.approx(math.log(kp.before[0] / kp.after[0]))
     assert met["armature"].size == pytest.approx(math.log(1 + armature.after[0]), rel=0.02)
     assert d.sentences[1].endswith("the smallest change of the model first:")
+
+
+# --- numbers that leave their range -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("integrator", ["euler", "rk4", "implicitfast"])
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"stiffness": 1e12, "damping": 1e-154},
+        {"stiffness": 1e20, "armature": 1e-20, "frictionloss": 1e12},
+        {"damping": 1e80, "range": (-0.1, 0.5), "solreflimit": (-1e154, -1e-6)},
+        {"stiffness": 1e-154, "armature": 1e154, "damping": 1e154},
+        {"frictionloss": 1e80, "solreffriction": (-1e200, -1e154), "stiffness": 3.0},
+    ],
+)
+def test_an_answer_or_a_named_refusal_never_a_failure_of_algebra(fields, integrator):
+    """Law: SVD, inverses and squares that leave their range end in a sentence, without numbers
+    that nobody asked for, or in a ValueError that says what is wrong with the scene."""
+    scene = servo(3e3, 1e-3, integrator, **fields)
+    scene.add_geom(scene.body("wheel"), "sphere", 0.1, pos=(0, 1, 0), mass=1e-6)
+    try:
+        d = diagnosed(scene, horizon=0.02)
+    except ValueError as error:
+        assert "accelerations are not finite" in str(error)
+        return
+    said = " ".join(d.sentences)
+    assert said.startswith(("A step of 5 ms", "No element limits dt"))
+    assert not re.search(r"nan\b|inf\b|e[-+]?([1-9]\d|\d{3})| ns\b", d.sentences[0]), said
+    assert d.to_json() and d.text(full=True)

@@ -7,6 +7,8 @@ from concurrent.futures import Executor
 from functools import partial
 from typing import Unpack
 
+import numpy as np
+
 from stepcore import checks
 from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.experiment.motion import Motion, MotionFields
@@ -170,7 +172,11 @@ def _element_limits(here: StepStability) -> dict[ElementId, ElementLimits]:
         motion = here.motion(state)
         if motion is None:
             continue
-        isolated = IsolatedElements(motion, here.horizon, k)
+        try:
+            isolated = IsolatedElements(motion, here.horizon, k)
+        except np.linalg.LinAlgError:
+            # A mass matrix of rounding alone.
+            continue
         for element in motion.elements:
             if element == INERTIAL:
                 continue

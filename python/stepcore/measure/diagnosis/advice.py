@@ -150,7 +150,7 @@ class _Search:
         """Whether the wanted dt is stable at every state, and so is the margin beyond it."""
         try:
             model, values = self._made(group, change, x)
-        except ValueError:
+        except (ValueError, ArithmeticError):
             # A value that the scene refuses.
             return False
         if not values:

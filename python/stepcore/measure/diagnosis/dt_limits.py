@@ -46,7 +46,9 @@ def dt_limit(
         coarse = _coarse_limit(here, integrator, k, shortest, min(least, longest))
         if coarse < least:
             least, worst = coarse, k
-        if least <= 0:
+        if least <= shortest:
+            # One state is enough: nothing shorter is tried.
+            least = 0.0
             break
 
     def stable(dt: float) -> bool:

@@ -45,14 +45,22 @@ def limiters(here: StepStability, limit: Limit, shares: Shares) -> tuple[Element
     if motion is None or not set(partaking) <= motion.elements.keys():
         return first
     rise = _Rise(motion, limit.integrator, dt, here.horizon)
-    if rise.stable((), dt):
-        # The composed step does not show what the real one does.
+    try:
+        # Unless the composed step does not show what the real one does.
+        return first if rise.stable((), dt) else _effective(rise, partaking, by_share, shares)
+    except np.linalg.LinAlgError:
         return first
+
+
+def _effective(
+    rise: _Rise, partaking: list[ElementId], by_share: list[ElementId], shares: Shares
+) -> tuple[ElementId, ...]:
+    """The element that raises the limit most, or with its equals if it does not by itself."""
     rises = {element: rise.without((element,)) for element in partaking}
     best = max(partaking, key=lambda element: (rises[element], shares[element]))
     if rises[best] >= ALONE:
         return (best,)
-    group = sorted(e for e in by_share if shares[e] > HELD and _equal(motion, e, best))
+    group = sorted(e for e in by_share if shares[e] > HELD and _equal(rise.motion, e, best))
     together = len(group) > 1 and rise.without(group) > EQUAL * rises[best]
     return tuple(group) if together else (best,)
 
@@ -71,9 +79,10 @@ class _Rise:
         motion = self.motion.softened(elements, SOFTENED)
         with np.errstate(all="ignore"):
             made = motion.step(self.integrator, dt)
-        if not np.all(np.isfinite(made)):
-            return False
-        return step_growth(made, dt, np.linalg.eigvals(motion.rates), self.horizon).stable
+            if not np.all(np.isfinite(made)):
+                return False
+            rates = np.linalg.eigvals(motion.rates)
+            return step_growth(made, dt, rates, self.horizon).stable
 
     def without(self, elements: Sequence[ElementId]) -> float:
         """The limit with some elements softened, over the limit with them; at most `FARTHEST`."""

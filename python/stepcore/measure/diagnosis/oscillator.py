@@ -41,9 +41,9 @@ def oscillator_dt(
     if integrator == "explicit":
         if damping <= 2 * DAMPED * omega:
             return nutation_dt(omega, integrator, False, horizon)
-        return min(-2 * s.real / abs(s) ** 2 for s in _roots(omega, damping) if s != 0)
+        return min(-2 * (s.real / abs(s)) / abs(s) for s in _roots(omega, damping))
     if integrator == "rk4":
-        return min(_rk4(s) for s in _roots(omega, damping) if s != 0)
+        return min(_rk4(s) for s in _roots(omega, damping))
     if integrator == "semi-implicit":
         explicit, implicit = damping, 0.0
     return _jury(omega, explicit - implicit)
@@ -73,13 +73,13 @@ def nutation_dt(omega: float, integrator: str, implicit: bool, horizon: float) -
     return 2 * float(neutral_growth(omega, horizon)) / omega**2
 
 
-def _roots(omega: float, damping: float) -> tuple[complex, complex]:
-    """The roots of s² + c s + ω²."""
+def _roots(omega: float, damping: float) -> tuple[complex, ...]:
+    """The roots of s² + c s + ω² that are not zero."""
     root = cmath.sqrt(damping**2 / 4 - omega**2)
     large = -damping / 2 - root
     # The product of both is ω²: no digits are lost in a difference.
-    small = omega**2 / large if large != 0 else 0j
-    return large, small
+    small = omega * (omega / large) if large != 0 else 0j
+    return tuple(s for s in (large, small) if abs(s) > 1 / FASTEST)
 
 
 def _jury(omega: float, damping: float) -> float:

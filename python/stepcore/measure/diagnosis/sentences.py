@@ -19,6 +19,10 @@ NOTABLE = 0.1
 # Slower growth, by less than e to this power over the horizon, is not called an explosion.
 SLOW = 10.0
 
+# Rates between these [1/s] are named; a damping ratio above this is told by its rate instead, and
+# one below this is none.
+SLOWEST, FASTEST, OVERDAMPED, NONE = 1e-3, 1e9, 100.0, 1e-6
+
 
 def sentences(d: DiagnosisFindings) -> Iterator[str]:
     """The answer, the advice, and the state that decides."""
@@ -96,11 +100,12 @@ def _outcome(d: DiagnosisFindings, limiting: ElementLimits | None) -> str:
 def _traits(limits: ElementLimits, several: bool) -> str:
     """Frequency and damping of an element, in brackets; several: of the stiffest of equal ones."""
     traits = ["the stiffest by itself"] if several else []
-    if limits.omega > 0:
+    damped = not math.isnan(limits.ratio) and limits.element.kind != "spin"
+    if SLOWEST < limits.omega < FASTEST and not (damped and limits.ratio > OVERDAMPED):
         traits.append(f"{hertz(limits.omega)}, {limits.omega:.4g} rad/s")
-        if not math.isnan(limits.ratio) and limits.element.kind != "spin":
-            traits.append(f"damping ratio {limits.ratio:.2g}")
-    elif limits.rate > 0:
+        if damped:
+            traits.append(f"damping ratio {limits.ratio if limits.ratio > NONE else 0:.2g}")
+    elif SLOWEST < limits.rate < FASTEST:
         traits.append(f"damping rate {limits.rate:.4g}/s")
     return f" ({', '.join(traits)})" if len(traits) > several else ""
 

@@ -30,11 +30,25 @@ EQUAL, CONTOUR = 1e-2, 16
 # The most steps of a control period that is made of the elements.
 HOLD = 64
 
+# A step that multiplies by more has left the range in which derivatives mean anything.
+FARTHEST = 1e100
+
 Shares = dict[ElementId, float]
 
 
 def limiting_shares(here: StepStability, limit: Limit) -> Shares:
-    """Each element's share in the eigenvalue that sets a limit, or else in the fastest rate."""
+    """Each element's share in the eigenvalue that sets a limit, or else in the fastest rate.
+
+    Nothing where the numbers of the step leave their range.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            return _limiting_shares(here, limit)
+    except (np.linalg.LinAlgError, ArithmeticError):
+        return {}
+
+
+def _limiting_shares(here: StepStability, limit: Limit) -> Shares:
     if math.isinf(limit.dt):
         every = range(len(here.rates))
         return _fastest(here, max(every, key=lambda k: abs(here.rates[k]).max(initial=0.0)))
@@ -47,9 +61,8 @@ def limiting_shares(here: StepStability, limit: Limit) -> Shares:
     if held is not None:
         return held
     # The step made of the elements, where it grows too: what it leaves out belongs to no element.
-    with np.errstate(over="ignore", invalid="ignore"):
-        made = motion.step(limit.integrator, dt)
-    if not np.all(np.isfinite(made)):
+    made = motion.step(limit.integrator, dt)
+    if not np.abs(made).max() < FARTHEST:
         # So long a step leaves the range in which shares have a meaning.
         return _fastest(here, limit.state)
     growth = step_growth(made, dt, np.linalg.eigvals(motion.rates), here.horizon)
@@ -92,8 +105,15 @@ def _held_shares(
 def step_shares(
     motion: LinearMotion, integrator: str, dt: float, matrix: Floats, value: complex
 ) -> Shares:
-    """Each element's share in the growth of an eigenvalue `value` of a step's `matrix`."""
-    return _shares(motion, matrix, value, lambda *at: motion.step(integrator, dt, *at))
+    """Each element's share in the growth of an eigenvalue `value` of a step's `matrix`.
+
+    Nothing where the numbers of the step leave their range.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            return _shares(motion, matrix, value, lambda *at: motion.step(integrator, dt, *at))
+    except (np.linalg.LinAlgError, ArithmeticError):
+        return {}
 
 
 def _fastest(here: StepStability, state: int) -> Shares:
