@@ -98,6 +98,15 @@ def test_a_collider_that_carries_cannot_go() -> None:
     assert fallen.outcome.worst == pytest.approx(expected, rel=0.1)
 
 
+def test_the_smallest_model_is_confirmed_on_many_starts_and_says_what_that_proves() -> None:
+    result = known()
+    assert len(result.confirmed.added) == 32
+    # No failure among n starts, so the failing share f satisfies (1 - f)^n >= 0.05.
+    assert result.kept**32 == pytest.approx(0.05)
+    assert any("at least 91.1 % of such starts" in sentence for sentence in result.sentences)
+    assert result.to_dict()["smallest"]["confirmed_starts"] == 32
+
+
 def test_the_smallest_model_is_a_file_that_moves_alike(tmp_path: Path) -> None:
     result = known()
     path = tmp_path / "small.xml"

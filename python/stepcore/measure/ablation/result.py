@@ -102,6 +102,14 @@ class Ablation(Result):
         return saved(row.outcome, self.whole.outcome)
 
     @property
+    def kept(self) -> float:
+        """The share of all such starts that keep to the tolerance, at least (95 % confidence).
+
+        From n other starts without a failure: 0.05^(1/n) (Hanley and Lippman-Hand, JAMA 249, 1983).
+        """
+        return 0.05 ** (1 / max(1, len(self.confirmed.added)))
+
+    @property
     def by_flops(self) -> bool:
         """Work is floating-point operations; else it is row updates."""
         return self.whole.outcome.flops is not None
@@ -147,6 +155,8 @@ class Ablation(Result):
                 "without": [removal.label for removal in self.removed],
                 "restored": [removal.label for removal in self.restored],
                 "confirmed": self.confirmed.worst,
+                "confirmed_starts": len(self.confirmed.added),
+                "kept": self.kept,
                 "mjcf": self.smallest.to_mjcf(),
             },
         }
@@ -183,7 +193,9 @@ class Ablation(Result):
         unused = [
             row.removal.label
             for row in self.rows
-            if row.outcome.worst == 0.0 and work(row.outcome) < work(self.whole.outcome)
+            if row.removal not in self.restored
+            and row.outcome.worst == 0.0
+            and work(row.outcome) < work(self.whole.outcome)
         ]
         if unused:
             sentences.append(f"The motion is bit-identical without: {'; '.join(unused)}.")
@@ -214,9 +226,10 @@ class Ablation(Result):
             f"The smallest model within {within} saves {percent(self.saved(self.best))} of the "
             f"work{faster}.",
             f"It leaves out {_listed(self.removed)}.",
-            f"It adds an error of {metres(self.best.outcome.worst)} in the worst start, and "
-            f"{metres(self.confirmed.worst)} in the worst of {len(self.confirmed.added)} other "
-            "starts.",
+            f"It adds {_error(self.best.outcome.worst)} in the worst start, and "
+            f"{_error(self.confirmed.worst)} in the worst of {len(self.confirmed.added)} other "
+            f"starts, so at least {percent(self.kept)} of such starts keep to the tolerance "
+            "(95 % confidence).",
         ]
         if self.restored:
             sentences.append(
@@ -230,6 +243,10 @@ class Ablation(Result):
             f"<Ablation {self.name}: {len(self.rows)} features, {len(self.removed)} removed "
             f"within {metres(self.error)}>"
         )
+
+
+def _error(metres_added: float) -> str:
+    return f"an error of {metres(metres_added)}" if metres_added > 0 else "no error at all"
 
 
 def _listed(removals: list[Removal]) -> str:
