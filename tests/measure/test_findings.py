@@ -10,9 +10,13 @@ import re
 import pytest
 
 import stepcore as sc
+from stepcore.experiment.motion import Motion
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.schedule import scheduled
 from stepcore.experiment.single_run import SingleRun
 from stepcore.experiment.watch import Watch
 from stepcore.measure.findings import findings_of
+from stepcore.measure.findings import watched as in_runner
 from stepcore.measure.findings.softness import impedance, yielding
 
 G = 9.81
@@ -115,16 +119,20 @@ def incline(degrees, cone="elliptic", impratio=1.0, solref="0.02 1"):
     )
 
 
+def creep_speed(degrees, impratio=1.0):
+    """A friction row pulls back with R f = b v; f = m g sin, b = 2/(dmax tc), R = R_n/impratio."""
+    angle = math.radians(degrees)
+    weight = 2 * G * float(incline(degrees).compile().pair_invweight0[0])
+    d = impedance(SOLIMP, yielding((0.02, 1), SOLIMP, weight * math.cos(angle), 0.002))
+    return (1 - d) / d / impratio * weight * math.sin(angle) * 0.95 * 0.02 / 2
+
+
 @pytest.mark.parametrize(("degrees", "impratio"), [(10, 1.0), (30, 1.0), (30, 5.0)])
 def test_creep_on_an_incline(degrees, impratio):
-    """A friction row pulls back with R f = b v; f = m g sin, b = 2/(dmax tc), R = R_n/impratio."""
     scene = incline(degrees, impratio=impratio)
     watch, findings = watched(scene)
     (creep,) = watch.contacts.creeps(watch.times)
-    (rest,) = watch.contacts.resting()
-    angle, d = math.radians(degrees), impedance(SOLIMP, rest.depth)
-    r = (1 - d) / d * float(scene.compile().pair_invweight0[0]) / impratio
-    speed = r * 2 * G * math.sin(angle) * 0.95 * 0.02 / 2
+    angle, speed = math.radians(degrees), creep_speed(degrees, impratio)
     assert creep.speed == pytest.approx(speed, rel=1e-3)
     assert creep.share == pytest.approx(math.tan(angle), rel=1e-3)
     if speed > 1e-3:
@@ -166,6 +174,35 @@ def test_sliding_without_friction_is_told_with_the_reason():
     for geom in scene.geoms:
         geom.condim, geom.friction = 3, 0
     assert "its friction is 0" in the(watched(scene)[1], "no friction").text
+
+
+FAST = {"threads": 1, "progress": False, "starts": 1, "horizon": 0.4}
+
+
+@pytest.mark.parametrize(
+    "measured",
+    [
+        lambda scene: sc.trade(scene, dts=[0.002], further=0, by="flops", **FAST),
+        lambda scene: sc.converge(scene, states=1, **FAST),
+        lambda scene: sc.check(scene, threads=1, progress=False, horizon=0.4),
+    ],
+)
+def test_every_measurement_says_what_its_run_showed(measured):
+    result = measured(incline(30))
+    (finding,) = result.findings
+    assert finding.kind == "creep" and any(finding.text in said for said in result.sentences)
+    (data,) = result.to_dict()["rows" if result.kind == "check" else "findings"]
+    assert data["value"] == pytest.approx(creep_speed(30), rel=1e-3)
+
+
+def test_a_run_that_fails_tells_only_what_it_began_with():
+    scene = two(0.17, False)
+    spring = scene.joints[0]
+    spring.type, spring.stiffness = "slide", 1e8
+    model = scene.compile()
+    runner = Runner(model, scheduled(Motion(horizon=1.0, starts=1), model, 0.01))
+    assert runner.run(model.settings, 0).failure
+    assert {one.kind for one in in_runner(runner, model.settings)} == {"overlap at the start"}
 
 
 # Connections.

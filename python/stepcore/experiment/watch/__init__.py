@@ -16,19 +16,19 @@ from stepcore.experiment.watch.actuators import ActuatorWatch
 from stepcore.experiment.watch.contacts import ContactWatch
 from stepcore.experiment.watch.joints import JointWatch
 
-# About so many looks in a control period.
-LOOKS = 32
+# About so many looks in a run.
+LOOKS = 1000
 
 
 class Watch(Probe):
     """Watches a run. contacts, joints, actuators: what was seen of each; residual: the worst [m/s].
 
-    times: when it looked [s].
+    times: when it looked [s]. periods: control periods of the run, in each of which it looks.
     """
 
-    def __init__(self, model: Model, bodies: Bodies | None = None) -> None:
+    def __init__(self, model: Model, bodies: Bodies | None = None, periods: int = 1) -> None:
         bodies = bodies or Bodies(model, Coordinates(model))
-        self.model = model
+        self.model, self.looks = model, max(1, LOOKS // periods)
         self.contacts = ContactWatch(model, bodies.friction)
         self.joints = JointWatch(model, bodies)
         self.actuators = ActuatorWatch(model)
@@ -41,7 +41,7 @@ class Watch(Probe):
         return self.times[-1] - self.times[0] if self.times else 0.0
 
     def stride(self, steps: int) -> int:
-        return max(1, steps // LOOKS)
+        return max(1, steps // self.looks)
 
     def begin(self, sim: Any) -> None:
         self.times.append(sim.time)

@@ -33,7 +33,7 @@ from stepcore.report.progress import Choice
 
 __all__ = ["Check", "check"]
 
-# Control periods of the run; the watch looks several times in each.
+# Control periods of the run where nothing sets them.
 PERIODS = 100
 # Of the text of a failure.
 SENTENCES = 2
@@ -126,14 +126,14 @@ def _watched(
 ) -> tuple[list[Finding], list[Finding]]:
     """Why the run fails, if it does, and what it showed until its end."""
     runner = Runner(model, schedule)
-    watch = Watch(model, runner.bodies)
+    watch = Watch(model, runner.bodies, schedule.periods)
     path = runner.run(model.settings.replace(ledger=True), 0, [watch])
     failed = []
     if path.failure:
         # When it failed and what began it; the diagnosis says how it is cured.
         said = ". ".join(path.failure.split(". ")[:SENTENCES])
         failed.append(Finding("failure", "error", "", f"The run fails: {said}."))
-    return failed, findings_of(model, watch, depth)
+    return failed, findings_of(model, watch, depth, failed=bool(failed))
 
 
 def _read(model: Model, start: Start, held: np.ndarray, key: int | None) -> Iterator[Finding]:

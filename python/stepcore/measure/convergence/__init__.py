@@ -44,6 +44,7 @@ from stepcore.measure.convergence.runs import (
     run_of,
 )
 from stepcore.measure.convergence.theory import SweepTheory
+from stepcore.measure.findings import watched
 from stepcore.report.progress import Choice
 
 __all__ = [
@@ -147,6 +148,7 @@ def converge(
         reference=reference,
         ending=ending,
         notes=list(model.scene.notes),
+        findings=watched(runner, own),
     )
 
 

@@ -13,6 +13,7 @@ from stepcore.measure.convergence.candidates import Candidates
 from stepcore.measure.convergence.residuals import ResidualHistory, RowForce
 from stepcore.measure.convergence.runs import CandidateRun, HalvedReference
 from stepcore.measure.convergence.theory import SweepTheory
+from stepcore.measure.findings import Finding
 
 # A difference below this share of the scene's size is none.
 NOTABLE = 1e-5
@@ -57,6 +58,7 @@ class ConvergenceFindings:
     reference: HalvedReference
     ending: Ending | None
     notes: list[str] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
 
     @property
     def own(self) -> CandidateRun:

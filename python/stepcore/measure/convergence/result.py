@@ -30,6 +30,7 @@ class Convergence(ConvergenceFindings, Result):
     histories: the residual by sweeps at states of the motion.
     reference: the converged motion that all runs are compared with.
     ending: where the motion ends; None if a run fails.
+    findings: what the settings show from the first start, such as creep; see `Finding`.
 
     >>> from stepcore import converge, lesson
     >>> tower = lesson.stack(50, "rigid", (1.0, 1.0))
@@ -190,6 +191,7 @@ class Convergence(ConvergenceFindings, Result):
             "reference_error": self.reference.error,
             "size": self.reference.size,
             "ending": self.ending,
+            "findings": self.findings,
             "sweeps": self.sweeps.records,
             "steps": self.steps.records,
             "work": self.work.records,

@@ -16,10 +16,11 @@ NAMED, SHARE = 3, 0.1
 
 
 def of(result: ConvergenceFindings) -> list[str]:
-    """The verdict, what limits it, how fast sweeps converge, and what gains more."""
+    """The verdict, what limits it, how fast sweeps converge, what gains more; what is shown."""
     said = [_verdict(result)]
     if result.histories:
         said += [_rows(result), _contraction(result), _work(result), _four_times(result)]
+    said += [finding.text for finding in result.findings]
     return [sentence for sentence in said if sentence]
 
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 from stepcore._core import Settings
 from stepcore.engine.model import Model
@@ -20,14 +20,20 @@ from stepcore.measure.findings.joints import about_joints
 __all__ = ["Finding", "findings_of", "ordered", "watched"]
 
 
-def findings_of(model: Model, watch: Watch, depth: float | None = None) -> list[Finding]:
+# What a run that failed still shows; the rest is what it exploded into.
+BEFORE = ("overlap at the start", "clamped control")
+
+
+def findings_of(
+    model: Model, watch: Watch, depth: float | None = None, failed: bool = False
+) -> list[Finding]:
     """What a watched run shows, the most severe first.
 
     depth: at which contacts are wanted to rest [m]; by default a depth is only told where it is
-    large beside the geoms.
+    large beside the geoms. failed: whether the run did.
     """
-    sizes = Sizes(model)
-    return ordered(_all(model, watch, sizes, depth))
+    found = _all(model, watch, Sizes(model), depth)
+    return ordered(one for one in found if not failed or one.kind in BEFORE)
 
 
 def _all(model: Model, watch: Watch, sizes: Sizes, depth: float | None) -> Iterator[Finding]:
@@ -36,12 +42,9 @@ def _all(model: Model, watch: Watch, sizes: Sizes, depth: float | None) -> Itera
     yield from about_actuators(model, watch)
 
 
-def watched(runner: Runner, settings: Settings, starts: Iterable[int] = (0,)) -> list[Finding]:
-    """The findings of a measurement's motion under some settings, those of each start once."""
-    found: dict[tuple[str, str], Finding] = {}
-    for start in starts:
-        watch = Watch(runner.model, runner.bodies)
-        runner.run(settings, start, [watch])
-        for one in findings_of(runner.model.with_settings(settings), watch):
-            found.setdefault((one.kind, one.element), one)
-    return ordered(found.values())
+def watched(runner: Runner, settings: Settings) -> list[Finding]:
+    """The findings of a measurement's motion from its first start, under some settings."""
+    model = runner.model.with_settings(settings)
+    watch = Watch(model, runner.bodies, runner.schedule.periods)
+    path = runner.run(settings, 0, [watch])
+    return findings_of(model, watch, failed=path.failure is not None)

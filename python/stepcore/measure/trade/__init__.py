@@ -18,6 +18,7 @@ from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, scheduled, time_steps
 from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.workers import Workers
+from stepcore.measure.findings import watched
 from stepcore.measure.trade import frugal, notes
 from stepcore.measure.trade import mujoco as mujoco_points
 from stepcore.measure.trade.finish import Finisher
@@ -194,6 +195,7 @@ def trade(
         screened=len({*trials.paths, *trials.screened}),
         runs=trials.runs,
         chosen=chosen,
+        findings=watched(runner, shipped),
     )
 
 

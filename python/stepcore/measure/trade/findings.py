@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from stepcore._core import Settings
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.reference import Reference
+from stepcore.measure.findings import Finding
 from stepcore.measure.trade.frontier import Frontier
 from stepcore.measure.trade.mujoco import Point
 from stepcore.measure.trade.orders import observed_orders
@@ -36,6 +37,7 @@ class TradeFindings:
     screened: int = 0
     runs: int = 0
     chosen: TradeRow | None = None
+    findings: Sequence[Finding] = ()
 
     @property
     def rows(self) -> list[TradeRow]:

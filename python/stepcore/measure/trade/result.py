@@ -25,6 +25,7 @@ class Trade(TradeFindings, Result):
     reference: the converged motion, with its error.
     target, budget: the error [m] or the budget that was asked for.
     chosen: the row for `target` that further starts confirmed.
+    findings: what the shipped settings show from the first start, such as creep; see `Finding`.
     mujoco: MuJoCo's points, if they were asked for.
     screened: the number of settings that were tried at all; runs: the number of runs they took.
     notes: remarks on the reference, the motion and the failures.
@@ -79,6 +80,7 @@ class Trade(TradeFindings, Result):
             "mujoco": [point.record() for point in self.mujoco],
             "screened": self.screened,
             "runs": self.runs,
+            "findings": self.findings,
         }
 
     def _reference(self) -> dict[str, Any]:

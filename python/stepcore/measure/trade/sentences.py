@@ -18,7 +18,7 @@ NOTABLE = 0.9
 
 
 def sentences(trade: TradeFindings) -> Iterator[str]:
-    """The recommendation first, then the shipped settings, then MuJoCo."""
+    """The recommendation first, then the shipped settings, MuJoCo, and what the motion shows."""
     if trade.target is not None:
         yield from _for_error(trade, trade.target)
     elif trade.budget is not None:
@@ -28,6 +28,7 @@ def sentences(trade: TradeFindings) -> Iterator[str]:
         yield from _improvements(trade)
     if trade.mujoco:
         yield from compared_with_mujoco(trade.mujoco, trade.shipped)
+    yield from (finding.text for finding in trade.findings)
 
 
 def _for_error(trade: TradeFindings, error: float) -> Iterator[str]:
