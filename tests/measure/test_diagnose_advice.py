@@ -312,3 +312,34 @@ def test_an_answer_or_a_named_refusal_never_a_failure_of_algebra(fields, integra
     assert said.startswith(("A step of 5 ms", "No element limits dt"))
     assert not re.search(r"nan\b|inf\b|e[-+]?([1-9]\d|\d{3})| ns\b", d.sentences[0]), said
     assert d.to_json() and d.text(full=True)
+
+
+@pytest.mark.long
+def test_rows_that_begin_to_act_within_the_step_are_compared_where_they_act():
+    """dm_control's humanoid: its rows at the limit are not those of the state that decides."""
+    d = sc.diagnose("dm_control:suite/humanoid", horizon=0.5, progress=False)
+    assert d.limit() > 0.005 and d.stiffest()
+
+
+def test_control_functions_get_advice():
+    """Law: an inertia I under −kd q̇ held over dt is stable for dt < 2 I/kd. Armature and damping on
+    its joint cure it, run with the function itself at nearly 1.5 times the wanted dt."""
+    scene = servo(0.0, 0.0, "implicitfast")
+    scene.actuators[0].type = "motor"
+    scene.actuators[0].kp = scene.actuators[0].kv = None
+
+    def hold(time, sim):
+        return [-20.0 * sim.qpos[0] - 600.0 * sim.qvel[0]]
+
+    d = diagnosed(scene, control=hold)
+    assert d.stiffest() == "control of motor `drive`"
+    assert d.limit() == pytest.approx(2 / 600.0, rel=0.02)
+    met = {a.what: a for a in d.advice if a.met}
+    assert met["armature"].values[0].after[0] == pytest.approx(7.5e-3 * 600 / 2 - 1, rel=0.03)
+    for advice in met.values():
+        sim = sc.Sim(cured(scene, advice).compile(), dt=0.97 * MARGIN * 5e-3)
+        sim.qvel[:] = 1e-3
+        for _ in range(2000):
+            sim.ctrl[:] = hold(sim.time, sim)
+            sim.step()
+        assert abs(sim.qvel[0]) < 1e-2, advice.text

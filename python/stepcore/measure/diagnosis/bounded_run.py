@@ -6,6 +6,7 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
+from stepcore.experiment.control import controls
 from stepcore.measure.diagnosis.linear_step import State, sim_at
 
 # The most steps of a run, and in how many shorter ones it is repeated where it grows.
@@ -40,10 +41,16 @@ def _largest_speed(
     sim = sim_at(model, state, integrator=integrator, dt=dt)
     sim.qvel[:] += PUSH * (-1.0) ** np.arange(model.nv)
     largest = 0.0
+    # One that remembers was asked along another motion.
+    feedback = state.feedback
+    function = feedback.function if feedback is not None and not feedback.order else None
     try:
         for _ in range(count):
+            if function is not None:
+                sim.ctrl[:] = controls(function, sim)
             sim.step()
             largest = max(largest, float(np.abs(sim.qvel).max()))
-    except SimulationError:
+    except (SimulationError, ValueError):
+        # The motion, or the controls that a function gives, did not stay finite.
         return None
     return largest

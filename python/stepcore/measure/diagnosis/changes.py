@@ -80,6 +80,7 @@ CHANGES: dict[str, tuple[Change, ...]] = {
     "spring": (_less("stiffness"), ARMATURE, CHAIN, DAMPING),
     "damper": (_both("damping"), ARMATURE, CHAIN),
     "actuator": (_both("kp"), _both("kv"), GAINS, ARMATURE, CHAIN, DAMPING),
+    "control": (ARMATURE, CHAIN, DAMPING),
     "contact": ROWS,
     "limit": ROWS,
     "friction loss": ROWS,
@@ -233,7 +234,7 @@ def _solref(
 
 def _joint(layout: Layout, element: ElementLimits) -> Joint:
     index = element.element.index
-    if element.element.kind == "actuator":
+    if element.element.kind in ("actuator", "control"):
         return layout.scene.actuators[index].joint
     return layout.joints[index]
 

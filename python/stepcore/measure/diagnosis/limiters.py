@@ -15,6 +15,7 @@ from stepcore.engine.arrays import Floats
 from stepcore.measure.diagnosis.dt_limits import Limit
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.growth import step_growth
+from stepcore.measure.diagnosis.held_control import steps_held
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.shares import BEYOND, Shares
 from stepcore.measure.diagnosis.step_stability import StepStability
@@ -41,9 +42,15 @@ def limiters(here: StepStability, limit: Limit, shares: Shares) -> tuple[Element
     if limit.state < 0 or not limit.dt < limit.longest:
         return first
     dt = (limit.dt or limit.shortest) * BEYOND
-    motion = here.motion(here.states[limit.state], dt)
+    # Where the shares were found: rows that begin to act within the step are looked at there.
+    state, _ = here.growth_where_seen(limit.integrator, dt, limit.state)
+    motion = here.motion(state, dt)
     if motion is None or not set(partaking) <= motion.elements.keys():
         return first
+    if motion.feedback is not None and steps_held(state, dt)[0] > 1:
+        # Held over several steps, a control is told from the others by its share alone.
+        return first
+    by_share = [element for element in by_share if element in motion.elements]
     rise = _Rise(motion, limit.integrator, dt, here.horizon)
     try:
         # Unless the composed step does not show what the real one does.

@@ -130,12 +130,15 @@ class LinearMotion:
     def softened(self, elements: Collection[ElementId], to: float) -> LinearMotion:
         """The motion with the stiffness and damping of some elements multiplied by `to`."""
         n, rates, parts = len(self.mass), self.rates.copy(), dict(self.elements)
+        inputs = None if self.inputs is None else self.inputs.copy()
         for element in elements:
+            if inputs is not None and element.kind == KIND:
+                inputs[:, element.index] *= to
             stiffness, damping = parts[element].stiffness, parts[element].damping
             pull = np.linalg.solve(self.mass, np.hstack([stiffness, damping]))
             rates[n:] += (1 - to) * pull
             parts[element] = ElementMatrices(to * stiffness, to * damping)
-        return replace(self, rates=rates, elements=parts)
+        return replace(self, rates=rates, elements=parts, inputs=inputs)
 
 
 def linear_motion(model: Model, state: State, dt: float | None) -> LinearMotion | None:
