@@ -343,3 +343,24 @@ def test_control_functions_get_advice():
             sim.ctrl[:] = hold(sim.time, sim)
             sim.step()
         assert abs(sim.qvel[0]) < 1e-2, advice.text
+
+
+def test_a_softer_penalty_spring():
+    """Law: k on 1 kg, damped by 2ζ√(k m), explicit: dt < 2(√(ζ² + 1) - ζ)/ω; at 1.5 times the
+    wanted 5 ms that is k = (2(√(ζ² + 1) - ζ)/7.5 ms)². At rest on the floor, by the real step."""
+    law = {"law": "penalty", "penalty_stiffness": 1e6, "penalty_damping_ratio": 0.1}
+    scene = stiff.pad(dt=5e-3, integrator="semi-implicit", **law)
+    scene.body("ball").pos = (0, 0, 0.1005)
+    d = diagnosed(scene, horizon=0.2)
+    advice = next(a for a in d.advice if a.what == "penalty_stiffness")
+    soft = (2 * (math.sqrt(1.01) - 0.1) / 7.5e-3) ** 2
+    assert advice.met and advice.settings["penalty_stiffness"] == pytest.approx(soft, rel=0.03)
+
+    def rests(dt):
+        sim = sc.Sim(scene.with_settings(**advice.settings).compile(), dt=dt)
+        # Where the spring carries the weight.
+        sim.qpos[:] = -0.0005 - 1.0001 * 9.81 / advice.settings["penalty_stiffness"]
+        sim.step(3000)
+        return abs(float(sim.qvel[0])) < 1e-4
+
+    assert rests(0.9 * 7.5e-3) and not rests(1.1 * 7.5e-3)

@@ -9,7 +9,7 @@ factor.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,6 +21,7 @@ from stepcore.measure.diagnosis.changes import (
     CHAIN,
     CHANGES,
     GAINS,
+    LESS,
     Change,
     changed,
 )
@@ -30,7 +31,7 @@ from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.element_names import named
 from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import step_map
-from stepcore.measure.diagnosis.new_value import NewValue, text_of
+from stepcore.measure.diagnosis.new_value import NewValue, ratio, rounded, text_of
 from stepcore.measure.diagnosis.shares import step_shares
 from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 from stepcore.report.units import seconds
@@ -75,6 +76,8 @@ def advise(
     settings = now.model.settings
     search = _Search(now, elements, settings.integrator, wanted, limits[settings.integrator].state)
     tried = [search.least(change, stiffest) for change in CHANGES.get(stiffest[0].kind, ())]
+    if settings.law == "penalty" and stiffest[0].kind == "contact":
+        tried.append(search.softer_penalty())
     advice = [*_settings(now, limits, settings, wanted), *(a for a in tried if a is not None)]
     met = {a.what: a for a in advice if a.met}
     if "kp" in met or "kv" in met:
@@ -139,6 +142,28 @@ class _Search:
         text = _chain_text(values, x) if change is CHAIN else text_of(values)
         return Advice(change.what, values, {}, True, text, size)
 
+    def softer_penalty(self) -> Advice | None:
+        """The stiffest spring of the law `penalty` that is enough."""
+        old = self.now.model.settings.penalty_stiffness
+
+        def softer(factor: float) -> Model:
+            stiffness = rounded(old * factor, up=False)
+            return self.now.model.with_settings(penalty_stiffness=stiffness)
+
+        def stable(factor: float) -> bool:
+            return self._excess(softer(factor), self.now.states) <= 0
+
+        for x in LESS.xs:
+            if not stable(x):
+                continue
+            model = softer(_least(stable, x, LESS.before(x)))
+            if _bounded(self.now, model, self.integrator, self.wanted, self.worst):
+                new = model.settings.penalty_stiffness
+                text = f"use penalty_stiffness={new:g} in place of {old:g} N/m"
+                setting = {"penalty_stiffness": new}
+                return Advice("penalty_stiffness", (), setting, True, text, ratio(old, new))
+        return None
+
     def _made(
         self, group: Sequence[ElementLimits], change: Change, x: float
     ) -> tuple[Model, list[NewValue]]:
@@ -190,11 +215,7 @@ class _Search:
 
     def _refined(self, group: Sequence[ElementLimits], change: Change, good: float) -> float:
         """The least change between an x that is enough and the one before it."""
-        bad = change.before(good)
-        while max(good / bad, bad / good) > FINE:
-            middle = math.sqrt(good * bad)
-            good, bad = (middle, bad) if self._stable(group, change, middle) else (good, middle)
-        return good
+        return _least(lambda x: self._stable(group, change, x), good, change.before(good))
 
     def _next(self, group: Sequence[ElementLimits], change: Change) -> ElementLimits | None:
         """The element that limits dt once these are changed by as much as helps most."""
@@ -217,6 +238,14 @@ class _Search:
                 possible = change in CHANGES.get(element.kind, ())
                 return self.elements[element] if possible else None
         return None
+
+
+def _least(stable: Callable[[float], bool], good: float, bad: float) -> float:
+    """The value nearest to `bad` that is stable, between one that is and one that is not."""
+    while max(good / bad, bad / good) > FINE:
+        middle = math.sqrt(good * bad)
+        good, bad = (middle, bad) if stable(middle) else (good, middle)
+    return good
 
 
 def _not_enough(change: Change, more: Sequence[ElementLimits]) -> Advice:

@@ -30,7 +30,7 @@ from stepcore.scene.layout import Layout
 from stepcore.scene.scene import Scene
 
 # How far a gain is changed in both directions, and how far something is added, in octaves.
-LESS, GREATER, LEAST, MOST = 24, 8, -7, 14
+DOWN, UP, LEAST, MOST = 24, 8, -7, 14
 # A gain of zero grows from this part of the critical damping.
 FROM_NOTHING = 1 / 64
 # A smaller damping ratio counts as this one where damping is added to it.
@@ -56,11 +56,11 @@ class Change:
 
 
 def _less(what: str) -> Change:
-    return Change(what, tuple(2.0**-k for k in range(1, LESS + 1)))
+    return Change(what, tuple(2.0**-k for k in range(1, DOWN + 1)))
 
 
 def _both(what: str) -> Change:
-    octaves = [k for n in range(1, LESS + 1) for k in ((-n, n) if n <= GREATER else (-n,))]
+    octaves = [k for n in range(1, DOWN + 1) for k in ((-n, n) if n <= UP else (-n,))]
     return Change(what, tuple(2.0**k for k in octaves))
 
 
@@ -69,6 +69,7 @@ def _more(what: str) -> Change:
 
 
 GAINS, ARMATURE, DAMPING = _both("kp and kv"), _more("armature"), _more("more damping")
+LESS = _less("setting")
 CHAIN = _more("armature of the whole chain")
 ROWS = (
     _both(SOLREF),
