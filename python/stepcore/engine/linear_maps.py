@@ -41,7 +41,8 @@ def amplification(integrator: str, z: Any) -> Any:
     if integrator == "midpoint":
         return (1 + z / 2) / (1 - z / 2)
     if integrator == "rk4":
-        return 1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))
+        with np.errstate(all="ignore"):
+            return 1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))
     return None
 
 

@@ -22,11 +22,14 @@ from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST, Limit, dt_li
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits, IsolatedElements
 from stepcore.measure.diagnosis.held_control import held_for, sampled_often
+from stepcore.measure.diagnosis.judgement import Judge, judge, judged_limit
 from stepcore.measure.diagnosis.limiters import limiters
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
+from stepcore.measure.diagnosis.observation import look
+from stepcore.measure.diagnosis.real_step import RealStep
 from stepcore.measure.diagnosis.result import Diagnosis
+from stepcore.measure.diagnosis.saturation import holds_when_kicked
 from stepcore.measure.diagnosis.sentences import notes
-from stepcore.measure.diagnosis.shares import limiting_shares
 from stepcore.measure.diagnosis.solref import softened_from
 from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning
@@ -98,8 +101,8 @@ def diagnose(
     wanted = settings.dt if dt is None else checks.seconds("dt", dt)
     horizon = setup.motion.horizon or HORIZON
     motion = dataclasses.replace(setup.motion, horizon=horizon)
-    held = motion.period(settings.dt)
-    period = min(horizon, held or max(settings.dt, horizon * PERIOD))
+    controlled = motion.period(settings.dt)
+    period = min(horizon, controlled or max(settings.dt, horizon * PERIOD))
     schedule = scheduled(motion, model, period, starts=1)
     if motion.ctrl is None and motion.control is None:
         schedule = eased(schedule, home(model, motion.key)[1])
@@ -109,6 +112,7 @@ def diagnose(
             (begin,) = with_feedback(model, [begin], control, period, horizon)
         at_start = step_stability(model, [begin], horizon)
         safe = _safe_dt(at_start)
+        held = schedule
         if control is not None:
             # Sampled often enough that it cannot blow the run up.
             schedule = sampled_often(schedule, safe)
@@ -123,12 +127,18 @@ def diagnose(
     shortest = min(SHORTEST, wanted / 2, settings.dt / 2)
     limit_of = partial(dt_limit, here, longest=longest, shortest=shortest)
     each_limit = workers.each(limit_of, INTEGRATORS, "limits")
-    limits = {limit.integrator: limit for limit in each_limit}
     elements = _element_limits(here)
-    each_shares = workers.each(partial(limiting_shares, here), each_limit, "shares")
-    shares = dict(zip(limits, each_shares, strict=True))
-    limiting = {name: limiters(here, limits[name], shares[name]) for name in limits}
+    # A control that is not held for a time of its own is sampled at every step.
+    by = _judge(RealStep(model, held if motion.control_dt else schedule, horizon), here, visit.dt)
+    judged = workers.each(partial(judged_limit, here, by, wanted), each_limit, "motion")
+    limits = {limit.integrator: limit for limit, _ in judged}
+    shares = {limit.integrator: own for limit, own in judged}
     own, advice = settings.integrator, []
+    seen = look(by, limits[own], shares[own], wanted)
+    limits[own], shares[own] = seen.limit, seen.shares
+    if by is not None:
+        here = dataclasses.replace(here, holds=partial(holds_when_kicked, by))
+    limiting = {name: limiters(here, limits[name], shares[name]) for name in limits}
     if limits[own].dt < wanted and limiting[own]:
         with workers.bar("advice", 1) as bar:
             advice = advise(here, limits, elements, wanted, limiting[own])
@@ -147,14 +157,25 @@ def diagnose(
         notes=list(notes(here, visit, list(elements.values()), horizon)),
         rate=_rate(here, limits[own], wanted),
         physical=max(float(r.real.max(initial=0.0)) for r in here.rates),
+        observed=seen.outcome,
+        saturations=seen.saturations,
+        lasting=seen.lasting,
     )
+
+
+def _judge(real: RealStep, here: StepStability, dt: float) -> Judge | None:
+    """The judge of the motion itself; None for a control that remembers other runs."""
+    if any(state.feedback is not None and state.feedback.order for state in here.states):
+        return None
+    return judge(real, dt)
 
 
 def _rate(here: StepStability, limit: Limit, wanted: float) -> float | None:
     """The growth [1/s] that the integrator causes at the wanted step, if that is unstable."""
     if wanted <= limit.dt:
         return None
-    return here.growth(limit.integrator, wanted, limit.state).rate
+    rate = here.growth(limit.integrator, wanted, limit.state).rate
+    return rate if rate > 0 else None
 
 
 def _safe_dt(at_start: StepStability) -> float:

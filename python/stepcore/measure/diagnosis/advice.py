@@ -25,7 +25,7 @@ from stepcore.measure.diagnosis.changes import (
     Change,
     changed,
 )
-from stepcore.measure.diagnosis.dt_limits import Limit
+from stepcore.measure.diagnosis.dt_limits import LONGEST, Limit
 from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.element_names import named
@@ -98,7 +98,10 @@ def _settings(
     for name, limit in limits.items():
         if name == settings.integrator or limit.dt < wanted:
             continue
-        dt = "at any dt" if math.isinf(limit.dt) else f"up to {seconds(limit.dt)}"
+        dt = f"up to {seconds(limit.dt)}"
+        if math.isinf(limit.dt):
+            short = limit.longest < LONGEST
+            dt = f"at every dt tried, up to {seconds(limit.longest)}" if short else "at any dt"
         met = limit.dt >= MARGIN * wanted and _bounded(now, now.model, name, wanted, limit.state)
         text = f"use integrator {name}, stable {dt}" if met else f"integrator {name}, stable {dt}"
         yield Advice("integrator", (), {"integrator": name}, met, text)
@@ -110,7 +113,11 @@ def _settings(
 
 
 def _bounded(now: StepStability, model: Model, name: str, dt: float, worst: int) -> bool:
-    """Whether runs of the real step from the first state and the worst one stay bounded."""
+    """Whether runs of the real step from the first state and the worst one stay bounded, and the
+    motion itself holds.
+    """
+    if now.holds is not None and not now.holds(model, name, dt):
+        return False
     states = dict.fromkeys((0, max(worst, 0)))
     return all(stays_bounded(model, now.states[k], name, dt, now.horizon) for k in states)
 

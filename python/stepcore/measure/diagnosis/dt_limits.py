@@ -27,7 +27,9 @@ class Limit:
     """The largest stable dt of an integrator.
 
     dt: [s], inf where no step up to `longest` [s] is unstable, 0 where every step tried down to
-    `shortest` [s] is. state: the index of the state that decides, -1 where none does.
+    `shortest` [s] is. state: the index of the state that decides, -1 where none does. outcome:
+    what the motion itself does beyond it, "explodes" or "chatters", where a run of the real step
+    moved the limit; else "".
     """
 
     integrator: str
@@ -35,6 +37,7 @@ class Limit:
     state: int
     longest: float = LONGEST
     shortest: float = SHORTEST
+    outcome: str = ""
 
 
 def dt_limit(

@@ -52,3 +52,12 @@ def acting_elements(sim: Sim) -> tuple[ElementId, ...]:
     always = ("connect", "friction loss")
     rows = zip(row_elements(sim), (sim.rows["impulse"] != 0).tolist(), strict=True)
     return tuple(dict.fromkeys(e for e, pushes in rows if pushes or e.kind in always))
+
+
+def penalised_contacts(sim: Sim) -> tuple[ElementId, ...]:
+    """The contacts that overlap under the law `penalty`, where they have no rows."""
+    if sim.settings.law != "penalty" or sim.overlap <= 0:
+        return ()
+    contacts = sim.contacts
+    pairs = contacts["index"][contacts["dist"] < 0].tolist()
+    return tuple(ElementId.of(sim.model, "contact", pair) for pair in dict.fromkeys(pairs))

@@ -23,6 +23,7 @@ from stepcore.measure.diagnosis.oscillator import (
     oscillator_dt,
     row_dt_under_midpoint,
 )
+from stepcore.measure.diagnosis.spectrum import eigenvalues
 
 # Of the largest eigenvalue: a smaller one is the rounding of a difference.
 NOTHING = 1e-6
@@ -102,7 +103,8 @@ class IsolatedElements:
         return ElementLimits(element, omega, ratio, rate, limits, softened, self.state)
 
     def _spin(self, element: ElementId, turning: Floats, softened: float) -> ElementLimits:
-        omega = float(np.abs(np.linalg.eigvals(turning).imag).max(initial=0.0))
+        values = eigenvalues(turning)
+        omega = 0.0 if values is None else float(np.abs(values.imag).max(initial=0.0))
         limits = {}
         for name in INTEGRATORS:
             implicit = element in self.motion.implicit.get(name, ())

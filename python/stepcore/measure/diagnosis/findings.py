@@ -13,7 +13,9 @@ from stepcore.measure.diagnosis.dt_limits import Limit
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.element_names import together
+from stepcore.measure.diagnosis.judgement import Outcome
 from stepcore.measure.diagnosis.linear_step import State
+from stepcore.measure.diagnosis.saturation import Saturation
 
 
 @dataclass(eq=False, repr=False)
@@ -33,6 +35,9 @@ class DiagnosisFindings:
     notes: list[str] = field(default_factory=list)
     physical: float = 0.0
     rate: float | None = None
+    observed: Outcome | None = None
+    saturations: list[Saturation] = field(default_factory=list)
+    lasting: float | None = None
 
     @property
     def horizon(self) -> float:

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from stepcore.engine.arrays import Floats
+from stepcore.measure.diagnosis.spectrum import eigenvalues
 
 DAMPED = 1e-3
 PER_RADIAN = 0.05
@@ -70,10 +71,14 @@ def neutral_growth(omega: Any, horizon: float) -> Any:
 
 
 def step_growth(matrix: Floats | None, dt: float, rates: Any, horizon: float) -> StepGrowth:
-    """The worst growth of a step's matrix; infinite for None, a step that does not stay finite."""
-    if matrix is None:
+    """The worst growth of a step's matrix; infinite for None, a step that does not stay finite.
+
+    rates: those of the motion itself [1/s]; None where they are not known.
+    """
+    values = eigenvalues(matrix)
+    if values is None or rates is None:
         return StepGrowth(math.inf, math.inf, math.inf)
-    return worst_growth(np.linalg.eigvals(matrix), dt, rates, horizon)
+    return worst_growth(values, dt, rates, horizon)
 
 
 def worst_growth(values: Any, dt: float, rates: Any, horizon: float) -> StepGrowth:
@@ -81,7 +86,10 @@ def worst_growth(values: Any, dt: float, rates: Any, horizon: float) -> StepGrow
 
     values: the eigenvalues of the step of dt [s]; rates: those of the motion itself [1/s].
     """
-    log = _log(values) / dt
+    with np.errstate(all="ignore"):
+        log = _log(values) / dt
+    if not np.isfinite(log).all():
+        return StepGrowth(math.inf, math.inf, math.inf)
     nearest = np.abs(log[:, None] - rates[None, :]).argmin(axis=1)
     limit = allowed_growth(rates, horizon)[nearest]
     excess = log.real - np.maximum(limit, ROUNDING / dt)
@@ -100,7 +108,10 @@ def growth_beyond_motion(
     with its step; growth of the motion does not. A physical decay that the shorter steps do not
     show either (the state moves, and its rates with it) is no measure of growth.
     """
-    rates = _log(np.linalg.eigvals(shorter)) / dt
+    values = eigenvalues(shorter)
+    if values is None:
+        return growth
+    rates = _log(values) / dt
     here = cmath.log(growth.value) / dt
     same = complex(rates[np.abs(rates - here).argmin()])
     own = FASTER * max(same.real, 0.0)

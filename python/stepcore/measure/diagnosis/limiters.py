@@ -18,6 +18,7 @@ from stepcore.measure.diagnosis.growth import step_growth
 from stepcore.measure.diagnosis.held_control import steps_held
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.shares import BEYOND, Shares
+from stepcore.measure.diagnosis.spectrum import eigenvalues
 from stepcore.measure.diagnosis.step_stability import StepStability
 
 # The least share of an element that is softened by itself, the most of them, and the least share
@@ -39,7 +40,8 @@ def limiters(here: StepStability, limit: Limit, shares: Shares) -> tuple[Element
     if not partaking:
         return ()
     first = (partaking[0],)
-    if limit.state < 0 or not limit.dt < limit.longest:
+    if limit.state < 0 or limit.outcome or not limit.dt < limit.longest:
+        # Nothing limits dt, or the motion itself does: no linearised step shows it.
         return first
     dt = (limit.dt or limit.shortest) * BEYOND
     # Where the shares were found: rows that begin to act within the step are looked at there.
@@ -88,7 +90,7 @@ class _Rise:
             made = motion.step(self.integrator, dt)
             if not np.all(np.isfinite(made)):
                 return False
-            rates = np.linalg.eigvals(motion.rates)
+            rates = eigenvalues(motion.rates)
             return step_growth(made, dt, rates, self.horizon).stable
 
     def without(self, elements: Sequence[ElementId]) -> float:

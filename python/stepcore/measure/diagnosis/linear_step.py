@@ -23,7 +23,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.control import controls
 from stepcore.experiment.converged import converged_settings
-from stepcore.measure.diagnosis.element_id import ElementId, acting_elements
+from stepcore.measure.diagnosis.element_id import ElementId, acting_elements, penalised_contacts
 from stepcore.measure.diagnosis.feedback import Feedback
 from stepcore.measure.diagnosis.midpoint_map import midpoint_map
 
@@ -40,8 +40,9 @@ class State:
     """A state at which the step is linearised.
 
     label: where in the motion it is. time: of the motion [s]. qpos: shape (nq,); qvel: shape
-    (nv,); ctrl: shape (nu,). rows: the elements whose rows act there. feedback: the user's control
-    function at this state, if the controls depend on it.
+    (nv,); ctrl: shape (nu,). rows: the elements whose rows act there. touching: the contacts that
+    overlap there and have no row, those of the law `penalty`. feedback: the user's control function
+    at this state, if the controls depend on it.
     """
 
     label: str
@@ -50,6 +51,7 @@ class State:
     qvel: Floats
     ctrl: Floats
     rows: tuple[ElementId, ...] = ()
+    touching: tuple[ElementId, ...] = ()
     feedback: Feedback | None = None
 
 
@@ -69,7 +71,7 @@ def with_converged_rows(model: Model) -> Model:
 def state_of(sim: Sim, label: str, time: float) -> State:
     """The present state of a Sim whose rows were solved there."""
     qpos, qvel, ctrl = (np.array(x) for x in (sim.qpos, sim.qvel, sim.ctrl))
-    return State(label, time, qpos, qvel, ctrl, acting_elements(sim))
+    return State(label, time, qpos, qvel, ctrl, acting_elements(sim), penalised_contacts(sim))
 
 
 def sim_at(model: Model, state: State, **settings: Any) -> Sim:

@@ -36,6 +36,10 @@ class Diagnosis(DiagnosisFindings, Result):
     physical: the fastest growth of the motion itself [1/s].
     rate: the growth at the wanted step that the integrator causes [1/s]; None if the step is
         stable.
+    observed: what the motion did at the wanted step; None where that is too long to tell.
+    saturations: servos that chatter at the ends of their force ranges at the wanted step.
+    lasting: when a growth that is the integrator's explodes after the horizon [s]; None where none
+        was seen in ten horizons.
     """
 
     kind = "diagnosis"
@@ -120,8 +124,14 @@ class Diagnosis(DiagnosisFindings, Result):
             DT: limit.dt,
             "by": self.stiffest(name) if limited else "",
             "share": max(shares, default=None) if limited else None,
-            "at": self.states[limit.state].label if limit.state >= 0 else "",
+            "at": self._where(limit),
         }
+
+    def _where(self, limit: Limit) -> str:
+        """Where a limit was found: at a state, or in the motion itself."""
+        if limit.outcome:
+            return "the motion"
+        return self.states[limit.state].label if limit.state >= 0 else ""
 
     def details(self) -> dict[str, Any]:
         """The limits with their shares, the states and the advice."""
@@ -135,6 +145,7 @@ class Diagnosis(DiagnosisFindings, Result):
                     "together": self.together(name),
                     "state": limit.state,
                     "longest": limit.longest,
+                    "outcome": limit.outcome,
                     "shares": shares,
                 }
                 for (name, limit), shares in zip(
@@ -148,4 +159,8 @@ class Diagnosis(DiagnosisFindings, Result):
             "advice": self.advice,
             "physical": self.physical,
             "rate": self.rate,
+            "horizon": self.horizon,
+            "observed": self.observed,
+            "saturations": self.saturations,
+            "lasting": self.lasting,
         }

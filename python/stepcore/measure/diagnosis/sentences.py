@@ -10,6 +10,7 @@ from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.element_names import are_several, listed
 from stepcore.measure.diagnosis.findings import DiagnosisFindings
 from stepcore.measure.diagnosis.linear_step import VELOCITY_LAWS
+from stepcore.measure.diagnosis.outcomes import observed
 from stepcore.measure.diagnosis.step_stability import StepStability
 from stepcore.measure.diagnosis.visited_states import Visit
 from stepcore.report.units import counted, hertz, seconds, times
@@ -28,6 +29,7 @@ def sentences(d: DiagnosisFindings) -> Iterator[str]:
     """The answer, the advice, and the state that decides."""
     own = d.settings.integrator
     yield _answer(d, own)
+    yield from observed(d)
     met = [a.text for a in d.advice if a.met]
     failed = [a.text for a in d.advice if not a.met]
     if met:
@@ -59,7 +61,8 @@ def _answer(d: DiagnosisFindings, own: str) -> str:
     traits = _traits(limiting, len(d.together(own)) > 1) if limiting else ""
     if math.isinf(limit):
         fastest = f" The fastest element is {name}{traits}." if name else ""
-        return f"No element limits dt below {seconds(d.limits[own].longest)} under {own}.{fastest}"
+        none = f"No element limits dt below {seconds(d.limits[own].longest)} under {own}"
+        return f"{none}, judged over {seconds(d.horizon)} of motion.{fastest}"
     if limit <= 0:
         cause = no_stable_dt(name, d.limits[own].shortest, traits)
         return f"A step of {wanted} explodes under {own}: {cause}."
@@ -67,7 +70,8 @@ def _answer(d: DiagnosisFindings, own: str) -> str:
     if d.wanted > limit:
         return f"A step of {wanted} {_outcome(d, limiting)} under {own}: {cause}."
     margin = f"with a stability margin of {times(limit / d.wanted)}"
-    return f"A step of {wanted} is stable under {own}, {margin}: {cause}."
+    stable = f"is stable under {own} over {seconds(d.horizon)}"
+    return f"A step of {wanted} {stable}, {margin}: {cause}."
 
 
 def limits_dt(name: str, dt: float, traits: str = "") -> str:
@@ -85,6 +89,10 @@ def no_stable_dt(name: str, shortest: float, traits: str = "") -> str:
 
 def _outcome(d: DiagnosisFindings, limiting: ElementLimits | None) -> str:
     """What happens beyond the limit."""
+    if d.limits[own := d.settings.integrator].outcome == "chatters":
+        return "chatters"
+    if d.limits[own].outcome == "explodes" and d.observed is not None:
+        return f"explodes after {seconds(d.observed.time)}"
     kind = limiting.element.kind if limiting else ""
     if kind == "friction loss":
         # Its force is bounded.

@@ -19,6 +19,7 @@ from stepcore.measure.diagnosis.growth import step_growth
 from stepcore.measure.diagnosis.held_control import folded, steps_held
 from stepcore.measure.diagnosis.linear_motion import LinearMotion
 from stepcore.measure.diagnosis.linear_step import State, step_map
+from stepcore.measure.diagnosis.spectrum import eigenvalues
 from stepcore.measure.diagnosis.step_stability import StepStability
 
 # Past the limit an eigenvalue has left its partner: there it shows what drives it.
@@ -31,7 +32,7 @@ EQUAL, CONTOUR = 1e-2, 16
 HOLD = 64
 
 # A step that multiplies by more has left the range in which derivatives mean anything.
-FARTHEST = 1e100
+FARTHEST = 1e12
 
 Shares = dict[ElementId, float]
 
@@ -64,8 +65,8 @@ def _limiting_shares(here: StepStability, limit: Limit) -> Shares:
     made = motion.step(limit.integrator, dt)
     if not np.abs(made).max() < FARTHEST:
         # So long a step leaves the range in which shares have a meaning.
-        return _fastest(here, limit.state)
-    growth = step_growth(made, dt, np.linalg.eigvals(motion.rates), here.horizon)
+        return _fastest(here, limit.state) if limit.dt > 0 else {}
+    growth = step_growth(made, dt, eigenvalues(motion.rates), here.horizon)
     if not growth.stable:
         return step_shares(motion, limit.integrator, dt, made, growth.value)
     if math.isinf(worst.rate):
@@ -91,8 +92,10 @@ def _held_shares(
         made = motion.step(limit.integrator, step, hold=hold)
     if not np.isfinite(made).all():
         return None
-    rates = folded(np.linalg.eigvals(motion.rates), span)
-    growth = step_growth(made, span, rates, here.horizon)
+    rates = eigenvalues(motion.rates)
+    if rates is None:
+        return None
+    growth = step_growth(made, span, folded(rates, span), here.horizon)
     if growth.stable:
         return None
 
@@ -121,7 +124,9 @@ def _fastest(here: StepStability, state: int) -> Shares:
     motion = here.motion(here.states[state])
     if motion is None:
         return {}
-    values = np.linalg.eigvals(motion.rates)
+    values = eigenvalues(motion.rates)
+    if values is None:
+        return {}
     return _shares(motion, motion.rates, values[np.abs(values).argmax()], motion.rates_times)
 
 
@@ -136,8 +141,8 @@ def _shares(
     changed: the matrix times a block, with an element's gain multiplied by 1 + the number given.
     Several equal eigenvalues count by their mean. Elements that hold the value back have share 0.
     """
-    values = np.linalg.eigvals(matrix).astype(complex)
-    if not np.any(values):
+    values = eigenvalues(matrix)
+    if values is None or not np.any(values):
         return dict.fromkeys(motion.elements, 0.0)
     mean, projector = _cluster(matrix, values, value)
     # Of low rank: trace(P dA) = trace(left dA right) with P = right left.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -29,7 +29,10 @@ from stepcore.measure.diagnosis.linear_step import (
     without_rows,
 )
 from stepcore.measure.diagnosis.solref import first_softened
+from stepcore.measure.diagnosis.spectrum import eigenvalues
 
+# Of a model, an integrator and a dt [s].
+Holds = Callable[[Model, str, float], bool]
 # The shortest step tried, in units of the fastest time of the motion.
 SHORTEST = 1e-4
 # How many shorter steps show what the motion does within one.
@@ -44,7 +47,8 @@ class StepStability:
     """A model at the states at which its step is linearised.
 
     rates: the eigenvalues of J at each state [1/s]. horizon [s]: see `growth`. softened: the least
-    dt from which `refsafe` softens a row [s].
+    dt from which `refsafe` softens a row [s]. holds: of (model, integrator, dt), whether the motion
+    itself holds at that step; None where it was not looked at.
     """
 
     model: Model
@@ -52,6 +56,7 @@ class StepStability:
     rates: Sequence[Any]
     horizon: float
     softened: float
+    holds: Holds | None = None
     _motions: dict[int, LinearMotion | None] = field(
         default_factory=dict, repr=False, compare=False
     )
@@ -73,8 +78,15 @@ class StepStability:
         return self._motions[index]
 
     def stable(self, integrator: str, dt: float) -> bool:
-        """Whether a step is stable at every state."""
-        return all(self.growth(integrator, dt, k).stable for k in range(len(self.states)))
+        """Whether a step is stable at every state, and the motion itself holds."""
+        every = range(len(self.states))
+        if not all(self.growth(integrator, dt, k).stable for k in every):
+            return False
+        return self.holds is None or self.holds(self.model, integrator, dt)
+
+    def of(self, model: Model) -> StepStability:
+        """The stability of another model, with a change made, at the same states."""
+        return step_stability(model, self.states, self.horizon, self.holds)
 
     def growth(self, integrator: str, dt: float, state: int) -> StepGrowth:
         """The worst growth of a step at one state."""
@@ -125,8 +137,7 @@ class StepStability:
         if softened or rates is None:
             # Of rows as soft as they are at this dt.
             own = rates_matrix(model, state, dt if softened else None)
-            if own is not None:
-                rates = np.linalg.eigvals(own)
+            rates = eigenvalues(own)
         if rates is None:
             return step_growth(None, dt, np.zeros(1), self.horizon)
         growth = step_growth(matrix, dt, rates, self.horizon)
@@ -186,17 +197,20 @@ class StepStability:
         return SHORTEST / max(fastest, 1.0)
 
 
-def step_stability(model: Model, states: Sequence[State], horizon: float) -> StepStability:
+def step_stability(
+    model: Model, states: Sequence[State], horizon: float, holds: Holds | None = None
+) -> StepStability:
     """The stability of a model's step at those states where the motion has a derivative.
 
+    holds: see `StepStability`.
     Raises ValueError where none of them has one.
     """
     kept, rates = [], []
     for state in states:
-        matrix = rates_matrix(model, state)
-        if matrix is not None:
+        values = eigenvalues(rates_matrix(model, state))
+        if values is not None:
             kept.append(state)
-            rates.append(np.linalg.eigvals(matrix))
+            rates.append(values)
     if not kept:
         raise ValueError("the scene cannot be linearised: its accelerations are not finite")
-    return StepStability(model, kept, rates, horizon, first_softened(model))
+    return StepStability(model, kept, rates, horizon, first_softened(model), holds)

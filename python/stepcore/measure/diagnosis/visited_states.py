@@ -7,7 +7,7 @@ at a small step one state is kept, and a few more evenly spaced in time.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,15 +17,19 @@ from stepcore.checks import one_line
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.probe import Probe
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
+from stepcore.measure.diagnosis.element_id import ElementId
 from stepcore.measure.diagnosis.linear_step import State, sim_at, state_of
 
 # The most states that are kept, and the most steps and samples of the run.
 STATES, STEPS, SAMPLES = 8, 20_000, 200
 # The most dofs at all states together, with at least two states.
 DOFS = 200
+# The most sets of overlaps and limits of which the deepest state is kept.
+PATTERNS = 32
 # The share of the motion over which the seeded controls are blended in.
 EASING = 0.25
 
@@ -71,14 +75,23 @@ def visited(model: Model, schedule: Schedule, safe: float) -> Visit:
     run = replace(schedule, period=period, periods=periods, every=max(1, periods // SAMPLES))
     runner = Runner(model, run)
     sim = runner.sim(model.settings.replace(integrator="implicitfast", dt=dt))
-    sampled, failure = _SampledStates(), ""
+    sampled, brief, failure = _SampledStates(), _BriefStates(model), ""
     try:
-        runner.follow(sim, 0, [sampled])
+        runner.follow(sim, 0, [sampled, brief])
         if periods % run.every:
             sampled.sample(sim)
     except SimulationError as error:
         failure = one_line(error)
-    return Visit(_chosen([start(model, schedule), *sampled.states]), dt, sim.time, failure)
+    seen = [start(model, schedule), *sampled.states]
+    known = {acting(state) for state in seen}
+    seen += [state for state in brief.states(model) if acting(state) not in known]
+    seen.sort(key=lambda state: state.time)
+    return Visit(_chosen(seen), dt, sim.time, failure)
+
+
+def acting(state: State) -> frozenset[ElementId]:
+    """The rows that act at a state, and the contacts of `penalty`, which are none."""
+    return frozenset((*state.rows, *state.touching))
 
 
 class _SampledStates(Probe):
@@ -92,6 +105,47 @@ class _SampledStates(Probe):
         self.states.append(state_of(sim, f"t = {sim.time:.3g} s", sim.time))
 
 
+class _BriefStates(Probe):
+    """Keeps the deepest state of each set of overlaps and reached limits, at whatever step.
+
+    A bounce is shorter than the time between two samples.
+    """
+
+    def __init__(self, model: Model) -> None:
+        joints = Coordinates(model).joints
+        limited = [(q, limits) for _, q, _, limits in joints if limits is not None]
+        self.at = np.array([q for q, _ in limited], int)
+        self.low, self.high = np.array([limits for _, limits in limited]).reshape(-1, 2).T
+        self.deepest: dict[bytes, tuple[float, State]] = {}
+        self.none = bytes(1 + len(limited))
+
+    def stride(self, steps: int) -> int | None:
+        return 1
+
+    def step(self, sim: Sim) -> None:
+        over = np.empty(1 + len(self.at))
+        over[0] = sim.overlap
+        if len(self.at):
+            angles = sim.qpos[self.at]
+            np.maximum(self.low - angles, angles - self.high, out=over[1:])
+        pattern = (over > 0).tobytes()
+        if pattern == self.none:
+            return
+        depth = float(over.max())
+        known = self.deepest.get(pattern)
+        if (known is None and len(self.deepest) < PATTERNS) or (known and depth > known[0]):
+            label, time = f"t = {sim.time:.3g} s", sim.time
+            qpos, qvel, ctrl = (np.array(x) for x in (sim.qpos, sim.qvel, sim.ctrl))
+            self.deepest[pattern] = depth, State(label, time, qpos, qvel, ctrl)
+
+    def states(self, model: Model) -> Iterator[State]:
+        """The states, with the rows that act there."""
+        for _, state in self.deepest.values():
+            sim = sim_at(model, state)
+            sim.forward()
+            yield state_of(sim, state.label, state.time)
+
+
 def _chosen(seen: Sequence[State]) -> list[State]:
     """The first; the last with each set of rows, the largest sets first; then evenly in time.
 
@@ -99,8 +153,8 @@ def _chosen(seen: Sequence[State]) -> list[State]:
     """
     most = max(2, min(STATES, DOFS // len(seen[0].qvel)))
     kept = {0}
-    sets = {frozenset(state.rows): k for k, state in enumerate(seen)}
-    for k in sorted(sets.values(), key=lambda k: -len(seen[k].rows))[: max(1, most - 3)]:
+    sets = {acting(state): k for k, state in enumerate(seen)}
+    for k in sorted(sets.values(), key=lambda k: -len(acting(seen[k])))[: max(1, most - 3)]:
         kept.add(k)
     for k in np.linspace(0, len(seen) - 1, most).round().astype(int):
         if len(kept) >= most:

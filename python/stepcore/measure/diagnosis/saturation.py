@@ -1,0 +1,153 @@
+"""Servos at the ends of their force ranges, where their damping is gone.
+
+A force that is clamped no longer depends on the velocity: its derivative is zero, and an integrator
+that treats the servo's damping implicitly takes an explicit step there. With gain kv, force range
+±F and moved inertia I the force is clamped beyond the speed F/kv, and a step changes the speed by
+F·dt/I: where that is more than 2F/kv, a step of dt > 2I/kv jumps from one end of the range to the
+other, and the servo chatters for good. Whether it does is looked at on the real step: in the motion
+itself, and after a kick beyond F/kv.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stepcore.engine.model import Model
+from stepcore.measure.diagnosis.element_id import ElementId
+from stepcore.measure.diagnosis.judgement import Judge, first_failing
+from stepcore.measure.diagnosis.real_step import CHATTER, EXPLODED, RealRun
+from stepcore.measure.diagnosis.servo_range import (
+    crossing_dt,
+    driven_dof,
+    largest_force,
+    reaching_speed,
+)
+
+# The kick over the speed at which the range is reached; the most servos that are kicked.
+KICK, SERVOS = 1.5, 6
+# The fastest kick, where the motion itself is no faster: [rad/s] and [m/s].
+FASTEST, FASTEST_SLIDE = 30.0, 3.0
+# The steps of a kicked run: chatter shows at once.
+STEPS = 1000
+
+
+@dataclass(frozen=True)
+class Saturation:
+    """A servo that chatters at the ends of its force range.
+
+    element: which one. joint: its name. angular: whether that turns. force: the end of the range
+    [N·m or N]. speed: of the joint, from which the range is reached [rad/s or m/s]. thrown: the
+    largest speed of the joint at the wanted dt. dt: the largest step at which it comes to rest [s].
+    reached: whether the motion itself reaches the range, without a kick. severe: whether the
+    chatter has more energy than the kick, by `EXPLODED` times.
+    """
+
+    element: ElementId
+    joint: str
+    angular: bool
+    force: float
+    speed: float
+    thrown: float
+    dt: float
+    reached: bool
+    severe: bool
+
+
+def saturations(judge: Judge, integrator: str, wanted: float) -> list[Saturation]:
+    """The servos that chatter at the wanted dt [s] once they are kicked, the worst first."""
+    found = []
+    for servo, alone in _candidates(judge, wanted):
+        kicked = _Kicked(judge, integrator, servo)
+        if not kicked.rests(kicked.run(wanted)):
+            found.append(kicked.saturation(wanted, alone))
+    return sorted(found, key=lambda one: (not one.severe, one.dt))
+
+
+def holds_when_kicked(judge: Judge, model: Model, integrator: str, dt: float) -> bool:
+    """As `Judge.holds`, after a kick beyond the servos' force ranges too."""
+    if not judge.holds(model, integrator, dt):
+        return False
+    changed = replace(judge, real=judge.real.of(model))
+    for servo, _ in _candidates(changed, dt):
+        kicked = _Kicked(changed, integrator, servo)
+        run = kicked.run(dt)
+        if not kicked.rests(run) and kicked.severe(run):
+            return False
+    return True
+
+
+def saturation_of(judge: Judge, element: ElementId, run: RealRun, dt: float) -> Saturation:
+    """What a servo does that chatters in the motion itself.
+
+    run: at the wanted step. dt [s]: the largest step at which it does not.
+    """
+    return _described(judge.real.model, element, run, dt, True, run.peak > judge.bound)
+
+
+def _candidates(judge: Judge, wanted: float) -> list[tuple[ElementId, float]]:
+    """Servos that a step of `wanted` [s] may throw across, and from which step on, worst first."""
+    model = judge.real.model
+    if not model.nu or not model.scene.features.actuation:
+        return []
+    servos = []
+    for i in range(model.nu):
+        turns = model.jnt_type[int(model.actuator_joint[i])] != "slide"
+        usual = max(FASTEST if turns else FASTEST_SLIDE, judge.fine.speeds[driven_dof(model, i)])
+        if not KICK * reaching_speed(model, i) <= usual:
+            continue
+        alone = crossing_dt(model, judge.real.start.qpos, i)
+        if alone < wanted:
+            servos.append((ElementId.of(model, "actuator", i), alone))
+    return sorted(servos, key=lambda servo: servo[1])[:SERVOS]
+
+
+@dataclass(frozen=True)
+class _Kicked:
+    """The motion after a kick of a servo's joint beyond its force range."""
+
+    judge: Judge
+    integrator: str
+    servo: ElementId
+
+    def run(self, dt: float) -> RealRun:
+        """The kicked motion at a step."""
+        model, actuator = self.judge.real.model, self.servo.index
+        kick = np.zeros(model.nv)
+        kick[driven_dof(model, actuator)] = KICK * reaching_speed(model, actuator)
+        horizon = min(STEPS * dt, self.judge.fine.reached)
+        return self.judge.real.run(self.integrator, dt, horizon=horizon, kick=kick)
+
+    def rests(self, run: RealRun) -> bool:
+        """Whether the servo does not chatter in a run."""
+        return run.finite and float(run.jumps[self.servo.index]) <= CHATTER
+
+    def severe(self, run: RealRun) -> bool:
+        """Whether a run has much more energy than the kick and the motion."""
+        begun = max(float(run.energies[0]), self.judge.fine.peak, self.judge.floor)
+        return not run.finite or run.peak > EXPLODED * begun
+
+    def saturation(self, wanted: float, alone: float) -> Saturation:
+        """What it does at the wanted step. alone [s]: where it does no more by the closed form."""
+        limit = first_failing(lambda dt: self.rests(self.run(dt)), alone, wanted)
+        run = self.run(wanted)
+        severe = self.severe(run)
+        return _described(self.judge.real.model, self.servo, run, limit, False, severe)
+
+
+def _described(
+    model: Model, servo: ElementId, run: RealRun, dt: float, reached: bool, severe: bool
+) -> Saturation:
+    joint = int(model.actuator_joint[servo.index])
+    return Saturation(
+        element=servo,
+        joint=model.element_name("joint", joint),
+        angular=model.jnt_type[joint] != "slide",
+        force=largest_force(model, servo.index),
+        speed=reaching_speed(model, servo.index),
+        thrown=float(run.speeds[driven_dof(model, servo.index)]),
+        dt=dt,
+        reached=reached,
+        severe=severe,
+    )

@@ -1,0 +1,236 @@
+"""`diagnose` judges the motion itself: saturated servos, slow growth, fast rotation, contacts that
+are not there at the start; each against the real step, run here on its own."""
+
+import math
+
+import pytest
+import stiff
+
+import stepcore as sc
+
+
+def diagnosed(scene, **options):
+    return sc.diagnose(scene, **({"threads": 1, "progress": False} | options))
+
+
+def kinetic_peak(scene, integrator, dt, horizon=1.0):
+    """The largest kinetic energy of the motion from the scene's keyframe [J]; inf if it fails."""
+    sim = sc.Sim(scene.compile(), integrator=integrator, dt=dt)
+    if scene.keys:
+        sim.reset(key=0)
+    peak = sim.energy.kinetic
+    try:
+        for _ in range(round(horizon / dt)):
+            sim.step()
+            peak = max(peak, sim.energy.kinetic)
+            if not peak < 1e30:
+                return math.inf
+    except sc.SimulationError:
+        return math.inf
+    return peak
+
+
+def tenfold(scene, integrator, low, high, horizon=1.0):
+    """The step at which the motion's kinetic energy reaches ten times that of a fine step [s]."""
+    fine = kinetic_peak(scene, "rk4", low / 20, horizon)
+    return stiff.bisected(
+        lambda dt: kinetic_peak(scene, integrator, dt, horizon) <= 10 * fine, low, high, fine=0.01
+    )
+
+
+# --- servos at the ends of their force ranges ---------------------------------------------------
+
+INERTIA, KP, KV, FORCE = 1.5e-4, 500.0, 50.0, 52.0
+
+
+def wrist(kick=0.0, force=FORCE, inertia=INERTIA, kv=KV):
+    """An arm with a light wrist and a servo of limited force; kicked at so many rad/s."""
+    light = " ".join([f"{inertia}"] * 3)
+    return sc.loads(f"""<mujoco><option timestep="0.002" integrator="implicitfast" gravity="0 0 0"/>
+    <worldbody><body name="arm"><joint name="shoulder" axis="0 1 0"/>
+      <inertial pos=".2 0 0" mass="1" diaginertia=".01 .01 .01"/>
+      <body name="hand" pos=".4 0 0"><joint name="wrist" axis="0 1 0"/>
+        <inertial pos="0 0 0" mass=".1" diaginertia="{light}"/></body></body></worldbody>
+    <actuator><position name="shoulder" joint="shoulder" kp="500" kv="50"/>
+      <position name="wrist" joint="wrist" kp="{KP}" kv="{kv}" forcerange="-{force} {force}"/>
+    </actuator><keyframe><key qvel="0 {kick}"/></keyframe></mujoco>""")
+
+
+def comes_to_rest(scene, dt, kick):
+    """Whether the kicked wrist moves less than its kick after 400 steps."""
+    sim = sc.Sim(scene.compile(), dt=dt)
+    sim.qvel[1] = kick
+    sim.step(400)
+    fastest = abs(float(sim.qvel[1]))
+    sim.step()
+    return max(fastest, abs(float(sim.qvel[1]))) < 0.5 * kick
+
+
+def test_a_servo_that_the_motion_saturates_chatters():
+    """Law: beyond F/kv the force is ±F, and a step throws the wrist by F·dt/I = 693 rad/s; it stays
+    finite, and does not explode. The limit is where the kicked wrist still comes to rest."""
+    scene = wrist(kick=2.0)
+    d = diagnosed(scene)
+    real = stiff.bisected(lambda dt: comes_to_rest(scene, dt, 2.0), 5e-6, 3e-5, fine=0.01)
+    assert d.limit() == pytest.approx(real, rel=0.1)
+    assert d.stiffest() == "servo `wrist`" and d.limits["implicitfast"].outcome == "chatters"
+    assert d.sentences[0].startswith("A step of 2 ms chatters under implicitfast: servo `wrist`")
+    assert "explodes" not in d.sentences[0]
+    assert "force range of ±52 N·m" in d.sentences[1] and "stays finite" in d.sentences[1]
+    saturation = d.saturations[0]
+    assert saturation.reached and saturation.speed == pytest.approx(FORCE / KV)
+    assert saturation.thrown == pytest.approx(FORCE * 0.002 / INERTIA, rel=0.02)
+    assert d.observed.kind == "chatters"
+
+
+def test_a_servo_is_kicked_beyond_its_force_range():
+    """The same arm at rest: a kick of 1.5 F/kv is tried, and the answer says so. Law: it chatters
+    from dt = 2I/kv on at the earliest, and where its first step lands beyond -F/kv for sure."""
+    scene = wrist()
+    d = diagnosed(scene)
+    kick = 1.5 * FORCE / KV
+    real = stiff.bisected(lambda dt: comes_to_rest(scene, dt, kick), 5e-6, 3e-5, fine=0.01)
+    assert d.limit() == pytest.approx(real, rel=0.05)
+    assert d.limit() > 2 * INERTIA / KV
+    assert d.stiffest() == "servo `wrist`"
+    assert d.sentences[1].startswith("Kicked beyond 1.04 rad/s, servo `wrist` reaches its force")
+    assert not d.saturations[0].reached and d.saturations[0].severe
+
+
+def test_a_servo_without_force_range_or_with_inertia_does_not_chatter():
+    free = wrist(kick=2.0, force=1e9)
+    heavy = wrist(kick=2.0, inertia=0.1)
+    for scene in (free, heavy):
+        d = diagnosed(scene)
+        assert not d.saturations and d.observed.holds
+        assert d.limit() > 0.002
+
+
+def test_cures_of_chatter_are_tried_on_the_motion():
+    """What is advised makes the real wrist come to rest at 2 ms."""
+    scene = wrist(kick=2.0)
+    d = diagnosed(scene)
+    advice = [a for a in d.advice if a.met and a.values]
+    assert advice
+    for one in advice:
+        values = {f"{_path(value.owner)}/{value.field}": value.after[0] for value in one.values}
+        cured = scene.compile().with_values(values)
+        sim = sc.Sim(cured)
+        sim.reset(key=0)
+        sim.step(800)
+        assert abs(float(sim.qvel[1])) < 1.0, one.text
+
+
+def _path(owner):
+    kind, name, _ = owner.split("`")
+    return f"{'actuator' if 'servo' in kind else 'joint'}/{name}"
+
+
+# --- rotation that nothing damps ----------------------------------------------------------------
+
+
+def links(speed=60.0, integrator="implicitfast", dt=1e-3):
+    """Three links in a row, the first turning fast, without damping or gravity."""
+    scene = sc.Scene(gravity=(0, 0, 0), name="links").with_settings(dt=dt, integrator=integrator)
+    parent = scene.world
+    for i in range(3):
+        parent = scene.add_body(f"link{i}", parent=parent, pos=(0.3 if i else 0.0, 0, 0))
+        scene.add_joint(parent, "hinge", name=f"hinge{i}", axis=(0, 1, 0))
+        ends = (0, 0, 0, 0.3, 0, 0)
+        scene.add_geom(parent, "capsule", 0.02, fromto=ends, mass=0.5, **stiff.INERT)
+    scene.add_key("turning", qpos=(0, 0.3, 0.3), qvel=(speed, 0, 0))
+    return scene
+
+
+def brick(integrator="euler", dt=2e-3):
+    """A brick that tumbles in space."""
+    scene = sc.Scene(gravity=(0, 0, 0), name="brick").with_settings(dt=dt, integrator=integrator)
+    body = scene.add_body("brick")
+    scene.add_joint(body, "free")
+    scene.add_geom(body, "box", (0.1, 0.2, 0.3), mass=1.0, **stiff.INERT)
+    scene.add_key("tumbling", qvel=(0, 0, 0, 3, 20, 1))
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("scene", "integrator", "low", "high"),
+    [
+        (links(), "implicitfast", 2e-4, 4e-3),
+        (links(), "rk4", 1e-2, 2e-2),
+        (brick(), "euler", 1e-2, 0.06),
+        (brick(), "explicit", 1e-2, 0.06),
+    ],
+)
+def test_fast_rotation_is_judged_by_its_energy_over_the_horizon(scene, integrator, low, high):
+    """Law: the limit is where the kinetic energy grows tenfold in the second that the answer
+    states; to 20 %, of which the whole number of steps takes some."""
+    d = diagnosed(scene)
+    assert d.limit(integrator) == pytest.approx(tenfold(scene, integrator, low, high), rel=0.2)
+    assert "over 1 s" in d.sentences[0]
+
+
+def test_inertial_forces_limit_links_in_the_plural():
+    d = diagnosed(links(), dt=2e-3)
+    assert d.stiffest() == "inertial forces" and d.limiting() is None
+    assert d.sentences[0].startswith("A step of 2 ms explodes after ")
+    assert "inertial forces limit dt to 1." in d.sentences[0]
+
+
+def test_slow_growth_of_the_integrator_is_told_with_its_time():
+    """Stable over the second that is judged, not for long after it; a quarter of the step is."""
+    scene = links(dt=1e-3)
+    d = diagnosed(scene)
+    assert d.limit() > 1e-3 and d.observed.holds
+    assert 1 < d.lasting < 10
+    fine = kinetic_peak(scene, "rk4", 1e-4, 1.0)
+    assert kinetic_peak(scene, "implicitfast", 1e-3, 0.9 * d.lasting) < 10 * fine
+    assert kinetic_peak(scene, "implicitfast", 1e-3, 1.1 * d.lasting) > 10 * fine
+    told = next(text for text in d.sentences if text.startswith("Beyond the 1 s"))
+    assert "at a quarter of the step it does not" in told
+    assert diagnosed(links(dt=1e-3, integrator="rk4")).lasting is None
+
+
+# --- elements that act later --------------------------------------------------------------------
+
+
+def drop(height=0.5, dt=2e-3, **law):
+    """A ball above a floor that is met for 3 ms."""
+    scene = sc.Scene(name="drop").with_settings(dt=dt, integrator="semi-implicit", **law)
+    ball = scene.add_body("ball", pos=(0, 0, 0.1 + height))
+    scene.add_joint(ball, "free")
+    scene.add_geom(ball, "sphere", 0.1, mass=1.0, name="ball", condim=1)
+    scene.add_geom("world", "plane", name="floor", condim=1)
+    return scene
+
+
+@pytest.mark.parametrize("height", [0.1, 0.5])
+def test_a_contact_that_begins_in_the_air_limits_dt(height):
+    """Law: as for a ball at rest, dt < 2(√(ζ² + 1) - ζ)/ω, though it touches for 3 ms only; 1 %."""
+    d = diagnosed(drop(height, law="penalty", penalty_stiffness=1e6, penalty_damping_ratio=0.1))
+    assert d.stiffest() == "contact `floor`/`ball`"
+    assert d.limit() == pytest.approx(2 * (math.sqrt(1.01) - 0.1) / 1e3, rel=0.01)
+    assert [row.name for row in d.rows] == ["contact `floor`/`ball`"]
+
+
+def test_a_limit_that_is_reached_between_two_samples_is_seen():
+    """A pendulum that hits a stiff limit in direct form for an instant."""
+    scene = sc.Scene(name="stop").with_settings(dt=1e-3, integrator="euler")
+    rod = scene.add_body("rod")
+    stop = {"range": (-0.5, 3.0), "solreflimit": (-1e6, -500.0)}
+    scene.add_joint(rod, "hinge", name="knee", axis=(0, 1, 0), **stop)
+    scene.add_geom(rod, "capsule", 0.02, fromto=(0, 0, 0, 0, 0, -0.3), mass=1.0, **stiff.INERT)
+    scene.add_key("up", qpos=(0.6,), qvel=(-6.0,))
+    d = diagnosed(scene, horizon=0.4)
+    assert "limit of joint `knee`" in [row.name for row in d.rows]
+    assert d.stiffest() == "limit of joint `knee`"
+
+
+# --- what has no answer ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stiffness", [1e12, 1e150, 1e200, 1e305])
+def test_an_absurd_stiffness_is_an_answer_and_no_exception(stiffness):
+    d = diagnosed(stiff.slider(stiffness, 1.0, dt=1e-3))
+    text = d.text()
+    assert "spring of joint `slide`" in d.sentences[0]
+    assert not any(f"e-{n:02d} ns" in text for n in range(2, 40)) and "nan" not in text
