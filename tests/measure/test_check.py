@@ -249,6 +249,17 @@ def test_a_limit_that_a_motor_overpowers():
     assert run.value == pytest.approx(one.value, rel=0.02) and "pushes" in run.text
 
 
+def test_a_servo_without_a_control_range_is_not_taken_to_overpower_its_limit():
+    assert kinds(arm('range="-60 60"', rest=servo('forcerange="-900 900" kv="1"'))) == []
+
+
+def test_the_control_of_nobody_is_not_said_to_be_clamped():
+    """0, where the range begins at 1."""
+    text = arm('damping="1"', rest=servo('ctrlrange="1 2" kv="1"'))
+    assert "clamped control" not in kinds(text)
+    assert "clamped control" in kinds(text, ctrl=[[0.0]])
+
+
 # The run and the diagnosis.
 
 

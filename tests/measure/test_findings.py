@@ -156,6 +156,28 @@ def test_the_impratio_that_is_named_leaves_what_is_said(cone):
     assert all(abs(creep.speed) < 1e-12 for creep in watch.contacts.creeps(watch.times))
 
 
+GRIPPER = """<mujoco><option cone="{cone}"/><default><geom solref="{solref}"/></default><worldbody>
+<body pos="0 .06 .3"><joint name="l" type="slide" axis="0 -1 0" damping="5"/>
+<geom name="left" type="capsule" size=".01" fromto="-.03 0 0 .03 0 0" mass=".1"/></body>
+<body pos="0 -.06 .3"><joint name="r" type="slide" axis="0 1 0" damping="5"/>
+<geom name="right" type="capsule" size=".01" fromto="-.03 0 0 .03 0 0" mass=".1"/></body>
+<body pos="0 0 .3"><freejoint/><geom name="ball" size=".03" mass=".2"/></body></worldbody>
+<actuator><motor joint="l"/><motor joint="r"/></actuator>
+<keyframe><key qpos=".0202 .0202 0 0 .3 1 0 0 0" ctrl="6 6"/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
+def test_a_ball_creeps_out_of_a_gripper(cone):
+    """Faster and faster, as the pads come onto its upper half, until it falls."""
+    watch, findings = watched(sc.loads(GRIPPER.format(cone=cone, solref="0.02 1")))
+    one = the(findings, "creep")
+    assert one.element == "contact `ball`/`left`" and 5e-3 < one.value < 5e-2
+    impratio = float(re.search(r'impratio="(\S+)"', one.text)[1])
+    still = GRIPPER.format(cone="elliptic", solref="0.02 1")
+    watch, findings = watched(sc.loads(still), impratio=impratio)
+    assert findings == [] and len(next(iter(watch.contacts.seen.values()))) == watch.contacts.looks
+
+
 def test_what_slides_or_rolls_does_not_creep():
     for scene in (incline(50), ball(0.1)):
         if scene.joints[0].type == "free":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -16,8 +17,9 @@ from stepcore.experiment.slip import Friction
 REST = 0.25
 # At rest a quantity varies by less than this share of its mean.
 STEADY = 0.2
-# The velocity of a creep differs by less than this share from its mean.
-UNSTEADY = 0.5
+# The velocity of a creep differs by less than this share from its mean, over so many time
+# constants; it is under a load, of more than this share of what friction could be.
+UNSTEADY, WINDOW, RUBS = 0.5, 10.0, 0.05
 # Fewer looks say nothing of rest or of creep.
 FEWEST = 8
 # An edge of a friction pyramid that pushes with less than this share of the strongest does not.
@@ -43,8 +45,8 @@ class Overlap:
 class Creep:
     """A contact that moves although its friction holds it.
 
-    pair: of geoms, part: which of its contacts. speed: mean of the tangential velocity over the
-    second half of the time `held` [m/s] ([s]). share: friction over μ × normal force.
+    pair: of geoms, part: which of its contacts. speed: mean of the tangential velocity [m/s] over
+    the time `held` [s]. share: friction over μ × normal force.
     """
 
     pair: int
@@ -137,25 +139,27 @@ class ContactWatch:
         return {key: min(edges) > EDGE * max(edges) for key, edges in forces.items()}
 
     def creeps(self, times: list[float]) -> Iterator[Creep]:
-        """Contacts held by friction for a fifth of the run or more that move steadily.
+        """Contacts that move steadily for a while although friction holds them.
 
-        A contact that a moving body comes to rest on, or rolls on, has a speed that changes; under
-        a load that stays, creep goes on. times: of the looks [s].
+        Soft friction is a damper: what a contact has of speed when it begins dies away within its
+        time constant, and under a load a speed remains. Of windows of `WINDOW` time constants, and
+        of a tenth of the run, the one with the fastest steady speed. times: of the looks [s].
         """
+        spacing = (times[-1] - times[0]) / max(1, len(times) - 1) if len(times) > 1 else 0.0
         for (pair, part), seen in self.seen.items():
-            if self.mu[pair] <= 0:
+            if self.mu[pair] <= 0 or not spacing:
                 continue
-            held = _longest(seen)
-            if len(held) < max(FEWEST, 0.2 * self.looks):
-                continue
-            late = held[len(held) // 2 :]
-            past = np.array([one[5] for one in late])
-            drift = past.mean(axis=0)
-            if np.linalg.norm(past - drift, axis=1).max() > UNSTEADY * np.linalg.norm(drift):
-                continue
-            span = times[held[-1][0]] - times[held[0][0]]
-            share = float(np.mean([one[3] for one in late]))
-            yield Creep(pair, part, float(np.linalg.norm(drift)), span, share)
+            constant = float(self.model.pair_solref[pair, 0])
+            least = WINDOW * constant / spacing if constant > 0 else 0.0
+            count = math.ceil(max(FEWEST, least, 0.1 * self.looks))
+            best: Creep | None = None
+            for held in _runs(seen):
+                for first in range(0, len(held) - count + 1, max(1, count // 2)):
+                    one = _steady(pair, part, held[first : first + count], times)
+                    if one and (best is None or one.speed > best.speed):
+                        best = one
+            if best is not None:
+                yield best
 
     def slides(self) -> Iterator[Slide]:
         """Contacts without friction that were there for a fifth of the run or more."""
@@ -178,15 +182,24 @@ class ContactWatch:
                 yield Resting(pair, part, float(depth.mean()), force)
 
 
-def _longest(seen: list[Look]) -> list[Look]:
-    """The longest run of looks, one after the other, in which friction held."""
-    best: list[Look] = []
+def _runs(seen: list[Look]) -> Iterator[list[Look]]:
+    """Runs of looks, one after the other, in which friction held."""
     now: list[Look] = []
     for one in seen:
-        if not one[4]:
+        if now and (not one[4] or one[0] != now[-1][0] + 1):
+            yield now
             now = []
-            continue
-        now = [*now, one] if now and one[0] == now[-1][0] + 1 else [one]
-        if len(now) > len(best):
-            best = now
-    return best
+        if one[4]:
+            now.append(one)
+    if now:
+        yield now
+
+
+def _steady(pair: int, part: int, held: list[Look], times: list[float]) -> Creep | None:
+    """The creep in a window; None where its speed changes, or nothing rubs."""
+    past = np.array([one[5] for one in held])
+    drift, share = past.mean(axis=0), float(np.mean([one[3] for one in held]))
+    speed = float(np.linalg.norm(drift))
+    if share < RUBS or np.linalg.norm(past - drift, axis=1).max() > UNSTEADY * speed:
+        return None
+    return Creep(pair, part, speed, times[held[-1][0]] - times[held[0][0]], share)

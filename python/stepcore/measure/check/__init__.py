@@ -96,6 +96,9 @@ def check(
     horizon = motion.horizon or HORIZON
     schedule = _schedule(compiled, motion, horizon)
     failure, seen = _watched(compiled, schedule, wanted)
+    if motion.ctrl is None and motion.control is None and not compiled.keys:
+        # A control of 0 is nobody's wish.
+        seen = [one for one in seen if one.kind != "clamped control"]
     start, held = home(compiled, motion.key)
     read = list(_read(compiled, start, held, _key(compiled, motion.key)))
     findings = ordered([*failure, *_merged(read, seen)])

@@ -264,7 +264,8 @@ def _largest(model: Model, k: int, low: float, high: float) -> float:
     )
     controls = model.actuator_ctrlrange[k]
     if not model.scene.features.clampctrl or not np.isfinite(controls).all():
-        if not np.isfinite(model.actuator_forcerange[k]).all():
+        if bias[1] < 0 or not np.isfinite(model.actuator_forcerange[k]).all():
+            # A servo pushes as far as it is asked to, which nothing tells.
             return 0.0
         controls = np.array([-np.inf, np.inf])
     most = 0.0
