@@ -59,6 +59,11 @@ def test_an_index_of_no_kind(model, kind):
     assert "must be one of body, joint" in text_of(lambda: model.index(kind, "upper"))
 
 
+@pytest.mark.parametrize("index", [range(2), slice(1), 1.0, [0], 4, -5])
+def test_an_index_that_is_none(model, index):
+    assert "an index below" in text_of(lambda: model.index("body", index))
+
+
 @pytest.mark.parametrize(
     "call",
     [

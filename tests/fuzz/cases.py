@@ -198,7 +198,9 @@ def _calls(value: object, other: object) -> list[object]:
         lambda: sc.sweep(model, value, lambda sim: 1),
         lambda: sc.sweep(model, {"dt": value}, lambda sim: 1),
         *(
-            lambda name=name: sc.trade(scene, horizon=0.01, **{name: value}, progress=False)
+            lambda name=name: sc.trade(
+                sc.lesson.spring(), horizon=0.1, **{name: value}, progress=False
+            )
             for name in ("starts", "error", "budget", "solvers", "integrators")
         ),
         lambda: sc.Motion(horizon=value, starts=other),

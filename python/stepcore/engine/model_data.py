@@ -7,6 +7,7 @@ body, needs only this.
 from __future__ import annotations
 
 import functools
+import operator
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -177,7 +178,7 @@ class ModelData(ABC):
                 f"no {kind} is named {checks.quoted(name)}{checks.nearest(name, names)}"
             )
         try:
-            index = range(len(names))[name]
+            index = range(len(names))[operator.index(name)]
         except (TypeError, IndexError):
             limit = f"the name of a {kind} or an index below {len(names)}"
             raise ValueError(f"{kind} = {checks.shown(name)}: must be {limit}") from None
