@@ -364,3 +364,39 @@ def test_a_softer_penalty_spring():
         return abs(float(sim.qvel[0])) < 1e-4
 
     assert rests(0.9 * 7.5e-3) and not rests(1.1 * 7.5e-3)
+
+
+# --- order and length ---------------------------------------------------------------------------
+
+
+def test_the_answer_comes_first_and_a_screen_is_enough():
+    """Thirty springs: the sentence first, then at most 45 lines; every element on demand."""
+    scene = stiff.chain((50.0, 100.0, 4000.0) * 10, damping=0.1, dt=5e-3, integrator="euler")
+    d = diagnosed(scene, horizon=0.02)
+    lines = d.text(width=100).splitlines()
+    assert lines[0].startswith("A step of 5 ms ") and str(d).startswith("A step of 5 ms ")
+    assert len(lines) <= 45
+    assert sum("joint `joint" in line for line in lines) < 25
+    assert "Not shown: 54 softer elements" in d.text(width=100)
+    full = d.text(width=200, full=True)
+    assert all(f"spring of joint `joint{i}` " in full for i in range(30))
+    assert "Not shown" not in full and "midpoint" in full
+
+
+def test_the_motion_is_told():
+    """From where, for how long, how the controls were driven, and under which law."""
+
+    def told(scene, **options):
+        return next(s for s in diagnosed(scene, **options).sentences if s.startswith("The motion:"))
+
+    still = told(stiff.slider(1.0, dt=1e-3))
+    assert still == "The motion: 100 ms from the pose of the scene; no motors; law solref."
+    scene = servo(100.0, 1.0, "euler")
+    scene.add_key("ready", qpos=[0.1], ctrl=[0.0])
+    assert "from keyframe `ready`; servos get no control, because nothing" in told(scene)
+    scene.actuators[0].ctrlrange = (-1, 1)
+    assert "servos follow seeded sines within 0.4 of their range" in told(scene)
+    assert "the controls given" in told(scene, ctrl=[[0.2]])
+    assert "controls by the function given, each held 5 ms" in told(
+        scene, control=lambda time, sim: [0.0]
+    )

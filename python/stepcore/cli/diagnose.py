@@ -24,7 +24,7 @@ def add(command: argparse.ArgumentParser) -> None:
     )
     # The states come from one run.
     add_motion(command, without=("starts",), horizon=HORIZON)
-    add_output(command)
+    add_output(command, full="print every element on its own, under every integrator")
 
 
 def call(args: argparse.Namespace) -> Result:

@@ -12,6 +12,7 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.schedule import HORIZON, scheduled
 from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.starts import home
@@ -156,6 +157,7 @@ def diagnose(
         advice=advice,
         notes=list(notes(here, visit, list(elements.values()), horizon)),
         rate=_rate(here, limits[own], wanted),
+        ran=motion_in_words(model, motion, schedule),
         physical=max(float(r.real.max(initial=0.0)) for r in here.rates),
         observed=seen.outcome,
         saturations=seen.saturations,

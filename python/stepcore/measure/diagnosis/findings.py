@@ -38,6 +38,7 @@ class DiagnosisFindings:
     observed: Outcome | None = None
     saturations: list[Saturation] = field(default_factory=list)
     lasting: float | None = None
+    ran: str = ""
 
     @property
     def horizon(self) -> float:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -14,8 +15,11 @@ from stepcore.measure.diagnosis.findings import DiagnosisFindings
 from stepcore.measure.diagnosis.sentences import sentences
 from stepcore.report.result import Result
 from stepcore.report.table import Table
+from stepcore.report.units import counted, seconds
 
 DT = "largest stable dt [s]"
+# The elements that are printed unless all are asked for.
+PRINTED = 6
 
 
 @dataclass(eq=False, repr=False)
@@ -34,6 +38,7 @@ class Diagnosis(DiagnosisFindings, Result):
     rows: the elements on their own, the stiffest first.
     advice: changes that make the wanted step stable.
     physical: the fastest growth of the motion itself [1/s].
+    ran: what motion was run, in words.
     rate: the growth at the wanted step that the integrator causes [1/s]; None if the step is
         stable.
     observed: what the motion did at the wanted step; None where that is too long to tell.
@@ -66,8 +71,11 @@ class Diagnosis(DiagnosisFindings, Result):
         stable dt [s] in a column for each integrator, softened (the dt [s] from which refsafe
         softens it), state (where it is stiffest), kind and index (the element as data).
         """
+        return Table(self._records(self.rows), columns=self._columns())
+
+    def _records(self, rows: Iterable[ElementLimits]) -> Iterator[dict[str, Any]]:
         shares = self.element_shares[self.settings.integrator]
-        return Table((self._record(row, shares) for row in self.rows), columns=self._columns())
+        return (self._record(row, shares) for row in rows)
 
     def _columns(self) -> list[str]:
         own = self.settings.integrator
@@ -95,26 +103,48 @@ class Diagnosis(DiagnosisFindings, Result):
         """The answer, the advice, and the state that decides."""
         return list(sentences(self))
 
+    def text(self, width: int | None = None, full: bool = False) -> str:
+        """The report, which begins with the answer; `full`: with every element on its own.
+
+        width: as in `Result.text`.
+        """
+        return dataclasses.replace(self.report(full), title="").text(width)
+
     def tables(self, full: bool) -> list[Table]:
-        """All elements together by integrator, and each on its own."""
+        """All elements together by integrator, and the stiffest on their own (`full`: each)."""
         own = self.settings.integrator
         together = Table(
             (self._limit_record(name, limit) for name, limit in self.limits.items()),
             formats={"share": ".2f", "by": "", DT: ".3g"},
             heading=f"All elements together (* the scene's integrator, at dt {self.wanted:g} s)",
+            legend=self._zero(limit.dt for limit in self.limits.values()),
         )
+        if not self.rows:
+            return [together]
+        rows = self.rows if full or len(self.rows) <= PRINTED + 1 else self.rows[:PRINTED]
+        left = counted(len(self.rows) - len(rows), "softer element")
+        more = f"Not shown: {left}, and the other integrators (--all, or text(full=True))."
         # A name is never cut: columns are left out first.
         formats = {"element": "", "frequency": ".4g", "share": ".2f", "ratio": ".2g"}
+        columns = self._columns() if full else ["element", "frequency", "ratio", "share", own]
+        shown = [row.limits[name] for row in rows for name in columns if name in row.limits]
         alone = Table(
-            self.table,
-            columns=[c for c in self._columns() if full or c not in ("kind", "index")],
+            self._records(rows),
+            columns=columns,
             formats=formats | dict.fromkeys(self.limits, ".3g"),
             heading=(
                 "Each element on its own: frequency [Hz], damping ratio, share in the mode that "
-                f"limits {own}, largest stable dt [s] by integrator"
+                f"limits {own}, largest stable dt [s]{' by integrator' if full else ''}"
             ),
+            legend=" ".join(filter(None, (self._zero(shown), "" if full else more))),
         )
-        return [together, alone] if self.rows else [together]
+        return [together, alone]
+
+    def _zero(self, limits: Iterable[float]) -> str:
+        """What a limit of 0 means, if there is one."""
+        shortest = self.limits[self.settings.integrator].shortest
+        said = f"0: every step tried is unstable, down to {seconds(shortest)}."
+        return said if any(limit <= 0 for limit in limits) else ""
 
     def _limit_record(self, name: str, limit: Limit) -> dict[str, Any]:
         limited = math.isfinite(limit.dt)
@@ -158,6 +188,7 @@ class Diagnosis(DiagnosisFindings, Result):
             ],
             "advice": self.advice,
             "physical": self.physical,
+            "ran": self.ran,
             "rate": self.rate,
             "horizon": self.horizon,
             "observed": self.observed,

@@ -45,6 +45,8 @@ def sentences(d: DiagnosisFindings) -> Iterator[str]:
     if 0 < d.limit(own) < d.wanted:
         safe = seconds(round_below(d.limit(own) / MARGIN))
         yield f"Unchanged, the scene needs a step of {safe} for the same margin."
+    if d.ran:
+        yield f"The motion: {d.ran}."
     limit = d.limits[own]
     if limit.state > 0:
         state = d.states[limit.state]
