@@ -336,7 +336,7 @@ def test_control_functions_get_advice():
     assert d.limit() == pytest.approx(2 / 600.0, rel=0.02)
     met = {a.what: a for a in d.advice if a.met}
     assert met["armature"].values[0].after[0] == pytest.approx(7.5e-3 * 600 / 2 - 1, rel=0.03)
-    for advice in met.values():
+    for advice in (met["armature"], met["more damping"]):
         sim = sc.Sim(cured(scene, advice).compile(), dt=0.97 * MARGIN * 5e-3)
         sim.qvel[:] = 1e-3
         for _ in range(2000):

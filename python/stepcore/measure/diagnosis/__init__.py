@@ -18,6 +18,8 @@ from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.starts import home
 from stepcore.measure.diagnosis.advice import advise
 from stepcore.measure.diagnosis.closed_form_bound import closed_form_bound
+from stepcore.measure.diagnosis.control_advice import advise_control, longest_period
+from stepcore.measure.diagnosis.control_elements import KIND
 from stepcore.measure.diagnosis.control_probe import with_feedback
 from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST, Limit, dt_limit
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
@@ -143,6 +145,9 @@ def diagnose(
     if limits[own].dt < wanted and limiting[own]:
         with workers.bar("advice", 1) as bar:
             advice = advise(here, limits, elements, wanted, limiting[own])
+            if limiting[own][0].kind == KIND:
+                advice += advise_control(here, limiting[own], wanted, limits[own].state)
+                advice.sort(key=lambda a: (not a.met, a.size))
             bar.advance()
     return Diagnosis(
         name=setup.name,
@@ -158,6 +163,7 @@ def diagnose(
         notes=list(notes(here, visit, list(elements.values()), horizon)),
         rate=_rate(here, limits[own], wanted),
         ran=motion_in_words(model, motion, schedule),
+        longest_period=_longest_period(here, own, wanted, motion),
         physical=max(float(r.real.max(initial=0.0)) for r in here.rates),
         observed=seen.outcome,
         saturations=seen.saturations,
@@ -178,6 +184,15 @@ def _rate(here: StepStability, limit: Limit, wanted: float) -> float | None:
         return None
     rate = here.growth(limit.integrator, wanted, limit.state).rate
     return rate if rate > 0 else None
+
+
+def _longest_period(
+    here: StepStability, integrator: str, dt: float, motion: Motion
+) -> float | None:
+    """The longest stable control period [s], where one was asked for that matters."""
+    if motion.control_dt is None or not any(state.feedback for state in here.states):
+        return None
+    return longest_period(here, integrator, min(dt, motion.control_dt), here.horizon)
 
 
 def _safe_dt(at_start: StepStability) -> float:

@@ -6,8 +6,8 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
-from stepcore.experiment.control import controls
-from stepcore.measure.diagnosis.linear_step import State, sim_at
+from stepcore.measure.diagnosis.held_control import steps_held
+from stepcore.measure.diagnosis.linear_step import State, ask_control, sim_at
 
 # The most steps of a run, and in how many shorter ones it is repeated where it grows.
 STEPS, SHORTER = 500, 4
@@ -40,17 +40,13 @@ def _largest_speed(
     """The largest speed of any dof in a run; None where it does not stay finite."""
     sim = sim_at(model, state, integrator=integrator, dt=dt)
     sim.qvel[:] += PUSH * (-1.0) ** np.arange(model.nv)
-    largest = 0.0
-    # One that remembers was asked along another motion.
-    feedback = state.feedback
-    function = feedback.function if feedback is not None and not feedback.order else None
+    largest, hold = 0.0, steps_held(state, dt)[0]
     try:
-        for _ in range(count):
-            if function is not None:
-                sim.ctrl[:] = controls(function, sim)
+        for step in range(count):
+            if step % hold == 0 and not ask_control(sim, state):
+                return None
             sim.step()
             largest = max(largest, float(np.abs(sim.qvel).max()))
-    except (SimulationError, ValueError):
-        # The motion, or the controls that a function gives, did not stay finite.
+    except SimulationError:
         return None
     return largest

@@ -39,6 +39,7 @@ class DiagnosisFindings:
     saturations: list[Saturation] = field(default_factory=list)
     lasting: float | None = None
     ran: str = ""
+    longest_period: float | None = None
 
     @property
     def horizon(self) -> float:

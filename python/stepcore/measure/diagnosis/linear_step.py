@@ -8,7 +8,6 @@ itself grows, decays and turns.
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import dataclasses
 import functools
@@ -103,22 +102,29 @@ def state_after(
 
 
 def _stepped(sim: Sim, state: State, count: int) -> None:
-    """Takes steps; a control function is asked before each but the first."""
+    """Takes steps; a control function is asked before each but the first.
+
+    One that remembers is not: its answer would be that to another past.
+    """
     if state.feedback is None:
         sim.step(count)
         return
     for step in range(count):
-        if step:
-            _ask(sim, state)
+        if step and not state.feedback.order:
+            ask_control(sim, state)
         sim.step()
 
 
-def _ask(sim: Sim, state: State) -> None:
-    """Sets the controls that the state's control function gives; one with a memory is not asked."""
+def ask_control(sim: Sim, state: State) -> bool:
+    """Sets the controls that the state's control function gives; False where it gives none."""
     feedback = state.feedback
-    if feedback is not None and not feedback.order:
-        with contextlib.suppress(ValueError):
-            sim.ctrl[:] = controls(feedback.function, sim)
+    if feedback is None:
+        return True
+    try:
+        sim.ctrl[:] = controls(feedback.function, sim)
+    except ValueError:
+        return False
+    return True
 
 
 def step_map(model: Model, state: State, integrator: str, dt: float) -> Floats | None:
@@ -140,7 +146,8 @@ def step_maps(model: Model, state: State, integrator: str, dt: float, count: int
             product = matrix if product is None else matrix @ product
             if k < count - 1:
                 sim.step()
-                _ask(sim, state)
+                if state.feedback is not None and not state.feedback.order:
+                    ask_control(sim, state)
     except (SimulationError, ValueError):
         return None
     return product if product is not None and np.isfinite(product).all() else None

@@ -45,6 +45,8 @@ class Diagnosis(DiagnosisFindings, Result):
     saturations: servos that chatter at the ends of their force ranges at the wanted step.
     lasting: when a growth that is the integrator's explodes after the horizon [s]; None where none
         was seen in ten horizons.
+    longest_period: the longest stable control period at the wanted step [s], inf beyond the
+        horizon; None without a control function and a period of its own.
     """
 
     kind = "diagnosis"
@@ -194,4 +196,5 @@ class Diagnosis(DiagnosisFindings, Result):
             "observed": self.observed,
             "saturations": self.saturations,
             "lasting": self.lasting,
+            "longest_period": self.longest_period,
         }

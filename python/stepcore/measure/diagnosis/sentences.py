@@ -30,6 +30,8 @@ def sentences(d: DiagnosisFindings) -> Iterator[str]:
     own = d.settings.integrator
     yield _answer(d, own)
     yield from observed(d)
+    if d.longest_period is not None and d.motion.control_dt is not None:
+        yield _period(d.longest_period, d.motion.control_dt, d.wanted)
     met = [a.text for a in d.advice if a.met]
     failed = [a.text for a in d.advice if not a.met]
     if met:
@@ -54,6 +56,16 @@ def sentences(d: DiagnosisFindings) -> Iterator[str]:
         verb = "acts" if len(state.rows) == 1 else "act"
         where = f", where {acting} {verb}" if acting else ""
         yield f"The limiting state is {state.label}{where}."
+
+
+def _period(longest: float, asked: float, dt: float) -> str:
+    """How long the user's controls are held, and how long they may be."""
+    held = f"The control function is sampled every {seconds(asked)}"
+    if math.isinf(longest):
+        return f"{held}; at steps of {seconds(dt)} every period is stable."
+    if longest <= 0:
+        return f"{held}; at steps of {seconds(dt)} no period is stable, however short."
+    return f"{held}; at steps of {seconds(dt)} a period of up to {seconds(longest)} is stable."
 
 
 def _answer(d: DiagnosisFindings, own: str) -> str:
