@@ -373,6 +373,18 @@ def test_an_overlap_at_the_start_is_told_with_its_depth():
     assert watched(two(0.201, False))[1] == []
 
 
+WHEEL = """<mujoco><option cone="elliptic"/><worldbody>
+<geom name="floor" type="plane" size="1 1 1"/>
+<body name="wheel" pos="0 0 .099"><joint axis="0 1 0" name="axle"/>
+<geom name="rim" size=".1" mass="1"/></body></worldbody></mujoco>"""
+
+
+def test_a_wheel_on_a_fixed_axle_cannot_leave_the_floor():
+    one = the(watched(sc.loads(WHEEL))[1], "overlap at the start")
+    assert one.severity == "warning" and one.value == pytest.approx(1e-3)
+    assert "no joint can move them apart: move body `wheel` away" in one.text
+
+
 def test_geoms_that_joints_hold_in_each_other_are_to_be_left_out():
     one = the(watched(two(0.1, True))[1], "overlap")
     assert '<exclude body1="a" body2="b"/>' in one.text

@@ -90,7 +90,8 @@ def _overlaps(
     deep: dict[int, Overlap] = {}
     for start in starts:
         notable = OVERLAP * sizes.contact(*model.pair_geoms[start.pair].tolist())
-        if start.depth > max(notable, RESTS * rest.get(start.pair, 0.0)):
+        known = RESTS * rest.get(start.pair, 0.0)
+        if start.depth > (max(notable, known) if start.movable else LEFT * notable):
             deep.setdefault(start.pair, start)
     if not deep:
         return
