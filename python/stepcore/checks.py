@@ -147,7 +147,8 @@ def count(name: str, value: object, least: int = 1, most: int = 10**9) -> int:
     """`value` as a whole number from `least` to `most`."""
     result = number(value)
     if result is None or result != int(result) or not least <= result <= most:
-        limit = f">= {least}" if result is None or result < least else f"from {least} to {most:g}"
+        beyond = result is not None and result > most
+        limit = f"from {least} to {most:g}" if beyond else f">= {least}"
         raise ValueError(f"{name} = {shown(value)}: must be a whole number {limit}")
     return int(result)
 

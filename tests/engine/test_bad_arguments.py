@@ -79,6 +79,22 @@ def test_numbers_beyond_all_use(call):
 
 
 @pytest.mark.parametrize(
+    "axis",
+    [
+        {"solvers": ["a"]},
+        {"solvers": [["pgs"]]},
+        {"integrators": [3]},
+        {"precisions": ["f16"]},
+        {"sweeps": ["many"]},
+        {"dts": [0.0]},
+    ],
+    ids=str,
+)
+def test_a_grid_of_values_that_do_not_exist_is_refused_also_where_nothing_would_try_them(axis):
+    text_of(lambda: sc.trade(sc.lesson.spring(), horizon=0.1, progress=False, **axis))
+
+
+@pytest.mark.parametrize(
     "value", [1j, np.complex64(1j), np.array(1j), [1j, 0, 0], np.array([1j, 0, 0])]
 )
 def test_an_imaginary_part_is_refused_and_not_dropped(value):

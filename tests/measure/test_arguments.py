@@ -64,7 +64,7 @@ def test_of_what_is_traded_swept_or_loaded(wrong):
         ({"dt": [0.01]}, lambda: 0, {}, r"must be a function of \(sim\)"),
         ({"dt": [0.01]}, float, {"threads": "two"}, "threads = 'two'"),
         ({"dt": [0.01]}, float, {"executor": 3}, "executor = 3"),
-        ({"dtt": [0.01]}, float, {}, "no 'dtt'; nearest"),
+        ({"dtt": [0.01]}, float, {}, 'no "dtt"; nearest'),
         ({"joint/sprin/stiffness": [1]}, float, {}, 'no joint is named "sprin"; nearest: "spring"'),
         ({"joint/spring/stifness": [1]}, float, {}, 'nearest: "stiffness"'),
         ({"joints/spring/stiffness": [1]}, float, {}, 'nearest: "joint"'),

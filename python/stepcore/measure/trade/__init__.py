@@ -205,8 +205,12 @@ def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
     given = {name: values for name, values in axes.items() if values is not None}
     for name, values in given.items():
         checks.several(name, values)
-    for dt in given.get("dts", ()):
-        checks.real(above=0)("trade", "dts", dt)
+        for value in values:
+            # Each is refused at once that a Settings refuses, also where it would not be tried.
+            if name == "dts":
+                checks.real(above=0)("trade", name, value)
+            else:
+                Settings(**{name if name == "sweeps" else name.removesuffix("s"): value})
     if given and search == "frugal":
         raise ValueError(f"search = 'frugal': must be 'grid' or None where {min(given)} is given")
     return bool(given) or search == "grid"
