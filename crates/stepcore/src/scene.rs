@@ -166,6 +166,16 @@ impl GeomType {
             Self::Box => "box",
         }
     }
+
+    /// How far the surface of this size is from the core that it rounds off [m]: a sphere's
+    /// centre, a capsule's axis.
+    pub fn roundness(self, size: &[f64; 3]) -> f64 {
+        if matches!(self, Self::Sphere | Self::Capsule) {
+            size[0]
+        } else {
+            0.0
+        }
+    }
 }
 
 /// A shape on a body: it collides, and gives mass where the body has no `Inertial`.

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from .model import Model, Pair
 from .place import Placed, jacobians
 from .rotation import Array, cross, matrix, unit
+
+# Planes between two shapes on their way after which they count as met.
+PLANES = 32
+# Cosine of the angle by which a normal may turn on the way and still stand for the contact.
+TURNED = 0.999
 
 Touch = tuple[float, Array, Array]  # distance, position, normal
 
@@ -21,6 +27,7 @@ class Contact:
     dist: float  # [m]
     pos: Array  # halfway between the surfaces [m], shape (3,)
     frame: Array  # rows: normal, two tangents; shape (3, 3)
+    ahead: Array = field(default_factory=lambda: np.zeros(3))  # of pos to geom 2's own point [m]
 
 
 def tangents(normal: Array) -> Array:
@@ -106,6 +113,53 @@ def check(model: Model) -> None:
             )
 
 
+def size(model: Model, pair: Pair) -> float:
+    """Radius of the sphere that holds the smaller of a pair's shapes [m]."""
+    return min(reach(model.scene["geoms"][i]) for i in (pair.geom1, pair.geom2))
+
+
+def reach(geom: dict[str, Any]) -> float:
+    """Radius of the sphere that holds the shape [m]; infinite for a plane."""
+    lengths = np.array(geom["size"], float)
+    return {
+        "plane": np.inf,
+        "sphere": lengths[0],
+        "box": float(np.sqrt(lengths @ lengths)),
+    }[geom["kind"]]
+
+
+def met_ahead(
+    model: Model, placed: Placed, contact: Contact, guess: Array, dt: float, near: float
+) -> Contact | None:
+    """The contact of two convex shapes on their way through the step; None: they pass by.
+
+    From plane to plane that lies between them (conservative advancement), by the motion of
+    the round shapes' centres and the flat ones' nearest points.
+    """
+    pair, normal = contact.pair, contact.frame[0]
+    one, two = (shape(model, placed, i) for i in (pair.geom1, pair.geom2))
+    moved = []
+    for index, side in ((pair.geom1, -1.0), (pair.geom2, 1.0)):
+        geom = model.scene["geoms"][index]
+        radius = geom["size"][0] if geom["kind"] == "sphere" else 0.0
+        core = contact.pos + normal * (side * (contact.dist / 2 + radius))
+        moved.append(jacobians(model, placed, geom["body"], core)[0] @ guess)
+    way = dt * (moved[1] - moved[0])
+    share, dist, pos = 0.0, contact.dist, contact.pos
+    for _ in range(PLANES):
+        if dist <= near:
+            break
+        closing = -(normal @ way)
+        if closing <= 0 or share + dist / closing > 1:
+            return None
+        share += dist / closing
+        there = Shape(two.pos + share * way, two.turn, two.size)
+        dist, pos, normal = SHAPES[kinds(model, pair)](one, there)
+    if normal @ contact.frame[0] >= TURNED:
+        return contact
+    return Contact(pair, -share * float(normal @ way), pos, tangents(normal), share * way)
+
+
 def detect(model: Model, placed: Placed) -> list[Contact]:
     """Every candidate pair with its signed distance, near or far, in the model's pair order."""
     contacts: list[Contact] = []
@@ -122,5 +176,5 @@ def contact_jacobian(model: Model, placed: Placed, contact: Contact) -> Array:
     """Velocity of geom 2's point less geom 1's, in the contact's frame, shape (3, nv)."""
     one, two = (model.scene["geoms"][i]["body"] for i in (contact.pair.geom1, contact.pair.geom2))
     first, _ = jacobians(model, placed, one, contact.pos)
-    second, _ = jacobians(model, placed, two, contact.pos)
+    second, _ = jacobians(model, placed, two, contact.pos - contact.ahead)
     return contact.frame @ (second - first)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from . import detect
 from .detect import Contact, contact_jacobian
 from .model import Model
 from .place import Placed, jacobians
@@ -24,6 +25,9 @@ from .world import World
 INF = float("inf")
 UNMOVED = 1e-24  # A times mass below this is rounding
 WEIGHTLESS = 2.0**-35  # the least c of a normal that nothing can move, beside A of its tangents
+# Nearer than this share of the size of what meets, a row stays: whether the guess of bodies at
+# rest on each other overlaps is rounding.
+NEAR = 1 / 1024
 
 
 @dataclass
@@ -59,14 +63,31 @@ class Rows:
     mass: Array  # of the trees each row touches [kg], (n,)
 
 
-def push_target(settings: Settings, phi: float, before: float, bounces: bool) -> float:
-    """Target velocity of a row that may only push, with `before` its velocity at the start."""
-    if settings.law != "rigid":
-        return -settings.beta * min(phi, 0.0) / settings.dt
-    e = settings.restitution if bounces else 0.0
-    if e == 0.0 and phi > 0.0:
-        return -phi / settings.dt  # arrive, do not stop early
-    return max(-e * before, -settings.beta * min(phi + settings.slop, 0.0) / settings.dt)
+@dataclass(frozen=True)
+class Near:
+    """How near a row that may only push is."""
+
+    phi: float  # the distance that it holds [m or rad]
+    before: float  # its velocity at the start
+    closing: bool  # the guess overlaps
+    arrives: bool = True  # on the other shape, and not on its way past it
+    far: bool = False  # still further away than the shapes are large
+
+
+def push_target(settings: Settings, near: Near, bounces: bool) -> float:
+    """Target velocity of a row that may only push.
+
+    A row that only is near asks for what the guess does anyway: no overlap at the end.
+    """
+    phi, dt, rigid = near.phi, settings.dt, settings.law == "rigid"
+    e = settings.restitution if bounces and rigid else 0.0
+    arrive = -phi / dt  # do not stop early
+    hold = -settings.beta * min(phi + (settings.slop if rigid else 0.0), 0.0) / dt
+    if not near.closing:
+        return arrive if phi > 0 else hold
+    if rigid:
+        return arrive if e == 0 and phi > 0 and near.arrives else max(-e * near.before, hold)
+    return arrive if near.far and near.arrives else hold
 
 
 def softness(settings: Settings) -> tuple[float, float]:
@@ -158,8 +179,10 @@ def limit_rows(world: World, v: Array, guess: Array) -> Iterator[Row]:
         if joint["range"] is None:
             continue
         for side, phi, J in sides(model, joint, world.qpos):
-            if phi + settings.dt * (J @ guess) < 0:
-                t = push_target(settings, phi, float(J @ v), bounces=False)
+            closing = bool(phi + settings.dt * (J @ guess) < 0)
+            low, high = joint["range"]
+            if closing or phi <= NEAR * (high - low):
+                t = push_target(settings, Near(phi, float(J @ v), closing), bounces=False)
                 yield Row(("limit", index, side), J, J != 0, t, c, soft)
 
 
@@ -189,12 +212,22 @@ def contact_rows(
     for contact in contacts:
         pair = contact.pair
         J = contact_jacobian(model, placed, contact)
-        if not contact.dist + settings.dt * (J[0] @ guess) < 0:
+        size, phi, arrives = detect.size(model, pair), contact.dist, True
+        closing = bool(phi + settings.dt * (J[0] @ guess) < 0)
+        touching = phi <= NEAR * size
+        if closing and not touching and "plane" not in detect.kinds(model, pair):
+            found = detect.met_ahead(model, placed, contact, guess, settings.dt, NEAR * size)
+            if found is None:
+                continue
+            arrives = found is contact
+            J, phi = contact_jacobian(model, placed, found), found.dist
+        if not (closing or touching):
             continue
         one, two = (model.scene["geoms"][i]["body"] for i in (pair.geom1, pair.geom2))
         dofs = model.moves[one] | model.moves[two]
         key = ("contact", pair.geom1, pair.geom2)
-        t = push_target(settings, contact.dist, J[0] @ v, bounces=True)
+        near = Near(phi, float(J[0] @ v), closing, arrives, phi > size)
+        t = push_target(settings, near, bounces=True)
         made = [Row((*key, 0), J[0], dofs, t, c, soft)]
         if pair.condim > 1:
             made += [Row((*key, k), J[k], dofs, lo=-INF) for k in (1, 2)]

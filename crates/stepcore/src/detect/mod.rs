@@ -7,6 +7,7 @@
 
 mod capsule;
 pub(crate) mod frame;
+pub(crate) mod path;
 mod plane;
 #[cfg(test)]
 mod shape_tests;
@@ -25,7 +26,7 @@ use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::scene::GeomType;
 use crate::settings::Settings;
-use crate::spatial::V3;
+use crate::spatial::{Pose, V3};
 
 /// One contact between the two geoms of a pair.
 #[derive(Clone, Debug)]
@@ -41,6 +42,8 @@ pub struct Contact<R: Real> {
     pub pos: V3<R>,
     /// Unit, from geom 1 to geom 2.
     pub normal: V3<R>,
+    /// How far ahead of `pos` geom 2's own point still is, where the two only meet on their way.
+    pub ahead: V3<R>,
 }
 
 /// What this stage writes.
@@ -92,11 +95,17 @@ impl<R: Real> Detected<R> {
             dist: touch.dist,
             pos: touch.pos,
             normal: touch.normal,
+            ahead: V3::zeros(),
         });
     }
 }
 
 impl<R: Real> Contact<R> {
+    /// Where the two geoms touch, each on its own body: see `ahead`.
+    pub fn points(&self) -> [V3<R>; 2] {
+        [self.pos, self.pos - self.ahead]
+    }
+
     /// Which contact it is.
     pub fn element(&self) -> Element {
         Element::part(Kind::Contact, self.pair, self.part)
@@ -143,8 +152,13 @@ fn far<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> bool {
 /// The exact test of one pair.
 #[inline(always)]
 fn meet<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> Touches<R> {
+    meet_at(model, pair, &placed.geom[pair.geom1], &placed.geom[pair.geom2])
+}
+
+/// The same with the two geoms at these poses.
+#[inline(always)]
+fn meet_at<R: Real>(model: &Model, pair: &Pair, p1: &Pose<R>, p2: &Pose<R>) -> Touches<R> {
     let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
-    let (p1, p2) = (&placed.geom[pair.geom1], &placed.geom[pair.geom2]);
     let (r1, h1) = (R::of(g1.size[0]), R::of(g1.size[1]));
     let (r2, h2) = (R::of(g2.size[0]), R::of(g2.size[1]));
     match pair.test {

@@ -7,13 +7,14 @@
 //! carry stiffness.
 
 use super::constraint::{Constraint, Makings};
+use crate::detect::path::meeting;
 use crate::detect::Contact;
-use crate::model::{Model, Pair};
+use crate::model::{Model, Pair, NONE};
 use crate::real::{Mask, Real};
 use crate::settings::{Cone, Law};
-use crate::solve::law::{least_softness, weightless_softness, OnGuess, SolRef};
+use crate::solve::law::{least_softness, weightless_softness, Near, OnGuess, SolRef, NEAR};
 use crate::solve::{Rows, Set, Situation};
-use crate::spatial::V3;
+use crate::spatial::{Motion, V3};
 
 /// MuJoCo's `mjMINMU`: under `solref` no coefficient of friction is smaller.
 const LEAST_FRICTION: f64 = 1e-5;
@@ -57,7 +58,7 @@ impl<R: Real> Rows<R> {
         along: &V3<R>,
     ) {
         let bodies = [now.model.geoms[pair.geom1].body, now.model.geoms[pair.geom2].body];
-        self.relative_jacobian(now, bodies, pair.dofs, &contact.pos, along);
+        self.relative_jacobian(now, bodies, pair.dofs, &contact.points(), along);
         self.push_scratch(now, pair.dofs);
         self.drop_rounding(now, bodies, &contact.pos, pair.mass);
     }
@@ -194,18 +195,35 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// A contact under `lesson`, `relaxed` or `rigid`: a row where the guess overlaps.
+    /// A contact under `lesson`, `relaxed` or `rigid`: a row where the guess overlaps, or where
+    /// the shapes are so near that it may for what other rows do.
     fn rigid_contact(&mut self, now: &Situation<R>, contact: &mut Contact<R>, pair: &Pair) {
         let law = OnGuess::new(now.settings);
         let first = self.rows.len();
         self.normal_row(now, contact, pair);
-        let mask = contact.mask.and(self.violated_by_guess(now, first, contact.dist));
+        let size = now.model.geoms[pair.geom1].reach.min(now.model.geoms[pair.geom2].reach);
+        let (mut phi, touching) = (contact.dist, contact.dist.le(R::of(NEAR * size)));
+        let closing = contact.mask.and(self.violated_by_guess(now, first, phi));
+        let mut mask = contact.mask.and(closing.or(touching));
+        let mut arrives = R::Mask::of(true);
+        let ahead = closing.and(touching.not());
+        if ahead.any() && pair.curved() {
+            let found = self.met_ahead(now, contact, pair, size, ahead);
+            mask = mask.and(ahead.not().or(found.met));
+            arrives = found.turned.not();
+            if found.turned.any() {
+                self.pop_row();
+                phi = R::select(found.turned, found.phi, phi);
+                self.normal_row(now, contact, pair);
+            }
+        }
         contact.mask = mask;
         if mask.none() {
             self.pop_row();
             return;
         }
-        law.distance(&mut self.rows[first], contact.dist, now.settings.restitution);
+        let near = Near { phi, closing, arrives, far: phi.gt(R::of(size)) };
+        law.distance(&mut self.rows[first], &near, now.settings.restitution);
         if pair.condim == 1 || pair.friction <= 0.0 {
             return self.close(now, contact, first, Set::Interval, mask);
         }
@@ -222,4 +240,63 @@ impl<R: Real> Rows<R> {
         };
         self.close(now, contact, first, set, mask);
     }
+
+    /// Follows the shapes of a contact that is still ahead along the guess, in the lanes of `open`:
+    /// do they meet? Where the normal is another by then, the contact becomes that one.
+    fn met_ahead(
+        &mut self,
+        now: &Situation<R>,
+        contact: &mut Contact<R>,
+        pair: &Pair,
+        size: f64,
+        open: R::Mask,
+    ) -> Ahead<R> {
+        let way = self.way(now, contact, pair);
+        let met = meeting(now.model, now.placed, contact, &way, R::of(NEAR * size), open);
+        if met.turned.any() {
+            for k in 0..3 {
+                contact.pos[k] = R::select(met.turned, met.pos[k], contact.pos[k]);
+                contact.normal[k] = R::select(met.turned, met.normal[k], contact.normal[k]);
+                contact.ahead[k] = R::select(met.turned, way[k] * met.share, R::zero());
+            }
+        }
+        let phi = -(met.normal.dot(&way) * met.share);
+        Ahead { met: met.met, turned: met.turned, phi }
+    }
+
+    /// How far geom 2 moves in the step as geom 1 sees it, by the guess [m]: the round shapes'
+    /// centres, and the flat ones' nearest points.
+    fn way(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) -> V3<R> {
+        let half = R::of(0.5) * contact.dist;
+        let [first, second] = [(pair.geom1, -R::one()), (pair.geom2, R::one())].map(|(g, side)| {
+            let geom = &now.model.geoms[g];
+            let core = half + R::of(geom.kind.roundness(&geom.size));
+            self.guessed(now, geom.body, &(contact.pos + contact.normal * (side * core)))
+        });
+        (second - first) * R::of(now.settings.dt)
+    }
+
+    /// Velocity of a body's point by the guess [m/s].
+    fn guessed(&mut self, now: &Situation<R>, body: usize, at: &V3<R>) -> V3<R> {
+        let body = &now.model.bodies[body];
+        if body.tree == NONE {
+            return V3::zeros();
+        }
+        now.placed.metric.from_factored(&now.placed.guess, &mut self.guess);
+        let arm = at - now.placed.origin[body.tree];
+        let mut motion = Motion::zero();
+        for &k in body.chain.of(&now.model.dof_lists) {
+            motion.add_scaled(&now.placed.motion[k], self.guess[k]);
+        }
+        motion.at(&arm)
+    }
+}
+
+/// What lies ahead of a contact.
+struct Ahead<R: Real> {
+    /// The shapes meet, and with another normal than the present one.
+    met: R::Mask,
+    turned: R::Mask,
+    /// The present distance from the plane in which they meet [m].
+    phi: R,
 }

@@ -5,7 +5,7 @@ use super::{Element, Kind};
 use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::scene::JointType;
-use crate::solve::law::{least_softness, OnGuess, SolRef};
+use crate::solve::law::{least_softness, Near, OnGuess, SolRef, NEAR};
 use crate::solve::{Rows, Set, Situation};
 use crate::transmission::{Reach, Transmission};
 use std::slice;
@@ -65,8 +65,11 @@ impl<R: Real> Rows<R> {
             law.fill(row, r, R::of(dof.invweight), least, R::of(settings.dt));
             near
         } else {
-            OnGuess::new(settings).distance(row, phi, 0.0);
-            self.violated_by_guess(now, first, phi)
+            let closing = self.violated_by_guess(now, first, phi);
+            let near = Near { phi, closing, arrives: R::Mask::of(true), far: R::Mask::of(false) };
+            OnGuess::new(settings).distance(&mut self.rows[first], &near, 0.0);
+            let [lo, hi] = joint.range.unwrap_or_default();
+            closing.or(phi.le(R::of(NEAR * (hi - lo))))
         };
         if mask.none() {
             self.pop_row();

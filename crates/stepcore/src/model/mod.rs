@@ -191,6 +191,13 @@ pub struct Pair {
     pub apart: bool,
 }
 
+impl Pair {
+    /// Its normal turns while one shape moves past the other.
+    pub fn curved(&self) -> bool {
+        !matches!(self.test, ShapeTest::PlaneSphere | ShapeTest::PlaneCapsule)
+    }
+}
+
 /// The positions of a joint within which pairs are apart: its range, widened.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Guard {

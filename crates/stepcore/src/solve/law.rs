@@ -114,6 +114,22 @@ fn impedance_at<R: Real>(soft: &Softness, d0: f64, dw: f64, r: R) -> R {
     R::of(d0) + y * R::of(dw - d0)
 }
 
+/// Nearer than this share of the size of what meets, a row stays: whether the guess of bodies
+/// at rest on each other overlaps is rounding.
+pub const NEAR: f64 = 1.0 / 1024.0;
+
+/// How near a row of an inequality is, under the laws on velocities.
+pub struct Near<R: Real> {
+    /// The distance that it holds.
+    pub phi: R,
+    /// The guess overlaps.
+    pub closing: R::Mask,
+    /// Where one comes to the other in this step, it still is in the next: not on its way past.
+    pub arrives: R::Mask,
+    /// Still further away than the shapes are large.
+    pub far: R::Mask,
+}
+
 /// The laws on velocities: how a row that holds a distance is filled in.
 #[derive(Clone, Copy)]
 pub struct OnGuess {
@@ -131,19 +147,26 @@ impl OnGuess {
     }
 
     /// An inequality: distance φ ≥ 0. Limits do not bounce: their restitution is 0.
-    pub fn distance<R: Real>(&self, row: &mut Row<R>, phi: R, restitution: f64) {
+    ///
+    /// A row that only is near asks for what the guess does anyway: no overlap at the end of
+    /// the step. It has no impulse but what other rows make it pass on.
+    pub fn distance<R: Real>(&self, row: &mut Row<R>, near: &Near<R>, restitution: f64) {
         let (zero, inv_dt) = (R::zero(), R::of(1.0 / self.dt));
+        let phi = near.phi;
         row.gap = phi;
         let push = R::of(-self.beta) * inv_dt;
+        let (arrive, open) = (-(phi * inv_dt), phi.gt(zero));
+        let (hold, closing);
         if self.law == Law::Rigid {
-            let back =
-                (push * (phi + R::of(self.slop)).min(zero)).max(R::of(-restitution) * row.velocity);
-            let arrive = -(phi * inv_dt);
-            let open = phi.gt(zero).and(R::Mask::of(restitution == 0.0));
-            row.t = R::select(open, arrive, back);
+            hold = push * (phi + R::of(self.slop)).min(zero);
+            let back = hold.max(R::of(-restitution) * row.velocity);
+            let wait = open.and(near.arrives).and(R::Mask::of(restitution == 0.0));
+            closing = R::select(wait, arrive, back);
         } else {
-            row.t = push * phi.min(zero);
+            hold = push * phi.min(zero);
+            closing = R::select(near.far.and(near.arrives), arrive, hold);
         }
+        row.t = R::select(near.closing, closing, R::select(open, arrive, hold));
         self.soften(row);
     }
 

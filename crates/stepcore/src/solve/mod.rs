@@ -37,19 +37,19 @@ const SUSPECT: f64 = 1e8;
 const ROUNDED: f64 = 1024.0;
 
 impl<R: Real> Rows<R> {
-    /// Sets `scratch` to the Jacobian of the relative velocity of two body points at
-    /// `at` (body 2 minus body 1) along `direction`, on the union `dofs` of their chains.
+    /// Sets `scratch` to the Jacobian of the relative velocity of two body points, each at
+    /// its `at` (body 2 minus body 1), along `direction`, on the union `dofs` of their chains.
     pub(crate) fn relative_jacobian(
         &mut self,
         now: &Situation<R>,
         bodies: [usize; 2],
         dofs: Span,
-        at: &V3<R>,
+        at: &[V3<R>; 2],
         direction: &V3<R>,
     ) {
         self.clear_scratch(dofs.of(&now.model.dof_lists));
-        self.add_jacobian(now, bodies[0], at, &-direction);
-        self.add_jacobian(now, bodies[1], at, direction);
+        self.add_jacobian(now, bodies[0], &at[0], &-direction);
+        self.add_jacobian(now, bodies[1], &at[1], direction);
     }
 
     /// The Jacobian of the next row is zero on these dofs.

@@ -96,13 +96,15 @@ pub struct Rows<R: Real> {
     /// u = L v, by dof: the guess at first, then with every impulse so far.
     pub u: Vec<R>,
     pub(crate) scratch: Vec<R>,
+    /// v̂, while rows are made.
+    pub(crate) guess: Vec<R>,
     /// By tree: see `Model::islands`.
     islands: Vec<usize>,
     /// By slot: see `Model::ranks`.
     ranks: Vec<u32>,
 }
 
-room!(Rows<R>: rows, blocks, pushes, y, u, scratch, islands, ranks;);
+room!(Rows<R>: rows, blocks, pushes, y, u, scratch, guess, islands, ranks;);
 
 /// Everything the row makers read.
 pub struct Situation<'a, R: Real> {
@@ -123,6 +125,7 @@ impl<R: Real> Rows<R> {
             y: Vec::new(),
             u: vec![R::zero(); model.nv],
             scratch: vec![R::zero(); model.nv],
+            guess: vec![R::zero(); model.nv],
             ranks: model.ranks(&islands),
             islands,
         }
@@ -137,6 +140,7 @@ impl<R: Real> Rows<R> {
             pushes: Vec::new(),
             y: Vec::new(),
             scratch: u.clone(),
+            guess: u.clone(),
             u,
             islands: Vec::new(),
             ranks: Vec::new(),

@@ -1,0 +1,76 @@
+//! Where two shapes meet on their way through a step, if they do.
+//!
+//! Between convex shapes at distance φ along the normal n lies a plane that neither crosses before
+//! φ of their approach along n is used up. So, moved by φ/(−n·way) of the whole way, they still do
+//! not overlap, and the next plane is nearer the truth: Newton's method on a convex distance, which
+//! comes from one side and never passes the first touch (conservative advancement: Mirtich 1996).
+
+use super::{meet_at, Contact};
+use crate::model::{Model, Pair};
+use crate::place::Placed;
+use crate::real::{Mask, Real};
+use crate::spatial::{Pose, V3};
+
+/// Planes after which shapes that are still neither met nor past count as met.
+const PLANES: usize = 32;
+/// Cosine of the angle by which a normal may turn on the way and still stand for the contact.
+const TURNED: f64 = 0.999;
+
+/// What a way ends at.
+pub(crate) struct Meeting<R: Real> {
+    /// Lanes in which the shapes meet.
+    pub met: R::Mask,
+    /// Of these, where the normal there is another than the present one.
+    pub turned: R::Mask,
+    /// Of the whole way, until then.
+    pub share: R,
+    /// The contact then, geom 1 standing still.
+    pub pos: V3<R>,
+    pub normal: V3<R>,
+}
+
+/// Moves geom 2 of a contact's pair along `way` [m], as geom 1 sees it, in the lanes of `open`,
+/// until they are `near` [m].
+pub(crate) fn meeting<R: Real>(
+    model: &Model,
+    placed: &Placed<R>,
+    contact: &Contact<R>,
+    way: &V3<R>,
+    near: R,
+    open: R::Mask,
+) -> Meeting<R> {
+    let pair: &Pair = &model.pairs[contact.pair];
+    let mut now = Meeting {
+        met: open,
+        turned: R::Mask::of(false),
+        share: R::zero(),
+        pos: contact.pos,
+        normal: contact.normal,
+    };
+    let (mut dist, mut live) = (contact.dist, open);
+    for _ in 0..PLANES {
+        live = live.and(near.lt(dist));
+        if live.none() {
+            break;
+        }
+        let closing = -now.normal.dot(way);
+        let share = now.share + dist / R::select(closing.gt(R::zero()), closing, R::one());
+        let past = closing.le(R::zero()).or(R::one().lt(share));
+        now.met = now.met.and(live.and(past).not());
+        live = live.and(past.not());
+        if live.none() {
+            break;
+        }
+        now.share = R::select(live, share, now.share);
+        let other = &placed.geom[pair.geom2];
+        let moved = Pose { pos: other.pos + way * now.share, rot: other.rot };
+        let touch = meet_at(model, pair, &placed.geom[pair.geom1], &moved).list[contact.part];
+        dist = R::select(live, touch.dist, dist);
+        for k in 0..3 {
+            now.pos[k] = R::select(live, touch.pos[k], now.pos[k]);
+            now.normal[k] = R::select(live, touch.normal[k], now.normal[k]);
+        }
+    }
+    now.turned = now.met.and(now.normal.dot(&contact.normal).lt(R::of(TURNED)));
+    now
+}
