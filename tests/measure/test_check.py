@@ -51,7 +51,7 @@ def servo(more="", kp=10):
 
 
 @pytest.mark.parametrize(
-    "name", ["lesson:spring", "lesson:stack", "gymnasium:hopper", "gymnasium:reacher"]
+    "name", ["lesson:spring", "lesson:drop", "gymnasium:hopper", "gymnasium:reacher"]
 )
 def test_nothing_is_found_in_a_healthy_scene(name):
     result = sc.check(name, horizon=0.5, threads=1, progress=False)

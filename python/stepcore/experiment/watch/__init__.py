@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from stepcore.engine.model import Model
 from stepcore.experiment.bodies import Bodies
 from stepcore.experiment.coordinates import Coordinates
@@ -21,8 +23,9 @@ LOOKS = 1000
 
 
 class Watch(Probe):
-    """Watches a run. contacts, joints, actuators: what was seen of each; residual: the worst [m/s].
+    """Watches a run. contacts, joints, actuators: what was seen of each.
 
+    residuals: at every look [m/s]; most: the worst, and unsolved: the row that was worst then.
     times: when it looked [s]. periods: control periods of the run, in each of which it looks.
     """
 
@@ -33,7 +36,9 @@ class Watch(Probe):
         self.joints = JointWatch(model, bodies)
         self.actuators = ActuatorWatch(model)
         self.times: list[float] = []
-        self.residual = 0.0
+        self.residuals: list[float] = []
+        self.most = 0.0
+        self.unsolved = ""
 
     @property
     def span(self) -> float:
@@ -49,7 +54,14 @@ class Watch(Probe):
 
     def step(self, sim: Any) -> None:
         self.times.append(sim.time)
-        self.residual = max(self.residual, sim.residual)
+        self._rows(sim)
         self.contacts.look(sim)
         self.joints.look(sim)
         self.actuators.look(sim)
+
+    def _rows(self, sim: Any) -> None:
+        residual = float(sim.residual)
+        if residual > self.most:
+            self.most, rows = residual, sim.rows
+            self.unsolved = str(rows["name"][np.argmax(np.abs(rows["residual"]))])
+        self.residuals.append(residual)

@@ -42,6 +42,8 @@ def _fitting(
         if ratio:
             changes = f"--set cone=elliptic --set impratio={ratio[1]}"
             yield f"stepcore run {file} {changes}", "whether the creep is gone"
+    if "residual" in found:
+        yield f"stepcore converge {file}", "how many sweeps, or how small a step, solve the rows"
     if found.keys() & {"depth at rest", "gap", "overlap", "overlap at the start"}:
         yield f"stepcore converge {file}", "whether the contacts are solved"
         yield f"stepcore run {file} --plot run.png", "energy and overlap over time"

@@ -16,6 +16,7 @@ from stepcore.measure.findings.actuators import about_actuators
 from stepcore.measure.findings.contacts import about_contacts
 from stepcore.measure.findings.finding import Finding, ordered
 from stepcore.measure.findings.joints import about_joints
+from stepcore.measure.findings.rows import about_rows
 
 __all__ = ["Finding", "findings_of", "ordered", "watched"]
 
@@ -40,6 +41,7 @@ def _all(model: Model, watch: Watch, sizes: Sizes, depth: float | None) -> Itera
     yield from about_contacts(model, watch, sizes, depth)
     yield from about_joints(model, watch, sizes)
     yield from about_actuators(model, watch)
+    yield from about_rows(model, watch)
 
 
 def watched(runner: Runner, settings: Settings) -> list[Finding]:
