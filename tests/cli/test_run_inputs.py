@@ -124,3 +124,19 @@ def test_a_run_says_what_it_showed(capsys, carts):
     assert finding["kind"] == "clamped control" and finding["element"] == "motor `b`"
     assert main(["run", carts, "--ctrl", "b=3"]) == 0
     assert "warning" not in capsys.readouterr().out
+
+
+def test_a_run_that_fails_says_how_it_began(capsys, tmp_path, monkeypatch):
+    """Two balls in each other, under a penalty that is too stiff for the step."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "two.xml").write_text(
+        """<mujoco><option timestep=".01" gravity="0 0 0"/><worldbody><body><freejoint/>
+        <geom name="a" size=".1"/></body><body pos=".15 0 0"><freejoint/><geom name="b" size=".1"/>
+        </body></worldbody></mujoco>"""
+    )
+    stiff = ["--set", "law=penalty", "--set", "penalty_stiffness=1e12"]
+    status = main(["run", "two.xml", "--set", "integrator=explicit", *stiff])
+    said = capsys.readouterr()
+    assert status == 1 and said.err.count("\n") == 1
+    assert "Geoms `a` and `b` overlap by 50 mm at the start" in said.err
+    assert said.err.strip().endswith(".replay.json")

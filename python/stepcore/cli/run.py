@@ -85,8 +85,10 @@ def call(args: argparse.Namespace) -> None:
         single.run(steps)
         sim.balance()
     except SimulationError as error:
-        show = f"stepcore replay {_written(error, args.replay)}"
-        raise RuntimeError(f"{one_line(error)}. To see what failed: {show}") from None
+        said = [f"{one_line(error)}."]
+        said += [finding.text for finding in findings_of(sim.model, watch, failed=True)]
+        said.append(f"To see what failed: stepcore replay {_written(error, args.replay)}")
+        raise RuntimeError(" ".join(said)) from None
     if single.trajectory is not None:
         single.trajectory.plot(args.plot)
     found = findings_of(sim.model, watch) if steps else []

@@ -93,7 +93,7 @@ def check(
     )
     wanted = None if depth is None else units.length("check", "depth", depth, NO_SIZE)
     compiled, motion = setup.model, setup.motion
-    horizon = motion.horizon or HORIZON
+    horizon = motion.horizon or max(HORIZON, compiled.settings.dt)
     schedule = _schedule(compiled, motion, horizon)
     failure, seen = _watched(compiled, schedule, wanted)
     if motion.ctrl is None and motion.control is None and not compiled.keys:

@@ -36,10 +36,15 @@ def ordered(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def others(names: Sequence[str], noun: str) -> str:
-    """ " (and `a`, `b` and 3 more contacts)" after the first of some names; "" if it is alone."""
+    """ " (and `a`, `b` and 3 more contacts)" after the first of some names; "" if it is alone.
+
+    noun: of more than one.
+    """
     rest = list(dict.fromkeys(names[1:]))
     if not rest:
         return ""
     more = len(rest) - NAMES
     shown = ", ".join(rest[:NAMES])
+    if more == 1:
+        noun = noun.replace("bodies", "body").removesuffix("s")
     return f" (and {shown}{f' and {more} more {noun}' if more > 0 else ''})"
