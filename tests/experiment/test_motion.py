@@ -7,6 +7,7 @@ import pytest
 import stepcore as sc
 from stepcore import lesson
 from stepcore.experiment.motion import Motion
+from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.schedule import scheduled
 
 QUIET = {"by": "flops", "threads": 1, "progress": False}
@@ -57,6 +58,43 @@ def test_a_field_that_a_measurement_does_not_use_is_refused():
 def test_a_motion_checks_its_fields_when_it_is_made(fields, said):
     with pytest.raises(ValueError, match=said):
         sc.Motion(**fields)
+
+
+def words(scene, motion, period=0.002, starts=3):
+    model = scene.compile()
+    return motion_in_words(model, motion, scheduled(motion, model, period, starts))
+
+
+def test_the_motion_is_told_in_words():
+    scene = sc.Scene(name="cart")
+    cart = scene.add_body("cart", mass=1.0, inertia=(1, 1, 1))
+    assert cart is not None
+    joint = scene.add_joint(cart, "slide")
+    short = Motion(horizon=0.1)
+    assert words(scene, short) == (
+        "100 ms from the pose of the scene and 2 starts near it; no motors; law solref"
+    )
+    scene.add_actuator(joint, name="drive")
+    scene.add_key("home", qpos=(0.0,), ctrl=(0.0,))
+    assert words(scene, short, starts=1) == (
+        "100 ms from keyframe `home`; motors are held at zero, because nothing gives their range; "
+        "law solref"
+    )
+    scene.actuators[0].ctrlrange = (-1, 1)
+    assert "; motors follow seeded sines within 0.4 of their range; law" in words(scene, short)
+    scene.add_actuator(joint, name="free")
+    scene.keys[0].ctrl = (0.0, 0.0)
+    assert "their range; free without a range held at zero; law" in words(scene, short)
+    given = Motion(horizon=0.1, ctrl=[[0.0, 1.0]])
+    assert "; motors driven by the controls given and held; law" in words(scene, given)
+    rows = Motion(horizon=0.1, ctrl=[[0.0, 1.0], [1.0, 0.0]])
+    assert "; motors driven by the controls given, a row every 2 ms; law" in words(scene, rows)
+
+    def policy(time, sim):
+        return [0.0, 0.0]
+
+    told = words(scene, Motion(horizon=0.1, control=policy))
+    assert "by the control function `policy` of test_motion.py, sampled every 2 ms; law" in told
 
 
 def test_part_of_a_schedule_keeps_its_starts_and_their_controls():

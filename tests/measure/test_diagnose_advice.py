@@ -393,10 +393,10 @@ def test_the_motion_is_told():
     assert still == "The motion: 100 ms from the pose of the scene; no motors; law solref."
     scene = servo(100.0, 1.0, "euler")
     scene.add_key("ready", qpos=[0.1], ctrl=[0.0])
-    assert "from keyframe `ready`; servos get no control, because nothing" in told(scene)
+    assert "from keyframe `ready`; servos are held at zero, because nothing" in told(scene)
     scene.actuators[0].ctrlrange = (-1, 1)
     assert "servos follow seeded sines within 0.4 of their range" in told(scene)
     assert "the controls given" in told(scene, ctrl=[[0.2]])
-    assert "controls by the function given, each held 5 ms" in told(
-        scene, control=lambda time, sim: [0.0]
-    )
+    function = told(scene, control=lambda time, sim: [0.0])
+    assert "servos driven by the control function `<lambda>, line " in function
+    assert " of test_diagnose_advice.py, sampled at every step; law" in function

@@ -8,7 +8,7 @@ from measured import RESULTS
 
 import stepcore as sc
 
-COMMON = ["kind", "model", "motion", "settings", "sentences", "rows", "units", "notes"]
+COMMON = ["kind", "model", "motion", "ran", "settings", "sentences", "rows", "units", "notes"]
 # A plan and a post-mortem run no motion.
 WITHOUT_MOTION = ("plan", "postmortem")
 
@@ -32,6 +32,9 @@ def test_the_data_have_the_same_keys_and_are_plain(result):
         assert len(result.rows) == len(data["rows"])
     if result.kind not in WITHOUT_MOTION:
         assert isinstance(result.motion, sc.Motion) and data["motion"]["horizon"] > 0
+        if result.kind != "check":
+            assert result.ran.endswith(f"law {result.settings.law}")
+            assert f"The motion: {result.ran}." in " ".join(result.text(200).split())
         assert data["settings"] == sc.Settings(**data["settings"]).as_dict()
 
 
@@ -44,7 +47,8 @@ def test_the_text_keeps_to_its_width(result):
 
 def test_the_text_says_its_title_and_its_sentences_first(result):
     text = " ".join(result.text(200).split())
-    places = [text.index(result.title)]
+    # A diagnosis begins with its answer.
+    places = [text.index(result.title)] if result.kind != "diagnosis" else []
     places += [text.index(" ".join(sentence.split())) for sentence in result.sentences]
     assert places == sorted(places) and places[0] == 0
     assert str(result) == result.text()

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from stepcore.engine.model import Model
+from stepcore.experiment.control import control_name
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.units import counted, seconds
@@ -13,48 +16,69 @@ from stepcore.report.units import counted, seconds
 WORDS = {"motor": "motor", "position": "servo", "velocity": "servo"}
 
 
-def motion_in_words(model: Model, motion: Motion, schedule: Schedule) -> str:
+def motion_in_words(
+    model: Model, motion: Motion, schedule: Schedule, sampled: str = "", driven: str = ""
+) -> str:
     """What was run: "1 s from keyframe `home`; servos follow seeded sines …; law solref".
 
-    motion: as it was asked for; schedule: as it was run.
+    motion: as it was asked for; schedule: as it was run. sampled: how often a control function was
+    asked, where that is not every period of the schedule. driven: what else there is to say of how
+    the default controls were driven.
     """
-    begin = _begin(model, motion)
+    begin = start_in_words(model, motion.key)
     count = len(schedule.starts)
     if count > 1:
         begin = f"{begin} and {counted(count - 1, 'start')} near it"
-    span = seconds(schedule.period * schedule.periods)
-    return f"{span} from {begin}; {_drive(model, motion, schedule)}; law {model.settings.law}"
+    drive = _drive(model, motion, schedule, sampled or f"every {seconds(schedule.period)}", driven)
+    return f"{seconds(schedule.horizon)} from {begin}; {drive}; law {model.settings.law}"
 
 
-def _begin(model: Model, motion: Motion) -> str:
+def start_in_words(model: Model, key: str | int | None) -> str:
+    """Where a motion begins."""
     if not model.keys:
         return "the pose of the scene"
-    index = 0 if motion.key is None else model.index("key", motion.key)
+    index = 0 if key is None else model.index("key", key)
     name = model.keys[index].name
     return f"keyframe `{name}`" if name else f"keyframe {index}"
 
 
-def _drive(model: Model, motion: Motion, schedule: Schedule) -> str:
-    """How the controls were driven."""
-    if model.nu == 0:
-        return "no motors"
-    held = f"each held {seconds(schedule.period)}"
-    if motion.control is not None:
-        return f"controls by the function given, {held}"
-    if motion.ctrl is not None:
-        return "the controls given"
-    still = list(schedule.undriven)
-    what = _actuators(model)
-    if len(still) == model.nu:
-        return f"{what} get no control, because nothing gives their range"
-    sines = f"{what} follow seeded sines within 0.4 of their range"
-    return sines if not still else f"{sines}, but {_names(still)} without a range get none"
-
-
-def _actuators(model: Model) -> str:
+def actuators_in_words(model: Model) -> str:
     """What the actuators of a model are called."""
     words = {WORDS.get(actuator.type, "actuator") for actuator in model.scene.actuators}
     return f"{words.pop()}s" if len(words) == 1 else "motors and servos"
+
+
+def held_in_words(model: Model, ctrl: np.ndarray) -> str:
+    """How the actuators were driven where their controls are constant, shape (nu,)."""
+    if model.nu == 0:
+        return "no motors"
+    what = actuators_in_words(model)
+    return f"{what} hold the keyframe's controls" if np.any(ctrl) else f"{what} are held at zero"
+
+
+def _drive(model: Model, motion: Motion, schedule: Schedule, sampled: str, driven: str) -> str:
+    """How the controls were driven."""
+    if model.nu == 0:
+        return "no motors"
+    what = actuators_in_words(model)
+    if motion.control is not None:
+        return f"{what} driven by {control_name(motion.control)}, sampled {sampled}"
+    if motion.ctrl is not None:
+        row = f", a row {sampled}" if motion.period(1.0) is not None else " and held"
+        return f"{what} driven by the controls given{row}"
+    still = list(schedule.undriven)
+    if len(still) == model.nu:
+        return f"{what} are held at zero, because nothing gives their range"
+    low, high = model.actuator_ctrlrange.T
+    ranged = np.isfinite(low) & np.isfinite(high) & model.scene.features.clampctrl
+    swings = int(np.sum(~ranged)) - len(still)
+    if swings + len(still) == model.nu:
+        sines = f"{what} follow seeded sines within a quarter of the keyframe's controls{driven}"
+    else:
+        sines = f"{what} follow seeded sines within 0.4 of their range{driven}"
+        if swings:
+            sines += f", {swings} without a range within a quarter of the keyframe's controls"
+    return sines if not still else f"{sines}; {_names(still)} without a range held at zero"
 
 
 def _names(names: Sequence[str]) -> str:

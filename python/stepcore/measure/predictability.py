@@ -13,6 +13,7 @@ import numpy as np
 from stepcore._core import Settings
 from stepcore.experiment.growth import DIRECTIONS, GROWTH, NEARBY, Growth
 from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.reference import ReferenceRuns
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import STARTS, scheduled, time_steps
@@ -63,6 +64,7 @@ class Predictability(Result):
     integrator: str
     growth: Growth
     notes: list[str] = field(default_factory=list)
+    ran: str = ""
 
     @property
     def time(self) -> float:
@@ -97,10 +99,9 @@ class Predictability(Result):
     def setup(self) -> str:
         """How it was measured, in a line."""
         return (
-            f"{seconds(self.horizon)} from {counted(len(self.growth.ends), 'start')} under "
-            f"{self.integrator}, dt {seconds(self.dt)}. From each start the motion runs again from "
-            f"{DIRECTIONS} perturbed states, {compact(NEARBY)} of the scene's size away; a start "
-            f"is lost when a perturbation has grown more than {times(GROWTH)}."
+            f"Run under {self.integrator}, dt {seconds(self.dt)}. From each start the motion runs "
+            f"again from {DIRECTIONS} perturbed states, {compact(NEARBY)} of the scene's size "
+            f"away; a start is lost when a perturbation has grown more than {times(GROWTH)}."
         )
 
     @property
@@ -208,4 +209,5 @@ def predictability(
         dt=level.dt,
         integrator=level.integrator,
         growth=growth,
+        ran=motion_in_words(model, motion, runner.schedule),
     )

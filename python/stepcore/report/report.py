@@ -28,7 +28,7 @@ BEFORE_UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(map(re.escape, NAMES))})(?!\
 
 @dataclass(frozen=True)
 class Report:
-    """A title, a line on what was measured and how, sentences, tables and notes.
+    """A title, lines on what was measured and how, sentences, tables and notes.
 
     sentences: the answer first. One that begins with "- " is an item of a list under the
     sentence before it.
@@ -55,7 +55,8 @@ class Report:
     def text(self, width: int | None = None) -> str:
         """The report in lines of at most `width` characters (default: the terminal's)."""
         size = window() if width is None else checks.count("width", width, NARROWEST)
-        head = [*_wrapped(self.title, size), *_wrapped(self.setup, size)]
+        head = [*_wrapped(self.title, size)]
+        head += [line for text in self.setup.splitlines() for line in _wrapped(text, size)]
         said = [line for sentence in self.sentences for line in _wrapped(sentence, size)]
         tables = [[*_table(table, size)] for table in self.tables]
         notes = [line for note in self.notes for line in _wrapped(_note(note), size)]
@@ -64,7 +65,7 @@ class Report:
 
     def html(self) -> str:
         """The report as a fragment of HTML."""
-        setup = f"<p>{html.escape(self.setup)}</p>" if self.setup else ""
+        setup = "\n".join(f"<p>{html.escape(text)}</p>" for text in self.setup.splitlines())
         tables = [
             *(
                 part

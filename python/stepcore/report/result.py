@@ -18,6 +18,7 @@ class Result(ABC):
     """The result of a measurement: it prints itself, and can be a plot, a page or data.
 
     name: the name of the scene.
+    ran: what motion was run, in words; "" where none was.
     notes: remarks on how the figures were obtained, and on their limits.
 
     A subclass defines what it measured and how (`title`, `setup`), the answer (`sentences`), and
@@ -30,6 +31,7 @@ class Result(ABC):
 
     name: str
     notes: list[str]
+    ran: str = ""
 
     @property
     @abstractmethod
@@ -68,9 +70,15 @@ class Result(ABC):
 
         return plot(self.kind, self, path)
 
+    @property
+    def head(self) -> str:
+        """The lines above the answer: what motion was run, and how it was measured."""
+        ran = f"The motion: {self.ran}." if self.ran else ""
+        return "\n".join(filter(None, (ran, self.setup)))
+
     def report(self, full: bool = False) -> Report:
         """The sentences, tables and notes; `full`: nothing is left out of the tables."""
-        return Report(self.title, self.sentences, self.tables(full), self.notes, self.setup)
+        return Report(self.title, self.sentences, self.tables(full), self.notes, self.head)
 
     def text(self, width: int | None = None, full: bool = False) -> str:
         """The report in lines of at most `width` >= 20 characters (default: the terminal's)."""
@@ -79,14 +87,15 @@ class Result(ABC):
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data; what is not finite is None.
 
-        "kind", "model", "motion", "settings", "sentences", "rows", "units" and "notes" are the
-        same for every measurement; "rows" are the records of `table`.
+        "kind", "model", "motion", "ran", "settings", "sentences", "rows", "units" and "notes" are
+        the same for every measurement; "rows" are the records of `table`.
         """
         plain: dict[str, Any] = jsonable(
             {
                 "kind": self.kind,
                 "model": self.name,
                 "motion": getattr(self, "motion", None),
+                "ran": self.ran,
                 "settings": getattr(self, "settings", None),
                 "sentences": self.sentences,
                 "rows": self.table.records,

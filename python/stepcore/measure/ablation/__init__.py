@@ -15,6 +15,7 @@ from stepcore.engine.features import RemovableFeatures, Removal, without
 from stepcore.engine.model import Model
 from stepcore.experiment.errors import extent, far_off
 from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.reference import Reference, ReferenceRuns
 from stepcore.experiment.runaway import runaway
 from stepcore.experiment.runner import Runner
@@ -129,6 +130,7 @@ def ablate(
         smallest=without(model.scene.with_settings(model.settings), removed),
         reference=reference.error if reference else None,
         notes=[*notes, *_notes(reference, baseline, tolerance)],
+        ran=motion_in_words(model, motion, schedule.part(0, starts)),
     )
 
 

@@ -14,7 +14,7 @@ from stepcore.measure.ablation.variants import VariantOutcome
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
-from stepcore.report.units import compact, counted, metres, percent, seconds
+from stepcore.report.units import compact, counted, metres, percent
 from stepcore.scene.scene import Scene
 
 LEGEND = (
@@ -81,6 +81,7 @@ class Ablation(Result):
     smallest: Scene
     reference: float | None
     notes: list[str] = field(default_factory=list)
+    ran: str = ""
 
     @property
     def title(self) -> str:
@@ -93,9 +94,8 @@ class Ablation(Result):
         known = ""
         if self.reference is not None:
             known = f"; the reference has an error of {metres(self.reference)}"
-        features, starts = counted(len(self.rows), "feature"), counted(self.starts, "start")
-        over = seconds(self.horizon)
-        return f"{features}, {over} from {starts} under {label(self.settings)}{known}."
+        features = counted(len(self.rows), "feature")
+        return f"{features} under {label(self.settings)}{known}."
 
     def saved(self, row: FeatureEffect) -> float:
         """The share of the whole model's work that a row saves."""

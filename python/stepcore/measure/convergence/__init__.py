@@ -15,6 +15,7 @@ from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.path import Path
 from stepcore.experiment.runaway import runaway
 from stepcore.experiment.runner import Runner
@@ -150,6 +151,7 @@ def converge(
         notes=list(model.scene.notes),
         # What the rows leave unsolved is the whole answer.
         findings=[one for one in watched(runner, own) if one.kind != "residual"],
+        ran=motion_in_words(model, motion, schedule),
     )
 
 

@@ -59,6 +59,7 @@ class ConvergenceFindings:
     ending: Ending | None
     notes: list[str] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
+    ran: str = ""
 
     @property
     def own(self) -> CandidateRun:

@@ -13,7 +13,7 @@ from stepcore.measure.convergence.findings import ConvergenceFindings
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
-from stepcore.report.units import counted, metres, seconds
+from stepcore.report.units import metres, seconds
 
 # Residuals below this share of the largest are rounding.
 ROUNDING = 1e-13
@@ -65,8 +65,7 @@ class Convergence(ConvergenceFindings, Result):
     def setup(self) -> str:
         """What was run."""
         return (
-            f"{seconds(self.horizon)} from {counted(self.starts, 'start')} under "
-            f"{label(self.settings)}; the reference has dt "
+            f"Settings: {label(self.settings)}. The reference has dt "
             f"{seconds(self.candidates.references[0].dt)} and an error of "
             f"{metres(self.reference.error)}."
         )

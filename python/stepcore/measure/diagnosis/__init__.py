@@ -162,13 +162,18 @@ def diagnose(
         advice=advice,
         notes=list(notes(here, visit, list(elements.values()), horizon)),
         rate=_rate(here, limits[own], wanted),
-        ran=motion_in_words(model, motion, schedule),
+        ran=motion_in_words(model, motion, held, *_driven(motion)),
         longest_period=_longest_period(here, own, wanted, motion),
         physical=max(float(r.real.max(initial=0.0)) for r in here.rates),
         observed=seen.outcome,
         saturations=seen.saturations,
         lasting=seen.lasting,
     )
+
+
+def _driven(motion: Motion) -> tuple[str, str]:
+    """How often a control function was asked, and how the default controls begin, in words."""
+    return "" if motion.control_dt else "at every step", ", blended in over the first quarter"
 
 
 def _judge(real: RealStep, here: StepStability, dt: float) -> Judge | None:

@@ -65,6 +65,11 @@ class Diagnosis(DiagnosisFindings, Result):
         return f"{self.name}: what limits the time step"
 
     @property
+    def head(self) -> str:
+        """Nothing: the answer comes first, and what motion was run stands among the sentences."""
+        return ""
+
+    @property
     def table(self) -> Table:
         """The elements on their own, the stiffest first.
 

@@ -14,6 +14,7 @@ from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion_words import held_in_words, start_in_words
 from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.workers import Workers
 from stepcore.measure.stability import cases, theory
@@ -36,6 +37,7 @@ from stepcore.measure.stability.result import (
 )
 from stepcore.measure.sweep import sweep
 from stepcore.report.progress import Choice
+from stepcore.report.units import seconds
 from stepcore.scene.value_paths import find
 
 __all__ = ["MapCell", "MapPanel", "StabilityMap", "stability_map"]
@@ -150,8 +152,20 @@ def stability_map(
         horizon=horizon,
         tolerance=tolerance,
         far=FAR,
+        ran=_ran(case, horizon),
         panels=[_panel(case, s, cell, tolerance, converged, setup.workers) for s in case.settings],
     )
+
+
+def _ran(case: MapCase, horizon: float) -> str:
+    """What motion was run, in words; the law where all panels have the same."""
+    model = case.model
+    key = None if case.key is None else model.keys[model.index("key", case.key)]
+    ctrl = np.zeros(model.nu) if key is None else key.ctrl
+    begin = "the pose of the scene" if key is None else start_in_words(model, case.key)
+    laws = {str(s.settings.get("law", model.settings.law)) for s in case.settings}
+    law = f"; law {laws.pop()}" if len(laws) == 1 else ""
+    return f"{seconds(horizon)} from {begin}; {held_in_words(model, ctrl)}{law}"
 
 
 def _narrow(

@@ -88,6 +88,7 @@ class StabilityMap(Result):
     far: float
     panels: list[MapPanel]
     notes: list[str] = field(default_factory=list)
+    ran: str = ""
 
     def __post_init__(self) -> None:
         unjudged = sum(not c.judged and c.state == FINITE for c in self.rows)
@@ -106,7 +107,7 @@ class StabilityMap(Result):
     def setup(self) -> str:
         """How cells are told apart."""
         return (
-            f"{seconds(self.horizon)}. {_word(FINITE)}: the error stays within {self.tolerance}; "
+            f"{_word(FINITE)}: the error stays within {self.tolerance}; "
             f"{_word(INACCURATE)}: it is larger; {_word(EXPLODED)}: it is larger than "
             f"{self.far:g} sizes of the motion, or the run failed."
         )

@@ -12,6 +12,7 @@ from stepcore._core import Settings
 from stepcore.experiment.cost import TimedRun
 from stepcore.experiment.errors import errors, extent
 from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion_words import motion_in_words
 from stepcore.experiment.other_models import ErrorSplit, clamping
 from stepcore.experiment.reference import FINER, Reference, ReferenceRuns, smallest
 from stepcore.experiment.runner import Runner
@@ -180,6 +181,7 @@ def trade(
         motion=motion,
         frontier=frontier,
         reference=reference,
+        ran=motion_in_words(model, motion, schedule),
         horizon=schedule.horizon,
         notes=[
             *model.scene.notes,

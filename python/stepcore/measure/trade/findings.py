@@ -37,6 +37,7 @@ class TradeFindings:
     screened: int = 0
     runs: int = 0
     chosen: TradeRow | None = None
+    ran: str = ""
     findings: Sequence[Finding] = ()
 
     @property

@@ -19,7 +19,7 @@ class Trade(TradeFindings, Result):
     """What speed costs in accuracy for one scene; `stepcore.trade` returns it.
 
     motion: the motion that every setting ran.
-    horizon: the simulated time [s].
+    ran: the same in words. horizon: the simulated time [s].
     size: the size of the scene [m].
     frontier: every setting that ran from all starts, and every one that failed.
     reference: the converged motion, with its error.
@@ -46,9 +46,9 @@ class Trade(TradeFindings, Result):
         if self.screened > len(self.rows):
             tried = f", of {self.screened} tried in {self.runs} runs"
         return (
-            f"{counted(len(self.rows), 'setting')}{tried}, over {seconds(self.horizon)} from "
-            f"{counted(self.starts, 'start')}. The reference ({ref.level.integrator or 'exact'}, "
-            f"dt {seconds(ref.settings.dt)}) is accurate to {metres(ref.high)} ({ref.basis})."
+            f"{counted(len(self.rows), 'setting')}{tried}. The reference "
+            f"({ref.level.integrator or 'exact'}, dt {seconds(ref.settings.dt)}) is accurate to "
+            f"{metres(ref.high)} ({ref.basis})."
         )
 
     @property
