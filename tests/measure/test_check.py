@@ -214,6 +214,16 @@ def test_a_servo_that_cannot_hold_its_load():
     assert "cannot hold keyframe `level`" in text
 
 
+@pytest.mark.parametrize(("gear", "found"), [(4.8, ["motor too weak"]), (5.0, [])])
+def test_a_motor_that_cannot_hold_its_load(gear, found):
+    """It may not be meant to: a remark."""
+    motor = f'<motor joint="knee" gear="{gear}" ctrlrange="-1 1"/>'
+    text = re.sub(r"<position.*?/>", motor, lever(1), flags=re.DOTALL)
+    findings = checked(text).findings
+    assert [one.kind for one in findings] == found
+    assert all(one.severity == "remark" for one in findings)
+
+
 @pytest.mark.parametrize(("kp", "kv", "said"), [(400, 0, "kp 400"), (0.1, 5, "kv 5")])
 def test_gains_beside_a_joint_without_armature(kp, kv, said):
     """ω dt = √(kp/I) dt, or kv dt/I; with the armature that is named both are as they may be."""

@@ -21,6 +21,7 @@ from stepcore.experiment.sizes import Sizes
 from stepcore.experiment.starts import home
 from stepcore.experiment.watch import Watch
 from stepcore.measure.check.commands import next_commands
+from stepcore.measure.check.limits import about_limits
 from stepcore.measure.check.masses import about_masses
 from stepcore.measure.check.ranges import about_ranges
 from stepcore.measure.check.result import Check
@@ -145,6 +146,7 @@ def _read(model: Model, start: Start, held: np.ndarray, key: int | None) -> Iter
     yield from about_units(model, sizes)
     yield from about_ranges(model, start, key)
     yield from about_servos(model, start, held)
+    yield from about_limits(model)
     yield from about_masses(model, sizes)
 
 

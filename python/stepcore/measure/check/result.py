@@ -63,7 +63,8 @@ class Check(Result):
 
     def _said(self) -> Iterator[str]:
         if self.findings:
-            yield f"Found {counted(len(self.findings), 'thing')}, the most severe first:"
+            several = ", the most severe first" if len(self.findings) > 1 else ""
+            yield f"Found {counted(len(self.findings), 'thing')}{several}:"
             yield from (f"- {finding.severity}: {finding.text}" for finding in self.findings)
         else:
             yield "Nothing found."

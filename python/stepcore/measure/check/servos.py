@@ -12,9 +12,7 @@ from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Start
 from stepcore.measure.findings.actuators import TORQUES
 from stepcore.measure.findings.finding import Finding, others
-from stepcore.measure.findings.joints import BEYOND, LEFT, WIDEST
-from stepcore.measure.findings.softness import advised, yielding
-from stepcore.report.units import FORCES, hertz, metres, quantity, radians, seconds
+from stepcore.report.units import FORCES, hertz, quantity, seconds
 from stepcore.scene.layout import Layout
 
 # ω dt and the damping rate × dt from which a servo on a joint without armature is too stiff.
@@ -37,7 +35,6 @@ def about_servos(model: Model, start: Start, ctrl: np.ndarray) -> Iterator[Findi
     for where, state in states:
         yield from _too_weak(model, state, where, seen)
     yield from _without_armature(model)
-    yield from _overpowered(model)
 
 
 def _servos(model: Model) -> list[int]:
@@ -88,36 +85,47 @@ def _saturated(model: Model, start: Start, ctrl: np.ndarray) -> Iterator[Finding
 
 
 def _too_weak(model: Model, state: Start, where: str, seen: set[int]) -> Iterator[Finding]:
-    """Servos whose force range is below the load of a pose that hangs on its joints alone."""
+    """Actuators whose largest force is below the load of a pose that hangs on its joints alone."""
     loads = _static_loads(model, state)
     drives = np.bincount(model.actuator_joint, minlength=model.njnt)
-    found = []
-    for k in _servos(model):
+    weak: dict[bool, list[tuple[float, int, float, float]]] = {True: [], False: []}
+    for k in range(model.nu):
         joint, gear = int(model.actuator_joint[k]), float(model.actuator_gear[k, 0])
         load = loads.get(int(model.jnt_dofadr[joint]))
         if load is None or not gear or drives[joint] > 1 or k in seen:
             continue
-        need = load / gear
-        low, high = (float(end) for end in model.actuator_forcerange[k])
+        need, (low, high) = load / gear, _forces(model, k)
         end = low if need < 0 else high
         if abs(need) > BEYOND_RANGE * abs(end):
-            found.append((abs(need / end) if end else math.inf, k, need, end))
-    if not found:
-        return
-    found.sort(reverse=True)
-    seen.update(one[1] for one in found)
-    _, k, need, end = found[0]
-    names = [model.element_name("actuator", one[1]) for one in found]
-    yield Finding(
-        "servo too weak",
-        "error",
-        names[0],
-        f"{_capital(names[0])}{others(names, 'servos')} cannot hold {where}: its load there is "
-        f"{_strength(model, k, abs(need))} and its forcerange ends at "
-        f"{_strength(model, k, abs(end))}: widen the forcerange, raise the gear, or lighten what "
-        "it carries.",
-        need,
-    )
+            servo = bool(model.actuator_bias[k, 1] < 0)
+            weak[servo].append((abs(need / end) if end else math.inf, k, need, end))
+    for servo, found in weak.items():
+        if not found:
+            continue
+        found.sort(reverse=True)
+        seen.update(one[1] for one in found)
+        _, k, need, end = found[0]
+        names = [model.element_name("actuator", one[1]) for one in found]
+        own = "forcerange" if servo else "range"
+        yield Finding(
+            "servo too weak" if servo else "motor too weak",
+            "error" if servo else "remark",
+            names[0],
+            f"{_capital(names[0])}{others(names, 'actuators')} cannot hold {where}: its load there "
+            f"is {_strength(model, k, abs(need))} and its {own} ends at "
+            f"{_strength(model, k, abs(end))}: widen the {own}, raise the gear, or lighten what "
+            "it carries.",
+            need,
+        )
+
+
+def _forces(model: Model, k: int) -> tuple[float, float]:
+    """The least and the largest force of an actuator at rest, before the gear."""
+    low, high = (float(end) for end in model.actuator_forcerange[k])
+    if not model.actuator_bias[k].any() and model.scene.features.clampctrl:
+        ends = sorted(float(model.actuator_gain[k] * end) for end in model.actuator_ctrlrange[k])
+        low, high = max(low, ends[0]), min(high, ends[1])
+    return low, high
 
 
 def _static_loads(model: Model, state: Start) -> dict[int, float]:
@@ -205,77 +213,6 @@ def _up(value: float) -> float:
     """Two digits, rounded up."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.ceil(value / step - 1e-9) * step:.2g}")
-
-
-def _overpowered(model: Model) -> Iterator[Finding]:
-    """Actuators that can push their joint far beyond its limit, by the closed form of a soft row.
-
-    Their largest force outwards against the limit alone: gravity and other actuators left out.
-    """
-    if model.settings.law != "solref" or not model.scene.features.limit:
-        return
-    joints, settings = Layout(model.scene).joints, model.settings
-    dt = settings.dt if settings.refsafe else 0.0
-    found = []
-    for k in range(model.nu):
-        index = int(model.actuator_joint[k])
-        kind, joint = model.jnt_type[index], joints[index]
-        low, high = (float(bound) for bound in model.jnt_range[index])
-        if kind not in ("hinge", "slide") or not np.isfinite([low, high]).all():
-            continue
-        force = _largest(model, k, low, high)
-        load = force * float(model.dof_invweight0[model.jnt_dofadr[index]])
-        if not math.isfinite(load):
-            continue
-        width = min(high - low, WIDEST) if kind == "hinge" else high - low
-        beyond = yielding(joint.solreflimit, joint.solimplimit, load, dt)
-        if beyond > BEYOND * width:
-            found.append((beyond / width, k, index, force, beyond, width))
-    if not found:
-        return
-    found.sort(reverse=True)
-    _, k, index, force, beyond, width = found[0]
-    names = [model.element_name("actuator", one[1]) for one in found]
-    hinge = model.jnt_type[index] == "hinge"
-    length, wanted = radians if hinge else metres, LEFT * BEYOND * width
-    joint = joints[index]
-    solref, solimp = joint.solreflimit, joint.solimplimit
-    cure = advised("limit", solref, solimp, beyond, wanted, settings, length(wanted))
-    strength = quantity(force, TORQUES if hinge else FORCES)
-    range_ = "forcerange" if model.actuator_bias[k, 1] < 0 else "ctrlrange"
-    yield Finding(
-        "limit",
-        "warning",
-        model.element_name("limit", index),
-        f"{_capital(names[0])}{others(names, 'actuators')} can push "
-        f"{model.element_name('joint', index)} {length(beyond)} beyond its range with {strength}: "
-        f"a smaller {range_} of {names[0]}, or {cure}.",
-        beyond,
-        "rad" if hinge else "m",
-    )
-
-
-def _largest(model: Model, k: int, low: float, high: float) -> float:
-    """The largest force that an actuator pushes outwards with at an end of a joint's range."""
-    gear, gain, bias = (
-        float(model.actuator_gear[k, 0]),
-        model.actuator_gain[k],
-        model.actuator_bias[k],
-    )
-    controls = model.actuator_ctrlrange[k]
-    if not model.scene.features.clampctrl or not np.isfinite(controls).all():
-        if bias[1] < 0 or not np.isfinite(model.actuator_forcerange[k]).all():
-            # A servo pushes as far as it is asked to, which nothing tells.
-            return 0.0
-        controls = np.array([-np.inf, np.inf])
-    most = 0.0
-    for end, outwards in ((low, -1.0), (high, 1.0)):
-        for control in controls:
-            with np.errstate(invalid="ignore"):
-                force = gain * control + bias[0] + bias[1] * gear * end
-            force = float(np.clip(force, *model.actuator_forcerange[k])) * gear * outwards
-            most = max(most, force)
-    return most
 
 
 def _capital(name: str) -> str:
