@@ -140,3 +140,29 @@ def test_a_run_that_fails_says_how_it_began(capsys, tmp_path, monkeypatch):
     assert status == 1 and said.err.count("\n") == 1
     assert "Geoms `a` and `b` overlap by 50 mm at the start" in said.err
     assert said.err.strip().endswith(".replay.json")
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        ([], "1 s from the pose of the scene; motors are held at zero; law solref"),
+        (["--ctrl", "b=3"], "motors hold --ctrl b=3"),
+        (
+            ["--control", "FILE:ramp"],
+            "driven by the control function `ramp` of my_ramp.py, sampled every 10 ms",
+        ),
+        (["--push", "light:1,0,0@0.5"], "push light:1,0,0@0.5"),
+    ],
+)
+def test_a_run_says_what_was_run(capsys, carts, tmp_path, args, said):
+    file = tmp_path / "my_ramp.py"
+    file.write_text("def ramp(time, sim):\n    return [time, 0.0]\n")
+    assert main(["run", carts, *(arg.replace("FILE", str(file)) for arg in args)]) == 0
+    assert said in capsys.readouterr().out
+
+
+def test_a_control_of_the_wrong_length_is_named(capsys, carts, tmp_path):
+    file = tmp_path / "short.py"
+    file.write_text("def short(time, sim):\n    return [time]\n")
+    assert main(["run", carts, "--control", f"{file}:short"]) == 2
+    assert "must return 2 finite numbers" in capsys.readouterr().err

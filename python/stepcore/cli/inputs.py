@@ -13,8 +13,10 @@ from stepcore.cli.usage import Usage
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import whole_steps
-from stepcore.experiment.control import Control
+from stepcore.experiment.control import Control, control_name
+from stepcore.experiment.motion_words import actuators_in_words, held_in_words, start_in_words
 from stepcore.experiment.single_run import Push
+from stepcore.report.units import seconds
 
 # How long a push lasts where nobody says it [s].
 PUSH = 0.1
@@ -64,6 +66,22 @@ def control_of(args: argparse.Namespace, sim: Sim) -> Control | None:
     for index, value in _values(args.ctrl, model).items():
         sim.ctrl[index] = value
     return None
+
+
+def in_words(
+    args: argparse.Namespace, sim: Sim, control: Control | None, key: str | int | None, time: float
+) -> str:
+    """What is run, in words, before it is run; key: the start, time: how long [s]."""
+    model, period = sim.model, seconds(args.control_dt or sim.settings.dt)
+    drive = held_in_words(model, sim.ctrl)
+    if control is not None and model.nu:
+        by = control_name(control) if args.control is not None else args.ctrl
+        drive = f"{actuators_in_words(model)} driven by {by}, sampled every {period}"
+    elif args.ctrl is not None and model.nu:
+        drive = f"{actuators_in_words(model)} hold --ctrl {args.ctrl}"
+    pushes = "".join(f"; push {text}" for text in args.push)
+    begin = start_in_words(model, key)
+    return f"{seconds(time)} from {begin}; {drive}{pushes}; law {sim.settings.law}"
 
 
 def _table(path: str, control_dt: float | None, sim: Sim) -> Control:

@@ -13,7 +13,7 @@ from typing import Any
 
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import nearest, one_line
-from stepcore.cli.inputs import add_inputs, control_of, pushes_of
+from stepcore.cli.inputs import add_inputs, control_of, in_words, pushes_of
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
 from stepcore.cli.output import add_json, print_json
 from stepcore.cli.usage import Usage
@@ -72,10 +72,11 @@ def call(args: argparse.Namespace) -> None:
             f"{sim.settings.dt:g} s: the run is {run:g} s long"
         )
     record = ("energy", "overlap") if args.plot is not None else ()
-    watch = Watch(sim.model)
+    watch, control = Watch(sim.model), control_of(args, sim)
+    ran = in_words(args, sim, control, key, run)
     single = SingleRun(
         sim,
-        control=control_of(args, sim),
+        control=control,
         control_dt=args.control_dt,
         pushes=pushes_of(args, model),
         probes=[watch] if steps else [],
@@ -92,18 +93,28 @@ def call(args: argparse.Namespace) -> None:
     if single.trajectory is not None:
         single.trajectory.plot(args.plot)
     found = findings_of(sim.model, watch) if steps else []
-    _report(sim, steps, single.spent, notes, found, args.json)
+    _report(sim, ran, steps, single.spent, notes, found, args.json)
 
 
 def _report(
-    sim: Sim, steps: int, spent: float, notes: list[str], found: list[Finding], as_json: bool
+    sim: Sim,
+    ran: str,
+    steps: int,
+    spent: float,
+    notes: list[str],
+    found: list[Finding],
+    as_json: bool,
 ) -> None:
-    """Prints the final state and what the run showed; spent: computing time [s]."""
+    """Prints the final state and what the run showed.
+
+    ran: the motion, in words; spent: computing time [s].
+    """
     kinetic, potential = (float(part) for part in sim.energy)
     cost = 1e6 * spent / steps if steps else None
     if as_json:
         data = {
             "settings": sim.settings,
+            "ran": ran,
             "steps": steps,
             "time": sim.time,
             "qpos": sim.qpos,
@@ -120,6 +131,7 @@ def _report(
         return
     model = sim.model
     print(f"{model.scene.name or 'scene'}: nq {model.nq}, nv {model.nv}, nu {model.nu}")
+    print(f"The motion: {ran}.")
     print(f"{sim.settings!r}\n")
     print(f"time       {sim.time:g} s, {steps} steps")
     print(f"qpos       {_numbers(sim.qpos)}\nqvel       {_numbers(sim.qvel)}")

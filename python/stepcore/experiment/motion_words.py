@@ -56,6 +56,15 @@ def held_in_words(model: Model, ctrl: np.ndarray) -> str:
     return f"{what} hold the keyframe's controls" if np.any(ctrl) else f"{what} are held at zero"
 
 
+def held_motion_in_words(
+    model: Model, key: str | int | None, horizon: float, ctrl: np.ndarray
+) -> str:
+    """What was run where the controls are constant, (nu,); horizon: [s]."""
+    drive = held_in_words(model, ctrl)
+    begin = start_in_words(model, key)
+    return f"{seconds(horizon)} from {begin}; {drive}; law {model.settings.law}"
+
+
 def _drive(model: Model, motion: Motion, schedule: Schedule, sampled: str, driven: str) -> str:
     """How the controls were driven."""
     if model.nu == 0:

@@ -10,7 +10,7 @@ import numpy as np
 
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import Trajectory, whole_steps
-from stepcore.experiment.control import Control
+from stepcore.experiment.control import Control, controls
 from stepcore.experiment.probe import Probe
 
 # About how often probes look at a run, unless they ask for more.
@@ -72,7 +72,7 @@ class SingleRun:
         done = 0
         while done < steps:
             if self.control is not None and done % period == 0:
-                sim.ctrl = self.control(sim.time, sim)
+                sim.ctrl = controls(self.control, sim)
             if done in edges or (done == 0 and spans):
                 sim.xfrc_applied[:] = applied
                 for push, span in spans:

@@ -14,6 +14,7 @@ from stepcore.checks import one_line
 from stepcore.engine.model import Model
 from stepcore.experiment.coordinates import Start
 from stepcore.experiment.motion import Motion, MotionFields
+from stepcore.experiment.motion_words import held_motion_in_words, motion_in_words
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, Schedule, scheduled
 from stepcore.experiment.setup import Setup, Source, set_up
@@ -110,6 +111,7 @@ def check(
         motion=dataclasses.replace(motion, horizon=schedule.horizon, starts=1),
         findings=findings,
         diagnosis=diagnosis,
+        ran=_ran(compiled, motion, schedule, held),
         commands=next_commands(_file(model), compiled, findings, diagnosis),
         notes=[*compiled.scene.notes, *notes],
     )
@@ -123,6 +125,13 @@ def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
         motion = dataclasses.replace(motion, ctrl=held[None, :])
     period = motion.period(dt) or dt * max(1, round(horizon / PERIODS / dt))
     return scheduled(motion, model, min(period, max(horizon, dt)), starts=1, horizon=horizon)
+
+
+def _ran(model: Model, motion: Motion, schedule: Schedule, held: np.ndarray) -> str:
+    """What motion was run, in words."""
+    if motion.ctrl is not None or motion.control is not None:
+        return motion_in_words(model, motion, schedule)
+    return held_motion_in_words(model, motion.key, schedule.horizon, held)
 
 
 def _watched(

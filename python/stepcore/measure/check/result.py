@@ -14,7 +14,7 @@ from stepcore.measure.findings import Finding
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
-from stepcore.report.units import counted, seconds
+from stepcore.report.units import counted
 
 
 @dataclass(eq=False, repr=False)
@@ -25,6 +25,7 @@ class Check(Result):
     findings: the most severe first.
     diagnosis: of the time step; None where it failed, and a note says why.
     commands: what to run next, and why.
+    ran: what motion was run, in words.
     """
 
     kind = "check"
@@ -36,6 +37,7 @@ class Check(Result):
     findings: list[Finding]
     diagnosis: Diagnosis | None
     commands: list[tuple[str, str]]
+    ran: str = ""
     notes: list[str] = field(default_factory=list)
 
     @property
@@ -45,11 +47,8 @@ class Check(Result):
 
     @property
     def setup(self) -> str:
-        """What was run."""
-        ran = self.motion
-        held = ran.ctrl is None and ran.control is None
-        controls = "the keyframe's controls held" if held else "the given controls"
-        return f"{seconds(ran.horizon or 0.0)} under {label(self.settings)}, {controls}."
+        """Under which settings."""
+        return f"Under {label(self.settings)}."
 
     @property
     def rows(self) -> list[Finding]:
