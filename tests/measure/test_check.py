@@ -138,6 +138,16 @@ def test_inertias_that_belong_to_another_body(inertia, found):
         assert one.value == pytest.approx(math.sqrt(1.5)) and "0.004 kg·m²" in one.text
 
 
+def test_an_inertia_that_is_repaired():
+    """A + B >= C holds for every thing; a flat plate has A + B = C."""
+    compiler = 'balanceinertia="true"'
+    for moments, found in (("1e-3 1e-3 3e-3", ["inertia"]), ("1e-3 1e-3 2e-3", [])):
+        inertial = f'<inertial pos="0 0 0" mass="1" diaginertia="{moments}"/>'
+        text = arm(compiler=compiler).replace("<geom", f"{inertial}<geom")
+        assert kinds(text) == found
+    assert "0.001, 0.001 and 0.003 kg·m²" in the(text.replace("2e-3", "3e-3"), "inertia").text
+
+
 def test_a_light_body_under_a_heavy_one():
     text = """<mujoco><option solver="PGS"/><worldbody><body name="a"><freejoint/>
     <geom size=".1" mass="{}"/></body><body name="b" pos="0 0 .3"><freejoint/>

@@ -29,6 +29,7 @@ def about_masses(model: Model, sizes: Sizes) -> Iterator[Finding]:
     layout = Layout(model.scene)
     moving = Coordinates(model).moving
     yield from _densities(model, layout, moving)
+    yield from _repaired(model, layout, moving)
     yield from _inertias(model, layout, moving, sizes)
     yield from _ratios(model)
 
@@ -94,6 +95,34 @@ def _densities(model: Model, layout: Layout, moving: list[int]) -> Iterator[Find
             f"{density:.3g} kg/m³: {than}; check mass, density and size of its geoms.",
             density,
             "kg/m³",
+        )
+
+
+def _repaired(model: Model, layout: Layout, moving: list[int]) -> Iterator[Finding]:
+    """Inertias that balanceinertia repairs: without it, no scene with them is compiled."""
+    if not model.scene.mass_rules.balanceinertia:
+        return
+    wrong = []
+    for index in moving:
+        body = layout.bodies[index]
+        if body.mass is None:
+            continue
+        xx, yy, zz, xy, xz, yz = body.inertia
+        moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if moments[0] + moments[1] < moments[2] * (1 - 1e-9):
+            wrong.append((index, moments))
+    if wrong:
+        index, (a, b, c) = wrong[0]
+        names = [model.element_name("body", one) for one, _ in wrong]
+        yield Finding(
+            "inertia",
+            "error",
+            names[0],
+            f"{_capital(names[0])}{others(names, 'bodies')} has principal moments {a:.3g}, {b:.3g} "
+            f"and {c:.3g} kg·m²: no thing has one greater than the sum of the others; "
+            "balanceinertia replaces them by their mean, so write those of the real body.",
+            float(c),
+            "kg·m²",
         )
 
 
