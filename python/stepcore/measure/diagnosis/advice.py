@@ -15,7 +15,7 @@ from typing import Any
 
 from stepcore._core import Settings
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.bounded_run import stays_bounded
+from stepcore.measure.diagnosis.bounded_run import settles, stays_bounded
 from stepcore.measure.diagnosis.changes import (
     ARMATURE,
     CHAIN,
@@ -74,7 +74,10 @@ def advise(
     one kind.
     """
     settings = now.model.settings
-    search = _Search(now, elements, settings.integrator, wanted, limits[settings.integrator].state)
+    own = limits[settings.integrator]
+    search = _Search(now, elements, own.integrator, wanted, own.state, bool(own.outcome))
+    if own.outcome == "chatters":
+        search.servos = [element.index for element in stiffest if element.kind == "actuator"]
     tried = [search.least(change, stiffest) for change in CHANGES.get(stiffest[0].kind, ())]
     if settings.law == "penalty" and stiffest[0].kind == "contact":
         tried.append(search.softer_penalty())
@@ -124,13 +127,19 @@ def _bounded(now: StepStability, model: Model, name: str, dt: float, worst: int)
 
 @dataclass
 class _Search:
-    """The least change that is stable at the wanted dt. worst: the state that decides so far."""
+    """The least change that is stable at the wanted dt.
+
+    worst: the state that decides so far. by_motion: the limit was seen in the motion itself, which
+    decides of every change too. servos: those that chatter, and must come to rest.
+    """
 
     now: StepStability
     elements: dict[ElementId, ElementLimits]
     integrator: str
     wanted: float
     worst: int
+    by_motion: bool = False
+    servos: Sequence[int] = ()
     # The x that came nearest to being enough, by the growth beyond what is allowed [1/s].
     nearest: tuple[float, float] = field(default=(math.inf, 1.0))
 
@@ -189,7 +198,18 @@ class _Search:
             return False
         # The state that decides first: it is unstable most often.
         worst = self.now.states[self.worst]
-        return self._excess(model, [worst], x) <= 0 and self._excess(model, self.now.states) <= 0
+        if self._excess(model, [worst], x) > 0 or self._excess(model, self.now.states) > 0:
+            return False
+        return not self.by_motion or self._holds(model)
+
+    def _holds(self, model: Model) -> bool:
+        """Whether the motion itself holds at the margin's step, and servos come to rest there."""
+        beyond, begin = MARGIN * self.wanted, self.now.states[0]
+        return _bounded(self.now, model, self.integrator, beyond, self.worst) and all(
+            settles(model, begin, self.integrator, dt, servo)
+            for servo in self.servos
+            for dt in (self.wanted, beyond)
+        )
 
     def _excess(self, model: Model, states: Sequence[Any], x: float | None = None) -> float:
         """The largest growth above what is allowed [1/s], at the wanted dt and at its margin."""

@@ -8,6 +8,8 @@ from stepcore._core import SimulationError
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.held_control import steps_held
 from stepcore.measure.diagnosis.linear_step import State, ask_control, sim_at
+from stepcore.measure.diagnosis.saturation import FASTEST, FASTEST_SLIDE, KICK
+from stepcore.measure.diagnosis.servo_range import driven_dof, reaching_speed
 
 # The most steps of a run, and in how many shorter ones it is repeated where it grows.
 STEPS, SHORTER = 500, 4
@@ -15,6 +17,8 @@ STEPS, SHORTER = 500, 4
 PUSH = 1e-3
 # A speed is of the motion itself if shorter steps reach this part of it.
 PART = 0.1
+# A kicked joint may become faster by this factor.
+THROWN = 1.2
 
 
 def stays_bounded(model: Model, state: State, integrator: str, dt: float, horizon: float) -> bool:
@@ -32,6 +36,29 @@ def stays_bounded(model: Model, state: State, integrator: str, dt: float, horizo
     finer = _largest_speed(model, state, integrator, dt / SHORTER, count * SHORTER)
     # Where shorter steps end as well, nothing is learned of this one.
     return finer is None or PART * speed <= finer
+
+
+def settles(model: Model, state: State, integrator: str, dt: float, servo: int) -> bool:
+    """Whether a servo that is kicked beyond its force range throws its joint no faster.
+
+    Its control is held; in fine steps it comes to rest. A kick that is faster than any motion of
+    use is not made. dt [s].
+    """
+    dof, kick = driven_dof(model, servo), KICK * reaching_speed(model, servo)
+    turns = model.jnt_type[int(model.actuator_joint[servo])] != "slide"
+    if not kick <= (FASTEST if turns else FASTEST_SLIDE):
+        return True
+    sim = sim_at(model, state, integrator=integrator, dt=dt)
+    sim.qvel[dof] += kick
+    begun = abs(float(sim.qvel[dof]))
+    try:
+        for _ in range(STEPS):
+            sim.step()
+            if abs(float(sim.qvel[dof])) > THROWN * begun:
+                return False
+    except SimulationError:
+        return False
+    return True
 
 
 def _largest_speed(

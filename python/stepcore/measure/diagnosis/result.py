@@ -129,8 +129,9 @@ class Diagnosis(DiagnosisFindings, Result):
         if not self.rows:
             return [together]
         rows = self.rows if full or len(self.rows) <= PRINTED + 1 else self.rows[:PRINTED]
-        left = counted(len(self.rows) - len(rows), "softer element")
-        more = f"Not shown: {left}, and the other integrators (--all, or text(full=True))."
+        left = len(self.rows) - len(rows)
+        softer = f"{counted(left, 'softer element')}, and " if left else ""
+        more = f"Not shown: {softer}the other integrators (--all, or text(full=True))."
         # A name is never cut: columns are left out first.
         formats = {"element": "", "frequency": ".4g", "share": ".2f", "ratio": ".2g"}
         columns = self._columns() if full else ["element", "frequency", "ratio", "share", own]
