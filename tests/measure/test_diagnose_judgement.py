@@ -190,6 +190,60 @@ def test_slow_growth_of_the_integrator_is_told_with_its_time():
     assert diagnosed(links(dt=1e-3, integrator="rk4")).lasting is None
 
 
+def payload(dt=1e-3):
+    """A body that spins at 200 rad/s; the load welded to it makes that its middle axis."""
+    return sc.loads(f"""<mujoco><option timestep="{dt}" integrator="Euler" gravity="0 0 0"/>
+    <worldbody><body name="rod"><freejoint/>
+      <inertial pos="0 0 0" mass=".1" diaginertia=".00017 .0000066 .00017"/>
+      <body name="load" pos=".02 0 0">
+        <inertial pos="0 0 0" mass=".01" diaginertia="1e-7 1e-7 1e-7"/></body></body></worldbody>
+    <keyframe><key qpos="0 0 0 1 0 0 0" qvel="0 0 0 200 0 0"/></keyframe></mujoco>""")
+
+
+def spun(dt, horizon=1.0, integrator="euler"):
+    """Kinetic energy over that at the start, largest in the horizon; pushed by a rounding."""
+    sim = sc.Sim(payload().compile(), integrator=integrator, dt=dt)
+    sim.reset(key=0)
+    sim.qvel[3:] += 1e-6
+    begun = peak = sim.energy.kinetic
+    try:
+        for _ in range(round(horizon / dt)):
+            sim.step()
+            peak = max(peak, sim.energy.kinetic)
+            if peak > 1e6 * begun:
+                return math.inf
+    except sc.SimulationError:
+        return math.inf
+    return peak / begun
+
+
+def test_a_spinning_body_with_a_payload_tumbles_and_gains_energy():
+    """Called stable by a factor of 17 once, because its start never leaves the axis by itself."""
+    d = diagnosed(payload())
+    real = stiff.bisected(lambda dt: spun(dt) <= 10, 3e-4, 3e-3, fine=0.01)
+    assert d.limit() == pytest.approx(real, rel=0.2)
+    assert d.stiffest() == "spin of body `rod`"
+    assert spun(1e-3) < 10 < spun(1e-3, 1.2 * d.lasting)
+    assert "over 1 s" in d.sentences[0] and "the motion explodes after 1." in d.sentences[1]
+
+
+def test_growth_at_every_step_is_physical_and_named():
+    """A servo that pushes with the velocity, e-fold in 50 ms: no dt is to blame, and it is said
+    first. Its kinetic energy is 1e16 times that of a slow motion after 0.77 s at any fine step."""
+    scene = sc.loads("""<mujoco><option timestep=".002" integrator="implicitfast" gravity="0 0 0"/>
+    <worldbody><body name="cart"><joint name="rail" type="slide" axis="1 0 0"/>
+      <geom size=".1" mass="1" contype="0" conaffinity="0"/></body></worldbody>
+    <actuator><general name="push" joint="rail" gainprm="1" biastype="affine" biasprm="0 0 20"/>
+    </actuator><keyframe><key qvel="1"/></keyframe></mujoco>""")
+    d = diagnosed(scene)
+    assert d.runaway.alike and d.runaway.element.name == "servo `push`"
+    # v = e^(20 t), and E = v²/2 against the slow motion's 0.05²/2.
+    assert d.runaway.times[1] == pytest.approx(math.log(1e8 * 0.05) / 20, rel=0.02)
+    assert d.sentences[0].startswith("The motion itself blows up after 770 ms")
+    assert "No dt cures that." in d.sentences[0]
+    assert any("two fine steps agree" in note for note in d.notes)
+
+
 # --- elements that act later --------------------------------------------------------------------
 
 
@@ -210,6 +264,22 @@ def test_a_contact_that_begins_in_the_air_limits_dt(height):
     assert d.stiffest() == "contact `floor`/`ball`"
     assert d.limit() == pytest.approx(2 * (math.sqrt(1.01) - 0.1) / 1e3, rel=0.01)
     assert [row.name for row in d.rows] == ["contact `floor`/`ball`"]
+
+
+def test_the_contact_of_two_falling_balls_is_seen_beside_that_of_the_floor():
+    """Law: two penalty springs k on m and m/10 in a row, the upper contact alone on the reduced
+    mass: dt < 2(√(ζ² + 1) - ζ)/√(11 k/m), less with the floor's beside it; within 10 %."""
+    law = {"law": "penalty", "penalty_stiffness": 1e5, "penalty_damping_ratio": 0.1}
+    scene = sc.Scene(name="two").with_settings(dt=2e-3, integrator="semi-implicit", **law)
+    for i, mass in enumerate((1.0, 0.1)):
+        body = scene.add_body(f"ball{i}", pos=(0, 0, 0.2 + 0.4 * i))
+        scene.add_joint(body, "slide")
+        scene.add_geom(body, "sphere", 0.1, mass=mass, name=f"ball{i}", condim=1)
+    scene.add_geom("world", "plane", name="floor", condim=1)
+    d = diagnosed(scene)
+    assert d.stiffest() == "contact `ball0`/`ball1`"
+    alone = 2 * (math.sqrt(1.01) - 0.1) / math.sqrt(1.1e6)
+    assert 0.9 * alone < d.limit() < 1.001 * alone
 
 
 def test_a_limit_that_is_reached_between_two_samples_is_seen():

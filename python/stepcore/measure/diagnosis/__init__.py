@@ -25,10 +25,11 @@ from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST, Limit, dt_li
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits, IsolatedElements
 from stepcore.measure.diagnosis.held_control import held_for, sampled_often
-from stepcore.measure.diagnosis.judgement import Judge, judge, judged_limit
+from stepcore.measure.diagnosis.judgement import Judge, Runaway, judge, judged_limit
 from stepcore.measure.diagnosis.limiters import limiters
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
 from stepcore.measure.diagnosis.observation import look
+from stepcore.measure.diagnosis.outcomes import gentle_chatter
 from stepcore.measure.diagnosis.real_step import RealStep
 from stepcore.measure.diagnosis.result import Diagnosis
 from stepcore.measure.diagnosis.saturation import holds_when_kicked
@@ -36,7 +37,7 @@ from stepcore.measure.diagnosis.sentences import notes
 from stepcore.measure.diagnosis.solref import softened_from
 from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 from stepcore.measure.diagnosis.stiffness_warning import StiffnessWarning
-from stepcore.measure.diagnosis.visited_states import eased, start, visited
+from stepcore.measure.diagnosis.visited_states import eased, nudged, start, visited
 from stepcore.report.progress import Choice
 from stepcore.scene.layout import Layout
 
@@ -115,6 +116,7 @@ def diagnose(
             (begin,) = with_feedback(model, [begin], control, period, horizon)
         at_start = step_stability(model, [begin], horizon)
         safe = _safe_dt(at_start)
+        schedule = nudged(schedule, model, float(at_start.rates[0].real.max(initial=0.0)))
         held = schedule
         if control is not None:
             # Sampled often enough that it cannot blow the run up.
@@ -132,12 +134,15 @@ def diagnose(
     each_limit = workers.each(limit_of, INTEGRATORS, "limits")
     elements = _element_limits(here)
     # A control that is not held for a time of its own is sampled at every step.
-    by = _judge(RealStep(model, held if motion.control_dt else schedule, horizon), here, visit.dt)
+    found = _judge(
+        RealStep(model, held if motion.control_dt else schedule, horizon), here, visit.dt
+    )
+    by = found if isinstance(found, Judge) else None
     judged = workers.each(partial(judged_limit, here, by, wanted), each_limit, "motion")
     limits = {limit.integrator: limit for limit, _ in judged}
     shares = {limit.integrator: own for limit, own in judged}
     own, advice = settings.integrator, []
-    seen = look(by, limits[own], shares[own], wanted)
+    seen = look(found, limits[own], shares[own], wanted)
     limits[own], shares[own] = seen.limit, seen.shares
     if by is not None:
         here = dataclasses.replace(here, holds=partial(holds_when_kicked, by))
@@ -160,7 +165,10 @@ def diagnose(
         limiters=limiting,
         rows=list(elements.values()),
         advice=advice,
-        notes=list(notes(here, visit, list(elements.values()), horizon)),
+        notes=[
+            *notes(here, visit, list(elements.values()), horizon, _confirmed(found)),
+            *gentle_chatter(seen.saturations),
+        ],
         rate=_rate(here, limits[own], wanted),
         ran=motion_in_words(model, motion, held, *_driven(motion)),
         longest_period=_longest_period(here, own, wanted, motion),
@@ -168,6 +176,7 @@ def diagnose(
         observed=seen.outcome,
         saturations=seen.saturations,
         lasting=seen.lasting,
+        runaway=seen.runaway,
     )
 
 
@@ -176,7 +185,14 @@ def _driven(motion: Motion) -> tuple[str, str]:
     return "" if motion.control_dt else "at every step", ", blended in over the first quarter"
 
 
-def _judge(real: RealStep, here: StepStability, dt: float) -> Judge | None:
+def _confirmed(found: Judge | Runaway | None) -> bool:
+    """Whether two fine runs agree on what the motion itself does."""
+    if isinstance(found, Runaway):
+        return found.alike
+    return found is not None and found.confirmed
+
+
+def _judge(real: RealStep, here: StepStability, dt: float) -> Judge | Runaway | None:
     """The judge of the motion itself; None for a control that remembers other runs."""
     if any(state.feedback is not None and state.feedback.order for state in here.states):
         return None

@@ -13,7 +13,7 @@ from stepcore.measure.diagnosis.dt_limits import Limit
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.element_names import together
-from stepcore.measure.diagnosis.judgement import Outcome
+from stepcore.measure.diagnosis.judgement import Outcome, Runaway
 from stepcore.measure.diagnosis.linear_step import State
 from stepcore.measure.diagnosis.saturation import Saturation
 
@@ -38,6 +38,7 @@ class DiagnosisFindings:
     observed: Outcome | None = None
     saturations: list[Saturation] = field(default_factory=list)
     lasting: float | None = None
+    runaway: Runaway | None = None
     ran: str = ""
     longest_period: float | None = None
 

@@ -9,7 +9,7 @@ alone does.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +18,11 @@ from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.dt_limits import Limit
 from stepcore.measure.diagnosis.element_id import INERTIAL, ElementId
 from stepcore.measure.diagnosis.growth import bisected
-from stepcore.measure.diagnosis.linear_step import sim_at, state_of
+from stepcore.measure.diagnosis.linear_motion import linear_motion
+from stepcore.measure.diagnosis.linear_step import State, sim_at, state_of
 from stepcore.measure.diagnosis.real_step import CHATTER, EXPLODED, FEWEST, RealRun, RealStep
 from stepcore.measure.diagnosis.servo_range import crossing_dt
-from stepcore.measure.diagnosis.shares import Shares, limiting_shares
+from stepcore.measure.diagnosis.shares import Shares, growing_shares, limiting_shares
 from stepcore.measure.diagnosis.step_stability import StepStability, step_stability
 
 # Relative resolution of a limit that the motion decides.
@@ -40,14 +41,17 @@ FINER = (
     ("implicitfast", 0.008),
 )
 REFINED = 1.5
-# Factors of the energy of an explosion: below a limit of the linear step, where what is driven
-# swings the wider the nearer it is, and does not explode; and of a model with a change made, whose
-# masses may be others.
-RESONANT, CHANGED = 1e6, 1e3
+# Energy over that of a slow motion from which a motion has blown up at any step; how far apart the
+# times may be of two that blow up alike.
+RUNAWAY, ALIKE = 1e16, 1.2
+# A factor of the energy of an explosion for a model with a change made, whose masses may be others.
+CHANGED = 1e3
 # Energy over the first that exceeds the bound, up to which a saturated servo may throw.
 THROWN = 1e9
 # The factor between steps at which chatter is looked for.
 NEXT = 1.25
+# Parts of a limit found by bisection at which the motion must hold: it may fail, hold and fail.
+SHORTER_PARTS = (0.93, 0.86, 0.79, 0.7, 0.6)
 # Horizons over which a slow growth is looked for, at the step and at this part of it.
 LONGER, SHORTER = 10, 4
 
@@ -143,26 +147,67 @@ class Judge:
         return Outcome("holds", run.reached, times)
 
 
-def judge(real: RealStep, dt: float) -> Judge | None:
+@dataclass(frozen=True)
+class Runaway:
+    """A motion that blows up at every step that was tried.
+
+    times, dts [s]: when, at the two shortest of them. alike: whether these agree: it is the motion
+    that grows then, and no dt changes it. element: what grows, if one element does.
+    """
+
+    times: tuple[float, float]
+    dts: tuple[float, float]
+    alike: bool
+    element: ElementId | None = None
+
+
+def judge(real: RealStep, dt: float) -> Judge | Runaway | None:
     """A judge with a fine run of its own, at a part of `dt` [s], and confirmed by another.
 
-    None where no fine run stays finite.
+    A Runaway where the finest runs blow up; None where only the last does not.
     """
     floor = real.least_energy()
-    before: RealRun | None = None
+    runs: list[RealRun] = []
     for integrator, part in FINER:
-        run = real.run(integrator, part * dt)
-        if before is not None and _same(before, run, floor):
+        runs.append(real.run(integrator, part * dt, beyond=RUNAWAY * floor))
+        if len(runs) > 1 and _same(runs[-2], runs[-1], floor):
             # The one that went on longer: both are fine enough.
-            chosen = max(before, run, key=lambda one: round(one.reached, 9))
+            chosen = max(runs[-2:], key=lambda one: round(one.reached, 9))
             return Judge(real, chosen, True, floor)
-        before = run
-    return Judge(real, before, False, floor) if before is not None and before.finite else None
+        if len(runs) > 2 and (found := _runaway(real.model, runs[-2:], floor)) and found.alike:
+            return found
+    found = _runaway(real.model, runs[-2:], floor)
+    if found is not None:
+        return found
+    return None if _blown(runs[-1], floor) else Judge(real, runs[-1], False, floor)
+
+
+def _blown(run: RealRun, floor: float) -> bool:
+    return not run.finite or run.peak > RUNAWAY * floor
+
+
+def _runaway(model: Model, runs: Sequence[RealRun], floor: float) -> Runaway | None:
+    """What two runs that both blow up show; None where one of them does not."""
+    coarse, fine = runs
+    if not (_blown(coarse, floor) and _blown(fine, floor)):
+        return None
+    early, late = sorted((coarse.reached, fine.reached))
+    alike = late <= ALIKE * early
+    element = _growing(model, fine.calm) if alike and fine.calm is not None else None
+    return Runaway((coarse.reached, fine.reached), (coarse.dt, fine.dt), alike, element)
+
+
+def _growing(model: Model, state: State) -> ElementId | None:
+    """The element with the largest share in the fastest growth of the motion itself at a state."""
+    motion = linear_motion(model, state, None)
+    shares = {} if motion is None else growing_shares(motion)
+    largest = max(shares, key=lambda element: shares[element], default=None)
+    return largest if largest is not None and shares[largest] > 0 else None
 
 
 def _same(coarse: RealRun, fine: RealRun, floor: float) -> bool:
     """Whether two runs agree: in kinetic energy as long as both went on, and without chatter."""
-    if not (coarse.finite and fine.finite):
+    if _blown(coarse, floor) or _blown(fine, floor):
         return False
     if bool(((coarse.jumps > CHATTER) | (fine.jumps > CHATTER)).any()):
         return False
@@ -184,6 +229,8 @@ def judged_limit(
     limit: that of the linearised step. wanted: the dt asked about [s].
     """
     shares = limiting_shares(here, limit)
+    if math.isfinite(limit.dt) and not any(shares.values()):
+        shares = _spinning(here, limit) or shares
     if judge is None:
         return limit, shares
     decisive = not _moving(here, shares)
@@ -226,6 +273,21 @@ def _moving(here: StepStability, shares: Shares) -> bool:
     return any(bool(np.abs(r - rates[0]).max() > STEADY * size) for r in rates)
 
 
+def _spinning(here: StepStability, limit: Limit) -> Shares:
+    """All to the fastest spin at the state of a limit; nothing where nothing spins."""
+    motion = here.motion(here.states[limit.state])
+    sizes = (
+        {}
+        if motion is None
+        else {
+            element: float(np.abs(matrices.damping).max(initial=0.0))
+            for element, matrices in motion.elements.items()
+            if element.kind == "spin"
+        }
+    )
+    return {max(sizes, key=lambda element: sizes[element]): 1.0} if any(sizes.values()) else {}
+
+
 def _shares_of_run(here: StepStability, judge: Judge, integrator: str, dt: float) -> Shares:
     """The elements' shares in the growth of a run that explodes, where it begins."""
     run = judge.run(integrator, dt)
@@ -249,12 +311,14 @@ class _Search:
     def __init__(self, judge: Judge, integrator: str, longest: float) -> None:
         self.judge, self.integrator, self.longest = judge, integrator, longest
         self.outcomes: dict[float, Outcome] = {}
-        self.more = 1.0
+        self.linear = math.inf
 
     def holds(self, dt: float) -> bool:
         """Whether the motion holds at a step."""
         if dt not in self.outcomes:
-            self.outcomes[dt] = self.judge.outcome(self.integrator, dt, self.more)
+            # What is driven below a limit swings the wider the nearer it is, and does not explode.
+            more = (1 - (dt / self.linear) ** 2) ** -2 if dt < self.linear else 1.0
+            self.outcomes[dt] = self.judge.outcome(self.integrator, dt, more)
         return self.outcomes[dt].holds
 
     def first_failure(self) -> tuple[float, Outcome] | None:
@@ -269,8 +333,8 @@ class _Search:
         """
         if linear <= self.judge.fine.dt and decisive:
             return linear
-        if decisive and math.isfinite(linear):
-            self.more = RESONANT
+        if decisive:
+            self.linear = linear
         least = min(self.judge.fine.dt, self.longest)
         top = max(BELOW * linear, least) if math.isfinite(linear) else wanted
         top = min(top, self.longest)
@@ -287,12 +351,23 @@ class _Search:
         good = bad / 2
         while good > self.judge.fine.dt and not self.holds(good):
             bad, good = good, good / 2
-        return bisected(self.holds, max(good, self.judge.fine.dt), bad, FINE)
+        return self._below(bisected(self.holds, max(good, self.judge.fine.dt), bad, FINE))
+
+    def _below(self, limit: float) -> float:
+        """The limit [s] where some shorter steps, which need not hold either, do."""
+        for part in SHORTER_PARTS:
+            if not self.holds(part * limit):
+                low = part * limit / NEXT
+                while low > self.judge.fine.dt and not self.holds(low):
+                    low /= NEXT
+                return self._below(bisected(self.holds, low, part * limit, FINE))
+        return limit
 
     def _upwards(self, good: float) -> float:
         """The limit [s] above a step at which the motion holds; inf where there is none."""
-        while 2 * good <= self.longest:
-            if not self.holds(2 * good):
-                return bisected(self.holds, good, 2 * good, FINE)
-            good *= 2
+        while good < self.longest:
+            longer = min(2 * good, self.longest)
+            if not self.holds(longer):
+                return self._below(bisected(self.holds, good, longer, FINE))
+            good = longer
         return math.inf

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from stepcore.measure.diagnosis.dt_limits import Limit
-from stepcore.measure.diagnosis.judgement import Judge, Outcome
+from stepcore.measure.diagnosis.judgement import Judge, Outcome, Runaway
 from stepcore.measure.diagnosis.saturation import Saturation, saturation_of, saturations
 from stepcore.measure.diagnosis.shares import Shares
 
@@ -16,6 +16,7 @@ class Observation:
 
     limit, shares: of the scene's integrator, after it. outcome: what the motion did; None where
     the step is too long to tell. saturations: servos that chatter. lasting: see `Judge.lasting`.
+    runaway: where the motion blows up at every step.
     """
 
     limit: Limit
@@ -23,13 +24,16 @@ class Observation:
     outcome: Outcome | None = None
     saturations: list[Saturation] = field(default_factory=list)
     lasting: float | None = None
+    runaway: Runaway | None = None
 
 
-def look(judge: Judge | None, limit: Limit, shares: Shares, wanted: float) -> Observation:
+def look(judge: Judge | Runaway | None, limit: Limit, shares: Shares, wanted: float) -> Observation:
     """Runs the motion at the wanted step [s], and after kicks beyond the servos' force ranges.
 
     limit, shares: of the scene's integrator so far.
     """
+    if isinstance(judge, Runaway):
+        return Observation(limit, shares, runaway=judge)
     if judge is None or wanted > judge.longest:
         return Observation(limit, shares)
     run = judge.run(limit.integrator, wanted)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from stepcore.measure.diagnosis.findings import DiagnosisFindings
 from stepcore.measure.diagnosis.saturation import Saturation
 from stepcore.report.units import seconds
+
+# Growth that no step resolves [1/s].
+FASTEST = 1e6
 
 
 def observed(d: DiagnosisFindings) -> Iterator[str]:
@@ -22,9 +25,45 @@ def observed(d: DiagnosisFindings) -> Iterator[str]:
         )
 
 
-def mild(d: DiagnosisFindings) -> Iterator[str]:
-    """Servos that chatter only after a kick, and gently."""
-    for one in d.saturations:
+def blown_up(d: DiagnosisFindings) -> Iterator[str]:
+    """That the motion blows up at every step, and what grows."""
+    runaway = d.runaway
+    if runaway is None:
+        return
+    coarse, fine = (seconds(dt) for dt in runaway.dts)
+    before, after = (seconds(time) for time in runaway.times)
+    if runaway.alike:
+        grows = f": {runaway.element.name} makes it grow" if runaway.element else ""
+        yield (
+            f"The motion itself blows up after {after}, at a step of {fine} as at {coarse}{grows}. "
+            "No dt cures that."
+        )
+    else:
+        yield (
+            f"The motion blows up at every step tried: after {before} at {coarse}, after {after} "
+            f"at {fine}. These do not agree: the cause may be the step or the motion."
+        )
+
+
+def growth(rate: float, confirmed: bool) -> str:
+    """A note on growth of the motion itself. rate: the fastest at any state [1/s]."""
+    if rate > FASTEST:
+        return (
+            f"at some state the motion grows e-fold in less than {seconds(1 / FASTEST)}, faster "
+            "than any step that is tried: look at its masses and gains"
+        )
+    fold = f"the motion itself grows, up to e-fold in {seconds(1 / rate)}"
+    if confirmed:
+        return (
+            f"{fold} (falling, balancing or driven); two fine steps agree on it: this growth is "
+            "physical, and no dt changes it"
+        )
+    return f"{fold} at some state; no finer step confirms that it is physical"
+
+
+def gentle_chatter(saturations: Sequence[Saturation]) -> Iterator[str]:
+    """Notes on servos that chatter only after a kick, and gently."""
+    for one in saturations:
         if not (one.reached or one.severe):
             yield (
                 f"kicked beyond {_speed(one, one.speed)}, {one.element.name} chatters between the "

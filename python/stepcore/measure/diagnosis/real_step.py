@@ -51,8 +51,8 @@ class RealRun:
     integrator; dt [s]. reached [s]: how far it came; finite: whether it stayed finite. peak [J]:
     its largest kinetic energy. times [s], energies [J]: of its samples. jumps: of each
     actuator, the share of the later half of the run in which its force was now at one end of its
-    range and now at the other. saturated: of each actuator, whether its force ever was at an end.
-    speeds: the largest |qvel| seen, shape (nv,).
+    range and now at the other; swings: the same of the whole run. saturated: of each actuator,
+    whether its force ever was at an end. speeds: the largest |qvel| seen, shape (nv,).
     calm: the state at the last sample whose energy was within the bound.
     """
 
@@ -64,6 +64,7 @@ class RealRun:
     times: Floats = field(repr=False)
     energies: Floats = field(repr=False)
     jumps: Floats = field(repr=False)
+    swings: Floats = field(repr=False)
     saturated: Any = field(repr=False)
     speeds: Floats = field(repr=False)
     calm: State | None = field(repr=False)
@@ -162,10 +163,7 @@ class _Run:
         except (SimulationError, ValueError):
             # Controls that are not finite belong to a motion that no longer is.
             finite = False
-        jumps = np.zeros(sim.model.nu)
-        if self.seen:
-            later = np.array(self.seen[len(self.seen) // 2 :])
-            jumps = 2 * np.minimum((later > 0).mean(axis=0), (later < 0).mean(axis=0))
+        later = self.seen[len(self.seen) // 2 :]
         return RealRun(
             sim.settings.integrator,
             sim.settings.dt,
@@ -174,7 +172,8 @@ class _Run:
             max(self.energies),
             np.array(self.times),
             np.array(self.energies),
-            jumps,
+            self._balance(later),
+            self._balance(self.seen),
             self.saturated,
             self.speeds,
             self.calm,
@@ -220,6 +219,14 @@ class _Run:
         if count:
             self.sim.step(count)
             self.done += count
+
+    def _balance(self, seen: list[Any]) -> Floats:
+        """Of each actuator, twice the share of the end of its range that it is at less often."""
+        if not seen:
+            return np.zeros(self.sim.model.nu)
+        ends = np.array(seen)
+        shares = np.minimum((ends > 0).mean(axis=0), (ends < 0).mean(axis=0))
+        return np.asarray(2 * shares)
 
     def _end(self) -> Any:
         """Of each actuator's force: 1 at the upper end of its range, -1 at the lower, else 0."""

@@ -45,6 +45,7 @@ class Diagnosis(DiagnosisFindings, Result):
     saturations: servos that chatter at the ends of their force ranges at the wanted step.
     lasting: when a growth that is the integrator's explodes after the horizon [s]; None where none
         was seen in ten horizons.
+    runaway: that the motion blows up at every step that was tried; None where it does not.
     longest_period: the longest stable control period at the wanted step [s], inf beyond the
         horizon; None without a control function and a period of its own.
     """
@@ -202,5 +203,6 @@ class Diagnosis(DiagnosisFindings, Result):
             "observed": self.observed,
             "saturations": self.saturations,
             "lasting": self.lasting,
+            "runaway": self.runaway,
             "longest_period": self.longest_period,
         }

@@ -121,7 +121,7 @@ class _Kicked:
 
     def rests(self, run: RealRun) -> bool:
         """Whether the servo does not chatter in a run."""
-        return run.finite and float(run.jumps[self.servo.index]) <= CHATTER
+        return run.finite and float(run.swings[self.servo.index]) <= CHATTER
 
     def severe(self, run: RealRun) -> bool:
         """Whether a run has much more energy than the kick and the motion."""

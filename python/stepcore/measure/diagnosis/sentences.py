@@ -10,7 +10,7 @@ from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.element_names import are_several, listed
 from stepcore.measure.diagnosis.findings import DiagnosisFindings
 from stepcore.measure.diagnosis.linear_step import VELOCITY_LAWS
-from stepcore.measure.diagnosis.outcomes import observed
+from stepcore.measure.diagnosis.outcomes import blown_up, growth, observed
 from stepcore.measure.diagnosis.step_stability import StepStability
 from stepcore.measure.diagnosis.visited_states import Visit
 from stepcore.report.units import counted, hertz, seconds, times
@@ -28,6 +28,7 @@ SLOWEST, FASTEST, OVERDAMPED, NONE = 1e-3, 1e9, 100.0, 1e-6
 def sentences(d: DiagnosisFindings) -> Iterator[str]:
     """The answer, the advice, and the state that decides."""
     own = d.settings.integrator
+    yield from blown_up(d)
     yield _answer(d, own)
     yield from observed(d)
     if d.longest_period is not None and d.motion.control_dt is not None:
@@ -143,9 +144,16 @@ def round_below(value: float) -> float:
 
 
 def notes(
-    here: StepStability, visit: Visit, elements: list[ElementLimits], horizon: float
+    here: StepStability,
+    visit: Visit,
+    elements: list[ElementLimits],
+    horizon: float,
+    confirmed: bool,
 ) -> Iterator[str]:
-    """Notes on the limits of the diagnosis."""
+    """Notes on the limits of the diagnosis.
+
+    confirmed: whether two runs at fine steps agree on what the motion itself does.
+    """
     labels = ", ".join(state.label for state in here.states)
     run = f"a run of {seconds(visit.reached)} at dt {seconds(visit.dt)} under implicitfast"
     yield f"linearised at {counted(len(here.states), 'state')} of {run}: {labels}"
@@ -158,10 +166,7 @@ def notes(
         )
     growing = max(float(rates.real.max(initial=0.0)) for rates in here.rates)
     if growing > NOTABLE:
-        yield (
-            f"the motion itself grows, up to e-fold in {seconds(1 / growing)} (falling, balancing "
-            "or driven); this growth is physical, and no dt changes it"
-        )
+        yield growth(growing, confirmed)
     softened = [limits for limits in elements if math.isfinite(limits.softened)]
     if softened:
         least = min(limits.softened for limits in softened)

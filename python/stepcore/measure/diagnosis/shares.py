@@ -119,6 +119,19 @@ def step_shares(
         return {}
 
 
+def growing_shares(motion: LinearMotion) -> Shares:
+    """Each element's share in the fastest growth of the motion itself; nothing where none grows."""
+    values = eigenvalues(motion.rates)
+    if values is None or not values.real.max(initial=0.0) > 0:
+        return {}
+    try:
+        with np.errstate(all="ignore"):
+            value = values[values.real.argmax()]
+            return _shares(motion, motion.rates, value, motion.rates_times)
+    except (np.linalg.LinAlgError, ArithmeticError):
+        return {}
+
+
 def _fastest(here: StepStability, state: int) -> Shares:
     """Each element's share in the fastest rate of the motion at a state."""
     motion = here.motion(here.states[state])

@@ -28,10 +28,16 @@ from stepcore.measure.diagnosis.linear_step import State, sim_at, state_of
 STATES, STEPS, SAMPLES = 8, 20_000, 200
 # The most dofs at all states together, with at least two states.
 DOFS = 200
-# The most sets of overlaps and limits of which the deepest state is kept.
-PATTERNS = 32
+# The most sets of overlaps and limits of which the deepest state is kept, and about how often
+# during a run they are looked for.
+PATTERNS, LOOKS = 32, 5_000
+# From so many e-folds in the horizon on a start is pushed by this velocity [rad/s or m/s].
+UNSTABLE, NUDGE = 5.0, 1e-6
 # The share of the motion over which the seeded controls are blended in.
 EASING = 0.25
+
+# Which limits are exceeded, and which pairs of geoms overlap.
+Pattern = tuple[bytes, frozenset[int]]
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,19 @@ def eased(schedule: Schedule, ctrl: Floats) -> Schedule:
     return replace(schedule, ctrl=ctrl + share * (schedule.ctrl - ctrl))
 
 
+def nudged(schedule: Schedule, model: Model, growth: float) -> Schedule:
+    """The schedule with a start that is pushed a little where the motion grows from rounding.
+
+    growth [1/s]: the fastest of the motion at the start. A body that spins about its middle axis
+    tumbles; begun exactly on it, when it does is up to rounding.
+    """
+    first = schedule.starts[0]
+    if growth * schedule.horizon < UNSTABLE:
+        return schedule
+    push = NUDGE * (-1.0) ** np.arange(model.nv)
+    return replace(schedule, starts=(replace(first, qvel=first.qvel + push), *schedule.starts[1:]))
+
+
 def start(model: Model, schedule: Schedule) -> State:
     """Where the motion begins."""
     first = schedule.starts[0]
@@ -75,7 +94,7 @@ def visited(model: Model, schedule: Schedule, safe: float) -> Visit:
     run = replace(schedule, period=period, periods=periods, every=max(1, periods // SAMPLES))
     runner = Runner(model, run)
     sim = runner.sim(model.settings.replace(integrator="implicitfast", dt=dt))
-    sampled, brief, failure = _SampledStates(), _BriefStates(model), ""
+    sampled, brief, failure = _SampledStates(), _BriefStates(model, count * periods), ""
     try:
         runner.follow(sim, 0, [sampled, brief])
         if periods % run.every:
@@ -111,27 +130,32 @@ class _BriefStates(Probe):
     A bounce is shorter than the time between two samples.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, steps: int) -> None:
         joints = Coordinates(model).joints
         limited = [(q, limits) for _, q, _, limits in joints if limits is not None]
         self.at = np.array([q for q, _ in limited], int)
         self.low, self.high = np.array([limits for _, limits in limited]).reshape(-1, 2).T
-        self.deepest: dict[bytes, tuple[float, State]] = {}
-        self.none = bytes(1 + len(limited))
+        self.every, self.steps = max(1, steps // LOOKS), 0
+        self.deepest: dict[Pattern, tuple[float, State]] = {}
 
     def stride(self, steps: int) -> int | None:
         return 1
 
     def step(self, sim: Sim) -> None:
-        over = np.empty(1 + len(self.at))
-        over[0] = sim.overlap
+        self.steps += 1
+        if self.steps % self.every:
+            return
+        over, pairs = np.zeros(0), frozenset[int]()
         if len(self.at):
             angles = sim.qpos[self.at]
-            np.maximum(self.low - angles, angles - self.high, out=over[1:])
-        pattern = (over > 0).tobytes()
-        if pattern == self.none:
+            over = np.maximum(self.low - angles, angles - self.high)
+        depth = max(sim.overlap, float(over.max(initial=0.0)))
+        if depth <= 0:
             return
-        depth = float(over.max())
+        if sim.overlap > 0:
+            contacts = sim.contacts
+            pairs = frozenset(contacts["index"][contacts["dist"] < 0].tolist())
+        pattern = (over > 0).tobytes(), pairs
         known = self.deepest.get(pattern)
         if (known is None and len(self.deepest) < PATTERNS) or (known and depth > known[0]):
             label, time = f"t = {sim.time:.3g} s", sim.time
