@@ -34,7 +34,7 @@ def check(name):
     options = {} if case.horizon is None else {"horizon": case.horizon}
     result = sc.trade(case.make(), error=case.error, by="flops", progress=False, **options)
     row = result.recommended
-    assert row is not None and row.further.held == row.further.starts == 16
+    assert row is not None and row.further.held == row.further.starts == 32
     finest = min(result.reference.settings.dt, row.settings.dt / 8)
     judge = Judge(case, 24, 987, finest)
     wrong = [judge.wrong(row.settings, k) for k in range(24)]
@@ -80,9 +80,12 @@ def test_it_keeps_to_the_error_and_says_what_less_would_cost(ball):
     assert all(ball.error(r) > 0.9e-4 for r in cheaper)
     better = ball.next_better()
     assert ball.error(better) <= ball.error(row) / 2 and better.flops >= row.flops
-    answer, next_better, *_ = ball.sentences
+    answer, *rest = ball.sentences
     assert answer.startswith("Recommended for an error of at most 100 µm: ")
-    assert answer.endswith("Confirmed on 8 further starts.")
+    # 12 starts passed: of 13 alike the next is the worst once.
+    share = "92.3 % of other starts are expected to stay within it."
+    assert answer.endswith(f"Confirmed on 8 further starts; {share}")
+    (next_better,) = [said for said in rest if said.startswith("Half")]
     assert next_better.startswith("Half that error or less costs ")
 
 
@@ -116,8 +119,9 @@ def test_it_is_frugal(ball):
     data = json.loads(ball.to_json())
     assert data["asked"] == {"error": 1e-4, "budget": None, "by": "flops"}
     assert data["recommended"]["dt"] == ball.best().dt
-    # Most of what was tried was dropped after a few starts.
-    assert len(ball.rows) < ball.screened and ball.runs < 4 * ball.screened
+    # Most of what was tried was dropped after a few of the twelve starts, though the search is made
+    # again on the hardest eight.
+    assert len(ball.rows) < ball.screened / 2 and ball.runs < 6 * ball.screened
     assert all(record["cost"] is None and record["flops"] for record in data["rows"])
 
 

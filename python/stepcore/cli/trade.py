@@ -34,7 +34,7 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--further",
         type=int,
-        default=16,
+        default=32,
         metavar="N",
         help="number of further starts that must confirm a recommendation (default: %(default)s)",
     )

@@ -24,9 +24,10 @@ from stepcore.measure.trade import frugal, notes
 from stepcore.measure.trade import mujoco as mujoco_points
 from stepcore.measure.trade.finish import Finisher
 from stepcore.measure.trade.frontier import Frontier
+from stepcore.measure.trade.hardest import HardestStarts
 from stepcore.measure.trade.moves import Steps, longest, slides
 from stepcore.measure.trade.orders import observed_orders
-from stepcore.measure.trade.recommend import Confirmation, within_budget, within_error
+from stepcore.measure.trade.recommend import Again, Confirmation, within_budget, within_error
 from stepcore.measure.trade.result import Trade
 from stepcore.measure.trade.row import TradeRow
 from stepcore.measure.trade.settings import grid
@@ -49,7 +50,7 @@ def trade(
     *,
     error: float | str | None = None,
     budget: float | str | None = None,
-    further: int = 16,
+    further: int = 32,
     search: str | None = None,
     by: str = "time",
     dts: Sequence[float] | None = None,
@@ -171,7 +172,8 @@ def trade(
         others = scheduled(unseen, model, period, starts=further + 1).part(1)
         confirm = Confirmation(trials, runs, others)
         if target is not None:
-            frontier, chosen = within_error(frontier, target, confirm, finisher.row, counts)
+            again = _again(full, trials, confirm, counts, rows, target)
+            frontier, chosen = within_error(frontier, target, confirm, finisher.row, counts, again)
         elif limit is not None:
             frontier = within_budget(frontier, limit, confirm, finisher.row, counts)
     schedule = runner.schedule
@@ -216,6 +218,16 @@ def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:
     if given and search == "frugal":
         raise ValueError(f"search = 'frugal': must be 'grid' or None where {min(given)} is given")
     return bool(given) or search == "grid"
+
+
+def _again(
+    full: bool, trials: Trials, confirm: Confirmation, steps: Steps, rows: int, target: float
+) -> Again:
+    """The search on the hardest starts; a full grid is not searched."""
+    if full:
+        return lambda frontier, chosen: ()
+    model = trials.runner.model
+    return HardestStarts(trials, confirm, steps, model.settings, rows, slides(model.scene), target)
 
 
 def _refine(runs: ReferenceRuns, trials: Trials, tried: Sequence[Settings]) -> None:

@@ -18,6 +18,10 @@ from stepcore.report.units import length
 
 # What `TradeFindings.best` looks for where nobody says it [m].
 ERROR = 1e-3
+# A saving below this is within what timing can tell.
+NOTABLE = 0.9
+# A cheaper row that misses the error on at most this share of the starts is worth naming.
+FEW = 0.1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -106,6 +110,32 @@ class TradeFindings:
             return None if self.budget is None else self.most_accurate(self.budget)
         except ValueError:
             return None
+
+    @property
+    def passed_over(self) -> TradeRow | None:
+        """A row that costs notably less than the recommended one and all but meets the error.
+
+        It meets the error asked for, but not the share of it that a recommendation keeps to; or it
+        misses it on few of the starts (one of ten at most). Of several the one that misses least.
+        """
+        chosen, target = self.recommended, self.target
+        if chosen is None or target is None:
+            return None
+        near = []
+        for row in self.rows:
+            e, tried = row.errors, row.further
+            if e is None or tried is None or tried.starts == 0:
+                continue
+            held = sum(wrong <= target for wrong in e.each) + tried.held
+            missed = len(e.each) + tried.starts - held
+            few = missed <= FEW * (len(e.each) + tried.starts)
+            if (
+                few
+                and self.error(row) < math.inf
+                and self.price(row) < NOTABLE * self.price(chosen)
+            ):
+                near.append((missed, self.price(row), row.settings.dt, row))
+        return min(near, key=lambda entry: entry[:3])[-1] if near else None
 
     def best(self, error: float | str | None = None) -> Settings:
         """The cheapest Settings that keep to an error in every start.

@@ -12,6 +12,9 @@ from stepcore._core import Settings
 from stepcore.experiment.errors import pareto
 from stepcore.measure.trade.row import TradeRow
 
+# Everything tried is held to this share of the error asked for, because further starts differ.
+MARGIN = 0.9
+
 
 @dataclass(frozen=True)
 class Frontier:

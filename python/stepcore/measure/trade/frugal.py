@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 from stepcore._core import Settings
 from stepcore.experiment.reference import FINER, ReferenceRuns
+from stepcore.measure.trade.frontier import MARGIN
 from stepcore.measure.trade.moves import Steps
 from stepcore.measure.trade.search import SettingsSearch
 from stepcore.measure.trade.trials import Trials
 
-# Everything tried is held to this share of the error asked for, because further starts differ.
-MARGIN = 0.9
 # The target errors, as shares of the error asked for, or of the shipped error without one; and
 # whether methods are changed there. The half is what `Trade.next_better` is found from.
 ASKED = ((MARGIN, True), (0.5, False))

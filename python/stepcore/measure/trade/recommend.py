@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -20,17 +20,22 @@ from stepcore.experiment.growth import DIRECTIONS, growth
 from stepcore.experiment.reference import ReferenceRuns
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
-from stepcore.measure.trade.frontier import Frontier
-from stepcore.measure.trade.frugal import MARGIN
+from stepcore.measure.trade.frontier import MARGIN, Frontier
 from stepcore.measure.trade.moves import Steps
 from stepcore.measure.trade.row import Further, TradeRow
+from stepcore.measure.trade.search import FINE
 from stepcore.measure.trade.trials import Trials
 
 # So many rows are tested on the further starts before the search gives up.
 TRIES = 30
+# So often the search is made again on the starts that proved hardest.
+AGAIN = 2
 # For so many of those that fail there, shorter steps are tried: first by this factor, then by a
 # factor that grows by MORE, so many times.
 REPAIRED, SHORTER, MORE, TIMES = 8, 1.15, 0.1, 8
+
+# Of the cheaper rows that keep to the error on the search's own starts, so many are looked at.
+NEAR = 3
 
 # Where perturbed runs of the search's starts part by less than this factor, those of further starts
 # are not measured: they can be predicted.
@@ -38,6 +43,8 @@ CALM = 30.0
 
 # Makes a finished row of settings: runs them from all starts, counts and times them.
 Finish = Callable[[Settings], TradeRow]
+# Searches again, on the hardest starts, for settings cheaper than the row that passed.
+Again = Callable[[Frontier, TradeRow], Sequence[Settings]]
 # A start, how wrong a run from it was [m], and why it failed if it did.
 Ran = tuple[int, float, str | None]
 
@@ -50,7 +57,10 @@ class Confirmation:
         self.runner = Runner(runs.runner.model, others)
         own = ReferenceRuns(self.runner, runs.shipped, runs.finest, math.inf, runs.workers)
         self.hard: list[int] = []
+        self.ends = np.full(len(others.starts), np.inf)
         self.scored: np.ndarray | None = None
+        # By settings and further start: how wrong the run was [m], and why it failed if it did.
+        self.ran: dict[Settings, dict[int, Ran]] = {}
         # As fine as the search's own: a further start may be harder than all of those.
         level = trials.reference.level
         count = len(others.starts)
@@ -63,7 +73,8 @@ class Confirmation:
             return
         settings = own.settings(level.integrator, level.dt)
         with self.workers.bar("further perturbed runs", (1 + DIRECTIONS) * count) as bar:
-            self.scored = growth(self.runner, settings, trials.size, self.workers, bar).scored
+            grown = growth(self.runner, settings, trials.size, self.workers, bar)
+        self.scored, self.ends = grown.scored, grown.ends
 
     @property
     def count(self) -> int:
@@ -82,12 +93,27 @@ class Confirmation:
         ran = self._runs(settings, self.hard)
         if not self._bad(ran, limit):
             ran += self._runs(settings, rest)
+        return self._result(ran, limit, error)
+
+    def test_all(self, settings: Settings, limit: float, error: float) -> Further:
+        """The same from every further start, wherever it misses the limit."""
+        return self._result(self._runs(settings, list(range(self.count))), limit, error)
+
+    def _result(self, ran: list[Ran], limit: float, error: float) -> Further:
         worst = max(ran, key=lambda run: run[1])
         if worst[1] > limit and worst[0] not in self.hard:
             self.hard.append(worst[0])
         failure = next((f"further start {i}: {text}" for i, _, text in ran if text), None)
         held = sum(wrong <= error for _, wrong, _ in ran)
         return Further(len(ran), held, worst[1], failure)
+
+    def hardness(self) -> np.ndarray:
+        """By further start: the largest error that any settings tested had there [m]."""
+        worst = np.zeros(self.count)
+        for ran in self.ran.values():
+            for start, wrong, _ in ran.values():
+                worst[start] = max(worst[start], wrong)
+        return worst
 
     def holds(self, settings: Settings, error: float) -> bool:
         """Whether settings keep to an error on the starts on which others failed."""
@@ -98,26 +124,53 @@ class Confirmation:
 
     def _runs(self, settings: Settings, starts: list[int]) -> list[Ran]:
         assert self.scored is not None
+        known = self.ran.setdefault(settings, {})
+        missing = [start for start in starts if start not in known]
         job = partial(self.runner.screen, settings)
-        paths = self.workers.each(job, starts, "further starts")
-        ran: list[Ran] = []
-        for start, path in zip(starts, paths, strict=True):
+        paths = self.workers.each(job, missing, "further starts")
+        for start, path in zip(missing, paths, strict=True):
             truth = [self.truth.paths[start]]
             failure = path.failure or far_off([path], truth, self.trials.size)
             wrong = math.inf if failure else errors([path], truth, self.scored[[start]]).high
-            ran.append((start, wrong, failure))
-        return ran
+            known[start] = (start, wrong, failure)
+        return [known[start] for start in starts]
 
 
 def within_error(
-    frontier: Frontier, target: float, confirm: Confirmation, finish: Finish, steps: Steps
+    frontier: Frontier,
+    target: float,
+    confirm: Confirmation,
+    finish: Finish,
+    steps: Steps,
+    again: Again,
 ) -> tuple[Frontier, TradeRow | None]:
     """Tests the cheapest rows within an error [m] until one of them passes.
 
     A row must keep to a little less than the error. Some of those that do not are also tried with
-    shorter steps. Where no row passes, one that keeps to the error itself will do. Returns the
-    rows with the results of their tests, and the one that passed.
+    shorter steps. Where no row passes, one that keeps to the error itself will do. What passes is
+    compared with what a search on the hardest starts finds. Returns the rows with the results of
+    their tests, and the one that passed.
     """
+    frontier, chosen = _first_that_passes(frontier, target, confirm, finish, steps)
+    for _ in range(AGAIN):
+        if chosen is None or confirm.scored is None:
+            break
+        found = [setting for setting in again(frontier, chosen) if not frontier.has(setting)]
+        for setting in found:
+            frontier = frontier.updated(finish(setting))
+        frontier, better = _first_that_passes(frontier, target, confirm, finish, steps)
+        if better is None or better.settings == chosen.settings:
+            break
+        chosen = better
+    return (
+        (frontier, chosen) if chosen is None else (_near(frontier, target, confirm, chosen), chosen)
+    )
+
+
+def _first_that_passes(
+    frontier: Frontier, target: float, confirm: Confirmation, finish: Finish, steps: Steps
+) -> tuple[Frontier, TradeRow | None]:
+    """The cheapest row that keeps to the error on all further starts."""
     limit, repairs = MARGIN * target, REPAIRED
     for _ in range(TRIES):
         try:
@@ -139,22 +192,51 @@ def within_error(
     return frontier, None
 
 
+def _near(frontier: Frontier, target: float, confirm: Confirmation, chosen: TradeRow) -> Frontier:
+    """Counts the misses of the cheaper rows that keep to the error on the search's own starts.
+
+    Where few starts decide, other starts may decide otherwise: that is worth saying.
+    """
+    if confirm.scored is None:
+        return frontier
+    price = frontier.price(chosen)
+    near = [
+        row
+        for row in frontier.rows
+        if row.errors and row.errors.high <= target and frontier.price(row) < price
+    ]
+    for row in sorted(near, key=frontier.price)[-NEAR:]:
+        tested = confirm.test_all(row.settings, target, target)
+        frontier = frontier.updated(dataclasses.replace(row, further=tested))
+    return frontier
+
+
 def _repaired(
     frontier: Frontier, confirm: Confirmation, steps: Steps, row: TradeRow, limit: float
 ) -> Settings | None:
     """The settings of a row that failed on further starts, with a step short enough for them."""
-    pieces = steps.pieces(row.settings)
+    misses = pieces = steps.pieces(row.settings)
     finest = int(steps.period / confirm.trials.reference.settings.dt / 2 + 1e-9)
+
+    def holds(count: int) -> bool:
+        return confirm.holds(steps.at(row.settings, count), limit)
+
     for k in range(TIMES):
         pieces = math.ceil(pieces * (SHORTER + MORE * k))
         if pieces > finest:
             return None
-        settings = steps.at(row.settings, pieces)
-        if frontier.has(settings):
-            return None
-        if confirm.holds(settings, limit):
-            return settings
-    return None
+        if holds(pieces):
+            break
+        misses = pieces
+    else:
+        return None
+    while pieces - misses > 1 and pieces > FINE * misses:
+        middle = math.ceil(math.sqrt(misses * pieces))
+        if middle in (misses, pieces):
+            break
+        misses, pieces = (misses, middle) if holds(middle) else (middle, pieces)
+    settings = steps.at(row.settings, pieces)
+    return None if frontier.has(settings) else settings
 
 
 def within_budget(

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from stepcore.measure.trade.findings import TradeFindings
+from stepcore.measure.trade.findings import NOTABLE, TradeFindings
+from stepcore.measure.trade.frontier import MARGIN
 from stepcore.measure.trade.mujoco import compared_with_mujoco
 from stepcore.measure.trade.row import TradeRow
 from stepcore.report.settings import label
-from stepcore.report.units import computing, counted, metres, operations, seconds
+from stepcore.report.units import computing, counted, metres, operations, percent, seconds
 
 # From here on the worst start says something else than the median of the starts.
 DIFFER = 30.0
-# A saving below this is within what timing can tell.
-NOTABLE = 0.9
 
 
 def sentences(trade: TradeFindings) -> Iterator[str]:
@@ -36,9 +35,18 @@ def _for_error(trade: TradeFindings, error: float) -> Iterator[str]:
     row = trade.recommended
     if row is not None:
         yield f"Recommended for an error of at most {metres(error)}: {_described(trade, row)}"
+        yield from _passed_over(trade, row, error)
         yield _next_better(trade, row)
         return
-    yield f"No setting tried has an error of at most {metres(error)} in every start."
+    known = trade.reference.high
+    if known > error:
+        yield (
+            f"No setting can be shown to have an error of at most {metres(error)}: the converged "
+            f"motion that errors are measured from is itself known only to {metres(known)} in the "
+            "worst start."
+        )
+    else:
+        yield f"No setting tried has an error of at most {metres(error)} in every start."
     ran = [other for other in trade.rows if other.errors is not None]
     if ran:
         least = min(ran, key=lambda other: (trade.error(other), trade.price(other)))
@@ -86,9 +94,38 @@ def _confirmed(trade: TradeFindings, row: TradeRow) -> str:
     count = counted(tried.starts, "further start")
     if trade.target is None:
         return f" This includes {count}."
-    if tried.held == tried.starts:
-        return f" Confirmed on {count}."
-    return f" The error stayed within it on {tried.held} of {count}."
+    if tried.held < tried.starts:
+        return f" The error stayed within it on {tried.held} of {count}."
+    # The next of n + 1 random starts is the worst of them with a probability of 1/(n + 1).
+    all_ = trade.starts + tried.starts
+    share = percent(all_ / (all_ + 1))
+    return f" Confirmed on {count}; {share} of other starts are expected to stay within it."
+
+
+def _passed_over(trade: TradeFindings, row: TradeRow, error: float) -> Iterator[str]:
+    """A cheaper setting that seems to meet the error too, and why it is not recommended."""
+    other = trade.passed_over
+    if other is None or other.errors is None:
+        return
+    times = f"{trade.price(other) / trade.price(row):.2f} times as much"
+    named = _named(trade, other)
+    if other.shipped:
+        named = f"the shipped settings ({named})"
+    ran = other.errors.each
+    held = sum(wrong <= error for wrong in ran) + (other.further.held if other.further else 0)
+    count = len(ran) + (other.further.starts if other.further else 0)
+    if held == count:
+        yield (
+            f"{named[0].upper()}{named[1:]} cost {times} and stayed within {metres(error)} too, "
+            f"with {metres(trade.error(other))}; but a recommendation keeps to "
+            f"{metres(MARGIN * error)}, because starts that were not run may be worse."
+        )
+    else:
+        yield (
+            f"{named[0].upper()}{named[1:]} would cost {times}, but exceeded {metres(error)} on "
+            f"{count - held} of {count} starts (by up to {metres(trade.error(other) - error)}); "
+            "with other starts the answer may change."
+        )
 
 
 def _next_better(trade: TradeFindings, row: TradeRow) -> str:
