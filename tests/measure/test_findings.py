@@ -344,6 +344,43 @@ def test_a_servo_too_weak_for_its_load():
     assert one.severity == "error" and "forcerange (15 N)" in one.text
 
 
+def test_a_servo_that_its_joint_s_limit_stops_is_not_too_weak():
+    scene = lift(1000, force=100)
+    scene.add_key("high", ctrl=[0.9])
+    watch, findings = watched(scene, time=3.0)
+    assert next(watch.actuators.at_rest()).error > 0.3
+    assert not [one for one in findings if one.kind.startswith("servo")]
+
+
+@pytest.mark.parametrize("force", [5, 100])
+def test_a_servo_that_grips_is_neither_weak_nor_saturated(force):
+    """It asks for more than the thing between its pads lets it have: so it holds it."""
+    servos = (
+        f'<position joint="l" kp="500" kv="20" forcerange="-{force} {force}"/>'
+        f'<position joint="r" kp="500" kv="20" forcerange="-{force} {force}"/>'
+    )
+    text = GRIPPER.format(cone="elliptic", solref="0.02 1")
+    text = re.sub(r"<actuator>.*</actuator>", f"<actuator>{servos}</actuator>", text)
+    scene = sc.loads(text.replace('ctrl="6 6"', 'ctrl=".03 .03"').replace("<mujoco>", "<mujoco>"))
+    watch, findings = watched(scene.with_settings(impratio=1000.0))
+    assert len(list(watch.actuators.at_rest())) == 2
+    assert findings == []
+
+
+def test_a_servo_of_a_standing_thing_sags_under_its_weight():
+    """A body of 5 kg on a foot of 0.1 kg by a telescope: 5 g / kp."""
+    scene = sc.loads(
+        """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 .1"><freejoint/>
+        <geom size=".1" mass=".1"/><geom size=".1" pos=".4 .4 0" mass=".1"/>
+        <geom size=".1" pos="-.4 .4 0" mass=".1"/><geom size=".1" pos="0 -.4 0" mass=".1"/>
+        <body pos="0 0 .5"><joint name="leg" type="slide" axis="0 0 1" range="-.3 .3"/>
+        <geom size=".1" mass="5"/></body></body></worldbody>
+        <actuator><position joint="leg" kp="500" kv="100"/></actuator></mujoco>"""
+    )
+    one = the(watched(scene, time=3.0)[1], "servo sags")
+    assert one.value == pytest.approx(5 * G / 500, rel=1e-3)
+
+
 def test_clamped_controls_are_told_with_the_range():
     def ask(time, sim):
         return [3.0 if time < 0.5 else 0.5]

@@ -139,6 +139,13 @@ class ModelData(ABC):
         force = self._core.element_force(kind, *flat)
         return force.reshape(np.shape(qvel))
 
+    def root(self, body: int) -> int:
+        """The index of the body below the world that carries a body; 0 for the world itself."""
+        parents = self.body_parent
+        while body and parents[body]:
+            body = int(parents[body])
+        return body
+
     @property
     def geom_names(self) -> tuple[str, ...]:
         """Names of the geoms."""

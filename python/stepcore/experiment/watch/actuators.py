@@ -13,6 +13,8 @@ from stepcore.experiment.watch.contacts import FEWEST, REST
 
 # A force this near to the end of its range is at it.
 AT_END = 1e-9
+# What carries this part of a force is what it pushes against.
+HALF = 0.5
 # At rest an error changes by less than this share of itself over the end of a run.
 STEADY = 0.05
 
@@ -43,13 +45,15 @@ class Servo:
     """A position servo at rest under a constant control.
 
     error: of its length from what the control asks for [rad or m], before the gear. force: what it
-    pushes with [N·m or N]; saturated: whether that is the end of its force range.
+    pushes with [N·m or N]; saturated: whether that is the end of its force range. loaded: whether a
+    weight is what it pushes against, and not a limit, or a thing that it holds or presses.
     """
 
     actuator: int
     error: float
     force: float
     saturated: bool
+    loaded: bool
 
 
 class ActuatorWatch:
@@ -62,14 +66,17 @@ class ActuatorWatch:
         hinged = np.array([model.jnt_type[j] in ("hinge", "slide") for j in joints], bool)
         # Position feedback that pulls back, on a joint of one coordinate.
         self.servos = np.flatnonzero(hinged & (model.actuator_bias[:, 1] < 0))
-        self.at = model.jnt_qposadr[joints[self.servos]] if len(self.servos) else self.servos
+        self.joints = [int(joint) for joint in joints[self.servos]]
+        self.at = model.jnt_qposadr[self.joints] if self.joints else self.servos
         self.ctrl: list[np.ndarray] = []
         self.force: list[np.ndarray] = []
         self.length: list[np.ndarray] = []
+        self.sim: Sim | None = None
 
     def look(self, sim: Sim) -> None:
         """Every actuator now."""
         if self.works:
+            self.sim = sim
             self.ctrl.append(np.array(sim.ctrl))
             self.force.append(np.array(sim.actuator_force))
             gear = self.model.actuator_gear[self.servos, 0]
@@ -111,10 +118,41 @@ class ActuatorWatch:
             ctrl = np.clip(ctrl, *model.actuator_ctrlrange.T)
         for column, k in enumerate(self.servos):
             gain, bias = model.actuator_gain[k], model.actuator_bias[k]
-            error = (gain * ctrl[:, k] + bias[0]) / -bias[1] - length[:, column]
+            asked = (gain * ctrl[:, k] + bias[0]) / -bias[1]
+            error = asked - length[:, column]
             mean = float(error.mean())
             if np.ptp(ctrl[:, k]) == 0 and float(np.ptp(error)) < STEADY * abs(mean):
                 force = float(self.force[-1][k])
                 low, high = model.actuator_forcerange[k]
                 full = int(k) in ends and not low * (1 - 1e-6) < force < high * (1 - 1e-6)
-                yield Servo(int(k), mean, force, full)
+                loaded = self._loaded(column, float(asked[-1]), force)
+                yield Servo(int(k), mean, force, full, loaded)
+
+    def _loaded(self, column: int, asked: float, force: float) -> bool:
+        """Whether a weight is what a servo at the end of the run pushes against.
+
+        The weight of what hangs on its joint, or, in a tree that stands on a floor, of the tree.
+        """
+        model, joint, sim = self.model, self.joints[column], self.sim
+        gear = float(model.actuator_gear[self.servos[column], 0])
+        low, high = model.jnt_range[joint]
+        if sim is None or not gear or not low <= asked / gear <= high:
+            return False
+        dof = int(model.jnt_dofadr[joint])
+        weight = float(sim.bias[dof] - sim.passive[dof]) / gear
+        if weight * force >= HALF * force**2:
+            return True
+        tree = model.root(int(model.jnt_body[joint]))
+        floats = [model.root(int(model.jnt_body[j])) for j in range(model.njnt) if _free(model, j)]
+        if tree not in floats:
+            return False
+        touched = {
+            frozenset(model.root(int(model.geom_body[geom])) for geom in pair)
+            for pair in zip(sim.contacts["geom1"], sim.contacts["geom2"], strict=True)
+        }
+        own = [pair for pair in touched if tree in pair]
+        return bool(own) and all(pair <= {tree, 0} for pair in own)
+
+
+def _free(model: Model, joint: int) -> bool:
+    return model.jnt_type[joint] == "free"

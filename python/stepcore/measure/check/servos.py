@@ -141,13 +141,13 @@ def _static_loads(model: Model, state: Start) -> dict[int, float]:
     except (ValueError, RuntimeError):
         return {}
     load = np.array(sim.bias) - np.array(sim.passive)
-    carried = {_root(model, body) for body in _held_bodies(model, sim)}
+    carried = {model.root(body) for body in _held_bodies(model, sim)}
     for joint, kind in enumerate(model.jnt_type):
         if kind == "free":
-            carried.add(_root(model, int(model.jnt_body[joint])))
+            carried.add(model.root(int(model.jnt_body[joint])))
     held = {}
     for joint in range(model.njnt):
-        if _root(model, int(model.jnt_body[joint])) not in carried:
+        if model.root(int(model.jnt_body[joint])) not in carried:
             dof = int(model.jnt_dofadr[joint])
             held[dof] = float(load[dof])
     return held
@@ -162,12 +162,6 @@ def _held_bodies(model: Model, sim: Sim) -> Iterator[int]:
         elif kind not in ("limit", "friction loss"):
             equality = model.scene.equalities[index]
             yield from (layout.index[id(body)] for body in (equality.body1, equality.body2))
-
-
-def _root(model: Model, body: int) -> int:
-    while model.body_parent[body]:
-        body = int(model.body_parent[body])
-    return body
 
 
 def _without_armature(model: Model) -> Iterator[Finding]:

@@ -21,11 +21,13 @@ LEFT = 0.1
 
 def about_actuators(model: Model, watch: Watch) -> Iterator[Finding]:
     """All findings on the actuators of a run."""
-    weak = set()
+    told = set()
     for servo in watch.actuators.at_rest():
-        finding = _sags(model, servo)
+        # One that presses against a thing or a limit is meant to, and may be saturated.
+        finding = _sags(model, servo) if servo.loaded else None
+        if finding is not None or not servo.loaded:
+            told.add(servo.actuator)
         if finding is not None:
-            weak.add(servo.actuator)
             yield finding
     for clamped in watch.actuators.clamped():
         if clamped.share < CLAMPED:
@@ -44,7 +46,7 @@ def about_actuators(model: Model, watch: Watch) -> Iterator[Finding]:
         )
     servos = set(watch.actuators.servos.tolist())
     for one in watch.actuators.saturated():
-        if one.share < SATURATED or one.actuator in weak or one.actuator not in servos:
+        if one.share < SATURATED or one.actuator in told or one.actuator not in servos:
             continue
         name = model.element_name("actuator", one.actuator)
         yield Finding(

@@ -57,7 +57,7 @@ def _jammed(
     found: dict[int, Resting] = {}
     for start in starts:
         one, geoms = rest.get(start.pair), model.pair_geoms[start.pair].tolist()
-        roots = {_root(model, int(model.geom_body[g])) for g in geoms}
+        roots = {model.root(int(model.geom_body[g])) for g in geoms}
         deep = JAMMED * sizes.contact(*geoms)
         if one is not None and len(roots) == 1 and min(start.depth, one.depth) > deep:
             found.setdefault(one.pair, one)
@@ -119,20 +119,12 @@ def _pair(contact: str) -> str:
 def _apart(model: Model, overlap: Overlap) -> str:
     """How two geoms come apart: other positions, or no contact between the two bodies."""
     bodies = [int(model.geom_body[g]) for g in model.pair_geoms[overlap.pair]]
-    tree = [_root(model, b) for b in bodies]
+    tree = [model.root(b) for b in bodies]
     if tree[0] == tree[1] and tree[0]:
         a, b = (model.body_names[body] or "…" for body in bodies)
         return f'leave them out with <exclude body1="{a}" body2="{b}"/>, or make the geoms smaller'
     mover = model.element_name("body", bodies[1] if tree[1] else bodies[0])
     return f"move {mover} away by that much in the model or in the keyframe"
-
-
-def _root(model: Model, body: int) -> int:
-    """The tree of a body: its first ancestor below the world; 0 is the world."""
-    parents = model.body_parent
-    while body and parents[body]:
-        body = int(parents[body])
-    return body
 
 
 def _creeps(model: Model, watch: Watch, sizes: Sizes) -> Iterator[Finding]:
