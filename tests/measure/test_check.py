@@ -311,6 +311,15 @@ def test_the_motion_is_the_users():
     assert the(text, "clamped control", control=lambda time, sim: [9.0]).element == "motor `m`"
 
 
+@pytest.mark.parametrize(("dt", "horizon"), [(2.0, 2.0), (1e-3, 1.0), (1e-300, None)])
+def test_the_run_takes_seconds_whatever_the_step(dt, horizon):
+    result = checked(arm('damping="1"', option=f'timestep="{dt}"'), horizon=None)
+    if horizon is None:
+        assert result.motion.horizon <= 200_000 * dt
+    else:
+        assert result.motion.horizon == pytest.approx(horizon)
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

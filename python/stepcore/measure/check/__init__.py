@@ -37,6 +37,8 @@ __all__ = ["Check", "check"]
 
 # Control periods of the run where nothing sets them.
 PERIODS = 100
+# The most steps of the run where nobody says how long it is: some seconds of computing.
+MOST = 200_000
 # Of the text of a failure.
 SENTENCES = 2
 # What a length in "0.1%" is a share of has no meaning here.
@@ -64,7 +66,7 @@ def check(
     model: a Model, a Scene, or the path of an MJCF file (or "package:name").
     motion: the `Motion` that is run; or write its fields as arguments, except `starts`, because
         there is one start. Without controls those of the keyframe are held (zero without one).
-        The horizon is 1 s by default.
+        The horizon is 1 s by default, or 200,000 steps if that is shorter.
     depth: at which contacts are wanted to rest, a length such as 1e-4 or "0.1mm"; the result then
         names the solref that gives it, wherever contacts rest deeper.
     threads: the number of integrators diagnosed at the same time (default: one per core).
@@ -95,7 +97,8 @@ def check(
     )
     wanted = None if depth is None else units.length("check", "depth", depth, NO_SIZE)
     compiled, motion = setup.model, setup.motion
-    horizon = motion.horizon or max(HORIZON, compiled.settings.dt)
+    dt = compiled.settings.dt
+    horizon = motion.horizon or max(dt, min(HORIZON, MOST * dt))
     schedule = _schedule(compiled, motion, horizon)
     failure, seen = _watched(compiled, schedule, wanted)
     if motion.ctrl is None and motion.control is None and not compiled.keys:
@@ -123,7 +126,8 @@ def _schedule(model: Model, motion: Motion, horizon: float) -> Schedule:
     if motion.ctrl is None and motion.control is None and model.nu:
         held = home(model, motion.key)[1]
         motion = dataclasses.replace(motion, ctrl=held[None, :])
-    period = motion.period(dt) or dt * max(1, round(horizon / PERIODS / dt))
+    steps = round(min(horizon / PERIODS / dt, MOST))
+    period = motion.period(dt) or dt * max(1, steps)
     return scheduled(motion, model, min(period, max(horizon, dt)), starts=1, horizon=horizon)
 
 
