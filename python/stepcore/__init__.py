@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from stepcore import lesson as lesson
     from stepcore import reference as reference
+    from stepcore._core import EnergyWarning as EnergyWarning
     from stepcore._core import Settings as Settings
     from stepcore._core import SimulationError as SimulationError
     from stepcore.engine.batch import Batch as Batch
@@ -87,6 +88,7 @@ if TYPE_CHECKING:
 # block above; a test compares the two.
 _MODULES = {
     "stepcore._core": (
+        "EnergyWarning",
         "Settings",
         "SimulationError",
     ),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from stepcore.engine.replay import Replay
 from stepcore.engine.settings_fields import SettingsFields
 
-__all__ = ["Batch", "Model", "Settings", "Sim", "SimulationError", "compile"]
+__all__ = ["Batch", "EnergyWarning", "Model", "Settings", "Sim", "SimulationError", "compile"]
 
 _Floats = NDArray[np.float64]
 # Kind, index, part; part -1 is the whole element.
@@ -20,6 +20,13 @@ _Acceleration = Literal["none", "momentum"]
 _Precision = Literal["f32", "f64"]
 _Law = Literal["solref", "lesson", "relaxed", "rigid", "penalty"]
 _Cone = Literal["pyramidal", "elliptic"]
+
+class EnergyWarning(UserWarning):
+    """Without the setting `ledger`: a Sim has far more energy than its scene can have gained.
+
+    The text says by which step, which element it came from and which dt would have been stable.
+    The run goes on. It is said once a Sim: its energies are not looked at after that.
+    """
 
 class SimulationError(RuntimeError):
     """The motion stopped being finite, or (with `ledger`) has more energy than it can have.
@@ -219,6 +226,9 @@ class Sim:
     def step(self, n: int) -> None: ...
     def balance(self) -> None:
         """Balances the ledger at the present state."""
+
+    def unwatch(self) -> None:
+        """Energies are not looked at any more, but by the ledger of the settings."""
 
     def taped_step(self) -> tuple[float, float, list[tuple[_Element, float]]]:
         """Steps once: kinetic and spring energy before and after; energy that elements injected."""

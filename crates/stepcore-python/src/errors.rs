@@ -1,6 +1,6 @@
 //! One map from the engine's errors to Python's.
 
-use pyo3::exceptions::{PyBaseException, PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyBaseException, PyRuntimeError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use stepcore::arrays::Given;
@@ -26,6 +26,15 @@ pyo3::create_exception!(
      last steps, by name; share_ids: the (kind, index, part) of each; growth: rate at which the\n\
      energy grew [1/s], or None; stable_dt: a step that would have been stable [s], or None;\n\
      replay: a `stepcore.Replay` of the failure."
+);
+
+pyo3::create_exception!(
+    stepcore,
+    EnergyWarning,
+    PyUserWarning,
+    "Without the setting ledger: a Sim has far more energy than its scene can have gained.\n\n\
+     The text says by which step, which element it came from and which dt would have been stable.\n\
+     The run goes on. It is said once a Sim: its energies are not looked at after that."
 );
 
 /// Whatever the engine refuses is raised in Python.

@@ -27,7 +27,7 @@ mod _core {
     #[pymodule_export]
     use super::batch::Batch;
     #[pymodule_export]
-    use super::errors::SimulationError;
+    use super::errors::{EnergyWarning, SimulationError};
     #[pymodule_export]
     use super::model::{compile, Model};
     #[pymodule_export]

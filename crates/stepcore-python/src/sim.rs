@@ -1,6 +1,7 @@
 //! `Sim` as Python sees it: one world, its arrays, and what can be read of it.
 
 use std::collections::BTreeMap;
+use std::ffi::CString;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use numpy::PyArrayDyn;
@@ -12,7 +13,7 @@ use stepcore::model::Model as EngineModel;
 use stepcore::real::Stage;
 
 use crate::element::{id, Id};
-use crate::errors::Raised;
+use crate::errors::{EnergyWarning, Raised};
 use crate::extract::{At, Read};
 use crate::gil;
 use crate::memory::Arrays;
@@ -55,6 +56,15 @@ pub fn check_body(model: &EngineModel, body: usize) -> PyResult<()> {
         return Ok(());
     }
     Err(PyValueError::new_err(format!("body = {body}: must be below {count}")))
+}
+
+/// Says what there is to say of a world's energies.
+fn warn(py: Python<'_>, world: &mut dyn World) -> PyResult<()> {
+    let Some(text) = world.take_warning() else { return Ok(()) };
+    // Names of a scene may hold a zero byte.
+    let text = CString::new(text.replace('\0', "")).unwrap_or_default();
+    // Python's own caller of `Sim.step`.
+    PyErr::warn(py, &py.get_type::<EnergyWarning>(), &text, 2)
 }
 
 /// One world.
@@ -141,7 +151,14 @@ impl Sim {
             outcome = gil::release(py, || world.balance_at_end(n));
         }
         self.store(py, world);
-        outcome
+        outcome?;
+        warn(py, world)
+    }
+
+    /// Energies are not looked at, but by the ledger of the settings.
+    fn unwatch(&self) -> PyResult<()> {
+        self.lock()?.unwatch();
+        Ok(())
     }
 
     /// Balances the ledger at the present state.
@@ -151,7 +168,8 @@ impl Sim {
         self.load(py, world)?;
         let outcome = gil::release(py, || world.balance_at_end(u64::MAX));
         self.store(py, world);
-        outcome
+        outcome?;
+        warn(py, world)
     }
 
     /// Steps once; returns the kinetic and spring energy before and after, and the energy that

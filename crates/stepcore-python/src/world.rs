@@ -96,6 +96,10 @@ pub trait World: Send {
     /// A call of so many steps ends: balances the ledger if they are enough.
     fn balance_at_end(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
+    /// What is to be said of energies, once; see `Watched::take_warning`.
+    fn take_warning(&mut self) -> Option<String>;
+    /// Energies are not looked at, but by the ledger of the settings.
+    fn unwatch(&mut self);
     /// Steps once, and says how much energy each element injected.
     fn taped_step(&mut self) -> Result<StepGains>;
     /// Time of the state, and time step [s].
@@ -177,6 +181,12 @@ impl<R: Real> World for One<R> {
     }
     fn forward(&mut self) -> Result<()> {
         self.watched.forward()
+    }
+    fn take_warning(&mut self) -> Option<String> {
+        self.watched.take_warning()
+    }
+    fn unwatch(&mut self) {
+        self.watched.unwatch();
     }
     fn taped_step(&mut self) -> Result<StepGains> {
         self.watched.taped_step(0)

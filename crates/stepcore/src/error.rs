@@ -74,6 +74,17 @@ impl fmt::Display for Error {
     }
 }
 
+impl Divergence {
+    /// The same where the run goes on.
+    pub(crate) fn warning(&self) -> String {
+        let post = self.post.as_ref().map_or(String::new(), ToString::to_string);
+        format!(
+            "by step {} at time {:.6} s {}.{post} The run goes on; with ledger=True it ends here.",
+            self.step, self.time, self.fault
+        )
+    }
+}
+
 impl fmt::Display for Divergence {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "diverged in step {} at time {:.6} s: {}", self.step, self.time, self.fault)?;

@@ -51,6 +51,8 @@ pub struct PostMortem {
     pub steps: u64,
     /// The element that the failure came from, if one stands out.
     pub element: Option<Named>,
+    /// The element is a servo that was at the bounds of its force, and not the first of `shares`.
+    pub saturated: bool,
     /// Each element's share of the energy injected, the largest first.
     pub shares: Vec<(Named, f64)>,
     /// The step from which the energy grew.
@@ -68,11 +70,21 @@ impl fmt::Display for PostMortem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.element {
             None => write!(f, " No single element stands out")?,
-            Some(element) => write!(f, " The cause is {element}")?,
+            Some(element) => write!(f, " The cause is {}{element}", element.article())?,
+        }
+        if self.saturated {
+            write!(f, ", which was at the bounds of its force: it does not damp there")?;
         }
         let mut shares = self.shares.iter().map(|(element, share)| (element, 100.0 * share));
-        if let Some((_, percent)) = shares.next() {
-            write!(f, ", the source of {percent:.0} % of the energy injected ")?;
+        if let Some((first, percent)) = shares.next() {
+            match self.saturated {
+                false => write!(f, ", the source of {percent:.0} % of the energy injected ")?,
+                true => write!(
+                    f,
+                    ". Through {}{first} came {percent:.0} % of the energy injected ",
+                    first.article()
+                )?,
+            }
             match self.since {
                 None => write!(f, "in the last steps")?,
                 Some(step) => write!(f, "since step {step}")?,

@@ -149,6 +149,15 @@ impl<R: Real> Sim<R> {
         Fault::NotFinite { quantity, joint: self.model.named(joint) }
     }
 
+    /// Nothing is known of a solve any more.
+    pub(crate) fn clear_solve(&mut self) {
+        self.rows.clear();
+        self.detected.contacts.clear();
+        self.placed.actuator.fill(R::zero());
+        self.qacc.fill(R::zero());
+        self.velocity.copy_from_slice(&self.state.qvel);
+    }
+
     /// Memory of the state and of all working space [bytes]; the model is not in it.
     pub fn bytes(&self) -> usize {
         size_of::<Self>() + self.room()

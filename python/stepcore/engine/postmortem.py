@@ -147,6 +147,7 @@ def run_again(failure: Replay) -> PostMortem:
     settings = failure.settings.replace(ledger=False)
     model = _core.compile(failure.scene)
     sim = _core.Sim(model, settings)
+    sim.unwatch()
     sim.restore(failure.state)
     changes = {step: arrays for step, *arrays in failure.inputs}
     time, energy, steps = [], [], []

@@ -94,7 +94,8 @@ class Sim(Stepped):
 
         Raises ValueError if a state or input is not finite; nothing is stepped then. Raises
         SimulationError if the motion stops being finite or, with the setting ``ledger``, has more
-        energy than it can have; the last finite state is kept. Ctrl-C is noticed between steps.
+        energy than it can have; the last finite state is kept. Without ``ledger`` it warns once
+        (`EnergyWarning`) of energy that is far beyond that. Ctrl-C is noticed between steps.
         """
         try:
             self._core.step(n)
@@ -331,6 +332,12 @@ class Sim(Stepped):
         scene = self._model.scene.name
         name = f' of "{scene}"' if scene else ""
         return f"<Sim{name}: time {self.time:g} s; {self.settings!r}>"
+
+
+def unwatched(sim: Sim) -> Sim:
+    """The Sim, which never warns (`EnergyWarning`): for those who judge its motion themselves."""
+    sim._core.unwatch()
+    return sim
 
 
 def _restored(model: Model, state: bytes) -> Sim:

@@ -10,7 +10,7 @@ import numpy as np
 from stepcore._core import Settings, SimulationError
 from stepcore.checks import one_line
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.executors import checkpoint
 from stepcore.experiment.bodies import Bodies
 from stepcore.experiment.control import ControlError, controls
@@ -108,7 +108,7 @@ class Runner:
 
     def sim(self, settings: Settings) -> Any:
         """A Sim of the model under these settings."""
-        return Sim(self.model, settings)
+        return unwatched(Sim(self.model, settings))
 
     def place(self, sim: Any, start: int) -> None:
         """Puts a Sim at a start of the schedule, at time 0, nothing warm."""

@@ -44,9 +44,9 @@ def maker(engine: str) -> Make:
     """A function that makes a Sim of a scene at its key "start", on "rust" or "numpy"."""
 
     def rust(scene: Scene) -> Any:
-        from stepcore.engine.sim import Sim
+        from stepcore.engine.sim import Sim, unwatched
 
-        return Sim(scene.compile())
+        return unwatched(Sim(scene.compile()))
 
     def numpy(scene: Scene) -> Any:
         from stepcore.reference import Sim

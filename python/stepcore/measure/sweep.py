@@ -12,7 +12,7 @@ from typing import Any
 from stepcore import checks
 from stepcore._core import SimulationError
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.setup import Source
 from stepcore.experiment.workers import Workers
 from stepcore.loading import find_model
@@ -116,6 +116,6 @@ def _made(source: Any, point: dict[str, Any]) -> Any:
     if isinstance(source, Model):
         values = {name: value for name, value in point.items() if _is_value(name)}
         settings = {name: value for name, value in point.items() if not _is_value(name)}
-        return Sim(source.with_values(values) if values else source, **settings)
+        return unwatched(Sim(source.with_values(values) if values else source, **settings))
     made = source(**point)
-    return Sim(made) if isinstance(made, (Model, Scene)) else made
+    return unwatched(Sim(made)) if isinstance(made, (Model, Scene)) else made

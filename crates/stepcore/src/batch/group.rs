@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::Real;
 use crate::state::{Inputs, State};
-use crate::watch::{Ledger, Watched};
+use crate::watch::{Care, Ledger, Watched};
 
 /// What the last solve of the worlds belonged to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,7 +49,7 @@ impl<R: Real> Group<R> {
             failed: None,
             standing: Standing::new(worlds),
             ended: vec![false; R::LANES],
-            ledger: ledger.then(|| Box::new(Ledger::new(model))),
+            ledger: ledger.then(|| Box::new(Ledger::new(model, Care::Full))),
         }
     }
 

@@ -131,6 +131,8 @@ impl<R: Real> Sim<R> {
             self.next.qvel[k] = kept.with_slopes_of(open.not(), || new);
             miss = R::select(change.is_finite(), miss.max(change.abs()), change);
         }
-        R::select(scale.gt(R::zero()), miss / scale, miss)
+        // Below this, rounding is no longer in proportion.
+        let least = R::of(if R::EPSILON > f64::EPSILON { 1e-30 } else { 1e-290 });
+        R::select(scale.gt(R::zero()), miss / scale.max(least), miss)
     }
 }

@@ -108,6 +108,37 @@ pub(crate) fn stored_under<R: Real>(model: &Model, index: usize, qpos: &[R], ctr
     R::select(force.lt(R::of(lo)), beyond(lo), high)
 }
 
+impl Model {
+    /// Servos whose force is bounded. Where it reaches its bound they do not damp, and swing about
+    /// their target with all the energy that the bound gives.
+    pub(crate) fn bounded_servos(&self) -> impl Iterator<Item = usize> + '_ {
+        let bounded = |a: &scene::Actuator| a.feeds_back() && a.forcerange.is_some();
+        let all = self.actuators.iter().enumerate();
+        all.filter(move |(_, actuator)| bounded(actuator)).map(|(index, _)| index)
+    }
+}
+
+/// The force of a servo is at its bound.
+pub(crate) fn saturated<R: Real>(now: &Moment<R>, index: usize) -> R::Mask {
+    let tension = now.frames.tension[index];
+    let range = now.model.actuators[index].forcerange;
+    range.map_or(R::Mask::of(false), |[lo, hi]| tension.le(R::of(lo)).or(R::of(hi).le(tension)))
+}
+
+/// What a servo may put in beyond its `power`, for all of its force to count as driving [W].
+pub(crate) fn power_beyond<R: Real>(
+    now: &Moment<R>,
+    index: usize,
+    velocity: &impl Fn(usize) -> R,
+) -> R {
+    let (mut usual, mut whole) = (R::zero(), R::zero());
+    Actuator::power(now, index, velocity, &mut |part| usual += part);
+    let tension = now.frames.tension[index];
+    let along = now.model.actuators[index].transmission();
+    along.arms(now.model, now.qpos, |dof, arm: R| whole += tension * (arm * velocity(dof)));
+    whole.max(R::zero()) + (-usual).max(R::zero())
+}
+
 impl Forces for Actuator {
     const KIND: Kind = Kind::Actuator;
     const GROUP: Group = Group::Driven;

@@ -24,6 +24,11 @@ impl Forces for JointForce {
         }
     }
 
+    #[inline(always)]
+    fn powers<R: Real>(now: &Moment<R>) -> bool {
+        now.inputs.applied()
+    }
+
     fn power<R: Real>(
         now: &Moment<R>,
         joint: usize,
@@ -71,6 +76,11 @@ impl Forces for BodyForce {
                 }
             }
         }
+    }
+
+    #[inline(always)]
+    fn powers<R: Real>(now: &Moment<R>) -> bool {
+        now.inputs.applied()
     }
 
     fn power<R: Real>(

@@ -83,6 +83,12 @@ pub(crate) trait Forces {
     #[inline(always)]
     fn stored<R: Real>(_: &Moment<R>, _index: usize, _add: &mut impl FnMut(R)) {}
 
+    /// Whether any of them can put power in.
+    #[inline(always)]
+    fn powers<R: Real>(_: &Moment<R>) -> bool {
+        true
+    }
+
     /// Calls `add` for every part of the power that one element puts in from outside while
     /// dofs move at `velocity` [W].
     #[inline(always)]

@@ -79,8 +79,10 @@ macro_rules! forces {
         /// Power that comes from outside while dofs move at `velocity` [W].
         pub(crate) fn power<R: Real>(now: &Moment<R>, velocity: impl Fn(usize) -> R) -> R {
             let mut power = R::zero();
-            $(for index in 0..$kind::count(now.model) {
-                $kind::power(now, index, &velocity, &mut |part| power += part);
+            $(if $kind::powers(now) {
+                for index in 0..$kind::count(now.model) {
+                    $kind::power(now, index, &velocity, &mut |part| power += part);
+                }
             })+
             power
         }

@@ -12,6 +12,23 @@ pub struct Named {
     pub name: String,
 }
 
+impl Named {
+    /// What stands before its name in a sentence: "the spring of joint `knee`", "servo `grip`".
+    pub fn article(&self) -> &'static str {
+        match self.element.kind {
+            Kind::Spring
+            | Kind::Damper
+            | Kind::FrictionLoss
+            | Kind::Limit
+            | Kind::Inertia
+            | Kind::JointForce
+            | Kind::BodyForce
+            | Kind::Contact => "the ",
+            _ => "",
+        }
+    }
+}
+
 impl fmt::Display for Named {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.name)

@@ -15,7 +15,7 @@ mod watched;
 
 pub use count::Counter;
 pub use energy::Energy;
-pub(crate) use ledger::Ledger;
+pub(crate) use ledger::{Care, Ledger};
 pub use linearize::Linearizer;
 pub use readout::Coupling;
 pub use tape::StepGains;

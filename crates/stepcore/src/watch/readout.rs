@@ -59,6 +59,9 @@ impl<R: Real> Sim<R> {
     pub fn constraint_force(&self, lane: usize) -> Vec<f64> {
         let model = &*self.model;
         let mut force = vec![R::zero(); model.nv];
+        if !self.rows.any() {
+            return vec![0.0; model.nv];
+        }
         for (_, row) in self.live_rows(lane) {
             let dofs = row.dofs.of(&model.dof_lists);
             for (k, y) in dofs.iter().zip(&self.rows.y[row.y..]) {

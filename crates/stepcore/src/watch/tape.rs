@@ -7,8 +7,9 @@
 //! contact): zero in an exact motion, negative where it dissipates. What is left of ΔE in a
 //! tree is the integrator's own, charged to the tree's inertial forces, which exactly do none.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
+use crate::elements::actuator::saturated;
 use crate::elements::force::Group;
 use crate::elements::forces::{each, slopes, stored};
 use crate::elements::{penalty, Element, Kind};
@@ -25,6 +26,8 @@ pub struct Tape {
     impulses: BTreeMap<Element, Vec<f64>>,
     /// Of the bias forces, by dof.
     bias: Vec<f64>,
+    /// Servos whose force was at its bound.
+    saturated: BTreeSet<Element>,
 }
 
 /// One step: the energy that every element injected [J], and the energies before and after.
@@ -34,6 +37,8 @@ pub struct StepGains {
     /// Kinetic and stored energy, gravity's left out [J].
     pub before: f64,
     pub after: f64,
+    /// Servos whose force was at its bound.
+    pub saturated: BTreeSet<Element>,
 }
 
 /// Energies at a state: kinetic by tree, stored by element, and what gravity has.
@@ -56,7 +61,8 @@ impl Levels {
 
 impl Tape {
     fn new(lane: usize, nv: usize) -> Self {
-        Self { lane, impulses: BTreeMap::new(), bias: vec![0.0; nv] }
+        let (impulses, saturated) = (BTreeMap::new(), BTreeSet::new());
+        Self { lane, impulses, bias: vec![0.0; nv], saturated }
     }
 
     /// Adds a part of an element's impulse on one dof.
@@ -89,10 +95,10 @@ pub(crate) fn taped<R: Real>(
             tape.add(element, k, more);
         });
     }
-    let Tape { impulses, bias, .. } = tape;
+    let Tape { impulses, bias, saturated, .. } = tape;
     let after = sim.levels(lane);
     let mean: Vec<f64> = v0.iter().zip(&v1).map(|(a, b)| 0.5 * (a + b)).collect();
-    Ok(gains(&model, &impulses, &bias, &mean, &before, &after))
+    Ok(StepGains { saturated, ..gains(&model, &impulses, &bias, &mean, &before, &after) })
 }
 
 /// The generalised force of every element that pushes at the state of the last solve, in one
@@ -158,9 +164,11 @@ impl<R: Real> Observer<R> for Tape {
         for (sum, bias) in self.bias.iter_mut().zip(&sim.placed.bias) {
             *sum -= share * bias.lane(lane);
         }
-        each(&sim.moment(at), |element, dof, force| {
-            self.add(element, dof, share * force.lane(lane))
-        });
+        let now = sim.moment(at);
+        each(&now, |element, dof, force| self.add(element, dof, share * force.lane(lane)));
+        let servos = sim.model.bounded_servos();
+        let saturated = servos.filter(|index| saturated(&now, *index).lane(lane));
+        self.saturated.extend(saturated.map(|index| Element::whole(Kind::Actuator, index)));
     }
 
     /// Adds the impulses of rows and penalty contacts.
@@ -245,5 +253,6 @@ fn gains(
         let joint = model.dofs[most.unwrap_or(tree.dofs.start)].joint;
         *gains.entry(Element::whole(Kind::Inertia, joint)).or_insert(0.0) += left;
     }
-    StepGains { gains, before: before.circulating(), after: after.circulating() }
+    let (before, after) = (before.circulating(), after.circulating());
+    StepGains { gains, before, after, saturated: BTreeSet::new() }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::ledger::Ledger;
+use super::ledger::{Care, Ledger};
 use super::past::Past;
 use super::post_mortem::{look_into, Run};
 use super::tape::{element_forces, taped, StepGains, Tape};
@@ -49,9 +49,10 @@ impl<R: Real> Watched<R> {
     }
 
     pub fn around(sim: Sim<R>) -> Self {
+        let care = if sim.settings.ledger { Care::Full } else { Care::Least };
         Self {
             past: Past::new(&sim.model),
-            ledger: sim.settings.ledger.then(|| Box::new(Ledger::new(&sim.model))),
+            ledger: Some(Box::new(Ledger::new(&sim.model, care))),
             others: Others { copies: 0, worlds: 1 },
             failed: false,
             sim,
@@ -117,7 +118,11 @@ impl<R: Real> Watched<R> {
 
     /// Place, detect and solve at the present state. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
-        self.sim.forward().map_err(|error| self.explained(error))
+        let outcome = self.sim.forward().map_err(|error| self.explained(error));
+        if outcome.is_err() {
+            self.sim.clear_solve();
+        }
+        outcome
     }
 
     /// At the end of a call of `n` steps, in however many portions these were made: balances
@@ -132,10 +137,32 @@ impl<R: Real> Watched<R> {
         outcome.map_err(|error| self.failed(error))
     }
 
+    /// Without `Settings::ledger`: that more energy was gained than can be, and where from. It is
+    /// said once, and nothing is looked for after that.
+    pub fn take_warning(&mut self) -> Option<String> {
+        let said = self.ledger.as_mut()?.take_said()?;
+        self.unwatch();
+        Some(said.warning())
+    }
+
+    /// Without `Settings::ledger`, energies are not looked at any more.
+    pub fn unwatch(&mut self) {
+        if !self.sim.settings.ledger {
+            self.ledger = None;
+        }
+    }
+
     /// A step failed.
     fn failed(&mut self, error: Error) -> Error {
         self.failed = true;
-        self.explained(error)
+        let error = self.explained(error);
+        // What was solved last led nowhere: what can be read is that of the last finite state.
+        let effort = self.sim.effort;
+        if self.sim.forward().is_err() {
+            self.sim.clear_solve();
+        }
+        self.sim.effort = effort;
+        error
     }
 
     /// These are the impulses of the last step that went well.
@@ -159,7 +186,7 @@ impl<R: Real> Watched<R> {
                 let first = (0..R::LANES).find(|lane| self.is_world(*lane));
                 divergence.world = first.unwrap_or(divergence.world);
             }
-            let ledger = self.ledger.as_deref();
+            let ledger = self.ledger.as_deref().filter(|_| self.sim.settings.ledger);
             let run = Run { sim: &self.sim, past: &self.past, ledger, worlds: self.others.worlds };
             *divergence = run.explain(*divergence);
         }
@@ -213,7 +240,7 @@ fn suspect<R: Real>(
     if !others.is_world(lane) {
         return Ok(());
     }
-    look_into(ledger, sim, past, others.worlds, lane, gained)
+    look_into(ledger, sim, past, others.worlds, lane, gained).or_else(|error| ledger.heard(error))
 }
 
 /// Why the next step of an accompanying copy failed: the same step in plain numbers says.

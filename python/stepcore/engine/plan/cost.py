@@ -12,7 +12,7 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.features import Removal, without
 from stepcore.engine.plan.result import PlanEntry
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 
 if TYPE_CHECKING:
     from stepcore.engine.model import Model
@@ -27,12 +27,12 @@ class StepCost:
     def __init__(self, model: Model, sim: Sim | None, time: bool) -> None:
         checks.flag("plan", "time", time)
         self.model, self.time = model, time
-        self.whole = Sim(model)
+        self.whole = unwatched(Sim(model))
         self.at = "the initial pose"
         if sim is not None:
             if not isinstance(sim, Sim) or sim.model.core is not model.core:
                 raise checks.refuse("plan", "sim", sim, "a Sim of this model")
-            self.whole = Sim(model, sim.settings)
+            self.whole = unwatched(Sim(model, sim.settings))
             self.at = f"t = {sim.time:g} s"
         elif model.keys:
             self.whole.reset(key=0)
@@ -57,7 +57,7 @@ class StepCost:
         if removal is None or not entry.used:
             return entry
         scene = self.model.scene.with_settings(self.settings)
-        sim = Sim(without(scene, [removal]).compile())
+        sim = unwatched(Sim(without(scene, [removal]).compile()))
         self._place(sim)
         flops = self.flops - sim.count_flops()
         micros = None

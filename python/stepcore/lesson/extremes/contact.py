@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from stepcore._core import SimulationError
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.lesson import measure, scenes
 from stepcore.lesson.extremes.cells import (
     EPS,
@@ -63,7 +63,7 @@ def position_rounding(precision: str) -> float:
 def rest(dt: float, m: float, precision: str) -> Outcome:
     """A ball of m [kg] under the law `lesson`, at rest or on the way there."""
     scene = scenes.drop(m=m, dt=dt, softness=SOFTNESS, beta=BETA, precision=precision)
-    sim = Sim(scene.compile())
+    sim = unwatched(Sim(scene.compile()))
     sim.reset("start")
     depth, slow = SOFTNESS * m * G * dt**2 / BETA, 1 + SOFTNESS * m
     # It settles as (1 - 1/slow)^(n/2) or (1 - β)^n; where that takes too long, it starts at rest
@@ -80,7 +80,7 @@ def rest(dt: float, m: float, precision: str) -> Outcome:
 def penalty(dt: float, k: float, precision: str) -> Outcome:
     """1 kg on a floor spring k [N/m], put a thousandth off its rest."""
     settings = {"penalty_stiffness": k, "penalty_damping_ratio": DAMPING}
-    sim = Sim(scenes.drop("penalty", dt=dt, precision=precision, **settings).compile())
+    sim = unwatched(Sim(scenes.drop("penalty", dt=dt, precision=precision, **settings).compile()))
     depth, phase = G / k, math.sqrt(k) * dt
     stable = phase**2 + 4 * DAMPING * phase < 4
     ulp = position_rounding(precision)
@@ -117,7 +117,7 @@ def stack(row: tuple[float, int], ratio: float, precision: str) -> Outcome:
     """
     (dt, sweeps), bottom, top = row, 1.0, ratio
     settings = {"slop": 1e-4, "dt": dt, "precision": precision}
-    sim = Sim(scenes.stack(sweeps, "rigid", (bottom, top), **settings).compile())
+    sim = unwatched(Sim(scenes.stack(sweeps, "rigid", (bottom, top), **settings).compile()))
     # Overlaps within the slop, so that both rows exist and neither pushes apart.
     sim.qpos[:] = (-1e-5, -2e-5)
     sim.forward()

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from stepcore._core import SimulationError
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.lesson import scenes
 from stepcore.lesson.extremes.cells import (
     EPS,
@@ -54,7 +54,7 @@ def hold(mass: float, dt: float, sweeps: int, precision: str) -> Outcome:
     """The lesson's grasp of a cube of this mass [kg]."""
     scene = scenes.grasp(GRIP, dt=dt, sweeps=sweeps, tolerance=0.0, precision=precision)
     scene.geom("cube").mass = mass
-    sim = Sim(scene.compile())
+    sim = unwatched(Sim(scene.compile()))
     sim.reset("start")
     start = np.array(sim.qpos)
     try:

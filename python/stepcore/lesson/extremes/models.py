@@ -12,7 +12,7 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.engine.linear_maps import step_matrix
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.joint_gains import joint_dofs, joint_gains
 from stepcore.lesson.extremes.cells import (
     EPS,
@@ -73,7 +73,7 @@ def released(name: str, axis: str, dt: float, value: float, precision: str) -> O
             joint.stiffness, joint.springref = value, ANKLES.get(joint.name, 0.0)
     scene.options |= {"solver": "pgs", "integrator": "implicitfast", "tolerance": 0.0}
     scene.options |= {"dt": dt, "precision": precision, "sweeps": sweeps}
-    sim = Sim(scene.compile())
+    sim = unwatched(Sim(scene.compile()))
     for joint_name, angle in ANKLES.items() if name == "ant" else ():
         sim.joint(joint_name).qpos[...] = angle
     # Not quite at rest, so that an unstable motion has something to grow from.

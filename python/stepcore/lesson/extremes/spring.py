@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from functools import partial
 
 from stepcore._core import SimulationError
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.lesson import scenes
 from stepcore.lesson.extremes.cells import (
     EPS,
@@ -43,7 +43,9 @@ def drift_or_growth(
 ) -> Outcome:
     """One spring with 1 kg on it; its stiffness [N/m] is given itself or by ω dt."""
     k = stiffness[0] or (stiffness[1] / dt) ** 2
-    sim = Sim(scenes.spring(k, integrator=integrator, dt=dt, precision=precision).compile())
+    sim = unwatched(
+        Sim(scenes.spring(k, integrator=integrator, dt=dt, precision=precision).compile())
+    )
     sim.reset("start")
     phase = math.sqrt(k) * dt
     if integrator == "semi-implicit" and phase > 2:

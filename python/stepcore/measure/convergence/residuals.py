@@ -11,7 +11,7 @@ import numpy as np
 
 from stepcore._core import Settings
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.converged import converged_settings
 from stepcore.measure.convergence.theory import SweepTheory, speeds, theory
 
@@ -202,6 +202,6 @@ def _speed(sim: Sim) -> float:
 
 
 def _at(model: Model, settings: Settings, state: MotionState) -> Sim:
-    sim = Sim(model, settings)
+    sim = unwatched(Sim(model, settings))
     sim.restore(state.snapshot)
     return sim

@@ -19,7 +19,7 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.control import controls
 from stepcore.experiment.converged import converged_settings
 from stepcore.measure.diagnosis.element_id import ElementId, acting_elements, penalised_contacts
@@ -75,7 +75,7 @@ def state_of(sim: Sim, label: str, time: float) -> State:
 
 def sim_at(model: Model, state: State, **settings: Any) -> Sim:
     """A Sim in this state, with some settings of its own."""
-    sim = Sim(model.with_settings(**settings))
+    sim = unwatched(Sim(model.with_settings(**settings)))
     sim.qpos[:], sim.qvel[:], sim.ctrl[:] = state.qpos, state.qvel, state.ctrl
     return sim
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.coordinates import Coordinates
 
 # The explicit step, linear in dt, from which the acceleration's derivative is read [s].
@@ -55,7 +55,7 @@ def midpoint_map(sim: Sim) -> tuple[Floats, Floats]:
 
 def _at(sim: Sim, qpos: Floats, qvel: Floats, **settings: Any) -> Sim:
     """A Sim of the same model and controls in this state."""
-    moved = Sim(sim.model.with_settings(**settings))
+    moved = unwatched(Sim(sim.model.with_settings(**settings)))
     moved.qpos[:], moved.qvel[:], moved.ctrl[:] = qpos, qvel, sim.ctrl
     return moved
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.executors import steps
 from stepcore.experiment.converged import converged_settings
 from stepcore.experiment.workers import Workers
@@ -177,7 +177,7 @@ def points_at(motion: CellMotion, model: Model, dt: float, times: np.ndarray) ->
 
     Between steps the error is at most dt²/8 of the acceleration; halving shows it with the rest.
     """
-    sim = Sim(model, dt=dt)
+    sim = unwatched(Sim(model, dt=dt))
     motion.begin(sim)
     points = BodyPoints(model)
     done, here = 0, points.at(sim)

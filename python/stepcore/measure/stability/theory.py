@@ -10,7 +10,7 @@ import numpy as np
 
 from stepcore.engine.linear_maps import step_matrix
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.joint_gains import implicit_kinds, joint_dofs, joint_gains
 
 # A larger radius counts as growth: rounding moves a double eigenvalue by its square root.
@@ -63,7 +63,7 @@ def limit_of(model: Model, key: str | int | None, integrator: str) -> float | No
         implicit[at] += gain.damping * (gain.kind in hidden)
     if not (stiffness.any() or damping.any()):
         return None
-    sim = Sim(model)
+    sim = unwatched(Sim(model))
     sim.reset(key=key)
     parts = (np.diag(stiffness), np.diag(damping), np.diag(implicit))
     return limit(integrator, sim.mass_matrix(), *parts)

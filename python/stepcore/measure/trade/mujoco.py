@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.bodies import Bodies
 from stepcore.experiment.cost import TimedRun
 from stepcore.experiment.errors import Errors, errors, far_off, pareto
@@ -187,7 +187,7 @@ class MujocoRunner(Runner):
         super().__init__(model, schedule)
         self.theirs = theirs
         # What a control function is shown, in MuJoCo's state.
-        self.shown = Sim(model)
+        self.shown = unwatched(Sim(model))
 
     def sim(self, settings: Any) -> World:
         return World(self.theirs, settings)

@@ -45,12 +45,13 @@ pub(crate) struct Verdict {
 }
 
 impl Account {
-    pub fn open(level: &Level) -> Self {
+    /// A gain of `allowed` times the energy that circulates is not suspicious.
+    pub fn open(level: &Level, allowed: f64) -> Self {
         Self {
             paid: 0.0,
             least: level.moving + level.gravity + level.bent,
             scale: level.moving + level.bent,
-            allowed: 1.0,
+            allowed,
             throughput: 0.0,
         }
     }
@@ -65,7 +66,13 @@ impl Account {
         let gained = free - self.least;
         // What bent rows hold may be gained as well.
         let unearned = (free + level.bent - self.least).max(0.0);
-        self.scale = self.scale.max(level.moving + level.bent - unearned);
+        let earned = if unearned > 0.0 {
+            // moving + bent − unearned, but for rounding
+            self.least + self.paid - level.gravity
+        } else {
+            level.moving + level.bent
+        };
+        self.scale = self.scale.max(earned);
         self.least = self.least.min(free + level.bent);
         // A world at rest has nothing that circulates, and rounding all the same.
         let rounding = 1024.0 * R::EPSILON * (level.size + self.throughput);

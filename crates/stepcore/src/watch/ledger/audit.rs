@@ -1,6 +1,7 @@
 //! The present energies of every lane.
 
 use super::account::Level;
+use super::drive::Work;
 use crate::elements::force::Group;
 use crate::elements::forces::stored;
 use crate::elements::penalty;
@@ -12,7 +13,7 @@ use crate::solve::Block;
 impl<R: Real> Sim<R> {
     /// Places, detects and solves at the present state, as the next step will, and sums up.
     /// False if that failed: the step will say why.
-    pub(super) fn audit(&mut self, levels: &mut [Level]) -> bool {
+    pub(super) fn audit(&mut self, levels: &mut [Level], work: &Work<R>) -> bool {
         let (updates, most) = (self.effort.row_updates, self.effort.most_rows);
         let solved = self.place_detect_solve(At::State).is_ok();
         (self.effort.row_updates, self.effort.most_rows) = (updates, most);
@@ -30,7 +31,11 @@ impl<R: Real> Sim<R> {
         let now = self.moment(At::State);
         let mut moving = kinetic;
         for group in [Group::Passive, Group::Driven] {
-            stored(&now, group, |_, energy| moving += energy);
+            stored(&now, group, |element, energy| {
+                if !work.drives(element) {
+                    moving += energy;
+                }
+            });
         }
         if self.settings.law == Law::Penalty {
             for contact in &self.detected.contacts {

@@ -1,8 +1,10 @@
 //! What drives from outside: the work of motors and applied forces, and what moving the
 //! control of a servo puts into its spring. What is which, `elements/` says.
 
+use crate::elements::actuator::power_beyond;
 use crate::elements::force::{Group, Moment};
 use crate::elements::forces::{power, stored};
+use crate::elements::{Element, Kind};
 use crate::observer::Observer;
 use crate::real::Real;
 use crate::sim::{At, Sim};
@@ -13,36 +15,51 @@ pub(super) struct Work<R: Real> {
     pub done: R,
     /// Something can do work at all.
     pub counts: bool,
+    /// Servos, by actuator, of which all the force counts as driving, and that store nothing.
+    pub driving: Vec<usize>,
 }
 
-impl<R: Real> Default for Work<R> {
-    fn default() -> Self {
-        Self { done: R::zero(), counts: false }
+impl<R: Real> Work<R> {
+    pub fn new(driving: Vec<usize>) -> Self {
+        Self { done: R::zero(), counts: false, driving }
+    }
+
+    /// An element of which what it stores is none of the account's.
+    pub fn drives(&self, element: Element) -> bool {
+        element.kind == Kind::Actuator && self.driving.contains(&(element.index as usize))
     }
 }
 
 impl<R: Real> Observer<R> for Work<R> {
     fn committing(&mut self, sim: &Sim<R>) {
         if self.counts {
-            self.done += sim.driven();
+            self.done += sim.driven(&self.driving);
         }
     }
 }
 
 impl<R: Real> Sim<R> {
-    /// What all servos store under some controls.
-    pub(super) fn stored_in_servos(&self, inputs: &Inputs<R>) -> R {
+    /// What the servos of an account store under some controls.
+    pub(super) fn stored_in_servos(&self, inputs: &Inputs<R>, work: &Work<R>) -> R {
         let mut sum = R::zero();
         let now = Moment { inputs, ..self.moment(At::State) };
-        stored(&now, Group::Driven, |_, energy| sum += energy);
+        stored(&now, Group::Driven, |element, energy| {
+            if !work.drives(element) {
+                sum += energy;
+            }
+        });
         sum
     }
 
-    /// Work of motors and applied forces in the step from `state` to `next`: what they did on
-    /// the mean of both velocities.
-    fn driven(&self) -> R {
-        let half = R::of(0.5);
-        self.clock.dt
-            * power(&self.moment(At::State), |k| half * (self.state.qvel[k] + self.next.qvel[k]))
+    /// Work of motors, applied forces and some servos in the step from `state` to `next`: what
+    /// they did on the mean of both velocities.
+    fn driven(&self, servos: &[usize]) -> R {
+        let (now, half) = (self.moment(At::State), R::of(0.5));
+        let mean = |k: usize| half * (self.state.qvel[k] + self.next.qvel[k]);
+        let mut power = power(&now, mean);
+        for index in servos {
+            power += power_beyond(&now, *index, &mean);
+        }
+        self.clock.dt * power
     }
 }

@@ -12,7 +12,7 @@ mod drive;
 use account::{Account, Level, Verdict};
 use drive::Work;
 
-use crate::error::Result;
+use crate::error::{Divergence, Error, Result};
 use crate::model::Model;
 use crate::observer::Observer;
 use crate::real::Real;
@@ -26,6 +26,57 @@ const STRIDE: u64 = 64;
 /// A call of so many steps can afford to be balanced at its end; of so many, once an account.
 const LONG: u64 = 128;
 const SHORT: u64 = 8;
+
+/// How closely a ledger looks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Care {
+    /// `Settings::ledger`: every 64 steps, at any gain that cannot be.
+    Full,
+    /// Without it: for next to nothing, at gains that no healthy run has.
+    Least,
+}
+
+impl Care {
+    /// Steps to the next milestone, so many after the first.
+    fn stride(self, since: u64) -> u64 {
+        match self {
+            Self::Full => STRIDE,
+            Self::Least => since.clamp(STRIDE, 4 * STRIDE),
+        }
+    }
+
+    fn memory(self) -> usize {
+        match self {
+            Self::Full => MEMORY,
+            Self::Least => 3,
+        }
+    }
+
+    /// How many times the energy that circulates may be gained.
+    fn allowed(self) -> f64 {
+        match self {
+            Self::Full => 1.0,
+            Self::Least => 10.0,
+        }
+    }
+
+    /// Servos that count as driving: without a ledger, one that swings at the bounds of its
+    /// force, and goes on, is let go on.
+    fn driving(self, model: &Model) -> Vec<usize> {
+        match self {
+            Self::Full => Vec::new(),
+            Self::Least => model.bounded_servos().collect(),
+        }
+    }
+
+    /// A call of so many steps is balanced at its end; of so many, once an account.
+    fn calls(self) -> [u64; 2] {
+        match self {
+            Self::Full => [LONG, SHORT],
+            Self::Least => [4 * STRIDE, STRIDE],
+        }
+    }
+}
 
 /// A complete state, its inputs, and how these changed until the next one.
 pub(super) struct Milestone<R: Real> {
@@ -43,6 +94,9 @@ room!(Milestone<R>: gained, changes, numbers; state, inputs);
 
 /// What is kept of a world's energy while `Settings::ledger` is on.
 pub(crate) struct Ledger<R: Real> {
+    care: Care,
+    /// Steps at which the account was opened.
+    opened: u64,
     milestones: Vec<Milestone<R>>,
     /// The newest one, and how many there are.
     at: usize,
@@ -59,6 +113,8 @@ pub(crate) struct Ledger<R: Real> {
     expected: Option<(u64, f64)>,
     /// Balanced since it was opened.
     balanced: bool,
+    /// What the user has not been told yet; nothing more is looked for.
+    said: Option<Box<Divergence>>,
     /// Where a call's last state is looked at: what was solved last stays readable.
     aside: Option<Box<Sim<R>>>,
 }
@@ -66,7 +122,7 @@ pub(crate) struct Ledger<R: Real> {
 room!(Ledger<R>: accounts, levels, verdicts; milestones, seen, aside);
 
 impl<R: Real> Ledger<R> {
-    pub fn new(model: &Model) -> Self {
+    pub fn new(model: &Model, care: Care) -> Self {
         let milestone = || Milestone {
             state: State::new(model),
             inputs: Inputs::new(model),
@@ -75,16 +131,19 @@ impl<R: Real> Ledger<R> {
             numbers: Vec::new(),
         };
         Self {
-            milestones: (0..MEMORY).map(|_| milestone()).collect(),
+            care,
+            opened: 0,
+            milestones: (0..care.memory()).map(|_| milestone()).collect(),
             at: 0,
             len: 0,
             accounts: Vec::with_capacity(R::LANES),
             levels: vec![Level::default(); R::LANES],
             verdicts: vec![Verdict::default(); R::LANES],
-            work: Work::default(),
+            work: Work::new(care.driving(model)),
             seen: Inputs::new(model),
             expected: None,
             balanced: false,
+            said: None,
             aside: None,
         }
     }
@@ -92,6 +151,22 @@ impl<R: Real> Ledger<R> {
     /// The state at hand did not come from a step.
     pub fn forget(&mut self) {
         self.expected = None;
+    }
+
+    /// Under the least care a gain that cannot be is said, and the run goes on.
+    pub fn heard(&mut self, error: Error) -> Result<()> {
+        match (self.care, error) {
+            (Care::Least, Error::Diverged(divergence)) => {
+                self.said = Some(divergence);
+                Ok(())
+            }
+            (_, error) => Err(error),
+        }
+    }
+
+    /// What there is to say.
+    pub fn take_said(&mut self) -> Option<Box<Divergence>> {
+        self.said.take()
     }
 
     /// A lane became a copy of another.
@@ -110,14 +185,16 @@ impl<R: Real> Ledger<R> {
 
     /// Milestones, newest first.
     pub(super) fn newest_first(&self) -> impl Iterator<Item = &Milestone<R>> {
-        (0..self.len).map(|back| &self.milestones[(self.at + MEMORY - back) % MEMORY])
+        let memory = self.milestones.len();
+        (0..self.len).map(move |back| &self.milestones[(self.at + memory - back) % memory])
     }
 
     /// Makes the present state the newest milestone.
     fn keep(&mut self, state: &State<R>, inputs: &Inputs<R>) {
         // A new account starts in the room that the last one has filled.
-        self.at = if self.len == 0 { 0 } else { (self.at + 1) % MEMORY };
-        self.len = (self.len + 1).min(MEMORY);
+        let memory = self.milestones.len();
+        self.at = if self.len == 0 { 0 } else { (self.at + 1) % memory };
+        self.len = (self.len + 1).min(memory);
         let milestone = &mut self.milestones[self.at];
         state.copy_to(&mut milestone.state);
         inputs.copy_to(&mut milestone.inputs);
@@ -187,8 +264,8 @@ impl<R: Real> Ledger<R> {
     /// Writes the inputs down where they changed, and what a moved control put in.
     fn note_inputs(&mut self, sim: &Sim<R>) {
         if self.seen.ctrl != sim.inputs.ctrl {
-            self.work.done += sim.stored_in_servos(&sim.inputs);
-            self.work.done += -sim.stored_in_servos(&self.seen);
+            self.work.done += sim.stored_in_servos(&sim.inputs, &self.work);
+            self.work.done += -sim.stored_in_servos(&self.seen, &self.work);
         }
         let (new, old) = (sim.inputs.arrays(), self.seen.arrays());
         let changed = std::array::from_fn(|k| new[k] != old[k]);
@@ -211,20 +288,24 @@ impl<R: Real> Ledger<R> {
         sim: &mut Sim<R>,
         suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
     ) -> Result<u64> {
-        let newest = self.newest_first().next();
-        let since = newest.map_or(STRIDE, |newest| sim.state.steps - newest.state.steps);
-        if since < STRIDE {
-            return Ok(STRIDE - since);
+        if let Some(newest) = self.newest_first().next() {
+            let stride = self.care.stride(newest.state.steps - self.opened);
+            let since = sim.state.steps - newest.state.steps;
+            if since < stride {
+                return Ok(stride - since);
+            }
         }
-        if !sim.audit(&mut self.levels) {
+        if !sim.audit(&mut self.levels, &self.work) {
             return Ok(STRIDE);
         }
         let new = self.expected.is_none();
         self.expected = Some((sim.state.steps, sim.state.start));
         let mut outcome = Ok(());
         if new {
+            self.opened = sim.state.steps;
+            let allowed = self.care.allowed();
             self.accounts.clear();
-            self.accounts.extend(self.levels.iter().map(Account::open));
+            self.accounts.extend(self.levels.iter().map(|level| Account::open(level, allowed)));
             self.verdicts.fill(Verdict::default());
             self.balanced = false;
         } else {
@@ -237,7 +318,7 @@ impl<R: Real> Ledger<R> {
             // Whoever goes on from here opens a new account.
             self.forget();
         }
-        outcome.map(|()| STRIDE)
+        outcome.map(|()| self.care.stride(sim.state.steps - self.opened))
     }
 
     /// Judges every lane by the levels at hand.
@@ -253,7 +334,7 @@ impl<R: Real> Ledger<R> {
         }
         for lane in 0..R::LANES {
             let Verdict { gained, limit } = self.verdicts[lane];
-            if gained > limit {
+            if gained > limit && self.said.is_none() {
                 suspect(self, sim, lane, gained)?;
             }
         }
@@ -269,7 +350,8 @@ impl<R: Real> Ledger<R> {
         n: u64,
         suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
     ) -> Result<()> {
-        if n < LONG && (n < SHORT || self.balanced) {
+        let [long, short] = self.care.calls();
+        if n < long && (n < short || self.balanced) {
             return Ok(());
         }
         self.open(sim);
@@ -293,12 +375,12 @@ impl<R: Real> Ledger<R> {
         };
         sim.state.copy_to(&mut aside.state);
         sim.inputs.copy_to(&mut aside.inputs);
-        Ok(aside.audit(&mut self.levels))
+        Ok(aside.audit(&mut self.levels, &self.work))
     }
 
     /// Balances the account of a run that ended: what was gained, and what circulated [J].
     pub fn total(&mut self, sim: &mut Sim<R>, lane: usize) -> Option<[f64; 2]> {
-        sim.audit(&mut self.levels);
+        sim.audit(&mut self.levels, &self.work);
         let work = self.work.done.lane(lane);
         let account = self.accounts.get_mut(lane)?;
         let verdict = account.judge::<R>(&self.levels[lane], work);

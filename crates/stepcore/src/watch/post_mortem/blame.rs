@@ -54,8 +54,25 @@ impl<R: Real> Sim<R> {
                 .sum();
             entries.push((block.element.of_part(), strength));
         }
-        entries.retain(|(_, strength)| *strength != 0.0);
+        entries.retain(|(element, strength)| *strength != 0.0 && self.is_there(*element, lane));
         entries
+    }
+
+    /// Whether the scene and its inputs have such an element at all: what it has not makes no
+    /// number either where nothing does.
+    fn is_there(&self, element: Element, lane: usize) -> bool {
+        let (model, index) = (&self.model, element.index as usize);
+        let acts = |forces: &[R]| forces.iter().any(|force| force.lane(lane) != 0.0);
+        match element.kind {
+            Kind::Spring => model.joints[index].stiffness.iter().any(|k| *k != 0.0),
+            Kind::Damper => model.joints[index].damping.iter().any(|d| *d != 0.0),
+            Kind::JointForce => {
+                let joint = &model.joints[index];
+                acts(&self.inputs.qfrc_applied()[joint.dof..joint.dof + joint.dofs()])
+            }
+            Kind::BodyForce => acts(&self.inputs.xfrc_applied()[6 * index..6 * index + 6]),
+            _ => true,
+        }
     }
 }
 

@@ -81,6 +81,18 @@ pub(super) fn shares(entries: &[StepGains]) -> Vec<(Element, f64)> {
     shares
 }
 
+/// The servo whose force was at its bound in most of some steps, and in a share of them at
+/// least. It does not damp there, and what its force does in a step is large beside what it
+/// should: other forces then work over distances that are none of theirs, and seem to inject.
+pub(super) fn saturated(entries: &[StepGains], share: f64) -> Option<Element> {
+    let mut counts: BTreeMap<Element, usize> = BTreeMap::new();
+    for element in entries.iter().flat_map(|entry| &entry.saturated) {
+        *counts.entry(*element).or_insert(0) += 1;
+    }
+    let (element, count) = counts.into_iter().rev().max_by_key(|(_, count)| *count)?;
+    (count as f64 >= share * entries.len() as f64).then_some(element)
+}
+
 /// What ln E gains in a step: the mean of the later half of a stretch, after what it began
 /// with; of single steps the median.
 pub(super) fn growth(entries: &[StepGains], stretch: bool) -> Option<f64> {

@@ -8,13 +8,13 @@ mod segment;
 
 use blame::strongest;
 use budget::Budget;
-use injected::{feeding, growth, shares};
+use injected::{feeding, growth, saturated, shares};
 use segment::{Halved, Segment};
 
 use super::ledger::Ledger;
 use super::past::Past;
 use super::tape::{taped, StepGains};
-use crate::elements::Element;
+use crate::elements::{Element, Kind};
 use crate::error::{Divergence, Error, Fault, Result};
 use crate::post_mortem::{Held, PostMortem, Stable, Start};
 use crate::real::Real;
@@ -25,6 +25,8 @@ use crate::state::{Inputs, State};
 /// Without a ledger, trees up to this many dofs are looked into.
 const SMALL: usize = 12;
 
+/// The share of steps in which a servo at the bounds of its force is what inertia has to answer.
+const OUT_OF_HAND: f64 = 0.25;
 /// How often as long a rerun under law `penalty` goes on, for its contacts to come again.
 const AFTERWARDS: u32 = 7;
 
@@ -109,6 +111,14 @@ impl<R: Real> Run<'_, R> {
             Some((element, _)) => Some(*element),
             None => self.strongest(lane, was_well, &budget),
         };
+        // Gravity and inertia are innocent where a servo is out of hand, gravity always.
+        let seen = if window.is_empty() { &steps[..] } else { window };
+        let saturated = match element.map(|element| element.kind) {
+            Some(Kind::Gravity) => saturated(&steps, 0.0),
+            Some(Kind::Inertia) => saturated(seen, OUT_OF_HAND),
+            _ => None,
+        };
+        let element = saturated.or(element);
         let shares = shares.into_iter();
         let stable = match was_well {
             true => Stable::Unknown,
@@ -121,6 +131,7 @@ impl<R: Real> Run<'_, R> {
             steps: segment.steps,
             element: element.map(|element| sim.model.named(element)),
             shares: shares.map(|(element, share)| (sim.model.named(element), share)).collect(),
+            saturated: saturated.is_some(),
             since: exact.then(|| segment.state.steps + from as u64),
             growth: growth(window, exact),
             stable,

@@ -5,7 +5,7 @@ use crate::real::Real;
 use crate::settings::Settings;
 use crate::sim::Sim;
 use crate::state::{Inputs, State};
-use crate::watch::ledger::{Ledger, Milestone};
+use crate::watch::ledger::{Care, Ledger, Milestone};
 
 /// A gain beside `scale` below which all is well.
 const WELL: f64 = 0.1;
@@ -155,7 +155,7 @@ impl<R: Real> Segment<R> {
     fn gain(&self, of: &Sim<R>, dt: f64, lane: usize, more: u32, budget: &Budget) -> Trial {
         let settings = Settings { dt, ..of.settings.clone() };
         let Ok(mut sim) = Sim::new(of.model.clone(), settings) else { return Trial::Untried };
-        let mut ledger = Ledger::new(&of.model);
+        let mut ledger = Ledger::new(&of.model, Care::Full);
         sim.state = self.state.clone();
         sim.state.warm.clear();
         let whole = self.steps as f64 * of.clock.seconds;
@@ -164,19 +164,26 @@ impl<R: Real> Segment<R> {
         if work.is_nan() || work > budget.left() as f64 {
             return Trial::Untried;
         }
+        let mut most = 0.0_f64;
         for step in 0..steps as u64 {
             let before = ((step as f64 + 0.5) * dt / of.clock.seconds) as u64;
             sim.inputs.clone_from(self.inputs_at(before));
             let effort = sim.effort;
             // Nobody looks into what a trial does.
-            let Ok(()) = ledger.step(&mut sim, 1, &mut (), |_, _, _, _, _| Ok(())) else {
+            let outcome = ledger.step(&mut sim, 1, &mut (), |_, _, _, of, gained| {
+                most = if of == lane { most.max(gained) } else { most };
+                Ok(())
+            });
+            if outcome.is_err() {
                 return Trial::Diverged;
-            };
+            }
             if !budget.take(sim.work_since(&effort)) {
                 return Trial::Untried;
             }
         }
         match ledger.total(&mut sim, lane) {
+            // In a trial that goes on, what was gained once counts, though it is gone at the end.
+            Some([gained, scale]) if more > 0 => Trial::Gained { gained: gained.max(most), scale },
             Some([gained, scale]) => Trial::Gained { gained, scale },
             None => Trial::Diverged,
         }

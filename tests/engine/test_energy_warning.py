@@ -1,0 +1,127 @@
+"""Without a ledger too, energy that no force can have given is told: once, and never wrongly."""
+
+import warnings
+
+import pytest
+from violent import play
+
+import stepcore as sc
+
+BALL = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/><body pos="0 0 .5">
+<freejoint/><geom name="ball" size=".1" mass="1"/></body></worldbody></mujoco>"""
+
+
+def loop(n, **settings):
+    """n links of 2 m in all between two points, straight: the last one is held by a connect."""
+    size = 2 / n
+    link = f'<geom type="capsule" size=".01" fromto="0 0 0 {size} 0 0" mass="{size / 2}"'
+    bodies = "".join(
+        f'<body name="b{k}" pos="{size if k else 0} 0 0"><joint axis="0 1 0"/>'
+        f'{link} contype="0" conaffinity="0"/>'
+        for k in range(n)
+    )
+    held = f'<connect body1="b{n - 1}" anchor="{size} 0 0"/>'
+    world = f"<worldbody>{bodies}{'</body>' * n}</worldbody>"
+    scene = sc.loads(f"<mujoco>{world}<equality>{held}</equality></mujoco>")
+    return sc.Sim(scene, solver="pgs", sweeps=50, **settings)
+
+
+@pytest.mark.parametrize("stiffness", [1e8, 1e10, 1e14])
+def test_a_penalty_contact_that_throws(stiffness):
+    """At dt = 2 ms a contact of 1e14 N/m multiplies the energy by 1e16 in one bounce."""
+    sim = sc.Sim(sc.loads(BALL), law="penalty", penalty_stiffness=stiffness)
+    start = sim.energy.total
+    with pytest.warns(sc.EnergyWarning, match="The cause is the contact `floor`/`ball`") as said:
+        sim.step(2000)
+    assert len(said) == 1 and "by step 256 at time 0.512000 s" in str(said[0].message)
+    assert sim.energy.total > 1e4 * start
+
+
+@pytest.mark.parametrize("n", [80, 140])
+def test_a_long_closed_chain_of_few_sweeps(n):
+    """From rest it has no more than its weight can give, 1 kg through 1 m: 10 J."""
+    sim = loop(n, law="rigid", dt=0.005)
+    with pytest.warns(sc.EnergyWarning, match="The cause is") as said:
+        sim.step(60)
+        sim.balance()
+    assert len(said) == 1 and sim.energy.kinetic > 100
+
+
+def test_an_explosion_is_told_once_and_changes_nothing():
+    """Explicit Euler: E grows by 1 + (ω dt)² a step, which nobody need learn from an overflow."""
+    watched, unwatched = (sc.Sim(sc.lesson.spring(), dt=0.05, integrator="explicit") for _ in "ab")
+    unwatched._core.unwatch()
+    for sim in (watched, unwatched):
+        sim.reset("start")
+    with pytest.warns(sc.EnergyWarning, match="the spring of joint `spring`.*goes on") as said:
+        for _ in range(20):
+            watched.step(50)
+    unwatched.step(1000)
+    assert len(said) == 1 and watched.state() == unwatched.state()
+    assert watched.energy.total / 50.0 == pytest.approx(1.25**1000, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("go", "when"), [("step", 64), ("steps", 64), ("run", 40), ("balance", 40)]
+)
+def test_a_short_run_is_looked_at_where_it_ends(go, when):
+    """ω dt = 2.5: E grows 16-fold a step."""
+    sim = sc.Sim(sc.lesson.spring(), dt=0.25, integrator="semi-implicit")
+    sim.reset("start")
+    with pytest.warns(sc.EnergyWarning, match=f"by step {when} "):
+        if go == "step":
+            sim.step(64)
+        elif go == "run":
+            sim.run(40 * 0.25)
+        else:
+            for _ in range(4 if go == "balance" else 7):
+                sim.step(10)
+        if go == "balance":
+            sim.balance()
+
+
+def test_below_its_limit_a_spring_may_swing():
+    """ω dt = 1.999: a symplectic method conserves an energy of its own; E swings 1,000-fold."""
+    sim = sc.Sim(sc.lesson.spring(), dt=0.1999, integrator="semi-implicit")
+    sim.reset("start")
+    most = 0.0
+    for _ in range(2000):
+        sim.step(8)
+        most = max(most, sim.energy.total)
+    assert most > 500 * 50.0
+
+
+@pytest.mark.parametrize("integrator", ["euler", "implicitfast", "rk4"])
+@pytest.mark.parametrize("force", [5, 52])
+def test_a_servo_that_swings_at_its_bounds_is_let_go_on(integrator, force):
+    """1.5e-4 kg·m², kp 500, kv 50: in a step its force turns it by more than it is off.
+
+    It chatters, and stays finite: no faster than two steps of that force make it."""
+    text = f"""<mujoco><worldbody><body><joint name="wrist" axis="1 0 0"/>
+    <inertial pos="0 0 0" mass=".1" diaginertia="1.5e-4 1.5e-4 1.5e-4"/></body></worldbody>
+    <actuator><position joint="wrist" kp="500" kv="50" forcerange="-{force} {force}"/></actuator>
+    </mujoco>"""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", sc.StiffnessWarning)
+        sim = sc.Sim(sc.loads(text), integrator=integrator, dt=2e-3)
+    sim.qvel[0] = 2.0
+    sim.step(3000)
+    assert abs(sim.qvel[0]) < 2 * force * 2e-3 / 1.5e-4 + 2
+
+
+def told_rightly(seed):
+    """Nothing was said of a seed's energy; or some finer dt has less than half of it."""
+    said, most, dt = play(seed)
+    return not said or any(play(seed, dt / parts)[1] < 0.4 * most for parts in (8, 32, 128))
+
+
+def test_violent_runs_raise_no_false_alarm():
+    assert [seed for seed in range(48) if not told_rightly(seed)] == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("part", range(4))
+def test_a_thousand_violent_runs_raise_no_false_alarm(part):
+    """Dropped, pressed, spun, driven by servos and motors, pushed, sprung, in loops."""
+    seeds = range(1000 + 250 * part, 1250 + 250 * part)
+    assert [seed for seed in seeds if not told_rightly(seed)] == []
