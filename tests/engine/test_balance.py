@@ -90,7 +90,7 @@ def test_the_element_is_the_one_that_gave_most(ledger):
             sim.step(2000)
         error = caught.value
         assert error.element == max(error.shares, key=error.shares.get)
-        assert f"The cause is {error.element}, the source of " in str(error)
+        assert f"The cause is the {error.element}, the source of " in str(error)
 
 
 def test_the_command_line_balances_a_run_of_few_steps(tmp_path, capsys, monkeypatch):

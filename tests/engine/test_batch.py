@@ -154,6 +154,7 @@ def test_a_restored_batch_continues_bit_for_bit(lanes):
         assert again.state() == later
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 @pytest.mark.parametrize(("lanes", "threads"), [(True, 1), (True, 2), (False, 1), (False, 2)])
 def test_divergence_stops_every_world_at_the_same_step(lanes, threads):
     batch = sc.Batch(unstable(), 20, threads, lanes=lanes)

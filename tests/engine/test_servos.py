@@ -107,6 +107,7 @@ def test_gains_are_inherited_as_mujocos():
 FREE = [-np.inf, np.inf]
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 @pytest.mark.parametrize("gear", (1.0, -3.0))
 @pytest.mark.parametrize("ratio", (0.0, 0.1, 0.7, 1.0, 3.0))
 @pytest.mark.parametrize(

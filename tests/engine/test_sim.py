@@ -178,6 +178,7 @@ def test_time_is_counted_not_summed(model):
 # What goes wrong.
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 @pytest.mark.parametrize("precision", ["f64", "f32"])
 def test_divergence_names_its_element_and_keeps_the_last_finite_state(precision):
     sim = sc.Sim(unstable(), precision=precision)

@@ -259,6 +259,7 @@ def test_a_file_that_is_none_or_damaged_or_of_another_version(tmp_path):
         sc.replay(3)
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 def test_the_command_line(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run = ["run", "lesson:spring", "--dt", "0.205", "--duration", "100"]

@@ -25,7 +25,7 @@ import numpy as np
 from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.control import ControlError, controls
 from stepcore.experiment.coordinates import Start
 from stepcore.experiment.schedule import Schedule
@@ -101,7 +101,8 @@ class RealStep:
         """
         count = round((self.horizon if horizon is None else horizon) / dt)
         count = min(max(count, FEWEST), self.most)
-        sim = Sim(self.model.with_settings(integrator=integrator, dt=dt, ledger=False))
+        model = self.model.with_settings(integrator=integrator, dt=dt, ledger=False)
+        sim = unwatched(Sim(model))
         return _Run(sim, self.schedule, count, beyond, kick).made()
 
     @property
@@ -120,7 +121,7 @@ class RealStep:
     def least_energy(self) -> float:
         """The kinetic energy [J] of a slow motion of every dof: less is no explosion."""
         model = self.model
-        sim = Sim(model)
+        sim = unwatched(Sim(model))
         sim.qpos[:] = self.start.qpos
         slow = np.full(model.nv, SPIN)
         for kind, first in zip(model.jnt_type, model.jnt_dofadr.tolist(), strict=True):

@@ -13,7 +13,7 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.joint_gains import joint_dofs
 
 
@@ -35,7 +35,7 @@ def crossing_dt(model: Model, qpos: Floats, actuator: int) -> float:
     damping *= float(model.actuator_gear[actuator, 0]) ** 2
     if not damping > 0:
         return math.inf
-    sim = Sim(model)
+    sim = unwatched(Sim(model))
     sim.qpos[:] = qpos
     dof = driven_dof(model, actuator)
     return 2 / (damping * float(np.linalg.inv(np.array(sim.mass_matrix()))[dof, dof]))
