@@ -1,6 +1,7 @@
 """The parts of a trade, each alone: its time steps, its starts, its marks."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +11,11 @@ from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.errors import Errors, moved, pareto
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.schedule import scheduled, time_steps
+from stepcore.measure.trade.frontier import Frontier
+from stepcore.measure.trade.moves import Steps, digits
 from stepcore.measure.trade.orders import orders
-from stepcore.measure.trade.row import TradeRow
+from stepcore.measure.trade.recommend import _rounded as rounded_row
+from stepcore.measure.trade.row import Further, TradeRow
 from stepcore.report.units import metres, seconds
 
 
@@ -31,6 +35,50 @@ def test_time_steps_divide_the_period():
     assert all(abs(period / dt - round(period / dt)) < 1e-9 for dt in steps)
     steps, period = time_steps(0.002, [0.003], None, 1.0)
     assert steps == [0.003, 0.002] and period == pytest.approx(0.006)
+
+
+def test_round_time_steps_are_near_and_divide_the_period():
+    steps = Steps(period=0.02, shipped=0.002)
+    assert steps.dt(28) == pytest.approx(714.2857e-6, rel=1e-6)
+    assert [steps.dt(n) for n in steps.rounder(28)] == pytest.approx([0.8e-3, 0.625e-3])
+    assert steps.rounder(10) == steps.rounder(16) == []  # 2 ms as shipped; 1.25 ms
+    for pieces in range(1, 300):
+        for n in steps.rounder(pieces):
+            assert digits(steps.dt(n)) <= 3 and pieces / 1.2 <= n <= pieces * 1.15
+
+
+def recommended(dt, worse=()):
+    """The row that is recommended in place of one that passed with this step [s].
+
+    Errors grow as dt, 0.8 mm at 1 ms; worse: steps at which a further start misses the error.
+    """
+    steps = Steps(period=0.02, shipped=0.002)
+
+    def row(settings):
+        errors = SimpleNamespace(high=0.8 * settings.dt, position_max=0.0)
+        further = Further(2, 2, 0.0)
+        return TradeRow(settings, errors, 1 / settings.dt, 0.0, flops=1.0, further=further)
+
+    def test(settings, limit, error):
+        return Further(2, 1, 1.0) if any(settings.dt == pytest.approx(w) for w in worse) else passed
+
+    passed = Further(2, 2, 0.0)
+    reference = SimpleNamespace(settings=sc.Settings(dt=1e-5))
+    confirm = SimpleNamespace(
+        scored=np.ones(1), test=test, trials=SimpleNamespace(reference=reference)
+    )
+    first = row(sc.Settings(dt=dt))
+    frontier = Frontier.of([first], 0.0, 0.0, "time")
+    return rounded_row(frontier, confirm, row, steps, first, 1e-3)[1].settings.dt
+
+
+def test_a_rounder_step_is_recommended_where_it_passes_and_costs_little():
+    assert recommended(0.02 / 21) == pytest.approx(1e-3)  # 952 µs: 1 ms keeps to the error
+    assert recommended(0.02 / 28) == pytest.approx(0.8e-3)
+    # Where 0.8 ms fails on a further start, 0.625 ms is next; where that fails too, none.
+    assert recommended(0.02 / 28, [0.8e-3]) == pytest.approx(0.625e-3)
+    assert recommended(0.02 / 28, [0.8e-3, 0.625e-3]) == pytest.approx(0.02 / 28)
+    assert recommended(0.0025) == 0.0025
 
 
 def test_the_first_start_is_the_first_key_named_or_not():

@@ -13,6 +13,7 @@ from trade_cases import CASES, Judge, best
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.measure.trade.moves import digits
 
 BALL = """<mujoco model="ball"><option timestep="0.004"/><worldbody>
 <geom type="plane" size="5 5 .1"/><body pos="0 0 .16"><joint type="slide" axis="0 0 1"/>
@@ -75,9 +76,10 @@ def test_it_keeps_to_the_error_and_says_what_less_would_cost(ball):
     row = ball.recommended
     assert ball.error(row) <= 1e-4 and row.settings == ball.best() == ball.best(1e-4)
     assert row.further.starts == row.further.held == 8
-    # What is cheaper and was run from all starts is worse.
+    # What is cheaper and was run from all starts is worse, or a little cheaper and not as round.
     cheaper = [r for r in ball.rows if r.errors and r.flops < row.flops]
-    assert all(ball.error(r) > 0.9e-4 for r in cheaper)
+    good = [r for r in cheaper if ball.error(r) <= 0.9e-4]
+    assert all(1.15 * r.flops >= row.flops and digits(r.settings.dt) > 3 for r in good)
     better = ball.next_better()
     assert ball.error(better) <= ball.error(row) / 2 and better.flops >= row.flops
     answer, *rest = ball.sentences

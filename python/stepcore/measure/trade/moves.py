@@ -6,6 +6,7 @@ updates, a k-th of the sweeps. Trying dt and sweeps covers them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,9 @@ TOLERANCES = (0.0, 1e-10, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 # Without controls, steps up to so many times the largest default one are tried, as long as so many
 # samples are left in the horizon.
 LONGER, LEFT = 4, 25
+# A time step is round if it has so many digits. A rounder one is looked for among steps at most
+# WIDER times longer and DENSER times shorter.
+ROUND, WIDER, DENSER = 3, 1.2, 1.15
 # Numbers of Newton iterations.
 ITERATIONS = (1, 2, 3, 5, 100)
 
@@ -46,9 +50,32 @@ class Steps:
         """Steps in a period under these settings."""
         return round(self.period / settings.dt)
 
+    def rounder(self, pieces: int) -> list[int]:
+        """Numbers of steps near this one whose time step is a rounder number, the roundest first.
+
+        None where the step itself is round. Of equally round ones the longest first.
+
+        >>> Steps(0.04, 0.01).rounder(21)  # 2 ms in place of 1.9047619 ms
+        [20]
+        """
+        if digits(self.dt(pieces)) <= ROUND:
+            return []
+        near = range(math.ceil(pieces / WIDER), int(pieces * DENSER) + 1)
+        rounder = [n for n in near if digits(self.dt(n)) <= ROUND]
+        return sorted(rounder, key=lambda n: (digits(self.dt(n)), n))
+
     def at(self, settings: Settings, pieces: int) -> Settings:
         """The settings with another time step."""
         return settings.replace(dt=self.dt(pieces))
+
+
+def digits(dt: float) -> int:
+    """How many significant digits a number has, of nine at most.
+
+    >>> digits(0.002), digits(0.00125), digits(0.04 / 21)
+    (1, 3, 9)
+    """
+    return len(f"{dt:.8e}".split("e")[0].replace(".", "").rstrip("0"))
 
 
 def longest(period: float, horizon: float) -> float:

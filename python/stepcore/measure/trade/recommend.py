@@ -21,7 +21,7 @@ from stepcore.experiment.reference import ReferenceRuns
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.measure.trade.frontier import MARGIN, Frontier
-from stepcore.measure.trade.moves import Steps
+from stepcore.measure.trade.moves import DENSER, Steps
 from stepcore.measure.trade.row import Further, TradeRow
 from stepcore.measure.trade.search import FINE
 from stepcore.measure.trade.trials import Trials
@@ -33,6 +33,8 @@ AGAIN = 2
 # For so many of those that fail there, shorter steps are tried: first by this factor, then by a
 # factor that grows by MORE, so many times.
 REPAIRED, SHORTER, MORE, TIMES = 8, 1.15, 0.1, 8
+# A rounder time step is recommended if it costs at most so many times as much.
+DEARER = 1.15
 
 # Of the cheaper rows that keep to the error on the search's own starts, so many are looked at.
 NEAR = 3
@@ -148,8 +150,8 @@ def within_error(
 
     A row must keep to a little less than the error. Some of those that do not are also tried with
     shorter steps. Where no row passes, one that keeps to the error itself will do. What passes is
-    compared with what a search on the hardest starts finds. Returns the rows with the results of
-    their tests, and the one that passed.
+    compared with what a search on the hardest starts finds, and gets a round time step where one
+    near it passes too. Returns the rows with the results of their tests, and the one that passed.
     """
     frontier, chosen = _first_that_passes(frontier, target, confirm, finish, steps)
     for _ in range(AGAIN):
@@ -162,9 +164,10 @@ def within_error(
         if better is None or better.settings == chosen.settings:
             break
         chosen = better
-    return (
-        (frontier, chosen) if chosen is None else (_near(frontier, target, confirm, chosen), chosen)
-    )
+    if chosen is None:
+        return frontier, None
+    frontier = _near(frontier, target, confirm, chosen)
+    return _rounded(frontier, confirm, finish, steps, chosen, target)
 
 
 def _first_that_passes(
@@ -211,12 +214,46 @@ def _near(frontier: Frontier, target: float, confirm: Confirmation, chosen: Trad
     return frontier
 
 
+def _rounded(
+    frontier: Frontier,
+    confirm: Confirmation,
+    finish: Finish,
+    steps: Steps,
+    row: TradeRow,
+    target: float,
+) -> tuple[Frontier, TradeRow]:
+    """A row that passed, or the same with a rounder time step that passes too and costs little."""
+    limit = MARGIN * target if frontier.error(row) <= MARGIN * target else target
+    # A little beyond what is searched: the same reference judges it nearly as well.
+    finest = DENSER * _finest(confirm, steps)
+    for pieces in steps.rounder(steps.pieces(row.settings)) if confirm.scored is not None else ():
+        settings = steps.at(row.settings, pieces)
+        if pieces > finest:
+            continue
+        other = next((r for r in frontier.rows if r.settings == settings), None) or finish(settings)
+        frontier = frontier.updated(other)
+        if not frontier.error(other) <= limit:
+            continue
+        if not frontier.price(other) <= DEARER * frontier.price(row):
+            continue
+        other = dataclasses.replace(other, further=confirm.test(settings, limit, target))
+        frontier = frontier.updated(other)
+        if frontier.error(other) <= limit:
+            return frontier, other
+    return frontier, row
+
+
+def _finest(confirm: Confirmation, steps: Steps) -> int:
+    """The most steps in a period that the reference can judge."""
+    return int(steps.period / confirm.trials.reference.settings.dt / 2 + 1e-9)
+
+
 def _repaired(
     frontier: Frontier, confirm: Confirmation, steps: Steps, row: TradeRow, limit: float
 ) -> Settings | None:
     """The settings of a row that failed on further starts, with a step short enough for them."""
     misses = pieces = steps.pieces(row.settings)
-    finest = int(steps.period / confirm.trials.reference.settings.dt / 2 + 1e-9)
+    finest = _finest(confirm, steps)
 
     def holds(count: int) -> bool:
         return confirm.holds(steps.at(row.settings, count), limit)
@@ -250,6 +287,8 @@ def within_budget(
             break
         pieces = steps.pieces(row.settings)
         more = int(pieces * budget / frontier.price(row) * 0.98)
+        # A rounder step that is longer, so that it keeps to the budget.
+        more = next((n for n in steps.rounder(more) if n <= more), more)
         if more >= 1.08 * pieces and not frontier.has(steps.at(row.settings, more)):
             frontier = frontier.updated(finish(steps.at(row.settings, more)))
             continue

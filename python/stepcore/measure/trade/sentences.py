@@ -114,7 +114,12 @@ def _passed_over(trade: TradeFindings, row: TradeRow, error: float) -> Iterator[
     ran = other.errors.each
     held = sum(wrong <= error for wrong in ran) + (other.further.held if other.further else 0)
     count = len(ran) + (other.further.starts if other.further else 0)
-    if held == count:
+    if held == count and trade.error(other) <= MARGIN * error:
+        yield (
+            f"{named[0].upper()}{named[1:]} cost {times} and pass too; a round time step is "
+            "recommended in their place."
+        )
+    elif held == count:
         yield (
             f"{named[0].upper()}{named[1:]} cost {times} and stayed within {metres(error)} too, "
             f"with {metres(trade.error(other))}; but a recommendation keeps to "
