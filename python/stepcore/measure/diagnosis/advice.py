@@ -76,7 +76,7 @@ def advise(
     settings = now.model.settings
     own = limits[settings.integrator]
     search = _Search(now, elements, own.integrator, wanted, own.state, bool(own.outcome))
-    if own.outcome == "chatters":
+    if own.outcome:
         search.servos = [element.index for element in stiffest if element.kind == "actuator"]
     tried = [search.least(change, stiffest) for change in CHANGES.get(stiffest[0].kind, ())]
     if settings.law == "penalty" and stiffest[0].kind == "contact":
@@ -130,7 +130,7 @@ class _Search:
     """The least change that is stable at the wanted dt.
 
     worst: the state that decides so far. by_motion: the limit was seen in the motion itself, which
-    decides of every change too. servos: those that chatter, and must come to rest.
+    decides of every change too. servos: those that limit dt there, and must come to rest.
     """
 
     now: StepStability

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
 from stepcore.engine.linear_maps import DAMPING_IMPLICIT, stepped
 from stepcore.engine.model import Model
@@ -153,7 +154,10 @@ def linear_motion(model: Model, state: State, dt: float | None) -> LinearMotion 
         model = without_rows(model)
     own: dict[str, Any] = {"dt": TINY_STEP, "refsafe": False} if dt is None else {"dt": dt}
     sim = sim_at(model, state, integrator="explicit", **own)
-    elements = element_matrices(model, sim, state)
+    try:
+        elements = element_matrices(model, sim, state)
+    except SimulationError:
+        return None
     mass, n, inputs = np.array(sim.mass_matrix()), model.nv, None
     feedback = state.feedback
     if feedback is not None:

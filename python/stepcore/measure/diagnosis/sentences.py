@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 from stepcore.measure.diagnosis.advice import MARGIN
+from stepcore.measure.diagnosis.dt_limits import SHORTEST
 from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.element_names import are_several, listed
 from stepcore.measure.diagnosis.findings import DiagnosisFindings
@@ -170,9 +171,10 @@ def notes(
     softened = [limits for limits in elements if math.isfinite(limits.softened)]
     if softened:
         least = min(limits.softened for limits in softened)
+        above = seconds(max(least, SHORTEST))
         names = listed([limits.name for limits in softened if limits.softened == least])
         yield (
-            f"above dt {seconds(least)} refsafe makes {names} softer than the scene asks, so that "
+            f"above dt {above} refsafe makes {names} softer than the scene asks, so that "
             "no dt is limited there; refsafe=False or a solref in direct form keeps the stiffness"
         )
     if any(limits.element.kind in ("contact", "limit", "friction loss") for limits in elements):
