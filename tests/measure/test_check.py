@@ -165,6 +165,21 @@ def test_a_start_outside_of_a_limit():
     assert kinds(arm('range="20 90"', rest=key(0.5))) == []
 
 
+@pytest.mark.parametrize(
+    ("joint", "rest", "said"),
+    [
+        ('range="90 -90"', "", 'write range="-90 90"'),
+        ("", servo('ctrlrange="1 -1"'), 'write ctrlrange="-1 1"'),
+        ("", servo('forcerange="5 5"'), "two different numbers"),
+    ],
+)
+def test_an_inverted_range_limits_nothing(joint, rest, said):
+    result = checked(arm(joint, rest=rest))
+    (one,) = result.findings
+    assert one.kind == "inverted range" and one.severity == "error" and said in one.text
+    assert one.text.startswith("<string>:") and not result.notes
+
+
 def test_a_keyframe_outside_of_a_limit():
     one = the(arm('range="-60 60"', rest=key(1.2)), "outside a limit")
     assert one.severity == "error" and "(the nearest is 1.047)" in one.text

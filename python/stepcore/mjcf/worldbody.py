@@ -17,6 +17,8 @@ from stepcore.scene.frames import Vec
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
+# How a note ends on a range that MuJoCo takes for none.
+EMPTY = "is empty: no limit"
 AT_ORIGIN = (frames.ORIGIN, frames.IDENTITY)
 
 
@@ -206,7 +208,7 @@ class WorldReader:
             if bounds[0] >= bounds[1]:
                 if any(bounds):
                     where = f"{node.file}:{node.line}"
-                    text = f"{field} = {bounds[0]:g} {bounds[1]:g} is empty: no limit"
+                    text = f"{field} = {bounds[0]:g} {bounds[1]:g} {EMPTY}"
                     self.scene.notes.append(f"{where}: {text}")
                 return None
         bounds = bounds or (0.0, 0.0)

@@ -30,6 +30,7 @@ from stepcore.measure.check.servos import about_servos
 from stepcore.measure.check.units import about_units
 from stepcore.measure.diagnosis import Diagnosis, diagnose
 from stepcore.measure.findings import Finding, findings_of, ordered
+from stepcore.mjcf.worldbody import EMPTY
 from stepcore.report import units
 from stepcore.report.progress import Choice
 
@@ -116,7 +117,7 @@ def check(
         diagnosis=diagnosis,
         ran=_ran(compiled, motion, schedule, held),
         commands=next_commands(_file(model), compiled, findings, diagnosis),
-        notes=[*compiled.scene.notes, *notes],
+        notes=[*(n for n in compiled.scene.notes if not n.endswith(EMPTY)), *notes],
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.experiment.coordinates import Start
 from stepcore.measure.findings.finding import Finding, others
+from stepcore.mjcf.worldbody import EMPTY
 from stepcore.report.units import metres, radians
 
 # A coordinate this part of its range beyond a limit is outside: a pose of rest is not.
@@ -17,6 +18,7 @@ OUTSIDE = 0.02
 
 def about_ranges(model: Model, start: Start, key: int | None) -> Iterator[Finding]:
     """The start, every keyframe, every range; key: the keyframe that is the start."""
+    yield from _inverted(model)
     if key is None:
         yield from _outside(model, start.qpos, "The start")
     for index, frame in enumerate(model.keys):
@@ -24,6 +26,24 @@ def about_ranges(model: Model, start: Start, key: int | None) -> Iterator[Findin
         yield from _outside(model, frame.qpos, name)
         yield from _clamped(model, frame.ctrl, name)
     yield from _one_sided(model)
+
+
+def _inverted(model: Model) -> Iterator[Finding]:
+    """Ranges of the file whose first number is not the smaller one: they limit nothing."""
+    for note in model.scene.notes:
+        if not note.endswith(EMPTY):
+            continue
+        field, _, rest = note.rpartition(": ")[0].rpartition(": ")[2].partition(" = ")
+        low, high = rest.removesuffix(EMPTY.partition(":")[0]).split()
+        order = f'write {field}="{high} {low}"' if low != high else "give it two different numbers"
+        yield Finding(
+            "inverted range",
+            "error",
+            "",
+            f"{note.removesuffix(EMPTY)}and limits nothing, because its first number must be the "
+            f"smaller one: {order}.",
+            float(low),
+        )
 
 
 def _outside(model: Model, qpos: np.ndarray, where: str) -> Iterator[Finding]:

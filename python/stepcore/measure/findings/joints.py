@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from stepcore.engine.model import Model
 from stepcore.experiment.sizes import Sizes
@@ -21,6 +22,9 @@ LEFT = 0.1
 OVERPOWERS = 0.5
 # Where the range is wider, it says nothing of how exact a limit should be [rad].
 WIDEST = 3.0
+
+# What only resists motion.
+RESISTS = ("damper", "friction loss")
 
 TORQUES = tuple((f"{unit}·m", size) for unit, size in FORCES)
 
@@ -69,7 +73,12 @@ def _limits(model: Model, watch: Watch) -> Iterator[Finding]:
         low, high = (float(bound) for bound in model.jnt_range[one.joint])
         angular = model.jnt_type[one.joint] != "slide"
         width = min(high - low, WIDEST) if angular else high - low
-        overpowers = one.forces and one.forces[0][1] > OVERPOWERS * one.limit
+        # What is outwards of friction and damping holds back a joint that returns.
+        pushing = tuple(
+            some for some in one.forces if some[0][0] not in ("damper", "friction loss")
+        )
+        one = replace(one, forces=pushing)
+        overpowers = pushing and pushing[0][1] > OVERPOWERS * one.limit
         if one.kept <= BEYOND * width or not overpowers:
             continue
         yield _overpowered(model, one, width, angular)

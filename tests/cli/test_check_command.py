@@ -1,0 +1,72 @@
+"""`stepcore check`: what it prints and writes, and how a scene that is refused is told."""
+
+import json
+
+import pytest
+
+from stepcore.cli import main
+
+SCENE = """<mujoco model="arm"><worldbody><body name="arm">
+<joint name="knee" axis="0 0 1" range="-90 90" damping="1"/><geom size=".1"/></body></worldbody>
+<actuator><position name="servo" joint="knee" kp="5" ctrlrange="-1 1"/></actuator>
+<keyframe><key name="home" qpos="{}" ctrl="0.5"/></keyframe></mujoco>"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    def write(qpos, **changes):
+        text = SCENE.format(qpos)
+        for before, after in changes.values():
+            text = text.replace(before, after)
+        file = tmp_path / "arm.xml"
+        file.write_text(text)
+        return str(file)
+
+    return write
+
+
+def call(capsys, *args):
+    status = main(["check", *map(str, args), "--threads", "1"])
+    said = capsys.readouterr()
+    return status, said.out, said.err
+
+
+def test_it_prints_findings_the_diagnosis_and_commands(capsys, scene):
+    file = scene(2.0)
+    status, out, err = call(capsys, file, "--horizon", 0.2)
+    assert status == 0 and not err
+    assert out.startswith("arm: check\nThe motion: 200 ms from keyframe `home`; servos hold the")
+    assert "Found 1 thing:\n  - error: Keyframe `home` has joint `knee` at 2 rad" in out
+    assert "A step of 2 ms is stable" in out or "No element limits dt" in out
+    assert f"stepcore trade {file} --error 1mm" in out.replace("\n    ", " ")
+    status, out, _ = call(capsys, scene(0.5), "--horizon", 0.2)
+    assert status == 0 and "Nothing found." in out
+
+
+def test_it_writes_data_and_a_page(capsys, scene, tmp_path):
+    page, data = tmp_path / "check.html", tmp_path / "check.json"
+    args = ["--horizon", 0.2, "--html", page, "--json", data]
+    assert call(capsys, scene(2.0), *args)[0] == 0
+    assert "Keyframe `home` has joint `knee`" in page.read_text()
+    (row,) = json.loads(data.read_text())["rows"]
+    assert row["kind"] == "outside a limit" and row["severity"] == "error"
+    assert row["value"] == 2.0 and row["unit"] == "rad" and row["element"] == "joint `knee`"
+
+
+def test_the_motion_is_the_user_s(capsys, scene, tmp_path):
+    (tmp_path / "far.py").write_text("def far(time, sim):\n    return [3.0]\n")
+    args = ["--control", f"{tmp_path / 'far.py'}:far", "--horizon", 0.1]
+    status, out, _ = call(capsys, scene(0.5), *args)
+    assert status == 0 and "The control of servo `servo` is clamped for 100 % of the run" in (
+        " ".join(out.split())
+    )
+
+
+def test_a_scene_that_is_refused_is_told_with_what_is_wrong(capsys, scene):
+    """An inverted range that is asked to limit is refused at load, in one line."""
+    inverted = ('range="-90 90"', 'range="90 -90" limited="true"')
+    status, out, err = call(capsys, scene(0.5, inverted=inverted))
+    assert status == 2 and not out and err.count("\n") == 1
+    assert "range" in err and "the first smaller" in err
+    status, out, err = call(capsys, scene(0.5), "--depth", "deep")
+    assert status == 2 and "depth = 'deep'" in err
