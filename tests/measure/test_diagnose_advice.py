@@ -13,6 +13,9 @@ from stepcore.engine.linear_maps import INTEGRATORS
 from stepcore.measure.diagnosis.oscillator import oscillator_dt
 from stepcore.measure.diagnosis.stiffness_warning import stiffness
 
+# Runs beyond their limits are what these tests make.
+pytestmark = pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
+
 
 def diagnosed(scene, **options):
     options = {"horizon": 0.1, "threads": 1, "progress": False} | options
