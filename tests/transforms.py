@@ -162,6 +162,11 @@ def scaled(scene, length, mass, time):
     }
     settings = scene.settings
     scaled_settings = {name: getattr(settings, name) * x for name, x in dimensions.items()}
+    if settings.max_recovery_speed != "none":
+        speed = settings.max_recovery_speed
+        # The default of laws on velocities is a speed like any other; solref has none.
+        speed = (3.0 if settings.law != "solref" else 1e6) if speed == "auto" else speed
+        scaled_settings["max_recovery_speed"] = speed * unit(1, 0, -1)
     scene.options.update(scaled_settings)
     return Transform(
         scene, _by_joint(scene, positions.get), _by_joint(scene, speeds.get), scaled_settings

@@ -80,6 +80,7 @@ class Settings:
         softness: float = 0.0,
         restitution: float = 0.0,
         slop: float = 0.0,
+        max_recovery_speed: float | Literal["auto", "none"] = "auto",
         penalty_stiffness: float = 1e5,
         penalty_damping_ratio: float = 0.1,
         cone: _Cone = "pyramidal",
@@ -160,6 +161,13 @@ class Settings:
     @property
     def slop(self) -> float:
         """Overlap that is not corrected under "rigid" [m], >= 0."""
+
+    @property
+    def max_recovery_speed(self) -> float | Literal["auto", "none"]:
+        """The fastest that a contact pushes an overlap apart [m/s], > 0; "none" for no limit. "auto"
+        is 3 m/s under "lesson", "relaxed" and "rigid", and no limit under "solref". "penalty" has
+        none.
+        """
 
     @property
     def penalty_stiffness(self) -> float:
@@ -284,6 +292,8 @@ class Sim:
     @property
     def residual(self) -> float: ...
     @property
+    def unrecovered(self) -> float: ...
+    @property
     def decrement(self) -> float: ...
     @property
     def sweeps_done(self) -> int: ...
@@ -369,6 +379,8 @@ class Batch:
     def actuator_force(self) -> _Floats: ...
     @property
     def residual(self) -> _Floats: ...
+    @property
+    def unrecovered(self) -> _Floats: ...
     def contacts(self) -> list[tuple[list[_Element], list[tuple[int, int]], _Floats]]:
         """`Sim.contacts` of every world."""
 

@@ -389,6 +389,11 @@ impl Batch {
         let all = self.again(py, |world| world.residual())?;
         result(py, all, &[self.arrays.worlds])
     }
+    #[getter]
+    fn unrecovered<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        let all = self.again(py, |world| world.unrecovered())?;
+        result(py, all, &[self.arrays.worlds])
+    }
 }
 
 /// Zeros for every world, step and entry, if the memory can hold them.

@@ -4,7 +4,8 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString, PyTuple};
 use stepcore::settings::{
-    Acceleration, Cone, Integrator, Law, Precision, Settings as Engine, Solver, Sweeps,
+    Acceleration, Cone, Integrator, Law, Precision, RecoverySpeed, Settings as Engine, Solver,
+    Sweeps,
 };
 
 use crate::errors::Raised;
@@ -51,6 +52,7 @@ shown_by_name!(Integrator, Solver, Acceleration, Precision, Law, Cone);
 #[derive(IntoPyObject)]
 enum Shows {
     Count(u32),
+    Number(f64),
     Name(&'static str),
 }
 
@@ -70,6 +72,28 @@ impl Read for Sweeps {
             Ok(name) if name == Self::AUTO => Ok(Self::Auto),
             Ok(_) => Err(refuse(value, at, "'auto' or a whole number")),
             Err(_) => Ok(Self::AtMost(u32::read(value, at)?)),
+        }
+    }
+}
+
+impl Shown for RecoverySpeed {
+    type Out = Shows;
+    fn shown(self) -> Shows {
+        match self {
+            Self::Auto => Shows::Name(Self::AUTO),
+            Self::None => Shows::Name(Self::NONE),
+            Self::AtMost(speed) => Shows::Number(speed),
+        }
+    }
+}
+
+impl Read for RecoverySpeed {
+    fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
+        match value.cast::<PyString>() {
+            Ok(name) if name == Self::AUTO => Ok(Self::Auto),
+            Ok(name) if name == Self::NONE => Ok(Self::None),
+            Ok(_) => Err(refuse(value, at, "'auto', 'none' or a number")),
+            Err(_) => Ok(Self::AtMost(f64::read(value, at)?)),
         }
     }
 }
@@ -180,6 +204,10 @@ settings! {
     restitution: f64,
     /// Overlap that is not corrected under "rigid" [m], >= 0.
     slop: f64,
+    /// The fastest that a contact pushes an overlap apart [m/s], > 0; "none" for no limit. "auto"
+    /// is 3 m/s under "lesson", "relaxed" and "rigid", and no limit under "solref". "penalty" has
+    /// none.
+    max_recovery_speed: RecoverySpeed,
     /// Contact stiffness under "penalty" [N/m], > 0.
     penalty_stiffness: f64,
     /// Damping ratio of a contact under "penalty", >= 0.

@@ -368,6 +368,10 @@ impl Sim {
         Ok(self.lock()?.residual())
     }
     #[getter]
+    fn unrecovered(&self) -> PyResult<f64> {
+        Ok(self.lock()?.unrecovered())
+    }
+    #[getter]
     fn sweeps_done(&self) -> PyResult<u32> {
         Ok(self.lock()?.effort().sweeps)
     }

@@ -115,6 +115,8 @@ pub trait World: Send {
     fn rows(&self) -> Rows;
     fn coupling(&self) -> Coupling;
     fn residual(&self) -> f64;
+    /// What `max_recovery_speed` left of an overlap in the last solve.
+    fn unrecovered(&self) -> f64;
     fn effort(&self) -> Effort;
     /// How often the list of contacts had to grow.
     fn grown(&self) -> u64;
@@ -263,6 +265,9 @@ impl<R: Real> World for One<R> {
     }
     fn residual(&self) -> f64 {
         self.sim().residual().lane(0)
+    }
+    fn unrecovered(&self) -> f64 {
+        self.sim().rows.unrecovered.lane(0)
     }
     fn effort(&self) -> Effort {
         self.sim().effort

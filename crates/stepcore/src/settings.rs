@@ -123,6 +123,34 @@ impl From<u32> for Sweeps {
     }
 }
 
+/// How fast a contact may push an overlap apart.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RecoverySpeed {
+    /// As the law does: `RecoverySpeed::USUAL` under laws on velocities; `solref` has its own spring
+    /// and damper, and no limit.
+    Auto,
+    /// Without a limit.
+    None,
+    /// [m/s], > 0.
+    AtMost(f64),
+}
+
+impl RecoverySpeed {
+    /// That of Box2D v3 (`maxContactPushSpeed`); Rapier and Unity's PhysX have 10 [m/s].
+    pub const USUAL: f64 = 3.0;
+    pub const AUTO: &'static str = "auto";
+    pub const NONE: &'static str = "none";
+
+    /// The limit under a law, if there is one [m/s].
+    pub fn under(self, law: Law) -> Option<f64> {
+        match self {
+            Self::Auto => law.on_guess().then_some(Self::USUAL),
+            Self::None => None,
+            Self::AtMost(speed) => Some(speed),
+        }
+    }
+}
+
 /// How to compute. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
@@ -156,6 +184,8 @@ pub struct Settings {
     pub restitution: f64,
     /// Overlap left alone under `rigid` [m].
     pub slop: f64,
+    /// The fastest that a contact pushes an overlap apart; `penalty` has no such limit.
+    pub max_recovery_speed: RecoverySpeed,
     /// Spring of a contact under `penalty` [N/m].
     pub penalty_stiffness: f64,
     /// Its damping, as a share of the critical one of the mass that the contact moves.
@@ -185,6 +215,7 @@ impl Default for Settings {
             softness: 0.0,
             restitution: 0.0,
             slop: 0.0,
+            max_recovery_speed: RecoverySpeed::Auto,
             penalty_stiffness: 1e5,
             penalty_damping_ratio: 0.1,
             cone: Cone::Pyramidal,
@@ -230,6 +261,14 @@ impl Settings {
             "in [0, 1]",
         )?;
         number("slop", self.slop, self.slop >= 0.0, "finite and >= 0 m")?;
+        if let RecoverySpeed::AtMost(speed) = self.max_recovery_speed {
+            number(
+                "max_recovery_speed",
+                speed,
+                speed > 0.0,
+                "'auto', 'none', or finite and > 0 m/s",
+            )?;
+        }
         number(
             "penalty_stiffness",
             self.penalty_stiffness,

@@ -176,12 +176,18 @@ def _setting(text: str) -> tuple[str, Any]:
         raise Usage(f"--set {text}: settings have no '{name}'{nearest(name, fields)}")
     if (name, value) == ("sweeps", "auto"):
         return name, value
+    if name == "max_recovery_speed":
+        return name, value if value in ("auto", "none") else _number(float, name, value)
     kind = type(fields[name])
     if kind is bool:
         if value.lower() not in ("true", "false"):
             raise Usage(f"--set {text}: must be true or false")
         return name, value.lower() == "true"
+    return name, value if kind is str else _number(kind, name, value)
+
+
+def _number(kind: type, name: str, value: str) -> Any:
     try:
-        return name, kind(value)
+        return kind(value)
     except ValueError:
-        raise Usage(f"--set {text}: '{value}' is not a number") from None
+        raise Usage(f"--set {name}={value}: '{value}' is not a number") from None

@@ -190,6 +190,11 @@ class Batch(Stepped):
         return self._core.residual
 
     @property
+    def unrecovered_overlap(self) -> Floats:
+        """What was left of each world's overlaps [m], shape (n,); see `Sim.unrecovered_overlap`."""
+        return self._core.unrecovered
+
+    @property
     def energy(self) -> Floats:
         """Kinetic and potential energy [J], shape (n, 2); see `Sim.energy`."""
         return self._core.energy

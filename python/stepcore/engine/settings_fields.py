@@ -26,6 +26,7 @@ class SettingsFields(TypedDict, total=False):
     softness: float
     restitution: float
     slop: float
+    max_recovery_speed: float | str
     penalty_stiffness: float
     penalty_damping_ratio: float
     cone: str

@@ -301,6 +301,15 @@ class Sim(Stepped):
         return self._core.residual
 
     @property
+    def unrecovered_overlap(self) -> float:
+        """What `max_recovery_speed` kept the last solve from recovering of an overlap [m].
+
+        The largest over the contacts of what the step would have undone of its overlap without
+        that limit, beyond what it does undo.
+        """
+        return self._core.unrecovered
+
+    @property
     def sweeps_done(self) -> int:
         """Number of sweeps, or Newton iterations, of the last solve."""
         return self._core.sweeps_done

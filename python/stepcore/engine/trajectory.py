@@ -25,6 +25,7 @@ RECORDED = (
     *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos"),
     *("energy", "momentum", "overlap", "bias", "passive"),
     *("qacc", "residual", "constraint_force", "actuator_force", "sweeps_done", "row_updates"),
+    "unrecovered_overlap",
 )
 
 

@@ -30,7 +30,7 @@ Ref = tuple[float, ...]
 # Settings that say what is modelled, not how it is computed.
 MODELLED = (
     *("law", "beta", "softness", "restitution", "slop", "cone", "impratio"),
-    *("penalty_stiffness", "penalty_damping_ratio"),
+    *("max_recovery_speed", "penalty_stiffness", "penalty_damping_ratio"),
 )
 # Integrators that only solref knows.
 SMOOTH = ("euler", "implicitfast")

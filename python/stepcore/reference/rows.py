@@ -74,8 +74,8 @@ class Near:
     far: bool = False  # still further away than the shapes are large
 
 
-def push_target(settings: Settings, near: Near, bounces: bool) -> float:
-    """Target velocity of a row that may only push.
+def push_target(settings: Settings, near: Near, bounces: bool, most: float = INF) -> float:
+    """Target velocity of a row that may only push; `most`: the fastest that an overlap recovers.
 
     A row that only is near asks for what the guess does anyway: no overlap at the end.
     """
@@ -83,6 +83,7 @@ def push_target(settings: Settings, near: Near, bounces: bool) -> float:
     e = settings.restitution if bounces and rigid else 0.0
     arrive = -phi / dt  # do not stop early
     hold = -settings.beta * min(phi + (settings.slop if rigid else 0.0), 0.0) / dt
+    hold = min(hold, most)
     if not near.closing:
         return arrive if phi > 0 else hold
     if rigid:
@@ -117,7 +118,7 @@ def build(
                 for row in single:
                     blocks.append((len(rows), None))
                     rows.append(row)
-        for made, mu in contact_rows(world, placed, contacts, v, guess):
+        for made, mu in contact_rows(world, placed, contacts, M, v, guess):
             blocks.append((len(rows), mu))
             rows += made
     return assemble(world.model, rows, blocks, M)
@@ -204,7 +205,7 @@ def sides(model: Model, joint: dict[str, Any], qpos: Array) -> Iterator[tuple[in
 
 
 def contact_rows(
-    world: World, placed: Placed, contacts: list[Contact], v: Array, guess: Array
+    world: World, placed: Placed, contacts: list[Contact], M: Array, v: Array, guess: Array
 ) -> Iterator[tuple[list[Row], float | None]]:
     """A contact whose guess overlaps: its normal, and two tangents where it has friction."""
     model, settings = world.model, world.settings
@@ -227,7 +228,12 @@ def contact_rows(
         dofs = model.moves[one] | model.moves[two]
         key = ("contact", pair.geom1, pair.geom2)
         near = Near(phi, float(J[0] @ v), closing, arrives, phi > size)
-        t = push_target(settings, near, bounces=True)
+        most = settings.recovery_limit
+        if c > 0 and most < INF:
+            # A soft row holds its load by what its target is more than its speed.
+            A = J[0] @ np.linalg.solve(M, J[0])
+            most += c * max(most - J[0] @ guess, 0.0) / A if A > 0 else 0.0
+        t = push_target(settings, near, bounces=True, most=most)
         made = [Row((*key, 0), J[0], dofs, t, c, soft)]
         if pair.condim > 1:
             made += [Row((*key, k), J[k], dofs, lo=-INF) for k in (1, 2)]
@@ -237,14 +243,23 @@ def contact_rows(
 def penalty_force(
     world: World, placed: Placed, contacts: list[Contact], v: Array, M: Array
 ) -> Array:
-    """The trap: a spring and a damper along the normal of each overlap, shape (nv,)."""
+    """The trap: a spring and a damper along the normal of each overlap, and friction, (nv,)."""
     settings = world.settings
     k, ratio = settings.penalty_stiffness, settings.penalty_damping_ratio
     force = np.zeros(world.model.nv)
     for contact in contacts:
         if contact.dist < 0:
-            J = contact_jacobian(world.model, placed, contact)[0]
-            inverse_mass = J @ np.linalg.solve(M, J)
-            damping = 2 * ratio * np.sqrt(k / inverse_mass) if inverse_mass > 0 else 0.0
-            force += J * (-k * contact.dist - damping * (J @ v))
+            J = contact_jacobian(world.model, placed, contact)
+            A = [row @ np.linalg.solve(M, row) for row in J]
+            damping = 2 * ratio * np.sqrt(k / A[0]) if A[0] > 0 else 0.0
+            normal = -k * contact.dist - damping * (J[0] @ v)
+            force += J[0] * normal
+            pair = contact.pair
+            if pair.condim > 1 and pair.mu > 0 and max(A[1:]) > 0:
+                # Friction: at most mu times the normal force, else a damper.
+                speed = np.hypot(J[1] @ v, J[2] @ v)
+                damper = np.sqrt(k / max(A[1:])) / 4
+                if damper * speed > pair.mu * max(normal, 0.0):
+                    damper = pair.mu * max(normal, 0.0) / speed
+                force -= damper * (J[1] * (J[1] @ v) + J[2] * (J[2] @ v))
     return force

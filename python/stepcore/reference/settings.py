@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -21,6 +22,7 @@ class Settings:
     softness: float = 0.0
     restitution: float = 0.0
     slop: float = 0.0
+    max_recovery_speed: float | str = "auto"  # or "none"
     penalty_stiffness: float = 1e5
     penalty_damping_ratio: float = 0.1
     cone: str = "pyramidal"
@@ -40,7 +42,17 @@ class Settings:
                 raise ValueError(
                     f"{name} '{getattr(self, name)}': the reference has {', '.join(values)}"
                 )
+        speed = self.max_recovery_speed
+        if speed not in ("auto", "none") and not (isinstance(speed, float | int) and speed > 0):
+            raise ValueError(f"max_recovery_speed {speed}: must be > 0 m/s, 'auto' or 'none'")
         if not self.dt > 0:
             raise ValueError(f"dt {self.dt}: must be > 0 s")
         if self.sweeps == "auto" and not self.tolerance > 0:
             raise ValueError(f"tolerance {self.tolerance}: must be > 0 with sweeps 'auto'")
+
+    @property
+    def recovery_limit(self) -> float:
+        """The fastest that a contact is pushed apart [m/s]."""
+        if isinstance(self.max_recovery_speed, str):
+            return 3.0 if self.max_recovery_speed == "auto" else math.inf
+        return self.max_recovery_speed

@@ -40,7 +40,7 @@ impl<R: Real> Sim<R> {
             } else {
                 self.smooth(At::Trial);
             }
-            let miss = self.correct_midpoint(&model, dt, open);
+            let miss = self.correct_midpoint(&model, dt, open, rows);
             // Rounding: the correction is below it, or has stopped to shrink.
             let small = miss.le(R::of(4.0 * R::EPSILON));
             let rounding = if iteration < LONG { 1e4 * R::EPSILON } else { coarse };
@@ -81,11 +81,18 @@ impl<R: Real> Sim<R> {
         }
     }
 
+    /// What the forces other than contacts would change in the velocities: where contacts hold them,
+    /// the difference is rounding beside this.
+    fn smooth_gain(&self) -> R {
+        let free = self.placed.guess.iter().zip(&self.placed.u);
+        free.fold(R::zero(), |most, (guess, u)| most.max((*guess - *u).abs()))
+    }
+
     /// v⁺ += (M + dt/2·D + dt²/4·K)⁻¹ M (v + dt·a − v⁺); returns the correction's
     /// size beside the velocities of the step.
-    fn correct_midpoint(&mut self, model: &Model, dt: R, open: R::Mask) -> R {
+    fn correct_midpoint(&mut self, model: &Model, dt: R, open: R::Mask, rows: bool) -> R {
+        let mut scale = if rows { self.smooth_gain() } else { R::zero() };
         let damped = &mut self.next.damped;
-        let mut scale = R::zero();
         for k in 0..model.nv {
             let gained = dt * self.qacc[k];
             damped.change[k] = self.state.qvel[k] + gained - self.next.qvel[k];

@@ -12,7 +12,9 @@ use crate::detect::Contact;
 use crate::model::{Model, Pair, NONE};
 use crate::real::{Mask, Real};
 use crate::settings::{Cone, Law};
-use crate::solve::law::{least_softness, weightless_softness, Near, OnGuess, SolRef, NEAR};
+use crate::solve::law::{
+    least_softness, target_at, weightless_softness, Near, OnGuess, SolRef, NEAR,
+};
 use crate::solve::{Rows, Set, Situation};
 use crate::spatial::{Motion, V3};
 
@@ -68,7 +70,7 @@ impl<R: Real> Rows<R> {
     }
 
     /// Rows along the tangents in which something can move.
-    fn tangent_rows(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
+    pub(super) fn tangent_rows(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
         if pair.still == [true; 2] {
             return;
         }
@@ -85,6 +87,11 @@ impl<R: Real> Rows<R> {
         } else {
             weightless_softness(rows, pair.mass)
         }
+    }
+
+    /// A contact leaves so much of its overlap to later steps [m].
+    fn leave(&mut self, mask: R::Mask, left: R) {
+        self.unrecovered = R::select(mask, self.unrecovered.max(left), self.unrecovered);
     }
 
     /// Closes the rows from `first` on into the contact's block.
@@ -110,10 +117,22 @@ impl<R: Real> Rows<R> {
             return;
         }
         let r = contact.dist - R::of(pair.margin);
-        let law = SolRef::at(&pair.soft, r, settings.dt, settings.refsafe);
+        let mut law = SolRef::at(&pair.soft, r, settings.dt, settings.refsafe);
         let (weight, mu, impratio) = (pair.invweight, soft_friction(pair), settings.impratio);
         let first = self.rows.len();
         self.normal_row(now, contact, pair);
+        if let Some(most) = settings.max_recovery_speed.under(Law::SolRef) {
+            // The normal of a pyramid is four edges side by side.
+            let edges = settings.cone == Cone::Pyramidal && pair.condim > 1;
+            let share = if edges { 0.5 * mu * mu / impratio * (1.0 + mu * mu) } else { 1.0 };
+            let row = &self.rows[first];
+            let guess = self.dot(now.model, row, &now.placed.guess);
+            let most = target_at(row, law.softness * R::of(weight * share), guess, most);
+            let limited = law.at_most(row.velocity, r, most, dt);
+            let left = (limited.kd - law.kd) * r * dt * dt;
+            law = limited;
+            self.leave(mask, left);
+        }
         if pair.condim == 1 {
             let least = self.least_softness(first, pair);
             law.fill(&mut self.rows[first], r, R::of(weight), least, dt);
@@ -223,7 +242,18 @@ impl<R: Real> Rows<R> {
             return;
         }
         let near = Near { phi, closing, arrives, far: phi.gt(R::of(size)) };
-        law.distance(&mut self.rows[first], &near, now.settings.restitution);
+        let mut push = law.push(phi);
+        if let Some(most) = now.settings.max_recovery_speed.under(now.settings.law) {
+            let over = mask.and(push.gt(R::of(most)));
+            if over.any() {
+                let row = &self.rows[first];
+                let guess = self.dot(now.model, row, &now.placed.guess);
+                let most = push.min(target_at(row, law.regulariser(), guess, most));
+                self.leave(over, (push - most) * R::of(now.settings.dt));
+                push = R::select(over, most, push);
+            }
+        }
+        law.distance(&mut self.rows[first], &near, now.settings.restitution, push);
         if pair.condim == 1 || pair.friction <= 0.0 {
             return self.close(now, contact, first, Set::Interval, mask);
         }

@@ -67,7 +67,8 @@ impl<R: Real> Rows<R> {
         } else {
             let closing = self.violated_by_guess(now, first, phi);
             let near = Near { phi, closing, arrives: R::Mask::of(true), far: R::Mask::of(false) };
-            OnGuess::new(settings).distance(&mut self.rows[first], &near, 0.0);
+            let law = OnGuess::new(settings);
+            law.distance(&mut self.rows[first], &near, 0.0, law.push(phi));
             let [lo, hi] = joint.range.unwrap_or_default();
             closing.or(phi.le(R::of(NEAR * (hi - lo))))
         };

@@ -1,34 +1,83 @@
 //! Contacts under the law `penalty`: a spring and a damper under the surface, the trap that is
 //! kept so that it can be measured. No row, a force on the guess.
+//!
+//! Friction is Coulomb's, regularised by a damper: |f_t| = min(μ f_n, γ |v_t|), against v_t. The
+//! damper is an eighth of the critical one of the contact's spring and the mass 1/A_t that it moves
+//! sideways, γ = ¼ √(k/A_t): a contact that holds f_t creeps at f_t/γ, and v_t decays at a rate of
+//! γ A_t = ¼ √(k A_t), which a step that is stable for the spring can follow.
 
 use crate::detect::Contact;
-use crate::model::Pair;
+use crate::model::{Pair, Span};
 use crate::real::{Mask, Real};
 use crate::settings::Settings;
 use crate::solve::{Push, Rows, Situation};
 
+/// γ over √(k/A_t).
+const SIDEWAYS: f64 = 0.25;
+
 impl<R: Real> Rows<R> {
     /// −k φ − b J v along the normal while shapes overlap, b a share of what is critical to the
-    /// mass 1/A that the contact moves.
+    /// mass 1/A that the contact moves; then friction along the tangents.
     pub(super) fn penalty(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
         let settings = now.settings;
+        let mask = contact.mask.and(contact.dist.lt(R::zero()));
+        let dt = R::of(settings.dt);
         self.normal_row(now, contact, pair);
         let Some(row) = self.rows.pop() else { return };
         let mass = row.a.recip_or_zero();
         let k = R::of(settings.penalty_stiffness);
         let damping = R::of(2.0 * settings.penalty_damping_ratio) * (k * mass).sqrt();
         let force = -(k * contact.dist) - damping * row.velocity;
-        let mask = contact.mask.and(contact.dist.lt(R::zero()));
-        let dofs = row.dofs.of(&now.model.dof_lists);
-        let y = &self.y[row.y..row.y + dofs.len()];
-        let impulse = R::of(settings.dt) * force;
-        Self::kick(&mut self.u, &now.placed.metric.inv_d, dofs, y, impulse, mask);
-        self.pushes.push(Push {
-            element: contact.element(),
-            dofs: row.dofs,
-            y: row.y,
-            impulse: R::select(mask, impulse, R::zero()),
-        });
+        self.push_apart(now, contact, row.dofs, row.y, dt * force, mask);
+        if pair.condim > 1 && pair.friction > 0.0 && mask.any() {
+            let bound = R::of(pair.friction) * force.max(R::zero());
+            self.rub(now, contact, pair, dt * bound, mask);
+        }
+    }
+
+    /// Friction of at most `bound` [N·s] along the tangents.
+    fn rub(
+        &mut self,
+        now: &Situation<R>,
+        contact: &Contact<R>,
+        pair: &Pair,
+        bound: R,
+        mask: R::Mask,
+    ) {
+        let first = self.rows.len();
+        self.tangent_rows(now, contact, pair);
+        let (mut a, mut square) = (R::zero(), R::zero());
+        for row in &self.rows[first..] {
+            a = a.max(row.a);
+            square += row.velocity * row.velocity;
+        }
+        let k = R::of(now.settings.penalty_stiffness);
+        let damper = R::of(SIDEWAYS * now.settings.dt) * (k * a.recip_or_zero()).sqrt();
+        let slides = (damper * damper * square).gt(bound * bound);
+        let damper = R::select(slides, bound * square.sqrt().recip_or_zero(), damper);
+        while self.rows.len() > first {
+            let row = &self.rows[first];
+            let (dofs, y, impulse) = (row.dofs, row.y, -(damper * row.velocity));
+            self.rows.remove(first);
+            self.push_apart(now, contact, dofs, y, impulse, mask);
+        }
+    }
+
+    /// Gives the guess an impulse along a row that was made.
+    fn push_apart(
+        &mut self,
+        now: &Situation<R>,
+        contact: &Contact<R>,
+        dofs: Span,
+        y: usize,
+        impulse: R,
+        mask: R::Mask,
+    ) {
+        let list = dofs.of(&now.model.dof_lists);
+        let own = &self.y[y..y + list.len()];
+        Self::kick(&mut self.u, &now.placed.metric.inv_d, list, own, impulse, mask);
+        let impulse = R::select(mask, impulse, R::zero());
+        self.pushes.push(Push { element: contact.element(), dofs, y, impulse });
     }
 }
 

@@ -44,6 +44,15 @@ impl<R: Real> SolRef<R> {
         Self { b: R::of(b), kd: R::of(stiffness) * d, softness: (R::one() - d) / d }
     }
 
+    /// The same with a spring that asks for no more than `most` [m/s] of an overlap r whose speed is
+    /// u: u − dt·(b u + K d r) ≤ max(most, u).
+    pub fn at_most(self, u: R, r: R, most: R, dt: R) -> Self {
+        let allowed = most.max(u) - u * (R::one() - dt * self.b);
+        let over = (-(self.kd * r * dt)).gt(allowed).and(r.lt(R::zero()));
+        let kd = (allowed / (-r * dt)).max(R::zero());
+        Self { kd: R::select(over, kd, self.kd), ..self }
+    }
+
     /// A row that restores no position: friction loss, and the tangents of a cone.
     pub fn without_position(self) -> Self {
         Self { kd: R::zero(), ..self }
@@ -58,6 +67,13 @@ impl<R: Real> SolRef<R> {
         row.c = (self.softness * weight).max(least);
         row.inv_s = (row.a + row.c).recip_or_zero();
     }
+}
+
+/// The target with which a row of regulariser c, whose guess moves at `guess`, opens at `most` by
+/// itself: most + cλ. A soft row holds its load by what its target is more than its speed.
+pub fn target_at<R: Real>(row: &Row<R>, c: R, guess: R, most: f64) -> R {
+    let most = R::of(most);
+    most + c * (most - guess).max(R::zero()) * row.a.recip_or_zero()
 }
 
 /// The least regulariser of a block's rows: an R that is only rounding beside A could not be told
@@ -146,28 +162,33 @@ impl OnGuess {
         Self { law, dt, beta, softness, slop }
     }
 
-    /// An inequality: distance φ ≥ 0. Limits do not bounce: their restitution is 0.
+    /// An inequality: distance φ ≥ 0, recovered at the speed `push`. Limits do not bounce: their
+    /// restitution is 0.
     ///
     /// A row that only is near asks for what the guess does anyway: no overlap at the end of
     /// the step. It has no impulse but what other rows make it pass on.
-    pub fn distance<R: Real>(&self, row: &mut Row<R>, near: &Near<R>, restitution: f64) {
+    pub fn distance<R: Real>(&self, row: &mut Row<R>, near: &Near<R>, restitution: f64, push: R) {
         let (zero, inv_dt) = (R::zero(), R::of(1.0 / self.dt));
         let phi = near.phi;
         row.gap = phi;
-        let push = R::of(-self.beta) * inv_dt;
         let (arrive, open) = (-(phi * inv_dt), phi.gt(zero));
-        let (hold, closing);
+        let closing;
         if self.law == Law::Rigid {
-            hold = push * (phi + R::of(self.slop)).min(zero);
-            let back = hold.max(R::of(-restitution) * row.velocity);
+            let back = push.max(R::of(-restitution) * row.velocity);
             let wait = open.and(near.arrives).and(R::Mask::of(restitution == 0.0));
             closing = R::select(wait, arrive, back);
         } else {
-            hold = push * phi.min(zero);
-            closing = R::select(near.far.and(near.arrives), arrive, hold);
+            closing = R::select(near.far.and(near.arrives), arrive, push);
         }
-        row.t = R::select(near.closing, closing, R::select(open, arrive, hold));
+        row.t = R::select(near.closing, closing, R::select(open, arrive, push));
         self.soften(row);
+    }
+
+    /// The speed at which an overlap is to be undone, without a limit.
+    pub fn push<R: Real>(&self, phi: R) -> R {
+        let push = R::of(-self.beta) * R::of(1.0 / self.dt);
+        let phi = if self.law == Law::Rigid { phi + R::of(self.slop) } else { phi };
+        push * phi.min(R::zero())
     }
 
     /// An equality: φ = 0.
@@ -201,9 +222,14 @@ impl OnGuess {
         }
     }
 
+    /// c of a row that holds a distance.
+    pub fn regulariser<R: Real>(&self) -> R {
+        R::of(if self.law == Law::Lesson { self.softness } else { 0.0 })
+    }
+
     fn soften<R: Real>(&self, row: &mut Row<R>) {
         let soft = self.denominator();
-        row.c = R::of(if self.law == Law::Lesson { soft } else { 0.0 });
+        row.c = self.regulariser();
         row.inv_s = (row.a + R::of(soft)).recip_or_zero();
     }
 }

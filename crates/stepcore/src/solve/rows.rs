@@ -95,6 +95,8 @@ pub struct Rows<R: Real> {
     pub y: Vec<R>,
     /// u = L v, by dof: the guess at first, then with every impulse so far.
     pub u: Vec<R>,
+    /// The most of an overlap that `max_recovery_speed` kept from being undone in this step [m].
+    pub unrecovered: R,
     pub(crate) scratch: Vec<R>,
     /// v̂, while rows are made.
     pub(crate) guess: Vec<R>,
@@ -124,6 +126,7 @@ impl<R: Real> Rows<R> {
             pushes: Vec::new(),
             y: Vec::new(),
             u: vec![R::zero(); model.nv],
+            unrecovered: R::zero(),
             scratch: vec![R::zero(); model.nv],
             guess: vec![R::zero(); model.nv],
             ranks: model.ranks(&islands),
@@ -141,6 +144,7 @@ impl<R: Real> Rows<R> {
             y: Vec::new(),
             scratch: u.clone(),
             guess: u.clone(),
+            unrecovered: R::zero(),
             u,
             islands: Vec::new(),
             ranks: Vec::new(),
@@ -152,6 +156,7 @@ impl<R: Real> Rows<R> {
         self.blocks.clear();
         self.pushes.clear();
         self.y.clear();
+        self.unrecovered = R::zero();
     }
 
     /// y·x over a row's dofs.

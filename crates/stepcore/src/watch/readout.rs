@@ -95,9 +95,16 @@ impl<R: Real> Sim<R> {
         if let Some(block) = self.rows.blocks.iter().find(|block| block.element == element) {
             return self.block_force(block, contact, lane);
         }
-        let push = self.rows.pushes.iter().find(|push| push.element == element);
-        let impulse = push.map_or(0.0, |push| push.impulse.lane(lane));
-        scaled(&contact.normal, impulse / self.clock.seconds, lane)
+        // Pushes along the normal, then along the tangents that move something.
+        let tangents = contact.tangents(&self.model, &self.placed);
+        let moving = tangents.iter().zip(self.model.pairs[contact.pair].still);
+        let moving = moving.filter(|(_, still)| !still).map(|(tangent, _)| tangent);
+        let ways = std::iter::once(&contact.normal).chain(moving);
+        let pushes = self.rows.pushes.iter().filter(|push| push.element == element);
+        let parts = ways
+            .zip(pushes)
+            .map(|(way, push)| scaled(way, push.impulse.lane(lane) / self.clock.seconds, lane));
+        parts.fold([0.0; 3], |sum, part| std::array::from_fn(|axis| sum[axis] + part[axis]))
     }
 
     fn block_force(&self, block: &Block<R>, contact: &Contact<R>, lane: usize) -> [f64; 3] {
