@@ -164,9 +164,10 @@ class Settings:
 
     @property
     def max_recovery_speed(self) -> float | Literal["auto", "none"]:
-        """The fastest that a contact pushes an overlap apart [m/s], > 0; "none" for no limit. "auto"
-        is 3 m/s under "lesson", "relaxed" and "rigid", and no limit under "solref". "penalty" has
-        none.
+        """The fastest that a contact pushes an overlap apart [m/s], > 0; "none" for no limit.
+
+        "auto" is 3 m/s under "lesson", "relaxed" and "rigid", and no limit under "solref".
+        "penalty" has none.
         """
 
     @property
