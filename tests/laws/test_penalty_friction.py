@@ -111,6 +111,7 @@ def test_its_share_of_the_linear_step(speed):
         assert A[:, k] == pytest.approx(column, abs=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 def test_the_stable_step_is_that_of_the_spring():
     """dt·ω < 2√(ζ² + 1) − 2ζ, as before: the bisection on a resting, slipping ball finds it."""
     ratio = 0.1

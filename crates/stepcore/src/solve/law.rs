@@ -172,14 +172,13 @@ impl OnGuess {
         let phi = near.phi;
         row.gap = phi;
         let (arrive, open) = (-(phi * inv_dt), phi.gt(zero));
-        let closing;
-        if self.law == Law::Rigid {
+        let closing = if self.law == Law::Rigid {
             let back = push.max(R::of(-restitution) * row.velocity);
             let wait = open.and(near.arrives).and(R::Mask::of(restitution == 0.0));
-            closing = R::select(wait, arrive, back);
+            R::select(wait, arrive, back)
         } else {
-            closing = R::select(near.far.and(near.arrives), arrive, push);
-        }
+            R::select(near.far.and(near.arrives), arrive, push)
+        };
         row.t = R::select(near.closing, closing, R::select(open, arrive, push));
         self.soften(row);
     }
