@@ -25,29 +25,24 @@ def pd(time, sim, kp=2000.0, kd=20.0):
     return [-kp * sim.qpos[0] - kd * sim.qvel[0]]
 
 
-class Counted:
-    """The PD, and when it was asked."""
+def sampled(period, dt):
+    """When a run at the step dt [s] asks for controls, with a period that is given or not."""
+    times = []
 
-    def __init__(self):
-        self.times = []
-
-    def __call__(self, time, sim):
-        self.times.append(time)
+    def counted(time, sim):
+        times.append(time)
         return pd(time, sim)
 
-
-def sampled(motion, dt=0.002):
-    """When a run at the step dt [s] asks for controls."""
-    model = leg().compile()
+    model, motion = leg().compile(), Motion(horizon=0.04, control=counted, control_dt=period)
     runner = Runner(model, scheduled(motion, model, motion.period(0.002), starts=1))
     runner.follow(runner.sim(model.settings.replace(dt=dt)), 0)
-    return np.array(motion.control.times)
+    return np.array(times)
 
 
 @pytest.mark.parametrize(("given", "period"), [(None, 0.002), (0.004, 0.004)])
 def test_a_control_is_sampled_every_shipped_step_whatever_step_is_tried(given, period):
     for dt in (0.002, 0.0005):
-        times = sampled(Motion(horizon=0.04, control=Counted(), control_dt=given), dt)
+        times = sampled(given, dt)
         assert times == pytest.approx(period * np.arange(round(0.04 / period)), abs=1e-12)
 
 
@@ -132,7 +127,53 @@ def test_a_constant_torque_is_no_explosion():
     assert sc.trade(wheel, ctrl=[[1.0]], horizon=0.2, dts=[0.01, 0.002], **QUIET).rows
 
 
+class Late:
+    """The PD one sample late."""
+
+    def __init__(self):
+        self.last = [0.0]
+
+    def __call__(self, time, sim):
+        late, self.last = self.last, pd(time, sim)
+        return late
+
+
+def test_an_object_remembers_in_every_run_for_itself():
+    late = Late()
+    result = sc.trade(leg(), control=late, horizon=0.1, further=0, **QUIET)
+    assert late.last == [0.0]
+    sim = sc.Sim(leg())
+    sim.reset(key="out")
+    by_hand = sim.run(0.1, control=Late()).qpos[:, 0]
+    model = leg().compile()
+    motion = Motion(horizon=0.1, control=late)
+    runner = Runner(model, scheduled(motion, model, 0.002, 1))
+    for _ in range(2):
+        again = runner.sim(model.settings)
+        runner.follow(again, 0)
+        assert again.qpos[0] == by_hand[-1]
+    assert result.error(result.shipped) < 1e-2
+
+
+@pytest.mark.parametrize("measure", [sc.trade, sc.ablate, sc.converge, sc.predictability])
+def test_a_function_that_answers_otherwise_when_asked_again_is_refused(measure):
+    asked, rng = [], np.random.default_rng(0)
+
+    def counting(time, sim):
+        asked.append(time)
+        return [1e-3 * len(asked)]
+
+    def noisy(time, sim):
+        return rng.normal(size=1)
+
+    for function in (counting, noisy):
+        name = function.__qualname__.rpartition(".")[2]
+        words = rf"`{name}` of test_control.py returned other controls when the same run was made"
+        with pytest.raises(ControlError, match=words):
+            measure(leg(), control=function, horizon=0.1, starts=1, threads=1, progress=False)
+
+
 def test_names_of_functions():
     assert control_name(pd) == "the control function `pd` of test_control.py"
     assert control_name(lambda time, sim: []).startswith("the control function `<lambda>, line ")
-    assert control_name(Counted()) == "the control function `Counted`"
+    assert control_name(Late()) == "the control function `Late`"

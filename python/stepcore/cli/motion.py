@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import importlib
 import importlib.util
 import os
@@ -154,17 +153,23 @@ def control_function(text: str) -> Callable[..., Any]:
         known = [key for key, value in vars(imported).items() if callable(value)]
         raise Usage(f"--control {text}: {module} has no function '{name}'{nearest(name, known)}")
 
-    @functools.wraps(function)
-    def control(*args: Any) -> Any:
+    return _NamedControl(text, function)
+
+
+class _NamedControl:
+    """A control function whose errors name the option; a copy of it has a copy of the function."""
+
+    def __init__(self, text: str, function: Callable[..., Any]) -> None:
+        self.text, self.__wrapped__ = text, function
+
+    def __call__(self, time: float, sim: Any) -> Any:
         try:
-            return function(*args)
+            return self.__wrapped__(time, sim)
         except SimulationError:
             raise
         except Exception as error:
             # Not a ValueError, which a measurement would take for a failure of its settings.
-            raise RuntimeError(f"--control {text}: {_place(error)}") from error
-
-    return control
+            raise RuntimeError(f"--control {self.text}: {_place(error)}") from error
 
 
 def _module(name: str) -> ModuleType:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import inspect
 from collections.abc import Callable
@@ -57,6 +58,17 @@ def controls(function: Control, sim: Sim) -> Floats:
         text = f"{name} returned {what} for {motor} at time {time:g} s: {limit}"
         raise (ControlError if time == 0 else ValueError)(text)
     return table
+
+
+def fresh(function: Control) -> Control:
+    """The function for a run of its own: an object that can be called is copied as it is now.
+
+    What it remembers of earlier calls then belongs to its run. A plain function is returned.
+    """
+    try:
+        return copy.deepcopy(function)
+    except Exception:  # what an object's own copying raises is of any type
+        return function
 
 
 def control_name(function: Control) -> str:

@@ -69,7 +69,8 @@ class Motion:
         scene at rest.
     ctrl: controls, shape (n, nu), one row for each control period; the last row is held.
     control: in place of `ctrl`, a function of (time, sim) that returns the controls. It is called
-        once per control period, possibly from several threads, and must depend on nothing else.
+        once per control period, possibly from several threads, and must depend on nothing else; a
+        callable object may remember what is in its attributes, of which each run gets a copy.
         Without `ctrl` and `control` every actuator follows a sum of a few random sines within its
         range.
     control_dt: the control period [s], a multiple of every time step. By default `control` and the

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -13,12 +14,15 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.executors import checkpoint
 from stepcore.experiment.bodies import Bodies
-from stepcore.experiment.control import ControlError, controls
+from stepcore.experiment.control import Control, ControlError, control_name, controls, fresh
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.experiment.path import Path
 from stepcore.experiment.probe import Probe
 from stepcore.experiment.recorder import Positions, Recorder
 from stepcore.experiment.schedule import Schedule
+
+# So many control periods show whether a control function can be asked again.
+REPEATED = 32
 
 
 class Clock(Protocol):
@@ -68,6 +72,35 @@ class Runner:
         """The same of which only positions are recorded: enough for errors, and much faster."""
         return self.run(settings, start, [Positions(self.bodies)])
 
+    def check_repeatable(self) -> None:
+        """Makes the beginning of a run twice; ControlError if the controls are not the same.
+
+        Then they depend on more than the motion, and no two runs can be compared.
+        """
+        function = self.schedule.control
+        if function is None:
+            return
+        first, again = self._asked(fresh(function)), self._asked(fresh(function))
+        if len(first) == len(again) and np.array_equal(first, again):
+            return
+        raise ControlError(
+            f"{control_name(function)} returned other controls when the same run was made again: "
+            "it is random, or remembers earlier calls. Runs with it cannot be compared; give a "
+            "callable object that keeps its memory in its attributes, of which each run gets a copy"
+        )
+
+    def _asked(self, function: Control) -> np.ndarray:
+        """The controls of the first periods of the first start."""
+        sim, asked = Sim(self.model), []
+        self.place(sim, 0)
+        count = self.schedule.steps(sim.settings.dt)
+        with contextlib.suppress(SimulationError):
+            for period in range(min(REPEATED, self.schedule.periods)):
+                self.control(sim, 0, period, function)
+                asked.append(np.array(sim.ctrl))
+                sim.step(count)
+        return np.array(asked)
+
     def runs(self, settings: Settings) -> list[Path]:
         """The motion from every start, until one fails."""
         paths: list[Path] = []
@@ -84,6 +117,7 @@ class Runner:
         """
         schedule = self.schedule
         periods, count = schedule.periods, schedule.steps(sim.settings.dt)
+        function = None if schedule.control is None else fresh(schedule.control)
         self.place(sim, start)
         for probe in probes:
             probe.begin(sim)
@@ -95,7 +129,7 @@ class Runner:
         stride = min((n for probe in probes if (n := probe.stride(count))), default=count)
         for period in range(periods):
             checkpoint()
-            self.control(sim, start, period)
+            self.control(sim, start, period, function)
             for probe in probes:
                 probe.period(sim, period)
             for first in range(0, count, stride):
@@ -116,10 +150,10 @@ class Runner:
         sim.qpos = self.schedule.starts[start].qpos
         sim.qvel = self.schedule.starts[start].qvel
 
-    def control(self, sim: Any, start: int, period: int) -> None:
-        """Sets the controls of a Sim at the beginning of a period."""
+    def control(self, sim: Any, start: int, period: int, function: Control | None) -> None:
+        """Sets the controls of a Sim at the beginning of a period; function: of this run."""
         schedule = self.schedule
-        if schedule.control is not None:
-            sim.ctrl = controls(schedule.control, sim)
+        if function is not None:
+            sim.ctrl = controls(function, sim)
         elif schedule.ctrl is not None:
             sim.ctrl[:] = schedule.ctrl[start][period]

@@ -198,6 +198,7 @@ def predictability(
     own = model.settings.dt
     steps, period = time_steps(own, None, motion.period(own), horizon)
     runner = Runner(model, scheduled(motion, model, period))
+    runner.check_repeatable()
     runs = ReferenceRuns(runner, model.settings, min(steps), 0.0, workers)
     with workers.bar("predictability", (2 + DIRECTIONS) * runs.starts) as bar:
         level, growth = runs.growth(bar)

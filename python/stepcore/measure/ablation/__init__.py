@@ -95,6 +95,7 @@ def ablate(
     more = _more(model, motion.horizon or HORIZON, starts)
     schedule = scheduled(motion, model, period, starts=starts + SETS * more)
     runner = Runner(model, schedule.part(0, starts))
+    runner.check_repeatable()
     reference, notes = _reference(ReferenceRuns(runner, model.settings, dt, BUDGET, workers))
     baseline = _baseline(runner, reference)
     tolerance = units.length("ablate", "error", error, extent(baseline.paths, model.scene))

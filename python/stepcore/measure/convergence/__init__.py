@@ -119,6 +119,7 @@ def converge(
     some = candidates(own, motion.period(own.dt), motion.horizon or HORIZON)
     schedule = scheduled(motion, model, some.period, starts)
     runner = Runner(model, schedule)
+    runner.check_repeatable()
     paths = _runs(runner, some.tried, "runs", workers)
     rows = max(path.rows for paths_of in paths.values() for path in paths_of)
     some = with_converged(some, runner, rows)

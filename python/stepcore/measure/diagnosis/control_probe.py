@@ -13,7 +13,6 @@ them: what an integral has kept from earlier calls falls out of the difference o
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -21,7 +20,7 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 from stepcore.engine.model import Model
-from stepcore.experiment.control import Control, controls
+from stepcore.experiment.control import Control, controls, fresh
 from stepcore.experiment.coordinates import Coordinates
 from stepcore.measure.diagnosis.feedback import Feedback
 from stepcore.measure.diagnosis.linear_step import State, sim_at
@@ -48,7 +47,7 @@ def with_feedback(
     made: list[State] = []
     first: Feedback | None = None
     for state in states:
-        probe = _Probe(model, state, _copied(control), dt, horizon)
+        probe = _Probe(model, state, fresh(control), dt, horizon)
         if first is None or (first.order and model.nv <= MOST_DOFS):
             feedback = probe.feedback()
         elif first.order:
@@ -59,14 +58,6 @@ def with_feedback(
         own = feedback if feedback.acts else None
         made.append(replace(state, ctrl=probe.answer(None), feedback=own))
     return made
-
-
-def _copied(control: Control) -> Control:
-    """The function with a memory of its own, if it is an object that can be copied."""
-    try:
-        return copy.deepcopy(control)
-    except Exception:  # what an object's own copying raises is of any type
-        return control
 
 
 def _prompt(control: Control, gain: Floats) -> Feedback:

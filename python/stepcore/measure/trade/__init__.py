@@ -139,6 +139,7 @@ def trade(
     if not (full or model.nu or held):
         period = longest(period, length)
     runner = Runner(model, scheduled(motion, model, period))
+    runner.check_repeatable()
     runs = ReferenceRuns(runner, shipped, min(steps), effort, workers)
     with workers.bar("reference", runs.least) as bar:
         reference = runs.reference(bar)

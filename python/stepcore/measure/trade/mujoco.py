@@ -21,6 +21,7 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.bodies import Bodies
+from stepcore.experiment.control import Control
 from stepcore.experiment.cost import TimedRun
 from stepcore.experiment.errors import Errors, errors, far_off, pareto
 from stepcore.experiment.path import Path
@@ -204,11 +205,11 @@ class MujocoRunner(Runner):
         begin = self.schedule.starts[start]
         sim.data.qpos[:], sim.data.qvel[:] = begin.qpos, begin.qvel
 
-    def control(self, sim: World, start: int, period: int) -> None:
+    def control(self, sim: World, start: int, period: int, function: Control | None) -> None:
         data, shown = sim.data, self.shown
-        if self.schedule.control is not None:
+        if function is not None:
             shown.qpos, shown.qvel, shown.time = data.qpos, data.qvel, data.time
-        super().control(shown, start, period)
+        super().control(shown, start, period, function)
         data.ctrl[:] = shown.ctrl
 
 
