@@ -8,6 +8,8 @@ from stepcore.measure.diagnosis.findings import DiagnosisFindings
 from stepcore.measure.diagnosis.saturation import Saturation
 from stepcore.report.units import seconds
 
+# A speed over that of the motion at a fine step that is told.
+THROWN = 1.5
 # Growth that no step resolves [1/s].
 FASTEST = 1e6
 
@@ -77,9 +79,10 @@ def _chatter(d: DiagnosisFindings, one: Saturation) -> str:
     kicked = "" if one.reached else f"kicked beyond {_speed(one, one.speed)}, "
     begins = f"{kicked}{one.element.name} reaches its force range of ±{_force(one)}"
     chatters = (
-        "there its damping is gone, and its force jumps from one end to the other within steps, "
-        f"which throws {one.joint} to {_speed(one, one.thrown)}"
+        "there its damping is gone, and its force jumps from one end to the other within a step"
     )
+    if one.thrown > THROWN * one.usual:
+        chatters += f", which throws {one.joint} to {_speed(one, one.thrown)}"
     return f"{begins[0].upper()}{begins[1:]}: {chatters}. The motion stays finite."
 
 

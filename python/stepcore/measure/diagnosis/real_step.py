@@ -6,8 +6,8 @@ slowly. There the motion is run with the step in question and compared with a ru
 
 - it explodes if it does not stay finite, or if its kinetic energy exceeds `EXPLODED` times the
   largest of the fine run;
-- it chatters if a servo's force jumps between the ends of its force range again and again, where
-  the fine run's does not.
+- it chatters if a servo's force jumps from one end of its force range to the other within a step,
+  again and again, where the fine run's does not.
 
 The budget is in steps, so that the answer is the same on every machine.
 """
@@ -38,8 +38,10 @@ EXPLODED = 10.0
 # Samples of a run, its steps at most and at least (a longer run is cut short), and the dofs from
 # which a run has fewer: a step takes about the square of them.
 SAMPLES, MOST, LEAST, DOFS_AT_MOST = 200, 20_000, 2_000, 8
-# A force that is at either end of its range for half this share of a run's later half chatters.
-CHATTER = 0.2
+# A force chatters that goes from one end of its range to the other in so many of the steps (every
+# other one in a cycle of four). Of every sample so many steps are looked at one by one: two would
+# miss such a cycle.
+CHATTER, SINGLE = 0.3, 4
 # The fewest steps that make a run.
 FEWEST = 8
 
@@ -50,8 +52,8 @@ class RealRun:
 
     integrator; dt [s]. reached [s]: how far it came; finite: whether it stayed finite. peak [J]:
     its largest kinetic energy. times [s], energies [J]: of its samples. jumps: of each
-    actuator, the share of the later half of the run in which its force was now at one end of its
-    range and now at the other; swings: the same of the whole run. saturated: of each actuator,
+    actuator, the share of the steps in the later half in which its force went from one end of its
+    range to the other; swings: the same of the whole run. saturated: of each actuator,
     whether its force ever was at an end. speeds: the largest |qvel| seen, shape (nv,).
     calm: the state at the last sample whose energy was within the bound.
     """
@@ -131,7 +133,7 @@ class RealStep:
 
 
 class _Run:
-    """One run, sampled evenly; at every sample two steps are looked at one by one."""
+    """One run, sampled evenly; at every sample some steps are looked at one by one."""
 
     def __init__(
         self, sim: Sim, schedule: Schedule, count: int, beyond: float, kick: Floats | None
@@ -173,18 +175,18 @@ class _Run:
             max(self.energies),
             np.array(self.times),
             np.array(self.energies),
-            self._balance(later),
-            self._balance(self.seen),
+            np.mean(later, axis=0) if later else np.zeros(sim.model.nu),
+            np.mean(self.seen, axis=0) if later else np.zeros(sim.model.nu),
             self.saturated,
             self.speeds,
             self.calm,
         )
 
     def _step(self, count: int) -> bool:
-        """Takes some steps, the last two one by one; False where the run need not go on."""
-        single = min(2, count)
+        """Takes some steps, the last ones one by one; False where the run need not go on."""
+        single = min(SINGLE, count)
         self._controlled(count - single)
-        energy = 0.0
+        energy, before = 0.0, None
         for _ in range(single):
             self._controlled(1)
             energy = max(energy, self._energy())
@@ -193,7 +195,9 @@ class _Run:
                 continue
             end = self._end()
             self.saturated |= end != 0
-            self.seen.append(end)
+            if before is not None:
+                self.seen.append(end * before < 0)
+            before = end
         return self._noted(energy)
 
     def _controlled(self, count: int) -> None:
@@ -220,14 +224,6 @@ class _Run:
         if count:
             self.sim.step(count)
             self.done += count
-
-    def _balance(self, seen: list[Any]) -> Floats:
-        """Of each actuator, twice the share of the end of its range that it is at less often."""
-        if not seen:
-            return np.zeros(self.sim.model.nu)
-        ends = np.array(seen)
-        shares = np.minimum((ends > 0).mean(axis=0), (ends < 0).mean(axis=0))
-        return np.asarray(2 * shares)
 
     def _end(self) -> Any:
         """Of each actuator's force: 1 at the upper end of its range, -1 at the lower, else 0."""

@@ -39,9 +39,10 @@ class Saturation:
 
     element: which one. joint: its name. angular: whether that turns. force: the end of the range
     [N·m or N]. speed: of the joint, from which the range is reached [rad/s or m/s]. thrown: the
-    largest speed of the joint at the wanted dt. dt: the largest step at which it comes to rest [s].
-    reached: whether the motion itself reaches the range, without a kick. severe: whether the
-    chatter has more energy than the kick, by `EXPLODED` times.
+    largest speed of the joint at the wanted dt; usual: that of the motion at a fine step. dt: the
+    largest step at which it comes to rest [s]. reached: whether the motion itself reaches the
+    range, without a kick. severe: whether the chatter has more energy than the kick, by `EXPLODED`
+    times.
     """
 
     element: ElementId
@@ -50,6 +51,7 @@ class Saturation:
     force: float
     speed: float
     thrown: float
+    usual: float
     dt: float
     reached: bool
     severe: bool
@@ -83,7 +85,7 @@ def saturation_of(judge: Judge, element: ElementId, run: RealRun, dt: float) -> 
 
     run: at the wanted step. dt [s]: the largest step at which it does not.
     """
-    return _described(judge.real.model, element, run, dt, True, run.peak > judge.bound)
+    return _described(judge, element, run, dt, True, run.peak > judge.bound)
 
 
 def _candidates(judge: Judge, wanted: float) -> list[tuple[ElementId, float]]:
@@ -133,12 +135,14 @@ class _Kicked:
         limit = first_failing(lambda dt: self.rests(self.run(dt)), alone, wanted)
         run = self.run(wanted)
         severe = self.severe(run)
-        return _described(self.judge.real.model, self.servo, run, limit, False, severe)
+        return _described(self.judge, self.servo, run, limit, False, severe)
 
 
 def _described(
-    model: Model, servo: ElementId, run: RealRun, dt: float, reached: bool, severe: bool
+    judge: Judge, servo: ElementId, run: RealRun, dt: float, reached: bool, severe: bool
 ) -> Saturation:
+    model = judge.real.model
+    usual = float(judge.fine.speeds[driven_dof(model, servo.index)])
     joint = int(model.actuator_joint[servo.index])
     return Saturation(
         element=servo,
@@ -147,6 +151,7 @@ def _described(
         force=largest_force(model, servo.index),
         speed=reaching_speed(model, servo.index),
         thrown=float(run.speeds[driven_dof(model, servo.index)]),
+        usual=usual,
         dt=dt,
         reached=reached,
         severe=severe,
