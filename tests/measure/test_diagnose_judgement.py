@@ -8,6 +8,9 @@ import stiff
 
 import stepcore as sc
 
+# Steps beyond a limit are run on purpose.
+pytestmark = pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
+
 
 def diagnosed(scene, **options):
     return sc.diagnose(scene, **({"threads": 1, "progress": False} | options))
