@@ -63,10 +63,10 @@ def _arm(kind, rng):
     )
 
 
-def play(seed, dt=None, steps=640):
+def play(seed, dt=None, steps=640, precision=None):
     """A scene of this seed under settings of its own, driven as its kind is.
 
-    dt: the seed's own by default, or a part of it. Returns what was said of its energy, the
+    dt, precision: the seed's own by default; or a part of its dt. Returns what was said of its energy, the
     largest kinetic energy [J], and the seed's dt [s].
     """
     rng = random.Random(seed)
@@ -81,6 +81,8 @@ def play(seed, dt=None, steps=640):
         settings |= {"solver": "newton", "sweeps": 50}
     if rng.random() < 0.2:
         settings["precision"] = "f32"
+    if precision is not None:
+        settings["precision"] = precision
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         scene = sc.loads(text)
