@@ -40,7 +40,7 @@ def _inverted(model: Model) -> Iterator[Finding]:
             "inverted range",
             "error",
             "",
-            f"{note.removesuffix(EMPTY)}and limits nothing, because its first number must be the "
+            f"{note.removesuffix(EMPTY)}limits nothing, because its first number must be the "
             f"smaller one: {order}.",
             float(low),
         )
