@@ -21,6 +21,9 @@ from stepcore.measure.diagnosis.linear_step import (
 from stepcore.measure.diagnosis.midpoint_map import midpoint_map
 from stepcore.measure.diagnosis.oscillator import oscillator_dt
 
+# Runs beyond their limits are what these tests make.
+pytestmark = pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
+
 
 def diagnosed(scene, **options):
     options = {"horizon": 0.1, "threads": 1, "progress": False} | options

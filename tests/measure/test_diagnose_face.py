@@ -12,6 +12,9 @@ import stepcore as sc
 from stepcore.cli import main
 from stepcore.engine.linear_maps import INTEGRATORS
 
+# Runs beyond their limits are what these tests make.
+pytestmark = pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
+
 
 def diagnosed(scene, **options):
     options = {"horizon": 0.1, "threads": 1, "progress": False} | options
