@@ -10,7 +10,7 @@ from stepcore._core import Settings
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.reference import Reference
 from stepcore.measure.findings import Finding
-from stepcore.measure.trade.frontier import Frontier
+from stepcore.measure.trade.frontier import MARGIN, Frontier
 from stepcore.measure.trade.mujoco import Point
 from stepcore.measure.trade.orders import observed_orders
 from stepcore.measure.trade.row import TradeRow
@@ -126,9 +126,8 @@ class TradeFindings:
             e, tried = row.errors, row.further
             if e is None or tried is None or tried.starts == 0:
                 continue
-            held = sum(wrong <= target for wrong in e.each) + tried.held
-            missed = len(e.each) + tried.starts - held
-            few = missed <= FEW * (len(e.each) + tried.starts)
+            missed, count = self.misses(row)
+            few = missed <= FEW * count
             if (
                 few
                 and self.error(row) < math.inf
@@ -136,6 +135,20 @@ class TradeFindings:
             ):
                 near.append((missed, self.price(row), row.settings.dt, row))
         return min(near, key=lambda entry: entry[:3])[-1] if near else None
+
+    @property
+    def kept(self) -> float:
+        """The error that a recommendation keeps to on every start that ran [m]; NaN without one."""
+        return math.nan if self.target is None else MARGIN * self.target
+
+    def misses(self, row: TradeRow) -> tuple[int, int]:
+        """On how many starts a row exceeds the error asked for, and of how many that it ran."""
+        each = () if row.errors is None else row.errors.each
+        held = sum(wrong <= (self.target or math.inf) for wrong in each)
+        count = len(each)
+        if row.further is not None:
+            held, count = held + row.further.held, count + row.further.starts
+        return count - held, count
 
     def best(self, error: float | str | None = None) -> Settings:
         """The cheapest Settings that keep to an error in every start.

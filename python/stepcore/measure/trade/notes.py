@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -11,7 +12,7 @@ from stepcore.experiment.growth import GROWTH, NEARBY
 from stepcore.experiment.reference import FINER, Gap, Reference, smallest
 from stepcore.experiment.schedule import Schedule
 from stepcore.measure.trade.row import TradeRow
-from stepcore.report.units import metres, seconds, times
+from stepcore.report.units import compact, metres, seconds, times
 
 # A residual of the reference that is worth saying [m/s].
 UNSOLVED = 1e-9
@@ -72,26 +73,31 @@ def about_reference(reference: Reference, rows: Sequence[TradeRow], size: float)
     least = smallest([row.errors.high for row in rows if row.errors], size)
     if reference.high * FINER > least > 0:
         yield (
-            f"the reference's own error of {metres(reference.high)} is not {FINER:.0f} times "
-            f"smaller than the smallest error, {metres(least)}; errors below the reference's own "
-            "are shown as < that error"
+            "errors are measured from a converged motion, which is itself only known to "
+            f"{metres(reference.high)}: errors up to {FINER:.0f} times that are uncertain by so "
+            f"much, and smaller ones are printed as <{compact(reference.high)}; a larger `effort` "
+            "converges it further"
         )
     marked = sum(row.best and row.below_max and not row.below for row in rows)
     if marked:
         yield (
-            f"the column max is uncertain by {metres(reference.largest)}, the reference's own "
-            f"largest error; in {marked} of the best rows it is below that"
+            f"the column max is uncertain by {metres(reference.largest)}, the largest error of the "
+            f"converged motion; {marked} of the best rows are below that"
         )
     rest = max(path.residual for path in reference.paths)
     if rest > UNSOLVED:
-        yield f"the reference's rows are only solved to a residual of {rest:.0e} m/s"
+        yield (
+            "the converged motion that errors are measured from has rows that its solver left at a "
+            f"residual of {rest:.0e} m/s"
+        )
     if reference.other and reference.agreement > DISAGREE * (
         reference.other_error + reference.error
     ):
         yield (
-            f"two integrators do not agree: {reference.other} is {metres(reference.agreement)} "
-            f"from the reference, though halving its step moved it by only "
-            f"{metres(reference.other_error)}"
+            f"two integrators converge to motions {metres(reference.agreement)} apart: "
+            f"{reference.other} moved by only {metres(reference.other_error)} when its step was "
+            f"halved, and does not come nearer to {reference.level.integrator}; take errors below "
+            "that distance as unknown"
         )
 
 
@@ -123,8 +129,17 @@ def failed(rows: Sequence[TradeRow]) -> Iterator[str]:
         settings = "setting fails" if count == 1 else "settings fail"
         yield (
             f"{count} {settings} with {', '.join(kind)}: the first at dt "
-            f"{seconds(first.settings.dt)} ({first.failure}){finest}"
+            f"{seconds(first.settings.dt)} ({short(first.failure or '')}){finest}"
         )
+
+
+def short(failure: str) -> str:
+    """The first sentence of a failure; the post-mortem is in the row's `failure`.
+
+    >>> short("start 0: diverged at 0.1 s: a force is not finite. The cause is spring `a`, 9 %.")
+    'start 0: diverged at 0.1 s: a force is not finite'
+    """
+    return re.split(r"\.\s+(?=[A-Z])", failure, maxsplit=1)[0].rstrip(".")
 
 
 def _modelling(name: str, gap: Gap) -> str:

@@ -45,10 +45,12 @@ class Trade(TradeFindings, Result):
         ref, tried = self.reference, ""
         if self.screened > len(self.rows):
             tried = f", of {self.screened} tried in {self.runs} runs"
+        truth = f"a converged motion ({ref.level.integrator}, dt {seconds(ref.settings.dt)})"
+        if ref.exact is not None:
+            truth = "the exact motion"
         return (
-            f"{counted(len(self.rows), 'setting')}{tried}. The reference "
-            f"({ref.level.integrator or 'exact'}, dt {seconds(ref.settings.dt)}) is accurate to "
-            f"{metres(ref.high)} ({ref.basis})."
+            f"{counted(len(self.rows), 'setting')}{tried}. Errors are measured from {truth}, which "
+            f"is itself known to {metres(ref.high)} ({ref.basis})."
         )
 
     @property

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 
 from stepcore.measure.trade.findings import NOTABLE, TradeFindings
-from stepcore.measure.trade.frontier import MARGIN
 from stepcore.measure.trade.mujoco import compared_with_mujoco
+from stepcore.measure.trade.notes import short
 from stepcore.measure.trade.row import TradeRow
 from stepcore.report.settings import label
 from stepcore.report.units import computing, counted, metres, operations, percent, seconds
@@ -90,7 +90,7 @@ def _confirmed(trade: TradeFindings, row: TradeRow) -> str:
     if tried is None:
         return " It was not tried on further starts."
     if tried.starts == 0:
-        return f" It could not be confirmed: {tried.failure}."
+        return f" It could not be confirmed: {short(tried.failure or '')}."
     count = counted(tried.starts, "further start")
     if trade.target is None:
         return f" This includes {count}."
@@ -111,24 +111,22 @@ def _passed_over(trade: TradeFindings, row: TradeRow, error: float) -> Iterator[
     named = _named(trade, other)
     if other.shipped:
         named = f"the shipped settings ({named})"
-    ran = other.errors.each
-    held = sum(wrong <= error for wrong in ran) + (other.further.held if other.further else 0)
-    count = len(ran) + (other.further.starts if other.further else 0)
-    if held == count and trade.error(other) <= MARGIN * error:
+    missed, count = trade.misses(other)
+    if not missed and trade.error(other) <= trade.kept:
         yield (
             f"{named[0].upper()}{named[1:]} cost {times} and pass too; a round time step is "
             "recommended in their place."
         )
-    elif held == count:
+    elif not missed:
         yield (
             f"{named[0].upper()}{named[1:]} cost {times} and stayed within {metres(error)} too, "
             f"with {metres(trade.error(other))}; but a recommendation keeps to "
-            f"{metres(MARGIN * error)}, because starts that were not run may be worse."
+            f"{metres(trade.kept)}, because starts that were not run may be worse."
         )
     else:
         yield (
             f"{named[0].upper()}{named[1:]} would cost {times}, but exceeded {metres(error)} on "
-            f"{count - held} of {count} starts (by up to {metres(trade.error(other) - error)}); "
+            f"{missed} of {count} starts (by up to {metres(trade.error(other) - error)}); "
             "with other starts the answer may change."
         )
 
@@ -150,7 +148,7 @@ def _shipped(trade: TradeFindings) -> str:
     row = trade.shipped
     what = f"As shipped ({label(row.settings)})"
     if row.errors is None:
-        return f"{what} the simulation fails: {row.failure}."
+        return f"{what} the simulation fails: {short(row.failure or '')}."
     e, error = row.errors, metres(trade.error(row))
     where = ""
     if trade.starts > 1:

@@ -14,17 +14,19 @@ from stepcore.report.settings import differences, label
 from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, seconds
 
-# A printed trade shows all rows up to this many, then the ones that matter.
-FULL = 40
+# A printed trade shows so many rows at most: those that matter, thinned out along the front.
+SHOWN = 16
 LEGEND = """\
 *: no other setting is cheaper and at least as accurate; s: shipped; r: recommended; c: refsafe \
-softens rows at this dt; ref: the reference. dt in ms; cost in µs, flops and row updates per \
-simulated second. error: RMS position error of the worst start [m], of centres of mass and of \
-rotation times radius of gyration (<: below the reference's own error, which is shown). median: \
-the same of the median start. numeric, model: numerical and modelling part of the error, for \
-settings that change the model. max: largest error of a centre of mass. angle: RMS rotation error \
-[rad]. gained, lost: energy beyond the work done [J]. overlap: deepest overlap [m]. resid: largest \
-residual [m/s]. also: other settings that differ from the shipped ones."""
+softens contacts at this dt; ref: the converged motion that errors are measured from. dt in ms; \
+cost in µs and flops per simulated second. error: RMS position error of the worst start [m] \
+(<: not known any better, because the converged motion is not); median: the same of the median \
+start; max: largest error of a centre of mass."""
+FULL_LEGEND = """ error counts centres of mass and rotation times radius of gyration. rows: row \
+updates per simulated second. numeric, model: numerical and modelling part of the error, for \
+settings that change the model. angle: RMS rotation error [rad]. gained, lost: energy beyond the \
+work done [J]. overlap: deepest overlap [m]. resid: largest residual [m/s]."""
+ALSO = " also: other settings that differ from the shipped ones."
 MUJOCO = " m: MuJoCo, where none of its settings is better."
 
 HEADS = ("", "dt", "integrator", "solver", "error")
@@ -35,20 +37,24 @@ ERRORS = (
 )
 NUMBERS = (*COSTS, *ERRORS)
 NAMES = ("", "dt", "integrator", "solver", "also", *NUMBERS)
+# Columns that only a full table has.
+DETAILS = ("rows", "numeric", "model", "angle", "gained", "lost", "overlap", "resid")
 # A column with nothing else says nothing of the scene.
 BLANK = ("", None, "0")
 
 
 def settings_table(trade: TradeFindings, full: bool) -> Table:
     """The rows, the reference and MuJoCo's best; `full`: all rows, however many there are."""
-    shown = trade.rows if full or len(trade.rows) <= FULL else _main_rows(trade)
+    shown = trade.rows if full or len(trade.rows) <= SHOWN else _main_rows(trade)
     records = [*(_cells(trade, row) for row in shown), _reference_cells(trade)]
     records += [_mujoco_cells(point) for point in trade.mujoco if point.best]
-    columns = [n for n in NAMES if n in HEADS or any(r.get(n) not in BLANK for r in records)]
-    legend = LEGEND + MUJOCO * bool(trade.mujoco)
+    some = [n for n in NAMES if full or n not in DETAILS]
+    columns = [n for n in some if n in HEADS or any(r.get(n) not in BLANK for r in records)]
+    legend = LEGEND + ALSO * ("also" in columns) + FULL_LEGEND * full + MUJOCO * bool(trade.mujoco)
     left = len(trade.rows) - len(shown)
-    if left:
-        legend += f" {counted(left, 'more setting')}: in Trade.table, and printed with --all."
+    more = f"{counted(left, 'more setting')} and " if left else ""
+    if not full:
+        legend += f" --all (text(full=True)) prints {more}energy, overlap and residual."
     return Table(records, columns, dict.fromkeys((*NUMBERS, "dt"), ""), legend=legend)
 
 
@@ -78,14 +84,18 @@ def statistics_tables(trade: TradeFindings) -> list[Table]:
 
 
 def _main_rows(trade: TradeFindings) -> Sequence[TradeRow]:
-    """The best rows, the shipped one, and those that differ from it in dt alone."""
+    """The shipped and the recommended row, and best ones: along all of the front alike."""
     own, chosen = trade.shipped.settings, trade.recommended
     kept = {own} if chosen is None else {own, chosen.settings}
-    return [
-        row
-        for row in trade.rows
-        if row.best or row.settings in kept or row.settings == own.replace(dt=row.settings.dt)
-    ]
+    if trade.passed_over is not None:
+        kept.add(trade.passed_over.settings)
+    best = [row for row in trade.rows if row.best and row.settings not in kept]
+    best = sorted(best, key=trade.price)
+    room = SHOWN - len(kept)
+    if len(best) > room:
+        best = [best[round(k * (len(best) - 1) / (room - 1))] for k in range(room)]
+    kept |= {row.settings for row in best}
+    return [row for row in trade.rows if row.settings in kept]
 
 
 def _cells(trade: TradeFindings, row: TradeRow) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from stepcore.report.plot.style import (
     bar,
     frame,
     legend,
+    log_ticks,
     name_places,
     new_figure,
     patches,
@@ -42,6 +43,7 @@ def draw(result: Ablation) -> Any:
         bar(error, place, added, colour, metres(added), left=low)
     error.set_xscale("log")
     error.set_xlim(low, 40 * max(*(row.outcome.worst for row in rows), result.error))
+    log_ticks(error.xaxis)
     error.axvline(result.error, color=GREY, ls="--", lw=1)
     names = [f"all {len(result.removed)} that are not needed"]
     names += [row.removal.label for row in rows[1:]]

@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stepcore.report.plot.style import BLUE, GREEN, GREY, RED, SMALL, TEXT, frame, new_figure, say
+from stepcore.report.plot.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    RED,
+    SMALL,
+    TEXT,
+    frame,
+    log_ticks,
+    new_figure,
+    say,
+)
 from stepcore.report.units import metres, seconds
 
 if TYPE_CHECKING:
@@ -114,6 +125,7 @@ def _work(axes: Any, result: Convergence) -> None:
     axes.set_ylim(len(splits) - 0.4, -0.6)
     axes.set_xscale("log")
     axes.set_xlim(low, high)
+    log_ticks(axes.xaxis)
     if math.isfinite(solved) and solved > 0:
         text = f"dt {seconds(result.settings.dt)}, converged"
         axes.axvline(solved, color="black", lw=1.2, ls="--", label=text)

@@ -11,6 +11,7 @@ from stepcore.report.plot.style import (
     frame,
     legend,
     line,
+    log_ticks,
     name_places,
     new_figure,
     patches,
@@ -50,9 +51,10 @@ def draw(result: Diagnosis) -> Any:
     axes.axhline(len(groups) - 1.5, color="#BBBBBB", lw=0.8)
     axes.set_xscale("log")
     axes.set_xlim(low, high)
-    axes.xaxis.set_major_formatter(lambda value, _: seconds(value))
+    log_ticks(axes.xaxis, seconds)
     axes.set_xlabel("largest stable dt")
-    frame(axes, f"{result.name}: what limits the time step")
+    drawn = "" if len(result.rows) <= MOST else f" ({MOST} stiffest of {len(result.rows)} elements)"
+    frame(axes, f"{result.name}: what limits the time step{drawn}")
     axes.grid(False, axis="y")
     entries = patches({name: COLOURS.get(name, GREY) for name in names})
     entries.append(line(f"dt {seconds(result.wanted)}", color="black", lw=1.3))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stepcore.report.plot.style import BLUE, COLOURS, GREY, frame, legend, new_figure
+from stepcore.report.units import joules
 
 if TYPE_CHECKING:
     from stepcore.engine.postmortem import PostMortem
@@ -16,6 +17,8 @@ DRAWN, STEPS = 5, 128
 # Energy injected beyond this part of the whole is cut off: in the last steps inertial forces and
 # rows inject and take out many times what there is.
 CUT = 1.5
+# Energies over fewer decades are written out: 5 J, and not 10 to the power of 0.7.
+FEW_DECADES = 2.0
 
 
 def draw(result: PostMortem) -> Any:
@@ -35,8 +38,11 @@ def draw(result: PostMortem) -> Any:
     with np.errstate(divide="ignore", invalid="ignore"):
         powers = np.log10(np.where(np.isfinite(energy) & (energy > 0), energy, np.nan))
     above.plot(steps, powers, color="black", lw=1.4)
-    above.yaxis.set_major_formatter(lambda power, _: f"$10^{{{power:g}}}$")
-    above.yaxis.get_major_locator().set_params(integer=True, nbins=7)
+    if np.nanmax(powers, initial=-np.inf) - np.nanmin(powers, initial=np.inf) < FEW_DECADES:
+        above.yaxis.set_major_formatter(lambda power, _: joules(10.0**power))
+    else:
+        above.yaxis.set_major_formatter(lambda power, _: f"$10^{{{power:g}}}$")
+        above.yaxis.get_major_locator().set_params(integer=True, nbins=7)
     above.set_ylabel("kinetic and spring\nenergy [J]")
     frame(above, _heading(result))
     size = np.maximum(energy[1:], energy[:-1])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stepcore.report.plot.style import BLUE, GREY, RED, TEXT, frame, legend, new_figure
+from stepcore.report.plot.style import BLUE, GREY, RED, TEXT, frame, legend, log_ticks, new_figure
 from stepcore.report.units import seconds
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ def draw(result: Predictability) -> Any:
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     axes.set_ylim(low, max(high, 3 * result.limit))
+    log_ticks(axes.yaxis)
     axes.set_xlim(0, result.horizon)
     text = f"above {result.limit:g}: not predictable"
     place = {"transform": axes.get_yaxis_transform(), "fontsize": TEXT}

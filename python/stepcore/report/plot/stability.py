@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stepcore.report.plot.style import ORANGE, TITLE, legend, new_figure
+from stepcore.report.plot.style import ORANGE, TITLE, legend, log_ticks, new_figure
 
 if TYPE_CHECKING:
     from stepcore.measure.stability.result import MapPanel, StabilityMap
@@ -59,6 +59,8 @@ def _panel(axes: Any, result: StabilityMap, panel: MapPanel) -> None:
     axes.set_yscale("log")
     axes.set_xlim(across[0], across[-1])
     axes.set_ylim(up[0], up[-1])
+    log_ticks(axes.xaxis)
+    log_ticks(axes.yaxis)
     if panel.boundary is not None:
         line = _line(result.values, across, up, panel.boundary)
         # White under black shows on every fill.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), in a fixed order so that an
@@ -20,6 +21,8 @@ RED = COLOURS["semi-implicit"]
 GREY = "#666666"
 # Font sizes [points].
 TITLE, TEXT, SMALL = 11, 9, 8
+# Log axes of fewer decades have ticks at 1, 2 and 5, and those of hardly any evenly spaced ones.
+SHORT, NARROW = 2.0, 0.5
 
 
 def new_figure(width: float = 8.0, height: float = 4.8) -> Any:
@@ -39,6 +42,26 @@ def frame(axes: Any, title: str = "") -> None:
         axes.spines[side].set_visible(False)
     if title:
         axes.set_title(title, loc="left", fontsize=TITLE)
+
+
+def log_ticks(axis: Any, words: Callable[[float], str] | None = None) -> None:
+    """Ticks of a log axis that do not collide: at 1, 2 and 5 of short ranges, else at decades.
+
+    axis: `axes.xaxis` or `axes.yaxis`, whose limits are set. words: the label of a value.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+    low, high = sorted(axis.get_view_interval())
+    decades = math.log10(high / low) if 0 < low < high else 0.0
+    if decades < NARROW:
+        axis.set_major_locator(MaxNLocator(4))
+    else:
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if decades < SHORT else (1,), numticks=9))
+    axis.set_minor_formatter(NullFormatter())
+    if decades < SHORT:
+        words = words or "{:.3g}".format
+    if words is not None:
+        axis.set_major_formatter(FuncFormatter(lambda value, _: words(value)))
 
 
 def bar(

@@ -13,10 +13,11 @@ from stepcore.report.plot.style import (
     frame,
     legend,
     line,
+    log_ticks,
     new_figure,
 )
 from stepcore.report.settings import label
-from stepcore.report.units import counted, metres, seconds
+from stepcore.report.units import counted, metres, operations, seconds
 
 if TYPE_CHECKING:
     from stepcore.measure.trade.result import Trade
@@ -29,6 +30,8 @@ THEIRS = "*"
 FAR = 1e4
 # A point nearer to the left than this part of the axes has its text at its right.
 EDGE = 0.2
+# A point so many times above the front has its text above it.
+ABOVE = 1.5
 
 
 def draw(trade: Trade) -> Any:
@@ -143,33 +146,59 @@ def _asked(axes: Any, trade: Trade) -> None:
     dashed = {"color": GREY, "ls": "--", "lw": 1.0, "zorder": 1}
     if trade.target is not None:
         axes.axhline(trade.target, **dashed)
-        text, at = f"target {metres(trade.target)}", (0.995, trade.target)
-        style: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "ha": "right"}
-        axes.text(*at, text, va="bottom", fontsize=SMALL, color=GREY, **style)
+        kept = trade.kept
+        axes.axhspan(kept, trade.target, color="#F0F0F0", zorder=0)
+        # At the left, where what is cheap is above the line.
+        text = f"target {metres(trade.target)}, kept to {metres(kept)}"
+        style: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "va": "top"}
+        axes.text(0.01, 0.97 * kept, text, fontsize=SMALL, color=GREY, **style)
     elif trade.budget is not None:
         axes.axvline(trade.budget if trade.by == "flops" else trade.budget / 1e3, **dashed)
 
 
 def _rings(axes: Any, trade: Trade, good: list[TradeRow]) -> None:
-    """Rings about the shipped and the recommended settings, with their names."""
-    marked = [(trade.shipped, f"as shipped\ndt {seconds(trade.shipped.settings.dt)}")]
-    chosen = trade.recommended
+    """Rings about the shipped and the recommended settings, with their names.
+
+    A grey one, which the legend explains, about what is cheaper and all but meets the target.
+    """
+    shipped = label(trade.shipped.settings, sweeps=False).replace(", dt", ",\ndt")
+    marked = [(trade.shipped, f"as shipped\n{shipped}")]
+    chosen, other = trade.recommended, trade.passed_over
     if chosen is not None and chosen is not trade.shipped:
         words = label(chosen.settings).replace(", dt", ",\ndt")
         marked.append((chosen, f"recommended\n{words}"))
+    if other is not None and other is not trade.shipped:
+        at = (_cost(trade, other), trade.error(other))
+        axes.plot(*at, "o", ms=15, mfc="none", mec=GREY, mew=1.6, zorder=5)
     for row, text in marked:
         if row not in good:
             continue
         at = (_cost(trade, row), trade.error(row))
         axes.plot(*at, "o", ms=15, mfc="none", mec="black", mew=1.6, zorder=5)
-        # Below and left of the front there is nothing to cover, but for the axis itself.
+        # Below and left of the front there is nothing to cover, but for the axis itself; what is
+        # far above it has its text on the other side.
         left = axes.transAxes.inverted().transform(axes.transData.transform(at))[0] > EDGE
-        style: dict[str, Any] = {"textcoords": "offset points", "ha": "right" if left else "left"}
-        axes.annotate(text, at, (-9 if left else 9, -9), va="top", zorder=6, fontsize=TEXT, **style)
+        front = [trade.error(r) for r in good if r.best and trade.price(r) <= trade.price(row)]
+        below = trade.error(row) <= ABOVE * min(front, default=math.inf)
+        style: dict[str, Any] = {"textcoords": "offset points"}
+        style |= {"ha": "right" if left and below else "left", "va": "top" if below else "bottom"}
+        place = (-9 if left and below else 9, -9 if below else 9)
+        axes.annotate(text, at, place, fontsize=TEXT, zorder=6, **style)
+
+
+def _why_not(trade: Trade, row: TradeRow) -> str:
+    """Why a cheaper setting is not recommended."""
+    missed, count = trade.misses(row)
+    if missed:
+        return f"cheaper, but beyond the\ntarget on {missed} of {count} starts"
+    if trade.error(row) <= trade.kept:
+        return "cheaper, but its time\nstep is not round"
+    return f"cheaper, but beyond\nthe {metres(trade.kept)} kept to"
 
 
 def _label_axes(axes: Any, trade: Trade) -> None:
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    log_ticks(axes.xaxis, operations if trade.by == "flops" else "{:g}".format)
+    log_ticks(axes.yaxis)
     axes.set_xlabel("computing time per simulated second [ms]")
     if trade.by == "flops":
         axes.set_xlabel("floating-point operations per simulated second")
@@ -192,6 +221,9 @@ def _legend(figure: Any, trade: Trade, good: list[TradeRow], failed: bool) -> No
     if any(row.settings.precision == "f32" for row in good):
         entries.append(line("single precision", marker="o", mec=GREY, ms=6, **hollow))
     entries.append(line("best for its cost", color="black", lw=1.3))
+    if trade.passed_over is not None:
+        ring: dict[str, Any] = {"ls": "none", "ms": 12, "mfc": "none", "mec": GREY, "mew": 1.6}
+        entries.append(line(_why_not(trade, trade.passed_over), marker="o", **ring))
     if trade.mujoco:
         name = f"MuJoCo {trade.mujoco[0].check.version}"
         entries.append(line(name, marker=THEIRS, mec="black", ms=11, **hollow))
