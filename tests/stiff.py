@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 import stepcore as sc
+from stepcore.engine.sim import unwatched
 
 INERT = {"contype": 0, "conaffinity": 0}
 
@@ -107,7 +108,7 @@ def bisected(stable: Callable[[float], bool], low: float, high: float, fine: flo
 
 def stays(model: sc.Model, integrator: str, dt: float, steps: int = 4000, grown=1e4) -> bool:
     """Whether a small push stays small in the real step. The model's pose is an equilibrium."""
-    sim = sc.Sim(model, integrator=integrator, dt=dt)
+    sim = unwatched(sc.Sim(model, integrator=integrator, dt=dt))
     rng = np.random.default_rng(1)
     sim.qvel[:] = rng.uniform(-1, 1, model.nv) * 1e-6
     size = [float(np.abs(sim.qvel).max())]

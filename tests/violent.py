@@ -66,8 +66,8 @@ def _arm(kind, rng):
 def play(seed, dt=None, steps=640, precision=None):
     """A scene of this seed under settings of its own, driven as its kind is.
 
-    dt, precision: the seed's own by default; or a part of its dt. Returns what was said of its energy, the
-    largest kinetic energy [J], and the seed's dt [s].
+    dt, precision: the seed's own by default. Returns what was said of its energy, the largest
+    kinetic energy [J], and the seed's dt [s].
     """
     rng = random.Random(seed)
     kind = KINDS[seed % len(KINDS)]
