@@ -1,0 +1,148 @@
+"""Limits of `diagnose` on scenes of many kinds, against the motion on the real step itself."""
+
+import math
+from functools import partial
+
+import pytest
+
+import stepcore as sc
+
+pytestmark = [
+    pytest.mark.long,
+    # Steps beyond a limit are run on purpose.
+    pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning"),
+    pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning"),
+]
+
+FREE = 'contype="0" conaffinity="0"'
+LINK = f'<geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" mass="{{}}" {FREE}/>'
+
+
+def scene(body, option, rest=""):
+    return sc.loads(f"<mujoco><option {option}/><worldbody>{body}</worldbody>{rest}</mujoco>")
+
+
+def dropped(stiffness, damping):
+    solref = f'solref="-{stiffness} -{damping}" condim="1"'
+    body = f"""<geom type="plane" size="1 1 1" {solref}/><body pos="0 0 .4">
+    <joint type="slide" axis="0 0 1"/><geom size=".1" mass="1" {solref}/></body>"""
+    return scene(body, 'timestep=".002" integrator="implicitfast"')
+
+
+def stopped(stiffness, damping):
+    body = f"""<body><joint axis="0 1 0" range="-30 180" limited="true"
+    solreflimit="-{stiffness} -{damping}"/>
+    <geom type="capsule" size=".02" fromto="0 0 0 0 0 -.3" mass="1" {FREE}/></body>"""
+    key = '<keyframe><key qpos="0.6" qvel="-6"/></keyframe>'
+    return scene(body, 'timestep=".001" integrator="Euler"', key)
+
+
+def pushed_limit():
+    body = f"""<body><joint name="x" type="slide" axis="1 0 0" range="-1 .5" limited="true"
+    solreflimit="-1e5 -200"/><geom size=".1" mass="1" {FREE}/></body>"""
+    motor = '<actuator><motor joint="x" gear="100"/></actuator>'
+    key = '<keyframe><key ctrl="1"/></keyframe>'
+    return scene(body, 'timestep=".002" integrator="Euler" gravity="0 0 0"', motor + key)
+
+
+def whip():
+    body = f'<body pos="0 0 2"><joint axis="0 1 0" damping=".01"/>{LINK.format(0.5)}'
+    for i in range(4):
+        body += f"""<body pos="{0.15 if i else 0.3} 0 0">
+        <joint axis="0 1 0" stiffness="2" damping=".0005"/>
+        <geom type="capsule" size=".01" fromto="0 0 0 .15 0 0" mass="{0.05 * 0.5**i}" {FREE}/>"""
+    return scene(body + "</body>" * 5, 'timestep=".002" integrator="Euler"')
+
+
+def double_pendulum():
+    body = f"""<body><joint axis="0 1 0"/>{LINK.format(1)}
+    <body pos=".3 0 0"><joint axis="0 1 0"/>{LINK.format(0.2)}</body></body>"""
+    key = '<keyframe><key qvel="20 -30"/></keyframe>'
+    return scene(body, 'timestep=".002" integrator="Euler"', key)
+
+
+def damper():
+    body = f"""<body><joint type="slide" axis="1 0 0" damping="50"/>
+    <geom size=".1" mass=".05" {FREE}/></body>"""
+    key = '<keyframe><key qvel="1"/></keyframe>'
+    return scene(body, 'timestep=".002" integrator="RK4" gravity="0 0 0"', key)
+
+
+def top():
+    body = f"""<body pos="0 0 1"><joint type="ball"/>
+    <geom type="cylinder" size=".1 .01" pos="0 0 .2" mass="1" {FREE}/></body>"""
+    key = '<keyframe><key qpos="0.98 0.199 0 0" qvel="0 0 40"/></keyframe>'
+    return scene(body, 'timestep=".002" integrator="RK4"', key)
+
+
+def leg():
+    body = f"""<geom type="plane" size="1 1 1"/><body pos="0 0 .62">
+    <joint type="slide" axis="0 0 1"/><geom size=".05" mass="5" {FREE}/>
+    <body><joint name="hip" axis="0 1 0"/>
+      <geom type="capsule" size=".03" fromto="0 0 0 .1 0 -.3" mass="1" {FREE}/>
+      <body pos=".1 0 -.3"><joint name="knee" axis="0 1 0"/>
+        <geom type="capsule" size=".02" fromto="0 0 0 -.1 0 -.3" mass=".4" {FREE}/>
+        <geom size=".02" pos="-.1 0 -.3" mass=".1"/></body></body></body>"""
+    servos = "".join(f'<position joint="{joint}" kp="500" kv="10"/>' for joint in ("hip", "knee"))
+    option = 'timestep=".002" integrator="implicitfast"'
+    return scene(body, option, f"<actuator>{servos}</actuator>")
+
+
+def energies(model, integrator, dt):
+    """The largest kinetic energy of a second, and of its last fifth [J]; inf if it fails."""
+    sim = sc.Sim(model, integrator=integrator, dt=dt)
+    if model.keys:
+        sim.reset(key=0)
+    count = round(1.0 / dt)
+    peak, late = sim.energy.kinetic, 0.0
+    try:
+        for step in range(count):
+            sim.step()
+            energy = sim.energy.kinetic
+            peak = max(peak, energy)
+            late = max(late, energy) if step > 0.8 * count else late
+            if not peak < 1e15:
+                return math.inf, math.inf
+    except sc.SimulationError:
+        return math.inf, math.inf
+    return peak, late
+
+
+def first_wrong(model, integrator, low, high):
+    """The first step, 5 % apart, with ten times the energy of a fine run: at its peak, or at the
+    end, where it should have come to rest [s]."""
+    peak, late = energies(model, "implicitfast", low / 8)
+    dt = low
+    while dt < high:
+        found = energies(model, integrator, dt)
+        if found[0] > 10 * peak or found[1] > max(10 * late, 0.1 * peak):
+            return dt
+        dt *= 1.05
+    return math.inf
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (partial(dropped, 1e6, 200), "contact"),
+        (partial(dropped, 3e5, 60), "contact"),
+        (partial(stopped, 1e6, 500), "limit"),
+        (partial(stopped, 1e5, 1000), "limit"),
+        (pushed_limit, "limit"),
+        (whip, "spring"),
+        (double_pendulum, "inertial forces"),
+        (damper, "damper"),
+        (top, "inertial forces"),
+        (leg, "contact"),
+    ],
+    ids=["drop", "bouncy", "stop", "soft", "pushed", "whip", "pendulum", "damper", "top", "leg"],
+)
+def test_the_limit_is_where_the_motion_goes_wrong(make, name):
+    """Law: within 20 % of the first step at which the second has ten times the energy; and the
+    element that limits dt is of the kind that was made stiff."""
+    made = make()
+    d = sc.diagnose(made, threads=1, progress=False)
+    integrator = d.settings.integrator
+    real = first_wrong(made.compile(), integrator, d.limit() / 3, 3 * d.limit())
+    assert d.limit() == pytest.approx(real, rel=0.2)
+    assert d.stiffest().startswith(name)
