@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from stepcore.engine.sim import Momentum as Momentum
     from stepcore.engine.sim import Sim as Sim
     from stepcore.engine.trajectory import Trajectory as Trajectory
+    from stepcore.engine.unsolved import UnsolvedWarning as UnsolvedWarning
     from stepcore.engine.views import BodyView as BodyView
     from stepcore.engine.views import GeomView as GeomView
     from stepcore.engine.views import JointView as JointView
@@ -114,6 +115,7 @@ _MODULES = {
         "Sim",
     ),
     "stepcore.engine.trajectory": ("Trajectory",),
+    "stepcore.engine.unsolved": ("UnsolvedWarning",),
     "stepcore.engine.views": (
         "BodyView",
         "GeomView",

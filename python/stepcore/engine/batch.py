@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,6 +16,7 @@ from stepcore.engine.arrays import Floats, numbers, snapshot
 from stepcore.engine.sim import Momentum
 from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, row_table
+from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -95,6 +97,7 @@ class Batch(Stepped):
         self._threads = _threads(threads, n, self._model.nv)
         self._on_failure: str = checks.one_of(*ON_FAILURE)("Batch", "on_failure", on_failure)
         self._failures: dict[int, SimulationError] = {}
+        self._residuals = BatchResiduals()
         own, goes_on = self._model.settings, self._on_failure == "go on"
         self._own(_core.Batch(self._model.core, own, n, self._threads, self._lanes, goes_on))
 
@@ -103,9 +106,14 @@ class Batch(Stepped):
         return len(self.qpos)
 
     def step(self, n: int = 1) -> None:
-        """Takes n steps in every world, with the GIL released; raises what `Sim.step` raises."""
+        """Takes n steps in every world, with the GIL released; raises what `Sim.step` raises.
+
+        Warns (`UnsolvedWarning`) once if a world's residual is more than gravity gives in a step at
+        three looks in a row; it looks after 64, 128, 256, … steps.
+        """
         with self._explained():
             self._core.step(n)
+        self._told(n)
 
     def forward(self) -> None:
         """Computes poses, contacts and forces at the present states, without taking a step."""
@@ -123,7 +131,13 @@ class Batch(Stepped):
             raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
         with self._explained():
             qpos, qvel = self._core.rollout(table)
+        self._told(table.shape[1])
         return Rollout(qpos, qvel, np.zeros((*qpos.shape[:2], 0)))
+
+    def _told(self, steps: int) -> None:
+        """Warns of rows that stay unsolved."""
+        if text := self._residuals.step(self, steps):
+            warnings.warn(UnsolvedWarning(text), stacklevel=3)
 
     @contextmanager
     def _explained(self) -> Iterator[None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,6 +15,7 @@ from stepcore.engine.linearization import Linearization, linearized
 from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, row_table
 from stepcore.engine.trajectory import Trajectory, record_run
+from stepcore.engine.unsolved import UnsolvedWarning
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -209,7 +211,8 @@ class Sim(Stepped):
         record: names of attributes of this Sim, such as "qpos", "energy" or "residual".
 
         Raises ValueError for a duration or period that is not a whole number of steps, a control
-        of the wrong shape, or a name that cannot be recorded; and what `step` raises.
+        of the wrong shape, or a name that cannot be recorded; and what `step` raises. Warns
+        (`UnsolvedWarning`) if half of the run has a residual of more than gravity gives in a step.
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.drop(), dt=0.01)
@@ -219,6 +222,8 @@ class Sim(Stepped):
         """
         trajectory = record_run(self, duration, control, control_dt, record)
         self.balance()
+        if trajectory.unsolved:
+            warnings.warn(UnsolvedWarning(trajectory.unsolved), stacklevel=2)
         return trajectory
 
     # The present state.

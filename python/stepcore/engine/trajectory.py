@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
 from stepcore.engine.arrays import numbers
+from stepcore.engine.unsolved import LOOKS, Residuals
 
 if TYPE_CHECKING:
     from stepcore.engine.world import World
@@ -35,10 +36,12 @@ class Trajectory:
 
     time: [s], shape (steps + 1,).
     data: recorded arrays by name, shape (steps + 1, …); the first entry is the initial state.
+    unsolved: the text of the `UnsolvedWarning` of this run, "" if there was none.
     """
 
     time: NDArray[np.float64]
     data: dict[str, NDArray[Any]] = field(default_factory=dict)
+    unsolved: str = ""
 
     def __getattr__(self, name: str) -> NDArray[Any]:
         # Looked up only when there is no such attribute; `data` is not there in a copy's making.
@@ -95,15 +98,18 @@ def record_run(
     except MemoryError:
         what = f"duration = {duration:g}: {steps} steps of {', '.join(names)} exceed the memory"
         raise ValueError(f"{what}; run shorter pieces, or record less") from None
+    residuals, stride = Residuals(sim), max(1, steps // LOOKS)
     for step in range(steps + 1):
         time[step] = sim.time
+        if step > 0 and step % stride == 0:
+            residuals.look(sim)
         for name in names:
             data[name][step] = getattr(sim, name)
         if step < steps:
             if controls is not None and step % period == 0:
                 sim.ctrl = _finite(sim, controls(step // period), f"at time {sim.time:g} s")
             sim.step()
-    return Trajectory(time, data)
+    return Trajectory(time, data, residuals.sentence(sim.settings))
 
 
 def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:
