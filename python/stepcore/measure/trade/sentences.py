@@ -34,7 +34,11 @@ def _for_error(trade: TradeFindings, error: float) -> Iterator[str]:
     """The cheapest settings within an error and the next better, or what came nearest."""
     row = trade.recommended
     if row is not None:
-        yield f"Recommended for an error of at most {metres(error)}: {_described(trade, row)}"
+        what = f"Recommended for an error of at most {metres(error)}"
+        if trade.error(row) > error:
+            missed, count = trade.misses(row)
+            what += f" on {count - missed} of {count} starts, because no setting keeps to it on all"
+        yield f"{what}: {_described(trade, row)}"
         yield from _passed_over(trade, row, error)
         yield _next_better(trade, row)
         return
