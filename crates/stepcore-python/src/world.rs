@@ -254,7 +254,7 @@ impl<R: Real> World for One<R> {
             table.names.push(sim.model().element_name(element));
             table.blocks.push(index);
             let residual = residuals[index].get(within).copied().unwrap_or(0.0);
-            table.numbers.extend([row.impulse, row.velocity, row.t, row.c].map(|x| x.lane(0)));
+            table.numbers.extend([row.total(), row.velocity, row.t, row.c].map(|x| x.lane(0)));
             table.numbers.extend([residual, row.lo.lane(0), row.hi.lane(0)]);
         }
         table

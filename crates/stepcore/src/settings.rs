@@ -229,6 +229,20 @@ impl Default for Settings {
 const MOST_CONTACTS: usize = 1_000_000;
 
 impl Settings {
+    /// Connections act within the step: `midpoint` and `rk4` hold them at their stages, where
+    /// the law makes them as hard as can be or a force. A softness is that of the step's end.
+    pub fn connects_inside(&self) -> bool {
+        let hard = match self.law {
+            Law::Lesson => self.softness == 0.0,
+            law => law.on_guess(),
+        };
+        match self.integrator {
+            Integrator::Midpoint => hard || self.law == Law::SolRef,
+            Integrator::Rk4 => hard,
+            _ => false,
+        }
+    }
+
     /// Checks every field against its limit.
     pub fn check(&self) -> Result<()> {
         let number = |field: &str, value: f64, ok: bool, limit: &str| {

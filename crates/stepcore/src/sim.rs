@@ -64,6 +64,8 @@ pub struct Sim<R: Real> {
 pub enum At {
     /// Those of the state.
     State,
+    /// Those of the state, the velocities made to keep the connections: `next.start`.
+    Start,
     /// Those of `next.trial`, which an integrator tries on its way through the step.
     Trial,
 }
@@ -72,6 +74,7 @@ impl At {
     pub fn of<'a, R: Real>(self, state: &'a State<R>, next: &'a Next<R>) -> (&'a [R], &'a [R]) {
         match self {
             Self::State => (&state.qpos, &state.qvel),
+            Self::Start => (&state.qpos, &next.start),
             Self::Trial => (&next.trial.qpos, &next.trial.qvel),
         }
     }
@@ -114,13 +117,18 @@ impl<R: Real> Sim<R> {
         self.state.time(self.clock.seconds)
     }
 
-    /// Solves the rows that were made, from the last step's impulses if they are kept.
-    pub(crate) fn solve(&mut self) -> Result<()> {
-        let (model, inv_d) = (&*self.model, &self.placed.metric.inv_d);
+    /// Starts the rows that were made from the last step's impulses if they are kept, but for
+    /// those of a kind.
+    pub(crate) fn warm_start(&mut self, but: Option<Kind>) {
         if self.settings.warm_start {
             let last = if self.next.stage > 0 { &self.next.warm } else { &self.state.warm };
-            self.rows.warm_start(model, inv_d, last);
+            self.rows.warm_start(&self.model, &self.placed.metric.inv_d, last, but);
         }
+    }
+
+    /// Solves the rows that were made, from the impulses that they hold.
+    pub(crate) fn solve(&mut self) -> Result<()> {
+        let (model, inv_d) = (&*self.model, &self.placed.metric.inv_d);
         let free = Unconstrained { dof_lists: &model.dof_lists, inv_d, guess: &self.placed.guess };
         let report = self.solver.solve(&self.settings, free, &mut self.rows)?;
         self.effort.note(&report, self.rows.rows.len());

@@ -8,7 +8,7 @@ use crate::error::Result;
 use crate::observer::Observer;
 use crate::real::{Mask, Real, Stage};
 use crate::sim::{At, Sim};
-use crate::solve::Situation;
+use crate::solve::{Choice, Part, Situation};
 
 impl<R: Real> Sim<R> {
     /// Advances by `n` steps, or to the last finite state before an error.
@@ -56,28 +56,39 @@ impl<R: Real> Sim<R> {
         self.detect_and_solve(at)
     }
 
-    pub(crate) fn detect_and_solve(&mut self, at: At) -> Result<()> {
+    pub(crate) fn detect(&mut self, at: At) {
         R::enter(Stage::Detect);
         self.effort.evaluations += 1;
         let (qpos, _) = at.of(&self.state, &self.next);
         self.detected.detect(&self.model, &self.placed, &self.settings, qpos);
+    }
+
+    /// Rows of the contacts at hand.
+    pub(crate) fn make_rows(&mut self, at: At, part: Part) {
+        R::enter(Stage::Rows);
         let now = Situation {
             model: &self.model,
             placed: &self.placed,
             settings: &self.settings,
             clock: self.clock,
-            qpos,
+            qpos: at.of(&self.state, &self.next).0,
+            part,
         };
-        R::enter(Stage::Rows);
         self.rows.make(&now, &mut self.detected);
+    }
+
+    fn detect_and_solve(&mut self, at: At) -> Result<()> {
+        self.detect(at);
+        self.make_rows(at, Part::Whole);
         R::enter(Stage::Impulses);
         if self.rows.any() {
+            self.warm_start(None);
             self.solve()?;
         } else {
             self.effort.rest();
         }
         if self.settings.warm_start {
-            self.rows.store_warm(&mut self.next.warm);
+            self.rows.store_warm(&mut self.next.warm, None);
         }
         self.placed.metric.from_factored(&self.rows.u, &mut self.velocity);
         let (_, qvel) = at.of(&self.state, &self.next);
@@ -85,6 +96,50 @@ impl<R: Real> Sim<R> {
             self.qacc[k] = (self.velocity[k] - qvel[k]) * self.clock.rate;
         }
         R::enter(Stage::Commit);
+        Ok(())
+    }
+
+    /// The acceleration that the smooth forces and connections alone give; the model has some.
+    pub(crate) fn smooth_and_connected(
+        &mut self,
+        at: At,
+        share: f64,
+        choice: Choice,
+    ) -> Result<()> {
+        self.smooth(at);
+        R::enter(Stage::Guess);
+        let (_, qvel) = at.of(&self.state, &self.next);
+        self.placed.metric.to_factored(qvel, &mut self.placed.u);
+        self.placed.metric.to_factored(&self.qacc, &mut self.placed.guess);
+        for k in 0..self.model.nv {
+            self.placed.guess[k] = self.placed.u[k] + self.clock.dt * self.placed.guess[k];
+        }
+        self.connect(at, Part::Stage, share, choice)?;
+        for k in 0..self.model.nv {
+            self.qacc[k] += self.velocity[k] * self.clock.rate;
+        }
+        R::enter(Stage::Commit);
+        Ok(())
+    }
+
+    /// Solves the connections alone from the guess at hand; what they change is in `velocity`.
+    /// Their impulses act for a share of the step.
+    pub(crate) fn connect(&mut self, at: At, part: Part, share: f64, choice: Choice) -> Result<()> {
+        self.make_rows(at, part);
+        R::enter(Stage::Impulses);
+        if !self.rows.solve_direct(&self.model.dof_lists, &self.placed.metric.inv_d, choice) {
+            self.warm_start(None);
+            self.solve()?;
+        }
+        self.effort.most_rows = self.effort.most_rows.max(self.rows.rows.len());
+        for (sum, row) in self.next.held.iter_mut().zip(&self.rows.rows) {
+            *sum += R::of(share) * row.impulse;
+        }
+        let change = &mut self.next.change;
+        for k in 0..self.model.nv {
+            change[k] = self.rows.u[k] - self.placed.guess[k];
+        }
+        self.placed.metric.from_factored(change, &mut self.velocity);
         Ok(())
     }
 

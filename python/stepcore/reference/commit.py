@@ -12,6 +12,8 @@ from .world import World
 
 Acceleration = Callable[[Array, Array], Array]  # of any qpos and qvel
 Smooth = tuple[Array, Array]  # the mean velocity of the smooth motion, and its last one
+# Of a world, its velocity at the start, and its accelerations.
+Rule = Callable[[World, Array, Acceleration], Smooth]
 
 
 def add(model: Model, qpos: Array, change: Array) -> Array:
@@ -48,18 +50,18 @@ def pulled_back(model: Model, moved: Array, v: Array) -> Array:
     return rate
 
 
-def euler(world: World, acceleration: Acceleration) -> Smooth:
+def euler(world: World, v: Array, acceleration: Acceleration) -> Smooth:
     """The guess of both Euler rules: forces at the start."""
-    v1 = world.qvel + world.settings.dt * acceleration(world.qpos, world.qvel)
+    v1 = v + world.settings.dt * acceleration(world.qpos, v)
     return v1, v1
 
 
-def midpoint(world: World, acceleration: Acceleration) -> Smooth:
+def midpoint(world: World, v: Array, acceleration: Acceleration) -> Smooth:
     """v1 = v + dt a(q_m, v_m) at the middle of the step, solved to rounding.
 
     Newton with a Jacobian by differences, kept for the whole step.
     """
-    dt, v = world.settings.dt, world.qvel
+    dt = world.settings.dt
 
     def middle(v1: Array) -> Array:
         return (v + v1) / 2
@@ -82,9 +84,9 @@ def midpoint(world: World, acceleration: Acceleration) -> Smooth:
     return middle(v1), v1
 
 
-def rk4(world: World, acceleration: Acceleration) -> Smooth:
+def rk4(world: World, v: Array, acceleration: Acceleration) -> Smooth:
     """Classical Runge-Kutta, fourth order."""
-    dt, v = world.settings.dt, world.qvel
+    dt = world.settings.dt
     rate, push = np.zeros_like(v), np.zeros_like(v)
     total_rate, total_push = np.zeros_like(v), np.zeros_like(v)
     for reach, weight in ((0, 1), (0.5, 2), (0.5, 2), (1, 1)):
@@ -95,17 +97,17 @@ def rk4(world: World, acceleration: Acceleration) -> Smooth:
     return total_rate / 6, v + dt / 6 * total_push
 
 
-SMOOTH = {"explicit": euler, "semi-implicit": euler, "midpoint": midpoint, "rk4": rk4}
+SMOOTH: dict[str, Rule] = {
+    "explicit": euler,
+    "semi-implicit": euler,
+    "midpoint": midpoint,
+    "rk4": rk4,
+}
 
 
-def commit(world: World, guess: Array, last: Array, solved: Array) -> None:
-    """Positions by the rule of the integrator; velocities as solved; one more dt on the clock.
-
-    The rows judged the guess, the mean velocity of the smooth motion, because that moves the
-    positions; what they changed in it they change in the last velocity too.
-    """
-    dt = world.settings.dt
-    moving = world.qvel if world.settings.integrator == "explicit" else solved
-    world.qpos[:] = add(world.model, world.qpos, dt * moving)
-    world.qvel[:] = solved if last is guess else last + (solved - guess)
+def commit(world: World, mean: Array, last: Array) -> None:
+    """Positions by the rule of the integrator, `mean` solved; one more dt on the clock."""
+    moving = world.qvel if world.settings.integrator == "explicit" else mean
+    world.qpos[:] = add(world.model, world.qpos, world.settings.dt * moving)
+    world.qvel[:] = last
     world.steps += 1

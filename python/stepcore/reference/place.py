@@ -100,25 +100,45 @@ def bias(model: Model, placed: Placed, v: Array) -> Array:
     the time derivative of each column of the Jacobian, times its velocity.
     """
     out = np.zeros(model.nv)
-    turning = model.angular[:, None]
-    # Velocity of each axis: it is carried by the dofs between it and the root.
-    spin_of_axis = model.carried_by @ (np.where(turning, placed.axis, 0.0) * v[:, None])
-    axis_rate = cross(spin_of_axis, placed.axis)
-    arm = placed.anchor[:, None, :] - placed.anchor[None, :, :]
-    carry = np.where(turning, cross(placed.axis[None], arm), placed.axis[None])
-    anchor_rate = np.einsum("ji,i,jik->jk", model.carried_by, v, carry)
+    axis_rate, anchor_rate = rates(model, placed, v)
     for b in np.flatnonzero(model.mass):
         linear, spin = jacobians(model, placed, b, placed.com[b])
-        speed, omega = linear @ v, spin @ v
-        lever = cross(axis_rate, placed.com[b] - placed.anchor)
-        swing = cross(placed.axis, speed - anchor_rate)
-        columns = np.where(turning, lever + swing, axis_rate)
-        acceleration = (model.moves[b] * v) @ columns - model.gravity
+        omega = spin @ v
+        acceleration = curving(model, placed, (axis_rate, anchor_rate), b, placed.com[b], v)
+        acceleration = acceleration - model.gravity
         spin_rate = (model.moves[b] * model.angular * v) @ axis_rate
         inertia = placed.xmat[b] @ model.inertia[b] @ placed.xmat[b].T
         torque = inertia @ spin_rate + cross(omega, inertia @ omega)
         out += model.mass[b] * acceleration @ linear + torque @ spin
     return out
+
+
+def rates(model: Model, placed: Placed, v: Array) -> tuple[Array, Array]:
+    """Velocity of each dof's axis and anchor, shapes (nv, 3)."""
+    turning = model.angular[:, None]
+    # It is carried by the dofs between it and the root.
+    spin_of_axis = model.carried_by @ (np.where(turning, placed.axis, 0.0) * v[:, None])
+    axis_rate = cross(spin_of_axis, placed.axis)
+    arm = placed.anchor[:, None, :] - placed.anchor[None, :, :]
+    carry = np.where(turning, cross(placed.axis[None], arm), placed.axis[None])
+    return axis_rate, np.einsum("ji,i,jik->jk", model.carried_by, v, carry)
+
+
+def curving(
+    model: Model,
+    placed: Placed,
+    moving: tuple[Array, Array],
+    body: int | np.integer[Any],
+    point: Array,
+    v: Array,
+) -> Array:
+    """Acceleration of a body's point while no joint accelerates [m/s²]; moving: `rates`."""
+    axis_rate, anchor_rate = moving
+    speed = jacobians(model, placed, body, point)[0] @ v
+    lever = cross(axis_rate, point - placed.anchor)
+    swing = cross(placed.axis, speed - anchor_rate)
+    columns = np.where(model.angular[:, None], lever + swing, axis_rate)
+    return np.asarray((model.moves[body] * v) @ columns)
 
 
 def stretch(model: Model, joint: dict[str, Any], qpos: Array) -> Array:

@@ -42,6 +42,7 @@ class Row:
     soft: float = 0.0  # what the law adds to the denominator only [1/kg]
     lo: float = 0.0
     hi: float = INF
+    gap: float = 0.0  # the distance that a contact's normal holds [m]
 
 
 @dataclass
@@ -69,6 +70,7 @@ class Near:
 
     phi: float  # the distance that it holds [m or rad]
     before: float  # its velocity at the start
+    gained: float  # what the guess adds to it
     closing: bool  # the guess overlaps
     arrives: bool = True  # on the other shape, and not on its way past it
     far: bool = False  # still further away than the shapes are large
@@ -87,17 +89,19 @@ def push_target(settings: Settings, near: Near, bounces: bool, most: float = INF
     if not near.closing:
         return arrive if phi > 0 else hold
     if rigid:
-        return arrive if e == 0 and phi > 0 and near.arrives else max(-e * near.before, hold)
+        # After stages an impact is at the start of the step: the smooth motion follows it.
+        back = -e * near.before + (near.gained if settings.stages else 0.0)
+        return arrive if e == 0 and phi > 0 and near.arrives else max(back, hold)
     return arrive if near.far and near.arrives else hold
 
 
 def softness(settings: Settings) -> tuple[float, float]:
-    """What softness means to a law: (regulariser c, addition to the denominator)."""
-    return {
-        "lesson": (settings.softness, 0.0),
-        "relaxed": (0.0, settings.softness),
-        "rigid": (0.0, 0.0),
-    }[settings.law]
+    """What softness means to a law: (regulariser c, addition to the denominator).
+
+    Rows after stages have half of the impulse that it goes by: see `halves`.
+    """
+    soft = settings.softness * (2 if settings.stages else 1)
+    return {"lesson": (soft, 0.0), "relaxed": (0.0, soft), "rigid": (0.0, 0.0)}[settings.law]
 
 
 def build(
@@ -109,7 +113,7 @@ def build(
     on = world.model.scene["features"]
     if on["constraint"] and world.settings.law != "penalty":
         makers: list[tuple[bool, Iterable[Row]]] = [
-            (on["equality"], equality_rows(world, placed)),
+            (on["equality"], equality_rows(world, placed, guess)),
             (on["frictionloss"], friction_loss_rows(world)),
             (on["limit"], limit_rows(world, v, guess)),
         ]
@@ -121,13 +125,14 @@ def build(
         for made, mu in contact_rows(world, placed, contacts, M, v, guess):
             blocks.append((len(rows), mu))
             rows += made
-    return assemble(world.model, rows, blocks, M)
+    return assemble(world, rows, blocks, M)
 
 
 def assemble(
-    model: Model, rows: list[Row], blocks: list[tuple[int, float | None]], M: Array
+    world: World, rows: list[Row], blocks: list[tuple[int, float | None]], M: Array
 ) -> Rows:
     """The rows' numbers side by side, with W = M^-1 J^T."""
+    model, halves = world.model, 2 if world.settings.stages else 1
     J = np.array([row.J for row in rows]).reshape(len(rows), model.nv)
     W = np.linalg.solve(M, J.T) if rows else J.T
     A = np.einsum("ij,ji->i", J, W)
@@ -139,12 +144,15 @@ def assemble(
         # A normal that nothing can move: its load is t/c, without end, and so is its friction.
         if mu is not None and A[first] * mass[first] < UNMOVED and c[first] == 0.0:
             most = A[first : first + 3].max()
-            c[first] = WEIGHTLESS * (most if most > 0.0 else 1.0 / mass[first])
+            c[first] = halves * WEIGHTLESS * (most if most > 0.0 else 1.0 / mass[first])
     return Rows(rows, blocks, J, W, A, t, c, A + c + soft, lo, hi, mass)
 
 
-def equality_rows(world: World, placed: Placed) -> Iterator[Row]:
-    """connect: a point of one body and a point of another are one, along x, y and z."""
+def equality_rows(world: World, placed: Placed, guess: Array | None) -> Iterator[Row]:
+    """connect: a point of one body and a point of another are one, along x, y and z.
+
+    guess: where stages have held them already, they only keep what it has of their velocity.
+    """
     model, settings = world.model, world.settings
     c, soft = softness(settings)
     for index, equality in enumerate(model.scene["equalities"]):
@@ -158,6 +166,8 @@ def equality_rows(world: World, placed: Placed) -> Iterator[Row]:
         dofs = model.moves[one] | model.moves[two]
         for k in range(3):
             t = -settings.beta * (point1 - point2)[k] / settings.dt
+            if guess is not None and settings.connects_inside:
+                t = float(J[k] @ guess)
             yield Row(("connect", index, k), J[k], dofs, t, c, soft, -INF, INF)
 
 
@@ -167,7 +177,9 @@ def friction_loss_rows(world: World) -> Iterator[Row]:
     for joint in model.joints:
         for dof in range(joint["dof"], joint["dof"] + joint["width"]):
             if joint["frictionloss"] > 0:
-                bound = world.settings.dt * joint["frictionloss"]
+                bound = (
+                    world.settings.dt * joint["frictionloss"] / (2 if world.settings.stages else 1)
+                )
                 unit_row = np.eye(model.nv)[dof]
                 yield Row(("friction loss", dof, 0), unit_row, unit_row > 0, lo=-bound, hi=bound)
 
@@ -183,7 +195,8 @@ def limit_rows(world: World, v: Array, guess: Array) -> Iterator[Row]:
             closing = bool(phi + settings.dt * (J @ guess) < 0)
             low, high = joint["range"]
             if closing or phi <= NEAR * (high - low):
-                t = push_target(settings, Near(phi, float(J @ v), closing), bounces=False)
+                near = Near(phi, float(J @ v), float(J @ (guess - v)), closing)
+                t = push_target(settings, near, bounces=False)
                 yield Row(("limit", index, side), J, J != 0, t, c, soft)
 
 
@@ -227,14 +240,15 @@ def contact_rows(
         one, two = (model.scene["geoms"][i]["body"] for i in (pair.geom1, pair.geom2))
         dofs = model.moves[one] | model.moves[two]
         key = ("contact", pair.geom1, pair.geom2)
-        near = Near(phi, float(J[0] @ v), closing, arrives, phi > size)
+        gained = float(J[0] @ (guess - v))
+        near = Near(phi, float(J[0] @ v), gained, closing, arrives, phi > size)
         most = settings.recovery_limit
         if c > 0 and most < INF:
             # A soft row holds its load by what its target is more than its speed.
             A = J[0] @ np.linalg.solve(M, J[0])
             most += c * max(most - J[0] @ guess, 0.0) / A if A > 0 else 0.0
         t = push_target(settings, near, bounces=True, most=most)
-        made = [Row((*key, 0), J[0], dofs, t, c, soft)]
+        made = [Row((*key, 0), J[0], dofs, t, c, soft, gap=phi)]
         if pair.condim > 1:
             made += [Row((*key, k), J[k], dofs, lo=-INF) for k in (1, 2)]
         yield made, pair.mu if pair.condim > 1 else None

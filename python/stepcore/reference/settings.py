@@ -56,3 +56,13 @@ class Settings:
         if isinstance(self.max_recovery_speed, str):
             return 3.0 if self.max_recovery_speed == "auto" else math.inf
         return self.max_recovery_speed
+
+    @property
+    def stages(self) -> bool:
+        """The smooth motion comes first, and rows after it."""
+        return self.integrator in ("midpoint", "rk4") and self.law != "penalty"
+
+    @property
+    def connects_inside(self) -> bool:
+        """Connections are held at the stages of the step; a softness is that of its end."""
+        return self.stages and not (self.law == "lesson" and self.softness > 0)

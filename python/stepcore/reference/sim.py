@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from . import commit, detect, place, rows, solve
+from . import commit, detect, halves, place, rows, solve
 from .compile import compile_scene
 from .rotation import Array
 from .settings import Settings
@@ -57,8 +57,7 @@ class Sim(World):
     def step(self, n: int = 1) -> None:
         """n passes of the loop."""
         for _ in range(n):
-            guess, last, solved = self._place_detect_solve()
-            commit.commit(self, guess, last, solved)
+            commit.commit(self, *self._place_detect_solve())
             self._warm = {
                 row.key: impulse
                 for row, impulse in zip(self.system.rows, self.impulses, strict=True)
@@ -68,21 +67,36 @@ class Sim(World):
         """Place, detect and solve at the present state; nothing is committed."""
         self._place_detect_solve()
 
-    def _place_detect_solve(self) -> tuple[Array, Array, Array]:
-        """The smooth motion (mean velocity, last velocity), and the mean with the rows solved."""
-        guess, last = commit.SMOOTH[self.settings.integrator](self, self._acceleration)
+    def _place_detect_solve(self) -> tuple[Array, Array]:
+        """The mean and the last velocity of the step, with the rows solved."""
+        start = halves.started(self)
+        guess, last = commit.SMOOTH[self.settings.integrator](self, start, self._acceleration)
         self.placed = place.place(self.model, self.qpos)
         M = place.mass_matrix(self.model, self.placed)
         self.contacts = detect.detect(self.model, self.placed)
-        self.system = rows.build(self, self.placed, self.contacts, M, self.qvel, guess)
+        self.system = rows.build(self, self.placed, self.contacts, M, start, guess)
         warm = self._warm if self.settings.warm_start else {}
-        start = np.array([warm.get(row.key, 0.0) for row in self.system.rows])
+        inside = self.settings.connects_inside
+        begin = np.array(
+            [
+                0.0 if inside and row.key[0] == "connect" else warm.get(row.key, 0.0)
+                for row in self.system.rows
+            ]
+        )
         self.guess = guess
         self.solved, self.impulses, self.sweeps_done = solve.solve(
-            self.system, guess, start, self.settings
+            self.system, guess, begin, self.settings
         )
-        self.qacc = (self.solved - self.qvel) / self.settings.dt
-        return guess, last, self.solved
+        final, self.beside = self.solved, np.zeros_like(self.impulses)
+        if last is not guess:
+            final = last + (self.solved - guess)
+        if self.settings.stages and self.system.rows:
+            solved = (self.solved, self.impulses)
+            final, self.beside = halves.second(
+                self, self.system, solved, begin, final, last - guess
+            )
+        self.qacc = (final - self.qvel) / self.settings.dt
+        return self.solved, final
 
     def _acceleration(self, qpos: Array, v: Array) -> Array:
         """M^-1 f of everything but the rows, at any state."""
@@ -92,7 +106,8 @@ class Sim(World):
         if self.settings.law == "penalty":
             found = detect.detect(self.model, placed)
             force = force + rows.penalty_force(self, placed, found, v, M)
-        return np.asarray(np.linalg.solve(M, force), float)
+        smooth = np.asarray(np.linalg.solve(M, force), float)
+        return halves.connected(self, placed, M, v, smooth)
 
     def mass_matrix(self) -> Array:
         """The mass matrix at the present positions, armature included, shape (nv, nv)."""
@@ -114,7 +129,8 @@ class Sim(World):
             out["key"][i, : len(row.key) - 1] = row.key[1:]
         for block, (i, _) in enumerate(system.blocks):
             out["block"][i:] = block
-        out["impulse"], out["target"], out["regulariser"] = self.impulses, system.t, system.c
+        out["impulse"] = self.impulses + self.beside
+        out["target"], out["regulariser"] = system.t, system.c
         out["residual"] = solve.residual_rows(system, self.solved, self.impulses, self.settings)
         out["A"], out["mass"] = system.A, system.mass
         return out

@@ -3,7 +3,8 @@
 //! matrix M + dt/2·D + dt²/4·K holds the joint springs, dampers and servos, so that a
 //! linear spring converges at once however stiff it is.
 
-use super::advance;
+use super::inside::Inside;
+use super::{advance, Next};
 use crate::elements::force::{Group, Moment};
 use crate::elements::forces::slopes;
 use crate::error::{Fault, Result};
@@ -11,36 +12,58 @@ use crate::model::Model;
 use crate::observer::Observer;
 use crate::real::{Mask, Real};
 use crate::sim::{At, Sim};
+use crate::solve::Choice;
 
 const MOST_ITERATIONS: usize = 200;
 /// Iterations after which a correction that has stopped to shrink is the rounding of the
 /// accelerations: in a long chain they lose digits to the condition of its mass matrix.
 const LONG: usize = 20;
 
+/// Iterations after which hard connections keep the impulses that they began with: near a position
+/// in which they say the same, these are quotients of small numbers and do not come to rest. What they
+/// lack, the start of the next step gives.
+const PATIENCE: usize = 16;
+
 impl<R: Real> Sim<R> {
-    /// One step into `next`; `rows`: with contact forces (law `penalty`), else the smooth motion alone.
-    pub(super) fn midpoint<O: Observer<R>>(&mut self, rows: bool, observer: &mut O) -> Result<()> {
+    /// One step from `next.start` into `next`.
+    pub(super) fn midpoint<O: Observer<R>>(
+        &mut self,
+        inside: Inside,
+        observer: &mut O,
+    ) -> Result<()> {
         let model = self.model.clone();
         let (dt, half) = (self.clock.dt, R::of(0.5));
-        self.next.qvel.copy_from_slice(&self.state.qvel);
+        self.next.qvel.copy_from_slice(&self.next.start);
         let mut open = R::Mask::of(true);
         let mut last = R::of(f64::INFINITY);
         let (mut slope, coarse) = (f64::INFINITY, (1e4 * R::EPSILON).max(R::EPSILON.sqrt()));
+        let hard = inside == Inside::Connections && self.settings.law.on_guess();
+        let patience = if hard { PATIENCE } else { MOST_ITERATIONS };
         for iteration in 0..MOST_ITERATIONS {
-            let trial = &mut self.next.trial;
+            if iteration == patience {
+                self.rows.recall(open);
+                let Next { start, qvel, .. } = &mut self.next;
+                for (v, start) in qvel.iter_mut().zip(start) {
+                    *v = R::select(open, *start, *v);
+                }
+                last = R::of(f64::INFINITY);
+            }
+            let Next { start, qvel, trial, .. } = &mut self.next;
             for k in 0..model.nv {
-                let middle = half * (self.state.qvel[k] + self.next.qvel[k]);
+                let middle = half * (start[k] + qvel[k]);
                 // A lane that is done stays where it was done: its rows come out the same again.
                 let new = R::select(open, middle, trial.qvel[k]);
                 trial.qvel[k] = new.with_slopes_of(open.not(), || middle);
             }
             advance(&model, &self.state.qpos, &trial.qvel, half * dt, &mut trial.qpos);
-            if rows {
-                self.place_detect_solve(At::Trial)?;
-            } else {
-                self.smooth(At::Trial);
-            }
-            let miss = self.correct_midpoint(&model, dt, open, rows);
+            self.next.held.fill(R::zero());
+            let choice = match iteration {
+                0 => Choice::First,
+                _ if iteration < patience => Choice::Kept,
+                _ => Choice::Frozen,
+            };
+            self.accelerate(At::Trial, inside, 1.0, choice)?;
+            let miss = self.correct_midpoint(&model, dt, open, inside == Inside::All);
             // Rounding: the correction is below it, or has stopped to shrink.
             let small = miss.le(R::of(4.0 * R::EPSILON));
             let rounding = if iteration < LONG { 1e4 * R::EPSILON } else { coarse };
@@ -59,11 +82,11 @@ impl<R: Real> Sim<R> {
             return Err(self.diverged(open, |_| Fault::Midpoint));
         }
         observer.placed(self, At::Trial, 1.0);
-        if rows {
+        if inside != Inside::Nothing {
             observer.solved(self, At::Trial, 1.0);
         }
         for k in 0..model.nv {
-            self.next.mean[k] = half * (self.state.qvel[k] + self.next.qvel[k]);
+            self.next.mean[k] = half * (self.next.start[k] + self.next.qvel[k]);
         }
         advance(&model, &self.state.qpos, &self.next.mean, dt, &mut self.next.qpos);
         self.velocity.copy_from_slice(&self.next.qvel);
@@ -95,9 +118,9 @@ impl<R: Real> Sim<R> {
         let damped = &mut self.next.damped;
         for k in 0..model.nv {
             let gained = dt * self.qacc[k];
-            damped.change[k] = self.state.qvel[k] + gained - self.next.qvel[k];
-            scale =
-                scale.max(self.next.qvel[k].abs()).max(self.state.qvel[k].abs()).max(gained.abs());
+            let (start, last) = (self.next.start[k], self.next.qvel[k]);
+            damped.change[k] = start + gained - last;
+            scale = scale.max(last.abs()).max(start.abs()).max(gained.abs());
         }
         self.placed.mul_mass(model, &damped.change, &mut damped.impulse);
         damped.metric.l.copy_from_slice(&self.placed.mass);

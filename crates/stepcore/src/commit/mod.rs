@@ -5,6 +5,8 @@
 //! Everything is written to `Next` first: a state that is not finite is never committed.
 
 mod damped;
+mod halves;
+mod inside;
 mod integrate;
 mod midpoint;
 mod next;

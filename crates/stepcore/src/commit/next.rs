@@ -10,6 +10,13 @@ use crate::state::Warm;
 pub struct Next<R: Real> {
     pub qpos: Vec<R>,
     pub qvel: Vec<R>,
+    /// The velocities of the state, made to keep the connections where these act within the step.
+    pub start: Vec<R>,
+    /// What the connections gave in the stages, by row.
+    pub held: Vec<R>,
+    /// Working space, by dof.
+    pub change: Vec<R>,
+    pub(super) gained: Vec<R>,
     /// The constant velocity that would have moved the positions as far, under `rk4` and `midpoint`.
     pub(super) mean: Vec<R>,
     /// Impulses for the next step's start.
@@ -22,7 +29,7 @@ pub struct Next<R: Real> {
     pub(super) sums: Sums<R>,
 }
 
-room!(Next<R>: qpos, qvel, mean, warm; trial, damped, sums);
+room!(Next<R>: qpos, qvel, start, held, change, gained, mean, warm; trial, damped, sums);
 
 /// Positions and velocities within a step.
 pub(crate) struct Trial<R: Real> {
@@ -50,6 +57,10 @@ impl<R: Real> Next<R> {
         Self {
             qpos: zeros(nq),
             qvel: zeros(nv),
+            start: zeros(nv),
+            held: zeros(3 * model.equalities.iter().filter(|equality| equality.active).count()),
+            change: zeros(nv),
+            gained: zeros(nv),
             mean: zeros(nv),
             warm: Vec::new(),
             stage: 0,

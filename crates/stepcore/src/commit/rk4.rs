@@ -2,27 +2,29 @@
 //! (1998), with the closed form of the inverse differential of the exponential,
 //! dexp⁻¹(u) ω = ω + ½ u×ω + g u×(u×ω), g = (1 − (θ/2) cot(θ/2))/θ², θ = |u|.
 
-use super::advance;
+use super::inside::Inside;
+use super::{advance, Next};
 use crate::error::Result;
 use crate::model::Model;
 use crate::observer::Observer;
 use crate::real::Real;
 use crate::scene::JointType;
 use crate::sim::{At, Sim};
+use crate::solve::Choice;
 use crate::spatial::{Quat, V3};
 
 const A: [f64; 4] = [0.0, 0.5, 0.5, 1.0];
 const B: [f64; 4] = [1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0];
 
 impl<R: Real> Sim<R> {
-    /// Four stages into `next`; `rows`: each with its rows, else the smooth motion alone.
-    pub(super) fn rk4<O: Observer<R>>(&mut self, rows: bool, observer: &mut O) -> Result<()> {
-        let outcome = self.stages(rows, observer);
+    /// Four stages from `next.start` into `next`.
+    pub(super) fn rk4<O: Observer<R>>(&mut self, inside: Inside, observer: &mut O) -> Result<()> {
+        let outcome = self.stages(inside, observer);
         self.next.stage = 0;
         outcome
     }
 
-    fn stages<O: Observer<R>>(&mut self, rows: bool, observer: &mut O) -> Result<()> {
+    fn stages<O: Observer<R>>(&mut self, inside: Inside, observer: &mut O) -> Result<()> {
         let model = self.model.clone();
         let dt = self.clock.dt;
         let zero = R::zero();
@@ -31,30 +33,23 @@ impl<R: Real> Sim<R> {
         self.next.sums.gained.fill(zero);
         for stage in 0..4 {
             self.next.stage = stage;
-            let at = if stage == 0 { At::State } else { At::Trial };
+            let at = if stage == 0 { At::Start } else { At::Trial };
             if stage > 0 {
-                let (sums, trial) = (&mut self.next.sums, &mut self.next.trial);
+                let Next { start, sums, trial, .. } = &mut self.next;
                 let reach = dt * R::of(A[stage]);
                 advance(&model, &self.state.qpos, &sums.rate, reach, &mut trial.qpos);
                 for k in 0..model.nv {
                     sums.turned[k] = reach * sums.rate[k];
-                    trial.qvel[k] = self.state.qvel[k] + reach * self.qacc[k];
+                    trial.qvel[k] = start[k] + reach * self.qacc[k];
                 }
             }
-            if rows {
-                self.place_detect_solve(at)?;
-            } else {
-                self.smooth(at);
-            }
+            self.accelerate(at, inside, B[stage], Choice::Now)?;
             observer.placed(self, at, B[stage]);
-            if rows {
+            if inside != Inside::Nothing {
                 observer.solved(self, at, B[stage]);
             }
-            self.next.sums.rate.copy_from_slice(match at {
-                At::State => &self.state.qvel,
-                At::Trial => &self.next.trial.qvel,
-            });
-            let sums = &mut self.next.sums;
+            let Next { start, trial, sums, .. } = &mut self.next;
+            sums.rate.copy_from_slice(if stage == 0 { start } else { &trial.qvel });
             rates_on_the_group(&model, &sums.turned, &mut sums.rate);
             let weight = R::of(B[stage]);
             for k in 0..model.nv {
@@ -66,7 +61,7 @@ impl<R: Real> Sim<R> {
         self.next.mean.copy_from_slice(&sums.moved);
         advance(&model, &self.state.qpos, &sums.moved, dt, &mut self.next.qpos);
         for k in 0..model.nv {
-            self.next.qvel[k] = self.state.qvel[k] + dt * sums.gained[k];
+            self.next.qvel[k] = self.next.start[k] + dt * sums.gained[k];
         }
         self.velocity.copy_from_slice(&self.next.qvel);
         Ok(())

@@ -6,7 +6,7 @@ use crate::model::{Equality, Model, NONE};
 use crate::real::{Mask, Real};
 use crate::settings::Law;
 use crate::solve::law::{least_softness, OnGuess, SolRef};
-use crate::solve::{Rows, Set, Situation};
+use crate::solve::{Part, Rows, Set, Situation};
 use crate::spatial::{rotate, splat, V3};
 
 pub(super) struct Connect;
@@ -50,7 +50,7 @@ impl<R: Real> Rows<R> {
             self.push_scratch(now, equality.dofs).lo = R::of(f64::NEG_INFINITY);
             self.drop_rounding(now, [equality.body1, equality.body2], &p1, equality.mass);
         }
-        let dt = now.settings.dt;
+        let (dt, law) = (now.settings.dt, OnGuess::new(now));
         let least = least_softness(&self.rows[first..], equality.mass);
         let soft =
             || SolRef::at(&equality.soft, apart.dot(&apart).sqrt(), dt, now.settings.refsafe);
@@ -60,7 +60,15 @@ impl<R: Real> Rows<R> {
                 law.fill(row, apart[k], R::of(equality.invweight), least, R::of(dt));
                 row.t -= R::of(dt) * curving[k];
             } else {
-                OnGuess::new(now.settings).equality(row, apart[k]);
+                law.equality(row, apart[k]);
+                if now.part == Part::Stage {
+                    row.t = row.velocity - R::of(dt) * curving[k];
+                }
+            }
+        }
+        if now.part == Part::End && now.settings.connects_inside() {
+            for at in first..self.rows.len() {
+                self.rows[at].t = self.dot(now.model, &self.rows[at], &now.placed.guess);
             }
         }
         let element = Element::whole(Kind::Connect, index);

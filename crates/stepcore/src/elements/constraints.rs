@@ -8,7 +8,7 @@ use super::limit::Limit;
 use crate::detect::Detected;
 use crate::model::Model;
 use crate::real::Real;
-use crate::solve::{Rows, Situation, CONE};
+use crate::solve::{Part, Rows, Situation, CONE};
 use crate::state::WARM_ROWS;
 
 macro_rules! constraints {
@@ -37,7 +37,11 @@ impl<R: Real> Rows<R> {
         self.clear();
         self.u.copy_from_slice(&now.placed.guess);
         if now.model.features.constraint && any(now.model) {
-            make_all(&mut Makings { now, detected }, self);
+            let mut makings = Makings { now, detected };
+            match now.part {
+                Part::Whole | Part::End => make_all(&mut makings, self),
+                Part::Start | Part::Stage => Connect::make(&mut makings, self),
+            }
         }
     }
 }

@@ -15,7 +15,7 @@ use crate::settings::{Cone, Law};
 use crate::solve::law::{
     least_softness, target_at, weightless_softness, Near, OnGuess, SolRef, NEAR,
 };
-use crate::solve::{Rows, Set, Situation};
+use crate::solve::{Guessed, Rows, Set, Situation};
 use crate::spatial::{Motion, V3};
 
 /// MuJoCo's `mjMINMU`: under `solref` no coefficient of friction is smaller.
@@ -217,12 +217,13 @@ impl<R: Real> Rows<R> {
     /// A contact under `lesson`, `relaxed` or `rigid`: a row where the guess overlaps, or where
     /// the shapes are so near that it may for what other rows do.
     fn rigid_contact(&mut self, now: &Situation<R>, contact: &mut Contact<R>, pair: &Pair) {
-        let law = OnGuess::new(now.settings);
+        let law = OnGuess::new(now);
         let first = self.rows.len();
         self.normal_row(now, contact, pair);
         let size = now.model.geoms[pair.geom1].reach.min(now.model.geoms[pair.geom2].reach);
         let (mut phi, touching) = (contact.dist, contact.dist.le(R::of(NEAR * size)));
-        let closing = contact.mask.and(self.violated_by_guess(now, first, phi));
+        let Guessed { closing, mut gained } = self.guessed(now, first, phi);
+        let closing = contact.mask.and(closing);
         let mut mask = contact.mask.and(closing.or(touching));
         let mut arrives = R::Mask::of(true);
         let ahead = closing.and(touching.not());
@@ -234,6 +235,7 @@ impl<R: Real> Rows<R> {
                 self.pop_row();
                 phi = R::select(found.turned, found.phi, phi);
                 self.normal_row(now, contact, pair);
+                gained = self.guessed(now, first, phi).gained;
             }
         }
         contact.mask = mask;
@@ -241,7 +243,7 @@ impl<R: Real> Rows<R> {
             self.pop_row();
             return;
         }
-        let near = Near { phi, closing, arrives, far: phi.gt(R::of(size)) };
+        let near = Near { phi, closing, gained, arrives, far: phi.gt(R::of(size)) };
         let mut push = law.push(phi);
         if let Some(most) = now.settings.max_recovery_speed.under(now.settings.law) {
             let over = mask.and(push.gt(R::of(most)));
@@ -301,13 +303,13 @@ impl<R: Real> Rows<R> {
         let [first, second] = [(pair.geom1, -R::one()), (pair.geom2, R::one())].map(|(g, side)| {
             let geom = &now.model.geoms[g];
             let core = half + R::of(geom.kind.roundness(&geom.size));
-            self.guessed(now, geom.body, &(contact.pos + contact.normal * (side * core)))
+            self.motion_by_guess(now, geom.body, &(contact.pos + contact.normal * (side * core)))
         });
         (second - first) * R::of(now.settings.dt)
     }
 
     /// Velocity of a body's point by the guess [m/s].
-    fn guessed(&mut self, now: &Situation<R>, body: usize, at: &V3<R>) -> V3<R> {
+    fn motion_by_guess(&mut self, now: &Situation<R>, body: usize, at: &V3<R>) -> V3<R> {
         let body = &now.model.bodies[body];
         if body.tree == NONE {
             return V3::zeros();

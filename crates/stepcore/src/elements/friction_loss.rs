@@ -25,6 +25,8 @@ impl Constraint for FrictionLoss {
             return;
         }
         let dt = settings.dt;
+        // Half a step's for the mean velocity, and half for the last: see `commit/halves.rs`.
+        let most = if now.halves() { 0.5 * dt } else { dt };
         for &k in &model.rubbing {
             let dof = &model.dofs[k];
             let dofs = model.chain_of_dof(k);
@@ -33,15 +35,15 @@ impl Constraint for FrictionLoss {
             let mass = model.trees[dof.tree].mass;
             let first = rows.rows.len();
             let row = rows.push_scratch(now, dofs);
-            row.lo = R::of(-dt * dof.frictionloss);
-            row.hi = R::of(dt * dof.frictionloss);
+            row.lo = R::of(-most * dof.frictionloss);
+            row.hi = R::of(most * dof.frictionloss);
             if settings.law == Law::SolRef {
                 let law =
                     SolRef::at(&dof.friction, R::zero(), dt, settings.refsafe).without_position();
                 let least = least_softness(slice::from_ref(row), mass);
                 law.fill(row, R::zero(), R::of(dof.invweight), least, R::of(dt));
             } else {
-                OnGuess::new(settings).friction(row);
+                OnGuess::new(now).friction(row);
             }
             let part = k - model.joints[dof.joint].dof;
             let element = Element::part(Kind::FrictionLoss, dof.joint, part);

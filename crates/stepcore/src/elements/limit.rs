@@ -6,7 +6,7 @@ use crate::model::Model;
 use crate::real::{Mask, Real};
 use crate::scene::JointType;
 use crate::solve::law::{least_softness, Near, OnGuess, SolRef, NEAR};
-use crate::solve::{Rows, Set, Situation};
+use crate::solve::{Guessed, Rows, Set, Situation};
 use crate::transmission::{Reach, Transmission};
 use std::slice;
 
@@ -65,9 +65,10 @@ impl<R: Real> Rows<R> {
             law.fill(row, r, R::of(dof.invweight), least, R::of(settings.dt));
             near
         } else {
-            let closing = self.violated_by_guess(now, first, phi);
-            let near = Near { phi, closing, arrives: R::Mask::of(true), far: R::Mask::of(false) };
-            let law = OnGuess::new(settings);
+            let Guessed { closing, gained } = self.guessed(now, first, phi);
+            let (arrives, far) = (R::Mask::of(true), R::Mask::of(false));
+            let near = Near { phi, closing, gained, arrives, far };
+            let law = OnGuess::new(now);
             law.distance(&mut self.rows[first], &near, 0.0, law.push(phi));
             let [lo, hi] = joint.range.unwrap_or_default();
             closing.or(phi.le(R::of(NEAR * (hi - lo))))

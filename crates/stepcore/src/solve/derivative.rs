@@ -280,7 +280,7 @@ impl Given {
 
 impl Row<Dual> {
     fn value(&self) -> Row<f64> {
-        let Self { dofs, y, t, c, a, inv_s, lo, hi, impulse, velocity, gap } = self;
+        let Self { dofs, y, t, c, a, inv_s, lo, hi, impulse, velocity, gap, beside } = self;
         Row {
             dofs: *dofs,
             y: *y,
@@ -293,6 +293,7 @@ impl Row<Dual> {
             impulse: impulse.value,
             velocity: velocity.value,
             gap: gap.value,
+            beside: beside.value,
         }
     }
 }

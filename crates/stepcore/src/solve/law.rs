@@ -5,7 +5,7 @@
 //! and "Solver parameters". The others act on the velocity of the guess, after
 //! Baumgarte (1972) and Stewart & Trinkle (1996).
 
-use super::rows::Row;
+use super::rows::{Row, Situation};
 use crate::real::{Mask, Real};
 use crate::scene::Softness;
 use crate::settings::{Law, Settings};
@@ -140,6 +140,8 @@ pub struct Near<R: Real> {
     pub phi: R,
     /// The guess overlaps.
     pub closing: R::Mask,
+    /// What the guess adds to the row's velocity at the start.
+    pub gained: R,
     /// Where one comes to the other in this step, it still is in the next: not on its way past.
     pub arrives: R::Mask,
     /// Still further away than the shapes are large.
@@ -154,12 +156,16 @@ pub struct OnGuess {
     pub beta: f64,
     pub softness: f64,
     pub slop: f64,
+    /// See `Situation::halves`: these rows have half of the impulse that softness goes by.
+    pub halves: bool,
 }
 
 impl OnGuess {
-    pub fn new(settings: &Settings) -> Self {
-        let Settings { law, dt, beta, softness, slop, .. } = *settings;
-        Self { law, dt, beta, softness, slop }
+    pub fn new<R: Real>(now: &Situation<R>) -> Self {
+        let Settings { law, dt, beta, softness, slop, .. } = *now.settings;
+        let halves = now.halves();
+        let softness = if halves { 2.0 * softness } else { softness };
+        Self { law, dt, beta, softness, slop, halves }
     }
 
     /// An inequality: distance φ ≥ 0, recovered at the speed `push`. Limits do not bounce: their
@@ -173,7 +179,9 @@ impl OnGuess {
         row.gap = phi;
         let (arrive, open) = (-(phi * inv_dt), phi.gt(zero));
         let closing = if self.law == Law::Rigid {
-            let back = push.max(R::of(-restitution) * row.velocity);
+            let bounce = R::of(-restitution) * row.velocity;
+            // An impact is at the start of the step: the smooth motion follows it.
+            let back = push.max(if self.halves { bounce + near.gained } else { bounce });
             let wait = open.and(near.arrives).and(R::Mask::of(restitution == 0.0));
             R::select(wait, arrive, back)
         } else {
@@ -200,6 +208,7 @@ impl OnGuess {
     /// A distance that nothing can open (A = 0) in a block whose other rows are moved: its load is
     /// t over the least regulariser, so that it has friction.
     pub fn unmoved<R: Real>(&self, row: &mut Row<R>, least: R) {
+        let least = if self.halves { least + least } else { least };
         let still = row.a.le(R::zero()).and(row.c.le(least));
         row.c = R::select(still, least, row.c);
         let inv_s = (least + R::of(self.denominator())).recip_or_zero();

@@ -4,9 +4,11 @@
 mod alone;
 mod cone;
 mod derivative;
+mod direct;
 mod dot;
 mod exact;
 mod few;
+mod first;
 mod implicit;
 mod islands;
 pub(crate) mod law;
@@ -21,11 +23,13 @@ mod solver;
 mod tests;
 
 pub(crate) use derivative::Differentiated;
+pub(crate) use direct::Choice;
 pub(crate) use limits::Report;
-pub(crate) use rows::CONE;
-pub use rows::{Block, Push, Row, Rows, Set, Situation};
+pub use rows::{Block, Part, Push, Row, Rows, Set, Situation};
+pub(crate) use rows::{Guessed, CONE};
 pub(crate) use solver::{Solve, Solvers, Unconstrained};
 
+use crate::elements::Kind;
 use crate::model::{Model, Span};
 use crate::real::{Mask, Real};
 use crate::spatial::{Force, V3};
@@ -122,10 +126,10 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Starts every impulse from the last step's, found by slot.
-    pub fn warm_start(&mut self, model: &Model, inv_d: &[R], warm: &[Warm<R>]) {
+    /// Starts every impulse from the last step's, found by slot; `but`: not of this kind.
+    pub fn warm_start(&mut self, model: &Model, inv_d: &[R], warm: &[Warm<R>], but: Option<Kind>) {
         let mut at = 0;
-        for block in &self.blocks {
+        for block in self.blocks.iter().filter(|block| but != Some(block.element.kind)) {
             while at < warm.len() && warm[at].slot < block.slot {
                 at += 1;
             }
@@ -139,14 +143,17 @@ impl<R: Real> Rows<R> {
         self.apply_impulses(model, inv_d);
     }
 
-    /// Keeps every impulse for the next step, but for what is no number.
-    pub fn store_warm(&self, warm: &mut Vec<Warm<R>>) {
+    /// Keeps every impulse for the next step, but for what is no number; those of a kind that
+    /// the stages of the step held, as they were there.
+    pub fn store_warm(&self, warm: &mut Vec<Warm<R>>, inside: Option<Kind>) {
         warm.clear();
         for block in &self.blocks {
             let mut impulse = [R::zero(); WARM_ROWS];
             for (k, row) in self.rows[block.rows.range()].iter().enumerate() {
-                let kept = block.mask.and(row.impulse.is_finite());
-                impulse[k] = R::select(kept, row.impulse, R::zero());
+                let held = inside == Some(block.element.kind);
+                let own = if held { row.beside } else { row.impulse };
+                let kept = block.mask.and(own.is_finite());
+                impulse[k] = R::select(kept, own, R::zero());
             }
             warm.push(Warm { slot: block.slot, impulse });
         }

@@ -5,7 +5,9 @@
 //! J v = y·u and an impulse changes u by D⁻¹ y λ. The solvers read this file's
 //! data and nothing else: they cannot know what a row came from.
 
+use super::direct::Direct;
 use super::dot::dot;
+use super::first::First;
 use crate::clock::Clock;
 use crate::elements::Element;
 use crate::model::{Model, Span};
@@ -32,11 +34,35 @@ pub struct Row<R: Real> {
     pub lo: R,
     pub hi: R,
     pub impulse: R,
+    /// What the row gave beside `impulse`, which `t`, `c` and `Rows::u` belong to: under `midpoint`
+    /// and `rk4` in the stages of the step, and to the velocity at its end alone.
+    pub beside: R,
     /// J v at the start of the step, for reports.
     pub velocity: R,
     /// The distance that the row holds, its margin taken off [m or rad]; 0 of a row that
     /// restores none.
     pub gap: R,
+}
+
+impl<R: Real> Row<R> {
+    /// All that it gave in the step.
+    pub fn total(&self) -> R {
+        self.impulse + self.beside
+    }
+}
+
+/// Which rows are made, and what their impulses act on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// All, on the velocity of the step.
+    Whole,
+    /// Connections alone, on the velocity at the start, which then keeps them.
+    Start,
+    /// Connections alone, on the acceleration of a stage.
+    Stage,
+    /// All, after a smooth motion: see `commit/halves.rs`. Connections that its stages held answer
+    /// to the others only.
+    End,
 }
 
 /// The most rows of a block that is a cone: the normal and two tangents. Blocks of intervals
@@ -100,13 +126,23 @@ pub struct Rows<R: Real> {
     pub(crate) scratch: Vec<R>,
     /// v̂, while rows are made.
     pub(crate) guess: Vec<R>,
+    pub(crate) direct: Direct<R>,
+    pub(crate) first: First<R>,
     /// By tree: see `Model::islands`.
     islands: Vec<usize>,
     /// By slot: see `Model::ranks`.
     ranks: Vec<u32>,
 }
 
-room!(Rows<R>: rows, blocks, pushes, y, u, scratch, guess, islands, ranks;);
+room!(Rows<R>: rows, blocks, pushes, y, u, scratch, guess, islands, ranks; direct, first);
+
+/// The guess, along a row.
+pub(crate) struct Guessed<R: Real> {
+    /// φ + dt·J v̂ < 0: it goes where it may not.
+    pub closing: R::Mask,
+    /// J v̂ less J v of the start.
+    pub gained: R,
+}
 
 /// Everything the row makers read.
 pub struct Situation<'a, R: Real> {
@@ -115,6 +151,14 @@ pub struct Situation<'a, R: Real> {
     pub settings: &'a crate::settings::Settings,
     pub clock: Clock<R>,
     pub qpos: &'a [R],
+    pub part: Part,
+}
+
+impl<R: Real> Situation<'_, R> {
+    /// The rows judge the mean velocity of a step of `midpoint` or `rk4`, by a law on velocities.
+    pub fn halves(&self) -> bool {
+        self.part == Part::End && self.settings.law.on_guess()
+    }
 }
 
 impl<R: Real> Rows<R> {
@@ -129,6 +173,8 @@ impl<R: Real> Rows<R> {
             unrecovered: R::zero(),
             scratch: vec![R::zero(); model.nv],
             guess: vec![R::zero(); model.nv],
+            direct: Direct::new(model.nv),
+            first: First::new(model.nv),
             ranks: model.ranks(&islands),
             islands,
         }
@@ -145,6 +191,8 @@ impl<R: Real> Rows<R> {
             scratch: u.clone(),
             guess: u.clone(),
             unrecovered: R::zero(),
+            direct: Direct::new(nv),
+            first: First::new(nv),
             u,
             islands: Vec::new(),
             ranks: Vec::new(),
@@ -215,6 +263,7 @@ impl<R: Real> Rows<R> {
             lo: zero,
             hi: R::of(f64::INFINITY),
             impulse: zero,
+            beside: zero,
             velocity,
             gap: zero,
         });
@@ -244,10 +293,12 @@ impl<R: Real> Rows<R> {
         &mut self.blocks[at]
     }
 
-    /// φ + dt·J v̂ < 0: the guess goes where it may not.
-    pub(crate) fn violated_by_guess(&self, now: &Situation<R>, row: usize, phi: R) -> R::Mask {
-        let velocity = self.dot(now.model, &self.rows[row], &now.placed.guess);
-        (phi + R::of(now.settings.dt) * velocity).lt(R::zero())
+    /// What the guess does along a row at distance φ.
+    pub(crate) fn guessed(&self, now: &Situation<R>, row: usize, phi: R) -> Guessed<R> {
+        let row = &self.rows[row];
+        let velocity = self.dot(now.model, row, &now.placed.guess);
+        let closing = (phi + R::of(now.settings.dt) * velocity).lt(R::zero());
+        Guessed { closing, gained: velocity - row.velocity }
     }
 
     /// Takes back the row pushed last.

@@ -100,6 +100,7 @@ pub(super) fn pack<R: Real>(worlds: &[Problem]) -> Rows<R> {
                 lo: R::of(*lo),
                 hi: R::of(*hi),
                 impulse: R::zero(),
+                beside: R::zero(),
                 velocity: R::zero(),
                 gap: R::zero(),
             });

@@ -65,7 +65,7 @@ impl<R: Real> Sim<R> {
         for (_, row) in self.live_rows(lane) {
             let dofs = row.dofs.of(&model.dof_lists);
             for (k, y) in dofs.iter().zip(&self.rows.y[row.y..]) {
-                force[*k] += *y * row.impulse;
+                force[*k] += *y * row.total();
             }
         }
         self.placed.metric.lower(&mut force);
@@ -109,7 +109,7 @@ impl<R: Real> Sim<R> {
 
     fn block_force(&self, block: &Block<R>, contact: &Contact<R>, lane: usize) -> [f64; 3] {
         let rows = &self.rows.rows[block.rows.range()];
-        let impulse: Vec<f64> = rows.iter().map(|row| row.impulse.lane(lane)).collect();
+        let impulse: Vec<f64> = rows.iter().map(|row| row.total().lane(lane)).collect();
         let bounded = |at: usize| rows[at].lo.lane(lane) >= 0.0;
         let still = self.model.pairs[contact.pair].still;
         let tangents = contact.tangents(&self.model, &self.placed);

@@ -93,6 +93,7 @@ mod tests {
             lo: 0.0,
             hi: f64::INFINITY,
             impulse: 0.0,
+            beside: 0.0,
             velocity: 0.0,
             gap: 0.0,
         }

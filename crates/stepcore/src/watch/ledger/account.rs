@@ -61,8 +61,6 @@ impl Account {
         self.paid += work;
         self.throughput += work.abs();
         let free = level.moving + level.gravity - self.paid;
-        // What was gained and is gone again is nothing that there is too much of.
-        self.least = self.least.max(free - level.moving);
         let gained = free - self.least;
         // What bent rows hold may be gained as well.
         let unearned = (free + level.bent - self.least).max(0.0);
@@ -86,5 +84,52 @@ impl Account {
     pub fn allow(&mut self, gained: f64, times: f64) {
         let reached = if self.scale > 0.0 { gained / self.scale } else { 0.0 };
         self.allowed = self.allowed.max(2.0 * reached).max(times);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ball of energy `e` [J] above its floor, so much of it moving.
+    fn ball(e: f64, share: f64) -> Level {
+        Level { moving: e * share, gravity: e * (1.0 - share), bent: 0.0, size: e }
+    }
+
+    /// Looked at anywhere in its flight, at the top of it too, where nothing moves.
+    const SHARES: [f64; 7] = [0.3, 0.9, 0.0, 0.6, 0.01, 1.0, 0.5];
+
+    #[test]
+    fn what_grows_a_little_at_each_bounce_is_found_when_it_has_doubled() {
+        let mut account = Account::open(&ball(1.0, 0.0));
+        let mut found = None;
+        for n in 0..2000 {
+            let e = 1.001_f64.powi(n);
+            let verdict = account.judge::<f64>(&ball(e, SHARES[n as usize % 7]), 0.0);
+            if verdict.gained > verdict.limit {
+                found = found.or(Some(e));
+            }
+        }
+        assert!(found.is_some_and(|e| e > 1.9 && e < 2.1), "{found:?}");
+    }
+
+    #[test]
+    fn what_keeps_its_energy_within_a_share_is_not() {
+        let mut account = Account::open(&ball(1.0, 0.0));
+        for n in 0..100_000 {
+            let e = 1.0 + 0.2 * f64::from(n % 17) / 17.0;
+            let verdict = account.judge::<f64>(&ball(e, SHARES[n as usize % 7]), 0.0);
+            assert!(verdict.gained <= verdict.limit);
+        }
+    }
+
+    #[test]
+    fn what_is_lifted_is_paid() {
+        let mut account = Account::open(&ball(0.0, 0.0));
+        for n in 1..1000 {
+            let level = Level { moving: 0.5, gravity: f64::from(n), bent: 0.0, size: f64::from(n) };
+            let verdict = account.judge::<f64>(&level, if n == 1 { 1.5 } else { 1.0 });
+            assert!(verdict.gained <= verdict.limit);
+        }
     }
 }

@@ -50,7 +50,7 @@ impl<R: Real> Sim<R> {
             let rows = &self.rows.rows[block.rows.range()];
             let strength = rows
                 .iter()
-                .map(|row| (row.impulse.lane(lane) * rate).powi(2) * row.a.lane(lane))
+                .map(|row| (row.total().lane(lane) * rate).powi(2) * row.a.lane(lane))
                 .sum();
             entries.push((block.element.of_part(), strength));
         }

@@ -1,0 +1,143 @@
+//! Rows after a smooth motion from (q, v) to (q ⊕ dt·v̄, v₁), v̄ being `next.mean`.
+//!
+//! Laws on velocities judge v̄, because v̄ is what moves positions: q⁺ = q ⊕ dt (v̄ + Δ₁). What
+//! lasts through the step, as the force of a contact at rest, has changed the last velocity by
+//! twice as much as the mean; what strikes at its start, by as much. So both get Δ₁, and a second
+//! solve of the same rows gives the last velocity alone what it still lacks:
+//! v⁺ = v₁ + Δ₁ + Δ₂. A body at rest is at rest, v⁺ = 0; a sliding one loses μ g dt, and μ g dt²/2
+//! of its way. Rows that gave nothing to the mean give nothing to the last velocity.
+//!
+//! An impact is at the start of the step, and the smooth motion follows it. A row that bounces
+//! asks v̄ for −e·v_n + J (v̄ − v), and v⁺ for −e·v_n + J (v₁ − v): with e = 1 the energy of a
+//! bounce is that before it, to rounding.
+//!
+//! `solref` is a law on accelerations: it judges v₁, and its force acts through the step, v̄ + Δ/2.
+
+use super::advance;
+use crate::clock::Clock;
+use crate::elements::Kind;
+use crate::error::Result;
+use crate::observer::Observer;
+use crate::real::{Mask, Real, Stage};
+use crate::settings::Law;
+use crate::sim::{At, Sim};
+use crate::solve::Part;
+
+impl<R: Real> Sim<R> {
+    pub(super) fn rows_at_the_end<O: Observer<R>>(&mut self, observer: &mut O) -> Result<()> {
+        let model = self.model.clone();
+        let Clock { dt, rate, .. } = self.clock;
+        let (qpos, qvel) = At::Start.of(&self.state, &self.next);
+        self.placed.place(&model, qpos, qvel, &self.inputs, dt);
+        let on_guess = self.settings.law.on_guess();
+        let judged = if on_guess { &self.next.mean } else { &self.next.qvel };
+        self.placed.metric.to_factored(judged, &mut self.placed.guess);
+        self.detect(At::Start);
+        self.make_rows(At::Start, Part::End);
+        R::enter(Stage::Impulses);
+        // Connections that the stages held have nothing to answer to but other rows.
+        let answers = self.settings.connects_inside().then_some(Kind::Connect);
+        let alone = self.rows.blocks.iter().all(|block| Some(block.element.kind) == answers);
+        if alone || !self.rows.any() {
+            self.effort.rest();
+            self.velocity.fill(R::zero());
+        } else {
+            self.warm_start(answers);
+            self.rows.begin_first();
+            self.solve()?;
+            observer.solved(self, At::Start, 1.0);
+            self.changed();
+        }
+        self.add_change(1.0, if on_guess { 1.0 } else { 0.5 });
+        if on_guess && !alone && self.rows.any() {
+            self.second(answers, observer)?;
+        }
+        for (row, held) in self.rows.rows.iter_mut().zip(&self.next.held) {
+            row.beside += *held;
+        }
+        if self.settings.warm_start {
+            self.rows.store_warm(&mut self.next.warm, answers);
+        }
+        R::enter(Stage::Commit);
+        for k in 0..model.nv {
+            self.qacc[k] = (self.next.qvel[k] - self.state.qvel[k]) * rate;
+        }
+        advance(&model, &self.state.qpos, &self.next.mean, dt, &mut self.next.qpos);
+        self.velocity.copy_from_slice(&self.next.qvel);
+        Ok(())
+    }
+
+    /// What the rows changed since the guess, into `velocity`: exactly zero in a tree without rows.
+    fn changed(&mut self) {
+        let change = &mut self.next.change;
+        for k in 0..self.model.nv {
+            change[k] = self.rows.u[k] - self.placed.guess[k];
+        }
+        self.placed.metric.from_factored(change, &mut self.velocity);
+    }
+
+    /// Adds `velocity`, so many times, to the last velocity and to the mean.
+    fn add_change(&mut self, last: f64, mean: f64) {
+        // What the rows do not change keeps its bits, the sign of a zero too.
+        let add = |x: &mut R, change: R| {
+            let none = change.abs().le(R::zero());
+            *x = R::select(none, *x, *x + change).with_slopes_of(none, || *x + change);
+        };
+        for k in 0..self.model.nv {
+            add(&mut self.next.qvel[k], R::of(last) * self.velocity[k]);
+            if mean > 0.0 {
+                add(&mut self.next.mean[k], R::of(mean) * self.velocity[k]);
+            }
+        }
+    }
+
+    /// The second solve: what the last velocity still lacks.
+    fn second<O: Observer<R>>(&mut self, answers: Option<Kind>, observer: &mut O) -> Result<()> {
+        let nv = self.model.nv;
+        // v₁ − v̄, which the first solve did not change.
+        for k in 0..nv {
+            self.next.change[k] = self.next.qvel[k] - self.next.mean[k];
+        }
+        self.placed.metric.to_factored(&self.next.change, &mut self.next.gained);
+        self.placed.metric.to_factored(&self.next.qvel, &mut self.placed.guess);
+        self.rows.begin_second(&self.model, &self.placed.metric.inv_d, &self.placed.guess);
+        self.targets_of_the_second(answers);
+        R::enter(Stage::Impulses);
+        self.solve()?;
+        observer.solved(self, At::Start, 1.0);
+        self.changed();
+        self.add_change(1.0, 0.0);
+        self.rows.end_second();
+        Ok(())
+    }
+
+    fn targets_of_the_second(&mut self, answers: Option<Kind>) {
+        let (model, settings, rows) = (&*self.model, &self.settings, &mut self.rows);
+        let bounces = settings.law == Law::Rigid && settings.restitution > 0.0;
+        let (push, slop) = (R::of(-settings.beta / settings.dt), R::of(settings.slop));
+        for b in 0..rows.blocks.len() {
+            let (kind, first) = (rows.blocks[b].element.kind, rows.blocks[b].rows.start);
+            if Some(kind) == answers {
+                for at in rows.blocks[b].rows.range() {
+                    rows.rows[at].t = rows.dot(model, &rows.rows[at], &self.placed.guess);
+                }
+                continue;
+            }
+            let pushes = matches!(kind, Kind::Contact | Kind::Limit);
+            if pushes {
+                let gave = rows.first_impulse(first).gt(R::zero());
+                rows.blocks[b].mask = rows.blocks[b].mask.and(gave);
+            }
+            if pushes && bounces && kind == Kind::Contact {
+                let gained = rows.dot(model, &rows.rows[first], &self.next.gained);
+                let row = &mut rows.rows[first];
+                let hold = (push * (row.gap + slop).min(R::zero())).min(row.t);
+                row.t = hold.max(row.t + gained);
+            }
+            let holds = if pushes { first..first + 1 } else { rows.blocks[b].rows.range() };
+            for at in holds {
+                rows.soften_second(at);
+            }
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! What acts at the stages of `midpoint` and `rk4`, and what after them.
+
+use crate::error::Result;
+use crate::observer::Observer;
+use crate::real::Real;
+use crate::settings::{Integrator, Law};
+use crate::sim::{At, Sim};
+use crate::solve::{Choice, Part};
+
+/// Of the rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Inside {
+    /// The motion of the stages is smooth.
+    Nothing,
+    /// Connections hold at every stage, as accelerations, so that the order of the integrator
+    /// is that of the motion on the connections.
+    Connections,
+    /// Every row, and the springs of law `penalty`.
+    All,
+}
+
+impl<R: Real> Sim<R> {
+    fn inside(&self) -> Inside {
+        let settings = &self.settings;
+        let soft = settings.integrator == Integrator::Rk4 && settings.law == Law::SolRef;
+        if soft || settings.law == Law::Penalty {
+            Inside::All
+        } else if settings.connects_inside() && !self.next.held.is_empty() {
+            Inside::Connections
+        } else {
+            Inside::Nothing
+        }
+    }
+
+    /// One step: `stages`, and the rows that do not act within them.
+    pub(super) fn after_stages<O: Observer<R>>(
+        &mut self,
+        stages: impl FnOnce(&mut Self, Inside, &mut O) -> Result<()>,
+        observer: &mut O,
+    ) -> Result<()> {
+        let inside = self.inside();
+        self.next.start.copy_from_slice(&self.state.qvel);
+        self.next.held.fill(R::zero());
+        if inside == Inside::Connections && self.settings.law.on_guess() {
+            self.start(observer)?;
+        }
+        stages(self, inside, observer)?;
+        if inside == Inside::All {
+            return Ok(());
+        }
+        self.rows_at_the_end(observer)
+    }
+
+    /// Makes the velocities at the start keep the connections, and take back a share β of what
+    /// these gape. The stages leave both as they are.
+    fn start<O: Observer<R>>(&mut self, observer: &mut O) -> Result<()> {
+        let model = self.model.clone();
+        self.placed.place(&model, &self.state.qpos, &self.state.qvel, &self.inputs, R::zero());
+        self.connect(At::State, Part::Start, 1.0, Choice::Now)?;
+        observer.solved(self, At::State, 1.0);
+        for k in 0..model.nv {
+            self.next.start[k] += self.velocity[k];
+        }
+        Ok(())
+    }
+
+    /// The acceleration of a stage, which acts for a share of the step.
+    pub(super) fn accelerate(
+        &mut self,
+        at: At,
+        inside: Inside,
+        share: f64,
+        choice: Choice,
+    ) -> Result<()> {
+        match inside {
+            Inside::Nothing => {
+                self.smooth(at);
+                Ok(())
+            }
+            Inside::Connections => self.smooth_and_connected(at, share, choice),
+            Inside::All => self.place_detect_solve(at),
+        }
+    }
+}

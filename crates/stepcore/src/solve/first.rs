@@ -1,0 +1,101 @@
+//! Two solves of one step's rows: what the first left is kept while the second runs.
+
+use super::rows::Rows;
+use crate::model::Model;
+use crate::real::Real;
+use crate::room::room;
+
+/// A row's numbers of the first solve.
+struct Held<R: Real> {
+    t: R,
+    c: R,
+    inv_s: R,
+    /// Where it started, and where it ended.
+    start: R,
+    impulse: R,
+}
+
+/// The first solve.
+pub struct First<R: Real> {
+    rows: Vec<Held<R>>,
+    masks: Vec<R::Mask>,
+    u: Vec<R>,
+}
+
+room!(First<R>: rows, masks, u;);
+
+impl<R: Real> First<R> {
+    pub fn new(nv: usize) -> Self {
+        Self { rows: Vec::new(), masks: Vec::new(), u: vec![R::zero(); nv] }
+    }
+}
+
+impl<R: Real> Rows<R> {
+    /// Before the first solve, with the impulses that it starts from.
+    pub(crate) fn begin_first(&mut self) {
+        self.first.rows.clear();
+        self.first.rows.extend(self.rows.iter().map(|row| Held {
+            t: row.t,
+            c: row.c,
+            inv_s: row.inv_s,
+            start: row.impulse,
+            impulse: row.impulse,
+        }));
+        self.first.masks.clear();
+        self.first.masks.extend(self.blocks.iter().map(|block| block.mask));
+    }
+
+    /// After the first solve: every row starts again, from û = `guess` and from what of its
+    /// impulse lasted from the step before; an impact's did not.
+    pub(crate) fn begin_second(&mut self, model: &Model, inv_d: &[R], guess: &[R]) {
+        self.first.u.copy_from_slice(&self.u);
+        self.u.copy_from_slice(guess);
+        for (row, held) in self.rows.iter_mut().zip(&mut self.first.rows) {
+            held.impulse = row.impulse;
+            let lasting = R::select(
+                held.start.lt(R::zero()),
+                row.impulse.max(held.start).min(R::zero()),
+                row.impulse.min(held.start).max(R::zero()),
+            );
+            row.impulse = lasting;
+        }
+        for block in &self.blocks {
+            for row in &mut self.rows[block.rows.range()] {
+                row.impulse = R::select(block.mask, row.impulse, R::zero());
+            }
+        }
+        self.apply_impulses(model, inv_d);
+    }
+
+    /// What a row gave in the first solve.
+    pub(crate) fn first_impulse(&self, row: usize) -> R {
+        self.first.rows[row].impulse
+    }
+
+    /// A regulariser goes by the sum of both impulses: J v + c (λ₁ + λ₂) = t. The first solve had
+    /// 2c, as both halves of a lasting force are equal.
+    pub(crate) fn soften_second(&mut self, row: usize) {
+        let given = self.first.rows[row].impulse;
+        let row = &mut self.rows[row];
+        let soft = row.c.gt(R::zero());
+        let c = R::of(0.5) * row.c;
+        row.t = R::select(soft, row.t - c * given, row.t);
+        row.inv_s = R::select(soft, (row.a + c).recip_or_zero(), row.inv_s);
+        row.c = R::select(soft, c, row.c);
+    }
+
+    /// After the second solve: rows are the first's again, and keep the second's impulse beside.
+    pub(crate) fn end_second(&mut self) {
+        for (block, mask) in self.blocks.iter_mut().zip(&self.first.masks) {
+            for row in &mut self.rows[block.rows.range()] {
+                row.beside += R::select(block.mask, row.impulse, R::zero());
+            }
+            block.mask = *mask;
+        }
+        for (row, held) in self.rows.iter_mut().zip(&self.first.rows) {
+            (row.t, row.c, row.inv_s) = (held.t, held.c, held.inv_s);
+            row.impulse = held.impulse;
+        }
+        self.u.copy_from_slice(&self.first.u);
+    }
+}
