@@ -1,4 +1,4 @@
-"""The ledger on energy that grows from nothing, a little at a time, while height takes it in turn."""
+"""The ledger on energy that grows from nothing, a little at a time, while height takes it."""
 
 import numpy as np
 import pytest
