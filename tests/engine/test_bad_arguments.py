@@ -1,5 +1,6 @@
 """Arguments of a wrong type or size: a ValueError in one short line, never another exception."""
 
+import multiprocessing
 import warnings
 from concurrent.futures import ProcessPoolExecutor
 
@@ -141,7 +142,7 @@ def fails(point):
 
 def test_an_error_that_cannot_be_sent_back_keeps_its_text():
     with (
-        ProcessPoolExecutor(1) as pool,
+        ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool,
         pytest.raises(RuntimeError, match=r"Unsendable: the sensor of point 3 broke \(3\)"),
     ):
         executors.each(fails, [3, 4], bar=Progress("", 2, False), executor=pool)

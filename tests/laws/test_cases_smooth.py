@@ -56,6 +56,7 @@ def test_i2_oscillator_dispersion(engine, dt):
     assert abs(error) < 1e-9 * advanced
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 @pytest.mark.parametrize("engine", ENGINES)
 def test_i2_stable_below_two(engine):
     """Bounded at w·dt = 1.999 (by 1/cos(phi/2) = 31.6), diverging at 2.001."""

@@ -100,6 +100,7 @@ def test_penalty_recursion(engine, k):
         assert [sim.qpos[0], sim.qvel[0]] == pytest.approx([y, v], abs=1e-9)
 
 
+@pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
 @pytest.mark.parametrize("ratio", [0.0, 0.1, 0.5])
 @pytest.mark.parametrize("engine", ENGINES)
 def test_stability_limit_with_damping(engine, ratio):

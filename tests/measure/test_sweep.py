@@ -31,7 +31,7 @@ def test_a_model_may_be_named_by_its_file(tmp_path):
     own = sc.sweep(lesson.drop(), grid, height, threads=1)
     assert sc.sweep(path, grid, height, threads=1).records == own.records
     assert sc.sweep("lesson:drop", grid, height, threads=1).records == own.records
-    with pytest.raises(ValueError, match=r"no 'sweep'; nearest: .sweeps"):
+    with pytest.raises(ValueError, match=r'no "sweep"; nearest: .sweeps'):
         sc.sweep("lesson:drop", {"sweep": [1]}, height)
 
 
@@ -89,7 +89,7 @@ def test_failures_stay_in_the_table():
 
 def test_what_is_no_failure_of_a_point_is_raised():
     model = lesson.spring().compile()
-    with pytest.raises(ValueError, match=r"no 'sweps'.*sweeps"):
+    with pytest.raises(ValueError, match=r'no "sweps".*sweeps'):
         sc.sweep(model, {"sweps": [1]}, height)
     for values in ([], 0.1, "0.1"):
         with pytest.raises(ValueError, match=r"grid\['dt'\] = .*: must be a list of at least one"):

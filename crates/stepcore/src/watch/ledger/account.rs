@@ -19,6 +19,8 @@ pub(crate) struct Level {
     pub bent: f64,
     /// The size of the numbers that were summed, for rounding.
     pub size: f64,
+    /// What rows may give in a step that are solved to the tolerance asked for, and no better.
+    pub unsolved: f64,
 }
 
 /// What one world may have.
@@ -33,7 +35,11 @@ pub(crate) struct Account {
     /// How many times `scale` may be gained.
     allowed: f64,
     throughput: f64,
+    unsolved: f64,
 }
+
+/// A gain of this share of the energies at hand is none that matters, whatever circulates.
+const NEGLIGIBLE: f64 = 1e-8;
 
 /// What an account says of a level.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -53,11 +59,13 @@ impl Account {
             scale: level.moving + level.bent,
             allowed,
             throughput: 0.0,
+            unsolved: 0.0,
         }
     }
 
-    /// Takes the work done since the last level, and judges the present one.
-    pub fn judge<R: Real>(&mut self, level: &Level, work: f64) -> Verdict {
+    /// Takes the work done since the last level, so many steps ago, and judges the present one.
+    pub fn judge<R: Real>(&mut self, level: &Level, work: f64, steps: f64) -> Verdict {
+        self.unsolved += steps * level.unsolved;
         self.paid += work;
         self.throughput += work.abs();
         let free = level.moving + level.gravity - self.paid;
@@ -72,11 +80,13 @@ impl Account {
         };
         self.scale = self.scale.max(earned);
         self.least = self.least.min(free + level.bent);
-        // A world at rest has nothing that circulates, and rounding all the same.
-        let rounding = 1024.0 * R::EPSILON * (level.size + self.throughput);
+        // A world at rest has nothing that circulates, and rounding all the same; forces that
+        // hold each other then move it by what the solver leaves.
+        let rounding = NEGLIGIBLE.max(1024.0 * R::EPSILON) * (level.size + self.throughput);
+        let unsure = rounding + self.unsolved;
         // An energy beyond all numbers is none that was rounded.
-        let rounding = if rounding.is_finite() { rounding } else { 0.0 };
-        Verdict { gained, limit: self.allowed * self.scale + rounding }
+        let unsure = if unsure.is_finite() { unsure } else { 0.0 };
+        Verdict { gained, limit: self.allowed * self.scale + unsure }
     }
 
     /// A gain that was looked into, and is none of the step's making, is allowed; the next
@@ -91,9 +101,12 @@ impl Account {
 mod tests {
     use super::*;
 
+    /// As with `Settings::ledger`.
+    const ALLOWED: f64 = 1.0;
+
     /// A ball of energy `e` [J] above its floor, so much of it moving.
     fn ball(e: f64, share: f64) -> Level {
-        Level { moving: e * share, gravity: e * (1.0 - share), bent: 0.0, size: e }
+        Level { moving: e * share, gravity: e * (1.0 - share), bent: 0.0, size: e, unsolved: 0.0 }
     }
 
     /// Looked at anywhere in its flight, at the top of it too, where nothing moves.
@@ -101,11 +114,11 @@ mod tests {
 
     #[test]
     fn what_grows_a_little_at_each_bounce_is_found_when_it_has_doubled() {
-        let mut account = Account::open(&ball(1.0, 0.0));
+        let mut account = Account::open(&ball(1.0, 0.0), ALLOWED);
         let mut found = None;
         for n in 0..2000 {
             let e = 1.001_f64.powi(n);
-            let verdict = account.judge::<f64>(&ball(e, SHARES[n as usize % 7]), 0.0);
+            let verdict = account.judge::<f64>(&ball(e, SHARES[n as usize % 7]), 0.0, 1.0);
             if verdict.gained > verdict.limit {
                 found = found.or(Some(e));
             }
@@ -115,20 +128,26 @@ mod tests {
 
     #[test]
     fn what_keeps_its_energy_within_a_share_is_not() {
-        let mut account = Account::open(&ball(1.0, 0.0));
+        let mut account = Account::open(&ball(1.0, 0.0), ALLOWED);
         for n in 0..100_000 {
-            let e = 1.0 + 0.2 * f64::from(n % 17) / 17.0;
-            let verdict = account.judge::<f64>(&ball(e, SHARES[n as usize % 7]), 0.0);
+            let e = 1.0 + 0.2 * (n % 17) as f64 / 17.0;
+            let verdict = account.judge::<f64>(&ball(e, SHARES[n as usize % 7]), 0.0, 1.0);
             assert!(verdict.gained <= verdict.limit);
         }
     }
 
     #[test]
     fn what_is_lifted_is_paid() {
-        let mut account = Account::open(&ball(0.0, 0.0));
+        let mut account = Account::open(&ball(0.0, 0.0), ALLOWED);
         for n in 1..1000 {
-            let level = Level { moving: 0.5, gravity: f64::from(n), bent: 0.0, size: f64::from(n) };
-            let verdict = account.judge::<f64>(&level, if n == 1 { 1.5 } else { 1.0 });
+            let level = Level {
+                moving: 0.5,
+                gravity: f64::from(n),
+                bent: 0.0,
+                size: f64::from(n),
+                unsolved: 0.0,
+            };
+            let verdict = account.judge::<f64>(&level, if n == 1 { 1.5 } else { 1.0 }, 1.0);
             assert!(verdict.gained <= verdict.limit);
         }
     }

@@ -50,15 +50,23 @@ impl<R: Real> Sim<R> {
             }
         });
         for (lane, level) in levels.iter_mut().enumerate() {
-            let bent = self.rows.blocks.iter().filter(|block| block.mask.lane(lane));
+            let blocks = || self.rows.blocks.iter().filter(|block| block.mask.lane(lane));
+            let pushed: f64 = blocks().map(|block| self.pushed(block, lane)).sum();
             *level = Level {
                 moving: moving.lane(lane),
                 gravity: gravity.lane(lane),
-                bent: bent.map(|block| self.bent(block, lane)).sum(),
+                bent: blocks().map(|block| self.bent(block, lane)).sum(),
                 size: moving.lane(lane) + size.lane(lane),
+                unsolved: pushed * self.settings.tolerance,
             };
         }
         true
+    }
+
+    /// The impulses of a block's rows, added up whatever their direction.
+    fn pushed(&self, block: &Block<R>, lane: usize) -> f64 {
+        let rows = self.rows.rows[block.rows.range()].iter();
+        rows.map(|row| row.impulse.lane(lane).abs()).sum()
     }
 
     /// What a block's rows give back at most: their force through the whole violation [J]. A row

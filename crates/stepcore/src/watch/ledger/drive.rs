@@ -7,6 +7,7 @@ use crate::elements::forces::{power, stored};
 use crate::elements::{Element, Kind};
 use crate::observer::Observer;
 use crate::real::Real;
+use crate::room::room;
 use crate::sim::{At, Sim};
 use crate::state::Inputs;
 
@@ -18,6 +19,8 @@ pub(super) struct Work<R: Real> {
     /// Servos, by actuator, of which all the force counts as driving, and that store nothing.
     pub driving: Vec<usize>,
 }
+
+room!(Work<R>: driving;);
 
 impl<R: Real> Work<R> {
     pub fn new(driving: Vec<usize>) -> Self {

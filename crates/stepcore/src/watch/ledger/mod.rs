@@ -119,7 +119,7 @@ pub(crate) struct Ledger<R: Real> {
     aside: Option<Box<Sim<R>>>,
 }
 
-room!(Ledger<R>: accounts, levels, verdicts; milestones, seen, aside);
+room!(Ledger<R>: accounts, levels, verdicts; milestones, seen, aside, work);
 
 impl<R: Real> Ledger<R> {
     pub fn new(model: &Model, care: Care) -> Self {
@@ -328,9 +328,11 @@ impl<R: Real> Ledger<R> {
         mut suspect: impl FnMut(&mut Self, &Sim<R>, usize, f64) -> Result<()>,
     ) -> Result<()> {
         self.balanced = true;
+        let before = self.newest_first().next().map_or(self.opened, |newest| newest.state.steps);
+        let steps = sim.state.steps.saturating_sub(before) as f64;
         for lane in 0..R::LANES {
             let work = self.work.done.lane(lane);
-            self.verdicts[lane] = self.accounts[lane].judge::<R>(&self.levels[lane], work);
+            self.verdicts[lane] = self.accounts[lane].judge::<R>(&self.levels[lane], work, steps);
         }
         for lane in 0..R::LANES {
             let Verdict { gained, limit } = self.verdicts[lane];
@@ -383,7 +385,7 @@ impl<R: Real> Ledger<R> {
         sim.audit(&mut self.levels, &self.work);
         let work = self.work.done.lane(lane);
         let account = self.accounts.get_mut(lane)?;
-        let verdict = account.judge::<R>(&self.levels[lane], work);
+        let verdict = account.judge::<R>(&self.levels[lane], work, 0.0);
         Some([verdict.gained, account.scale])
     }
 }
