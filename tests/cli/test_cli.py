@@ -63,7 +63,7 @@ def test_trade_prints_and_writes(capsys, tmp_path, ball):
     options = ["--horizon", 0.1, "--starts", 1, "--threads", 1]
     status, out, err = call(capsys, "trade", ball, *options, "--json", out_json)
     assert status == 0 and not err
-    assert "reference" in out and "As shipped (euler, newton, dt 4 ms)" in out
+    assert "Errors are measured from" in out and "As shipped (euler, newton, dt 4 ms)" in out
     data = json.loads(out_json.read_text())
     assert data["model"] == "ball" and data["horizon"] == pytest.approx(0.096)
     status, out, _ = call(capsys, "trade", ball, *options, "--json")

@@ -180,7 +180,8 @@ def test_the_command_tells_names_and_data(tmp_path, capsys):
     command = ["diagnose", ARM, "--dt", "0.001", "--horizon", "0.05", "--json", str(out)]
     assert main([*command, "--plot", str(tmp_path / "arm.png")]) == 0
     told = capsys.readouterr()
-    assert "servo `elbow`" in told.out and "stability margin of 1.07×" in told.out
+    said = " ".join(told.out.split())
+    assert "servo `elbow`" in said and "stability margin of 1.07×" in said
     # What would be warned of at load is told in full.
     assert told.err == ""
     data = json.loads(out.read_text())

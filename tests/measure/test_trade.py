@@ -199,8 +199,10 @@ def test_a_trade_is_named_by_what_it_is_of_and_pickles():
 
 
 def test_the_sentences_name_the_shipped_settings():
-    shipped, half, *_ = few(lesson.drop(), starts=1, horizon=0.4).sentences
-    what = "As shipped (semi-implicit, pgs 1 sweep, dt 2 ms) the RMS position error over 400 ms is "
+    shipped, half, *_ = few(lesson.spring(), starts=1, horizon=0.4).sentences
+    what = (
+        "As shipped (semi-implicit, pgs 1 sweep, dt 10 ms) the RMS position error over 400 ms is "
+    )
     assert shipped.startswith(what)
     assert half.startswith("Half that error or less costs ")
 
