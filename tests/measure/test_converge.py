@@ -128,12 +128,16 @@ def test_row_speeds_are_what_the_residual_is_made_of(cone, sweeps):
     assert sim.residual > 1e-6
 
 
-@pytest.fixture(scope="module")
-def heavy():
+def heavy_stack():
     """A thousand times the mass on top, cold, five sweeps; overlaps recover at any speed."""
     scene = lesson.stack(5, "rigid", (1.0, 1000.0), warm_start=False)
     scene.options["max_recovery_speed"] = "none"
-    return sc.converge(scene, horizon=0.512, starts=1, states=4, progress=False)
+    return scene
+
+
+@pytest.fixture(scope="module")
+def heavy():
+    return sc.converge(heavy_stack(), horizon=0.512, starts=1, states=4, progress=False)
 
 
 def test_heavy_on_light_is_under_solved(heavy):
@@ -238,7 +242,7 @@ def test_another_process_gives_the_same(heavy):
     seen = []
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         again = sc.converge(
-            lesson.stack(5, "rigid", (1.0, 1000.0), warm_start=False),
+            heavy_stack(),
             horizon=0.512,
             starts=1,
             states=4,
