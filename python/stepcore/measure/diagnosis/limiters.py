@@ -7,7 +7,7 @@ changes little. Equal elements in a row hold each other: none of them limits dt 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -27,7 +27,7 @@ PARTAKES, MOST, HELD = 0.02, 12, 1e-6
 # What is left of the stiffness and damping of a softened element.
 SOFTENED = 0.1
 # By how much the limit is looked at, as a factor, and its relative resolution.
-FARTHEST, FINE = 4.0, 1.03
+FARTHEST, FINE = 4.0, 1.05
 # One element limits dt if the limit rises by this factor without it; if it does not, equal
 # elements do together, whose gains differ by no more than the second factor.
 ALONE, EQUAL = 1.4, 1.25
@@ -85,23 +85,33 @@ class _Rise:
 
     def stable(self, elements: Sequence[ElementId], dt: float) -> bool:
         """Whether a step of dt [s] is stable with some elements softened."""
-        motion = self.motion.softened(elements, SOFTENED)
-        with np.errstate(all="ignore"):
-            made = motion.step(self.integrator, dt)
-            if not np.all(np.isfinite(made)):
-                return False
-            rates = eigenvalues(motion.rates)
-            return step_growth(made, dt, rates, self.horizon).stable
+        return self._softened(elements)(dt)
 
     def without(self, elements: Sequence[ElementId]) -> float:
         """The limit with some elements softened, over the limit with them; at most `FARTHEST`."""
+        stable = self._softened(elements)
         low, high = 1.0, FARTHEST
-        if self.stable(elements, high * self.dt):
+        if stable(high * self.dt):
             return high
         while high / low > FINE:
             middle = (low * high) ** 0.5
-            low, high = (middle, high) if self.stable(elements, middle * self.dt) else (low, middle)
+            low, high = (middle, high) if stable(middle * self.dt) else (low, middle)
         return low
+
+    def _softened(self, elements: Sequence[ElementId]) -> Callable[[float], bool]:
+        """The test of a step with some elements softened, whose own rates are found once."""
+        motion = self.motion.softened(elements, SOFTENED)
+        with np.errstate(all="ignore"):
+            rates = eigenvalues(motion.rates)
+
+        def stable(dt: float) -> bool:
+            with np.errstate(all="ignore"):
+                made = motion.step(self.integrator, dt)
+                if not np.all(np.isfinite(made)):
+                    return False
+                return step_growth(made, dt, rates, self.horizon).stable
+
+        return stable
 
 
 def _equal(motion: LinearMotion, element: ElementId, other: ElementId) -> bool:
