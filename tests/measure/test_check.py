@@ -61,6 +61,18 @@ def test_nothing_is_found_in_a_healthy_scene(name):
     assert commands[0] == f"stepcore trade {name} --error 1mm" and len(commands) == 3
 
 
+def test_a_step_that_explodes_is_not_nothing():
+    def pd(time, sim):
+        return [-800 * sim.qpos[0] - 6 * sim.qvel[0]]
+
+    body = '<body><joint name="knee" axis="0 1 0"/><geom type="capsule" size=".02" mass=".2"'
+    body += ' fromto="0 0 0 0 0 -.3" contype="0" conaffinity="0"/></body>'
+    motor = '<actuator><motor joint="knee"/></actuator>'
+    scene = sc.loads(f"<mujoco><worldbody>{body}</worldbody>{motor}</mujoco>")
+    result = sc.check(scene, control=pd, horizon=0.2, threads=1, progress=False)
+    assert result.findings == [] and result.sentences[0] == "Nothing found but the time step."
+
+
 # Units.
 
 

@@ -66,7 +66,8 @@ class Check(Result):
             yield f"Found {counted(len(self.findings), 'thing')}{several}:"
             yield from (f"- {finding.severity}: {finding.text}" for finding in self.findings)
         else:
-            yield "Nothing found."
+            explodes = self.diagnosis and self.diagnosis.limit() < self.settings.dt
+            yield "Nothing found but the time step." if explodes else "Nothing found."
         if self.diagnosis is not None:
             said = self.diagnosis.sentences
             if math.isinf(self.diagnosis.limit()) or self.diagnosis.rate is None:
