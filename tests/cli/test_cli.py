@@ -262,7 +262,7 @@ def test_a_run_says_what_it_makes_of_a_duration_between_steps(capsys, ball):
     status, out, _ = call(capsys, "run", ball, "--duration", 0.0149)
     assert status == 0 and "4 steps" in out
     assert "note: --duration 0.0149 s is not a whole number of steps of 0.004 s" in out
-    assert "the run is 0.016 s long" in out
+    assert "the run is 0.016 s long" in " ".join(out.split())
     assert "note" not in call(capsys, "run", ball, "--duration", 0.4)[1]
 
 
@@ -271,7 +271,8 @@ def test_a_run_tells_the_notes_of_its_file(capsys, tmp_path):
     joint = '<joint range="1 -1"/><geom size="1"/>'
     file.write_text(f"<mujoco><worldbody><body>{joint}</body></worldbody></mujoco>")
     status, out, _ = call(capsys, "run", file, "--duration", 0)
-    assert status == 0 and "note:" in out and "range = 1 -1 is empty: no limit" in out
+    assert status == 0 and "note:" in out
+    assert "range = 1 -1 is empty: no limit" in " ".join(out.split())
 
 
 @pytest.mark.parametrize(

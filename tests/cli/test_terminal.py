@@ -9,8 +9,8 @@ import pytest
 from stepcore.measure.trade import mujoco as points
 
 
-def output(*args, encoding):
-    environment = os.environ | {"PYTHONIOENCODING": encoding}
+def output(*args, encoding="utf-8", columns=100):
+    environment = os.environ | {"PYTHONIOENCODING": encoding, "COLUMNS": str(columns)}
     command = [sys.executable, "-m", "stepcore", *args]
     return subprocess.run(command, env=environment, capture_output=True, timeout=60)
 
@@ -20,6 +20,15 @@ def test_a_result_is_printed_on_an_ascii_terminal():
     assert done.returncode == 0
     assert b" us per step" in done.stdout
     assert output("run", "lesson:stack", encoding="utf-8").stdout.decode().count("µs") == 1
+
+
+@pytest.mark.parametrize("command", ["run", "plan"])
+def test_a_narrow_terminal_is_honoured(command):
+    done = output(command, "lesson:drop", columns=40)
+    assert done.returncode == 0
+    words = done.stdout.decode().splitlines()
+    # A single word, such as a list of numbers without spaces, may be longer.
+    assert all(len(line) <= 40 or " " not in line.strip() for line in words)
 
 
 def test_ctrl_c_while_mujoco_is_imported_is_no_missing_package(monkeypatch):

@@ -9,6 +9,7 @@ Example:
 from __future__ import annotations
 
 import argparse
+import textwrap
 from typing import Any
 
 from stepcore._core import Settings, SimulationError
@@ -21,10 +22,14 @@ from stepcore.engine.sim import Sim
 from stepcore.experiment.single_run import SingleRun
 from stepcore.experiment.watch import Watch
 from stepcore.measure.findings import Finding, findings_of
+from stepcore.report.report import NARROWEST, PROSE
+from stepcore.report.table import window
 
 # The counter of steps has 64 bits.
 MOST_STEPS = 2.0**64
 DURATION = 1.0
+# Where the values of the report begin.
+LABEL = 11
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -130,19 +135,30 @@ def _report(
         print_json(data)
         return
     model = sim.model
-    print(f"{model.scene.name or 'scene'}: nq {model.nq}, nv {model.nv}, nu {model.nu}")
-    print(f"The motion: {ran}.")
-    print(f"{sim.settings!r}\n")
-    print(f"time       {sim.time:g} s, {steps} steps")
-    print(f"qpos       {_numbers(sim.qpos)}\nqvel       {_numbers(sim.qvel)}")
-    print(f"energy     {kinetic:.6g} J kinetic, {potential:.6g} J potential")
-    print(f"contacts   {len(sim.contacts)}, residual {sim.residual:.2g} m/s")
+    _say(f"{model.scene.name or 'scene'}: nq {model.nq}, nv {model.nv}, nu {model.nu}")
+    _say(f"The motion: {ran}.")
+    _say(f"{sim.settings!r}")
+    print()
+    _say(f"time       {sim.time:g} s, {steps} steps", LABEL)
+    _say(f"qpos       {_numbers(sim.qpos)}", LABEL)
+    _say(f"qvel       {_numbers(sim.qvel)}", LABEL)
+    _say(f"energy     {kinetic:.6g} J kinetic, {potential:.6g} J potential", LABEL)
+    _say(f"contacts   {len(sim.contacts)}, residual {sim.residual:.2g} m/s", LABEL)
     if cost is not None:
-        print(f"computing  {cost:.3g} µs per step")
+        _say(f"computing  {cost:.3g} µs per step", LABEL)
     for note in notes:
-        print(f"note: {note}")
+        _say(f"note: {note}")
     for finding in found:
-        print(f"{finding.severity}: {finding.text}")
+        _say(f"{finding.severity}: {finding.text}")
+
+
+def _say(text: str, indent: int = 2) -> None:
+    """Prints a text in lines that fit the terminal; those after the first are indented."""
+    width = max(NARROWEST, min(window(), PROSE))
+    wrapped = textwrap.wrap(
+        text, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
+    )
+    print("\n".join(wrapped))
 
 
 def _steps(duration: float, dt: float) -> int:
