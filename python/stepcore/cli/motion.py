@@ -182,7 +182,8 @@ def _file(path: str) -> ModuleType:
     """A file as a module, whatever else has its name; it finds the files beside it."""
     file = Path(path).resolve()
     if str(file.parent) not in sys.path:
-        sys.path.insert(0, str(file.parent))
+        # At the end: a file beside it must not stand in for a module of Python's own.
+        sys.path.append(str(file.parent))
     spec = importlib.util.spec_from_file_location(file.stem, file)
     if spec is None or spec.loader is None:
         raise ImportError(f"{path}: is no Python file")
