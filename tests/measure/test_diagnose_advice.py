@@ -320,7 +320,6 @@ def test_an_answer_or_a_named_refusal_never_a_failure_of_algebra(fields, integra
 @pytest.mark.long
 def test_rows_that_begin_to_act_within_the_step_are_compared_where_they_act():
     """dm_control's humanoid: its rows at the limit are not those of the state that decides."""
-    pytest.importorskip("dm_control")
     d = sc.diagnose("dm_control:suite/humanoid", horizon=0.5, progress=False)
     assert d.limit() > 0.005 and d.stiffest()
 

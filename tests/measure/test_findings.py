@@ -4,7 +4,6 @@ A row of solref at rest under a force f yields by r with R f = k r (MuJoCo's doc
 "Computation"): r = f Â (1 − d)/d² dmax² (tc ζ)², with the impedance d = d(r).
 """
 
-import importlib.util
 import math
 import re
 
@@ -465,6 +464,4 @@ def test_rows_that_stay_unsolved_are_told(sweeps, told):
     ],
 )
 def test_nothing_is_told_of_a_healthy_scene(name):
-    if importlib.util.find_spec(name.partition(":")[0]) is None and not name.startswith("lesson"):
-        pytest.skip("the package with this model is not installed")
     assert watched(sc.load(name))[1] == []

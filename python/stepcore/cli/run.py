@@ -9,7 +9,6 @@ Example:
 from __future__ import annotations
 
 import argparse
-import textwrap
 from typing import Any
 
 from stepcore._core import Settings, SimulationError
@@ -22,7 +21,7 @@ from stepcore.engine.sim import Sim
 from stepcore.experiment.single_run import SingleRun
 from stepcore.experiment.watch import Watch
 from stepcore.measure.findings import Finding, findings_of
-from stepcore.report.report import NARROWEST, PROSE
+from stepcore.report.report import NARROWEST, wrapped
 from stepcore.report.table import window
 
 # The counter of steps has 64 bits.
@@ -154,11 +153,7 @@ def _report(
 
 def _say(text: str, indent: int = 2) -> None:
     """Prints a text in lines that fit the terminal; those after the first are indented."""
-    width = max(NARROWEST, min(window(), PROSE))
-    wrapped = textwrap.wrap(
-        text, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
-    )
-    print("\n".join(wrapped))
+    print("\n".join(wrapped(text, max(NARROWEST, window()), hanging=indent, whole=True)))
 
 
 def _steps(duration: float, dt: float) -> int:

@@ -95,13 +95,24 @@ def _stopped(text: str) -> str:
 
 
 def _wrapped(sentence: str, size: int) -> list[str]:
-    item = sentence.startswith(ITEM)
+    return wrapped(sentence, size, item=sentence.startswith(ITEM))
+
+
+def wrapped(
+    sentence: str, size: int, *, item: bool = False, hanging: int = 0, whole: bool = False
+) -> list[str]:
+    """A sentence in lines of at most `size` characters; no number is parted from its unit.
+
+    item: it is indented as one of a list. hanging: how far the lines after the first are indented.
+    whole: a word that is too long for a line, such as a path or a number, is left whole.
+    """
     lines = textwrap.wrap(
         BEFORE_UNIT.sub(FIXED, sentence),
         min(size, PROSE),
         initial_indent="  " if item else "",
-        subsequent_indent="    " if item else "",
+        subsequent_indent=" " * (4 if item else hanging),
         break_on_hyphens=False,
+        break_long_words=not whole,
     )
     return [line.replace(FIXED, " ") for line in lines]
 
