@@ -7,7 +7,6 @@ use stepcore::arrays::Given;
 use stepcore::elements::Mention;
 use stepcore::error::{Divergence, Error, Fault};
 use stepcore::post_mortem::{Held, PostMortem, Stable};
-use stepcore::state::Warm;
 
 use crate::element::id;
 use crate::snapshot::encode;
@@ -108,8 +107,7 @@ fn attach_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> 
     };
     error.setattr("stable_dt", stable)?;
     let (start, inputs) = (&post.start, &post.inputs);
-    let warm = start.warm.iter().map(|&(slot, impulse)| Warm { slot, impulse });
-    let memo = Memo { start: start.time, steps: start.steps, warm: warm.collect() };
+    let memo = Memo { start: start.time, steps: start.steps, warm: start.warm.clone() };
     let given = Given {
         qpos: &start.qpos,
         qvel: &start.qvel,

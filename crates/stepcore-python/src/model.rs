@@ -172,8 +172,16 @@ impl Model {
         add("actuator_bias", m.actuators.iter().flat_map(|a| a.bias).collect(), &[nu, 3])?;
         add("actuator_gear", m.actuators.iter().flat_map(|a| a.gear).collect(), &[nu, 6])?;
         let npair = m.pairs.len();
-        add("pair_solref", m.pairs.iter().flat_map(|p| p.soft.solref).collect(), &[npair, 2])?;
-        add("pair_friction", m.pairs.iter().map(|p| p.friction).collect(), &[npair])?;
+        add(
+            "pair_solref",
+            m.pairs.iter().flat_map(|p| m.material(p).soft.solref).collect(),
+            &[npair, 2],
+        )?;
+        add(
+            "pair_friction",
+            m.pairs.iter().map(|p| m.material(p).friction[0]).collect(),
+            &[npair],
+        )?;
         add("pair_invweight0", m.pairs.iter().map(|p| p.invweight).collect(), &[npair])?;
         Ok(tables)
     }
@@ -214,8 +222,11 @@ impl Model {
             m.unmet().into_iter().map(|(why, unmet)| (why.why(), unmet.count, unmet.examples));
         plan.set_item("unmet", unmet.collect::<Vec<_>>())?;
         let pairs = m.pairs.iter();
-        plan.set_item("condim", pairs.clone().map(|p| p.condim).collect::<Vec<_>>())?;
-        plan.set_item("friction", pairs.clone().map(|p| p.friction).collect::<Vec<_>>())?;
+        plan.set_item("condim", pairs.clone().map(|p| m.material(p).condim).collect::<Vec<_>>())?;
+        plan.set_item(
+            "friction",
+            pairs.clone().map(|p| m.material(p).friction[0]).collect::<Vec<_>>(),
+        )?;
         plan.set_item("still", pairs.clone().map(|p| p.still).collect::<Vec<_>>())?;
         plan.set_item("apart", pairs.map(|p| p.apart).collect::<Vec<_>>())?;
         let guards = m.guards.iter().map(|g| (g.joint, g.low, g.high));

@@ -1,12 +1,12 @@
 //! A snapshot as bytes: the arrays of one world and what a step hands to the next.
 
 use stepcore::arrays::Given;
-use stepcore::state::Warm;
+use stepcore::state::{Warm, WARM_ROWS};
 
 use crate::world::Memo;
 
 /// First bytes of a snapshot; the number goes up when the layout changes.
-const HEAD: &[u8; 16] = b"stepcore state 2";
+const HEAD: &[u8; 16] = b"stepcore state 3";
 
 /// Steps are counted in numbers that hold every one of them.
 const MOST_STEPS: u64 = 1 << 53;
@@ -38,7 +38,7 @@ pub fn encode(dt: f64, memo: &Memo, given: &Given) -> Vec<u8> {
     }
     bytes.extend((memo.warm.len() as u64).to_le_bytes());
     bytes.extend(memo.steps.to_le_bytes());
-    let warm = memo.warm.iter().flat_map(|w| w.impulse);
+    let warm = memo.warm.iter().flat_map(|w| w.impulse.into_iter().chain([w.feature]));
     for number in
         [dt, memo.start].into_iter().chain(arrays.into_iter().flatten().copied()).chain(warm)
     {
@@ -95,12 +95,14 @@ pub fn decode(bytes: &[u8], lengths: [usize; 5]) -> Result<Snapshot, String> {
     let clock = numbers(2)?;
     let arrays = numbers(total)?;
     let count = usize::try_from(count).map_err(|e| e.to_string())?;
-    let impulses = numbers(count.checked_mul(6).ok_or("a list in this state() is too long")?)?;
+    let impulses =
+        numbers(count.checked_mul(WARM_ROWS + 1).ok_or("a list in this state() is too long")?)?;
     let slots = next(count * 4)?;
     let mut warm = Vec::with_capacity(count);
-    for (slot, numbers) in slots.chunks_exact(4).zip(impulses.chunks_exact(6)) {
+    for (slot, numbers) in slots.chunks_exact(4).zip(impulses.chunks_exact(WARM_ROWS + 1)) {
         let slot = u32::from_le_bytes([slot[0], slot[1], slot[2], slot[3]]);
-        warm.push(Warm { slot, impulse: std::array::from_fn(|k| numbers[k]) });
+        let impulse = std::array::from_fn(|k| numbers[k]);
+        warm.push(Warm { slot, feature: numbers[WARM_ROWS], impulse });
     }
     let [dt, start] = [clock[0], clock[1]];
     let ascending = warm.windows(2).all(|w| w[0].slot < w[1].slot);

@@ -70,11 +70,7 @@ impl Memo {
     /// One lane's part of a state. An impulse of zero is as good as none, and a lane has
     /// zeros for the contacts of its neighbours.
     pub fn of<R: Real>(state: &State<R>, lane: usize) -> Self {
-        let warm = state
-            .warm
-            .iter()
-            .map(|w| Warm { slot: w.slot, impulse: w.impulse.map(|x| x.lane(lane)) });
-        let warm = warm.filter(|w| w.impulse.iter().any(|x| *x != 0.0));
+        let warm = state.warm.iter().map(|w| w.in_lane(lane)).filter(Warm::acts);
         Self { start: state.start, steps: state.steps, warm: warm.collect() }
     }
 }
@@ -207,7 +203,11 @@ impl<R: Real> World for One<R> {
         (state.start, state.steps) = (memo.start, memo.steps);
         let number = |x: f64| R::of(impulse::<R>(x));
         let warm = memo.warm.iter();
-        let warm = warm.map(|w| Warm { slot: w.slot, impulse: w.impulse.map(number) });
+        let warm = warm.map(|w| Warm {
+            slot: w.slot,
+            feature: R::of(w.feature),
+            impulse: w.impulse.map(number),
+        });
         self.watched.put_impulses(warm);
     }
 

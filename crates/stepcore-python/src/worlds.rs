@@ -9,7 +9,7 @@ use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::{Lanes, Real};
 use stepcore::settings::{Precision, Settings};
-use stepcore::state::Warm;
+use stepcore::state::{Warm, WARM_ROWS};
 
 use crate::world::{impulse, Memo, World};
 
@@ -142,16 +142,17 @@ impl<R: Real> Worlds for Batch<R> {
             slots.dedup();
             state.warm.clear();
             for slot in slots {
-                let mut impulses = [R::zero(); 6];
+                let mut warm = Warm { slot, feature: -R::one(), impulse: [R::zero(); WARM_ROWS] };
                 for lane in 0..R::LANES {
                     // Lanes without a world repeat the last one.
                     let memo = &memos[lane.min(memos.len() - 1)];
-                    let kept = memo.warm.iter().find(|w| w.slot == slot);
-                    for (k, x) in impulses.iter_mut().enumerate() {
-                        x.set_lane(lane, kept.map_or(0.0, |w| impulse::<R>(w.impulse[k])));
+                    let Some(kept) = memo.warm.iter().find(|w| w.slot == slot) else { continue };
+                    warm.feature.set_lane(lane, kept.feature);
+                    for (x, kept) in warm.impulse.iter_mut().zip(kept.impulse) {
+                        x.set_lane(lane, impulse::<R>(kept));
                     }
                 }
-                state.warm.push(Warm { slot, impulse: impulses });
+                state.warm.push(warm);
             }
         }
     }

@@ -150,7 +150,11 @@ impl<R: Real> Sim<R> {
         sim.put(0, &Given { qpos, qvel, ctrl, qfrc_applied, xfrc_applied });
         let number = |x: R| Q::of(x.lane(0));
         let warm = self.state.warm.iter();
-        let warm = warm.map(|w| Warm { slot: w.slot, impulse: w.impulse.map(number) });
+        let warm = warm.map(|w| Warm {
+            slot: w.slot,
+            feature: number(w.feature),
+            impulse: w.impulse.map(number),
+        });
         sim.state.warm.extend(warm);
         (sim.state.steps, sim.state.start) = (self.state.steps, self.state.start);
         Ok(sim)

@@ -10,7 +10,8 @@
 //! 1. **place** (`place/`): joint positions to poses; the mass matrix and its
 //!    factors LᵀDL; the smooth forces; and the *guess*, the velocity that the
 //!    bodies would have if nothing were in the way.
-//! 2. **detect** (`detect/`): every pair of shapes that touch or are about to.
+//! 2. **detect** (`detect/`): every pair of shapes that touch or are about to; where two shapes
+//!    touch, `shapes/` says.
 //! 3. **solve** (`solve/`): each contact, friction direction, limit, friction loss and
 //!    connection is a row: a direction J, a target t, a regulariser c and a set for its
 //!    impulse. One system, solved by projected Gauss-Seidel or by Newton, neither of
@@ -61,6 +62,7 @@ pub mod real;
 mod room;
 pub mod scene;
 pub mod settings;
+pub mod shapes;
 pub mod sim;
 pub mod solve;
 pub mod spatial;

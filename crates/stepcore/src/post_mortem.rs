@@ -3,6 +3,7 @@
 use std::fmt;
 
 use crate::elements::Named;
+use crate::state::Warm;
 
 /// Which dt would have been stable.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,7 +30,7 @@ pub struct Start {
     pub qpos: Vec<f64>,
     pub qvel: Vec<f64>,
     /// Impulses of the last solve, by slot.
-    pub warm: Vec<(u32, [f64; 6])>,
+    pub warm: Vec<Warm<f64>>,
 }
 
 /// The inputs of one world.

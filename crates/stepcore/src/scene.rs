@@ -147,11 +147,13 @@ impl Default for Joint {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum GeomType {
     Plane,
+    HField,
     Sphere,
     Capsule,
     Ellipsoid,
     Cylinder,
     Box,
+    Mesh,
 }
 
 impl GeomType {
@@ -159,11 +161,13 @@ impl GeomType {
     pub fn word(self) -> &'static str {
         match self {
             Self::Plane => "plane",
+            Self::HField => "hfield",
             Self::Sphere => "sphere",
             Self::Capsule => "capsule",
             Self::Ellipsoid => "ellipsoid",
             Self::Cylinder => "cylinder",
             Self::Box => "box",
+            Self::Mesh => "mesh",
         }
     }
 

@@ -5,15 +5,33 @@ use crate::real::Real;
 use crate::room::room;
 
 /// The most rows of a block, which `elements/constraints.rs` sees to.
-pub const WARM_ROWS: usize = 6;
+pub const WARM_ROWS: usize = 10;
 
 /// The impulses of one contact, limit or other source, kept for the next step's start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Warm<R: Real> {
     /// Which source (see `Block::slot`); ascending in the list.
     pub slot: u32,
+    /// Which of its kin (see `Block::feature`); −1 in lanes that have none.
+    pub feature: R,
     /// By row of its block [N·s or N·m·s]; zero beyond.
     pub impulse: [R; WARM_ROWS],
+}
+
+impl<R: Real> Warm<R> {
+    /// One lane's part.
+    pub fn in_lane(&self, lane: usize) -> Warm<f64> {
+        Warm {
+            slot: self.slot,
+            feature: self.feature.lane(lane),
+            impulse: self.impulse.map(|x| x.lane(lane)),
+        }
+    }
+
+    /// An impulse of zero is as good as none.
+    pub fn acts(&self) -> bool {
+        self.impulse.iter().any(|x| !x.is_zero())
+    }
 }
 
 /// A complete snapshot: restored, a run continues bit for bit.

@@ -1,8 +1,8 @@
 //! The frame of a contact: the two directions of its friction, MuJoCo's choice.
 
-use super::touch::{select3, unit};
-use crate::model::ShapeTest;
 use crate::real::{Mask, Real};
+use crate::shapes::touch::{select3, unit};
+use crate::shapes::ShapeTest;
 use crate::spatial::{Pose, V3};
 
 /// Sine of an angle that is only rounding.

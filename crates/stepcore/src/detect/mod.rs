@@ -5,27 +5,21 @@
 //! Contacts come out in pair order,
 //! whatever the lanes hold, so that row order never depends on anything else.
 
-mod capsule;
 pub(crate) mod frame;
 pub(crate) mod path;
-mod plane;
-#[cfg(test)]
-mod shape_tests;
-mod sphere;
-mod touch;
 
 pub use frame::tangents;
-pub use touch::{Touch, Touches};
 
 use frame::hint;
 
 use crate::elements::{Element, Kind};
-use crate::model::{Model, Pair, ShapeTest};
+use crate::model::{Model, Pair};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::scene::GeomType;
 use crate::settings::Settings;
+use crate::shapes::{self, Shape, Touch};
 use crate::spatial::{Pose, V3};
 
 /// One contact between the two geoms of a pair.
@@ -34,6 +28,8 @@ pub struct Contact<R: Real> {
     pub pair: usize,
     /// Which of the pair's contacts; keeps its meaning from step to step.
     pub part: usize,
+    /// What touches: see `Touch::feature`.
+    pub feature: R,
     /// Lanes in which the contact is listed.
     pub mask: R::Mask,
     /// Signed distance [m], negative = overlap.
@@ -73,14 +69,15 @@ impl<R: Real> Detected<R> {
             if skips && pair.apart || !on_guess && far(model, placed, pair) {
                 continue;
             }
-            let touches = meet(model, placed, pair);
-            let listed = R::of(if on_guess { f64::INFINITY } else { pair.margin + pair.gap });
-            for (part, touch) in touches.list[..touches.count].iter().enumerate() {
+            let material = model.material(pair);
+            let listed =
+                R::of(if on_guess { f64::INFINITY } else { material.margin + material.gap });
+            meet(model, placed, pair, |part, touch| {
                 let mask = touch.exists.and(touch.dist.lt(listed));
                 if mask.any() {
                     self.push(index, part, touch, mask);
                 }
-            }
+            });
         }
     }
 
@@ -91,6 +88,7 @@ impl<R: Real> Detected<R> {
         self.contacts.push(Contact {
             pair: index,
             part,
+            feature: touch.feature,
             mask,
             dist: touch.dist,
             pos: touch.pos,
@@ -131,42 +129,51 @@ fn beyond<R: Real>(model: &Model, qpos: &[R]) -> bool {
 
 /// The smallest distance of a pair's geoms [m].
 pub(crate) fn distance(model: &Model, placed: &Placed<f64>, pair: &Pair) -> f64 {
-    let touches = meet(model, placed, pair);
-    let there = touches.list[..touches.count].iter().filter(|touch| touch.exists);
-    there.map(|touch| touch.dist).fold(f64::INFINITY, f64::min)
+    let mut least = f64::INFINITY;
+    meet(model, placed, pair, |_, touch| {
+        if touch.exists {
+            least = least.min(touch.dist);
+        }
+    });
+    least
 }
 
 /// No lane can have a contact: the bounding spheres are apart.
 fn far<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> bool {
     let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
     let (p1, p2) = (&placed.geom[pair.geom1], &placed.geom[pair.geom2]);
+    let material = model.material(pair);
+    let listed = material.margin + material.gap;
     let between = p2.pos - p1.pos;
     if g1.kind == GeomType::Plane {
         let height = between.x * p1.rot.m13 + between.y * p1.rot.m23 + between.z * p1.rot.m33;
-        return height.gt(R::of(g2.reach + pair.margin + pair.gap)).all();
+        return height.gt(R::of(g2.reach + listed)).all();
     }
-    let reach = g1.reach + g2.reach + pair.margin + pair.gap;
+    let reach = g1.reach + g2.reach + listed;
     between.dot(&between).gt(R::of(reach * reach)).all()
 }
 
-/// The exact test of one pair.
+/// The exact test of one pair: `take(part, touch)` gets what is in each of its slots.
 #[inline(always)]
-fn meet<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> Touches<R> {
-    meet_at(model, pair, &placed.geom[pair.geom1], &placed.geom[pair.geom2])
+fn meet<R: Real>(
+    model: &Model,
+    placed: &Placed<R>,
+    pair: &Pair,
+    take: impl FnMut(usize, &Touch<R>),
+) {
+    meet_at(model, pair, &placed.geom[pair.geom1], &placed.geom[pair.geom2], take);
 }
 
 /// The same with the two geoms at these poses.
 #[inline(always)]
-fn meet_at<R: Real>(model: &Model, pair: &Pair, p1: &Pose<R>, p2: &Pose<R>) -> Touches<R> {
-    let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
-    let (r1, h1) = (R::of(g1.size[0]), R::of(g1.size[1]));
-    let (r2, h2) = (R::of(g2.size[0]), R::of(g2.size[1]));
-    match pair.test {
-        ShapeTest::PlaneSphere => plane::plane_sphere(p1, p2, r2),
-        ShapeTest::PlaneCapsule => plane::plane_capsule(p1, p2, r2, h2),
-        ShapeTest::SphereSphere => sphere::sphere_sphere(p1, r1, p2, r2),
-        ShapeTest::SphereCapsule => sphere::sphere_capsule(p1, r1, p2, r2, h2),
-        ShapeTest::SphereBox => sphere::sphere_box(p1, r1, p2, V3::new(r2, h2, R::of(g2.size[2]))),
-        ShapeTest::CapsuleCapsule => capsule::capsule_capsule(p1, r1, h1, p2, r2, h2),
-    }
+fn meet_at<R: Real>(
+    model: &Model,
+    pair: &Pair,
+    p1: &Pose<R>,
+    p2: &Pose<R>,
+    take: impl FnMut(usize, &Touch<R>),
+) {
+    let one = Shape { pose: p1, size: &model.geoms[pair.geom1].size };
+    let two = Shape { pose: p2, size: &model.geoms[pair.geom2].size };
+    shapes::meet(pair.test, &one, &two, take);
 }

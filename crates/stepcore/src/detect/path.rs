@@ -9,6 +9,7 @@ use super::{meet_at, Contact};
 use crate::model::{Model, Pair};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
+use crate::shapes::Touch;
 use crate::spatial::{Pose, V3};
 
 /// Planes after which shapes that are still neither met nor past count as met.
@@ -27,6 +28,35 @@ pub(crate) struct Meeting<R: Real> {
     /// The contact then, geom 1 standing still.
     pub pos: V3<R>,
     pub normal: V3<R>,
+}
+
+/// What has become of a contact where the geoms are at these poses: what is in its slot, or of a
+/// manifold what is nearest.
+#[inline(always)]
+fn same<R: Real>(
+    model: &Model,
+    pair: &Pair,
+    one: &Pose<R>,
+    two: &Pose<R>,
+    contact: &Contact<R>,
+) -> Touch<R> {
+    let mut found: Option<Touch<R>> = None;
+    let nearest = pair.test.by_feature();
+    meet_at(model, pair, one, two, |part, touch| match &mut found {
+        Some(best) if nearest => {
+            let nearer = touch.exists.and(best.exists.not().or(touch.dist.lt(best.dist)));
+            *best = touch.or_else(nearer, best);
+        }
+        None if nearest || part == contact.part => found = Some(*touch),
+        _ => {}
+    });
+    found.unwrap_or(Touch {
+        dist: contact.dist,
+        pos: contact.pos,
+        normal: contact.normal,
+        exists: contact.mask,
+        feature: contact.feature,
+    })
 }
 
 /// Moves geom 2 of a contact's pair along `way` [m], as geom 1 sees it, in the lanes of `open`,
@@ -64,7 +94,7 @@ pub(crate) fn meeting<R: Real>(
         now.share = R::select(live, share, now.share);
         let other = &placed.geom[pair.geom2];
         let moved = Pose { pos: other.pos + way * now.share, rot: other.rot };
-        let touch = meet_at(model, pair, &placed.geom[pair.geom1], &moved).list[contact.part];
+        let touch = same(model, pair, &placed.geom[pair.geom1], &moved, contact);
         dist = R::select(live, touch.dist, dist);
         for k in 0..3 {
             now.pos[k] = R::select(live, touch.pos[k], now.pos[k]);

@@ -9,7 +9,7 @@
 use super::constraint::{Constraint, Makings};
 use crate::detect::path::meeting;
 use crate::detect::Contact;
-use crate::model::{Model, Pair, NONE};
+use crate::model::{Material, Model, Pair, NONE};
 use crate::real::{Mask, Real};
 use crate::settings::{Cone, Law};
 use crate::solve::law::{
@@ -21,8 +21,8 @@ use crate::spatial::{Motion, V3};
 /// MuJoCo's `mjMINMU`: under `solref` no coefficient of friction is smaller.
 const LEAST_FRICTION: f64 = 1e-5;
 
-fn soft_friction(pair: &Pair) -> f64 {
-    pair.friction.max(LEAST_FRICTION)
+fn soft_friction(material: &Material) -> f64 {
+    material.friction[0].max(LEAST_FRICTION)
 }
 
 pub(super) struct Contacts;
@@ -105,25 +105,27 @@ impl<R: Real> Rows<R> {
     ) {
         let pair = &now.model.pairs[contact.pair];
         let block = self.push_block(first, set, mask, now, contact.element(), pair.mass);
-        let soft = now.settings.law == Law::SolRef;
-        block.mu = R::of(if soft { soft_friction(pair) } else { pair.friction });
+        let (soft, material) = (now.settings.law == Law::SolRef, now.model.material(pair));
+        block.mu = R::of(if soft { soft_friction(material) } else { material.friction[0] });
+        block.feature = contact.feature;
     }
 
     /// MuJoCo's contact: soft normal, convex friction.
     fn soft_contact(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
         let (settings, dt) = (now.settings, R::of(now.settings.dt));
-        let mask = contact.mask.and(contact.dist.lt(R::of(pair.margin)));
+        let material = now.model.material(pair);
+        let mask = contact.mask.and(contact.dist.lt(R::of(material.margin)));
         if mask.none() {
             return;
         }
-        let r = contact.dist - R::of(pair.margin);
-        let mut law = SolRef::at(&pair.soft, r, settings.dt, settings.refsafe);
-        let (weight, mu, impratio) = (pair.invweight, soft_friction(pair), settings.impratio);
+        let r = contact.dist - R::of(material.margin);
+        let mut law = SolRef::at(&material.soft, r, settings.dt, settings.refsafe);
+        let (weight, mu, impratio) = (pair.invweight, soft_friction(material), settings.impratio);
         let first = self.rows.len();
         self.normal_row(now, contact, pair);
         if let Some(most) = settings.max_recovery_speed.under(Law::SolRef) {
             // The normal of a pyramid is four edges side by side.
-            let edges = settings.cone == Cone::Pyramidal && pair.condim > 1;
+            let edges = settings.cone == Cone::Pyramidal && material.condim > 1;
             let share = if edges { 0.5 * mu * mu / impratio * (1.0 + mu * mu) } else { 1.0 };
             let row = &self.rows[first];
             let guess = self.dot(now.model, row, &now.placed.guess);
@@ -133,7 +135,7 @@ impl<R: Real> Rows<R> {
             law = limited;
             self.leave(mask, left);
         }
-        if pair.condim == 1 {
+        if material.condim == 1 {
             let least = self.least_softness(first, pair);
             law.fill(&mut self.rows[first], r, R::of(weight), least, dt);
             return self.close(now, contact, first, Set::Interval, mask);
@@ -188,7 +190,7 @@ impl<R: Real> Rows<R> {
 
     /// Replaces the normal row at `first` by the edges J_n ± μ J_t, then the fold.
     fn pyramid(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair, first: usize) {
-        let mu = R::of(soft_friction(pair));
+        let mu = R::of(soft_friction(now.model.material(pair)));
         let (normal, tangents) = (first, first + 1);
         self.tangent_rows(now, contact, pair);
         let moving = self.rows.len() - tangents;
@@ -227,7 +229,7 @@ impl<R: Real> Rows<R> {
         let mut mask = contact.mask.and(closing.or(touching));
         let mut arrives = R::Mask::of(true);
         let ahead = closing.and(touching.not());
-        if ahead.any() && pair.curved() {
+        if ahead.any() && pair.test.curved() {
             let found = self.met_ahead(now, contact, pair, size, ahead);
             mask = mask.and(ahead.not().or(found.met));
             arrives = found.turned.not();
@@ -256,7 +258,8 @@ impl<R: Real> Rows<R> {
             }
         }
         law.distance(&mut self.rows[first], &near, now.settings.restitution, push);
-        if pair.condim == 1 || pair.friction <= 0.0 {
+        let material = now.model.material(pair);
+        if material.condim == 1 || material.friction[0] <= 0.0 {
             return self.close(now, contact, first, Set::Interval, mask);
         }
         self.tangent_rows(now, contact, pair);

@@ -29,8 +29,9 @@ impl<R: Real> Rows<R> {
         let damping = R::of(2.0 * settings.penalty_damping_ratio) * (k * mass).sqrt();
         let force = -(k * contact.dist) - damping * row.velocity;
         self.push_apart(now, contact, row.dofs, row.y, dt * force, mask);
-        if pair.condim > 1 && pair.friction > 0.0 && mask.any() {
-            let bound = R::of(pair.friction) * force.max(R::zero());
+        let material = now.model.material(pair);
+        if material.condim > 1 && material.friction[0] > 0.0 && mask.any() {
+            let bound = R::of(material.friction[0]) * force.max(R::zero());
             self.rub(now, contact, pair, dt * bound, mask);
         }
     }

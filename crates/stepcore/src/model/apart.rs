@@ -154,6 +154,7 @@ impl<'a> Search<'a> {
         between: &'a [Between],
     ) -> Self {
         let pair = &model.pairs[index];
+        let material = model.material(pair);
         let geoms = [pair.geom1, pair.geom2];
         let mut bodies = vec![];
         for geom in geoms {
@@ -174,7 +175,7 @@ impl<'a> Search<'a> {
             pair: index,
             geoms,
             bodies,
-            least: pair.margin + pair.gap + ROUNDING * size,
+            least: material.margin + material.gap + ROUNDING * size,
             qpos: model.qpos0.clone(),
         }
     }

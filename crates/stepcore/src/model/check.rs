@@ -287,6 +287,9 @@ fn geom(e: &Subject, g: &Geom) -> Result<()> {
     e.finite("pos", &g.pos)?;
     e.direction("quat", &g.quat)?;
     let used = match g.kind {
+        GeomType::HField | GeomType::Mesh => {
+            return Err(e.refuse("kind", g.kind.word(), "another shape: it is not built yet"));
+        }
         GeomType::Plane => 0,
         GeomType::Sphere => 1,
         GeomType::Capsule | GeomType::Cylinder => 2,

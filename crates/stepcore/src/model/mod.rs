@@ -12,7 +12,6 @@ mod pairs;
 mod plan;
 mod pose;
 mod shape;
-mod shape_test;
 mod slots;
 mod still;
 #[cfg(test)]
@@ -21,9 +20,9 @@ mod tree;
 
 pub use pairs::Never;
 pub use plan::Unmet;
-pub use shape_test::{ShapeTest, MOST_TOUCHES};
 
 use crate::scene::{Actuator, Coefficients, Features, GeomType, JointType, Key, Softness};
+use crate::shapes::ShapeTest;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashSet;
 
@@ -170,14 +169,10 @@ pub struct Pair {
     pub geom1: usize,
     pub geom2: usize,
     pub test: ShapeTest,
-    /// 1: no friction; 3: sliding friction.
-    pub condim: u32,
-    /// Coefficient of sliding friction.
-    pub friction: f64,
-    /// A contact has a row below `margin`, and is listed below `margin + gap`.
-    pub margin: f64,
-    pub gap: f64,
-    pub soft: Softness,
+    /// Into `Model::materials`.
+    pub material: usize,
+    /// The first of its slots among those of contacts: as many as its test has touches.
+    pub slot: usize,
     /// Sum of both bodies' translational invweight.
     pub invweight: f64,
     /// Into `Model::dof_lists`: union of both bodies' chains, ascending.
@@ -191,11 +186,17 @@ pub struct Pair {
     pub apart: bool,
 }
 
-impl Pair {
-    /// Its normal turns while one shape moves past the other.
-    pub fn curved(&self) -> bool {
-        !matches!(self.test, ShapeTest::PlaneSphere | ShapeTest::PlaneCapsule)
-    }
+/// What the contacts of two geoms are made of: one for all pairs that mix to the same.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Material {
+    /// 1: no friction; 3: sliding; 4: and torsion; 6: and rolling.
+    pub condim: u32,
+    /// Coefficients of sliding along both tangents [1], torsion [m], rolling about both [m].
+    pub friction: [f64; 5],
+    /// A contact has a row below `margin`, and is listed below `margin + gap` [m].
+    pub margin: f64,
+    pub gap: f64,
+    pub soft: Softness,
 }
 
 /// The positions of a joint within which pairs are apart: its range, widened.
@@ -240,6 +241,7 @@ pub struct Model {
     pub geoms: Vec<Geom>,
     pub sites: Vec<Site>,
     pub pairs: Vec<Pair>,
+    pub materials: Vec<Material>,
     /// Pairs of bodies whose geoms never meet, the smaller index first.
     pub excludes: HashSet<(usize, usize)>,
     /// What pairs that are apart rely on.
@@ -261,6 +263,12 @@ pub struct Model {
 }
 
 impl Model {
+    /// What a pair's contacts are made of.
+    #[inline(always)]
+    pub fn material(&self, pair: &Pair) -> &Material {
+        &self.materials[pair.material]
+    }
+
     /// One free joint and nothing jointed on it, the mass a ball's about the joint's own
     /// centre: it has no gyroscopic force, and its mass matrix is diagonal.
     pub fn free_ball(&self, tree: &Tree) -> bool {

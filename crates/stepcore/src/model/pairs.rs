@@ -2,13 +2,13 @@
 //! mixing rules; the filter is applied once, here, and never during a step.
 
 use super::pose::Pose;
-use super::shape_test::ShapeTest;
 use super::still::still;
 use super::tree::Unions;
-use super::{Equality, Model, Pair, NONE};
+use super::{Equality, Material, Model, Pair, NONE};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{Geom, GeomType, Scene, Softness};
+use crate::shapes::ShapeTest;
 use nalgebra::Vector3;
 
 /// A plane is fixed to the world, as in MuJoCo.
@@ -73,6 +73,16 @@ impl Model {
         planes.then_some(Never::Planes)
     }
 
+    /// Where a material stands in the list; it is added if it is new.
+    fn material_index(&mut self, material: Material) -> usize {
+        // Neighbours are mostly alike.
+        let known = self.materials.iter().rposition(|known| *known == material);
+        known.unwrap_or_else(|| {
+            self.materials.push(material);
+            self.materials.len() - 1
+        })
+    }
+
     /// Two geoms in the order of their types.
     fn ordered(&self, a: usize, b: usize) -> (usize, usize) {
         if self.geoms[a].kind > self.geoms[b].kind {
@@ -128,14 +138,16 @@ fn pair(
         return Err(Error::Scene(text![
             names(),
             format!(
-            " can meet, but {} against {} is not built yet; built are plane-sphere, plane-capsule, \
-             sphere-sphere, sphere-capsule, sphere-box and capsule-capsule (exclude the pair, or clear bits of \
-             contype and conaffinity)",
-            x.kind.word(),
-            y.kind.word()
-        )]));
+                " can meet, but {} against {} is not built yet; built are {} (exclude the pair, or \
+                 clear bits of contype and conaffinity)",
+                x.kind.word(),
+                y.kind.word(),
+                ShapeTest::built()
+        )
+        ]));
     };
-    let Mixed { condim, friction, soft } = mix(x, y);
+    let material = mix(x, y);
+    let condim = material.condim;
     if !matches!(condim, 1 | 3) {
         let limit = "1 or 3: torsional and rolling friction are not built yet";
         return Err(Error::value(text!["condim of ", names()], condim, limit));
@@ -145,11 +157,8 @@ fn pair(
         geom1: a,
         geom2: b,
         test,
-        condim,
-        friction,
-        margin: x.margin + y.margin,
-        gap: x.gap + y.gap,
-        soft,
+        material: model.material_index(material),
+        slot: model.pairs.last().map_or(0, |last| last.slot + last.test.most_touches()),
         invweight: model.bodies[x.body].invweight[0] + model.bodies[y.body].invweight[0],
         dofs,
         mass: touched_mass(model, x.body, y.body),
@@ -158,19 +167,14 @@ fn pair(
     })
 }
 
-struct Mixed {
-    condim: u32,
-    /// Sliding: the others belong to condim 4 and 6.
-    friction: f64,
-    soft: Softness,
-}
-
 /// The geom of higher priority decides; equals are mixed: the larger condim and
 /// friction, softness by the share of solmix.
-fn mix(x: &Geom, y: &Geom) -> Mixed {
+fn mix(x: &Geom, y: &Geom) -> Material {
+    let (margin, gap) = (x.margin + y.margin, x.gap + y.gap);
     if x.priority != y.priority {
         let g = if x.priority > y.priority { x } else { y };
-        return Mixed { condim: g.condim, friction: g.friction[0], soft: g.soft.clone() };
+        let friction = by_direction(g.friction);
+        return Material { condim: g.condim, friction, margin, gap, soft: g.soft.clone() };
     }
     let share = match (x.solmix > 0.0, y.solmix > 0.0) {
         (true, true) => x.solmix / (x.solmix + y.solmix),
@@ -189,11 +193,19 @@ fn mix(x: &Geom, y: &Geom) -> Mixed {
             blend(p, q)
         }
     });
-    Mixed {
+    let larger = std::array::from_fn(|i| f64::max(x.friction[i], y.friction[i]));
+    Material {
         condim: x.condim.max(y.condim),
-        friction: x.friction[0].max(y.friction[0]),
+        friction: by_direction(larger),
+        margin,
+        gap,
         soft: Softness { solref, solimp: std::array::from_fn(|i| blend(p.solimp[i], q.solimp[i])) },
     }
+}
+
+/// Sliding, torsional and rolling friction by direction.
+fn by_direction([slide, torsion, roll]: [f64; 3]) -> [f64; 5] {
+    [slide, slide, torsion, roll, roll]
 }
 
 /// Mass of the trees of both bodies, each once.

@@ -8,7 +8,7 @@ use std::f64::consts::PI;
 pub fn measure(g: &Geom) -> f64 {
     let [a, b, c] = g.size;
     match (g.kind, g.shell_inertia) {
-        (GeomType::Plane, _) => 0.0,
+        (GeomType::Plane | GeomType::HField | GeomType::Mesh, _) => 0.0,
         (GeomType::Sphere, false) => 4.0 / 3.0 * PI * a * a * a,
         (GeomType::Sphere, true) => 4.0 * PI * a * a,
         (GeomType::Capsule, false) => PI * a * a * (2.0 * b + 4.0 / 3.0 * a),
@@ -33,7 +33,7 @@ pub fn unit_inertia(g: &Geom) -> Vector3<f64> {
     let round = |across: f64, along: f64| Vector3::new(across, across, along);
     let moments = |xx: f64, yy: f64, zz: f64| Vector3::new(yy + zz, xx + zz, xx + yy);
     match (g.kind, g.shell_inertia) {
-        (GeomType::Plane, _) => Vector3::zeros(),
+        (GeomType::Plane | GeomType::HField | GeomType::Mesh, _) => Vector3::zeros(),
         (GeomType::Sphere, false) => round(0.4 * a * a, 0.4 * a * a),
         (GeomType::Sphere, true) => round(2.0 / 3.0 * a * a, 2.0 / 3.0 * a * a),
         // A tube or rod, and two halves of a sphere whose centres of mass lie

@@ -1,9 +1,9 @@
 //! The numbers by which whatever can have rows is known from step to step: one slot each,
 //! in the order in which their rows are made.
 
-use super::shape_test::MOST_TOUCHES;
 use super::{Model, NONE};
 use crate::elements::{Element, Kind};
+use std::ops::Range;
 
 /// Bounds of a joint.
 pub const SIDES: usize = 2;
@@ -32,11 +32,24 @@ impl Model {
         let slot = match element.kind {
             Kind::FrictionLoss => self.slots.losses + self.joints[index].dof + part,
             Kind::Limit => self.slots.limits + SIDES * index + part,
-            Kind::Contact => self.slots.contacts + MOST_TOUCHES * index + part,
+            Kind::Contact => self.slots.contacts + self.pairs[index].slot + part,
             // Connections stand first; nothing else has rows.
             _ => index,
         };
         slot as u32
+    }
+
+    /// The slots in which an element of a slot may have been in the step before: those of its
+    /// pair, where its contacts are known by feature.
+    pub fn kin(&self, element: Element, slot: u32) -> Range<u32> {
+        if element.kind == Kind::Contact {
+            let test = self.pairs[element.index as usize].test;
+            if test.by_feature() {
+                let first = slot - element.part;
+                return first..first + test.most_touches() as u32;
+            }
+        }
+        slot..slot + 1
     }
 
     /// By slot: its place among the slots of its island. Copies of an island that stand
@@ -48,7 +61,8 @@ impl Model {
         let losses = self.dofs.iter().map(|dof| dof.tree);
         let limits = self.joints.iter().flat_map(|joint| [tree(joint.body); SIDES]);
         let contacts = self.pairs.iter().flat_map(|p| {
-            [either(self.geoms[p.geom1].body, self.geoms[p.geom2].body); MOST_TOUCHES]
+            let tree = either(self.geoms[p.geom1].body, self.geoms[p.geom2].body);
+            std::iter::repeat_n(tree, p.test.most_touches())
         });
         let mut used = vec![0; islands.len()];
         connects

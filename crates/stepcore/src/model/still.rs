@@ -13,10 +13,10 @@
 //! round shapes whose axes lie in one plane of motion have their normal in it.
 
 use super::pose::{rotation, Pose};
-use super::shape_test::ShapeTest;
 use super::{Geom, Model};
 use crate::detect::frame::{hint, spare, tangents, usual};
 use crate::scene::{GeomType, JointType};
+use crate::shapes::ShapeTest;
 use nalgebra::Vector3;
 
 /// Sine of an angle that is rounding.

@@ -23,6 +23,7 @@ pub fn lay_out(scene: &Scene) -> Model {
         geoms: scene.geoms.iter().map(geom).collect(),
         sites: vec![],
         pairs: vec![],
+        materials: vec![],
         excludes: scene.excludes.iter().map(|[a, b]| (*a.min(b), *a.max(b))).collect(),
         guards: vec![],
         equalities: vec![],
@@ -180,7 +181,7 @@ fn row(model: &mut Model, dof: usize) {
 fn geom(source: &crate::scene::Geom) -> Geom {
     let [a, b, c] = source.size;
     let reach = match source.kind {
-        GeomType::Plane => f64::INFINITY,
+        GeomType::Plane | GeomType::HField | GeomType::Mesh => f64::INFINITY,
         GeomType::Sphere => a,
         GeomType::Capsule => a + b,
         GeomType::Ellipsoid => a.max(b).max(c),

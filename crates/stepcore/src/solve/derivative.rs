@@ -300,7 +300,7 @@ impl Row<Dual> {
 
 impl Block<Dual> {
     fn value(&self) -> Block<f64> {
-        let Self { rows, set, mask, mu, mass, element, slot, island, rank } = self;
+        let Self { rows, set, mask, mu, mass, element, slot, feature, island, rank } = self;
         Block {
             rows: *rows,
             set: *set,
@@ -309,6 +309,7 @@ impl Block<Dual> {
             mass: *mass,
             element: *element,
             slot: *slot,
+            feature: feature.value,
             island: *island,
             rank: *rank,
         }

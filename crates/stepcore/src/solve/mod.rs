@@ -126,17 +126,20 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Starts every impulse from the last step's, found by slot; `but`: not of this kind.
+    /// Starts every impulse from the last step's, found by slot and feature; `but`: not of this kind.
     pub fn warm_start(&mut self, model: &Model, inv_d: &[R], warm: &[Warm<R>], but: Option<Kind>) {
         let mut at = 0;
         for block in self.blocks.iter().filter(|block| but != Some(block.element.kind)) {
-            while at < warm.len() && warm[at].slot < block.slot {
+            let kin = model.kin(block.element, block.slot);
+            while at < warm.len() && warm[at].slot < kin.start {
                 at += 1;
             }
-            if at < warm.len() && warm[at].slot == block.slot {
+            for warm in warm[at..].iter().take_while(|warm| warm.slot < kin.end) {
+                let own = warm.feature.le(block.feature).and(warm.feature.ge(block.feature));
+                let own = own.and(block.mask);
                 for (k, row) in self.rows[block.rows.range()].iter_mut().enumerate() {
-                    let start = warm[at].impulse[k].clamp(row.lo, row.hi);
-                    row.impulse = R::select(block.mask, start, R::zero());
+                    let start = warm.impulse[k].clamp(row.lo, row.hi);
+                    row.impulse = R::select(own, start, row.impulse);
                 }
             }
         }
@@ -155,7 +158,8 @@ impl<R: Real> Rows<R> {
                 let kept = block.mask.and(own.is_finite());
                 impulse[k] = R::select(kept, own, R::zero());
             }
-            warm.push(Warm { slot: block.slot, impulse });
+            let feature = R::select(block.mask, block.feature, -R::one());
+            warm.push(Warm { slot: block.slot, feature, impulse });
         }
     }
 }

@@ -97,6 +97,8 @@ pub struct Block<R: Real> {
     pub element: Element,
     /// Its number over time, for warm starts; ascending.
     pub slot: u32,
+    /// What touches, where blocks are known by that and not by slot: see `Touch::feature`.
+    pub feature: R,
     pub island: usize,
     /// The slot's place among those of its island: see `Model::ranks`.
     pub rank: u32,
@@ -288,7 +290,18 @@ impl<R: Real> Rows<R> {
         let slot = now.model.slot(element);
         let rank = self.ranks[slot as usize];
         let mu = R::zero();
-        self.blocks.push(Block { rows, set, mask, mu, mass, element, slot, island, rank });
+        self.blocks.push(Block {
+            rows,
+            set,
+            mask,
+            mu,
+            mass,
+            element,
+            slot,
+            feature: mu,
+            island,
+            rank,
+        });
         let at = self.blocks.len() - 1;
         &mut self.blocks[at]
     }

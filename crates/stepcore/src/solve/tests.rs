@@ -113,6 +113,7 @@ pub(super) fn pack<R: Real>(worlds: &[Problem]) -> Rows<R> {
             mass: 1.0,
             element: Element::part(Kind::Contact, b, 0),
             slot: b as u32,
+            feature: R::zero(),
             island: 0,
             rank: b as u32,
         });

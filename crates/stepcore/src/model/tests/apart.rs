@@ -61,7 +61,8 @@ fn pairs_that_are_apart_meet_in_no_configuration() {
             placed.positions(&model, &qpos);
             for pair in &model.pairs {
                 let distance = detect::distance(&model, &placed, pair);
-                let meets = distance < pair.margin + pair.gap;
+                let material = model.material(pair);
+                let meets = distance < material.margin + material.gap;
                 met += usize::from(meets);
                 assert!(!(pair.apart && meets), "{pair:?} at {qpos:?}");
             }

@@ -59,19 +59,20 @@ fn filters_and_mixing() {
             std::slice::from_ref(b),
         )
     };
-    let pair = two(&a, &b).model().pairs[0].clone();
-    assert_eq!((pair.condim, pair.friction), (3, 0.7));
+    let model = two(&a, &b).model();
+    let (pair, mixed) = (&model.pairs[0], &model.materials[0]);
+    assert_eq!((mixed.condim, mixed.friction), (3, [0.7, 0.7, 0.1, 0.2, 0.2]));
     assert!(
-        near(pair.margin, 0.3)
-            && near(pair.soft.solref[0], 0.15)
-            && near(pair.soft.solref[1], 1.25)
+        near(mixed.margin, 0.3)
+            && near(mixed.soft.solref[0], 0.15)
+            && near(mixed.soft.solref[1], 1.25)
     );
     assert_eq!(pair.invweight, 2.0);
     let direct = Geom { soft: soft(-100.0, -3.0), ..b.clone() };
-    assert_eq!(two(&a, &direct).model().pairs[0].soft.solref, [-100.0, -3.0]);
+    assert_eq!(two(&a, &direct).model().materials[0].soft.solref, [-100.0, -3.0]);
     let first = Geom { priority: 1, ..a.clone() };
-    let pair = two(&first, &b).model().pairs[0].clone();
-    assert_eq!((pair.condim, pair.friction, pair.soft.solref), (1, 0.5, [0.1, 1.0]));
+    let mixed = two(&first, &b).model().materials[0].clone();
+    assert_eq!((mixed.condim, mixed.friction[0], mixed.soft.solref), (1, 0.5, [0.1, 1.0]));
     let apart = Geom { contype: 2, conaffinity: 4, ..b.clone() };
     assert!(two(&a, &apart).model().pairs.is_empty());
     let mut excluded = two(&a, &b);

@@ -20,7 +20,7 @@ use crate::post_mortem::{Held, PostMortem, Stable, Start};
 use crate::real::Real;
 use crate::settings::{Integrator, Law};
 use crate::sim::Sim;
-use crate::state::{Inputs, State};
+use crate::state::{Inputs, State, Warm};
 
 /// Without a ledger, trees up to this many dofs are looked into.
 const SMALL: usize = 12;
@@ -239,14 +239,14 @@ fn numbers<R: Real>(list: &[R], lane: usize) -> Vec<f64> {
 
 /// One lane of a state.
 fn start<R: Real>(state: &State<R>, lane: usize) -> Start {
-    let warm = state.warm.iter().map(|w| (w.slot, w.impulse.map(|x| x.lane(lane))));
+    let warm = state.warm.iter().map(|w| w.in_lane(lane));
     Start {
         steps: state.steps,
         time: state.start,
         qpos: numbers(&state.qpos, lane),
         qvel: numbers(&state.qvel, lane),
         // An impulse of zero is as good as none, and a lane has zeros for its neighbours' contacts.
-        warm: warm.filter(|(_, impulse)| impulse.iter().any(|x| *x != 0.0)).collect(),
+        warm: warm.filter(Warm::acts).collect(),
     }
 }
 

@@ -11,16 +11,16 @@ use crate::spatial::{Pose, V3};
 /// A centre no farther than this fraction of the sizes from a box is in it.
 const IN_BOX: f64 = 1e-15;
 
-pub fn sphere_sphere<R: Real>(a: &Pose<R>, ra: R, b: &Pose<R>, rb: R) -> Touches<R> {
-    Touches::one(balls(&ball(a, ra), &ball(b, rb)))
+pub fn sphere_sphere<R: Real>(a: &Pose<R>, ra: R, b: &Pose<R>, rb: R) -> Touches<R, 1> {
+    [balls(&ball(a, ra), &ball(b, rb))]
 }
 
 /// `hc` is half the length of the capsule's axis.
-pub fn sphere_capsule<R: Real>(s: &Pose<R>, rs: R, c: &Pose<R>, rc: R, hc: R) -> Touches<R> {
+pub fn sphere_capsule<R: Real>(s: &Pose<R>, rs: R, c: &Pose<R>, rc: R, hc: R) -> Touches<R, 1> {
     let axis = c.axis(2);
     let along = axis.dot(&(s.pos - c.pos)).clamp(-hc, hc);
     let nearest = Ball { centre: c.pos + axis * along, radius: rc, axis };
-    Touches::one(balls(&ball(s, rs), &nearest))
+    [balls(&ball(s, rs), &nearest)]
 }
 
 #[inline(always)]
@@ -29,7 +29,7 @@ fn ball<R: Real>(pose: &Pose<R>, radius: R) -> Ball<R> {
 }
 
 /// `half` holds the box's half lengths.
-pub fn sphere_box<R: Real>(s: &Pose<R>, r: R, b: &Pose<R>, half: V3<R>) -> Touches<R> {
+pub fn sphere_box<R: Real>(s: &Pose<R>, r: R, b: &Pose<R>, half: V3<R>) -> Touches<R, 1> {
     let centre = b.to_local(&(s.pos - b.pos));
     let nearest = V3::new(
         centre.x.clamp(-half.x, half.x),
@@ -50,12 +50,13 @@ pub fn sphere_box<R: Real>(s: &Pose<R>, r: R, b: &Pose<R>, half: V3<R>) -> Touch
         dist = R::select(inside, -depth - r, dist);
         pos = select3(inside, &middle, &pos);
     }
-    Touches::one(Touch {
+    [Touch {
         dist,
         pos: b.pos + b.to_world(&pos),
         normal: b.to_world(&normal),
         exists: R::Mask::of(true),
-    })
+        feature: R::zero(),
+    }]
 }
 
 /// Depth below the nearest face of a point in the box, and that face's outward normal.

@@ -4,7 +4,6 @@
 //! unit normal from geom 1 to geom 2; `frame.rs` completes its frame. Distances
 //! are always reported: the caller compares them with margin and gap.
 
-use crate::model::MOST_TOUCHES;
 use crate::real::{Mask, Real};
 use crate::spatial::V3;
 
@@ -19,31 +18,29 @@ pub struct Touch<R: Real> {
     pub normal: V3<R>,
     /// The lanes that have this contact at all, whatever its distance.
     pub exists: R::Mask,
+    /// What touches (a corner, a pair of edges), as a whole number below 2²⁴: it keeps its meaning
+    /// from step to step. Where the slot has a meaning of its own it is 0.
+    pub feature: R,
 }
 
-/// The contacts of a pair. A slot keeps its meaning from step to step, so
-/// that its impulse can start the next solve.
-#[derive(Clone, Copy, Debug)]
-pub struct Touches<R: Real> {
-    pub list: [Touch<R>; MOST_TOUCHES],
-    /// Slots that any lane can fill: fixed by the shapes, not by their poses.
-    pub count: usize,
-}
-
-impl<R: Real> Touches<R> {
-    /// The contact of a pair that never has a second one.
-    #[inline(always)]
-    pub fn one(touch: Touch<R>) -> Self {
-        Self { list: [touch, touch.absent()], count: 1 }
-    }
-
-    #[inline(always)]
-    pub fn two(first: Touch<R>, second: Touch<R>) -> Self {
-        Self { list: [first, second], count: 2 }
-    }
-}
+/// The contacts of a pair, by slot. Up to two slots keep their meaning from step to step; of a
+/// manifold with more it is their features that do. Either finds the impulse that starts the next
+/// solve.
+pub type Touches<R, const N: usize> = [Touch<R>; N];
 
 impl<R: Real> Touch<R> {
+    /// This one where the mask holds, the other elsewhere.
+    #[inline(always)]
+    pub fn or_else(&self, mask: R::Mask, other: &Self) -> Self {
+        Self {
+            dist: R::select(mask, self.dist, other.dist),
+            pos: select3(mask, &self.pos, &other.pos),
+            normal: select3(mask, &self.normal, &other.normal),
+            exists: mask.and(self.exists).or(mask.not().and(other.exists)),
+            feature: R::select(mask, self.feature, other.feature),
+        }
+    }
+
     /// The same numbers, in no lane a contact.
     #[inline(always)]
     pub fn absent(self) -> Self {
@@ -91,10 +88,10 @@ pub fn balls<R: Real>(a: &Ball<R>, b: &Ball<R>) -> Touch<R> {
         normal = select3(same, &spare, &normal);
     }
     let pos = a.centre + normal * (a.radius + R::of(0.5) * dist);
-    Touch { dist, pos, normal, exists: R::Mask::of(true) }
+    Touch { dist, pos, normal, exists: R::Mask::of(true), feature: R::zero() }
 }
 
 #[inline(always)]
-pub(super) fn unit<R: Real>(v: &V3<R>) -> V3<R> {
+pub(crate) fn unit<R: Real>(v: &V3<R>) -> V3<R> {
     v * (R::one() / v.dot(v).sqrt())
 }

@@ -47,7 +47,7 @@ pub fn capsule_capsule<R: Real>(
     b: &Pose<R>,
     rb: R,
     hb: R,
-) -> Touches<R> {
+) -> Touches<R, 2> {
     let unit = |share: R| share.clamp(R::zero(), R::one());
     let (p, q) = (Segment::of(a, ra, ha), Segment::of(b, rb, hb));
     let between = q.start - p.start;
@@ -79,10 +79,10 @@ pub fn capsule_capsule<R: Real>(
     let seed = R::select(p_long.and(parallel.not()), foot, R::zero());
     let first = nearest(seed);
     if parallel.none() {
-        return Touches::two(first, first.absent());
+        return [first, first.absent()];
     }
     // Lanes that are not parallel keep the numbers of slot 0, as when run alone.
     let mut second = nearest(R::select(parallel, R::one(), seed));
     second.exists = parallel;
-    Touches::two(first, second)
+    [first, second]
 }

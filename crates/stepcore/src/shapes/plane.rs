@@ -8,8 +8,8 @@ use super::touch::{Touch, Touches};
 use crate::real::{Mask, Real};
 use crate::spatial::{Pose, V3};
 
-pub fn plane_sphere<R: Real>(plane: &Pose<R>, sphere: &Pose<R>, radius: R) -> Touches<R> {
-    Touches::one(plane_ball(plane, &sphere.pos, radius))
+pub fn plane_sphere<R: Real>(plane: &Pose<R>, sphere: &Pose<R>, radius: R) -> Touches<R, 1> {
+    [plane_ball(plane, &sphere.pos, radius)]
 }
 
 /// Slot 0 is the end along the capsule's +z, slot 1 the other.
@@ -19,12 +19,12 @@ pub fn plane_capsule<R: Real>(
     capsule: &Pose<R>,
     radius: R,
     half: R,
-) -> Touches<R> {
+) -> Touches<R, 2> {
     let reach = capsule.axis(2) * half;
-    Touches::two(
+    [
         plane_ball(plane, &(capsule.pos + reach), radius),
         plane_ball(plane, &(capsule.pos - reach), radius),
-    )
+    ]
 }
 
 #[inline(always)]
@@ -32,5 +32,5 @@ fn plane_ball<R: Real>(plane: &Pose<R>, centre: &V3<R>, radius: R) -> Touch<R> {
     let normal = plane.axis(2);
     let dist = normal.dot(&(centre - plane.pos)) - radius;
     let pos = centre - normal * (radius + R::of(0.5) * dist);
-    Touch { dist, pos, normal, exists: R::Mask::of(true) }
+    Touch { dist, pos, normal, exists: R::Mask::of(true), feature: R::zero() }
 }

@@ -4,8 +4,8 @@
 use super::capsule::capsule_capsule;
 use super::plane::{plane_capsule, plane_sphere};
 use super::sphere::{sphere_box, sphere_capsule, sphere_sphere};
-use super::tangents;
-use super::touch::Touches;
+use super::touch::Touch;
+use crate::detect::tangents;
 use crate::real::{Lanes, Mask, Real, WIDTH};
 use crate::spatial::Pose;
 use nalgebra::{Matrix3, Rotation3, Vector3};
@@ -25,22 +25,22 @@ use Pair::*;
 const PAIRS: [Pair; 6] =
     [PlaneSphere, PlaneCapsule, SphereSphere, SphereCapsule, SphereBox, CapsuleCapsule];
 
-fn touch<R: Real>(pair: Pair, a: &Pose<R>, sa: [R; 3], b: &Pose<R>, sb: [R; 3]) -> Touches<R> {
+fn touch<R: Real>(pair: Pair, a: &Pose<R>, sa: [R; 3], b: &Pose<R>, sb: [R; 3]) -> Vec<Touch<R>> {
     match pair {
-        PlaneSphere => plane_sphere(a, b, sb[0]),
-        PlaneCapsule => plane_capsule(a, b, sb[0], sb[1]),
-        SphereSphere => sphere_sphere(a, sa[0], b, sb[0]),
-        SphereCapsule => sphere_capsule(a, sa[0], b, sb[0], sb[1]),
-        SphereBox => sphere_box(a, sa[0], b, sb.into()),
-        CapsuleCapsule => capsule_capsule(a, sa[0], sa[1], b, sb[0], sb[1]),
+        PlaneSphere => plane_sphere(a, b, sb[0]).to_vec(),
+        PlaneCapsule => plane_capsule(a, b, sb[0], sb[1]).to_vec(),
+        SphereSphere => sphere_sphere(a, sa[0], b, sb[0]).to_vec(),
+        SphereCapsule => sphere_capsule(a, sa[0], b, sb[0], sb[1]).to_vec(),
+        SphereBox => sphere_box(a, sa[0], b, sb.into()).to_vec(),
+        CapsuleCapsule => capsule_capsule(a, sa[0], sa[1], b, sb[0], sb[1]).to_vec(),
     }
 }
 
 /// Every number of a contact and its frame, in one lane.
-fn numbers<R: Real>(pair: Pair, b: &Pose<R>, touches: &Touches<R>, lane: usize) -> Vec<f64> {
+fn numbers<R: Real>(pair: Pair, b: &Pose<R>, touches: &[Touch<R>], lane: usize) -> Vec<f64> {
     let axis = b.axis(2);
     let mut out = Vec::new();
-    for touch in &touches.list[..touches.count] {
+    for touch in touches {
         let (y, z) = tangents(&touch.normal, (pair == PlaneCapsule).then_some(&axis));
         out.push(f64::from(touch.exists.lane(lane)));
         out.push(touch.dist.lane(lane));
@@ -115,10 +115,10 @@ fn every_case_is_finite_and_framed() {
         for case in 0..1200 {
             let (a, sa, b, sb) = random.scene(case);
             let touches = touch(pair, &a, sa, &b, sb);
-            assert!(touches.list[0].exists);
+            assert!(touches[0].exists);
             assert!(numbers(pair, &b, &touches, 0).iter().all(|x| x.is_finite()));
             let axis = b.axis(2);
-            for touch in &touches.list[..touches.count] {
+            for touch in touches {
                 let hint = (pair == PlaneCapsule).then_some(&axis);
                 let (y, z) = tangents(&touch.normal, hint);
                 let frame = Matrix3::from_columns(&[touch.normal, y, z]);
@@ -141,7 +141,7 @@ fn lengths_scale_by_powers_of_two_bit_for_bit() {
                 let k = 2f64.powi(power);
                 let far = |p: &Pose<f64>| Pose { pos: p.pos * k, rot: p.rot };
                 let more = touch(pair, &far(&a), sa.map(|x| x * k), &far(&b), sb.map(|x| x * k));
-                for (x, y) in one.list.iter().zip(&more.list) {
+                for (x, y) in one.iter().zip(&more) {
                     assert_eq!((x.dist * k, x.pos * k), (y.dist, y.pos), "{pair:?}, {case}");
                     assert_eq!((x.normal, x.exists), (y.normal, y.exists), "{pair:?}, {case}");
                 }
@@ -157,9 +157,10 @@ fn exchanging_like_shapes_turns_the_normal_round() {
         for case in [0, 2, 4, 5].repeat(100) {
             let (a, sa, b, sb) = random.scene(case);
             let (there, back) = (touch(pair, &a, sa, &b, sb), touch(pair, &b, sb, &a, sa));
-            assert_eq!(there.list[1].exists, back.list[1].exists);
-            for x in there.list.iter().filter(|x| x.exists) {
-                let found = back.list.iter().filter(|y| y.exists).any(|y| {
+            assert_eq!(there.len(), back.len());
+            assert!(there.iter().zip(&back).all(|(x, y)| x.exists == y.exists));
+            for x in there.iter().filter(|x| x.exists) {
+                let found = back.iter().filter(|y| y.exists).any(|y| {
                     let same = (x.dist - y.dist).abs() + (x.pos - y.pos).amax();
                     same + (x.normal + y.normal).amax() < 1e-9
                 });
@@ -180,7 +181,7 @@ fn single_precision_agrees() {
             let small = |s: Size| s.map(|x| x as f32);
             let f32s = touch(pair, &low(&a), small(sa), &low(&b), small(sb));
             let f64s = touch(pair, &a, sa, &b, sb);
-            assert!((f64::from(f32s.list[0].dist) - f64s.list[0].dist).abs() < 2e-6);
+            assert!((f64::from(f32s[0].dist) - f64s[0].dist).abs() < 2e-6);
         }
     }
 }
@@ -190,8 +191,8 @@ fn at(x: f64, y: f64, z: f64) -> Pose<f64> {
     Pose { pos: Vector3::new(x, y, z), rot: Matrix3::identity() }
 }
 
-fn close(touches: &Touches<f64>, slot: usize, dist: f64, pos: [f64; 3], normal: [f64; 3]) {
-    let touch = &touches.list[slot];
+fn close(touches: &[Touch<f64>], slot: usize, dist: f64, pos: [f64; 3], normal: [f64; 3]) {
+    let touch = &touches[slot];
     let off =
         (touch.pos - Vector3::from(pos)).amax() + (touch.normal - Vector3::from(normal)).amax();
     assert!(touch.exists && (touch.dist - dist).abs() + off < 1e-15, "{touch:?}");
@@ -239,7 +240,7 @@ fn capsules_side_by_side_touch_twice() {
         for half in [1e-3, 1.0, 1e3] {
             let mut b = at(1.0, 0.0, 0.0);
             b.rot = Rotation3::new(Vector3::x() * angle).into();
-            assert_eq!(capsule_capsule(&a, 0.1, half, &b, 0.1, 1.0).list[1].exists, second);
+            assert_eq!(capsule_capsule(&a, 0.1, half, &b, 0.1, 1.0)[1].exists, second);
         }
     }
 }

@@ -1,0 +1,59 @@
+//! Shapes: where two of them touch, from their poses and sizes.
+//!
+//! One file a family of pairs. A pair's test is a pure function of two shapes; which one a pair of
+//! geoms has is decided when the model is compiled (`ShapeTest`), and `meet` runs it.
+
+pub(crate) mod capsule;
+pub(crate) mod plane;
+mod shape_test;
+pub(crate) mod sphere;
+#[cfg(test)]
+mod tests;
+pub(crate) mod touch;
+
+pub use shape_test::ShapeTest;
+pub use touch::{Touch, Touches};
+
+use crate::real::Real;
+use crate::spatial::{Pose, V3};
+
+/// One of the two shapes of a pair.
+#[derive(Clone, Copy)]
+pub struct Shape<'a, R: Real> {
+    pub pose: &'a Pose<R>,
+    /// As a geom's: see `scene::Geom::size`.
+    pub size: &'a [f64; 3],
+}
+
+impl<R: Real> Shape<'_, R> {
+    /// The size in this number.
+    #[inline(always)]
+    pub fn sizes(&self) -> V3<R> {
+        V3::new(R::of(self.size[0]), R::of(self.size[1]), R::of(self.size[2]))
+    }
+}
+
+/// Tests a pair exactly: `take(slot, touch)` gets what is in each of its slots.
+#[inline(always)]
+pub fn meet<R: Real>(
+    test: ShapeTest,
+    one: &Shape<R>,
+    two: &Shape<R>,
+    mut take: impl FnMut(usize, &Touch<R>),
+) {
+    let (p1, p2) = (one.pose, two.pose);
+    let (s1, s2) = (one.sizes(), two.sizes());
+    let mut all = |touches: &[Touch<R>]| {
+        touches.iter().enumerate().for_each(|(slot, touch)| take(slot, touch));
+    };
+    match test {
+        ShapeTest::PlaneSphere => all(&plane::plane_sphere(p1, p2, s2.x)),
+        ShapeTest::PlaneCapsule => all(&plane::plane_capsule(p1, p2, s2.x, s2.y)),
+        ShapeTest::SphereSphere => all(&sphere::sphere_sphere(p1, s1.x, p2, s2.x)),
+        ShapeTest::SphereCapsule => all(&sphere::sphere_capsule(p1, s1.x, p2, s2.x, s2.y)),
+        ShapeTest::SphereBox => all(&sphere::sphere_box(p1, s1.x, p2, s2)),
+        ShapeTest::CapsuleCapsule => {
+            all(&capsule::capsule_capsule(p1, s1.x, s1.y, p2, s2.x, s2.y));
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! Which exact test a pair of shapes has, chosen when a model is compiled.
+
+use crate::scene::GeomType;
+
+/// Geom 1's shape, then geom 2's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ShapeTest {
+    PlaneSphere,
+    PlaneCapsule,
+    SphereSphere,
+    SphereCapsule,
+    SphereBox,
+    CapsuleCapsule,
+}
+
+/// Of two shapes in the order of their types: its test.
+const TESTS: &[(GeomType, GeomType, ShapeTest)] = &[
+    (GeomType::Plane, GeomType::Sphere, ShapeTest::PlaneSphere),
+    (GeomType::Plane, GeomType::Capsule, ShapeTest::PlaneCapsule),
+    (GeomType::Sphere, GeomType::Sphere, ShapeTest::SphereSphere),
+    (GeomType::Sphere, GeomType::Capsule, ShapeTest::SphereCapsule),
+    (GeomType::Sphere, GeomType::Box, ShapeTest::SphereBox),
+    (GeomType::Capsule, GeomType::Capsule, ShapeTest::CapsuleCapsule),
+];
+
+impl ShapeTest {
+    /// Of two shapes in the order of their types; None: not built yet.
+    pub fn of(one: GeomType, two: GeomType) -> Option<Self> {
+        TESTS.iter().find(|(a, b, _)| (*a, *b) == (one, two)).map(|(.., test)| *test)
+    }
+
+    /// The pairs that are built, as a user reads them.
+    pub fn built() -> String {
+        let pairs = TESTS.iter().map(|(a, b, _)| format!("{}-{}", a.word(), b.word()));
+        pairs.collect::<Vec<_>>().join(", ")
+    }
+
+    /// The most contacts of such a pair: its slots.
+    pub fn most_touches(self) -> usize {
+        match self {
+            Self::PlaneSphere | Self::SphereSphere | Self::SphereCapsule | Self::SphereBox => 1,
+            Self::PlaneCapsule | Self::CapsuleCapsule => 2,
+        }
+    }
+
+    /// Its contacts are known from step to step by feature: a slot has no meaning of its own.
+    pub fn by_feature(self) -> bool {
+        self.most_touches() > 2
+    }
+
+    /// The normal turns while one shape moves past the other.
+    pub fn curved(self) -> bool {
+        !matches!(self, Self::PlaneSphere | Self::PlaneCapsule)
+    }
+}
