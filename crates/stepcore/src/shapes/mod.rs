@@ -4,7 +4,13 @@
 //! geoms has is decided when the model is compiled (`ShapeTest`), and `meet` runs it.
 
 pub(crate) mod capsule;
+mod facets;
+mod grid;
+pub mod hull;
+#[cfg(test)]
+mod hull_tests;
 pub(crate) mod plane;
+mod quickhull;
 mod shape_test;
 pub(crate) mod sphere;
 #[cfg(test)]

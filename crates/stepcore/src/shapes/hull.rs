@@ -1,0 +1,188 @@
+//! `Hull`: a convex polytope in its own frame.
+
+pub use super::facets::{Edge, Face};
+
+use super::facets;
+use super::grid::{Grid, Point, NOISE};
+use super::quickhull::{surface, Flat, Surface};
+use crate::error::{Error, Result};
+use nalgebra::{Matrix3, Vector3};
+
+/// From this many vertices on the support function climbs instead of looking at every vertex.
+const CLIMB: usize = 32;
+
+/// A convex polytope.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Hull {
+    /// Its corners [m], in the order of the points that they were made from.
+    pub vertices: Vec<Vector3<f64>>,
+    /// Which of those points each one is.
+    pub source: Vec<usize>,
+    /// Its surface in triangles of vertices, counter-clockwise from outside.
+    pub triangles: Vec<[usize; 3]>,
+    /// Its surface in polygons: triangles that lie in one plane but for rounding are one face.
+    pub faces: Vec<Face>,
+    /// Where two faces meet.
+    pub edges: Vec<Edge>,
+    /// Ends of triangles' edges: vertex v's neighbours are `adjacent[starts[v]..starts[v + 1]]`.
+    starts: Vec<usize>,
+    adjacent: Vec<usize>,
+}
+
+impl Hull {
+    /// The hull of points [m]. Those that are within 1e-11 of the largest extent of what is left
+    /// without them are left out.
+    pub fn of(points: &[[f64; 3]]) -> Result<Self> {
+        Self::of_at_most(points, usize::MAX)
+    }
+
+    /// The hull of at most `most` of the points (at least 4), those added first that are furthest
+    /// outside: MuJoCo's `maxhullvert`.
+    pub fn of_at_most(points: &[[f64; 3]], most: usize) -> Result<Self> {
+        if most < 4 {
+            return Err(Error::value("vertices of a convex hull", most, "at least 4"));
+        }
+        if let Some(i) = points.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
+            let [x, y, z] = points[i];
+            return Err(Error::value(format!("point {i}"), format!("{x} {y} {z}"), "finite"));
+        }
+        let Some(grid) = Grid::around(points) else {
+            return Err(refuse(points.len(), Flat::Point));
+        };
+        let places: Vec<Point> = points.iter().map(|p| grid.point(p)).collect();
+        let flat = |kind| refuse(points.len(), kind);
+        let mut source: Vec<usize> = (0..points.len()).collect();
+        let mut on_grid = places.clone();
+        let surface = loop {
+            let surface = surface(&on_grid, most).map_err(flat)?;
+            let kept = corners(&surface, &on_grid);
+            // Points inside, and corners that turned out to lie in a face or on an edge.
+            if kept.len() == on_grid.len() {
+                break surface;
+            }
+            source = kept.iter().map(|i| source[*i]).collect();
+            on_grid = kept.iter().map(|i| on_grid[*i]).collect();
+        };
+        let vertices = source.iter().map(|i| Vector3::from(points[*i])).collect();
+        Ok(Self::with_faces(vertices, source, surface, grid.half))
+    }
+
+    /// A box of these half sizes [m].
+    pub fn block(half: [f64; 3]) -> Result<Self> {
+        let sign =
+            |i: usize, axis: usize| if i >> axis & 1 == 1 { half[axis] } else { -half[axis] };
+        let corner = |i: usize| std::array::from_fn(|axis| sign(i, axis));
+        Self::of(&(0..8).map(corner).collect::<Vec<_>>())
+    }
+
+    fn with_faces(
+        vertices: Vec<Vector3<f64>>,
+        source: Vec<usize>,
+        surface: Surface,
+        half: f64,
+    ) -> Self {
+        let mut lists = vec![Vec::new(); vertices.len()];
+        for corners in &surface.triangles {
+            for k in 0..3 {
+                lists[corners[k]].push(corners[(k + 1) % 3]);
+            }
+        }
+        let mut starts = vec![0];
+        let mut adjacent = Vec::new();
+        for list in &mut lists {
+            list.sort_unstable();
+            adjacent.append(list);
+            starts.push(adjacent.len());
+        }
+        let (faces, edges) = facets::merged(&vertices, &surface, half);
+        let triangles = surface.triangles;
+        let mut hull = Self { vertices, source, triangles, faces, edges, starts, adjacent };
+        for i in 0..hull.faces.len() {
+            let normal = hull.faces[i].normal;
+            let furthest = hull.support_from(hull.faces[i].corners[0], &normal);
+            hull.faces[i].offset = normal.dot(&hull.vertices[furthest]);
+        }
+        hull
+    }
+
+    /// The vertices at the other ends of a vertex's edges.
+    pub fn neighbours(&self, vertex: usize) -> &[usize] {
+        &self.adjacent[self.starts[vertex]..self.starts[vertex + 1]]
+    }
+
+    /// The vertex furthest along a direction; the first of several, where there are few.
+    pub fn support(&self, direction: &Vector3<f64>) -> usize {
+        if self.vertices.len() >= CLIMB {
+            return self.support_from(0, direction);
+        }
+        let mut best = (0, f64::NEG_INFINITY);
+        for (i, vertex) in self.vertices.iter().enumerate() {
+            let along = vertex.dot(direction);
+            if along > best.1 {
+                best = (i, along);
+            }
+        }
+        best.0
+    }
+
+    /// The same by hill climbing from a vertex: on a convex surface a vertex that is as far as its
+    /// neighbours is the furthest.
+    pub fn support_from(&self, start: usize, direction: &Vector3<f64>) -> usize {
+        let mut best = (start, self.vertices[start].dot(direction));
+        loop {
+            let before = best.0;
+            for &next in self.neighbours(before) {
+                let along = self.vertices[next].dot(direction);
+                if along > best.1 {
+                    best = (next, along);
+                }
+            }
+            if best.0 == before {
+                return before;
+            }
+        }
+    }
+
+    /// The same polytope turned, then moved [m].
+    pub fn moved(mut self, turn: &Matrix3<f64>, shift: &Vector3<f64>) -> Self {
+        for vertex in &mut self.vertices {
+            *vertex = turn * *vertex + shift;
+        }
+        for face in &mut self.faces {
+            face.normal = turn * face.normal;
+            face.offset += face.normal.dot(shift);
+        }
+        self
+    }
+
+    /// Distance of the furthest vertex from the origin [m].
+    pub fn reach(&self) -> f64 {
+        self.vertices.iter().map(|v| v.norm()).fold(0.0, f64::max)
+    }
+}
+
+fn refuse(count: usize, flat: Flat) -> Error {
+    let why = match flat {
+        Flat::Point => "all of them are one point",
+        Flat::Line => "all of them lie on one line",
+        Flat::Plane => "all of them lie in one plane",
+    };
+    let text = format!("the {count} points have no convex hull with a volume: {why}");
+    Error::Scene(text.into())
+}
+
+/// Vertices at which at least three edges meet that are edges of the solid, not only of triangles
+/// in the same plane: ascending.
+fn corners(surface: &Surface, places: &[Point]) -> Vec<usize> {
+    let mut folds = vec![0; places.len()];
+    for (corners, across) in surface.triangles.iter().zip(&surface.across) {
+        let [a, b, c] = corners.map(|i| &places[i]);
+        let plane = super::grid::Plane::through(a, b, c);
+        for k in 0..3 {
+            let beyond = surface.triangles[across[k]].iter().find(|i| !corners.contains(i));
+            let folded = beyond.is_some_and(|i| plane.distance(&places[*i]) < -NOISE);
+            folds[corners[k]] += usize::from(folded);
+        }
+    }
+    (0..places.len()).filter(|i| folds[*i] >= 3).collect()
+}
