@@ -3,6 +3,8 @@
 //! One file a family of pairs. A pair's test is a pure function of two shapes; which one a pair of
 //! geoms has is decided when the model is compiled (`ShapeTest`), and `meet` runs it.
 
+#[allow(dead_code)] // Until the first pair that needs it stands.
+pub(crate) mod by_lane;
 pub(crate) mod capsule;
 mod facets;
 mod grid;
@@ -31,7 +33,13 @@ pub struct Shape<'a, R: Real> {
     pub size: &'a [f64; 3],
 }
 
-impl<R: Real> Shape<'_, R> {
+impl<'a, R: Real> Shape<'a, R> {
+    /// The same shape at another pose, in other numbers.
+    #[inline(always)]
+    pub fn at<S: Real>(&self, pose: &'a Pose<S>) -> Shape<'a, S> {
+        Shape { pose, size: self.size }
+    }
+
     /// The size in this number.
     #[inline(always)]
     pub fn sizes(&self) -> V3<R> {

@@ -1,0 +1,108 @@
+//! Tests that branch too freely for lanes: one world at a time, in double precision.
+//!
+//! A hull against a hull takes other steps in every world, so eight of them side by side would do
+//! all steps of all. Such a test is written for numbers of one lane (`f64`, and what carries or
+//! counts along with it), may branch on what it compares, and gets each lane in turn. Lanes equal
+//! scalars bit for bit by construction; single precision is the result in double, rounded.
+
+use super::touch::{Touch, Touches};
+use super::Shape;
+use crate::real::{Mask, Real};
+use crate::spatial::{Pose, M3, V3};
+
+/// A test of one pair of shapes in one world.
+pub trait OneWorld<const N: usize> {
+    /// `R` has one lane, and is as precise as `f64`: `x.lane(0)` is its number.
+    fn touches<R: Real>(&self, one: &Shape<R>, two: &Shape<R>) -> Touches<R, N>;
+}
+
+/// Runs such a test in every lane.
+pub fn by_lane<R: Real, T: OneWorld<N>, const N: usize>(
+    test: &T,
+    one: &Shape<R>,
+    two: &Shape<R>,
+) -> Touches<R, N> {
+    if R::LANES == 1 && R::EPSILON <= f64::EPSILON {
+        return test.touches(one, two);
+    }
+    let mut out = [empty::<R>(); N];
+    let mut exists = [[false; MOST_LANES]; N];
+    for lane in 0..R::LANES {
+        let (p1, p2) = (pose(one.pose, lane), pose(two.pose, lane));
+        let touches = test.touches(&one.at(&p1), &two.at(&p2));
+        for (slot, touch) in touches.iter().enumerate() {
+            exists[slot][lane] = touch.exists;
+            let to = &mut out[slot];
+            to.dist.set_lane(lane, touch.dist);
+            to.feature.set_lane(lane, touch.feature);
+            for i in 0..3 {
+                to.pos[i].set_lane(lane, touch.pos[i]);
+                to.normal[i].set_lane(lane, touch.normal[i]);
+            }
+        }
+    }
+    for (to, exists) in out.iter_mut().zip(exists) {
+        to.exists = R::Mask::from_lanes(|lane| exists[lane]);
+    }
+    out
+}
+
+/// Room for the lanes of any number.
+const MOST_LANES: usize = 64;
+
+/// A slot without a contact. Its numbers are finite, so that they may be computed with.
+pub fn empty<R: Real>() -> Touch<R> {
+    Touch {
+        dist: R::one(),
+        pos: V3::zeros(),
+        normal: V3::x(),
+        exists: R::Mask::of(false),
+        feature: R::zero(),
+    }
+}
+
+/// One lane of a pose.
+fn pose<R: Real>(pose: &Pose<R>, lane: usize) -> Pose<f64> {
+    Pose {
+        pos: V3::new(pose.pos.x.lane(lane), pose.pos.y.lane(lane), pose.pos.z.lane(lane)),
+        rot: M3::from_fn(|i, k| pose.rot[(i, k)].lane(lane)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::real::Lanes;
+
+    /// Two touches of numbers that show which lane they came from.
+    struct Both;
+
+    impl OneWorld<2> for Both {
+        fn touches<R: Real>(&self, one: &Shape<R>, two: &Shape<R>) -> Touches<R, 2> {
+            let dist = two.pose.pos.x - one.pose.pos.x;
+            let there = dist.lane(0) > 2.0;
+            let touch = Touch { dist, exists: R::Mask::of(there), ..empty() };
+            [touch, Touch { feature: R::of(7.0), pos: one.pose.pos, ..touch }]
+        }
+    }
+
+    fn at<R: Real>(x: impl Fn(usize) -> f64) -> Pose<R> {
+        let mut pose = Pose { pos: V3::zeros(), rot: M3::identity() };
+        (0..R::LANES).for_each(|lane| pose.pos.x.set_lane(lane, x(lane)));
+        pose
+    }
+
+    #[test]
+    fn every_lane_is_its_own_world() {
+        let (one, two) = (at::<Lanes>(|k| k as f64), at(|k| 2.5 * k as f64));
+        let size = [1.0; 3];
+        let shape = |pose| Shape { pose, size: &size };
+        let [first, second] = by_lane(&Both, &shape(&one), &shape(&two));
+        for lane in 0..Lanes::LANES {
+            assert_eq!(first.dist.lane(lane), 1.5 * lane as f64);
+            assert_eq!(second.pos.x.lane(lane), lane as f64);
+            assert_eq!(second.feature.lane(lane), 7.0);
+            assert_eq!(first.exists.lane(lane), 1.5 * lane as f64 > 2.0);
+        }
+    }
+}
