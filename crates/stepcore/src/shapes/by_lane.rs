@@ -87,7 +87,7 @@ mod tests {
     }
 
     fn at<R: Real>(x: impl Fn(usize) -> f64) -> Pose<R> {
-        let mut pose = Pose { pos: V3::zeros(), rot: M3::identity() };
+        let mut pose: Pose<R> = Pose { pos: V3::zeros(), rot: M3::identity() };
         (0..R::LANES).for_each(|lane| pose.pos.x.set_lane(lane, x(lane)));
         pose
     }
