@@ -94,7 +94,7 @@ impl<R: Real> Tangents<R> {
 }
 
 /// Newton's limit for the two scalar equations here; four or five are usual.
-const STEPS: usize = 40;
+pub(super) const STEPS: usize = 40;
 
 /// The quadratic ½ λᵀQλ on a round cone, prepared for many right-hand sides.
 ///
@@ -229,7 +229,7 @@ impl<R: Real> Convex<R> {
 }
 
 /// Cosine, sine and tangent of the rotation that makes [[p, o], [o, q]] diagonal.
-fn rotation<R: Real>(p: R, o: R, q: R) -> (R, R, R) {
+pub(super) fn rotation<R: Real>(p: R, o: R, q: R) -> (R, R, R) {
     let zero = R::zero();
     let theta = (q - p) / (o + o);
     let t = R::one() / (theta.abs() + (R::one() + theta * theta).sqrt());

@@ -19,8 +19,10 @@ mod pgs;
 mod residual;
 mod rows;
 mod solver;
+mod square;
 #[cfg(test)]
 mod tests;
+mod wide;
 
 pub(crate) use derivative::Differentiated;
 pub(crate) use direct::Choice;

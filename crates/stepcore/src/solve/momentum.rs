@@ -22,7 +22,7 @@
 //! Two blocks' order follows from their ranks alone, so that a lane's does not
 //! depend on which other blocks its neighbours have.
 
-use super::cone::project_round;
+use super::cone::project_some;
 use super::dot::dot;
 use super::rows::{Row, Rows, Set, CONE};
 use crate::real::{Mask, Real};
@@ -372,7 +372,7 @@ impl<R: Real> Momentum<R> {
             for (i, (old, p)) in old.clone().enumerate() {
                 free[i] = *old + along(tau, p);
             }
-            let ends = free.into_iter().zip(project_round(block.mu, free));
+            let ends = free.into_iter().zip(project_some(block.mu, free, block.rows.len));
             for (((row, x), (old, _)), (free, new)) in rows.zip(out).zip(old).zip(ends) {
                 *x = landing.at(row, *old, free, new);
             }

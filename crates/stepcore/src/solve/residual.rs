@@ -4,9 +4,9 @@
 //! s = A + c, one a cone (its largest). δ vanishes exactly at a solution. The
 //! scalar is max |δ|√(A/m), a speed for linear and angular rows alike.
 
-use super::cone::{norm, project_box, project_round};
+use super::cone::{across, project_box, project_box_wide, project_round};
 use super::dot::dot;
-use super::rows::{Block, Row, Rows, Set, CONE};
+use super::rows::{Block, Row, Rows, Set, CONE, NARROW};
 use crate::real::{Mask, Real};
 
 impl<R: Real> Rows<R> {
@@ -33,15 +33,31 @@ impl<R: Real> Rows<R> {
             }
             return;
         }
-        let (mut w, mut impulse, mut s) = ([R::zero(); CONE], [R::zero(); CONE], R::zero());
+        if block.rows.len <= NARROW {
+            self.cone_map::<NARROW>(dof_lists, block, project_box, each);
+        } else {
+            self.cone_map::<CONE>(dof_lists, block, project_box_wide, each);
+        }
+    }
+
+    fn cone_map<const N: usize>(
+        &self,
+        dof_lists: &[usize],
+        block: &Block<R>,
+        project_box: impl Fn(R, [R; N]) -> [R; N],
+        mut each: impl FnMut(usize, R, R),
+    ) {
+        let range = block.rows.range();
+        let rows = &self.rows[range.clone()];
+        let (mut w, mut impulse, mut s) = ([R::zero(); N], [R::zero(); N], R::zero());
         for (i, row) in rows.iter().enumerate() {
             w[i] = self.slack(dof_lists, row);
             impulse[i] = row.impulse;
             s = s.max(row.a + row.c);
         }
         w[0] += match block.set {
-            Set::CoulombRound => block.mu * norm(w[1], w[2]),
-            Set::CoulombBox => block.mu * (w[1].abs() + w[2].abs()),
+            Set::CoulombRound => block.mu * across(&w),
+            Set::CoulombBox => block.mu * w[1..].iter().fold(R::zero(), |sum, w| sum + w.abs()),
             Set::Convex | Set::Interval => R::zero(),
         };
         let inv = s.recip_or_zero();

@@ -65,16 +65,19 @@ pub enum Part {
     End,
 }
 
-/// The most rows of a block that is a cone: the normal and two tangents. Blocks of intervals
-/// may have any number.
-pub(crate) const CONE: usize = 3;
+/// The most rows of a block that is a cone: the normal, two tangents, torsion and two ways of
+/// rolling. Blocks of intervals may have any number.
+pub(crate) const CONE: usize = 6;
+/// A cone of no more rows (normal and tangents) is solved by formulas of its own.
+pub(crate) const NARROW: usize = 3;
 
 /// The law that ties a block's impulses to its residual velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Set {
     /// Each row by itself: λ in [lo, hi].
     Interval,
-    /// Row 0 is the normal. λ ∈ K, w ∈ K*, λ·w = 0 with the round cone |λ_t| ≤ μ λ_n.
+    /// Row 0 is the normal. λ ∈ K, w ∈ K*, λ·w = 0 with the round cone |λ_t| ≤ μ λ_n. Rows whose
+    /// coefficient is another come in a measure in which it is μ: see `elements/friction.rs`.
     Convex,
     /// Row 0 is the normal. λ ∈ K, w + (μ|w_t|, 0, 0) ∈ K*, complementary; round cone.
     CoulombRound,
@@ -102,6 +105,17 @@ pub struct Block<R: Real> {
     pub island: usize,
     /// The slot's place among those of its island: see `Model::ranks`.
     pub rank: u32,
+}
+
+impl<R: Real> Block<R> {
+    /// Entries of its curvature: of intervals one a row, of a cone a row each.
+    pub(super) fn curves(&self) -> usize {
+        if self.set == Set::Interval {
+            self.rows.len
+        } else {
+            self.rows.len * self.rows.len
+        }
+    }
 }
 
 /// A contact's push without a row, which the guess has taken: see `elements/penalty.rs`.

@@ -6,6 +6,7 @@ mod few;
 mod lanes;
 mod newton;
 mod wide;
+mod wide_cones;
 
 use super::limits::Limits;
 use super::pgs::Pgs;

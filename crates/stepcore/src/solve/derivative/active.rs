@@ -3,18 +3,21 @@
 //! - An interval row strictly within its bounds moves by itself and keeps w = 0; at a bound
 //!   it stays there.
 //! - A cone without impulse stays so. Strictly inside, every row moves and keeps w = 0.
-//! - On the surface λ = n (1, μe), |e| = 1. It moves out, along (1, μe), and round, along
+//! - On the surface λ = n (1, μe), |e| = 1. It moves out, along (1, μe), and round, along each
 //!   (0, e⊥), where e turns by dθ and the impulse by dφ = μn·dθ. Round, e⊥·w_t = 0 is kept,
 //!   and turning e changes that by −(e·w_t) dθ. Out, a convex cone keeps w_n + μ e·w_t = 0 and
 //!   a Coulomb cone w_n = 0: friction follows the normal, whatever that does to the normal.
 //! - A tangent of a box at its bound ±μn follows the normal, and one within keeps w = 0.
 
+use super::super::cone::across;
 use super::super::dot::dot;
 use super::super::rows::{Block, Rows, Set, CONE};
 use crate::real::{Dual, WAYS};
 
 /// The surface of a cone is met up to this many roundings.
 const ON_SURFACE: f64 = 8.0;
+
+const NORMAL: [f64; CONE] = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
 /// A free direction of one block.
 #[derive(Clone, Copy, Debug)]
@@ -37,7 +40,7 @@ impl Direction {
     }
 
     fn single(row: usize) -> Self {
-        Self::new(row, 1, [1.0, 0.0, 0.0], [1.0, 0.0, 0.0])
+        Self::new(row, 1, NORMAL, NORMAL)
     }
 
     pub fn rows(&self) -> std::ops::Range<usize> {
@@ -55,6 +58,23 @@ impl Direction {
         }
         sum
     }
+}
+
+/// The ways across e in a block of so many rows: of two tangents e turned by a quarter, of more
+/// the other columns of the reflection that takes e to an axis.
+fn rounds(e: &[f64; CONE], len: usize) -> impl Iterator<Item = [f64; CONE]> {
+    let large = (1..len).fold(1, |large, i| if e[i].abs() > e[large].abs() { i } else { large });
+    let mut u = *e;
+    u[0] = 0.0;
+    u[large] += 1.0f64.copysign(e[large]);
+    let per_size = 1.0 / (1.0 + e[large].abs());
+    let quarter = [0.0, -e[2], e[1], 0.0, 0.0, 0.0];
+    (1..len).filter(move |way| if len == 3 { *way == 1 } else { *way != large }).map(move |way| {
+        if len == 3 {
+            return quarter;
+        }
+        core::array::from_fn(|i| f64::from(u8::from(i == way)) - u[way] * u[i] * per_size)
+    })
 }
 
 /// Sᵀ(A + C)P + B, from rows that hold a solution.
@@ -98,38 +118,49 @@ impl<'a> Matrix<'a> {
             out.extend(free.map(|(_, at)| Direction::single(at)));
             return;
         }
-        let impulse = |i: usize| own.get(i).map_or(0.0, |row| row.impulse);
-        let (n, x, y) = (impulse(0), impulse(1), impulse(2));
+        let mut impulse = [0.0; CONE];
+        impulse.iter_mut().zip(own).for_each(|(impulse, row)| *impulse = row.impulse);
+        let n = impulse[0];
         if n <= 0.0 {
             return;
         }
-        let (mu, bound, normal) = (block.mu, block.mu * n, [1.0, 0.0, 0.0]);
+        let (mu, bound, normal) = (block.mu, block.mu * n, NORMAL);
         if block.set == Set::CoulombBox {
             let mut along = Direction::new(range.start, own.len(), normal, normal);
             for i in 1..own.len() {
-                if impulse(i).abs() < bound {
+                if impulse[i].abs() < bound {
                     out.push(Direction::single(range.start + i));
                 } else {
-                    along.push[i] = mu.copysign(impulse(i));
+                    along.push[i] = mu.copysign(impulse[i]);
                 }
             }
             out.push(along);
             return;
         }
-        let length = (x * x + y * y).sqrt();
+        let length = across(&impulse);
         if length < bound * (1.0 - ON_SURFACE * f64::EPSILON) {
             out.extend(range.map(Direction::single));
             return;
         }
-        let e = if length > 0.0 { [x / length, y / length] } else { [1.0, 0.0] };
-        let along = [1.0, mu * e[0], mu * e[1]];
+        // The way of friction; the first entry is not part of it.
+        let mut e = impulse.map(|x| if length > 0.0 { x / length } else { 0.0 });
+        if length <= 0.0 {
+            e[1] = 1.0;
+        }
+        let mut along = e.map(|e| mu * e);
+        along[0] = 1.0;
         let test = if block.set == Set::Convex { along } else { normal };
         out.push(Direction::new(range.start, own.len(), along, test));
-        if own.len() == CONE && bound > 0.0 {
-            let round = [0.0, -e[1], e[0]];
-            let slack = |i: usize| self.rows.slack(self.dof_lists, &own[i]);
-            let bend = (-(e[0] * slack(1) + e[1] * slack(2))).max(0.0) / bound;
-            out.push(Direction { bend, ..Direction::new(range.start, CONE, round, round) });
+        if own.len() < 3 || bound <= 0.0 {
+            return;
+        }
+        let mut slack = 0.0;
+        for (row, e) in own.iter().zip(e).skip(1) {
+            slack += e * self.rows.slack(self.dof_lists, row);
+        }
+        let bend = (-slack).max(0.0) / bound;
+        for round in rounds(&e, own.len()) {
+            out.push(Direction { bend, ..Direction::new(range.start, own.len(), round, round) });
         }
     }
 

@@ -3,6 +3,7 @@
 //! solution has a derivative to each side, unless what the row asks does not change at all, as
 //! that of a row that repeats others.
 
+use super::super::cone::across;
 use super::super::rows::{Block, Row, Rows, Set, CONE};
 use crate::elements::Element;
 use crate::real::{Dual, WAYS};
@@ -80,14 +81,17 @@ fn of_cone(
         impulse[i] = row.impulse;
     }
     let (mu, bound, convex) = (block.mu, block.mu * impulse[0], block.set == Set::Convex);
-    let (slip, slight) = (w[1].hypot(w[2]), nearly[1].max(nearly[2]));
+    let most = |x: &[f64; CONE]| x[1..].iter().copied().fold(0.0, f64::max);
+    let (slip, slight) = (across(&w), most(&nearly));
     if impulse[0] <= close[0] {
         let tilt = if convex { mu } else { 0.0 };
         if w[0] - tilt * slip > nearly[0] + tilt * slight {
             return;
         }
         if slip > slight {
-            add([1.0, -tilt * w[1] / slip, -tilt * w[2] / slip], unit(0));
+            let mut out = w.map(|w| -tilt * w / slip);
+            out[0] = 1.0;
+            add(out, unit(0));
         } else {
             let asked = if tilt > 0.0 { own.len() } else { 1 };
             (0..asked).for_each(|i| add(unit(i), unit(0)));
@@ -105,11 +109,14 @@ fn of_cone(
         }
         return;
     }
-    let length = impulse[1].hypot(impulse[2]);
-    let end = bound - close[1].max(close[2]) - mu * close[0];
+    let length = across(&impulse);
+    let end = bound - most(&close) - mu * close[0];
     if length > 0.0 && length >= end && slip <= slight {
-        let e = [impulse[1] / length, impulse[2] / length];
-        add([0.0, e[0], e[1]], [-mu, e[0], e[1]]);
+        let mut e = impulse.map(|x| x / length);
+        e[0] = 0.0;
+        let mut push = e;
+        push[0] = -mu;
+        add(e, push);
     }
 }
 

@@ -4,11 +4,12 @@ use super::hessian::Pattern;
 use super::penalty::interval;
 use super::system::{padded, System};
 use crate::real::{Count, Mask, Real};
-use crate::solve::cone::project_round;
+use crate::solve::cone::project_some;
 use crate::solve::dot::dot;
 use crate::solve::islands::row_count;
 use crate::solve::limits::{Limits, Report};
-use crate::solve::rows::{Rows, Set, CONE};
+use crate::solve::rows::{Rows, Set, CONE, NARROW};
+use std::ops::Range;
 
 /// A step this many roundings long is rounding.
 const ROUNDING: f64 = 4.0;
@@ -110,31 +111,34 @@ impl<R: Real> System<R> {
     /// step = −H⁻¹ g.
     fn direction(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
         self.hessian.reset(pattern, &self.d);
-        let mut at = 0;
+        let mut start = 0;
         for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
             let len = pattern.list(b).len();
+            let curves = start..start + block.curves();
+            start = curves.end;
+            let curves = &self.curve[curves];
             let own = &rows.rows[block.rows.range()];
             let y = |i: usize| &rows.y[own[i].y..own[i].y + len];
             for i in 0..own.len() {
-                let curve = self.curve[at + i];
                 if block.set == Set::Interval {
-                    if curve[0].gt(R::zero()).any() {
+                    let curve = curves[i];
+                    if curve.gt(R::zero()).any() {
                         let y = y(i);
-                        self.hessian.add(pattern, b, y, |j| curve[0] * y[j], block.mask);
+                        self.hessian.add(pattern, b, y, |j| curve * y[j], block.mask);
                     }
                     continue;
                 }
                 self.bent.clear();
                 self.bent.resize(len, R::zero());
-                for j in 0..own.len() {
+                let curve = &curves[i * own.len()..][..own.len()];
+                for (j, curve) in curve.iter().enumerate() {
                     for (bent, y) in self.bent.iter_mut().zip(y(j)) {
-                        *bent += curve[j] * *y;
+                        *bent += *curve * *y;
                     }
                 }
                 let bent = &self.bent;
                 self.hessian.add(pattern, b, y(i), |j| bent[j], block.mask);
             }
-            at += own.len();
         }
         self.hessian.factor(pattern);
         for (p, g) in self.step.iter_mut().zip(&self.gradient) {
@@ -210,13 +214,35 @@ impl<R: Real> System<R> {
                 }
                 continue;
             }
-            let (w, v) = (padded(&self.w[range.clone()]), padded(&self.rate[range]));
-            let (impulse, bend) = self.cones[b].law(core::array::from_fn(|i| w[i] + alpha * v[i]));
-            for i in 0..CONE {
-                slope = R::select(block.mask, slope - impulse[i] * v[i], slope);
-                let bent = bend[i][0] * v[0] + bend[i][1] * v[1] + bend[i][2] * v[2];
-                curve = R::select(block.mask, curve + bent * v[i], curve);
+            let now = (slope, curve);
+            (slope, curve) = if own.len() <= NARROW {
+                self.bend_cone_at::<NARROW>(b, range, alpha, now, block.mask)
+            } else {
+                self.bend_cone_at::<CONE>(b, range, alpha, now, block.mask)
+            };
+        }
+        (slope, curve)
+    }
+
+    /// Adds a cone's part to slope and curvature.
+    fn bend_cone_at<const N: usize>(
+        &self,
+        cone: usize,
+        own: Range<usize>,
+        alpha: R,
+        (mut slope, mut curve): (R, R),
+        mask: R::Mask,
+    ) -> (R, R) {
+        let (w, v): ([R; N], [R; N]) = (padded(&self.w[own.clone()]), padded(&self.rate[own]));
+        let (impulse, bend) =
+            self.cones[cone].law::<N>(core::array::from_fn(|i| w[i] + alpha * v[i]));
+        for i in 0..N {
+            slope = R::select(mask, slope - impulse[i] * v[i], slope);
+            let mut bent = bend[i][0] * v[0];
+            for j in 1..N {
+                bent += bend[i][j] * v[j];
             }
+            curve = R::select(mask, curve + bent * v[i], curve);
         }
         (slope, curve)
     }
@@ -276,24 +302,27 @@ impl<R: Real> System<R> {
 
     /// A row at a bound stays there: rounding/c must not flip it out of its zone.
     fn stay_in_zones(&mut self, blocks: &[usize], rows: &Rows<R>) {
-        let mut at = 0;
+        let (mut at, mut start) = (0, 0);
         for block in blocks.iter().map(|b| &rows.blocks[*b]) {
-            for _ in block.rows.range() {
-                if block.set == Set::Interval {
-                    let active = self.curve[at][0].gt(R::zero());
-                    let free = -self.w[at] * self.inv_c[at];
-                    self.impulse[at] = R::select(active, free, self.rate[at]);
+            if block.set == Set::Interval {
+                for i in 0..block.rows.len {
+                    let active = self.curve[start + i].gt(R::zero());
+                    let free = -self.w[at + i] * self.inv_c[at + i];
+                    self.impulse[at + i] = R::select(active, free, self.rate[at + i]);
                 }
-                at += 1;
             }
+            at += block.rows.len;
+            start += block.curves();
         }
     }
 
     /// λ + e − s″ y·δ, within the sets.
     fn refine(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
-        let mut at = 0;
+        let (mut at, mut start) = (0, 0);
         for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
             let list = pattern.list(b);
+            let curves = &self.curve[start..start + block.curves()];
+            start += curves.len();
             let mask = block.mask.and(self.fresh);
             let first = at;
             let own = &rows.rows[block.rows.range()];
@@ -301,7 +330,7 @@ impl<R: Real> System<R> {
             for (i, row) in own.iter().enumerate() {
                 let along = dot(list, &rows.y[row.y..row.y + list.len()], &self.step);
                 if block.set == Set::Interval {
-                    let new = self.impulse[at] + (self.rate[at] - self.curve[at][0] * along);
+                    let new = self.impulse[at] + (self.rate[at] - curves[i] * along);
                     self.impulse[at] = R::select(mask, new.clamp(row.lo, row.hi), self.impulse[at]);
                 } else {
                     v[i] = along;
@@ -312,12 +341,14 @@ impl<R: Real> System<R> {
                 continue;
             }
             let mut new = padded(&self.impulse[first..at]);
-            for i in 0..own.len() {
-                let curve = self.curve[first + i];
-                let bent = curve[0] * v[0] + curve[1] * v[1] + curve[2] * v[2];
+            for (i, curve) in curves.chunks_exact(own.len()).enumerate() {
+                let mut bent = curve[0] * v[0];
+                for (curve, v) in curve.iter().zip(&v).skip(1) {
+                    bent += *curve * *v;
+                }
                 new[i] += self.rate[first + i] - bent;
             }
-            let new = project_round(block.mu, new);
+            let new = project_some(block.mu, new, own.len());
             for (x, new) in self.impulse[first..at].iter_mut().zip(new) {
                 *x = R::select(mask, new, *x);
             }

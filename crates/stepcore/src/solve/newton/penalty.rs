@@ -9,7 +9,7 @@
 //! but not quadratic.
 
 use crate::real::{Mask, Real};
-use crate::solve::cone::{norm, project_round};
+use crate::solve::cone::{across, project_round};
 use crate::solve::rows::Row;
 
 /// −w/c within the bounds, and its curvature.
@@ -38,35 +38,37 @@ impl<R: Real> Cone<R> {
     }
 
     /// λ, and λ's derivative against −w.
-    pub fn law(&self, w: [R; 3]) -> ([R; 3], [[R; 3]; 3]) {
+    #[inline(always)]
+    pub fn law<const N: usize>(&self, w: [R; N]) -> ([R; N], [[R; N]; N]) {
         let (zero, one) = (R::zero(), R::one());
         let m = self.slope;
-        let a = [-w[0], -self.k * w[1], -self.k * w[2]];
-        let length = norm(a[1], a[2]);
+        let a: [R; N] = core::array::from_fn(|i| if i == 0 { -w[0] } else { -self.k * w[i] });
+        let length = across(&a);
         let q = project_round(m, a);
         let inside = length.le(m * a[0]);
         let outside = (m * length).le(-a[0]).and(inside.not());
         // Between: q_n = (a_n + m|a_t|)/(1 + m²), q_t = m q_n e.
         let inv = length.recip_or_zero();
-        let e = [a[1] * inv, a[2] * inv];
+        let e: [R; N] = a.map(|a| a * inv);
         let first = one / (one + m * m);
         let turn = m * q[0] * inv;
-        let mut b = [[zero; 3]; 3];
+        let mut b = [[zero; N]; N];
         b[0][0] = first;
-        for i in 0..2 {
-            b[0][i + 1] = first * m * e[i];
-            b[i + 1][0] = b[0][i + 1];
-            for j in 0..2 {
+        for i in 1..N {
+            b[0][i] = first * m * e[i];
+            b[i][0] = b[0][i];
+            for j in 1..N {
                 let own = first * m * m * e[i] * e[j];
                 let across = if i == j { turn - turn * e[i] * e[j] } else { -turn * e[i] * e[j] };
-                b[i + 1][j + 1] = own + across;
+                b[i][j] = own + across;
             }
         }
-        let scale = [one, self.k, self.k];
-        let mut impulse = [zero; 3];
-        for i in 0..3 {
+        let mut scale = [self.k; N];
+        scale[0] = one;
+        let mut impulse = [zero; N];
+        for i in 0..N {
             impulse[i] = q[i] * scale[i] * self.inv_c;
-            for j in 0..3 {
+            for j in 0..N {
                 let unit = if i == j { one } else { zero };
                 let curve = R::select(inside, unit, R::select(outside, zero, b[i][j]));
                 b[i][j] = curve * scale[i] * scale[j] * self.inv_c;
@@ -80,6 +82,7 @@ impl<R: Real> Cone<R> {
 mod tests {
     use super::*;
     use crate::model::Span;
+    use crate::solve::cone::norm;
     use crate::solve::tests::{close, Random};
 
     fn row(c: f64) -> Row<f64> {

@@ -5,7 +5,8 @@ use super::penalty::{interval, Cone};
 use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::solve::dot::dot;
-use crate::solve::rows::{Rows, Set, CONE};
+use crate::solve::rows::{Rows, Set, CONE, NARROW};
+use std::ops::Range;
 
 /// What the method holds of an island. "By row" counts the rows of the blocks at
 /// hand one after another; "by dof" is local, as in `Pattern::dofs`.
@@ -16,8 +17,9 @@ pub(super) struct System<R: Real> {
     pub(super) w: Vec<R>,
     pub(super) rate: Vec<R>,
     pub(super) impulse: Vec<R>,
-    /// By row: its row of the block's curvature s″; an interval uses the first entry.
-    pub(super) curve: Vec<[R; CONE]>,
+    /// By row: its row of the block's curvature s″, as long as the block has rows; of an interval
+    /// one number.
+    pub(super) curve: Vec<R>,
     /// By block; only convex cones use theirs.
     pub(super) cones: Vec<Cone<R>>,
     /// By dof.
@@ -93,12 +95,13 @@ impl<R: Real> System<R> {
                 .push(Cone::new(if block.set == Set::Interval { &[] } else { own }, block.mu));
         }
         let count = self.inv_c.len();
+        let entries: usize = blocks.iter().map(|b| rows.blocks[*b].curves()).sum();
         for list in [&mut self.w, &mut self.rate, &mut self.impulse] {
             list.clear();
             list.resize(count, R::zero());
         }
         self.curve.clear();
-        self.curve.resize(count, [R::zero(); CONE]);
+        self.curve.resize(entries, R::zero());
         for list in [&mut self.gradient, &mut self.step] {
             list.clear();
             list.resize(pattern.dofs.len(), R::zero());
@@ -144,10 +147,12 @@ impl<R: Real> System<R> {
         bend: R::Mask,
     ) -> (R::Mask, R) {
         let (mut changed, mut scale) = (R::Mask::of(false), R::zero());
-        let mut at = 0;
+        let (mut at, mut start) = (0, 0);
         for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
             let list = pattern.list(b);
             let first = at;
+            let curves = start..start + block.curves();
+            start = curves.end;
             let bend = bend.and(block.mask);
             let own = &rows.rows[block.rows.range()];
             for row in own {
@@ -157,32 +162,51 @@ impl<R: Real> System<R> {
                 scale = R::select(block.mask, energy, scale);
                 if block.set == Set::Interval {
                     let (impulse, curve) = interval(row, self.inv_c[at], self.w[at]);
-                    let old = self.curve[at][0];
+                    let bent = curves.start + at - first;
+                    let old = self.curve[bent];
                     // At a bound the impulse is constant: another one is the other bound.
                     let jump = impulse - self.impulse[at];
                     let slides = curve.gt(R::zero()).or(jump.abs().le(R::zero()));
                     let same = curve.le(old).and(curve.ge(old)).and(slides);
                     self.impulse[at] = impulse;
                     changed = changed.or(bend.and(same.not()));
-                    self.curve[at][0] = R::select(bend, curve, old);
+                    self.curve[bent] = R::select(bend, curve, old);
                 }
                 at += 1;
             }
             if block.set == Set::Interval {
                 continue;
             }
-            let (impulse, curve) = self.cones[b].law(padded(&self.w[first..at]));
-            for i in 0..own.len() {
-                self.impulse[first + i] = impulse[i];
-                for j in 0..CONE {
-                    let old = self.curve[first + i][j];
-                    changed =
-                        changed.or(bend.and(curve[i][j].le(old).and(curve[i][j].ge(old)).not()));
-                    self.curve[first + i][j] = R::select(bend, curve[i][j], old);
-                }
-            }
+            let new = if own.len() <= NARROW {
+                self.bend_cone::<NARROW>(b, first..at, curves, bend)
+            } else {
+                self.bend_cone::<CONE>(b, first..at, curves, bend)
+            };
+            changed = changed.or(new);
         }
         (changed, scale)
+    }
+
+    /// The impulses of a cone's rows at their w, and in lanes of `bend` their curvature; the lanes
+    /// where that changed.
+    fn bend_cone<const N: usize>(
+        &mut self,
+        cone: usize,
+        own: Range<usize>,
+        curves: Range<usize>,
+        bend: R::Mask,
+    ) -> R::Mask {
+        let mut changed = R::Mask::of(false);
+        let (impulse, curve) = self.cones[cone].law::<N>(padded(&self.w[own.clone()]));
+        let len = own.len();
+        self.impulse[own].copy_from_slice(&impulse[..len]);
+        for (row, new) in self.curve[curves].chunks_exact_mut(len).zip(&curve) {
+            for (old, new) in row.iter_mut().zip(new) {
+                changed = changed.or(bend.and(new.le(*old).and(new.ge(*old)).not()));
+                *old = R::select(bend, *new, *old);
+            }
+        }
+        changed
     }
 
     /// out += sign · Σ y x, x by row.
@@ -209,7 +233,7 @@ impl<R: Real> System<R> {
 }
 
 /// A cone's numbers, 0 for the rows that it does not have.
-pub(super) fn padded<R: Real>(x: &[R]) -> [R; CONE] {
-    assert!(x.len() <= CONE);
+pub(super) fn padded<R: Real, const N: usize>(x: &[R]) -> [R; N] {
+    assert!(x.len() <= N);
     core::array::from_fn(|i| x.get(i).copied().unwrap_or_else(R::zero))
 }

@@ -2,7 +2,8 @@
 
 use super::super::dot::dot;
 use super::super::exact::{Convex, Tangents};
-use super::super::rows::{Block, Row, Rows, Set, CONE};
+use super::super::rows::{Block, Row, Rows, Set, CONE, NARROW};
+use super::super::wide::Wide;
 use crate::real::{Mask, Real};
 use crate::room::room;
 
@@ -12,6 +13,8 @@ enum Cone<R: Real> {
     None,
     Convex(Convex<R>),
     Coulomb(Tangents<R>),
+    /// More ways than two tangents: its place in `Sweeps::wide`.
+    Wide(usize),
 }
 
 /// What sweeps need of the rows at hand, beside them.
@@ -22,13 +25,14 @@ pub(in super::super) struct Sweeps<R: Real> {
     pub weight: Vec<R>,
     /// By block.
     cones: Vec<Cone<R>>,
+    wide: Vec<Wide<R>>,
 }
 
-room!(Sweeps<R>: z, weight, cones;);
+room!(Sweeps<R>: z, weight, cones, wide;);
 
 impl<R: Real> Sweeps<R> {
     pub fn new() -> Self {
-        Self { z: Vec::new(), weight: Vec::new(), cones: Vec::new() }
+        Self { z: Vec::new(), weight: Vec::new(), cones: Vec::new(), wide: Vec::new() }
     }
 
     /// For these rows; `weigh`: changes will be judged.
@@ -45,6 +49,7 @@ impl<R: Real> Sweeps<R> {
         self.weight.clear();
         self.weight.resize(rows.rows.len(), R::zero());
         self.cones.clear();
+        self.wide.clear();
         for block in &rows.blocks {
             if weigh {
                 let per_mass = R::of(1.0 / block.mass);
@@ -52,11 +57,12 @@ impl<R: Real> Sweeps<R> {
                     self.weight[at] = (rows.rows[at].a * per_mass).sqrt();
                 }
             }
-            self.cones.push(self.cone(dof_lists, rows, block));
+            let cone = self.cone(dof_lists, rows, block);
+            self.cones.push(cone);
         }
     }
 
-    fn cone(&self, dof_lists: &[usize], rows: &Rows<R>, block: &Block<R>) -> Cone<R> {
+    fn cone(&mut self, dof_lists: &[usize], rows: &Rows<R>, block: &Block<R>) -> Cone<R> {
         if block.set == Set::Interval {
             return Cone::None;
         }
@@ -71,6 +77,24 @@ impl<R: Real> Sweeps<R> {
             }
             _ => R::zero(),
         };
+        if own.len() > NARROW {
+            let convex = block.set == Set::Convex;
+            let whole = |i: usize, j: usize| {
+                // A normal is solved by itself under Coulomb's law.
+                let apart = !convex && (i == 0 || j == 0);
+                let missing = i == j && i >= own.len();
+                match own.last() {
+                    // Something positive, which meets zeros only.
+                    Some(last) if missing && convex => last.a + last.c,
+                    _ if apart => R::zero(),
+                    _ => entry(i, j),
+                }
+            };
+            let q = core::array::from_fn(|i| core::array::from_fn(|j| whole(i, j)));
+            let wide = if convex { Wide::convex(q, block.mu) } else { Wide::coulomb(q, block.mu) };
+            self.wide.push(wide);
+            return Cone::Wide(self.wide.len() - 1);
+        }
         if block.set == Set::Convex {
             let mut q =
                 [entry(0, 0), entry(1, 0), entry(1, 1), entry(2, 0), entry(2, 1), entry(2, 2)];
@@ -116,6 +140,17 @@ impl<R: Real> Sweeps<R> {
                 }
                 Cone::Convex(cone) => {
                     let change = sweep.convex(own, cone);
+                    for (change, weight) in change.iter().zip(weight) {
+                        largest = largest.max(change.abs() * *weight);
+                    }
+                }
+                Cone::Wide(at) => {
+                    let cone = &self.wide[*at];
+                    let change = if block.set == Set::Convex {
+                        sweep.convex_wide(own, cone)
+                    } else {
+                        sweep.coulomb_wide(own, block, cone)
+                    };
                     for (change, weight) in change.iter().zip(weight) {
                         largest = largest.max(change.abs() * *weight);
                     }
@@ -184,9 +219,9 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         change
     }
 
-    fn convex(&mut self, own: &mut [Row<R>], cone: &Convex<R>) -> [R; CONE] {
+    fn convex(&mut self, own: &mut [Row<R>], cone: &Convex<R>) -> [R; NARROW] {
         let q = &cone.q;
-        let (mut w, mut impulse) = ([R::zero(); CONE], [R::zero(); CONE]);
+        let (mut w, mut impulse) = ([R::zero(); NARROW], [R::zero(); NARROW]);
         for (i, row) in own.iter().enumerate() {
             w[i] = -self.short(row);
             impulse[i] = row.impulse;
@@ -198,7 +233,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
             *b -= q[0] * impulse[0] + q[1] * impulse[1] + q[2] * impulse[2];
         }
         let solution = cone.solve(b, self.mask);
-        let mut change = [R::zero(); CONE];
+        let mut change = [R::zero(); NARROW];
         for (i, row) in own.iter_mut().enumerate() {
             change[i] = self.set(row, solution[i]);
         }
@@ -214,9 +249,14 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
     }
 
     /// The normal as an interval, then the tangents within its friction bound.
-    fn coulomb(&mut self, own: &mut [Row<R>], block: &Block<R>, plane: &Tangents<R>) -> [R; CONE] {
+    fn coulomb(
+        &mut self,
+        own: &mut [Row<R>],
+        block: &Block<R>,
+        plane: &Tangents<R>,
+    ) -> [R; NARROW] {
         let q = &plane.q;
-        let mut change = [R::zero(); CONE];
+        let mut change = [R::zero(); NARROW];
         let Some((normal, tangents)) = own.split_first_mut() else { return change };
         let impulse = (normal.impulse + self.short(normal) * normal.inv_s).max(R::zero());
         change[0] = self.set(normal, impulse);
@@ -236,4 +276,57 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         }
         change
     }
+
+    /// As `convex`, of all six rows.
+    fn convex_wide(&mut self, own: &mut [Row<R>], cone: &Wide<R>) -> [R; CONE] {
+        let (mut w, mut impulse) = ([R::zero(); CONE], [R::zero(); CONE]);
+        for (i, row) in own.iter().enumerate() {
+            w[i] = -self.short(row);
+            impulse[i] = row.impulse;
+        }
+        let b = less(&w, cone, &impulse, 0);
+        let solution = cone.solve(b, self.mask);
+        let mut change = [R::zero(); CONE];
+        for (i, row) in own.iter_mut().enumerate() {
+            change[i] = self.set(row, solution[i]);
+        }
+        if GAIN {
+            let half = change.map(|x| R::of(-0.5) * x);
+            let slope = less(&w, cone, &half, 0);
+            let gain = change.iter().zip(slope).fold(self.gain, |gain, (x, w)| gain + *x * w);
+            self.gain = R::select(self.mask, gain, self.gain);
+        }
+        change
+    }
+
+    /// As `coulomb`, of all six rows.
+    fn coulomb_wide(&mut self, own: &mut [Row<R>], block: &Block<R>, cone: &Wide<R>) -> [R; CONE] {
+        let mut change = [R::zero(); CONE];
+        let Some((normal, ways)) = own.split_first_mut() else { return change };
+        let impulse = (normal.impulse + self.short(normal) * normal.inv_s).max(R::zero());
+        change[0] = self.set(normal, impulse);
+        let (mut w, mut x) = ([R::zero(); CONE], [R::zero(); CONE]);
+        for (i, row) in ways.iter().enumerate() {
+            w[i + 1] = -self.short(row);
+            x[i + 1] = row.impulse;
+        }
+        let g = less(&w, cone, &x, 1);
+        let bound = block.mu * normal.impulse;
+        let x = match block.set {
+            Set::CoulombBox => cone.square(&g, bound, &x, self.mask),
+            _ => cone.ball(g, bound, self.mask),
+        };
+        for (i, row) in ways.iter_mut().enumerate() {
+            change[i + 1] = self.set(row, x[i + 1]);
+        }
+        change
+    }
+}
+
+/// w − Qλ: the gradient at zero impulse of the block.
+fn less<R: Real>(w: &[R; CONE], cone: &Wide<R>, x: &[R; CONE], first: usize) -> [R; CONE] {
+    core::array::from_fn(|i| {
+        let terms = cone.q[i].iter().zip(x).skip(first);
+        terms.fold(w[i], |w, (q, x)| w - *q * *x)
+    })
 }

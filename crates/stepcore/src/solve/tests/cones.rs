@@ -47,7 +47,7 @@ fn a_convex_block_is_the_minimum() {
         // The same to rounding: the natural map.
         let w: [f64; 3] =
             core::array::from_fn(|i| b[i] + (0..3).map(|j| q[i][j] * got[j]).sum::<f64>());
-        let back = project_round(mu, core::array::from_fn(|i| got[i] - w[i]));
+        let back: [f64; 3] = project_round(mu, core::array::from_fn(|i| got[i] - w[i]));
         for i in 0..3 {
             close(got[i], back[i], 1e-13 * (1.0 + got[0]));
         }
@@ -69,7 +69,7 @@ fn a_convex_block_at_the_seams() {
         ] {
             let x = convex.solve(b, true);
             let w = [b[0] + x[0], b[1] + 1e-3 * x[1], b[2] + 1e-3 * x[2]];
-            let back = project_round(mu, core::array::from_fn(|i| x[i] - w[i]));
+            let back: [f64; 3] = project_round(mu, core::array::from_fn(|i| x[i] - w[i]));
             for i in 0..3 {
                 close(x[i], back[i], 1e-12 * (1.0 + mu));
             }

@@ -1,5 +1,6 @@
 //! Slopes of solved rows against central differences of the solution, degenerate rows included.
 
+use super::wide_cones::wide_contacts;
 use super::{contacts, Problem, Random, INF};
 use crate::real::{Dual, Mask, Real};
 use crate::settings::{Acceleration, Law, Settings, Solver, Sweeps};
@@ -171,6 +172,20 @@ fn newton_and_convex_cones() {
 fn sweeps_and_convex_cones() {
     let settings = settings(Solver::Pgs, Law::SolRef);
     check(&settings, |case, random| degenerate(Set::Convex, 0.03, case, random));
+}
+
+/// Torsion and rolling: a surface has more ways round.
+#[test]
+fn wide_cones() {
+    for (solver, law, set) in [
+        (Solver::Newton, Law::SolRef, Set::Convex),
+        (Solver::Pgs, Law::SolRef, Set::Convex),
+        (Solver::Pgs, Law::Lesson, Set::CoulombRound),
+        (Solver::Pgs, Law::Lesson, Set::CoulombBox),
+    ] {
+        let settings = settings(solver, law);
+        check(&settings, |case, random| wide_contacts(set, 1 + case % 3, 0.03, random));
+    }
 }
 
 /// Coulomb's laws, whose friction pushes no row out of its own block here: what solves them need

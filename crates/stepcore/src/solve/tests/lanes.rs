@@ -2,6 +2,7 @@
 
 use super::few::intervals;
 use super::newton::mixed;
+use super::wide_cones::wide_contacts;
 use super::{contacts, pack, Problem, Random, INF};
 use crate::model::Span;
 use crate::real::{Lanes, Real, WIDTH};
@@ -106,6 +107,26 @@ fn under_pgs() {
             compare(&base, by, &mut random, |_, _| true);
             compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
             compare(&base, by, &mut random, |b, lane| b == lane);
+        }
+    }
+}
+
+#[test]
+fn with_torsion_and_rolling() {
+    let mut random = Random::new(12);
+    for set in [Set::Convex, Set::CoulombRound, Set::CoulombBox] {
+        let base = wide_contacts(set, 3, 0.1, &mut random);
+        let cases = [(300, 1e-6, false), (3, 0.0, false), (300, 1e-6, true), (9, 0.0, true)];
+        let convex = set == Set::Convex;
+        for (sweeps, tolerance, momentum) in cases.into_iter().filter(|c| convex || !c.2) {
+            let limits = Limits { sweeps, tolerance, momentum, exact: false, rounding: false };
+            for by in [By::Pgs(limits), By::Newton(limits)] {
+                if matches!(by, By::Pgs(_)) || convex && !momentum {
+                    compare(&base, by, &mut random, |_, _| true);
+                    compare(&base, by, &mut random, |b, lane| (b + lane) % 4 != 1);
+                    compare(&base, by, &mut random, |b, lane| b == lane);
+                }
+            }
         }
     }
 }
