@@ -1,12 +1,15 @@
 //! Stage 2, detect: every place where shapes touch or are about to.
 //!
 //! Candidate pairs were chosen when the model was compiled; here each is tested
-//! by its bounding spheres (where the law asks for near pairs only) and then exactly.
-//! Contacts come out in pair order,
+//! by its bounding spheres, which a law on the guess fattens by the way of the step
+//! (`swept.rs`), and then exactly. Contacts come out in pair order,
 //! whatever the lanes hold, so that row order never depends on anything else.
 
 pub(crate) mod frame;
 pub(crate) mod path;
+mod swept;
+#[cfg(test)]
+mod tests;
 
 pub use frame::tangents;
 
@@ -21,6 +24,7 @@ use crate::scene::GeomType;
 use crate::settings::Settings;
 use crate::shapes::{self, Shape, Touch};
 use crate::spatial::{Pose, V3};
+use swept::Swept;
 
 /// One contact between the two geoms of a pair.
 #[derive(Clone, Debug)]
@@ -47,13 +51,23 @@ pub struct Detected<R: Real> {
     pub contacts: Vec<Contact<R>>,
     /// How often the list had to grow: 0 in a run with enough `max_contacts`.
     pub grown: u64,
+    swept: Swept<R>,
+    /// Every pair is tested exactly, however far apart.
+    #[cfg(test)]
+    pub(crate) exhaustive: bool,
 }
 
-room!(Detected<R>: contacts;);
+room!(Detected<R>: contacts; swept);
 
 impl<R: Real> Detected<R> {
     pub fn new(max_contacts: usize) -> Self {
-        Self { contacts: Vec::with_capacity(max_contacts), grown: 0 }
+        Self {
+            contacts: Vec::with_capacity(max_contacts),
+            grown: 0,
+            swept: Swept::new(),
+            #[cfg(test)]
+            exhaustive: false,
+        }
     }
 
     /// Lists the contacts of the present positions.
@@ -62,11 +76,19 @@ impl<R: Real> Detected<R> {
         if !(model.features.contact && model.features.constraint) {
             return;
         }
-        // Laws that look at the guess need every distance; the row maker drops what stays apart.
+        // Laws that look at the guess need every distance that it may close; the row maker drops
+        // what stays apart.
         let on_guess = settings.law.on_guess();
+        if on_guess {
+            self.swept.sweep(model, placed, settings.dt);
+        }
         let skips = !on_guess && !beyond(model, qpos);
         for (index, pair) in model.pairs.iter().enumerate() {
-            if skips && pair.apart || !on_guess && far(model, placed, pair) {
+            let more = on_guess.then(|| self.swept.of(pair));
+            let far = skips && pair.apart || far(model, placed, pair, more);
+            #[cfg(test)]
+            let far = far && !self.exhaustive;
+            if far {
                 continue;
             }
             let material = model.material(pair);
@@ -138,19 +160,31 @@ pub(crate) fn distance(model: &Model, placed: &Placed<f64>, pair: &Pair) -> f64 
     least
 }
 
-/// No lane can have a contact: the bounding spheres are apart.
-fn far<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair) -> bool {
+/// No lane can have a contact: the bounding spheres are apart, by `more` than that where the law
+/// looks at the guess, and else by more than the distance at which contacts are listed.
+#[inline(always)]
+fn far<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair, more: Option<R>) -> bool {
     let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
     let (p1, p2) = (&placed.geom[pair.geom1], &placed.geom[pair.geom2]);
-    let material = model.material(pair);
-    let listed = material.margin + material.gap;
+    let listed = || {
+        let material = model.material(pair);
+        material.margin + material.gap
+    };
     let between = p2.pos - p1.pos;
     if g1.kind == GeomType::Plane {
         let height = between.x * p1.rot.m13 + between.y * p1.rot.m23 + between.z * p1.rot.m33;
-        return height.gt(R::of(g2.reach + listed)).all();
+        let reach = more.map_or_else(|| R::of(g2.reach + listed()), |more| R::of(g2.reach) + more);
+        return height.gt(reach).all();
     }
-    let reach = g1.reach + g2.reach + listed;
-    between.dot(&between).gt(R::of(reach * reach)).all()
+    let reach = g1.reach + g2.reach;
+    let reach = match more {
+        None => R::of((reach + listed()) * (reach + listed())),
+        Some(more) => {
+            let reach = R::of(reach) + more;
+            reach * reach
+        }
+    };
+    between.dot(&between).gt(reach).all()
 }
 
 /// The exact test of one pair: `take(part, touch)` gets what is in each of its slots.
