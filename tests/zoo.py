@@ -35,6 +35,8 @@ FLOOR = '<geom name="floor" type="plane" size="3 3 .1"/>'
 # Weighs, never collides.
 INERT = 'contype="0" conaffinity="0"'
 # Box against capsule is not built: boxes meet only what carries their bit, the spheres.
+# What carries these bits meets the ground that carries these, and not its like.
+ALOOF, GROUND = 'contype="1" conaffinity="2"', 'contype="2" conaffinity="1"'
 BOXES, MEETS_BOXES = 'contype="2" conaffinity="2"', 'contype="3" conaffinity="3"'
 
 ZOO: dict[str, Entry] = {}
@@ -278,6 +280,36 @@ _add(
     + _mover("-.38 -.38 .19", 'type="sphere" size=".05" friction=".2"'),
     CONTACT,
     spread=0.03,
+)
+
+_add(
+    "plane_ellipsoid",
+    f'<geom type="plane" size="2 2 .1" euler="5 -8 0" {GROUND}/>'
+    + _mover("0 0 .1", f'type="ellipsoid" size=".1 .06 .14" euler="80 30 10" {ALOOF}')
+    + _mover(".4 0 .08", f'type="ellipsoid" size=".2 .15 .02" friction=".3" {ALOOF}')
+    + _mover("-.4 .1 .1", f'type="ellipsoid" size=".1 .1 .1" pos=".02 0 0" {ALOOF}'),
+    CONTACT,
+    spread=0.05,
+)
+_add(
+    "plane_cylinder",
+    f'<geom type="plane" size="2 2 .1" euler="5 -8 0" {GROUND}/>'
+    + _mover("0 0 .14", f'type="cylinder" size=".1 .15" {ALOOF}')
+    + _mover(".4 0 .06", f'type="cylinder" size=".07 .2" euler="88 10 0" {ALOOF}')
+    + _mover("-.4 .1 .1", f'type="cylinder" size=".1 .01" euler="40 20 0" condim="1" {ALOOF}'),
+    CONTACT,
+    spread=0.05,
+)
+_add(
+    "plane_box",
+    f'<geom type="plane" size="2 2 .1" euler="5 -8 0" {GROUND}/>'
+    + _mover("0 0 .1", f'type="box" size=".15 .1 .1" {ALOOF}')
+    + _mover(".5 0 .06", f'type="box" size=".02 .2 .06" euler="30 10 0" friction=".3" {ALOOF}')
+    + _mover("-.5 .1 .2", f'type="box" size=".1 .2 .08" euler="40 70 10" condim="1" {ALOOF}')
+    + '<body pos="0 .5 .1"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>'
+    f'<joint axis="0 1 0"/><geom type="box" size=".1 .1 .1" {ALOOF}/></body>',
+    CONTACT,
+    spread=0.05,
 )
 
 # --- what a contact's numbers are mixed from ----------------------------------------------------

@@ -26,10 +26,11 @@ def refused(kind="sphere", more="", after=""):
 
 
 def test_a_pair_that_is_not_built_names_both_places():
-    says = refused("box")
+    block = "<body>\n<geom name='block' type='box' size='1 1 1'/></body>"
+    says = refused("ellipsoid", 'name="foot"', block)
     assert says.startswith(
-        "robot.xml:2: geom 'floor' and geom 1 of body 'leg' (robot.xml:5) can meet, "
-        "but plane against box is not built yet"
+        "robot.xml:5: geom 'foot' and geom 'block' (robot.xml:8) can meet, "
+        "but ellipsoid against box is not built yet"
     )
 
 
@@ -40,7 +41,7 @@ def test_every_kind_of_refusal_has_its_line():
     twice = "<body name='arm'><joint/>\n<joint/>\n<geom size='.1'/></body>"
     assert refused(after=twice).startswith("robot.xml:7: joint 1 of body 'arm'")
     nameless = "<body>\n<freejoint/><geom type='box' size='1 1 1'/></body>"
-    assert "geom 2 of body 2 (robot.xml:8) can meet" in refused(after=nameless)
+    assert "geom 2 of body 2 (robot.xml:8) can meet" in refused("ellipsoid", after=nameless)
 
 
 def test_a_place_survives_copies_and_later_edits():
@@ -56,7 +57,7 @@ def test_a_place_survives_copies_and_later_edits():
 
 def test_a_scene_without_a_file_names_bodies():
     scene = sc.Scene()
-    scene.add_geom("world", "plane")
+    scene.add_geom("world", "ellipsoid", (1, 1, 2))
     box = scene.add_body("box", pos=(0, 0, 1))
     scene.add_joint(box, "free")
     scene.add_geom(box, "box", (0.1, 0.1, 0.1))

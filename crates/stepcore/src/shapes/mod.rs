@@ -63,6 +63,9 @@ pub fn meet<R: Real>(
     match test {
         ShapeTest::PlaneSphere => all(&plane::plane_sphere(p1, p2, s2.x)),
         ShapeTest::PlaneCapsule => all(&plane::plane_capsule(p1, p2, s2.x, s2.y)),
+        ShapeTest::PlaneEllipsoid => all(&plane::plane_ellipsoid(p1, p2, s2)),
+        ShapeTest::PlaneCylinder => all(&plane::plane_cylinder(p1, p2, s2.x, s2.y)),
+        ShapeTest::PlaneBox => all(&plane::plane_box(p1, p2, s2)),
         ShapeTest::SphereSphere => all(&sphere::sphere_sphere(p1, s1.x, p2, s2.x)),
         ShapeTest::SphereCapsule => all(&sphere::sphere_capsule(p1, s1.x, p2, s2.x, s2.y)),
         ShapeTest::SphereBox => all(&sphere::sphere_box(p1, s1.x, p2, s2)),

@@ -1,10 +1,12 @@
-//! A plane against a sphere or a capsule.
+//! A plane against a sphere, a capsule, an ellipsoid, a cylinder or a box.
 //!
-//! The plane is infinite, its normal the z axis of its pose. The sphere's height
-//! above it gives the contact; a capsule is tested as the two balls at its ends,
-//! each in a slot of its own, so that one lying flat rests on both.
+//! The plane is infinite, its normal the z axis of its pose. The height of a shape's points above
+//! it gives the contacts: of a sphere and an ellipsoid the lowest point; of a capsule the balls at
+//! both ends, so that one lying flat rests on both; of a box the four corners below its centre; of
+//! a cylinder the lowest point of either rim and two more points of the lower one, so that it can
+//! stand. Points, and the order of them, are MuJoCo's.
 
-use super::touch::{Touch, Touches};
+use super::touch::{select3, unit, Touch, Touches};
 use crate::real::{Mask, Real};
 use crate::spatial::{Pose, V3};
 
@@ -33,4 +35,114 @@ fn plane_ball<R: Real>(plane: &Pose<R>, centre: &V3<R>, radius: R) -> Touch<R> {
     let dist = normal.dot(&(centre - plane.pos)) - radius;
     let pos = centre - normal * (radius + R::of(0.5) * dist);
     Touch { dist, pos, normal, exists: R::Mask::of(true), feature: R::zero() }
+}
+
+/// `half` holds the half axes. With h the ellipsoid's support along the normal n, in its own axes
+/// h = |(aₖnₖ)|, the lowest point is −(aₖ²nₖ)/h.
+pub fn plane_ellipsoid<R: Real>(
+    plane: &Pose<R>,
+    ellipsoid: &Pose<R>,
+    half: V3<R>,
+) -> Touches<R, 1> {
+    let normal = plane.axis(2);
+    let stretched = ellipsoid.to_local(&normal).component_mul(&half);
+    let support = stretched.dot(&stretched).sqrt();
+    let lowest = ellipsoid.to_world(&(stretched.component_mul(&half) * (-R::one() / support)));
+    let dist = normal.dot(&(ellipsoid.pos - plane.pos)) - support;
+    let pos = ellipsoid.pos + lowest - normal * (R::of(0.5) * dist);
+    [Touch { dist, pos, normal, exists: R::Mask::of(true), feature: R::zero() }]
+}
+
+/// A corner of a box, seen from its centre.
+#[derive(Clone, Copy)]
+struct Corner<R: Real> {
+    /// Its number: bit k is set where its coordinate k is positive.
+    index: R,
+    /// Above the centre, along the plane's normal.
+    height: R,
+    at: V3<R>,
+}
+
+impl<R: Real> Corner<R> {
+    #[inline(always)]
+    fn or_else(&self, mask: R::Mask, other: &Self) -> Self {
+        Self {
+            index: R::select(mask, self.index, other.index),
+            height: R::select(mask, self.height, other.height),
+            at: select3(mask, &self.at, &other.at),
+        }
+    }
+}
+
+/// Comparisons that put four in order.
+const ORDER: [(usize, usize); 5] = [(0, 1), (2, 3), (0, 2), (1, 3), (1, 2)];
+
+/// The lower corner of each of the four diagonals, in the order of the corners' numbers, which are
+/// the features. `half` holds the box's half lengths.
+pub fn plane_box<R: Real>(plane: &Pose<R>, cuboid: &Pose<R>, half: V3<R>) -> Touches<R, 4> {
+    let normal = plane.axis(2);
+    let centre = normal.dot(&(cuboid.pos - plane.pos));
+    let [x, y, z] = [0, 1, 2].map(|k| cuboid.axis(k) * half[k]);
+    let [up_x, up_y, up_z] = [&x, &y, &z].map(|edge| normal.dot(edge));
+    let mut corners = [0, 1, 2, 3].map(|k| {
+        let sign = |bit: usize| if k & bit != 0 { R::one() } else { -R::one() };
+        let height = up_x * sign(1) + up_y * sign(2) - up_z;
+        let at = x * sign(1) + y * sign(2) - z;
+        let one = Corner { index: R::of(k as f64), height, at };
+        let opposite = Corner { index: R::of((7 - k) as f64), height: -height, at: -at };
+        one.or_else(height.le(R::zero()), &opposite)
+    });
+    for (i, j) in ORDER {
+        let (a, b) = (corners[i], corners[j]);
+        let right = a.index.lt(b.index);
+        corners[i] = a.or_else(right, &b);
+        corners[j] = b.or_else(right, &a);
+    }
+    corners.map(|corner| {
+        let dist = centre + corner.height;
+        let pos = cuboid.pos + corner.at - normal * (R::of(0.5) * dist);
+        Touch { dist, pos, normal, exists: R::Mask::of(true), feature: corner.index }
+    })
+}
+
+/// Sine of an angle that is only rounding.
+const NO_ANGLE: f64 = 1e-15;
+
+/// Slot 0 is the lowest point of the lower rim and slot 1 that of the upper; slots 2 and 3 make the
+/// first an equilateral triangle on the lower rim. Of a cylinder that stands upright the first lies
+/// along its own x axis. `half` is half its height.
+pub fn plane_cylinder<R: Real>(
+    plane: &Pose<R>,
+    cylinder: &Pose<R>,
+    radius: R,
+    half: R,
+) -> Touches<R, 4> {
+    let (normal, axis) = (plane.axis(2), cylinder.axis(2));
+    let rise = normal.dot(&axis);
+    let down = select3(rise.gt(R::zero()), &-axis, &axis);
+    let out = downhill(cylinder, &(axis * rise - normal));
+    let low = out * radius;
+    // Across the lowest point and the axis: √3/2 of the radius, a third of a turn to either side.
+    let side = out.cross(&down) * (radius * R::of(0.75).sqrt());
+    let (end, third) = (down * half, low * R::of(-0.5));
+    let points = [end + low, low - end, end + third + side, end + third - side];
+    let mut slot = -R::one();
+    points.map(|point| {
+        let dist = normal.dot(&(cylinder.pos - plane.pos)) + normal.dot(&point);
+        let pos = cylinder.pos + point - normal * (R::of(0.5) * dist);
+        slot += R::one();
+        Touch { dist, pos, normal, exists: R::Mask::of(true), feature: slot }
+    })
+}
+
+/// The unit vector along `raw`, which lies across the cylinder's axis but for rounding; where
+/// nothing but rounding is left of it, the cylinder's x axis.
+#[inline(always)]
+fn downhill<R: Real>(cylinder: &Pose<R>, raw: &V3<R>) -> V3<R> {
+    let axis = cylinder.axis(2);
+    let once = unit(raw);
+    let twice = once - axis * axis.dot(&once);
+    let tiny = R::of(f64::max(NO_ANGLE, 4.0 * R::EPSILON));
+    let clear = raw.dot(raw).ge(tiny * tiny).and(twice.dot(&twice).ge(R::of(0.5)));
+    select3(clear, &unit(&twice), &cylinder.axis(0))
 }

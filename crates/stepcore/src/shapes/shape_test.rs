@@ -7,6 +7,9 @@ use crate::scene::GeomType;
 pub enum ShapeTest {
     PlaneSphere,
     PlaneCapsule,
+    PlaneEllipsoid,
+    PlaneCylinder,
+    PlaneBox,
     SphereSphere,
     SphereCapsule,
     SphereBox,
@@ -17,6 +20,9 @@ pub enum ShapeTest {
 const TESTS: &[(GeomType, GeomType, ShapeTest)] = &[
     (GeomType::Plane, GeomType::Sphere, ShapeTest::PlaneSphere),
     (GeomType::Plane, GeomType::Capsule, ShapeTest::PlaneCapsule),
+    (GeomType::Plane, GeomType::Ellipsoid, ShapeTest::PlaneEllipsoid),
+    (GeomType::Plane, GeomType::Cylinder, ShapeTest::PlaneCylinder),
+    (GeomType::Plane, GeomType::Box, ShapeTest::PlaneBox),
     (GeomType::Sphere, GeomType::Sphere, ShapeTest::SphereSphere),
     (GeomType::Sphere, GeomType::Capsule, ShapeTest::SphereCapsule),
     (GeomType::Sphere, GeomType::Box, ShapeTest::SphereBox),
@@ -38,8 +44,13 @@ impl ShapeTest {
     /// The most contacts of such a pair: its slots.
     pub fn most_touches(self) -> usize {
         match self {
-            Self::PlaneSphere | Self::SphereSphere | Self::SphereCapsule | Self::SphereBox => 1,
+            Self::PlaneSphere
+            | Self::PlaneEllipsoid
+            | Self::SphereSphere
+            | Self::SphereCapsule
+            | Self::SphereBox => 1,
             Self::PlaneCapsule | Self::CapsuleCapsule => 2,
+            Self::PlaneCylinder | Self::PlaneBox => 4,
         }
     }
 
@@ -50,6 +61,13 @@ impl ShapeTest {
 
     /// The normal turns while one shape moves past the other.
     pub fn curved(self) -> bool {
-        !matches!(self, Self::PlaneSphere | Self::PlaneCapsule)
+        !matches!(
+            self,
+            Self::PlaneSphere
+                | Self::PlaneCapsule
+                | Self::PlaneEllipsoid
+                | Self::PlaneCylinder
+                | Self::PlaneBox
+        )
     }
 }

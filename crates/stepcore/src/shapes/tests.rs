@@ -2,7 +2,7 @@
 //! numbers of MuJoCo 4.0.0 where its choice is one of several.
 
 use super::capsule::capsule_capsule;
-use super::plane::{plane_capsule, plane_sphere};
+use super::plane::{plane_box, plane_capsule, plane_cylinder, plane_ellipsoid, plane_sphere};
 use super::sphere::{sphere_box, sphere_capsule, sphere_sphere};
 use super::touch::Touch;
 use crate::detect::tangents;
@@ -16,19 +16,34 @@ type Size = [f64; 3];
 enum Pair {
     PlaneSphere,
     PlaneCapsule,
+    PlaneEllipsoid,
+    PlaneCylinder,
+    PlaneBox,
     SphereSphere,
     SphereCapsule,
     SphereBox,
     CapsuleCapsule,
 }
 use Pair::*;
-const PAIRS: [Pair; 6] =
-    [PlaneSphere, PlaneCapsule, SphereSphere, SphereCapsule, SphereBox, CapsuleCapsule];
+const PAIRS: [Pair; 9] = [
+    PlaneSphere,
+    PlaneCapsule,
+    PlaneEllipsoid,
+    PlaneCylinder,
+    PlaneBox,
+    SphereSphere,
+    SphereCapsule,
+    SphereBox,
+    CapsuleCapsule,
+];
 
 fn touch<R: Real>(pair: Pair, a: &Pose<R>, sa: [R; 3], b: &Pose<R>, sb: [R; 3]) -> Vec<Touch<R>> {
     match pair {
         PlaneSphere => plane_sphere(a, b, sb[0]).to_vec(),
         PlaneCapsule => plane_capsule(a, b, sb[0], sb[1]).to_vec(),
+        PlaneEllipsoid => plane_ellipsoid(a, b, sb.into()).to_vec(),
+        PlaneCylinder => plane_cylinder(a, b, sb[0], sb[1]).to_vec(),
+        PlaneBox => plane_box(a, b, sb.into()).to_vec(),
         SphereSphere => sphere_sphere(a, sa[0], b, sb[0]).to_vec(),
         SphereCapsule => sphere_capsule(a, sa[0], b, sb[0], sb[1]).to_vec(),
         SphereBox => sphere_box(a, sa[0], b, sb.into()).to_vec(),
@@ -44,6 +59,7 @@ fn numbers<R: Real>(pair: Pair, b: &Pose<R>, touches: &[Touch<R>], lane: usize) 
         let (y, z) = tangents(&touch.normal, (pair == PlaneCapsule).then_some(&axis));
         out.push(f64::from(touch.exists.lane(lane)));
         out.push(touch.dist.lane(lane));
+        out.push(touch.feature.lane(lane));
         for v in [touch.pos, touch.normal, y, z] {
             out.extend(v.iter().map(|x| x.lane(lane)));
         }
@@ -221,6 +237,73 @@ fn closed_forms() {
     close(&inside, 0, -0.5, [0.0, 0.0, 0.25], [0.0, 0.0, -1.0]);
     let middle = sphere_box(&ground, 0.5, &ground, Vector3::new(1.0, 1.0, 1.0));
     close(&middle, 0, -1.5, [-0.25, 0.0, 0.0], [1.0, 0.0, 0.0]);
+}
+
+#[test]
+fn closed_forms_on_a_plane() {
+    let (ground, z) = (at(0.0, 0.0, 0.0), [0.0, 0.0, 1.0]);
+    let half = Vector3::new(1.0, 0.75, 0.5);
+    let mut turned = at(0.0, 0.0, 1.0);
+    close(&plane_ellipsoid(&ground, &turned, half), 0, 0.5, [0.0, 0.0, 0.25], z);
+    let lower = plane_box(&ground, &turned, half);
+    for (k, (x, y)) in [(-1.0, -0.75), (1.0, -0.75), (-1.0, 0.75), (1.0, 0.75)].iter().enumerate() {
+        close(&lower, k, 0.5, [*x, *y, 0.25], z);
+        assert_eq!(lower[k].feature, k as f64);
+    }
+    // Standing on its upper end, a cylinder rests on the corners of a triangle; lying, on two.
+    turned.rot = Matrix3::from_columns(&[Vector3::x(), -Vector3::y(), -Vector3::z()]);
+    let stands = plane_cylinder(&ground, &turned, 1.0, 0.5);
+    let side = 0.75_f64.sqrt();
+    for (k, dist, x, y) in [(0, 0.5, 1.0, 0.0), (1, 1.5, 1.0, 0.0), (2, 0.5, -0.5, side)] {
+        close(&stands, k, dist, [x, y, 0.5 * dist], z);
+    }
+    close(&stands, 3, 0.5, [-0.5, -side, 0.25], z);
+    turned.rot = Matrix3::from_columns(&[Vector3::y(), Vector3::z(), Vector3::x()]);
+    let lies = plane_cylinder(&ground, &turned, 1.0, 0.5);
+    close(&lies, 0, 0.0, [0.5, 0.0, 0.0], z);
+    close(&lies, 1, 0.0, [-0.5, 0.0, 0.0], z);
+    close(&lies, 2, 1.5, [0.5, -side, 0.75], z);
+}
+
+#[test]
+fn the_lowest_point_on_a_plane_is_the_nearest_of_all() {
+    let mut random = Random(6);
+    for _ in 0..300 {
+        let (plane, _, body, size) = random.scene(0);
+        let normal = plane.axis(2);
+        let height = |at: Vector3<f64>| normal.dot(&(body.pos + body.rot * at - plane.pos));
+        let least = |pair| {
+            let touches = touch(pair, &plane, size, &body, size);
+            touches.iter().map(|touch| touch.dist).fold(f64::INFINITY, f64::min)
+        };
+        let mut lowest = [f64::INFINITY; 3];
+        for i in 0..200 {
+            let around = 2.0 * std::f64::consts::PI * f64::from(i) / 200.0;
+            let (s, c) = around.sin_cos();
+            for end in [-size[1], size[1]] {
+                let rim = Vector3::new(size[0] * c, size[0] * s, end);
+                lowest[0] = lowest[0].min(height(rim));
+            }
+            for k in 0..=100 {
+                let (s2, c2) = (0.01 * f64::from(k) * std::f64::consts::PI).sin_cos();
+                let skin = Vector3::new(size[0] * c * s2, size[1] * s * s2, size[2] * c2);
+                lowest[1] = lowest[1].min(height(skin));
+            }
+        }
+        for k in 0..8 {
+            let sign = |bit: usize| if k & bit == 0 { -1.0 } else { 1.0 };
+            let corner = Vector3::new(sign(1) * size[0], sign(2) * size[1], sign(4) * size[2]);
+            lowest[2] = lowest[2].min(height(corner));
+        }
+        for (pair, sampled, coarse) in [
+            (PlaneCylinder, lowest[0], 3e-4),
+            (PlaneEllipsoid, lowest[1], 3e-4),
+            (PlaneBox, lowest[2], 0.0),
+        ] {
+            let off = sampled - least(pair);
+            assert!(off > -1e-12 && off < coarse + 1e-12, "{pair:?}: {off}");
+        }
+    }
 }
 
 #[test]
