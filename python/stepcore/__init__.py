@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from stepcore.engine.sim import Energy as Energy
     from stepcore.engine.sim import Momentum as Momentum
     from stepcore.engine.sim import Sim as Sim
+    from stepcore.engine.touches import Touches as Touches
     from stepcore.engine.trajectory import Trajectory as Trajectory
     from stepcore.engine.unsolved import UnsolvedWarning as UnsolvedWarning
     from stepcore.engine.views import BodyView as BodyView
@@ -114,6 +115,7 @@ _MODULES = {
         "Momentum",
         "Sim",
     ),
+    "stepcore.engine.touches": ("Touches",),
     "stepcore.engine.trajectory": ("Trajectory",),
     "stepcore.engine.unsolved": ("UnsolvedWarning",),
     "stepcore.engine.views": (

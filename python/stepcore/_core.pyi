@@ -205,6 +205,11 @@ class Model:
     def element_force(self, kind: str, ctrl: _Floats, qpos: _Floats, qvel: _Floats) -> _Floats:
         """Force of all springs, dampers or actuators on the dofs at n states, shape (n, nv)."""
 
+    def touches(
+        self, geom1: int, geom2: int, qpos: _Floats, numbers: str
+    ) -> tuple[NDArray[np.bool_], _Floats, _Floats, _Floats, _Floats]:
+        """exists, dist, pos, normal and feature of two geoms' contacts at positions (n, nq)."""
+
     def tables(self) -> dict[str, _Floats]: ...
     def addresses(self) -> dict[str, list[int]]: ...
     def joint_types(self) -> list[str]: ...

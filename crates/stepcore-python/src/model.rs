@@ -8,6 +8,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use stepcore::elements::{joint_forces, Kind};
 use stepcore::model::Model as Engine;
+use stepcore::real::Lanes;
 use stepcore::scene::{JointType, Scene};
 
 use crate::element::read;
@@ -120,6 +121,39 @@ impl Model {
             return Err(PyValueError::new_err(format!("kind = '{}': {limit}", cut(kind))));
         };
         result(py, forces, &[n, m.nv])
+    }
+
+    /// Contacts of two geoms at positions qpos (n, nq), in numbers of type "f64", "f32" or "lanes":
+    /// exists and feature (n, slots), dist (n, slots), pos and normal (n, slots, 3).
+    fn touches<'py>(
+        &self,
+        py: Python<'py>,
+        geom1: usize,
+        geom2: usize,
+        qpos: PyReadonlyArray2<'py, f64>,
+        numbers: &str,
+    ) -> PyResult<[Bound<'py, PyAny>; 5]> {
+        let (m, n) = (&self.0, qpos.shape()[0]);
+        if qpos.shape()[1] != m.nq || geom1.max(geom2) >= m.geoms.len() {
+            let limit = format!("shape (n, {}) and geoms below {}", m.nq, m.geoms.len());
+            return Err(PyValueError::new_err(format!("qpos, geom1, geom2: must be of {limit}")));
+        }
+        let qpos: Vec<f64> = qpos.as_array().iter().copied().collect();
+        let found = crate::gil::release(py, || match numbers {
+            "f64" => m.touches::<f64>(geom1, geom2, n, &qpos),
+            "f32" => m.touches::<f32>(geom1, geom2, n, &qpos),
+            _ => m.touches::<Lanes>(geom1, geom2, n, &qpos),
+        })?;
+        let shape = [n, found.slots];
+        let wide = [n, found.slots, 3];
+        let flat = |vectors: Vec<[f64; 3]>| vectors.into_iter().flatten().collect();
+        Ok([
+            PyArray1::from_vec(py, found.exists).reshape(shape)?.into_any(),
+            result(py, found.dist, &shape)?.into_any(),
+            result(py, flat(found.pos), &wide)?.into_any(),
+            result(py, flat(found.normal), &wide)?.into_any(),
+            result(py, found.feature, &shape)?.into_any(),
+        ])
     }
 
     /// Numbers by name, each an array whose first axis is the element.

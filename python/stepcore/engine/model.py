@@ -10,12 +10,15 @@ import threading
 import zlib
 from collections import OrderedDict
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
+
+from numpy.typing import ArrayLike
 
 from stepcore import _core, checks
 from stepcore._core import Settings
 from stepcore.engine.file_lines import with_file_lines
 from stepcore.engine.model_data import ModelData
+from stepcore.engine.touches import Touches, touches
 from stepcore.scene.layout import Layout
 from stepcore.scene.value_paths import changed
 
@@ -74,6 +77,40 @@ class Model(ModelData):
         from stepcore.engine.plan import planned
 
         return planned(self, sim, time)
+
+    def touches(
+        self,
+        geom1: int | str,
+        geom2: int | str,
+        qpos: ArrayLike,
+        *,
+        precision: Literal["f64", "f32"] = "f64",
+        lanes: bool = False,
+    ) -> Touches:
+        """Returns where two geoms touch, and how far apart they are, at given positions.
+
+        It is the test that a step makes of these two geoms, at every pose asked for and at any
+        distance: nothing is stepped, and margins and exclusions do not count.
+
+        geom1, geom2: names or indices. The normal points from `geom1` to `geom2`.
+        qpos: shape (…, nq), such as (nq,) for one pose or (n, nq) for many.
+        precision: the numbers of the computation, as in `Settings`.
+        lanes: computes eight poses at a time, as a `Batch` does; the same bits.
+
+        Raises ValueError for an unknown name, for a pair of shapes that is not built, and for a
+        qpos that is not finite or has another shape.
+
+        >>> import stepcore as sc
+        >>> scene = sc.Scene()
+        >>> ball = scene.add_body("ball")
+        >>> _ = scene.add_joint(ball, "slide", axis=(0, 0, 1))
+        >>> _ = scene.add_geom(ball, "sphere", 0.5, name="ball", mass=1.0)
+        >>> _ = scene.add_geom(scene.world, "plane", (0, 0, 1), name="floor")
+        >>> touches = scene.compile().touches("floor", "ball", [[0.4], [2.0]])
+        >>> touches.dist[:, 0].round(12).tolist()
+        [-0.1, 1.5]
+        """
+        return touches(self, geom1, geom2, qpos, precision, lanes)
 
     # Copies.
 

@@ -10,8 +10,10 @@ pub(crate) mod path;
 mod swept;
 #[cfg(test)]
 mod tests;
+mod touches;
 
 pub use frame::tangents;
+pub use touches::PosedTouches;
 
 use frame::hint;
 

@@ -1,0 +1,74 @@
+"""`Touches`: where two geoms touch at given positions; `Model.touches` makes it."""
+
+from __future__ import annotations
+
+import operator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stepcore import checks
+from stepcore.engine.arrays import Floats
+from stepcore.engine.model_data import ModelData
+
+
+class Touches(NamedTuple):
+    """Contacts of two geoms, by pose and then by slot.
+
+    exists: whether the slot has a contact there, at whatever distance, shape (…, slots). Where it
+        has none, the other entries mean nothing.
+    dist: signed distance [m], negative = overlap, shape (…, slots).
+    pos: halfway between the surfaces [m], shape (…, slots, 3).
+    normal: unit vector from the first geom to the second, shape (…, slots, 3).
+    feature: a whole number that names what touches (a corner, a pair of edges) and keeps its
+        meaning from pose to pose, shape (…, slots).
+    """
+
+    exists: NDArray[np.bool_]
+    dist: Floats
+    pos: Floats
+    normal: Floats
+    feature: Floats
+
+
+def touches(
+    model: ModelData,
+    geom1: int | str,
+    geom2: int | str,
+    qpos: ArrayLike,
+    precision: str,
+    lanes: bool,
+) -> Touches:
+    """The contacts of two geoms: see `Model.touches`."""
+    first, second = _geom(model, "geom1", geom1), _geom(model, "geom2", geom2)
+    positions = np.asarray(qpos, dtype=float)
+    if positions.ndim == 0 or positions.shape[-1] != model.nq:
+        raise ValueError(f"qpos has shape {positions.shape}: must be (…, {model.nq})")
+    if not np.isfinite(positions).all():
+        raise ValueError("qpos has entries that are not finite: every entry must be")
+    if precision not in ("f64", "f32"):
+        raise ValueError(f"precision = {checks.shown(precision)}: must be 'f64' or 'f32'")
+    if lanes and precision == "f32":
+        raise ValueError("lanes = True: must be False with precision 'f32', which has no lanes")
+    leading = positions.shape[:-1]
+    flat = np.ascontiguousarray(positions.reshape(int(np.prod(leading, dtype=int)), model.nq))
+    found = model.core.touches(first, second, flat, "lanes" if lanes else precision)
+    return Touches(*(array.reshape(leading + array.shape[1:]) for array in found))  # type: ignore[arg-type]
+
+
+def _geom(model: ModelData, field: str, geom: int | str) -> int:
+    """The index of a geom given by name or by index."""
+    names = model.geom_names
+    if isinstance(geom, str):
+        if not geom or geom not in names:
+            raise ValueError(f"{field}: no geom {checks.quoted(geom)}{checks.nearest(geom, names)}")
+        return names.index(geom)
+    try:
+        index = operator.index(geom)
+    except TypeError:
+        index = -1
+    if not 0 <= index < model.ngeom:
+        limit = f"must be a geom's name or an index from 0 to {model.ngeom - 1}"
+        raise ValueError(f"{field} = {checks.shown(geom)}: {limit}")
+    return index
