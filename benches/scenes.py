@@ -85,6 +85,10 @@ def pile_centres(side: int, radius: float = 0.05, seed: int = 0) -> tuple[float,
 def pile(side: int = 4, radius: float = 0.05) -> str:
     """side³ spheres of 1 kg dropped into a box without a lid."""
     half, centres = pile_centres(side, radius)
+    return _spheres_in_a_box(f"pile{side**3}", half, centres, radius)
+
+
+def _spheres_in_a_box(name: str, half: float, centres: np.ndarray, radius: float) -> str:
     text = FLOOR
     for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         text += (
@@ -93,7 +97,14 @@ def pile(side: int = 4, radius: float = 0.05) -> str:
     for x, y, z in centres:
         text += f'<body pos="{x:.6f} {y:.6f} {z:.6f}"><freejoint/>'
         text += f'<geom size="{radius}" mass="1"/></body>'
-    return _mjcf(f"pile{side**3}", text, memory="64M")
+    return _mjcf(name, text, memory="256M")
+
+
+def spheres(count: int, radius: float = 0.05) -> str:
+    """As `pile`, for any number of spheres: the lowest ones of the next larger pile."""
+    side = next(side for side in range(1, count + 1) if side**3 >= count)
+    half, centres = pile_centres(side, radius)
+    return _spheres_in_a_box(f"spheres{count}", half, centres[:count], radius)
 
 
 def _sliding_ball(height: float) -> str:

@@ -37,10 +37,10 @@ macro_rules! room {
             }
         }
     };
-    ($type:ident: $($list:ident),*) => {
+    ($type:ident: $($list:ident),* $(; $($part:ident),*)?) => {
         impl crate::room::Room for $type {
             fn room(&self) -> usize {
-                0 $(+ crate::room::listed(&self.$list))*
+                0 $(+ crate::room::listed(&self.$list))* $($(+ self.$part.room())*)?
             }
         }
     };

@@ -62,6 +62,7 @@ struct Given {
     blocks: Vec<Block<f64>>,
     y: Vec<f64>,
     u: Vec<f64>,
+    heap: bool,
 }
 
 /// What was solved, and how its impulses may move.
@@ -222,6 +223,7 @@ impl Given {
             blocks: Vec::new(),
             y: Vec::new(),
             u: Vec::new(),
+            heap: false,
         }
     }
 
@@ -233,10 +235,11 @@ impl Given {
         let value = |x: &Dual| x.value;
         refill(&mut self.inv_d, free.inv_d.iter().map(value));
         refill(&mut self.guess, free.guess.iter().map(value));
-        refill(&mut self.rows, rows.rows.iter().map(Row::value));
-        refill(&mut self.blocks, rows.blocks.iter().map(Block::value));
+        refill(&mut self.rows, rows.rows.iter().map(|row| row.at_lane(0)));
+        refill(&mut self.blocks, rows.blocks.iter().map(|block| block.at_lane(0)));
         refill(&mut self.y, rows.y.iter().map(value));
         refill(&mut self.u, rows.u.iter().map(value));
+        self.heap = rows.heap;
     }
 
     fn solved(
@@ -248,6 +251,7 @@ impl Given {
         let (Self { inv_d, guess, .. }, given) = (self, self.clone());
         let mut rows = Rows::bare(0);
         (rows.rows, rows.blocks, rows.y, rows.u) = (given.rows, given.blocks, given.y, given.u);
+        rows.heap = given.heap;
         let free = Unconstrained { dof_lists, inv_d, guess };
         let report = solvers.solve(settings, free, &mut rows)?;
         let (mut islands, mut at_corners) = (Vec::new(), Vec::new());
@@ -275,43 +279,5 @@ impl Given {
         let impulse = rows.rows.iter().map(|row| row.impulse).collect();
         let (given, u, corners) = (self.clone(), rows.u, at_corners);
         Ok(Solution { given, report, impulse, u, islands, corners })
-    }
-}
-
-impl Row<Dual> {
-    fn value(&self) -> Row<f64> {
-        let Self { dofs, y, t, c, a, inv_s, lo, hi, impulse, velocity, gap, beside } = self;
-        Row {
-            dofs: *dofs,
-            y: *y,
-            t: t.value,
-            c: c.value,
-            a: a.value,
-            inv_s: inv_s.value,
-            lo: lo.value,
-            hi: hi.value,
-            impulse: impulse.value,
-            velocity: velocity.value,
-            gap: gap.value,
-            beside: beside.value,
-        }
-    }
-}
-
-impl Block<Dual> {
-    fn value(&self) -> Block<f64> {
-        let Self { rows, set, mask, mu, mass, element, slot, feature, island, rank } = self;
-        Block {
-            rows: *rows,
-            set: *set,
-            mask: *mask,
-            mu: mu.value,
-            mass: *mass,
-            element: *element,
-            slot: *slot,
-            feature: feature.value,
-            island: *island,
-            rank: *rank,
-        }
     }
 }

@@ -6,10 +6,16 @@
 //! line search is exact. Where no row changes its zone in a full step the problem
 //! was quadratic along it, and the step was the last.
 
+mod by_lane;
+mod columns;
 mod hessian;
 mod minimise;
+mod nodes;
+mod order;
 mod penalty;
 mod system;
+#[cfg(test)]
+mod tests;
 
 use super::few::{Few, Island};
 use super::islands::{alive, Islands};
@@ -18,7 +24,9 @@ use super::rows::{Rows, Set};
 use crate::error::{Error, Result};
 use crate::real::{Count, Mask, Real};
 use crate::room::room;
+use by_lane::ByLane;
 use hessian::Pattern;
+use nodes::NOWHERE;
 use system::System;
 
 /// The method's memory; one a world or pack of lanes.
@@ -27,11 +35,15 @@ pub struct Newton<R: Real> {
     /// By island.
     patterns: Vec<Pattern>,
     present: Vec<usize>,
+    /// Scratch of patterns, by dof.
+    class: Vec<usize>,
     system: System<R>,
     few: Few<R>,
+    /// Of heaps in lanes.
+    by_lane: Option<Box<ByLane>>,
 }
 
-room!(Newton<R>: present; islands, patterns, system, few);
+room!(Newton<R>: present, class; islands, patterns, system, few, by_lane);
 
 impl<R: Real> Default for Newton<R> {
     fn default() -> Self {
@@ -45,8 +57,10 @@ impl<R: Real> Newton<R> {
             islands: Islands::default(),
             patterns: Vec::new(),
             present: Vec::new(),
+            class: Vec::new(),
             system: System::new(),
             few: Few::new(),
+            by_lane: None,
         }
     }
 
@@ -64,8 +78,13 @@ impl<R: Real> Newton<R> {
         limits: Limits,
     ) -> Result<Report<R>> {
         check(rows)?;
+        if rows.heap && R::LANES > 1 {
+            let by_lane = self.by_lane.get_or_insert_with(|| Box::new(ByLane::new()));
+            return by_lane.solve(dof_lists, inv_d, guess, rows, limits);
+        }
         let mut report: Report<R> = Report::new();
         self.islands.sort(&rows.blocks);
+        self.class.resize(rows.u.len(), NOWHERE);
         if self.patterns.len() < self.islands.count() {
             self.patterns.resize_with(self.islands.count(), Pattern::default);
         }
@@ -103,7 +122,7 @@ impl<R: Real> Newton<R> {
                 continue;
             }
             let pattern = &mut self.patterns[island];
-            pattern.fit(dof_lists, rows, &self.present);
+            pattern.fit(dof_lists, rows, &self.present, &mut self.class);
             self.system.start(pattern, &self.present, inv_d, guess, rows);
             let open =
                 self.system.minimise(pattern, &self.present, rows, live, limits, &mut report);

@@ -51,6 +51,27 @@ impl<R: Real> Row<R> {
     }
 }
 
+impl<R: Real> Row<R> {
+    /// The row of one lane; numbers without their slopes.
+    pub(super) fn at_lane(&self, lane: usize) -> Row<f64> {
+        let Self { dofs, y, t, c, a, inv_s, lo, hi, impulse, beside, velocity, gap } = self;
+        Row {
+            dofs: *dofs,
+            y: *y,
+            t: t.lane(lane),
+            c: c.lane(lane),
+            a: a.lane(lane),
+            inv_s: inv_s.lane(lane),
+            lo: lo.lane(lane),
+            hi: hi.lane(lane),
+            impulse: impulse.lane(lane),
+            beside: beside.lane(lane),
+            velocity: velocity.lane(lane),
+            gap: gap.lane(lane),
+        }
+    }
+}
+
 /// Which rows are made, and what their impulses act on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
@@ -116,6 +137,23 @@ impl<R: Real> Block<R> {
             self.rows.len * self.rows.len
         }
     }
+
+    /// The block of one lane; numbers without their slopes.
+    pub(super) fn at_lane(&self, lane: usize) -> Block<f64> {
+        let Self { rows, set, mask, mu, mass, element, slot, feature, island, rank } = self;
+        Block {
+            rows: *rows,
+            set: *set,
+            mask: mask.lane(lane),
+            mu: mu.lane(lane),
+            mass: *mass,
+            element: *element,
+            slot: *slot,
+            feature: feature.lane(lane),
+            island: *island,
+            rank: *rank,
+        }
+    }
 }
 
 /// A contact's push without a row, which the guess has taken: see `elements/penalty.rs`.
@@ -144,6 +182,8 @@ pub struct Rows<R: Real> {
     pub(crate) guess: Vec<R>,
     pub(crate) direct: Direct<R>,
     pub(crate) first: First<R>,
+    /// Some island may hold so many trees that the order of elimination matters.
+    pub(super) heap: bool,
     /// By tree: see `Model::islands`.
     islands: Vec<usize>,
     /// By slot: see `Model::ranks`.
@@ -151,6 +191,19 @@ pub struct Rows<R: Real> {
 }
 
 room!(Rows<R>: rows, blocks, pushes, y, u, scratch, guess, islands, ranks; direct, first);
+
+/// From so many trees on an island is a heap to Newton's method.
+const HEAP: usize = 8;
+
+/// Whether some island of these, by tree, is a heap. It follows from the model alone, so that a
+/// lane equals its world.
+fn any_heap(islands: &[usize]) -> bool {
+    let mut trees = vec![0; islands.len()];
+    islands.iter().any(|island| {
+        trees[*island] += 1;
+        trees[*island] >= HEAP
+    })
+}
 
 /// The guess, along a row.
 pub(crate) struct Guessed<R: Real> {
@@ -192,6 +245,7 @@ impl<R: Real> Rows<R> {
             direct: Direct::new(model.nv),
             first: First::new(model.nv),
             ranks: model.ranks(&islands),
+            heap: any_heap(&islands),
             islands,
         }
     }
@@ -209,6 +263,7 @@ impl<R: Real> Rows<R> {
             unrecovered: R::zero(),
             direct: Direct::new(nv),
             first: First::new(nv),
+            heap: false,
             u,
             islands: Vec::new(),
             ranks: Vec::new(),

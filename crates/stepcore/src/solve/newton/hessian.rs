@@ -5,6 +5,8 @@
 //! The pattern depends on which rows exist and is kept while that stays the same;
 //! an entry that a lane does not need is a zero that changes none of its bits.
 
+use super::nodes::Nodes;
+use super::order::ones;
 use crate::model::Span;
 use crate::real::Real;
 use crate::room::room;
@@ -18,7 +20,7 @@ pub(super) struct Pattern {
     /// The dof list of each block: what the pattern was made for.
     key: Vec<Span>,
     /// Dofs that some row touches, ascending.
-    pub dofs: Vec<usize>,
+    dofs: Vec<usize>,
     /// By block: its list in `lists`, and the first of its entries in `places`.
     blocks: Vec<(Span, usize)>,
     lists: Vec<usize>,
@@ -30,17 +32,34 @@ pub(super) struct Pattern {
     /// By column: (row, entry) of what stands below, last row first.
     below_start: Vec<usize>,
     below: Vec<(usize, usize)>,
+    /// Of a heap, in the place of all but `key` and `dofs`.
+    pub nodes: Nodes,
+    pub heap: bool,
     /// Scratch: bits by row; local index by dof; place by column.
     bits: Vec<u64>,
     local: Vec<usize>,
 }
 
-room!(Pattern: key, dofs, blocks, lists, places, start, cols, below_start, below, bits, local);
+room!(Pattern: key, dofs, blocks, lists, places, start, cols, below_start, below, bits, local; nodes);
 
 impl Pattern {
     /// Makes the pattern of these blocks, unless it is the one at hand.
-    pub fn fit<R: Real>(&mut self, dof_lists: &[usize], rows: &Rows<R>, blocks: &[usize]) {
+    /// `class`: scratch of `Nodes::fit`.
+    pub fn fit<R: Real>(
+        &mut self,
+        dof_lists: &[usize],
+        rows: &Rows<R>,
+        blocks: &[usize],
+        class: &mut [usize],
+    ) {
         let span = |b: &usize| rows.rows[rows.blocks[*b].rows.start].dofs;
+        self.heap = rows.heap;
+        if self.heap {
+            self.key.clear();
+            self.key.extend(blocks.iter().map(span));
+            self.nodes.fit(dof_lists, &self.key, class);
+            return;
+        }
         if self.key.len() == blocks.len()
             && self.key.iter().zip(blocks).all(|(key, b)| *key == span(b))
         {
@@ -166,22 +185,22 @@ impl Pattern {
         }
     }
 
+    /// The dofs by their local numbers.
+    pub fn dofs(&self) -> &[usize] {
+        if self.heap {
+            &self.nodes.dofs
+        } else {
+            &self.dofs
+        }
+    }
+
     /// A block's dofs in local numbers.
     pub fn list(&self, block: usize) -> &[usize] {
+        if self.heap {
+            return self.nodes.local(block);
+        }
         self.blocks[block].0.of(&self.lists)
     }
-}
-
-/// Indices of the bits that are set, ascending.
-fn ones(words: &[u64]) -> impl Iterator<Item = usize> + '_ {
-    words.iter().enumerate().flat_map(|(at, word)| {
-        let mut rest = *word;
-        std::iter::from_fn(move || {
-            let bit = rest.trailing_zeros() as usize;
-            rest &= rest.wrapping_sub(1);
-            (bit < 64).then_some(at * 64 + bit)
-        })
-    })
 }
 
 /// Numbers on a pattern: the matrix, then its factors.
@@ -310,7 +329,7 @@ mod tests {
             }
             let blocks: Vec<usize> = (0..count).collect();
             let mut pattern = Pattern::default();
-            pattern.fit(&lists, &rows, &blocks);
+            pattern.fit(&lists, &rows, &blocks, &mut []);
             let n = pattern.dofs.len();
             let mut hessian = Hessian::new();
             hessian.reset(&pattern, &vec![0.5; n]);

@@ -1,5 +1,6 @@
 //! The iteration, its line search, and the last digits.
 
+use super::columns::Curved;
 use super::hessian::Pattern;
 use super::penalty::interval;
 use super::system::{padded, System};
@@ -110,6 +111,28 @@ impl<R: Real> System<R> {
 
     /// step = −H⁻¹ g.
     fn direction(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
+        if pattern.heap {
+            let curved = Curved { blocks, rows, curve: &self.curve, starts: &self.starts };
+            self.columns.factor(&pattern.nodes, &self.d, curved);
+        } else {
+            self.factor(pattern, blocks, rows);
+        }
+        for (p, g) in self.step.iter_mut().zip(&self.gradient) {
+            *p = R::zero() - *g;
+        }
+        self.solve(pattern);
+    }
+
+    /// step ← H⁻¹ step.
+    fn solve(&mut self, pattern: &Pattern) {
+        if pattern.heap {
+            self.columns.solve(&pattern.nodes, &mut self.step);
+        } else {
+            self.hessian.solve(pattern, &mut self.step);
+        }
+    }
+
+    fn factor(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
         self.hessian.reset(pattern, &self.d);
         let mut start = 0;
         for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
@@ -141,10 +164,6 @@ impl<R: Real> System<R> {
             }
         }
         self.hessian.factor(pattern);
-        for (p, g) in self.step.iter_mut().zip(&self.gradient) {
-            *p = R::zero() - *g;
-        }
-        self.hessian.solve(pattern, &mut self.step);
     }
 
     /// The α > 0 at which the cost along the step is least; 1 in lanes not searched.
@@ -278,7 +297,7 @@ impl<R: Real> System<R> {
             Self::gather(pattern, blocks, rows, &self.rate, R::one(), &mut self.step);
             // Σ y e is what is left of the gradient: with δ it tells the decrement.
             self.gradient.copy_from_slice(&self.step);
-            self.hessian.solve(pattern, &mut self.step);
+            self.solve(pattern);
             let fall =
                 self.gradient.iter().zip(&self.step).fold(R::zero(), |sum, (g, p)| sum + *g * *p);
             let left = (fall * self.floor.recip_or_zero()).max(R::zero()).sqrt();
@@ -295,7 +314,7 @@ impl<R: Real> System<R> {
                 at += 1;
             }
         }
-        for (k, u) in pattern.dofs.iter().zip(&self.u) {
+        for (k, u) in pattern.dofs().iter().zip(&self.u) {
             rows.u[*k] = R::select(mine, *u, rows.u[*k]);
         }
     }

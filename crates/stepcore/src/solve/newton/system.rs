@@ -1,5 +1,6 @@
 //! What Newton's method holds of one island, and the laws of its rows.
 
+use super::columns::Columns;
 use super::hessian::{Hessian, Pattern};
 use super::penalty::{interval, Cone};
 use crate::real::{Mask, Real};
@@ -32,6 +33,10 @@ pub(super) struct System<R: Real> {
     /// s″ y of a cone's row.
     pub(super) bent: Vec<R>,
     pub(super) hessian: Hessian<R>,
+    /// The same of a heap.
+    pub(super) columns: Columns<R>,
+    /// By block: its first entry of `curve`.
+    pub(super) starts: Vec<usize>,
     /// Lanes whose factors belong to the curvature at hand.
     pub(super) fresh: R::Mask,
     /// Newton's decrement relative to `floor`, the energy of the motion that the rows see.
@@ -42,7 +47,7 @@ pub(super) struct System<R: Real> {
 }
 
 room!(System<R>: inv_c, w, rate, impulse, curve, cones, guess, u, d, inv_d, gradient, step,
-    bent; hessian);
+    bent, starts; hessian, columns);
 
 impl<R: Real> System<R> {
     pub fn new() -> Self {
@@ -61,6 +66,8 @@ impl<R: Real> System<R> {
             step: Vec::new(),
             bent: Vec::new(),
             hessian: Hessian::new(),
+            columns: Columns::new(),
+            starts: Vec::new(),
             fresh: R::Mask::of(false),
             decrement: R::zero(),
             floor: R::zero(),
@@ -79,7 +86,7 @@ impl<R: Real> System<R> {
     ) {
         let take = |out: &mut Vec<R>, from: &[R]| {
             out.clear();
-            out.extend(pattern.dofs.iter().map(|k| from[*k]));
+            out.extend(pattern.dofs().iter().map(|k| from[*k]));
         };
         take(&mut self.guess, guess);
         take(&mut self.u, &rows.u);
@@ -88,6 +95,7 @@ impl<R: Real> System<R> {
         self.d.extend(self.inv_d.iter().map(|inv| R::one() / *inv));
         self.inv_c.clear();
         self.cones.clear();
+        self.starts.clear();
         for block in blocks.iter().map(|b| &rows.blocks[*b]) {
             let own = &rows.rows[block.rows.range()];
             self.inv_c.extend(own.iter().map(|row| row.c.recip_or_zero()));
@@ -95,7 +103,11 @@ impl<R: Real> System<R> {
                 .push(Cone::new(if block.set == Set::Interval { &[] } else { own }, block.mu));
         }
         let count = self.inv_c.len();
-        let entries: usize = blocks.iter().map(|b| rows.blocks[*b].curves()).sum();
+        let mut entries = 0;
+        for block in blocks {
+            self.starts.push(entries);
+            entries += rows.blocks[*block].curves();
+        }
         for list in [&mut self.w, &mut self.rate, &mut self.impulse] {
             list.clear();
             list.resize(count, R::zero());
@@ -104,7 +116,10 @@ impl<R: Real> System<R> {
         self.curve.resize(entries, R::zero());
         for list in [&mut self.gradient, &mut self.step] {
             list.clear();
-            list.resize(pattern.dofs.len(), R::zero());
+            list.resize(pattern.dofs().len(), R::zero());
+        }
+        if pattern.heap {
+            self.columns.start(&pattern.nodes);
         }
         if self.u != self.guess {
             let warm = self.cost(pattern, blocks, rows);

@@ -56,12 +56,25 @@ fn thin<R: Real>(
 /// Solves perturbed copies of a problem in lanes and alone; `has(block, lane)` says
 /// which lanes a block exists in.
 fn compare(base: &Problem, by: By, random: &mut Random, has: impl Fn(usize, usize) -> bool) {
+    for heap in [false, true] {
+        compare_as(heap, base, by, random, &has);
+    }
+}
+
+fn compare_as(
+    heap: bool,
+    base: &Problem,
+    by: By,
+    random: &mut Random,
+    has: impl Fn(usize, usize) -> bool,
+) {
     let worlds: Vec<Problem> = (0..WIDTH).map(|_| base.shaken(random)).collect();
     let nv = base.inv_d.len();
     // Block b touches dofs b.., so that a lane without it has a smaller pattern.
     let keep =
         |b: usize| (0..nv).filter(|k| !(k + b).is_multiple_of(3) || b == 0).collect::<Vec<_>>();
     let mut packed = pack::<Lanes>(&worlds);
+    packed.heap = heap;
     let lists = thin(&mut packed, &base.inv_d, keep);
     for (b, block) in packed.blocks.iter_mut().enumerate() {
         (0..WIDTH).for_each(|lane| block.mask.0[lane] = has(b, lane));
@@ -69,6 +82,7 @@ fn compare(base: &Problem, by: By, random: &mut Random, has: impl Fn(usize, usiz
     let report = solve(by, &lists, &base.inv_d, &mut packed);
     for (lane, world) in worlds.iter().enumerate() {
         let mut rows = world.rows::<f64>();
+        rows.heap = heap;
         let lists = thin(&mut rows, &base.inv_d, keep);
         // Alone, a missing block is no block at all.
         let mut at = 0;

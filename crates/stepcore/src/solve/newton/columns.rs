@@ -1,0 +1,387 @@
+//! The Hessian of a heap in dense blocks between nodes, and its LDLᵀ column by column.
+//!
+//! A column gathers D, what its blocks of rows add, and then what every earlier column that
+//! reaches it takes away (left-looking: George & Liu 1981, 5.6). So a column depends on those
+//! columns alone, and where the curvature changed in a few blocks of rows only their nodes'
+//! columns and the ones that these reach are made again, with the same bits as all of them.
+//!
+//! A block of a column stands pivot by pivot: entry [m][a] couples the column's dof m with the
+//! row's dof a, and holds Lᵀ[m][a] once factored. Free bodies make 6 × 6 blocks, for which the
+//! loops have constant lengths; no sum is split, so the bits are the same however they are
+//! vectorised.
+
+use super::nodes::{Meeting, Nodes};
+use crate::real::{Mask, Real};
+use crate::room::room;
+use crate::solve::rows::{Rows, Set};
+
+/// Dofs of a free body.
+const FREE: usize = 6;
+
+pub(super) struct Columns<R> {
+    values: Vec<R>,
+    /// By dof: D and 1/D of LDLᵀ.
+    d: Vec<R>,
+    inverse: Vec<R>,
+    /// The curvature that the factors belong to.
+    curve: Vec<R>,
+    /// Columns to make again.
+    stale: Vec<bool>,
+    /// By node: where its block of the column at hand stands.
+    place: Vec<usize>,
+    /// Scratch: Lᵀ scaled by D; parts of rows at two nodes.
+    scaled: Vec<R>,
+    own: Vec<R>,
+    other: Vec<R>,
+}
+
+room!(Columns<R>: values, d, inverse, curve, stale, place, scaled, own, other;);
+
+/// An island's blocks of rows, as `System` sees them.
+#[derive(Clone, Copy)]
+pub(super) struct Curved<'a, R: Real> {
+    pub blocks: &'a [usize],
+    pub rows: &'a Rows<R>,
+    /// s″, as in `System::curve`.
+    pub curve: &'a [R],
+    /// By block: its first entry of these.
+    pub starts: &'a [usize],
+}
+
+impl<R: Real> Columns<R> {
+    pub fn new() -> Self {
+        Self {
+            values: Vec::new(),
+            d: Vec::new(),
+            inverse: Vec::new(),
+            curve: Vec::new(),
+            stale: Vec::new(),
+            place: Vec::new(),
+            scaled: Vec::new(),
+            own: Vec::new(),
+            other: Vec::new(),
+        }
+    }
+
+    /// Makes room for a Hessian with these nodes; nothing of it is factored.
+    pub fn start(&mut self, nodes: &Nodes) {
+        self.values.resize(nodes.numbers, R::zero());
+        self.d.resize(nodes.dofs.len(), R::zero());
+        self.inverse.resize(nodes.dofs.len(), R::zero());
+        self.place.resize(nodes.count(), 0);
+        self.stale.clear();
+        self.stale.resize(nodes.count(), true);
+        self.curve.clear();
+    }
+
+    /// Factors D + Σ y s″ yᵀ.
+    pub fn factor(&mut self, nodes: &Nodes, d: &[R], curved: Curved<R>) {
+        self.mark(nodes, &curved);
+        for j in 0..nodes.count() {
+            if !self.stale[j] {
+                continue;
+            }
+            self.stale[j] = false;
+            if let Some(parent) = nodes.order.column(j).first() {
+                self.stale[*parent] = true;
+            }
+            self.open(nodes, j, d);
+            for meeting in &nodes.meetings[nodes.meets[j]..nodes.meets[j + 1]] {
+                self.add(nodes, *meeting, &curved);
+            }
+            for (k, at) in &nodes.left[nodes.left_start[j]..nodes.left_start[j + 1]] {
+                self.update(nodes, j, *k, *at);
+            }
+            self.close(nodes, j);
+        }
+    }
+
+    /// The nodes of blocks whose curvature is another than the factors'.
+    fn mark(&mut self, nodes: &Nodes, curved: &Curved<R>) {
+        if self.curve.len() == curved.curve.len() {
+            for (b, start) in curved.starts.iter().enumerate() {
+                let own = *start..*start + curved.rows.blocks[curved.blocks[b]].curves();
+                if self.curve[own.clone()] != curved.curve[own] {
+                    for member in nodes.blocks[b].of(&nodes.members) {
+                        self.stale[member.node] = true;
+                    }
+                }
+            }
+        }
+        self.curve.clear();
+        self.curve.extend_from_slice(curved.curve);
+    }
+
+    /// Column j as D alone.
+    fn open(&mut self, nodes: &Nodes, j: usize, d: &[R]) {
+        let (size, start) = (nodes.size(j), nodes.places[j]);
+        let mut at = start + size * size;
+        self.place[j] = start;
+        for row in nodes.order.column(j) {
+            self.place[*row] = at;
+            at += size * nodes.size(*row);
+        }
+        self.values[start..at].fill(R::zero());
+        for m in 0..size {
+            self.values[start + m * size + m] = d[nodes.first[j] + m];
+        }
+    }
+
+    /// Adds y s″ yᵀ of one block of rows to the column of one of its nodes.
+    fn add(&mut self, nodes: &Nodes, meeting: Meeting, curved: &Curved<R>) {
+        let block = &curved.rows.blocks[curved.blocks[meeting.block]];
+        let rows = &curved.rows.rows[block.rows.range()];
+        let curve = &curved.curve[curved.starts[meeting.block]..][..block.curves()];
+        let member = nodes.members[meeting.member];
+        let (size, y) = (nodes.size(member.node), &curved.rows.y);
+        let entries = &nodes.entries[member.entries..member.entries + size];
+        for (i, row) in rows.iter().enumerate() {
+            // s″ y at the column's node.
+            self.own.clear();
+            if block.set == Set::Interval {
+                let bend = curve[i];
+                if bend.gt(R::zero()).none() {
+                    continue;
+                }
+                self.own.extend(entries.iter().map(|e| bend * y[row.y + e]));
+            } else {
+                self.own.resize(size, R::zero());
+                let curve = &curve[i * rows.len()..][..rows.len()];
+                for (bend, row) in curve.iter().zip(rows) {
+                    for (own, e) in self.own.iter_mut().zip(entries) {
+                        *own += *bend * y[row.y + e];
+                    }
+                }
+            }
+            for member in &nodes.members[meeting.member..meeting.end] {
+                let width = nodes.size(member.node);
+                let entries = &nodes.entries[member.entries..member.entries + width];
+                self.other.clear();
+                self.other.extend(entries.iter().map(|e| y[row.y + e]));
+                let place = self.place[member.node];
+                let target = &mut self.values[place..place + size * width];
+                match (self.own.first_chunk(), self.other.first_chunk()) {
+                    (Some(own), Some(other)) if size == FREE && width == FREE => {
+                        outer::<R, FREE>(target, own, other);
+                    }
+                    _ => {
+                        for (line, own) in target.chunks_exact_mut(width).zip(&self.own) {
+                            for (x, other) in line.iter_mut().zip(&self.other) {
+                                *x += *own * *other;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Takes from column j what column k, which reaches it as its row `at`, takes from it:
+    /// L_ik D_k L_jkᵀ in every row i from j on.
+    fn update(&mut self, nodes: &Nodes, j: usize, k: usize, at: usize) {
+        let (own, pivots) = (nodes.size(j), nodes.size(k));
+        let end = nodes.order.start[k + 1];
+        let (before, column) = self.values.split_at_mut(nodes.places[j]);
+        let source = &before[nodes.offsets[at]..];
+        let d = &self.d[nodes.first[k]..nodes.first[k + 1]];
+        self.scaled.clear();
+        for (line, d) in source.chunks_exact(own).zip(d) {
+            self.scaled.extend(line.iter().map(|l| *l * *d));
+        }
+        let mut start = 0;
+        for row in &nodes.order.rows[at..end] {
+            let width = nodes.size(*row);
+            let target = self.place[*row] - nodes.places[j];
+            let target = &mut column[target..target + own * width];
+            let source_block = &source[start..start + pivots * width];
+            start += pivots * width;
+            if (own, pivots, width) == (FREE, FREE, FREE) {
+                take::<R, FREE>(target, source_block, &self.scaled);
+                continue;
+            }
+            for (m, line) in source_block.chunks_exact(width).enumerate() {
+                for (b, target) in target.chunks_exact_mut(width).enumerate() {
+                    let factor = self.scaled[m * own + b];
+                    for (x, l) in target.iter_mut().zip(line) {
+                        *x -= factor * *l;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Factors column j once everything was taken from it.
+    fn close(&mut self, nodes: &Nodes, j: usize) {
+        let (size, start, first) = (nodes.size(j), nodes.places[j], nodes.first[j]);
+        let (square, mut below) = self.values[start..].split_at_mut(size * size);
+        for m in 0..size {
+            let d = square[m * size + m];
+            let inverse = R::one() / d;
+            (self.d[first + m], self.inverse[first + m]) = (d, inverse);
+            for b in m + 1..size {
+                let factor = square[m * size + b] * inverse;
+                for a in b..size {
+                    let taken = factor * square[m * size + a];
+                    square[b * size + a] -= taken;
+                }
+            }
+            for a in m + 1..size {
+                square[m * size + a] *= inverse;
+            }
+        }
+        let inverse = &self.inverse[first..first + size];
+        for row in nodes.order.column(j) {
+            let width = nodes.size(*row);
+            let (block, rest) = below.split_at_mut(size * width);
+            below = rest;
+            if size == FREE && width == FREE {
+                settle::<R, FREE>(block, square, inverse);
+                continue;
+            }
+            for b in 0..size {
+                let (done, next) = block.split_at_mut((b + 1) * width);
+                let line = &done[b * width..];
+                for (m, next) in next.chunks_exact_mut(width).enumerate() {
+                    let factor = square[b * size + b + 1 + m];
+                    for (x, l) in next.iter_mut().zip(line) {
+                        *x -= factor * *l;
+                    }
+                }
+            }
+            for (line, inverse) in block.chunks_exact_mut(width).zip(inverse) {
+                line.iter_mut().for_each(|x| *x *= *inverse);
+            }
+        }
+    }
+
+    /// x ← H⁻¹ x.
+    pub fn solve(&self, nodes: &Nodes, x: &mut [R]) {
+        for j in 0..nodes.count() {
+            let (size, first) = (nodes.size(j), nodes.first[j]);
+            let (square, below) = self.values[nodes.places[j]..].split_at(size * size);
+            let (own, later) = x[first..].split_at_mut(size);
+            for m in 0..size {
+                for a in m + 1..size {
+                    let taken = square[m * size + a] * own[m];
+                    own[a] -= taken;
+                }
+            }
+            let mut at = 0;
+            for row in nodes.order.column(j) {
+                let width = nodes.size(*row);
+                let target = &mut later[nodes.first[*row] - first - size..][..width];
+                let block = &below[at..at + size * width];
+                at += size * width;
+                match target.first_chunk_mut() {
+                    Some(target) if width == FREE => forward::<R, FREE>(target, block, own),
+                    _ => {
+                        for (line, own) in block.chunks_exact(width).zip(&*own) {
+                            for (x, l) in target.iter_mut().zip(line) {
+                                *x -= *l * *own;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        for (x, inverse) in x.iter_mut().zip(&self.inverse) {
+            *x *= *inverse;
+        }
+        for j in (0..nodes.count()).rev() {
+            let (size, first) = (nodes.size(j), nodes.first[j]);
+            let (square, below) = self.values[nodes.places[j]..].split_at(size * size);
+            let (own, later) = x[first..].split_at_mut(size);
+            let mut at = 0;
+            for row in nodes.order.column(j) {
+                let width = nodes.size(*row);
+                let source = &later[nodes.first[*row] - first - size..][..width];
+                for own in own.iter_mut() {
+                    let mut sum = R::zero();
+                    for (l, x) in below[at..at + width].iter().zip(source) {
+                        sum += *l * *x;
+                    }
+                    *own -= sum;
+                    at += width;
+                }
+            }
+            for m in (0..size).rev() {
+                for a in m + 1..size {
+                    let taken = square[m * size + a] * own[a];
+                    own[m] -= taken;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+impl Columns<f64> {
+    /// The factors are the same, bit for bit.
+    pub fn same_bits(&self, other: &Self) -> bool {
+        let same =
+            |a: &[f64], b: &[f64]| a.iter().map(|x| x.to_bits()).eq(b.iter().map(|x| x.to_bits()));
+        same(&self.values, &other.values) && same(&self.inverse, &other.inverse)
+    }
+}
+
+/// target += own otherᵀ.
+#[inline(always)]
+fn outer<R: Real, const N: usize>(target: &mut [R], own: &[R; N], other: &[R; N]) {
+    for (line, own) in target.chunks_exact_mut(N).zip(own) {
+        for a in 0..N {
+            line[a] += *own * other[a];
+        }
+    }
+}
+
+/// target[b] −= Σ scaled[m][b] source[m].
+#[inline(always)]
+fn take<R: Real, const N: usize>(target: &mut [R], source: &[R], scaled: &[R]) {
+    let source: &[R] = &source[..N * N];
+    let scaled: &[R] = &scaled[..N * N];
+    for (b, line) in target.chunks_exact_mut(N).enumerate() {
+        let mut sum: [R; N] = core::array::from_fn(|a| line[a]);
+        for m in 0..N {
+            let factor = scaled[m * N + b];
+            for a in 0..N {
+                sum[a] -= factor * source[m * N + a];
+            }
+        }
+        line.copy_from_slice(&sum);
+    }
+}
+
+/// block ← D⁻¹ L⁻¹ block, with the factors of the diagonal block.
+#[inline(always)]
+fn settle<R: Real, const N: usize>(block: &mut [R], square: &[R], inverse: &[R]) {
+    let square: &[R] = &square[..N * N];
+    let block: &mut [R] = &mut block[..N * N];
+    let mut lines = [[R::zero(); N]; N];
+    for m in 0..N {
+        let mut line: [R; N] = core::array::from_fn(|a| block[m * N + a]);
+        for b in 0..m {
+            let factor = square[b * N + m];
+            for a in 0..N {
+                line[a] -= factor * lines[b][a];
+            }
+        }
+        lines[m] = line;
+    }
+    for m in 0..N {
+        for a in 0..N {
+            block[m * N + a] = lines[m][a] * inverse[m];
+        }
+    }
+}
+
+/// target −= Σ own[m] block[m].
+#[inline(always)]
+fn forward<R: Real, const N: usize>(target: &mut [R; N], block: &[R], own: &[R]) {
+    let mut sum = *target;
+    for (line, own) in block.chunks_exact(N).zip(own) {
+        for a in 0..N {
+            sum[a] -= line[a] * *own;
+        }
+    }
+    *target = sum;
+}
