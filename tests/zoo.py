@@ -323,6 +323,48 @@ _add(
     + _mover("1.5 0 .1", _SPHERE + ' friction="0 0 0"'),
     CONTACT,
 )
+# Torsion: the dimension is the larger one, the coefficients the larger ones.
+_add(
+    "condim_4",
+    FLOOR.replace("/>", ' friction=".6 .02 .001"/>')
+    + _mover("0 0 .1", _SPHERE + ' condim="4"')
+    + _mover(".5 0 .1", _SPHERE + ' condim="4" friction=".3 .05 .1"')
+    + _mover("1 0 .1", _CAPSULE + ' condim="4" friction="0 .1"')
+    + _mover(".52 .05 .29", _SPHERE + ' condim="3" friction=".9 .03"'),
+    CONTACT,
+    spread=0.05,
+    speed=2.0,
+)
+# Rolling as well; defaults of 0.005 and 0.0001 m among them.
+_add(
+    "condim_6",
+    FLOOR
+    + _mover("0 0 .1", _SPHERE + ' condim="6"')
+    + _mover(".5 0 .1", _SPHERE + ' condim="6" friction=".3 .05 .02"')
+    + _mover("1 0 .1", _CAPSULE + ' condim="6" friction="1.2 .1 .01"')
+    + _mover(".52 .05 .29", _SPHERE + ' condim="6" friction=".7 .3 .2"'),
+    CONTACT,
+    spread=0.05,
+    speed=2.0,
+)
+# 1, 3, 4 and 6 in one heap, by priority and by the larger one; bodies that cannot turn or leave
+# a plane, whose torsion and rolling move nothing.
+_add(
+    "condim_all",
+    FLOOR.replace("/>", ' condim="4" friction=".8 .03 .01"/>')
+    + _mover("0 0 .1", _SPHERE + ' condim="1"')
+    + _mover(".19 0 .1", _SPHERE + ' condim="6" friction=".5 .04 .03"')
+    + _mover(".1 .02 .25", _SPHERE + ' condim="3" priority="1"')
+    + _mover("1 0 .1", _CAPSULE + ' condim="6" solref="-2000 -40"')
+    + _mover(
+        "1.5 0 .1", _SPHERE, '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>'
+    ).replace("<geom type", '<geom condim="6" type')
+    + '<body pos="2 0 .1"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>'
+    '<joint axis="0 1 0"/>'
+    f'<geom {_CAPSULE} euler="0 80 0" condim="6" friction=".7 .1 .05"/></body>',
+    CONTACT,
+    spread=0.03,
+)
 # Pyramids of almost no friction: μ 1e-5, edges that hardly differ and R as small as 1e-12.
 _add(
     "slippery",

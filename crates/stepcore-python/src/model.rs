@@ -261,6 +261,7 @@ impl Model {
             "friction",
             pairs.clone().map(|p| m.material(p).friction[0]).collect::<Vec<_>>(),
         )?;
+        plan.set_item("ways", pairs.clone().map(|p| m.ways(p)).collect::<Vec<_>>())?;
         plan.set_item("still", pairs.clone().map(|p| p.still).collect::<Vec<_>>())?;
         plan.set_item("apart", pairs.map(|p| p.apart).collect::<Vec<_>>())?;
         let guards = m.guards.iter().map(|g| (g.joint, g.low, g.high));

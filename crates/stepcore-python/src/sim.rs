@@ -23,7 +23,7 @@ use crate::snapshot::{decode, encode};
 use crate::world::{world, Contacts, Memo, Placed, Rows, Solved, World};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
-/// Elements, geoms; dist, pos, normal, force.
+/// Elements, geoms; dist, pos, normal, force, torque.
 pub type ContactTable<'py> = (Vec<Id>, Vec<(usize, usize)>, Array<'py>);
 /// Elements, names, blocks; impulse, velocity, target, regulariser, residual, lo, hi.
 pub type RowTable<'py> = (Vec<Id>, Vec<String>, Vec<usize>, Array<'py>);
@@ -34,7 +34,7 @@ type TapedStep = (f64, f64, Vec<(Id, f64)>);
 pub fn contacts<'py>(py: Python<'py>, table: Contacts) -> PyResult<ContactTable<'py>> {
     let count = table.geoms.len();
     let elements = table.elements.into_iter().map(id).collect();
-    Ok((elements, table.geoms, shaped(py, table.numbers, &[count, 10])?))
+    Ok((elements, table.geoms, shaped(py, table.numbers, &[count, 13])?))
 }
 
 pub fn rows<'py>(py: Python<'py>, table: Rows) -> PyResult<RowTable<'py>> {
@@ -356,11 +356,11 @@ impl Sim {
     fn rows<'py>(&self, py: Python<'py>) -> PyResult<RowTable<'py>> {
         rows(py, self.lock()?.rows())
     }
-    /// J H⁻¹ Jᵀ of the rows, and by row: 1/s, mass, friction, kind of set.
+    /// J H⁻¹ Jᵀ of the rows, and by row: 1/s, mass, friction, kind of set, unit of its impulse.
     fn coupling<'py>(&self, py: Python<'py>) -> PyResult<(Array<'py>, Array<'py>)> {
         let found = self.lock()?.coupling();
         let count = found.rows.len();
-        let own = result(py, found.rows.concat(), &[count, 4])?;
+        let own = result(py, found.rows.concat(), &[count, 5])?;
         Ok((result(py, found.a, &[count, count])?, own))
     }
     #[getter]

@@ -237,7 +237,7 @@ impl<R: Real> World for One<R> {
             table.numbers.push(contact.dist.lane(0));
             table.numbers.extend(flat(&contact.pos));
             table.numbers.extend(flat(&contact.normal));
-            table.numbers.extend(sim.contact_force(contact, 0));
+            table.numbers.extend(sim.contact_wrench(contact, 0));
         }
         table
     }
@@ -254,8 +254,12 @@ impl<R: Real> World for One<R> {
             table.names.push(sim.model().element_name(element));
             table.blocks.push(index);
             let residual = residuals[index].get(within).copied().unwrap_or(0.0);
-            table.numbers.extend([row.total(), row.velocity, row.t, row.c].map(|x| x.lane(0)));
-            table.numbers.extend([residual, row.lo.lane(0), row.hi.lane(0)]);
+            let scale = sim.scale_of_row(&sim.rows.blocks[index], within);
+            let [impulse, velocity, t, c] =
+                [row.total(), row.velocity, row.t, row.c].map(|x| x.lane(0));
+            let moved = [impulse * scale, velocity / scale, t / scale, c / (scale * scale)];
+            table.numbers.extend(moved);
+            table.numbers.extend([residual / scale, row.lo.lane(0), row.hi.lane(0)]);
         }
         table
     }

@@ -205,7 +205,8 @@ pub struct Geom {
     /// Two geoms collide where one's contype shares a bit with the other's conaffinity.
     pub contype: u32,
     pub conaffinity: u32,
-    /// Dimensions of a contact's force: 1 normal, 3 with sliding friction, 4 and 6 not built yet.
+    /// Dimensions of a contact's force: 1 normal, 3 with sliding friction,
+    /// 4 with torsion as well, 6 with rolling as well.
     pub condim: u32,
     /// The geom of higher priority decides a contact's condim, friction and softness.
     pub priority: i32,

@@ -236,6 +236,12 @@ impl<R: Real> Motion<R> {
     pub fn at(&self, r: &V3<R>) -> V3<R> {
         self.lin + self.ang.cross(r)
     }
+    /// How large the square of a part of that could be, if nothing cancelled.
+    #[inline(always)]
+    pub fn most_at(&self, r: &V3<R>) -> R {
+        let turning = self.ang.dot(&self.ang) * r.dot(r);
+        turning + self.lin.dot(&self.lin)
+    }
 }
 
 impl<R: Real> Force<R> {

@@ -266,7 +266,11 @@ class Sim(Stepped):
         - kind ("contact"), index (in `Model.pairs`), part (which contact of the pair);
         - geom1, geom2: indices; name1, name2: names, "" for a geom without one;
         - dist [m], negative for an overlap; pos [m]; normal, a unit vector from geom 1 to geom 2;
-        - force: on geom 2, in world axes [N]; zero for a contact that has no row.
+        - force: on geom 2, in world axes [N]; zero for a contact that has no row;
+        - torque: of torsion (condim 4) and rolling (condim 6) on geom 2, in world axes [N·m].
+
+        In the frame of MuJoCo's `mj_contactForce` they are the force and the torque along the
+        normal and the two tangents.
         """
         return contact_table(self._model.geom_names, *self._core.contacts())
 
@@ -298,7 +302,10 @@ class Sim(Stepped):
         [[ 1.   -1.  ]
          [-1.    1.25]]
         """
-        return self._core.coupling()[0]
+        coupling, own = self._core.coupling()
+        unit = own[:, 4]
+        delassus: Floats = coupling / (unit[:, None] * unit)
+        return delassus
 
     @property
     def residual(self) -> float:

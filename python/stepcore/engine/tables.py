@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-VECTORS = ("pos", "normal", "force")
+VECTORS = ("pos", "normal", "force", "torque")
 # kind, index and part of an element, as `Model.element_name` takes them.
 ELEMENT: list[Any] = [("kind", "U16"), ("index", np.int32), ("part", np.int32)]
 ROW_NUMBERS = ("impulse", "velocity", "target", "regulariser", "residual", "lo", "hi")
@@ -23,7 +23,7 @@ def contact_table(
     pairs: list[tuple[int, int]],
     numbers: Floats,
 ) -> NDArray[Any]:
-    """See `Sim.contacts`. numbers: dist, pos, normal, force, shape (contacts, 10)."""
+    """See `Sim.contacts`. numbers: dist, pos, normal, force, torque, shape (contacts, 13)."""
     geoms = np.array(pairs, dtype=np.int32).reshape(-1, 2).T
     table = np.zeros(len(pairs), _contact_type(max(map(len, geom_names), default=0) or 1))
     _put_elements(table, elements)

@@ -7,7 +7,7 @@ use crate::real::{Mask, Real};
 use crate::settings::Law;
 use crate::solve::law::{least_softness, OnGuess, SolRef};
 use crate::solve::{Part, Rows, Set, Situation};
-use crate::spatial::{rotate, splat, V3};
+use crate::spatial::{rotate, splat, Motion, V3};
 
 pub(super) struct Connect;
 
@@ -48,7 +48,8 @@ impl<R: Real> Rows<R> {
             self.add_jacobian(now, equality.body1, &p1, &axis);
             self.add_jacobian(now, equality.body2, &p2, &-axis);
             self.push_scratch(now, equality.dofs).lo = R::of(f64::NEG_INFINITY);
-            self.drop_rounding(now, [equality.body1, equality.body2], &p1, equality.mass);
+            let bodies = [equality.body1, equality.body2];
+            self.drop_rounding(now, bodies, &p1, equality.mass, Motion::most_at);
         }
         let (dt, law) = (now.settings.dt, OnGuess::new(now));
         let least = least_softness(&self.rows[first..], equality.mass);

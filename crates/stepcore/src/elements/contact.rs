@@ -1,15 +1,16 @@
 //! Contacts as rows: a normal, and friction as a pyramid of edges or as a cone.
 //!
 //! Under `solref` (MuJoCo's convex friction) the pyramid's rows are its edges
-//! J_n ± μ J_t. A tangent along which nothing can move leaves two copies of the
-//! normal row; they are folded into one with half the regulariser (all four, where
-//! neither tangent moves, into one with a quarter), never dropped, because they
-//! carry stiffness.
+//! J_n ± μ_j J_j, two for each way of friction (`friction.rs`). A tangent along which
+//! nothing can move leaves two copies of the normal row; they are folded into one with
+//! half the regulariser (all four, where neither tangent moves, into one with a quarter),
+//! never dropped, because they carry stiffness.
 
 use super::constraint::{Constraint, Makings};
+use super::friction::{Axis, Ways};
 use crate::detect::path::meeting;
 use crate::detect::Contact;
-use crate::model::{Material, Model, Pair, NONE};
+use crate::model::{Model, Pair, NONE};
 use crate::real::{Mask, Real};
 use crate::settings::{Cone, Law};
 use crate::solve::law::{
@@ -18,19 +19,12 @@ use crate::solve::law::{
 use crate::solve::{Guessed, Rows, Set, Situation};
 use crate::spatial::{Motion, V3};
 
-/// MuJoCo's `mjMINMU`: under `solref` no coefficient of friction is smaller.
-const LEAST_FRICTION: f64 = 1e-5;
-
-fn soft_friction(material: &Material) -> f64 {
-    material.friction[0].max(LEAST_FRICTION)
-}
-
 pub(super) struct Contacts;
 
 impl Constraint for Contacts {
-    /// Two edges for each of two tangents.
-    const MOST_ROWS: usize = 4;
-    const MOST_CONE_ROWS: usize = 3;
+    /// Two edges for each of two tangents, torsion and two ways of rolling.
+    const MOST_ROWS: usize = 10;
+    const MOST_CONE_ROWS: usize = 6;
 
     fn any(model: &Model) -> bool {
         !model.pairs.is_empty()
@@ -58,25 +52,59 @@ impl<R: Real> Rows<R> {
         contact: &Contact<R>,
         pair: &Pair,
         along: &V3<R>,
+        scale: f64,
     ) {
-        let bodies = [now.model.geoms[pair.geom1].body, now.model.geoms[pair.geom2].body];
+        let bodies = bodies(now.model, pair);
         self.relative_jacobian(now, bodies, pair.dofs, &contact.points(), along);
         self.push_scratch(now, pair.dofs);
-        self.drop_rounding(now, bodies, &contact.pos, pair.mass);
+        self.drop_rounding(now, bodies, &contact.pos, pair.mass, |motion, arm| {
+            motion.most_at(arm) * R::of(scale * scale)
+        });
+    }
+
+    fn turning_row(
+        &mut self,
+        now: &Situation<R>,
+        contact: &Contact<R>,
+        pair: &Pair,
+        about: &V3<R>,
+        scale: f64,
+    ) {
+        let bodies = bodies(now.model, pair);
+        self.turning_jacobian(now, bodies, pair.dofs, about);
+        self.push_scratch(now, pair.dofs);
+        self.drop_rounding(now, bodies, &contact.pos, pair.mass, |motion, _| {
+            motion.ang.dot(&motion.ang) * R::of(scale * scale)
+        });
     }
 
     pub(super) fn normal_row(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
-        self.contact_row(now, contact, pair, &contact.normal);
+        self.contact_row(now, contact, pair, &contact.normal, 1.0);
     }
 
-    /// Rows along the tangents in which something can move.
-    pub(super) fn tangent_rows(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
-        if pair.still == [true; 2] {
+    /// Rows of the ways of friction, in their measure.
+    pub(super) fn friction_rows(
+        &mut self,
+        now: &Situation<R>,
+        contact: &Contact<R>,
+        pair: &Pair,
+        ways: &Ways,
+    ) {
+        if ways.list().is_empty() {
             return;
         }
         let tangents = contact.tangents(now.model, now.placed);
-        for (tangent, _) in tangents.iter().zip(pair.still).filter(|(_, still)| !still) {
-            self.contact_row(now, contact, pair, tangent);
+        for way in ways.list() {
+            let axis = match way.axis {
+                Axis::Normal => contact.normal,
+                Axis::Tangent(at) => tangents[at],
+            };
+            let axis = axis * R::of(way.scale);
+            if way.turns {
+                self.turning_row(now, contact, pair, &axis, way.scale);
+            } else {
+                self.contact_row(now, contact, pair, &axis, way.scale);
+            }
         }
     }
 
@@ -99,14 +127,12 @@ impl<R: Real> Rows<R> {
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
-        first: usize,
-        set: Set,
+        pair: &Pair,
+        (first, set, mu): (usize, Set, f64),
         mask: R::Mask,
     ) {
-        let pair = &now.model.pairs[contact.pair];
         let block = self.push_block(first, set, mask, now, contact.element(), pair.mass);
-        let (soft, material) = (now.settings.law == Law::SolRef, now.model.material(pair));
-        block.mu = R::of(if soft { soft_friction(material) } else { material.friction[0] });
+        block.mu = R::of(mu);
         block.feature = contact.feature;
     }
 
@@ -120,13 +146,15 @@ impl<R: Real> Rows<R> {
         }
         let r = contact.dist - R::of(material.margin);
         let mut law = SolRef::at(&material.soft, r, settings.dt, settings.refsafe);
-        let (weight, mu, impratio) = (pair.invweight, soft_friction(material), settings.impratio);
+        let ways = Ways::soft(pair.still, material);
+        let (weight, mu, impratio) = (pair.invweight, ways.slide, settings.impratio);
         let first = self.rows.len();
         self.normal_row(now, contact, pair);
         if let Some(most) = settings.max_recovery_speed.under(Law::SolRef) {
-            // The normal of a pyramid is four edges side by side.
+            // The normal of a pyramid is its edges side by side, four with condim 3.
             let edges = settings.cone == Cone::Pyramidal && material.condim > 1;
-            let share = if edges { 0.5 * mu * mu / impratio * (1.0 + mu * mu) } else { 1.0 };
+            let each = 1.0 / f64::from(material.condim.max(2) - 1);
+            let share = if edges { each * mu * mu / impratio * (1.0 + mu * mu) } else { 1.0 };
             let row = &self.rows[first];
             let guess = self.dot(now.model, row, &now.placed.guess);
             let most = target_at(row, law.softness * R::of(weight * share), guess, most);
@@ -138,22 +166,25 @@ impl<R: Real> Rows<R> {
         if material.condim == 1 {
             let least = self.least_softness(first, pair);
             law.fill(&mut self.rows[first], r, R::of(weight), least, dt);
-            return self.close(now, contact, first, Set::Interval, mask);
+            return self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
         }
         if settings.cone == Cone::Elliptic {
-            self.tangent_rows(now, contact, pair);
+            self.friction_rows(now, contact, pair, &ways);
             let least = self.least_softness(first, pair);
             law.fill(&mut self.rows[first], r, R::of(weight), least, dt);
+            // MuJoCo's R_j = R₁ μ₁²/μ_j², in the measure of the ways.
+            let weight = R::of(weight / impratio * (ways.share * ways.share));
+            let law = law.of_friction(material.solreffriction, &material.soft, now.settings);
             for row in &mut self.rows[first + 1..] {
-                law.without_position().fill(row, R::zero(), R::of(weight / impratio), least, dt);
+                law.fill(row, R::zero(), weight, least, dt);
                 row.lo = R::of(f64::NEG_INFINITY);
             }
-            return self.close(now, contact, first, Set::Convex, mask);
+            return self.close(now, contact, pair, (first, Set::Convex, ways.mu), mask);
         }
         let edge = weight * 2.0 * mu * mu / impratio * (1.0 + mu * mu);
         let unmoved = R::Mask::of(weight == 0.0).and(self.rows[first].a.le(R::zero()));
-        self.pyramid(now, contact, pair, first);
-        let still = pair.still.iter().filter(|still| **still).count();
+        self.pyramid(now, contact, pair, &ways, first);
+        let still = ways.still;
         let edges = self.rows.len() - first;
         let least = self.least_softness(first, pair);
         for (k, row) in self.rows[first..].iter_mut().enumerate() {
@@ -165,7 +196,7 @@ impl<R: Real> Rows<R> {
         if mask.and(unmoved).any() {
             self.unfold(law, first, edges - edges % 2, unmoved, dt);
         }
-        self.close(now, contact, first, Set::Interval, mask);
+        self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
     }
 
     /// Makes each pair of edges ±μ J_t, where the normal moves nothing and its load has no end, into
@@ -188,11 +219,18 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Replaces the normal row at `first` by the edges J_n ± μ J_t, then the fold.
-    fn pyramid(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair, first: usize) {
-        let mu = R::of(soft_friction(now.model.material(pair)));
+    /// Replaces the normal row at `first` by the edges J_n ± μ_j J_j, then the fold.
+    fn pyramid(
+        &mut self,
+        now: &Situation<R>,
+        contact: &Contact<R>,
+        pair: &Pair,
+        ways: &Ways,
+        first: usize,
+    ) {
+        let mu = R::of(ways.mu);
         let (normal, tangents) = (first, first + 1);
-        self.tangent_rows(now, contact, pair);
+        self.friction_rows(now, contact, pair, ways);
         let moving = self.rows.len() - tangents;
         if moving == 0 {
             return; // The normal row is the fold.
@@ -201,7 +239,7 @@ impl<R: Real> Rows<R> {
             self.push_sum(now, normal, tangents + k, mu);
             self.push_sum(now, normal, tangents + k, -mu);
         }
-        if moving < 2 {
+        if ways.still > 0 {
             self.push_sum(now, normal, normal, R::zero());
         }
         // The normal and the tangents were only the makings of the edges: y stays packed.
@@ -259,10 +297,11 @@ impl<R: Real> Rows<R> {
         }
         law.distance(&mut self.rows[first], &near, now.settings.restitution, push);
         let material = now.model.material(pair);
-        if material.condim == 1 || material.friction[0] <= 0.0 {
-            return self.close(now, contact, first, Set::Interval, mask);
+        let ways = Ways::plain(pair.still, material);
+        if ways.mu <= 0.0 || material.condim == 1 {
+            return self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
         }
-        self.tangent_rows(now, contact, pair);
+        self.friction_rows(now, contact, pair, &ways);
         let least = weightless_softness(&self.rows[first..], pair.mass);
         law.unmoved(&mut self.rows[first], least);
         for row in &mut self.rows[first + 1..] {
@@ -273,7 +312,7 @@ impl<R: Real> Rows<R> {
             Cone::Elliptic => Set::CoulombRound,
             Cone::Pyramidal => Set::CoulombBox,
         };
-        self.close(now, contact, first, set, mask);
+        self.close(now, contact, pair, (first, set, ways.mu), mask);
     }
 
     /// Follows the shapes of a contact that is still ahead along the guess, in the lanes of `open`:
@@ -325,6 +364,10 @@ impl<R: Real> Rows<R> {
         }
         motion.at(&arm)
     }
+}
+
+fn bodies(model: &Model, pair: &Pair) -> [usize; 2] {
+    [model.geoms[pair.geom1].body, model.geoms[pair.geom2].body]
 }
 
 /// What lies ahead of a contact.

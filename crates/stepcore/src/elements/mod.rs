@@ -14,6 +14,7 @@ mod contact;
 mod damper;
 pub(crate) mod force;
 pub(crate) mod forces;
+pub(crate) mod friction;
 mod friction_loss;
 mod gravity;
 mod limit;

@@ -4,8 +4,11 @@
 //! Friction is Coulomb's, regularised by a damper: |f_t| = min(μ f_n, γ |v_t|), against v_t. The
 //! damper is an eighth of the critical one of the contact's spring and the mass 1/A_t that it moves
 //! sideways, γ = ¼ √(k/A_t): a contact that holds f_t creeps at f_t/γ, and v_t decays at a rate of
-//! γ A_t = ¼ √(k A_t), which a step that is stable for the spring can follow.
+//! γ A_t = ¼ √(k A_t), which a step that is stable for the spring can follow. Torsion and rolling are
+//! velocities and forces of the same kind in their measure (`friction.rs`), so that one damper and
+//! one bound hold for all ways together: Σ (f_j/μ_j)² ≤ f_n².
 
+use super::friction::Ways;
 use crate::detect::Contact;
 use crate::model::{Pair, Span};
 use crate::real::{Mask, Real};
@@ -30,23 +33,25 @@ impl<R: Real> Rows<R> {
         let force = -(k * contact.dist) - damping * row.velocity;
         self.push_apart(now, contact, row.dofs, row.y, dt * force, mask);
         let material = now.model.material(pair);
-        if material.condim > 1 && material.friction[0] > 0.0 && mask.any() {
-            let bound = R::of(material.friction[0]) * force.max(R::zero());
-            self.rub(now, contact, pair, dt * bound, mask);
+        let ways = Ways::plain(pair.still, material);
+        if material.condim > 1 && ways.mu > 0.0 && mask.any() {
+            let bound = R::of(ways.mu) * force.max(R::zero());
+            self.rub(now, contact, pair, &ways, dt * bound, mask);
         }
     }
 
-    /// Friction of at most `bound` [N·s] along the tangents.
+    /// Friction of at most `bound` [N·s] in all its ways together, each in its measure.
     fn rub(
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
         pair: &Pair,
+        ways: &Ways,
         bound: R,
         mask: R::Mask,
     ) {
         let first = self.rows.len();
-        self.tangent_rows(now, contact, pair);
+        self.friction_rows(now, contact, pair, ways);
         let (mut a, mut square) = (R::zero(), R::zero());
         for row in &self.rows[first..] {
             a = a.max(row.a);

@@ -21,6 +21,7 @@ mod tree;
 pub use pairs::Never;
 pub use plan::Unmet;
 
+use crate::elements::friction::Ways;
 use crate::scene::{Actuator, Coefficients, Features, GeomType, JointType, Key, Softness};
 use crate::shapes::ShapeTest;
 use nalgebra::{Matrix3, Vector3};
@@ -197,6 +198,9 @@ pub struct Material {
     pub margin: f64,
     pub gap: f64,
     pub soft: Softness,
+    /// Spring and damper of the tangents of an elliptic cone under `solref`, where they have their
+    /// own (an explicit pair's, not zero).
+    pub solreffriction: Option<[f64; 2]>,
 }
 
 /// The positions of a joint within which pairs are apart: its range, widened.
@@ -267,6 +271,15 @@ impl Model {
     #[inline(always)]
     pub fn material(&self, pair: &Pair) -> &Material {
         &self.materials[pair.material]
+    }
+
+    /// In how many ways the friction of a pair's contacts has rows: under `solref`, and under the
+    /// other laws; and how many of its ways nothing can move in.
+    pub fn ways(&self, pair: &Pair) -> (usize, usize, usize) {
+        let material = self.material(pair);
+        let soft = Ways::soft(pair.still, material);
+        let plain = Ways::plain(pair.still, material);
+        (soft.list().len(), plain.list().len(), soft.still)
     }
 
     /// One free joint and nothing jointed on it, the mass a ball's about the joint's own

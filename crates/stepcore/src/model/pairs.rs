@@ -148,10 +148,6 @@ fn pair(
     };
     let material = mix(x, y);
     let condim = material.condim;
-    if !matches!(condim, 1 | 3) {
-        let limit = "1 or 3: torsional and rolling friction are not built yet";
-        return Err(Error::value(text!["condim of ", names()], condim, limit));
-    }
     let dofs = unions.of(model, x.body, y.body);
     Ok(Pair {
         geom1: a,
@@ -174,7 +170,8 @@ fn mix(x: &Geom, y: &Geom) -> Material {
     if x.priority != y.priority {
         let g = if x.priority > y.priority { x } else { y };
         let friction = by_direction(g.friction);
-        return Material { condim: g.condim, friction, margin, gap, soft: g.soft.clone() };
+        let soft = g.soft.clone();
+        return Material { condim: g.condim, friction, margin, gap, soft, solreffriction: None };
     }
     let share = match (x.solmix > 0.0, y.solmix > 0.0) {
         (true, true) => x.solmix / (x.solmix + y.solmix),
@@ -200,6 +197,7 @@ fn mix(x: &Geom, y: &Geom) -> Material {
         margin,
         gap,
         soft: Softness { solref, solimp: std::array::from_fn(|i| blend(p.solimp[i], q.solimp[i])) },
+        solreffriction: None,
     }
 }
 

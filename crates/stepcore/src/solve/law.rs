@@ -58,6 +58,15 @@ impl<R: Real> SolRef<R> {
         Self { kd: R::zero(), ..self }
     }
 
+    /// The same for the tangents of a cone: without position, and with the damper of a `solref` of
+    /// their own where they have one.
+    pub fn of_friction(self, own: Option<[f64; 2]>, soft: &Softness, settings: &Settings) -> Self {
+        let Some(solref) = own else { return self.without_position() };
+        let soft = Softness { solref, solimp: soft.solimp };
+        let b = Self::at(&soft, R::zero(), settings.dt, settings.refsafe).b;
+        Self { b, ..self.without_position() }
+    }
+
     /// Fills a row in: t = u + dt·a_ref at the violation `r`, c = R = softness × `weight`, and
     /// no less than what `least_softness` says of its block.
     #[inline(always)]

@@ -34,7 +34,7 @@ pub(crate) use solver::{Solve, Solvers, Unconstrained};
 use crate::elements::Kind;
 use crate::model::{Model, Span};
 use crate::real::{Mask, Real};
-use crate::spatial::{Force, V3};
+use crate::spatial::{Force, Motion, V3};
 use crate::state::{Warm, WARM_ROWS};
 
 /// A·m below this many squared roundings may be rounding; beside the squares of its terms, it is
@@ -56,6 +56,26 @@ impl<R: Real> Rows<R> {
         self.clear_scratch(dofs.of(&now.model.dof_lists));
         self.add_jacobian(now, bodies[0], &at[0], &-direction);
         self.add_jacobian(now, bodies[1], &at[1], direction);
+    }
+
+    /// The same of the angular velocity of body 2 relative to body 1, along `axis`.
+    pub(crate) fn turning_jacobian(
+        &mut self,
+        now: &Situation<R>,
+        bodies: [usize; 2],
+        dofs: Span,
+        axis: &V3<R>,
+    ) {
+        self.clear_scratch(dofs.of(&now.model.dof_lists));
+        for (body, axis) in bodies.into_iter().zip([-axis, *axis]) {
+            let body = &now.model.bodies[body];
+            if body.tree == crate::model::NONE {
+                continue;
+            }
+            for &k in body.chain.of(&now.model.dof_lists) {
+                self.scratch[k] += now.placed.motion[k].ang.dot(&axis);
+            }
+        }
     }
 
     /// The Jacobian of the next row is zero on these dofs.
@@ -88,6 +108,7 @@ impl<R: Real> Rows<R> {
     /// Makes the row pushed last a row that nothing moves (J = 0) where its J, the relative velocity
     /// of two body points at `at`, is but the rounding of what cancels in it.
     ///
+    /// `size` is how large the square of a dof's part could be, from its motion and the arm to `at`.
     /// 1/A of such a row is a number without meaning: where its regulariser is as small, it
     /// would ask for a motion at any speed.
     pub(crate) fn drop_rounding(
@@ -96,6 +117,7 @@ impl<R: Real> Rows<R> {
         bodies: [usize; 2],
         at: &V3<R>,
         mass: f64,
+        size: impl Fn(&Motion<R>, &V3<R>) -> R,
     ) {
         let Some(row) = self.rows.last() else { return };
         let suspect = (row.a * R::of(mass)).lt(R::of(SUSPECT * R::EPSILON * R::EPSILON));
@@ -111,10 +133,7 @@ impl<R: Real> Rows<R> {
             }
             let arm = at - now.placed.origin[body.tree];
             for &k in body.chain.of(&now.model.dof_lists) {
-                let motion = &now.placed.motion[k];
-                let turning = motion.ang.dot(&motion.ang) * arm.dot(&arm);
-                let term = turning + motion.lin.dot(&motion.lin);
-                terms += now.placed.metric.inv_d[k] * term;
+                terms += now.placed.metric.inv_d[k] * size(&now.placed.motion[k], &arm);
             }
         }
         let none = suspect.and(row.a.le(R::of(ROUNDED * R::EPSILON * R::EPSILON) * terms));

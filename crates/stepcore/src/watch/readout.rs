@@ -4,6 +4,8 @@
 //! constraint forces those of the last solve.
 
 use crate::detect::Contact;
+use crate::elements::friction::{Axis, Ways, MOST_WAYS};
+use crate::elements::Kind;
 use crate::model::NONE;
 use crate::real::{Mask, Real};
 use crate::sim::Sim;
@@ -89,48 +91,79 @@ impl<R: Real> Sim<R> {
             .filter(move |(_, contact)| contact.mask.lane(lane))
     }
 
-    /// Force of a contact on geom 2, in world axes [N].
-    pub fn contact_force(&self, contact: &Contact<R>, lane: usize) -> [f64; 3] {
+    /// Force [N] and torque [N·m] of a contact on geom 2 where they touch, in world axes. The torque
+    /// is that of torsion and rolling.
+    pub fn contact_wrench(&self, contact: &Contact<R>, lane: usize) -> [f64; 6] {
+        let pair = &self.model.pairs[contact.pair];
         let element = contact.element();
+        let law = self.settings.law;
+        let ways = Ways::under(law, pair.still, self.model.material(pair));
+        let mut parts = [0.0; 1 + MOST_WAYS];
         if let Some(block) = self.rows.blocks.iter().find(|block| block.element == element) {
-            return self.block_force(block, contact, lane);
+            self.parts_of_block(block, &ways, lane, &mut parts);
+        } else {
+            let pushes = self.rows.pushes.iter().filter(|push| push.element == element);
+            for ((part, push), row) in parts.iter_mut().zip(pushes).zip(0..) {
+                *part = push.impulse.lane(lane) * ways.scale_of_row(row);
+            }
         }
-        // Pushes along the normal, then along the tangents that move something.
         let tangents = contact.tangents(&self.model, &self.placed);
-        let moving = tangents.iter().zip(self.model.pairs[contact.pair].still);
-        let moving = moving.filter(|(_, still)| !still).map(|(tangent, _)| tangent);
-        let ways = std::iter::once(&contact.normal).chain(moving);
-        let pushes = self.rows.pushes.iter().filter(|push| push.element == element);
-        let parts = ways
-            .zip(pushes)
-            .map(|(way, push)| scaled(way, push.impulse.lane(lane) / self.clock.seconds, lane));
-        parts.fold([0.0; 3], |sum, part| std::array::from_fn(|axis| sum[axis] + part[axis]))
+        let [normal, along @ ..] = parts.map(|part| part / self.clock.seconds);
+        let mut wrench = [0.0; 6];
+        let mut push = |axis: &V3<R>, size: f64, first: usize| {
+            for (to, part) in wrench[first..].iter_mut().zip(scaled(axis, size, lane)) {
+                *to += part;
+            }
+        };
+        push(&contact.normal, normal, 0);
+        for (way, size) in ways.list().iter().zip(along) {
+            let axis = match way.axis {
+                Axis::Normal => &contact.normal,
+                Axis::Tangent(at) => &tangents[at],
+            };
+            push(axis, size, if way.turns { 3 } else { 0 });
+        }
+        wrench
     }
 
-    fn block_force(&self, block: &Block<R>, contact: &Contact<R>, lane: usize) -> [f64; 3] {
+    /// Impulse along the normal, then in each way, in its own unit.
+    fn parts_of_block(
+        &self,
+        block: &Block<R>,
+        ways: &Ways,
+        lane: usize,
+        parts: &mut [f64; 1 + MOST_WAYS],
+    ) {
         let rows = &self.rows.rows[block.rows.range()];
-        let impulse: Vec<f64> = rows.iter().map(|row| row.total().lane(lane)).collect();
-        let bounded = |at: usize| rows[at].lo.lane(lane) >= 0.0;
-        let still = self.model.pairs[contact.pair].still;
-        let tangents = contact.tangents(&self.model, &self.placed);
-        let moving = tangents.iter().zip(still).filter(|(_, still)| !still);
-        // A pyramid's rows are its edges J_n ± μ J_t and, if need be, their fold; a pair of edges
-        // whose normal nothing moves is a tangent without bounds, and its load.
-        let edges = block.set == Set::Interval;
-        let loads = || (0..impulse.len()).filter(|at| bounded(*at)).map(|at| impulse[at]);
-        let normal = if edges { loads().sum() } else { impulse[0] };
-        let mut force = scaled(&contact.normal, normal / self.clock.seconds, lane);
-        for (k, (tangent, _)) in moving.enumerate() {
-            let along = match impulse.len() {
-                1 => 0.0,
-                _ if edges && !bounded(2 * k) => block.mu.lane(lane) * impulse[2 * k],
-                _ if edges => block.mu.lane(lane) * (impulse[2 * k] - impulse[2 * k + 1]),
-                _ => impulse[k + 1],
-            };
-            let part = scaled(tangent, along / self.clock.seconds, lane);
-            force = std::array::from_fn(|axis| force[axis] + part[axis]);
+        let impulse = |at: usize| rows[at].total().lane(lane);
+        if block.set != Set::Interval {
+            for (at, part) in parts.iter_mut().enumerate().take(rows.len()) {
+                *part = impulse(at) * ways.scale_of_row(at);
+            }
+            return;
         }
-        force
+        // A pyramid's rows are its edges J_n ± μ_j J_j and, if need be, their fold; a pair of edges
+        // whose normal nothing moves is a way without bounds, and its load.
+        let bounded = |at: usize| rows[at].lo.lane(lane) >= 0.0;
+        parts[0] = (0..rows.len()).filter(|at| bounded(*at)).map(impulse).sum();
+        if rows.len() > 1 {
+            for (k, way) in ways.list().iter().enumerate() {
+                let across = if bounded(2 * k) { impulse(2 * k + 1) } else { 0.0 };
+                let mu = block.mu.lane(lane) * way.scale;
+                parts[k + 1] = mu * (impulse(2 * k) - across);
+            }
+        }
+    }
+
+    /// What one unit of a row's impulse is of its own: torsion and rolling in a cone come in the
+    /// measure of sliding (`elements/friction.rs`). Velocities of the row are the inverse of it.
+    pub fn scale_of_row(&self, block: &Block<R>, row: usize) -> f64 {
+        if block.set == Set::Interval || block.element.kind != Kind::Contact {
+            return 1.0;
+        }
+        let pair = &self.model.pairs[block.element.index as usize];
+        let material = self.model.material(pair);
+        Ways::under(self.settings.law, pair.still, material).scale_of_row(row)
     }
 
     /// How the rows that exist in a lane push each other, at the last solve.
@@ -143,7 +176,9 @@ impl<R: Real> Sim<R> {
         };
         let mut coupling = Coupling::default();
         let mut spread = vec![0.0; self.model.nv];
+        let (mut within, mut last) = (0, None);
         for (index, row) in &live {
+            within = if last.replace(*index) == Some(*index) { within + 1 } else { 0 };
             spread.fill(0.0);
             for (k, y) in entries(row) {
                 spread[k] = y * self.placed.metric.inv_d[k].lane(lane);
@@ -157,7 +192,9 @@ impl<R: Real> Sim<R> {
                 Set::CoulombRound => 2.0,
                 Set::CoulombBox => 3.0,
             };
-            coupling.rows.push([row.inv_s.lane(lane), block.mass, block.mu.lane(lane), set]);
+            let scale = self.scale_of_row(block, within);
+            let (s, mu) = (row.inv_s.lane(lane), block.mu.lane(lane));
+            coupling.rows.push([s, block.mass, mu, set, scale]);
         }
         coupling
     }
@@ -180,8 +217,9 @@ pub struct Coupling {
     pub a: Vec<f64>,
     /// By row: one over the denominator of its update; the mass of the trees that it touches;
     /// the friction of its cone; and 0 for an interval, 1 for a row of a convex cone, 2 and 3
-    /// for one of a Coulomb cone, round or box.
-    pub rows: Vec<[f64; 4]>,
+    /// for one of a Coulomb cone, round or box; and what one unit of its impulse is of its own,
+    /// because torsion and rolling in a cone are solved in the measure of sliding, as `a` has them.
+    pub rows: Vec<[f64; 5]>,
 }
 
 fn scaled<R: Real>(v: &V3<R>, k: f64, lane: usize) -> [f64; 3] {

@@ -208,26 +208,30 @@ class _Listing:
 
     def _contact_rows(self) -> Iterator[Listed]:
         plan, law = self.plan, self.settings.law
-        condim, still, friction = plan["condim"], plan["still"], plan["friction"]
+        condim, friction = plan["condim"], plan["friction"]
         every = range(len(condim))
         if law == "penalty":
             why = "the law penalty uses springs, not rows"
             yield _out("solve", "contact rows", self._pair_names(every), why, kind="row")
             return
         normal = self._pair_names(i for i in every if condim[i] == 1)
+        ways = [(soft if law == "solref" else plain, still) for soft, plain, still in plan["ways"]]
         zero = [i for i in every if condim[i] > 1 and friction[i] == 0]
-        dropped = zero if law in ("lesson", "relaxed", "rigid") else []
+        none = [i for i in zero if plan["ways"][i][1] == 0]
+        dropped = none if law in ("lesson", "relaxed", "rigid") else []
         removal = Removal("friction", "", (("frictionless", self.features.geoms_with_friction()),))
         name = "friction of contacts"
         yield _used("solve", "contacts, normal row only", normal, kind="row")
         yield _out("solve", name, normal, "condim 1", kind="row")
         yield _out("solve", name, self._pair_names(dropped), "μ is 0", kind="row")
-        by_tangents: dict[int, list[int]] = {}
+        by_ways: dict[tuple[int, int], list[int]] = {}
         for i in every:
             if condim[i] > 1 and i not in dropped:
-                by_tangents.setdefault(2 - sum(still[i]), []).append(i)
-        for tangents, indices in sorted(by_tangents.items(), reverse=True):
-            rows = self._rows_of_contact(tangents)
+                by_ways.setdefault(ways[i], []).append(i)
+        for (moving, still), indices in sorted(
+            by_ways.items(), key=lambda item: (-item[0][0], item)
+        ):
+            rows = self._rows_of_contact(moving, still)
             names = self._pair_names(indices)
             yield _used(
                 "solve",
@@ -235,23 +239,26 @@ class _Listing:
                 names,
                 kind="row",
                 rows=self.row_count["contact"] if len(indices) == len(condim) else None,
-                removal=removal if len(by_tangents) == 1 else None,
+                removal=removal if len(by_ways) == 1 else None,
             )
-            if tangents < 2:
-                full = self._rows_of_contact(2)
+            if still:
+                full = self._rows_of_contact(moving + still, 0)
                 why = f"no body can move that way: {rows} rows instead of {full}"
-                word = "one tangent" if tangents else "both tangents"
+                word = "one tangent" if still == 1 else "both tangents"
                 yield _out("solve", f"friction along {word}", names, why, kind="row")
-        if zero and not dropped:
+        if zero and law == "solref":
             why = "μ is 0, but MuJoCo's law uses at least 1e-5; condim 1 removes these rows"
             name = "friction of contacts, μ 0"
             yield _used("solve", name, self._pair_names(zero), why=why, kind="row")
 
-    def _rows_of_contact(self, tangents: int) -> int:
-        """The rows of a contact with friction whose bodies can move along so many tangents."""
+    def _rows_of_contact(self, moving: int, still: int) -> int:
+        """The rows of a contact whose bodies can move in so many ways, and not in so many others.
+
+        A way is a tangent, torsion or rolling.
+        """
         if self.settings.law != "solref" or self.settings.cone == "elliptic":
-            return 1 + tangents
-        return {2: 4, 1: 3, 0: 1}[tangents]
+            return 1 + moving
+        return 2 * moving + (1 if still else 0)
 
     def commit(self) -> Iterator[Listed]:
         """The solver, what the integrator adds, and quaternions."""

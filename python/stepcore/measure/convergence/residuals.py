@@ -137,7 +137,7 @@ def row_forces(own: Sim, solution: Sim) -> tuple[RowForce, ...]:
     rows, others = own.rows, solution.rows
     coupling, about = own._core.coupling()
     residual, weight = speeds(own), np.sqrt(np.diagonal(coupling) / about[:, 1])
-    missing = np.abs(rows["impulse"] - others["impulse"]) * weight
+    missing = np.abs(rows["impulse"] - others["impulse"]) / about[:, 4] * weight
     forces = []
     elements = zip(rows["kind"].tolist(), rows["index"].tolist(), strict=True)
     for kind, index in dict.fromkeys(elements):

@@ -50,12 +50,14 @@ def speeds(sim: Sim) -> Floats:
         return np.zeros(0)
     coupling, own = sim._core.coupling()
     a = np.diagonal(coupling)
-    denominator = a + rows["regulariser"]
+    # Torsion and rolling in a cone are solved in the measure of sliding.
+    unit = own[:, 4]
+    denominator = a + rows["regulariser"] * unit**2
     for block in np.unique(rows["block"][own[:, 3] > 0]):
         at = rows["block"] == block
         denominator[at] = denominator[at].max()
     safe = np.where(denominator > 0, denominator, 1.0)
-    return rows["residual"] / safe * np.sqrt(a / own[:, 1])
+    return rows["residual"] * unit / safe * np.sqrt(a / own[:, 1])
 
 
 def theory(solved: Sim) -> SweepTheory:
@@ -70,7 +72,8 @@ def theory(solved: Sim) -> SweepTheory:
     formula, closed = closed_form(solved)
     if why:
         return SweepTheory(None, why, formula, closed)
-    radius = spectral_radius(coupling, rows["regulariser"], 1 / own[:, 0], parts)
+    regulariser = rows["regulariser"] * own[:, 4] ** 2
+    radius = spectral_radius(coupling, regulariser, 1 / own[:, 0], parts)
     return SweepTheory(radius, "", formula, closed)
 
 
@@ -101,7 +104,7 @@ def spectral_radius(
 
 def _parts(rows: NDArray[np.void], own: Floats) -> tuple[list[list[int]], str]:
     """The active rows, grouped as they are solved; or why there is no linear map."""
-    impulse, lo, hi = rows["impulse"], rows["lo"], rows["hi"]
+    impulse, lo, hi = rows["impulse"] / own[:, 4], rows["lo"], rows["hi"]
     near = INSIDE * float(np.abs(impulse).max(initial=0.0))
     parts: list[list[int]] = []
     for block in dict.fromkeys(rows["block"].tolist()):

@@ -26,7 +26,6 @@ fn what_is_refused_is_named() {
         (|s| s.geoms[1].friction[0] = -0.1, "geom 'ball' friction[0]"),
         (|s| s.geoms[1].soft.solref = [0.02, -1.0], "geom 'ball' solref"),
         (|s| s.geoms[1].soft.solimp[2] = f64::NAN, "geom 'ball' solimp[2]"),
-        (|s| s.geoms[1].condim = 4, "condim of geom 'floor' and geom 'ball'"),
         (|s| s.geoms[1].condim = 2, "geom 'ball' condim"),
         (|s| s.geoms[1].kind = GeomType::Box, "geom 'ball' size[1]"),
         (

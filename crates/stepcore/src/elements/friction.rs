@@ -1,0 +1,163 @@
+//! The ways in which a contact's friction pushes: along two tangents (condim 3), about the normal
+//! (torsion, condim 4), and about both tangents (rolling, condim 6).
+//!
+//! Each way j has its own coefficient, and friction is bounded by Σ (λ_j/μ_j)² ≤ λ_n² (round) or by
+//! |λ_j| ≤ μ_j λ_n (box, and the edges J_n ± μ_j J_j of a pyramid). A row is made in the measure
+//! that makes μ_j the coefficient μ of the first: its Jacobian is (μ_j/μ) J_j, and its impulse
+//! λ_j μ/μ_j, so that torsion and rolling, whose μ_j are lengths, are velocities [m/s] and
+//! impulses [N·s] as well. Then the solvers know one cone only, |λ_t| ≤ μ λ_n, and MuJoCo's
+//! regulariser R_j = R₁ μ₁²/μ_j² is one number for all.
+
+use crate::model::Material;
+use crate::settings::Law;
+
+/// MuJoCo's `mjMINMU`: under `solref` no coefficient of friction is smaller.
+const LEAST: f64 = 1e-5;
+/// Two tangents, the normal, and both tangents again.
+pub(crate) const MOST_WAYS: usize = 5;
+
+/// What a way is along or about.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Axis {
+    Normal,
+    Tangent(usize),
+}
+
+/// One way that has a row.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Way {
+    pub axis: Axis,
+    /// It turns about its axis instead of sliding along it.
+    pub turns: bool,
+    /// μ_j/μ: of its row beside J_j.
+    pub scale: f64,
+}
+
+/// The ways of a contact that have rows.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ways {
+    list: [Way; MOST_WAYS],
+    count: usize,
+    /// Ways that have none because nothing can move in them.
+    pub still: usize,
+    /// The coefficient of the first: that of the cone.
+    pub mu: f64,
+    /// MuJoCo's μ₁, which its regularisers go by, and its share of μ.
+    pub slide: f64,
+    pub share: f64,
+}
+
+impl Ways {
+    /// Under the law: of a contact whose tangents are `still`.
+    pub fn under(law: Law, still: [bool; 2], material: &Material) -> Self {
+        if law == Law::SolRef {
+            Self::soft(still, material)
+        } else {
+            Self::plain(still, material)
+        }
+    }
+
+    /// Under `solref`: every coefficient is at least MuJoCo's least.
+    pub fn soft(still: [bool; 2], material: &Material) -> Self {
+        Self::of(still, material, LEAST)
+    }
+
+    /// Under the other laws: a way without friction has no row.
+    pub fn plain(still: [bool; 2], material: &Material) -> Self {
+        Self::of(still, material, 0.0)
+    }
+
+    fn of(fixed: [bool; 2], material: &Material, least: f64) -> Self {
+        let way = |direction: usize| Way {
+            axis: if direction == 2 { Axis::Normal } else { Axis::Tangent(direction % 3) },
+            turns: direction > 1,
+            scale: 1.0,
+        };
+        let mut ways = Self {
+            list: core::array::from_fn(way),
+            count: 0,
+            still: 0,
+            mu: 0.0,
+            slide: material.friction[0].max(least),
+            share: 1.0,
+        };
+        let directions = material.condim.saturating_sub(1) as usize;
+        for (direction, friction) in material.friction.iter().enumerate().take(directions) {
+            let mu = friction.max(least);
+            if fixed.get(direction) == Some(&true) {
+                ways.still += 1;
+            } else if mu > 0.0 {
+                if ways.count == 0 {
+                    ways.mu = mu;
+                    ways.share = ways.slide / mu;
+                }
+                let scale = mu / ways.mu;
+                ways.list[ways.count] = Way { scale, ..way(direction) };
+                ways.count += 1;
+            }
+        }
+        if ways.count == 0 {
+            ways.mu = ways.slide;
+        }
+        ways
+    }
+
+    pub fn list(&self) -> &[Way] {
+        &self.list[..self.count]
+    }
+
+    /// What one unit of a cone row's impulse is of its own [1, or m].
+    pub fn scale_of_row(&self, row: usize) -> f64 {
+        match row.checked_sub(1).and_then(|way| self.list().get(way)) {
+            Some(way) => way.scale,
+            None => 1.0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Softness;
+
+    fn material(condim: u32, friction: [f64; 5]) -> Material {
+        Material {
+            condim,
+            friction,
+            margin: 0.0,
+            gap: 0.0,
+            soft: Softness::default(),
+            solreffriction: None,
+        }
+    }
+
+    #[test]
+    fn ways_are_in_the_measure_of_the_first() {
+        let all = material(6, [0.5, 0.5, 0.01, 0.002, 0.002]);
+        let ways = Ways::soft([false; 2], &all);
+        let found: Vec<_> = ways.list().iter().map(|way| (way.axis, way.turns)).collect();
+        let (first, second) = (Axis::Tangent(0), Axis::Tangent(1));
+        let want = [(first, false), (second, false), (Axis::Normal, true)];
+        assert_eq!(found, [want.as_slice(), &[(first, true), (second, true)]].concat());
+        let scales: Vec<f64> = ways.list().iter().map(|way| way.scale).collect();
+        assert_eq!((ways.mu, ways.share, ways.still), (0.5, 1.0, 0));
+        assert_eq!(scales, [1.0, 1.0, 0.02, 0.004, 0.004]);
+        let rows: Vec<f64> = (0..6).map(|row| ways.scale_of_row(row)).collect();
+        assert_eq!(rows, [1.0, 1.0, 1.0, 0.02, 0.004, 0.004]);
+    }
+
+    #[test]
+    fn ways_without_friction_or_motion_have_no_rows() {
+        let torsion = material(4, [0.0, 0.0, 0.01, 0.002, 0.002]);
+        assert_eq!(Ways::plain([false; 2], &torsion).list().len(), 1);
+        assert_eq!(Ways::plain([false; 2], &torsion).mu, 0.01);
+        let least = Ways::soft([false; 2], &torsion);
+        assert_eq!((least.list().len(), least.mu, least.list()[2].scale), (3, 1e-5, 1000.0));
+        let one = Ways::soft([true, false], &material(3, [0.8, 0.4, 0.0, 0.0, 0.0]));
+        assert_eq!((one.list().len(), one.still), (1, 1));
+        assert_eq!((one.mu, one.slide, one.share), (0.4, 0.8, 2.0));
+        let none = Ways::soft([true; 2], &material(3, [0.8, 0.8, 0.0, 0.0, 0.0]));
+        assert_eq!((none.list().len(), none.still, none.mu), (0, 2, 0.8));
+        assert!(Ways::plain([false; 2], &material(1, [0.8; 5])).list().is_empty());
+    }
+}
