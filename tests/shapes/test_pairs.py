@@ -1,0 +1,63 @@
+"""Every pair of shapes against the oracle of benches/oracle, at random poses of every style.
+
+Errors are relative to the larger shape or the distance of the two. Where shapes are apart an
+answer proves itself; where they overlap the oracle looks for a shorter way out.
+"""
+
+import numpy as np
+import pytest
+from oracle.judge import judge, touched
+from oracle.poses import STYLES, trial
+from shape_pairs import BUILT
+
+TOLERANCE = 1e-9
+
+
+@pytest.mark.parametrize("pair", BUILT, ids="-".join)
+def test_distances_normals_and_points(pair):
+    rng = np.random.default_rng(11)
+    for style in STYLES:
+        _check(judge(trial(rng, pair, style, 200), searched=12), style)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("pair", BUILT, ids="-".join)
+def test_a_hundred_thousand_poses(pair):
+    rng = np.random.default_rng(13)
+    for style in STYLES:
+        for _ in range(10):
+            _check(judge(trial(rng, pair, style, 1000), searched=100, covered=2), style)
+
+
+def _check(verdict, style):
+    # A rotation rounds, and far from the origin so does every position.
+    tolerance = TOLERANCE + (1e-15 * 1e4 / verdict.trial.posed.scale.min() if style == "far" else 0)
+    for error in ("dist", "plane", "point", "support", "unit", "manifold"):
+        values = np.abs(getattr(verdict, error))
+        worst = int(np.nanargmax(values))
+        assert values[worst] < tolerance, (style, error, verdict.trial.shapes, worst)
+    assert np.nanmax([0, *verdict.unproven]) < 1e-3
+
+
+@pytest.mark.parametrize("pair", BUILT, ids="-".join)
+def test_lanes_are_scalars_bit_for_bit(pair):
+    rng = np.random.default_rng(17)
+    for style in STYLES:
+        one = trial(rng, pair, style, 61)
+        alone, lanes = touched(one), touched(one, lanes=True)
+        there = alone.exists
+        assert np.array_equal(there, lanes.exists)
+        for name in ("dist", "pos", "normal", "feature"):
+            assert np.array_equal(getattr(alone, name)[there], getattr(lanes, name)[there]), name
+
+
+@pytest.mark.parametrize("pair", BUILT, ids="-".join)
+def test_f32_is_near(pair):
+    """To 1e-5 of the pair: positions of f32 round at 6e-8, and a curved pair's normal amplifies."""
+    rng = np.random.default_rng(19)
+    for style in ("generic", "slabs", "aligned", "small", "large"):
+        one = trial(rng, pair, style, 100)
+        wide, short = touched(one), touched(one, precision="f32")
+        scale = one.posed.scale + np.abs(one.poses).max()
+        near = [np.where(t.exists, t.dist, np.inf).min(axis=1) for t in (wide, short)]
+        assert (np.abs(near[0] - near[1]) < 1e-5 * scale).all(), style
