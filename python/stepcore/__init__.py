@@ -76,12 +76,14 @@ if TYPE_CHECKING:
     from stepcore.report.table import Table as Table
     from stepcore.scene.elements import Actuator as Actuator
     from stepcore.scene.elements import Body as Body
+    from stepcore.scene.elements import ContactOverride as ContactOverride
     from stepcore.scene.elements import Equality as Equality
     from stepcore.scene.elements import Features as Features
     from stepcore.scene.elements import Geom as Geom
     from stepcore.scene.elements import Joint as Joint
     from stepcore.scene.elements import Key as Key
     from stepcore.scene.elements import MassRules as MassRules
+    from stepcore.scene.elements import Pair as Pair
     from stepcore.scene.elements import Site as Site
     from stepcore.scene.scene import Scene as Scene
 
@@ -168,8 +170,8 @@ _MODULES = {
     "stepcore.report.report": ("Report",),
     "stepcore.report.table": ("Table",),
     "stepcore.scene.elements": (
-        *("Actuator", "Body", "Equality", "Features", "Geom"),
-        *("Joint", "Key", "MassRules", "Site"),
+        *("Actuator", "Body", "ContactOverride", "Equality", "Features", "Geom"),
+        *("Joint", "Key", "MassRules", "Pair", "Site"),
     ),
     "stepcore.scene.scene": ("Scene",),
 }

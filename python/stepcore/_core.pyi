@@ -85,6 +85,7 @@ class Settings:
         penalty_damping_ratio: float = 0.1,
         cone: _Cone = "pyramidal",
         impratio: float = 1.0,
+        noslip_iterations: int = 0,
         refsafe: bool = True,
     ) -> Settings: ...
     def replace(self, **fields: Unpack[SettingsFields]) -> Settings:
@@ -186,6 +187,11 @@ class Settings:
     def impratio(self) -> float:
         """Ratio of frictional to normal impedance, > 0."""
 
+    @property
+    def noslip_iterations(self) -> int:
+        """Sweeps over friction rows alone, with a regulariser of 0, after each solve under
+        "solref": MuJoCo's noslip. 0 for none.
+        """
     @property
     def refsafe(self) -> bool:
         """Whether the time constants of solref are at least 2 dt."""

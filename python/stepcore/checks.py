@@ -354,6 +354,15 @@ def solref(owner: Any, field: str, value: object) -> tuple[float, ...]:
     return result
 
 
+def solreffriction(owner: Any, field: str, value: object) -> tuple[float, ...]:
+    """Time constant > 0 [s] and damping ratio >= 0; or -stiffness and -damping, both <= 0."""
+    result: tuple[float, ...] = vector(2)(owner, field, value)
+    if result[1] < 0 if result[0] > 0 else result[1] > 0:
+        limit = "time constant > 0 and damping ratio >= 0, or -stiffness and -damping, both <= 0"
+        raise refuse(owner, field, value, limit)
+    return result
+
+
 def optional(check: Check) -> Check:
     """None, or what `check` takes."""
 

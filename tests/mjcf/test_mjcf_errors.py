@@ -223,7 +223,6 @@ MISTAKES = {
 UNBUILT = {
     "<fixed> in <tendon>": ("", "<tendon><fixed/></tendon>"),
     "<weld> in <equality>": ("", '<equality><weld body1="b"/></equality>'),
-    "<pair> in <contact>": ("", '<contact><pair geom1="g" geom2="g"/></contact>'),
     "<intvelocity> in <actuator>": ("", '<actuator><intvelocity joint="j"/></actuator>'),
     "<muscle> in <actuator>": ("", '<actuator><muscle joint="j"/></actuator>'),
     "(timeconst)": ('<joint name="j"/>', servo("position", 'timeconst=".1"')),
@@ -264,7 +263,6 @@ UNBUILT = {
     "own damping": ('<joint name="j"/>', '<actuator><motor joint="j" damping="1"/></actuator>'),
     "between sites": ("", '<equality><connect site1="s" site2="s"/></equality>'),
     "fluid": ("", '<option density="1"/>'),
-    "noslip": ("", '<option noslip_iterations="1"/>'),
     'integrator "implicit"': ("", '<option integrator="implicit"/>'),
     'integrator "discrete"': ("", '<option integrator="discrete"/>'),
     "actuatorgroupdisable": ("", '<option actuatorgroupdisable="1"/>'),
@@ -272,7 +270,7 @@ UNBUILT = {
     "alignfree": ("", '<compiler alignfree="true"/>'),
     **{
         f'flag "{flag}"': ("", f'<option><flag {flag}="enable"/></option>')
-        for flag in ("override", "sleep", "diagexact", "ipc", "speculative")
+        for flag in ("sleep", "diagexact", "ipc", "speculative")
     },
 }
 

@@ -58,7 +58,7 @@ def test_fields_have_the_engines_names() -> None:
     plain = ball_on_floor().to_dict()
     assert set(plain) == {
         *("name", "gravity", "bodies", "joints", "geoms", "sites", "actuators", "equalities"),
-        *("keys", "excludes", "mass_rules", "features"),
+        *("keys", "excludes", "pairs", "contact_override", "mass_rules", "features"),
     }
     assert set(plain["joints"][0]) == {
         *("name", "body", "kind", "pos", "axis", "range", "margin", "reference", "springref"),

@@ -2,8 +2,8 @@
 
 use pyo3::prelude::*;
 use stepcore::scene::{
-    Actuator, Body, Equality, Features, Geom, GeomType, Inertial, Joint, JointType, Key, MassRules,
-    Scene, Site, Softness,
+    Actuator, Body, ContactOverride, Equality, ExplicitPair, Features, Geom, GeomType, Inertial,
+    Joint, JointType, Key, MassRules, Scene, Site, Softness,
 };
 
 use crate::extract::{record, refuse, At, Read};
@@ -71,6 +71,8 @@ record!(Geom {
 record!(Site { name, body, pos, quat });
 record!(Actuator { name, joint, gear, gain, bias, dampratio, ctrlrange, forcerange });
 record!(Equality { name, body1, body2, anchor, active, soft });
+record!(ExplicitPair { name, geom1, geom2, condim, friction, margin, gap, soft, solreffriction });
+record!(ContactOverride { margin, friction, soft });
 record!(Key { name, time, qpos, qvel, ctrl });
 record!(MassRules {
     from_geoms,
@@ -106,6 +108,8 @@ record!(Scene {
     equalities,
     keys,
     excludes,
+    pairs,
+    contact_override,
     mass_rules,
     features,
 });

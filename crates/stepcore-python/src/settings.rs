@@ -216,6 +216,9 @@ settings! {
     cone: Cone,
     /// Ratio of frictional to normal impedance, > 0.
     impratio: f64,
+    /// Sweeps over friction rows alone, with a regulariser of 0, after each solve under "solref":
+    /// MuJoCo's noslip. 0 for none.
+    noslip_iterations: u32,
     /// Whether the time constants of solref are at least 2 dt.
     refsafe: bool,
 }

@@ -310,6 +310,48 @@ pub struct Equality {
     pub soft: Softness,
 }
 
+/// Two geoms that collide whatever their bodies, masks and excludes say, with contact parameters of
+/// their own: MuJoCo's `pair`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExplicitPair {
+    pub name: String,
+    pub geom1: usize,
+    pub geom2: usize,
+    pub condim: u32,
+    /// Sliding along both tangents [1], torsional [m], rolling about both [m].
+    pub friction: [f64; 5],
+    /// A contact has rows below `margin` [m] and is listed up to `gap` above that.
+    pub margin: f64,
+    pub gap: f64,
+    pub soft: Softness,
+    /// The solref of the friction rows of a cone; None: that of `soft`.
+    pub solreffriction: Option<[f64; 2]>,
+}
+
+impl Default for ExplicitPair {
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            geom1: 0,
+            geom2: 0,
+            condim: 3,
+            friction: [1.0, 1.0, 0.005, 0.0001, 0.0001],
+            margin: 0.0,
+            gap: 0.0,
+            soft: Softness::default(),
+            solreffriction: None,
+        }
+    }
+}
+
+/// Contact parameters that replace those of every contact: MuJoCo's `o_margin` and its like.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ContactOverride {
+    pub margin: f64,
+    pub friction: [f64; 5],
+    pub soft: Softness,
+}
+
 /// A keyframe: a state by name. None: qpos0, and zeros.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Key {
@@ -403,8 +445,10 @@ pub struct Scene {
     pub actuators: Vec<Actuator>,
     pub equalities: Vec<Equality>,
     pub keys: Vec<Key>,
-    /// Pairs of bodies that never collide.
+    /// Pairs of bodies that never collide, but for explicit pairs of their geoms.
     pub excludes: Vec<[usize; 2]>,
+    pub pairs: Vec<ExplicitPair>,
+    pub contact_override: Option<ContactOverride>,
     pub mass_rules: MassRules,
     pub features: Features,
 }
@@ -422,6 +466,8 @@ impl Default for Scene {
             equalities: vec![],
             keys: vec![],
             excludes: vec![],
+            pairs: vec![],
+            contact_override: None,
             mass_rules: MassRules::default(),
             features: Features::default(),
         }

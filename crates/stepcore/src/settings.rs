@@ -193,6 +193,9 @@ pub struct Settings {
     pub cone: Cone,
     /// Ratio of frictional to normal impedance under `solref`: MuJoCo's `impratio`.
     pub impratio: f64,
+    /// Sweeps over friction alone, without a regulariser, after each solve under `solref`: MuJoCo's
+    /// `noslip_iterations`.
+    pub noslip_iterations: u32,
     /// Keep the time constants of solref at 2 dt or above: MuJoCo's `refsafe`.
     pub refsafe: bool,
 }
@@ -220,6 +223,7 @@ impl Default for Settings {
             penalty_damping_ratio: 0.1,
             cone: Cone::Pyramidal,
             impratio: 1.0,
+            noslip_iterations: 0,
             refsafe: true,
         }
     }

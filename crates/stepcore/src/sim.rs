@@ -13,7 +13,7 @@ use crate::error::{Divergence, Error, Fault, Result};
 use crate::model::Model;
 use crate::place::Placed;
 use crate::real::{Mask, Real};
-use crate::settings::{Settings, Solver};
+use crate::settings::{Law, Settings, Solver};
 use crate::solve::{Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
 
@@ -132,6 +132,10 @@ impl<R: Real> Sim<R> {
         let free = Unconstrained { dof_lists: &model.dof_lists, inv_d, guess: &self.placed.guess };
         let report = self.solver.solve(&self.settings, free, &mut self.rows)?;
         self.effort.note(&report, self.rows.rows.len());
+        let sweeps = self.settings.noslip_iterations;
+        if sweeps > 0 && self.settings.law == Law::SolRef {
+            self.rows.noslip(&model.dof_lists, inv_d, sweeps);
+        }
         Ok(())
     }
 

@@ -71,6 +71,11 @@ def _exclude(scene: Contents, pairs: Iterable[tuple[int, int]]) -> None:
     for a, b in pairs:
         # Not by `Scene.exclude`, which searches all bodies for the two.
         scene.excludes.append((scene.bodies[a], scene.bodies[b]))
+        ends = {id(scene.bodies[a]), id(scene.bodies[b])}
+        # An explicit pair would collide all the same.
+        scene.pairs = [
+            pair for pair in scene.pairs if {id(pair.geom1.body), id(pair.geom2.body)} != ends
+        ]
 
 
 def _no_range(scene: Contents, joints: Iterable[int]) -> None:
@@ -86,11 +91,17 @@ def _no_armature(scene: Contents, joints: Iterable[int]) -> None:
 def _frictionless(scene: Contents, geoms: Iterable[int]) -> None:
     for geom in geoms:
         scene.geoms[geom].condim = 1
+    own = {id(scene.geoms[geom]) for geom in geoms}
+    for pair in scene.pairs:
+        if id(pair.geom1) in own and id(pair.geom2) in own:
+            pair.condim = 1
 
 
 def _no_contact(scene: Contents, geoms: Iterable[int]) -> None:
     for geom in geoms:
         scene.geoms[geom].contype = scene.geoms[geom].conaffinity = 0
+    own = {id(scene.geoms[geom]) for geom in geoms}
+    scene.pairs = [p for p in scene.pairs if not own & {id(p.geom1), id(p.geom2)}]
 
 
 def _inactive(scene: Contents, equalities: Iterable[int]) -> None:

@@ -54,6 +54,7 @@ def _elements(layout: Layout, kind: str) -> Sequence[Element]:
         "site": layout.sites,
         "actuator": layout.scene.actuators,
         "equality": layout.scene.equalities,
+        "pair": layout.scene.pairs,
         "key": layout.scene.keys,
     }
     return elements[kind]

@@ -31,4 +31,5 @@ class SettingsFields(TypedDict, total=False):
     penalty_damping_ratio: float
     cone: str
     impratio: float
+    noslip_iterations: int
     refsafe: bool

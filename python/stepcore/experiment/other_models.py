@@ -29,7 +29,7 @@ Ref = tuple[float, ...]
 
 # Settings that say what is modelled, not how it is computed.
 MODELLED = (
-    *("law", "beta", "softness", "restitution", "slop", "cone", "impratio"),
+    *("law", "beta", "softness", "restitution", "slop", "cone", "impratio", "noslip_iterations"),
     *("max_recovery_speed", "penalty_stiffness", "penalty_damping_ratio"),
 )
 # Integrators that only solref knows.
@@ -235,8 +235,8 @@ def _softened(scene: Any, change: Callable[[Ref], Ref]) -> Any:
     for joint in made.joints:
         joint.solreflimit = change(joint.solreflimit)
         joint.solreffriction = change(joint.solreffriction)
-    for equality in made.equalities:
-        equality.solref = change(equality.solref)
+    for other in (*made.equalities, *made.pairs, made.contact_override):
+        other.solref = change(other.solref)
     return made
 
 
@@ -247,7 +247,7 @@ def _modelled(settings: Settings) -> tuple[Any, ...]:
     for name in MODELLED:
         unused = (
             (name in ("beta", "softness", "restitution", "slop") and soft)
-            or (name == "impratio" and not soft)
+            or (name in ("impratio", "noslip_iterations") and not soft)
             or (name.startswith("penalty") and settings.law != "penalty")
         )
         if unused:
@@ -277,6 +277,8 @@ def _solrefs(scene: Scene) -> list[Ref]:
     refs += [j.solreflimit for j in scene.joints if j.range is not None]
     refs += [j.solreffriction for j in scene.joints if j.frictionloss > 0]
     refs += [e.solref for e in scene.equalities if e.active]
+    refs += [pair.solref for pair in scene.pairs]
+    refs += [scene.contact_override.solref] * scene.contact_override.enable
     return refs
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 NAME = "stepcore"
 # Features without an MJCF flag.
 OWN_FEATURES = tuple(name for name in fields_of(Features) if name not in FLAGS.split())
-KINDS = ("body", "joint")
+KINDS = ("body", "joint", "geom")
 _WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -92,6 +92,6 @@ def _unname(scene: Contents, node: Node, text: str) -> None:
     for word in text.split(","):
         kind, _, name = word.partition("/")
         if kind not in KINDS:
-            raise node.error(f'unnamed={word}: must be "body/name" or "joint/name"')
+            raise node.error(f'unnamed={word}: must be "body/name", "joint/name" or "geom/name"')
         element = getattr(scene, kind)(name)
         element.name = ""

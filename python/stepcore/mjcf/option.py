@@ -19,6 +19,7 @@ IGNORED = {
     "tolerance": "MJCF's tolerance is not a residual in m/s, as that of Settings is",
     "ls_tolerance": "the line search is exact",
     "ls_iterations": "the line search is exact",
+    "noslip_tolerance": "noslip always makes all its iterations",
 }
 # Flags without effect here, with the reason.
 FLAG_NOTES = {
@@ -32,10 +33,12 @@ FLAG_NOTES = {
     "fwdinv": "it is a check within MuJoCo",
     "invdiscrete": "it concerns inverse dynamics",
 }
+# The attributes "o_margin" and its like, which the flag "override" turns on.
+OVERRIDES = ("margin", "solref", "solimp", "friction")
 FLAG_DEFAULT_OFF = frozenset(
     ("override", "energy", "fwdinv", "invdiscrete", "sleep", "diagexact", "ipc", "speculative")
 )
-FLAGS_UNBUILT = ("override", "sleep", "diagexact", "ipc", "speculative")
+FLAGS_UNBUILT = ("sleep", "diagexact", "ipc", "speculative")
 
 
 def read(scene: Contents, node: Node) -> None:
@@ -66,12 +69,26 @@ def read(scene: Contents, node: Node) -> None:
         if values["impratio"] <= 0:
             raise bad(node, "impratio", values["impratio"], "> 0")
         options["impratio"] = values["impratio"]
+    if "noslip_iterations" in values:
+        # MuJoCo takes a negative number for none.
+        options["noslip_iterations"] = max(values["noslip_iterations"], 0)
+    _override(scene, values)
     for name, why in IGNORED.items():
         if name in values:
             _note(scene, node, f"{name} is ignored: {why}")
     _refuse(node)
     for child in node.children:
         _flags(scene, child)
+
+
+def _override(scene: Contents, values: Mapping[str, Any]) -> None:
+    """The parameters that replace those of every contact, if the flag "override" is on."""
+    for name in OVERRIDES:
+        if f"o_{name}" in values:
+            given, old = values[f"o_{name}"], getattr(scene.contact_override, name)
+            # Of a shorter list only the first entries are replaced.
+            given = (*given, *old[len(given) :]) if isinstance(given, tuple) else given
+            setattr(scene.contact_override, name, given)
 
 
 def _refuse(node: Node) -> None:
@@ -81,8 +98,6 @@ def _refuse(node: Node) -> None:
             raise bad(node, name, values[name], ">= 0")
         if values.get(name, 0) > 0:
             raise node.unbuilt(f"a fluid around the bodies ({name})")
-    if values.get("noslip_iterations", 0) > 0:
-        raise node.unbuilt("the noslip solver (noslip_iterations)")
     if values.get("actuatorgroupdisable"):
         raise node.unbuilt("disabling groups of actuators (actuatorgroupdisable)")
 
@@ -94,6 +109,8 @@ def _flags(scene: Contents, node: Node) -> None:
             scene.options["warm_start"] = on
         elif name == "refsafe":
             scene.options["refsafe"] = on
+        elif name == "override":
+            scene.contact_override.enable = on
         elif name in FLAGS_UNBUILT:
             if on:
                 raise node.unbuilt(f'the flag "{name}"')
@@ -114,7 +131,10 @@ _WRITTEN: dict[str, tuple[str, dict[str, str]]] = {
     "solver": ("solver", {"pgs": "PGS", "newton": "Newton"}),
     "cone": ("cone", {"pyramidal": "pyramidal", "elliptic": "elliptic"}),
 }
-_NUMBERS = {"dt": "timestep", "impratio": "impratio", "sweeps": "iterations"}
+_NUMBERS = {
+    **{name: name for name in ("impratio", "noslip_iterations")},
+    **{"dt": "timestep", "sweeps": "iterations"},
+}
 _FLAGS = {"warm_start": "warmstart", "refsafe": "refsafe"}
 
 

@@ -70,7 +70,7 @@ def _fill(scene: Contents, root: Node, source: Source) -> None:
         for node in _sections(root, "worldbody"):
             world.read(node)
         for node in _inside(root, "contact"):
-            _at(node, lambda node: constraints.exclude(world, node))
+            _at(node, lambda node: constraints.contact(world, defaults, node))
         for node in _inside(root, "equality"):
             _at(node, lambda node: constraints.connect(world, defaults, node))
         for node in _inside(root, "actuator"):

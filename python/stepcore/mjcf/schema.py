@@ -83,6 +83,10 @@ GEOM = (
     f"adhesion:1 fromto:6 {POSE} hfield mesh fitscale:1 rgba:4 castshadow:{BOOL} "
     "fluidshape:none|ellipsoid fluidcoef:1-5 user:*"
 )
+PAIR = (
+    "name class geom1! geom2! condim:int friction:1-5 solref:1-2 solreffriction:1-2 solimp:1-5 "
+    "gap:1 margin:1 adhesion:1"
+)
 SITE = (
     "name class type:sphere|capsule|ellipsoid|cylinder|box|mesh group:int "
     f"{POSE} material mesh size:1-3 fromto:6 rgba:4 user:*"
@@ -147,7 +151,7 @@ DEFAULT = spec(
         # The defaults of what is not built may stand in a file: they act only where they are used.
         **{tag: spec(without(f"{ACTUATOR} {more}", OWN)) for tag, more in unread.ACTUATORS.items()},
         "orientation": spec(without(f"{ACTUATOR} {unread.ORIENTATION_SERVO}", OWN)),
-        "pair": spec(without(unread.PAIR, OWN)),
+        "pair": spec(without(PAIR, OWN)),
         "tendon": spec(without(unread.TENDON + " width material rgba", OWN)),
         "camera": spec(without(unread.CAMERA, OWN)),
         "light": spec(without(unread.LIGHT, OWN + " texture")),
@@ -210,7 +214,7 @@ ROOT = spec(
             "",
             {
                 "exclude": spec("name body1! body2!"),
-                "pair": spec(unread.PAIR, role="unbuilt"),
+                "pair": spec(PAIR),
             },
         ),
         "equality": spec(

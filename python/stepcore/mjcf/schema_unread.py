@@ -71,7 +71,6 @@ ORIENTATION_SERVO = "kp kv dampratio input"
 ACTUATOR_PLUGIN = "plugin instance actlimited actrange actdim dyntype dynprm actearly"
 
 # Constraints, tendons, flexes.
-PAIR = "name class geom1! geom2! condim friction solref solreffriction solimp gap margin adhesion"
 _EQUALITY = "name class active solref solimp"
 EQUALITIES: dict[str, Tree] = {
     "weld": f"{_EQUALITY} body1 body2 relpose anchor site1 site2 torquescale",

@@ -87,7 +87,7 @@ def written(scene: Contents) -> str:
     words = _option(root, scene)
     _tree(root, layout, names)
     sections = (
-        ("contact", [_exclude(pair, names) for pair in scene.excludes]),
+        ("contact", [_exclude(pair, names) for pair in scene.excludes] + _pairs(scene, names)),
         ("equality", [_equality(equality, names) for equality in scene.equalities]),
         ("actuator", [_actuator(actuator, names) for actuator in scene.actuators]),
         ("keyframe", [_key(key) for key in scene.keys]),
@@ -110,6 +110,8 @@ class _Names:
         scene = layout.scene
         bodies = [body for pair in scene.excludes for body in pair]
         bodies += [body for e in scene.equalities for body in (e.body1, e.body2)]
+        ends = [geom for pair in scene.pairs for geom in (pair.geom1, pair.geom2)]
+        self._name("geom", layout.geoms, ends)
         self._name("body", layout.bodies, bodies)
         self._name("joint", layout.joints, [actuator.joint for actuator in scene.actuators])
 
@@ -155,6 +157,10 @@ def _option(root: Tag, scene: Contents) -> dict[str, Any]:
             rest[name] = on
         else:
             flags[name] = "enable" if on else "disable"
+    override = changed(scene.contact_override)
+    if override.pop("enable", False):
+        flags["override"] = "enable"
+    attributes |= {f"o_{name}": text(value) for name, value in override.items()}
     if attributes or flags:
         option = root.add(Tag("option", **attributes))
         if flags:
@@ -179,7 +185,7 @@ def _tree(root: Tag, layout: Layout, names: _Names) -> None:
         for joint in layout.joints_of.get(id(body), []):
             tag.add(_joint(joint, names))
     for geom in layout.geoms:
-        _before_bodies(tags[id(geom.body)], _geom(geom))
+        _before_bodies(tags[id(geom.body)], _geom(geom, names))
     for site in layout.sites:
         _before_bodies(tags[id(site.body)], _site(site))
 
@@ -208,16 +214,16 @@ def _joint(joint: Joint, names: _Names) -> Tag:
     return Tag("joint", **names.attribute(joint), **changed(joint, *skip))
 
 
-def _geom(geom: Geom) -> Tag:
-    given = changed(geom, "body", "size")
+def _geom(geom: Geom, names: _Names) -> Tag:
+    given = changed(geom, "name", "body", "size")
     used = SIZES[geom.type]
     # MuJoCo wants a spacing for the grid of a plane, even where nothing is drawn.
     size = geom.size[:used] if used else (*geom.size[:2], geom.size[2] or 1.0)
     for mask in ("contype", "conaffinity"):
         if mask in given:
             given[mask] = (given[mask] + 2**31) % 2**32 - 2**31
-    first = {name: given.pop(name) for name in ("name", "type") if name in given}
-    return Tag("geom", **first, size=size, **given)
+    first = {"type": given.pop("type")} if "type" in given else {}
+    return Tag("geom", **names.attribute(geom), **first, size=size, **given)
 
 
 def _site(site: Site) -> Tag:
@@ -226,6 +232,15 @@ def _site(site: Site) -> Tag:
 
 def _exclude(pair: tuple[Body, Body], names: _Names) -> Tag:
     return Tag("exclude", body1=names.of(pair[0]), body2=names.of(pair[1]))
+
+
+def _pairs(scene: Contents, names: _Names) -> list[Tag]:
+    tags = []
+    for pair in scene.pairs:
+        first = {"name": pair.name} if pair.name else {}
+        ends = {"geom1": names.of(pair.geom1), "geom2": names.of(pair.geom2)}
+        tags.append(Tag("pair", **first, **ends, **changed(pair, "name", "geom1", "geom2")))
+    return tags
 
 
 def _equality(equality: Equality, names: _Names) -> Tag:

@@ -150,8 +150,13 @@ def sum_geoms(model: Model, b: int, geoms: list[Record]) -> None:
 
 
 def candidate_pairs(model: Model) -> list[Pair]:
-    """Pairs of geoms that may collide, by MuJoCo's rules and in its order: bodies, then geoms."""
+    """Pairs of geoms that may collide, by MuJoCo's rules and in its order: bodies, then geoms.
+
+    Explicit pairs come first among those of their bodies.
+    """
     scene = model.scene
+    if scene["contact_override"]:
+        raise ValueError("contact_override: the reference has none")
     bodies, geoms, on = scene["bodies"], scene["geoms"], scene["features"]
     weld = list(range(len(bodies)))  # the nearest ancestor with a joint, itself included
     for b in range(1, len(bodies)):
@@ -174,8 +179,29 @@ def candidate_pairs(model: Model) -> list[Pair]:
             if related and on["filterparent"]:
                 continue
             swap = ORDER.index(first["kind"]) > ORDER.index(second["kind"])
-            found.append((b1, b2, *((j, i) if swap else (i, j))))
-    return [mix(geoms, i, j) for _, _, i, j in sorted(found)]
+            found.append((b1, b2, 1, *((j, i) if swap else (i, j))))
+    named = {frozenset((pair["geom1"], pair["geom2"])) for pair in scene["pairs"]}
+    found = [entry for entry in found if frozenset(entry[3:]) not in named]
+    by_rank: dict[tuple[int, ...], Pair] = {
+        entry: mix(geoms, entry[3], entry[4]) for entry in found
+    }
+    for n, pair in enumerate(scene["pairs"]):
+        i, j = sorted((pair["geom1"], pair["geom2"]), key=lambda g: (geoms[g]["body"], g))
+        b1, b2 = geoms[i]["body"], geoms[j]["body"]
+        if weld[b1] != weld[b2]:
+            if ORDER.index(geoms[i]["kind"]) > ORDER.index(geoms[j]["kind"]):
+                i, j = j, i
+            by_rank[b1, b2, 0, n] = explicit(pair, i, j)
+    return [by_rank[rank] for rank in sorted(by_rank)]
+
+
+def explicit(pair: Record, i: int, j: int) -> Pair:
+    """An explicit pair of geoms, ordered, with its own parameters."""
+    mu = pair["friction"][0]
+    condim = pair["condim"] if mu > LEAST_FRICTION else 1
+    if condim > 3 or pair["friction"][1] != mu:
+        raise ValueError(f"pair '{pair['name']}': the reference knows condim 1 and 3, isotropic")
+    return Pair(i, j, condim, mu)
 
 
 def mix(geoms: list[Record], i: int, j: int) -> Pair:

@@ -16,6 +16,7 @@ from stepcore.scene.elements import (
     GRAVITY,
     Actuator,
     Body,
+    ContactOverride,
     Element,
     Equality,
     Features,
@@ -23,6 +24,7 @@ from stepcore.scene.elements import (
     Joint,
     Key,
     MassRules,
+    Pair,
     Site,
     fields_of,
 )
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
         JointFields,
         KeyFields,
         Numbers,
+        PairFields,
         SiteFields,
         Vector,
     )
@@ -52,7 +55,16 @@ class Contents(checks.KnownNames):
 
     _attributes = (
         *("name", "bodies", "joints", "geoms", "sites", "actuators", "equalities", "keys"),
-        *("excludes", "mass_rules", "features", "options", "ignored", "notes"),
+        *(
+            "excludes",
+            "pairs",
+            "contact_override",
+            "mass_rules",
+            "features",
+            "options",
+            "ignored",
+            "notes",
+        ),
     )
 
     def __init__(self, gravity: Vector = GRAVITY, name: str = "") -> None:
@@ -66,6 +78,8 @@ class Contents(checks.KnownNames):
         self.equalities: list[Equality] = []
         self.keys: list[Key] = []
         self.excludes: list[tuple[Body, Body]] = []
+        self.pairs: list[Pair] = []
+        self.contact_override = ContactOverride()
         self.mass_rules = MassRules()
         self.features = Features()
         self.options: dict[str, Any] = {}
@@ -113,6 +127,10 @@ class Contents(checks.KnownNames):
     def equality(self, name: str | Equality) -> Equality:
         """Returns the equality of this name."""
         return _find(self.equalities, "equality", name)
+
+    def pair(self, name: str | Pair) -> Pair:
+        """Returns the explicit pair of this name."""
+        return _find(self.pairs, "pair", name)
 
     def key(self, name: str | Key) -> Key:
         """Returns the keyframe of this name."""
@@ -236,8 +254,18 @@ class Contents(checks.KnownNames):
         """
         return self._add(self.keys, Key, fields, name=name)
 
+    def add_pair(self, geom1: str | Geom, geom2: str | Geom, **fields: Unpack[PairFields]) -> Pair:
+        """Adds a pair of geoms that can collide, with contact parameters of their own.
+
+        geom1, geom2: names or `Geom` objects. What excludes pairs does not concern them.
+        fields: of `Pair`: name, condim, friction, solref, solimp, solreffriction, margin [m], gap
+            [m].
+        """
+        ends = {"geom1": self.geom(geom1), "geom2": self.geom(geom2)}
+        return self._add(self.pairs, Pair, fields, **ends)
+
     def exclude(self, body1: str | Body, body2: str | Body) -> None:
-        """Excludes collisions between the geoms of two bodies."""
+        """Excludes collisions between the geoms of two bodies, but for those of explicit pairs."""
         self.excludes.append((self.body(body1), self.body(body2)))
 
     def _add(self, into: list[E], kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:

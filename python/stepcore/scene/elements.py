@@ -21,6 +21,7 @@ SOLREF: Vec = (0.02, 1.0)
 SOLIMP: Vec = (0.9, 0.95, 0.001, 0.5, 2.0)
 JOINT_TYPES = ("free", "ball", "slide", "hinge")
 FRICTION: Vec = (1.0, 0.005, 0.0001)
+PAIR_FRICTION: Vec = (1.0, 1.0, 0.005, 0.0001, 0.0001)
 GEAR: Vec = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ACTUATOR_TYPES = ("motor", "position", "velocity", "general")
 GEOM_TYPES = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box")
@@ -40,15 +41,18 @@ Axis = Annotated[Vec, checks.unit(3)]
 Quat = Annotated[Vec, checks.unit(4)]
 Size = Annotated[Vec, checks.vector(3, low=0, fill=(0.0, 0.0, 0.0))]
 Friction = Annotated[Vec, checks.vector(3, low=0, fill=FRICTION)]
+PairFriction = Annotated[Vec, checks.vector(5, low=0, fill=PAIR_FRICTION)]
 Gear = Annotated[Vec, checks.vector(6, fill=GEAR)]
 Poly = Annotated[Vec, checks.vector(2, fill=(0.0, 0.0))]
 Bias = Annotated[Vec | None, checks.optional(checks.vector(3, fill=ORIGIN))]
 SolRef = Annotated[Vec, checks.solref]
+SolRefFriction = Annotated[Vec | None, checks.optional(checks.solreffriction)]
 SolImp = Annotated[Vec, checks.vector(5, fill=SOLIMP)]
 Range = Annotated[tuple[float, float] | None, checks.optional(checks.interval)]
 Numbers = Annotated[Vec | None, checks.optional(checks.numbers)]
 Groups = Annotated[tuple[int, ...], checks.whole_pair]
 Inertia = Annotated[Vec, checks.inertia]
+AGeom = Annotated["Geom", checks.element("Geom")]
 ABody = Annotated["Body", checks.element("Body")]
 AJoint = Annotated["Joint", checks.element("Joint")]
 
@@ -323,6 +327,55 @@ class Equality(Element):
     active: Flag = True
     solref: SolRef = SOLREF
     solimp: SolImp = SOLIMP
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class Pair(Element):
+    """Two geoms that can collide, with contact parameters of their own.
+
+    Neither the parameters of the geoms count, nor their masks, nor what is excluded: they collide
+    even if one's body is the parent of the other's.
+
+    name: unique among pairs, or "".
+    geom1, geom2: the two `Geom` objects.
+    condim: dimension of the contact: 1 (frictionless), 3, 4 or 6.
+    friction: sliding along both tangents [1], torsional [m], and rolling about both [m], shape
+        (5,), >= 0. A pyramid or cone can be narrower along one tangent than along the other.
+    solref, solimp: softness of its contacts.
+    solreffriction: solref of the friction rows of an elliptic cone, where only the damping counts;
+        None means that of the normal.
+    margin: distance below which contacts act [m]. gap: contacts are listed from margin + gap [m].
+    """
+
+    name: Text = ""
+    geom1: AGeom
+    geom2: AGeom
+    condim: Annotated[int, checks.one_of(1, 3, 4, 6)] = 3
+    friction: PairFriction = PAIR_FRICTION
+    solref: SolRef = SOLREF
+    solimp: SolImp = SOLIMP
+    solreffriction: SolRefFriction = None
+    margin: Real = 0.0
+    gap: NonNegative = 0.0
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class ContactOverride(Element):
+    """Contact parameters that replace those of every contact while `enable` is True.
+
+    MJCF's ``o_margin``, ``o_solref``, ``o_solimp``, ``o_friction`` and the flag ``override``.
+
+    margin: [m]. solref, solimp: softness. friction: as in `Pair`, shape (5,).
+    """
+
+    enable: Flag = False
+    margin: Real = 0.0
+    solref: SolRef = SOLREF
+    solimp: SolImp = SOLIMP
+    friction: PairFriction = PAIR_FRICTION
+
+    def __str__(self) -> str:
+        return "contact_override"
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

@@ -91,6 +91,19 @@ class EqualityFields(TypedDict, total=False):
     solimp: Numbers
 
 
+class PairFields(TypedDict, total=False):
+    """Fields of a `Pair` beside its geoms."""
+
+    name: str
+    condim: int
+    friction: Numbers
+    solref: Vector
+    solimp: Numbers
+    solreffriction: Vector | None
+    margin: float
+    gap: float
+
+
 class KeyFields(TypedDict, total=False):
     """Fields of a `Key` beside its name."""
 

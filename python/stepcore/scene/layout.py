@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
 from stepcore.scene import actuation
-from stepcore.scene.elements import Body, Element, Geom, Joint
+from stepcore.scene.elements import Body, ContactOverride, Element, Geom, Joint, Pair
 from stepcore.scene.frames import IDENTITY, ORIGIN
 
 if TYPE_CHECKING:
@@ -150,6 +150,7 @@ def check(layout: Layout) -> None:
     for equality in scene.equalities:
         if equality.body1 is equality.body2:
             raise checks.ElementError(equality, f"connects {equality.body1} to itself")
+    _check_pairs(layout)
     sizes = {"qpos": layout.nq, "qvel": layout.nv, "ctrl": len(scene.actuators)}
     for key in scene.keys:
         for field, count in sizes.items():
@@ -158,7 +159,7 @@ def check(layout: Layout) -> None:
                 raise checks.refuse(key, field, value, f"{count} numbers, not {len(value)}")
     kinds: tuple[Sequence[Element], ...] = (
         *(scene.bodies, scene.joints, scene.geoms, scene.sites),
-        *(scene.actuators, scene.equalities, scene.keys),
+        *(scene.actuators, scene.equalities, scene.pairs, scene.keys),
     )
     for elements in kinds:
         seen: set[str] = set()
@@ -167,6 +168,16 @@ def check(layout: Layout) -> None:
             if name and name in seen:
                 raise checks.ElementError(element, "the name is used twice")
             seen.add(name)
+
+
+def _check_pairs(layout: Layout) -> None:
+    inside = {id(geom) for geom in layout.geoms}
+    for pair in layout.scene.pairs:
+        for geom in (pair.geom1, pair.geom2):
+            if id(geom) not in inside:
+                raise checks.ElementError(pair, f"refers to {geom}, which is not in this scene")
+        if pair.geom1 is pair.geom2:
+            raise checks.ElementError(pair, f"pairs {pair.geom1} with itself")
 
 
 def _check_joints(layout: Layout, body: Body) -> None:
@@ -197,6 +208,8 @@ SOFTNESS = {
         "friction": ("solreffriction", "solimpfriction"),
     },
     Geom: {"soft": ("solref", "solimp")},
+    Pair: {"soft": ("solref", "solimp")},
+    ContactOverride: {"soft": ("solref", "solimp")},
 }
 MASS_RULES = {
     "inertiafromgeom": "from_geoms",
@@ -212,6 +225,8 @@ def plain(layout: Layout) -> dict[str, Any]:
     """The whole scene as dicts, lists and numbers, with the names of the engine's fields."""
     scene = layout.scene
     body_of = {id(body): i for i, body in enumerate(layout.bodies)}
+    geom_of = {id(geom): i for i, geom in enumerate(layout.geoms)}
+    override = scene.contact_override
     joint_of = {id(joint): i for i, joint in enumerate(layout.joints)}
 
     def attached(element: Any, *skip: str) -> dict[str, Any]:
@@ -246,6 +261,12 @@ def plain(layout: Layout) -> dict[str, Any]:
             for key in scene.keys
         ],
         "excludes": [[layout.body("exclude", b) for b in pair] for pair in scene.excludes],
+        "pairs": [
+            _record(pair, "geom1", "geom2")
+            | {end: geom_of.get(id(getattr(pair, end)), -1) for end in ("geom1", "geom2")}
+            for pair in scene.pairs
+        ],
+        "contact_override": _record(override, "enable") if override.enable else None,
         "mass_rules": {MASS_RULES[f]: value for f, value in scene.mass_rules.record().items()},
         "features": _record(scene.features),
     }

@@ -23,15 +23,16 @@ class Scene(Contents):
 
     Elements are added by the ``add_…`` methods, in any order, and refer to each other by name or
     by the object that ``add_…`` returned. Their fields can be read and assigned. Names, defaults
-    and conventions are MuJoCo's; `Body`, `Joint`, `Geom`, `Site`, `Actuator`, `Equality` and `Key`
-    document the fields with their units.
+    and conventions are MuJoCo's; `Body`, `Joint`, `Geom`, `Site`, `Actuator`, `Equality`, `Pair`
+    and `Key` document the fields with their units.
 
     Every value is checked when it is given. A bad value raises a ValueError that names the element,
     the field, the value and the limit; an unknown name raises one that lists the nearest names.
 
-    bodies, joints, geoms, sites, actuators, equalities, keys: lists of the elements;
+    bodies, joints, geoms, sites, actuators, equalities, pairs, keys: lists of the elements;
         ``bodies[0]`` is the world.
-    excludes: pairs of bodies that do not collide.
+    excludes: pairs of bodies that do not collide, but for geoms in `pairs`.
+    contact_override: contact parameters that replace those of every contact (`ContactOverride`).
     mass_rules: how masses are made from geoms (`MassRules`: MJCF's ``<compiler>``).
     features: what the model takes into account (`Features`: MJCF's ``<flag>``).
     options: the fields of `Settings` that the scene sets; see `settings`.
@@ -135,6 +136,7 @@ class Scene(Contents):
             "site": self.sites,
             "actuator": self.actuators,
             "equality": self.equalities,
+            "pair": self.pairs,
             "key": self.keys,
         }
         counts += [(len(elements), word, "") for word, elements in rest.items() if elements]

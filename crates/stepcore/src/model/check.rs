@@ -4,7 +4,7 @@
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{
-    Actuator, Equality, Geom, GeomType, Inertial, Joint, JointType, Scene, Softness,
+    Actuator, Equality, ExplicitPair, Geom, GeomType, Inertial, Joint, JointType, Scene, Softness,
 };
 use std::collections::HashSet;
 use std::fmt;
@@ -73,6 +73,19 @@ impl Subject {
         }
     }
 
+    fn condim(&self, condim: u32) -> Result<()> {
+        if matches!(condim, 1 | 3 | 4 | 6) {
+            Ok(())
+        } else {
+            Err(self.refuse("condim", condim, "1, 3, 4 or 6"))
+        }
+    }
+
+    fn friction(&self, friction: &[f64]) -> Result<()> {
+        let each = friction.iter().enumerate();
+        each.into_iter().try_for_each(|(i, mu)| self.not_negative(&format!("friction[{i}]"), *mu))
+    }
+
     fn softness(&self, prefix: &str, soft: &Softness) -> Result<()> {
         let [a, b] = soft.solref;
         self.finite(&format!("{prefix}solref"), &soft.solref)?;
@@ -133,6 +146,16 @@ pub fn scene(scene: &Scene) -> Result<()> {
         e.below("body1", pair[0], nbody, "body")?;
         e.below("body2", pair[1], nbody, "body")?;
     }
+    for (i, p) in scene.pairs.iter().enumerate() {
+        let name = if p.name.is_empty() { i.to_string() } else { format!("`{}`", p.name) };
+        pair(&Subject(format!("pair {name}").into()), p, scene.geoms.len())?;
+    }
+    if let Some(o) = &scene.contact_override {
+        let e = Subject("contact override".into());
+        e.finite("margin", &[o.margin])?;
+        e.friction(&o.friction)?;
+        e.softness("", &o.soft)?;
+    }
     keys(scene)
 }
 
@@ -155,6 +178,7 @@ fn names(scene: &Scene) -> Result<()> {
     once("sites", scene.sites.iter().map(|x| &x.name))?;
     once("actuators", scene.actuators.iter().map(|x| &x.name))?;
     once("equalities", scene.equalities.iter().map(|x| &x.name))?;
+    once("pairs", scene.pairs.iter().map(|x| &x.name))?;
     once("keys", scene.keys.iter().map(|x| &x.name))
 }
 
@@ -309,16 +333,27 @@ fn geom(e: &Subject, g: &Geom) -> Result<()> {
         e.not_negative("mass", mass)?;
     }
     e.not_negative("density", g.density)?;
-    if !matches!(g.condim, 1 | 3 | 4 | 6) {
-        return Err(e.refuse("condim", g.condim, "1, 3, 4 or 6"));
-    }
-    for (i, mu) in g.friction.iter().enumerate() {
-        e.not_negative(&format!("friction[{i}]"), *mu)?;
-    }
+    e.condim(g.condim)?;
+    e.friction(&g.friction)?;
     e.finite("margin", &[g.margin])?;
     e.not_negative("gap", g.gap)?;
     e.not_negative("solmix", g.solmix)?;
     e.softness("", &g.soft)
+}
+
+fn pair(e: &Subject, p: &ExplicitPair, ngeom: usize) -> Result<()> {
+    e.below("geom1", p.geom1, ngeom, "geom")?;
+    e.below("geom2", p.geom2, ngeom, "geom")?;
+    e.condim(p.condim)?;
+    e.friction(&p.friction)?;
+    e.finite("margin", &[p.margin])?;
+    e.not_negative("gap", p.gap)?;
+    e.softness("", &p.soft)?;
+    let Some([a, b]) = p.solreffriction else { return Ok(()) };
+    e.finite("solreffriction", &[a, b])?;
+    let limit = "time constant > 0 and damping ratio >= 0, or both <= 0 (-stiffness, -damping)";
+    let ok = if a > 0.0 { b >= 0.0 } else { b <= 0.0 };
+    e.number("solreffriction[1]", b, ok, limit)
 }
 
 fn actuator(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {

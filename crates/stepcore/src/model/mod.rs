@@ -8,6 +8,7 @@ mod build;
 mod check;
 mod inertia;
 mod invweight;
+mod material;
 mod pairs;
 mod plan;
 mod pose;
@@ -18,6 +19,7 @@ mod still;
 mod tests;
 mod tree;
 
+pub use material::Material;
 pub use pairs::Never;
 pub use plan::Unmet;
 
@@ -187,22 +189,6 @@ pub struct Pair {
     pub apart: bool,
 }
 
-/// What the contacts of two geoms are made of: one for all pairs that mix to the same.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Material {
-    /// 1: no friction; 3: sliding; 4: and torsion; 6: and rolling.
-    pub condim: u32,
-    /// Coefficients of sliding along both tangents [1], torsion [m], rolling about both [m].
-    pub friction: [f64; 5],
-    /// A contact has a row below `margin`, and is listed below `margin + gap` [m].
-    pub margin: f64,
-    pub gap: f64,
-    pub soft: Softness,
-    /// Spring and damper of the tangents of an elliptic cone under `solref`, where they have their
-    /// own (an explicit pair's, not zero).
-    pub solreffriction: Option<[f64; 2]>,
-}
-
 /// The positions of a joint within which pairs are apart: its range, widened.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Guard {
@@ -246,6 +232,8 @@ pub struct Model {
     pub sites: Vec<Site>,
     pub pairs: Vec<Pair>,
     pub materials: Vec<Material>,
+    /// Geoms of explicit pairs, the smaller index first: they are no candidates beside that.
+    pub explicit: HashSet<(usize, usize)>,
     /// Pairs of bodies whose geoms never meet, the smaller index first.
     pub excludes: HashSet<(usize, usize)>,
     /// What pairs that are apart rely on.

@@ -7,7 +7,7 @@ use super::tree::Unions;
 use super::{Equality, Material, Model, Pair, NONE};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
-use crate::scene::{Geom, GeomType, Scene, Softness};
+use crate::scene::{ExplicitPair, GeomType, Scene};
 use crate::shapes::ShapeTest;
 use nalgebra::Vector3;
 
@@ -41,6 +41,8 @@ pub enum Never {
     Bits,
     /// Two planes.
     Planes,
+    /// An explicit pair stands in their place.
+    Explicit,
 }
 
 impl Model {
@@ -69,18 +71,10 @@ impl Model {
         if x.contype & y.conaffinity | y.contype & x.conaffinity == 0 {
             return Some(Never::Bits);
         }
-        let planes = x.kind == GeomType::Plane && y.kind == GeomType::Plane;
-        planes.then_some(Never::Planes)
-    }
-
-    /// Where a material stands in the list; it is added if it is new.
-    fn material_index(&mut self, material: Material) -> usize {
-        // Neighbours are mostly alike.
-        let known = self.materials.iter().rposition(|known| *known == material);
-        known.unwrap_or_else(|| {
-            self.materials.push(material);
-            self.materials.len() - 1
-        })
+        if x.kind == GeomType::Plane && y.kind == GeomType::Plane {
+            return Some(Never::Planes);
+        }
+        self.explicit.contains(&(a.min(b), a.max(b))).then_some(Never::Explicit)
     }
 
     /// Two geoms in the order of their types.
@@ -101,9 +95,13 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Union
             geoms[g.body].push(i);
         }
     }
+    let mut explicit = explicit(scene, model).into_iter().peekable();
     let full: Vec<usize> = (0..geoms.len()).filter(|b| !geoms[*b].is_empty()).collect();
     for (k, &body1) in full.iter().enumerate() {
         for &body2 in &full[k + 1..] {
+            while let Some((_, index)) = explicit.next_if(|(bodies, _)| *bodies <= [body1, body2]) {
+                add_explicit(scene, model, poses, unions, index)?;
+            }
             if model.never_between(body1, body2).is_some() {
                 continue;
             }
@@ -114,13 +112,64 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Union
             }
             found.sort_unstable();
             for (a, b) in found {
-                let pair = pair(scene, model, poses, unions, (a, b))?;
-                model.pairs.push(pair);
-                model.geoms[a].collides = true;
-                model.geoms[b].collides = true;
+                let material = Material::of_geoms(scene, a, b);
+                add(scene, model, poses, unions, (a, b), material)?;
             }
         }
     }
+    for (_, index) in explicit {
+        add_explicit(scene, model, poses, unions, index)?;
+    }
+    Ok(())
+}
+
+/// Explicit pairs by their bodies, which decide their place among the others; without those whose
+/// geoms cannot move against each other.
+fn explicit(scene: &Scene, model: &Model) -> Vec<([usize; 2], usize)> {
+    if !(model.features.contact && model.features.constraint) {
+        return vec![];
+    }
+    let weld = |geom: usize| model.bodies[scene.geoms[geom].body].weld;
+    let moving = |(_, p): &(usize, &ExplicitPair)| weld(p.geom1) != weld(p.geom2);
+    let all = scene.pairs.iter().enumerate().filter(moving);
+    let mut list: Vec<_> = all
+        .map(|(index, p)| {
+            let mut bodies = [p.geom1, p.geom2].map(|geom| scene.geoms[geom].body);
+            bodies.sort_unstable();
+            (bodies, index)
+        })
+        .collect();
+    list.sort_unstable();
+    list
+}
+
+fn add_explicit(
+    scene: &Scene,
+    model: &mut Model,
+    poses: &[Pose],
+    unions: &mut Unions,
+    index: usize,
+) -> Result<()> {
+    let own = &scene.pairs[index];
+    let by_body = |geom: usize| (scene.geoms[geom].body, geom);
+    let (a, b) = (own.geom1, own.geom2);
+    let (a, b) = if by_body(a) > by_body(b) { (b, a) } else { (a, b) };
+    let geoms = model.ordered(a, b);
+    add(scene, model, poses, unions, geoms, Material::of_pair(scene, own))
+}
+
+fn add(
+    scene: &Scene,
+    model: &mut Model,
+    poses: &[Pose],
+    unions: &mut Unions,
+    (a, b): (usize, usize),
+    material: Material,
+) -> Result<()> {
+    let pair = pair(scene, model, poses, unions, (a, b), material)?;
+    model.pairs.push(pair);
+    model.geoms[a].collides = true;
+    model.geoms[b].collides = true;
     Ok(())
 }
 
@@ -130,6 +179,7 @@ fn pair(
     poses: &[Pose],
     unions: &mut Unions,
     (a, b): (usize, usize),
+    material: Material,
 ) -> Result<Pair> {
     let (x, y) = (&scene.geoms[a], &scene.geoms[b]);
     let names =
@@ -146,7 +196,6 @@ fn pair(
         )
         ]));
     };
-    let material = mix(x, y);
     let condim = material.condim;
     let dofs = unions.of(model, x.body, y.body);
     Ok(Pair {
@@ -161,49 +210,6 @@ fn pair(
         still: if condim == 1 { [false; 2] } else { still(model, poses, test, a, b) },
         apart: false,
     })
-}
-
-/// The geom of higher priority decides; equals are mixed: the larger condim and
-/// friction, softness by the share of solmix.
-fn mix(x: &Geom, y: &Geom) -> Material {
-    let (margin, gap) = (x.margin + y.margin, x.gap + y.gap);
-    if x.priority != y.priority {
-        let g = if x.priority > y.priority { x } else { y };
-        let friction = by_direction(g.friction);
-        let soft = g.soft.clone();
-        return Material { condim: g.condim, friction, margin, gap, soft, solreffriction: None };
-    }
-    let share = match (x.solmix > 0.0, y.solmix > 0.0) {
-        (true, true) => x.solmix / (x.solmix + y.solmix),
-        (false, false) => 0.5,
-        (one, _) => f64::from(u8::from(one)),
-    };
-    let blend = |p: f64, q: f64| share * p + (1.0 - share) * q;
-    let (p, q) = (&x.soft, &y.soft);
-    // Stiffness and damping given directly are negative: the stiffer one counts.
-    let direct = p.solref[0] <= 0.0 || q.solref[0] <= 0.0;
-    let solref = std::array::from_fn(|i| {
-        let (p, q) = (p.solref[i], q.solref[i]);
-        if direct {
-            p.min(q)
-        } else {
-            blend(p, q)
-        }
-    });
-    let larger = std::array::from_fn(|i| f64::max(x.friction[i], y.friction[i]));
-    Material {
-        condim: x.condim.max(y.condim),
-        friction: by_direction(larger),
-        margin,
-        gap,
-        soft: Softness { solref, solimp: std::array::from_fn(|i| blend(p.solimp[i], q.solimp[i])) },
-        solreffriction: None,
-    }
-}
-
-/// Sliding, torsional and rolling friction by direction.
-fn by_direction([slide, torsion, roll]: [f64; 3]) -> [f64; 5] {
-    [slide, slide, torsion, roll, roll]
 }
 
 /// Mass of the trees of both bodies, each once.

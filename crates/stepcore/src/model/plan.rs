@@ -18,6 +18,7 @@ impl Never {
             Self::Excluded => "excluded",
             Self::Bits => "contype and conaffinity share no bit",
             Self::Planes => "two planes",
+            Self::Explicit => "an explicit pair stands for them",
         }
     }
 }
@@ -44,7 +45,10 @@ impl Model {
             for &b in &solid[k + 1..] {
                 let bodies = [self.geoms[a].body, self.geoms[b].body];
                 let why = self.never_between(bodies[0], bodies[1]).or_else(|| self.never(a, b));
-                let Some(why) = why else { continue };
+                // An explicit pair meets, whatever else is said of its geoms.
+                let still = matches!(why, Some(Never::Off | Never::SameBody | Never::Fixed));
+                let met = self.explicit.contains(&(a, b)) && !still;
+                let Some(why) = why.filter(|_| !met) else { continue };
                 let entry = found.entry(why).or_default();
                 entry.count += 1;
                 if entry.examples.len() < EXAMPLES {

@@ -24,6 +24,11 @@ pub fn lay_out(scene: &Scene) -> Model {
         sites: vec![],
         pairs: vec![],
         materials: vec![],
+        explicit: scene
+            .pairs
+            .iter()
+            .map(|p| (p.geom1.min(p.geom2), p.geom1.max(p.geom2)))
+            .collect(),
         excludes: scene.excludes.iter().map(|[a, b]| (*a.min(b), *a.max(b))).collect(),
         guards: vec![],
         equalities: vec![],

@@ -15,6 +15,7 @@ pub(crate) mod law;
 mod limits;
 mod momentum;
 mod newton;
+mod noslip;
 mod pgs;
 mod residual;
 mod rows;
@@ -175,7 +176,8 @@ impl<R: Real> Rows<R> {
             let mut impulse = [R::zero(); WARM_ROWS];
             for (k, row) in self.rows[block.rows.range()].iter().enumerate() {
                 let held = inside == Some(block.element.kind);
-                let own = if held { row.beside } else { row.impulse };
+                let solved = self.main.get(block.rows.start + k).copied();
+                let own = if held { row.beside } else { solved.unwrap_or(row.impulse) };
                 let kept = block.mask.and(own.is_finite());
                 impulse[k] = R::select(kept, own, R::zero());
             }

@@ -175,6 +175,8 @@ pub struct Rows<R: Real> {
     pub y: Vec<R>,
     /// u = L v, by dof: the guess at first, then with every impulse so far.
     pub u: Vec<R>,
+    /// What the main solve gave each row, where noslip has changed friction since; else empty.
+    pub(crate) main: Vec<R>,
     /// The most of an overlap that `max_recovery_speed` kept from being undone in this step [m].
     pub unrecovered: R,
     pub(crate) scratch: Vec<R>,
@@ -190,7 +192,7 @@ pub struct Rows<R: Real> {
     ranks: Vec<u32>,
 }
 
-room!(Rows<R>: rows, blocks, pushes, y, u, scratch, guess, islands, ranks; direct, first);
+room!(Rows<R>: main, rows, blocks, pushes, y, u, scratch, guess, islands, ranks; direct, first);
 
 /// From so many trees on an island is a heap to Newton's method.
 const HEAP: usize = 8;
@@ -237,6 +239,7 @@ impl<R: Real> Rows<R> {
             rows: Vec::new(),
             blocks: Vec::new(),
             pushes: Vec::new(),
+            main: Vec::new(),
             y: Vec::new(),
             u: vec![R::zero(); model.nv],
             unrecovered: R::zero(),
@@ -257,6 +260,7 @@ impl<R: Real> Rows<R> {
             rows: Vec::new(),
             blocks: Vec::new(),
             pushes: Vec::new(),
+            main: Vec::new(),
             y: Vec::new(),
             scratch: u.clone(),
             guess: u.clone(),
@@ -274,6 +278,7 @@ impl<R: Real> Rows<R> {
         self.rows.clear();
         self.blocks.clear();
         self.pushes.clear();
+        self.main.clear();
         self.y.clear();
         self.unrecovered = R::zero();
     }

@@ -222,6 +222,16 @@ def _solref(
         return []
     size = size_of(old, new)
     if kind == "contact":
+        override = layout.scene.contact_override
+        if override.enable:
+            override.solref = new
+            return [NewValue("contact_override", "solref", old, new, size=size)]
+        both = {id(layout.geoms[geom]) for geom in model.pair_geoms[index]}
+        explicit = [p for p in layout.scene.pairs if {id(p.geom1), id(p.geom2)} == both]
+        for pair in explicit:
+            pair.solref = new
+        if explicit:
+            return [NewValue(str(explicit[0]), "solref", old, new, size=size)]
         for geom in model.pair_geoms[index]:
             layout.geoms[geom].solref = new
         return [NewValue(f"both geoms of {element.name}", "solref", old, new, size=size)]

@@ -85,6 +85,7 @@ def _may_be_stiff(scene: Scene) -> bool:
 
     refsafe = scene.options.get("refsafe", True)
     solrefs = [geom.solref for geom in scene.geoms] + [e.solref for e in scene.equalities]
+    solrefs += [pair.solref for pair in scene.pairs] + [scene.contact_override.solref]
     for joint in scene.joints:
         solrefs += [joint.solreflimit] * (joint.range is not None)
         solrefs += [joint.solreffriction] * (joint.frictionloss > 0)

@@ -1,0 +1,105 @@
+//! What the contacts of two geoms are made of: mixed from both, given by an explicit pair, or
+//! overridden for all. MuJoCo documentation, "Contact parameters" and "Contact override".
+
+use super::Model;
+use crate::scene::{ExplicitPair, Geom, Scene, Softness};
+
+/// One for all pairs that mix to the same.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Material {
+    /// 1: no friction; 3: sliding; 4: and torsion; 6: and rolling.
+    pub condim: u32,
+    /// Coefficients of sliding along both tangents [1], torsion [m], rolling about both [m].
+    pub friction: [f64; 5],
+    /// A contact has a row below `margin`, and is listed below `margin + gap` [m].
+    pub margin: f64,
+    pub gap: f64,
+    pub soft: Softness,
+    /// The solref of friction rows of a cone. None: that of `soft`.
+    pub solreffriction: Option<[f64; 2]>,
+}
+
+impl Material {
+    /// Of two geoms of a scene that no explicit pair names.
+    pub fn of_geoms(scene: &Scene, a: usize, b: usize) -> Self {
+        Self::mixed(&scene.geoms[a], &scene.geoms[b]).overridden(scene)
+    }
+
+    /// The geom of higher priority decides; equals are mixed: the larger condim and friction,
+    /// softness by the share of solmix. Margins and gaps are distances, and add up.
+    fn mixed(x: &Geom, y: &Geom) -> Self {
+        let (margin, gap) = (x.margin + y.margin, x.gap + y.gap);
+        let of = |condim, friction, soft| Self {
+            condim,
+            friction: by_direction(friction),
+            margin,
+            gap,
+            soft,
+            solreffriction: None,
+        };
+        if x.priority != y.priority {
+            let g = if x.priority > y.priority { x } else { y };
+            return of(g.condim, g.friction, g.soft.clone());
+        }
+        let larger = std::array::from_fn(|i| f64::max(x.friction[i], y.friction[i]));
+        of(x.condim.max(y.condim), larger, mixed_softness(x, y))
+    }
+
+    /// Of an explicit pair: the parameters of its geoms do not count.
+    pub fn of_pair(scene: &Scene, pair: &ExplicitPair) -> Self {
+        let of = Self {
+            condim: pair.condim,
+            friction: pair.friction,
+            margin: pair.margin,
+            gap: pair.gap,
+            soft: pair.soft.clone(),
+            solreffriction: pair.solreffriction,
+        };
+        of.overridden(scene)
+    }
+
+    /// With the parameters that replace those of every contact. Condim and gap stay.
+    fn overridden(self, scene: &Scene) -> Self {
+        let Some(by) = &scene.contact_override else { return self };
+        let (margin, friction, soft) = (by.margin, by.friction, by.soft.clone());
+        Self { margin, friction, soft, solreffriction: None, ..self }
+    }
+}
+
+fn mixed_softness(x: &Geom, y: &Geom) -> Softness {
+    let share = match (x.solmix > 0.0, y.solmix > 0.0) {
+        (true, true) => x.solmix / (x.solmix + y.solmix),
+        (false, false) => 0.5,
+        (one, _) => f64::from(u8::from(one)),
+    };
+    let blend = |p: f64, q: f64| share * p + (1.0 - share) * q;
+    let (p, q) = (&x.soft, &y.soft);
+    // Stiffness and damping given directly are negative: the stiffer one counts.
+    let direct = p.solref[0] <= 0.0 || q.solref[0] <= 0.0;
+    let solref = std::array::from_fn(|i| {
+        let (p, q) = (p.solref[i], q.solref[i]);
+        if direct {
+            p.min(q)
+        } else {
+            blend(p, q)
+        }
+    });
+    Softness { solref, solimp: std::array::from_fn(|i| blend(p.solimp[i], q.solimp[i])) }
+}
+
+/// Sliding, torsional and rolling friction by direction.
+fn by_direction([slide, torsion, roll]: [f64; 3]) -> [f64; 5] {
+    [slide, slide, torsion, roll, roll]
+}
+
+impl Model {
+    /// Where a material stands in the list; it is added if it is new.
+    pub(super) fn material_index(&mut self, material: Material) -> usize {
+        // Neighbours are mostly alike.
+        let known = self.materials.iter().rposition(|known| *known == material);
+        known.unwrap_or_else(|| {
+            self.materials.push(material);
+            self.materials.len() - 1
+        })
+    }
+}
