@@ -55,7 +55,10 @@ impl Model {
             }
             placed.place_some(self, &q, &bodies, &geoms);
             let (p1, p2) = (&placed.geom[first], &placed.geom[second]);
-            let (a, b) = (Shape { pose: p1, size: &one.size }, Shape { pose: p2, size: &two.size });
+            let (a, b) = (
+                Shape { pose: p1, size: &one.size, hull: None },
+                Shape { pose: p2, size: &two.size, hull: None },
+            );
             shapes::meet(test, &a, &b, |slot, touch| {
                 for lane in 0..R::LANES.min(poses - start) {
                     let at = (start + lane) * found.slots + slot;

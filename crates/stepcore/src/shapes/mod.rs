@@ -3,17 +3,23 @@
 //! One file a family of pairs. A pair's test is a pure function of two shapes; which one a pair of
 //! geoms has is decided when the model is compiled (`ShapeTest`), and `meet` runs it.
 
-#[allow(dead_code)] // Until the first pair that needs it stands.
 pub(crate) mod by_lane;
 pub(crate) mod capsule;
+mod contact_feature;
+mod convex;
+mod epa;
 mod facets;
+mod gjk;
 mod grid;
 pub mod hull;
 #[cfg(test)]
 mod hull_tests;
+mod manifold;
 pub(crate) mod plane;
 mod quickhull;
+mod separation;
 mod shape_test;
+mod solid;
 pub(crate) mod sphere;
 #[cfg(test)]
 mod tests;
@@ -21,6 +27,9 @@ pub(crate) mod touch;
 
 pub use shape_test::ShapeTest;
 pub use touch::{Touch, Touches};
+
+use by_lane::by_lane;
+use convex::Convex;
 
 use crate::real::Real;
 use crate::spatial::{Pose, V3};
@@ -31,13 +40,15 @@ pub struct Shape<'a, R: Real> {
     pub pose: &'a Pose<R>,
     /// As a geom's: see `scene::Geom::size`.
     pub size: &'a [f64; 3],
+    /// A mesh's.
+    pub hull: Option<&'a hull::Hull>,
 }
 
 impl<'a, R: Real> Shape<'a, R> {
     /// The same shape at another pose, in other numbers.
     #[inline(always)]
     pub fn at<S: Real>(&self, pose: &'a Pose<S>) -> Shape<'a, S> {
-        Shape { pose, size: self.size }
+        Shape { pose, size: self.size, hull: self.hull }
     }
 
     /// The size in this number.
@@ -69,6 +80,14 @@ pub fn meet<R: Real>(
         ShapeTest::SphereSphere => all(&sphere::sphere_sphere(p1, s1.x, p2, s2.x)),
         ShapeTest::SphereCapsule => all(&sphere::sphere_capsule(p1, s1.x, p2, s2.x, s2.y)),
         ShapeTest::SphereBox => all(&sphere::sphere_box(p1, s1.x, p2, s2)),
+        ShapeTest::Convex(a, b) => {
+            let test = Convex { one: a, two: b };
+            match test.most() {
+                1 => all(&by_lane::<R, _, 1>(&test, one, two)),
+                2 => all(&by_lane::<R, _, 2>(&test, one, two)),
+                _ => all(&by_lane::<R, _, 8>(&test, one, two)),
+            }
+        }
         ShapeTest::CapsuleCapsule => {
             all(&capsule::capsule_capsule(p1, s1.x, s1.y, p2, s2.x, s2.y));
         }

@@ -1,5 +1,6 @@
 //! Which exact test a pair of shapes has, chosen when a model is compiled.
 
+use super::convex::Convex;
 use crate::scene::GeomType;
 
 /// Geom 1's shape, then geom 2's.
@@ -14,6 +15,8 @@ pub enum ShapeTest {
     SphereCapsule,
     SphereBox,
     CapsuleCapsule,
+    /// Two convex shapes of these types: the routine that needs no closed form.
+    Convex(GeomType, GeomType),
 }
 
 /// Of two shapes in the order of their types: its test.
@@ -27,7 +30,25 @@ const TESTS: &[(GeomType, GeomType, ShapeTest)] = &[
     (GeomType::Sphere, GeomType::Capsule, ShapeTest::SphereCapsule),
     (GeomType::Sphere, GeomType::Box, ShapeTest::SphereBox),
     (GeomType::Capsule, GeomType::Capsule, ShapeTest::CapsuleCapsule),
+    convex(GeomType::Sphere, GeomType::Ellipsoid),
+    convex(GeomType::Capsule, GeomType::Ellipsoid),
+    convex(GeomType::Capsule, GeomType::Cylinder),
+    convex(GeomType::Ellipsoid, GeomType::Ellipsoid),
+    convex(GeomType::Ellipsoid, GeomType::Cylinder),
+    convex(GeomType::Ellipsoid, GeomType::Box),
+    convex(GeomType::Cylinder, GeomType::Cylinder),
+    convex(GeomType::Cylinder, GeomType::Box),
+    convex(GeomType::Sphere, GeomType::Mesh),
+    convex(GeomType::Capsule, GeomType::Mesh),
+    convex(GeomType::Ellipsoid, GeomType::Mesh),
+    convex(GeomType::Cylinder, GeomType::Mesh),
+    convex(GeomType::Box, GeomType::Mesh),
+    convex(GeomType::Mesh, GeomType::Mesh),
 ];
+
+const fn convex(one: GeomType, two: GeomType) -> (GeomType, GeomType, ShapeTest) {
+    (one, two, ShapeTest::Convex(one, two))
+}
 
 impl ShapeTest {
     /// Of two shapes in the order of their types; None: not built yet.
@@ -50,6 +71,7 @@ impl ShapeTest {
             | Self::SphereCapsule
             | Self::SphereBox => 1,
             Self::PlaneCapsule | Self::CapsuleCapsule => 2,
+            Self::Convex(one, two) => Convex { one, two }.most(),
             Self::PlaneCylinder | Self::PlaneBox => 4,
         }
     }

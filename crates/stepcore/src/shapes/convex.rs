@@ -1,0 +1,90 @@
+//! Any convex shape against any other: the pairs that have no closed form.
+
+use super::by_lane::{empty, OneWorld};
+use super::manifold::{Meeting, MOST};
+use super::separation::{normal, Pairing};
+use super::solid::{plain, Core, Solid};
+use super::touch::{Touch, Touches};
+use super::Shape;
+use crate::real::Real;
+use crate::scene::GeomType;
+
+/// A pair of shapes by their types.
+#[derive(Clone, Copy, Debug)]
+pub struct Convex {
+    pub one: GeomType,
+    pub two: GeomType,
+}
+
+impl Convex {
+    /// The most contacts: a round shape touches at one place, a capsule along its side at two.
+    pub fn most(self) -> usize {
+        let either = |kind| self.one == kind || self.two == kind;
+        if either(GeomType::Sphere) || either(GeomType::Ellipsoid) {
+            1
+        } else if either(GeomType::Capsule) {
+            2
+        } else {
+            MOST
+        }
+    }
+}
+
+impl<const N: usize> OneWorld<N> for Convex {
+    fn touches<R: Real>(&self, one: &Shape<R>, two: &Shape<R>) -> Touches<R, N> {
+        touches(&solid(self.one, one), &solid(self.two, two))
+    }
+}
+
+/// The core and the radius of a shape.
+pub fn solid<'a, R: Real>(kind: GeomType, shape: &Shape<'a, R>) -> Solid<'a, R> {
+    let [a, b, _] = *shape.size;
+    let (core, radius) = match kind {
+        GeomType::Capsule => (Core::Segment(b), a),
+        GeomType::Ellipsoid => (Core::Ellipsoid(*shape.size), 0.0),
+        GeomType::Cylinder => (Core::Cylinder(a, b), 0.0),
+        GeomType::Box => (Core::Box(*shape.size), 0.0),
+        GeomType::Mesh => (shape.hull.map_or(Core::Point, Core::Hull), 0.0),
+        GeomType::Sphere | GeomType::Plane | GeomType::HField => (Core::Point, a),
+    };
+    Solid { core, radius, pose: shape.pose }
+}
+
+/// Operations of one support function, for numbers that count.
+const SUPPORT: u64 = 40;
+
+/// The contacts of two convex shapes.
+pub fn touches<R: Real, const N: usize>(one: &Solid<R>, two: &Solid<R>) -> Touches<R, N> {
+    let (p, q) = (plain(one.pose), plain(two.pose));
+    let pairing = Pairing::new(
+        Solid { core: one.core, radius: one.radius, pose: &p },
+        Solid { core: two.core, radius: two.radius, pose: &q },
+    );
+    let found = pairing.separation();
+    spend::<R>(pairing.asked() * SUPPORT);
+    let between = two.pose.pos - one.pose.pos;
+    let normal = normal(&found, one, two, &between);
+    let size = one.extent() + two.extent();
+    let manifold = Meeting { one: *one, two: *two, between, normal, size }.manifold(&found, N);
+    let (near, far) = (R::of(one.radius), R::of(two.radius));
+    let mut out = [empty(); N];
+    for (to, point) in out.iter_mut().zip(&manifold.points[..manifold.count]) {
+        *to = Touch {
+            dist: point.apart - near - far,
+            pos: one.pose.pos + point.at + normal * (R::of(0.5) * (near - far)),
+            normal,
+            exists: crate::real::Mask::of(true),
+            feature: R::of(f64::from(point.name)),
+        };
+    }
+    out
+}
+
+/// Counts operations that were done in plain numbers.
+fn spend<R: Real>(operations: u64) {
+    let mut sum = R::zero();
+    for _ in 0..operations {
+        sum += R::one();
+    }
+    let _ = sum;
+}

@@ -1,0 +1,290 @@
+//! The way out of a convex set that holds the origin: the expanding polytope (van den Bergen 2001).
+//!
+//! A polytope inside the set grows towards the set's surface: its face nearest to the origin is
+//! pushed out to the set's furthest point along the face's normal. The set reaches at least as far
+//! as each face and, along that normal, exactly as far as the furthest point.
+
+use crate::spatial::V3;
+
+const POINTS: usize = 72;
+const FACES: usize = 2 * POINTS;
+/// Height above a face, over the size, that is only rounding.
+const FLAT: f64 = 1e-13;
+
+/// One triangle, counter-clockwise from outside.
+#[derive(Clone, Copy)]
+struct Face {
+    corners: [usize; 3],
+    /// Across the edge from corner k to the next.
+    across: [usize; 3],
+    normal: V3<f64>,
+    /// From the origin along the normal; infinite where the triangle has no area.
+    height: f64,
+    alive: bool,
+    /// Nothing lies beyond it but rounding.
+    done: bool,
+}
+
+/// The polytope as grown so far.
+pub struct Polytope {
+    points: [V3<f64>; POINTS],
+    npoint: usize,
+    faces: [Face; FACES],
+    nface: usize,
+    size: f64,
+    /// The last push found nothing more, or no room for it.
+    pub stuck: bool,
+    /// The direction of the shortest way out that was seen.
+    pub best: V3<f64>,
+    least: f64,
+}
+
+/// A face, and the set's reach along its normal.
+pub struct Way {
+    pub normal: V3<f64>,
+    /// Of the face: no way out that passes through it is shorter.
+    pub height: f64,
+    /// Of the set along this normal: a way out.
+    pub reach: f64,
+}
+
+impl Polytope {
+    /// A tetrahedron of points of the set, or None where the set is flat.
+    pub fn new(support: &impl Fn(&V3<f64>) -> V3<f64>, simplex: &[V3<f64>]) -> Option<Self> {
+        let mut seeds = [V3::zeros(); 10];
+        seeds[..simplex.len()].copy_from_slice(simplex);
+        let mut count = simplex.len();
+        let mut corners = spread(&seeds[..count]);
+        if corners.is_none() {
+            for axis in 0..3 {
+                for side in [1.0, -1.0] {
+                    let mut way = V3::zeros();
+                    way[axis] = side;
+                    seeds[count] = support(&way);
+                    count += 1;
+                }
+            }
+            corners = spread(&seeds[..count]);
+        }
+        let [a, b, c, d] = corners?;
+        let blank = Face {
+            corners: [0; 3],
+            across: [0; 3],
+            normal: V3::zeros(),
+            height: 0.0,
+            alive: false,
+            done: false,
+        };
+        let mut new = Self {
+            points: [V3::zeros(); POINTS],
+            npoint: 4,
+            faces: [blank; FACES],
+            nface: 4,
+            size: 0.0,
+            stuck: false,
+            best: V3::x(),
+            least: f64::INFINITY,
+        };
+        new.points[..4].copy_from_slice(&[a, b, c, d]);
+        new.size = [a, b, c, d].iter().map(|p| p.dot(p).sqrt()).fold(0.0, f64::max);
+        // Counter-clockwise, d above the triangle a b c seen from d.
+        let up = (b - a).cross(&(c - a)).dot(&(d - a)) > 0.0;
+        let lists = if up {
+            [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+        } else {
+            [[0, 1, 2], [1, 0, 3], [2, 1, 3], [0, 2, 3]]
+        };
+        for (i, list) in lists.iter().enumerate() {
+            new.faces[i] = new.face(*list);
+        }
+        for i in 0..4 {
+            for k in 0..3 {
+                let edge = (lists[i][(k + 1) % 3], lists[i][k]);
+                let other =
+                    |j: &usize| (0..3).any(|m| (lists[*j][m], lists[*j][(m + 1) % 3]) == edge);
+                new.faces[i].across[k] = (0..4).find(other)?;
+            }
+        }
+        Some(new)
+    }
+
+    fn face(&self, corners: [usize; 3]) -> Face {
+        let [a, b, c] = corners.map(|i| self.points[i]);
+        let (ab, ac, bc) = (b - a, c - a, c - b);
+        let cross = ab.cross(&ac);
+        let length = cross.dot(&cross).sqrt();
+        let longest = ab.dot(&ab).max(ac.dot(&ac)).max(bc.dot(&bc));
+        let sliver = length <= FLAT * longest;
+        let normal = if sliver { V3::zeros() } else { cross * (1.0 / length) };
+        let height = if sliver {
+            f64::INFINITY
+        } else {
+            normal.dot(&a).max(normal.dot(&b)).max(normal.dot(&c))
+        };
+        Face { corners, across: [0; 3], normal, height, alive: true, done: sliver }
+    }
+
+    /// The lowest face that `skip` does not leave out; None: all are done.
+    pub fn lowest(&self, skip: impl Fn(&V3<f64>, f64) -> bool) -> Option<usize> {
+        let mut best: Option<usize> = None;
+        for (i, face) in self.faces[..self.nface].iter().enumerate() {
+            let lower = best.is_none_or(|b| face.height < self.faces[b].height);
+            if face.alive && !face.done && lower && !skip(&face.normal, face.height) {
+                best = Some(i);
+            }
+        }
+        best
+    }
+
+    /// How far the set reaches beyond a face; the polytope grows there, if there is room.
+    pub fn push(&mut self, face: usize, support: &impl Fn(&V3<f64>) -> V3<f64>) -> Way {
+        let Face { normal, height, .. } = self.faces[face];
+        let w = support(&normal);
+        let reach = normal.dot(&w);
+        if reach < self.least {
+            (self.least, self.best) = (reach, normal);
+        }
+        let grown = reach - height > FLAT * self.size && self.grow(face, w);
+        self.stuck = !grown;
+        if !grown {
+            self.faces[face].done = true;
+        }
+        Way { normal, height, reach }
+    }
+
+    /// Room for another point and the faces around it.
+    fn room(&self, edges: usize) -> bool {
+        self.npoint < POINTS && self.nface + edges <= FACES
+    }
+
+    /// Takes away what the new point sees and joins the rim to it.
+    fn grow(&mut self, seed: usize, w: V3<f64>) -> bool {
+        let mut seen = [false; FACES];
+        let mut stack = [0; FACES];
+        let mut waiting = 1;
+        stack[0] = seed;
+        seen[seed] = true;
+        // Edges of the rim: the face outside, and which of its edges.
+        let mut rim = [(0, 0); FACES];
+        let mut edges = 0;
+        while waiting > 0 {
+            waiting -= 1;
+            let here = stack[waiting];
+            for k in 0..3 {
+                let other = self.faces[here].across[k];
+                if seen[other] {
+                    continue;
+                }
+                let face = &self.faces[other];
+                if face.normal.dot(&w) - face.height > FLAT * self.size {
+                    seen[other] = true;
+                    stack[waiting] = other;
+                    waiting += 1;
+                }
+            }
+        }
+        for here in 0..self.nface {
+            if !seen[here] {
+                continue;
+            }
+            for k in 0..3 {
+                let other = self.faces[here].across[k];
+                if !seen[other] {
+                    let back = (0..3).find(|m| {
+                        self.faces[other].across[*m] == here
+                            && self.faces[other].corners[*m]
+                                == self.faces[here].corners[(k + 1) % 3]
+                    });
+                    let Some(back) = back else { return false };
+                    if edges == FACES {
+                        return false;
+                    }
+                    rim[edges] = (other, back);
+                    edges += 1;
+                }
+            }
+        }
+        if !self.room(edges) {
+            return false;
+        }
+        // The rim must be one closed loop: each corner leaves once and arrives once.
+        let rim = &rim[..edges];
+        // Seen from inside the rim an edge runs the other way.
+        let mut run = [(0, 0); FACES];
+        for (run, (face, k)) in run.iter_mut().zip(rim) {
+            let corners = &self.faces[*face].corners;
+            *run = (corners[(k + 1) % 3], corners[*k]);
+        }
+        let run = &run[..edges];
+        let mut next = [usize::MAX; POINTS];
+        for (i, (from, _)) in run.iter().enumerate() {
+            let from = *from;
+            if next[from] != usize::MAX {
+                return false;
+            }
+            next[from] = i;
+        }
+        if run.iter().any(|(_, to)| next[*to] == usize::MAX) {
+            return false;
+        }
+        let point = self.npoint;
+        self.points[point] = w;
+        self.npoint += 1;
+        self.size = self.size.max(w.dot(&w).sqrt());
+        let first = self.nface;
+        for (i, edge) in rim.iter().enumerate() {
+            let (from, to) = run[i];
+            let mut face = self.face([from, to, point]);
+            face.across = [edge.0, first + next[to], 0];
+            self.faces[first + i] = face;
+        }
+        for (i, edge) in rim.iter().enumerate() {
+            self.faces[edge.0].across[edge.1] = first + i;
+            let after = self.faces[first + i].across[1];
+            self.faces[after].across[2] = first + i;
+        }
+        self.nface += edges;
+        for here in 0..first {
+            if seen[here] {
+                self.faces[here].alive = false;
+            }
+        }
+        self.compact();
+        true
+    }
+
+    /// Closes the gaps that dead faces left.
+    fn compact(&mut self) {
+        let mut to = [usize::MAX; FACES];
+        let mut kept = 0;
+        for from in 0..self.nface {
+            if self.faces[from].alive {
+                to[from] = kept;
+                self.faces[kept] = self.faces[from];
+                kept += 1;
+            }
+        }
+        self.nface = kept;
+        for face in &mut self.faces[..kept] {
+            face.across = face.across.map(|i| to[i]);
+        }
+    }
+}
+
+/// Four of the points that span a volume.
+fn spread(points: &[V3<f64>]) -> Option<[V3<f64>; 4]> {
+    let a = *points.first()?;
+    let furthest = |measure: &dyn Fn(&V3<f64>) -> f64| {
+        points
+            .iter()
+            .fold((0.0, a), |best, p| if measure(p) > best.0 { (measure(p), *p) } else { best })
+    };
+    let (length, b) = furthest(&|p| (p - a).dot(&(p - a)));
+    let ab = b - a;
+    let (area, c) = furthest(&|p| ab.cross(&(p - a)).dot(&ab.cross(&(p - a))));
+    let normal = ab.cross(&(c - a));
+    let (volume, d) = furthest(&|p| normal.dot(&(p - a)).abs());
+    // Height over the base, and width over the length.
+    let flat = area <= FLAT * length * length || volume <= FLAT * area.sqrt() * length.sqrt();
+    (!flat).then_some([a, b, c, d])
+}

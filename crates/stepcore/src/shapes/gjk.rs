@@ -1,0 +1,133 @@
+//! The point of a convex set nearest to the origin: Gilbert, Johnson and Keerthi (1988).
+//!
+//! The set is known by its support function. A simplex of at most four of its points walks towards
+//! the origin: its nearest point v is found, what is not needed for v is dropped, and the set's
+//! furthest point along −v joins. |v| is never less than the distance, v·w/|v| never more.
+
+use crate::spatial::V3;
+
+/// Where the walk ended.
+pub struct Nearest {
+    /// The nearest point that was found.
+    pub point: V3<f64>,
+    /// The points that it lies between; four of them hold the origin.
+    pub simplex: [V3<f64>; 4],
+    pub count: usize,
+    /// The origin is inside or so near that the direction means nothing.
+    pub inside: bool,
+    /// How often the support function was asked.
+    pub asked: usize,
+}
+
+const MOST: usize = 64;
+/// Squared distance over squared size below which a direction means nothing.
+const TOUCHING: f64 = 1e-20;
+
+/// `gap`: the relative error of the distance at which the walk may end.
+pub fn gjk(support: impl Fn(&V3<f64>) -> V3<f64>, toward: V3<f64>, gap: f64) -> Nearest {
+    let first = support(&-toward);
+    let mut at = Nearest {
+        point: first,
+        simplex: [first, V3::zeros(), V3::zeros(), V3::zeros()],
+        count: 1,
+        inside: false,
+        asked: 1,
+    };
+    let mut size = first.dot(&first);
+    let mut length = size;
+    while at.asked < MOST {
+        if length <= TOUCHING * size {
+            at.inside = true;
+            return at;
+        }
+        let w = support(&-at.point);
+        at.asked += 1;
+        size = size.max(w.dot(&w));
+        let known = at.simplex[..at.count].contains(&w);
+        if known || length - at.point.dot(&w) <= gap * length {
+            return at;
+        }
+        let mut next = at.simplex;
+        next[at.count] = w;
+        let (point, simplex, count) = reduce(&next, at.count + 1);
+        let shorter = point.dot(&point);
+        if count == 4 {
+            (at.simplex, at.count, at.inside) = (simplex, count, true);
+            return at;
+        }
+        if shorter >= length {
+            // Only rounding is left.
+            return at;
+        }
+        (at.point, at.simplex, at.count, length) = (point, simplex, count, shorter);
+    }
+    at
+}
+
+type Reduced = (V3<f64>, [V3<f64>; 4], usize);
+
+/// The point of a simplex nearest to the origin, and the corners between which it lies.
+fn reduce(simplex: &[V3<f64>; 4], count: usize) -> Reduced {
+    match count {
+        2 => segment(simplex[0], simplex[1]),
+        3 => triangle(simplex[0], simplex[1], simplex[2]),
+        _ => tetrahedron(simplex),
+    }
+}
+
+fn corner(a: V3<f64>) -> Reduced {
+    (a, [a, V3::zeros(), V3::zeros(), V3::zeros()], 1)
+}
+
+fn segment(a: V3<f64>, b: V3<f64>) -> Reduced {
+    let along = b - a;
+    let (before, after) = (-a.dot(&along), b.dot(&along));
+    if before <= 0.0 {
+        corner(a)
+    } else if after <= 0.0 {
+        corner(b)
+    } else {
+        // The foot, from the nearer end, and exactly across.
+        let square = along.dot(&along);
+        let foot = if before < after {
+            a + along * (before / square)
+        } else {
+            b - along * (after / square)
+        };
+        (foot, [a, b, V3::zeros(), V3::zeros()], 2)
+    }
+}
+
+/// The nearest of the edges' points, unless the foot of the perpendicular is inside.
+fn triangle(a: V3<f64>, b: V3<f64>, c: V3<f64>) -> Reduced {
+    let normal = (b - a).cross(&(c - a));
+    let square = normal.dot(&normal);
+    let inner = [(a, b), (b, c), (c, a)].map(|(p, q)| p.cross(&q).dot(&normal));
+    if square > 0.0 && inner.iter().all(|x| *x > 0.0) {
+        let height = a.dot(&normal) / square;
+        return (normal * height, [a, b, c, V3::zeros()], 3);
+    }
+    nearer(nearer(segment(a, b), segment(b, c)), segment(c, a))
+}
+
+fn tetrahedron(s: &[V3<f64>; 4]) -> Reduced {
+    let mut best: Option<Reduced> = None;
+    for [i, j, k, m] in [[0, 1, 2, 3], [0, 1, 3, 2], [0, 2, 3, 1], [1, 2, 3, 0]] {
+        let normal = (s[j] - s[i]).cross(&(s[k] - s[i]));
+        let (inward, origin) = (normal.dot(&(s[m] - s[i])), -normal.dot(&s[i]));
+        // On the other side than the fourth corner, or a flat tetrahedron.
+        if inward == 0.0 || (inward > 0.0) != (origin > 0.0) {
+            let this = triangle(s[i], s[j], s[k]);
+            best = Some(best.map_or(this, |best| nearer(best, this)));
+        }
+    }
+    best.unwrap_or((V3::zeros(), *s, 4))
+}
+
+fn nearer(one: Reduced, two: Reduced) -> Reduced {
+    if two.0.dot(&two.0) < one.0.dot(&one.0) {
+        two
+    } else {
+        one
+    }
+}

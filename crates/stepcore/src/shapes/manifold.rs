@@ -1,0 +1,355 @@
+//! All points at which two shapes lie against each other, once their normal is known.
+//!
+//! Seen along the normal, what meets (a face, an edge, or a point of each) overlaps in a polygon,
+//! a stretch or a point. Its corners are the contacts; each has the distance along the normal
+//! between the two shapes there, and is named by what crosses at it. The deepest place is always
+//! among them.
+
+use super::contact_feature::{feature, Corner, Feature, Polygon, CORNERS};
+use super::separation::{Cause, Separation};
+use super::solid::Solid;
+use crate::real::Real;
+use crate::spatial::V3;
+
+/// The most contacts of a pair.
+pub const MOST: usize = 8;
+/// Corners of the overlap of two faces.
+const ROOM: usize = 2 * CORNERS;
+/// Over the size of the pair: what lies outside by so little lies on the border, and what is
+/// deeper by so little is not.
+const BORDER: f64 = 1e-10;
+/// Sine of the angle below which two edges run side by side.
+const PARALLEL: f64 = 1e-3;
+
+/// A contact of the cores.
+#[derive(Clone, Copy)]
+pub struct Point<R: Real> {
+    /// Between the cores along the normal [m].
+    pub apart: R,
+    /// Halfway between them, from the first shape's centre.
+    pub at: V3<R>,
+    pub name: u32,
+}
+
+pub struct Manifold<R: Real> {
+    pub points: [Point<R>; MOST],
+    pub count: usize,
+}
+
+/// What two shapes see of each other.
+pub struct Meeting<'a, R: Real> {
+    pub one: Solid<'a, R>,
+    pub two: Solid<'a, R>,
+    /// From one's centre to two's.
+    pub between: V3<R>,
+    pub normal: V3<R>,
+    /// The sum of the half extents.
+    pub size: f64,
+}
+
+/// Lists that grow to `ROOM` and no further.
+struct Points<R: Real> {
+    list: [Point<R>; ROOM],
+    count: usize,
+}
+
+impl<R: Real> Points<R> {
+    fn new() -> Self {
+        let none = Point { apart: R::one(), at: V3::zeros(), name: 0 };
+        Self { list: [none; ROOM], count: 0 }
+    }
+
+    fn add(&mut self, point: Point<R>) {
+        if self.count < ROOM {
+            self.list[self.count] = point;
+            self.count += 1;
+        }
+    }
+}
+
+/// A number below 2²⁴ for what crosses: names on the first and on the second shape.
+fn name(kind: u32, one: usize, two: usize) -> u32 {
+    let mixed = (one as u32).wrapping_mul(0x9E37_79B1) ^ (two as u32).wrapping_mul(0x85EB_CA77);
+    let mixed = (mixed ^ mixed >> 15).wrapping_mul(0x2C1B_3C6D) ^ kind.wrapping_mul(0x27D4_EB2F);
+    (mixed ^ mixed >> 13) & 0x00FF_FFFF
+}
+
+impl<R: Real> Meeting<'_, R> {
+    /// The contacts: at most `most`.
+    pub fn manifold(&self, found: &Separation, most: usize) -> Manifold<R> {
+        let deepest = self.deepest(found);
+        let mut points = Points::new();
+        if most > 1 {
+            let one = feature(&self.one, &V3::zeros(), &self.normal);
+            let two = feature(&self.two, &self.between, &-self.normal);
+            match (&one, &two) {
+                (Feature::Face(p), Feature::Face(q)) => self.faces(p, q, &mut points),
+                (Feature::Face(p), Feature::Edge(e)) => self.stretch(p, e, false, &mut points),
+                (Feature::Edge(e), Feature::Face(q)) => self.stretch(q, e, true, &mut points),
+                (Feature::Edge(e), Feature::Edge(f)) => self.side_by_side(e, f, &mut points),
+                _ => {}
+            }
+        }
+        chosen(&mut points, deepest, BORDER * self.size, most)
+    }
+
+    /// The one place where the cores are nearest or overlap most; of several, some one.
+    fn deepest(&self, found: &Separation) -> Point<R> {
+        let n = &self.normal;
+        let (p, i) = self.one.support(n);
+        let (q, k) = self.two.support(&-n);
+        let q = self.between + q;
+        let half = R::of(0.5);
+        let (apart, at) = match found.cause {
+            // Two's own point; one's surface is as far along the normal everywhere nearby.
+            Cause::FaceOne(_) | Cause::EdgeOne(_) => {
+                let apart = n.dot(&(q - p));
+                (apart, q - n * (half * apart))
+            }
+            Cause::FaceTwo(_) | Cause::EdgeTwo(_) => {
+                let apart = n.dot(&(q - p));
+                (apart, p + n * (half * apart))
+            }
+            Cause::Edges(e, f) => {
+                let e = self.one.pose.to_world(&e.map(R::of));
+                let f = self.two.pose.to_world(&f.map(R::of));
+                let side = f.cross(n);
+                let at = p + e * ((q - p).dot(&side) / e.dot(&side));
+                let apart = n.dot(&(q - p));
+                (apart, at + n * (half * apart))
+            }
+            Cause::Free => (n.dot(&(q - p)), (p + q) * half),
+        };
+        Point { apart, at, name: name(0, i, k) }
+    }
+
+    /// A contact where the cores pass through p and q on one line along the normal.
+    fn contact(&self, p: &V3<R>, q: &V3<R>, name: u32) -> Point<R> {
+        let apart = self.normal.dot(&(q - p));
+        Point { apart, at: (p + q) * R::of(0.5), name }
+    }
+
+    /// Where a line along the normal through a point meets a face's plane.
+    fn onto(&self, point: &V3<R>, face: &Polygon<R>) -> V3<R> {
+        let height = (face.offset - face.normal.dot(point)) / face.normal.dot(&self.normal);
+        point + self.normal * height
+    }
+
+    /// Inward sides of a polygon seen along the normal: side k runs from corner k, and is where
+    /// inward · x = offset.
+    fn side(&self, face: &Polygon<R>, k: usize, turn: R) -> (V3<R>, R) {
+        let (a, b) = (&face.corners[k].at, &face.corners[(k + 1) % face.count].at);
+        let across = self.normal.cross(&(b - a)) * turn;
+        let inward = across * across.dot(&across).sqrt().recip_or_zero();
+        (inward, inward.dot(a))
+    }
+
+    /// 1 where the corners run counter-clockwise about the normal, −1 where clockwise.
+    fn turn(&self, face: &Polygon<R>) -> R {
+        let mut area = R::zero();
+        let first = &face.corners[0].at;
+        for k in 1..face.count - 1 {
+            let (a, b) = (&face.corners[k].at, &face.corners[k + 1].at);
+            area += (a - first).cross(&(b - first)).dot(&self.normal);
+        }
+        R::of(if area.lane(0) < 0.0 { -1.0 } else { 1.0 })
+    }
+
+    /// The overlap of two faces: the second cut by each side of the first (Sutherland and Hodgman
+    /// 1974). A corner is named by the sides that cross there.
+    fn faces(&self, one: &Polygon<R>, two: &Polygon<R>, out: &mut Points<R>) {
+        /// A corner, and the side that leaves it: of one (true) or two, by its number.
+        #[derive(Clone, Copy)]
+        struct Cut<R: Real> {
+            at: V3<R>,
+            side: (bool, usize),
+        }
+        let border = -BORDER * self.size;
+        let blank = Cut { at: V3::zeros(), side: (false, 0) };
+        let mut list = [blank; ROOM];
+        for k in 0..two.count {
+            list[k] = Cut { at: two.corners[k].at, side: (false, k) };
+        }
+        let mut count = two.count;
+        let turn = self.turn(one);
+        for k in 0..one.count {
+            let (inward, offset) = self.side(one, k, turn);
+            let mut next = [blank; ROOM];
+            let mut kept = 0;
+            let mut push = |cut: Cut<R>| {
+                if kept < ROOM {
+                    next[kept] = cut;
+                    kept += 1;
+                }
+            };
+            for i in 0..count {
+                let (here, there) = (list[i], list[(i + 1) % count]);
+                let (a, b) = (inward.dot(&here.at) - offset, inward.dot(&there.at) - offset);
+                let (inside, inside_next) = (a.lane(0) >= border, b.lane(0) >= border);
+                if inside {
+                    push(here);
+                }
+                if inside != inside_next {
+                    let at = here.at + (there.at - here.at) * (a / (a - b));
+                    // Leaving, the new side runs along one's; entering, on along two's.
+                    push(Cut { at, side: if inside { (true, k) } else { here.side } });
+                }
+            }
+            (list, count) = (next, kept);
+        }
+        for i in 0..count {
+            let before = list[(i + count - 1) % count].side;
+            let after = list[i].side;
+            let q = list[i].at;
+            let p = self.onto(&q, one);
+            // A point of one's own border is carried to two's plane.
+            let q = self.onto(&q, two);
+            let corner = |face: &Polygon<R>, k: usize| face.corners[k].name;
+            let label = match (before.0, after.0) {
+                (false, false) => name(1, 0, corner(two, after.1)),
+                (true, true) => name(2, corner(one, self.shared(one, before.1, after.1)), 0),
+                (true, false) => name(3, corner(one, before.1), corner(two, after.1)),
+                (false, true) => name(3, corner(one, after.1), corner(two, before.1)),
+            };
+            out.add(self.contact(&p, &q, label));
+        }
+    }
+
+    /// The corner between two sides of a polygon.
+    fn shared(&self, face: &Polygon<R>, j: usize, k: usize) -> usize {
+        if (j + 1) % face.count == k {
+            k
+        } else {
+            j
+        }
+    }
+
+    /// The part of an edge that lies over a face.
+    fn stretch(&self, face: &Polygon<R>, edge: &[Corner<R>; 2], swap: bool, out: &mut Points<R>) {
+        let border = -BORDER * self.size;
+        let [a, b] = edge;
+        let along = b.at - a.at;
+        let (mut from, mut to) = ((R::zero(), usize::MAX), (R::one(), usize::MAX));
+        let turn = self.turn(face);
+        for k in 0..face.count {
+            let (inward, offset) = self.side(face, k, turn);
+            let (start, end) = (inward.dot(&a.at) - offset, inward.dot(&b.at) - offset);
+            let (left, right) = (start.lane(0) >= border, end.lane(0) >= border);
+            if !left && !right {
+                return;
+            }
+            if left && right {
+                continue;
+            }
+            let share = start / (start - end);
+            if left && share.lane(0) < to.0.lane(0) {
+                to = (share, k);
+            } else if right && share.lane(0) > from.0.lane(0) {
+                from = (share, k);
+            }
+        }
+        if from.0.lane(0) > to.0.lane(0) {
+            return;
+        }
+        for ((share, side), end) in [(from, a), (to, b)] {
+            let on = if side == usize::MAX { end.at } else { a.at + along * share };
+            let under = self.onto(&on, face);
+            let label = if side == usize::MAX {
+                name(4, end.name, usize::from(swap))
+            } else {
+                name(5, face.corners[side].name, usize::from(swap))
+            };
+            let (p, q) = if swap { (on, under) } else { (under, on) };
+            out.add(self.contact(&p, &q, label));
+        }
+    }
+
+    /// The stretch over which two parallel edges run side by side.
+    fn side_by_side(&self, one: &[Corner<R>; 2], two: &[Corner<R>; 2], out: &mut Points<R>) {
+        // Seen along the normal.
+        let flat = |edge: &[Corner<R>; 2]| {
+            let along = edge[1].at - edge[0].at;
+            along - self.normal * self.normal.dot(&along)
+        };
+        let (e, f) = (flat(one), flat(two));
+        let (ee, ff, cross) = (e.dot(&e), f.dot(&f), e.cross(&f));
+        let parallel = cross.dot(&cross).lane(0) <= PARALLEL * PARALLEL * (ee * ff).lane(0);
+        if !parallel || ee.lane(0) == 0.0 || ff.lane(0) == 0.0 {
+            return;
+        }
+        let share = |corner: &Corner<R>| (corner.at - one[0].at).dot(&e) / ee;
+        let (s, t) = (share(&two[0]), share(&two[1]));
+        let (low, high, first, last) =
+            if s.lane(0) <= t.lane(0) { (s, t, two[0], two[1]) } else { (t, s, two[1], two[0]) };
+        // The later start and the earlier end, each an end of one of the two.
+        let (from, a) = if low.lane(0) > 0.0 { (low, first.name + 2) } else { (R::zero(), 0) };
+        let (to, b) = if high.lane(0) < 1.0 { (high, last.name + 2) } else { (R::one(), 1) };
+        if ((to - from) * ee.sqrt()).lane(0) <= BORDER * self.size {
+            return;
+        }
+        for (share, label) in [(from, a), (to, b)] {
+            let p = one[0].at + (one[1].at - one[0].at) * share;
+            let q = two[0].at + (two[1].at - two[0].at) * ((p - two[0].at).dot(&f) / ff);
+            out.add(self.contact(&p, &q, name(6, label, 0)));
+        }
+    }
+}
+
+/// At most `most` of the points: the deepest, and then each time the one furthest from those
+/// chosen. Points that coincide count once. In the order of the list.
+fn chosen<R: Real>(
+    points: &mut Points<R>,
+    deepest: Point<R>,
+    border: f64,
+    most: usize,
+) -> Manifold<R> {
+    let mut out = Manifold { points: [deepest; MOST], count: 1 };
+    let square = |p: &Point<R>, q: &Point<R>| {
+        let way = p.at - q.at;
+        way.dot(&way).lane(0)
+    };
+    let mut low = 0;
+    for i in 0..points.count {
+        if points.list[i].apart.lane(0) < points.list[low].apart.lane(0) {
+            low = i;
+        }
+    }
+    if points.count == 0 {
+        return out;
+    }
+    // The deepest place is none of the corners: it replaces the one nearest to it, which would
+    // otherwise hold what it holds.
+    if points.list[low].apart.lane(0) > deepest.apart.lane(0) + border {
+        low = 0;
+        for i in 1..points.count {
+            if square(&points.list[i], &deepest) < square(&points.list[low], &deepest) {
+                low = i;
+            }
+        }
+        points.list[low] = Point { name: points.list[low].name, ..deepest };
+    }
+    let mut picked = [false; ROOM];
+    picked[low] = true;
+    let mut nearest = [f64::INFINITY; ROOM];
+    let mut last = low;
+    for _ in 1..most.min(points.count) {
+        let mut best = (4.0 * border * border, None);
+        for i in 0..points.count {
+            nearest[i] = nearest[i].min(square(&points.list[i], &points.list[last]));
+            if !picked[i] && nearest[i] > best.0 {
+                best = (nearest[i], Some(i));
+            }
+        }
+        let Some(next) = best.1 else { break };
+        picked[next] = true;
+        last = next;
+    }
+    out.count = 0;
+    for i in 0..points.count {
+        if picked[i] {
+            out.points[out.count] = points.list[i];
+            out.count += 1;
+        }
+    }
+    out
+}

@@ -1,0 +1,383 @@
+//! The signed distance of two convex shapes and the direction along which it is taken.
+//!
+//! Along a unit direction n from one to the other the shapes are apart by
+//! s(n) = min over two of n·x − max over one of n·x, and the signed distance is the largest s: the
+//! distance where it is positive, minus the shortest way out where it is negative (Cameron and
+//! Culley 1986). A search that knows the shapes by their support functions alone finds n roughly
+//! (`gjk` apart, `epa` overlapping). Where the maximum lies exactly is then a matter of what meets
+//! there: a face fixes n; two edges fix it as their cross product; a corner, a bent surface or an
+//! edge leave it two or one degrees of freedom, in which Newton's method ends at rounding. What
+//! s(n) says is exact whatever n came from, so the largest of these candidates is the answer.
+
+use super::epa::Polytope;
+use super::gjk::gjk;
+use super::solid::{plain, Core, Solid};
+use super::touch::unit;
+use crate::real::Real;
+use crate::spatial::V3;
+use core::cell::Cell;
+
+/// What fixes the direction. Vectors are in the axes of the shape that they belong to.
+#[derive(Clone, Copy, Debug)]
+pub enum Cause {
+    /// A face of one or two: its outward normal.
+    FaceOne(V3<f64>),
+    FaceTwo(V3<f64>),
+    /// An edge of each.
+    Edges(V3<f64>, V3<f64>),
+    /// The normal is across an edge of one, or of two, and else free.
+    EdgeOne(V3<f64>),
+    EdgeTwo(V3<f64>),
+    /// Corners and bent surfaces.
+    Free,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct Separation {
+    /// Unit, from one to two.
+    pub normal: V3<f64>,
+    /// Of the cores [m].
+    pub apart: f64,
+    pub cause: Cause,
+}
+
+/// Both shapes; `between` is from one's centre to two's.
+pub struct Pairing<'a> {
+    one: Solid<'a, f64>,
+    two: Solid<'a, f64>,
+    between: V3<f64>,
+    size: f64,
+    smooth: bool,
+    /// How often a support function was asked.
+    asked: Cell<u64>,
+}
+
+/// Sines of the angle from a rough direction within which faces and edges are tried: of polytopes
+/// the search ends at rounding, of bent surfaces near the answer.
+const NEAR_EXACT: f64 = 0.02;
+const NEAR_ROUGH: f64 = 0.3;
+/// Over the size of the pair: a gain that is only rounding.
+const ROUNDING: f64 = 1e-14;
+/// Rounds of the search, and of Newton's method.
+const ROUNDS: usize = 90;
+const STEPS: usize = 30;
+/// Edges of a corner that are tried.
+const EDGES: usize = 8;
+
+impl<'a> Pairing<'a> {
+    pub fn new(one: Solid<'a, f64>, two: Solid<'a, f64>) -> Self {
+        let between = two.pose.pos - one.pose.pos;
+        let size = one.extent() + two.extent();
+        let smooth = one.smooth() || two.smooth();
+        Self { one, two, between, size, smooth, asked: Cell::new(0) }
+    }
+
+    /// How often a support function was asked.
+    pub fn asked(&self) -> u64 {
+        self.asked.get()
+    }
+
+    /// The point of two minus one furthest along a direction.
+    fn furthest(&self, way: &V3<f64>) -> V3<f64> {
+        self.asked.set(self.asked.get() + 1);
+        self.between + (self.two.support(way).0 - self.one.support(&-way).0)
+    }
+
+    fn apart(&self, normal: &V3<f64>) -> f64 {
+        normal.dot(&self.furthest(&-normal))
+    }
+
+    pub fn separation(&self) -> Separation {
+        let some = self.between.dot(&self.between) > 0.0;
+        let toward = if some { self.between } else { V3::x() };
+        let support = |way: &V3<f64>| self.furthest(way);
+        let gaps: &[f64] = if self.smooth { &[1e-5, 1e-12] } else { &[1e-15] };
+        for gap in gaps {
+            let nearest = gjk(support, toward, *gap);
+            if nearest.inside {
+                return self.overlap(&nearest.simplex[..nearest.count]);
+            }
+            let length = nearest.point.dot(&nearest.point).sqrt();
+            let found = self.refine(&(nearest.point * (1.0 / length)));
+            if found.apart >= length * (1.0 - 1e-4) {
+                return found;
+            }
+            if found.apart <= 0.0 {
+                return self.overlap(&nearest.simplex[..nearest.count]);
+            }
+        }
+        self.overlap(&[])
+    }
+
+    /// The shortest way out, from a simplex that may hold the origin.
+    fn overlap(&self, simplex: &[V3<f64>]) -> Separation {
+        let support = |way: &V3<f64>| self.furthest(way);
+        let Some(mut polytope) = Polytope::new(&support, simplex) else {
+            let length = self.between.dot(&self.between).sqrt();
+            let n = if length > 0.0 { self.between * (1.0 / length) } else { V3::x() };
+            return self.refine(&n);
+        };
+        let faceted = |solid: &Solid<f64>| matches!(solid.core, Core::Hull(_) | Core::Prism(_));
+        // Within this cosine a refined direction is the best one.
+        let own = if faceted(&self.one) || faceted(&self.two) { 1.0 - 1e-6 } else { 0.98 };
+        let mut best: Option<Separation> = None;
+        for _ in 0..ROUNDS {
+            let skip = |normal: &V3<f64>, height: f64| {
+                best.is_some_and(|best: Separation| {
+                    height >= -best.apart - 1e-12 * self.size || -normal.dot(&best.normal) > own
+                })
+            };
+            let Some(face) = polytope.lowest(skip) else { break };
+            let way = polytope.push(face, &support);
+            let gap = way.reach - way.height;
+            let close =
+                if self.smooth { 1e-3 * way.reach + 1e-6 * self.size } else { 1e-12 * self.size };
+            if gap <= close || polytope.stuck {
+                let found = self.refine(&-way.normal);
+                if best.is_none_or(|best| found.apart > best.apart) {
+                    best = Some(found);
+                }
+            }
+        }
+        best.unwrap_or_else(|| self.refine(&-polytope.best))
+    }
+
+    /// The largest separation of what meets near a rough direction.
+    fn refine(&self, rough: &V3<f64>) -> Separation {
+        let near = if self.smooth { NEAR_ROUGH } else { NEAR_EXACT };
+        let start = self.apart(rough);
+        let mut best = Separation { normal: *rough, apart: f64::NEG_INFINITY, cause: Cause::Free };
+        let mut offer = |normal: V3<f64>, apart: f64, cause: Cause| {
+            if apart > best.apart + ROUNDING * self.size {
+                best = Separation { normal, apart, cause };
+            }
+        };
+        let cosine = (1.0 - near * near).sqrt();
+        if let Some((normal, along, _)) = self.one.face(rough) {
+            if along >= cosine {
+                offer(normal, self.apart(&normal), Cause::FaceOne(self.one.pose.to_local(&normal)));
+            }
+        }
+        if let Some((outward, along, _)) = self.two.face(&-rough) {
+            if along >= cosine {
+                let local = self.two.pose.to_local(&outward);
+                offer(-outward, self.apart(&-outward), Cause::FaceTwo(local));
+            }
+        }
+        let (ones, nones) = edges(&self.one, rough, near);
+        let (twos, ntwos) = edges(&self.two, &-rough, near);
+        for e in &ones[..nones] {
+            for f in &twos[..ntwos] {
+                if let Some(normal) = across(e, f, rough) {
+                    let [e, f] = [self.one.pose.to_local(e), self.two.pose.to_local(f)];
+                    offer(normal, self.apart(&normal), Cause::Edges(e, f));
+                }
+            }
+        }
+        // With corners alone these are places of least separation while the shapes overlap.
+        if self.smooth || start > 0.0 {
+            for e in &ones[..nones] {
+                let (normal, apart) = self.climb(rough, Some(e));
+                offer(normal, apart, Cause::EdgeOne(self.one.pose.to_local(e)));
+            }
+            for f in &twos[..ntwos] {
+                let (normal, apart) = self.climb(rough, Some(f));
+                offer(normal, apart, Cause::EdgeTwo(self.two.pose.to_local(f)));
+            }
+            let (normal, apart) = self.climb(rough, None);
+            offer(normal, apart, Cause::Free);
+        }
+        offer(*rough, start, Cause::Free);
+        best
+    }
+
+    /// Newton's method for the largest separation near a direction; with an edge, across it.
+    fn climb(&self, rough: &V3<f64>, edge: Option<&V3<f64>>) -> (V3<f64>, f64) {
+        let onto = |n: V3<f64>| edge.map_or(n, |e| n - e * e.dot(&n));
+        let mut normal = unit(&onto(*rough));
+        let mut point = self.furthest(&-normal);
+        let mut apart = normal.dot(&point);
+        let mut slope = f64::INFINITY;
+        for _ in 0..STEPS {
+            let Some((step, steep)) = self.newton(&normal, &point, apart, edge) else { break };
+            if steep >= slope && step.dot(&step) < 1e-24 {
+                break;
+            }
+            let mut share = 1.0;
+            let better = loop {
+                let next = unit(&onto(normal + step * share));
+                let there = self.furthest(&-next);
+                let gained = next.dot(&there);
+                // A last step gains less than rounding shows.
+                let last = share == 1.0 && step.dot(&step) < 1e-12 && steep < slope;
+                if gained > apart || last {
+                    break Some((next, there, gained));
+                }
+                share *= 0.25;
+                if share < 1e-3 {
+                    break None;
+                }
+            };
+            let Some((next, there, gained)) = better else { break };
+            (normal, point, apart) = (next, there, gained);
+            slope = steep;
+            if step.dot(&step) < 1e-32 {
+                break;
+            }
+        }
+        (normal, apart)
+    }
+
+    /// The step of Newton's method and the slope of the separation. On the unit sphere the slope
+    /// of n·w(n) is what of w is across n, and its bend minus both shapes' bends minus n·w.
+    fn newton(
+        &self,
+        normal: &V3<f64>,
+        point: &V3<f64>,
+        apart: f64,
+        edge: Option<&V3<f64>>,
+    ) -> Option<(V3<f64>, f64)> {
+        let bend = |t: &V3<f64>| self.one.bend(normal, t) + self.two.bend(&-normal, t);
+        if let Some(e) = edge {
+            let t = unit(&e.cross(normal));
+            let (g, h) = (t.dot(point), t.dot(&bend(&t)) + apart);
+            let step =
+                if h > 0.0 { g / h } else { g / (h.abs() + apart.abs()).max(f64::MIN_POSITIVE) };
+            return step.is_finite().then(|| (t * step.clamp(-0.5, 0.5), g.abs()));
+        }
+        let (t, u) = across_both(normal);
+        let (bt, bu) = (bend(&t), bend(&u));
+        let (g, k) = (t.dot(point), u.dot(point));
+        let (tt, tu, uu) = (t.dot(&bt) + apart, t.dot(&bu), u.dot(&bu) + apart);
+        let det = tt * uu - tu * tu;
+        let step = if tt > 0.0 && det > 0.0 {
+            t * ((uu * g - tu * k) / det) + u * ((tt * k - tu * g) / det)
+        } else {
+            let scale = (tt.abs() + uu.abs() + apart.abs()).max(f64::MIN_POSITIVE);
+            (t * g + u * k) * (1.0 / scale)
+        };
+        let length = step.dot(&step).sqrt();
+        let step = if length > 0.5 { step * (0.5 / length) } else { step };
+        length.is_finite().then(|| (step, (g * g + k * k).sqrt()))
+    }
+}
+
+/// Edges at the corner furthest along a unit direction that are nearly across it: unit vectors.
+fn edges(solid: &Solid<f64>, rough: &V3<f64>, near: f64) -> ([V3<f64>; EDGES], usize) {
+    let mut list = [V3::zeros(); EDGES];
+    let mut count = 0;
+    let mut add = |edge: V3<f64>| {
+        if count < EDGES && edge.dot(rough).abs() <= near {
+            list[count] = edge;
+            count += 1;
+        }
+    };
+    match solid.core {
+        Core::Point | Core::Ellipsoid(_) => {}
+        Core::Segment(_) | Core::Cylinder(..) => add(solid.pose.axis(2)),
+        Core::Box(_) => (0..3).for_each(|i| add(solid.pose.axis(i))),
+        Core::Hull(_) | Core::Prism(_) => {
+            let corner = solid.support(rough).1;
+            let here = solid.corner(corner);
+            let mut k = 0;
+            while let Some(next) = solid.neighbour(corner, k) {
+                add(unit(&(solid.corner(next) - here)));
+                k += 1;
+            }
+        }
+    }
+    (list, count)
+}
+
+/// The unit vector across two, on the side of a third; None where they are parallel.
+fn across<R: Real>(e: &V3<R>, f: &V3<R>, rough: &V3<f64>) -> Option<V3<R>> {
+    let cross = e.cross(f);
+    let square = cross.dot(&cross);
+    if square.lane(0) <= 1e-24 {
+        return None;
+    }
+    let n = cross * (R::one() / square.sqrt());
+    Some(if n.map(|x| x.lane(0)).dot(rough) < 0.0 { -n } else { n })
+}
+
+/// Two unit vectors across a third and each other.
+fn across_both(n: &V3<f64>) -> (V3<f64>, V3<f64>) {
+    let mut axis = V3::zeros();
+    let least = if n.x.abs() <= n.y.abs() && n.x.abs() <= n.z.abs() {
+        0
+    } else if n.y.abs() <= n.z.abs() {
+        1
+    } else {
+        2
+    };
+    axis[least] = 1.0;
+    let t = unit(&n.cross(&axis));
+    (t, n.cross(&t))
+}
+
+/// The direction in numbers that carry slopes, from what fixes it.
+pub fn normal<R: Real>(
+    found: &Separation,
+    one: &Solid<R>,
+    two: &Solid<R>,
+    between: &V3<R>,
+) -> V3<R> {
+    let constant = found.normal.map(R::of);
+    match found.cause {
+        Cause::FaceOne(n) => one.pose.to_world(&n.map(R::of)),
+        Cause::FaceTwo(n) => -two.pose.to_world(&n.map(R::of)),
+        Cause::Edges(e, f) => {
+            let [e, f] = [one.pose.to_world(&e.map(R::of)), two.pose.to_world(&f.map(R::of))];
+            across(&e, &f, &found.normal).unwrap_or(constant)
+        }
+        Cause::EdgeOne(e) => free(found, one, two, between, Some(one.pose.to_world(&e.map(R::of)))),
+        Cause::EdgeTwo(f) => free(found, one, two, between, Some(two.pose.to_world(&f.map(R::of)))),
+        Cause::Free => free(found, one, two, between, None),
+    }
+}
+
+/// One Newton step from the direction found, which is where the step is 0.
+fn free<R: Real>(
+    found: &Separation,
+    one: &Solid<R>,
+    two: &Solid<R>,
+    between: &V3<R>,
+    edge: Option<V3<R>>,
+) -> V3<R> {
+    let constant = [found.normal.x, found.normal.y, found.normal.z].map(R::of);
+    let newton = |n: [R; 3]| {
+        let mut n = V3::new(n[0], n[1], n[2]);
+        if let Some(e) = &edge {
+            n = unit(&(n - e * e.dot(&n)));
+        }
+        let (p, q) = (plain(one.pose), plain(two.pose));
+        let plain_one = Solid { core: one.core, radius: one.radius, pose: &p };
+        let plain_two = Solid { core: two.core, radius: two.radius, pose: &q };
+        let pairing = Pairing::new(plain_one, plain_two);
+        let point = between + (two.support(&-n).0 - one.support(&n).0);
+        let bend =
+            |t: &V3<f64>| pairing.one.bend(&found.normal, t) + pairing.two.bend(&-found.normal, t);
+        let step = match &edge {
+            Some(e) => {
+                let t = unit(&e.cross(&n));
+                let plain_t = t.map(|x| x.lane(0));
+                let h = plain_t.dot(&bend(&plain_t)) + found.apart;
+                t * (t.dot(&point) * R::of(h.recip_or_zero()))
+            }
+            None => {
+                let (t, u) = across_both(&found.normal);
+                let (bt, bu) = (bend(&t), bend(&u));
+                let (tt, tu, uu) = (t.dot(&bt) + found.apart, t.dot(&bu), u.dot(&bu) + found.apart);
+                let inverse = R::of((tt * uu - tu * tu).recip_or_zero());
+                let (t, u) = (t.map(R::of), u.map(R::of));
+                let (g, k) = (t.dot(&point), u.dot(&point));
+                t * ((R::of(uu) * g - R::of(tu) * k) * inverse)
+                    + u * ((R::of(tt) * k - R::of(tu) * g) * inverse)
+            }
+        };
+        let n = unit(&(n + step));
+        [n.x, n.y, n.z]
+    };
+    let [x, y, z] = R::implicit(constant, newton);
+    V3::new(x, y, z)
+}

@@ -1,0 +1,229 @@
+//! What the convex routine knows of a shape: where it reaches furthest along a direction, how that
+//! place moves as the direction turns, and its corners, edges and faces.
+//!
+//! A shape is a core and a radius around it: a sphere is a point and a radius, a capsule a segment
+//! and a radius, all others have radius 0. A radius lengthens the reach along every direction by
+//! the same length, so it changes distances and nothing else. Points are in world axes, from the
+//! shape's own centre.
+
+use super::hull::Hull;
+use crate::real::Real;
+use crate::spatial::{Pose, V3};
+
+/// A shape without its radius.
+#[derive(Clone, Copy)]
+pub enum Core<'a> {
+    Point,
+    /// Half the length, along z.
+    Segment(f64),
+    /// Half axes.
+    Ellipsoid([f64; 3]),
+    /// Radius and half the length, along z.
+    Cylinder(f64, f64),
+    /// Half sizes.
+    Box([f64; 3]),
+    Hull(&'a Hull),
+    /// Six corners: a triangle, and below or above each of its corners the other one's.
+    Prism(&'a [V3<f64>; 6]),
+}
+
+/// A shape and how it is turned.
+#[derive(Clone, Copy)]
+pub struct Solid<'a, R: Real> {
+    pub core: Core<'a>,
+    pub radius: f64,
+    pub pose: &'a Pose<R>,
+}
+
+/// The two other corners of a prism's triangle, and the one across.
+const PRISM: [[usize; 3]; 6] = [[1, 2, 3], [2, 0, 4], [0, 1, 5], [5, 4, 0], [3, 5, 1], [4, 3, 2]];
+
+impl<'a, R: Real> Solid<'a, R> {
+    /// The largest half extent, for tolerances [m].
+    pub fn extent(&self) -> f64 {
+        let core = match self.core {
+            Core::Point => 0.0,
+            Core::Segment(half) => half,
+            Core::Ellipsoid(size) | Core::Box(size) => size[0].max(size[1]).max(size[2]),
+            Core::Cylinder(radius, half) => radius.max(half),
+            Core::Hull(hull) => hull.reach(),
+            Core::Prism(corners) => corners.iter().flat_map(|c| c.iter()).fold(0.0, far),
+        };
+        core + self.radius
+    }
+
+    /// Its surface bends: a search over directions ends near the answer and not at it.
+    pub fn smooth(&self) -> bool {
+        matches!(self.core, Core::Ellipsoid(_) | Core::Cylinder(..))
+    }
+
+    /// The furthest point of the core along a direction of any length, and which corner it is.
+    pub fn support(&self, direction: &V3<R>) -> (V3<R>, usize) {
+        let (local, corner) = self.support_local(&self.pose.to_local(direction));
+        (self.pose.to_world(&local), corner)
+    }
+
+    fn support_local(&self, d: &V3<R>) -> (V3<R>, usize) {
+        let zero = R::zero();
+        let side = |x: R, half: f64| R::of(if x.lane(0) >= 0.0 { half } else { -half });
+        match self.core {
+            Core::Point => (V3::zeros(), 0),
+            Core::Segment(half) => {
+                (V3::new(zero, zero, side(d.z, half)), usize::from(d.z.lane(0) >= 0.0))
+            }
+            Core::Ellipsoid(size) => {
+                // x = A² d/|A d| with A the half axes: the gradient of |A d|.
+                let scaled = V3::from_fn(|i, _| R::of(size[i]) * d[i]);
+                let inverse = scaled.dot(&scaled).sqrt().recip_or_zero();
+                (V3::from_fn(|i, _| R::of(size[i]) * (scaled[i] * inverse)), 0)
+            }
+            Core::Cylinder(radius, half) => {
+                let across = (d.x * d.x + d.y * d.y).sqrt();
+                let scale = R::of(radius) * across.recip_or_zero();
+                (V3::new(d.x * scale, d.y * scale, side(d.z, half)), 0)
+            }
+            Core::Box(size) => {
+                let corner = (0..3).fold(0, |c, i| c | usize::from(d[i].lane(0) >= 0.0) << i);
+                (V3::from_fn(|i, _| side(d[i], size[i])), corner)
+            }
+            Core::Hull(hull) => {
+                let corner = hull.support(&d.map(|x| x.lane(0)));
+                (hull.vertices[corner].map(R::of), corner)
+            }
+            Core::Prism(corners) => {
+                let plain = d.map(|x| x.lane(0));
+                let mut best = 0;
+                for i in 1..6 {
+                    if corners[i].dot(&plain) > corners[best].dot(&plain) {
+                        best = i;
+                    }
+                }
+                (corners[best].map(R::of), best)
+            }
+        }
+    }
+
+    /// How the furthest point moves as the unit direction turns by a small `turn` across it: the
+    /// second derivative of the reach, times `turn`. 0 at a corner.
+    pub fn bend(&self, direction: &V3<f64>, turn: &V3<f64>) -> V3<f64> {
+        let pose = plain(self.pose);
+        let (d, t) = (pose.to_local(direction), pose.to_local(turn));
+        let local = match self.core {
+            // (A² − x xᵀ)/|A d| with x = A² d/|A d|.
+            Core::Ellipsoid(size) => {
+                let scaled = V3::from_fn(|i, _| size[i] * d[i]);
+                let inverse = scaled.dot(&scaled).sqrt().recip_or_zero();
+                let x = V3::from_fn(|i, _| size[i] * (scaled[i] * inverse));
+                let along = x.dot(&t);
+                V3::from_fn(|i, _| (size[i] * (size[i] * t[i]) - x[i] * along) * inverse)
+            }
+            // The rim: r/|d_xy| times what is along the rim.
+            Core::Cylinder(radius, _) => {
+                let inverse = (d.x * d.x + d.y * d.y).sqrt().recip_or_zero();
+                let rim = V3::new(-d.y * inverse, d.x * inverse, 0.0);
+                rim * (radius * inverse * rim.dot(&t))
+            }
+            _ => V3::zeros(),
+        };
+        pose.to_world(&local)
+    }
+
+    /// A corner of a polytope or an end of a segment, from the centre.
+    pub fn corner(&self, corner: usize) -> V3<R> {
+        let local = match self.core {
+            Core::Box(size) => {
+                V3::from_fn(|i, _| if corner >> i & 1 == 1 { size[i] } else { -size[i] })
+            }
+            Core::Hull(hull) => hull.vertices[corner],
+            Core::Prism(corners) => corners[corner],
+            Core::Segment(half) => V3::new(0.0, 0.0, if corner == 1 { half } else { -half }),
+            _ => V3::zeros(),
+        };
+        self.pose.to_world(&local.map(R::of))
+    }
+
+    /// The corner at the other end of a corner's k-th edge.
+    pub fn neighbour(&self, corner: usize, k: usize) -> Option<usize> {
+        match self.core {
+            Core::Box(_) => (k < 3).then(|| corner ^ 1 << k),
+            Core::Hull(hull) => hull.neighbours(corner).get(k).copied(),
+            Core::Prism(_) => PRISM[corner].get(k).copied(),
+            Core::Segment(_) => (k == 0).then_some(1 - corner),
+            _ => None,
+        }
+    }
+
+    /// The outward unit normal of the face that looks most along a unit direction, the cosine of
+    /// the angle between them, and which face it is.
+    pub fn face(&self, direction: &V3<R>) -> Option<(V3<R>, f64, usize)> {
+        let d = plain(self.pose).to_local(&direction.map(|x| x.lane(0)));
+        let (local, face) = match self.core {
+            Core::Cylinder(..) => {
+                let up = d.z >= 0.0;
+                (V3::new(0.0, 0.0, if up { 1.0 } else { -1.0 }), usize::from(up))
+            }
+            Core::Box(_) => {
+                let mut axis = 0;
+                for i in 1..3 {
+                    if d[i].abs() > d[axis].abs() {
+                        axis = i;
+                    }
+                }
+                let up = d[axis] >= 0.0;
+                let mut normal = V3::zeros();
+                normal[axis] = if up { 1.0 } else { -1.0 };
+                (normal, 2 * axis + usize::from(up))
+            }
+            Core::Hull(hull) => {
+                let mut best = (f64::NEG_INFINITY, 0);
+                for (i, face) in hull.faces.iter().enumerate() {
+                    let along = face.normal.dot(&d);
+                    if along > best.0 {
+                        best = (along, i);
+                    }
+                }
+                (hull.faces[best.1].normal, best.1)
+            }
+            Core::Prism(corners) => {
+                let mut best = (f64::NEG_INFINITY, V3::zeros(), 0);
+                for (face, list) in PRISM_FACES.iter().enumerate() {
+                    let normal = normal_of(corners, list);
+                    let along = normal.dot(&d);
+                    if along > best.0 {
+                        best = (along, normal, face);
+                    }
+                }
+                (best.1, best.2)
+            }
+            _ => return None,
+        };
+        Some((self.pose.to_world(&local.map(R::of)), local.dot(&d), face))
+    }
+}
+
+/// Faces of a prism: two triangles and three sides. A face turns either way, by the order of the
+/// corners; `normal_of` looks away from the other corners.
+pub const PRISM_FACES: [&[usize]; 5] =
+    [&[0, 1, 2], &[3, 4, 5], &[0, 1, 4, 3], &[1, 2, 5, 4], &[2, 0, 3, 5]];
+
+fn normal_of(corners: &[V3<f64>; 6], face: &[usize]) -> V3<f64> {
+    let [a, b, c] = [0, 1, 2].map(|k| corners[face[k]]);
+    let last = corners[face[face.len() - 1]];
+    let across = if face.len() == 4 { (c - a).cross(&(last - b)) } else { (b - a).cross(&(c - a)) };
+    let normal = across * across.dot(&across).sqrt().recip_or_zero();
+    let middle = corners.iter().fold(V3::zeros(), |sum, c| sum + c) * (1.0 / 6.0);
+    if normal.dot(&(middle - a)) > 0.0 {
+        -normal
+    } else {
+        normal
+    }
+}
+
+fn far(most: f64, x: &f64) -> f64 {
+    most.max(x.abs())
+}
+
+/// A pose's numbers.
+pub fn plain<R: Real>(pose: &Pose<R>) -> Pose<f64> {
+    Pose { pos: pose.pos.map(|x| x.lane(0)), rot: pose.rot.map(|x| x.lane(0)) }
+}
