@@ -61,6 +61,7 @@ const ROUNDING: f64 = 1e-14;
 /// Rounds of the search, and of Newton's method.
 const ROUNDS: usize = 90;
 const STEPS: usize = 30;
+const AGAIN: usize = 4;
 /// Edges of a corner that are tried.
 const EDGES: usize = 8;
 
@@ -142,8 +143,21 @@ impl<'a> Pairing<'a> {
         best.unwrap_or_else(|| self.refine(&-polytope.best))
     }
 
-    /// The largest separation of what meets near a rough direction.
+    /// The largest separation near a rough direction. What meets there may be other corners than
+    /// those that the rough direction shows: with bent surfaces again from where it led.
     fn refine(&self, rough: &V3<f64>) -> Separation {
+        let mut best = self.refine_once(rough);
+        for _ in 0..if self.smooth { AGAIN } else { 0 } {
+            let next = self.refine_once(&best.normal);
+            if next.apart <= best.apart + ROUNDING * self.size {
+                break;
+            }
+            best = next;
+        }
+        best
+    }
+
+    fn refine_once(&self, rough: &V3<f64>) -> Separation {
         let near = if self.smooth { NEAR_ROUGH } else { NEAR_EXACT };
         let start = self.apart(rough);
         let mut best = Separation { normal: *rough, apart: f64::NEG_INFINITY, cause: Cause::Free };
