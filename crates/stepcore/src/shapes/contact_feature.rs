@@ -28,6 +28,8 @@ pub struct Polygon<R: Real> {
     pub count: usize,
     pub normal: V3<R>,
     pub offset: R,
+    /// Of a cylinder's cap, whose corners stand for a circle: its centre and radius.
+    pub circle: Option<(V3<R>, R)>,
 }
 
 #[allow(clippy::large_enum_variant)] // One of each shape, on the stack.
@@ -51,7 +53,8 @@ fn face<R: Real>(solid: &Solid<R>, centre: &V3<R>, along: &V3<R>) -> Option<Poly
         return None;
     }
     let none = Corner { at: V3::zeros(), name: 0 };
-    let mut out = Polygon { corners: [none; CORNERS], count: 0, normal, offset: R::zero() };
+    let mut out =
+        Polygon { corners: [none; CORNERS], count: 0, normal, offset: R::zero(), circle: None };
     let mut add = |at: V3<R>, name: usize| {
         if out.count < CORNERS {
             out.corners[out.count] = Corner { at: centre + at, name };
@@ -86,6 +89,9 @@ fn face<R: Real>(solid: &Solid<R>, centre: &V3<R>, along: &V3<R>) -> Option<Poly
         }
         Core::Prism(_) => PRISM_FACES[face].iter().for_each(|c| add(solid.corner(*c), *c)),
         _ => return None,
+    }
+    if let Core::Cylinder(radius, half) = solid.core {
+        out.circle = Some((centre + normal * R::of(half), R::of(radius)));
     }
     // The furthest corner: faces of files in single precision are flat but for rounding.
     let height = |corner: &Corner<R>| normal.dot(&corner.at);

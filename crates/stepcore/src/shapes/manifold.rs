@@ -7,7 +7,7 @@
 
 use super::contact_feature::{feature, Corner, Feature, Polygon, CORNERS};
 use super::separation::{Cause, Separation};
-use super::solid::Solid;
+use super::solid::{Core, Solid};
 use crate::real::Real;
 use crate::spatial::V3;
 
@@ -77,9 +77,11 @@ fn name(kind: u32, one: usize, two: usize) -> u32 {
 impl<R: Real> Meeting<'_, R> {
     /// The contacts: at most `most`.
     pub fn manifold(&self, found: &Separation, most: usize) -> Manifold<R> {
-        let deepest = self.deepest(found);
+        let mut deepest = self.deepest(found);
         let mut points = Points::new();
-        if most > 1 {
+        let capped = matches!(self.one.core, Core::Cylinder(..))
+            || matches!(self.two.core, Core::Cylinder(..));
+        if most > 1 || capped {
             let one = feature(&self.one, &V3::zeros(), &self.normal);
             let two = feature(&self.two, &self.between, &-self.normal);
             match (&one, &two) {
@@ -88,6 +90,12 @@ impl<R: Real> Meeting<'_, R> {
                 (Feature::Edge(e), Feature::Face(q)) => self.stretch(q, e, true, &mut points),
                 (Feature::Edge(e), Feature::Edge(f)) => self.side_by_side(e, f, &mut points),
                 _ => {}
+            }
+            if points.count == 0 {
+                if let Some(at) = self.under_cap(&one, &two) {
+                    let half = R::of(0.5) * deepest.apart;
+                    deepest.at = at + self.normal * half;
+                }
             }
         }
         chosen(&mut points, deepest, BORDER * self.size, most)
@@ -153,6 +161,60 @@ impl<R: Real> Meeting<'_, R> {
             area += (a - first).cross(&(b - first)).dot(&self.normal);
         }
         R::of(if area.lane(0) < 0.0 { -1.0 } else { 1.0 })
+    }
+
+    /// A point of the first surface where a cap and a face or an edge meet that overlap so little
+    /// that the cap's corners miss it: the other one's point nearest to the cap's centre.
+    fn under_cap(&self, one: &Feature<R>, two: &Feature<R>) -> Option<V3<R>> {
+        let centre = |feature: &Feature<R>| match feature {
+            Feature::Face(face) => face.circle.map(|(centre, _)| centre),
+            _ => None,
+        };
+        let (near, other) = match (centre(one), centre(two)) {
+            (Some(near), _) => (near, two),
+            (_, Some(near)) => (near, one),
+            _ => return None,
+        };
+        let point = self.nearest(other, &near)?;
+        let height = |x: &V3<R>| self.normal.dot(x);
+        let first = height(&self.one.support(&self.normal).0);
+        Some(point + self.normal * (first - height(&point)))
+    }
+
+    /// The point of a face or an edge nearest to a point, seen along the normal.
+    fn nearest(&self, feature: &Feature<R>, to: &V3<R>) -> Option<V3<R>> {
+        let flat = |v: V3<R>| v - self.normal * self.normal.dot(&v);
+        match feature {
+            Feature::Point => None,
+            Feature::Edge([a, b]) => Some(on_segment(&flat(a.at), &flat(b.at), &flat(*to))),
+            Feature::Face(face) => {
+                if let Some((centre, radius)) = face.circle {
+                    let way = flat(to - centre);
+                    let length = way.dot(&way).sqrt();
+                    let share = (radius * length.recip_or_zero()).min(R::one());
+                    return Some(flat(centre) + way * share);
+                }
+                let turn = self.turn(face);
+                let mut best: Option<(V3<R>, f64)> = None;
+                let mut inside = true;
+                for k in 0..face.count {
+                    let (inward, offset) = self.side(face, k, turn);
+                    inside &= (inward.dot(to) - offset).lane(0) >= 0.0;
+                    let (a, b) = (face.corners[k].at, face.corners[(k + 1) % face.count].at);
+                    let point = on_segment(&flat(a), &flat(b), &flat(*to));
+                    let way = point - flat(*to);
+                    let square = way.dot(&way).lane(0);
+                    if best.is_none_or(|best| square < best.1) {
+                        best = Some((point, square));
+                    }
+                }
+                if inside {
+                    Some(flat(*to))
+                } else {
+                    best.map(|best| best.0)
+                }
+            }
+        }
     }
 
     /// The overlap of two faces: the second cut by each side of the first (Sutherland and Hodgman
@@ -230,8 +292,28 @@ impl<R: Real> Meeting<'_, R> {
         let [a, b] = edge;
         let along = b.at - a.at;
         let (mut from, mut to) = ((R::zero(), usize::MAX), (R::one(), usize::MAX));
+        if let Some((centre, radius)) = face.circle {
+            // The chord: |a + t (b − a) − c|² = r², both ends dropped onto the cap's plane.
+            let (first, last) = (self.onto(&a.at, face), self.onto(&b.at, face));
+            let (way, start) = (last - first, first - centre);
+            let (square, foot) = (way.dot(&way), way.dot(&start));
+            let inside = radius * radius - start.dot(&start);
+            let root = foot * foot + square * inside;
+            if root.lane(0) < 0.0 || square.lane(0) == 0.0 {
+                return;
+            }
+            let root = root.sqrt();
+            let (first, last) = ((-foot - root) / square, (root - foot) / square);
+            if first.lane(0) > 0.0 {
+                from = (first, 0);
+            }
+            if last.lane(0) < 1.0 {
+                to = (last, 4);
+            }
+        }
         let turn = self.turn(face);
-        for k in 0..face.count {
+        let sides = if face.circle.is_some() { 0 } else { face.count };
+        for k in 0..sides {
             let (inward, offset) = self.side(face, k, turn);
             let (start, end) = (inward.dot(&a.at) - offset, inward.dot(&b.at) - offset);
             let (left, right) = (start.lane(0) >= border, end.lane(0) >= border);
@@ -241,7 +323,7 @@ impl<R: Real> Meeting<'_, R> {
             if left && right {
                 continue;
             }
-            let share = start / (start - end);
+            let share = (start / (start - end)).clamp(R::zero(), R::one());
             if left && share.lane(0) < to.0.lane(0) {
                 to = (share, k);
             } else if right && share.lane(0) > from.0.lane(0) {
@@ -293,6 +375,13 @@ impl<R: Real> Meeting<'_, R> {
             out.add(self.contact(&p, &q, name(6, label, 0)));
         }
     }
+}
+
+/// The point of a segment nearest to a point.
+fn on_segment<R: Real>(a: &V3<R>, b: &V3<R>, to: &V3<R>) -> V3<R> {
+    let along = b - a;
+    let share = along.dot(&(to - a)) * along.dot(&along).recip_or_zero();
+    a + along * share.clamp(R::zero(), R::one())
 }
 
 /// At most `most` of the points: the deepest, and then each time the one furthest from those

@@ -190,19 +190,37 @@ impl<'a> Pairing<'a> {
         }
         // With corners alone these are places of least separation while the shapes overlap.
         if self.smooth || start > 0.0 {
-            for e in &ones[..nones] {
-                let (normal, apart) = self.climb(rough, Some(e));
-                offer(normal, apart, Cause::EdgeOne(self.one.pose.to_local(e)));
+            let starts = [Some(*rough), self.over_rim_of_one(rough), self.over_rim_of_two(rough)];
+            for from in starts.iter().flatten() {
+                for e in &ones[..nones] {
+                    let (normal, apart) = self.climb(from, Some(e));
+                    offer(normal, apart, Cause::EdgeOne(self.one.pose.to_local(e)));
+                }
+                for f in &twos[..ntwos] {
+                    let (normal, apart) = self.climb(from, Some(f));
+                    offer(normal, apart, Cause::EdgeTwo(self.two.pose.to_local(f)));
+                }
+                let (normal, apart) = self.climb(from, None);
+                offer(normal, apart, Cause::Free);
             }
-            for f in &twos[..ntwos] {
-                let (normal, apart) = self.climb(rough, Some(f));
-                offer(normal, apart, Cause::EdgeTwo(self.two.pose.to_local(f)));
-            }
-            let (normal, apart) = self.climb(rough, None);
-            offer(normal, apart, Cause::Free);
         }
         offer(*rough, start, Cause::Free);
         best
+    }
+
+    /// Where what meets a cylinder's cap lies beyond its rim, a start for Newton's method: the cap's
+    /// normal leant that way. The rim's bend is infinite at the cap's own normal, and from another
+    /// side of it no step leads there.
+    fn over_rim_of_one(&self, rough: &V3<f64>) -> Option<V3<f64>> {
+        let (cap, ..) = self.one.face(rough)?;
+        let there = self.between + self.two.support(&-cap).0;
+        self.one.over_rim(&cap, &there, self.size)
+    }
+
+    fn over_rim_of_two(&self, rough: &V3<f64>) -> Option<V3<f64>> {
+        let (cap, ..) = self.two.face(&-rough)?;
+        let there = self.one.support(&-cap).0 - self.between;
+        self.two.over_rim(&cap, &there, self.size).map(|n| -n)
     }
 
     /// Newton's method for the largest separation near a direction; with an edge, across it.
@@ -212,19 +230,22 @@ impl<'a> Pairing<'a> {
         let mut point = self.furthest(&-normal);
         let mut apart = normal.dot(&point);
         let mut slope = f64::INFINITY;
+        let mut before = normal;
         for _ in 0..STEPS {
             let Some((step, steep)) = self.newton(&normal, &point, apart, edge) else { break };
-            if steep >= slope && step.dot(&step) < 1e-24 {
-                break;
+            let square = step.dot(&step);
+            if steep >= slope {
+                // Among steps whose gain rounding hides, the flattest place counts.
+                return (before, self.apart(&before));
             }
             let mut share = 1.0;
             let better = loop {
                 let next = unit(&onto(normal + step * share));
                 let there = self.furthest(&-next);
                 let gained = next.dot(&there);
-                // A last step gains less than rounding shows.
-                let last = share == 1.0 && step.dot(&step) < 1e-12 && steep < slope;
-                if gained > apart || last {
+                let hidden = share == 1.0 && square < 1e-4 && gained > apart - ROUNDING * self.size;
+                if gained > apart || hidden {
+                    slope = if hidden { steep } else { f64::INFINITY };
                     break Some((next, there, gained));
                 }
                 share *= 0.25;
@@ -233,9 +254,9 @@ impl<'a> Pairing<'a> {
                 }
             };
             let Some((next, there, gained)) = better else { break };
+            before = normal;
             (normal, point, apart) = (next, there, gained);
-            slope = steep;
-            if step.dot(&step) < 1e-32 {
+            if square < 1e-32 {
                 break;
             }
         }

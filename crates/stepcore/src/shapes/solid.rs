@@ -202,6 +202,24 @@ impl<'a, R: Real> Solid<'a, R> {
     }
 }
 
+impl Solid<'_, f64> {
+    /// Of a cylinder: its cap's normal leant towards a point, from its centre, beyond the rim.
+    pub fn over_rim(&self, cap: &V3<f64>, point: &V3<f64>, size: f64) -> Option<V3<f64>> {
+        let Core::Cylinder(radius, _) = self.core else { return None };
+        let across = point - cap * cap.dot(point);
+        let length = across.dot(&across).sqrt();
+        let beyond = length - radius;
+        if beyond <= 0.0 {
+            return None;
+        }
+        let lean = cap + across * ((beyond / size).min(LEAN) / length);
+        Some(lean * (1.0 / lean.dot(&lean).sqrt()))
+    }
+}
+
+/// The most that `over_rim` leans.
+const LEAN: f64 = 0.3;
+
 /// Faces of a prism: two triangles and three sides. A face turns either way, by the order of the
 /// corners; `normal_of` looks away from the other corners.
 pub const PRISM_FACES: [&[usize]; 5] =
