@@ -6,8 +6,8 @@ corner. For a point x of the difference B − A that gives
 
     g(n) ≤ n·x ≤ max_i(v_i·x) · (1/cos ρ where that is positive, else 1).
 
-A triangle whose bound is not above the best g known (by more than the tolerance) is done; the others
-are cut in four. What is left in the end bounds the distance from above, rigorously but for
+A triangle whose bound is not above the best g known, by more than the tolerance, is done; the
+others are cut in four. What is left in the end bounds the distance from above, rigorously but for
 rounding.
 """
 
@@ -44,10 +44,7 @@ def upper_bound(
         value = _bounds(posed, corners, owner)
         used += np.bincount(owner, minlength=n)
         open_ = value > target[owner]
-        if level == levels - 1:
-            stop = np.ones(n, bool)
-        else:
-            stop = used > cells
+        stop = (used > cells) | (level == levels - 1)
         last = open_ & stop[owner]
         np.maximum.at(bound, owner[last], value[last])
         done = ~open_

@@ -20,9 +20,11 @@ from .search import search
 class Verdict:
     """Errors of one trial, each times 1/scale, by pose, shape (n,), NaN where not asked.
 
-    overlap: the shapes overlap. dist: the engine's smallest distance less the true one; below 0
-    where it missed the shortest way out. plane, point, support, unit: what that contact claims,
-    see `certify`; manifold: how far the points of any of its contacts stand out of the shapes.
+    overlap: the shapes overlap. searched: which poses of these were searched. true: the distance,
+    or where not searched the lower bound that the engine's own normal proves.
+    dist: the engine's smallest distance less the true one; below 0 where it missed the shortest
+    way out. plane, point, support, unit: what that contact claims, see `certify`; manifold: how
+    far the points of any of its contacts stand out of the shapes.
     unproven: how far above the true distance the covering cannot exclude a better one.
     peer: MuJoCo's distance less the true one; peer_contact: the same of its deepest contact.
     """
@@ -30,6 +32,7 @@ class Verdict:
     trial: Trial
     touches: sc.Touches
     overlap: np.ndarray
+    searched: np.ndarray
     true: np.ndarray
     dist: np.ndarray
     plane: np.ndarray
@@ -65,12 +68,12 @@ def judge(
     certificate = certify(posed, dist, pos[rows, slot], normal[rows, slot])
     # Any direction proves a lower bound; two points prove an upper one.
     claimed = posed.gap(normal[rows, slot][:, None])[:, 0]
-    true = np.where(claimed > 0, claimed, np.nan)
+    true = claimed.copy()
     # Distances between the two bounds count as right.
     high = np.where(claimed > 0, np.maximum(dist - claimed - certificate.point, 0), 0)
     some = np.flatnonzero(~(claimed > 0))[:searched]
     true[some] = np.fmax(search(posed.take(some)).dist, claimed[some])
-    proof = np.full(n, np.nan)
+    searched_at, proof = some, np.full(n, np.nan)
     # Out of a half-space there is one direction only.
     some = some[: 0 if posed.a.kind == "plane" else covered]
     if len(some):
@@ -85,6 +88,7 @@ def judge(
         trial,
         touches,
         ~(claimed > 0),
+        searched_at,
         true,
         error / scale,
         certificate.plane / scale,

@@ -13,7 +13,8 @@ OPTIONS = '<option ccd_tolerance="1e-12" ccd_iterations="500"/>'
 
 
 class Found(NamedTuple):
-    """By pose: dist and normal of `mj_geomDistance`, in the world, (n,) and (n, 3); the deepest
+    """By pose: dist and normal of `mj_geomDistance`, in the world, (n,) and (n, 3), NaN where its
+    points coincide; the deepest
     distance of the contacts of a step, inf where there is none, and all of them: rows of
     distance, position and normal."""
 
@@ -35,7 +36,8 @@ def mujoco_touches(trial: Trial, options: str = OPTIONS) -> Found:
         mujoco.mj_collision(model, data)
         dist[k] = mujoco.mj_geomDistance(model, data, 0, 1, 1e10, fromto)
         between = (fromto[3:] - fromto[:3]) * np.sign(dist[k])
-        normal[k] = between / max(np.linalg.norm(between), 1e-300)
+        length = np.linalg.norm(between)
+        normal[k] = between / length if length > 0 else np.nan
         one = data.contact
         contacts.append(
             np.concatenate([one.dist[:, None], one.pos, one.frame[:, :3]], axis=1).copy()

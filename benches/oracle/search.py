@@ -116,7 +116,7 @@ def _circles(posed: Posed) -> np.ndarray:
     n = np.cos(angles)[:, None] * x[:, :, None] + np.sin(angles)[:, None] * y[:, :, None]
     value = posed.gap(n.reshape(len(e), -1, 3)).reshape(n.shape[:3])
     top = (value >= np.roll(value, 1, axis=2)) & (value >= np.roll(value, -1, axis=2))
-    order = np.argsort(np.where(top, -value, np.inf).reshape(len(e), -1), axis=1)[:, : 2 * BEST]
+    order = np.argsort(np.where(top, -value, np.inf).reshape(len(e), -1), axis=1)[:, : 5 * BEST]
     rows = np.arange(len(e))[:, None]
     circle, at = order // ROUND, angles[order % ROUND]
     width = np.full(at.shape, 2 * np.pi / ROUND)

@@ -71,7 +71,7 @@ def test_overlapping_boxes_in_exact_arithmetic():
 
 
 def test_closed_forms():
-    """Two balls; a ball in a cube, in an ellipsoid's middle, over a cylinder's rim; crossed capsules."""
+    """Balls; a ball in a cube, in an ellipsoid's middle, at a cylinder's rim; crossed capsules."""
     one = np.eye(3)[None]
 
     def dist(a, b, offset, turn=one):

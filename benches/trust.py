@@ -1,0 +1,137 @@
+"""The table of docs/trust.md: every pair of shapes against the independent oracle, and MuJoCo's.
+
+    python benches/trust.py [--poses 100000] [--pairs box-box,cylinder-box] [--cases]
+
+Every pose is certified, `--searched` of the overlapping ones per batch of a thousand are searched
+for a shorter way out, and `--covered` of these are bounded from above as well. Where MuJoCo's
+distance is off by more than 1e-6 of the scale, the case is decided by bounds: a direction proves
+that a distance is not smaller, the covering of all directions that it is not larger.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass, field
+
+import numpy as np
+from oracle.cover import upper_bound
+from oracle.judge import Verdict, judge
+from oracle.poses import STYLES, trial
+from oracle.search import search
+
+BATCH = 1000
+NOTABLE = 1e-6
+SHAPES = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
+PAIRS = [(a, b) for i, a in enumerate(SHAPES) for b in SHAPES[i:] if (a, b) != ("plane", "plane")]
+
+
+@dataclass
+class Row:
+    """What was found of one pair; errors are the worst, times 1/scale."""
+
+    poses: int = 0
+    overlapping: int = 0
+    searched: int = 0
+    dist: float = 0.0
+    plane: float = 0.0
+    point: float = 0.0
+    missed: int = 0  # overlapping poses with a way out shorter by more than 1e-9
+    differs: int = 0  # MuJoCo's distance is off by more than NOTABLE
+    ours_wrong: int = 0  # of these: we are
+    contact_differs: int = 0  # the same of the deepest contact of MuJoCo's step
+    theirs: float = 0.0  # MuJoCo's worst
+    cases: list[str] = field(default_factory=list)
+
+    def add(self, verdict: Verdict) -> None:
+        self.poses += len(verdict.dist)
+        self.overlapping += int(verdict.overlap.sum())
+        self.searched += len(verdict.searched)
+        self.dist = max(self.dist, float(np.abs(verdict.dist).max()))
+        self.plane = max(self.plane, float(np.maximum(verdict.plane, verdict.support).max()))
+        self.point = max(self.point, float(np.maximum(verdict.point, verdict.manifold).max()))
+        self.missed += int((verdict.dist < -1e-9).sum())
+        off = np.flatnonzero(np.abs(verdict.peer) > NOTABLE)
+        self.differs += len(off)
+        self.contact_differs += int((np.abs(verdict.peer_contact) > NOTABLE).sum())
+        for k in off:
+            self._decide(verdict, int(k))
+
+    def _decide(self, verdict: Verdict, k: int) -> None:
+        found = verdict.found
+        assert found is not None
+        one = verdict.trial
+        posed = one.posed.take(np.array([k]))
+        scale = float(posed.scale[0])
+        direction = one.into(found.normal[:, None])[k]
+        proven = float(posed.gap(direction[None])[0, 0])
+        low = max(float(search(posed).dist[0]), proven, float(verdict.true[k]))
+        ours = (float(verdict.true[k]) + float(verdict.dist[k]) * scale - low) / scale
+        theirs = (float(found.dist[k]) - low) / scale
+        if abs(ours) > NOTABLE:
+            self.ours_wrong += 1
+        if abs(theirs) > abs(self.theirs):
+            self.theirs = theirs
+            self.cases.append(self._case(verdict, k, low, posed))
+
+    def _case(self, verdict: Verdict, k: int, low: float, posed) -> str:
+        one, found = verdict.trial, verdict.found
+        high = low if low > 0 else float(upper_bound(posed, np.array([low]))[0])
+        shapes = [
+            f"{s.kind} {s.size if s.vertices is None else s.vertices.tolist()}" for s in one.shapes
+        ]
+        return (
+            f"{one.style}: {shapes[0]} at {one.poses[k, :7].tolist()}; {shapes[1]} at "
+            f"{one.poses[k, 7:].tolist()}: distance between {low!r} and {high!r}, "
+            f"MuJoCo {float(found.dist[k])!r}"
+        )
+
+    def line(self, name: str) -> str:
+        share = f"{100 * self.differs / self.poses:.3g} %"
+        return (
+            f"| {name} | {self.poses:,} | {self.overlapping:,} | {self.searched:,} | "
+            f"{self.dist:.0e} | {self.plane:.0e} | {self.point:.0e} | {self.missed} | "
+            f"{share} ({abs(self.theirs):.0e}) | {self.ours_wrong} |"
+        )
+
+
+HEAD = """| pair | poses | overlapping | searched | distance | normal | points | longer way out | \
+MuJoCo's distance differs (worst) | of these we are wrong |
+|---|---|---|---|---|---|---|---|---|---|"""
+
+
+def measured(pair: tuple[str, str], poses: int, searched: int, covered: int) -> Row:
+    """All styles of one pair."""
+    rng, row = np.random.default_rng(41), Row()
+    batches = max(1, round(poses / BATCH / len(STYLES)))
+    size = min(BATCH, max(1, round(poses / len(STYLES))))
+    for style in STYLES:
+        for _ in range(batches):
+            one = trial(rng, pair, style, size)
+            row.add(judge(one, searched=searched, covered=covered, peer=True))
+    return row
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--poses", type=int, default=100_000)
+    parser.add_argument("--searched", type=int, default=100)
+    parser.add_argument("--covered", type=int, default=0)
+    parser.add_argument("--pairs", default=",".join("-".join(pair) for pair in PAIRS))
+    parser.add_argument("--cases", action="store_true", help="print MuJoCo's worst cases")
+    given = parser.parse_args()
+    print(HEAD.replace("\\\n", ""))
+    for name in given.pairs.split(","):
+        first, second = name.split("-")
+        try:
+            row = measured((first, second), given.poses, given.searched, given.covered)
+        except ValueError as error:
+            print(f"{name}: {str(error)[:200]}", file=sys.stderr)
+            continue
+        print(row.line(name), flush=True)
+        if given.cases and row.cases:
+            print(f"  {row.cases[-1]}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
