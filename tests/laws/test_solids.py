@@ -159,3 +159,33 @@ def test_a_ladder_stands_iff_it_is_steep(mu):
     sim, _ = leant(0.95)
     sim.run(0.3)
     assert np.abs(sim.qvel).max() > 0.01
+
+
+def turntable(hold):
+    """A box at 0.4 m on a heavy disc that turns at √(hold · μ g / r): its distance from the axis
+    after half a turn."""
+    mu, radius = 0.3, 0.4
+    spin = math.sqrt(hold * mu * G / radius)
+    scene = sc.Scene(gravity=(0, 0, -G))
+    disc = scene.add_body("disc", pos=(0, 0, 0.05))
+    scene.add_joint(disc, "hinge", axis=(0, 0, 1))
+    scene.add_geom(disc, "cylinder", (1.0, 0.05), mass=1e6, friction=(mu,))
+    body = scene.add_body("box", pos=(radius, 0, 0.15))
+    scene.add_joint(body, "free")
+    scene.add_geom(body, "box", (0.04, 0.04, 0.05), mass=1.0, friction=(mu,))
+    sim = sc.Sim(scene.compile(), dt=1e-3, **RIGID)
+    sim.qvel[:] = 0
+    sim.qvel[0] = spin
+    sim.qvel[2], sim.qvel[6] = spin * radius, spin
+    sim.step(round(math.pi / spin / 1e-3))
+    return math.hypot(*sim.qpos[1:3]) / radius, sim
+
+
+def test_a_box_rides_a_turntable_iff_friction_holds_it():
+    """Carried round while ω² r < μ g; the same box beyond that slides outwards."""
+    held, sim = turntable(0.9)
+    assert held == pytest.approx(1, abs=5e-3)
+    # It turns with the disc: half a turn.
+    w, z = sim.qpos[4], sim.qpos[7]
+    assert 2 * math.atan2(abs(z), abs(w)) == pytest.approx(math.pi, abs=0.05)
+    assert turntable(1.15)[0] > 1.1

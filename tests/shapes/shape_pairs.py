@@ -1,6 +1,5 @@
 """The pairs of shapes that the tests go through."""
 
-ROUND = ("sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 BUILT = [
     ("plane", "sphere"),
     ("plane", "capsule"),
@@ -9,6 +8,12 @@ BUILT = [
     ("plane", "box"),
     ("sphere", "sphere"),
     ("sphere", "capsule"),
+    ("sphere", "ellipsoid"),
     ("sphere", "box"),
     ("capsule", "capsule"),
+    ("capsule", "ellipsoid"),
+    ("ellipsoid", "ellipsoid"),
+    ("ellipsoid", "cylinder"),
+    ("ellipsoid", "box"),
+    ("cylinder", "box"),
 ]
