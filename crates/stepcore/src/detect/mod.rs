@@ -209,7 +209,7 @@ fn meet_at<R: Real>(
     p2: &Pose<R>,
     take: impl FnMut(usize, &Touch<R>),
 ) {
-    let one = Shape { pose: p1, size: &model.geoms[pair.geom1].size, hull: None };
-    let two = Shape { pose: p2, size: &model.geoms[pair.geom2].size, hull: None };
+    let one = Shape { pose: p1, size: &model.geoms[pair.geom1].size, hull: None, field: None };
+    let two = Shape { pose: p2, size: &model.geoms[pair.geom2].size, hull: None, field: None };
     shapes::meet(pair.test, &one, &two, take);
 }

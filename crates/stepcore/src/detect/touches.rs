@@ -56,8 +56,8 @@ impl Model {
             placed.place_some(self, &q, &bodies, &geoms);
             let (p1, p2) = (&placed.geom[first], &placed.geom[second]);
             let (a, b) = (
-                Shape { pose: p1, size: &one.size, hull: None },
-                Shape { pose: p2, size: &two.size, hull: None },
+                Shape { pose: p1, size: &one.size, hull: None, field: None },
+                Shape { pose: p2, size: &two.size, hull: None, field: None },
             );
             shapes::meet(test, &a, &b, |slot, touch| {
                 for lane in 0..R::LANES.min(poses - start) {

@@ -96,7 +96,7 @@ mod tests {
     fn every_lane_is_its_own_world() {
         let (one, two) = (at::<Lanes>(|k| k as f64), at(|k| 2.5 * k as f64));
         let size = [1.0; 3];
-        let shape = |pose| Shape { pose, size: &size, hull: None };
+        let shape = |pose| Shape { pose, size: &size, hull: None, field: None };
         let [first, second] = by_lane(&Both, &shape(&one), &shape(&two));
         for lane in 0..Lanes::LANES {
             assert_eq!(first.dist.lane(lane), 1.5 * lane as f64);

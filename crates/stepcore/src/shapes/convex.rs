@@ -2,11 +2,11 @@
 
 use super::by_lane::{empty, OneWorld};
 use super::manifold::{Meeting, MOST};
-use super::separation::{normal, Pairing};
+use super::separation::{normal, Pairing, Separation};
 use super::solid::{plain, Core, Solid};
 use super::touch::{Touch, Touches};
 use super::Shape;
-use crate::real::Real;
+use crate::real::{Mask, Real};
 use crate::scene::GeomType;
 
 /// A pair of shapes by their types.
@@ -53,19 +53,33 @@ pub fn solid<'a, R: Real>(kind: GeomType, shape: &Shape<'a, R>) -> Solid<'a, R> 
 /// Operations of one support function, for numbers that count.
 const SUPPORT: u64 = 40;
 
-/// The contacts of two convex shapes.
-pub fn touches<R: Real, const N: usize>(one: &Solid<R>, two: &Solid<R>) -> Touches<R, N> {
+/// How far two convex shapes are apart, and along which direction.
+pub fn meeting<R: Real>(one: &Solid<R>, two: &Solid<R>) -> Separation {
     let (p, q) = (plain(one.pose), plain(two.pose));
     let pairing = Pairing::new(
         Solid { core: one.core, radius: one.radius, pose: &p },
         Solid { core: two.core, radius: two.radius, pose: &q },
     );
-    let found = pairing.separation();
+    let separation = pairing.separation();
     spend::<R>(pairing.asked() * SUPPORT);
+    separation
+}
+
+/// The contacts of two convex shapes.
+pub fn touches<R: Real, const N: usize>(one: &Solid<R>, two: &Solid<R>) -> Touches<R, N> {
+    contacts(one, two, &meeting(one, two))
+}
+
+/// The contacts of two convex shapes along a direction.
+pub fn contacts<R: Real, const N: usize>(
+    one: &Solid<R>,
+    two: &Solid<R>,
+    found: &Separation,
+) -> Touches<R, N> {
     let between = two.pose.pos - one.pose.pos;
-    let normal = normal(&found, one, two, &between);
+    let normal = normal(found, one, two, &between);
     let size = one.extent() + two.extent();
-    let manifold = Meeting { one: *one, two: *two, between, normal, size }.manifold(&found, N);
+    let manifold = Meeting { one: *one, two: *two, between, normal, size }.manifold(found, N);
     let (near, far) = (R::of(one.radius), R::of(two.radius));
     let mut out = [empty(); N];
     for (to, point) in out.iter_mut().zip(&manifold.points[..manifold.count]) {
@@ -73,7 +87,7 @@ pub fn touches<R: Real, const N: usize>(one: &Solid<R>, two: &Solid<R>) -> Touch
             dist: point.apart - near - far,
             pos: one.pose.pos + point.at + normal * (R::of(0.5) * (near - far)),
             normal,
-            exists: crate::real::Mask::of(true),
+            exists: Mask::of(true),
             feature: R::of(f64::from(point.name)),
         };
     }

@@ -11,6 +11,7 @@ mod epa;
 mod facets;
 mod gjk;
 mod grid;
+pub mod height_field;
 pub mod hull;
 #[cfg(test)]
 mod hull_tests;
@@ -30,6 +31,7 @@ pub use touch::{Touch, Touches};
 
 use by_lane::by_lane;
 use convex::Convex;
+use height_field::OnField;
 
 use crate::real::Real;
 use crate::spatial::{Pose, V3};
@@ -42,13 +44,15 @@ pub struct Shape<'a, R: Real> {
     pub size: &'a [f64; 3],
     /// A mesh's.
     pub hull: Option<&'a hull::Hull>,
+    /// A height field's.
+    pub field: Option<&'a height_field::HeightField>,
 }
 
 impl<'a, R: Real> Shape<'a, R> {
     /// The same shape at another pose, in other numbers.
     #[inline(always)]
     pub fn at<S: Real>(&self, pose: &'a Pose<S>) -> Shape<'a, S> {
-        Shape { pose, size: self.size, hull: self.hull }
+        Shape { pose, size: self.size, hull: self.hull, field: self.field }
     }
 
     /// The size in this number.
@@ -80,6 +84,9 @@ pub fn meet<R: Real>(
         ShapeTest::SphereSphere => all(&sphere::sphere_sphere(p1, s1.x, p2, s2.x)),
         ShapeTest::SphereCapsule => all(&sphere::sphere_capsule(p1, s1.x, p2, s2.x, s2.y)),
         ShapeTest::SphereBox => all(&sphere::sphere_box(p1, s1.x, p2, s2)),
+        ShapeTest::OnField(kind) => {
+            all(&by_lane::<R, _, { height_field::MOST }>(&OnField(kind), one, two));
+        }
         ShapeTest::Convex(a, b) => {
             let test = Convex { one: a, two: b };
             match test.most() {

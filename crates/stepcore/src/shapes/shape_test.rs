@@ -1,6 +1,7 @@
 //! Which exact test a pair of shapes has, chosen when a model is compiled.
 
 use super::convex::Convex;
+use super::height_field;
 use crate::scene::GeomType;
 
 /// Geom 1's shape, then geom 2's.
@@ -17,6 +18,8 @@ pub enum ShapeTest {
     CapsuleCapsule,
     /// Two convex shapes of these types: the routine that needs no closed form.
     Convex(GeomType, GeomType),
+    /// A height field and a shape of this type.
+    OnField(GeomType),
 }
 
 /// Of two shapes in the order of their types: its test.
@@ -44,7 +47,17 @@ const TESTS: &[(GeomType, GeomType, ShapeTest)] = &[
     convex(GeomType::Cylinder, GeomType::Mesh),
     convex(GeomType::Box, GeomType::Mesh),
     convex(GeomType::Mesh, GeomType::Mesh),
+    on_field(GeomType::Sphere),
+    on_field(GeomType::Capsule),
+    on_field(GeomType::Ellipsoid),
+    on_field(GeomType::Cylinder),
+    on_field(GeomType::Box),
+    on_field(GeomType::Mesh),
 ];
+
+const fn on_field(kind: GeomType) -> (GeomType, GeomType, ShapeTest) {
+    (GeomType::HField, kind, ShapeTest::OnField(kind))
+}
 
 const fn convex(one: GeomType, two: GeomType) -> (GeomType, GeomType, ShapeTest) {
     (one, two, ShapeTest::Convex(one, two))
@@ -71,6 +84,7 @@ impl ShapeTest {
             | Self::SphereCapsule
             | Self::SphereBox => 1,
             Self::PlaneCapsule | Self::CapsuleCapsule => 2,
+            Self::OnField(_) => height_field::MOST,
             Self::Convex(one, two) => Convex { one, two }.most(),
             Self::PlaneCylinder | Self::PlaneBox => 4,
         }

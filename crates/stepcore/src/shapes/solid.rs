@@ -24,7 +24,6 @@ pub enum Core<'a> {
     Box([f64; 3]),
     Hull(&'a Hull),
     /// Six corners: a triangle, and below or above each of its corners the other one's.
-    #[allow(dead_code)] // Height fields, whose cells are prisms.
     Prism(&'a [V3<f64>; 6]),
 }
 
