@@ -7,6 +7,8 @@ pub(crate) mod by_lane;
 pub(crate) mod capsule;
 mod contact_feature;
 mod convex;
+#[cfg(test)]
+mod convex_tests;
 mod epa;
 mod facets;
 mod gjk;
