@@ -80,9 +80,11 @@ if TYPE_CHECKING:
     from stepcore.scene.elements import Equality as Equality
     from stepcore.scene.elements import Features as Features
     from stepcore.scene.elements import Geom as Geom
+    from stepcore.scene.elements import HField as HField
     from stepcore.scene.elements import Joint as Joint
     from stepcore.scene.elements import Key as Key
     from stepcore.scene.elements import MassRules as MassRules
+    from stepcore.scene.elements import Mesh as Mesh
     from stepcore.scene.elements import Pair as Pair
     from stepcore.scene.elements import Site as Site
     from stepcore.scene.scene import Scene as Scene
@@ -170,8 +172,8 @@ _MODULES = {
     "stepcore.report.report": ("Report",),
     "stepcore.report.table": ("Table",),
     "stepcore.scene.elements": (
-        *("Actuator", "Body", "ContactOverride", "Equality", "Features", "Geom"),
-        *("Joint", "Key", "MassRules", "Pair", "Site"),
+        *("Actuator", "Body", "ContactOverride", "Equality", "Features", "Geom", "HField"),
+        *("Joint", "Key", "MassRules", "Mesh", "Pair", "Site"),
     ),
     "stepcore.scene.scene": ("Scene",),
 }

@@ -216,6 +216,9 @@ class Model:
     ) -> tuple[NDArray[np.bool_], _Floats, _Floats, _Floats, _Floats]:
         """exists, dist, pos, normal and feature of two geoms' contacts at positions (n, nq)."""
 
+    def geom_hull(self, geom: int) -> tuple[list[float], list[int]] | None:
+        """Vertices and triangles of a geom's convex hull, flat; None where it has none."""
+
     def tables(self) -> dict[str, _Floats]: ...
     def addresses(self) -> dict[str, list[int]]: ...
     def joint_types(self) -> list[str]: ...

@@ -363,6 +363,47 @@ def solreffriction(owner: Any, field: str, value: object) -> tuple[float, ...]:
     return result
 
 
+def table(columns: int | None, *, whole: bool = False) -> Check:
+    """A read-only array of finite numbers in rows of `columns`; None: of any width.
+
+    A flat sequence is cut into rows. whole: the numbers are indices, >= 0.
+    """
+    what = "indices (whole numbers >= 0)" if whole else "finite numbers"
+    limit = f"{what}, shape (n, {columns})" if columns else f"{what}, shape (rows, columns)"
+
+    def check(owner: Any, field: str, value: object) -> Any:
+        import numpy as np
+
+        try:
+            given = np.asarray(value)
+            fits = given.dtype.kind in "iuf"
+            array = np.array(given, dtype=float) if fits else np.empty(0)
+        except (TypeError, ValueError):
+            fits, array = False, np.empty(0)
+        if fits and columns and array.ndim == 1 and array.size % columns == 0:
+            array = array.reshape(-1, columns)
+        fits = fits and array.ndim == 2 and (columns is None or array.shape[1] == columns)
+        if not fits or not np.isfinite(array).all():
+            raise refuse(owner, field, value, limit)
+        if whole:
+            # Of 53 bits every whole number is exact.
+            if (array != np.floor(array)).any() or (array < 0).any() or (array >= 2**53).any():
+                raise refuse(owner, field, value, limit)
+            array = array.astype(np.uintp)
+        array.flags.writeable = False
+        return array
+
+    return check
+
+
+def most_vertices(owner: Any, field: str, value: object) -> int:
+    """The most vertices of a convex hull; -1 is any number."""
+    result: int = whole(-1, 2**31 - 1)(owner, field, value)
+    if -1 < result < 4:
+        raise refuse(owner, field, value, "larger than 3, or -1 for any number")
+    return result
+
+
 def optional(check: Check) -> Check:
     """None, or what `check` takes."""
 

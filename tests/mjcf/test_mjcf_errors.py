@@ -245,12 +245,14 @@ UNBUILT = {
     "actuatorfrcrange": ('<joint actuatorfrcrange="-1 1"/>', ""),
     "surfacevel": ('<geom size="1" surfacevel="1 0 0 0 0 0"/>', ""),
     "adhesion": ('<geom size="1" adhesion="1"/>', ""),
-    "collides as a hfield": ('<geom type="hfield" hfield="h"/>', ""),
-    "collides as a mesh": ('<geom type="mesh" mesh="m"/>', ""),
-    "fitted to a mesh": ('<geom type="box" mesh="m"/>', ""),
-    "gives its body mass as a mesh": (
-        '<joint/><geom type="mesh" mesh="m" contype="0" conaffinity="0"/>',
-        '<asset><mesh name="m" file="m.stl"/></asset>',
+    "type sdf": ('<geom type="sdf" mesh="m"/>', ""),
+    "dim 2": (
+        '<geom type="mesh" mesh="m"/>',
+        '<asset><mesh name="m" builtin="box" params="2 2 2 1 1 1 2"/></asset>',
+    ),
+    "foveal wedge": (
+        '<geom type="mesh" mesh="m"/>',
+        '<asset><mesh name="m" builtin="wedge" params="3 3 30 30 .5"/></asset>',
     ),
     "acts through site": (
         '<site name="s"/>',

@@ -3,6 +3,9 @@
 
 use std::fmt;
 
+use std::sync::Arc;
+
+use numpy::{PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyString};
@@ -121,6 +124,63 @@ impl<T: Read> Read for Vec<T> {
             result.push(T::read(&item.map_err(|_| list())?, &at.index(index))?);
         }
         Ok(result)
+    }
+}
+
+/// The rows of an array of numpy, read at once, or of any list.
+macro_rules! read_rows {
+    ($($item:ty: $row:ty),+) => {$(
+        impl Read for Arc<Vec<$row>> {
+            fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
+                let rows = match value.cast::<PyArrayDyn<$item>>() {
+                    Ok(array) => <$row>::rows(&array.readonly(), value, at)?,
+                    Err(_) => Vec::read(value, at)?,
+                };
+                Ok(Self::new(rows))
+            }
+        }
+    )+};
+}
+read_rows!(f64: f64, f64: [f64; 3], usize: [usize; 3]);
+
+/// What one row of an array holds.
+trait Row<T>: Sized {
+    fn rows(
+        array: &PyReadonlyArrayDyn<'_, T>,
+        value: &Bound<'_, PyAny>,
+        at: &At,
+    ) -> PyResult<Vec<Self>>
+    where
+        T: numpy::Element;
+}
+
+impl Row<f64> for f64 {
+    fn rows(
+        array: &PyReadonlyArrayDyn<'_, f64>,
+        value: &Bound<'_, PyAny>,
+        at: &At,
+    ) -> PyResult<Vec<Self>> {
+        match array.shape() {
+            [_] => Ok(array.as_array().iter().copied().collect()),
+            _ => Err(refuse(value, at, "an array of one axis")),
+        }
+    }
+}
+
+impl<T: Copy> Row<T> for [T; 3] {
+    fn rows(
+        array: &PyReadonlyArrayDyn<'_, T>,
+        value: &Bound<'_, PyAny>,
+        at: &At,
+    ) -> PyResult<Vec<Self>>
+    where
+        T: numpy::Element,
+    {
+        let [count, 3] = *array.shape() else {
+            return Err(refuse(value, at, "an array of shape (n, 3)"));
+        };
+        let view = array.as_array();
+        Ok((0..count).map(|i| std::array::from_fn(|k| view[[i, k]])).collect())
     }
 }
 

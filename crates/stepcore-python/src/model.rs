@@ -156,6 +156,14 @@ impl Model {
         ])
     }
 
+    /// The convex hull of a geom, in its frame [m]: vertices (n, 3) and triangles (m, 3), flat;
+    /// None where it has none.
+    fn geom_hull(&self, geom: usize) -> Option<(Vec<f64>, Vec<usize>)> {
+        let hull = self.0.geoms.get(geom)?.hull.as_ref()?;
+        let vertices = hull.vertices.iter().flat_map(|v| [v.x, v.y, v.z]);
+        Some((vertices.collect(), hull.triangles.iter().flatten().copied().collect()))
+    }
+
     /// Numbers by name, each an array whose first axis is the element.
     fn tables<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let m = &*self.0;

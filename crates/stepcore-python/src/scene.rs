@@ -2,8 +2,8 @@
 
 use pyo3::prelude::*;
 use stepcore::scene::{
-    Actuator, Body, ContactOverride, Equality, ExplicitPair, Features, Geom, GeomType, Inertial,
-    Joint, JointType, Key, MassRules, Scene, Site, Softness,
+    Actuator, Body, ContactOverride, Equality, ExplicitPair, Features, Geom, GeomType, HField,
+    Inertial, Joint, JointType, Key, MassRules, Mesh, MeshInertia, Scene, Site, Softness,
 };
 
 use crate::extract::{record, refuse, At, Read};
@@ -23,8 +23,11 @@ macro_rules! named {
 }
 named!(JointType { "free" => Free, "ball" => Ball, "slide" => Slide, "hinge" => Hinge });
 named!(GeomType {
-    "plane" => Plane, "sphere" => Sphere, "capsule" => Capsule,
-    "ellipsoid" => Ellipsoid, "cylinder" => Cylinder, "box" => Box,
+    "plane" => Plane, "hfield" => HField, "sphere" => Sphere, "capsule" => Capsule,
+    "ellipsoid" => Ellipsoid, "cylinder" => Cylinder, "box" => Box, "mesh" => Mesh,
+});
+named!(MeshInertia {
+    "convex" => Convex, "exact" => Exact, "legacy" => Legacy, "shell" => Shell,
 });
 
 record!(Softness { solref, solimp });
@@ -54,6 +57,9 @@ record!(Geom {
     size,
     pos,
     quat,
+    mesh,
+    fitscale,
+    hfield,
     mass,
     density,
     shell_inertia,
@@ -68,6 +74,8 @@ record!(Geom {
     solmix,
     soft,
 });
+record!(Mesh { name, vertices, faces, inertia, maxhullvert });
+record!(HField { name, nrow, ncol, size, data });
 record!(Site { name, body, pos, quat });
 record!(Actuator { name, joint, gear, gain, bias, dampratio, ctrlrange, forcerange });
 record!(Equality { name, body1, body2, anchor, active, soft });
@@ -80,7 +88,8 @@ record!(MassRules {
     bound_mass,
     bound_inertia,
     balance_inertia,
-    total_mass
+    total_mass,
+    fit_aabb,
 });
 record!(Features {
     constraint,
@@ -103,6 +112,8 @@ record!(Scene {
     bodies,
     joints,
     geoms,
+    meshes,
+    hfields,
     sites,
     actuators,
     equalities,

@@ -48,6 +48,7 @@
 //! ```
 
 pub mod arrays;
+pub mod assets;
 pub mod batch;
 mod clock;
 pub mod commit;

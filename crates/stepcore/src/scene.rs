@@ -3,6 +3,8 @@
 //! Plain data in SI units, angles in radians, quaternions w x y z. Index 0 of
 //! `bodies` is the world. A parent stands before its children.
 
+pub use crate::assets::{HField, Mesh, MeshInertia};
+
 /// A spring-damper pair and an impedance curve: MuJoCo's `solref`, `solimp`.
 /// MuJoCo documentation, "Solver parameters".
 #[derive(Clone, Debug, PartialEq)]
@@ -194,6 +196,12 @@ pub struct Geom {
     /// Frame in the body's [m], w x y z.
     pub pos: [f64; 3],
     pub quat: [f64; 4],
+    /// Into `Scene::meshes`: what it is, or what a primitive is fitted to (`size` is then found).
+    pub mesh: Option<usize>,
+    /// Of a primitive fitted to a mesh: its size in parts of what fits.
+    pub fitscale: f64,
+    /// Into `Scene::hfields`.
+    pub hfield: Option<usize>,
     /// [kg]; None: density × volume.
     pub mass: Option<f64>,
     /// [kg/m³], or [kg/m²] of a shell.
@@ -230,6 +238,9 @@ impl Default for Geom {
             size: [0.0; 3],
             pos: [0.0; 3],
             quat: [1.0, 0.0, 0.0, 0.0],
+            mesh: None,
+            fitscale: 1.0,
+            hfield: None,
             mass: None,
             density: 1000.0,
             shell_inertia: false,
@@ -376,6 +387,8 @@ pub struct MassRules {
     pub balance_inertia: bool,
     /// Scale all masses and inertias to this total [kg]; not positive: leave them.
     pub total_mass: f64,
+    /// Primitives are fitted to the bounding boxes of meshes, not to boxes of the same inertia.
+    pub fit_aabb: bool,
 }
 
 impl Default for MassRules {
@@ -387,6 +400,7 @@ impl Default for MassRules {
             bound_inertia: 0.0,
             balance_inertia: false,
             total_mass: -1.0,
+            fit_aabb: false,
         }
     }
 }
@@ -441,6 +455,8 @@ pub struct Scene {
     pub bodies: Vec<Body>,
     pub joints: Vec<Joint>,
     pub geoms: Vec<Geom>,
+    pub meshes: Vec<Mesh>,
+    pub hfields: Vec<HField>,
     pub sites: Vec<Site>,
     pub actuators: Vec<Actuator>,
     pub equalities: Vec<Equality>,
@@ -461,6 +477,8 @@ impl Default for Scene {
             bodies: vec![Body { name: "world".into(), ..Body::default() }],
             joints: vec![],
             geoms: vec![],
+            meshes: vec![],
+            hfields: vec![],
             sites: vec![],
             actuators: vec![],
             equalities: vec![],

@@ -252,8 +252,20 @@ class ModelData(ABC):
 
     @functools.cached_property
     def geom_type(self) -> tuple[str, ...]:
-        """Type of each geom: "plane", "sphere", "capsule", "ellipsoid", "cylinder" or "box"."""
+        """Type of each geom: "plane", "hfield", "sphere", "capsule", …; see `Geom`."""
         return tuple(self._core.geom_types())
+
+    def geom_hull(self, geom: str | int) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Returns the convex hull by which a mesh collides, in the frame of its geom.
+
+        geom: a name or an index.
+
+        Returns its vertices [m], shape (n, 3), and its triangles as indices of them,
+        counter-clockwise from outside, shape (m, 3). Both are empty for a geom that has none.
+        """
+        index = self.index("geom", geom)
+        vertices, triangles = self._core.geom_hull(index) or ((), ())
+        return np.reshape(vertices, (-1, 3)), np.reshape(np.array(triangles, int), (-1, 3))
 
     @functools.cached_property
     def pairs(self) -> tuple[tuple[str, str], ...]:

@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING
 
 from stepcore.checks import ElementError
 from stepcore.mjcf import actuators, constraints, custom, keyframes, option
+from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.include import expand, read_bytes
 from stepcore.mjcf.nodes import MJCFError, Node, Source, parse
 from stepcore.mjcf.references import check_references
 from stepcore.mjcf.validation import validate
-from stepcore.mjcf.visual_geoms import list_visual_geoms
+from stepcore.mjcf.visual_geoms import leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.layout import Layout, check
 
@@ -62,7 +63,14 @@ def _fill(scene: Contents, root: Node, source: Source) -> None:
     scene.ignored += validate(root)
     compiler = Compiler(_sections(root, "compiler"))
     defaults = Defaults(_sections(root, "default"))
-    world = WorldReader(scene, compiler, defaults)
+    assets = Assets(_sections(root, "asset"), compiler, defaults, source.directory)
+    world = WorldReader(scene, compiler, defaults, assets)
+    world.paired = {
+        pair.attrs.get(end, "")
+        for pair in _inside(root, "contact")
+        for end in ("geom1", "geom2")
+        if pair.tag == "pair"
+    }
     try:
         scene.mass_rules = compiler.mass_rules()
         for node in _sections(root, "option"):
@@ -80,7 +88,9 @@ def _fill(scene: Contents, root: Node, source: Source) -> None:
             _at(node, lambda node: keyframes.key(world, layout, node))
         keyframes.add_empty_keys(scene, _sections(root, "size"))
         check_references(world, root)
-        list_visual_geoms(world, layout)
+        leave_out_visual_geoms(world, layout)
+        assets.read_used(scene)
+        layout = Layout(scene)
         for node in custom.own_texts(_inside(root, "custom")):
             _at(node, lambda node: custom.read(scene, node))
         check(layout)

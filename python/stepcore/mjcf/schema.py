@@ -91,6 +91,12 @@ SITE = (
     "name class type:sphere|capsule|ellipsoid|cylinder|box|mesh group:int "
     f"{POSE} material mesh size:1-3 fromto:6 rgba:4 user:*"
 )
+MESH_DEFAULT = "scale:3 maxhullvert:int inertia:convex|exact|legacy|shell"
+MESH = (
+    f"name class content_type file vertex:* normal:* texcoord:* face:int* refpos:3 refquat:4 "
+    f"{MESH_DEFAULT} smoothnormal:{BOOL} builtin params:* material"
+)
+HFIELD = "name content_type file nrow:int ncol:int size!:4 elevation:*"
 INERTIAL = without(POSE, "pos") + " pos!:3 mass!:1 diaginertia:3 fullinertia:6"
 EQUALITY = f"name class active:{BOOL} solref:1-2 solimp:1-5 "
 ACTUATOR = (
@@ -155,7 +161,7 @@ DEFAULT = spec(
         "tendon": spec(without(unread.TENDON + " width material rgba", OWN)),
         "camera": spec(without(unread.CAMERA, OWN)),
         "light": spec(without(unread.LIGHT, OWN + " texture")),
-        "mesh": spec("scale maxhullvert inertia"),
+        "mesh": spec(MESH_DEFAULT),
         "texture": spec(unread.TEXTURE_LOOK),
         "material": tree((without(unread.MATERIAL, "name class"), unread.LAYER), ""),
     },
@@ -231,7 +237,14 @@ ROOT = spec(
         "size": spec(unread.SIZE),
         "statistic": spec(unread.STATISTIC, role="draws"),
         "visual": tree(("", unread.VISUAL), "draws"),
-        "asset": spec("", trees(unread.ASSETS, "draws")),
+        "asset": spec(
+            "",
+            {
+                "mesh": spec(MESH, {"plugin": tree(unread.PLUGIN, "unbuilt")}),
+                "hfield": spec(HFIELD),
+                **trees(unread.ASSETS, "draws"),
+            },
+        ),
         "custom": spec("", trees(unread.CUSTOM, "data")),
         "sensor": spec("", trees(unread.SENSORS, "senses")),
         "tendon": spec("", trees(unread.TENDONS, "unbuilt")),

@@ -42,14 +42,6 @@ SKIN: Tree = (
     {"bone": "body bindpos bindquat vertid vertweight"},
 )
 ASSETS: dict[str, Tree] = {
-    "mesh": (
-        (
-            "name class content_type file vertex normal texcoord face refpos refquat scale "
-            "smoothnormal maxhullvert inertia builtin params material"
-        ),
-        {"plugin": PLUGIN},
-    ),
-    "hfield": "name content_type file nrow ncol size elevation",
     "skin": SKIN,
     "texture": TEXTURE,
     "material": (MATERIAL, LAYER),

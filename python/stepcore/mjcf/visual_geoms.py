@@ -6,29 +6,32 @@ from stepcore.mjcf.worldbody import Shape, WorldReader
 from stepcore.scene.layout import Layout
 
 
-def list_visual_geoms(world: WorldReader, layout: Layout) -> None:
+def leave_out_visual_geoms(world: WorldReader, layout: Layout) -> None:
     """Adds the geoms that only draw to `Scene.ignored`.
 
-    A primitive that only draws stays in the scene, so that geoms keep MuJoCo's order; a mesh or
-    height field is never read. Raises MJCFError for one that gives a body its mass.
+    A primitive that only draws stays in the scene, so that geoms keep MuJoCo's order; meshes,
+    primitives fitted to them and height fields leave it, and are then never read.
     """
+    scene = world.scene
+    gone = set()
     for shape in world.shapes:
-        if shape.collides:
+        if shape.collides or weighs(world, layout, shape):
             continue
-        if not weighs(world, layout, shape):
-            world.scene.ignored.append(shape.node.listed("only draws: no collisions, no mass"))
-        elif not shape.kept:
-            raise shape.node.unbuilt(f"a geom that gives its body mass as a {shape.what}")
+        scene.ignored.append(shape.node.listed("only draws: no collisions, no mass"))
+        if shape.geom.mesh is not None or shape.geom.hfield is not None:
+            gone.add(id(shape.geom))
+    scene.geoms = [geom for geom in scene.geoms if id(geom) not in gone]
 
 
 def weighs(world: WorldReader, layout: Layout, shape: Shape) -> bool:
     """Whether the geom contributes to the mass of a body whose mass can matter."""
     rules = world.scene.mass_rules
+    body = shape.geom.body
     low, high = rules.inertiagrouprange
-    if not shape.heavy or not low <= shape.group <= high or rules.inertiafromgeom is False:
+    if not shape.heavy or not low <= shape.geom.group <= high or rules.inertiafromgeom is False:
         return False
-    if rules.inertiafromgeom is None and shape.body.mass is not None:
+    if rules.inertiafromgeom is None and body.mass is not None:
         return False
     # The mass of a body that cannot move matters only as a share of a prescribed total.
-    share = shape.body is not world.scene.world and rules.settotalmass > 0
-    return layout.moving(shape.body) or share
+    share = body is not world.scene.world and rules.settotalmass > 0
+    return layout.moving(body) or share

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.nodes import MJCFError, Node
 from stepcore.mjcf.schema import NOT_IN_WORLD
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
-from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element
+from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element, Geom
 from stepcore.scene.frames import Vec
 
 if TYPE_CHECKING:
@@ -33,15 +34,12 @@ class Place:
 
 @dataclass(frozen=True)
 class Shape:
-    """A geom of the file, in the scene (kept) or not, as a mesh that only draws."""
+    """A geom of the file. heavy: nothing but its body's own mass keeps it from giving mass."""
 
     node: Node
-    body: Body
-    what: str
+    geom: Geom
     collides: bool
-    group: int
     heavy: bool
-    kept: bool
 
 
 class WorldReader:
@@ -51,10 +49,15 @@ class WorldReader:
     refer to, by kind.
     """
 
-    def __init__(self, scene: Contents, compiler: Compiler, defaults: Defaults) -> None:
+    def __init__(
+        self, scene: Contents, compiler: Compiler, defaults: Defaults, assets: Assets
+    ) -> None:
         self.scene = scene
         self.compiler = compiler
         self.defaults = defaults
+        self.assets = assets
+        # Geoms of explicit pairs collide whatever their masks say.
+        self.paired: set[str] = set()
         self.nodes: dict[int, Node] = {}
         self.names: dict[str, set[str]] = {"body": {"world"}, "geom": set(), "camera": set()}
         self.references: list[tuple[Node, str, str]] = []
@@ -223,30 +226,34 @@ class WorldReader:
         kind = values.get("type", "sphere")
         name = values.get("name", "")
         self._refer(node, values, "material")
-        self._refer(node, values, "mesh")
-        self._refer(node, values, "hfield")
         if name in self.names["geom"] and name:
             raise node.error(f'geom "{name}": the name is used twice')
         self.names["geom"].add(name)
         contype, conaffinity = values.get("contype", 1), values.get("conaffinity", 1)
-        collides = contype != 0 or conaffinity != 0
+        collides = contype != 0 or conaffinity != 0 or (name != "" and name in self.paired)
         if collides and any(values.get("surfacevel", ())):
             raise node.unbuilt("a moving surface (surfacevel)")
         if collides and values.get("adhesion", 0) != 0:
             raise node.unbuilt("adhesion")
-        unread = kind in ("mesh", "hfield", "sdf")
-        if unread and ("hfield" if kind == "hfield" else "mesh") not in values:
+        if kind == "sdf":
+            raise node.unbuilt("a geom of type sdf")
+        if kind in ("mesh", "hfield") and kind not in values:
             raise node.error(f'<geom type="{kind}"> names no {kind}')
-        kept = not unread and "mesh" not in values
-        what = kind if kept or unread else f"{kind} fitted to a mesh"
-        if collides and not kept:
-            raise node.unbuilt(f"a geom that collides as a {what}")
-        heavy = values.get("mass", values.get("density", 1000.0)) != 0
-        group = values.get("group", 0)
-        self.shapes.append(Shape(node, place.body, what, collides, group, heavy, kept))
-        if not kept:
-            return
+        own: dict[str, Any] = {
+            k: self.assets.of(self.scene, node, k, values[k])
+            for k in ("mesh", "hfield")
+            if k in values
+        }
+        if kind != "hfield":
+            # As in MuJoCo, only a height field looks at the attribute.
+            own.pop("hfield", None)
+        if own and "fromto" in values:
+            raise node.error(f"<geom> has both {next(iter(own))} and fromto")
+        heavy = values.get("mass", values.get("density", 1000.0)) != 0 and kind != "hfield"
         size, pose = self._shape(node, values, kind, place)
+        if own:
+            size = frames.ORIGIN
+            own |= {k: values[k] for k in ("fitscale",) if k in values}
         copied = ("condim", "group", "priority", "friction", "mass", "density", "shellinertia")
         more = {f: values[f] for f in (*copied, "solmix", "margin", "gap") if f in values}
         geom = self.scene.add_geom(
@@ -258,10 +265,12 @@ class WorldReader:
             quat=pose[1],
             contype=contype % 2**32,
             conaffinity=conaffinity % 2**32,
+            **own,
             **more,
             **soft(values, "solref", "solimp"),
         )
         self.keep(node, geom)
+        self.shapes.append(Shape(node, geom, collides, heavy))
 
     def _shape(
         self, node: Node, values: dict[str, Any], kind: str, place: Place

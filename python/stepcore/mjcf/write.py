@@ -18,9 +18,11 @@ from stepcore.scene.elements import (
     Element,
     Equality,
     Geom,
+    HField,
     Joint,
     Key,
     MassRules,
+    Mesh,
     Site,
 )
 from stepcore.scene.layout import SIZES, Layout, check
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 # Characters that XML 1.0 does not allow, even escaped.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 _ESCAPES = {"&": "&amp;", "<": "&lt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
+# What is written of a mesh in another way, or not at all.
+ASSET_OWN = ("name", "vertices", "faces", "file")
 INERTIA_FROM = {None: "auto", True: "true", False: "false"}
 
 
@@ -85,6 +89,10 @@ def written(scene: Contents) -> str:
     root = Tag("mujoco", **({"model": scene.name} if scene.name else {}))
     _compiler(root, scene.mass_rules)
     words = _option(root, scene)
+    assets = [_mesh(mesh, names) for mesh in scene.meshes]
+    assets += [_hfield(hfield, names) for hfield in scene.hfields]
+    if assets:
+        root.add(Tag("asset")).inside = assets
     _tree(root, layout, names)
     sections = (
         ("contact", [_exclude(pair, names) for pair in scene.excludes] + _pairs(scene, names)),
@@ -114,6 +122,9 @@ class _Names:
         self._name("geom", layout.geoms, ends)
         self._name("body", layout.bodies, bodies)
         self._name("joint", layout.joints, [actuator.joint for actuator in scene.actuators])
+        # MJCF knows no asset without a name.
+        self._name("mesh", scene.meshes, scene.meshes)
+        self._name("hfield", scene.hfields, scene.hfields)
 
     def _name(self, kind: str, among: Iterable[Any], referred: Iterable[Any]) -> None:
         elements = list(among)
@@ -214,16 +225,35 @@ def _joint(joint: Joint, names: _Names) -> Tag:
     return Tag("joint", **names.attribute(joint), **changed(joint, *skip))
 
 
+def _mesh(mesh: Mesh, names: _Names) -> Tag:
+    arrays = {"vertex": mesh.vertices.ravel().tolist()}
+    if mesh.faces is not None:
+        arrays["face"] = mesh.faces.ravel().tolist()
+    return Tag("mesh", **names.attribute(mesh), **changed(mesh, *ASSET_OWN), **arrays)
+
+
+def _hfield(hfield: HField, names: _Names) -> Tag:
+    nrow, ncol = hfield.elevation.shape
+    heights = hfield.elevation.ravel().tolist()
+    own = {"size": hfield.size, "nrow": nrow, "ncol": ncol, "elevation": heights}
+    return Tag("hfield", **names.attribute(hfield), **own)
+
+
 def _geom(geom: Geom, names: _Names) -> Tag:
-    given = changed(geom, "name", "body", "size")
+    given = changed(geom, "name", "body", "size", "mesh", "hfield")
+    for field, asset in (("mesh", geom.mesh), ("hfield", geom.hfield)):
+        if asset is not None:
+            given[field] = names.of(asset)
     used = SIZES[geom.type]
     # MuJoCo wants a spacing for the grid of a plane, even where nothing is drawn.
     size = geom.size[:used] if used else (*geom.size[:2], geom.size[2] or 1.0)
+    if "mesh" not in given and "hfield" not in given:
+        given = {"size": size, **given}
     for mask in ("contype", "conaffinity"):
         if mask in given:
             given[mask] = (given[mask] + 2**31) % 2**32 - 2**31
     first = {"type": given.pop("type")} if "type" in given else {}
-    return Tag("geom", **names.attribute(geom), **first, size=size, **given)
+    return Tag("geom", **names.attribute(geom), **first, **given)
 
 
 def _site(site: Site) -> Tag:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import copy
+import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -21,9 +22,11 @@ from stepcore.scene.elements import (
     Equality,
     Features,
     Geom,
+    HField,
     Joint,
     Key,
     MassRules,
+    Mesh,
     Pair,
     Site,
     fields_of,
@@ -31,6 +34,8 @@ from stepcore.scene.elements import (
 
 if TYPE_CHECKING:
     from typing import Self, Unpack
+
+    from numpy.typing import ArrayLike
 
     from stepcore._core import Settings
     from stepcore.engine.settings_fields import SettingsFields
@@ -41,6 +46,7 @@ if TYPE_CHECKING:
         GeomFields,
         JointFields,
         KeyFields,
+        MeshFields,
         Numbers,
         PairFields,
         SiteFields,
@@ -55,16 +61,8 @@ class Contents(checks.KnownNames):
 
     _attributes = (
         *("name", "bodies", "joints", "geoms", "sites", "actuators", "equalities", "keys"),
-        *(
-            "excludes",
-            "pairs",
-            "contact_override",
-            "mass_rules",
-            "features",
-            "options",
-            "ignored",
-            "notes",
-        ),
+        *("meshes", "hfields", "excludes", "pairs", "contact_override", "mass_rules", "features"),
+        *("options", "ignored", "notes"),
     )
 
     def __init__(self, gravity: Vector = GRAVITY, name: str = "") -> None:
@@ -73,6 +71,8 @@ class Contents(checks.KnownNames):
         self.bodies: list[Body] = [Body(name="world")]
         self.joints: list[Joint] = []
         self.geoms: list[Geom] = []
+        self.meshes: list[Mesh] = []
+        self.hfields: list[HField] = []
         self.sites: list[Site] = []
         self.actuators: list[Actuator] = []
         self.equalities: list[Equality] = []
@@ -115,6 +115,14 @@ class Contents(checks.KnownNames):
     def geom(self, name: str | Geom) -> Geom:
         """Returns the geom of this name."""
         return _find(self.geoms, "geom", name)
+
+    def mesh(self, name: str | Mesh) -> Mesh:
+        """Returns the mesh of this name."""
+        return _find(self.meshes, "mesh", name)
+
+    def hfield(self, name: str | HField) -> HField:
+        """Returns the height field of this name."""
+        return _find(self.hfields, "hfield", name)
 
     def site(self, name: str | Site) -> Site:
         """Returns the site of this name."""
@@ -188,19 +196,28 @@ class Contents(checks.KnownNames):
         size: Numbers = (0.0, 0.0, 0.0),
         *,
         fromto: Vector | None = None,
+        mesh: str | Mesh | None = None,
+        hfield: str | HField | None = None,
         **fields: Unpack[GeomFields],
     ) -> Geom:
         """Adds a shape to a body.
 
         body: the body that it is fixed to, as a name or a `Body`.
-        type: "plane", "sphere", "capsule", "ellipsoid", "cylinder" or "box".
+        type: "plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box" or "mesh".
         size: [m], up to 3 numbers whose meaning depends on the type; see `Geom`.
         fromto: both end points of a capsule, cylinder, box or ellipsoid [m], shape (6,), in place
             of pos, quat and every size but the first.
+        mesh: of a mesh, or of a primitive that is fitted to one: a name or a `Mesh`.
+        hfield: of a height field: a name or an `HField`.
         fields: of `Geom`: name, pos [m], quat, mass [kg], density [kg/m³], friction, condim,
             solref, solimp, …
         """
-        geom = _make(Geom, fields, body=self.body(body), type=type, size=size)
+        own: dict[str, Any] = {"body": self.body(body), "type": type, "size": size}
+        if mesh is not None:
+            own["mesh"] = self.mesh(mesh)
+        if hfield is not None:
+            own["hfield"] = self.hfield(hfield)
+        geom = _make(Geom, fields, **own)
         if fromto is not None:
             both = [field for field in ("pos", "quat") if field in fields]
             if both:
@@ -211,6 +228,64 @@ class Contents(checks.KnownNames):
             except ValueError as error:
                 raise checks.ElementError(geom, str(error)) from None
         return _append(self.geoms, geom)
+
+    def add_mesh(
+        self,
+        name: str = "",
+        vertices: ArrayLike | None = None,
+        faces: ArrayLike | None = None,
+        *,
+        file: str | os.PathLike[str] | None = None,
+        **fields: Unpack[MeshFields],
+    ) -> Mesh:
+        """Adds a mesh, which geoms then refer to; only its convex hull collides.
+
+        name: unique among meshes; without it, that of the file.
+        vertices: [m], shape (n, 3). faces: indices of vertices, counter-clockwise from outside,
+            shape (m, 3); without them, the convex hull.
+        file: in place of both: an STL (binary or text), OBJ or MSH file, which is read at once.
+        fields: of `Mesh`: scale, refpos [m], refquat, inertia, maxhullvert.
+
+        Raises ValueError for a file that is damaged, is no regular file or has more than 256 MiB,
+        FileNotFoundError and IsADirectoryError.
+        """
+        given: dict[str, Any] = {"vertices": vertices, "faces": faces}
+        if (file is None) == (vertices is None) or (file is not None and faces is not None):
+            raise ValueError(f"mesh {checks.quoted(name)}: needs either vertices or a file")
+        if file is not None:
+            from stepcore.scene import mesh_files
+
+            given["vertices"], given["faces"] = mesh_files.read(file)
+            given["file"] = os.fspath(file)
+            name = name or os.path.splitext(os.path.basename(file))[0]
+        return self._add(self.meshes, Mesh, fields, name=name, **given)
+
+    def add_hfield(
+        self,
+        name: str = "",
+        elevation: ArrayLike | None = None,
+        *,
+        size: Vector,
+        file: str | os.PathLike[str] | None = None,
+    ) -> HField:
+        """Adds a height field, which geoms of fixed bodies then refer to.
+
+        name: unique among height fields; without it, that of the file.
+        elevation: heights of any scale, shape (rows, columns), the first row at the largest y.
+        size: half sizes along x and y, height of the highest point, depth of the base [m].
+        file: in place of the elevation: a PNG of 8-bit grey, or MuJoCo's binary format.
+
+        Raises what `add_mesh` raises.
+        """
+        if (file is None) == (elevation is None):
+            raise ValueError(f"hfield {checks.quoted(name)}: needs either an elevation or a file")
+        given: dict[str, Any] = {"elevation": elevation}
+        if file is not None:
+            from stepcore.scene import hfield_files
+
+            given = {"elevation": hfield_files.read(file), "file": os.fspath(file)}
+            name = name or os.path.splitext(os.path.basename(file))[0]
+        return self._add(self.hfields, HField, {}, name=name, size=size, **given)
 
     def add_site(self, body: str | Body = "world", **fields: Unpack[SiteFields]) -> Site:
         """Adds a site, a named place on a body.

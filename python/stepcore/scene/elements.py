@@ -8,13 +8,15 @@ MuJoCo's. Elements compare by identity.
 
 from __future__ import annotations
 
-import dataclasses
-import typing
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from stepcore import checks
+from stepcore.scene.element import Element as Element
+from stepcore.scene.element import fields_of as fields_of
 from stepcore.scene.frames import IDENTITY, ORIGIN, Vec
+from stepcore.scene.surfaces import HField as HField
+from stepcore.scene.surfaces import Mesh as Mesh
 
 GRAVITY: Vec = (0.0, 0.0, -9.81)
 SOLREF: Vec = (0.02, 1.0)
@@ -24,7 +26,7 @@ FRICTION: Vec = (1.0, 0.005, 0.0001)
 PAIR_FRICTION: Vec = (1.0, 1.0, 0.005, 0.0001, 0.0001)
 GEAR: Vec = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ACTUATOR_TYPES = ("motor", "position", "velocity", "general")
-GEOM_TYPES = ("plane", "sphere", "capsule", "ellipsoid", "cylinder", "box")
+GEOM_TYPES = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 
 
 # The type of a field, with the check that every assigned value passes.
@@ -55,64 +57,6 @@ Inertia = Annotated[Vec, checks.inertia]
 AGeom = Annotated["Geom", checks.element("Geom")]
 ABody = Annotated["Body", checks.element("Body")]
 AJoint = Annotated["Joint", checks.element("Joint")]
-
-
-_CHECKS: dict[type, dict[str, checks.Check]] = {}
-
-
-def _checks_of(kind: type[Element]) -> dict[str, checks.Check]:
-    """The check of each field of an element class, read once from its annotations."""
-    if kind not in _CHECKS:
-        hints = typing.get_type_hints(kind, include_extras=True)
-        _CHECKS[kind] = {field: hints[field].__metadata__[0] for field in fields_of(kind)}
-    return _CHECKS[kind]
-
-
-class Element:
-    """Base of all elements: checked assignment, a label for messages, a short ``repr``."""
-
-    # Its place in the file that it was read from, "file:line"; set by the reader.
-    place: ClassVar[str] = ""
-
-    def __setattr__(self, field: str, value: object) -> None:
-        known = _checks_of(type(self))
-        if field not in known:
-            raise AttributeError(
-                f"{self} has no field {checks.quoted(field)}{checks.nearest(field, known)}"
-            )
-        object.__setattr__(self, field, known[field](self, field, value))
-
-    def values(self) -> dict[str, Any]:
-        """The fields as MJCF's attributes hold them, each under its name."""
-        return {field: getattr(self, field) for field in fields_of(type(self))}
-
-    def record(self) -> dict[str, Any]:
-        """The fields as plain data, lists for tuples: what the engine is handed."""
-        values = self.values().items()
-        return {field: list(v) if isinstance(v, tuple) else v for field, v in values}
-
-    def __str__(self) -> str:
-        kind = type(self).__name__.lower()
-        name = self.__dict__.get("name", "")
-        if name:
-            return f'{kind} "{name}"'
-        body = self.__dict__.get("body")
-        return f"unnamed {kind}" + (f" of {body}" if body is not None else "")
-
-    def __repr__(self) -> str:
-        parts = []
-        for spec in dataclasses.fields(self):  # type: ignore[arg-type]
-            value = self.__dict__.get(spec.name)
-            if isinstance(value, Element):
-                parts.append(f"{spec.name}=<{value}>")
-            elif value != spec.default:
-                parts.append(f"{spec.name}={value!r}")
-        return f"{type(self).__name__}({', '.join(parts)})"
-
-
-def fields_of(kind: type[Element]) -> list[str]:
-    """The names of the fields of an element class, in order."""
-    return [spec.name for spec in dataclasses.fields(kind)]  # type: ignore[arg-type]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -216,11 +160,15 @@ class Geom(Element):
 
     name: unique among geoms, or "".
     body: the `Body` that it is fixed to.
-    type: "plane", "sphere", "capsule", "ellipsoid", "cylinder" or "box".
+    type: "plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box" or "mesh".
     size: [m], shape (3,): radius of a sphere; radius and half length of a capsule or cylinder; half
         sizes of a box or ellipsoid; for a plane, half sizes and grid spacing for drawing (0 is
         infinite). Fewer numbers may be given.
-    pos, quat: position [m], shape (3,), and orientation, shape (4,), in the body's frame.
+    pos, quat: position [m], shape (3,), and orientation, shape (4,), in the body's frame. Those of
+        a mesh are of the coordinates of its vertices; the compiled geom stands at its centre.
+    mesh: the `Mesh` of a geom of type "mesh", or one that a primitive is fitted to: its size and
+        pose are then found from the mesh (see `MassRules.fitaabb`). fitscale: times that size.
+    hfield: the `HField` of a geom of type "hfield".
     mass: [kg], >= 0; None means density × volume.
     density: [kg/m³], or [kg/m²] with shellinertia; >= 0.
     shellinertia: True puts the mass on the surface.
@@ -240,6 +188,9 @@ class Geom(Element):
     size: Size = ORIGIN
     pos: Vec3 = ORIGIN
     quat: Quat = IDENTITY
+    mesh: Annotated[Mesh | None, checks.optional(checks.element("Mesh"))] = None
+    fitscale: Annotated[float, checks.real(above=0)] = 1.0
+    hfield: Annotated[HField | None, checks.optional(checks.element("HField"))] = None
     mass: Mass = None
     density: NonNegative = 1000.0
     shellinertia: Flag = False
@@ -405,6 +356,8 @@ class MassRules(Element):
     boundmass, boundinertia: lower bounds of a body's mass [kg] and principal inertias [kg·m²].
     balanceinertia: True repairs inertias that violate A + B >= C.
     settotalmass: total mass to which all masses and inertias are scaled [kg]; <= 0 scales nothing.
+    fitaabb: True fits primitives to the bounding boxes of meshes, False to boxes of the same
+        inertia.
     """
 
     inertiafromgeom: Annotated[bool | None, checks.one_of(None, True, False)] = None
@@ -413,6 +366,7 @@ class MassRules(Element):
     boundinertia: NonNegative = 0.0
     balanceinertia: Flag = False
     settotalmass: Real = -1.0
+    fitaabb: Flag = False
 
     def __str__(self) -> str:
         return "mass_rules"

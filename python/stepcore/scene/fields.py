@@ -44,6 +44,7 @@ class GeomFields(TypedDict, total=False):
     name: str
     pos: Vector
     quat: Vector
+    fitscale: float
     mass: float | None
     density: float
     shellinertia: bool
@@ -58,6 +59,16 @@ class GeomFields(TypedDict, total=False):
     solmix: float
     solref: Vector
     solimp: Numbers
+
+
+class MeshFields(TypedDict, total=False):
+    """Fields of a `Mesh` beside its name, vertices and faces."""
+
+    scale: Vector
+    refpos: Vector
+    refquat: Vector
+    inertia: str
+    maxhullvert: int
 
 
 class SiteFields(TypedDict, total=False):

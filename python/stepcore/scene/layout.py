@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
-from stepcore.scene import actuation
+from stepcore.scene import actuation, assets
 from stepcore.scene.elements import Body, ContactOverride, Element, Geom, Joint, Pair
 from stepcore.scene.frames import IDENTITY, ORIGIN
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 QPOS = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 DOFS = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3, "plane": 0}
+# The sizes of these are those of their assets.
+SIZES |= {"mesh": 0, "hfield": 0}
 SIZE_WORDS = {
     "sphere": "a radius > 0",
     "capsule": "a radius and a half length > 0",
@@ -131,7 +133,8 @@ def check(layout: Layout) -> None:
             raise checks.refuse(body, "mass", None, "given where ipos or inertia is")
         _check_joints(layout, body)
     for geom in layout.geoms:
-        need = SIZES[geom.type]
+        need = 0 if geom.mesh is not None else SIZES[geom.type]
+        _check_asset(layout, geom)
         if any(size <= 0 for size in geom.size[:need]):
             raise checks.refuse(
                 geom, "size", geom.size, f"{SIZE_WORDS[geom.type]} for a {geom.type}"
@@ -180,6 +183,27 @@ def _check_pairs(layout: Layout) -> None:
             raise checks.ElementError(pair, f"pairs {pair.geom1} with itself")
 
 
+def _check_asset(layout: Layout, geom: Geom) -> None:
+    """What a geom refers to is in the scene and fits its type."""
+    scene = layout.scene
+    listed: tuple[tuple[str, Any, Sequence[Any], bool, bool], ...] = (
+        ("mesh", geom.mesh, scene.meshes, geom.type == "mesh", geom.type in ("plane", "hfield")),
+        ("hfield", geom.hfield, scene.hfields, geom.type == "hfield", geom.type != "hfield"),
+    )
+    for field, asset, known, needed, barred in listed:
+        if needed and asset is None:
+            raise checks.ElementError(geom, f"a geom of type {geom.type} needs a {field}")
+        if asset is None:
+            continue
+        if barred:
+            raise checks.ElementError(geom, f"a geom of type {geom.type} has no {field}")
+        if not any(asset is each for each in known):
+            raise checks.ElementError(geom, f"refers to {asset}, which is not in this scene")
+    if geom.type == "mesh" and geom.shellinertia:
+        limit = 'False for a mesh, whose own inertia can be "shell"'
+        raise checks.refuse(geom, "shellinertia", True, limit)
+
+
 def _check_joints(layout: Layout, body: Body) -> None:
     joints = layout.joints_of.get(id(body), [])
     if sum(DOFS[joint.type] for joint in joints) > 6:
@@ -218,6 +242,7 @@ MASS_RULES = {
     "boundinertia": "bound_inertia",
     "balanceinertia": "balance_inertia",
     "settotalmass": "total_mass",
+    "fitaabb": "fit_aabb",
 }
 
 
@@ -229,6 +254,9 @@ def plain(layout: Layout) -> dict[str, Any]:
     override = scene.contact_override
     joint_of = {id(joint): i for i, joint in enumerate(layout.joints)}
 
+    mesh_of = {id(mesh): i for i, mesh in enumerate(scene.meshes)}
+    hfield_of = {id(hfield): i for i, hfield in enumerate(scene.hfields)}
+
     def attached(element: Any, *skip: str) -> dict[str, Any]:
         return _record(element, "body", *skip) | {"body": body_of[id(element.body)]}
 
@@ -237,7 +265,13 @@ def plain(layout: Layout) -> dict[str, Any]:
         "gravity": list(scene.gravity),
         "bodies": [_body(body, body_of) for body in layout.bodies],
         "joints": [attached(joint) for joint in layout.joints],
-        "geoms": [attached(geom) for geom in layout.geoms],
+        "geoms": [
+            attached(geom, "mesh", "hfield")
+            | {"mesh": mesh_of.get(id(geom.mesh)), "hfield": hfield_of.get(id(geom.hfield))}
+            for geom in layout.geoms
+        ],
+        "meshes": [assets.plain_mesh(mesh) for mesh in scene.meshes],
+        "hfields": [assets.plain_hfield(hfield) for hfield in scene.hfields],
         "sites": [attached(site) for site in layout.sites],
         "actuators": [
             _record(actuator, "joint", "type", *SERVO)
@@ -283,8 +317,11 @@ def essence(layout: Layout) -> dict[str, Any]:
         if joint["kind"] == "free":
             joint["pos"] = list(ORIGIN)
     for geom in scene["geoms"]:
-        used = SIZES[geom["kind"]]
+        used = 0 if geom["mesh"] is not None else SIZES[geom["kind"]]
         geom["size"] = geom["size"][:used] + [0.0] * (3 - used)
+    for asset in scene["meshes"] + scene["hfields"]:
+        # Arrays are equal entry by entry, and these all at once.
+        asset |= {k: (v.shape, v.tobytes()) for k, v in asset.items() if hasattr(v, "tobytes")}
     for key in scene["keys"]:
         # An empty list and none are the same: nothing is given.
         key |= {field: key[field] or None for field in ("qpos", "qvel", "ctrl")}

@@ -23,14 +23,14 @@ class Scene(Contents):
 
     Elements are added by the ``add_…`` methods, in any order, and refer to each other by name or
     by the object that ``add_…`` returned. Their fields can be read and assigned. Names, defaults
-    and conventions are MuJoCo's; `Body`, `Joint`, `Geom`, `Site`, `Actuator`, `Equality`, `Pair`
-    and `Key` document the fields with their units.
+    and conventions are MuJoCo's; `Body`, `Joint`, `Geom`, `Mesh`, `HField`, `Site`, `Actuator`,
+    `Equality`, `Pair` and `Key` document the fields with their units.
 
     Every value is checked when it is given. A bad value raises a ValueError that names the element,
     the field, the value and the limit; an unknown name raises one that lists the nearest names.
 
-    bodies, joints, geoms, sites, actuators, equalities, pairs, keys: lists of the elements;
-        ``bodies[0]`` is the world.
+    bodies, joints, geoms, meshes, hfields, sites, actuators, equalities, pairs, keys: lists of
+        the elements; ``bodies[0]`` is the world.
     excludes: pairs of bodies that do not collide, but for geoms in `pairs`.
     contact_override: contact parameters that replace those of every contact (`ContactOverride`).
     mass_rules: how masses are made from geoms (`MassRules`: MJCF's ``<compiler>``).
@@ -133,6 +133,8 @@ class Scene(Contents):
             counts[1] = (len(self.joints), "joint", f" (nq {layout.nq}, nv {layout.nv})")
         rest: dict[str, Sequence[Element]] = {
             "geom": self.geoms,
+            "mesh": self.meshes,
+            "hfield": self.hfields,
             "site": self.sites,
             "actuator": self.actuators,
             "equality": self.equalities,
@@ -147,4 +149,4 @@ class Scene(Contents):
 
 
 def _plural(word: str) -> str:
-    return {"body": "bodies", "equality": "equalities"}.get(word, word + "s")
+    return {"body": "bodies", "equality": "equalities", "mesh": "meshes"}.get(word, word + "s")

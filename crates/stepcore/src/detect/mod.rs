@@ -24,7 +24,7 @@ use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::scene::GeomType;
 use crate::settings::Settings;
-use crate::shapes::{self, Shape, Touch};
+use crate::shapes::{self, Touch};
 use crate::spatial::{Pose, V3};
 use swept::Swept;
 
@@ -209,7 +209,7 @@ fn meet_at<R: Real>(
     p2: &Pose<R>,
     take: impl FnMut(usize, &Touch<R>),
 ) {
-    let one = Shape { pose: p1, size: &model.geoms[pair.geom1].size, hull: None, field: None };
-    let two = Shape { pose: p2, size: &model.geoms[pair.geom2].size, hull: None, field: None };
+    let one = model.geoms[pair.geom1].shape(p1);
+    let two = model.geoms[pair.geom2].shape(p2);
     shapes::meet(pair.test, &one, &two, take);
 }

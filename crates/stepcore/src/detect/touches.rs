@@ -4,7 +4,7 @@ use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::place::Placed;
 use crate::real::{Mask, Real};
-use crate::shapes::{self, Shape, ShapeTest};
+use crate::shapes::{self, ShapeTest};
 
 /// Contacts by pose, then by slot.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -55,10 +55,7 @@ impl Model {
             }
             placed.place_some(self, &q, &bodies, &geoms);
             let (p1, p2) = (&placed.geom[first], &placed.geom[second]);
-            let (a, b) = (
-                Shape { pose: p1, size: &one.size, hull: None, field: None },
-                Shape { pose: p2, size: &two.size, hull: None, field: None },
-            );
+            let (a, b) = (one.shape(p1), two.shape(p2));
             shapes::meet(test, &a, &b, |slot, touch| {
                 for lane in 0..R::LANES.min(poses - start) {
                     let at = (start + lane) * found.slots + slot;

@@ -1,7 +1,7 @@
 //! From a `Scene` to a `Model`: check, lay out, weigh, pair.
 
 use super::slots::Slots;
-use super::{apart, check, inertia, invweight, pairs, pose, tree, Model};
+use super::{apart, check, inertia, invweight, meshes, pairs, pose, tree, Model};
 use crate::error::Result;
 use crate::scene::Scene;
 
@@ -9,9 +9,11 @@ impl Model {
     /// Compiles a scene, or says which element cannot be compiled and why.
     pub fn compile(scene: &Scene) -> Result<Self> {
         check::scene(scene)?;
-        let mut model = tree::lay_out(scene);
+        let (geoms, assets) = meshes::placed(scene)?;
+        let scene = &Scene { geoms, ..scene.clone() };
+        let mut model = tree::lay_out(scene, &assets);
         pairs::planes_stand_still(&model)?;
-        let aligned = inertia::weigh(scene, &mut model)?;
+        let aligned = inertia::weigh(scene, &assets, &mut model)?;
         let poses = pose::at_qpos0(&model.bodies);
         invweight::fill(&mut model, &poses, &aligned)?;
         let mut unions = tree::Unions::default();

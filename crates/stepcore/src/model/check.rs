@@ -122,10 +122,12 @@ pub fn scene(scene: &Scene) -> Result<()> {
     bodies(scene)?;
     let nbody = scene.bodies.len();
     joints(scene)?;
+    assets(scene)?;
     for (i, g) in scene.geoms.iter().enumerate() {
         let e = Subject::new(Kind::Geom, &g.name, i);
         e.below("body", g.body, nbody, "body")?;
         geom(&e, g)?;
+        asset(&e, g, scene)?;
     }
     grouped(Kind::Geom, scene.geoms.iter().map(|g| (&*g.name, g.body)))?;
     for (i, s) in scene.sites.iter().enumerate() {
@@ -311,10 +313,9 @@ fn geom(e: &Subject, g: &Geom) -> Result<()> {
     e.finite("pos", &g.pos)?;
     e.direction("quat", &g.quat)?;
     let used = match g.kind {
-        GeomType::HField | GeomType::Mesh => {
-            return Err(e.refuse("kind", g.kind.word(), "another shape: it is not built yet"));
-        }
-        GeomType::Plane => 0,
+        // A primitive fitted to a mesh takes its size from there.
+        _ if g.mesh.is_some() => 0,
+        GeomType::Plane | GeomType::HField | GeomType::Mesh => 0,
         GeomType::Sphere => 1,
         GeomType::Capsule | GeomType::Cylinder => 2,
         GeomType::Ellipsoid | GeomType::Box => 3,
@@ -354,6 +355,70 @@ fn pair(e: &Subject, p: &ExplicitPair, ngeom: usize) -> Result<()> {
     let limit = "time constant > 0 and damping ratio >= 0, or both <= 0 (-stiffness, -damping)";
     let ok = if a > 0.0 { b >= 0.0 } else { b <= 0.0 };
     e.number("solreffriction[1]", b, ok, limit)
+}
+
+/// What a geom refers to is there, and fits its shape.
+fn asset(e: &Subject, g: &Geom, scene: &Scene) -> Result<()> {
+    let fits = match g.kind {
+        GeomType::Mesh => g.mesh.is_some(),
+        GeomType::Plane | GeomType::HField => g.mesh.is_none(),
+        _ => true,
+    };
+    if !fits {
+        let limit =
+            format!("given for a mesh or a primitive fitted to one; it is a {}", g.kind.word());
+        return Err(e.refuse("mesh", g.mesh.map_or("none".into(), |i| i.to_string()), &limit));
+    }
+    if (g.kind == GeomType::HField) != g.hfield.is_some() {
+        let limit = format!("given for a height field only; it is a {}", g.kind.word());
+        return Err(e.refuse("hfield", g.hfield.map_or("none".into(), |i| i.to_string()), &limit));
+    }
+    e.number("fitscale", g.fitscale, g.fitscale > 0.0, "finite and > 0")?;
+    if g.kind == GeomType::Mesh && g.shell_inertia {
+        let limit = "false for a mesh: its own inertia can be \"shell\"";
+        return Err(e.refuse("shell_inertia", true, limit));
+    }
+    if let Some(mesh) = g.mesh {
+        e.below("mesh", mesh, scene.meshes.len(), "mesh")?;
+    }
+    g.hfield.map_or(Ok(()), |i| e.below("hfield", i, scene.hfields.len(), "height field"))
+}
+
+fn assets(scene: &Scene) -> Result<()> {
+    let subject = |word: &str, name: &str, i: usize| match name {
+        "" => Subject(format!("{word} {i}").into()),
+        name => Subject(format!("{word} '{name}'").into()),
+    };
+    for (i, mesh) in scene.meshes.iter().enumerate() {
+        let e = subject("mesh", &mesh.name, i);
+        let count = mesh.vertices.len();
+        if count < 4 {
+            return Err(e.refuse("vertices", count, "at least 4"));
+        }
+        for (k, vertex) in mesh.vertices.iter().enumerate() {
+            e.finite(&format!("vertices[{k}]"), vertex)?;
+        }
+        for face in mesh.faces.iter() {
+            face.iter().try_for_each(|k| e.below("faces", *k, count, "vertex"))?;
+        }
+        if mesh.maxhullvert.is_some_and(|most| most < 4) {
+            return Err(e.refuse("maxhullvert", mesh.maxhullvert.unwrap_or(0), "at least 4"));
+        }
+    }
+    for (i, field) in scene.hfields.iter().enumerate() {
+        let e = subject("hfield", &field.name, i);
+        e.number("nrow", field.nrow as f64, field.nrow >= 2, "at least 2")?;
+        e.number("ncol", field.ncol as f64, field.ncol >= 2, "at least 2")?;
+        for (k, size) in field.size.iter().enumerate() {
+            e.number(&format!("size[{k}]"), *size, *size > 0.0, "finite and > 0 m")?;
+        }
+        if Some(field.data.len()) != field.nrow.checked_mul(field.ncol) {
+            let limit = format!("nrow × ncol: {} × {}", field.nrow, field.ncol);
+            return Err(e.refuse("number of heights", field.data.len(), &limit));
+        }
+        e.finite("data", &field.data)?;
+    }
+    Ok(())
 }
 
 fn actuator(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {

@@ -1,6 +1,8 @@
 //! Masses of bodies: given, or put together from their geoms, under MJCF's rules.
 
+use super::meshes::Asset;
 use super::pose::{rotation, unit_quat};
+use super::principal::seen_from;
 use super::shape::{measure, unit_inertia};
 use super::{Model, NONE};
 use crate::elements::{text, Kind, Text};
@@ -38,32 +40,47 @@ fn point_inertia(mass: f64, p: &Vector3<f64>) -> Matrix3<f64> {
     (Matrix3::identity() * p.norm_squared() - p * p.transpose()) * mass
 }
 
+/// Inertia of a geom about its own centre, in body axes.
+fn own_inertia(g: &Geom, asset: &Asset, mass: f64) -> Matrix3<f64> {
+    let quat = unit_quat(g.quat);
+    match &asset.solid {
+        Some(solid) => seen_from(conjugate(quat), &(solid.inertia * mass)),
+        None => turned(unit_inertia(g) * mass, &rotation(quat)),
+    }
+}
+
+fn conjugate([w, x, y, z]: [f64; 4]) -> [f64; 4] {
+    [w, -x, -y, -z]
+}
+
 /// None: no geom of this body counts.
-fn from_geoms(scene: &Scene, geoms: &[usize]) -> Option<Load> {
+fn from_geoms(scene: &Scene, assets: &[Asset], geoms: &[usize]) -> Option<Load> {
     let [lo, hi] = scene.mass_rules.group_range;
-    let mass_of = |g: &Geom| match g.mass {
-        _ if g.kind == GeomType::Plane => 0.0,
+    let mass_of = |g: &Geom, asset: &Asset| match g.mass {
+        _ if matches!(g.kind, GeomType::Plane | GeomType::HField) => 0.0,
         Some(mass) => mass,
-        None => g.density * measure(g),
+        None => g.density * asset.solid.as_ref().map_or_else(|| measure(g), |solid| solid.measure),
     };
-    let chosen: Vec<(&Geom, f64)> = geoms
+    let chosen: Vec<(&Geom, &Asset, f64)> = geoms
         .iter()
-        .map(|g| (&scene.geoms[*g], mass_of(&scene.geoms[*g])))
-        .filter(|(g, mass)| (lo..=hi).contains(&g.group) && *mass > 0.0)
+        .map(|i| (&scene.geoms[*i], &assets[*i]))
+        .map(|(g, asset)| (g, asset, mass_of(g, asset)))
+        .filter(|(g, _, mass)| (lo..=hi).contains(&g.group) && *mass > 0.0)
         .collect();
-    let mass: f64 = chosen.iter().map(|(_, m)| m).sum();
-    if let [(g, _)] = chosen[..] {
-        let (ipos, quat, moments) =
-            (Vector3::from(g.pos), unit_quat(g.quat), unit_inertia(g) * mass);
-        let size = (moments.sum() / mass).sqrt();
+    let mass: f64 = chosen.iter().map(|(.., m)| m).sum();
+    if let [(g, asset, _)] = chosen[..] {
+        let (ipos, quat) = (Vector3::from(g.pos), unit_quat(g.quat));
+        let inertia = own_inertia(g, asset, mass);
+        let size = (inertia.trace() / mass).sqrt();
         let aligned = same_frame(&ipos, quat, size);
-        return Some(Load { mass, ipos, inertia: turned(moments, &rotation(quat)), aligned });
+        return Some(Load { mass, ipos, inertia, aligned });
     }
     chosen.first()?;
-    let ipos = chosen.iter().map(|(g, m)| Vector3::from(g.pos) * *m).sum::<Vector3<f64>>() / mass;
+    let weighed = chosen.iter().map(|(g, _, m)| Vector3::from(g.pos) * *m);
+    let ipos = weighed.sum::<Vector3<f64>>() / mass;
     let mut inertia = Matrix3::zeros();
-    for (g, m) in &chosen {
-        inertia += turned(unit_inertia(g) * *m, &rotation(unit_quat(g.quat)));
+    for (g, asset, m) in &chosen {
+        inertia += own_inertia(g, asset, *m);
         inertia += point_inertia(*m, &(Vector3::from(g.pos) - ipos));
     }
     // MuJoCo sorts principal moments in falling order, so a diagonal matrix in
@@ -155,7 +172,7 @@ fn apply_rules(scene: &Scene, body: usize, load: &mut Load) -> Result<()> {
 
 /// Fills mass, centre and inertia of every body and the mass of every tree; says
 /// which bodies' frames are their inertias' frames.
-pub fn weigh(scene: &Scene, model: &mut Model) -> Result<Vec<bool>> {
+pub fn weigh(scene: &Scene, assets: &[Asset], model: &mut Model) -> Result<Vec<bool>> {
     let rules = &scene.mass_rules;
     let mut geoms = vec![vec![]; scene.bodies.len()];
     for (i, g) in scene.geoms.iter().enumerate() {
@@ -165,7 +182,7 @@ pub fn weigh(scene: &Scene, model: &mut Model) -> Result<Vec<bool>> {
     for i in 1..loads.len() {
         let counted = match (rules.from_geoms, &scene.bodies[i].inertial) {
             (Some(false), _) | (None, Some(_)) => None,
-            _ => from_geoms(scene, &geoms[i]),
+            _ => from_geoms(scene, assets, &geoms[i]),
         };
         loads[i] = counted.or_else(|| given(scene, i)).unwrap_or_else(|| nothing(scene, i));
         apply_rules(scene, i, &mut loads[i])?;

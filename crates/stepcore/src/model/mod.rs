@@ -9,11 +9,14 @@ mod check;
 mod inertia;
 mod invweight;
 mod material;
+mod meshes;
 mod pairs;
 mod plan;
 mod pose;
+mod principal;
 mod shape;
 mod slots;
+mod solid;
 mod still;
 #[cfg(test)]
 mod tests;
@@ -24,10 +27,15 @@ pub use pairs::Never;
 pub use plan::Unmet;
 
 use crate::elements::friction::Ways;
+use crate::real::Real;
 use crate::scene::{Actuator, Coefficients, Features, GeomType, JointType, Key, Softness};
-use crate::shapes::ShapeTest;
+use crate::shapes::height_field::HeightField;
+use crate::shapes::hull::Hull;
+use crate::shapes::{Shape, ShapeTest};
+use crate::spatial::Pose;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashSet;
+use std::sync::Arc;
 
 /// Index of something absent: the parent of a root dof, the tree of a fixed body.
 pub const NONE: usize = usize::MAX;
@@ -152,8 +160,20 @@ pub struct Geom {
     /// As in the scene.
     pub contype: u32,
     pub conaffinity: u32,
+    /// Of a mesh that can collide, in the geom's frame.
+    pub hull: Option<Arc<Hull>>,
+    /// Of a height field.
+    pub field: Option<Arc<HeightField>>,
     /// Takes part in some pair, so that its pose is needed.
     pub collides: bool,
+}
+
+impl Geom {
+    /// The shape that it is, at a pose.
+    #[inline(always)]
+    pub fn shape<'a, R: Real>(&'a self, pose: &'a Pose<R>) -> Shape<'a, R> {
+        Shape { pose, size: &self.size, hull: self.hull.as_deref(), field: self.field.as_deref() }
+    }
 }
 
 /// A named frame on a body.

@@ -14,12 +14,14 @@ use nalgebra::Vector3;
 /// A plane is fixed to the world, as in MuJoCo.
 pub fn planes_stand_still(model: &Model) -> Result<()> {
     for (i, g) in model.geoms.iter().enumerate() {
-        if g.kind == GeomType::Plane && model.bodies[g.body].tree != NONE {
+        let still = matches!(g.kind, GeomType::Plane | GeomType::HField);
+        if still && model.bodies[g.body].tree != NONE {
+            let word = g.kind.word();
             return Err(Error::Scene(text![
                 Text::label(Kind::Geom, &g.name, i),
-                " is a plane on ",
+                format!(" is a {word} on "),
                 Text::label(Kind::Body, &model.bodies[g.body].name, g.body),
-                ", which moves: a plane must be on a fixed body"
+                format!(", which moves: a {word} must be on a fixed body")
             ]));
         }
     }

@@ -8,6 +8,7 @@ use std::f64::consts::PI;
 pub fn measure(g: &Geom) -> f64 {
     let [a, b, c] = g.size;
     match (g.kind, g.shell_inertia) {
+        // A mesh's are those of its `Solid`.
         (GeomType::Plane | GeomType::HField | GeomType::Mesh, _) => 0.0,
         (GeomType::Sphere, false) => 4.0 / 3.0 * PI * a * a * a,
         (GeomType::Sphere, true) => 4.0 * PI * a * a,

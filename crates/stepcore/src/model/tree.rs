@@ -1,6 +1,7 @@
 //! The skeleton: bodies, joints and dofs in order, trees, chains of dofs, and the
 //! pattern of the mass matrix.
 
+use super::meshes::Asset;
 use super::pose::unit_quat;
 use super::slots::Slots;
 use super::{Body, Dof, Geom, Joint, Model, Site, Span, Tree, NONE};
@@ -9,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 use std::collections::HashMap;
 
 /// The model without masses, inverse weights, pairs and equalities.
-pub fn lay_out(scene: &Scene) -> Model {
+pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
     let mut model = Model {
         name: scene.name.clone(),
         nq: 0,
@@ -20,7 +21,7 @@ pub fn lay_out(scene: &Scene) -> Model {
         joints: Vec::with_capacity(scene.joints.len()),
         dofs: vec![],
         trees: vec![],
-        geoms: scene.geoms.iter().map(geom).collect(),
+        geoms: scene.geoms.iter().zip(assets).map(|(g, asset)| geom(g, asset)).collect(),
         sites: vec![],
         pairs: vec![],
         materials: vec![],
@@ -183,10 +184,12 @@ fn row(model: &mut Model, dof: usize) {
     model.dofs[dof].row = Span { start, len: model.row_dofs.len() - start };
 }
 
-fn geom(source: &crate::scene::Geom) -> Geom {
+fn geom(source: &crate::scene::Geom, asset: &Asset) -> Geom {
     let [a, b, c] = source.size;
     let reach = match source.kind {
-        GeomType::Plane | GeomType::HField | GeomType::Mesh => f64::INFINITY,
+        GeomType::Plane => f64::INFINITY,
+        GeomType::HField => (a * a + b * b + c * c).sqrt(),
+        GeomType::Mesh => (a * a + b * b + c * c).sqrt(),
         GeomType::Sphere => a,
         GeomType::Capsule => a + b,
         GeomType::Ellipsoid => a.max(b).max(c),
@@ -200,7 +203,9 @@ fn geom(source: &crate::scene::Geom) -> Geom {
         size: source.size,
         pos: Vector3::from(source.pos),
         quat: unit_quat(source.quat),
-        reach,
+        reach: asset.hull.as_ref().map_or(reach, |hull| hull.reach()),
+        hull: asset.hull.clone(),
+        field: asset.field.clone(),
         contype: source.contype,
         conaffinity: source.conaffinity,
         collides: false,

@@ -228,6 +228,11 @@ fn at_most_so_many_vertices_and_all_of_them_points() {
     }
     assert!((before / (4.0 / 3.0 * std::f64::consts::PI) - 1.0).abs() < 0.03);
     assert!(Hull::of_at_most(&points, 3).is_err());
+    // Most of these are inside in the end.
+    let cloud: Vec<_> = (0..300).map(|_| random.point()).collect();
+    for most in [4, 9, 20] {
+        assert_eq!(Hull::of_at_most(&cloud, most).unwrap().vertices.len(), most);
+    }
 }
 
 fn pyramid(hull: &Hull, corners: &[usize; 3]) -> f64 {

@@ -31,9 +31,10 @@ pub(crate) mod touch;
 pub use shape_test::ShapeTest;
 pub use touch::{Touch, Touches};
 
+use self::hull::Hull;
 use by_lane::by_lane;
 use convex::Convex;
-use height_field::OnField;
+use height_field::{HeightField, OnField};
 
 use crate::real::Real;
 use crate::spatial::{Pose, V3};
@@ -44,10 +45,9 @@ pub struct Shape<'a, R: Real> {
     pub pose: &'a Pose<R>,
     /// As a geom's: see `scene::Geom::size`.
     pub size: &'a [f64; 3],
-    /// A mesh's.
-    pub hull: Option<&'a hull::Hull>,
-    /// A height field's.
-    pub field: Option<&'a height_field::HeightField>,
+    /// Of a mesh, and of a height field.
+    pub hull: Option<&'a Hull>,
+    pub field: Option<&'a HeightField>,
 }
 
 impl<'a, R: Real> Shape<'a, R> {

@@ -59,6 +59,8 @@ struct Growing<'a> {
     points: &'a [Point],
     triangles: Vec<Triangle>,
     waiting: BinaryHeap<Waiting>,
+    /// Triangles that are not replaced.
+    alive: usize,
     /// Of the point being added: the triangles that see it, the edges around them as (triangle
     /// beyond, its edge), and the new triangle that starts at a vertex.
     seen: Vec<usize>,
@@ -73,17 +75,16 @@ pub(super) fn surface(points: &[Point], most: usize) -> Result<Surface, Flat> {
         points,
         triangles: Vec::new(),
         waiting: BinaryHeap::new(),
+        alive: 4,
         seen: Vec::new(),
         horizon: Vec::new(),
         starts: vec![0; points.len()],
     };
     hull.begin(first);
-    let mut vertices = 4;
-    while vertices < most {
+    while hull.vertices() < most {
         let Some(next) = hull.waiting.pop() else { break };
         if hull.triangles[next.triangle].alive {
             hull.add(next.triangle);
-            vertices += 1;
         }
     }
     Ok(hull.finish())
@@ -195,12 +196,20 @@ impl Growing<'_> {
             self.triangles[new].across[1] = next;
             self.triangles[next].across[2] = new;
         }
+        self.alive += self.horizon.len();
+        self.alive -= self.seen.len();
         for at in 0..self.seen.len() {
             let gone = std::mem::take(&mut self.triangles[self.seen[at]].outside);
             let rest: Vec<usize> = gone.into_iter().filter(|point| *point != apex).collect();
             self.share(&rest, from);
         }
         (from..self.triangles.len()).for_each(|new| self.wait(new));
+    }
+
+    /// A closed surface of n triangles has n/2 + 2 vertices (Euler). A point that is added can end
+    /// others' being one.
+    fn vertices(&self) -> usize {
+        self.alive / 2 + 2
     }
 
     /// Finds the triangles that see the point, and the edges around them.

@@ -1,0 +1,44 @@
+//! Meshes and height fields of a scene, as the user gave them.
+
+use std::sync::Arc;
+
+/// How the volume and the inertia of a mesh are found: MuJoCo's `mesh/inertia`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MeshInertia {
+    /// Of its convex hull.
+    Convex,
+    /// Of the signed pyramids from its triangles: exact where the surface is closed.
+    Exact,
+    /// The same with every pyramid counted as positive.
+    #[default]
+    Legacy,
+    /// Of its surface, as a thin shell.
+    Shell,
+}
+
+/// Triangles, or the convex hull of points where there are none. Coordinates are those of its
+/// file after scale, refpos and refquat.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    pub name: String,
+    /// [m]
+    pub vertices: Arc<Vec<[f64; 3]>>,
+    /// Indices of vertices, counter-clockwise from outside; empty: the hull's.
+    pub faces: Arc<Vec<[usize; 3]>>,
+    pub inertia: MeshInertia,
+    /// The most vertices of the hull.
+    pub maxhullvert: Option<usize>,
+}
+
+/// A grid of heights.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct HField {
+    pub name: String,
+    pub nrow: usize,
+    pub ncol: usize,
+    /// Half sizes along x and y, height of the highest point, depth of the base [m].
+    pub size: [f64; 4],
+    /// Row by row from −y to y, each from −x to x, of any scale: the lowest becomes 0 and the
+    /// highest `size[2]`. Heights that are all the same are 0.
+    pub data: Arc<Vec<f64>>,
+}

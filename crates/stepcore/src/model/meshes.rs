@@ -1,0 +1,202 @@
+//! Geoms of meshes: each in the frame of its mesh's principal axes, or as the primitive that fits.
+
+use super::pose::{rotation, unit_quat};
+use super::principal::product;
+use super::solid::{Solid, Unsolid};
+use crate::elements::{text, Kind, Text};
+use crate::error::{Error, Result};
+use crate::scene::{Geom, GeomType, HField, Mesh, MeshInertia, Scene};
+use crate::shapes::height_field::HeightField;
+use crate::shapes::hull::Hull;
+use nalgebra::Vector3;
+use std::sync::Arc;
+
+/// A mesh once measured. Its hull is in the mesh's own coordinates.
+struct Measured {
+    solid: Arc<Solid>,
+    hull: Option<Hull>,
+    /// The hull in the frame of the principal axes.
+    aligned: Option<Arc<Hull>>,
+}
+
+/// What a geom is beyond its size: the mesh or the field that it stands for.
+#[derive(Clone, Debug, Default)]
+pub struct Asset {
+    pub solid: Option<Arc<Solid>>,
+    /// Of a mesh that collides.
+    pub hull: Option<Arc<Hull>>,
+    pub field: Option<Arc<HeightField>>,
+}
+
+/// The geoms of a scene, those of meshes in the frames of their meshes or fitted to them, with
+/// their assets. Each mesh that a geom uses is measured once; unused ones are not looked at.
+pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
+    let mut measured: Vec<Option<Measured>> = scene.meshes.iter().map(|_| None).collect();
+    let mut fields: Vec<Option<Arc<HeightField>>> = vec![None; scene.hfields.len()];
+    let mut geoms = scene.geoms.clone();
+    let mut assets = vec![Asset::default(); geoms.len()];
+    for (i, (geom, asset)) in geoms.iter_mut().zip(&mut assets).enumerate() {
+        if let Some(index) = geom.hfield {
+            let source = &scene.hfields[index];
+            let [x, y, top, base] = source.size;
+            geom.size = [x, y, top.max(base)];
+            asset.field =
+                Some(fields[index].get_or_insert_with(|| Arc::new(height_field(source))).clone());
+        }
+        let Some(index) = geom.mesh else { continue };
+        let named = |error| named(error, &Text::label(Kind::Geom, &geom.name, i));
+        let mesh = &scene.meshes[index];
+        let known = match &mut measured[index] {
+            Some(known) => known,
+            empty => empty.insert(measure(mesh, index).map_err(named)?),
+        };
+        let paired = scene.pairs.iter().any(|pair| [pair.geom1, pair.geom2].contains(&i));
+        let collides = geom.kind == GeomType::Mesh && (paired || may_collide(geom));
+        if collides && known.aligned.is_none() {
+            let hull = match known.hull.take() {
+                Some(hull) => hull,
+                None => hull_of(mesh, index).map_err(named)?,
+            };
+            let back = rotation(known.solid.quat).transpose();
+            let shift = -(back * known.solid.centre);
+            known.aligned = Some(Arc::new(hull.moved(&back, &shift)));
+        }
+        place(geom, &known.solid, scene.mass_rules.fit_aabb);
+        if geom.kind == GeomType::Mesh {
+            asset.solid = Some(known.solid.clone());
+            asset.hull = known.aligned.clone().filter(|_| collides);
+        }
+    }
+    Ok((geoms, assets))
+}
+
+/// The lowest point of the data becomes 0 and the highest 1, in single precision as MuJoCo stores
+/// them, times the height of the highest.
+fn height_field(field: &HField) -> HeightField {
+    let single = |x: &f64| *x as f32;
+    let low = field.data.iter().map(single).fold(f32::INFINITY, f32::min);
+    let high = field.data.iter().map(single).fold(f32::NEG_INFINITY, f32::max);
+    let [x, y, top, base] = field.size;
+    let height = |h: &f64| {
+        let share = if high > low { (single(h) - low) / (high - low) } else { 0.0 };
+        top * f64::from(share)
+    };
+    let heights = field.data.iter().map(height).collect();
+    HeightField { nrow: field.nrow, ncol: field.ncol, half: [x, y], base, heights }
+}
+
+/// Its masks let it meet something.
+fn may_collide(geom: &Geom) -> bool {
+    geom.contype != 0 || geom.conaffinity != 0
+}
+
+/// An error about a mesh with the geom that uses it before it.
+fn named(error: Error, geom: &Text) -> Error {
+    Error::Scene(text![geom, ": ", error.to_string()])
+}
+
+fn label(mesh: &Mesh, index: usize) -> String {
+    match &*mesh.name {
+        "" => format!("mesh {index}"),
+        name => format!("mesh '{name}'"),
+    }
+}
+
+fn hull_of(mesh: &Mesh, index: usize) -> Result<Hull> {
+    let most = mesh.maxhullvert.unwrap_or(usize::MAX);
+    let refuse = |error: Error| Error::Scene(format!("{}: {error}", label(mesh, index)).into());
+    Hull::of_at_most(&mesh.vertices, most).map_err(refuse)
+}
+
+fn measure(mesh: &Mesh, index: usize) -> Result<Measured> {
+    let by_hull = mesh.faces.is_empty() || mesh.inertia == MeshInertia::Convex;
+    let hull = if by_hull { Some(hull_of(mesh, index)?) } else { None };
+    let solid = match &hull {
+        Some(hull) => {
+            let point = |corner: usize| hull.source[corner];
+            let faces: Vec<_> = hull.triangles.iter().map(|face| face.map(point)).collect();
+            Solid::of(&mesh.vertices, &faces, mesh.inertia)
+        }
+        None => {
+            if mesh.inertia == MeshInertia::Exact {
+                consistent(mesh, index)?;
+            }
+            Solid::of(&mesh.vertices, &mesh.faces, mesh.inertia)
+        }
+    };
+    let solid = solid.map_err(|why| {
+        let words = match why {
+            Unsolid::Nothing => "its volume is 0: give it inertia \"shell\", or use a thin box",
+            Unsolid::InsideOut => {
+                "its volume is negative: the corners of its faces must be counter-clockwise seen from outside"
+            }
+        };
+        Error::Scene(format!("{}: {words}", label(mesh, index)).into())
+    })?;
+    Ok(Measured { solid: Arc::new(solid), hull, aligned: None })
+}
+
+/// No two faces run along an edge in the same direction: the surface has an outside.
+fn consistent(mesh: &Mesh, index: usize) -> Result<()> {
+    let mut edges: Vec<(usize, usize)> = Vec::with_capacity(3 * mesh.faces.len());
+    for &[a, b, c] in mesh.faces.iter() {
+        if a != b && b != c && c != a {
+            edges.extend([(a, b), (b, c), (c, a)]);
+        }
+    }
+    edges.sort_unstable();
+    let Some(pair) = edges.windows(2).find(|pair| pair[0] == pair[1]) else { return Ok(()) };
+    let (a, b) = pair[0];
+    let words = format!(
+        "{}: two faces run from vertex {a} to vertex {b}, so that it has no outside: turn one over, \
+         or use another inertia than \"exact\"",
+        label(mesh, index)
+    );
+    Err(Error::Scene(words.into()))
+}
+
+/// Moves a geom from the coordinates of its mesh's file to the frame of the mesh; fits a primitive
+/// to it.
+fn place(geom: &mut Geom, solid: &Solid, aabb: bool) {
+    let mut centre = solid.centre;
+    let turned = rotation(solid.quat);
+    if geom.kind == GeomType::Mesh {
+        // As MuJoCo has it: the largest coordinates, which are not half of the extents.
+        geom.size = std::array::from_fn(|k| solid.low[k].abs().max(solid.high[k].abs()));
+    } else {
+        let half = if aabb {
+            centre += turned * (solid.low + solid.high) * 0.5;
+            (solid.high - solid.low) * 0.5
+        } else {
+            inertia_box(solid)
+        };
+        geom.size = fitted(geom.kind, &half, aabb).map(|x| x * geom.fitscale);
+        geom.mesh = None;
+    }
+    let quat = unit_quat(geom.quat);
+    geom.pos = (Vector3::from(geom.pos) + rotation(quat) * centre).into();
+    geom.quat = unit_quat(product(quat, solid.quat));
+}
+
+/// Half sizes of the box with the same inertia as the mesh, both of unit mass: a solid box has
+/// Σ over the other two axes of s²/3; a thin shell's is close.
+fn inertia_box(solid: &Solid) -> Vector3<f64> {
+    let m = solid.inertia.diagonal();
+    let half = |i: usize| (1.5 * (m.sum() - 2.0 * m[i])).max(0.0).sqrt();
+    Vector3::new(half(0), half(1), half(2))
+}
+
+/// The size of a primitive that fits a box of these half sizes: inside about as much as outside,
+/// or around it where it is a bounding box.
+fn fitted(kind: GeomType, half: &Vector3<f64>, aabb: bool) -> [f64; 3] {
+    let (x, y, z) = (half.x, half.y, half.z);
+    let across = if aabb { x.max(y) } else { 0.5 * (x + y) };
+    match kind {
+        GeomType::Sphere if aabb => [x.max(y).max(z), 0.0, 0.0],
+        GeomType::Sphere => [(x + y + z) / 3.0, 0.0, 0.0],
+        GeomType::Capsule if aabb => [across, (z - across).max(0.0), 0.0],
+        GeomType::Capsule => [across, (z - 0.5 * across).max(0.0), 0.0],
+        GeomType::Cylinder => [across, z, 0.0],
+        _ => [x, y, z],
+    }
+}

@@ -1,0 +1,217 @@
+"""The section `<asset>`: meshes and height fields that the motion needs; all others only draw.
+
+A file is opened once it is known that a geom which collides, or which gives a body its mass, needs
+it. MuJoCo documentation, XML reference, asset/mesh, asset/hfield and compiler/meshdir.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stepcore.checks import cut, nearest
+from stepcore.mjcf import builtin_meshes
+from stepcore.mjcf.compiler import Compiler
+from stepcore.mjcf.defaults import Defaults
+from stepcore.mjcf.nodes import MJCFError, Node
+from stepcore.mjcf.validation import bad
+from stepcore.scene import hfield_files, mesh_files
+from stepcore.scene.elements import HField, Mesh
+
+if TYPE_CHECKING:
+    from stepcore.scene.contents import Contents
+
+# Until it is known that an asset is needed.
+_UNREAD = np.zeros((4, 3))
+_FIELDS = ("scale", "refpos", "refquat", "inertia", "maxhullvert")
+
+
+class Assets:
+    """The meshes and height fields of a file by name; `read_used` fills those that geoms use.
+
+    directory: the folder of the main file, or None for a text without one.
+    """
+
+    def __init__(
+        self,
+        sections: Iterable[Node],
+        compiler: Compiler,
+        defaults: Defaults,
+        directory: str | None,
+    ) -> None:
+        self.compiler = compiler
+        self.defaults = defaults
+        self.directory = directory
+        self.nodes: dict[str, dict[str, Node]] = {"mesh": {}, "hfield": {}}
+        self.known: dict[tuple[str, str], Mesh | HField] = {}
+        # Of the files that are read: their sizes [bytes], and their names in the text.
+        self.sizes: dict[str, int] = {}
+        self.named: set[str] = set()
+        for section in sections:
+            for node in section.children:
+                if node.tag in self.nodes:
+                    self._declare(node)
+
+    def _declare(self, node: Node) -> None:
+        file = node.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
+        name = node.attrs.get("name", file.rpartition(".")[0] or file)
+        if not name:
+            raise node.error(f"<{node.tag}> needs a name or a file")
+        if name in self.nodes[node.tag]:
+            raise node.error(f'{node.tag} "{cut(name, 80)}": the name is used twice')
+        self.nodes[node.tag][name] = node
+
+    def of(self, scene: Contents, node: Node, kind: str, name: str) -> Any:
+        """The mesh or height field that a geom names, still empty."""
+        asset = self.nodes[kind].get(name)
+        if asset is None:
+            near = nearest(name, sorted(self.nodes[kind]))
+            raise node.error(f'<{node.tag}> {kind}="{name}": no such {kind}{near}')
+        if (kind, name) not in self.known:
+            if kind == "mesh":
+                self.known[kind, name] = mesh = Mesh(name=name, vertices=_UNREAD)
+                scene.meshes.append(mesh)
+            else:
+                hfield = HField(name=name, size=(1.0,) * 4, elevation=_UNREAD)
+                self.known[kind, name] = hfield
+                scene.hfields.append(hfield)
+        return self.known[kind, name]
+
+    def read_used(self, scene: Contents) -> None:
+        """Reads what the geoms of the scene use, in the order of the file, and lists the rest."""
+        used = {id(asset) for geom in scene.geoms for asset in (geom.mesh, geom.hfield)}
+        scene.meshes, scene.hfields = [], []
+        for kind, nodes in self.nodes.items():
+            for name, node in nodes.items():
+                asset = self.known.get((kind, name))
+                if asset is None or id(asset) not in used:
+                    scene.ignored.append(node.listed("only draws"))
+                    continue
+                asset.__dict__["place"] = f"{node.file}:{node.line}"
+                try:
+                    self._fill(scene, node, asset)
+                except MJCFError:
+                    raise
+                except ValueError as error:
+                    raise node.error(str(error)) from None
+        self._note(scene)
+
+    def _fill(self, scene: Contents, node: Node, asset: Mesh | HField) -> None:
+        if isinstance(asset, Mesh):
+            self._mesh(scene, node, asset)
+            scene.meshes.append(asset)
+        else:
+            self._hfield(scene, node, asset)
+            scene.hfields.append(asset)
+
+    def _mesh(self, scene: Contents, node: Node, mesh: Mesh) -> None:
+        values = self.defaults.of(node)
+        for field in _FIELDS:
+            if field in values:
+                setattr(mesh, field, values[field])
+        given = [name for name in ("file", "vertex", "builtin") if name in values]
+        if len(given) != 1:
+            what = " and ".join(given) if given else "none of them"
+            raise node.error(f"<mesh> needs one of file, vertex and builtin; it has {what}")
+        if "file" in values:
+            path = self._path(scene, node, values["file"])
+            mesh.vertices, mesh.faces = mesh_files.read(path, values.get("content_type", ""))
+            mesh.file = path
+            self._count(node, path)
+        elif "builtin" in values:
+            builtin_meshes.fill(mesh, node, values)
+        else:
+            if len(values["vertex"]) % 3:
+                raise bad(node, "vertex", values["vertex"], "3 numbers for each vertex")
+            mesh.vertices = values["vertex"]
+            if "face" in values:
+                mesh.faces = _faces(node, values["face"])
+        if "face" in values and "vertex" not in values:
+            raise node.error("<mesh> has faces, but no vertices of its own")
+        _check_counts(node, mesh)
+
+    def _hfield(self, scene: Contents, node: Node, hfield: HField) -> None:
+        values = node.values
+        counts = values.get("nrow", 0), values.get("ncol", 0)
+        hfield.size = values["size"]
+        if "file" in values:
+            if any(counts) or "elevation" in values:
+                raise node.error("<hfield> has a file, and so no nrow, ncol or elevation")
+            path = self._path(scene, node, values["file"])
+            hfield.elevation = hfield_files.read(path, values.get("content_type", ""))
+            hfield.file = path
+            self._count(node, path)
+        else:
+            nrow, ncol = counts
+            if not (0 < nrow <= hfield_files.LARGEST and 0 < ncol <= hfield_files.LARGEST):
+                limit = f"given with a file, or from 1 to {hfield_files.LARGEST} each"
+                raise bad(node, "nrow, ncol", counts, limit)
+            heights = values.get("elevation", (0.0,) * (nrow * ncol))
+            if len(heights) != nrow * ncol:
+                raise node.error(
+                    f"<hfield> elevation has {len(heights)} numbers: must be nrow × ncol = "
+                    f"{nrow * ncol}"
+                )
+            hfield.elevation = np.array(heights).reshape(nrow, ncol)
+
+    def _path(self, scene: Contents, node: Node, name: str) -> str:
+        """Where a file of this name lies; a note if that is outside the folder of the model."""
+        if not name or "\0" in name:
+            raise bad(node, "file", name, "the name of a file")
+        values = self.compiler.values
+        name = name.replace("\\", "/")
+        if values.get("strippath"):
+            name = name.rpartition("/")[2]
+        folder = values.get("meshdir", values.get("assetdir", ""))
+        if self.directory is None and not os.path.isabs(os.path.join(folder, name)):
+            raise node.error(f'<{node.tag} file="{name}"> in a text needs loads(text, base=folder)')
+        path = os.path.normpath(os.path.join(self.directory or "", folder, name))
+        real, home = os.path.realpath(path), os.path.realpath(self.directory or os.sep)
+        if os.path.commonpath([real, home]) != home:
+            scene.notes.append(
+                f"{node.file}:{node.line}: <{node.tag}> reads {path}, which is outside the folder "
+                "of the main file"
+            )
+        if not os.path.exists(path):
+            raise FileNotFoundError(f"{node.file}:{node.line}: {path}: no such file")
+        return path
+
+    def _count(self, node: Node, path: str) -> None:
+        self.sizes[path] = os.path.getsize(path)
+        self.named.add(node.attrs["file"])
+
+    def _note(self, scene: Contents) -> None:
+        """Notes what was read and what not; the scene's source knows it too."""
+        files = [
+            node for nodes in self.nodes.values() for node in nodes.values() if "file" in node.attrs
+        ]
+        if not files:
+            return
+        size = sum(self.sizes.values()) / 1e6
+        count = f"{len(self.sizes)} of {len(files)} files of meshes and height fields are read"
+        only = "; the others only draw" if len(self.sizes) < len(files) else ""
+        scene.notes.append(f"{files[0].file}:{files[0].line}: {count} ({size:.3g} MB){only}")
+        source = scene._source
+        if source is not None:
+            unread = tuple(name for name in source.unread if name not in self.named)
+            scene._source = replace(source, files=(*source.files, *self.sizes), unread=unread)
+
+
+def _faces(node: Node, face: tuple[int, ...]) -> Any:
+    if len(face) % 3 or not face:
+        raise bad(node, "face", face, "3 indices for each face")
+    if min(face) < 0:
+        raise bad(node, "face", min(face), "indices of vertices, >= 0")
+    return np.array(face).reshape(-1, 3)
+
+
+def _check_counts(node: Node, mesh: Mesh) -> None:
+    count = len(mesh.vertices)
+    if count < 4:
+        raise node.error(f"<mesh> has {count} vertices: must be at least 4")
+    if mesh.faces is not None and len(mesh.faces) and mesh.faces.max() >= count:
+        raise node.error(f"<mesh> has a face with vertex {mesh.faces.max()}, of {count}")

@@ -1,0 +1,230 @@
+"""Meshes that MuJoCo 4 makes itself: `<mesh builtin="…" params="…"/>`.
+
+MuJoCo documentation, XML reference, mesh/builtin. Convex ones are given by their vertices alone,
+since the faces of a mesh without any are those of its convex hull. Surfaces without a volume
+(``dim`` 2), and a foveal wedge, are not built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore.checks import nearest
+from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.validation import bad
+from stepcore.scene.elements import Mesh
+
+Array = NDArray[Any]
+Surface = tuple[Array, Array | None]
+# No grid is finer: its hull would have as many vertices.
+MOST = 1000
+
+
+class _Params:
+    """The parameters of a mesh, taken one by one and checked."""
+
+    def __init__(self, node: Node, values: dict[str, Any]) -> None:
+        self.node = node
+        self.numbers = values.get("params", ())
+        self.at = 0
+
+    def real(self, low: float, high: float, word: str) -> float:
+        value = self.numbers[self.at] if self.at < len(self.numbers) else None
+        if value is None or not low <= value <= high:
+            limit = f"{word} from {low:g} to {high:g} at place {self.at + 1}"
+            raise bad(self.node, "params", self.numbers, limit)
+        self.at += 1
+        return float(value)
+
+    def whole(self, low: int, high: int, word: str) -> int:
+        value = self.real(low, high, word)
+        if value != int(value):
+            raise bad(self.node, "params", value, f"{word}: a whole number")
+        return int(value)
+
+    def end(self) -> None:
+        if self.at != len(self.numbers):
+            raise bad(self.node, "params", self.numbers, f"{self.at} numbers")
+
+
+def fill(mesh: Mesh, node: Node, values: dict[str, Any]) -> None:
+    """Fills a mesh with the vertices and faces of its builtin type."""
+    kind = values["builtin"]
+    if kind not in _KINDS:
+        raise node.error(f'<mesh> builtin="{kind}": no such mesh{nearest(kind, _KINDS)}')
+    params = _Params(node, values)
+    mesh.vertices, mesh.faces = _KINDS[kind](params)
+    params.end()
+
+
+def _sphere(params: _Params) -> Surface:
+    """An icosahedron whose edges are halved and pushed out to the sphere."""
+    golden = (1 + 5**0.5) / 2
+    points = {
+        tuple(np.roll((0.0, a, b * golden), turn))
+        for a, b, turn in product((-1, 1), (-1, 1), (0, 1, 2))
+    }
+    vertices = _unit(np.array(sorted(points)))
+    for _ in range(params.whole(0, 4, "subdivision")):
+        apart = np.linalg.norm(vertices[:, None] - vertices[None], axis=2)
+        # Edges of one generation are within a quarter of the shortest; the next is a third longer.
+        shortest = apart[apart > 0].min()
+        first, second = np.nonzero(np.triu(apart < 1.3 * shortest, 1))
+        vertices = np.concatenate([vertices, _unit(vertices[first] + vertices[second])])
+    return vertices, None
+
+
+def _hemisphere(params: _Params) -> Surface:
+    """The whole points of a quarter of an octahedron, on the sphere; and the centre of the base."""
+    n = params.whole(0, 10, "resolution") + 1
+    quarter = [(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]
+    points = {(a * i, b * j, k) for i, j, k in quarter for a, b in product((-1, 1), (-1, 1))}
+    return np.concatenate([_unit(np.array(sorted(points), float)), np.zeros((1, 3))]), None
+
+
+def _cone(params: _Params) -> Surface:
+    count = params.whole(3, MOST, "nvert")
+    radius = params.real(0, 1, "radius")
+    ring = _ring(np.arange(count) * 2 * np.pi / count)
+    below = np.column_stack([ring, np.full(count, -1.0)])
+    if radius == 0:
+        return np.concatenate([below, [[0.0, 0.0, 1.0]]]), None
+    return np.concatenate([below, np.column_stack([radius * ring, np.ones(count)])]), None
+
+
+def _supersphere(params: _Params) -> Surface:
+    n = params.whole(3, MOST, "resolution")
+    east, north = params.real(0, 1e6, "e"), params.real(0, 1e6, "n")
+    latitude = -np.pi / 2 + np.pi * np.arange(1, n) / n
+    longitude = -np.pi + 2 * np.pi * np.arange(n) / n
+    radius, height = _power(np.cos(latitude), north), _power(np.sin(latitude), north)
+    ring = np.column_stack([_power(np.cos(longitude), east), _power(np.sin(longitude), east)])
+    rings = [
+        np.column_stack([r * ring, np.full(n, z)]) for r, z in zip(radius, height, strict=True)
+    ]
+    vertices = np.concatenate([[[0.0, 0.0, -1.0]], *rings, [[0.0, 0.0, 1.0]]])
+    at = 1 + np.arange((n - 1) * n).reshape(n - 1, n)
+    top, after = len(vertices) - 1, np.roll(at, -1, axis=1)
+    ends = [np.column_stack([np.zeros(n, int), after[0], at[0]])]
+    ends += [np.column_stack([at[-1], after[-1], np.full(n, top)])]
+    return vertices, np.concatenate([*ends, _quads(at[:-1], after[:-1], at[1:], after[1:])])
+
+
+def _supertorus(params: _Params) -> Surface:
+    n = params.whole(3, MOST, "resolution")
+    radius = params.real(1e-6, 1, "radius")
+    minor, major = params.real(1e-6, 1e6, "s"), params.real(1e-6, 1e6, "t")
+    angle = 2 * np.pi * np.arange(n) / n
+    out = 1 + radius * _power(np.cos(angle), minor)
+    up = radius * _power(np.sin(angle), minor)
+    around = [_power(np.cos(angle), major), _power(np.sin(angle), major)]
+    vertices = np.stack(
+        [around[0][:, None] * out, around[1][:, None] * out, np.tile(up, (n, 1))], axis=2
+    ).reshape(-1, 3)
+    at = np.arange(n * n).reshape(n, n)
+    next_ring, after = np.roll(at, -1, axis=0), np.roll(at, -1, axis=1)
+    return vertices, _quads(at, next_ring, after, np.roll(next_ring, -1, axis=1))
+
+
+def _wedge(params: _Params) -> Surface:
+    """Cell centres of a slice of the unit sphere below the origin."""
+    counts = [params.whole(1, MOST, word) for word in ("res_phi", "res_theta")]
+    fields = params.real(1e-6, 180, "fov_phi"), params.real(1e-6, 90 - 1e-9, "fov_theta")
+    if params.real(0, 1, "gamma"):
+        raise params.node.unbuilt("a foveal wedge (gamma)")
+    phi, theta = (
+        np.radians(field) * ((2 * np.arange(n) + 1) / n - 1)
+        for n, field in zip(counts, fields, strict=True)
+    )
+    phi, theta = (grid.ravel() for grid in np.meshgrid(phi, theta, indexing="ij"))
+    flat = np.cos(theta)
+    return np.column_stack([flat * np.sin(phi), np.sin(theta), -flat * np.cos(phi)]), None
+
+
+def _solid(params: _Params, least: int) -> tuple[Array, Array]:
+    """The points of a regular grid's surface, from −1 to 1, and half of its extents."""
+    counts = [params.whole(least, MOST, "count") for _ in range(3)]
+    spacing = [params.real(-1e6, 1e6, "spacing") for _ in range(3)]
+    if params.at < len(params.numbers) and params.whole(2, 3, "dim") == 2:
+        raise params.node.unbuilt("a builtin mesh of dim 2")
+    if np.prod(counts) > MOST**2:
+        raise bad(params.node, "params", counts, f"at most {MOST**2} points")
+    axes = [np.linspace(-1, 1, n) if n > 1 else np.zeros(1) for n in counts]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=3).reshape(-1, 3)
+    half = 0.5 * (np.array(counts) - 1) * np.array(spacing)
+    return points[np.abs(points).max(axis=1) == 1], half
+
+
+def _grid(params: _Params) -> Surface:
+    points, half = _solid(params, 1)
+    return points * half, None
+
+
+def _box(params: _Params) -> Surface:
+    points, half = _solid(params, 2)
+    return points * half, None
+
+
+def _cylinder(params: _Params) -> Surface:
+    """The rings of a square grid become circles."""
+    points, half = _solid(params, 2)
+    points[:, :2] = _rounded(points[:, :2])
+    return points * half, None
+
+
+def _ellipsoid(params: _Params) -> Surface:
+    points, half = _solid(params, 2)
+    return _rounded(points) * half, None
+
+
+def _rounded(points: Array) -> Array:
+    """Points of a cube's surface on the sphere of its largest coordinate."""
+    length = np.linalg.norm(points, axis=1, keepdims=True)
+    largest = np.abs(points).max(axis=1, keepdims=True)
+    return points * np.divide(largest, length, out=np.zeros_like(length), where=length > 0)
+
+
+def _unit(points: Array) -> Array:
+    result: Array = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return result
+
+
+def _ring(angles: Array) -> Array:
+    return np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def _power(values: Array, exponent: float) -> Array:
+    """A power of the size, with the sign."""
+    result: Array = np.sign(values) * np.abs(values) ** exponent
+    return result
+
+
+def _quads(a: Array, b: Array, c: Array, d: Array) -> Array:
+    """The triangles a b c and b d c of many quadrangles."""
+    first, second = np.stack([a, b, c], axis=-1), np.stack([b, d, c], axis=-1)
+    return np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
+
+
+_KINDS: dict[str, Callable[[_Params], Surface]] = {
+    "sphere": _sphere,
+    "hemisphere": _hemisphere,
+    "cone": _cone,
+    "supersphere": _supersphere,
+    "supertorus": _supertorus,
+    "wedge": _wedge,
+    "grid": _grid,
+    "box": _box,
+    "cylinder": _cylinder,
+    "ellipsoid": _ellipsoid,
+}
+for _flat in ("plate", "square", "disc"):
+
+    def _refuse(params: _Params, what: str = _flat) -> Surface:
+        raise params.node.error(f'builtin="{what}" lies in a plane, so it has no convex hull')
+
+    _KINDS[_flat] = _refuse

@@ -1,0 +1,50 @@
+"""Meshes and height fields as the engine reads them: vertices in place, heights from −y to y."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore.scene.elements import HField, Mesh
+from stepcore.scene.frames import IDENTITY, ORIGIN, rotated
+
+
+def plain_mesh(mesh: Mesh) -> dict[str, Any]:
+    """A mesh after refpos, refquat and scale; a mirrored one with its faces turned over."""
+    faces = np.empty((0, 3), np.uintp) if mesh.faces is None else mesh.faces
+    if np.prod(np.sign(mesh.scale)) < 0:
+        faces = np.ascontiguousarray(faces[:, [0, 2, 1]])
+    return {
+        "name": mesh.name,
+        "vertices": placed(mesh),
+        "faces": faces,
+        "inertia": mesh.inertia,
+        "maxhullvert": None if mesh.maxhullvert == -1 else mesh.maxhullvert,
+    }
+
+
+def placed(mesh: Mesh) -> NDArray[Any]:
+    """The vertices in the frame of the geom: scale · refquatᵀ (vertex − refpos)."""
+    vertices: NDArray[Any] = mesh.vertices
+    if mesh.refpos != ORIGIN:
+        vertices = vertices - np.array(mesh.refpos)
+    if mesh.refquat != IDENTITY:
+        axes = np.array([rotated(mesh.refquat, axis) for axis in np.eye(3).tolist()])
+        vertices = vertices @ axes.T
+    if mesh.scale != (1.0, 1.0, 1.0):
+        vertices = vertices * np.array(mesh.scale)
+    return np.ascontiguousarray(vertices)
+
+
+def plain_hfield(hfield: HField) -> dict[str, Any]:
+    """A height field with its rows from −y to y."""
+    nrow, ncol = hfield.elevation.shape
+    return {
+        "name": hfield.name,
+        "nrow": nrow,
+        "ncol": ncol,
+        "size": list(hfield.size),
+        "data": hfield.elevation[::-1].ravel(),
+    }

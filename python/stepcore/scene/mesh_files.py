@@ -1,0 +1,182 @@
+"""Readers of mesh files: STL (binary and text), OBJ and MuJoCo's MSH.
+
+Each takes the bytes of a file and returns vertices, shape (n, 3), and faces, shape (m, 3), or None
+where the file has none. Anything that is not what the format says is a ValueError.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore import checks
+
+Surface = tuple[NDArray[Any], NDArray[Any] | None]
+
+# What the content type of MJCF stands for.
+CONTENT = {"model/stl": "stl", "model/obj": "obj", "model/vnd.mujoco.msh": "msh"}
+FORMATS = ("stl", "obj", "msh")
+
+
+def read(path: str | os.PathLike[str], content_type: str = "") -> Surface:
+    """Reads a mesh file, whose name's ending says its format, or `content_type` where it is given.
+
+    Raises FileNotFoundError, IsADirectoryError, and ValueError for a format that is not one of
+    these, a device or a pipe, a file of more than 256 MiB, or one whose content is damaged.
+    """
+    name = os.fsdecode(path)
+    if content_type and content_type not in CONTENT:
+        near = checks.nearest(content_type, CONTENT)
+        raise ValueError(
+            f"{name}: no mesh has the content type {checks.quoted(content_type)}{near}"
+        )
+    kind = CONTENT.get(content_type) or os.path.splitext(name)[1][1:].lower()
+    if kind not in FORMATS:
+        endings = ", ".join("." + each for each in FORMATS)
+        raise ValueError(f"{checks.cut(name, 300)}: the name of a mesh file ends with {endings}")
+    data = checks.file_bytes(name, "a mesh file")
+    try:
+        vertices, faces = {"stl": stl, "obj": obj, "msh": msh}[kind](data)
+        _check(vertices, faces)
+    except ValueError as error:
+        text = f"{checks.cut(name, 300)}: not a whole {kind.upper()} file: {error}"
+        raise ValueError(text) from None
+    return vertices, faces
+
+
+def _check(vertices: NDArray[Any], faces: NDArray[Any] | None) -> None:
+    if not np.isfinite(vertices).all():
+        raise ValueError("a coordinate is not a finite number")
+    if faces is None:
+        return
+    if not len(faces):
+        raise ValueError("it has no faces")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        worst = faces.min() if faces.min() < 0 else faces.max()
+        raise ValueError(f"a face has the vertex {worst}, of {len(vertices)}")
+
+
+_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+
+
+def stl(data: bytes) -> Surface:
+    """An STL file, binary or text; corners at the same place become one vertex."""
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) >= 84 and len(data) == 84 + 50 * count:
+        corners = np.frombuffer(data, _TRIANGLE, count, 84)["corners"].astype(float)
+    elif data[:5].lower() == b"solid" and b"facet" in data:
+        corners = _text_corners(data)
+    elif len(data) < 84:
+        raise ValueError(f"it has {len(data)} bytes, and the head alone has 84")
+    else:
+        size = 84 + 50 * count
+        raise ValueError(
+            f"its head says {count} faces, which take {size} bytes; it has {len(data)}"
+        )
+    if not np.isfinite(corners).all():
+        raise ValueError("a coordinate is not a finite number")
+    return _joined(corners.reshape(-1, 3))
+
+
+_FACET = re.compile(
+    rb"\s*facet\s+normal(?:\s+\S+){3}\s+outer\s+loop((?:\s+vertex(?:\s+[^\s]+){3}){3})"
+    rb"\s+endloop\s+endfacet"
+)
+
+
+def _text_corners(data: bytes) -> NDArray[Any]:
+    """The corners of a text's facets, in reading order."""
+    text = data.lower()
+    at = text.find(b"\n") + 1
+    loops = []
+    while facet := _FACET.match(text, at):
+        loops.append(facet.group(1))
+        at = facet.end()
+    if not re.fullmatch(rb"\s*endsolid[^\n]*\s*", text[at:]):
+        line = text.count(b"\n", 0, at) + 1
+        raise ValueError(f"after line {line} stands neither a facet nor the end of the solid")
+    return _numbers(b" ".join(loops).replace(b"vertex", b" "), 3)
+
+
+def _joined(corners: NDArray[Any]) -> Surface:
+    """Vertices that differ, in the order in which they appear, and the faces between them."""
+    # Zero has two signs.
+    places = np.ascontiguousarray(corners + 0.0)
+    keys = places.view([("", float)] * 3).ravel()
+    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+    order = np.argsort(first, kind="stable")
+    number = np.empty(len(order), np.int64)
+    number[order] = np.arange(len(order))
+    return places[first[order]], number[which.ravel()].reshape(-1, 3)
+
+
+def obj(data: bytes) -> Surface:
+    """An OBJ file: its ``v`` and ``f`` lines; faces of four corners become two triangles."""
+    text = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    places: list[bytes] = []
+    polygons: list[list[bytes]] = []
+    # How many vertices stand before each face, which its negative indices count from.
+    before: list[int] = []
+    for number, line in enumerate(text.split(b"\n"), 1):
+        words = line.split()
+        if not words or words[0] not in (b"v", b"f"):
+            continue
+        if len(words) < 4:
+            raise ValueError(f"line {number} has fewer than 3 entries")
+        if words[0] == b"v":
+            places += words[1:4]
+        else:
+            if len(words) > 5:
+                raise ValueError(f"line {number}: a face of more than 4 corners is not supported")
+            polygons.append([word.partition(b"/")[0] for word in words[1:]])
+            before.append(len(places) // 3)
+    vertices = _numbers(b" ".join(places), 3)
+    if not polygons:
+        return vertices, None
+    triangles = []
+    for corners, count in zip(polygons, before, strict=True):
+        places_of = [_corner(word, count) for word in corners]
+        triangles.append(places_of[:3])
+        if len(places_of) == 4:
+            triangles.append([places_of[0], places_of[2], places_of[3]])
+    return vertices, np.array(triangles, np.int64)
+
+
+def _corner(word: bytes, count: int) -> int:
+    if not re.fullmatch(rb"-?\d{1,9}", word) or int(word) == 0:
+        raise ValueError(f"a face has the corner {checks.shown(word)}: indices start at 1")
+    index = int(word)
+    return index - 1 if index > 0 else count + index
+
+
+def _numbers(text: bytes, columns: int) -> NDArray[Any]:
+    words = text.split()
+    try:
+        values = np.array([float(word) for word in words], float)
+    except ValueError:
+        raise ValueError("a coordinate is not a number") from None
+    if any(b"_" in word for word in words):
+        raise ValueError("a coordinate is not a number")
+    return values.reshape(-1, columns)
+
+
+def msh(data: bytes) -> Surface:
+    """MuJoCo's own format: four counts, then positions, normals, texture coordinates and faces."""
+    if len(data) < 16:
+        raise ValueError(f"it has {len(data)} bytes, and the head alone has 16")
+    nvertex, nnormal, ntexcoord, nface = (int(n) for n in np.frombuffer(data, "<i4", 4))
+    if nvertex < 4 or nface < 0 or nnormal not in (0, nvertex) or ntexcoord not in (0, nvertex):
+        counts = f"{nvertex} vertices, {nnormal} normals, {ntexcoord} coordinates, {nface} faces"
+        raise ValueError(f"its head says {counts}")
+    size = 16 + 12 * (nvertex + nnormal + nface) + 8 * ntexcoord
+    if len(data) != size:
+        raise ValueError(f"its head asks for {size} bytes; it has {len(data)}")
+    vertices = np.frombuffer(data, "<f4", 3 * nvertex, 16).astype(float).reshape(-1, 3)
+    if not nface:
+        return vertices, None
+    faces = np.frombuffer(data, "<i4", 3 * nface, size - 12 * nface)
+    return vertices, faces.astype(np.int64).reshape(-1, 3)

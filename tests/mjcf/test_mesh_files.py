@@ -1,0 +1,392 @@
+"""Files of meshes and height fields: the same mesh in every format; damage is refused."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import struct
+import zlib
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore.scene import hfield_files, mesh_files
+
+CORNERS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3.5)])
+FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
+
+
+def binary_stl(vertices=CORNERS, faces=FACES) -> bytes:
+    data = b"solid looks like a text".ljust(80) + struct.pack("<I", len(faces))
+    for face in faces:
+        data += struct.pack("<12fH", 0, 0, 0, *vertices[face].ravel(), 0)
+    return data
+
+
+def text_stl() -> bytes:
+    lines = ["solid of four faces"]
+    for face in FACES:
+        lines += ["facet normal 0 0 0", " outer loop"]
+        lines += ["  vertex " + " ".join(map(repr, map(float, CORNERS[i]))) for i in face]
+        lines += [" endloop", "endfacet"]
+    return "\n".join([*lines, "endsolid of four faces", ""]).encode()
+
+
+def obj() -> bytes:
+    lines = ["# a comment", "mtllib nothing.mtl", "o thing"]
+    lines += ["v " + " ".join(map(str, corner)) for corner in CORNERS]
+    lines += ["vn 0 0 1", "vt 0 0", "s off", "f 1/1/1 3/1/1 2/1/1", "f -4//1 -3//1 -1//1"]
+    return "\n".join([*lines, "f 2 3 4", "f 1 4 \\", " 3", ""]).encode()
+
+
+def msh() -> bytes:
+    head = struct.pack("<4i", 4, 4, 4, 4)
+    places = CORNERS.astype("<f4").tobytes()
+    return head + places + places + bytes(32) + FACES.astype("<i4").tobytes()
+
+
+FORMATS = {"a.stl": binary_stl, "b.STL": text_stl, "c.obj": obj, "d.msh": msh}
+
+
+def same_surface(vertices, faces) -> None:
+    """The triangles of the four formats, whatever the numbers of their vertices."""
+
+    def triangles(points, corners):
+        rolled = []
+        for face in corners:
+            first = min(range(3), key=lambda k: tuple(points[face[k]]))
+            rolled.append(tuple(tuple(points[face[(first + k) % 3]]) for k in range(3)))
+        return sorted(rolled)
+
+    assert triangles(vertices, faces) == triangles(CORNERS, FACES)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_each_format_holds_the_mesh(name, tmp_path):
+    (tmp_path / name).write_bytes(FORMATS[name]())
+    vertices, faces = mesh_files.read(tmp_path / name)
+    assert len(vertices) == 4
+    same_surface(vertices, faces)
+    scene = sc.Scene()
+    mesh = scene.add_mesh(file=tmp_path / name)
+    assert mesh.name == name[0]
+    same_surface(mesh.vertices, mesh.faces)
+    assert not mesh.vertices.flags.writeable
+
+
+def test_faces_of_four_corners_and_none_at_all(tmp_path):
+    path = tmp_path / "a.obj"
+    path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
+    assert mesh_files.read(path)[1].tolist() == [[0, 1, 2], [0, 2, 3]]
+    path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\n")
+    assert mesh_files.read(path)[1] is None
+    (tmp_path / "b.msh").write_bytes(struct.pack("<4i", 4, 0, 0, 0) + bytes(48))
+    assert mesh_files.read(tmp_path / "b.msh")[1] is None
+
+
+def head(count: int) -> bytes:
+    return bytes(80) + struct.pack("<I", count)
+
+
+DAMAGED = {
+    "empty.stl": (b"", "has 0 bytes"),
+    "gigantic.stl": (head(2**32 - 1), "take 214748364834 bytes"),
+    "cut.stl": (binary_stl()[:-1], "it has 283"),
+    "nan.stl": (binary_stl(CORNERS * [1, np.nan, 1]), "not a finite number"),
+    "none.stl": (head(0), "no faces"),
+    "text.stl": (text_stl().replace(b"endloop", b"end loop", 1), "neither a facet"),
+    "words.stl": (text_stl().replace(b"3.5", b"x.5", 1), "not a number"),
+    "a.obj": (obj().replace(b"v 1", b"v one"), "not a number"),
+    "b.obj": (obj().replace(b"f 2 3 4", b"f 2 3 5"), "vertex 4, of 4"),
+    "c.obj": (obj().replace(b"f 2 3 4", b"f 2 3 0"), "indices start at 1"),
+    "d.obj": (obj().replace(b"f 2 3 4", b"f 1 2 3 4 1"), "more than 4 corners"),
+    "e.obj": (obj().replace(b"f 2 3 4", b"f 2 -9 4"), "vertex -"),
+    "f.obj": (b"v 1 2\n", "fewer than 3"),
+    "a.msh": (msh()[:-4], "it has"),
+    "b.msh": (struct.pack("<4i", 2**31 - 1, 0, 0, 2**31 - 1), "asks for"),
+    "c.msh": (struct.pack("<4i", -4, 0, 0, 0), "its head says"),
+    "d.msh": (msh()[:-4] + struct.pack("<i", 99), "vertex 99, of 4"),
+    "a.dae": (b"<x/>", "ends with .stl"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_what_is_damaged_is_refused(name, tmp_path):
+    data, why = DAMAGED[name]
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(ValueError, match=why):
+        mesh_files.read(tmp_path / name)
+
+
+def test_devices_pipes_folders_and_what_is_not_there(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        mesh_files.read(tmp_path / "a.stl")
+    (tmp_path / "b.stl").mkdir()
+    with pytest.raises(IsADirectoryError):
+        mesh_files.read(tmp_path / "b.stl")
+    os.mkfifo(tmp_path / "c.stl")
+    (tmp_path / "d.stl").symlink_to("/dev/zero")
+    for name in ("c.stl", "d.stl"):
+        with pytest.raises(ValueError, match="not a regular file"):
+            mesh_files.read(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_bytes_changed_at_random_are_read_or_refused(name, tmp_path):
+    """Never another exception; what is read is finite, with faces between its vertices."""
+    rng = np.random.default_rng(1)
+    whole = FORMATS[name]()
+    for _ in range(400):
+        data = bytearray(whole)
+        for _ in range(rng.integers(1, 6)):
+            data[rng.integers(len(data))] = rng.integers(256)
+        if rng.random() < 0.3:
+            del data[rng.integers(len(data)) :]
+        (tmp_path / name).write_bytes(data)
+        try:
+            vertices, faces = mesh_files.read(tmp_path / name)
+        except ValueError as error:
+            assert "\n" not in str(error)
+            continue
+        assert np.isfinite(vertices).all()
+        assert faces is None or (faces.min() >= 0 and faces.max() < len(vertices))
+        scene = sc.Scene()
+        try:
+            mesh = scene.add_mesh("m", vertices, faces)
+            body = scene.add_body("b")
+            scene.add_joint(body, "free")
+            scene.add_geom(body, "mesh", mesh=mesh)
+            model = scene.compile()
+        except ValueError:
+            continue
+        assert np.isfinite(model.body_mass).all() and (model.body_mass[1:] > 0).all()
+
+
+def png(pixels, *, depth=8, colour=0, filters=None) -> bytes:
+    """A grey image whose lines have these filters."""
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return (
+            len(body).to_bytes(4, "big") + kind + body + zlib.crc32(kind + body).to_bytes(4, "big")
+        )
+
+    height, width = pixels.shape
+    lines = b""
+    above = np.zeros(width, int)
+    for row, line in enumerate(pixels.astype(int)):
+        kind = 0 if filters is None else filters[row % len(filters)]
+        left = np.concatenate([[0], line[:-1]])
+        corner = np.concatenate([[0], above[:-1]])
+        guess = left + above - corner
+        apart = np.abs([guess - left, guess - above, guess - corner])
+        paeth = np.choose(apart.argmin(axis=0), [left, above, corner])
+        minus = [0 * line, left, above, (left + above) // 2, paeth][kind]
+        lines += bytes([kind]) + ((line - minus) % 256).astype(np.uint8).tobytes()
+        above = line
+    size = width.to_bytes(4, "big") + height.to_bytes(4, "big")
+    ihdr = chunk(b"IHDR", size + bytes([depth, colour, 0, 0, 0]))
+    packed = zlib.compress(lines)
+    data = chunk(b"IDAT", packed[:7]) + chunk(b"IDAT", packed[7:])
+    return b"\x89PNG\r\n\x1a\n" + ihdr + data + chunk(b"IEND", b"")
+
+
+def test_images_and_binary_height_fields(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 256, (9, 6))
+    for filters in (None, [1], [2], [3], [4], [4, 3, 2, 1, 0]):
+        (tmp_path / "a.png").write_bytes(png(pixels, filters=filters))
+        assert (hfield_files.read(tmp_path / "a.png") == pixels).all()
+    data = struct.pack("<2i", 9, 6) + pixels.astype("<f4").tobytes()
+    (tmp_path / "h.bin").write_bytes(data)
+    assert (hfield_files.read(tmp_path / "h.bin") == pixels[::-1]).all()
+    broken = {
+        "b.png": (png(pixels, colour=2), "RGB of 8 bits"),
+        "c.png": (png(pixels, depth=16), "grey of 16 bits"),
+        "d.png": (png(pixels)[:-20], "cut off"),
+        "e.png": (b"GIF89a", "does not begin"),
+        "a.bin": (data[:-1], "it has 223"),
+        "b.bin": (struct.pack("<2i", 2**31 - 1, 2**31 - 1), "asks for"),
+        "c.bin": (struct.pack("<2i", -1, 4), "-1 rows"),
+        "d.bin": (struct.pack("<2i2f", 1, 2, 0, np.nan), "not a finite"),
+    }
+    for name, (content, why) in broken.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(ValueError, match=why):
+            hfield_files.read(tmp_path / name)
+
+
+ROBOT = """<mujoco><compiler {compiler}/>
+<default><mesh scale=".1 .1 .1"/>
+<default class="big"><mesh scale="2 2 2" inertia="shell"/></default></default>
+<asset>
+  <mesh name="seen" file="not_there.stl"/>
+  <mesh file="{file}"/>
+  <mesh name="twice" class="big" vertex="0 0 0 1 0 0 0 1 0 0 0 1" maxhullvert="4"/>
+  <hfield name="ground" nrow="2" ncol="3" size="1 1 .1 .1" elevation="0 1 2 3 4 5"/>
+  <hfield name="far" file="not_there.png" size="1 1 1 1"/>
+</asset>
+<worldbody>
+  <geom type="mesh" mesh="seen"/>
+  <body><freejoint/>
+    <geom name="hull" type="mesh" mesh="a"/>
+    <geom type="mesh" mesh="seen" contype="0" conaffinity="0" mass="0"/>
+    <geom name="fit" type="box" mesh="twice" fitscale=".5"/>
+    <geom type="box" mesh="seen" contype="0" conaffinity="0" density="0"/>
+  </body>
+  <geom type="hfield" hfield="far" contype="0" conaffinity="0"/>
+</worldbody></mujoco>"""
+
+
+def robot(folder, compiler="", file="a.stl") -> sc.Scene:
+    (folder / "m.xml").write_text(
+        ROBOT.format(compiler=compiler, file=file).replace(
+            '<geom type="mesh" mesh="seen"/>',
+            '<geom type="mesh" mesh="seen" contype="0" conaffinity="0"/>',
+        )
+    )
+    return sc.load(folder / "m.xml")
+
+
+def test_only_what_moves_the_model_is_read(tmp_path):
+    """Files of meshes that only draw need not even exist."""
+    (tmp_path / "a.stl").write_bytes(binary_stl())
+    scene = robot(tmp_path)
+    assert [mesh.name for mesh in scene.meshes] == ["a", "twice"]
+    assert [geom.name for geom in scene.geoms] == ["hull", "fit"]
+    assert scene.meshes[0].scale == (0.1, 0.1, 0.1)
+    assert (scene.meshes[1].scale, scene.meshes[1].inertia) == ((2, 2, 2), "shell")
+    assert any("1 of 3 files" in note for note in scene.notes)
+    listed = "\n".join(scene.ignored)
+    for what in ('<mesh> "seen"', '<hfield> "far"', '<hfield> "ground"', "m.xml:12", "m.xml:19"):
+        assert what in listed
+    model = scene.compile()
+    # The hull of a tetrahedron of volume 7/6, a tenth as large; and half a box.
+    assert model.geom_type == ("mesh", "box")
+    assert len(model.geom_hull("hull")[0]) == 4
+
+
+def test_where_files_are_sought(tmp_path):
+    for folder in ("meshes", "parts", "elsewhere"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "meshes" / "a.stl").write_bytes(binary_stl())
+    (tmp_path / "meshes" / "parts").mkdir()
+    (tmp_path / "meshes" / "parts" / "a.stl").write_bytes(binary_stl())
+    assert robot(tmp_path, 'meshdir="meshes"').meshes[0].file.endswith("meshes/a.stl")
+    assert robot(tmp_path, 'assetdir="meshes"', "parts/a.stl").meshes
+    assert robot(tmp_path, 'meshdir="meshes" assetdir="x" strippath="true"', "nowhere/a.stl").meshes
+    home = tmp_path / "elsewhere"
+    for name in ("../meshes/a.stl", str(tmp_path / "meshes" / "a.stl")):
+        scene = robot(home, file=name)
+        assert any("outside the folder of the main file" in note for note in scene.notes)
+    with pytest.raises(FileNotFoundError, match=r"m\.xml:6: .*no such file"):
+        robot(tmp_path, 'meshdir="parts"')
+    text = (home / "m.xml").read_text()
+    assert sc.loads(text, base=home).meshes
+    with pytest.raises(sc.MJCFError, match="needs loads"):
+        sc.loads(ROBOT.format(compiler="", file="a.stl"))
+
+
+def test_a_mesh_that_gives_mass_is_read_though_it_only_draws(tmp_path):
+    text = """<mujoco><asset><mesh name="m" file="a.stl"/></asset><worldbody><body><freejoint/>
+    <geom type="mesh" mesh="m" contype="0" conaffinity="0"/><geom size=".1" mass="0"/>
+    </body></worldbody></mujoco>"""
+    (tmp_path / "m.xml").write_text(text)
+    with pytest.raises(FileNotFoundError):
+        sc.load(tmp_path / "m.xml")
+    (tmp_path / "a.stl").write_bytes(binary_stl())
+    model = sc.load(tmp_path / "m.xml").compile()
+    assert model.body_mass[1] == pytest.approx(1000 * 7 / 6, rel=1e-12)
+    assert len(model.geom_hull(0)[0]) == 0
+
+
+def test_round_trip_copies_and_pickles(tmp_path):
+    (tmp_path / "a.stl").write_bytes(binary_stl())
+    scene = robot(tmp_path)
+    scene.add_geom(
+        "world", "hfield", hfield=scene.add_hfield("g", [[0, 1], [2, 3]], size=(1, 1, 1, 1))
+    )
+    again = sc.loads(scene.to_mjcf())
+    assert again == scene
+    assert pickle.loads(pickle.dumps(scene)) == scene
+    other = scene.with_settings(dt=0.001)
+    assert other.meshes[0] is not scene.meshes[0]
+    assert other.meshes[0].vertices is scene.meshes[0].vertices
+    other.meshes[0].scale = (0.1, 0.1, 0.2)
+    assert other != scene
+    loose = sc.loads(scene.to_mjcf().replace('"a"', '"z"'))
+    assert loose.meshes[0].name == "z"
+
+
+def test_meshes_by_hand_are_checked():
+    scene = sc.Scene()
+    body = scene.add_body("b")
+    scene.add_joint(body, "free")
+    with pytest.raises(ValueError, match="either vertices or a file"):
+        scene.add_mesh("m")
+    with pytest.raises(ValueError, match=r"shape \(n, 3\)"):
+        scene.add_mesh("m", [[1, 2], [3, 4]])
+    with pytest.raises(ValueError, match="whole numbers"):
+        scene.add_mesh("m", CORNERS, FACES - 1)
+    with pytest.raises(ValueError, match="larger than 3"):
+        scene.add_mesh("m", CORNERS, maxhullvert=2)
+    with pytest.raises(ValueError, match='no mesh is named "x"'):
+        scene.add_geom(body, "mesh", mesh="x")
+    scene.add_mesh("few", CORNERS[:3])
+    with pytest.raises(ValueError, match="the name is used twice"):
+        scene.add_mesh("few", CORNERS)
+    geom = scene.add_geom(body, "mesh", mesh="few")
+    with pytest.raises(ValueError, match="mesh 'few' vertices = 3: must be at least 4"):
+        scene.compile()
+    geom.mesh = None
+    with pytest.raises(ValueError, match="needs a mesh"):
+        scene.compile()
+    geom.mesh = sc.Mesh(vertices=CORNERS)
+    with pytest.raises(ValueError, match="not in this scene"):
+        scene.compile()
+    scene.meshes[:] = [sc.Mesh(name="flat", vertices=CORNERS * [1, 1, 0])]
+    geom.mesh = scene.meshes[0]
+    with pytest.raises(ValueError, match=r"mesh 'flat'.*one plane"):
+        scene.compile()
+    geom.mesh = scene.meshes[0] = sc.Mesh(vertices=CORNERS, faces=FACES[:, ::-1], inertia="exact")
+    with pytest.raises(ValueError, match="counter-clockwise"):
+        scene.compile()
+    twice = np.concatenate([FACES, FACES[:1]])
+    geom.mesh = scene.meshes[0] = sc.Mesh(vertices=CORNERS, faces=twice, inertia="exact")
+    with pytest.raises(ValueError, match="two faces run from vertex"):
+        scene.compile()
+    geom.mesh = scene.meshes[0] = sc.Mesh(vertices=CORNERS, faces=FACES + 1)
+    with pytest.raises(ValueError, match="faces = 4: must be the index of a vertex"):
+        scene.compile()
+
+
+MISTAKES = {
+    '<mesh name="m"/>': "needs one of file, vertex and builtin",
+    '<mesh name="m" vertex="0 0 0 1"/>': "3 numbers for each vertex",
+    '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0"/>': "at least 4",
+    '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" face="0 1"/>': "3 indices",
+    '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" face="0 1 9"/>': "vertex 9, of 4",
+    '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" face="0 1 -1"/>': "indices",
+    '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" maxhullvert="3"/>': "larger than 3",
+    '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" inertia="solid"/>': "one of convex",
+    '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 nan 1"/>': "finite numbers",
+    '<mesh name="m" builtin="blob"/>': "no such mesh",
+    '<mesh name="m" builtin="cone" params="2 0"/>': "nvert from 3",
+    '<mesh name="m" builtin="cone" params="3 0 0"/>': "2 numbers",
+    '<mesh name="m" builtin="plate" params="3 4"/>': "lies in a plane",
+    '<mesh name="m" file="" />': "the name of a file",
+    '<mesh name="m" file="a.stl" vertex="0 0 0"/>': "file and vertex",
+    '<mesh name="m" file="a.stl"/><mesh name="m" file="b.stl"/>': "used twice",
+    '<mesh vertex="0 0 0"/>': "needs a name or a file",
+    '<mesh name="m2" file="a.stl"/>': 'mesh="m": no such mesh; nearest: "m2"',
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_in_the_text_has_its_line(mistake):
+    text = f"""<mujoco><worldbody><body><freejoint/><geom type="mesh" mesh="m"/>
+    </body></worldbody><asset>
+    {mistake}</asset></mujoco>"""
+    with pytest.raises(sc.MJCFError) as caught:
+        sc.loads(text, name="m.xml", base=".")
+    assert MISTAKES[mistake] in str(caught.value)
+    assert str(caught.value).startswith(("m.xml:3:", "m.xml:1:"))
