@@ -277,7 +277,7 @@ def test_every_way_to_say_it(name: str) -> None:
 
 def test_masses_come_with_their_rules() -> None:
     text = """<mujoco><compiler inertiafromgeom="true" inertiagrouprange="1 2" boundmass=".1"
-      boundinertia=".2" balanceinertia="true" settotalmass="14"/><worldbody>
+      boundinertia=".2" balanceinertia="true" settotalmass="14" fitaabb="true"/><worldbody>
       <body><joint/><geom size="1" mass="3" group="1" shellinertia="true"/>
         <geom size="1" density="7"/></body></worldbody></mujoco>"""
     plain = loads(text).to_dict()
@@ -288,6 +288,7 @@ def test_masses_come_with_their_rules() -> None:
         "bound_inertia": 0.2,
         "balance_inertia": True,
         "total_mass": 14,
+        "fit_aabb": True,
     }
     first, second = plain["geoms"]
     assert (first["mass"], first["shell_inertia"], first["density"]) == (3, True, 1000)

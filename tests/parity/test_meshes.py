@@ -217,6 +217,7 @@ def test_hulls_have_the_same_vertices(seed):
 def test_maxhullvert(most):
     """So many vertices and no more, all of them vertices of the mesh."""
     points, _ = cloud(3)
+    points /= np.linalg.norm(points, axis=1)[:, None]
     text = model_text(mesh_text(points, None, f'maxhullvert="{most}"'))
     ours = sc.loads(text).compile()
     assert len(ours.geom_hull(0)[0]) == most

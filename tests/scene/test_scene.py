@@ -50,6 +50,7 @@ def test_an_empty_scene_is_the_world() -> None:
         "bound_inertia": 0.0,
         "balance_inertia": False,
         "total_mass": -1.0,
+        "fit_aabb": False,
     }
     assert set(plain["features"].values()) == {True}
 
@@ -58,7 +59,16 @@ def test_fields_have_the_engines_names() -> None:
     plain = ball_on_floor().to_dict()
     assert set(plain) == {
         *("name", "gravity", "bodies", "joints", "geoms", "sites", "actuators", "equalities"),
-        *("keys", "excludes", "pairs", "contact_override", "mass_rules", "features"),
+        *(
+            "meshes",
+            "hfields",
+            "keys",
+            "excludes",
+            "pairs",
+            "contact_override",
+            "mass_rules",
+            "features",
+        ),
     }
     assert set(plain["joints"][0]) == {
         *("name", "body", "kind", "pos", "axis", "range", "margin", "reference", "springref"),
@@ -67,7 +77,7 @@ def test_fields_have_the_engines_names() -> None:
     assert set(plain["geoms"][0]) == {
         *("name", "body", "kind", "size", "pos", "quat", "mass", "density", "shell_inertia"),
         *("group", "contype", "conaffinity", "condim", "priority", "friction", "margin", "gap"),
-        *("solmix", "soft"),
+        *("solmix", "soft", "mesh", "fitscale", "hfield"),
     }
     assert plain["geoms"][0]["soft"] == {
         "solref": [0.02, 1.0],
