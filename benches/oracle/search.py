@@ -23,6 +23,7 @@ GOLDEN = (np.sqrt(5) - 1) / 2
 SAMPLES = 320  # over the sphere
 ROUND = 48  # round a circle
 BEST = 5  # starts of each refinement
+SHARES = np.array([1.0, 0.5, 0.2, 0.05, 0.01])  # of a Newton step
 
 
 class Maximum(NamedTuple):
@@ -194,20 +195,17 @@ def climb(posed: Posed, n: np.ndarray, rounds: int = 36) -> np.ndarray:
         angles = np.arange(8) * (np.pi / 4) + turn
         shift = np.cos(angles)[:, None] * x[:, :, None] + np.sin(angles)[:, None] * y[:, :, None]
         tried = unit(n[:, :, None] + step[..., None, None] * shift)
-        values = posed.gap(tried.reshape(len(n), -1, 3)).reshape(tried.shape[:3])
-        best = values.argmax(axis=2)
-        top = np.take_along_axis(values, best[..., None], axis=2)[..., 0]
-        better = top > value
-        to = np.take_along_axis(tried, best[..., None, None], axis=2)[:, :, 0]
-        n = np.where(better[..., None], to, n)
-        value = np.where(better, top, value)
+        before = value
+        n, value = _better(posed, n, value, tried)
+        better = value > before
         step = np.where(better, 1.3 * step, 0.45 * step)
     return n
 
 
-def newton(posed: Posed, n: np.ndarray, rounds: int = 6) -> np.ndarray:
+def newton(posed: Posed, n: np.ndarray, rounds: int = 10) -> np.ndarray:
     """Newton's method in the tangent plane: slope of g the tangential part of b − a, its change
-    by differences of the support. A step that is not better is not taken."""
+    by differences of the support; uphill also where g is not concave. Of some shares of each step
+    the best is taken, if it is better."""
     value = posed.gap(n)
     h = 1e-6
     for _ in range(rounds):
@@ -219,21 +217,25 @@ def newton(posed: Posed, n: np.ndarray, rounds: int = 6) -> np.ndarray:
             change = (posed.apart(unit(n + h * axis)) - posed.apart(unit(n - h * axis))) / (2 * h)
             columns.append(np.stack([(change * x).sum(-1), (change * y).sum(-1)], axis=-1))
         hessian = np.stack(columns, axis=-1) - value[..., None, None] * np.eye(2)
-        a, b, c, d = (hessian[..., i, j] for i in (0, 1) for j in (0, 1))
-        det = a * d - b * c
-        det = np.where(np.abs(det) > 0, det, np.inf)
-        step = (
-            -np.stack(
-                [d * slope[..., 0] - b * slope[..., 1], a * slope[..., 1] - c * slope[..., 0]],
-                axis=-1,
-            )
-            / det[..., None]
-        )
+        bends, ways = np.linalg.eigh((hessian + hessian.swapaxes(-1, -2)) / 2)
+        along = (ways.swapaxes(-1, -2) @ slope[..., None])[..., 0]
+        bends = np.abs(bends)
+        step = (ways @ (along / np.where(bends > 0, bends, np.inf))[..., None])[..., 0]
         length = np.linalg.norm(step, axis=-1, keepdims=True)
         step = step * np.minimum(1, 0.1 / np.where(length > 0, length, 1))
-        to = unit(n + step[..., :1] * x + step[..., 1:] * y)
-        there = posed.gap(to)
-        better = there > value
-        n = np.where(better[..., None], to, n)
-        value = np.where(better, there, value)
+        whole = step[..., :1] * x + step[..., 1:] * y
+        tried = unit(n[:, :, None] + SHARES[:, None] * whole[:, :, None])
+        n, value = _better(posed, n, value, tried)
     return n
+
+
+def _better(
+    posed: Posed, n: np.ndarray, value: np.ndarray, tried: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The best of what was tried around each direction, or the direction itself."""
+    values = posed.gap(tried.reshape(len(n), -1, 3)).reshape(tried.shape[:3])
+    best = values.argmax(axis=2)
+    top = np.take_along_axis(values, best[..., None], axis=2)[..., 0]
+    to = np.take_along_axis(tried, best[..., None, None], axis=2)[:, :, 0]
+    better = top > value
+    return np.where(better[..., None], to, n), np.where(better, top, value)

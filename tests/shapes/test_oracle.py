@@ -1,5 +1,6 @@
 """The oracle itself: exact arithmetic, closed forms, and a covering of all directions."""
 
+from decimal import Decimal, localcontext
 from fractions import Fraction
 from itertools import product as pairs_of
 from math import sqrt
@@ -68,6 +69,43 @@ def test_overlapping_boxes_in_exact_arithmetic():
         assert found == pytest.approx(exact, rel=0, abs=1e-13 * (max(half1 + half2)))
         checked += 1
     assert checked > 150
+
+
+def height(shape, u):
+    """How far a shape reaches along u, in decimals."""
+    x, y, z = (Decimal(size) for size in shape.size)
+    across, length = (u[0] ** 2 + u[1] ** 2).sqrt(), dot(u, u).sqrt()
+    match shape.kind:
+        case "sphere":
+            return x * length
+        case "capsule":
+            return x * length + y * abs(u[2])
+        case "cylinder":
+            return x * across + y * abs(u[2])
+        case "ellipsoid":
+            return sum((s * c) ** 2 for s, c in zip((x, y, z), u, strict=True)).sqrt()
+        case "box":
+            return sum(s * abs(c) for s, c in zip((x, y, z), u, strict=True))
+    return max(dot([Decimal(c) for c in vertex], u) for vertex in shape.vertices.tolist())
+
+
+@pytest.mark.parametrize("pair", PAIRS, ids="-".join)
+def test_bounds_in_fifty_digits(pair):
+    """g at the direction that was found: the lower bound is one to a few units of rounding."""
+    rng = np.random.default_rng(9)
+    for style in ("generic", "needles", "large"):
+        posed = trial(rng, pair, style, 12).posed
+        found = search(posed)
+        with localcontext() as context:
+            context.prec = 50
+            for k, dist in enumerate(found.dist):
+                n = [Decimal(c) for c in found.normal[k].tolist()]
+                turn = [[Decimal(c) for c in row] for row in posed.turn[k].tolist()]
+                toward = [-dot(n, column) for column in zip(*turn, strict=True)]
+                gap = dot(n, [Decimal(c) for c in posed.offset[k].tolist()])
+                gap -= height(posed.a, n) + height(posed.b, toward)
+                error = float(abs(gap / dot(n, n).sqrt() - Decimal(dist)))
+                assert error < 1e-14 * posed.scale[k]
 
 
 def test_closed_forms():
