@@ -15,8 +15,6 @@ WIDTH = {"free": (7, 6), "ball": (4, 3), "slide": (1, 1), "hinge": (1, 1)}
 # Kinds of geoms; a pair's first geom is the one that comes first here.
 ORDER = ["plane", "sphere", "capsule", "ellipsoid", "cylinder", "box"]
 
-LEAST_FRICTION = 1e-5  # MuJoCo's floor: at or below it a contact has no friction rows
-
 
 def plain(scene: Any) -> Record:
     """The dict of a Scene, or the dict itself."""
@@ -209,11 +207,9 @@ def mix(geoms: list[Record], i: int, j: int) -> Pair:
     a, b = geoms[i], geoms[j]
     if a["priority"] != b["priority"]:
         a = b = a if a["priority"] > b["priority"] else b
-    mu = max(a["friction"][0], b["friction"][0])
-    condim = max(a["condim"], b["condim"]) if mu > LEAST_FRICTION else 1
-    if condim > 3:
-        raise ValueError(f"geom '{a['name']}': the reference knows condim 1 and 3, not {condim}")
-    return Pair(i, j, condim, mu)
+    slide, torsion, roll = (max(both) for both in zip(a["friction"], b["friction"], strict=True))
+    condim = max(a["condim"], b["condim"])
+    return Pair(i, j, (slide, slide, torsion, roll, roll)[: condim - 1])
 
 
 def anchors(model: Model, equality: Record) -> tuple[Array, Array]:

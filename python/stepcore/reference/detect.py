@@ -178,3 +178,12 @@ def contact_jacobian(model: Model, placed: Placed, contact: Contact) -> Array:
     first, _ = jacobians(model, placed, one, contact.pos)
     second, _ = jacobians(model, placed, two, contact.pos - contact.ahead)
     return contact.frame @ (second - first)
+
+
+def friction_jacobian(model: Model, placed: Placed, contact: Contact) -> Array:
+    """Velocities of the ways that have friction: along tangents, then about axes, (ways, nv)."""
+    one, two = (model.scene["geoms"][i]["body"] for i in (contact.pair.geom1, contact.pair.geom2))
+    _, first = jacobians(model, placed, one, contact.pos)
+    _, second = jacobians(model, placed, two, contact.pos)
+    sliding = contact_jacobian(model, placed, contact)[1:]
+    return np.vstack([sliding, contact.frame @ (second - first)])[contact.pair.ways()]

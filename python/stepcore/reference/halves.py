@@ -25,7 +25,7 @@ def connections(world: World, placed: Placed, M: Array) -> Rows | None:
     if not (world.settings.connects_inside and on["equality"] and on["constraint"]):
         return None
     made = list(rows.equality_rows(world, placed, None))
-    blocks: list[tuple[int, float | None]] = [(i, None) for i in range(len(made))]
+    blocks: list[rows.Block] = [(i, None) for i in range(len(made))]
     return rows.assemble(world, made, blocks, M) if made else None
 
 
@@ -80,11 +80,11 @@ def second(
     t, c, s, lo, hi = (x.copy() for x in (system.t, system.c, system.s, system.lo, system.hi))
     bounces = settings.law == "rigid" and settings.restitution > 0
     blocks = []
-    for i, mu in system.blocks:
+    for i, friction in system.blocks:
         kind = system.rows[i].key[0]
         if kind == "connect" and settings.connects_inside:
             t[i] = system.J[i] @ last
-            blocks.append((i, mu))
+            blocks.append((i, friction))
             continue
         if kind in ("contact", "limit") and impulses[i] <= 0:
             continue
@@ -95,15 +95,15 @@ def second(
             c[i] /= 2
             t[i] -= c[i] * impulses[i]
             s[i] = system.A[i] + c[i]
-        blocks.append((i, mu))
+        blocks.append((i, friction))
     lasting = np.where(
         start < 0,
         np.minimum(np.maximum(start, impulses), 0),
         np.maximum(np.minimum(start, impulses), 0),
     )
     kept = np.zeros(len(lasting), bool)
-    for i, mu in blocks:
-        kept[i : i + (3 if mu is not None else 1)] = True
+    for i, friction in blocks:
+        kept[i : i + 1 + len(friction or ())] = True
     again = replace(system, blocks=blocks, t=t, c=c, s=s, lo=lo, hi=hi)
     v, impulse, _ = solve.solve(again, last, np.where(kept, lasting, 0.0), settings)
     return v, impulse

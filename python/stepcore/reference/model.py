@@ -18,8 +18,11 @@ class Pair:
 
     geom1: int
     geom2: int
-    condim: int
-    mu: float
+    friction: tuple[float, ...]  # of tangents, torsion [m], rolling [m]; as many as condim has
+
+    def ways(self) -> list[int]:
+        """Those that have friction: 0 and 1 tangents, 2 torsion, 3 and 4 rolling."""
+        return [way for way, mu in enumerate(self.friction) if mu > 0]
 
 
 @dataclass

@@ -2,8 +2,9 @@
 
 With w = J v + c lambda - t, an interval row asks for lambda in [lo, hi] and w = 0,
 or w pushing against the bound that lambda rests on. A contact with friction is
-three rows: the normal in [0, inf), and two tangents that are solved together
-within mu times the normal impulse.
+a row for the normal in [0, inf), and one for each way of friction, two tangents,
+torsion and two ways of rolling, that are solved together within their
+coefficients times the normal impulse.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from . import detect
-from .detect import Contact, contact_jacobian
+from . import detect, ways
+from .detect import Contact, contact_jacobian, friction_jacobian
 from .model import Model
 from .place import Placed, jacobians
 from .rotation import Array, to_vector, unit
@@ -45,14 +46,17 @@ class Row:
     gap: float = 0.0  # the distance that a contact's normal holds [m]
 
 
+# (i, None): row i alone; (i, friction): row i is the normal of a contact, and those after it are
+# its ways of friction, with these coefficients.
+Block = tuple[int, tuple[float, ...] | None]
+
+
 @dataclass
 class Rows:
     """The system of one step: n rows over nv dofs."""
 
     rows: list[Row]
-    blocks: list[
-        tuple[int, float | None]
-    ]  # (i, None): row i alone; (i, mu): rows i, i+1, i+2 are a contact with friction
+    blocks: list[Block]
     J: Array  # (n, nv)
     W: Array  # M^-1 J^T, (nv, n)
     A: Array  # diagonal of J M^-1 J^T, (n,)
@@ -109,7 +113,7 @@ def build(
 ) -> Rows:
     """All rows in order: equality, friction loss, limits, contacts."""
     rows: list[Row] = []
-    blocks: list[tuple[int, float | None]] = []
+    blocks: list[Block] = []
     on = world.model.scene["features"]
     if on["constraint"] and world.settings.law != "penalty":
         makers: list[tuple[bool, Iterable[Row]]] = [
@@ -122,15 +126,13 @@ def build(
                 for row in single:
                     blocks.append((len(rows), None))
                     rows.append(row)
-        for made, mu in contact_rows(world, placed, contacts, M, v, guess):
-            blocks.append((len(rows), mu))
+        for made, friction in contact_rows(world, placed, contacts, M, v, guess):
+            blocks.append((len(rows), friction))
             rows += made
     return assemble(world, rows, blocks, M)
 
 
-def assemble(
-    world: World, rows: list[Row], blocks: list[tuple[int, float | None]], M: Array
-) -> Rows:
+def assemble(world: World, rows: list[Row], blocks: list[Block], M: Array) -> Rows:
     """The rows' numbers side by side, with W = M^-1 J^T."""
     model, halves = world.model, 2 if world.settings.stages else 1
     J = np.array([row.J for row in rows]).reshape(len(rows), model.nv)
@@ -140,10 +142,11 @@ def assemble(
         np.array([getattr(row, name) for row in rows]) for name in ("t", "c", "soft", "lo", "hi")
     )
     mass = np.array([model.mass_of(row.dofs) for row in rows])
-    for first, mu in blocks:
+    for first, friction in blocks:
         # A normal that nothing can move: its load is t/c, without end, and so is its friction.
-        if mu is not None and A[first] * mass[first] < UNMOVED and c[first] == 0.0:
-            most = A[first : first + 3].max()
+        if friction is not None and A[first] * mass[first] < UNMOVED and c[first] == 0.0:
+            own = A[first + 1 : first + 1 + len(friction)] * ways.scales(friction) ** 2
+            most = max(A[first], own.max())
             c[first] = halves * WEIGHTLESS * (most if most > 0.0 else 1.0 / mass[first])
     return Rows(rows, blocks, J, W, A, t, c, A + c + soft, lo, hi, mass)
 
@@ -219,8 +222,8 @@ def sides(model: Model, joint: dict[str, Any], qpos: Array) -> Iterator[tuple[in
 
 def contact_rows(
     world: World, placed: Placed, contacts: list[Contact], M: Array, v: Array, guess: Array
-) -> Iterator[tuple[list[Row], float | None]]:
-    """A contact whose guess overlaps: its normal, and two tangents where it has friction."""
+) -> Iterator[tuple[list[Row], tuple[float, ...] | None]]:
+    """A contact whose guess overlaps: its normal, and the ways in which it has friction."""
     model, settings = world.model, world.settings
     c, soft = softness(settings)
     for contact in contacts:
@@ -234,6 +237,7 @@ def contact_rows(
             if found is None:
                 continue
             arrives = found is contact
+            contact = found
             J, phi = contact_jacobian(model, placed, found), found.dist
         if not (closing or touching):
             continue
@@ -249,9 +253,9 @@ def contact_rows(
             most += c * max(most - J[0] @ guess, 0.0) / A if A > 0 else 0.0
         t = push_target(settings, near, bounces=True, most=most)
         made = [Row((*key, 0), J[0], dofs, t, c, soft, gap=phi)]
-        if pair.condim > 1:
-            made += [Row((*key, k), J[k], dofs, lo=-INF) for k in (1, 2)]
-        yield made, pair.mu if pair.condim > 1 else None
+        rub = friction_jacobian(model, placed, contact)
+        made += [Row((*key, k), row, dofs, lo=-INF) for k, row in enumerate(rub, 1)]
+        yield made, tuple(pair.friction[way] for way in pair.ways()) or None
 
 
 def penalty_force(
@@ -264,16 +268,33 @@ def penalty_force(
     for contact in contacts:
         if contact.dist < 0:
             J = contact_jacobian(world.model, placed, contact)
-            A = [row @ np.linalg.solve(M, row) for row in J]
-            damping = 2 * ratio * np.sqrt(k / A[0]) if A[0] > 0 else 0.0
+            A = J[0] @ np.linalg.solve(M, J[0])
+            damping = 2 * ratio * np.sqrt(k / A) if A > 0 else 0.0
             normal = -k * contact.dist - damping * (J[0] @ v)
             force += J[0] * normal
-            pair = contact.pair
-            if pair.condim > 1 and pair.mu > 0 and max(A[1:]) > 0:
-                # Friction: at most mu times the normal force, else a damper.
-                speed = np.hypot(J[1] @ v, J[2] @ v)
-                damper = np.sqrt(k / max(A[1:])) / 4
-                if damper * speed > pair.mu * max(normal, 0.0):
-                    damper = pair.mu * max(normal, 0.0) / speed
-                force -= damper * (J[1] * (J[1] @ v) + J[2] * (J[2] @ v))
+            if contact.pair.ways():
+                force -= penalty_friction(world, placed, contact, v, M, max(normal, 0.0))
     return force
+
+
+def penalty_friction(
+    world: World, placed: Placed, contact: Contact, v: Array, M: Array, normal: float
+) -> Array:
+    """Friction of a contact that is a spring, against its motion: at most mu times the normal
+    force, else a damper, (nv,)."""
+    pair, k = contact.pair, world.settings.penalty_stiffness
+    found = pair.ways()
+    friction = tuple(pair.friction[way] for way in found)
+    J = friction_jacobian(world.model, placed, contact) * ways.scales(friction)[:, None]
+    A = np.array([row @ np.linalg.solve(M, row) for row in J])
+    slides = [a for way, a in zip(found, A, strict=True) if way < 2]
+    most = max(slides, default=0.0) or float(A.max())
+    if most <= 0:
+        return np.zeros(world.model.nv)
+    # Turning ends as fast as sliding.
+    ease = [1.0 if way < 2 else most / a if a > 0 else 0.0 for way, a in zip(found, A, strict=True)]
+    velocity = (J @ v) * ease
+    speed, damper, bound = np.sqrt(velocity @ velocity), np.sqrt(k / most) / 4, friction[0] * normal
+    if damper * speed > bound:
+        damper = bound / speed
+    return damper * (J.T @ velocity)

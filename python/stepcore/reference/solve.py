@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from . import ways
 from .rotation import Array
 from .rows import Rows
 from .settings import Settings
@@ -30,10 +31,10 @@ def solve(
 
 def sweep(system: Rows, v: Array, impulse: Array, cone: str) -> None:
     """Visit every row once, in order; v and impulse change in place."""
-    for i, mu in system.blocks:
+    for i, friction in system.blocks:
         update_row(system, i, v, impulse)
-        if mu is not None:
-            update_friction(system, i + 1, mu * impulse[i], v, impulse, cone)
+        if friction is not None:
+            update_friction(system, i, friction, v, impulse, cone)
 
 
 def update_row(system: Rows, i: int, v: Array, impulse: Array) -> None:
@@ -47,15 +48,21 @@ def update_row(system: Rows, i: int, v: Array, impulse: Array) -> None:
 
 
 def update_friction(
-    system: Rows, i: int, bound: float, v: Array, impulse: Array, cone: str
+    system: Rows, i: int, friction: tuple[float, ...], v: Array, impulse: Array, cone: str
 ) -> None:
-    """Rows i and i+1 together: the impulse within the bound that leaves the least sliding."""
-    pair = slice(i, i + 2)
-    A = system.J[pair] @ system.W[:, pair]
-    g = system.J[pair] @ v - A @ impulse[pair]
-    new = (in_disc if cone == "elliptic" else in_box)(A, g, bound)
-    v += system.W[:, pair] @ (new - impulse[pair])
-    impulse[pair] = new
+    """The rows after i together: the impulse within the bound that leaves the least sliding."""
+    own = slice(i + 1, i + 1 + len(friction))
+    scale, bound = ways.scales(friction), friction[0] * impulse[i]
+    A = system.J[own] @ system.W[:, own]
+    g = (system.J[own] @ v - A @ impulse[own]) * scale
+    A = A * np.outer(scale, scale)
+    if len(friction) == 2:
+        new = (in_disc if cone == "elliptic" else in_box)(A, g, bound)
+    else:
+        new = (ways.in_ball if cone == "elliptic" else ways.in_cube)(A, g, bound)
+    new = new * scale
+    v += system.W[:, own] @ (new - impulse[own])
+    impulse[own] = new
 
 
 def free_minimum(A: Array, g: Array) -> Array:
@@ -127,20 +134,23 @@ def natural_map(system: Rows, v: Array, impulse: Array, cone: str) -> Array:
     delta = np.zeros(len(impulse))
     w = system.J @ v + system.c * impulse - system.t
     s = system.A + system.c
-    for i, mu in system.blocks:
-        if mu is None:
+    for i, friction in system.blocks:
+        if friction is None:
             if system.A[i] > 0:
                 moved = impulse[i] - w[i] / s[i]
                 delta[i] = impulse[i] - min(max(moved, system.lo[i]), system.hi[i])
             continue
-        block = slice(i, i + 3)
-        largest = s[block].max()
+        block, mu = slice(i, i + 1 + len(friction)), friction[0]
+        scale = np.array([1.0, *ways.scales(friction)])
+        largest = (s[block] * scale**2).max()
         if largest > 0:
-            slide = np.abs(w[i + 1 : i + 3])
-            size = np.sqrt(slide @ slide) if cone == "elliptic" else slide.sum()
-            moved = impulse[block] - (w[block] + [mu * size, 0, 0]) / largest
-            project = onto_round if cone == "elliptic" else onto_box
-            delta[block] = impulse[block] - project(moved, mu)
+            violation, held = w[block] * scale, impulse[block] / scale
+            slide = np.abs(violation[1:])
+            violation[0] += mu * (np.sqrt(slide @ slide) if cone == "elliptic" else slide.sum())
+            moved = held - violation / largest
+            square = onto_box if len(friction) == 2 else ways.onto_cube
+            project = onto_round if cone == "elliptic" else square
+            delta[block] = (held - project(moved, mu)) * scale
     return delta
 
 
@@ -151,7 +161,7 @@ def onto_round(x: Array, mu: float) -> Array:
         return x
     normal = (x[0] + mu * side) / (1 + mu * mu)
     if normal <= 0:
-        return np.zeros(3)
+        return np.zeros(len(x))
     return np.array([normal, *(x[1:] * (mu * normal / side))])
 
 

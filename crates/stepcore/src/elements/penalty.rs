@@ -5,15 +5,15 @@
 //! damper is an eighth of the critical one of the contact's spring and the mass 1/A_t that it moves
 //! sideways, γ = ¼ √(k/A_t): a contact that holds f_t creeps at f_t/γ, and v_t decays at a rate of
 //! γ A_t = ¼ √(k A_t), which a step that is stable for the spring can follow. Torsion and rolling are
-//! velocities and forces of the same kind in their measure (`friction.rs`), so that one damper and
-//! one bound hold for all ways together: Σ (f_j/μ_j)² ≤ f_n².
+//! velocities and forces of the same kind in their measure (`friction.rs`), so that one bound holds
+//! for all ways together, Σ (f_j/μ_j)² ≤ f_n²; each has the damper that ends it as fast, γ A_t/A_j.
 
-use super::friction::Ways;
+use super::friction::{Way, Ways};
 use crate::detect::Contact;
 use crate::model::{Pair, Span};
 use crate::real::{Mask, Real};
 use crate::settings::Settings;
-use crate::solve::{Push, Rows, Situation};
+use crate::solve::{Push, Row, Rows, Situation};
 
 /// γ over √(k/A_t).
 const SIDEWAYS: f64 = 0.25;
@@ -52,18 +52,23 @@ impl<R: Real> Rows<R> {
     ) {
         let first = self.rows.len();
         self.friction_rows(now, contact, pair, ways);
-        let (mut a, mut square) = (R::zero(), R::zero());
-        for row in &self.rows[first..] {
-            a = a.max(row.a);
-            square += row.velocity * row.velocity;
+        let rows = self.rows[first..].iter().zip(ways.list());
+        let slides = rows.clone().filter(|(_, way)| !way.turns);
+        let most = |a: R, (row, _): (&Row<R>, &Way)| a.max(row.a);
+        let a = slides.fold(R::zero(), most);
+        let a = R::select(a.gt(R::zero()), a, rows.clone().fold(R::zero(), most));
+        let mut square = R::zero();
+        for (row, way) in rows {
+            let speed = eased(row, way, a);
+            square += speed * speed;
         }
         let k = R::of(now.settings.penalty_stiffness);
         let damper = R::of(SIDEWAYS * now.settings.dt) * (k * a.recip_or_zero()).sqrt();
         let slides = (damper * damper * square).gt(bound * bound);
         let damper = R::select(slides, bound * square.sqrt().recip_or_zero(), damper);
-        while self.rows.len() > first {
+        for way in ways.list() {
             let row = &self.rows[first];
-            let (dofs, y, impulse) = (row.dofs, row.y, -(damper * row.velocity));
+            let (dofs, y, impulse) = (row.dofs, row.y, -(damper * eased(row, way, a)));
             self.rows.remove(first);
             self.push_apart(now, contact, dofs, y, impulse, mask);
         }
@@ -84,6 +89,15 @@ impl<R: Real> Rows<R> {
         Self::kick(&mut self.u, &now.placed.metric.inv_d, list, own, impulse, mask);
         let impulse = R::select(mask, impulse, R::zero());
         self.pushes.push(Push { element: contact.element(), dofs, y, impulse });
+    }
+}
+
+/// The velocity that the damper of a way sees: turning is as fast to end as sliding with this A.
+fn eased<R: Real>(row: &Row<R>, way: &Way, a: R) -> R {
+    if way.turns {
+        row.velocity * (a * row.a.recip_or_zero())
+    } else {
+        row.velocity
     }
 }
 

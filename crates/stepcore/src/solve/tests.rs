@@ -55,12 +55,13 @@ impl Problem {
     pub fn dof_lists(&self) -> Vec<usize> {
         (0..self.inv_d.len()).collect()
     }
-    /// The same problem with random changes of guess and target.
+    /// The same problem with random changes of guess, target and y.
     pub fn shaken(&self, random: &mut Random) -> Self {
         let mut new = self.clone();
         new.guess.iter_mut().for_each(|g| *g += 0.3 * random.next());
         for row in new.blocks.iter_mut().flat_map(|b| &mut b.2) {
             row.1 += 0.1 * random.next();
+            row.0.iter_mut().for_each(|y| *y += 0.1 * random.next() * *y);
         }
         new
     }
