@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import struct
 import zlib
 
@@ -390,3 +391,55 @@ def test_a_mistake_in_the_text_has_its_line(mistake):
         sc.loads(text, name="m.xml", base=".")
     assert MISTAKES[mistake] in str(caught.value)
     assert str(caught.value).startswith(("m.xml:3:", "m.xml:1:"))
+
+
+ODD = (
+    *("", "nan", "inf", "-1", "0", "1e308", "1e-320", "1e400", "a", "0 0 0", "1 2 3 4 5 6 7 8"),
+    *(
+        "true",
+        "-0",
+        "9" * 400,
+        "../../../../dev/zero",
+        "/dev/stdin",
+        "a.stl",
+        "1 1",
+        "\u00b2",
+        "mesh",
+    ),
+)
+
+
+def test_attributes_changed_at_random_are_read_or_refused(tmp_path):
+    """One line with its place, or a model whose masses are numbers."""
+    (tmp_path / "a.stl").write_bytes(binary_stl())
+    (tmp_path / "not_there.stl").write_bytes(text_stl())
+    (tmp_path / "not_there.png").write_bytes(png(np.arange(12).reshape(3, 4)))
+    text = ROBOT.format(compiler='fitaabb="false"', file="a.stl")
+    places = [match.span(1) for match in re.finditer(r'="([^"]*)"', text)]
+    rng = np.random.default_rng(2)
+    read = 0
+    for _ in range(600):
+        start, stop = places[rng.integers(len(places))]
+        changed = text[:start] + ODD[rng.integers(len(ODD))] + text[stop:]
+        try:
+            model = sc.loads(changed, base=tmp_path, name="m.xml").compile()
+        except FileNotFoundError as error:
+            assert str(error).startswith("m.xml:")
+        except ValueError as error:
+            assert "\n" not in str(error)
+        else:
+            read += 1
+            assert np.isfinite(model.body_mass).all()
+    assert read > 50
+
+
+def test_a_value_of_a_mesh_by_its_path():
+    """Twice as long in every direction is eight times the mass."""
+    scene = sc.Scene()
+    body = scene.add_body("b")
+    scene.add_joint(body, "free")
+    scene.add_geom(body, "mesh", mesh=scene.add_mesh("m", CORNERS, FACES))
+    one, two = scene.compile(), scene.compile().with_values({"mesh/m/scale": (2, 2, 2)})
+    assert two.body_mass[1] == 8 * one.body_mass[1]
+    with pytest.raises(ValueError, match="no value"):
+        one.with_values({"mesh/m/file": "a"})

@@ -10,6 +10,7 @@ import numpy as np
 
 from stepcore.experiment.path import Path, angle, distance
 from stepcore.experiment.slip import anisotropy, creep
+from stepcore.scene.assets import half_size
 
 # Further from the reference than this many times the scene's size is no error, but a failure.
 FAR = 100.0
@@ -160,7 +161,7 @@ def extent(paths: Sequence[Path], scene: Any) -> float:
     1 where nothing of it has a length.
     """
     centres = np.concatenate([path.com.reshape(-1, 3) for path in paths])
-    thick = [max(geom.size) for geom in scene.geoms if geom.type != "plane"]
+    thick = [half_size(geom) for geom in scene.geoms]
     long = [float(np.linalg.norm(body.pos)) for body in scene.bodies]
     gone = float(np.linalg.norm(np.ptp(centres, axis=0)))
     return gone + max(thick, default=0.0) + max(long) or 1.0

@@ -15,8 +15,8 @@ UNKNOWN = 1.0
 class Sizes:
     """Lengths of a model's geoms and bodies [m].
 
-    thick: the smallest half size of each geom (a radius), inf of a plane. reach: from the centre
-    of each geom to its furthest point, inf of a plane.
+    thick: the smallest half size of each geom (a radius). reach: from the centre of each geom to
+    its furthest point. Both are inf of a plane and of a height field.
     """
 
     def __init__(self, model: Model) -> None:
@@ -50,7 +50,7 @@ class Sizes:
 
 
 def _half_sizes(kind: str, size: list[float]) -> tuple[float, float]:
-    if kind == "plane":
+    if kind in ("plane", "hfield"):
         return math.inf, math.inf
     if kind == "sphere":
         return size[0], size[0]

@@ -13,7 +13,7 @@ from .rotation import Array, matrix, unit
 # How many numbers of qpos and of qvel each kind of joint has.
 WIDTH = {"free": (7, 6), "ball": (4, 3), "slide": (1, 1), "hinge": (1, 1)}
 # Kinds of geoms; a pair's first geom is the one that comes first here.
-ORDER = ["plane", "sphere", "capsule", "ellipsoid", "cylinder", "box"]
+ORDER = ["plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh"]
 
 
 def plain(scene: Any) -> Record:
@@ -46,6 +46,9 @@ def compile_scene(scene: Any) -> Model:
     model = Model(scene, np.array(scene["gravity"], float))
     if not scene["features"]["gravity"]:
         model.gravity[:] = 0
+    for geom in scene["geoms"]:
+        if geom.get("mesh") is not None or geom.get("hfield") is not None:
+            raise ValueError(f"geom '{geom['name']}': the reference has no meshes")
     number_joints(model)
     masses(model)
     model.actuator_bias = [servo_bias(model, actuator) for actuator in scene["actuators"]]

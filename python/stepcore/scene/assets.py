@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore.scene.elements import HField, Mesh
+from stepcore.scene.elements import Geom, HField, Mesh
 from stepcore.scene.frames import IDENTITY, ORIGIN, rotated
 
 
@@ -36,6 +36,15 @@ def placed(mesh: Mesh) -> NDArray[Any]:
     if mesh.scale != (1.0, 1.0, 1.0):
         vertices = vertices * np.array(mesh.scale)
     return np.ascontiguousarray(vertices)
+
+
+def half_size(geom: Geom) -> float:
+    """The largest half size of a geom [m]; 0 of ground, which has none of its own."""
+    if geom.type in ("plane", "hfield"):
+        return 0.0
+    if geom.mesh is not None:
+        return 0.5 * float(np.ptp(placed(geom.mesh), axis=0).max()) * geom.fitscale
+    return max(geom.size)
 
 
 def plain_hfield(hfield: HField) -> dict[str, Any]:

@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 
 SomeScene = TypeVar("SomeScene", bound="Contents")
 
-KINDS = ("body", "joint", "geom", "site", "actuator", "equality", "pair", "key")
+KINDS = ("body", "joint", "geom", "mesh", "site", "actuator", "equality", "pair", "key")
+
+# Names and references.
+_NO_VALUES = ("name", "file", "body", "parent", "joint", "geom1", "geom2", "mesh", "hfield")
 
 
 def changed(
@@ -54,11 +57,7 @@ def find(scene: Contents, path: object) -> tuple[Element, str]:
         element: Element = getattr(scene, kind)(name)
     except ValueError as error:
         raise ValueError(f"{shown}: {error}") from None
-    known = [
-        f
-        for f in fields_of(type(element))
-        if f not in ("name", "body", "parent", "joint", "geom1", "geom2")
-    ]
+    known = [f for f in fields_of(type(element)) if f not in _NO_VALUES]
     if field not in known:
         near = checks.nearest(field, known)
         raise ValueError(f"{shown}: a {kind} has no value {checks.quoted(field)}{near}")
