@@ -23,7 +23,7 @@ from vs_mujoco import ACCELERATIONS, EXACT, SOLVERS, Case, Match
 import stepcore as sc
 
 ROUNDING = 1e-10
-LADDER = tuple(10.0 ** (-e / 2) for e in range(4, 29))
+LADDER = tuple(10.0 ** (-e / 4) for e in range(12, 57))
 CASES = [
     Case("capsules27", scenes.capsules(), starts=4, hold=10, settle=250, aim={"newton": 1.5}),
     Case("spheres100", scenes.spheres(100), starts=3, hold=10, settle=500, aim={"newton": 2.0}),

@@ -1,9 +1,9 @@
-//! How long a heap's step takes, for a profiler: spheres in a box without a lid.
+//! How long a heap's step takes, for a profiler: spheres or capsules in a box without a lid.
 //!
 //!     cargo run --release -p stepcore --example heap -- 100 newton 200
 //!
-//! The number of spheres, the solver, the steps that are timed after 500 steps of settling. Times
-//! against other engines are `benches/heaps.py`'s.
+//! The number of bodies, the solver, the steps that are timed after 500 steps of settling; then
+//! `momentum`, the tolerance, and `capsules`. Times against other engines are `benches/heaps.py`'s.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -15,7 +15,7 @@ use stepcore::sim::Sim;
 
 const RADIUS: f64 = 0.05;
 
-fn heap(count: usize) -> Scene {
+fn heap(count: usize, capsules: bool) -> Scene {
     let mut scene = Scene::default();
     let side = (1..).find(|side| side * side * side >= count).unwrap_or(1);
     let half = 1.15 * RADIUS * side as f64;
@@ -36,7 +36,8 @@ fn heap(count: usize) -> Scene {
             y * half / side as f64 - half + jitter(),
             z * 1.2 * RADIUS + jitter(),
         ];
-        scene.bodies.push(Body { pos, ..Body::default() });
+        let quat = [1.0; 4].map(|_| if capsules { 20.0 * jitter() } else { 0.5 });
+        scene.bodies.push(Body { pos, quat, ..Body::default() });
         let body = scene.bodies.len() - 1;
         scene.joints.push(Joint {
             name: format!("free{i}"),
@@ -47,8 +48,8 @@ fn heap(count: usize) -> Scene {
         scene.geoms.push(Geom {
             name: format!("ball{i}"),
             body,
-            kind: GeomType::Sphere,
-            size: [RADIUS, 0.0, 0.0],
+            kind: if capsules { GeomType::Capsule } else { GeomType::Sphere },
+            size: [RADIUS, 1.6 * RADIUS, 0.0],
             mass: Some(1.0),
             ..Geom::default()
         });
@@ -85,7 +86,7 @@ fn main() {
         sweeps: 500.into(),
         ..Settings::default()
     };
-    let model = Arc::new(Model::compile(&heap(count)).expect("a scene"));
+    let model = Arc::new(Model::compile(&heap(count, word(6, "") == "capsules")).expect("a scene"));
     let mut sim = Sim::<f64>::new(model, settings).expect("settings");
     sim.step(500).expect("a finite state");
     let (mut sweeps, mut rows) = (0, 0);

@@ -9,6 +9,7 @@ mod dot;
 mod exact;
 mod few;
 mod first;
+mod free;
 mod implicit;
 mod islands;
 pub(crate) mod law;

@@ -29,13 +29,13 @@ pub(super) struct Columns<R> {
     stale: Vec<bool>,
     /// By node: where its block of the column at hand stands.
     place: Vec<usize>,
-    /// Scratch: Lᵀ scaled by D; parts of rows at two nodes.
+    /// Scratch: Lᵀ scaled by D; see `bend`.
     scaled: Vec<R>,
     own: Vec<R>,
-    other: Vec<R>,
+    active: Vec<usize>,
 }
 
-room!(Columns<R>: values, d, inverse, curve, stale, place, scaled, own, other;);
+room!(Columns<R>: values, d, inverse, curve, stale, place, scaled, own, active;);
 
 /// An island's blocks of rows, as `System` sees them.
 #[derive(Clone, Copy)]
@@ -59,7 +59,7 @@ impl<R: Real> Columns<R> {
             place: Vec::new(),
             scaled: Vec::new(),
             own: Vec::new(),
-            other: Vec::new(),
+            active: Vec::new(),
         }
     }
 
@@ -129,50 +129,64 @@ impl<R: Real> Columns<R> {
 
     /// Adds y s″ yᵀ of one block of rows to the column of one of its nodes.
     fn add(&mut self, nodes: &Nodes, meeting: Meeting, curved: &Curved<R>) {
+        self.bend(nodes, meeting, curved);
+        if self.active.is_empty() {
+            return;
+        }
+        let y = &curved.rows.y;
+        let size = nodes.size(nodes.members[meeting.member].node);
+        for member in &nodes.members[meeting.member..meeting.end] {
+            let width = nodes.size(member.node);
+            let place = self.place[member.node];
+            let target = &mut self.values[place..place + size * width];
+            if let (FREE, FREE, Some(run)) = (size, width, member.run) {
+                outer::<R, FREE>(target, &self.own, &self.active, |row| &y[row + run..]);
+                continue;
+            }
+            let entries = &nodes.entries[member.entries..member.entries + width];
+            for (own, row) in self.own.chunks_exact(size).zip(&self.active) {
+                for (line, own) in target.chunks_exact_mut(width).zip(own) {
+                    for (x, e) in line.iter_mut().zip(entries) {
+                        *x += *own * y[row + e];
+                    }
+                }
+            }
+        }
+    }
+
+    /// s″ y at a node of a block of rows: `own`, row by row of `active`, which says where each
+    /// row's y begins.
+    fn bend(&mut self, nodes: &Nodes, meeting: Meeting, curved: &Curved<R>) {
         let block = &curved.rows.blocks[curved.blocks[meeting.block]];
         let rows = &curved.rows.rows[block.rows.range()];
         let curve = &curved.curve[curved.starts[meeting.block]..][..block.curves()];
         let member = nodes.members[meeting.member];
-        let (size, y) = (nodes.size(member.node), &curved.rows.y);
-        let entries = &nodes.entries[member.entries..member.entries + size];
+        let y = &curved.rows.y;
+        let entries = &nodes.entries[member.entries..][..nodes.size(member.node)];
+        self.active.clear();
+        self.own.clear();
         for (i, row) in rows.iter().enumerate() {
-            // s″ y at the column's node.
-            self.own.clear();
             if block.set == Set::Interval {
-                let bend = curve[i];
-                if bend.gt(R::zero()).none() {
+                if curve[i].gt(R::zero()).none() {
                     continue;
                 }
-                self.own.extend(entries.iter().map(|e| bend * y[row.y + e]));
+                if let (FREE, Some(run)) = (entries.len(), member.run) {
+                    let y = &y[row.y + run..][..FREE];
+                    let own: [R; FREE] = core::array::from_fn(|a| curve[i] * y[a]);
+                    self.own.extend_from_slice(&own);
+                } else {
+                    self.own.extend(entries.iter().map(|e| curve[i] * y[row.y + e]));
+                }
             } else {
-                self.own.resize(size, R::zero());
-                let curve = &curve[i * rows.len()..][..rows.len()];
-                for (bend, row) in curve.iter().zip(rows) {
-                    for (own, e) in self.own.iter_mut().zip(entries) {
+                let first = self.own.len();
+                self.own.resize(first + entries.len(), R::zero());
+                for (bend, row) in curve[i * rows.len()..].iter().zip(rows) {
+                    for (own, e) in self.own[first..].iter_mut().zip(entries) {
                         *own += *bend * y[row.y + e];
                     }
                 }
             }
-            for member in &nodes.members[meeting.member..meeting.end] {
-                let width = nodes.size(member.node);
-                let entries = &nodes.entries[member.entries..member.entries + width];
-                self.other.clear();
-                self.other.extend(entries.iter().map(|e| y[row.y + e]));
-                let place = self.place[member.node];
-                let target = &mut self.values[place..place + size * width];
-                match (self.own.first_chunk(), self.other.first_chunk()) {
-                    (Some(own), Some(other)) if size == FREE && width == FREE => {
-                        outer::<R, FREE>(target, own, other);
-                    }
-                    _ => {
-                        for (line, own) in target.chunks_exact_mut(width).zip(&self.own) {
-                            for (x, other) in line.iter_mut().zip(&self.other) {
-                                *x += *own * *other;
-                            }
-                        }
-                    }
-                }
-            }
+            self.active.push(row.y);
         }
     }
 
@@ -324,13 +338,23 @@ impl Columns<f64> {
     }
 }
 
-/// target += own otherᵀ.
+/// target += Σ own otherᵀ over rows; `other` gives a row's y at the other node.
 #[inline(always)]
-fn outer<R: Real, const N: usize>(target: &mut [R], own: &[R; N], other: &[R; N]) {
-    for (line, own) in target.chunks_exact_mut(N).zip(own) {
-        for a in 0..N {
-            line[a] += *own * other[a];
+fn outer<'a, R: Real, const N: usize>(
+    target: &mut [R],
+    own: &[R],
+    rows: &[usize],
+    other: impl Fn(usize) -> &'a [R],
+) {
+    for (m, line) in target.chunks_exact_mut(N).enumerate() {
+        let mut sum: [R; N] = core::array::from_fn(|a| line[a]);
+        for (own, row) in own.chunks_exact(N).zip(rows) {
+            let other = &other(*row)[..N];
+            for a in 0..N {
+                sum[a] += own[m] * other[a];
+            }
         }
+        line.copy_from_slice(&sum);
     }
 }
 

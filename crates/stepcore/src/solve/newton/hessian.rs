@@ -10,6 +10,8 @@ use super::order::ones;
 use crate::model::Span;
 use crate::real::Real;
 use crate::room::room;
+use crate::solve::dot::dot;
+use crate::solve::free::Free;
 use crate::solve::rows::Rows;
 
 const NOWHERE: usize = usize::MAX;
@@ -200,6 +202,25 @@ impl Pattern {
             return self.nodes.local(block);
         }
         self.blocks[block].0.of(&self.lists)
+    }
+
+    /// Of a heap: the block's dofs, where they are those of free bodies.
+    #[inline(always)]
+    pub fn free(&self, block: usize) -> Option<&Free> {
+        if self.heap {
+            self.nodes.free[block].as_ref()
+        } else {
+            None
+        }
+    }
+
+    /// y·x over a block's dofs, x in local numbers.
+    #[inline(always)]
+    pub fn dot<R: Real>(&self, block: usize, y: &[R], x: &[R]) -> R {
+        match self.free(block) {
+            Some(free) => free.dot(y, x),
+            None => dot(self.list(block), y, x),
+        }
     }
 }
 

@@ -6,7 +6,6 @@ use super::penalty::interval;
 use super::system::{padded, System};
 use crate::real::{Count, Mask, Real};
 use crate::solve::cone::project_some;
-use crate::solve::dot::dot;
 use crate::solve::islands::row_count;
 use crate::solve::limits::{Limits, Report};
 use crate::solve::rows::{Rows, Set, CONE, NARROW};
@@ -185,9 +184,9 @@ impl<R: Real> System<R> {
         }
         let mut at = 0;
         for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
-            let list = pattern.list(b);
+            let len = pattern.list(b).len();
             for row in &rows.rows[block.rows.range()] {
-                self.rate[at] = dot(list, &rows.y[row.y..row.y + list.len()], &self.step);
+                self.rate[at] = pattern.dot(b, &rows.y[row.y..row.y + len], &self.step);
                 at += 1;
             }
         }
@@ -339,7 +338,7 @@ impl<R: Real> System<R> {
     fn refine(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) {
         let (mut at, mut start) = (0, 0);
         for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
-            let list = pattern.list(b);
+            let len = pattern.list(b).len();
             let curves = &self.curve[start..start + block.curves()];
             start += curves.len();
             let mask = block.mask.and(self.fresh);
@@ -347,7 +346,7 @@ impl<R: Real> System<R> {
             let own = &rows.rows[block.rows.range()];
             let mut v = [R::zero(); CONE];
             for (i, row) in own.iter().enumerate() {
-                let along = dot(list, &rows.y[row.y..row.y + list.len()], &self.step);
+                let along = pattern.dot(b, &rows.y[row.y..row.y + len], &self.step);
                 if block.set == Set::Interval {
                     let new = self.impulse[at] + (self.rate[at] - curves[i] * along);
                     self.impulse[at] = R::select(mask, new.clamp(row.lo, row.hi), self.impulse[at]);

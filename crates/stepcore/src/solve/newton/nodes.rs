@@ -8,6 +8,7 @@
 use super::order::Order;
 use crate::model::Span;
 use crate::room::room;
+use crate::solve::free::Free;
 
 /// What a dof without a class has.
 pub(super) const NOWHERE: usize = usize::MAX;
@@ -19,6 +20,8 @@ pub(super) struct Member {
     pub node: usize,
     /// Its dofs' places in the block's list: into `Nodes::entries`.
     pub entries: usize,
+    /// The first of these, where they are one after another.
+    pub run: Option<usize>,
 }
 
 /// One block at one of its nodes: `node` is `members[member]`, and the block's later nodes follow
@@ -45,6 +48,8 @@ pub(super) struct Nodes {
     pub entries: Vec<usize>,
     /// Every block's list in local numbers.
     pub lists: Vec<usize>,
+    /// By block: the same, where it is of free bodies.
+    pub free: Vec<Option<Free>>,
     /// By turn: who meets there, `meetings[meets[k]..meets[k + 1]]`.
     pub meets: Vec<usize>,
     pub meetings: Vec<Meeting>,
@@ -66,7 +71,7 @@ pub(super) struct Nodes {
     next: Vec<usize>,
 }
 
-room!(Nodes: key, ends, dofs, first, blocks, members, entries, lists, meets, meetings, places,
+room!(Nodes: key, ends, dofs, first, blocks, members, entries, lists, free, meets, meetings, places,
     offsets, left_start, left, split, seen, node_of, sizes, edges, next; order);
 
 impl Nodes {
@@ -101,6 +106,10 @@ impl Nodes {
         self.number(class);
         self.columns();
         self.meet();
+        let mut free = std::mem::take(&mut self.free);
+        free.clear();
+        free.extend((0..self.ends.len()).map(|block| Free::of(self.local(block))));
+        self.free = free;
     }
 
     /// Dofs that are in the same lists are one class: each list splits the classes that it cuts.
@@ -159,7 +168,7 @@ impl Nodes {
                 let own = &self.members[first..];
                 if own.iter().all(|member| member.node != *node) {
                     self.edges.extend(own.iter().map(|member| (member.node, *node)));
-                    self.members.push(Member { node: *node, entries: 0 });
+                    self.members.push(Member { node: *node, entries: 0, run: None });
                 }
             }
             self.blocks.push(Span { start: first, len: self.members.len() - first });
@@ -199,10 +208,14 @@ impl Nodes {
             let own = self.blocks[block].range();
             for member in &mut self.members[own.clone()] {
                 let node = member.node;
-                *member = Member { node: self.order.turn[node], entries: self.entries.len() };
+                let first = self.entries.len();
                 let nodes = self.node_of[start..self.ends[block]].iter();
                 let places = nodes.enumerate().filter(|(_, other)| **other == node);
                 self.entries.extend(places.map(|(place, _)| place));
+                let own = &self.entries[first..];
+                let straight = own.iter().enumerate().all(|(at, place)| *place == own[0] + at);
+                let run = straight.then(|| own[0]);
+                *member = Member { node: self.order.turn[node], entries: first, run };
             }
             self.members[own].sort_unstable_by_key(|member| member.node);
         }

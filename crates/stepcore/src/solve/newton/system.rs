@@ -5,7 +5,6 @@ use super::hessian::{Hessian, Pattern};
 use super::penalty::{interval, Cone};
 use crate::real::{Mask, Real};
 use crate::room::room;
-use crate::solve::dot::dot;
 use crate::solve::rows::{Rows, Set, CONE, NARROW};
 use std::ops::Range;
 
@@ -171,7 +170,7 @@ impl<R: Real> System<R> {
             let bend = bend.and(block.mask);
             let own = &rows.rows[block.rows.range()];
             for row in own {
-                let velocity = dot(list, &rows.y[row.y..row.y + list.len()], &self.u);
+                let velocity = pattern.dot(b, &rows.y[row.y..row.y + list.len()], &self.u);
                 self.w[at] = velocity - row.t;
                 let energy = scale + (velocity * velocity + row.t * row.t) * row.inv_s;
                 scale = R::select(block.mask, energy, scale);
@@ -238,6 +237,12 @@ impl<R: Real> System<R> {
             let list = pattern.list(b);
             for row in &rows.rows[block.rows.range()] {
                 let x = sign * x[at];
+                if let Some(free) = pattern.free(b) {
+                    // A heap is one world.
+                    free.add(&rows.y[row.y..row.y + list.len()], x, out);
+                    at += 1;
+                    continue;
+                }
                 for (k, y) in list.iter().zip(&rows.y[row.y..row.y + list.len()]) {
                     out[*k] = R::select(block.mask, out[*k] + *y * x, out[*k]);
                 }

@@ -2,6 +2,7 @@
 
 use super::super::dot::dot;
 use super::super::exact::{Convex, Tangents};
+use super::super::free::{moves, Free};
 use super::super::rows::{Block, Row, Rows, Set, CONE, NARROW};
 use super::super::wide::Wide;
 use crate::real::{Mask, Real};
@@ -11,10 +12,22 @@ use crate::room::room;
 enum Cone<R: Real> {
     /// Solved row by row.
     None,
+    /// The four edges of a pyramid between free bodies of a heap.
+    Edges(Edges<R>),
     Convex(Convex<R>),
     Coulomb(Tangents<R>),
     /// More ways than two tangents: its place in `Sweeps::wide`.
     Wide(usize),
+}
+
+/// Rows in a pyramid.
+const EDGES: usize = 4;
+
+/// Four interval rows on the same free bodies.
+struct Edges<R> {
+    free: Free,
+    /// y D⁻¹ yᵀ below the diagonal: how much each row moves the later ones.
+    beside: [[R; EDGES]; EDGES],
 }
 
 /// What sweeps need of the rows at hand, beside them.
@@ -64,7 +77,7 @@ impl<R: Real> Sweeps<R> {
 
     fn cone(&mut self, dof_lists: &[usize], rows: &Rows<R>, block: &Block<R>) -> Cone<R> {
         if block.set == Set::Interval {
-            return Cone::None;
+            return self.edges(dof_lists, rows, block).map_or(Cone::None, Cone::Edges);
         }
         let own = &rows.rows[block.rows.range()];
         let len = own.first().map_or(0, |row| row.dofs.of(dof_lists).len());
@@ -110,6 +123,26 @@ impl<R: Real> Sweeps<R> {
         Cone::Coulomb(Tangents::new(entry(1, 1), entry(2, 1), entry(2, 2)))
     }
 
+    fn edges(&self, dof_lists: &[usize], rows: &Rows<R>, block: &Block<R>) -> Option<Edges<R>> {
+        let own = &rows.rows[block.rows.range()];
+        if !rows.heap || own.len() != EDGES {
+            return None;
+        }
+        let free = Free::of(own[0].dofs.of(dof_lists))?;
+        let len = free.len();
+        if own.iter().enumerate().any(|(at, row)| row.y != own[0].y + at * len) {
+            return None;
+        }
+        let mut beside = [[R::zero(); EDGES]; EDGES];
+        for i in 1..EDGES {
+            for j in 0..i {
+                let (y, z) = (&rows.y[own[i].y..][..len], &self.z[own[j].y..][..len]);
+                beside[i][j] = y.iter().zip(z).fold(R::zero(), |sum, (y, z)| sum + *y * *z);
+            }
+        }
+        Some(Edges { free, beside })
+    }
+
     /// One pass over the listed blocks. Not inlined: next to each other the two kinds of
     /// sweep get slower code.
     #[inline(never)]
@@ -136,6 +169,12 @@ impl<R: Real> Sweeps<R> {
                 Cone::None => {
                     for (row, weight) in own.iter_mut().zip(weight) {
                         let change = sweep.interval(row);
+                        largest = largest.max(change.abs() * *weight);
+                    }
+                }
+                Cone::Edges(edges) => {
+                    let change = sweep.edges(own, edges);
+                    for (change, weight) in change.iter().zip(weight) {
                         largest = largest.max(change.abs() * *weight);
                     }
                 }
@@ -216,6 +255,36 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         if GAIN {
             let gain = self.gain + change * (R::of(0.5) * (row.a + row.c) * change - short);
             self.gain = R::select(self.mask, gain, self.gain);
+        }
+        change
+    }
+
+    /// Row by row as `interval`, but u is read once before and written once after: what the rows
+    /// do to each other goes by `beside`.
+    #[inline(always)]
+    fn edges(&mut self, own: &mut [Row<R>], edges: &Edges<R>) -> [R; EDGES] {
+        let mut change = [R::zero(); EDGES];
+        let Some(own) = own.first_chunk_mut::<EDGES>() else { return change };
+        let start = own[0].y;
+        let velocity: [R; EDGES] = edges.free.dots(&self.y[start..], self.u);
+        for i in 0..EDGES {
+            let row = &mut own[i];
+            let mut short = row.t - velocity[i] - row.c * row.impulse;
+            for j in 0..i {
+                short -= edges.beside[i][j] * change[j];
+            }
+            let impulse = (row.impulse + short * row.inv_s).clamp(row.lo, row.hi);
+            change[i] = R::select(self.mask, impulse - row.impulse, R::zero());
+            row.impulse = R::select(self.mask, impulse, row.impulse);
+            if GAIN {
+                let gain =
+                    self.gain + change[i] * (R::of(0.5) * (row.a + row.c) * change[i] - short);
+                self.gain = R::select(self.mask, gain, self.gain);
+            }
+        }
+        let moved = moves(&change);
+        if moved.any() {
+            edges.free.kick(&self.z[start..], &change, self.u, moved);
         }
         change
     }

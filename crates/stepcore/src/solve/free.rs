@@ -1,0 +1,160 @@
+//! Rows of free bodies: their dofs are one or two runs of six, and sums over them have a fixed
+//! length.
+//!
+//! Only heaps use this (`Rows::heap`): a sum is taken in another order than `dot`'s, by even and
+//! odd dofs, so that two partial sums advance side by side.
+
+use crate::real::{Mask, Real};
+
+/// Dofs of a free body.
+pub(super) const SIX: usize = 6;
+
+/// Where the dofs of a row's bodies begin.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Free {
+    first: [u32; 2],
+    two: bool,
+}
+
+impl Free {
+    /// Of a list of dofs, if it is one run of six or two.
+    pub fn of(list: &[usize]) -> Option<Self> {
+        let run = |from: usize| {
+            let own = list.get(from..from + SIX)?;
+            let straight = own.iter().enumerate().all(|(at, k)| *k == own[0] + at);
+            straight.then(|| u32::try_from(own[0]).ok()).flatten()
+        };
+        match list.len() {
+            SIX => Some(Self { first: [run(0)?; 2], two: false }),
+            12 => Some(Self { first: [run(0)?, run(SIX)?], two: true }),
+            _ => None,
+        }
+    }
+
+    /// Entries of a row.
+    pub fn len(&self) -> usize {
+        if self.two {
+            2 * SIX
+        } else {
+            SIX
+        }
+    }
+
+    #[inline(always)]
+    fn body(&self, which: usize) -> std::ops::Range<usize> {
+        let first = self.first[which] as usize;
+        first..first + SIX
+    }
+
+    /// y·x.
+    #[inline(always)]
+    pub fn dot<R: Real>(&self, y: &[R], x: &[R]) -> R {
+        let one = products(&y[..SIX], &x[self.body(0)]);
+        if !self.two {
+            return total(one);
+        }
+        let two = products(&y[SIX..2 * SIX], &x[self.body(1)]);
+        total(core::array::from_fn(|a| one[a] + two[a]))
+    }
+
+    /// out += y k.
+    #[inline(always)]
+    pub fn add<R: Real>(&self, y: &[R], k: R, out: &mut [R]) {
+        scaled(&y[..SIX], k, &mut out[self.body(0)]);
+        if self.two {
+            scaled(&y[SIX..2 * SIX], k, &mut out[self.body(1)]);
+        }
+    }
+
+    /// y·u of some rows, y one row after another.
+    #[inline(always)]
+    pub fn dots<R: Real, const N: usize>(&self, y: &[R], u: &[R]) -> [R; N] {
+        let mut sums = [R::zero(); N];
+        for (sum, y) in sums.iter_mut().zip(y.chunks_exact(self.len())) {
+            *sum = self.dot(y, u);
+        }
+        sums
+    }
+
+    /// u += Σ z change, z one row after another; in lanes of `mask`.
+    #[inline(always)]
+    pub fn kick<R: Real, const N: usize>(
+        &self,
+        z: &[R],
+        change: &[R; N],
+        u: &mut [R],
+        mask: R::Mask,
+    ) {
+        let len = self.len();
+        for which in 0..1 + usize::from(self.two) {
+            let own = &mut u[self.body(which)];
+            let mut new: [R; SIX] = core::array::from_fn(|a| own[a]);
+            for (row, change) in change.iter().enumerate() {
+                let z = &z[row * len + which * SIX..][..SIX];
+                for a in 0..SIX {
+                    new[a] += z[a] * *change;
+                }
+            }
+            for a in 0..SIX {
+                own[a] = R::select(mask, new[a], own[a]);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn products<R: Real>(y: &[R], x: &[R]) -> [R; SIX] {
+    let (y, x) = (&y[..SIX], &x[..SIX]);
+    core::array::from_fn(|a| y[a] * x[a])
+}
+
+#[inline(always)]
+fn total<R: Real>(p: [R; SIX]) -> R {
+    ((p[0] + p[2]) + p[4]) + ((p[1] + p[3]) + p[5])
+}
+
+#[inline(always)]
+fn scaled<R: Real>(y: &[R], k: R, out: &mut [R]) {
+    let (y, out) = (&y[..SIX], &mut out[..SIX]);
+    for a in 0..SIX {
+        out[a] += y[a] * k;
+    }
+}
+
+/// Lanes in which some change is one, or no number.
+#[inline(always)]
+pub(super) fn moves<R: Real, const N: usize>(change: &[R; N]) -> R::Mask {
+    let zero = R::zero();
+    change.iter().fold(R::Mask::of(false), |mask, x| mask.or(x.le(zero).and(x.ge(zero)).not()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_of_six_are_found() {
+        let list = |first: usize| (first..first + 6).collect::<Vec<_>>();
+        assert!(Free::of(&list(12)).is_some());
+        assert!(Free::of(&[list(12), list(30)].concat()).is_some_and(|free| free.len() == 12));
+        assert!(Free::of(&[list(12), vec![18]].concat()).is_none());
+        assert!(Free::of(&[0, 1, 2, 3, 4, 6]).is_none());
+        assert!(Free::of(&[]).is_none());
+    }
+
+    #[test]
+    fn sums_are_sums_over_the_list() {
+        let free = Free::of(&[3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17]).unwrap();
+        let y: Vec<f64> = (0..24).map(|i| (0.3 * i as f64).sin()).collect();
+        let u: Vec<f64> = (0..20).map(|i| (0.7 * i as f64).cos()).collect();
+        let list = [3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17];
+        let want = |y: &[f64]| list.iter().zip(y).map(|(k, y)| u[*k] * y).sum::<f64>();
+        let got: [f64; 2] = free.dots(&y, &u);
+        assert!((got[0] - want(&y)).abs() < 1e-14 && (got[1] - want(&y[12..])).abs() < 1e-14);
+        let (mut both, mut one) = (u.clone(), u.clone());
+        free.kick(&y, &[0.5, -2.0], &mut both, true);
+        free.add(&y, 0.5, &mut one);
+        free.add(&y[12..], -2.0, &mut one);
+        assert_eq!(both, one);
+    }
+}
