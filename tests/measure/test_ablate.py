@@ -273,7 +273,6 @@ def test_the_command_writes_data_a_picture_a_page_and_the_model(tmp_path: Path, 
     assert max(map(len, printed.splitlines())) <= WIDTH
     printed = " ".join(printed.split())
     assert "The smallest model within 1 mm saves" in printed
-    assert "torsional and rolling friction are not built yet" in printed
     data = json.loads(Path(out["json"]).read_text())
     same = sc.ablate(sc.load(model), horizon=0.2, starts=1, progress=False)
     assert data["smallest"]["without"] == [removal.label for removal in same.removed] != []

@@ -89,12 +89,20 @@ def _no_armature(scene: Contents, joints: Iterable[int]) -> None:
 
 
 def _frictionless(scene: Contents, geoms: Iterable[int]) -> None:
-    for geom in geoms:
-        scene.geoms[geom].condim = 1
-    own = {id(scene.geoms[geom]) for geom in geoms}
+    _limit_condim(scene, geoms, 1)
+
+
+def _sliding_only(scene: Contents, geoms: Iterable[int]) -> None:
+    _limit_condim(scene, geoms, 3)
+
+
+def _limit_condim(scene: Contents, geoms: Iterable[int], most: int) -> None:
+    own = {id(scene.geoms[geom]): scene.geoms[geom] for geom in geoms}
+    for geom in own.values():
+        geom.condim = min(geom.condim, most)
     for pair in scene.pairs:
         if id(pair.geom1) in own and id(pair.geom2) in own:
-            pair.condim = 1
+            pair.condim = min(pair.condim, most)
 
 
 def _no_contact(scene: Contents, geoms: Iterable[int]) -> None:
@@ -119,6 +127,7 @@ _EDITS: dict[str, Any] = {
     "no range": _no_range,
     "no armature": _no_armature,
     "frictionless": _frictionless,
+    "sliding only": _sliding_only,
     "no contact": _no_contact,
     "inactive": _inactive,
     "settings": _settings,
@@ -162,14 +171,18 @@ class RemovableFeatures:
         return [Removal("cone", f"{settings.cone} → {other}", (edit,))]
 
     def friction(self) -> list[Removal]:
-        """Contacts without friction."""
-        geoms = self.geoms_with_friction()
-        return [Removal("friction", "condim 1", (("frictionless", geoms),))] if geoms else []
+        """Contacts without friction, and with sliding friction only."""
+        geoms, turning = self.geoms_with_friction(), self.geoms_with_friction(3)
+        found = [Removal("friction", "condim 1", (("frictionless", geoms),))] if geoms else []
+        if turning:
+            edit = ("sliding only", turning)
+            found.append(Removal("torsional and rolling friction", "condim 3", (edit,)))
+        return found
 
-    def geoms_with_friction(self) -> tuple[int, ...]:
-        """Geoms of the pairs that have friction, by index in the scene."""
+    def geoms_with_friction(self, above: int = 1) -> tuple[int, ...]:
+        """Geoms of the pairs of a condim above this, by index in the scene."""
         pairs = zip(self.pairs, self.plan["condim"], strict=True)
-        geoms = {self.geom[g] for pair, condim in pairs if condim > 1 for g in pair}
+        geoms = {self.geom[g] for pair, condim in pairs if condim > above for g in pair}
         return tuple(sorted(geoms))
 
     def terms(self) -> list[Removal]:

@@ -198,11 +198,7 @@ def candidate_pairs(model: Model) -> list[Pair]:
 
 def explicit(pair: Record, i: int, j: int) -> Pair:
     """An explicit pair of geoms, ordered, with its own parameters."""
-    mu = pair["friction"][0]
-    condim = pair["condim"] if mu > LEAST_FRICTION else 1
-    if condim > 3 or pair["friction"][1] != mu:
-        raise ValueError(f"pair '{pair['name']}': the reference knows condim 1 and 3, isotropic")
-    return Pair(i, j, condim, mu)
+    return Pair(i, j, tuple(pair["friction"])[: pair["condim"] - 1])
 
 
 def mix(geoms: list[Record], i: int, j: int) -> Pair:

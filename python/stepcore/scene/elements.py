@@ -175,7 +175,8 @@ class Geom(Element):
     group: an integer that `MassRules.inertiagrouprange` refers to.
     contype, conaffinity: 32-bit masks; two geoms can collide if the contype of one and the
         conaffinity of the other share a bit.
-    condim: dimension of the contact: 1 (frictionless), 3, 4 or 6.
+    condim: dimension of the contact: 1 (frictionless), 3 (sliding), 4 (and torsion about the
+        normal) or 6 (and rolling).
     friction: sliding, torsional [m] and rolling [m] coefficient, shape (3,), >= 0.
     solref, solimp: softness of its contacts.
     priority, solmix: which of two geoms decides their contact's parameters, and how they are mixed.
@@ -289,7 +290,8 @@ class Pair(Element):
 
     name: unique among pairs, or "".
     geom1, geom2: the two `Geom` objects.
-    condim: dimension of the contact: 1 (frictionless), 3, 4 or 6.
+    condim: dimension of the contact: 1 (frictionless), 3 (sliding), 4 (and torsion about the
+        normal) or 6 (and rolling).
     friction: sliding along both tangents [1], torsional [m], and rolling about both [m], shape
         (5,), >= 0. A pyramid or cone can be narrower along one tangent than along the other.
     solref, solimp: softness of its contacts.

@@ -54,6 +54,7 @@ fn sum<R: Real>(term: impl Fn(usize) -> R) -> R {
 impl<R: Real> Wide<R> {
     /// For a convex cone.
     pub fn convex(q: Square6<R>, mu: R) -> Self {
+        let q = symmetric(q);
         let scale = |i: usize| if i == 0 { R::one() } else { mu };
         let unit =
             core::array::from_fn(|i| core::array::from_fn(|j| q[i][j] * (scale(i) * scale(j))));
@@ -63,6 +64,7 @@ impl<R: Real> Wide<R> {
 
     /// For a Coulomb cone, whose normal is solved by itself.
     pub fn coulomb(q: Square6<R>, mu: R) -> Self {
+        let q = symmetric(q);
         let (v, mut d) = diagonal(q, 1);
         // What rounding leaves of a zero eigenvalue is a direction that nothing moves.
         let most = d[1..].iter().fold(R::zero(), |most, d| most.max(*d));
@@ -265,6 +267,11 @@ impl<R: Real> Wide<R> {
     pub fn square(&self, g: &Vector<R>, bound: R, x: &Vector<R>, mask: R::Mask) -> Vector<R> {
         Square { q: &self.q, g, bound }.minimiser(x, mask)
     }
+}
+
+/// The lower half for both: the other one differs by rounding.
+fn symmetric<R: Real>(q: Square6<R>) -> Square6<R> {
+    core::array::from_fn(|i| core::array::from_fn(|j| q[i.max(j)][i.min(j)]))
 }
 
 /// V and d with VᵀQV = diag(d) and VᵀSV = S; the entries before `first` stay as they are.

@@ -180,7 +180,7 @@ def _baseline(runner: Runner, reference: Reference | None) -> Baseline:
 
 
 def _notes(reference: Reference | None, baseline: Baseline, tolerance: float) -> list[str]:
-    notes = ["torsional and rolling friction are not built yet: there is nothing to remove"]
+    notes: list[str] = []
     if reference is not None and reference.error > tolerance:
         notes.append(
             f"the reference has an error of {metres(reference.error)}, more than the tolerance: "

@@ -103,8 +103,7 @@ impl<R: Real> Sweeps<R> {
                     _ => entry(i, j),
                 }
             };
-            // One half for both: the other differs by rounding.
-            let q = core::array::from_fn(|i| core::array::from_fn(|j| whole(i.max(j), i.min(j))));
+            let q = core::array::from_fn(|i| core::array::from_fn(|j| whole(i, j)));
             let wide = if convex { Wide::convex(q, block.mu) } else { Wide::coulomb(q, block.mu) };
             self.wide.push(wide);
             return Cone::Wide(self.wide.len() - 1);
