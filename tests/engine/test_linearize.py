@@ -42,6 +42,8 @@ SCENES = (
     "sphere_sphere",
     "sphere_box",
     "capsule_capsule",
+    "condim_4",
+    "condim_6",
     "all_together",
 )
 

@@ -2,8 +2,8 @@
 
 Laws, for a ball of mass m, radius r and inertia I = 2/5 m r² on a floor: a spin about the normal
 loses μ_t m g/I; rolling loses 5/7 μ_r g/r and ends after v²/(2a); a ball that slides first rolls
-where μ and μ_r say; the torque is at most μ_j times the normal force, in the ellipsoid or the box of
-the cone; two balls that meet keep their momentum and their angular momentum.
+where μ and μ_r say; force and torque are within the ellipsoid or the box of the cone; two balls
+that meet keep their momentum and their angular momentum.
 """
 
 import math
@@ -80,17 +80,20 @@ def test_rolling_stops(engine, law):
 def test_rolling_in_an_ellipsoid_creeps():
     """Friction and rolling share Σ (λ_j/μ_j)² = λ_n², and so their slips: a little slower, with
     a slip that stands in the ratio of what they push."""
-    mu, roll = 0.3, 0.02
+    mu, roll = 0.3, 0.005
     sim = make("rust", ball(6, f"{mu} .01 {roll}"), law="rigid", cone="elliptic", **SOLVED)
     sim.qvel[0], sim.qvel[4] = 3.0, 3.0 / R
-    sim.step(100)
+    sim.step(500)
     before = sim.qvel[0]
-    sim.step(100)
-    # f = m a, and about the centre τ = 7/5 m r a.
-    rate = G / math.hypot(1 / mu, 1.4 * R / roll)
-    assert (before - sim.qvel[0]) / (100 * DT) == pytest.approx(rate, rel=2e-3)
-    slip = sim.qvel[0] - R * sim.qvel[4]
-    assert slip == pytest.approx(sim.qvel[4] * (roll / mu) ** 2 / (1.4 * R), rel=2e-2)
+    sim.step(500)
+    # The slip is c ω with c = (μ_r/μ)² f/τ, so f = m a, a = (r + c) α and τ = r f + I α.
+    c = 0.0
+    for _ in range(50):
+        arm = R + 0.4 * R * R / (R + c)  # τ/f
+        c = (roll / mu) ** 2 / arm
+    rate = G / math.hypot(1 / mu, arm / roll)
+    assert (before - sim.qvel[0]) / (500 * DT) == pytest.approx(rate, rel=1e-4)
+    assert sim.qvel[0] - R * sim.qvel[4] == pytest.approx(c * sim.qvel[4], rel=1e-2)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -209,7 +212,7 @@ def test_force_and_torque_stay_in_the_cone(law, cone, condim):
             z = np.cross(normal, y)
             force, torque = contact["force"], contact["torque"]
             parts = np.array([force @ y, force @ z, torque @ normal, torque @ y, torque @ z])
-            load = force @ normal
+            load = max(force @ normal, 0.0)
             seen += load > 0
             assert np.abs(parts[condim - 1 :]).max(initial=0.0) < 1e-12
             parts = np.abs(parts[: condim - 1]) / mu
@@ -248,12 +251,13 @@ def test_single_precision_and_lanes():
 def test_what_is_told_of_them():
     """Rows in their own units, plan's count of rows, and the Delassus matrix of such rows."""
     for condim, cone, count in ((4, "elliptic", 4), (6, "elliptic", 6), (4, "pyramidal", 6)):
-        sim = make("rust", ball(condim, ".8 .01 .002"), law="solref", cone=cone, solver="newton")
+        scene = ball(condim, ".8 .01 .002").with_settings(cone=cone)
+        sim = sc.Sim(scene, solver="newton")
         sim.qpos[2] -= 1e-4
         sim.qvel[:] = [0.01, 0, 0, 0.1, 0.2, 0.3]
         sim.forward()
         assert len(sim.rows) == count
-        assert f"{count} rows each" in str(sim.model.plan(cone=cone))
+        assert f"{count} rows each" in str(sim.model.plan())
     sim = make("rust", ball(6, ".8 .01 .002"), law="rigid", cone="elliptic", **SOLVED)
     sim.qvel[:] = [0.01, 0, 0, 0.1, 0.2, 0.3]
     sim.forward()

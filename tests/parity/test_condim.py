@@ -60,14 +60,15 @@ def test_forces_and_torques_are_mujocos(name, cone, impratio):
     newton = sc.Sim(model, **peers.EXACT, **options)
     swept = sc.Sim(model, **{**peers.EXACT, **CONVERGED, **options})
     torques = 0
-    for qpos, qvel, *_ in states_of(name, theirs, 30):
-        data.qpos[:], data.qvel[:] = qpos, qvel
+    for state in states_of(name, theirs, 30):
+        state.to_mujoco(theirs, data)
         mujoco.mj_forward(theirs, data)
         want = wrenches(theirs, data)
         torques += bool(np.abs(want[:, 3:]).max(initial=0.0) > 0)
         scale = max(1.0, np.abs(data.qfrc_constraint).max(initial=0.0))
         for sim, limit in ((newton, 1e-9), (swept, 1e-8)):
-            sim.qpos[:], sim.qvel[:] = qpos, qvel
+            for field, value in vars(state).items():
+                getattr(sim, field)[:] = value
             sim.forward()
             got = np.hstack([sim.contacts["force"], sim.contacts["torque"]])
             assert got.shape == want.shape

@@ -99,7 +99,7 @@ impl<R: Real> Rows<R> {
                 Axis::Normal => contact.normal,
                 Axis::Tangent(at) => tangents[at],
             };
-            let axis = axis * R::of(way.scale);
+            let axis = if way.scale == 1.0 { axis } else { axis * R::of(way.scale) };
             if way.turns {
                 self.turning_row(now, contact, pair, &axis, way.scale);
             } else {

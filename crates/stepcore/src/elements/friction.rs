@@ -89,9 +89,9 @@ impl Ways {
             } else if mu > 0.0 {
                 if ways.count == 0 {
                     ways.mu = mu;
-                    ways.share = ways.slide / mu;
+                    ways.share = ratio(ways.slide, mu);
                 }
-                let scale = mu / ways.mu;
+                let scale = ratio(mu, ways.mu);
                 ways.list[ways.count] = Way { scale, ..way(direction) };
                 ways.count += 1;
             }
@@ -112,6 +112,15 @@ impl Ways {
             Some(way) => way.scale,
             None => 1.0,
         }
+    }
+}
+
+/// Most coefficients are equal, and a division takes as long as a row's other numbers.
+fn ratio(a: f64, b: f64) -> f64 {
+    if a == b {
+        1.0
+    } else {
+        a / b
     }
 }
 
