@@ -366,7 +366,7 @@ impl<R: Real> Meeting<'_, R> {
         // The later start and the earlier end, each an end of one of the two.
         let (from, a) = if low.lane(0) > 0.0 { (low, first.name + 2) } else { (R::zero(), 0) };
         let (to, b) = if high.lane(0) < 1.0 { (high, last.name + 2) } else { (R::one(), 1) };
-        if ((to - from) * ee.sqrt()).lane(0) <= BORDER * self.size {
+        if ((to - from) * ee.sqrt()).lane(0) < -BORDER * self.size {
             return;
         }
         for (share, label) in [(from, a), (to, b)] {

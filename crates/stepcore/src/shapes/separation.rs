@@ -62,6 +62,8 @@ const ROUNDING: f64 = 1e-14;
 const ROUNDS: usize = 90;
 const STEPS: usize = 30;
 const AGAIN: usize = 4;
+/// Steps of Newton's method whose gain rounding hides.
+const HIDDEN: usize = 3;
 /// Edges of a corner that are tried.
 const EDGES: usize = 8;
 
@@ -229,23 +231,22 @@ impl<'a> Pairing<'a> {
         let mut normal = unit(&onto(*rough));
         let mut point = self.furthest(&-normal);
         let mut apart = normal.dot(&point);
-        let mut slope = f64::INFINITY;
-        let mut before = normal;
+        let mut hidden = 0;
         for _ in 0..STEPS {
-            let Some((step, steep)) = self.newton(&normal, &point, apart, edge) else { break };
+            let Some(step) = self.newton(&normal, &point, apart, edge) else { break };
             let square = step.dot(&step);
-            if steep >= slope {
-                // Among steps whose gain rounding hides, the flattest place counts.
-                return (before, self.apart(&before));
-            }
             let mut share = 1.0;
             let better = loop {
                 let next = unit(&onto(normal + step * share));
                 let there = self.furthest(&-next);
                 let gained = next.dot(&there);
-                let hidden = share == 1.0 && square < 1e-4 && gained > apart - ROUNDING * self.size;
-                if gained > apart || hidden {
-                    slope = if hidden { steep } else { f64::INFINITY };
+                if gained > apart {
+                    break Some((next, there, gained));
+                }
+                // The last steps gain less than rounding shows.
+                let even = gained > apart - ROUNDING * self.size;
+                if share == 1.0 && square < 1e-4 && even && hidden < HIDDEN {
+                    hidden += 1;
                     break Some((next, there, gained));
                 }
                 share *= 0.25;
@@ -254,7 +255,6 @@ impl<'a> Pairing<'a> {
                 }
             };
             let Some((next, there, gained)) = better else { break };
-            before = normal;
             (normal, point, apart) = (next, there, gained);
             if square < 1e-32 {
                 break;
@@ -263,7 +263,7 @@ impl<'a> Pairing<'a> {
         (normal, apart)
     }
 
-    /// The step of Newton's method and the slope of the separation. On the unit sphere the slope
+    /// The step of Newton's method. On the unit sphere the slope
     /// of n·w(n) is what of w is across n, and its bend minus both shapes' bends minus n·w.
     fn newton(
         &self,
@@ -271,14 +271,14 @@ impl<'a> Pairing<'a> {
         point: &V3<f64>,
         apart: f64,
         edge: Option<&V3<f64>>,
-    ) -> Option<(V3<f64>, f64)> {
+    ) -> Option<V3<f64>> {
         let bend = |t: &V3<f64>| self.one.bend(normal, t) + self.two.bend(&-normal, t);
         if let Some(e) = edge {
             let t = unit(&e.cross(normal));
             let (g, h) = (t.dot(point), t.dot(&bend(&t)) + apart);
             let step =
                 if h > 0.0 { g / h } else { g / (h.abs() + apart.abs()).max(f64::MIN_POSITIVE) };
-            return step.is_finite().then(|| (t * step.clamp(-0.5, 0.5), g.abs()));
+            return step.is_finite().then(|| t * step.clamp(-0.5, 0.5));
         }
         let (t, u) = across_both(normal);
         let (bt, bu) = (bend(&t), bend(&u));
@@ -293,7 +293,7 @@ impl<'a> Pairing<'a> {
         };
         let length = step.dot(&step).sqrt();
         let step = if length > 0.5 { step * (0.5 / length) } else { step };
-        length.is_finite().then(|| (step, (g * g + k * k).sqrt()))
+        length.is_finite().then_some(step)
     }
 }
 
