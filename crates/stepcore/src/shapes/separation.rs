@@ -65,7 +65,7 @@ const AGAIN: usize = 4;
 /// Steps of Newton's method whose gain rounding hides.
 const HIDDEN: usize = 3;
 /// Edges of a corner that are tried.
-const EDGES: usize = 8;
+const EDGES: usize = 16;
 
 impl<'a> Pairing<'a> {
     pub fn new(one: Solid<'a, f64>, two: Solid<'a, f64>) -> Self {
