@@ -161,7 +161,7 @@ mod tests {
         assert_eq!(Ways::plain([false; 2], &torsion).list().len(), 1);
         assert_eq!(Ways::plain([false; 2], &torsion).mu, 0.01);
         let least = Ways::soft([false; 2], &torsion);
-        assert_eq!((least.list().len(), least.mu, least.list()[2].scale), (3, 1e-5, 1000.0));
+        assert_eq!((least.list().len(), least.mu, least.list()[2].scale), (3, 1e-5, 0.01 / 1e-5));
         let one = Ways::soft([true, false], &material(3, [0.8, 0.4, 0.0, 0.0, 0.0]));
         assert_eq!((one.list().len(), one.still), (1, 1));
         assert_eq!((one.mu, one.slide, one.share), (0.4, 0.8, 2.0));
