@@ -312,6 +312,37 @@ _add(
     spread=0.05,
 )
 
+_add(
+    "sphere_cylinder",
+    f'<geom type="cylinder" size=".3 .1" euler="5 -7 20" {GROUND}/>'
+    f'<geom type="cylinder" size=".06 .3" pos=".1 .1 .2" euler="80 20 0" {GROUND}/>'
+    + _mover("-.1 .1 .19", f"{_SPHERE} {ALOOF}")
+    + _mover(".15 -.05 .19", f"{_SPHERE} {ALOOF}")
+    + _mover("-.28 -.2 .1", f'type="sphere" size=".05" friction=".2" {ALOOF}'),
+    CONTACT,
+    spread=0.03,
+)
+_add(
+    "capsule_box",
+    f'<geom type="box" size=".4 .4 .1" euler="5 -7 20" {GROUND}/>'
+    f'<geom type="box" size=".1 .1 .1" pos=".2 .1 .2" euler="30 20 0" {GROUND}/>'
+    + _mover("-.1 .1 .19", f'{_CAPSULE} euler="88 20 0" {ALOOF}')
+    + _mover(".1 -.15 .2", f'type="capsule" size=".05 .2" euler="5 84 0" friction=".3" {ALOOF}')
+    + _mover("-.3 -.2 .2", f'type="capsule" size=".06 .1" euler="40 10 0" condim="1" {ALOOF}'),
+    CONTACT,
+    spread=0.03,
+)
+_add(
+    "box_box",
+    '<geom type="box" size=".5 .4 .1" euler="2 -3 20"/>'
+    + _mover("-.2 .05 .18", 'type="box" size=".1 .12 .08"')
+    + _mover("-.2 .08 .33", 'type="box" size=".15 .05 .07" euler="2 1 30" friction=".3"')
+    + _mover(".2 .05 .24", 'type="box" size=".1 .1 .1" euler="40 30 10"')
+    + _mover(".55 -.1 .14", 'type="box" size=".15 .1 .04" euler="1 5 60" condim="1"'),
+    CONTACT,
+    spread=0.02,
+)
+
 # --- what a contact's numbers are mixed from ----------------------------------------------------
 
 _add(

@@ -16,4 +16,7 @@ BUILT = [
     ("ellipsoid", "cylinder"),
     ("ellipsoid", "box"),
     ("cylinder", "box"),
+    ("sphere", "cylinder"),
+    ("capsule", "box"),
+    ("box", "box"),
 ]

@@ -3,12 +3,17 @@
 //! One file a family of pairs. A pair's test is a pure function of two shapes; which one a pair of
 //! geoms has is decided when the model is compiled (`ShapeTest`), and `meet` runs it.
 
+pub(crate) mod boxes;
 pub(crate) mod by_lane;
 pub(crate) mod capsule;
+mod capsule_box;
+#[cfg(test)]
+mod capsule_box_tests;
 mod contact_feature;
 mod convex;
 #[cfg(test)]
 mod convex_tests;
+pub(crate) mod cylinder;
 mod epa;
 mod facets;
 mod gjk;
@@ -89,6 +94,11 @@ pub fn meet<R: Real>(
         ShapeTest::OnField(kind) => {
             all(&by_lane::<R, _, { height_field::MOST }>(&OnField(kind), one, two));
         }
+        ShapeTest::SphereCylinder => {
+            all(&cylinder::sphere_cylinder(p1, s1.x, p2, s2.x, s2.y));
+        }
+        ShapeTest::CapsuleBox => all(&by_lane(&capsule_box::CapsuleBox, one, two)),
+        ShapeTest::BoxBox => all(&by_lane(&boxes::Boxes { within: f64::INFINITY }, one, two)),
         ShapeTest::Convex(a, b) => {
             let test = Convex { one: a, two: b };
             match test.most() {

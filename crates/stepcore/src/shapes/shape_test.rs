@@ -1,5 +1,6 @@
 //! Which exact test a pair of shapes has, chosen when a model is compiled.
 
+use super::boxes;
 use super::convex::Convex;
 use super::height_field;
 use crate::scene::GeomType;
@@ -15,7 +16,10 @@ pub enum ShapeTest {
     SphereSphere,
     SphereCapsule,
     SphereBox,
+    SphereCylinder,
     CapsuleCapsule,
+    CapsuleBox,
+    BoxBox,
     /// Two convex shapes of these types: the routine that needs no closed form.
     Convex(GeomType, GeomType),
     /// A height field and a shape of this type.
@@ -32,7 +36,10 @@ const TESTS: &[(GeomType, GeomType, ShapeTest)] = &[
     (GeomType::Sphere, GeomType::Sphere, ShapeTest::SphereSphere),
     (GeomType::Sphere, GeomType::Capsule, ShapeTest::SphereCapsule),
     (GeomType::Sphere, GeomType::Box, ShapeTest::SphereBox),
+    (GeomType::Sphere, GeomType::Cylinder, ShapeTest::SphereCylinder),
     (GeomType::Capsule, GeomType::Capsule, ShapeTest::CapsuleCapsule),
+    (GeomType::Capsule, GeomType::Box, ShapeTest::CapsuleBox),
+    (GeomType::Box, GeomType::Box, ShapeTest::BoxBox),
     convex(GeomType::Sphere, GeomType::Ellipsoid),
     convex(GeomType::Capsule, GeomType::Ellipsoid),
     convex(GeomType::Capsule, GeomType::Cylinder),
@@ -82,17 +89,19 @@ impl ShapeTest {
             | Self::PlaneEllipsoid
             | Self::SphereSphere
             | Self::SphereCapsule
-            | Self::SphereBox => 1,
-            Self::PlaneCapsule | Self::CapsuleCapsule => 2,
-            Self::OnField(_) => height_field::MOST,
+            | Self::SphereBox
+            | Self::SphereCylinder => 1,
+            Self::PlaneCapsule | Self::CapsuleCapsule | Self::CapsuleBox => 2,
             Self::Convex(one, two) => Convex { one, two }.most(),
             Self::PlaneCylinder | Self::PlaneBox => 4,
+            Self::BoxBox => boxes::MOST,
+            Self::OnField(_) => height_field::MOST,
         }
     }
 
     /// Its contacts are known from step to step by feature: a slot has no meaning of its own.
     pub fn by_feature(self) -> bool {
-        self.most_touches() > 2
+        self.most_touches() > 2 || self == Self::CapsuleBox
     }
 
     /// The normal turns while one shape moves past the other.

@@ -1,0 +1,231 @@
+//! The face of a box clipped to a face of another: Sutherland and Hodgman (1974).
+//!
+//! In the axes of the box whose face bounds (the bed) the other box's face is a rectangle, whose
+//! corners and cut edges above the bed are the contacts.
+
+use super::super::touch::Touch;
+use super::axes::Axes;
+use super::{corner_feature, edge, edges_feature, others, Block, Side, MOST};
+use crate::real::{Mask, Real};
+use crate::spatial::V3;
+
+/// Room for a polygon: a quadrangle gains a corner at each of four cuts.
+const ROOM: usize = 12;
+/// Of the smallest half length: as near to a corner a cut edge has the corner's name, so that names
+/// stay while equal boxes lie on each other.
+const SAME_CORNER: f64 = 1e-3;
+
+/// Corners of a face, in turn: signs along the two axes after its own.
+const CORNERS: [[bool; 2]; 4] = [[true, true], [false, true], [false, false], [true, false]];
+
+/// What bounds a polygon between one corner and the next: an edge of the lying face, by its first
+/// corner, or a side of the bed, along one of the two axes after its own.
+#[derive(Clone, Copy)]
+enum Bound {
+    Lying(usize),
+    Bed { axis: usize, positive: bool },
+}
+
+#[derive(Clone, Copy)]
+struct Vertex<R: Real> {
+    /// In the bed's axes, from its centre.
+    at: V3<R>,
+    /// Along the lying face's two axes, from its middle.
+    lying: [f64; 2],
+    next: Bound,
+}
+
+struct Polygon<R: Real> {
+    vertices: [Vertex<R>; ROOM],
+    count: usize,
+}
+
+impl<R: Real> Polygon<R> {
+    fn empty() -> Self {
+        let nowhere = Vertex { at: V3::zeros(), lying: [0.0; 2], next: Bound::Lying(0) };
+        Self { vertices: [nowhere; ROOM], count: 0 }
+    }
+
+    fn push(&mut self, vertex: Vertex<R>) {
+        if self.count < ROOM {
+            self.vertices[self.count] = vertex;
+            self.count += 1;
+        }
+    }
+
+    /// What lies inside one side of the bed.
+    fn cut(&self, axis: usize, positive: bool, half: R) -> Self {
+        let mut inside = Self::empty();
+        let over = |v: &Vertex<R>| if positive { v.at[axis] - half } else { -v.at[axis] - half };
+        let side = Bound::Bed { axis, positive };
+        for k in 0..self.count {
+            let (here, next) = (&self.vertices[k], &self.vertices[(k + 1) % self.count]);
+            let (d, e) = (over(here), over(next));
+            let (out, leaves, enters) = (d.lane(0) > 0.0, e.lane(0) > 0.0, e.lane(0) < 0.0);
+            let crossing = |bound| {
+                let share = d / (d - e);
+                let plain = share.lane(0);
+                let lying = [0, 1].map(|i| here.lying[i] + (next.lying[i] - here.lying[i]) * plain);
+                Vertex { at: here.at + (next.at - here.at) * share, lying, next: bound }
+            };
+            if out {
+                if enters {
+                    inside.push(crossing(here.next));
+                }
+            } else if leaves && d.lane(0) < 0.0 {
+                inside.push(*here);
+                inside.push(crossing(side));
+            } else {
+                inside.push(Vertex { next: if leaves { side } else { here.next }, ..*here });
+            }
+        }
+        inside
+    }
+}
+
+/// The contacts of the best face with what lies on it, into `out`, positions from the first box's
+/// centre.
+pub(super) fn contacts<R: Real>(
+    a: &Block<R>,
+    b: &Block<R>,
+    axes: &Axes<R>,
+    out: &mut [Touch<R>; MOST],
+) {
+    let face = &axes.face;
+    let first = face.side == Side::First;
+    let (bed, lying) = if first { (a, b) } else { (b, a) };
+    // A lying axis k along the bed's axis i.
+    let cosine = |i: usize, k: usize| if first { axes.cosines[i][k] } else { axes.cosines[k][i] };
+    let up = face.axis;
+    // Out of the bed, towards what lies on it.
+    let above = face.positive == first;
+    let steepness = |k: usize| cosine(up, k).lane(0).abs();
+    let down = (1..3).fold(0, |best, k| if steepness(k) > steepness(best) { k } else { best });
+    let faces_down = (cosine(up, down).lane(0) < 0.0) == above;
+
+    let [u, v] = others(down);
+    let along = |k: usize, positive: bool| {
+        let half = if positive { lying.half[k] } else { -lying.half[k] };
+        V3::new(cosine(0, k), cosine(1, k), cosine(2, k)) * half
+    };
+    let between = lying.centre - bed.centre;
+    let middle =
+        V3::new(bed.axes[0].dot(&between), bed.axes[1].dot(&between), bed.axes[2].dot(&between))
+            + along(down, faces_down);
+    let mut polygon = Polygon::empty();
+    for (k, [p, q]) in CORNERS.into_iter().enumerate() {
+        let at = middle + along(u, p) + along(v, q);
+        let signed = |k: usize, positive| {
+            let half = lying.half[k].lane(0);
+            if positive {
+                half
+            } else {
+                -half
+            }
+        };
+        polygon.push(Vertex { at, lying: [signed(u, p), signed(v, q)], next: Bound::Lying(k) });
+    }
+    for axis in others(up) {
+        for positive in [true, false] {
+            polygon = polygon.cut(axis, positive, bed.half[axis]);
+        }
+    }
+
+    let outward = if above { R::one() } else { -R::one() };
+    let to_second = bed.axes[up] * if face.positive { R::one() } else { -R::one() };
+    let names = Names { bed, lying, first, up, above, down, faces_down };
+    let mut used = [usize::MAX; MOST];
+    for k in 0..polygon.count.min(MOST) {
+        let vertex = &polygon.vertices[k];
+        let before = polygon.vertices[(k + polygon.count - 1) % polygon.count].next;
+        let dist = vertex.at[up] * outward - bed.half[up];
+        let mut at = vertex.at;
+        at[up] -= outward * (R::of(0.5) * dist);
+        used[k] = names.of(vertex, before, &used[..k]);
+        out[k] = Touch {
+            dist,
+            pos: bed.centre + bed.axes[0] * at.x + bed.axes[1] * at.y + bed.axes[2] * at.z,
+            normal: to_second,
+            exists: R::Mask::of(true),
+            feature: R::of(used[k] as f64),
+        };
+    }
+}
+
+/// How contacts of two faces are named.
+struct Names<'a, R: Real> {
+    bed: &'a Block<R>,
+    lying: &'a Block<R>,
+    /// The bed is the first box.
+    first: bool,
+    up: usize,
+    above: bool,
+    down: usize,
+    faces_down: bool,
+}
+
+impl<R: Real> Names<'_, R> {
+    /// The feature of a vertex between two bounds: the first name that no other has. Corners come
+    /// first, so that boxes of equal faces keep four names whichever of them counts as the bed.
+    fn of(&self, vertex: &Vertex<R>, before: Bound, used: &[usize]) -> usize {
+        let (bed_side, lying_side) =
+            if self.first { (Side::First, Side::Second) } else { (Side::Second, Side::First) };
+        let place = |k: usize| vertex.at[k].lane(0);
+        let [p, q] = others(self.up);
+        let [u, v] = others(self.down);
+        let bed = corner_at(self.bed, [p, q], [place(p), place(q)], self.near());
+        let lying = corner_at(self.lying, [u, v], vertex.lying, self.near());
+        let bed = bed.map(|corner| corner_feature(bed_side, corner | bit(self.up, self.above)));
+        let lying = lying
+            .map(|corner| corner_feature(lying_side, corner | bit(self.down, self.faces_down)));
+        let own = self.edges(vertex, before);
+        let corners = if self.first { [bed, lying] } else { [lying, bed] };
+        let names = corners.into_iter().flatten().chain(own);
+        // No more names than this are asked for.
+        let spare = edges_feature(12, used.len());
+        names.into_iter().find(|name| !used.contains(name)).unwrap_or(spare)
+    }
+
+    fn near(&self) -> f64 {
+        let halves = self.bed.half.iter().chain(&self.lying.half);
+        SAME_CORNER * halves.map(|half| half.lane(0)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// The edges that cross in a vertex where one of the lying face's meets a side of the bed.
+    fn edges(&self, vertex: &Vertex<R>, before: Bound) -> Option<usize> {
+        let (corner, (axis, positive)) = match (before, vertex.next) {
+            (Bound::Lying(k), Bound::Bed { axis, positive })
+            | (Bound::Bed { axis, positive }, Bound::Lying(k)) => (k, (axis, positive)),
+            _ => return None,
+        };
+        // From a corner with two equal signs to the next the face's first axis runs.
+        let [u, v] = others(self.down);
+        let [p, q] = CORNERS[corner];
+        let (runs, fixed, sign) = if p == q { (u, v, q) } else { (v, u, p) };
+        let lying = numbered(runs, [(fixed, sign), (self.down, self.faces_down)]);
+        let runs = 3 - self.up - axis;
+        let bed = numbered(runs, [(axis, positive), (self.up, self.above)]);
+        Some(if self.first { edges_feature(bed, lying) } else { edges_feature(lying, bed) })
+    }
+}
+
+/// The number of the edge along axis k, the signs of the others given with their axes.
+fn numbered(k: usize, signs: [(usize, bool); 2]) -> usize {
+    edge(k, others(k).map(|axis| if signs[0].0 == axis { signs[0].1 } else { signs[1].1 }))
+}
+
+fn bit(axis: usize, positive: bool) -> usize {
+    usize::from(positive) << axis
+}
+
+/// The corner of a face at this place along two of a box's axes, if there is one.
+fn corner_at<R: Real>(
+    block: &Block<R>,
+    axes: [usize; 2],
+    place: [f64; 2],
+    near: f64,
+) -> Option<usize> {
+    let off = |k: usize| (place[k].abs() - block.half[axes[k]].lane(0)).abs();
+    let there = off(0) <= near && off(1) <= near;
+    there.then(|| bit(axes[0], place[0] > 0.0) | bit(axes[1], place[1] > 0.0))
+}

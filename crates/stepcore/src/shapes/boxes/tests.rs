@@ -1,0 +1,292 @@
+//! Boxes against boxes: closed forms, brute force, and laws.
+
+use super::{Boxes, MOST};
+use crate::real::{Dual, Mask, Real};
+use crate::shapes::by_lane::OneWorld;
+use crate::shapes::{Shape, Touch};
+use crate::spatial::Pose;
+use nalgebra::{Matrix3, Rotation3, Vector3};
+
+type Size = [f64; 3];
+
+struct Random(u64);
+
+impl Random {
+    /// Uniform in [-1, 1).
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+    fn vector(&mut self) -> Vector3<f64> {
+        Vector3::new(self.next(), self.next(), self.next())
+    }
+    fn pose(&mut self, spread: f64) -> Pose<f64> {
+        let rot = Rotation3::new(self.vector() * 3.0).into_inner();
+        Pose { pos: self.vector() * spread, rot }
+    }
+    fn size(&mut self) -> Size {
+        self.vector().map(|x| 0.3 + 0.25 * x).into()
+    }
+}
+
+fn meet<R: Real>(a: &Pose<R>, sa: &Size, b: &Pose<R>, sb: &Size) -> Vec<Touch<R>> {
+    let (one, two) = (
+        Shape { pose: a, size: sa, hull: None, field: None },
+        Shape { pose: b, size: sb, hull: None, field: None },
+    );
+    let all: [Touch<R>; MOST] = Boxes { within: f64::INFINITY }.touches(&one, &two);
+    all.into_iter().filter(|touch| touch.exists.lane(0)).collect()
+}
+
+fn least(touches: &[Touch<f64>]) -> Touch<f64> {
+    *touches.iter().min_by(|x, y| x.dist.total_cmp(&y.dist)).unwrap()
+}
+
+fn at(x: f64, y: f64, z: f64) -> Pose<f64> {
+    Pose { pos: Vector3::new(x, y, z), rot: Matrix3::identity() }
+}
+
+/// The point of a box nearest to another point.
+fn nearest(pose: &Pose<f64>, size: &Size, point: &Vector3<f64>) -> Vector3<f64> {
+    let local = pose.rot.transpose() * (point - pose.pos);
+    pose.pos + pose.rot * Vector3::from_fn(|k, _| local[k].clamp(-size[k], size[k]))
+}
+
+#[test]
+fn a_box_on_a_box_keeps_four_corners() {
+    let (below, size, small) = (at(0.0, 0.0, 0.0), [1.0, 1.0, 0.5], [0.5, 0.25, 0.25]);
+    let features = |b: &Pose<f64>| {
+        let touches = meet(&below, &size, b, &small);
+        for touch in &touches {
+            assert!((touch.dist + 0.125).abs() < 1e-12, "{touch:?}");
+            assert_eq!(touch.normal, Vector3::z());
+            assert!((touch.pos.z - 0.4375).abs() < 1e-12);
+        }
+        touches.iter().map(|touch| touch.feature).collect::<Vec<_>>()
+    };
+    let here = features(&at(0.0, 0.0, 0.625));
+    assert_eq!(here, [11.0, 10.0, 8.0, 9.0]);
+    assert_eq!(features(&at(0.3, -0.2, 0.625)), here);
+    // Beyond the edge two of the corners become two pairs of edges, and always the same two.
+    let over = features(&at(0.75, 0.0, 0.625));
+    assert_eq!(over.len(), 4);
+    assert_eq!(over, features(&at(0.875, 0.0625, 0.625)));
+    assert!(over.contains(&10.0) && over.contains(&8.0) && !over.contains(&9.0));
+}
+
+#[test]
+fn equal_boxes_keep_their_names_whatever_rounding_says() {
+    let mut random = Random(3);
+    let size = [0.1, 0.1, 0.1];
+    for round in 0..200 {
+        let shake = if round % 2 == 0 { 1e-16 } else { 1e-6 };
+        let b = Pose {
+            pos: Vector3::z() * 0.1999 + random.vector() * shake * 0.1,
+            rot: Rotation3::new(random.vector() * shake).into_inner(),
+        };
+        let touches = meet(&at(0.0, 0.0, 0.0), &size, &b, &size);
+        let mut names: Vec<_> = touches.iter().map(|touch| touch.feature).collect();
+        names.sort_by(f64::total_cmp);
+        assert_eq!(names[..4], [4.0, 5.0, 6.0, 7.0], "{touches:?}");
+    }
+}
+
+#[test]
+fn crossed_edges_touch_in_one_point() {
+    let eighth = std::f64::consts::FRAC_PI_4;
+    let mut a = at(0.0, 0.0, 0.0);
+    a.rot = Rotation3::new(Vector3::x() * eighth).into_inner();
+    let mut b = at(0.0, 0.0, 2.5);
+    b.rot = Rotation3::new(Vector3::y() * eighth).into_inner();
+    for (height, expected) in [(2.5, 2.5 - 8.0_f64.sqrt()), (3.0, 3.0 - 8.0_f64.sqrt())] {
+        b.pos.z = height;
+        let touches = meet(&a, &[1.0; 3], &b, &[1.0; 3]);
+        assert_eq!(touches.len(), 1);
+        assert!((touches[0].dist - expected).abs() < 1e-14);
+        assert!((touches[0].pos - Vector3::z() * 0.5 * height).amax() < 1e-14);
+        assert!((touches[0].normal - Vector3::z()).amax() < 1e-14);
+    }
+}
+
+#[test]
+fn corners_apart_are_as_far_as_they_are() {
+    let touches = meet(&at(0.0, 0.0, 0.0), &[1.0; 3], &at(4.0, 5.0, 8.0), &[1.0; 3]);
+    let touch = touches[0];
+    assert_eq!((touches.len(), touch.dist), (1, 7.0));
+    assert!((touch.normal - Vector3::new(2.0, 3.0, 6.0) / 7.0).amax() < 1e-15);
+    assert!((touch.pos - Vector3::new(2.0, 2.5, 4.0)).amax() < 1e-14);
+}
+
+/// Points that go to and fro between two convex bodies, each to the nearest of the other, end at
+/// the nearest two (Cheney and Goldstein 1959).
+#[test]
+fn distances_are_those_of_brute_force() {
+    let mut random = Random(5);
+    let mut apart = 0;
+    for _ in 0..1500 {
+        let (a, b) = (random.pose(0.1), random.pose(1.2));
+        let (sa, sb) = (random.size(), random.size());
+        let (mut p, mut q) = (a.pos, b.pos);
+        for _ in 0..4000 {
+            q = nearest(&b, &sb, &p);
+            p = nearest(&a, &sa, &q);
+        }
+        let dist = (q - p).norm();
+        if dist < 1e-3 {
+            continue;
+        }
+        apart += 1;
+        let touches = meet(&a, &sa, &b, &sb);
+        let found = least(&touches);
+        assert!((found.dist - dist).abs() < 1e-5, "{} {dist}", found.dist);
+        assert!((found.normal - (q - p) / dist).amax() < 0.02, "{found:?}");
+    }
+    assert!(apart > 500);
+}
+
+/// The depth is the shortest way out: along the normal they part, and no other direction of many
+/// is shorter. A face in an edge's place may give the depth along another axis, 5 % more.
+#[test]
+fn depths_are_the_shortest_way_out() {
+    let mut random = Random(6);
+    let mut deep = 0;
+    for _ in 0..800 {
+        let (a, b) = (random.pose(0.1), random.pose(0.35));
+        let (sa, sb) = (random.size(), random.size());
+        let touches = meet(&a, &sa, &b, &sb);
+        let found = least(&touches);
+        if found.dist >= 0.0 {
+            continue;
+        }
+        deep += 1;
+        let reach = |pose: &Pose<f64>, size: &Size, way: &Vector3<f64>| {
+            (pose.rot.transpose() * way).abs().dot(&Vector3::from(*size))
+        };
+        let overlap = |way: &Vector3<f64>| {
+            reach(&a, &sa, way) + reach(&b, &sb, way) - way.dot(&(b.pos - a.pos))
+        };
+        let own = overlap(&found.normal);
+        assert!((own + found.dist).abs() < 1e-9 * own || touches.len() > 1);
+        let shortest =
+            (0..2000).map(|_| overlap(&random.vector().normalize())).fold(f64::INFINITY, f64::min);
+        assert!(own <= shortest / 0.94, "{own} {shortest}");
+    }
+    assert!(deep > 300);
+}
+
+#[test]
+fn exchanging_the_boxes_turns_the_normals_round() {
+    let mut random = Random(7);
+    for _ in 0..500 {
+        let (a, b) = (random.pose(0.1), random.pose(0.5));
+        let (sa, sb) = (random.size(), random.size());
+        let (there, back) = (meet(&a, &sa, &b, &sb), meet(&b, &sb, &a, &sa));
+        assert_eq!(there.len(), back.len());
+        for x in &there {
+            let same = |y: &&Touch<f64>| {
+                (x.dist - y.dist).abs() + (x.pos - y.pos).amax() + (x.normal + y.normal).amax()
+                    < 1e-9
+            };
+            assert!(back.iter().any(|y| same(&y)), "{x:?} {back:?}");
+        }
+    }
+}
+
+#[test]
+fn names_differ_and_every_case_is_finite() {
+    let mut random = Random(8);
+    for case in 0..3000 {
+        let (a, mut b) = (random.pose(0.2), random.pose(0.5));
+        let (sa, mut sb) = (random.size(), random.size());
+        match case % 6 {
+            1 => b.rot = (Rotation3::new(random.vector() * 1e-9)) * a.rot,
+            2 => b.rot = a.rot,
+            3 => (b, sb) = (a, sa),
+            4 => sb = [2e-3, 1.0, 1e-4],
+            5 => b = Pose { pos: a.pos + a.rot.column(2) * (sa[2] + sb[2]), rot: a.rot },
+            _ => {}
+        }
+        let touches = meet(&a, &sa, &b, &sb);
+        assert!(!touches.is_empty(), "{case} {a:?} {sa:?} {b:?} {sb:?}");
+        for (k, touch) in touches.iter().enumerate() {
+            assert!(touch.dist.is_finite() && touch.pos.iter().all(|x| x.is_finite()));
+            assert!((touch.normal.norm() - 1.0).abs() < 1e-12);
+            assert!(touch.feature >= 0.0 && touch.feature < 256.0);
+            let others = touches[..k].iter();
+            assert!(others.filter(|other| other.feature == touch.feature).count() == 0);
+        }
+    }
+}
+
+#[test]
+fn lengths_scale_by_powers_of_two_bit_for_bit() {
+    let mut random = Random(9);
+    for case in 0..500 {
+        let (a, mut b) = (random.pose(0.2), random.pose(0.6));
+        let (sa, sb) = (random.size(), random.size());
+        if case % 3 == 0 {
+            b.rot = a.rot;
+        }
+        let one = meet(&a, &sa, &b, &sb);
+        for power in [-40, -3, 5, 40] {
+            let k = 2f64.powi(power);
+            let far = |p: &Pose<f64>| Pose { pos: p.pos * k, rot: p.rot };
+            let more = meet(&far(&a), &sa.map(|x| x * k), &far(&b), &sb.map(|x| x * k));
+            assert_eq!(one.len(), more.len());
+            for (x, y) in one.iter().zip(&more) {
+                assert_eq!((x.dist * k, x.pos * k), (y.dist, y.pos));
+                assert_eq!((x.normal, x.feature), (y.normal, y.feature));
+            }
+        }
+    }
+}
+
+/// Slopes against differences, where no feature changes between.
+#[test]
+fn slopes_are_those_of_differences() {
+    let mut random = Random(10);
+    let mut compared = 0;
+    for _ in 0..300 {
+        let (a, b) = (random.pose(0.1), random.pose(0.5));
+        let (sa, sb) = (random.size(), random.size());
+        let (way, turn) = (random.vector(), random.vector());
+        let moved = |h: f64| Pose {
+            pos: b.pos + way * h,
+            rot: Rotation3::new(turn * h).into_inner() * b.rot,
+        };
+        let seed = |x: f64, slope: f64| {
+            let mut dual = Dual::of(x);
+            dual.slopes[0] = slope;
+            dual
+        };
+        let spin = turn.cross_matrix() * b.rot;
+        let dual = Pose {
+            pos: Vector3::from_fn(|i, _| seed(b.pos[i], way[i])),
+            rot: Matrix3::from_fn(|i, k| seed(b.rot[(i, k)], spin[(i, k)])),
+        };
+        let fixed = Pose { pos: a.pos.map(Dual::of), rot: a.rot.map(Dual::of) };
+        let slopes = meet(&fixed, &sa, &dual, &sb);
+        let h = 1e-6;
+        let (less, more) = (meet(&a, &sa, &moved(-h), &sb), meet(&a, &sa, &moved(h), &sb));
+        let names = |list: &[Touch<f64>]| list.iter().map(|t| t.feature).collect::<Vec<_>>();
+        let own: Vec<_> = slopes.iter().map(|t| t.feature.value).collect();
+        if names(&less) != own || names(&more) != own {
+            continue;
+        }
+        compared += 1;
+        for (k, touch) in slopes.iter().enumerate() {
+            let (lo, hi) = (&less[k], &more[k]);
+            let close = |slope: f64, lo: f64, hi: f64| {
+                let difference = (hi - lo) / (2.0 * h);
+                let off = (slope - difference).abs();
+                assert!(off < 1e-4 * (1.0 + difference.abs()), "{slope} {difference}");
+            };
+            close(touch.dist.slopes[0], lo.dist, hi.dist);
+            for i in 0..3 {
+                close(touch.pos[i].slopes[0], lo.pos[i], hi.pos[i]);
+                close(touch.normal[i].slopes[0], lo.normal[i], hi.normal[i]);
+            }
+        }
+    }
+    assert!(compared > 200);
+}
