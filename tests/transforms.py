@@ -131,6 +131,12 @@ def scaled(scene, length, mass, time):
             continue
         parts = [moment] * 6 if kind in TURNS else [force] * 3 + [moment] * 3
         actuator.gear = [x * y for x, y in zip(actuator.gear, parts, strict=True)]
+    for pair in scene.pairs:
+        by(pair, unit(1), "margin", "gap")
+        sliding, turning = pair.friction[:2], pair.friction[2:]
+        pair.friction = (*sliding, *(x * unit(1) for x in turning))
+        soften(pair, unit(1))
+        assert pair.solreffriction is None, "is scaled as its solref is: not done here"
     for equality in scene.equalities:
         by(equality, unit(1), "anchor")
         soften(equality, unit(1))
@@ -218,6 +224,7 @@ def reordered(scene):
     other.bodies[1:] = other.bodies[:0:-1]
     other.geoms.reverse()
     other.equalities.reverse()
+    other.pairs.reverse()
     after = layout(other.compile())
 
     def map_by(part):
@@ -241,7 +248,7 @@ def doubled(scene):
     for geom in twin.geoms:
         geom.contype, geom.conaffinity = geom.contype << 16, geom.conaffinity << 16
     lists = (twin.bodies, twin.joints, twin.geoms, twin.sites, twin.actuators, twin.equalities)
-    for elements in lists:
+    for elements in (*lists, twin.pairs):
         for element in elements:
             element.name = element.name and f"{element.name}_twin"
     world = scene.bodies[0]
@@ -255,6 +262,7 @@ def doubled(scene):
         (scene.sites, twin.sites),
         (scene.actuators, twin.actuators),
         (scene.equalities, twin.equalities),
+        (scene.pairs, twin.pairs),
     ):
         for element in theirs:
             for field in fields_of(type(element)):

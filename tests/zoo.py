@@ -354,6 +354,24 @@ _add(
     + _mover("1.5 0 .1", _SPHERE + ' friction="0 0 0"'),
     CONTACT,
 )
+# Parent and child, geoms without a bit, excluded bodies; the geoms' own parameters do not count.
+_add(
+    "explicit_pairs",
+    FLOOR.replace("/>", ' friction="3" solref=".1 1"/>')
+    + f"""
+    <body name="a" pos="0 0 .1"><freejoint/><geom name="a" {_SPHERE}/>
+      <body name="b" pos=".19 0 0"><joint axis="0 1 0"/><geom name="b" {_SPHERE}/></body></body>
+    <body name="c" pos=".1 .15 .12"><freejoint/><geom name="c" {_CAPSULE} {INERT}/></body>
+    <body name="d" pos=".1 0 .26"><freejoint/><geom name="d" {_SPHERE} condim="1"/></body>
+    """,
+    CONTACT,
+    extra="""<contact><exclude body1="a" body2="d"/>
+      <pair name="parent" geom1="b" geom2="a" friction=".3 .3" solref=".03 .8"/>
+      <pair geom1="c" geom2="floor" friction=".6 .6" margin=".01" solimp=".8 .9 .01"/>
+      <pair geom1="floor" geom2="a" condim="1" solref="-900 -30"/>
+      <pair name="excluded" geom1="d" geom2="a" friction=".4 .4" gap=".02"/></contact>""",
+    spread=0.02,
+)
 # Torsion: the dimension is the larger one, the coefficients the larger ones.
 _add(
     "condim_4",

@@ -86,6 +86,7 @@ class Settings:
         cone: _Cone = "pyramidal",
         impratio: float = 1.0,
         noslip_iterations: int = 0,
+        stiction: bool = False,
         refsafe: bool = True,
     ) -> Settings: ...
     def replace(self, **fields: Unpack[SettingsFields]) -> Settings:
@@ -192,6 +193,13 @@ class Settings:
         """Sweeps over friction rows alone, with a regulariser of 0, after each solve under
         "solref": MuJoCo's noslip. 0 for none.
         """
+
+    @property
+    def stiction(self) -> bool:
+        """Whether friction under "solref" holds a contact that sticks by a tangential spring as
+        stiff as the contact's solref, instead of letting it creep. Other laws have no creep.
+        """
+
     @property
     def refsafe(self) -> bool:
         """Whether the time constants of solref are at least 2 dt."""

@@ -143,7 +143,7 @@ def test_creep_on_an_incline(degrees, impratio):
 def test_the_impratio_that_is_named_leaves_what_is_said(cone):
     one = the(watched(incline(30, cone))[1], "creep")
     assert one.severity == "warning" and one.element == "contact `slope`/`ball`"
-    assert "noslip" in one.text and 'law="rigid"' in one.text
+    assert "stiction=True" in one.text and 'law="rigid"' in one.text
     impratio = float(re.search(r'impratio="(\S+)"', one.text)[1])
     left, unit = re.search(r"leaves ([\d.]+) (\S+) or less", one.text).groups()
     watch, findings = watched(incline(30, impratio=impratio))

@@ -219,6 +219,9 @@ settings! {
     /// Sweeps over friction rows alone, with a regulariser of 0, after each solve under "solref":
     /// MuJoCo's noslip. 0 for none.
     noslip_iterations: u32,
+    /// Whether friction under "solref" holds a contact that sticks by a tangential spring as
+    /// stiff as the contact's solref, instead of letting it creep. Other laws have no creep.
+    stiction: bool,
     /// Whether the time constants of solref are at least 2 dt.
     refsafe: bool,
 }

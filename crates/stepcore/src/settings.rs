@@ -196,6 +196,9 @@ pub struct Settings {
     /// Sweeps over friction alone, without a regulariser, after each solve under `solref`: MuJoCo's
     /// `noslip_iterations`.
     pub noslip_iterations: u32,
+    /// Friction under `solref` holds a contact that sticks by a spring, without creep: see
+    /// `elements/anchor.rs`.
+    pub stiction: bool,
     /// Keep the time constants of solref at 2 dt or above: MuJoCo's `refsafe`.
     pub refsafe: bool,
 }
@@ -224,6 +227,7 @@ impl Default for Settings {
             cone: Cone::Pyramidal,
             impratio: 1.0,
             noslip_iterations: 0,
+            stiction: false,
             refsafe: true,
         }
     }
@@ -245,6 +249,11 @@ impl Settings {
             Integrator::Rk4 => hard,
             _ => false,
         }
+    }
+
+    /// A step hands something of its rows to the next.
+    pub(crate) fn keeps(&self) -> bool {
+        self.warm_start || self.stiction
     }
 
     /// Checks every field against its limit.

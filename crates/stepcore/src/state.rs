@@ -1,11 +1,15 @@
 //! What a step changes, and what the user puts in from outside.
 
+use crate::elements::SLIPS;
 use crate::model::Model;
 use crate::real::Real;
 use crate::room::room;
 
-/// The most rows of a block, which `elements/constraints.rs` sees to.
-pub const WARM_ROWS: usize = 10;
+/// The most rows of a block, which `elements/constraints.rs` sees to: after their impulses stands the
+/// slip of friction that holds (`elements/anchor.rs`).
+pub const SLIP: usize = 10;
+/// What is kept of a source from step to step.
+pub const WARM_ROWS: usize = SLIP + SLIPS;
 
 /// The impulses of one contact, limit or other source, kept for the next step's start.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,7 +18,7 @@ pub struct Warm<R: Real> {
     pub slot: u32,
     /// Which of its kin (see `Block::feature`); −1 in lanes that have none.
     pub feature: R,
-    /// By row of its block [N·s or N·m·s]; zero beyond.
+    /// By row of its block [N·s or N·m·s], zero beyond; from `SLIP` on slip [m] and turn [rad].
     pub impulse: [R; WARM_ROWS],
 }
 

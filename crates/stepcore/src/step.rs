@@ -73,6 +73,8 @@ impl<R: Real> Sim<R> {
             clock: self.clock,
             qpos: at.of(&self.state, &self.next).0,
             part,
+            warm: if self.next.stage > 0 { &self.next.warm } else { &self.state.warm },
+            first_stage: self.next.stage == 0,
         };
         self.rows.make(&now, &mut self.detected);
     }
@@ -87,7 +89,7 @@ impl<R: Real> Sim<R> {
         } else {
             self.effort.rest();
         }
-        if self.settings.warm_start {
+        if self.settings.keeps() {
             self.rows.store_warm(&mut self.next.warm, None);
         }
         self.placed.metric.from_factored(&self.rows.u, &mut self.velocity);

@@ -32,4 +32,5 @@ class SettingsFields(TypedDict, total=False):
     cone: str
     impratio: float
     noslip_iterations: int
+    stiction: bool
     refsafe: bool

@@ -29,7 +29,17 @@ Ref = tuple[float, ...]
 
 # Settings that say what is modelled, not how it is computed.
 MODELLED = (
-    *("law", "beta", "softness", "restitution", "slop", "cone", "impratio", "noslip_iterations"),
+    *(
+        "law",
+        "beta",
+        "softness",
+        "restitution",
+        "slop",
+        "cone",
+        "impratio",
+        "noslip_iterations",
+        "stiction",
+    ),
     *("max_recovery_speed", "penalty_stiffness", "penalty_damping_ratio"),
 )
 # Integrators that only solref knows.
@@ -247,7 +257,7 @@ def _modelled(settings: Settings) -> tuple[Any, ...]:
     for name in MODELLED:
         unused = (
             (name in ("beta", "softness", "restitution", "slop") and soft)
-            or (name in ("impratio", "noslip_iterations") and not soft)
+            or (name in ("impratio", "noslip_iterations", "stiction") and not soft)
             or (name.startswith("penalty") and settings.law != "penalty")
         )
         if unused:

@@ -55,7 +55,7 @@ impl<R: Real> Sim<R> {
         for (row, held) in self.rows.rows.iter_mut().zip(&self.next.held) {
             row.beside += *held;
         }
-        if self.settings.warm_start {
+        if self.settings.keeps() {
             self.rows.store_warm(&mut self.next.warm, answers);
         }
         R::enter(Stage::Commit);

@@ -9,12 +9,12 @@ use crate::detect::Detected;
 use crate::model::Model;
 use crate::real::Real;
 use crate::solve::{Part, Rows, Situation, CONE};
-use crate::state::WARM_ROWS;
+use crate::state::SLIP;
 
 macro_rules! constraints {
     ($($kind:ident),+ $(,)?) => {
         // What keeps and solves blocks has room for those of every kind.
-        $(const _: () = assert!($kind::MOST_ROWS <= WARM_ROWS);
+        $(const _: () = assert!($kind::MOST_ROWS <= SLIP);
         const _: () = assert!($kind::MOST_CONE_ROWS <= CONE);)+
 
         /// The model can have rows at all.

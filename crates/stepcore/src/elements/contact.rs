@@ -179,6 +179,7 @@ impl<R: Real> Rows<R> {
                 law.fill(row, R::zero(), weight, least, dt);
                 row.lo = R::of(f64::NEG_INFINITY);
             }
+            self.anchor(now, contact, pair, &ways, (first, false));
             return self.close(now, contact, pair, (first, Set::Convex, ways.mu), mask);
         }
         let edge = weight * 2.0 * mu * mu / impratio * (1.0 + mu * mu);
@@ -196,6 +197,7 @@ impl<R: Real> Rows<R> {
         if mask.and(unmoved).any() {
             self.unfold(law, first, edges - edges % 2, unmoved, dt);
         }
+        self.anchor(now, contact, pair, &ways, (first, true));
         self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
     }
 

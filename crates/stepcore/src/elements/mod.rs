@@ -6,6 +6,7 @@
 //! those that push, and `constraints.rs` those that are rows.
 
 pub(crate) mod actuator;
+mod anchor;
 mod applied;
 mod connect;
 mod constraint;
@@ -23,6 +24,7 @@ pub(crate) mod penalty;
 mod spring;
 mod text;
 
+pub(crate) use anchor::{Anchor, SLIPS};
 pub use forces::joint_forces;
 pub(crate) use text::text;
 pub use text::{Mention, Named, Text};

@@ -37,7 +37,7 @@ use crate::elements::Kind;
 use crate::model::{Model, Span};
 use crate::real::{Mask, Real};
 use crate::spatial::{Force, Motion, V3};
-use crate::state::{Warm, WARM_ROWS};
+use crate::state::{Warm, SLIP, WARM_ROWS};
 
 /// A·m below this many squared roundings may be rounding; beside the squares of its terms, it is
 /// below this many.
@@ -169,18 +169,28 @@ impl<R: Real> Rows<R> {
         self.apply_impulses(model, inv_d);
     }
 
+    /// The impulse that the main solve gave a row.
+    pub(crate) fn solved(&self, row: usize) -> R {
+        self.main.get(row).copied().unwrap_or(self.rows[row].impulse)
+    }
+
     /// Keeps every impulse for the next step, but for what is no number; those of a kind that
     /// the stages of the step held, as they were there.
     pub fn store_warm(&self, warm: &mut Vec<Warm<R>>, inside: Option<Kind>) {
         warm.clear();
-        for block in &self.blocks {
+        let mut anchors = self.anchors.iter().peekable();
+        for (index, block) in self.blocks.iter().enumerate() {
             let mut impulse = [R::zero(); WARM_ROWS];
             for (k, row) in self.rows[block.rows.range()].iter().enumerate() {
                 let held = inside == Some(block.element.kind);
-                let solved = self.main.get(block.rows.start + k).copied();
-                let own = if held { row.beside } else { solved.unwrap_or(row.impulse) };
+                let own = if held { row.beside } else { self.solved(block.rows.start + k) };
                 let kept = block.mask.and(own.is_finite());
                 impulse[k] = R::select(kept, own, R::zero());
+            }
+            if let Some(anchor) = anchors.next_if(|anchor| anchor.block == index) {
+                for (to, slip) in impulse[SLIP..].iter_mut().zip(self.held_slip(anchor, block)) {
+                    *to = R::select(block.mask.and(slip.is_finite()), slip, R::zero());
+                }
             }
             let feature = R::select(block.mask, block.feature, -R::one());
             warm.push(Warm { slot: block.slot, feature, impulse });

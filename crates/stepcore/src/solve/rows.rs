@@ -9,11 +9,12 @@ use super::direct::Direct;
 use super::dot::dot;
 use super::first::First;
 use crate::clock::Clock;
-use crate::elements::Element;
+use crate::elements::{Anchor, Element};
 use crate::model::{Model, Span};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::room::room;
+use crate::state::Warm;
 
 /// One row. Impulses in N·s or N·m·s.
 #[derive(Clone, Debug, PartialEq)]
@@ -177,6 +178,8 @@ pub struct Rows<R: Real> {
     pub u: Vec<R>,
     /// What the main solve gave each row, where noslip has changed friction since; else empty.
     pub(crate) main: Vec<R>,
+    /// Of contacts whose friction holds, by block.
+    pub(crate) anchors: Vec<Anchor<R>>,
     /// The most of an overlap that `max_recovery_speed` kept from being undone in this step [m].
     pub unrecovered: R,
     pub(crate) scratch: Vec<R>,
@@ -192,7 +195,7 @@ pub struct Rows<R: Real> {
     ranks: Vec<u32>,
 }
 
-room!(Rows<R>: main, rows, blocks, pushes, y, u, scratch, guess, islands, ranks; direct, first);
+room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, guess, islands, ranks; direct, first);
 
 /// From so many trees on an island is a heap to Newton's method.
 const HEAP: usize = 8;
@@ -223,6 +226,10 @@ pub struct Situation<'a, R: Real> {
     pub clock: Clock<R>,
     pub qpos: &'a [R],
     pub part: Part,
+    /// What the last step kept.
+    pub warm: &'a [Warm<R>],
+    /// No stage of this step has been solved yet.
+    pub first_stage: bool,
 }
 
 impl<R: Real> Situation<'_, R> {
@@ -240,6 +247,7 @@ impl<R: Real> Rows<R> {
             blocks: Vec::new(),
             pushes: Vec::new(),
             main: Vec::new(),
+            anchors: Vec::new(),
             y: Vec::new(),
             u: vec![R::zero(); model.nv],
             unrecovered: R::zero(),
@@ -261,6 +269,7 @@ impl<R: Real> Rows<R> {
             blocks: Vec::new(),
             pushes: Vec::new(),
             main: Vec::new(),
+            anchors: Vec::new(),
             y: Vec::new(),
             scratch: u.clone(),
             guess: u.clone(),
@@ -279,6 +288,7 @@ impl<R: Real> Rows<R> {
         self.blocks.clear();
         self.pushes.clear();
         self.main.clear();
+        self.anchors.clear();
         self.y.clear();
         self.unrecovered = R::zero();
     }

@@ -265,6 +265,16 @@ class _Listing:
         settings, on, plan = self.settings, self.scene.features, self.plan
         name = f"impulses: {settings.solver} (by island)"
         yield _used("solve", name, self._islands(), stages=("solve/impulses",))
+        if settings.law == "solref":
+            condim = plan["condim"]
+            rubbing = self._pair_names(i for i in range(len(condim)) if condim[i] > 1)
+            if settings.noslip_iterations:
+                sweeps = (
+                    f"{settings.noslip_iterations} sweep{'s' * (settings.noslip_iterations > 1)}"
+                )
+                yield _used("solve", f"noslip: {sweeps} over friction", rubbing)
+            if settings.stiction:
+                yield _used("solve", "stiction: friction held by a spring", rubbing)
         name = f"integrator: {settings.integrator} (by joint)"
         yield _used("commit", name, self.joint_names, stages=("commit",))
         if not settings.warm_start:

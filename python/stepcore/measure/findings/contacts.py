@@ -144,7 +144,11 @@ def _creeps(model: Model, watch: Watch, sizes: Sizes) -> Iterator[Finding]:
     names = [model.element_name("contact", one.pair) for _, one in notable]
     settings = model.settings
     impratio = _round_up(settings.impratio * ratio / LEFT)
-    rigid = 'law="rigid" (with solver pgs and integrator semi-implicit) leaves none'
+    if settings.stiction:
+        return
+    rigid = (
+        'stiction=True or law="rigid" (with solver pgs and integrator semi-implicit) leaves none'
+    )
     if impratio <= IMPRATIO:
         less = speed(worst.speed * settings.impratio / impratio)
         cure = f'cone="elliptic" with impratio="{impratio:g}" leaves {less} or less, and {rigid}'
@@ -155,8 +159,7 @@ def _creeps(model: Model, watch: Watch, sizes: Sizes) -> Iterator[Finding]:
         "warning",
         names[0],
         f"{_capital(names[0])}{others(names, 'contacts')} creeps at {speed(worst.speed)} although "
-        f"its friction holds ({percent(worst.share)} of what it could be): {cure} (MuJoCo's "
-        "noslip_iterations are not built here).",
+        f"its friction holds ({percent(worst.share)} of what it could be): {cure}.",
         worst.speed,
         "m/s",
     )
