@@ -4,7 +4,7 @@
 //! within 1e-4 rad of parallel: two, at the ends of the stretch over which the
 //! segments lie side by side, where one contact would hop from end to end.
 
-use super::touch::{balls, Ball, Touches};
+use super::touch::{balls, select3, unit, Ball, Touch, Touches};
 use crate::real::{Mask, Real};
 use crate::spatial::{Pose, V3};
 
@@ -12,6 +12,9 @@ use crate::spatial::{Pose, V3};
 const PARALLEL: f64 = 1e-8;
 /// Squared length, over the squared size of the pair, below which a segment is a point.
 const POINT: f64 = 1e-15;
+/// The same of the distance of two axes below which their difference, mostly rounding, is a worse
+/// direction than the one across both.
+const CROSSED: f64 = 1e-8;
 
 /// A capsule's axis as a start and a whole-length direction.
 struct Segment<R: Real> {
@@ -48,7 +51,7 @@ pub fn capsule_capsule<R: Real>(
     rb: R,
     hb: R,
 ) -> Touches<R, 2> {
-    let unit = |share: R| share.clamp(R::zero(), R::one());
+    let within = |share: R| share.clamp(R::zero(), R::one());
     let (p, q) = (Segment::of(a, ra, ha), Segment::of(b, rb, hb));
     let between = q.start - p.start;
     let cross = p.along.cross(&q.along);
@@ -68,14 +71,17 @@ pub fn capsule_capsule<R: Real>(
     // nearest point to the end.
     let nearest = |s: R| {
         let free = R::select(q_long, (pq * s - qd) / qq, R::zero());
-        let t = unit(free);
+        let t = within(free);
         let at_end = free.lt(R::zero()).or(free.gt(R::one())).or(q_long.not());
-        let again = unit((pq * t + pd) / pp);
+        let again = within((pq * t + pd) / pp);
         let s = R::select(at_end.and(p_long), again, s);
-        balls(&p.ball(s), &q.ball(t))
+        let (one, two) = (p.ball(s), q.ball(t));
+        let inner = s.gt(R::zero()).and(s.lt(R::one())).and(at_end.not());
+        let crossed = inner.and(p_long).and(parallel.not());
+        across(balls(&one, &two), &one, &two, &cross, crossed, R::of(CROSSED) * size * size)
     };
     // Skew: start at the common perpendicular's foot. Parallel: at both ends of p.
-    let foot = unit(between.cross(&q.along).dot(&cross) / cross2);
+    let foot = within(between.cross(&q.along).dot(&cross) / cross2);
     let seed = R::select(p_long.and(parallel.not()), foot, R::zero());
     let first = nearest(seed);
     if parallel.none() {
@@ -85,4 +91,30 @@ pub fn capsule_capsule<R: Real>(
     let mut second = nearest(R::select(parallel, R::one(), seed));
     second.exists = parallel;
     [first, second]
+}
+
+/// The same contact with its normal across both axes, where they cross (`crossed`) and are nearer
+/// than the root of `close`.
+#[inline(always)]
+fn across<R: Real>(
+    touch: Touch<R>,
+    one: &Ball<R>,
+    two: &Ball<R>,
+    cross: &V3<R>,
+    crossed: R::Mask,
+    close: R,
+) -> Touch<R> {
+    let apart = two.centre - one.centre;
+    let there = crossed.and(apart.dot(&apart).lt(close));
+    if there.none() {
+        return touch;
+    }
+    let way = unit(cross);
+    let way = select3(apart.dot(&way).lt(R::zero()), &-way, &way);
+    let pos = one.centre + way * (one.radius + R::of(0.5) * touch.dist);
+    Touch {
+        normal: select3(there, &way, &touch.normal),
+        pos: select3(there, &pos, &touch.pos),
+        ..touch
+    }
 }
