@@ -8,15 +8,17 @@ use crate::spatial::V3;
 
 const POINTS: usize = 72;
 const FACES: usize = 2 * POINTS;
+/// No place in a list: lists hold fewer.
+const NONE: u8 = u8::MAX;
 /// Height above a face, over the size, that is only rounding.
 const FLAT: f64 = 1e-13;
 
 /// One triangle, counter-clockwise from outside.
 #[derive(Clone, Copy)]
 struct Face {
-    corners: [usize; 3],
+    corners: [u8; 3],
     /// Across the edge from corner k to the next.
-    across: [usize; 3],
+    across: [u8; 3],
     normal: V3<f64>,
     /// From the origin along the normal; infinite where the triangle has no area.
     height: f64,
@@ -102,14 +104,14 @@ impl Polytope {
                 let edge = (lists[i][(k + 1) % 3], lists[i][k]);
                 let other =
                     |j: &usize| (0..3).any(|m| (lists[*j][m], lists[*j][(m + 1) % 3]) == edge);
-                new.faces[i].across[k] = (0..4).find(other)?;
+                new.faces[i].across[k] = (0..4).find(other)? as u8;
             }
         }
         Some(new)
     }
 
-    fn face(&self, corners: [usize; 3]) -> Face {
-        let [a, b, c] = corners.map(|i| self.points[i]);
+    fn face(&self, corners: [u8; 3]) -> Face {
+        let [a, b, c] = corners.map(|i| self.points[usize::from(i)]);
         let (ab, ac, bc) = (b - a, c - a, c - b);
         let cross = ab.cross(&ac);
         let length = cross.dot(&cross).sqrt();
@@ -160,48 +162,44 @@ impl Polytope {
     /// Takes away what the new point sees and joins the rim to it.
     fn grow(&mut self, seed: usize, w: V3<f64>) -> bool {
         let mut seen = [false; FACES];
-        let mut stack = [0; FACES];
+        let mut stack = [0_u8; FACES];
         let mut waiting = 1;
-        stack[0] = seed;
+        stack[0] = seed as u8;
         seen[seed] = true;
         // Edges of the rim: the face outside, and which of its edges.
-        let mut rim = [(0, 0); FACES];
+        let mut rim = [(0_u8, 0_u8); FACES];
         let mut edges = 0;
         while waiting > 0 {
             waiting -= 1;
-            let here = stack[waiting];
-            for k in 0..3 {
-                let other = self.faces[here].across[k];
-                if seen[other] {
-                    continue;
-                }
-                let face = &self.faces[other];
-                if face.normal.dot(&w) - face.height > FLAT * self.size {
-                    seen[other] = true;
+            let here = usize::from(stack[waiting]);
+            for other in self.faces[here].across {
+                let face = &self.faces[usize::from(other)];
+                let over = face.normal.dot(&w) - face.height > FLAT * self.size;
+                if over && !seen[usize::from(other)] {
+                    seen[usize::from(other)] = true;
                     stack[waiting] = other;
                     waiting += 1;
                 }
             }
         }
-        for here in 0..self.nface {
-            if !seen[here] {
-                continue;
-            }
+        for here in (0..self.nface).filter(|i| seen[*i]) {
+            let Face { across, corners, .. } = self.faces[here];
             for k in 0..3 {
-                let other = self.faces[here].across[k];
-                if !seen[other] {
-                    let back = (0..3).find(|m| {
-                        self.faces[other].across[*m] == here
-                            && self.faces[other].corners[*m]
-                                == self.faces[here].corners[(k + 1) % 3]
-                    });
-                    let Some(back) = back else { return false };
-                    if edges == FACES {
-                        return false;
-                    }
-                    rim[edges] = (other, back);
-                    edges += 1;
+                let face = &self.faces[usize::from(across[k])];
+                if seen[usize::from(across[k])] {
+                    continue;
                 }
+                let from = corners[(k + 1) % 3];
+                let Some(back) = (0..3)
+                    .find(|m| usize::from(face.across[*m]) == here && face.corners[*m] == from)
+                else {
+                    return false;
+                };
+                if edges == FACES {
+                    return false;
+                }
+                rim[edges] = (across[k], back as u8);
+                edges += 1;
             }
         }
         if !self.room(edges) {
@@ -210,21 +208,19 @@ impl Polytope {
         // The rim must be one closed loop: each corner leaves once and arrives once.
         let rim = &rim[..edges];
         // Seen from inside the rim an edge runs the other way.
-        let mut run = [(0, 0); FACES];
-        for (run, (face, k)) in run.iter_mut().zip(rim) {
-            let corners = &self.faces[*face].corners;
-            *run = (corners[(k + 1) % 3], corners[*k]);
-        }
-        let run = &run[..edges];
-        let mut next = [usize::MAX; POINTS];
-        for (i, (from, _)) in run.iter().enumerate() {
-            let from = *from;
-            if next[from] != usize::MAX {
+        let ends = |faces: &[Face; FACES], (face, k): (u8, u8)| {
+            let corners = &faces[usize::from(face)].corners;
+            (corners[(usize::from(k) + 1) % 3], corners[usize::from(k)])
+        };
+        let mut next = [NONE; POINTS];
+        for (i, edge) in rim.iter().enumerate() {
+            let from = usize::from(ends(&self.faces, *edge).0);
+            if next[from] != NONE {
                 return false;
             }
-            next[from] = i;
+            next[from] = i as u8;
         }
-        if run.iter().any(|(_, to)| next[*to] == usize::MAX) {
+        if rim.iter().any(|edge| next[usize::from(ends(&self.faces, *edge).1)] == NONE) {
             return false;
         }
         let point = self.npoint;
@@ -233,15 +229,15 @@ impl Polytope {
         self.size = self.size.max(w.dot(&w).sqrt());
         let first = self.nface;
         for (i, edge) in rim.iter().enumerate() {
-            let (from, to) = run[i];
-            let mut face = self.face([from, to, point]);
-            face.across = [edge.0, first + next[to], 0];
+            let (from, to) = ends(&self.faces, *edge);
+            let mut face = self.face([from, to, point as u8]);
+            face.across = [edge.0, first as u8 + next[usize::from(to)], 0];
             self.faces[first + i] = face;
         }
         for (i, edge) in rim.iter().enumerate() {
-            self.faces[edge.0].across[edge.1] = first + i;
+            self.faces[usize::from(edge.0)].across[usize::from(edge.1)] = (first + i) as u8;
             let after = self.faces[first + i].across[1];
-            self.faces[after].across[2] = first + i;
+            self.faces[usize::from(after)].across[2] = (first + i) as u8;
         }
         self.nface += edges;
         for here in 0..first {
@@ -255,18 +251,18 @@ impl Polytope {
 
     /// Closes the gaps that dead faces left.
     fn compact(&mut self) {
-        let mut to = [usize::MAX; FACES];
+        let mut to = [NONE; FACES];
         let mut kept = 0;
         for from in 0..self.nface {
             if self.faces[from].alive {
-                to[from] = kept;
+                to[from] = kept as u8;
                 self.faces[kept] = self.faces[from];
                 kept += 1;
             }
         }
         self.nface = kept;
         for face in &mut self.faces[..kept] {
-            face.across = face.across.map(|i| to[i]);
+            face.across = face.across.map(|i| to[usize::from(i)]);
         }
     }
 }

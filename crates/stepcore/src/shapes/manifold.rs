@@ -232,11 +232,11 @@ impl<R: Real> Meeting<'_, R> {
         for k in 0..two.count {
             list[k] = Cut { at: two.corners[k].at, side: (false, k) };
         }
+        let mut next = list;
         let mut count = two.count;
         let turn = self.turn(one);
         for k in 0..one.count {
             let (inward, offset) = self.side(one, k, turn);
-            let mut next = [blank; ROOM];
             let mut kept = 0;
             let mut push = |cut: Cut<R>| {
                 if kept < ROOM {
@@ -257,7 +257,8 @@ impl<R: Real> Meeting<'_, R> {
                     push(Cut { at, side: if inside { (true, k) } else { here.side } });
                 }
             }
-            (list, count) = (next, kept);
+            core::mem::swap(&mut list, &mut next);
+            count = kept;
         }
         for i in 0..count {
             let before = list[(i + count - 1) % count].side;

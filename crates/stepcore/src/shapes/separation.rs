@@ -56,12 +56,17 @@ pub struct Pairing<'a> {
 /// the search ends at rounding, of bent surfaces near the answer.
 const NEAR_EXACT: f64 = 0.02;
 const NEAR_ROUGH: f64 = 0.3;
+const NEAR_AGAIN: f64 = 0.1;
 /// Over the size of the pair: a gain that is only rounding.
 const ROUNDING: f64 = 1e-14;
 /// Rounds of the search, and of Newton's method.
 const ROUNDS: usize = 90;
 const STEPS: usize = 30;
 const AGAIN: usize = 4;
+/// Cosine of the angle to a cap up to which its rim gets a start of its own.
+const CAP: f64 = 0.9;
+/// Over the size of the pair: how near a search must have come for a first answer.
+const FIRST: f64 = 0.05;
 /// Steps of Newton's method whose gain rounding hides.
 const HIDDEN: usize = 3;
 /// Edges of a corner that are tried.
@@ -133,24 +138,40 @@ impl<'a> Pairing<'a> {
             let Some(face) = polytope.lowest(skip) else { break };
             let way = polytope.push(face, &support);
             let gap = way.reach - way.height;
-            let close =
-                if self.smooth { 1e-3 * way.reach + 1e-6 * self.size } else { 1e-12 * self.size };
+            // With a first answer the rest of the search only has to rule out better ones.
+            let close = match (self.smooth, best) {
+                (true, None) => FIRST * self.size,
+                (true, _) => 1e-3 * way.reach + 1e-6 * self.size,
+                _ => 1e-12 * self.size,
+            };
             if gap <= close || polytope.stuck {
-                let found = self.refine(&-way.normal);
+                let found = self.refine_once(&-way.normal, self.near());
                 if best.is_none_or(|best| found.apart > best.apart) {
                     best = Some(found);
                 }
             }
         }
-        best.unwrap_or_else(|| self.refine(&-polytope.best))
+        best.map_or_else(|| self.refine(&-polytope.best), |best| self.settled(best))
     }
 
     /// The largest separation near a rough direction. What meets there may be other corners than
     /// those that the rough direction shows: with bent surfaces again from where it led.
     fn refine(&self, rough: &V3<f64>) -> Separation {
-        let mut best = self.refine_once(rough);
+        self.settled(self.refine_once(rough, self.near()))
+    }
+
+    fn near(&self) -> f64 {
+        if self.smooth {
+            NEAR_ROUGH
+        } else {
+            NEAR_EXACT
+        }
+    }
+
+    /// The same again from where it led, until that is the best there is.
+    fn settled(&self, mut best: Separation) -> Separation {
         for _ in 0..if self.smooth { AGAIN } else { 0 } {
-            let next = self.refine_once(&best.normal);
+            let next = self.refine_once(&best.normal, NEAR_AGAIN);
             if next.apart <= best.apart + ROUNDING * self.size {
                 break;
             }
@@ -159,8 +180,7 @@ impl<'a> Pairing<'a> {
         best
     }
 
-    fn refine_once(&self, rough: &V3<f64>) -> Separation {
-        let near = if self.smooth { NEAR_ROUGH } else { NEAR_EXACT };
+    fn refine_once(&self, rough: &V3<f64>, near: f64) -> Separation {
         let start = self.apart(rough);
         let mut best = Separation { normal: *rough, apart: f64::NEG_INFINITY, cause: Cause::Free };
         let mut offer = |normal: V3<f64>, apart: f64, cause: Cause| {
@@ -214,13 +234,13 @@ impl<'a> Pairing<'a> {
     /// normal leant that way. The rim's bend is infinite at the cap's own normal, and from another
     /// side of it no step leads there.
     fn over_rim_of_one(&self, rough: &V3<f64>) -> Option<V3<f64>> {
-        let (cap, ..) = self.one.face(rough)?;
+        let (cap, ..) = self.one.face(rough).filter(|face| face.1 > CAP)?;
         let there = self.between + self.two.support(&-cap).0;
         self.one.over_rim(&cap, &there, self.size)
     }
 
     fn over_rim_of_two(&self, rough: &V3<f64>) -> Option<V3<f64>> {
-        let (cap, ..) = self.two.face(&-rough)?;
+        let (cap, ..) = self.two.face(&-rough).filter(|face| face.1 > CAP)?;
         let there = self.one.support(&-cap).0 - self.between;
         self.two.over_rim(&cap, &there, self.size).map(|n| -n)
     }
