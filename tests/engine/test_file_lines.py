@@ -25,21 +25,10 @@ def refused(kind="sphere", more="", after=""):
     return str(caught.value)
 
 
-def test_a_pair_that_is_not_built_names_both_places():
-    block = "<body>\n<geom name='block' type='box' size='1 1 1'/></body>"
-    says = refused("ellipsoid", 'name="foot"', block)
-    assert says.startswith(
-        "robot.xml:5: geom 'foot' and geom 'block' (robot.xml:8) can meet, "
-        "but ellipsoid against box is not built yet"
-    )
-
-
 def test_every_kind_of_refusal_has_its_line():
     assert refused(more='mass="0"').startswith("robot.xml:3: body 'leg' mass = 0")
     twice = "<body name='arm'><joint/>\n<joint/>\n<geom size='.1'/></body>"
     assert refused(after=twice).startswith("robot.xml:7: joint 1 of body 'arm'")
-    nameless = "<body>\n<freejoint/><geom type='box' size='1 1 1'/></body>"
-    assert "geom 2 of body 2 (robot.xml:8) can meet" in refused("ellipsoid", after=nameless)
 
 
 def test_a_place_survives_copies_and_later_edits():

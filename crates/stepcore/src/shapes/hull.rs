@@ -27,6 +27,8 @@ pub struct Hull {
     /// Ends of triangles' edges: vertex v's neighbours are `adjacent[starts[v]..starts[v + 1]]`.
     starts: Vec<usize>,
     adjacent: Vec<usize>,
+    /// Distance of the furthest vertex from the origin [m].
+    reach: f64,
 }
 
 impl Hull {
@@ -96,7 +98,8 @@ impl Hull {
         }
         let (faces, edges) = facets::merged(&vertices, &surface, half);
         let triangles = surface.triangles;
-        let mut hull = Self { vertices, source, triangles, faces, edges, starts, adjacent };
+        let reach = furthest(&vertices);
+        let mut hull = Self { vertices, source, triangles, faces, edges, starts, adjacent, reach };
         for i in 0..hull.faces.len() {
             let normal = hull.faces[i].normal;
             let furthest = hull.support_from(hull.faces[i].corners[0], &normal);
@@ -152,13 +155,18 @@ impl Hull {
             face.normal = turn * face.normal;
             face.offset += face.normal.dot(shift);
         }
+        self.reach = furthest(&self.vertices);
         self
     }
 
     /// Distance of the furthest vertex from the origin [m].
     pub fn reach(&self) -> f64 {
-        self.vertices.iter().map(|v| v.norm()).fold(0.0, f64::max)
+        self.reach
     }
+}
+
+fn furthest(vertices: &[Vector3<f64>]) -> f64 {
+    vertices.iter().map(|v| v.norm()).fold(0.0, f64::max)
 }
 
 fn refuse(count: usize, flat: Flat) -> Error {
