@@ -1,4 +1,5 @@
-//! How long a heap's step takes, for a profiler: spheres or capsules in a box without a lid.
+//! How long a heap's step takes, for a profiler: spheres in a box without a lid, or capsules on a
+//! floor.
 //!
 //!     cargo run --release -p stepcore --example heap -- 100 newton 200
 //!
@@ -20,7 +21,8 @@ fn heap(count: usize, capsules: bool) -> Scene {
     let side = (1..).find(|side| side * side * side >= count).unwrap_or(1);
     let half = 1.15 * RADIUS * side as f64;
     plane(&mut scene, [0.0; 3], [0.0, 0.0, 1.0]);
-    for (x, y) in [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)] {
+    let walls = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)];
+    for (x, y) in walls.into_iter().filter(|_| !capsules) {
         plane(&mut scene, [-x * half, -y * half, 0.0], [x, y, 0.0]);
     }
     let mut seed = 1u64;
@@ -31,10 +33,11 @@ fn heap(count: usize, capsules: bool) -> Scene {
     for i in 0..count {
         let at = |k: usize| (2 * k + 1) as f64;
         let (x, y, z) = (at(i % side), at(i / side % side), at(i / (side * side)));
+        let wide = if capsules { 1.6 } else { 1.0 };
         let pos = [
-            x * half / side as f64 - half + jitter(),
-            y * half / side as f64 - half + jitter(),
-            z * 1.2 * RADIUS + jitter(),
+            wide * x * half / side as f64 - half + jitter(),
+            wide * y * half / side as f64 - half + jitter(),
+            (z * 1.2 + (wide - 1.0) * 3.0 * z) * RADIUS + jitter(),
         ];
         let quat = [1.0; 4].map(|_| if capsules { 20.0 * jitter() } else { 0.5 });
         scene.bodies.push(Body { pos, quat, ..Body::default() });
