@@ -72,9 +72,13 @@ fn allocations<R: Real>(scene: &Scene, settings: &Settings) -> (u64, usize) {
 }
 
 fn check<R: Real>(settings: &Settings) {
-    for (name, scene) in
-        [("tower", scenes::tower(4)), ("runner", scenes::runner()), ("heap", scenes::heap())]
-    {
+    // Ten trees in an island are a heap to Newton's method.
+    for (name, scene) in [
+        ("tower", scenes::tower(4)),
+        ("high tower", scenes::tower(10)),
+        ("runner", scenes::runner()),
+        ("heap", scenes::heap()),
+    ] {
         let (count, rows) = allocations::<R>(&scene, settings);
         let (law, integrator) = (settings.law.name(), settings.integrator.name());
         assert!(settings.law == Law::Penalty || rows > 0, "{name} {law}: nothing touches");
@@ -151,7 +155,7 @@ fn a_sim_knows_its_memory() {
         Settings { solver: Solver::Newton, ..euler.clone() },
         Settings { solver: Solver::Newton, cone: Cone::Elliptic, ..euler },
     ] {
-        for scene in [scenes::tower(4), scenes::runner(), scenes::heap()] {
+        for scene in [scenes::tower(4), scenes::tower(10), scenes::runner(), scenes::heap()] {
             let model = Arc::new(Model::compile(&scene).unwrap());
             let own = model.clone();
             let before = HELD.with(Cell::get);
