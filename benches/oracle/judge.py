@@ -72,7 +72,8 @@ def judge(
     # Distances between the two bounds count as right.
     high = np.where(claimed > 0, np.maximum(dist - claimed - certificate.point, 0), 0)
     some = np.flatnonzero(~(claimed > 0))[:searched]
-    true[some] = np.fmax(search(posed.take(some)).dist, claimed[some])
+    if len(some):
+        true[some] = np.fmax(search(posed.take(some)).dist, claimed[some])
     searched_at, proof = some, np.full(n, np.nan)
     # Out of a half-space there is one direction only.
     some = some[: 0 if posed.a.kind == "plane" else covered]

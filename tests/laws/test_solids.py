@@ -189,3 +189,28 @@ def test_a_box_rides_a_turntable_iff_friction_holds_it():
     w, z = sim.qpos[4], sim.qpos[7]
     assert 2 * math.atan2(abs(z), abs(w)) == pytest.approx(math.pi, abs=0.05)
     assert turntable(1.15)[0] > 1.1
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_an_overhanging_tower_stands_to_the_harmonic_limit(count):
+    """Blocks of length 2a, each a / k beyond the one below it (k counted from the top): each part
+    of the tower balances on the edge that bears it. A little less stands, a little more falls."""
+    half = (0.5, 0.2, 0.05)
+
+    def drop(factor):
+        scene = sc.Scene(gravity=(0, 0, -G))
+        scene.add_geom("world", "plane", (0, 0, 1), friction=(0.8,))
+        shift = 0.0
+        for level in range(count + 1):
+            body = scene.add_body(f"block{level}", pos=(shift, 0, half[2] * (1 + 2 * level)))
+            scene.add_joint(body, "free")
+            scene.add_geom(body, "box", half, mass=1.0, friction=(0.8,))
+            if level < count:
+                shift += factor * half[0] / (count - level)
+        sim = sc.Sim(scene.compile(), dt=2e-3, **RIGID)
+        top = float(sim.qpos[-5])
+        sim.run(0.5)
+        return top - float(sim.qpos[-5])
+
+    assert abs(drop(0.96)) < 1e-3
+    assert drop(1.04) > 5e-3

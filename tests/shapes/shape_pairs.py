@@ -9,14 +9,21 @@ BUILT = [
     ("sphere", "sphere"),
     ("sphere", "capsule"),
     ("sphere", "ellipsoid"),
+    ("sphere", "cylinder"),
     ("sphere", "box"),
+    ("sphere", "mesh"),
     ("capsule", "capsule"),
     ("capsule", "ellipsoid"),
+    ("capsule", "mesh"),
     ("ellipsoid", "ellipsoid"),
     ("ellipsoid", "cylinder"),
     ("ellipsoid", "box"),
+    ("ellipsoid", "mesh"),
     ("cylinder", "box"),
-    ("sphere", "cylinder"),
-    ("capsule", "box"),
-    ("box", "box"),
+    ("cylinder", "mesh"),
+    ("box", "mesh"),
+    ("mesh", "mesh"),
 ]
+
+# Overlapping, these take a face where a pair of edges is a little nearer: see docs/trust.md.
+FACES_FIRST = [("capsule", "box"), ("box", "box")]

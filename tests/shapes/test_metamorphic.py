@@ -5,9 +5,9 @@ import pytest
 from oracle.convex import Convex
 from oracle.judge import touched
 from oracle.poses import STYLES, Trial, trial
-from shape_pairs import BUILT
+from shape_pairs import BUILT, FACES_FIRST
 
-EVERY = pytest.mark.parametrize("pair", BUILT, ids="-".join)
+EVERY = pytest.mark.parametrize("pair", BUILT + FACES_FIRST, ids="-".join)
 
 
 def scaled(shape, factor):
