@@ -1,7 +1,7 @@
 //! What cannot be compiled.
 
 use super::{ball, free, Build};
-use crate::scene::{Geom, GeomType, Joint, JointType, Key, Scene};
+use crate::scene::{ExplicitPair, Geom, GeomType, Joint, JointType, Key, Scene};
 
 /// Each scene is refused, and the text names the element and the field.
 #[test]
@@ -28,9 +28,16 @@ fn what_is_refused_is_named() {
         (|s| s.geoms[1].soft.solimp[2] = f64::NAN, "geom 'ball' solimp[2]"),
         (|s| s.geoms[1].condim = 2, "geom 'ball' condim"),
         (|s| s.geoms[1].kind = GeomType::Box, "geom 'ball' size[1]"),
+        (|s| s.pairs.push(ExplicitPair { geom2: 9, ..Default::default() }), "pair 0 geom2"),
+        (|s| s.pairs.push(ExplicitPair { condim: 2, ..Default::default() }), "pair 0 condim"),
+        (|s| s.pairs.push(ExplicitPair { gap: -1.0, ..Default::default() }), "pair 0 gap"),
         (
-            |s| (s.geoms[1].kind, s.geoms[1].size) = (GeomType::Box, [1.0; 3]),
-            "geom 'floor' and geom 'ball'",
+            |s| {
+                let solreffriction = Some([0.02, -1.0]);
+                let name = "grip".into();
+                s.pairs.push(ExplicitPair { name, solreffriction, ..Default::default() });
+            },
+            "pair `grip` solreffriction[1]",
         ),
         (|s| s.geoms[1].kind = GeomType::Plane, "must be on a fixed body"),
         (|s| s.geoms[1].name = "floor".into(), "'floor'"),
