@@ -44,15 +44,14 @@ def test_a_place_survives_copies_and_later_edits():
 
 def test_a_scene_without_a_file_names_bodies():
     scene = sc.Scene()
-    scene.add_geom("world", "ellipsoid", (1, 1, 2))
     box = scene.add_body("box", pos=(0, 0, 1))
     scene.add_joint(box, "free")
-    scene.add_geom(box, "box", (0.1, 0.1, 0.1))
-    with pytest.raises(ValueError, match=r"^geom 0 of the world and geom 1 of body 'box' can meet"):
+    scene.add_geom(box, "box", (0.1, 0.1, 0.1), mass=0)
+    with pytest.raises(ValueError, match=r"^body 'box' mass = 0"):
         scene.compile()
     # A name that holds a quote is left as it is.
-    scene.geoms[1].name = "it's"
-    with pytest.raises(ValueError, match=r"geom 'it's' can meet"):
+    scene.bodies[1].name = "it's"
+    with pytest.raises(ValueError, match=r"^body 'it's' mass = 0"):
         scene.compile()
 
 

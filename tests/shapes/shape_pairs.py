@@ -23,6 +23,8 @@ BUILT = [
     ("cylinder", "mesh"),
     ("box", "mesh"),
     ("mesh", "mesh"),
+    ("capsule", "cylinder"),
+    ("cylinder", "cylinder"),
 ]
 
 # Overlapping, these take a face where a pair of edges is a little nearer: see docs/trust.md.
