@@ -63,25 +63,28 @@ class Row:
         off = np.flatnonzero(np.abs(verdict.peer) > NOTABLE)
         self.differs += len(off)
         self.contact_differs += int((np.abs(verdict.peer_contact) > NOTABLE).sum())
-        for k in off:
-            self._decide(verdict, int(k))
+        if len(off):
+            self._decide(verdict, off)
 
-    def _decide(self, verdict: Verdict, k: int) -> None:
-        found = verdict.found
+    def _decide(self, verdict: Verdict, off: np.ndarray) -> None:
+        """Who is wrong at these poses."""
+        found, one = verdict.found, verdict.trial
         assert found is not None
-        one = verdict.trial
-        posed = one.posed.take(np.array([k]))
-        scale = float(posed.scale[0])
-        direction = one.into(found.normal[:, None])[k]
-        proven = float(posed.gap(direction[None])[0, 0])
-        low = max(float(search(posed).dist[0]), proven, float(verdict.true[k]))
-        ours = (float(verdict.true[k]) + float(verdict.dist[k]) * scale - low) / scale
-        theirs = (float(found.dist[k]) - low) / scale
-        if abs(ours) > NOTABLE:
-            self.ours_wrong += 1
-        if abs(theirs) > abs(self.theirs):
-            self.theirs = theirs
-            self.cases.append(self._case(verdict, k, low, posed))
+        posed = one.posed.take(off)
+        direction = one.into(found.normal[:, None])[off]
+        proven = posed.gap(np.where(np.isfinite(direction), direction, 0.0))[:, 0]
+        proven = np.where(np.isfinite(found.normal[off, 0]), proven, -np.inf)
+        low = np.maximum(np.maximum(search(posed).dist, proven), verdict.true[off])
+        ours = (verdict.true[off] - low) / posed.scale + verdict.dist[off]
+        theirs = (found.dist[off] - low) / posed.scale
+        self.ours_wrong += int((np.abs(ours) > NOTABLE).sum())
+        worst = int(np.abs(theirs).argmax())
+        if abs(theirs[worst]) > abs(self.theirs):
+            self.theirs = float(theirs[worst])
+            k = np.array([worst])
+            self.cases.append(
+                self._case(verdict, int(off[worst]), float(low[worst]), posed.take(k))
+            )
 
     def _case(self, verdict: Verdict, k: int, low: float, posed) -> str:
         one, found = verdict.trial, verdict.found
