@@ -206,7 +206,8 @@ def test_images_and_binary_height_fields(tmp_path):
         "d.png": (png(pixels)[:-20], "cut off"),
         "e.png": (b"GIF89a", "does not begin"),
         "a.bin": (data[:-1], "it has 223"),
-        "b.bin": (struct.pack("<2i", 2**31 - 1, 2**31 - 1), "asks for"),
+        "b.bin": (struct.pack("<2i", 2**31 - 1, 2**31 - 1), "at most 16777216"),
+        "e.bin": (struct.pack("<2i", 4096, 4096), "asks for 67108872 bytes"),
         "c.bin": (struct.pack("<2i", -1, 4), "-1 rows"),
         "d.bin": (struct.pack("<2i2f", 1, 2, 0, np.nan), "not a finite"),
     }

@@ -147,10 +147,10 @@ class Assets:
             self._count(node, path)
         else:
             nrow, ncol = counts
-            if not (0 < nrow <= hfield_files.LARGEST and 0 < ncol <= hfield_files.LARGEST):
-                limit = f"given with a file, or from 1 to {hfield_files.LARGEST} each"
+            if not (nrow > 0 and ncol > 0 and nrow * ncol <= hfield_files.MOST):
+                limit = f"above 0, and their product at most {hfield_files.MOST}, without a file"
                 raise bad(node, "nrow, ncol", counts, limit)
-            heights = values.get("elevation", (0.0,) * (nrow * ncol))
+            heights = values.get("elevation", np.zeros(nrow * ncol))
             if len(heights) != nrow * ncol:
                 raise node.error(
                     f"<hfield> elevation has {len(heights)} numbers: must be nrow × ncol = "

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from stepcore import checks
 
 CONTENT = {"image/png": True, "image/vnd.mujoco.hfield": False}
-# No image is wider or higher: MuJoCo's own bound would be the memory.
-LARGEST = 2**14
+# No field has more points: 128 MiB of double precision.
+MOST = 2**24
 
 
 def read(path: str | os.PathLike[str], content_type: str = "") -> NDArray[Any]:
@@ -50,6 +50,8 @@ def binary(data: bytes) -> NDArray[Any]:
     nrow, ncol = (int(n) for n in np.frombuffer(data, "<i4", 2))
     if nrow < 1 or ncol < 1:
         raise ValueError(f"its head says {nrow} rows of {ncol}")
+    if nrow * ncol > MOST:
+        raise ValueError(f"its head asks for {nrow} × {ncol} heights; at most {MOST} are read")
     size = 8 + 4 * nrow * ncol
     if len(data) != size:
         raise ValueError(f"its head asks for {size} bytes; it has {len(data)}")
@@ -73,8 +75,8 @@ def png(data: bytes) -> NDArray[Any]:
         kind = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
         what = f"{kind.get(colour, 'unknown')} of {depth} bits" + ", interlaced" * (interlace != 0)
         raise ValueError(f"it is {what}; only grey of 8 bits, not interlaced, is supported")
-    if not (0 < width <= LARGEST and 0 < height <= LARGEST):
-        raise ValueError(f"it is {width} × {height} pixels; at most {LARGEST} a side are read")
+    if not 0 < width * height <= MOST:
+        raise ValueError(f"it is {width} × {height} pixels; 1 to {MOST} of them are read")
     size = height * (width + 1)
     unpack = zlib.decompressobj()
     try:

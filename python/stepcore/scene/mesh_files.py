@@ -79,6 +79,8 @@ def stl(data: bytes) -> Surface:
         )
     if not np.isfinite(corners).all():
         raise ValueError("a coordinate is not a finite number")
+    if not len(corners):
+        raise ValueError("it has no faces")
     return _joined(corners.reshape(-1, 3))
 
 
@@ -105,13 +107,18 @@ def _text_corners(data: bytes) -> NDArray[Any]:
 def _joined(corners: NDArray[Any]) -> Surface:
     """Vertices that differ, in the order in which they appear, and the faces between them."""
     # Zero has two signs.
-    places = np.ascontiguousarray(corners + 0.0)
-    keys = places.view([("", float)] * 3).ravel()
-    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
-    order = np.argsort(first, kind="stable")
-    number = np.empty(len(order), np.int64)
-    number[order] = np.arange(len(order))
-    return places[first[order]], number[which.ravel()].reshape(-1, 3)
+    places = corners + 0.0
+    order = np.lexsort(places.T)
+    in_order = places[order]
+    differs = np.concatenate([[True], (in_order[1:] != in_order[:-1]).any(axis=1)])
+    # Of those in one place the sort, being stable, has the first one first.
+    first = order[differs]
+    group = np.empty(len(order), np.int64)
+    group[order] = np.cumsum(differs) - 1
+    appear = np.argsort(first)
+    number = np.empty(len(appear), np.int64)
+    number[appear] = np.arange(len(appear))
+    return places[first[appear]], number[group].reshape(-1, 3)
 
 
 def obj(data: bytes) -> Surface:
