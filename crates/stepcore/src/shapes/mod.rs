@@ -24,6 +24,7 @@ pub mod hull;
 mod hull_tests;
 mod manifold;
 pub(crate) mod plane;
+mod plane_mesh;
 mod quickhull;
 mod separation;
 mod shape_test;
@@ -88,6 +89,9 @@ pub fn meet<R: Real>(
         ShapeTest::PlaneEllipsoid => all(&plane::plane_ellipsoid(p1, p2, s2)),
         ShapeTest::PlaneCylinder => all(&plane::plane_cylinder(p1, p2, s2.x, s2.y)),
         ShapeTest::PlaneBox => all(&plane::plane_box(p1, p2, s2)),
+        ShapeTest::PlaneMesh => {
+            all(&by_lane::<R, _, { plane_mesh::MOST }>(&plane_mesh::PlaneMesh, one, two));
+        }
         ShapeTest::SphereSphere => all(&sphere::sphere_sphere(p1, s1.x, p2, s2.x)),
         ShapeTest::SphereCapsule => all(&sphere::sphere_capsule(p1, s1.x, p2, s2.x, s2.y)),
         ShapeTest::SphereBox => all(&sphere::sphere_box(p1, s1.x, p2, s2)),

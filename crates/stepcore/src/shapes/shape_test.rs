@@ -2,7 +2,7 @@
 
 use super::boxes;
 use super::convex::Convex;
-use super::height_field;
+use super::{height_field, plane_mesh};
 use crate::scene::GeomType;
 
 /// Geom 1's shape, then geom 2's.
@@ -13,6 +13,7 @@ pub enum ShapeTest {
     PlaneEllipsoid,
     PlaneCylinder,
     PlaneBox,
+    PlaneMesh,
     SphereSphere,
     SphereCapsule,
     SphereBox,
@@ -33,6 +34,7 @@ const TESTS: &[(GeomType, GeomType, ShapeTest)] = &[
     (GeomType::Plane, GeomType::Ellipsoid, ShapeTest::PlaneEllipsoid),
     (GeomType::Plane, GeomType::Cylinder, ShapeTest::PlaneCylinder),
     (GeomType::Plane, GeomType::Box, ShapeTest::PlaneBox),
+    (GeomType::Plane, GeomType::Mesh, ShapeTest::PlaneMesh),
     (GeomType::Sphere, GeomType::Sphere, ShapeTest::SphereSphere),
     (GeomType::Sphere, GeomType::Capsule, ShapeTest::SphereCapsule),
     (GeomType::Sphere, GeomType::Box, ShapeTest::SphereBox),
@@ -92,6 +94,7 @@ impl ShapeTest {
             | Self::SphereBox
             | Self::SphereCylinder => 1,
             Self::PlaneCapsule | Self::CapsuleCapsule | Self::CapsuleBox => 2,
+            Self::PlaneMesh => plane_mesh::MOST,
             Self::Convex(one, two) => Convex { one, two }.most(),
             Self::PlaneCylinder | Self::PlaneBox => 4,
             Self::BoxBox => boxes::MOST,
@@ -113,6 +116,7 @@ impl ShapeTest {
                 | Self::PlaneEllipsoid
                 | Self::PlaneCylinder
                 | Self::PlaneBox
+                | Self::PlaneMesh
         )
     }
 }

@@ -1,0 +1,199 @@
+//! A plane and a convex hull: the hull's support polygon.
+//!
+//! Contacts are vertices: the corners of the face that looks most into the plane, whatever their
+//! distance, and all vertices below the plane or hardly higher than the lowest. Of more than `MOST`
+//! some stay that are far from each other, and the lowest. Which ones is decided by distances
+//! within the hull, which no motion changes, so that a mesh that rests keeps its contacts.
+
+use super::by_lane::{empty, OneWorld};
+use super::hull::Hull;
+use super::touch::{Touch, Touches};
+use super::Shape;
+use crate::real::{Mask, Real};
+use crate::spatial::V3;
+
+/// The most contacts.
+pub const MOST: usize = 8;
+/// Vertices that are looked at, at most; of more, every second, every third …
+const ROOM: usize = 256;
+/// Over the hull's size: vertices no higher than this above the lowest lie on its base.
+const LEVEL: f64 = 1e-5;
+
+/// The test of a plane (`one`) and a mesh.
+pub struct PlaneMesh;
+
+impl OneWorld<MOST> for PlaneMesh {
+    fn touches<R: Real>(&self, one: &Shape<R>, two: &Shape<R>) -> Touches<R, MOST> {
+        let Some(hull) = two.hull else { return [empty(); MOST] };
+        let (plane, mesh) = (one.pose, two.pose);
+        let normal = plane.axis(2);
+        let centre = normal.dot(&(mesh.pos - plane.pos));
+        let own = mesh.rot.transpose() * normal;
+        let up = V3::new(own.x.lane(0), own.y.lane(0), own.z.lane(0));
+        let size = two.size.iter().fold(0.0, |a: f64, b| a.max(*b));
+        let (chosen, count) = polygon(hull, &up, centre.lane(0), LEVEL * size);
+        let mut touches = [empty(); MOST];
+        for (touch, &vertex) in touches.iter_mut().zip(&chosen[..count]) {
+            let at = mesh.rot * hull.vertices[vertex].map(R::of);
+            let dist = centre + normal.dot(&at);
+            *touch = Touch {
+                dist,
+                pos: mesh.pos + at - normal * (R::of(0.5) * dist),
+                normal,
+                exists: R::Mask::of(true),
+                feature: R::of(vertex as f64),
+            };
+        }
+        touches
+    }
+}
+
+/// The vertices that are contacts, ascending, and how many: `up` is the plane's normal in the
+/// hull's frame, `centre` the height of that frame.
+fn polygon(hull: &Hull, up: &V3<f64>, centre: f64, level: f64) -> ([usize; MOST], usize) {
+    let height = |vertex: usize| centre + up.dot(&hull.vertices[vertex]);
+    let lowest = hull.support(&-up);
+    let limit = (height(lowest) + level).max(0.0);
+    let mut list = List { vertices: [lowest; ROOM], count: 1 };
+    let below = || (0..hull.vertices.len()).filter(|vertex| height(*vertex) <= limit);
+    let base = hull.faces.iter().min_by(|a, b| a.normal.dot(up).total_cmp(&b.normal.dot(up)));
+    let corners = base.map_or(&[][..], |face| &face.corners);
+    let stride = 1 + (below().count() + corners.len()) / ROOM;
+    below().step_by(stride).for_each(|vertex| list.put(vertex));
+    // What is not below acts only where nothing else does: it does not take the place of what is.
+    let must = list.count.min(MOST);
+    if must < MOST {
+        corners.iter().step_by(stride).for_each(|vertex| list.put(*vertex));
+    }
+    let mut chosen = [lowest; MOST];
+    let kept = spread(hull, &mut list.vertices[..list.count], must, &mut chosen);
+    chosen[..kept].sort_unstable();
+    (chosen, kept)
+}
+
+/// Vertices to choose from, each once.
+struct List {
+    vertices: [usize; ROOM],
+    count: usize,
+}
+
+impl List {
+    fn put(&mut self, vertex: usize) {
+        if self.count < ROOM && !self.vertices[..self.count].contains(&vertex) {
+            self.vertices[self.count] = vertex;
+            self.count += 1;
+        }
+    }
+}
+
+/// Chooses of a list of vertices, whose first is the lowest: the first `must` of it if they all
+/// fit, else that and those that are furthest from the ones chosen before.
+fn spread(hull: &Hull, list: &mut [usize], must: usize, chosen: &mut [usize; MOST]) -> usize {
+    let lowest = list[0];
+    if list.len() <= MOST {
+        chosen[..list.len()].copy_from_slice(list);
+        return list.len();
+    }
+    let apart = |a: usize, b: usize| (hull.vertices[a] - hull.vertices[b]).norm_squared();
+    let mut kept = 0;
+    if must < MOST {
+        chosen[..must].copy_from_slice(&list[..must]);
+        kept = must;
+    } else {
+        // The first is always the same one; the lowest, which changes, comes last.
+        list.sort_unstable();
+        chosen[0] = list[0];
+        kept += 1;
+    }
+    while kept < MOST {
+        let far = |vertex: usize| {
+            chosen[..kept].iter().map(|c| apart(*c, vertex)).fold(f64::INFINITY, f64::min)
+        };
+        let mut best = (lowest, f64::NEG_INFINITY);
+        for &vertex in list.iter() {
+            let distance = far(vertex);
+            if distance > best.1 {
+                best = (vertex, distance);
+            }
+        }
+        let last = kept + 1 == MOST && !chosen[..kept].contains(&lowest);
+        chosen[kept] = if last { lowest } else { best.0 };
+        kept += 1;
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::spatial::Pose;
+    use nalgebra::{Rotation3, Vector3};
+
+    fn touch(hull: &Hull, mesh: &Pose<f64>) -> Vec<Touch<f64>> {
+        let plane = Pose { pos: V3::new(1.0, 2.0, 0.5), rot: nalgebra::Matrix3::identity() };
+        let shape = |pose, size, hull| Shape { pose, size, hull, field: None };
+        let one = shape(&plane, &[0.0; 3], None);
+        let two = shape(mesh, &[0.5, 0.5, 0.5], Some(hull));
+        PlaneMesh.touches(&one, &two).into_iter().filter(|touch| touch.exists).collect()
+    }
+
+    fn prism(n: usize) -> Hull {
+        let ring = |i: usize| {
+            let angle = std::f64::consts::TAU * (i / 2) as f64 / n as f64;
+            [0.4 * angle.cos(), 0.4 * angle.sin(), 0.3 * (i % 2) as f64 - 0.15]
+        };
+        Hull::of(&(0..2 * n).map(ring).collect::<Vec<_>>()).unwrap()
+    }
+
+    #[test]
+    fn a_block_stands_on_four_corners() {
+        let hull = Hull::block([0.5, 0.25, 0.1]).unwrap();
+        let pose = Pose { pos: V3::new(3.0, 0.0, 0.59), rot: nalgebra::Matrix3::identity() };
+        let touches = touch(&hull, &pose);
+        assert_eq!(touches.len(), 4);
+        for touch in &touches {
+            assert!((touch.dist + 0.01).abs() < 1e-15);
+            assert!((touch.pos.z - 0.495).abs() < 1e-15);
+            assert_eq!(touch.normal, Vector3::z());
+        }
+    }
+
+    #[test]
+    fn a_prism_of_many_corners_stands_on_eight_that_surround_its_centre() {
+        let hull = prism(60);
+        for step in 0..40 {
+            let tilt = Rotation3::from_euler_angles(1e-7 * step as f64, -2e-7 * step as f64, 0.3);
+            let pose = Pose { pos: V3::new(0.0, 0.0, 0.649), rot: *tilt.matrix() };
+            let touches = touch(&hull, &pose);
+            assert_eq!(touches.len(), 8);
+            let lowest = hull.vertices.iter().map(|v| (tilt * v).z).fold(f64::INFINITY, f64::min);
+            let deepest = touches.iter().map(|t| t.dist).fold(f64::INFINITY, f64::min);
+            assert!((deepest - (0.149 + lowest)).abs() < 1e-15);
+            // Every quarter around the centre has one.
+            for quarter in 0..4 {
+                let (x, y) = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)][quarter];
+                assert!(touches.iter().any(|t| t.pos.x * x > -0.1 && t.pos.y * y > -0.1));
+            }
+        }
+    }
+
+    #[test]
+    fn the_lowest_vertex_is_always_among_them() {
+        let hull = prism(60);
+        for step in 0..200 {
+            let angle = 0.05 * step as f64;
+            let turn = Rotation3::from_euler_angles(angle, 1.7 * angle, 0.2);
+            for height in [0.3, 0.6, 1.4] {
+                let pose = Pose { pos: V3::new(0.0, 0.0, height), rot: *turn.matrix() };
+                let touches = touch(&hull, &pose);
+                let lowest =
+                    hull.vertices.iter().map(|v| (turn * v).z).fold(f64::INFINITY, f64::min);
+                let deepest = touches.iter().map(|t| t.dist).fold(f64::INFINITY, f64::min);
+                assert!((deepest - (height - 0.5 + lowest)).abs() < 1e-14);
+                let mut features: Vec<f64> = touches.iter().map(|t| t.feature).collect();
+                features.dedup();
+                assert_eq!(features.len(), touches.len());
+            }
+        }
+    }
+}
