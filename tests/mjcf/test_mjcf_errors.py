@@ -250,10 +250,6 @@ UNBUILT = {
         '<geom type="mesh" mesh="m"/>',
         '<asset><mesh name="m" builtin="box" params="2 2 2 1 1 1 2"/></asset>',
     ),
-    "foveal wedge": (
-        '<geom type="mesh" mesh="m"/>',
-        '<asset><mesh name="m" builtin="wedge" params="3 3 30 30 .5"/></asset>',
-    ),
     "acts through site": (
         '<site name="s"/>',
         '<actuator><motor site="s" gear="1"/></actuator>',

@@ -147,7 +147,7 @@ BUILTIN = {
     "cone": ("3 0", "4 .5", "17 1", "40 .25"),
     "supersphere": ("3 1 1", "8 .5 .7", "9 1.5 2", "4 0 1"),
     "supertorus": ("4 .5 1 1", "5 .3 .5 1.5", "20 .2 .4 .4"),
-    "wedge": ("4 4 30 30 0", "3 2 40 20 0"),
+    "wedge": ("4 4 30 30 0", "3 2 40 20 0", "5 5 40 20 1", "7 4 80 60 .3"),
     "grid": ("2 2 2 1 1 1", "3 4 2 .1 .2 .3"),
     "box": ("2 2 2 1 1 1", "3 4 5 .1 .2 .3"),
     "cylinder": ("4 5 3 1 1 1", "6 6 2 .1 .2 .3"),
@@ -243,6 +243,18 @@ def test_heights(seed):
     assert share == pytest.approx(theirs.hfield_data, abs=1e-7)
     assert plain["size"] == pytest.approx(theirs.hfield_size[0])
     assert (plain["nrow"], plain["ncol"]) == (5, 7)
+
+
+def test_what_is_written_is_what_mujoco_reads():
+    asset = mesh_text(*angle_solid(4), 'scale="1 -2 .5" inertia="exact" maxhullvert="6"')
+    asset += '<hfield name="h" nrow="2" ncol="3" size="1 2 .3 .1" elevation="0 1 2 3 4 5"/>'
+    text = model_text(asset, 'type="capsule" mesh="m" fitscale=".5"', 'fitaabb="true"').replace(
+        "</worldbody>", '<geom type="hfield" hfield="h"/></worldbody>'
+    )
+    first = mujoco.MjModel.from_xml_string(text)
+    second = mujoco.MjModel.from_xml_string(sc.loads(text).to_mjcf())
+    for field in ("body_mass", "body_inertia", "geom_pos", "geom_size", "hfield_data"):
+        assert getattr(second, field) == pytest.approx(getattr(first, field), abs=1e-12), field
 
 
 def mesh_files() -> list[str]:

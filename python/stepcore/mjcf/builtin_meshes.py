@@ -2,7 +2,7 @@
 
 MuJoCo documentation, XML reference, mesh/builtin. Convex ones are given by their vertices alone,
 since the faces of a mesh without any are those of its convex hull. Surfaces without a volume
-(``dim`` 2), and a foveal wedge, are not built.
+(``dim`` 2) are not built.
 """
 
 from __future__ import annotations
@@ -135,12 +135,14 @@ def _wedge(params: _Params) -> Surface:
     """Cell centres of a slice of the unit sphere below the origin."""
     counts = [params.whole(1, MOST, word) for word in ("res_phi", "res_theta")]
     fields = params.real(1e-6, 180, "fov_phi"), params.real(1e-6, 90 - 1e-9, "fov_theta")
-    if params.real(0, 1, "gamma"):
-        raise params.node.unbuilt("a foveal wedge (gamma)")
-    phi, theta = (
-        np.radians(field) * ((2 * np.arange(n) + 1) / n - 1)
-        for n, field in zip(counts, fields, strict=True)
-    )
+    gamma = params.real(0, 1, "gamma")
+    angles = []
+    for count, field in zip(counts, fields, strict=True):
+        edges = np.linspace(-1, 1, count + 1)
+        # Cells are smaller in the middle of the field of view, as in a fovea.
+        edges = (1 - gamma) * edges + gamma * edges**5
+        angles.append(np.radians(field) * 0.5 * (edges[1:] + edges[:-1]))
+    phi, theta = angles
     phi, theta = (grid.ravel() for grid in np.meshgrid(phi, theta, indexing="ij"))
     flat = np.cos(theta)
     return np.column_stack([flat * np.sin(phi), np.sin(theta), -flat * np.cos(phi)]), None
