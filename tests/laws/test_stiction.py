@@ -5,6 +5,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
+import transforms
 
 import stepcore as sc
 
@@ -270,3 +271,18 @@ def test_other_laws_take_no_notice():
         sim.step(100)
         runs.append(np.array(sim.qpos))
     assert np.array_equal(*runs)
+
+
+@pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
+@pytest.mark.parametrize("units", [(3, 0, 0), (0, 4, 0), (0, 0, 5), (-2, 3, -4)])
+def test_units_scale_bit_for_bit(cone, units):
+    """Metres, kilograms and seconds of other sizes, powers of two: the same run to the bit."""
+    plain = slider(cone, condim=6, noslip_iterations=2)
+    other = transforms.scaled(plain, *units)
+    runs = []
+    for transform, scene in ((None, plain), (other, other.scene)):
+        sim = sc.Sim(scene.compile())
+        sim.qvel = (0.3, 0.2, 0) if transform is None else other.qvel(np.array([0.3, 0.2, 0]))
+        sim.step(300)
+        runs.append(np.array(sim.qpos))
+    assert np.array_equal(other.qpos(runs[0]), runs[1])
