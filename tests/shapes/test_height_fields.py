@@ -1,0 +1,95 @@
+"""Height fields against the oracle: the nearest of the prisms under their triangles."""
+
+import numpy as np
+import pytest
+from oracle.convex import Convex, Posed
+from oracle.poses import quaternions, rotation, shape
+from oracle.search import search
+
+import stepcore as sc
+
+HALF, TALL, BASE = (1.0, 0.8), 0.4, 0.2
+KINDS = ("sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
+
+
+def field(heights):
+    """A field of these heights from 0 to 1, and a free geom over it."""
+    nrow, ncol = heights.shape
+    # MJCF lists rows from the top: from the largest y down.
+    listed = " ".join(map(repr, heights[::-1].ravel().tolist()))
+    return (
+        f'<hfield name="land" nrow="{nrow}" ncol="{ncol}" size="{HALF[0]} {HALF[1]} {TALL} {BASE}" '
+        f'elevation="{listed}"/>'
+    )
+
+
+def compiled(heights, one):
+    mesh, geom = "", f'type="{one.kind}" size="{" ".join(map(repr, one.size))}"'
+    if one.kind == "mesh":
+        listed = " ".join(map(repr, one.vertices.ravel().tolist()))
+        mesh, geom = f'<mesh name="b" vertex="{listed}"/>', 'type="mesh" mesh="b"'
+    return sc.loads(
+        f"<mujoco><asset>{field(heights)}{mesh}</asset><worldbody>"
+        '<geom name="a" type="hfield" hfield="land"/><body><freejoint/>'
+        '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+        f'<geom name="b" {geom}/></body></worldbody></mujoco>'
+    ).compile()
+
+
+def prisms(heights):
+    """Two under each cell; the diagonal goes from its corner of least x and y."""
+    nrow, ncol = heights.shape
+    x, y = np.linspace(-HALF[0], HALF[0], ncol), np.linspace(-HALF[1], HALF[1], nrow)
+    for row in range(nrow - 1):
+        for col in range(ncol - 1):
+            low, high = (row, col), (row + 1, col + 1)
+            for third in ((row + 1, col), (row, col + 1)):
+                top = [(x[c], y[r], TALL * heights[r, c]) for r, c in (low, third, high)]
+                yield Convex("mesh", vertices=np.array(top + [(*p[:2], -BASE) for p in top]))
+
+
+def deepest(touches):
+    return np.where(touches.exists, touches.dist, np.inf).min(axis=-1)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_distances_above_the_land(kind):
+    """Apart: the least distance of all prisms, or of those in the shape's shadow, where the nearest
+    is beyond it: no step asks for that one before the two come near."""
+    rng = np.random.default_rng(37)
+    heights = rng.uniform(0, 1, (3, 4))
+    heights.ravel()[:2] = 0, 1
+    heights = np.float64(np.float32(heights))  # what MuJoCo keeps
+    one = shape(rng, kind, "generic", 0.2)
+    n = 40
+    turn = quaternions(rng, n)
+    pos = rng.uniform(-1, 1, (n, 3)) * (*HALF, 0) + (0, 0, TALL + 0.25)
+    pos[:, 2] -= rng.uniform(0, 0.3, n)
+    found = compiled(heights, one).touches("a", "b", np.concatenate([pos, turn], axis=1))
+    dist = np.min(
+        [search(Posed(p, one, pos, rotation(turn))).dist for p in prisms(heights)], axis=0
+    )
+    apart = dist > 1e-9
+    error = (deepest(found) - dist)[apart]
+    assert len(error) > 10
+    assert error.min() > -1e-9
+    assert np.mean(error < 1e-9) > 0.3
+    assert (deepest(found)[~apart] < 1e-9).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_flat_field_is_a_plane(kind):
+    """Shapes on it, not over its rim: the distance and the normal are a plane's."""
+    rng = np.random.default_rng(41)
+    one = shape(rng, kind, "generic", 0.2)
+    heights = np.ones((4, 5))
+    heights[0, 0] = 0  # MuJoCo scales heights by their range; only that corner is not flat
+    n = 60
+    turn = quaternions(rng, n)
+    pos = rng.uniform(-0.3, 0.7, (n, 3)) * (*HALF, 0)
+    down = np.broadcast_to([0, 0, -1.0], (n, 1, 3)) @ rotation(turn)
+    overlap = rng.uniform(-0.05, 0.05, n)
+    pos[:, 2] = TALL + one.height(down)[:, 0] - overlap
+    found = compiled(heights, one).touches("a", "b", np.concatenate([pos, turn], axis=1))
+    assert np.abs(deepest(found) + overlap).max() < 1e-9
+    assert np.abs(found.normal[found.exists] - (0, 0, 1)).max() < 1e-7
