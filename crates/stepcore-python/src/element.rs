@@ -8,7 +8,7 @@ use stepcore::model::Model;
 use crate::nearest::{cut, nearest};
 
 /// Kind by its word, index in the model's list, part.
-pub type Id = (&'static str, u32, i64);
+pub type Id = (&'static str, u64, i64);
 
 pub fn id(element: Element) -> Id {
     let part = if element.part == Element::WHOLE { -1 } else { i64::from(element.part) };
@@ -25,6 +25,10 @@ pub fn read(model: &Model, kind: &str, index: usize, part: i64) -> PyResult<Elem
     let count = model.count(found);
     if index >= count {
         return Err(PyValueError::new_err(format!("index = {index}: must be below {count}")));
+    }
+    if found == Kind::Contact && model.contact_geoms(index).is_none() {
+        let limit = "must be the number of a pair of geoms that can meet";
+        return Err(PyValueError::new_err(format!("index = {index}: {limit}")));
     }
     match part {
         -1 => Ok(Element::whole(found, index)),

@@ -97,10 +97,10 @@ pub fn decode(bytes: &[u8], lengths: [usize; 5]) -> Result<Snapshot, String> {
     let count = usize::try_from(count).map_err(|e| e.to_string())?;
     let impulses =
         numbers(count.checked_mul(WARM_ROWS + 1).ok_or("a list in this state() is too long")?)?;
-    let slots = next(count * 4)?;
+    let slots = next(count * 8)?;
     let mut warm = Vec::with_capacity(count);
-    for (slot, numbers) in slots.chunks_exact(4).zip(impulses.chunks_exact(WARM_ROWS + 1)) {
-        let slot = u32::from_le_bytes([slot[0], slot[1], slot[2], slot[3]]);
+    for (slot, numbers) in slots.chunks_exact(8).zip(impulses.chunks_exact(WARM_ROWS + 1)) {
+        let slot = u64::from_le_bytes(word(slot));
         let impulse = std::array::from_fn(|k| numbers[k]);
         warm.push(Warm { slot, feature: numbers[WARM_ROWS], impulse });
     }

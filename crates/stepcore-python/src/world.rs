@@ -230,7 +230,7 @@ impl<R: Real> World for One<R> {
     fn contacts(&self) -> Contacts {
         let (sim, mut table) = (self.sim(), Contacts::default());
         for (_, contact) in sim.live_contacts(0) {
-            let pair = &sim.model().pairs[contact.pair];
+            let pair = &contact.pair;
             let element = contact.element();
             table.elements.push(element);
             table.geoms.push((pair.geom1, pair.geom2));

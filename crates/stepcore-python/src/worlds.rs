@@ -41,6 +41,8 @@ pub fn worlds(
     lanes: bool,
     goes_on: bool,
 ) -> Result<Box<dyn Worlds>> {
+    // The pairs of a heap are found one world at a time.
+    let lanes = lanes && model.heap.is_none();
     Ok(match (settings.precision, lanes) {
         (Precision::F64, true) => made::<Lanes>(model, settings, n, threads, goes_on)?,
         (Precision::F64, false) => made::<f64>(model, settings, n, threads, goes_on)?,
@@ -136,7 +138,7 @@ impl<R: Real> Worlds for Batch<R> {
     fn set_memos(&mut self, memos: &[Memo]) {
         for (state, memos) in self.states_mut().zip(memos.chunks(R::LANES)) {
             (state.start, state.steps) = (memos[0].start, memos[0].steps);
-            let mut slots: Vec<u32> =
+            let mut slots: Vec<u64> =
                 memos.iter().flat_map(|memo| memo.warm.iter().map(|w| w.slot)).collect();
             slots.sort_unstable();
             slots.dedup();

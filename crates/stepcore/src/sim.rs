@@ -87,11 +87,15 @@ impl<R: Real> Sim<R> {
     pub fn new(model: Arc<Model>, settings: Settings) -> Result<Self> {
         settings.check()?;
         check_masses::<R>(&model, settings.solver)?;
+        if R::LANES > 1 && model.heap.is_some() {
+            let limit = "1: the pairs of a heap are found one world at a time";
+            return Err(Error::value("lanes", R::LANES, limit));
+        }
         Ok(Self {
             state: State::new(&model),
             inputs: Inputs::new(&model),
             placed: Placed::new(&model),
-            detected: Detected::new(settings.max_contacts),
+            detected: Detected::new(&model, settings.max_contacts),
             rows: Rows::new(&model),
             velocity: vec![R::zero(); model.nv],
             qacc: vec![R::zero(); model.nv],
@@ -122,14 +126,16 @@ impl<R: Real> Sim<R> {
     pub(crate) fn warm_start(&mut self, but: Option<Kind>) {
         if self.settings.warm_start {
             let last = if self.next.stage > 0 { &self.next.warm } else { &self.state.warm };
-            self.rows.warm_start(&self.model, &self.placed.metric.inv_d, last, but);
+            let lists = self.detected.dof_lists(&self.model);
+            self.rows.warm_start(lists, &self.placed.metric.inv_d, last, but);
         }
     }
 
     /// Solves the rows that were made, from the impulses that they hold.
     pub(crate) fn solve(&mut self) -> Result<()> {
         let (model, inv_d) = (&*self.model, &self.placed.metric.inv_d);
-        let free = Unconstrained { dof_lists: &model.dof_lists, inv_d, guess: &self.placed.guess };
+        let dof_lists = self.detected.dof_lists(model);
+        let free = Unconstrained { dof_lists, inv_d, guess: &self.placed.guess };
         let report = self.solver.solve(&self.settings, free, &mut self.rows)?;
         self.effort.note(&report, self.rows.rows.len());
         let sweeps = self.settings.noslip_iterations;
@@ -177,7 +183,7 @@ impl<R: Real> Sim<R> {
 
     /// The worst miss of the last solve, a speed [m/s]; 0 without rows.
     pub fn residual(&self) -> R {
-        self.rows.residual(&self.model.dof_lists)
+        self.rows.residual(self.detected.dof_lists(&self.model))
     }
 }
 

@@ -15,7 +15,7 @@ pub const WARM_ROWS: usize = SLIP + SLIPS;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Warm<R: Real> {
     /// Which source (see `Block::slot`); ascending in the list.
-    pub slot: u32,
+    pub slot: u64,
     /// Which of its kin (see `Block::feature`); −1 in lanes that have none.
     pub feature: R,
     /// By row of its block [N·s or N·m·s], zero beyond; from `SLIP` on slip [m] and turn [rad].

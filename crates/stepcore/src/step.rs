@@ -3,6 +3,7 @@
 //! The integrator says how often a step runs the first three; `integrate` is in
 //! `commit/`. What is written here is the whole of a step.
 
+use crate::detect::Detected;
 use crate::elements::force::Moment;
 use crate::error::Result;
 use crate::observer::Observer;
@@ -69,6 +70,7 @@ impl<R: Real> Sim<R> {
         let now = Situation {
             model: &self.model,
             placed: &self.placed,
+            dof_lists: self.detected.lists.of(&self.model),
             settings: &self.settings,
             clock: self.clock,
             qpos: at.of(&self.state, &self.next).0,
@@ -76,7 +78,14 @@ impl<R: Real> Sim<R> {
             warm: if self.next.stage > 0 { &self.next.warm } else { &self.state.warm },
             first_stage: self.next.stage == 0,
         };
-        self.rows.make(&now, &mut self.detected);
+        self.rows.make(&now, &mut self.detected.contacts);
+    }
+
+    /// The contacts of the placement at hand, for reading: those of the last solve stay.
+    pub(crate) fn detected_aside(&self) -> Detected<R> {
+        let mut detected = Detected::new(&self.model, 0);
+        detected.detect(&self.model, &self.placed, &self.settings, &self.state.qpos);
+        detected
     }
 
     fn detect_and_solve(&mut self, at: At) -> Result<()> {
@@ -129,7 +138,8 @@ impl<R: Real> Sim<R> {
     pub(crate) fn connect(&mut self, at: At, part: Part, share: f64, choice: Choice) -> Result<()> {
         self.make_rows(at, part);
         R::enter(Stage::Impulses);
-        if !self.rows.solve_direct(&self.model.dof_lists, &self.placed.metric.inv_d, choice) {
+        let lists = self.detected.dof_lists(&self.model);
+        if !self.rows.solve_direct(lists, &self.placed.metric.inv_d, choice) {
             self.warm_start(None);
             self.solve()?;
         }

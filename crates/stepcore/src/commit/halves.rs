@@ -100,7 +100,8 @@ impl<R: Real> Sim<R> {
         }
         self.placed.metric.to_factored(&self.next.change, &mut self.next.gained);
         self.placed.metric.to_factored(&self.next.qvel, &mut self.placed.guess);
-        self.rows.begin_second(&self.model, &self.placed.metric.inv_d, &self.placed.guess);
+        let lists = self.detected.dof_lists(&self.model);
+        self.rows.begin_second(lists, &self.placed.metric.inv_d, &self.placed.guess);
         self.targets_of_the_second(answers);
         R::enter(Stage::Impulses);
         self.solve()?;
@@ -112,14 +113,15 @@ impl<R: Real> Sim<R> {
     }
 
     fn targets_of_the_second(&mut self, answers: Option<Kind>) {
-        let (model, settings, rows) = (&*self.model, &self.settings, &mut self.rows);
+        let (settings, rows) = (&self.settings, &mut self.rows);
+        let lists = self.detected.dof_lists(&self.model);
         let bounces = settings.law == Law::Rigid && settings.restitution > 0.0;
         let (push, slop) = (R::of(-settings.beta / settings.dt), R::of(settings.slop));
         for b in 0..rows.blocks.len() {
             let (kind, first) = (rows.blocks[b].element.kind, rows.blocks[b].rows.start);
             if Some(kind) == answers {
                 for at in rows.blocks[b].rows.range() {
-                    rows.rows[at].t = rows.dot(model, &rows.rows[at], &self.placed.guess);
+                    rows.rows[at].t = rows.dot(lists, &rows.rows[at], &self.placed.guess);
                 }
                 continue;
             }
@@ -129,7 +131,7 @@ impl<R: Real> Sim<R> {
                 rows.blocks[b].mask = rows.blocks[b].mask.and(gave);
             }
             if pushes && bounces && kind == Kind::Contact {
-                let gained = rows.dot(model, &rows.rows[first], &self.next.gained);
+                let gained = rows.dot(lists, &rows.rows[first], &self.next.gained);
                 let row = &mut rows.rows[first];
                 let hold = (push * (row.gap + slop).min(R::zero())).min(row.t);
                 row.t = hold.max(row.t + gained);

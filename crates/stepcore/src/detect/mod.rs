@@ -1,11 +1,14 @@
 //! Stage 2, detect: every place where shapes touch or are about to.
 //!
-//! Candidate pairs were chosen when the model was compiled; here each is tested
+//! Candidate pairs were chosen when the model was compiled, or in a heap are found by a broad phase
+//! (`near.rs`, `broad.rs`); here each is tested
 //! by its bounding spheres, which a law on the guess fattens by the way of the step
 //! (`swept.rs`), and then exactly. Contacts come out in pair order,
 //! whatever the lanes hold, so that row order never depends on anything else.
 
+mod broad;
 pub(crate) mod frame;
+mod near;
 pub(crate) mod path;
 mod swept;
 #[cfg(test)]
@@ -26,12 +29,14 @@ use crate::scene::GeomType;
 use crate::settings::Settings;
 use crate::shapes::{self, Touch};
 use crate::spatial::{Pose, V3};
+use broad::Broad;
+pub(crate) use near::Lists;
 use swept::Swept;
 
 /// One contact between the two geoms of a pair.
 #[derive(Clone, Debug)]
 pub struct Contact<R: Real> {
-    pub pair: usize,
+    pub pair: Pair,
     /// Which of the pair's contacts; keeps its meaning from step to step.
     pub part: usize,
     /// What touches: see `Touch::feature`.
@@ -54,19 +59,26 @@ pub struct Detected<R: Real> {
     /// How often the list had to grow: 0 in a run with enough `max_contacts`.
     pub grown: u64,
     swept: Swept<R>,
+    pub(crate) lists: Lists,
+    broad: Broad,
+    /// Numbers and geoms of the pairs whose boxes overlap.
+    near: Vec<(u64, u32, u32)>,
     /// Every pair is tested exactly, however far apart.
     #[cfg(test)]
     pub(crate) exhaustive: bool,
 }
 
-room!(Detected<R>: contacts; swept);
+room!(Detected<R>: contacts, near; swept, lists, broad);
 
 impl<R: Real> Detected<R> {
-    pub fn new(max_contacts: usize) -> Self {
+    pub fn new(model: &Model, max_contacts: usize) -> Self {
         Self {
             contacts: Vec::with_capacity(max_contacts),
             grown: 0,
             swept: Swept::new(),
+            lists: Lists::new(model),
+            broad: Broad::new(),
+            near: vec![],
             #[cfg(test)]
             exhaustive: false,
         }
@@ -84,8 +96,11 @@ impl<R: Real> Detected<R> {
         if on_guess {
             self.swept.sweep(model, placed, settings.dt);
         }
+        if let Some(heap) = &model.heap {
+            return self.detect_near(model, heap, placed, settings);
+        }
         let skips = !on_guess && !beyond(model, qpos);
-        for (index, pair) in model.pairs.iter().enumerate() {
+        for pair in &model.pairs {
             let more = on_guess.then(|| self.swept.of(pair));
             let far = skips && pair.apart || far(model, placed, pair, more);
             #[cfg(test)]
@@ -99,18 +114,23 @@ impl<R: Real> Detected<R> {
             meet(model, placed, pair, |part, touch| {
                 let mask = touch.exists.and(touch.dist.lt(listed));
                 if mask.any() {
-                    self.push(index, part, touch, mask);
+                    self.push(pair, part, touch, mask);
                 }
             });
         }
     }
 
-    fn push(&mut self, index: usize, part: usize, touch: &Touch<R>, mask: R::Mask) {
+    /// What the spans of rows point into: see `Situation::dof_lists`.
+    pub fn dof_lists<'a>(&'a self, model: &'a Model) -> &'a [usize] {
+        self.lists.of(model)
+    }
+
+    fn push(&mut self, pair: &Pair, part: usize, touch: &Touch<R>, mask: R::Mask) {
         if self.contacts.len() == self.contacts.capacity() {
             self.grown += 1;
         }
         self.contacts.push(Contact {
-            pair: index,
+            pair: *pair,
             part,
             feature: touch.feature,
             mask,
@@ -130,12 +150,12 @@ impl<R: Real> Contact<R> {
 
     /// Which contact it is.
     pub fn element(&self) -> Element {
-        Element::part(Kind::Contact, self.pair, self.part)
+        Element::part(Kind::Contact, self.pair.index, self.part)
     }
 
     /// The two directions of friction; with the normal they are the contact's frame.
-    pub fn tangents(&self, model: &Model, placed: &Placed<R>) -> [V3<R>; 2] {
-        let pair = &model.pairs[self.pair];
+    pub fn tangents(&self, placed: &Placed<R>) -> [V3<R>; 2] {
+        let pair = &self.pair;
         let hint = hint(pair.test, &placed.geom[pair.geom2]);
         let (y, z) = tangents(&self.normal, hint.as_ref());
         [y, z]

@@ -69,7 +69,7 @@ pub(crate) fn meeting<R: Real>(
     near: R,
     open: R::Mask,
 ) -> Meeting<R> {
-    let pair: &Pair = &model.pairs[contact.pair];
+    let pair = &contact.pair;
     let mut now = Meeting {
         met: open,
         turned: R::Mask::of(false),

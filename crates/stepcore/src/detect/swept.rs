@@ -85,6 +85,11 @@ impl<R: Real> Swept<R> {
         self.more[pair.geom1] + self.more[pair.geom2]
     }
 
+    /// By how much a geom's sphere is fattened.
+    pub fn geom(&self, geom: usize) -> R {
+        self.more[geom]
+    }
+
     /// The motion of every body about its tree's origin.
     fn motions(&mut self, model: &Model, placed: &Placed<R>) {
         for (index, body) in model.bodies.iter().enumerate().filter(|(_, body)| body.tree != NONE) {

@@ -1,10 +1,12 @@
 //! What is left out must change nothing: steps with and without it are the same bits.
 
+use super::broad::{Bounds, Broad};
 use crate::model::Model;
-use crate::real::{Lanes, Real};
+use crate::real::{Lanes, Mask, Real};
 use crate::scene::{Body, Geom, GeomType, Joint, JointType, Scene};
-use crate::settings::{Law, Settings, Solver};
+use crate::settings::{Integrator, Law, Settings, Solver};
 use crate::sim::Sim;
+use crate::solve::Live;
 use std::sync::Arc;
 
 /// Numbers in [0, 1) that are the same everywhere.
@@ -99,4 +101,148 @@ fn pairs_that_the_guess_keeps_apart_have_no_rows() {
         all_pairs_change_nothing::<f32>(law);
         all_pairs_change_nothing::<Lanes>(law);
     }
+}
+
+#[test]
+fn the_broad_phase_finds_what_comparing_all_boxes_finds() {
+    let mut random = Random(11);
+    let mut broad = Broad::new();
+    for case in 0..60 {
+        let count = 1 + (random.next() * 400.0) as usize;
+        let room = random.between(0.5, 20.0);
+        let spread = [0.0, 3.0, 12.0][case % 3];
+        let scale = 2.0_f64.powf(random.between(-30.0, 30.0));
+        let boxes: Vec<Bounds> = (0..count)
+            .map(|geom| {
+                let half = 0.1 * 2.0_f64.powf(random.between(-spread, spread));
+                let mut centre = [0.0; 3].map(|_: f64| random.between(-room, room));
+                // Some corners are shared, and some boxes reach far or are no numbers.
+                if random.next() < 0.3 {
+                    centre = centre.map(f64::round);
+                }
+                let mut bounds = Bounds {
+                    low: centre.map(|x| scale * (x - half)),
+                    high: centre.map(|x| scale * (x + half)),
+                    geom: geom as u32,
+                    fixed: random.next() < 0.2,
+                };
+                if random.next() < 0.01 {
+                    bounds.high[1] = f64::INFINITY;
+                }
+                if random.next() < 0.01 {
+                    bounds.low[0] = f64::NAN;
+                }
+                bounds
+            })
+            .collect();
+        broad.find(boxes.iter().copied());
+        broad.found.sort_unstable();
+        broad.found.dedup();
+        let mut all = vec![];
+        for (k, one) in boxes.iter().enumerate() {
+            all.extend(
+                boxes[k + 1..]
+                    .iter()
+                    .filter(|two| one.overlaps(two))
+                    .map(|two| (one.geom, two.geom)),
+            );
+        }
+        assert_eq!(broad.found, all, "case {case}");
+    }
+}
+
+/// The same scene with all its pairs in a list, and as a heap; both with live islands.
+fn two_ways<R: Real>(scene: &Scene, settings: &Settings) -> [Sim<R>; 2] {
+    [usize::MAX, 0].map(|most| {
+        let model = Arc::new(Model::compile_with(scene, most).unwrap());
+        assert_eq!(model.heap.is_some(), most == 0);
+        let mut sim = Sim::new(model, settings.clone()).unwrap();
+        sim.rows.live = Some(Live::default());
+        sim
+    })
+}
+
+fn a_heap_is_its_list<R: Real>(settings: &Settings, speed: f64, steps: u64) {
+    let mut random = Random(23);
+    for count in [9, 40] {
+        let scene = scattered(&mut random, count, 0.9);
+        let [mut list, mut heap] = two_ways::<R>(&scene, settings);
+        thrown(&mut random, &mut list, speed);
+        heap.state.qvel.clone_from(&list.state.qvel);
+        let what = (settings.law, settings.solver, settings.integrator, count);
+        let mut rows = 0;
+        for _ in 0..steps {
+            match (list.step(1), heap.step(1)) {
+                (Ok(()), Ok(())) => {}
+                (one, two) => {
+                    assert!(one.is_err() && two.is_err(), "{what:?}");
+                    break;
+                }
+            }
+            let [one, two] = [&list, &heap].map(|sim| {
+                let geoms = |c: &super::Contact<R>| (c.pair.geom1, c.pair.geom2, c.part);
+                let alive = sim.detected.contacts.iter().filter(|c| c.mask.any());
+                alive.map(geoms).collect::<Vec<_>>()
+            });
+            assert_eq!(one, two, "{what:?}");
+            assert_eq!(bits(&list), bits(&heap), "{what:?}");
+            rows += one.len();
+            for (one, two) in list.rows.blocks.iter().zip(&heap.rows.blocks) {
+                assert_eq!((one.island, one.rank), (two.island, two.rank));
+                let [one, two] = [(&list, one), (&heap, two)]
+                    .map(|(sim, block)| sim.model().element_name(block.element));
+                assert_eq!(one, two);
+            }
+        }
+        assert!(rows > 0, "{what:?}: nothing touches");
+    }
+}
+
+#[test]
+fn a_heap_steps_as_with_all_its_pairs_in_a_list() {
+    let base = Settings { sweeps: 20.into(), ..Settings::default() };
+    for solver in [Solver::Pgs, Solver::Newton] {
+        let settings = Settings { solver, ..base.clone() };
+        a_heap_is_its_list::<f64>(&settings, 2.0, 60);
+        a_heap_is_its_list::<f32>(&settings, 2.0, 40);
+    }
+    for law in [Law::Rigid, Law::Relaxed, Law::Lesson, Law::Penalty] {
+        let settings = Settings { law, solver: Solver::Pgs, ..base.clone() };
+        a_heap_is_its_list::<f64>(&settings, 2.0, 40);
+        a_heap_is_its_list::<f64>(&settings, 60.0, 10);
+        a_heap_is_its_list::<f32>(&settings, 2.0, 20);
+    }
+    for integrator in [Integrator::ImplicitFast, Integrator::Rk4, Integrator::Midpoint] {
+        let settings = Settings { integrator, ..base.clone() };
+        a_heap_is_its_list::<f64>(&settings, 1.0, 10);
+    }
+}
+
+#[test]
+fn numbers_of_pairs_count_up_as_the_list_does() {
+    let mut random = Random(5);
+    let mut scene = scattered(&mut random, 12, 2.0);
+    for (k, geom) in scene.geoms.iter_mut().enumerate() {
+        geom.friction[0] = 0.3 + 0.2 * (k % 3) as f64;
+        geom.contype = 1 << (k % 2);
+        geom.conaffinity = [1, 3, 2][k % 3];
+        geom.condim = if k % 4 == 0 { 1 } else { 3 };
+    }
+    scene.excludes.push([1, 3]);
+    let [list, heap] = [usize::MAX, 0].map(|most| Model::compile_with(&scene, most).unwrap());
+    let numbers = heap.heap.as_ref().unwrap();
+    let mut last = None;
+    for pair in &list.pairs {
+        let number = heap.number(numbers, pair.geom1, pair.geom2);
+        assert!(number.is_some() && last < number);
+        last = number;
+        let index = number.unwrap() as usize;
+        assert_eq!(heap.contact_geoms(index), Some((pair.geom1, pair.geom2)));
+        let near = heap.pair(index).unwrap();
+        assert_eq!(heap.material(&near), list.material(pair));
+        assert_eq!((near.test, near.still), (pair.test, pair.still));
+        assert_eq!((near.mass, near.invweight), (pair.mass, pair.invweight));
+    }
+    let count = (0..numbers.numbers()).filter(|n| heap.contact_geoms(*n).is_some()).count();
+    assert_eq!(count, list.pairs.len());
 }

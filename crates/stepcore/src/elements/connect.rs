@@ -44,7 +44,7 @@ impl<R: Real> Rows<R> {
         for k in 0..3 {
             let mut axis = V3::zeros();
             axis[k] = R::one();
-            self.clear_scratch(equality.dofs.of(&now.model.dof_lists));
+            self.clear_scratch(equality.dofs.of(now.dof_lists));
             self.add_jacobian(now, equality.body1, &p1, &axis);
             self.add_jacobian(now, equality.body2, &p2, &-axis);
             self.push_scratch(now, equality.dofs).lo = R::of(f64::NEG_INFINITY);
@@ -69,7 +69,7 @@ impl<R: Real> Rows<R> {
         }
         if now.part == Part::End && now.settings.connects_inside() {
             for at in first..self.rows.len() {
-                self.rows[at].t = self.dot(now.model, &self.rows[at], &now.placed.guess);
+                self.rows[at].t = self.dot(now.dof_lists, &self.rows[at], &now.placed.guess);
             }
         }
         let element = Element::whole(Kind::Connect, index);

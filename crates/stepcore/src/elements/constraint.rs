@@ -1,6 +1,6 @@
 //! What every kind of element that is rows offers.
 
-use crate::detect::Detected;
+use crate::detect::Contact;
 use crate::model::Model;
 use crate::real::Real;
 use crate::solve::{Rows, Situation};
@@ -8,7 +8,7 @@ use crate::solve::{Rows, Situation};
 /// What row makers read, and the contacts that they judge.
 pub(crate) struct Makings<'a, R: Real> {
     pub now: &'a Situation<'a, R>,
-    pub detected: &'a mut Detected<R>,
+    pub contacts: &'a mut [Contact<R>],
 }
 
 /// One kind of element that is rows.

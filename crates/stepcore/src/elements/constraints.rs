@@ -5,7 +5,7 @@ use super::constraint::{Constraint, Makings};
 use super::contact::Contacts;
 use super::friction_loss::FrictionLoss;
 use super::limit::Limit;
-use crate::detect::Detected;
+use crate::detect::Contact;
 use crate::model::Model;
 use crate::real::Real;
 use crate::solve::{Part, Rows, Situation, CONE};
@@ -33,15 +33,16 @@ constraints!(Connect, FrictionLoss, Limit, Contacts);
 
 impl<R: Real> Rows<R> {
     /// Makes every row that exists now.
-    pub fn make(&mut self, now: &Situation<R>, detected: &mut Detected<R>) {
+    pub fn make(&mut self, now: &Situation<R>, contacts: &mut [Contact<R>]) {
         self.clear();
         self.u.copy_from_slice(&now.placed.guess);
         if now.model.features.constraint && any(now.model) {
-            let mut makings = Makings { now, detected };
+            let mut makings = Makings { now, contacts };
             match now.part {
                 Part::Whole | Part::End => make_all(&mut makings, self),
                 Part::Start | Part::Stage => Connect::make(&mut makings, self),
             }
+            self.find_islands(now.model, now.dof_lists);
         }
     }
 }

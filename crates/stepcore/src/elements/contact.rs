@@ -27,13 +27,13 @@ impl Constraint for Contacts {
     const MOST_CONE_ROWS: usize = 6;
 
     fn any(model: &Model) -> bool {
-        !model.pairs.is_empty()
+        model.heap.is_some() || !model.pairs.is_empty()
     }
 
     fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
         let now = makings.now;
-        for contact in &mut makings.detected.contacts {
-            let pair = &now.model.pairs[contact.pair];
+        for contact in &mut *makings.contacts {
+            let pair = &{ contact.pair };
             match now.settings.law {
                 Law::SolRef => rows.soft_contact(now, contact, pair),
                 Law::Penalty => rows.penalty(now, contact, pair),
@@ -93,7 +93,7 @@ impl<R: Real> Rows<R> {
         if ways.list().is_empty() {
             return;
         }
-        let tangents = contact.tangents(now.model, now.placed);
+        let tangents = contact.tangents(now.placed);
         for way in ways.list() {
             let axis = match way.axis {
                 Axis::Normal => contact.normal,
@@ -134,6 +134,9 @@ impl<R: Real> Rows<R> {
         let block = self.push_block(first, set, mask, now, contact.element(), pair.mass);
         block.mu = R::of(mu);
         block.feature = contact.feature;
+        if pair.test.by_feature() {
+            block.kin = now.model.kin(pair);
+        }
     }
 
     /// MuJoCo's contact: soft normal, convex friction.
@@ -156,7 +159,7 @@ impl<R: Real> Rows<R> {
             let each = 1.0 / f64::from(material.condim.max(2) - 1);
             let share = if edges { each * mu * mu / impratio * (1.0 + mu * mu) } else { 1.0 };
             let row = &self.rows[first];
-            let guess = self.dot(now.model, row, &now.placed.guess);
+            let guess = self.dot(now.dof_lists, row, &now.placed.guess);
             let most = target_at(row, law.softness * R::of(weight * share), guess, most);
             let limited = law.at_most(row.velocity, r, most, dt);
             let left = (limited.kd - law.kd) * r * dt * dt;
@@ -291,7 +294,7 @@ impl<R: Real> Rows<R> {
             let over = mask.and(push.gt(R::of(most)));
             if over.any() {
                 let row = &self.rows[first];
-                let guess = self.dot(now.model, row, &now.placed.guess);
+                let guess = self.dot(now.dof_lists, row, &now.placed.guess);
                 let most = push.min(target_at(row, law.regulariser(), guess, most));
                 self.leave(over, (push - most) * R::of(now.settings.dt));
                 push = R::select(over, most, push);

@@ -58,7 +58,8 @@ pub enum Kind {
     Gravity,
     /// A point that two bodies share, by the index of its equality.
     Connect,
-    /// By the index of its pair of geoms. Part: which of the pair's contacts.
+    /// By the index of its pair of geoms, in a heap by their number (`model/heap.rs`). Part: which of
+    /// the pair's contacts.
     Contact,
 }
 
@@ -113,7 +114,7 @@ impl Kind {
 pub struct Element {
     pub kind: Kind,
     /// Its place in the list that its kind belongs to; see `Kind`.
-    pub index: u32,
+    pub index: u64,
     /// Which part of it; `Element::WHOLE`: all of it.
     pub part: u32,
 }
@@ -126,11 +127,11 @@ impl Element {
 
     /// The whole of an element.
     pub fn whole(kind: Kind, index: usize) -> Self {
-        Self { kind, index: index as u32, part: Self::WHOLE }
+        Self { kind, index: index as u64, part: Self::WHOLE }
     }
 
     pub fn part(kind: Kind, index: usize, part: usize) -> Self {
-        Self { kind, index: index as u32, part: part as u32 }
+        Self { kind, index: index as u64, part: part as u32 }
     }
 
     /// The element of which this is a part.

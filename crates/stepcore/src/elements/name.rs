@@ -39,12 +39,14 @@ impl Model {
             Kind::Gravity => "gravity".into(),
             Kind::Connect => quoted("connect", &self.equalities[index].name, index),
             Kind::Contact => {
-                let pair = &self.pairs[index];
+                let Some((one, two)) = self.contact_geoms(index) else {
+                    return format!("contact {index}");
+                };
                 let geom = |index: usize| match &*self.geoms[index].name {
                     "" => format!("`{index}`"),
                     name => format!("`{name}`"),
                 };
-                format!("contact {}/{}", geom(pair.geom1), geom(pair.geom2))
+                format!("contact {}/{}", geom(one), geom(two))
             }
         }
     }
@@ -66,7 +68,7 @@ impl Model {
             Kind::Key => self.keys.len(),
             Kind::Actuator => self.actuators.len(),
             Kind::Gravity => 1,
-            Kind::Contact => self.pairs.len(),
+            Kind::Contact => self.heap.as_ref().map_or(self.pairs.len(), |heap| heap.numbers()),
         }
     }
 

@@ -84,7 +84,7 @@ impl<R: Real> Rows<R> {
         impulse: R,
         mask: R::Mask,
     ) {
-        let list = dofs.of(&now.model.dof_lists);
+        let list = dofs.of(now.dof_lists);
         let own = &self.y[y..y + list.len()];
         Self::kick(&mut self.u, &now.placed.metric.inv_d, list, own, impulse, mask);
         let impulse = R::select(mask, impulse, R::zero());

@@ -1,13 +1,18 @@
 //! From a `Scene` to a `Model`: check, lay out, weigh, pair.
 
 use super::slots::Slots;
-use super::{apart, check, inertia, invweight, meshes, pairs, pose, tree, Model};
+use super::{apart, check, heap, inertia, invweight, meshes, pairs, pose, tree, Model, NONE};
 use crate::error::Result;
 use crate::scene::Scene;
 
 impl Model {
     /// Compiles a scene, or says which element cannot be compiled and why.
     pub fn compile(scene: &Scene) -> Result<Self> {
+        Self::compile_with(scene, heap::MOST_FIXED)
+    }
+
+    /// The same, where up to so many pairs are listed: see `heap.rs`.
+    pub fn compile_with(scene: &Scene, most_fixed: usize) -> Result<Self> {
         check::scene(scene)?;
         let (geoms, assets) = meshes::placed(scene)?;
         let scene = &Scene { geoms, ..scene.clone() };
@@ -17,24 +22,31 @@ impl Model {
         let poses = pose::at_qpos0(&model.bodies);
         invweight::fill(&mut model, &poses, &aligned)?;
         let mut unions = tree::Unions::default();
-        pairs::fill(scene, &mut model, &poses, &mut unions)?;
+        if !pairs::fill(scene, &mut model, &poses, &mut unions, most_fixed)? {
+            heap::fill(scene, &mut model, &poses)?;
+        }
         pairs::fill_equalities(scene, &mut model, &poses, &mut unions)?;
         let tied: Vec<usize> = model.equalities.iter().flat_map(|e| [e.body1, e.body2]).collect();
+        let met = model.geoms.iter().filter(|g| g.collides).map(|g| g.body);
+        let met = trees_of(&model, met);
+        let tied = trees_of(&model, tied.into_iter());
         for tree in 0..model.trees.len() {
-            let met = model
-                .geoms
-                .iter()
-                .filter(|g| g.collides)
-                .map(|g| g.body)
-                .chain(tied.iter().copied());
-            let seen = met.into_iter().any(|b| model.bodies[b].tree == tree);
-            model.trees[tree].seen = seen || !model.trees[tree].slides_only;
+            let turns = !model.trees[tree].slides_only;
+            model.trees[tree].seen = met[tree] || tied[tree] || turns;
             let ball = model.free_ball(&model.trees[tree]);
-            let loose = !tied.iter().any(|b| model.bodies[*b].tree == tree);
-            model.trees[tree].constant = model.trees[tree].slides_only || ball && loose;
+            model.trees[tree].constant = !turns || ball && !tied[tree];
         }
         model.slots = Slots::of(&model);
         apart::fill(&mut model);
         Ok(model)
     }
+}
+
+/// By tree: whether some of these bodies is in it.
+fn trees_of(model: &Model, bodies: impl Iterator<Item = usize>) -> Vec<bool> {
+    let mut found = vec![false; model.trees.len()];
+    for tree in bodies.map(|body| model.bodies[body].tree).filter(|tree| *tree != NONE) {
+        found[tree] = true;
+    }
+    found
 }

@@ -6,6 +6,7 @@
 mod apart;
 mod build;
 mod check;
+mod heap;
 mod inertia;
 mod invweight;
 mod material;
@@ -21,10 +22,13 @@ mod still;
 #[cfg(test)]
 mod tests;
 mod tree;
+mod union;
 
+pub use heap::Heap;
 pub use material::Material;
 pub use pairs::Never;
 pub use plan::Unmet;
+pub(crate) use union::Union;
 
 use crate::elements::friction::Ways;
 use crate::real::Real;
@@ -187,18 +191,20 @@ pub struct Site {
 
 /// Two geoms that can meet, with everything their contacts share.
 /// Ordered as MuJoCo orders them: by geom type first, so `geom1`'s type ≤ `geom2`'s.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct Pair {
     pub geom1: usize,
     pub geom2: usize,
     pub test: ShapeTest,
     /// Into `Model::materials`.
     pub material: usize,
+    /// Its place in `Model::pairs`; in a heap its number.
+    pub index: usize,
     /// The first of its slots among those of contacts: as many as its test has touches.
     pub slot: usize,
     /// Sum of both bodies' translational invweight.
     pub invweight: f64,
-    /// Into `Model::dof_lists`: union of both bodies' chains, ascending.
+    /// Into `Model::dof_lists`: union of both bodies' chains, ascending. In a heap: see `Heap`.
     pub dofs: Span,
     /// Mass of the trees that the contact touches, for residuals.
     pub mass: f64,
@@ -250,7 +256,10 @@ pub struct Model {
     pub trees: Vec<Tree>,
     pub geoms: Vec<Geom>,
     pub sites: Vec<Site>,
+    /// Empty in a heap.
     pub pairs: Vec<Pair>,
+    /// There are too many pairs that could meet for a list of them.
+    pub heap: Option<Heap>,
     pub materials: Vec<Material>,
     /// Geoms of explicit pairs, the smaller index first: they are no candidates beside that.
     pub explicit: HashSet<(usize, usize)>,
@@ -319,18 +328,18 @@ impl Model {
         Span { start: body.chain.start, len: body.chain.len - after }
     }
 
-    /// The island of each tree: trees that some pair or equality can connect share one.
+    /// The island of each tree, by its lowest tree: trees that some pair or equality can connect share
+    /// one. In a heap pairs connect trees only while they touch: see `solve/live.rs`.
     pub fn islands(&self) -> Vec<usize> {
-        let mut island: Vec<usize> = (0..self.trees.len()).collect();
+        let mut island = Union::new(self.trees.len());
         let meets = self.pairs.iter().map(|p| [self.geoms[p.geom1].body, self.geoms[p.geom2].body]);
         let ties = self.equalities.iter().map(|e| [e.body1, e.body2]);
         for bodies in meets.chain(ties) {
             let [a, b] = bodies.map(|body| self.bodies[body].tree);
-            if a != NONE && b != NONE && island[a] != island[b] {
-                let (keep, drop) = (island[a].min(island[b]), island[a].max(island[b]));
-                island.iter_mut().filter(|i| **i == drop).for_each(|i| *i = keep);
+            if a != NONE && b != NONE {
+                island.join(a, b);
             }
         }
-        island
+        (0..self.trees.len()).map(|tree| island.of(tree)).collect()
     }
 }

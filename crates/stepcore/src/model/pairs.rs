@@ -69,6 +69,12 @@ impl Model {
 
     /// Why these two geoms cannot meet although their bodies may, or None.
     pub fn never(&self, a: usize, b: usize) -> Option<Never> {
+        let explicit = || self.explicit.contains(&(a.min(b), a.max(b))).then_some(Never::Explicit);
+        self.never_by_kind(a, b).or_else(explicit)
+    }
+
+    /// Why two geoms of such kinds, with such bits, cannot meet, or None.
+    pub(super) fn never_by_kind(&self, a: usize, b: usize) -> Option<Never> {
         let (x, y) = (&self.geoms[a], &self.geoms[b]);
         if x.contype & y.conaffinity | y.contype & x.conaffinity == 0 {
             return Some(Never::Bits);
@@ -76,11 +82,11 @@ impl Model {
         if x.kind == GeomType::Plane && y.kind == GeomType::Plane {
             return Some(Never::Planes);
         }
-        self.explicit.contains(&(a.min(b), a.max(b))).then_some(Never::Explicit)
+        None
     }
 
     /// Two geoms in the order of their types.
-    fn ordered(&self, a: usize, b: usize) -> (usize, usize) {
+    pub(super) fn ordered(&self, a: usize, b: usize) -> (usize, usize) {
         if self.geoms[a].kind > self.geoms[b].kind {
             (b, a)
         } else {
@@ -89,8 +95,16 @@ impl Model {
     }
 }
 
-/// Pairs in MuJoCo's order of contacts: by the two bodies, then by the geoms.
-pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Unions) -> Result<()> {
+/// Pairs in MuJoCo's order of contacts: by the two bodies, then by the geoms. False where there
+/// are more than `most`, and none was made.
+pub fn fill(
+    scene: &Scene,
+    model: &mut Model,
+    poses: &[Pose],
+    unions: &mut Unions,
+    most: usize,
+) -> Result<bool> {
+    let lists = model.dof_lists.len();
     let mut geoms = vec![vec![]; scene.bodies.len()];
     for (i, g) in scene.geoms.iter().enumerate() {
         if g.contype != 0 || g.conaffinity != 0 {
@@ -112,6 +126,14 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Union
                 let others = geoms[body2].iter().filter(|b| model.never(a, **b).is_none());
                 found.extend(others.map(|&b| model.ordered(a, b)));
             }
+            if model.pairs.len() + found.len() > most {
+                model.pairs.clear();
+                model.materials.clear();
+                model.dof_lists.truncate(lists);
+                *unions = Unions::default();
+                model.geoms.iter_mut().for_each(|geom| geom.collides = false);
+                return Ok(false);
+            }
             found.sort_unstable();
             for (a, b) in found {
                 let material = Material::of_geoms(scene, a, b);
@@ -122,7 +144,7 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Union
     for (_, index) in explicit {
         add_explicit(scene, model, poses, unions, index)?;
     }
-    Ok(())
+    Ok(true)
 }
 
 /// Explicit pairs by their bodies, which decide their place among the others; without those whose
@@ -175,6 +197,23 @@ fn add(
     Ok(())
 }
 
+/// Two geoms can meet, and there is no test of their shapes.
+pub(super) fn not_built(model: &Model, a: usize, b: usize) -> Error {
+    let (x, y) = (&model.geoms[a], &model.geoms[b]);
+    Error::Scene(text![
+        Text::label(Kind::Geom, &x.name, a),
+        " and ",
+        Text::label(Kind::Geom, &y.name, b),
+        format!(
+            " can meet, but {} against {} is not built yet; built are {} (exclude the pair, or \
+             clear bits of contype and conaffinity)",
+            x.kind.word(),
+            y.kind.word(),
+            ShapeTest::built()
+        )
+    ])
+}
+
 fn pair(
     scene: &Scene,
     model: &mut Model,
@@ -184,19 +223,8 @@ fn pair(
     material: Material,
 ) -> Result<Pair> {
     let (x, y) = (&scene.geoms[a], &scene.geoms[b]);
-    let names =
-        || text![Text::label(Kind::Geom, &x.name, a), " and ", Text::label(Kind::Geom, &y.name, b)];
     let Some(test) = ShapeTest::of(x.kind, y.kind) else {
-        return Err(Error::Scene(text![
-            names(),
-            format!(
-                " can meet, but {} against {} is not built yet; built are {} (exclude the pair, or \
-                 clear bits of contype and conaffinity)",
-                x.kind.word(),
-                y.kind.word(),
-                ShapeTest::built()
-        )
-        ]));
+        return Err(not_built(model, a, b));
     };
     let condim = material.condim;
     let dofs = unions.of(model, x.body, y.body);
@@ -205,6 +233,7 @@ fn pair(
         geom2: b,
         test,
         material: model.material_index(material),
+        index: model.pairs.len(),
         slot: model.pairs.last().map_or(0, |last| last.slot + last.test.most_touches()),
         invweight: model.bodies[x.body].invweight[0] + model.bodies[y.body].invweight[0],
         dofs,
@@ -215,7 +244,7 @@ fn pair(
 }
 
 /// Mass of the trees of both bodies, each once.
-fn touched_mass(model: &Model, body1: usize, body2: usize) -> f64 {
+pub(super) fn touched_mass(model: &Model, body1: usize, body2: usize) -> f64 {
     let (one, two) = (model.bodies[body1].tree, model.bodies[body2].tree);
     let mass = |tree: usize| if tree == NONE { 0.0 } else { model.trees[tree].mass };
     mass(one) + if one == two { 0.0 } else { mass(two) }

@@ -1,7 +1,8 @@
 //! The numbers by which whatever can have rows is known from step to step: one slot each,
 //! in the order in which their rows are made.
 
-use super::{Model, NONE};
+use super::heap::MOST_TOUCHES;
+use super::{Model, Pair, NONE};
 use crate::elements::{Element, Kind};
 use std::ops::Range;
 
@@ -27,29 +28,26 @@ impl Slots {
 
 impl Model {
     /// The slot of a connection, friction loss, limit or contact.
-    pub fn slot(&self, element: Element) -> u32 {
+    pub fn slot(&self, element: Element) -> u64 {
         let (index, part) = (element.index as usize, element.part as usize);
         let slot = match element.kind {
             Kind::FrictionLoss => self.slots.losses + self.joints[index].dof + part,
             Kind::Limit => self.slots.limits + SIDES * index + part,
-            Kind::Contact => self.slots.contacts + self.pairs[index].slot + part,
+            Kind::Contact => {
+                let fixed = self.pairs.get(index).map(|pair| pair.slot);
+                self.slots.contacts + fixed.unwrap_or(index * MOST_TOUCHES) + part
+            }
             // Connections stand first; nothing else has rows.
             _ => index,
         };
-        slot as u32
+        slot as u64
     }
 
-    /// The slots in which an element of a slot may have been in the step before: those of its
-    /// pair, where its contacts are known by feature.
-    pub fn kin(&self, element: Element, slot: u32) -> Range<u32> {
-        if element.kind == Kind::Contact {
-            let test = self.pairs[element.index as usize].test;
-            if test.by_feature() {
-                let first = slot - element.part;
-                return first..first + test.most_touches() as u32;
-            }
-        }
-        slot..slot + 1
+    /// The slots of a pair's contacts: in any of them one that is known by feature may have been in
+    /// the step before.
+    pub fn kin(&self, pair: &Pair) -> Range<u64> {
+        let first = (self.slots.contacts + pair.slot) as u64;
+        first..first + pair.test.most_touches() as u64
     }
 
     /// By slot: its place among the slots of its island. Copies of an island that stand

@@ -50,6 +50,15 @@ pub fn still(
     }
 }
 
+/// No tangent of the body's contacts is ever still: it turns freely.
+pub fn loose(model: &Model, body: usize) -> bool {
+    let free = |dof: &usize| {
+        let kind = model.joints[model.dofs[*dof].joint].kind;
+        matches!(kind, JointType::Ball | JointType::Free)
+    };
+    model.bodies[body].chain.of(&model.dof_lists).iter().any(free)
+}
+
 /// How the points of one body can move, whatever the configuration.
 enum Motion {
     /// Along these unit axes, without turning.

@@ -24,6 +24,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         geoms: scene.geoms.iter().zip(assets).map(|(g, asset)| geom(g, asset)).collect(),
         sites: vec![],
         pairs: vec![],
+        heap: None,
         materials: vec![],
         explicit: scene
             .pairs

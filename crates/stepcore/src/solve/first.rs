@@ -1,7 +1,6 @@
 //! Two solves of one step's rows: what the first left is kept while the second runs.
 
 use super::rows::Rows;
-use crate::model::Model;
 use crate::real::Real;
 use crate::room::room;
 
@@ -47,7 +46,7 @@ impl<R: Real> Rows<R> {
 
     /// After the first solve: every row starts again, from û = `guess` and from what of its
     /// impulse lasted from the step before; an impact's did not.
-    pub(crate) fn begin_second(&mut self, model: &Model, inv_d: &[R], guess: &[R]) {
+    pub(crate) fn begin_second(&mut self, dof_lists: &[usize], inv_d: &[R], guess: &[R]) {
         self.first.u.copy_from_slice(&self.u);
         self.u.copy_from_slice(guess);
         for (row, held) in self.rows.iter_mut().zip(&mut self.first.rows) {
@@ -64,7 +63,7 @@ impl<R: Real> Rows<R> {
                 row.impulse = R::select(block.mask, row.impulse, R::zero());
             }
         }
-        self.apply_impulses(model, inv_d);
+        self.apply_impulses(dof_lists, inv_d);
     }
 
     /// What a row gave in the first solve.

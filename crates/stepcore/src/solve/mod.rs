@@ -14,6 +14,7 @@ mod implicit;
 mod islands;
 pub(crate) mod law;
 mod limits;
+mod live;
 mod momentum;
 mod newton;
 mod noslip;
@@ -29,12 +30,14 @@ mod wide;
 pub(crate) use derivative::Differentiated;
 pub(crate) use direct::Choice;
 pub(crate) use limits::Report;
+#[cfg(test)]
+pub(crate) use live::Live;
 pub use rows::{Block, Part, Push, Row, Rows, Set, Situation};
 pub(crate) use rows::{Guessed, CONE};
 pub(crate) use solver::{Solve, Solvers, Unconstrained};
 
 use crate::elements::Kind;
-use crate::model::{Model, Span};
+use crate::model::Span;
 use crate::real::{Mask, Real};
 use crate::spatial::{Force, Motion, V3};
 use crate::state::{Warm, SLIP, WARM_ROWS};
@@ -55,7 +58,7 @@ impl<R: Real> Rows<R> {
         at: &[V3<R>; 2],
         direction: &V3<R>,
     ) {
-        self.clear_scratch(dofs.of(&now.model.dof_lists));
+        self.clear_scratch(dofs.of(now.dof_lists));
         self.add_jacobian(now, bodies[0], &at[0], &-direction);
         self.add_jacobian(now, bodies[1], &at[1], direction);
     }
@@ -127,7 +130,7 @@ impl<R: Real> Rows<R> {
             return;
         }
         // What A would be if no term cancelled another.
-        let list = row.dofs.of(&now.model.dof_lists);
+        let list = row.dofs.of(now.dof_lists);
         let (y, mut terms) = (row.y, R::zero());
         for body in bodies.map(|body| &now.model.bodies[body]) {
             if body.tree == crate::model::NONE {
@@ -150,14 +153,19 @@ impl<R: Real> Rows<R> {
     }
 
     /// Starts every impulse from the last step's, found by slot and feature; `but`: not of this kind.
-    pub fn warm_start(&mut self, model: &Model, inv_d: &[R], warm: &[Warm<R>], but: Option<Kind>) {
+    pub fn warm_start(
+        &mut self,
+        dof_lists: &[usize],
+        inv_d: &[R],
+        warm: &[Warm<R>],
+        but: Option<Kind>,
+    ) {
         let mut at = 0;
         for block in self.blocks.iter().filter(|block| but != Some(block.element.kind)) {
-            let kin = model.kin(block.element, block.slot);
-            while at < warm.len() && warm[at].slot < kin.start {
+            while at < warm.len() && warm[at].slot < block.kin.start {
                 at += 1;
             }
-            for warm in warm[at..].iter().take_while(|warm| warm.slot < kin.end) {
+            for warm in warm[at..].iter().take_while(|warm| warm.slot < block.kin.end) {
                 let own = warm.feature.le(block.feature).and(warm.feature.ge(block.feature));
                 let own = own.and(block.mask);
                 for (k, row) in self.rows[block.rows.range()].iter_mut().enumerate() {
@@ -166,7 +174,7 @@ impl<R: Real> Rows<R> {
                 }
             }
         }
-        self.apply_impulses(model, inv_d);
+        self.apply_impulses(dof_lists, inv_d);
     }
 
     /// The impulse that the main solve gave a row.

@@ -8,6 +8,7 @@
 use super::direct::Direct;
 use super::dot::dot;
 use super::first::First;
+use super::live::Live;
 use crate::clock::Clock;
 use crate::elements::{Anchor, Element};
 use crate::model::{Model, Span};
@@ -15,11 +16,12 @@ use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::state::Warm;
+use std::ops::Range;
 
 /// One row. Impulses in N·s or N·m·s.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row<R: Real> {
-    /// Into `Model::dof_lists`: the dofs that the row touches, ascending and ancestor-closed.
+    /// Into `Situation::dof_lists`: the dofs that the row touches, ascending and ancestor-closed.
     pub dofs: Span,
     /// First entry in `Rows::y`; as many entries as `dofs`.
     pub y: usize,
@@ -121,8 +123,10 @@ pub struct Block<R: Real> {
     /// What the block came from.
     pub element: Element,
     /// Its number over time, for warm starts; ascending.
-    pub slot: u32,
-    /// What touches, where blocks are known by that and not by slot: see `Touch::feature`.
+    pub slot: u64,
+    /// The slots in which it may have been in the step before: see `feature`.
+    pub kin: Range<u64>,
+    /// What touches, which is how a contact of many is known among its kin: see `Touch::feature`.
     pub feature: R,
     pub island: usize,
     /// The slot's place among those of its island: see `Model::ranks`.
@@ -141,7 +145,7 @@ impl<R: Real> Block<R> {
 
     /// The block of one lane; numbers without their slopes.
     pub(super) fn at_lane(&self, lane: usize) -> Block<f64> {
-        let Self { rows, set, mask, mu, mass, element, slot, feature, island, rank } = self;
+        let Self { rows, set, mask, mu, mass, element, slot, kin, feature, island, rank } = self;
         Block {
             rows: *rows,
             set: *set,
@@ -150,6 +154,7 @@ impl<R: Real> Block<R> {
             mass: *mass,
             element: *element,
             slot: *slot,
+            kin: kin.clone(),
             feature: feature.lane(lane),
             island: *island,
             rank: *rank,
@@ -193,9 +198,12 @@ pub struct Rows<R: Real> {
     islands: Vec<usize>,
     /// By slot: see `Model::ranks`.
     ranks: Vec<u32>,
+    /// Islands of the rows at hand take the place of both.
+    pub(crate) live: Option<Live>,
 }
 
-room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, guess, islands, ranks; direct, first);
+room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, guess, islands, ranks;
+    direct, first, live);
 
 /// From so many trees on an island is a heap to Newton's method.
 const HEAP: usize = 8;
@@ -222,6 +230,8 @@ pub(crate) struct Guessed<R: Real> {
 pub struct Situation<'a, R: Real> {
     pub model: &'a Model,
     pub placed: &'a Placed<R>,
+    /// What the spans of rows point into: `Model::dof_lists`, and in a heap what follows it.
+    pub dof_lists: &'a [usize],
     pub settings: &'a crate::settings::Settings,
     pub clock: Clock<R>,
     pub qpos: &'a [R],
@@ -256,7 +266,8 @@ impl<R: Real> Rows<R> {
             direct: Direct::new(model.nv),
             first: First::new(model.nv),
             ranks: model.ranks(&islands),
-            heap: any_heap(&islands),
+            heap: model.heap.is_some() || any_heap(&islands),
+            live: model.heap.is_some().then(Live::default),
             islands,
         }
     }
@@ -280,6 +291,7 @@ impl<R: Real> Rows<R> {
             u,
             islands: Vec::new(),
             ranks: Vec::new(),
+            live: None,
         }
     }
 
@@ -295,15 +307,14 @@ impl<R: Real> Rows<R> {
 
     /// y·x over a row's dofs.
     #[inline(always)]
-    pub fn dot(&self, model: &Model, row: &Row<R>, x: &[R]) -> R {
-        let dofs = row.dofs.of(&model.dof_lists);
+    pub fn dot(&self, dof_lists: &[usize], row: &Row<R>, x: &[R]) -> R {
+        let dofs = row.dofs.of(dof_lists);
         dot(dofs, &self.y[row.y..row.y + dofs.len()], x)
     }
 
     /// Takes J from `scratch` (set on `dofs`), lifts it to y, and measures it.
     pub(crate) fn push_scratch(&mut self, now: &Situation<R>, dofs: Span) -> &mut Row<R> {
-        let model = now.model;
-        let list = dofs.of(&model.dof_lists);
+        let list = dofs.of(now.dof_lists);
         now.placed.metric.lift(list, &mut self.scratch);
         let start = self.y.len();
         let (mut a, mut velocity) = (R::zero(), R::zero());
@@ -331,7 +342,7 @@ impl<R: Real> Rows<R> {
         let mut a = R::zero();
         for at in 0..dofs.len {
             let y = self.y[y1 + at] + k * self.y[y2 + at];
-            a += y * y * now.placed.metric.inv_d[now.model.dof_lists[dofs.start + at]];
+            a += y * y * now.placed.metric.inv_d[now.dof_lists[dofs.start + at]];
             self.y.push(y);
         }
         self.push_row(dofs, start, a, velocity)
@@ -369,10 +380,10 @@ impl<R: Real> Rows<R> {
     ) -> &mut Block<R> {
         let rows = Span { start: first, len: self.rows.len() - first };
         assert!(set == Set::Interval || rows.len <= CONE, "a cone of {} rows", rows.len);
-        let dofs = self.rows[first].dofs.of(&now.model.dof_lists);
+        let dofs = self.rows[first].dofs.of(now.dof_lists);
         let island = dofs.first().map_or(0, |k| self.islands[now.model.dofs[*k].tree]);
         let slot = now.model.slot(element);
-        let rank = self.ranks[slot as usize];
+        let rank = self.ranks.get(slot as usize).copied().unwrap_or(0);
         let mu = R::zero();
         self.blocks.push(Block {
             rows,
@@ -382,6 +393,7 @@ impl<R: Real> Rows<R> {
             mass,
             element,
             slot,
+            kin: slot..slot + 1,
             feature: mu,
             island,
             rank,
@@ -393,7 +405,7 @@ impl<R: Real> Rows<R> {
     /// What the guess does along a row at distance φ.
     pub(crate) fn guessed(&self, now: &Situation<R>, row: usize, phi: R) -> Guessed<R> {
         let row = &self.rows[row];
-        let velocity = self.dot(now.model, row, &now.placed.guess);
+        let velocity = self.dot(now.dof_lists, row, &now.placed.guess);
         let closing = (phi + R::of(now.settings.dt) * velocity).lt(R::zero());
         Guessed { closing, gained: velocity - row.velocity }
     }
@@ -415,10 +427,10 @@ impl<R: Real> Rows<R> {
     }
 
     /// Adds the impulses that the rows hold now to u.
-    pub fn apply_impulses(&mut self, model: &Model, inv_d: &[R]) {
+    pub fn apply_impulses(&mut self, dof_lists: &[usize], inv_d: &[R]) {
         for block in &self.blocks {
             for row in &self.rows[block.rows.range()] {
-                let dofs = row.dofs.of(&model.dof_lists);
+                let dofs = row.dofs.of(dof_lists);
                 let y = &self.y[row.y..row.y + dofs.len()];
                 Self::kick(&mut self.u, inv_d, dofs, y, row.impulse, block.mask);
             }

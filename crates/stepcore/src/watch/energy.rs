@@ -44,14 +44,12 @@ impl<R: Real> Sim<R> {
     }
 
     /// The deepest overlap of two geoms that can touch, at the present positions [m]; 0 where
-    /// none do. Writes the list of contacts.
+    /// none do.
     pub fn overlap(&mut self) -> R {
         self.refresh();
-        let model = self.model.clone();
-        self.detected.detect(&model, &self.placed, &self.settings, &self.state.qpos);
         let zero = R::zero();
         let depth = |contact: &Contact<R>| R::select(contact.mask, -contact.dist, zero);
-        self.detected.contacts.iter().map(depth).fold(zero, R::max)
+        self.detected_aside().contacts.iter().map(depth).fold(zero, R::max)
     }
 
     /// Linear momentum, and angular momentum about the world's origin. Without armature.

@@ -65,7 +65,7 @@ impl<R: Real> Sim<R> {
             return vec![0.0; model.nv];
         }
         for (_, row) in self.live_rows(lane) {
-            let dofs = row.dofs.of(&model.dof_lists);
+            let dofs = row.dofs.of(self.detected.dof_lists(model));
             for (k, y) in dofs.iter().zip(&self.rows.y[row.y..]) {
                 force[*k] += *y * row.total();
             }
@@ -94,20 +94,22 @@ impl<R: Real> Sim<R> {
     /// Force [N] and torque [N·m] of a contact on geom 2 where they touch, in world axes. The torque
     /// is that of torsion and rolling.
     pub fn contact_wrench(&self, contact: &Contact<R>, lane: usize) -> [f64; 6] {
-        let pair = &self.model.pairs[contact.pair];
+        let pair = &contact.pair;
         let element = contact.element();
         let law = self.settings.law;
         let ways = Ways::under(law, pair.still, self.model.material(pair));
         let mut parts = [0.0; 1 + MOST_WAYS];
-        if let Some(block) = self.rows.blocks.iter().find(|block| block.element == element) {
-            self.parts_of_block(block, &ways, lane, &mut parts);
+        // Blocks stand in the order of their slots.
+        let (slot, blocks) = (self.model.slot(element), &self.rows.blocks);
+        if let Ok(at) = blocks.binary_search_by_key(&slot, |block| block.slot) {
+            self.parts_of_block(&blocks[at], &ways, lane, &mut parts);
         } else {
             let pushes = self.rows.pushes.iter().filter(|push| push.element == element);
             for ((part, push), row) in parts.iter_mut().zip(pushes).zip(0..) {
                 *part = push.impulse.lane(lane) * ways.scale_of_row(row);
             }
         }
-        let tangents = contact.tangents(&self.model, &self.placed);
+        let tangents = contact.tangents(&self.placed);
         let [normal, along @ ..] = parts.map(|part| part / self.clock.seconds);
         let mut wrench = [0.0; 6];
         let mut push = |axis: &V3<R>, size: f64, first: usize| {
@@ -161,14 +163,14 @@ impl<R: Real> Sim<R> {
         if block.set == Set::Interval || block.element.kind != Kind::Contact {
             return 1.0;
         }
-        let pair = &self.model.pairs[block.element.index as usize];
-        let material = self.model.material(pair);
+        let Some(pair) = self.model.pair(block.element.index as usize) else { return 1.0 };
+        let material = self.model.material(&pair);
         Ways::under(self.settings.law, pair.still, material).scale_of_row(row)
     }
 
     /// How the rows that exist in a lane push each other, at the last solve.
     pub fn coupling(&self, lane: usize) -> Coupling {
-        let dof_lists = &self.model.dof_lists;
+        let dof_lists = self.detected.dof_lists(&self.model);
         let live: Vec<(usize, &Row<R>)> = self.live_rows(lane).collect();
         let entries = |row: &Row<R>| {
             let dofs = row.dofs.of(dof_lists);
@@ -203,7 +205,7 @@ impl<R: Real> Sim<R> {
     /// the row's own unit of velocity (see `solve/residual.rs`).
     pub fn row_residuals(&self, block: &Block<R>, lane: usize) -> Vec<f64> {
         let mut residuals = Vec::new();
-        self.rows.natural_map(&self.model.dof_lists, block, |_, delta, s| {
+        self.rows.natural_map(self.detected.dof_lists(&self.model), block, |_, delta, s| {
             residuals.push((s * delta.abs()).lane(lane));
         });
         residuals

@@ -147,8 +147,8 @@ impl<R: Real> Sim<R> {
             stored(&now, group, |element, energy| add(element, energy.lane(lane)));
         }
         if self.settings.law == Law::Penalty {
-            self.detected.detect(&model, &self.placed, &self.settings, &self.state.qpos);
-            for contact in &self.detected.contacts {
+            let detected = self.detected_aside();
+            for contact in &detected.contacts {
                 let energy = penalty::stored(&self.settings, contact);
                 add(contact.element(), energy.lane(lane));
             }
@@ -199,10 +199,10 @@ impl Tape {
         rows: impl Iterator<Item = (Span, usize, R)>,
         weight: f64,
     ) {
-        let model = &*sim.model;
-        let mut impulse = vec![R::zero(); model.nv];
+        let lists = sim.detected.dof_lists(&sim.model);
+        let mut impulse = vec![R::zero(); sim.model.nv];
         for (dofs, y, own) in rows {
-            for (k, y) in dofs.of(&model.dof_lists).iter().zip(&sim.rows.y[y..]) {
+            for (k, y) in dofs.of(lists).iter().zip(&sim.rows.y[y..]) {
                 impulse[*k] += *y * own;
             }
         }

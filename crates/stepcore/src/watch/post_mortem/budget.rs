@@ -56,7 +56,7 @@ impl<R: Real> Sim<R> {
         let model = &self.model;
         let sizes = 50 * model.nv + 4 * model.row_dofs.len() + 50 * model.bodies.len();
         let rows = 60 * self.rows.rows.len() + 6 * self.rows.y.len();
-        (100 + sizes + 8 * model.pairs.len() + rows) as u64
+        (100 + sizes + 8 * (model.pairs.len() + self.detected.contacts.len()) + rows) as u64
     }
 
     /// Work of the steps since `before`.

@@ -1,0 +1,211 @@
+//! Which boxes overlap: the broad phase of a heap.
+//!
+//! Boxes of about one size stand in one grid, whose cells are larger than any of them by at most a
+//! factor of two: a box's lowest corner lies in one cell, and whatever it overlaps has its own in one
+//! of the cells from one below it to its highest corner. Grids are by powers of two of the boxes'
+//! sizes, and a box asks its own grid and the coarser ones (a hierarchical grid: Ericson 2005,
+//! ch. 7.2). Cells are numbered by a hash, as nothing bounds the world; a grid of few boxes, and
+//! boxes without end, are a list that every box is compared with.
+//!
+//! What is found is every pair of boxes that overlap, whatever the grids: they change the work and
+//! not the answer. The work grows with the number of boxes and of what is found.
+
+use crate::room::room;
+
+/// Boxes of one size up to which a list is quicker than a grid.
+const LISTED: usize = 32;
+/// The bits of a double's exponent: one size for each.
+const SIZES: usize = 2048;
+
+/// A box with its axes along the world's.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounds {
+    pub low: [f64; 3],
+    pub high: [f64; 3],
+    /// Whose it is.
+    pub geom: u32,
+    /// Nothing moves it: two such boxes never meet.
+    pub fixed: bool,
+}
+
+impl Bounds {
+    /// Not proven apart: what is no number overlaps.
+    pub(super) fn overlaps(&self, other: &Self) -> bool {
+        let apart = |k: usize| self.high[k] < other.low[k] || other.high[k] < self.low[k];
+        !(apart(0) || apart(1) || apart(2)) && !(self.fixed && other.fixed)
+    }
+
+    /// The exponent of its longest edge; None where that is no number, or none that a cell can have.
+    fn size(&self) -> Option<usize> {
+        let edge = |k: usize| self.high[k] - self.low[k];
+        let longest = edge(0).max(edge(1)).max(edge(2));
+        let finite = self.low.iter().chain(&self.high).all(|x| x.is_finite());
+        let size = (longest.to_bits() >> 52) as usize;
+        (finite && (1..SIZES - 3).contains(&size)).then_some(size)
+    }
+}
+
+/// Boxes, the grids in which they stand, and what overlaps.
+pub struct Broad {
+    boxes: Vec<Bounds>,
+    /// By size: how many boxes; then one more than the place of its grid among the grids.
+    sizes: Vec<u32>,
+    /// Sizes that have a grid, ascending.
+    grids: Vec<usize>,
+    /// By box: its size; `SIZES` in the list.
+    size: Vec<u32>,
+    /// By hash of a cell: where its boxes begin in `inside`.
+    cells: Vec<u32>,
+    inside: Vec<u32>,
+    listed: Vec<u32>,
+    /// Pairs of geoms, the smaller one first; in no order, and one may be there twice.
+    pub found: Vec<(u32, u32)>,
+}
+
+room!(Broad: boxes, sizes, grids, size, cells, inside, listed, found);
+
+impl Broad {
+    pub fn new() -> Self {
+        Self {
+            boxes: vec![],
+            sizes: vec![],
+            grids: vec![],
+            size: vec![],
+            cells: vec![],
+            inside: vec![],
+            listed: vec![],
+            found: vec![],
+        }
+    }
+
+    /// Finds all pairs of `boxes` that overlap.
+    pub fn find(&mut self, boxes: impl Iterator<Item = Bounds>) {
+        self.boxes.clear();
+        self.boxes.extend(boxes);
+        self.sort_by_size();
+        self.fill_cells();
+        self.found.clear();
+        self.compare_with_listed();
+        for at in 0..self.boxes.len() {
+            if (self.size[at] as usize) < SIZES {
+                self.compare_with_grids(at);
+            }
+        }
+    }
+
+    /// Which boxes have a grid, and which are listed.
+    fn sort_by_size(&mut self) {
+        self.sizes.clear();
+        self.sizes.resize(SIZES, 0);
+        self.size.clear();
+        for bounds in &self.boxes {
+            let size = bounds.size();
+            size.into_iter().for_each(|size| self.sizes[size] += 1);
+            self.size.push(size.unwrap_or(SIZES) as u32);
+        }
+        self.grids.clear();
+        self.grids.extend((0..SIZES).filter(|size| self.sizes[*size] as usize > LISTED));
+        self.listed.clear();
+        for (at, size) in self.size.iter_mut().enumerate() {
+            if *size as usize == SIZES || self.sizes[*size as usize] as usize <= LISTED {
+                *size = SIZES as u32;
+                self.listed.push(at as u32);
+            }
+        }
+    }
+
+    /// A counting sort of the boxes by the cell of their lowest corner.
+    fn fill_cells(&mut self) {
+        let count = (2 * self.boxes.len()).next_power_of_two();
+        self.cells.clear();
+        self.cells.resize(count + 1, 0);
+        for at in 0..self.boxes.len() {
+            if let Some(cell) = self.cell_of(at) {
+                self.cells[cell] += 1;
+            }
+        }
+        let mut start = 0;
+        for cell in &mut self.cells {
+            start += *cell;
+            *cell = start;
+        }
+        self.inside.clear();
+        self.inside.resize(start as usize, 0);
+        // From the last box to the first: each cell's place moves down to where it begins.
+        for at in (0..self.boxes.len()).rev() {
+            if let Some(cell) = self.cell_of(at) {
+                self.cells[cell] -= 1;
+                self.inside[self.cells[cell] as usize] = at as u32;
+            }
+        }
+    }
+
+    fn cell_of(&self, at: usize) -> Option<usize> {
+        let size = self.size[at] as usize;
+        (size < SIZES).then(|| self.hash(size, self.boxes[at].low.map(|x| place(x, size))))
+    }
+
+    /// The number of a cell; different cells may share one.
+    fn hash(&self, size: usize, [x, y, z]: [i64; 3]) -> usize {
+        let mix = (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)
+            ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f)
+            ^ (z as u64).wrapping_mul(0x1656_67b1_9e37_79f9)
+            ^ (size as u64).wrapping_mul(0x27d4_eb2f_1656_67c5);
+        let mix = (mix ^ (mix >> 32)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        (mix >> 32) as usize & (self.cells.len() - 2)
+    }
+
+    /// Compares the boxes of the list with one another and with all that have a grid.
+    fn compare_with_listed(&mut self) {
+        for (k, &one) in self.listed.iter().enumerate() {
+            let bounds = self.boxes[one as usize];
+            for &two in &self.listed[k + 1..] {
+                note(&mut self.found, &bounds, &self.boxes[two as usize]);
+            }
+            for (other, _) in self.boxes.iter().zip(&self.size).filter(|(_, s)| **s < SIZES as u32)
+            {
+                note(&mut self.found, &bounds, other);
+            }
+        }
+    }
+
+    /// Compares a box with those of its own grid that come after it, and with those of coarser ones.
+    fn compare_with_grids(&mut self, at: usize) {
+        let (bounds, own) = (self.boxes[at], self.size[at] as usize);
+        for grid in (0..self.grids.len()).rev() {
+            let size = self.grids[grid];
+            if size < own {
+                break;
+            }
+            let low = bounds.low.map(|x| place(x, size).saturating_sub(1));
+            let high = bounds.high.map(|x| place(x, size));
+            for z in low[2]..=high[2] {
+                for y in low[1]..=high[1] {
+                    for x in low[0]..=high[0] {
+                        let cell = self.hash(size, [x, y, z]);
+                        let inside = self.cells[cell] as usize..self.cells[cell + 1] as usize;
+                        for &other in &self.inside[inside] {
+                            let theirs = self.size[other as usize] as usize;
+                            if theirs > own || theirs == own && other as usize > at {
+                                note(&mut self.found, &bounds, &self.boxes[other as usize]);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Which cell of its axis a coordinate lies in; a cell is larger than boxes of this size.
+fn place(x: f64, size: usize) -> i64 {
+    // The reciprocal of 2 to the power of the size's exponent plus one.
+    let reciprocal = f64::from_bits(((SIZES - 3 - size) as u64) << 52);
+    (x * reciprocal).floor() as i64
+}
+
+fn note(found: &mut Vec<(u32, u32)>, one: &Bounds, two: &Bounds) {
+    if one.overlaps(two) {
+        found.push((one.geom.min(two.geom), one.geom.max(two.geom)));
+    }
+}

@@ -1,0 +1,321 @@
+//! Models of so many geoms that a list of the pairs that could meet would be most of their memory.
+//!
+//! Up to `MOST_FIXED` such pairs are listed when a model is compiled (`pairs.rs`): each has its dofs,
+//! its slots and its island for good, which is quick for few, and what worlds in lanes need. Above
+//! that a model is a heap: `detect/near.rs` finds in every step the pairs whose boxes overlap, and
+//! makes them as they would stand in the list. What pairs share is kept by geom, and their materials
+//! by two classes of geoms. A pair is known by a number that counts up in the order of the list: by
+//! the two bodies, then by the geoms.
+
+use super::pose::Pose;
+use super::still::{loose, still};
+use super::{Material, Model, Pair, Span};
+use crate::elements::text;
+use crate::error::{Error, Result};
+use crate::scene::{Geom, GeomType, Scene};
+use crate::shapes::ShapeTest;
+use std::collections::{HashMap, HashSet};
+
+/// Pairs up to which all are listed.
+pub const MOST_FIXED: usize = 2000;
+/// Slots of a pair of a heap, whatever its test.
+pub const MOST_TOUCHES: usize = 8;
+/// Classes of geoms whose materials are mixed by two.
+const MOST_CLASSES: usize = 2048;
+/// Pairs of geoms that no free body carries, for which still tangents are looked for.
+const MOST_STILL: usize = 100_000;
+/// Kinds of geoms.
+const KINDS: usize = 8;
+
+/// What all pairs that could meet share.
+#[derive(Clone, Debug)]
+pub struct Heap {
+    /// Geoms that may meet some other, ascending.
+    pub solid: Vec<usize>,
+    /// By geom: half sizes of a box about its frame [m].
+    pub half: Vec<[f64; 3]>,
+    /// By geom: its part of the distance below which contacts are listed [m].
+    pub listed: Vec<f64>,
+    /// By geom: its class; and by two classes their material.
+    class: Vec<u32>,
+    classes: usize,
+    mixed: Vec<u32>,
+    /// By two kinds of geoms.
+    tests: [[Option<ShapeTest>; KINDS]; KINDS],
+    /// By body: its first geom. The most geoms of any body.
+    first: Vec<usize>,
+    most: usize,
+    /// Pairs with tangents along which nothing can move.
+    still: HashMap<(usize, usize), [bool; 2]>,
+    /// Materials of explicit pairs, by their geoms, the smaller index first.
+    explicit: HashMap<(usize, usize), usize>,
+}
+
+/// What a material is mixed from, bit by bit.
+fn key(geom: &Geom) -> Vec<u64> {
+    let whole = [u64::from(geom.condim), geom.priority as u64];
+    let numbers = [geom.margin, geom.gap, geom.solmix];
+    let lists = numbers.iter().chain(&geom.friction).chain(&geom.soft.solref);
+    whole.into_iter().chain(lists.chain(&geom.soft.solimp).map(|x| x.to_bits())).collect()
+}
+
+/// Makes the model a heap.
+pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose]) -> Result<()> {
+    let (class, heads) = classes(scene)?;
+    let mut mixed = Vec::with_capacity(heads.len() * heads.len());
+    for &one in &heads {
+        for &two in &heads {
+            let material = Material::of_geoms(scene, one, two);
+            mixed.push(model.material_index(material) as u32);
+        }
+    }
+    let mut first = vec![0; model.bodies.len()];
+    let mut counts = vec![0; model.bodies.len()];
+    for (index, geom) in model.geoms.iter().enumerate().rev() {
+        first[geom.body] = index;
+        counts[geom.body] += 1;
+    }
+    let kinds: [_; KINDS] = KIND;
+    let tests = kinds.map(|one| kinds.map(|two| ShapeTest::of(one, two)));
+    let mut heap = Heap {
+        solid: vec![],
+        half: model.geoms.iter().map(half).collect(),
+        listed: scene.geoms.iter().map(|geom| listed(scene, geom)).collect(),
+        class,
+        classes: heads.len(),
+        mixed,
+        tests,
+        first,
+        most: counts.into_iter().max().unwrap_or(0),
+        still: HashMap::new(),
+        explicit: HashMap::new(),
+    };
+    heap.check_numbers(model)?;
+    heap.take_explicit(scene, model);
+    heap.solid = solid(model, &heap)?;
+    for &geom in &heap.solid {
+        model.geoms[geom].collides = true;
+    }
+    heap.find_still(model, poses);
+    model.heap = Some(heap);
+    Ok(())
+}
+
+/// The class of each geom, and a geom of each class.
+fn classes(scene: &Scene) -> Result<(Vec<u32>, Vec<usize>)> {
+    let (mut known, mut heads) = (HashMap::new(), vec![]);
+    let class = |(index, geom): (usize, &Geom)| {
+        *known.entry(key(geom)).or_insert_with(|| {
+            heads.push(index);
+            heads.len() as u32 - 1
+        })
+    };
+    let class = scene.geoms.iter().enumerate().map(class).collect();
+    if heads.len() > MOST_CLASSES {
+        return Err(Error::Scene(text![format!(
+            "{} geoms have {} different sets of contact parameters (condim, friction, solref, \
+             solimp, solmix, priority, margin, gap): a model whose pairs are found as they come \
+             near can have {MOST_CLASSES}",
+            scene.geoms.len(),
+            heads.len(),
+        )]));
+    }
+    Ok((class, heads))
+}
+
+const KIND: [GeomType; KINDS] = [
+    GeomType::Plane,
+    GeomType::HField,
+    GeomType::Sphere,
+    GeomType::Capsule,
+    GeomType::Ellipsoid,
+    GeomType::Cylinder,
+    GeomType::Box,
+    GeomType::Mesh,
+];
+
+/// A geom's part of the distance below which contacts are listed [m].
+fn listed(scene: &Scene, geom: &Geom) -> f64 {
+    geom.gap + scene.contact_override.as_ref().map_or(geom.margin, |by| 0.5 * by.margin)
+}
+
+fn half(geom: &super::Geom) -> [f64; 3] {
+    let [a, b, c] = geom.size;
+    match geom.kind {
+        GeomType::Sphere => [a; 3],
+        GeomType::Capsule => [a, a, a + b],
+        GeomType::Cylinder => [a, a, b],
+        GeomType::Ellipsoid | GeomType::Box => [a, b, c],
+        GeomType::Plane | GeomType::HField | GeomType::Mesh => [geom.reach; 3],
+    }
+}
+
+/// Geoms that share a bit with a geom of another body; every two kinds that can meet have a test.
+fn solid(model: &Model, heap: &Heap) -> Result<Vec<usize>> {
+    // One geom for each kind and set of bits stands for all of them.
+    let mut groups: HashMap<(GeomType, u32, u32), (usize, bool)> = HashMap::new();
+    let bits = |geom: &super::Geom| (geom.kind, geom.contype, geom.conaffinity);
+    for (index, geom) in model.geoms.iter().enumerate() {
+        let group = groups.entry(bits(geom)).or_insert((index, false));
+        group.1 |= model.geoms[group.0].body != geom.body;
+    }
+    let mut heads: Vec<(usize, bool)> = groups.values().copied().collect();
+    heads.sort_unstable();
+    let mut meets = HashMap::new();
+    for &(one, several) in &heads {
+        for &(two, _) in heads.iter().filter(|(two, _)| one != *two || several) {
+            if model.never_by_kind(one, two).is_none() {
+                meets.insert(bits(&model.geoms[one]), ());
+                let (a, b) = model.ordered(one, two);
+                if heap.test(model, a, b).is_none() {
+                    return Err(super::pairs::not_built(model, a, b));
+                }
+            }
+        }
+    }
+    for &(a, b) in heap.explicit.keys() {
+        let (a, b) = model.ordered(a, b);
+        if heap.test(model, a, b).is_none() {
+            return Err(super::pairs::not_built(model, a, b));
+        }
+    }
+    let named: HashSet<usize> = heap.explicit.keys().flat_map(|(a, b)| [*a, *b]).collect();
+    let solid = |at: &usize| meets.contains_key(&bits(&model.geoms[*at])) || named.contains(at);
+    Ok((0..model.geoms.len()).filter(solid).collect())
+}
+
+impl Heap {
+    /// Slots are counted in 64 bits.
+    fn check_numbers(&self, model: &Model) -> Result<()> {
+        let (bodies, most) = (model.bodies.len() as u128, self.most as u128);
+        let numbers = bodies * bodies * 2 * most * most;
+        if numbers * (MOST_TOUCHES as u128) < (1 << 62) {
+            return Ok(());
+        }
+        Err(Error::Scene(text![format!(
+            "{bodies} bodies of up to {most} geoms have too many pairs to number: \
+             spread the geoms of one body over several"
+        )]))
+    }
+
+    /// Explicit pairs, whose own parameters count.
+    fn take_explicit(&mut self, scene: &Scene, model: &mut Model) {
+        for pair in &scene.pairs {
+            let material = Material::of_pair(scene, pair);
+            let listed = 0.5 * (material.margin + material.gap);
+            for geom in [pair.geom1, pair.geom2] {
+                self.listed[geom] = self.listed[geom].max(listed);
+            }
+            let geoms = (pair.geom1.min(pair.geom2), pair.geom1.max(pair.geom2));
+            self.explicit.insert(geoms, model.material_index(material));
+        }
+    }
+
+    fn test(&self, model: &Model, one: usize, two: usize) -> Option<ShapeTest> {
+        self.tests[model.geoms[one].kind as usize][model.geoms[two].kind as usize]
+    }
+
+    /// Tangents along which nothing moves, of pairs in which no part moves freely.
+    fn find_still(&mut self, model: &Model, poses: &[Pose]) {
+        let bound: Vec<usize> =
+            self.solid.iter().copied().filter(|g| !loose(model, model.geoms[*g].body)).collect();
+        if bound.len() * bound.len() > MOST_STILL {
+            return;
+        }
+        for (k, &a) in bound.iter().enumerate() {
+            for &b in &bound[k + 1..] {
+                let (a, b) = model.ordered(a, b);
+                let Some(test) = self.test(model, a, b) else { continue };
+                let found = still(model, poses, test, a, b);
+                if found != [false; 2] {
+                    self.still.insert((a, b), found);
+                }
+            }
+        }
+    }
+
+    /// One more than the highest number.
+    pub fn numbers(&self) -> usize {
+        self.first.len() * self.first.len() * 2 * self.most * self.most
+    }
+}
+
+impl Model {
+    /// The number of a pair of a heap; None where the two never meet.
+    pub(crate) fn number(&self, heap: &Heap, a: usize, b: usize) -> Option<u64> {
+        let (one, two) = (self.geoms[a].body, self.geoms[b].body);
+        let own = !heap.explicit.is_empty() && self.explicit.contains(&(a.min(b), a.max(b)));
+        let never = if own {
+            // Nothing else keeps the geoms of an explicit pair apart.
+            let moves = self.bodies[one].weld != self.bodies[two].weld;
+            !(moves && self.features.contact && self.features.constraint)
+        } else {
+            self.never_between(one, two).is_some() || self.never(a, b).is_some()
+        };
+        if never {
+            return None;
+        }
+        let (a, b) = self.ordered(a.min(b), a.max(b));
+        let (from, to) = (self.geoms[a].body, self.geoms[b].body);
+        let side = usize::from(from > to);
+        let bodies = one.min(two) * self.bodies.len() + one.max(two);
+        let within = (a - heap.first[from]) * heap.most + b - heap.first[to];
+        Some(((bodies * 2 + side) * heap.most * heap.most + within) as u64)
+    }
+
+    /// A pair of a heap by its number, without its dofs.
+    pub(crate) fn near_pair(&self, heap: &Heap, number: u64, a: usize, b: usize) -> Pair {
+        let (a, b) = self.ordered(a, b);
+        let (x, y) = (&self.geoms[a], &self.geoms[b]);
+        let classes = [a, b].map(|geom| heap.class[geom] as usize);
+        let still = if heap.still.is_empty() { None } else { heap.still.get(&(a, b)) };
+        let mixed = heap.mixed[classes[0] * heap.classes + classes[1]] as usize;
+        let explicit =
+            if heap.explicit.is_empty() { None } else { heap.explicit.get(&(a.min(b), a.max(b))) };
+        let material = explicit.copied().unwrap_or(mixed);
+        let condim = self.materials[material].condim;
+        Pair {
+            geom1: a,
+            geom2: b,
+            // Every two kinds that can meet have one.
+            test: heap.test(self, a, b).unwrap_or(ShapeTest::SphereSphere),
+            material,
+            index: number as usize,
+            slot: number as usize * MOST_TOUCHES,
+            invweight: self.bodies[x.body].invweight[0] + self.bodies[y.body].invweight[0],
+            dofs: Span::default(),
+            mass: super::pairs::touched_mass(self, x.body, y.body),
+            still: still.filter(|_| condim > 1).copied().unwrap_or([false; 2]),
+            apart: false,
+        }
+    }
+
+    /// The two geoms of a contact's element; None: there is no such pair.
+    pub fn contact_geoms(&self, index: usize) -> Option<(usize, usize)> {
+        let Some(heap) = &self.heap else {
+            return self.pairs.get(index).map(|pair| (pair.geom1, pair.geom2));
+        };
+        let square = heap.most * heap.most;
+        let (bodies, within) = (index / (2 * square), index % square);
+        let (one, two) = (bodies / self.bodies.len(), bodies % self.bodies.len());
+        let (from, to) = if index / square % 2 == 0 { (one, two) } else { (two, one) };
+        let geom = |body: usize, at: usize| {
+            let index = heap.first.get(body)? + at;
+            self.geoms.get(index).filter(|geom| geom.body == body).map(|_| index)
+        };
+        let found = (geom(from, within / heap.most)?, geom(to, within % heap.most)?);
+        (self.number(heap, found.0, found.1) == Some(index as u64)).then_some(found)
+    }
+
+    /// A pair that could meet, by the index of its contacts' element; None: there is no such pair.
+    /// In a heap it has no dofs.
+    pub fn pair(&self, index: usize) -> Option<Pair> {
+        match &self.heap {
+            None => self.pairs.get(index).copied(),
+            Some(heap) => {
+                let (a, b) = self.contact_geoms(index)?;
+                Some(self.near_pair(heap, index as u64, a, b))
+            }
+        }
+    }
+}

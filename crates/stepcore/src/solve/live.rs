@@ -1,0 +1,50 @@
+//! Islands of a heap: trees that rows tie together now.
+//!
+//! Where pairs are listed, islands are those that pairs could ever make, so that all lanes have the
+//! same. A heap would be one island; here it falls into as many as touch. An island is known by its
+//! lowest tree, so that it keeps its name while that stays.
+
+use super::rows::Rows;
+use crate::model::{Model, Union};
+use crate::real::Real;
+use crate::room::{listed, Room};
+
+/// Working space.
+#[derive(Default)]
+pub(crate) struct Live {
+    union: Union,
+    /// By island: how many blocks it has so far.
+    blocks: Vec<u32>,
+}
+
+impl Room for Live {
+    fn room(&self) -> usize {
+        self.union.room() + listed(&self.blocks)
+    }
+}
+
+impl<R: Real> Rows<R> {
+    /// Sets the island of every block, and its place there.
+    pub(crate) fn find_islands(&mut self, model: &Model, dof_lists: &[usize]) {
+        let Some(Live { union, blocks: counts }) = &mut self.live else { return };
+        union.reset(model.trees.len());
+        counts.clear();
+        counts.resize(model.trees.len(), 0);
+        let first = |rows: crate::model::Span| self.rows[rows.start].dofs.of(dof_lists);
+        for block in &self.blocks {
+            let dofs = first(block.rows);
+            for two in dofs.windows(2) {
+                let [a, b] = [two[0], two[1]].map(|k| model.dofs[k].tree);
+                if a != b {
+                    union.join(a, b);
+                }
+            }
+        }
+        for block in &mut self.blocks {
+            let Some(dof) = first(block.rows).first() else { continue };
+            block.island = union.of(model.dofs[*dof].tree);
+            block.rank = counts[block.island];
+            counts[block.island] += 1;
+        }
+    }
+}
