@@ -72,7 +72,7 @@ pub fn raise(py: Python<'_>, error: Error) -> PyErr {
 const NONE: &str = "no single element";
 
 /// Where an element stands in a text, in characters, and its kind and index.
-fn mention(text: &str, mention: &Mention) -> (usize, usize, &'static str, u32) {
+fn mention(text: &str, mention: &Mention) -> (usize, usize, &'static str, u64) {
     let count = |bytes: usize| text.get(..bytes).map_or(0, |head| head.chars().count());
     let (kind, index, _) = id(mention.element);
     (count(mention.at.start), count(mention.at.end), kind, index)
