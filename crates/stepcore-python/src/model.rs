@@ -251,9 +251,28 @@ impl Model {
         self.0.geoms.iter().map(|geom| geom.kind.word()).collect()
     }
 
-    /// Geoms that can meet, by index.
+    /// Geoms that can meet, by index; empty in a heap.
     fn pairs(&self) -> Vec<(usize, usize)> {
         self.0.pairs.iter().map(|pair| (pair.geom1, pair.geom2)).collect()
+    }
+
+    /// The pair of a contact: its geoms, condim, friction, solref and invweight.
+    fn pair(&self, index: usize) -> PyResult<(usize, usize, u32, f64, [f64; 2], f64)> {
+        let m = &*self.0;
+        let Some(pair) = m.pair(index) else {
+            let limit = "must be the index of a pair of geoms that can meet";
+            return Err(PyValueError::new_err(format!("index = {index}: {limit}")));
+        };
+        let material = m.material(&pair);
+        let (condim, solref) = (material.condim, material.soft.solref);
+        Ok((pair.geom1, pair.geom2, condim, material.friction[0], solref, pair.invweight))
+    }
+
+    /// Of a heap, how many pairs can meet, by the two kinds of geoms; else None.
+    fn heap(&self) -> Option<Vec<(&'static str, &'static str, usize)>> {
+        self.0.heap.as_ref()?;
+        let meet = self.0.tally().meet;
+        Some(meet.into_iter().map(|((a, b), count)| (a.word(), b.word(), count)).collect())
     }
 
     /// What compiling decided: by pair, by tree, by body and by geom, in the model's order.

@@ -56,12 +56,16 @@ class Readout(ReadOnlyArray):
 
 
 class ModelArray(ReadOnlyArray):
-    """A constant of a `Model`."""
+    """A constant of a `Model`, in one of its tables of them."""
+
+    def __init__(self, doc: str, table: str = "_arrays") -> None:
+        super().__init__(doc)
+        self.table = table
 
     def __get__(self, model: Any, owner: type | None = None) -> NDArray[Any]:
         if model is None:
             return self  # type: ignore[return-value]
-        array: NDArray[Any] = model._arrays[self.name]
+        array: NDArray[Any] = getattr(model, self.table)[self.name]
         return array
 
 

@@ -162,7 +162,7 @@ class Model(ModelData):
             "nu": self.nu,
             "nbody": self.nbody,
             "ngeom": self.ngeom,
-            "pairs": len(self.pairs),
+            "pairs": self.npair,
         }
         name = f' "{self._scene.name}"' if self._scene.name else ""
         shown = ", ".join(f"{key} {count}" for key, count in counts.items())

@@ -36,6 +36,20 @@ class Keyframe(NamedTuple):
     ctrl: Floats
 
 
+class ContactPair(NamedTuple):
+    """Two geoms that can meet, and what their contacts share.
+
+    geoms: their indices. condim and friction (sliding): 1. solref: as in MJCF. invweight0: sum of
+    both bodies' mean inverse mass at qpos0 [1/kg].
+    """
+
+    geoms: tuple[int, int]
+    condim: int
+    friction: float
+    solref: tuple[float, float]
+    invweight0: float
+
+
 class ModelData(ABC):
     """Counts, names, arrays and keyframes of a `Model`, which documents them."""
 
@@ -99,6 +113,24 @@ class ModelData(ABC):
     def nsite(self) -> int:
         """The number of sites."""
         return len(self.site_names)
+
+    @functools.cached_property
+    def npair(self) -> int:
+        """The number of pairs of geoms that can meet."""
+        return sum(self.heap.values()) if self.is_heap else len(self._core.pairs())
+
+    @functools.cached_property
+    def is_heap(self) -> bool:
+        """Whether pairs of geoms are found as they come near, because too many could meet.
+
+        Up to 2000 pairs are listed when a scene is compiled: `pairs`. Above that a model is a heap.
+        """
+        return self._core.heap() is not None
+
+    @functools.cached_property
+    def heap(self) -> dict[tuple[str, str], int]:
+        """Of a heap, how many pairs can meet by the types of their geoms; else empty."""
+        return {(one, two): count for one, two, count in self._core.heap() or ()}
 
     # Names, in the order of the arrays.
 
@@ -197,8 +229,32 @@ class ModelData(ABC):
     def _arrays(self) -> dict[str, NDArray[Any]]:
         lists = self._core.addresses().items()
         addresses = {name: np.array(entries, dtype=np.int32) for name, entries in lists}
-        addresses["pair_geoms"] = np.array(self._core.pairs(), dtype=np.int32).reshape(-1, 2)
         return {name: _frozen(array) for name, array in (self._core.tables() | addresses).items()}
+
+    @functools.cached_property
+    def _pair_arrays(self) -> dict[str, NDArray[Any]]:
+        if self.is_heap:
+            raise ValueError(
+                f"pairs: this model is a heap, whose {self.npair} pairs of geoms that could meet are "
+                "not listed: contact_pair(index) tells of one, Sim.contacts which touch now"
+            )
+        pairs = self._core.pairs()
+        data = [self._core.pair(index) for index in range(len(pairs))]
+        arrays: dict[str, NDArray[Any]] = {
+            "pair_geoms": np.array(pairs, dtype=np.int32).reshape(-1, 2),
+            "pair_solref": np.array([pair[4] for pair in data], dtype=float).reshape(-1, 2),
+            "pair_friction": np.array([pair[3] for pair in data], dtype=float),
+            "pair_invweight0": np.array([pair[5] for pair in data], dtype=float),
+        }
+        return {name: _frozen(array) for name, array in arrays.items()}
+
+    def contact_pair(self, index: int) -> ContactPair:
+        """The pair of geoms of a contact, and what its contacts share.
+
+        index: as in `Sim.contacts`. Raises ValueError where no two geoms that can meet have it.
+        """
+        first, second, condim, friction, solref, invweight = self._core.pair(index)
+        return ContactPair((first, second), condim, friction, (solref[0], solref[1]), invweight)
 
     qpos0 = ModelArray("Positions in the pose in which the scene is described, shape (nq,).")
     body_mass = ModelArray("Mass of each body [kg], shape (nbody,).")
@@ -238,11 +294,18 @@ class ModelData(ABC):
         "Range to which each force is clamped before the gear [N or N·m], ±inf without one, "
         "shape (nu, 2)."
     )
-    pair_geoms = ModelArray("The two geoms of each pair that can ever collide, shape (npair, 2).")
-    pair_solref = ModelArray("The solref that the geoms of each pair have together, (npair, 2).")
-    pair_friction = ModelArray("Coefficient of sliding friction of each pair, shape (npair,).")
+    pair_geoms = ModelArray(
+        "The two geoms of each pair that can ever collide, shape (npair, 2).", "_pair_arrays"
+    )
+    pair_solref = ModelArray(
+        "The solref that the geoms of each pair have together, (npair, 2).", "_pair_arrays"
+    )
+    pair_friction = ModelArray(
+        "Coefficient of sliding friction of each pair, shape (npair,).", "_pair_arrays"
+    )
     pair_invweight0 = ModelArray(
-        "Sum of both bodies' mean inverse mass of each pair at qpos0 [1/kg], shape (npair,)."
+        "Sum of both bodies' mean inverse mass of each pair at qpos0 [1/kg], shape (npair,).",
+        "_pair_arrays",
     )
 
     @functools.cached_property
@@ -271,7 +334,7 @@ class ModelData(ABC):
     def pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs of geoms that can ever collide, by name ("#index" for a geom without one)."""
         names = [name or f"#{i}" for i, name in enumerate(self.geom_names)]
-        return tuple((names[a], names[b]) for a, b in self._core.pairs())
+        return tuple((names[a], names[b]) for a, b in self.pair_geoms.tolist())
 
     @functools.cached_property
     def keys(self) -> tuple[Keyframe, ...]:

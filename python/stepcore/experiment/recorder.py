@@ -51,7 +51,7 @@ class Recorder(Probe):
         self.samples: list[int] = []
         self.slips: list[Slips] = []
         self.touching: list[int] = []
-        self.meets = bool(bodies.model.pairs)
+        self.meets = bodies.model.npair > 0
         self.works = bool(bodies.model.nu) or any(
             np.any(j.damping) for j in bodies.model.scene.joints
         )

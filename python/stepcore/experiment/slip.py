@@ -37,12 +37,20 @@ class Friction:
     """Which geoms of a model slide on which, and how fast. moving: indices of the moving bodies."""
 
     def __init__(self, model: Model, moving: list[int]) -> None:
-        plan = model.core.plan()
-        mixed = zip(model.core.pairs(), plan["condim"], plan["friction"], strict=True)
-        self.mu = {(min(pair), max(pair)): mu if condim > 1 else 0.0 for pair, condim, mu in mixed}
+        self.model = model
+        self._mu: dict[int, float] = {}
         self.body = [int(body) for body in model.geom_body]
         self.moving = set(moving)
-        self.rubs = any(mu > 0 for mu in self.mu.values())
+        # A heap's pairs are not gone through: some of them have friction.
+        self.rubs = model.is_heap or any(self.of(index) > 0 for index in range(model.npair))
+
+    def of(self, index: int) -> float:
+        """Coefficient of sliding friction of a pair; 0 of contacts that have a normal row only."""
+        mu = self._mu.get(index)
+        if mu is None:
+            pair = self.model.contact_pair(index)
+            mu = self._mu[index] = pair.friction if pair.condim > 1 else 0.0
+        return mu
 
     def grounded(self, contacts: np.ndarray) -> bool:
         """Whether something touches what does not move."""
@@ -54,7 +62,7 @@ class Friction:
         if not self.rubs or not len(contacts):
             return {}
         pairs = list(zip(contacts["geom1"].tolist(), contacts["geom2"].tolist(), strict=True))
-        mu = np.array([self.mu[min(pair), max(pair)] for pair in pairs])
+        mu = np.array([self.of(index) for index in contacts["index"].tolist()])
         force, normal = contacts["force"], contacts["normal"]
         pushed = np.einsum("ci,ci->c", force, normal)
         rubs = np.flatnonzero((mu > 0) & (pushed > 0))

@@ -3,7 +3,7 @@
 use super::broad::{Bounds, Broad};
 use crate::model::Model;
 use crate::real::{Lanes, Mask, Real};
-use crate::scene::{Body, Geom, GeomType, Joint, JointType, Scene};
+use crate::scene::{Body, ExplicitPair, Geom, GeomType, Joint, JointType, Scene};
 use crate::settings::{Integrator, Law, Settings, Solver};
 use crate::sim::Sim;
 use crate::solve::Live;
@@ -229,6 +229,7 @@ fn numbers_of_pairs_count_up_as_the_list_does() {
         geom.condim = if k % 4 == 0 { 1 } else { 3 };
     }
     scene.excludes.push([1, 3]);
+    scene.pairs.push(ExplicitPair { geom1: 5, geom2: 2, ..ExplicitPair::default() });
     let [list, heap] = [usize::MAX, 0].map(|most| Model::compile_with(&scene, most).unwrap());
     let numbers = heap.heap.as_ref().unwrap();
     let mut last = None;
@@ -245,4 +246,45 @@ fn numbers_of_pairs_count_up_as_the_list_does() {
     }
     let count = (0..numbers.numbers()).filter(|n| heap.contact_geoms(*n).is_some()).count();
     assert_eq!(count, list.pairs.len());
+}
+
+#[test]
+fn pairs_are_counted_as_going_through_them_counts() {
+    let mut random = Random(31);
+    for _ in 0..20 {
+        let mut scene = scattered(&mut random, 15, 2.0);
+        let bodies = scene.bodies.len();
+        for geom in &mut scene.geoms {
+            geom.contype = (random.next() * 4.0) as u32;
+            geom.conaffinity = (random.next() * 4.0) as u32;
+        }
+        for _ in 0..5 {
+            let [one, two] = [(); 2].map(|()| (random.next() * bodies as f64) as usize);
+            if one != two {
+                scene.excludes.push([one, two]);
+            }
+        }
+        for _ in 0..4 {
+            let [geom1, geom2] = [(); 2].map(|()| 1 + (random.next() * (bodies - 1) as f64) as usize);
+            let known = |p: &ExplicitPair| [geom1, geom2].contains(&p.geom1);
+            if scene.geoms[geom1].body != scene.geoms[geom2].body && !scene.pairs.iter().any(known) {
+                scene.pairs.push(ExplicitPair { geom1, geom2, ..ExplicitPair::default() });
+            }
+        }
+        scene.features.filterparent = random.next() < 0.5;
+        let [list, heap] = [usize::MAX, 0].map(|most| Model::compile_with(&scene, most).unwrap());
+        let tally = heap.tally();
+        assert_eq!(tally.meet.values().sum::<usize>(), list.pairs.len());
+        for pair in &list.pairs {
+            let kinds = (list.geoms[pair.geom1].kind, list.geoms[pair.geom2].kind);
+            assert!(tally.meet.contains_key(&kinds));
+        }
+        let counts = |unmet: &std::collections::BTreeMap<_, crate::model::Unmet>| {
+            unmet.iter().map(|(why, unmet)| (*why, unmet.count)).collect::<Vec<_>>()
+        };
+        assert_eq!(counts(&heap.unmet()), counts(&list.unmet()));
+        for (why, unmet) in heap.unmet() {
+            assert!(!unmet.examples.is_empty(), "{why:?}");
+        }
+    }
 }

@@ -98,7 +98,7 @@ impl<R: Real> Rows<R> {
         ways: &Ways,
         (first, edges): (usize, bool),
     ) -> Anchor<R> {
-        let tangents = contact.tangents(now.model, now.placed);
+        let tangents = contact.tangents(now.placed);
         let axis = |way: &Way| match way.axis {
             Axis::Normal => contact.normal,
             Axis::Tangent(at) => tangents[at],
@@ -131,8 +131,7 @@ impl<R: Real> Rows<R> {
 
     /// The slip that the last step left, found as impulses are: by slot and feature.
     fn kept_slip(&self, now: &Situation<R>, contact: &Contact<R>) -> [V3<R>; 2] {
-        let element = contact.element();
-        let kin = now.model.kin(element, now.model.slot(element));
+        let kin = now.model.kin(&contact.pair, contact.part);
         let mut slip = [R::zero(); SLIPS];
         let from = now.warm.partition_point(|warm| warm.slot < kin.start);
         for warm in now.warm[from..].iter().take_while(|warm| warm.slot < kin.end) {
@@ -165,8 +164,8 @@ impl<R: Real> Rows<R> {
         if body.tree == NONE || !body.turns {
             return R::zero();
         }
-        now.placed.metric.from_factored(&now.placed.u, &mut self.guess);
         let chain = body.chain.of(&now.model.dof_lists);
+        now.placed.metric.from_factored_on(chain, &now.placed.u, &mut self.guess);
         chain
             .iter()
             .fold(R::zero(), |spin, &k| spin + now.placed.motion[k].ang.dot(normal) * self.guess[k])

@@ -134,9 +134,7 @@ impl<R: Real> Rows<R> {
         let block = self.push_block(first, set, mask, now, contact.element(), pair.mass);
         block.mu = R::of(mu);
         block.feature = contact.feature;
-        if pair.test.by_feature() {
-            block.kin = now.model.kin(pair);
-        }
+        block.kin = now.model.kin(pair, contact.part);
     }
 
     /// MuJoCo's contact: soft normal, convex friction.
@@ -361,10 +359,11 @@ impl<R: Real> Rows<R> {
         if body.tree == NONE {
             return V3::zeros();
         }
-        now.placed.metric.from_factored(&now.placed.guess, &mut self.guess);
+        let chain = body.chain.of(&now.model.dof_lists);
+        now.placed.metric.from_factored_on(chain, &now.placed.guess, &mut self.guess);
         let arm = at - now.placed.origin[body.tree];
         let mut motion = Motion::zero();
-        for &k in body.chain.of(&now.model.dof_lists) {
+        for &k in chain {
             motion.add_scaled(&now.placed.motion[k], self.guess[k]);
         }
         motion.at(&arm)

@@ -19,6 +19,7 @@ mod shape;
 mod slots;
 mod solid;
 mod still;
+mod tally;
 #[cfg(test)]
 mod tests;
 mod tree;
@@ -28,6 +29,7 @@ pub use heap::Heap;
 pub use material::Material;
 pub use pairs::Never;
 pub use plan::Unmet;
+pub use tally::Tally;
 pub(crate) use union::Union;
 
 use crate::elements::friction::Ways;

@@ -31,12 +31,15 @@ pub struct Unmet {
     pub examples: Vec<(usize, usize)>,
 }
 
-const EXAMPLES: usize = 6;
+pub(super) const EXAMPLES: usize = 6;
 
 impl Model {
     /// Pairs of geoms that were not made candidates, by reason. Geoms without any bit, which
     /// only draw or weigh, are not looked at.
     pub fn unmet(&self) -> BTreeMap<Never, Unmet> {
+        if self.heap.is_some() {
+            return self.tally().never;
+        }
         let mut found: BTreeMap<Never, Unmet> = BTreeMap::new();
         let solid: Vec<usize> = (0..self.geoms.len())
             .filter(|g| self.geoms[*g].contype != 0 || self.geoms[*g].conaffinity != 0)

@@ -43,11 +43,15 @@ impl Model {
         slot as u64
     }
 
-    /// The slots of a pair's contacts: in any of them one that is known by feature may have been in
-    /// the step before.
-    pub fn kin(&self, pair: &Pair) -> Range<u64> {
+    /// The slots in which a contact of a pair may have been in the step before: its own, or any of
+    /// the pair's where contacts are known by feature.
+    pub fn kin(&self, pair: &Pair, part: usize) -> Range<u64> {
         let first = (self.slots.contacts + pair.slot) as u64;
-        first..first + pair.test.most_touches() as u64
+        if pair.test.by_feature() {
+            return first..first + pair.test.most_touches() as u64;
+        }
+        let own = first + part as u64;
+        own..own + 1
     }
 
     /// By slot: its place among the slots of its island. Copies of an island that stand

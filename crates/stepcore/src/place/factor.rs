@@ -85,6 +85,17 @@ impl<R: Real> Metric<R> {
         }
     }
 
+    /// The same on an ancestor-closed, ascending list of dofs.
+    pub fn from_factored_on(&self, dofs: &[usize], u: &[R], v: &mut [R]) {
+        for &k in dofs {
+            let mut sum = u[k];
+            for (l, j) in self.row(k) {
+                sum -= l * v[j];
+            }
+            v[k] = sum;
+        }
+    }
+
     /// x ← L⁻ᵀ x on an ancestor-closed, ascending list of dofs.
     #[inline]
     pub fn lift(&self, dofs: &[usize], x: &mut [R]) {

@@ -130,7 +130,11 @@ class _Listing:
             yield _out("place", "gravity", [], "0" if on.gravity else "switched off", count=1)
 
     def pairs(self) -> Iterator[Listed]:
-        """Pairs of geoms, by the two shapes."""
+        """Pairs of geoms, by the two shapes, and which of the two ways finds those that are near."""
+        for (one, two), count in self.model.heap.items():
+            name = f"{one}-{two} pairs, found as they come near"
+            why = "a heap: more than 2000 pairs could meet"
+            yield _used("detect", name, [], kind="pair", count=count, why=why)
         by_shapes: dict[str, list[int]] = {}
         skips = self.settings.law in ("solref", "penalty")
         for index, (a, b) in enumerate(self.features.pairs):
@@ -208,6 +212,12 @@ class _Listing:
 
     def _contact_rows(self) -> Iterator[Listed]:
         plan, law = self.plan, self.settings.law
+        if self.model.is_heap and law != "penalty":
+            # Which contacts there are, and what rows they have, is known while they touch.
+            name = f"contacts of what touches ({self.settings.cone} cone)"
+            count = self.row_count["contact"]
+            yield _used("solve", name, [], kind="row", count=self.model.npair, rows=count)
+            return
         condim, friction = plan["condim"], plan["friction"]
         every = range(len(condim))
         if law == "penalty":
@@ -263,18 +273,24 @@ class _Listing:
     def commit(self) -> Iterator[Listed]:
         """The solver, what the integrator adds, and quaternions."""
         settings, on, plan = self.settings, self.scene.features, self.plan
-        name = f"impulses: {settings.solver} (by island)"
-        yield _used("solve", name, self._islands(), stages=("solve/impulses",))
+        stages = ("solve/impulses",)
+        if self.model.is_heap:
+            name = f"impulses: {settings.solver} (by island of what touches, one world at a time)"
+            yield _used("solve", name, self.tree_names, stages=stages)
+        else:
+            name = f"impulses: {settings.solver} (by island)"
+            yield _used("solve", name, self._islands(), stages=stages)
         if settings.law == "solref":
             condim = plan["condim"]
             rubbing = self._pair_names(i for i in range(len(condim)) if condim[i] > 1)
+            many = self.model.npair if self.model.is_heap else None
             if settings.noslip_iterations:
                 sweeps = (
                     f"{settings.noslip_iterations} sweep{'s' * (settings.noslip_iterations > 1)}"
                 )
-                yield _used("solve", f"noslip: {sweeps} over friction", rubbing)
+                yield _used("solve", f"noslip: {sweeps} over friction", rubbing, count=many)
             if settings.stiction:
-                yield _used("solve", "stiction: friction held by a spring", rubbing)
+                yield _used("solve", "stiction: friction held by a spring", rubbing, count=many)
         name = f"integrator: {settings.integrator} (by joint)"
         yield _used("commit", name, self.joint_names, stages=("commit",))
         if not settings.warm_start:
@@ -325,12 +341,14 @@ def _used(
     *,
     kind: str = "term",
     why: str = "",
+    count: int | None = None,
     rows: int | None = None,
     stages: tuple[str, ...] = (),
     removal: Removal | None = None,
 ) -> Listed:
     names = tuple(names)
-    return PlanEntry(stage, kind, name, names, True, why, len(names), rows, stages), removal
+    number = len(names) if count is None else count
+    return PlanEntry(stage, kind, name, names, True, why, number, rows, stages), removal
 
 
 def _out(

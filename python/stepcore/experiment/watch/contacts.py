@@ -76,19 +76,17 @@ class Resting:
 
 
 class ContactWatch:
-    """The contacts of one run. pairs: of geoms, as `Model.pairs`."""
+    """The contacts of one run."""
 
     def __init__(self, model: Model, friction: Friction) -> None:
         self.model, self.friction = model, friction
-        self.pairs = [(int(a), int(b)) for a, b in model.pair_geoms]
-        self.mu = [friction.mu[min(pair), max(pair)] for pair in self.pairs]
         self.starts: list[Overlap] = []
         self.seen: dict[Key, list[Look]] = {}
         self.looks = 0
 
     def begin(self, sim: Sim) -> None:
         """The overlaps of the start, by a Sim aside: this one keeps its warm impulses."""
-        if not self.pairs:
+        if not self.model.npair:
             return
         aside = Sim(self.model, sim.settings)
         aside.qpos[:] = sim.qpos
@@ -100,7 +98,7 @@ class ContactWatch:
 
     def look(self, sim: Sim) -> None:
         """Every contact now."""
-        if not self.pairs:
+        if not self.model.npair:
             return
         look, self.looks = self.looks, self.looks + 1
         contacts = sim.contacts
@@ -116,7 +114,7 @@ class ContactWatch:
         sticks = self._sticks(sim)
         for k in np.flatnonzero(pushed > 0):
             key = int(contacts["index"][k]), int(contacts["part"][k])
-            most = self.mu[key[0]] * pushed[k]
+            most = self.friction.of(key[0]) * pushed[k]
             share = rubbed[k] / most if most > 0 else 0.0
             held = share < STICKS[sim.settings.cone] or sticks.get(key, False)
             depth = -float(contacts["dist"][k])
@@ -147,9 +145,9 @@ class ContactWatch:
         """
         spacing = (times[-1] - times[0]) / max(1, len(times) - 1) if len(times) > 1 else 0.0
         for (pair, part), seen in self.seen.items():
-            if self.mu[pair] <= 0 or not spacing:
+            if self.friction.of(pair) <= 0 or not spacing:
                 continue
-            constant = float(self.model.pair_solref[pair, 0])
+            constant = self.model.contact_pair(pair).solref[0]
             least = WINDOW * constant / spacing if constant > 0 else 0.0
             count = math.ceil(max(FEWEST, least, 0.1 * self.looks))
             best: Creep | None = None
@@ -164,7 +162,7 @@ class ContactWatch:
     def slides(self) -> Iterator[Slide]:
         """Contacts without friction that were there for a fifth of the run or more."""
         for (pair, part), seen in self.seen.items():
-            if self.mu[pair] > 0 or len(seen) < max(FEWEST, 0.2 * self.looks):
+            if self.friction.of(pair) > 0 or len(seen) < max(FEWEST, 0.2 * self.looks):
                 continue
             speed = float(np.mean([np.linalg.norm(one[5]) for one in seen]))
             yield Slide(pair, part, speed)

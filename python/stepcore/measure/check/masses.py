@@ -167,10 +167,22 @@ def _inertias(model: Model, layout: Layout, moving: list[int], sizes: Sizes) -> 
     )
 
 
+def _extremes(model: Model) -> list[list[int]]:
+    """A geom of the lightest and one of the heaviest body that moves and has geoms."""
+    owner = model.geom_body
+    movers = [g for g in range(model.ngeom) if owner[g] and model.body_mass[owner[g]] > 0]
+    if not movers:
+        return []
+    by_mass = sorted(movers, key=lambda geom: float(model.body_mass[owner[geom]]))
+    return [[by_mass[0], by_mass[-1]]]
+
+
 def _ratios(model: Model) -> Iterator[Finding]:
     """Bodies that can touch, one much heavier than the other."""
     worst, pair = 0.0, (0, 0)
-    for a, b in {tuple(sorted(model.geom_body[pair].tolist())) for pair in model.pair_geoms}:
+    # In a heap any two bodies are taken to meet, as their extremes do.
+    every = _extremes(model) if model.is_heap else model.pair_geoms
+    for a, b in {tuple(sorted(model.geom_body[pair].tolist())) for pair in every}:
         light, heavy = sorted((a, b), key=lambda body: float(model.body_mass[body]))
         if a == 0 or float(model.body_mass[light]) <= 0:
             continue

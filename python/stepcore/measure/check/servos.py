@@ -158,7 +158,7 @@ def _held_bodies(model: Model, sim: Sim) -> Iterator[int]:
     layout = Layout(model.scene)
     for kind, index in {(str(row["kind"]), int(row["index"])) for row in sim.rows}:
         if kind == "contact":
-            yield from (int(model.geom_body[geom]) for geom in model.pair_geoms[index])
+            yield from (int(model.geom_body[geom]) for geom in model.contact_pair(index).geoms)
         elif kind not in ("limit", "friction loss"):
             equality = model.scene.equalities[index]
             yield from (layout.index[id(body)] for body in (equality.body1, equality.body2))

@@ -226,13 +226,13 @@ def _solref(
         if override.enable:
             override.solref = new
             return [NewValue("contact_override", "solref", old, new, size=size)]
-        both = {id(layout.geoms[geom]) for geom in model.pair_geoms[index]}
+        both = {id(layout.geoms[geom]) for geom in model.contact_pair(index).geoms}
         explicit = [p for p in layout.scene.pairs if {id(p.geom1), id(p.geom2)} == both]
         for pair in explicit:
             pair.solref = new
         if explicit:
             return [NewValue(str(explicit[0]), "solref", old, new, size=size)]
-        for geom in model.pair_geoms[index]:
+        for geom in model.contact_pair(index).geoms:
             layout.geoms[geom].solref = new
         return [NewValue(f"both geoms of {element.name}", "solref", old, new, size=size)]
     if kind == "connect":

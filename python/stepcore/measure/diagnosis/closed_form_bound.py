@@ -104,16 +104,25 @@ def _row_elements(model: Model, layout: Layout) -> Iterator[ElementId]:
         if features.equality and equality.active:
             yield ElementId.of(model, "connect", e)
     if settings.law == "solref":
-        solrefs = enumerate(model.pair_solref.tolist())
+        # A heap's contacts are judged while they are there.
+        solrefs = enumerate([] if model.is_heap else model.pair_solref.tolist())
         hard = [pair for pair, solref in solrefs if may_limit_dt(solref, settings.refsafe)]
         for pair in hard[:MOST_PAIRS]:
             yield ElementId.of(model, "contact", pair)
 
 
+def _pair_weights(model: Model) -> list[float]:
+    """The largest sum of mean inverse masses that two bodies of a heap can have [1/kg]."""
+    weights = sorted((float(w) for w in model.body_invweight0[:, 0]), reverse=True)
+    return [sum(weights[:2])]
+
+
 def _penalties(model: Model) -> Iterator[_Oscillator]:
     """The spring of a contact under the law `penalty`, on the masses of both bodies."""
     s = model.settings
-    weights = model.pair_invweight0[:MOST_PAIRS] if s.law == "penalty" else ()
+    if s.law != "penalty":
+        return
+    weights = model.pair_invweight0[:MOST_PAIRS] if not model.is_heap else _pair_weights(model)
     for weight in weights:
         square = s.penalty_stiffness * float(weight)
         rate = 2 * s.penalty_damping_ratio * math.sqrt(square)

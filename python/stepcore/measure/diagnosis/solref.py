@@ -28,7 +28,7 @@ def solref_of(model: Model, layout: Layout, element: ElementId) -> Vec | None:
     if element.kind == "connect":
         return model.scene.equalities[index].solref
     if element.kind == "contact":
-        return tuple(model.pair_solref[index].tolist())
+        return model.contact_pair(index).solref
     return None
 
 
@@ -58,5 +58,7 @@ def first_softened(model: Model) -> float:
     if law == "solref":
         solrefs += [joint.solreffriction for joint in scene.joints if joint.frictionloss > 0]
         solrefs += [equality.solref for equality in scene.equalities]
-        solrefs += [tuple(solref) for solref in model.pair_solref.tolist()]
+        # What is mixed of two geoms lies between theirs.
+        pairs = [g.solref for g in scene.geoms] if model.is_heap else model.pair_solref.tolist()
+        solrefs += [tuple(solref) for solref in pairs]
     return min((solref[0] / 2 for solref in solrefs if solref[0] > 0), default=math.inf)

@@ -56,7 +56,7 @@ def _jammed(
     rest = {one.pair: one for one in resting}
     found: dict[int, Resting] = {}
     for start in starts:
-        one, geoms = rest.get(start.pair), model.pair_geoms[start.pair].tolist()
+        one, geoms = rest.get(start.pair), model.contact_pair(start.pair).geoms
         roots = {model.root(int(model.geom_body[g])) for g in geoms}
         deep = JAMMED * sizes.contact(*geoms)
         if one is not None and len(roots) == 1 and min(start.depth, one.depth) > deep:
@@ -89,7 +89,7 @@ def _overlaps(
         rest[one.pair] = max(rest.get(one.pair, 0.0), one.depth)
     deep: dict[int, Overlap] = {}
     for start in starts:
-        notable = OVERLAP * sizes.contact(*model.pair_geoms[start.pair].tolist())
+        notable = OVERLAP * sizes.contact(*model.contact_pair(start.pair).geoms)
         known = RESTS * rest.get(start.pair, 0.0)
         if start.depth > (max(notable, known) if start.movable else LEFT * notable):
             deep.setdefault(start.pair, start)
@@ -97,7 +97,7 @@ def _overlaps(
         return
     names = [model.element_name("contact", pair) for pair in deep]
     worst = next(iter(deep.values()))
-    share = worst.depth / sizes.contact(*model.pair_geoms[worst.pair].tolist())
+    share = worst.depth / sizes.contact(*model.contact_pair(worst.pair).geoms)
     becomes = "and are thrown apart" if worst.movable else "and no joint can move them apart"
     yield Finding(
         "overlap at the start",
@@ -118,7 +118,7 @@ def _pair(contact: str) -> str:
 
 def _apart(model: Model, overlap: Overlap) -> str:
     """How two geoms come apart: other positions, or no contact between the two bodies."""
-    bodies = [int(model.geom_body[g]) for g in model.pair_geoms[overlap.pair]]
+    bodies = [int(model.geom_body[g]) for g in model.contact_pair(overlap.pair).geoms]
     tree = [model.root(b) for b in bodies]
     if tree[0] == tree[1] and tree[0]:
         a, b = (model.body_names[body] or "…" for body in bodies)
@@ -131,10 +131,9 @@ def _creeps(model: Model, watch: Watch, sizes: Sizes) -> Iterator[Finding]:
     """Contacts that move although their friction holds."""
     if model.settings.law != "solref":
         return
-    pairs = watch.contacts.pairs
     notable: list[tuple[float, Creep]] = []
     for one in watch.contacts.creeps(watch.times):
-        ratio = one.speed / (CREEP * sizes.contact(*pairs[one.pair]))
+        ratio = one.speed / (CREEP * sizes.contact(*model.contact_pair(one.pair).geoms))
         if ratio > 1:
             notable.append((ratio, one))
     if not notable:
@@ -177,10 +176,9 @@ def _depths(
     """How deep contacts rest, and the solref that makes it less."""
     if model.settings.law != "solref":
         return
-    pairs = [(int(a), int(b)) for a, b in model.pair_geoms]
     notable = []
     for one in resting:
-        thick = sizes.contact(*pairs[one.pair])
+        thick = sizes.contact(*model.contact_pair(one.pair).geoms)
         ratio = one.depth / (DEEP * thick)
         if ratio > 1 or (asked is not None and one.depth > asked):
             notable.append((ratio, thick, one))
@@ -190,8 +188,8 @@ def _depths(
     ratio, thick, worst = notable[0]
     names = [model.element_name("contact", one.pair) for _, _, one in notable]
     wanted = asked if asked is not None else LEFT * DEEP * thick
-    solref = tuple(model.pair_solref[worst.pair].tolist())
-    solimp = pair_solimp(model, *pairs[worst.pair])
+    solref = model.contact_pair(worst.pair).solref
+    solimp = pair_solimp(model, *model.contact_pair(worst.pair).geoms)
     cure = advised("", solref, solimp, worst.depth, wanted, model.settings)
     yield Finding(
         "depth at rest",
@@ -218,18 +216,17 @@ def pair_solimp(model: Model, geom1: int, geom2: int) -> Vec:
 
 def _slides(model: Model, watch: Watch, sizes: Sizes) -> Iterator[Finding]:
     """Contacts that have no friction, and slide."""
-    pairs = watch.contacts.pairs
     some = [
         (one.speed, one)
         for one in watch.contacts.slides()
-        if one.speed > SLIDES * sizes.contact(*pairs[one.pair])
+        if one.speed > SLIDES * sizes.contact(*model.contact_pair(one.pair).geoms)
     ]
     if not some:
         return
     some.sort(key=lambda pair: -pair[0])
     worst = some[0][1]
     names = [model.element_name("contact", one.pair) for _, one in some]
-    condim = model.core.plan()["condim"][worst.pair]
+    condim = model.contact_pair(worst.pair).condim
     cure = 'condim="3"' if condim == 1 else 'friction="0.8"'
     why = "condim is 1" if condim == 1 else "its friction is 0"
     yield Finding(

@@ -135,7 +135,7 @@ def makes_no_rows(model: Model) -> bool:
     """Whether nothing in the scene can make a row."""
     scene = model.scene
     rows = any(j.range is not None or j.frictionloss > 0 for j in scene.joints)
-    return not rows and not model.pairs and not scene.equalities
+    return not rows and not model.npair and not scene.equalities
 
 
 def converged_run(

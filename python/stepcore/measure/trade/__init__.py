@@ -178,7 +178,7 @@ def trade(
         elif limit is not None:
             frontier = within_budget(frontier, limit, confirm, finisher.row, counts)
     schedule = runner.schedule
-    forces = shipped.law == "penalty" and bool(model.pairs)
+    forces = shipped.law == "penalty" and model.npair > 0
     return Trade(
         name=setup.name,
         motion=motion,
