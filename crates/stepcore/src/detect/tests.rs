@@ -265,9 +265,11 @@ fn pairs_are_counted_as_going_through_them_counts() {
             }
         }
         for _ in 0..4 {
-            let [geom1, geom2] = [(); 2].map(|()| 1 + (random.next() * (bodies - 1) as f64) as usize);
+            let [geom1, geom2] =
+                [(); 2].map(|()| 1 + (random.next() * (bodies - 1) as f64) as usize);
             let known = |p: &ExplicitPair| [geom1, geom2].contains(&p.geom1);
-            if scene.geoms[geom1].body != scene.geoms[geom2].body && !scene.pairs.iter().any(known) {
+            if scene.geoms[geom1].body != scene.geoms[geom2].body && !scene.pairs.iter().any(known)
+            {
                 scene.pairs.push(ExplicitPair { geom1, geom2, ..ExplicitPair::default() });
             }
         }

@@ -169,8 +169,13 @@ impl Count<'_> {
                 continue;
             };
             let kinds = [a, b].map(|geom| model.geoms[geom].kind);
-            *self.tally.meet.entry((kinds[0].min(kinds[1]), kinds[0].max(kinds[1]))).or_default() += 1;
-            let solid = |geom: &usize| model.geoms[*geom].contype | model.geoms[*geom].conaffinity != 0;
+            *self
+                .tally
+                .meet
+                .entry((kinds[0].min(kinds[1]), kinds[0].max(kinds[1])))
+                .or_default() += 1;
+            let solid =
+                |geom: &usize| model.geoms[*geom].contype | model.geoms[*geom].conaffinity != 0;
             if [a, b].iter().all(solid) {
                 if let Some(unmet) = self.tally.never.get_mut(&why) {
                     unmet.count -= unmet.count.min(1);
