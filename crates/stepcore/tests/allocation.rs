@@ -11,7 +11,6 @@ use std::sync::Arc;
 
 use stepcore::model::Model;
 use stepcore::real::{Lanes, Real};
-use stepcore::scene::Scene;
 use stepcore::settings::{Acceleration, Cone, Integrator, Law, Settings, Solver};
 use stepcore::watch::Watched;
 

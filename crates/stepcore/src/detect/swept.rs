@@ -11,7 +11,7 @@
 //! Nothing is assumed of what rows do to the guess: a row that would exist only because of what
 //! another row does is none that the row maker makes either.
 
-use crate::model::{Model, Pair, NONE};
+use crate::model::{Geom, Model, Pair, NONE};
 use crate::place::Placed;
 use crate::real::Real;
 use crate::room::room;
@@ -71,7 +71,8 @@ impl<R: Real> Swept<R> {
             turned = R::select(turn.le(most), turned.max(turn), turned);
         }
         let share = R::of(1.0 + ROUNDING) / (one - R::of(2.0) * turned);
-        for (index, geom) in model.geoms.iter().enumerate().filter(|(_, geom)| geom.collides) {
+        let moves = |geom: &Geom| geom.collides && model.bodies[geom.body].tree != NONE;
+        for (index, geom) in model.geoms.iter().enumerate().filter(|(_, geom)| moves(geom)) {
             let least = R::of((NEAR + ROUNDING) * geom.reach);
             let more = self.more[index] * share + least;
             let counts = self.turn[index].le(most);

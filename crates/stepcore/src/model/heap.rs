@@ -13,13 +13,14 @@ use super::{Material, Model, Pair, Span};
 use crate::elements::text;
 use crate::error::{Error, Result};
 use crate::scene::{Geom, GeomType, Scene};
-use crate::shapes::ShapeTest;
+use crate::shapes::{height_field, ShapeTest};
 use std::collections::{HashMap, HashSet};
 
 /// Pairs up to which all are listed.
 pub const MOST_FIXED: usize = 2000;
 /// Slots of a pair of a heap, whatever its test.
-pub const MOST_TOUCHES: usize = 8;
+pub const MOST_TOUCHES: usize = 64;
+const _: () = assert!(height_field::MOST <= MOST_TOUCHES);
 /// Classes of geoms whose materials are mixed by two.
 const MOST_CLASSES: usize = 2048;
 /// Pairs of geoms that no free body carries, for which still tangents are looked for.
