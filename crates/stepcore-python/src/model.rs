@@ -299,8 +299,8 @@ impl Model {
         plan.set_item("slides", trees.clone().map(|t| t.slides_only).collect::<Vec<_>>())?;
         plan.set_item("constant", trees.clone().map(|t| t.constant).collect::<Vec<_>>())?;
         plan.set_item("seen", trees.clone().map(|t| t.seen).collect::<Vec<_>>())?;
-        plan.set_item("damped", trees.clone().map(|t| m.damped(t)).collect::<Vec<_>>())?;
-        plan.set_item("served", trees.clone().map(|t| m.served(t)).collect::<Vec<_>>())?;
+        plan.set_item("damped", m.damped())?;
+        plan.set_item("served", m.served())?;
         plan.set_item("free", trees.clone().map(|t| m.free_alone(t)).collect::<Vec<_>>())?;
         plan.set_item("gyroscopic", trees.map(|t| m.gyroscopic(t)).collect::<Vec<_>>())?;
         plan.set_item("turns", m.bodies.iter().map(|b| b.turns).collect::<Vec<_>>())?;

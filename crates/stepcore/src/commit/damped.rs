@@ -12,7 +12,7 @@
 
 use crate::elements::force::{Group, Moment};
 use crate::elements::forces::damping;
-use crate::model::{Model, Tree};
+use crate::model::Model;
 use crate::place::{Metric, Placed};
 use crate::real::Real;
 use crate::room::room;
@@ -38,22 +38,20 @@ room!(Damped<R>: impulse, change, slopes, damped, damped_fast, late, gyroscopic;
 
 impl<R: Real> Damped<R> {
     pub fn new(model: &Model) -> Self {
-        let has = |test: &dyn Fn(&Tree) -> bool| {
-            (0..model.trees.len()).filter(|t| test(&model.trees[*t])).collect::<Vec<_>>()
+        let (damped, served) = (model.damped(), model.served());
+        let has = |test: &dyn Fn(usize) -> bool| {
+            (0..model.trees.len()).filter(|tree| test(*tree)).collect::<Vec<_>>()
         };
-        let late = |tree: &Tree| {
-            let damped = model.damped(tree);
-            [damped, damped || model.served(tree)]
-        };
+        let late = |tree: usize| [damped[tree], damped[tree] || served[tree]];
         Self {
             metric: Metric::new(model),
             impulse: vec![R::zero(); model.nv],
             change: vec![R::zero(); model.nv],
-            late: model.trees.iter().map(late).collect(),
+            late: (0..model.trees.len()).map(late).collect(),
             slopes: vec![[R::zero(); 2]; model.nv],
-            damped: has(&|tree| model.damped(tree)),
-            damped_fast: has(&|tree| model.damped(tree) || model.served(tree)),
-            gyroscopic: has(&|tree| model.gyroscopic(tree)),
+            damped: has(&|tree| damped[tree]),
+            damped_fast: has(&|tree| damped[tree] || served[tree]),
+            gyroscopic: has(&|tree| model.gyroscopic(&model.trees[tree])),
         }
     }
 }

@@ -9,7 +9,7 @@ use super::force::{Forces, Group, Moment, Sum};
 use super::gravity::Gravity;
 use super::spring::Spring;
 use super::{Element, Kind};
-use crate::model::{Model, Tree, NONE};
+use crate::model::{Model, NONE};
 use crate::place::Frames;
 use crate::real::Real;
 use crate::state::Inputs;
@@ -53,12 +53,17 @@ macro_rules! forces {
             })+
         }
 
-        /// Some element of the group damps a dof of the tree.
-        fn damped(model: &Model, group: Group, tree: &Tree) -> bool {
-            let inside = |dof: usize| tree.dofs.range().contains(&dof);
-            $($kind::GROUP == group
-                && (0..$kind::count(model))
-                    .any(|index| $kind::damps(model, index).is_some_and(inside)))||+
+        /// By tree: some element of the group damps a dof of it.
+        fn damped(model: &Model, group: Group) -> Vec<bool> {
+            let mut found = vec![false; model.trees.len()];
+            $(if $kind::GROUP == group {
+                for index in 0..$kind::count(model) {
+                    if let Some(dof) = $kind::damps(model, index) {
+                        found[model.dofs[dof].tree] = true;
+                    }
+                }
+            })+
+            found
         }
 
         /// Calls `add(element, energy)` for every part of what the elements of a group store.
@@ -165,13 +170,13 @@ impl Model {
         element.kind != Kind::Gravity || self.bodies[element.part as usize].tree != NONE
     }
 
-    /// A joint of the tree is damped.
-    pub fn damped(&self, tree: &Tree) -> bool {
-        damped(self, Group::Passive, tree)
+    /// By tree: a joint of it is damped.
+    pub fn damped(&self) -> Vec<bool> {
+        damped(self, Group::Passive)
     }
 
-    /// A servo damps the tree.
-    pub fn served(&self, tree: &Tree) -> bool {
-        damped(self, Group::Driven, tree)
+    /// By tree: a servo damps it.
+    pub fn served(&self) -> Vec<bool> {
+        damped(self, Group::Driven)
     }
 }
