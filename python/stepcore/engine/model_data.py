@@ -235,8 +235,8 @@ class ModelData(ABC):
     def _pair_arrays(self) -> dict[str, NDArray[Any]]:
         if self.is_heap:
             raise ValueError(
-                f"pairs: this model is a heap, whose {self.npair} pairs of geoms that could meet are "
-                "not listed: contact_pair(index) tells of one, Sim.contacts which touch now"
+                f"pairs: this model is a heap, whose {self.npair} pairs of geoms that could meet "
+                "are not listed: contact_pair(index) tells of one, Sim.contacts which touch now"
             )
         pairs = self._core.pairs()
         data = [self._core.pair(index) for index in range(len(pairs))]

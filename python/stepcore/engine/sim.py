@@ -263,7 +263,8 @@ class Sim(Stepped):
     def contacts(self) -> NDArray[Any]:
         """Contacts of the last solve, a structured array with the fields
 
-        - kind ("contact"), index (as `Model.contact_pair` takes it), part (which contact of the pair);
+        - kind ("contact"), index (as `Model.contact_pair` takes it), part (which of its
+          contacts);
         - geom1, geom2: indices; name1, name2: names, "" for a geom without one;
         - dist [m], negative for an overlap; pos [m]; normal, a unit vector from geom 1 to geom 2;
         - force: on geom 2, in world axes [N]; zero for a contact that has no row;

@@ -130,7 +130,7 @@ class _Listing:
             yield _out("place", "gravity", [], "0" if on.gravity else "switched off", count=1)
 
     def pairs(self) -> Iterator[Listed]:
-        """Pairs of geoms, by the two shapes, and which of the two ways finds those that are near."""
+        """Pairs of geoms, by the two shapes, and which of the two ways finds near ones."""
         for (one, two), count in self.model.heap.items():
             name = f"{one}-{two} pairs, found as they come near"
             why = "a heap: more than 2000 pairs could meet"
