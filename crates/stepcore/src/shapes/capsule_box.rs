@@ -16,13 +16,10 @@ use crate::spatial::V3;
 
 /// Of the sizes: rounding of a distance.
 const ROUNDING: f64 = 1e-9;
+/// The same of depths that count as equal.
+const TIE: f64 = 1e-12;
 /// Squared sine of an angle below which the axis counts as parallel to an edge.
 const PARALLEL: f64 = 1e-14;
-/// As between boxes: a face is preferred to an edge that is deeper by less than this share …
-const FACES_FIRST: f64 = 0.05;
-/// … and nearly along it.
-const ALIKE: f64 = 0.99;
-
 pub(crate) struct CapsuleBox;
 
 /// The capsule's axis and the box, in the box's frame.
@@ -68,7 +65,7 @@ struct WayOut<R: Real> {
     gap: R,
     /// Unit, out of the box.
     normal: V3<R>,
-    /// The face, or the edge's direction.
+    /// The face, or of an edge its direction.
     face: Option<usize>,
     edge: usize,
 }
@@ -97,11 +94,9 @@ impl<R: Real> Lying<R> {
             let [u, v] = others(k);
             let reach = half[u] * normal[u].abs() + half[v] * normal[v].abs();
             let gap = normal.dot(&axis.middle) - reach;
-            let Some(now) = &best else { continue };
-            let more = gap.lane(0) - now.gap.lane(0);
-            let face = now.face.is_some() && normal.dot(&now.normal).lane(0).abs() > ALIKE;
-            let least = if face { FACES_FIRST * now.gap.lane(0).abs() } else { 0.0 };
-            if more > least {
+            // Of equal ones a face counts.
+            let tiny = TIE * (half[0] + half[1] + half[2]).lane(0);
+            if best.as_ref().is_some_and(|now| gap.lane(0) > now.gap.lane(0) + tiny) {
                 best = Some(WayOut { gap, normal, face: None, edge: k });
             }
         }

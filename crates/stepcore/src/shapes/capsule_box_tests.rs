@@ -109,8 +109,7 @@ fn distances_and_depths_are_those_of_brute_force() {
                     reach + sa[1] * way.dot(&a.rot.column(2)).abs() - way.dot(&(a.pos - b.pos))
                 })
                 .fold(f64::INFINITY, f64::min);
-            // A face in an edge's place is up to 5 % deeper, its clipped ends less.
-            assert!(-least - sa[0] <= shortest / 0.94, "{least} {shortest}");
+            assert!(-least - sa[0] <= shortest * (1.0 + 1e-9), "{least} {shortest}");
         }
     }
     assert!(outside > 100 && inside > 100);
