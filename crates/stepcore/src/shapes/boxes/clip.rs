@@ -15,6 +15,10 @@ const ROOM: usize = 12;
 /// stay while equal boxes lie on each other.
 const SAME_CORNER: f64 = 1e-3;
 
+/// The same within which two points are one: equal boxes turned by rounding against each other cut
+/// each corner twice, and a corner must not carry double.
+const NEARBY: f64 = 1e-6;
+
 /// Corners of a face, in turn: signs along the two axes after its own.
 const CORNERS: [[bool; 2]; 4] = [[true, true], [false, true], [false, false], [true, false]];
 
@@ -134,21 +138,28 @@ pub(super) fn contacts<R: Real>(
     let outward = if above { R::one() } else { -R::one() };
     let to_second = bed.axes[up] * if face.positive { R::one() } else { -R::one() };
     let names = Names { bed, lying, first, up, above, down, faces_down };
-    let mut used = [usize::MAX; MOST];
-    for k in 0..polygon.count.min(MOST) {
+    let near = NEARBY * names.smallest();
+    let (mut used, mut kept, mut count) = ([usize::MAX; MOST], [V3::<f64>::zeros(); MOST], 0);
+    for k in 0..polygon.count {
         let vertex = &polygon.vertices[k];
+        let here = vertex.at.map(|x| x.lane(0));
+        if count == MOST || kept[..count].iter().any(|other| (here - other).amax() <= near) {
+            continue;
+        }
         let before = polygon.vertices[(k + polygon.count - 1) % polygon.count].next;
         let dist = vertex.at[up] * outward - bed.half[up];
         let mut at = vertex.at;
         at[up] -= outward * (R::of(0.5) * dist);
-        used[k] = names.of(vertex, before, &used[..k]);
-        out[k] = Touch {
+        used[count] = names.of(vertex, before, &used[..count]);
+        kept[count] = here;
+        out[count] = Touch {
             dist,
             pos: bed.centre + bed.axes[0] * at.x + bed.axes[1] * at.y + bed.axes[2] * at.z,
             normal: to_second,
             exists: R::Mask::of(true),
-            feature: R::of(used[k] as f64),
+            feature: R::of(used[count] as f64),
         };
+        count += 1;
     }
 }
 
@@ -171,10 +182,11 @@ impl<R: Real> Names<'_, R> {
         let (bed_side, lying_side) =
             if self.first { (Side::First, Side::Second) } else { (Side::Second, Side::First) };
         let place = |k: usize| vertex.at[k].lane(0);
+        let near = SAME_CORNER * self.smallest();
         let [p, q] = others(self.up);
         let [u, v] = others(self.down);
-        let bed = corner_at(self.bed, [p, q], [place(p), place(q)], self.near());
-        let lying = corner_at(self.lying, [u, v], vertex.lying, self.near());
+        let bed = corner_at(self.bed, [p, q], [place(p), place(q)], near);
+        let lying = corner_at(self.lying, [u, v], vertex.lying, near);
         let bed = bed.map(|corner| corner_feature(bed_side, corner | bit(self.up, self.above)));
         let lying = lying
             .map(|corner| corner_feature(lying_side, corner | bit(self.down, self.faces_down)));
@@ -186,9 +198,10 @@ impl<R: Real> Names<'_, R> {
         names.into_iter().find(|name| !used.contains(name)).unwrap_or(spare)
     }
 
-    fn near(&self) -> f64 {
+    /// The smallest half length of both boxes [m].
+    fn smallest(&self) -> f64 {
         let halves = self.bed.half.iter().chain(&self.lying.half);
-        SAME_CORNER * halves.map(|half| half.lane(0)).fold(f64::INFINITY, f64::min)
+        halves.map(|half| half.lane(0)).fold(f64::INFINITY, f64::min)
     }
 
     /// The edges that cross in a vertex where one of the lying face's meets a side of the bed.

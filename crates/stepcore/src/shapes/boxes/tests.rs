@@ -79,7 +79,7 @@ fn equal_boxes_keep_their_names_whatever_rounding_says() {
     let mut random = Random(3);
     let size = [0.1, 0.1, 0.1];
     for round in 0..200 {
-        let shake = if round % 2 == 0 { 1e-16 } else { 1e-6 };
+        let shake = if round % 2 == 0 { 1e-16 } else { 1e-7 };
         let b = Pose {
             pos: Vector3::z() * 0.1999 + random.vector() * shake * 0.1,
             rot: Rotation3::new(random.vector() * shake).into_inner(),
@@ -87,7 +87,7 @@ fn equal_boxes_keep_their_names_whatever_rounding_says() {
         let touches = meet(&at(0.0, 0.0, 0.0), &size, &b, &size);
         let mut names: Vec<_> = touches.iter().map(|touch| touch.feature).collect();
         names.sort_by(f64::total_cmp);
-        assert_eq!(names[..4], [4.0, 5.0, 6.0, 7.0], "{touches:?}");
+        assert_eq!(names, [4.0, 5.0, 6.0, 7.0], "{touches:?}");
     }
 }
 
