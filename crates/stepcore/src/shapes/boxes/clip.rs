@@ -15,8 +15,8 @@ const ROOM: usize = 12;
 /// stay while equal boxes lie on each other.
 const SAME_CORNER: f64 = 1e-3;
 
-/// The same within which two points are one: equal boxes turned by rounding against each other cut
-/// each corner twice, and a corner must not carry double.
+/// The same within which two points are one, and a point lies on a line: equal boxes that rounding
+/// turns against each other cut each corner and each side once more than if they were not turned.
 const NEARBY: f64 = 1e-6;
 
 /// Corners of a face, in turn: signs along the two axes after its own.
@@ -55,6 +55,33 @@ impl<R: Real> Polygon<R> {
             self.vertices[self.count] = vertex;
             self.count += 1;
         }
+    }
+
+    /// The vertices that count: no two in one place, and none on the line between its neighbours.
+    fn corners(&self, near: f64) -> impl Iterator<Item = usize> {
+        let mut kept = [0; ROOM];
+        let mut count = 0;
+        let at = |k: usize| self.vertices[k].at.map(|x| x.lane(0));
+        for k in 0..self.count {
+            if kept[..count].iter().all(|other| (at(k) - at(*other)).amax() > near) {
+                kept[count] = k;
+                count += 1;
+            }
+        }
+        let mut k = 0;
+        while count > 2 && k < count {
+            let [before, here, after] =
+                [(k + count - 1) % count, k, (k + 1) % count].map(|k| at(kept[k]));
+            let (along, off) = (after - before, here - before);
+            let between = off.dot(&along) > 0.0 && off.norm() < along.norm();
+            if between && off.cross(&along).norm() <= near * along.norm() {
+                kept.copy_within(k + 1..count, k);
+                count -= 1;
+            } else {
+                k += 1;
+            }
+        }
+        kept.into_iter().take(count)
     }
 
     /// What lies inside one side of the bed.
@@ -139,19 +166,17 @@ pub(super) fn contacts<R: Real>(
     let to_second = bed.axes[up] * if face.positive { R::one() } else { -R::one() };
     let names = Names { bed, lying, first, up, above, down, faces_down };
     let near = NEARBY * names.smallest();
-    let (mut used, mut kept, mut count) = ([usize::MAX; MOST], [V3::<f64>::zeros(); MOST], 0);
-    for k in 0..polygon.count {
-        let vertex = &polygon.vertices[k];
-        let here = vertex.at.map(|x| x.lane(0));
-        if count == MOST || kept[..count].iter().any(|other| (here - other).amax() <= near) {
-            continue;
+    let (mut used, mut count) = ([usize::MAX; MOST], 0);
+    for k in polygon.corners(near) {
+        if count == MOST {
+            break;
         }
+        let vertex = &polygon.vertices[k];
         let before = polygon.vertices[(k + polygon.count - 1) % polygon.count].next;
         let dist = vertex.at[up] * outward - bed.half[up];
         let mut at = vertex.at;
         at[up] -= outward * (R::of(0.5) * dist);
         used[count] = names.of(vertex, before, &used[..count]);
-        kept[count] = here;
         out[count] = Touch {
             dist,
             pos: bed.centre + bed.axes[0] * at.x + bed.axes[1] * at.y + bed.axes[2] * at.z,
