@@ -32,7 +32,8 @@ impl Bounds {
     /// Not proven apart: what is no number overlaps.
     pub(super) fn overlaps(&self, other: &Self) -> bool {
         let apart = |k: usize| self.high[k] < other.low[k] || other.high[k] < self.low[k];
-        !(apart(0) || apart(1) || apart(2)) && !(self.fixed && other.fixed)
+        let still = self.fixed && other.fixed;
+        !(still || apart(0) || apart(1) || apart(2))
     }
 
     /// The exponent of its longest edge; None where that is no number, or none that a cell can have.

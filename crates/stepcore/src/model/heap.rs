@@ -299,7 +299,7 @@ impl Model {
         let square = heap.most * heap.most;
         let (bodies, within) = (index / (2 * square), index % square);
         let (one, two) = (bodies / self.bodies.len(), bodies % self.bodies.len());
-        let (from, to) = if index / square % 2 == 0 { (one, two) } else { (two, one) };
+        let (from, to) = if (index / square).is_multiple_of(2) { (one, two) } else { (two, one) };
         let geom = |body: usize, at: usize| {
             let index = heap.first.get(body)? + at;
             self.geoms.get(index).filter(|geom| geom.body == body).map(|_| index)
