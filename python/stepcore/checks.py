@@ -128,6 +128,8 @@ def refuse(owner: Any, field: str, value: object, limit: str) -> ElementError:
 
 def number(value: object) -> float | None:
     """`value` as a finite float, or None."""
+    if type(value) is float:
+        return value if math.isfinite(value) else None
     if isinstance(value, (str, bytes, bool, complex)) or value is None:
         return None
     # Of an array with entries, or a number of numpy's with an imaginary part, none is made.
@@ -298,7 +300,7 @@ def vector(count: int, *, low: float = -math.inf, fill: tuple[float, ...] = ()) 
         if entries is None or not (1 if fill else count) <= len(entries) <= count:
             raise refuse(owner, field, value, limit)
         result = all_numbers(entries)
-        if result is None or any(entry < low for entry in result):
+        if result is None or (low > -math.inf and any(entry < low for entry in result)):
             raise refuse(owner, field, value, limit)
         return result + fill[len(result) :]
 

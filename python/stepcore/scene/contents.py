@@ -31,6 +31,7 @@ from stepcore.scene.elements import (
     Site,
     fields_of,
 )
+from stepcore.scene.names import Names
 
 if TYPE_CHECKING:
     from typing import Self, Unpack
@@ -87,6 +88,8 @@ class Contents(checks.KnownNames):
         self.notes: list[str] = []
         # The text that the scene was read from, so that saving can keep it.
         self._source: Source | None = None
+        # By kind, so that what an element refers to is found without looking at all of them.
+        self._names: dict[str, Names] = {}
 
     @property
     def gravity(self) -> frames.Vec:
@@ -106,43 +109,43 @@ class Contents(checks.KnownNames):
 
     def body(self, name: str | Body) -> Body:
         """Returns the body of this name; ValueError with the nearest names if there is none."""
-        return _find(self.bodies, "body", name)
+        return self._find(self.bodies, "body", name)
 
     def joint(self, name: str | Joint) -> Joint:
         """Returns the joint of this name."""
-        return _find(self.joints, "joint", name)
+        return self._find(self.joints, "joint", name)
 
     def geom(self, name: str | Geom) -> Geom:
         """Returns the geom of this name."""
-        return _find(self.geoms, "geom", name)
+        return self._find(self.geoms, "geom", name)
 
     def mesh(self, name: str | Mesh) -> Mesh:
         """Returns the mesh of this name."""
-        return _find(self.meshes, "mesh", name)
+        return self._find(self.meshes, "mesh", name)
 
     def hfield(self, name: str | HField) -> HField:
         """Returns the height field of this name."""
-        return _find(self.hfields, "hfield", name)
+        return self._find(self.hfields, "hfield", name)
 
     def site(self, name: str | Site) -> Site:
         """Returns the site of this name."""
-        return _find(self.sites, "site", name)
+        return self._find(self.sites, "site", name)
 
     def actuator(self, name: str | Actuator) -> Actuator:
         """Returns the actuator of this name."""
-        return _find(self.actuators, "actuator", name)
+        return self._find(self.actuators, "actuator", name)
 
     def equality(self, name: str | Equality) -> Equality:
         """Returns the equality of this name."""
-        return _find(self.equalities, "equality", name)
+        return self._find(self.equalities, "equality", name)
 
     def pair(self, name: str | Pair) -> Pair:
         """Returns the explicit pair of this name."""
-        return _find(self.pairs, "pair", name)
+        return self._find(self.pairs, "pair", name)
 
     def key(self, name: str | Key) -> Key:
         """Returns the keyframe of this name."""
-        return _find(self.keys, "key", name)
+        return self._find(self.keys, "key", name)
 
     # Adding to it.
 
@@ -175,7 +178,7 @@ class Contents(checks.KnownNames):
         body = Body(parent=self.body(parent), **fields)
         if mass is None and len(fields) > 4:
             raise checks.refuse(body, "mass", None, "given where ipos or inertia is")
-        return _append(self.bodies, body)
+        return self._append(self.bodies, body)
 
     def add_joint(
         self, body: str | Body, type: str = "hinge", **fields: Unpack[JointFields]
@@ -227,7 +230,7 @@ class Contents(checks.KnownNames):
                 geom.size, geom.pos, geom.quat = frames.from_to(type, ends, geom.size[0])
             except ValueError as error:
                 raise checks.ElementError(geom, str(error)) from None
-        return _append(self.geoms, geom)
+        return self._append(self.geoms, geom)
 
     def add_mesh(
         self,
@@ -344,7 +347,26 @@ class Contents(checks.KnownNames):
         self.excludes.append((self.body(body1), self.body(body2)))
 
     def _add(self, into: list[E], kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
-        return _append(into, _make(kind, fields, **own))
+        return self._append(into, _make(kind, fields, **own))
+
+    def _append(self, into: list[E], element: E) -> E:
+        names = self._names_of(type(element).__name__.lower())
+        name = element.name  # type: ignore[attr-defined]
+        if name and names.taken(into, name):
+            raise checks.ElementError(element, "the name is used twice")
+        into.append(element)
+        names.added(into, element)
+        return element
+
+    def _find(self, elements: Sequence[E], kind: str, name: object) -> E:
+        """The element of this name, or the element itself if it is one of these."""
+        found: E | None = self._names_of(kind).find(elements, name)
+        if found is None:
+            raise _unknown(elements, kind, name)
+        return found
+
+    def _names_of(self, kind: str) -> Names:
+        return self._names.setdefault(kind, Names())
 
     # How it is computed.
 
@@ -391,19 +413,14 @@ class Contents(checks.KnownNames):
         return scene
 
 
-def _find(elements: Sequence[E], kind: str, name: object) -> E:
-    """The element of this name, or the element itself if it is one of these."""
-    for element in elements:
-        if element is name or (name and element.name == name):  # type: ignore[attr-defined]
-            return element
+def _unknown(elements: Sequence[Element], kind: str, name: object) -> ValueError:
     if isinstance(name, str):
         near = checks.nearest(name, [e.name for e in elements])  # type: ignore[attr-defined]
-        text = f"no {kind} is named {checks.quoted(name)}{near}"
-    elif isinstance(name, Element):
-        text = f"{name} is not a {kind} of this scene"
-    else:
-        text = f"{kind} = {checks.shown(name)}: must be a name or a {kind.capitalize()}"
-    raise ValueError(text)
+        return ValueError(f"no {kind} is named {checks.quoted(name)}{near}")
+    if isinstance(name, Element):
+        return ValueError(f"{name} is not a {kind} of this scene")
+    limit = f"a name or a {kind.capitalize()}"
+    return ValueError(f"{kind} = {checks.shown(name)}: must be {limit}")
 
 
 def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
@@ -414,11 +431,3 @@ def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
             near = checks.nearest(field, known)
             raise ValueError(f"a {kind.__name__.lower()} has no field {checks.quoted(field)}{near}")
     return kind(**own, **fields)
-
-
-def _append(into: list[E], element: E) -> E:
-    name = element.name  # type: ignore[attr-defined]
-    if name and any(other.name == name for other in into):  # type: ignore[attr-defined]
-        raise checks.ElementError(element, "the name is used twice")
-    into.append(element)
-    return element

@@ -2,20 +2,42 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import typing
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from stepcore import checks
 
-_CHECKS: dict[type, dict[str, checks.Check]] = {}
+if TYPE_CHECKING:
+    from typing import Self
+
+_CONSTANT = (str, int, float, bool, tuple)
+
+# By class and field: the check, the default, and what the check makes of that.
+_CHECKS: dict[type, dict[str, tuple[checks.Check, object, object]]] = {}
+# By class: the names of its fields.
+_FIELDS: dict[type, tuple[str, ...]] = {}
+# How often an element has got another name.
+_renamed = [0]
 
 
-def _checks_of(kind: type[Element]) -> dict[str, checks.Check]:
+def renamed() -> int:
+    """A number that grows whenever some element gets another name."""
+    return _renamed[0]
+
+
+def _checks_of(kind: type[Element]) -> dict[str, tuple[checks.Check, object, object]]:
     """The check of each field of an element class, read once from its annotations."""
     if kind not in _CHECKS:
         hints = typing.get_type_hints(kind, include_extras=True)
-        _CHECKS[kind] = {field: hints[field].__metadata__[0] for field in fields_of(kind)}
+        known = {}
+        for spec in dataclasses.fields(kind):  # type: ignore[arg-type]
+            check, default = hints[spec.name].__metadata__[0], spec.default
+            missing = default is dataclasses.MISSING
+            checked = None if missing else check(kind.__name__, spec.name, default)
+            known[spec.name] = (check, default, checked)
+        _CHECKS[kind] = known
     return _CHECKS[kind]
 
 
@@ -26,12 +48,27 @@ class Element:
     place: ClassVar[str] = ""
 
     def __setattr__(self, field: str, value: object) -> None:
-        known = _checks_of(type(self))
+        known = _CHECKS.get(type(self)) or _checks_of(type(self))
         if field not in known:
             raise AttributeError(
                 f"{self} has no field {checks.quoted(field)}{checks.nearest(field, known)}"
             )
-        object.__setattr__(self, field, known[field](self, field, value))
+        check, default, checked = known[field]
+        if value is not default:
+            checked = check(self, field, value)
+        if field == "name" and "name" in self.__dict__:
+            _renamed[0] += 1
+        object.__setattr__(self, field, checked)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        result = object.__new__(type(self))
+        memo[id(self)] = result
+        own = result.__dict__
+        for field, value in self.__dict__.items():
+            # Numbers, texts and tuples of numbers never change: a copy may share them.
+            constant = value is None or type(value) in _CONSTANT
+            own[field] = value if constant else copy.deepcopy(value, memo)
+        return result
 
     def values(self) -> dict[str, Any]:
         """The fields as MJCF's attributes hold them, each under its name."""
@@ -61,6 +98,9 @@ class Element:
         return f"{type(self).__name__}({', '.join(parts)})"
 
 
-def fields_of(kind: type[Element]) -> list[str]:
+def fields_of(kind: type[Element]) -> tuple[str, ...]:
     """The names of the fields of an element class, in order."""
-    return [spec.name for spec in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    if kind not in _FIELDS:
+        specs = dataclasses.fields(kind)  # type: ignore[arg-type]
+        _FIELDS[kind] = tuple(spec.name for spec in specs)
+    return _FIELDS[kind]

@@ -1,0 +1,69 @@
+"""`Names`: the elements of one list by name, so that scenes of thousands are built quickly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from stepcore.scene.element import Element, renamed
+
+
+class Names:
+    """Where the elements of a list stand, by name and by identity.
+
+    The list is the scene's, and anybody may change it: where it has another length, or an element
+    has got another name, it is read anew, and what is found is compared with what stands there.
+    """
+
+    def __init__(self) -> None:
+        self._elements: Sequence[Any] | None = None
+        self._count = self._renamed = 0
+        self._by_name: dict[str, int] = {}
+        self._by_id: dict[int, int] = {}
+
+    def find(self, elements: Sequence[Any], name: object) -> Any:
+        """The element of this name, or the element itself if it is in the list; else None."""
+        self._read(elements)
+        if isinstance(name, Element):
+            at = self._by_id.get(id(name), -1)
+        else:
+            at = self._by_name.get(name, -1) if name and isinstance(name, str) else -1
+        if at >= 0:
+            element = elements[at]
+            if element is name or element.name == name:
+                return element
+        # An entry of the list may have been replaced since.
+        for element in elements:
+            if element is name or (name and element.name == name):
+                return element
+        return None
+
+    def taken(self, elements: Sequence[Any], name: str) -> bool:
+        """Whether an element has this name. (One that was put in another's place may be missed;
+        compiling finds it.)
+        """
+        self._read(elements)
+        return name in self._by_name and self.find(elements, name) is not None
+
+    def added(self, elements: Sequence[Any], element: Any) -> None:
+        """The last element of the list is new."""
+        if self._elements is elements and self._count == len(elements) - 1:
+            self._note(element)
+
+    def _note(self, element: Any) -> None:
+        self._by_name.setdefault(element.name, self._count)
+        self._by_id[id(element)] = self._count
+        self._count += 1
+
+    def _read(self, elements: Sequence[Any]) -> None:
+        now = renamed()
+        if self._elements is elements and (self._count, self._renamed) == (len(elements), now):
+            return
+        self._elements, self._count, self._renamed = elements, 0, now
+        self._by_name, self._by_id = {}, {}
+        for element in elements:
+            self._note(element)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A copy of the scene has elements of its own.
+        return Names, ()
