@@ -34,6 +34,12 @@ def geom_mass(geom: Record) -> tuple[float, Array]:
     elif kind == "box":
         volume = 8 * a * b * c
         inertia = np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 3
+    elif kind == "ellipsoid":
+        volume = 4 / 3 * np.pi * a * b * c
+        inertia = np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 5
+    elif kind == "cylinder":
+        volume, across = 2 * np.pi * a * a * b, a * a / 4 + b * b / 3
+        inertia = np.array([across, across, a * a / 2])
     else:
         raise ValueError(f"geom '{geom['name']}': the reference has no {kind}")
     mass = geom["density"] * volume if geom["mass"] is None else geom["mass"]

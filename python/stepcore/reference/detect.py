@@ -15,8 +15,11 @@ from .rotation import Array, cross, matrix, unit
 PLANES = 32
 # Cosine of the angle by which a normal may turn on the way and still stand for the contact.
 TURNED = 0.999
+# Sine of an angle between a cylinder and a plane's normal that is only rounding.
+UPRIGHT = 1e-15
 
-Touch = tuple[float, Array, Array]  # distance, position, normal
+# Distance, position, normal, and what touches: a number by which the contact is known again.
+Touch = tuple[float, Array, Array, int]
 
 
 @dataclass
@@ -27,6 +30,7 @@ class Contact:
     dist: float  # [m]
     pos: Array  # halfway between the surfaces [m], shape (3,)
     frame: Array  # rows: normal, two tangents; shape (3, 3)
+    feature: int = 0  # which of the pair's contacts
     ahead: Array = field(default_factory=lambda: np.zeros(3))  # of pos to geom 2's own point [m]
 
 
@@ -37,24 +41,63 @@ def tangents(normal: Array) -> Array:
     return np.array([normal, first, cross(normal, first)])
 
 
-def plane_sphere(plane: Shape, sphere: Shape) -> Touch:
-    """Distance of the centre from the plane, less the radius."""
+def above(plane: Shape, point: Array, feature: int) -> Touch:
+    """A point's height above the plane."""
     normal = plane.turn[:, 2]
-    radius = sphere.size[0]
-    dist = normal @ (sphere.pos - plane.pos) - radius
-    return dist, sphere.pos - normal * (radius + dist / 2), normal
+    dist = normal @ (point - plane.pos)
+    return dist, point - normal * (dist / 2), normal, feature
 
 
-def sphere_sphere(one: Shape, two: Shape) -> Touch:
+def plane_sphere(plane: Shape, sphere: Shape) -> list[Touch]:
+    """Distance of the centre from the plane, less the radius."""
+    return [above(plane, sphere.pos - sphere.size[0] * plane.turn[:, 2], 0)]
+
+
+def plane_box(plane: Shape, box: Shape) -> list[Touch]:
+    """The lower corner of each diagonal; corner c has coordinate k positive where c has bit k."""
+    normal, touches = plane.turn[:, 2], []
+    for corner in range(8):
+        signs = np.array([1.0 if corner >> k & 1 else -1.0 for k in range(3)])
+        arm = box.turn @ (signs * box.size)
+        height = normal @ arm
+        if height < 0 or (height == 0 and corner < 4):
+            touches.append(above(plane, box.pos + arm, corner))
+    return touches
+
+
+def plane_ellipsoid(plane: Shape, ellipsoid: Shape) -> list[Touch]:
+    """The lowest point: along the squared half axes times the normal, which it then touches."""
+    local = ellipsoid.size * (ellipsoid.turn.T @ plane.turn[:, 2])
+    lowest = -ellipsoid.size * local / np.sqrt(local @ local)
+    return [above(plane, ellipsoid.pos + ellipsoid.turn @ lowest, 0)]
+
+
+def plane_cylinder(plane: Shape, cylinder: Shape) -> list[Touch]:
+    """The lowest point of the lower rim and that of the upper; two more of the lower rim, a third
+    of a turn to either side."""
+    normal, axis = plane.turn[:, 2], cylinder.turn[:, 2]
+    radius, half, _ = cylinder.size
+    down = -axis if normal @ axis > 0 else axis
+    downhill = axis * (normal @ axis) - normal
+    length = np.sqrt(downhill @ downhill)
+    # Upright there is no lowest point: the cylinder's own x axis stands for it.
+    low = downhill / length if length > UPRIGHT else cylinder.turn[:, 0]
+    side = np.sqrt(0.75) * cross(low, down)
+    rims = [half * down + radius * low, radius * low - half * down]
+    thirds = [half * down + radius * (sign * side - low / 2) for sign in (1.0, -1.0)]
+    return [above(plane, cylinder.pos + arm, k) for k, arm in enumerate(rims + thirds)]
+
+
+def sphere_sphere(one: Shape, two: Shape) -> list[Touch]:
     """Distance of the centres, less both radii."""
     gap = two.pos - one.pos
     length = np.sqrt(gap @ gap)
     normal = gap / length if length > 0 else np.array([1.0, 0.0, 0.0])
     dist = length - one.size[0] - two.size[0]
-    return dist, one.pos + normal * (one.size[0] + dist / 2), normal
+    return [(dist, one.pos + normal * (one.size[0] + dist / 2), normal, 0)]
 
 
-def sphere_box(sphere: Shape, box: Shape) -> Touch:
+def sphere_box(sphere: Shape, box: Shape) -> list[Touch]:
     """From the centre to the nearest point of the box; from inside, to the nearest face."""
     radius = sphere.size[0]
     local = box.turn.T @ (sphere.pos - box.pos)
@@ -69,11 +112,14 @@ def sphere_box(sphere: Shape, box: Shape) -> Touch:
         length = -depth[face]
         normal = box.turn[:, face] * (-1.0 if local[face] >= 0 else 1.0)
     dist = length - radius
-    return dist, sphere.pos + normal * (radius + dist / 2), normal
+    return [(dist, sphere.pos + normal * (radius + dist / 2), normal, 0)]
 
 
 SHAPES = {
     ("plane", "sphere"): plane_sphere,
+    ("plane", "ellipsoid"): plane_ellipsoid,
+    ("plane", "cylinder"): plane_cylinder,
+    ("plane", "box"): plane_box,
     ("sphere", "sphere"): sphere_sphere,
     ("sphere", "box"): sphere_box,
 }
@@ -124,6 +170,8 @@ def reach(geom: dict[str, Any]) -> float:
     return {
         "plane": np.inf,
         "sphere": lengths[0],
+        "ellipsoid": lengths.max(),
+        "cylinder": float(np.hypot(lengths[0], lengths[1])),
         "box": float(np.sqrt(lengths @ lengths)),
     }[geom["kind"]]
 
@@ -154,21 +202,22 @@ def met_ahead(
             return None
         share += dist / closing
         there = Shape(two.pos + share * way, two.turn, two.size)
-        dist, pos, normal = SHAPES[kinds(model, pair)](one, there)
+        dist, pos, normal, _ = SHAPES[kinds(model, pair)](one, there)[0]
     if normal @ contact.frame[0] >= TURNED:
         return contact
-    return Contact(pair, -share * float(normal @ way), pos, tangents(normal), share * way)
+    return Contact(pair, -share * float(normal @ way), pos, tangents(normal), 0, share * way)
 
 
 def detect(model: Model, placed: Placed) -> list[Contact]:
-    """Every candidate pair with its signed distance, near or far, in the model's pair order."""
+    """Every contact of every candidate pair with its signed distance, near or far, in the model's
+    pair order."""
     contacts: list[Contact] = []
     if not model.scene["features"]["contact"]:
         return contacts
     for pair in model.pairs:
         one, two = (shape(model, placed, i) for i in (pair.geom1, pair.geom2))
-        dist, pos, normal = SHAPES[kinds(model, pair)](one, two)
-        contacts.append(Contact(pair, dist, pos, tangents(normal)))
+        for dist, pos, normal, feature in SHAPES[kinds(model, pair)](one, two):
+            contacts.append(Contact(pair, dist, pos, tangents(normal), feature))
     return contacts
 
 

@@ -243,7 +243,7 @@ def contact_rows(
             continue
         one, two = (model.scene["geoms"][i]["body"] for i in (pair.geom1, pair.geom2))
         dofs = model.moves[one] | model.moves[two]
-        key = ("contact", pair.geom1, pair.geom2)
+        key = ("contact", pair.geom1, pair.geom2, contact.feature)
         gained = float(J[0] @ (guess - v))
         near = Near(phi, float(J[0] @ v), gained, closing, arrives, phi > size)
         most = settings.recovery_limit

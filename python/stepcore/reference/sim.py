@@ -122,7 +122,7 @@ class Sim(World):
         """
         system = self.system
         numbers = ("impulse", "target", "regulariser", "residual", "A", "mass")
-        fields = [("kind", "U16"), ("key", "i8", 3), ("block", "i8")]
+        fields = [("kind", "U16"), ("key", "i8", 4), ("block", "i8")]
         out = np.zeros(len(system.rows), fields + [(name, "f8") for name in numbers])
         for i, row in enumerate(system.rows):
             out["kind"][i] = row.key[0]
