@@ -6,6 +6,7 @@ BUILT = [
     ("plane", "ellipsoid"),
     ("plane", "cylinder"),
     ("plane", "box"),
+    ("plane", "mesh"),
     ("sphere", "sphere"),
     ("sphere", "capsule"),
     ("sphere", "ellipsoid"),
@@ -14,6 +15,7 @@ BUILT = [
     ("sphere", "mesh"),
     ("capsule", "capsule"),
     ("capsule", "ellipsoid"),
+    ("capsule", "box"),
     ("capsule", "mesh"),
     ("ellipsoid", "ellipsoid"),
     ("ellipsoid", "cylinder"),
@@ -28,4 +30,4 @@ BUILT = [
 ]
 
 # Overlapping, these take a face where a pair of edges is a little nearer: see docs/trust.md.
-FACES_FIRST = [("capsule", "box"), ("box", "box")]
+FACES_FIRST = [("box", "box")]

@@ -44,7 +44,7 @@ def tangents(normal: Array) -> Array:
 def above(plane: Shape, point: Array, feature: int) -> Touch:
     """A point's height above the plane."""
     normal = plane.turn[:, 2]
-    dist = normal @ (point - plane.pos)
+    dist = float(normal @ (point - plane.pos))
     return dist, point - normal * (dist / 2), normal, feature
 
 
