@@ -94,3 +94,28 @@ def test_excluded_balls_of_a_heap_pass_through_each_other():
     pairs = {tuple(sorted((c["name1"], c["name2"]))) for c in sim.contacts}
     assert ("ball0", "ball1") not in pairs and len(pairs) > 20
     assert "excluded" in str(model.plan())
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@pytest.mark.parametrize("condim", [1, 4, 6])
+def test_two_balls_of_a_heap_move_as_two_balls_alone(condim, cone):
+    """One ball on another, spinning and rolling; all such pairs stand far from each other."""
+
+    def rolling(count):
+        scene = balls(count, law="solref")
+        for i, body in enumerate(scene.bodies[1:]):
+            body.pos = (3.0 * (i // 2), 0, 0.0999 + 0.1998 * (i % 2))
+        for geom in scene.geoms:
+            geom.condim, geom.friction = condim, (0.8, 0.02, 0.01)
+        sim = sc.Sim(scene.compile(), solver="newton", cone=cone)
+        sim.qvel[0::6], sim.qvel[11::12] = 0.3, 2.0
+        sim.step(20)
+        return sim
+
+    alone, heap = rolling(2), rolling(70)
+    assert heap.model.is_heap and not alone.model.is_heap
+    assert len(heap.contacts) == 35 * len(alone.contacts)
+    for i in (0, 17, 34):
+        own = heap.qvel[12 * i : 12 * i + 12]
+        assert np.allclose(own, alone.qvel, rtol=1e-8, atol=1e-11)
+    assert (abs(heap.qvel[11]) < 1.99) == (condim >= 4)

@@ -71,7 +71,7 @@ impl<R: Real> Rows<R> {
         dofs: Span,
         axis: &V3<R>,
     ) {
-        self.clear_scratch(dofs.of(&now.model.dof_lists));
+        self.clear_scratch(dofs.of(now.dof_lists));
         for (body, axis) in bodies.into_iter().zip([-axis, *axis]) {
             let body = &now.model.bodies[body];
             if body.tree == crate::model::NONE {
