@@ -35,6 +35,16 @@ CASES = [
         settle=500,
         aim={"newton": 2.0, "pgs": 5.0},
     ),
+    Case(
+        "boxstack10",
+        scenes.box_stack(),
+        starts=3,
+        hold=10,
+        settle=250,
+        aim={"newton": 3.0, "pgs": 3.0},
+    ),
+    Case("boxes27", scenes.boxes(27), starts=3, hold=5, settle=500),
+    Case("boxes100", scenes.boxes(100), starts=2, hold=3, settle=300),
 ]
 
 

@@ -89,6 +89,10 @@ def pile(side: int = 4, radius: float = 0.05) -> str:
 
 
 def _spheres_in_a_box(name: str, half: float, centres: np.ndarray, radius: float) -> str:
+    return _in_a_box(name, half, centres, f'size="{radius}"')
+
+
+def _in_a_box(name: str, half: float, centres: np.ndarray, shape: str) -> str:
     text = FLOOR
     for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         text += (
@@ -96,7 +100,7 @@ def _spheres_in_a_box(name: str, half: float, centres: np.ndarray, radius: float
         )
     for x, y, z in centres:
         text += f'<body pos="{x:.6f} {y:.6f} {z:.6f}"><freejoint/>'
-        text += f'<geom size="{radius}" mass="1"/></body>'
+        text += f'<geom {shape} mass="1"/></body>'
     return _mjcf(name, text, memory="256M")
 
 
@@ -121,3 +125,44 @@ def _mjcf(
         f'<mujoco model="{name}"><option {option}/><size memory="{memory}"/>'
         f"<worldbody>{world}</worldbody><keyframe>{key}</keyframe></mujoco>"
     )
+
+
+def box_stack(count: int = 10, half: float = 0.1) -> str:
+    """A tower of equal boxes of 1 kg, each on the one below, not quite in line."""
+    text = FLOOR
+    for i in range(count):
+        x, y = 0.02 * half * ((7 * i) % 5 - 2), 0.02 * half * ((3 * i) % 5 - 2)
+        text += f'<body pos="{x:.6f} {y:.6f} {(2 * i + 1) * half:.6f}"><freejoint/>'
+        text += f'<geom type="box" size="{half} {half} {half}" mass="1"/></body>'
+    return _mjcf(f"boxstack{count}", text, memory="64M")
+
+
+def boxes(count: int, half: float = 0.05) -> str:
+    """Boxes of 1 kg in columns of a box without a lid, the lowest of the next larger pile."""
+    side = next(side for side in range(1, count + 1) if side**3 >= count)
+    width, centres = pile_centres(side, half)
+    shape = f'type="box" size="{half} {half} {half}"'
+    return _in_a_box(f"boxes{count}", width, centres[:count], shape)
+
+
+def in_the_air(count: int, radius: float = 0.1) -> str:
+    """Spheres of 1 kg far over a floor, none near another."""
+    side = next(side for side in range(1, count + 1) if side**3 >= count)
+    text = FLOOR
+    for i in range(count):
+        x, y, z = (3 * radius * k for k in (i % side, i // side % side, i // side**2))
+        text += f'<body pos="{x:.6f} {y:.6f} {z + 50:.6f}"><freejoint/>'
+        text += f'<geom size="{radius}" mass="1"/></body>'
+    return _mjcf(f"air{count}", text)
+
+
+def balls666(seed: int = 6) -> str:
+    """SimBenchmark's 6 × 6 × 6 spheres without friction, dropped on a floor."""
+    rng = np.random.default_rng(seed)
+    grid = np.array([(x, y, z) for z in range(6) for y in range(6) for x in range(6)])
+    centres = 0.21 * grid + [0.0, 0.0, 0.101] + 0.001 * rng.uniform(size=(216, 3))
+    text = '<geom type="plane" size="5 5 .1" friction="0 0 0"/>'
+    for x, y, z in centres:
+        text += f'<body pos="{x:.9f} {y:.9f} {z:.9f}"><freejoint/>'
+        text += '<geom size=".1" mass="10" friction="0 0 0"/></body>'
+    return _mjcf("666", text, memory="256M")
