@@ -17,14 +17,17 @@ import stepcore as sc
 FRICTIONS = tuple(itertools.product(("pyramidal", "elliptic"), (1.0, 10.0)))
 
 
+SCENES = zoo.ZOO | zoo.INEXACT
+
+
 def strict(name, **options):
-    return peers.strict(mujoco.MjModel.from_xml_string(zoo.ZOO[name].text), **options)
+    return peers.strict(mujoco.MjModel.from_xml_string(SCENES[name].text), **options)
 
 
 @functools.cache
 def states_of(name):
     """Forty states of a scene, eight of a heap."""
-    entry = zoo.ZOO[name]
+    entry = SCENES[name]
     count = 8 if name in zoo.HEAPS else 40
     return peers.fall_states(strict(name), count, 7, entry.spread, entry.speed)
 
@@ -32,14 +35,22 @@ def states_of(name):
 def both(name, **options):
     """The scene in both engines, MuJoCo's scratch data, and the states to visit."""
     theirs = strict(name, **options)
-    sim = sc.Sim(sc.loads(zoo.ZOO[name].text).compile(), **peers.EXACT, **options)
+    sim = sc.Sim(sc.loads(SCENES[name].text).compile(), **peers.EXACT, **options)
     return sim, theirs, mujoco.MjData(theirs), states_of(name)
 
 
-@pytest.mark.parametrize("name", zoo.ZOO)
+def limits(name, usual):
+    """The usual ones, or 1e-6 where MuJoCo's contacts are not exact. Its search ends at a distance
+    of 1e-12 m, and so between bent surfaces at a direction of some 1e-6, by which forces go."""
+    if name not in zoo.INEXACT:
+        return usual
+    return dict.fromkeys(usual, 1e-5 if name == "ellipsoid_ellipsoid" else 1e-6)
+
+
+@pytest.mark.parametrize("name", SCENES)
 def test_states_reach_rows(name):
     """The states of a scene reach the rows that the scene is there for."""
-    entry = zoo.ZOO[name]
+    entry = SCENES[name]
     theirs, states = strict(name), states_of(name)
     seen = peers.rows_seen(theirs, mujoco.MjData(theirs), states)
     for row in entry.rows:
@@ -48,17 +59,17 @@ def test_states_reach_rows(name):
         assert 4 * min(seen["slips"], seen["sticks"]) >= len(states), "saturated and not"
 
 
-@pytest.mark.parametrize("name", zoo.ZOO)
+@pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize(("cone", "impratio"), FRICTIONS)
 def test_forward(name, cone, impratio):
     sim, theirs, data, states = both(name, cone=cone, impratio=impratio)
     worst = peers.Worst()
     for index, state in enumerate(states):
         peers.note_forward(worst, index, sim, theirs, data, state)
-    worst.check(peers.PLACED | peers.SOLVED, f"{name} {cone} {impratio}")
+    worst.check(limits(name, peers.PLACED | peers.SOLVED), f"{name} {cone} {impratio}")
 
 
-@pytest.mark.parametrize("name", zoo.ZOO)
+@pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("integrator", peers.INTEGRATORS)
 @pytest.mark.parametrize("cone", peers.CONES)
 def test_step(name, integrator, cone):
@@ -66,7 +77,7 @@ def test_step(name, integrator, cone):
     worst = peers.Worst()
     for index, state in enumerate(states[:24]):
         peers.note_step(worst, index, sim, theirs, data, state)
-    worst.check(peers.STEPPED, f"{name} {integrator} {cone}")
+    worst.check(limits(name, peers.STEPPED), f"{name} {integrator} {cone}")
 
 
 @pytest.mark.parametrize("dt", (0.0005, 0.02))
