@@ -52,6 +52,7 @@ print(built - start, end - built, peak / (1e6 if sys.platform == "linux" else 1e
 
 def main() -> None:
     options = record.arguments(__doc__.splitlines()[0])
+    options.pairs = 0  # Sizes take turns, not sides.
     report = record.Report("heap_scale", options, "spheres; PGS, 10 sweeps, no tolerance")
     sizes = SIZES[:2] if options.quick else SIZES
     for part in (loading, steps, penetration):

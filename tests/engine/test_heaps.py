@@ -119,3 +119,22 @@ def test_two_balls_of_a_heap_move_as_two_balls_alone(condim, cone):
         own = heap.qvel[12 * i : 12 * i + 12]
         assert np.allclose(own, alone.qvel, rtol=1e-8, atol=1e-11)
     assert (abs(heap.qvel[11]) < 1.99) == (condim >= 4)
+
+
+@pytest.mark.parametrize("law", ["solref", "rigid"])
+@pytest.mark.parametrize("high", [0.0, 9.0])
+def test_a_step_counts_as_many_operations_a_body_in_a_large_heap(law, high):
+    """In the air, and on the floor: counts are the same on every machine. `nbytes` as well."""
+
+    def cost(count):
+        scene = balls(count, law=law)
+        for i, body in enumerate(scene.bodies[1:]):
+            body.pos = (0.3 * (i % 32), 0.3 * (i // 32), 0.0999 + high)
+        sim = sc.Sim(scene.compile(), sweeps=5, tolerance=0.0)
+        sim.step(1)
+        assert len(sim.contacts) == (count if high == 0.0 else 0)
+        return sim.count_flops(), sim.nbytes
+
+    few, some, many = (np.array(cost(count)) for count in (128, 256, 1024))
+    assert np.all(many - some <= 1.01 * 6 * (some - few))
+    assert np.all(many / 1024 <= 1.05 * few / 128)
