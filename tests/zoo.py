@@ -388,7 +388,8 @@ _add(
 _add(
     "condim_6",
     FLOOR
-    + _mover("0 0 .1", _SPHERE + ' condim="6"')
+    # No coefficient is near the smallest that MuJoCo allows, which is a number in any unit.
+    + _mover("0 0 .1", _SPHERE + ' condim="6" friction="1 .005 .002"')
     + _mover(".5 0 .1", _SPHERE + ' condim="6" friction=".3 .05 .02"')
     + _mover("1 0 .1", _CAPSULE + ' condim="6" friction="1.2 .1 .01"')
     + _mover(".52 .05 .29", _SPHERE + ' condim="6" friction=".7 .3 .2"'),

@@ -322,7 +322,8 @@ def test_compile_names_the_place_of_what_is_of_no_use(path):
     ("path", "value", "text"),
     [
         (("geoms", 1, "size"), [1.0], r"geoms\[1\].size = \[1.0\]: must be 3 values"),
-        (("geoms", 1, "kind"), "mesh", r"geoms\[1\].kind = 'mesh': must be one of plane"),
+        (("geoms", 1, "kind"), "mash", r"geoms\[1\].kind = 'mash': must be one of plane"),
+        (("geoms", 1, "kind"), "mesh", r"geom 'rod' mesh = none: must be given for a mesh"),
         (("joints", 0, "kind"), 3, r"joints\[0\].kind = 3: must be a string"),
         (("joints", 1, "range", 0), "x", r"joints\[1\].range\[0\] = 'x': must be a number"),
         (("actuators", 0, "joint"), -1, r"actuators\[0\].joint = -1: must be a whole number"),

@@ -26,7 +26,8 @@ def balls(count, *, spread=0.0, law="rigid", excluded=(), seed=3):
     return scene
 
 
-def test_a_model_of_many_pairs_is_a_heap_and_says_so():
+def test_a_model_of_many_pairs_is_a_heap_and_says_so(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
     few, many = balls(60).compile(), balls(70).compile()
     assert not few.is_heap and few.npair == len(few.pairs) == 60 * 61 // 2
     assert many.is_heap and many.npair == 70 * 71 // 2

@@ -122,8 +122,17 @@ def test_units(name, way, precision):
         stays(sim, move, other, steps_of(name) // 2)
 
 
+# Their contacts are several at a time, in the order of their corners: the mirror has another order.
+MANIFOLDS = ("plane_cylinder", "plane_box", "box_box", "explicit_pairs")
+
+
 @pytest.mark.parametrize(
-    ("name", "way", "precision"), cases(*WAYS.keys() - {"pgs", "rigid", "newton"})
+    ("name", "way", "precision"),
+    [
+        case
+        for case in cases(*WAYS.keys() - {"pgs", "rigid", "newton"})
+        if case.values[0] not in MANIFOLDS
+    ],
 )
 def test_mirror_without_friction(name, way, precision):
     """M3: nothing in the engine prefers left or right. Without tangents: bit for bit."""
