@@ -87,6 +87,9 @@ class Settings:
         impratio: float = 1.0,
         noslip_iterations: int = 0,
         stiction: bool = False,
+        sleep: bool = False,
+        sleep_tolerance: float = 1e-3,
+        sleep_time: float = 0.5,
         refsafe: bool = True,
     ) -> Settings: ...
     def replace(self, **fields: Unpack[SettingsFields]) -> Settings:
@@ -199,6 +202,22 @@ class Settings:
         """Whether friction under "solref" holds a contact that sticks by a tangential spring as
         stiff as the contact's solref, instead of letting it creep. Other laws have no creep.
         """
+
+    @property
+    def sleep(self) -> bool:
+        """Whether islands at rest sleep: they stand still and make no rows until something touches
+        them. Runs one world at a time, with integrators that evaluate forces once a step.
+        """
+
+    @property
+    def sleep_tolerance(self) -> float:
+        """Speed below which every dof of a tree must be for it to sleep [m/s], >= 0; turning counts
+        as the speed of the farthest point that it moves.
+        """
+
+    @property
+    def sleep_time(self) -> float:
+        """Time for which a whole island must have been as slow before it sleeps [s], >= 0."""
 
     @property
     def refsafe(self) -> bool:
@@ -324,6 +343,8 @@ class Sim:
     def sweeps_done(self) -> int: ...
     @property
     def row_updates(self) -> int: ...
+    @property
+    def asleep(self) -> list[bool]: ...
     @property
     def most_rows(self) -> int: ...
     @property

@@ -107,7 +107,12 @@ fn attach_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> 
     };
     error.setattr("stable_dt", stable)?;
     let (start, inputs) = (&post.start, &post.inputs);
-    let memo = Memo { start: start.time, steps: start.steps, warm: start.warm.clone() };
+    let memo = Memo {
+        start: start.time,
+        steps: start.steps,
+        warm: start.warm.clone(),
+        sleep: start.sleep.clone(),
+    };
     let given = Given {
         qpos: &start.qpos,
         qvel: &start.qvel,

@@ -222,6 +222,14 @@ settings! {
     /// Whether friction under "solref" holds a contact that sticks by a tangential spring as
     /// stiff as the contact's solref, instead of letting it creep. Other laws have no creep.
     stiction: bool,
+    /// Whether islands at rest sleep: they stand still and make no rows until something touches
+    /// them. Runs one world at a time, with integrators that evaluate forces once a step.
+    sleep: bool,
+    /// Speed below which every dof of a tree must be for it to sleep [m/s], >= 0; turning counts
+    /// as the speed of the farthest point that it moves.
+    sleep_tolerance: f64,
+    /// Time for which a whole island must have been as slow before it sleeps [s], >= 0.
+    sleep_time: f64,
     /// Whether the time constants of solref are at least 2 dt.
     refsafe: bool,
 }

@@ -11,6 +11,7 @@ use pyo3::types::PyBytes;
 use stepcore::elements::Element;
 use stepcore::model::Model as EngineModel;
 use stepcore::real::Stage;
+use stepcore::sleep::Sleep;
 
 use crate::element::{id, Id};
 use crate::errors::{EnergyWarning, Raised};
@@ -210,10 +211,10 @@ impl Sim {
         Ok(())
     }
 
-    /// Forgets the impulses of the last step.
+    /// Forgets the impulses of the last step, and wakes everybody.
     fn forget(&self) -> PyResult<()> {
         let mut world = self.lock()?;
-        let memo = Memo { warm: Vec::new(), ..world.memo() };
+        let memo = Memo { warm: Vec::new(), sleep: Sleep::new(), ..world.memo() };
         world.set_memo(&memo);
         Ok(())
     }
@@ -374,6 +375,11 @@ impl Sim {
     #[getter]
     fn sweeps_done(&self) -> PyResult<u32> {
         Ok(self.lock()?.effort().sweeps)
+    }
+    /// By body.
+    #[getter]
+    fn asleep(&self) -> PyResult<Vec<bool>> {
+        Ok(self.lock()?.asleep())
     }
     #[getter]
     fn row_updates(&self) -> PyResult<u64> {

@@ -1,12 +1,14 @@
 //! A snapshot as bytes: the arrays of one world and what a step hands to the next.
 
 use stepcore::arrays::Given;
+use stepcore::model::NONE;
+use stepcore::sleep::Sleep;
 use stepcore::state::{Warm, WARM_ROWS};
 
 use crate::world::Memo;
 
 /// First bytes of a snapshot; the number goes up when the layout changes.
-const HEAD: &[u8; 16] = b"stepcore state 4";
+const HEAD: &[u8; 16] = b"stepcore state 5";
 
 /// Steps are counted in numbers that hold every one of them.
 const MOST_STEPS: u64 = 1 << 53;
@@ -26,6 +28,7 @@ impl Snapshot {
         if self.dt != dt {
             self.memo.start += self.memo.steps as f64 * self.dt;
             (self.memo.steps, self.dt) = (0, dt);
+            self.memo.wake();
         }
     }
 }
@@ -38,17 +41,31 @@ pub fn encode(dt: f64, memo: &Memo, given: &Given) -> Vec<u8> {
     }
     bytes.extend((memo.warm.len() as u64).to_le_bytes());
     bytes.extend(memo.steps.to_le_bytes());
-    let warm = memo.warm.iter().flat_map(|w| w.impulse.into_iter().chain([w.feature]));
-    for number in
-        [dt, memo.start].into_iter().chain(arrays.into_iter().flatten().copied()).chain(warm)
-    {
-        bytes.extend(number.to_le_bytes());
+    let numbers = [dt, memo.start].into_iter().chain(arrays.into_iter().flatten().copied());
+    numbers.for_each(|number| bytes.extend(number.to_le_bytes()));
+    memo.warm.iter().for_each(|warm| encode_warm(&mut bytes, warm));
+    let sleep = &memo.sleep;
+    for count in [sleep.slow.len(), sleep.qpos.len(), sleep.kept.len()] {
+        bytes.extend((count as u64).to_le_bytes());
     }
-    for warm in &memo.warm {
-        bytes.extend(warm.slot.to_le_bytes());
+    for (slow, island) in sleep.slow.iter().zip(&sleep.island) {
+        bytes.extend(slow.to_le_bytes());
+        bytes.extend((*island as u64).to_le_bytes());
+    }
+    sleep.qpos.iter().for_each(|number| bytes.extend(number.to_le_bytes()));
+    for (island, warm) in &sleep.kept {
+        bytes.extend((*island as u64).to_le_bytes());
+        encode_warm(&mut bytes, warm);
     }
     bytes.extend(checksum(&bytes).to_le_bytes());
     bytes
+}
+
+fn encode_warm(bytes: &mut Vec<u8>, warm: &Warm<f64>) {
+    bytes.extend(warm.slot.to_le_bytes());
+    for number in warm.impulse.into_iter().chain([warm.feature]) {
+        bytes.extend(number.to_le_bytes());
+    }
 }
 
 /// FNV-1a, 64 bits: every damage to a single byte changes it.
@@ -59,56 +76,95 @@ fn checksum(bytes: &[u8]) -> u64 {
 
 /// The snapshot in `bytes`, or what is wrong with them.
 pub fn decode(bytes: &[u8], lengths: [usize; 5]) -> Result<Snapshot, String> {
-    const NONE: &str = "these are not the bytes of a state() of this version";
+    const OTHER: &str = "these are not the bytes of a state() of this version";
     const CHANGED: &str = "the bytes of this state() were changed";
-    let (bytes, sum) = bytes.split_last_chunk().ok_or(NONE)?;
-    let mut rest = bytes.strip_prefix(HEAD.as_slice()).ok_or(NONE)?;
+    let (bytes, sum) = bytes.split_last_chunk().ok_or(OTHER)?;
+    let rest = bytes.strip_prefix(HEAD.as_slice()).ok_or(OTHER)?;
     if checksum(bytes) != u64::from_le_bytes(*sum) {
         return Err(CHANGED.into());
     }
-    let mut next = |count: usize| {
-        let (head, tail) =
-            rest.split_at_checked(count).ok_or("the bytes of this state() are cut short")?;
-        rest = tail;
-        Ok::<_, &str>(head)
-    };
-    fn word(bytes: &[u8]) -> [u8; 8] {
-        let mut word = [0; 8];
-        word.copy_from_slice(bytes);
-        word
-    }
+    let mut rest = Rest(rest);
     for (name, length) in ["nq", "nv", "nu", "nv", "6 nbody"].iter().zip(lengths) {
-        let theirs = u64::from_le_bytes(word(next(8)?));
+        let theirs = rest.word()?;
         if theirs != length as u64 {
             return Err(format!(
                 "this state() is of another model: {name} is {theirs} there, {length} here"
             ));
         }
     }
-    let count = u64::from_le_bytes(word(next(8)?));
-    let steps = u64::from_le_bytes(word(next(8)?));
+    let (count, steps) = (rest.word()?, rest.word()?);
+    let (dt, start) = (rest.number()?, rest.number()?);
     let total = lengths.iter().sum::<usize>();
-    let mut numbers = |count: usize| -> Result<Vec<f64>, String> {
-        let bytes = next(count.checked_mul(8).ok_or("a list in this state() is too long")?)?;
-        Ok(bytes.chunks_exact(8).map(|chunk| f64::from_le_bytes(word(chunk))).collect())
-    };
-    let clock = numbers(2)?;
-    let arrays = numbers(total)?;
-    let count = usize::try_from(count).map_err(|e| e.to_string())?;
-    let impulses =
-        numbers(count.checked_mul(WARM_ROWS + 1).ok_or("a list in this state() is too long")?)?;
-    let slots = next(count * 8)?;
-    let mut warm = Vec::with_capacity(count);
-    for (slot, numbers) in slots.chunks_exact(8).zip(impulses.chunks_exact(WARM_ROWS + 1)) {
-        let slot = u64::from_le_bytes(word(slot));
-        let impulse = std::array::from_fn(|k| numbers[k]);
-        warm.push(Warm { slot, feature: numbers[WARM_ROWS], impulse });
-    }
-    let [dt, start] = [clock[0], clock[1]];
+    let numbers = (0..total).map(|_| rest.number()).collect::<Result<_, _>>()?;
+    let warm = rest.list(count, Rest::warm)?;
+    let sleep = rest.sleep(lengths[0])?;
     let ascending = warm.windows(2).all(|w| w[0].slot < w[1].slot);
     let counted = steps <= MOST_STEPS && dt > 0.0 && (start + steps as f64 * dt).is_finite();
-    if !rest.is_empty() || !ascending || !counted || !impulses.iter().all(|x| x.is_finite()) {
+    let mut all = warm.iter().chain(sleep.kept.iter().map(|(_, warm)| warm));
+    let finite = all.all(|w| w.feature.is_finite() && w.impulse.iter().all(|x| x.is_finite()));
+    if !rest.0.is_empty() || !ascending || !counted || !finite {
         return Err(CHANGED.into());
     }
-    Ok(Snapshot { dt, memo: Memo { start, steps, warm }, numbers: arrays })
+    Ok(Snapshot { dt, memo: Memo { start, steps, warm, sleep }, numbers })
+}
+
+/// What is still to be read.
+struct Rest<'a>(&'a [u8]);
+
+impl Rest<'_> {
+    fn word(&mut self) -> Result<u64, String> {
+        let cut = || "the bytes of this state() are cut short".to_string();
+        let (word, rest) = self.0.split_first_chunk().ok_or_else(cut)?;
+        self.0 = rest;
+        Ok(u64::from_le_bytes(*word))
+    }
+
+    fn number(&mut self) -> Result<f64, String> {
+        self.word().map(f64::from_bits)
+    }
+
+    /// As many as were counted, each of at least one word.
+    fn list<T>(
+        &mut self,
+        count: u64,
+        one: impl Fn(&mut Self) -> Result<T, String>,
+    ) -> Result<Vec<T>, String> {
+        if count > self.0.len() as u64 / 8 {
+            return Err("a list in this state() is too long".into());
+        }
+        (0..count).map(|_| one(self)).collect()
+    }
+
+    fn warm(&mut self) -> Result<Warm<f64>, String> {
+        let slot = self.word()?;
+        let mut impulse = [0.0; WARM_ROWS];
+        for number in &mut impulse {
+            *number = self.number()?;
+        }
+        Ok(Warm { slot, feature: self.number()?, impulse })
+    }
+
+    /// A tree's index, or `NONE`.
+    fn island(&mut self, trees: u64) -> Result<usize, String> {
+        let island = self.word()?;
+        if island >= trees && island != NONE as u64 {
+            return Err("an island in this state() has no tree".into());
+        }
+        Ok(island as usize)
+    }
+
+    fn sleep(&mut self, nq: usize) -> Result<Sleep<f64>, String> {
+        let (trees, places, kept) = (self.word()?, self.word()?, self.word()?);
+        if (trees == 0) != (places == 0) || places != 0 && places != nq as u64 {
+            return Err("this state() is of another model: who sleeps does not fit".into());
+        }
+        let both = self.list(trees, |rest| Ok((rest.word()?, rest.island(trees)?)))?;
+        let (slow, island) = both.into_iter().unzip();
+        Ok(Sleep {
+            slow,
+            island,
+            qpos: self.list(places, Self::number)?,
+            kept: self.list(kept, |rest| Ok((rest.island(trees)?, rest.warm()?)))?,
+        })
+    }
 }

@@ -10,6 +10,7 @@ use stepcore::model::Model;
 use stepcore::real::{Mask, Real};
 use stepcore::settings::{Precision, Settings};
 use stepcore::sim::{Effort, Sim};
+use stepcore::sleep::Sleep;
 use stepcore::spatial::V3;
 use stepcore::state::{State, Warm};
 use stepcore::watch::{Counter, Coupling, Linearizer, StepGains, Watched};
@@ -64,14 +65,23 @@ pub struct Memo {
     pub start: f64,
     pub steps: u64,
     pub warm: Vec<Warm<f64>>,
+    pub sleep: Sleep<f64>,
 }
 
 impl Memo {
+    /// Wakes everybody.
+    pub fn wake(&mut self) {
+        self.warm.extend(self.sleep.kept.drain(..).map(|(_, warm)| warm));
+        self.warm.sort_by_key(|warm| warm.slot);
+        self.sleep = Sleep::new();
+    }
+
     /// One lane's part of a state. An impulse of zero is as good as none, and a lane has
     /// zeros for the contacts of its neighbours.
     pub fn of<R: Real>(state: &State<R>, lane: usize) -> Self {
         let warm = state.warm.iter().map(|w| w.in_lane(lane)).filter(Warm::acts);
-        Self { start: state.start, steps: state.steps, warm: warm.collect() }
+        let sleep = state.sleep.cast();
+        Self { start: state.start, steps: state.steps, warm: warm.collect(), sleep }
     }
 }
 
@@ -114,6 +124,8 @@ pub trait World: Send {
     /// What `max_recovery_speed` left of an overlap in the last solve.
     fn unrecovered(&self) -> f64;
     fn effort(&self) -> Effort;
+    /// By body: whether it sleeps.
+    fn asleep(&self) -> Vec<bool>;
     /// How often the list of contacts had to grow.
     fn grown(&self) -> u64;
     fn linearizer(&mut self) -> Result<Linearizer>;
@@ -208,6 +220,7 @@ impl<R: Real> World for One<R> {
             feature: R::of(w.feature),
             impulse: w.impulse.map(number),
         });
+        state.sleep = memo.sleep.cast();
         self.watched.put_impulses(warm);
     }
 
@@ -275,6 +288,9 @@ impl<R: Real> World for One<R> {
     }
     fn effort(&self) -> Effort {
         self.sim().effort
+    }
+    fn asleep(&self) -> Vec<bool> {
+        self.sim().asleep()
     }
     fn grown(&self) -> u64 {
         self.sim().detected.grown

@@ -9,6 +9,7 @@ use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::{Lanes, Real};
 use stepcore::settings::{Precision, Settings};
+use stepcore::sleep::Sleep;
 use stepcore::state::{Warm, WARM_ROWS};
 
 use crate::world::{impulse, Memo, World};
@@ -41,8 +42,8 @@ pub fn worlds(
     lanes: bool,
     goes_on: bool,
 ) -> Result<Box<dyn Worlds>> {
-    // The pairs of a heap are found one world at a time.
-    let lanes = lanes && model.heap.is_none();
+    // The pairs of a heap are found one world at a time, and so are those who sleep.
+    let lanes = lanes && model.heap.is_none() && !settings.sleep;
     Ok(match (settings.precision, lanes) {
         (Precision::F64, true) => made::<Lanes>(model, settings, n, threads, goes_on)?,
         (Precision::F64, false) => made::<f64>(model, settings, n, threads, goes_on)?,
@@ -130,6 +131,7 @@ impl<R: Real> Worlds for Batch<R> {
             // A failed world's lane holds another's impulses.
             if Batch::failed(self, world).is_some() {
                 memo.warm.clear();
+                memo.sleep = Sleep::new();
             }
         }
         memos
@@ -138,6 +140,7 @@ impl<R: Real> Worlds for Batch<R> {
     fn set_memos(&mut self, memos: &[Memo]) {
         for (state, memos) in self.states_mut().zip(memos.chunks(R::LANES)) {
             (state.start, state.steps) = (memos[0].start, memos[0].steps);
+            state.sleep = memos[0].sleep.cast();
             let mut slots: Vec<u64> =
                 memos.iter().flat_map(|memo| memo.warm.iter().map(|w| w.slot)).collect();
             slots.sort_unstable();
@@ -163,6 +166,7 @@ impl<R: Real> Worlds for Batch<R> {
         for state in self.states_mut() {
             (state.start, state.steps) = (start, 0);
             state.warm.clear();
+            state.sleep = Sleep::new();
         }
     }
 }

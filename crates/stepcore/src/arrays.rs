@@ -156,6 +156,7 @@ impl<R: Real> Sim<R> {
             impulse: w.impulse.map(number),
         });
         sim.state.warm.extend(warm);
+        sim.state.sleep = self.state.sleep.cast();
         (sim.state.steps, sim.state.start) = (self.state.steps, self.state.start);
         Ok(sim)
     }

@@ -65,6 +65,7 @@ pub mod scene;
 pub mod settings;
 pub mod shapes;
 pub mod sim;
+pub mod sleep;
 pub mod solve;
 pub mod spatial;
 pub mod state;

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use crate::elements::Named;
+use crate::sleep::Sleep;
 use crate::state::Warm;
 
 /// Which dt would have been stable.
@@ -31,6 +32,8 @@ pub struct Start {
     pub qvel: Vec<f64>,
     /// Impulses of the last solve, by slot.
     pub warm: Vec<Warm<f64>>,
+    /// Who slept.
+    pub sleep: Sleep<f64>,
 }
 
 /// The inputs of one world.

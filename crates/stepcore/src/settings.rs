@@ -199,6 +199,12 @@ pub struct Settings {
     /// Friction under `solref` holds a contact that sticks by a spring, without creep: see
     /// `elements/anchor.rs`.
     pub stiction: bool,
+    /// Islands at rest sleep: see `sleep.rs`.
+    pub sleep: bool,
+    /// The speed below which a tree may sleep [m/s].
+    pub sleep_tolerance: f64,
+    /// How long it must have been below it [s].
+    pub sleep_time: f64,
     /// Keep the time constants of solref at 2 dt or above: MuJoCo's `refsafe`.
     pub refsafe: bool,
 }
@@ -228,6 +234,9 @@ impl Default for Settings {
             impratio: 1.0,
             noslip_iterations: 0,
             stiction: false,
+            sleep: false,
+            sleep_tolerance: 1e-3,
+            sleep_time: 0.5,
             refsafe: true,
         }
     }
@@ -305,6 +314,20 @@ impl Settings {
         let ratio = self.penalty_damping_ratio;
         number("penalty_damping_ratio", ratio, ratio >= 0.0, "finite and >= 0")?;
         number("impratio", self.impratio, self.impratio > 0.0, "finite and > 0")?;
+        number(
+            "sleep_tolerance",
+            self.sleep_tolerance,
+            self.sleep_tolerance >= 0.0,
+            "finite and >= 0 m/s",
+        )?;
+        number("sleep_time", self.sleep_time, self.sleep_time >= 0.0, "finite and >= 0 s")?;
+        if self.sleep && matches!(self.integrator, Integrator::Midpoint | Integrator::Rk4) {
+            return Err(Error::value(
+                "integrator",
+                format!("'{}' with sleep", self.integrator.name()),
+                "one that evaluates forces once a step, as 'euler' (what sleeps wakes at a step's start)",
+            ));
+        }
         if self.solver == Solver::Newton && self.law.on_guess() {
             return Err(Error::value(
                 "solver",

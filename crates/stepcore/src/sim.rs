@@ -14,6 +14,7 @@ use crate::model::Model;
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::settings::{Law, Settings, Solver};
+use crate::sleep::{last_impulses, Sleeper};
 use crate::solve::{Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
 
@@ -57,6 +58,7 @@ pub struct Sim<R: Real> {
     pub effort: Effort,
     pub(crate) next: Next<R>,
     pub(crate) solver: Box<dyn Solve<R>>,
+    pub(crate) sleeper: Sleeper,
 }
 
 /// The positions and velocities at which stages run.
@@ -80,7 +82,7 @@ impl At {
     }
 }
 
-room!(Sim<R>: velocity, qacc; state, inputs, placed, detected, rows, next, solver);
+room!(Sim<R>: velocity, qacc; state, inputs, placed, detected, rows, next, solver, sleeper);
 
 impl<R: Real> Sim<R> {
     /// A world at qpos0 and at rest; refuses settings outside their limits.
@@ -89,6 +91,10 @@ impl<R: Real> Sim<R> {
         check_masses::<R>(&model, settings.solver)?;
         if R::LANES > 1 && model.heap.is_some() {
             let limit = "1: the pairs of a heap are found one world at a time";
+            return Err(Error::value("lanes", R::LANES, limit));
+        }
+        if R::LANES > 1 && settings.sleep {
+            let limit = "1 with sleep: each world sleeps by itself";
             return Err(Error::value("lanes", R::LANES, limit));
         }
         Ok(Self {
@@ -102,6 +108,7 @@ impl<R: Real> Sim<R> {
             effort: Effort::default(),
             next: Next::new(&model),
             solver: Box::new(Solvers::new()),
+            sleeper: if settings.sleep { Sleeper::new(&model) } else { Sleeper::default() },
             clock: Clock::new(settings.dt),
             model,
             settings,
@@ -125,7 +132,7 @@ impl<R: Real> Sim<R> {
     /// those of a kind.
     pub(crate) fn warm_start(&mut self, but: Option<Kind>) {
         if self.settings.warm_start {
-            let last = if self.next.stage > 0 { &self.next.warm } else { &self.state.warm };
+            let last = last_impulses(&self.state, &self.next);
             let lists = self.detected.dof_lists(&self.model);
             self.rows.warm_start(lists, &self.placed.metric.inv_d, last, but);
         }

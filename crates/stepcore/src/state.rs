@@ -4,6 +4,7 @@ use crate::elements::SLIPS;
 use crate::model::Model;
 use crate::real::Real;
 use crate::room::room;
+use crate::sleep::Sleep;
 
 /// The most rows of a block, which `elements/constraints.rs` sees to: after their impulses stands the
 /// slip of friction that holds (`elements/anchor.rs`).
@@ -49,9 +50,11 @@ pub struct State<R: Real> {
     /// Velocities [m/s, rad/s], in MuJoCo's order; nv entries.
     pub qvel: Vec<R>,
     pub warm: Vec<Warm<R>>,
+    /// Who sleeps.
+    pub sleep: Sleep<R>,
 }
 
-room!(State<R>: qpos, qvel, warm;);
+room!(State<R>: qpos, qvel, warm; sleep);
 
 impl<R: Real> State<R> {
     /// At qpos0 and at rest.
@@ -62,6 +65,7 @@ impl<R: Real> State<R> {
             qpos: model.qpos0.iter().map(|q| R::of(*q)).collect(),
             qvel: vec![R::zero(); model.nv],
             warm: Vec::new(),
+            sleep: Sleep::new(),
         }
     }
 
@@ -71,6 +75,7 @@ impl<R: Real> State<R> {
         to.qpos.copy_from_slice(&self.qpos);
         to.qvel.copy_from_slice(&self.qvel);
         to.warm.clone_from(&self.warm);
+        self.sleep.copy_to(&mut to.sleep);
     }
 
     /// One lane's next step starts without impulses.

@@ -9,6 +9,7 @@ use crate::error::Result;
 use crate::observer::Observer;
 use crate::real::{Mask, Real, Stage};
 use crate::sim::{At, Sim};
+use crate::sleep::last_impulses;
 use crate::solve::{Choice, Part, Situation};
 
 impl<R: Real> Sim<R> {
@@ -19,14 +20,19 @@ impl<R: Real> Sim<R> {
 
     /// The same while `observer` watches.
     pub fn step_watched<O: Observer<R>>(&mut self, n: u64, observer: &mut O) -> Result<()> {
+        self.wake_where_off();
         for _ in 0..n {
             R::enter(Stage::Commit);
             self.integrate(observer)?;
+            if self.settings.sleep {
+                self.settle();
+            }
             self.check_next()?;
             observer.committing(self);
             std::mem::swap(&mut self.state.qpos, &mut self.next.qpos);
             std::mem::swap(&mut self.state.qvel, &mut self.next.qvel);
             std::mem::swap(&mut self.state.warm, &mut self.next.warm);
+            std::mem::swap(&mut self.state.sleep, &mut self.next.sleep);
             self.state.steps += 1;
         }
         Ok(())
@@ -34,6 +40,7 @@ impl<R: Real> Sim<R> {
 
     /// Place, detect and solve at the present state. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
+        self.wake_where_off();
         self.place_detect_solve(At::State)?;
         let bad = all_finite(&self.qacc).not();
         if bad.any() {
@@ -52,9 +59,27 @@ impl<R: Real> Sim<R> {
     }
 
     pub(crate) fn place_detect_solve(&mut self, at: At) -> Result<()> {
+        if !self.settings.sleep {
+            self.place_and_make_rows(at);
+            return self.solve_placed(at);
+        }
+        self.begin_sleep();
+        loop {
+            self.place_and_make_rows(at);
+            if !self.wake_touched() {
+                return self.solve_placed(at);
+            }
+        }
+    }
+
+    fn place_and_make_rows(&mut self, at: At) {
         let (qpos, qvel) = at.of(&self.state, &self.next);
         self.placed.place(&self.model, qpos, qvel, &self.inputs, self.clock.dt);
-        self.detect_and_solve(at)
+        if self.settings.sleep {
+            self.hold_asleep();
+        }
+        self.detect(at);
+        self.make_rows(at, Part::Whole);
     }
 
     pub(crate) fn detect(&mut self, at: At) {
@@ -75,7 +100,8 @@ impl<R: Real> Sim<R> {
             clock: self.clock,
             qpos: at.of(&self.state, &self.next).0,
             part,
-            warm: if self.next.stage > 0 { &self.next.warm } else { &self.state.warm },
+            warm: last_impulses(&self.state, &self.next),
+            asleep: &self.detected.asleep,
             first_stage: self.next.stage == 0,
         };
         self.rows.make(&now, &mut self.detected.contacts);
@@ -88,9 +114,7 @@ impl<R: Real> Sim<R> {
         detected
     }
 
-    fn detect_and_solve(&mut self, at: At) -> Result<()> {
-        self.detect(at);
-        self.make_rows(at, Part::Whole);
+    fn solve_placed(&mut self, at: At) -> Result<()> {
         R::enter(Stage::Impulses);
         if self.rows.any() {
             self.warm_start(None);

@@ -33,4 +33,7 @@ class SettingsFields(TypedDict, total=False):
     impratio: float
     noslip_iterations: int
     stiction: bool
+    sleep: bool
+    sleep_tolerance: float
+    sleep_time: float
     refsafe: bool

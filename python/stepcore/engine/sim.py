@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core
@@ -326,6 +327,11 @@ class Sim(Stepped):
     def sweeps_done(self) -> int:
         """Number of sweeps, or Newton iterations, of the last solve."""
         return self._core.sweeps_done
+
+    @property
+    def asleep(self) -> NDArray[np.bool_]:
+        """Whether each body sleeps, shape (nbody,); see `Settings.sleep`."""
+        return np.array(self._core.asleep, dtype=bool)
 
     @property
     def row_updates(self) -> int:

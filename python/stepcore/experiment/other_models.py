@@ -40,6 +40,7 @@ MODELLED = (
         "noslip_iterations",
         "stiction",
     ),
+    *("sleep", "sleep_tolerance", "sleep_time"),
     *("max_recovery_speed", "penalty_stiffness", "penalty_damping_ratio"),
 )
 # Integrators that only solref knows.
@@ -258,6 +259,7 @@ def _modelled(settings: Settings) -> tuple[Any, ...]:
         unused = (
             (name in ("beta", "softness", "restitution", "slop") and soft)
             or (name in ("impratio", "noslip_iterations", "stiction") and not soft)
+            or (name.startswith("sleep_") and not settings.sleep)
             or (name.startswith("penalty") and settings.law != "penalty")
         )
         if unused:

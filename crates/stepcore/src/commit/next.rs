@@ -4,6 +4,7 @@ use super::damped::Damped;
 use crate::model::Model;
 use crate::real::Real;
 use crate::room::room;
+use crate::sleep::Sleep;
 use crate::state::Warm;
 
 /// The state that a step proposes, and the working space of the integrators.
@@ -21,6 +22,10 @@ pub struct Next<R: Real> {
     pub(super) mean: Vec<R>,
     /// Impulses for the next step's start.
     pub warm: Vec<Warm<R>>,
+    /// Who sleeps in this step, and after it; and the impulses that those who wake in it start from,
+    /// among the others. Empty: nobody wakes.
+    pub sleep: Sleep<R>,
+    pub woken: Vec<Warm<R>>,
     /// Which stage of `rk4` runs: after the first, rows start from the stage before.
     pub stage: usize,
     /// Where `rk4` and `midpoint` run the stages within the step.
@@ -29,7 +34,7 @@ pub struct Next<R: Real> {
     pub(super) sums: Sums<R>,
 }
 
-room!(Next<R>: qpos, qvel, start, held, change, gained, mean, warm; trial, damped, sums);
+room!(Next<R>: qpos, qvel, start, held, change, gained, mean, warm, woken; sleep, trial, damped, sums);
 
 /// Positions and velocities within a step.
 pub(crate) struct Trial<R: Real> {
@@ -63,6 +68,8 @@ impl<R: Real> Next<R> {
             gained: zeros(nv),
             mean: zeros(nv),
             warm: Vec::new(),
+            sleep: Sleep::new(),
+            woken: Vec::new(),
             stage: 0,
             trial: Trial { qpos: zeros(nq), qvel: zeros(nv) },
             damped: Damped::new(model),

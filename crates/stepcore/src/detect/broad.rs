@@ -47,6 +47,7 @@ impl Bounds {
 }
 
 /// Boxes, the grids in which they stand, and what overlaps.
+#[derive(Default)]
 pub struct Broad {
     boxes: Vec<Bounds>,
     /// By size: how many boxes; then one more than the place of its grid among the grids.

@@ -21,7 +21,7 @@ pub use touches::PosedTouches;
 use frame::hint;
 
 use crate::elements::{Element, Kind};
-use crate::model::{Model, Pair};
+use crate::model::{Model, Pair, NONE};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::room::room;
@@ -61,6 +61,8 @@ pub struct Detected<R: Real> {
     swept: Swept<R>,
     pub(crate) lists: Lists,
     broad: Broad,
+    /// By tree: it sleeps, and is not tested against what does not move; empty where nobody does.
+    pub(crate) asleep: Vec<bool>,
     /// Numbers and geoms of the pairs whose boxes overlap.
     near: Vec<(u64, u32, u32)>,
     /// Every pair is tested exactly, however far apart.
@@ -68,7 +70,7 @@ pub struct Detected<R: Real> {
     pub(crate) exhaustive: bool,
 }
 
-room!(Detected<R>: contacts, near; swept, lists, broad);
+room!(Detected<R>: contacts, near, asleep; swept, lists, broad);
 
 impl<R: Real> Detected<R> {
     pub fn new(model: &Model, max_contacts: usize) -> Self {
@@ -79,6 +81,7 @@ impl<R: Real> Detected<R> {
             lists: Lists::new(model),
             broad: Broad::new(),
             near: vec![],
+            asleep: vec![],
             #[cfg(test)]
             exhaustive: false,
         }
@@ -100,7 +103,11 @@ impl<R: Real> Detected<R> {
             return self.detect_near(model, heap, placed, settings);
         }
         let skips = !on_guess && !beyond(model, qpos);
+        let sleeps = self.asleep.contains(&true);
         for pair in &model.pairs {
+            if sleeps && self.rests(model, pair.geom1) && self.rests(model, pair.geom2) {
+                continue;
+            }
             let more = on_guess.then(|| self.swept.of(pair));
             let far = skips && pair.apart || far(model, placed, pair, more);
             #[cfg(test)]
@@ -123,6 +130,12 @@ impl<R: Real> Detected<R> {
     /// What the spans of rows point into: see `Situation::dof_lists`.
     pub fn dof_lists<'a>(&'a self, model: &'a Model) -> &'a [usize] {
         self.lists.of(model)
+    }
+
+    /// A geom that nothing moves, or whose tree sleeps.
+    fn rests(&self, model: &Model, geom: usize) -> bool {
+        let tree = model.bodies[model.geoms[geom].body].tree;
+        tree == NONE || self.asleep.get(tree).is_some_and(|asleep| *asleep)
     }
 
     fn push(&mut self, pair: &Pair, part: usize, touch: &Touch<R>, mask: R::Mask) {

@@ -2,7 +2,7 @@
 
 use super::broad::Bounds;
 use super::{far, meet, Detected};
-use crate::model::{Heap, Model, Pair, Span, NONE};
+use crate::model::{Heap, Model, Pair, Span};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::room::room;
@@ -74,12 +74,14 @@ impl<R: Real> Detected<R> {
     ) {
         let on_guess = settings.law.on_guess();
         self.lists.clear();
-        let swept = &self.swept;
-        let boxes = heap.solid.iter().map(|&geom| {
-            let more = if on_guess { swept.geom(geom).lane(0) } else { heap.listed[geom] };
-            bounds(model, heap, placed, geom, more)
-        });
-        self.broad.find(boxes);
+        // What is not of `self.broad`, which takes them in.
+        let mut broad = std::mem::take(&mut self.broad);
+        broad.find(heap.solid.iter().map(|&geom| {
+            let more = if on_guess { self.swept.geom(geom).lane(0) } else { heap.listed[geom] };
+            let fixed = self.rests(model, geom);
+            Bounds { fixed, ..bounds(model, heap, placed, geom, more) }
+        }));
+        self.broad = broad;
         self.near.clear();
         for &(a, b) in &self.broad.found {
             let (a, b) = (a as usize, b as usize);
@@ -138,6 +140,6 @@ fn bounds<R: Real>(
         low: std::array::from_fn(|k| centre[k] - size[k]),
         high: std::array::from_fn(|k| centre[k] + size[k]),
         geom: index as u32,
-        fixed: model.bodies[geom.body].tree == NONE,
+        fixed: false,
     }
 }

@@ -19,12 +19,14 @@ impl Constraint for Connect {
     }
 
     fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
-        if !makings.now.model.features.equality {
+        let now = makings.now;
+        if !now.model.features.equality {
             return;
         }
-        for (index, equality) in makings.now.model.equalities.iter().enumerate() {
-            if equality.active {
-                rows.connect(makings.now, index, equality);
+        for (index, equality) in now.model.equalities.iter().enumerate() {
+            let rests = |body: usize| now.rests(now.model.bodies[body].tree);
+            if equality.active && !(rests(equality.body1) && rests(equality.body2)) {
+                rows.connect(now, index, equality);
             }
         }
     }

@@ -29,6 +29,9 @@ impl Constraint for FrictionLoss {
         let most = if now.halves() { 0.5 * dt } else { dt };
         for &k in &model.rubbing {
             let dof = &model.dofs[k];
+            if now.rests(dof.tree) {
+                continue;
+            }
             let dofs = model.chain_of_dof(k);
             rows.clear_scratch(dofs.of(&model.dof_lists));
             rows.scratch[k] = R::one();

@@ -27,6 +27,9 @@ impl Constraint for Limit {
         for &index in &now.model.limited {
             let joint = &now.model.joints[index];
             let Some([lo, hi]) = joint.range else { continue };
+            if now.rests(now.model.dofs[joint.dof].tree) {
+                continue;
+            }
             let reach = Transmission::Joint(index).reach(now.model, now.qpos);
             // The angle of a ball has no lower bound but zero.
             if joint.kind != JointType::Ball {

@@ -11,7 +11,7 @@ use super::first::First;
 use super::live::Live;
 use crate::clock::Clock;
 use crate::elements::{Anchor, Element};
-use crate::model::{Model, Span};
+use crate::model::{Model, Span, NONE};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::room::room;
@@ -238,6 +238,8 @@ pub struct Situation<'a, R: Real> {
     pub part: Part,
     /// What the last step kept.
     pub warm: &'a [Warm<R>],
+    /// By tree: it sleeps; empty where nobody does.
+    pub asleep: &'a [bool],
     /// No stage of this step has been solved yet.
     pub first_stage: bool,
 }
@@ -246,6 +248,11 @@ impl<R: Real> Situation<'_, R> {
     /// The rows judge the mean velocity of a step of `midpoint` or `rk4`, by a law on velocities.
     pub fn halves(&self) -> bool {
         self.part == Part::End && self.settings.law.on_guess()
+    }
+
+    /// A tree sleeps, or nothing moves what it stands for (`NONE`).
+    pub fn rests(&self, tree: usize) -> bool {
+        tree == NONE || self.asleep.get(tree).is_some_and(|asleep| *asleep)
     }
 }
 

@@ -38,6 +38,9 @@ impl Linearizer {
     /// At the present state and inputs of a world, with its settings, computed in `f64`.
     pub fn new<R: Real>(from: &Sim<R>) -> Result<Self> {
         let mut sim = from.in_doubles::<Dual>()?;
+        // Asleep nothing answers: what is linearised is the step awake.
+        sim.state.wake();
+        sim.settings.sleep = false;
         sim.solver = Box::new(Differentiated::new());
         let width = 2 * from.model.nv + from.model.actuators.len();
         Ok(Self {

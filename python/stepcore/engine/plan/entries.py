@@ -291,6 +291,8 @@ class _Listing:
                 yield _used("solve", f"noslip: {sweeps} over friction", rubbing, count=many)
             if settings.stiction:
                 yield _used("solve", "stiction: friction held by a spring", rubbing, count=many)
+        if settings.sleep:
+            yield _used("solve", "sleep: islands at rest make no rows", self.tree_names)
         name = f"integrator: {settings.integrator} (by joint)"
         yield _used("commit", name, self.joint_names, stages=("commit",))
         if not settings.warm_start:

@@ -247,6 +247,7 @@ fn start<R: Real>(state: &State<R>, lane: usize) -> Start {
         qvel: numbers(&state.qvel, lane),
         // An impulse of zero is as good as none, and a lane has zeros for its neighbours' contacts.
         warm: warm.filter(Warm::acts).collect(),
+        sleep: state.sleep.cast(),
     }
 }
 
