@@ -16,7 +16,13 @@ LAWS = {
     "elliptic": {"cone": "elliptic", "stiction": True, "integrator": "implicitfast"},
     "rigid": {"law": "rigid", "solver": "pgs", "integrator": "semi-implicit", "sweeps": 200},
     "lesson": {"law": "lesson", "solver": "pgs", "integrator": "semi-implicit", "sweeps": 200},
-    "penalty": {"law": "penalty", "integrator": "semi-implicit", "penalty_damping_ratio": 0.5},
+    "penalty": {
+        "law": "penalty",
+        "integrator": "semi-implicit",
+        "dt": 5e-4,
+        "penalty_stiffness": 1e4,
+        "penalty_damping_ratio": 0.5,
+    },
 }
 
 
@@ -56,7 +62,7 @@ TOWER = {"box0", "box1"}
 def slept(model, law="newton"):
     """A world whose boxes sleep while the ball falls."""
     sim = sc.Sim(model, **LAWS[law], **ON)
-    for _ in range(900):
+    for _ in range(3000):
         sim.step()
         if asleep(sim) == TOWER | {"beside"}:
             return sim
@@ -92,7 +98,7 @@ def test_until_someone_sleeps_every_bit_is_the_same(model, law):
         sim.step()
         other.step()
         steps += 1
-    assert steps * 0.002 >= ON["sleep_time"] - 1e-9
+    assert steps * sim.settings.dt >= ON["sleep_time"] - 1e-9
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -100,7 +106,7 @@ def test_a_ball_wakes_the_tower_in_the_step_in_which_it_touches(model, law):
     sim = slept(model, law)
     above(sim, 0.011, 1.0)
     awake = sc.Sim(model, **LAWS[law])
-    for _ in range(20):
+    for _ in range(60):
         awake.restore(sim.state())
         awake.step()
         touches = any("ball" in str(names) for names in touching(awake))
@@ -165,12 +171,14 @@ def test_a_snapshot_of_a_sleeping_world_continues_bit_for_bit(model, law, copied
     if not copied:
         other.step(3)
         other.restore(sim.state())
-    for _ in range(10):
+    seen = []
+    for _ in range(20):
+        seen.append(asleep(sim))
         assert np.array_equal(sim.asleep, other.asleep)
-        sim.step(20)
-        other.step(20)
+        sim.step(10)
+        other.step(10)
         assert np.array_equal(sim.qpos, other.qpos) and np.array_equal(sim.qvel, other.qvel)
-    assert asleep(sim) == {"beside"}
+    assert seen[0] == TOWER | {"beside"} and {"beside"} in seen
     assert sim.state() == other.state()
 
 
@@ -211,8 +219,7 @@ def test_an_actuator_keeps_its_tree_awake_and_a_joint_at_its_limit_sleeps():
     sim = sc.Sim(sc.loads(text).compile(), **ON)
     sim.step(1500)
     assert sim.asleep.tolist() == [False, True, False]
-    assert sim.rows["name"].tolist()
-    assert all('"b"' in name or "b" in name.split() for name in sim.rows["name"].tolist())
+    assert sim.rows["name"].tolist() == ["friction loss of joint `b`", "limit of joint `b`"]
 
 
 def test_many_worlds_sleep_one_by_one(model):
