@@ -197,7 +197,18 @@ def _worker_was_lost(error: Exception) -> bool:
     """Whether a Dask cluster lost the worker; Dask is no dependency, but has raised the error."""
     dask = sys.modules.get("distributed")
     killed = dask is not None and isinstance(error, dask.KilledWorker)
-    return killed or isinstance(error, CancelledError)
+    return killed or isinstance(error, CancelledError) or _was_lost_on_the_way(error)
+
+
+def _was_lost_on_the_way(error: Exception) -> bool:
+    """Whether a worker died while Dask fetched its result: Dask's executor then takes an answer
+    apart that it has not got, and fails with a ValueError of its own."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    raised_in = trace.tb_frame.f_globals.get("__name__") if trace is not None else None
+    unpacks = isinstance(error, ValueError) and "values to unpack" in str(error)
+    return unpacks and raised_in == "distributed.cfexecutor"
 
 
 def _check_sendable(function: Callable[[T], R], points: Sequence[T], executor: Executor) -> None:
