@@ -3,42 +3,16 @@
 use super::by_lane::OneWorld;
 use super::capsule_box::CapsuleBox;
 use super::cylinder::sphere_cylinder;
-use super::{Shape, Touch};
-use crate::real::{Dual, Lanes, Mask, Real};
+use super::trial::{assert_slopes, at, bare, same_features, still, Moving, Random};
+use super::Touch;
+use crate::real::{Lanes, Mask, Real};
 use crate::spatial::Pose;
-use nalgebra::{Matrix3, Rotation3, Vector3};
-
-struct Random(u64);
-
-impl Random {
-    /// Uniform in [-1, 1).
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    }
-    fn vector(&mut self) -> Vector3<f64> {
-        Vector3::new(self.next(), self.next(), self.next())
-    }
-    fn pose(&mut self, spread: f64) -> Pose<f64> {
-        let rot = Rotation3::new(self.vector() * 3.0).into_inner();
-        Pose { pos: self.vector() * spread, rot }
-    }
-    fn size(&mut self) -> [f64; 3] {
-        self.vector().map(|x| 0.3 + 0.25 * x).into()
-    }
-}
+use nalgebra::{Matrix3, Vector3};
 
 fn meet<R: Real>(a: &Pose<R>, sa: &[f64; 3], b: &Pose<R>, sb: &[f64; 3]) -> Vec<Touch<R>> {
-    let (one, two) = (
-        Shape { pose: a, size: sa, hull: None, field: None },
-        Shape { pose: b, size: sb, hull: None, field: None },
-    );
+    let (one, two) = (bare(a, sa), bare(b, sb));
     let all: [Touch<R>; 2] = CapsuleBox.touches(&one, &two);
     all.into_iter().filter(|touch| touch.exists.lane(0)).collect()
-}
-
-fn at(x: f64, y: f64, z: f64) -> Pose<f64> {
-    Pose { pos: Vector3::new(x, y, z), rot: Matrix3::identity() }
 }
 
 /// Along the world's x axis.
@@ -162,47 +136,15 @@ fn slopes_are_those_of_differences() {
     for _ in 0..400 {
         let (a, b) = (random.pose(0.6), random.pose(0.1));
         let (sa, sb) = (random.size(), random.size());
-        let (way, turn) = (random.vector(), random.vector());
-        let moved = |h: f64| Pose {
-            pos: a.pos + way * h,
-            rot: Rotation3::new(turn * h).into_inner() * a.rot,
-        };
-        let seed = |x: f64, slope: f64| {
-            let mut dual = Dual::of(x);
-            dual.slopes[0] = slope;
-            dual
-        };
-        let spin = turn.cross_matrix() * a.rot;
-        let dual = Pose {
-            pos: Vector3::from_fn(|i, _| seed(a.pos[i], way[i])),
-            rot: Matrix3::from_fn(|i, k| seed(a.rot[(i, k)], spin[(i, k)])),
-        };
-        let fixed = Pose { pos: b.pos.map(Dual::of), rot: b.rot.map(Dual::of) };
-        let slopes = meet(&dual, &sa, &fixed, &sb);
+        let moving = Moving { pose: a, way: random.vector(), turn: random.vector() };
+        let slopes = meet(&moving.dual(), &sa, &still(&b), &sb);
         let h = 1e-6;
-        let (less, more) = (meet(&moved(-h), &sa, &b, &sb), meet(&moved(h), &sa, &b, &sb));
-        let names = |list: &[Touch<f64>]| list.iter().map(|t| t.feature).collect::<Vec<_>>();
-        let own: Vec<_> = slopes.iter().map(|t| t.feature.value).collect();
+        let [less, more] = [-h, h].map(|h| meet(&moving.at(h), &sa, &b, &sb));
         let jump = |x: &Touch<f64>, y: &Touch<f64>| (x.normal - y.normal).amax() > 1e-3;
-        if names(&less) != own
-            || names(&more) != own
-            || less.iter().zip(&more).any(|(x, y)| jump(x, y))
-        {
-            continue;
-        }
-        compared += 1;
-        for (k, touch) in slopes.iter().enumerate() {
-            let (lo, hi) = (&less[k], &more[k]);
-            let close = |slope: f64, lo: f64, hi: f64| {
-                let difference = (hi - lo) / (2.0 * h);
-                let off = (slope - difference).abs();
-                assert!(off < 1e-3 * (1.0 + difference.abs()), "{slope} {difference} {touch:?}");
-            };
-            close(touch.dist.slopes[0], lo.dist, hi.dist);
-            for i in 0..3 {
-                close(touch.pos[i].slopes[0], lo.pos[i], hi.pos[i]);
-                close(touch.normal[i].slopes[0], lo.normal[i], hi.normal[i]);
-            }
+        let jumps = || less.iter().zip(&more).any(|(x, y)| jump(x, y));
+        if same_features(&slopes, [&less, &more]) && !jumps() {
+            compared += 1;
+            assert_slopes(&slopes, [&less, &more], h, 1e-3);
         }
     }
     assert!(compared > 200);

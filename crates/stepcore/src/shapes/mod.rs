@@ -33,6 +33,8 @@ pub(crate) mod sphere;
 #[cfg(test)]
 mod tests;
 pub(crate) mod touch;
+#[cfg(test)]
+mod trial;
 
 pub use shape_test::ShapeTest;
 pub use touch::{Touch, Touches};

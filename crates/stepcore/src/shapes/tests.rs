@@ -5,6 +5,7 @@ use super::capsule::capsule_capsule;
 use super::plane::{plane_box, plane_capsule, plane_cylinder, plane_ellipsoid, plane_sphere};
 use super::sphere::{sphere_box, sphere_capsule, sphere_sphere};
 use super::touch::Touch;
+use super::trial::{at, Random};
 use crate::detect::tangents;
 use crate::real::{Lanes, Mask, Real, WIDTH};
 use crate::spatial::Pose;
@@ -67,20 +68,7 @@ fn numbers<R: Real>(pair: Pair, b: &Pose<R>, touches: &[Touch<R>], lane: usize) 
     out
 }
 
-struct Random(u64);
-
 impl Random {
-    /// Uniform in [-1, 1).
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    }
-    fn vector(&mut self) -> Vector3<f64> {
-        Vector3::new(self.next(), self.next(), self.next())
-    }
-    fn size(&mut self) -> Size {
-        self.vector().map(|x| 0.3 + 0.25 * x).into()
-    }
     /// Two poses: any, nearly parallel, parallel, in one place, or with a zero length.
     fn scene(&mut self, case: usize) -> (Pose<f64>, Size, Pose<f64>, Size) {
         let turn = Rotation3::new(self.vector() * 3.0);
@@ -200,11 +188,6 @@ fn single_precision_agrees() {
             assert!((f64::from(f32s[0].dist) - f64s[0].dist).abs() < 2e-6);
         }
     }
-}
-
-/// At a place, unturned.
-fn at(x: f64, y: f64, z: f64) -> Pose<f64> {
-    Pose { pos: Vector3::new(x, y, z), rot: Matrix3::identity() }
 }
 
 fn close(touches: &[Touch<f64>], slot: usize, dist: f64, pos: [f64; 3], normal: [f64; 3]) {

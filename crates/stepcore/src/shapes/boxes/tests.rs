@@ -1,49 +1,23 @@
 //! Boxes against boxes: closed forms, brute force, and laws.
 
 use super::{Boxes, MOST};
-use crate::real::{Dual, Mask, Real};
+use crate::real::{Mask, Real};
 use crate::shapes::by_lane::OneWorld;
-use crate::shapes::{Shape, Touch};
+use crate::shapes::trial::{assert_slopes, at, bare, same_features, still, Moving, Random};
+use crate::shapes::Touch;
 use crate::spatial::Pose;
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Rotation3, Vector3};
 
 type Size = [f64; 3];
 
-struct Random(u64);
-
-impl Random {
-    /// Uniform in [-1, 1).
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        (self.0 >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    }
-    fn vector(&mut self) -> Vector3<f64> {
-        Vector3::new(self.next(), self.next(), self.next())
-    }
-    fn pose(&mut self, spread: f64) -> Pose<f64> {
-        let rot = Rotation3::new(self.vector() * 3.0).into_inner();
-        Pose { pos: self.vector() * spread, rot }
-    }
-    fn size(&mut self) -> Size {
-        self.vector().map(|x| 0.3 + 0.25 * x).into()
-    }
-}
-
 fn meet<R: Real>(a: &Pose<R>, sa: &Size, b: &Pose<R>, sb: &Size) -> Vec<Touch<R>> {
-    let (one, two) = (
-        Shape { pose: a, size: sa, hull: None, field: None },
-        Shape { pose: b, size: sb, hull: None, field: None },
-    );
+    let (one, two) = (bare(a, sa), bare(b, sb));
     let all: [Touch<R>; MOST] = Boxes { within: f64::INFINITY }.touches(&one, &two);
     all.into_iter().filter(|touch| touch.exists.lane(0)).collect()
 }
 
 fn least(touches: &[Touch<f64>]) -> Touch<f64> {
     *touches.iter().min_by(|x, y| x.dist.total_cmp(&y.dist)).unwrap()
-}
-
-fn at(x: f64, y: f64, z: f64) -> Pose<f64> {
-    Pose { pos: Vector3::new(x, y, z), rot: Matrix3::identity() }
 }
 
 /// The point of a box nearest to another point.
@@ -249,43 +223,13 @@ fn slopes_are_those_of_differences() {
     for _ in 0..300 {
         let (a, b) = (random.pose(0.1), random.pose(0.5));
         let (sa, sb) = (random.size(), random.size());
-        let (way, turn) = (random.vector(), random.vector());
-        let moved = |h: f64| Pose {
-            pos: b.pos + way * h,
-            rot: Rotation3::new(turn * h).into_inner() * b.rot,
-        };
-        let seed = |x: f64, slope: f64| {
-            let mut dual = Dual::of(x);
-            dual.slopes[0] = slope;
-            dual
-        };
-        let spin = turn.cross_matrix() * b.rot;
-        let dual = Pose {
-            pos: Vector3::from_fn(|i, _| seed(b.pos[i], way[i])),
-            rot: Matrix3::from_fn(|i, k| seed(b.rot[(i, k)], spin[(i, k)])),
-        };
-        let fixed = Pose { pos: a.pos.map(Dual::of), rot: a.rot.map(Dual::of) };
-        let slopes = meet(&fixed, &sa, &dual, &sb);
+        let moving = Moving { pose: b, way: random.vector(), turn: random.vector() };
+        let slopes = meet(&still(&a), &sa, &moving.dual(), &sb);
         let h = 1e-6;
-        let (less, more) = (meet(&a, &sa, &moved(-h), &sb), meet(&a, &sa, &moved(h), &sb));
-        let names = |list: &[Touch<f64>]| list.iter().map(|t| t.feature).collect::<Vec<_>>();
-        let own: Vec<_> = slopes.iter().map(|t| t.feature.value).collect();
-        if names(&less) != own || names(&more) != own {
-            continue;
-        }
-        compared += 1;
-        for (k, touch) in slopes.iter().enumerate() {
-            let (lo, hi) = (&less[k], &more[k]);
-            let close = |slope: f64, lo: f64, hi: f64| {
-                let difference = (hi - lo) / (2.0 * h);
-                let off = (slope - difference).abs();
-                assert!(off < 1e-4 * (1.0 + difference.abs()), "{slope} {difference}");
-            };
-            close(touch.dist.slopes[0], lo.dist, hi.dist);
-            for i in 0..3 {
-                close(touch.pos[i].slopes[0], lo.pos[i], hi.pos[i]);
-                close(touch.normal[i].slopes[0], lo.normal[i], hi.normal[i]);
-            }
+        let [less, more] = [-h, h].map(|h| meet(&a, &sa, &moving.at(h), &sb));
+        if same_features(&slopes, [&less, &more]) {
+            compared += 1;
+            assert_slopes(&slopes, [&less, &more], h, 1e-4);
         }
     }
     assert!(compared > 200);
