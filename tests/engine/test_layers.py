@@ -30,7 +30,15 @@ LAYERS = (
     ("cli", "__main__"),
 )
 # Layers in whose files TYPE_CHECKING may name types of layers above: what they are handed.
-HANDED = ("report.plot", "executors", "scene.contents", "engine", "experiment", "_core")
+HANDED = (
+    "report.plot",
+    "executors",
+    "scene.contents",
+    "scene.holdings",
+    "engine",
+    "experiment",
+    "_core",
+)
 # Circles of types that are left: `Scene.compile` gives a Model, which has its Scene and gives the
 # plan of a Sim; a Replay runs to a PostMortem, which has its Replay.
 TIED = {

@@ -24,7 +24,8 @@ from stepcore.mjcf.references import check_references
 from stepcore.mjcf.validation import validate
 from stepcore.mjcf.visual_geoms import leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
-from stepcore.scene.layout import Layout, check
+from stepcore.scene.consistency import check
+from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents

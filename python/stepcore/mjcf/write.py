@@ -11,6 +11,7 @@ from stepcore._core import Settings
 from stepcore.mjcf import custom
 from stepcore.mjcf.nodes import DEPTH
 from stepcore.mjcf.option import said, shortest
+from stepcore.scene.consistency import check
 from stepcore.scene.elements import (
     GRAVITY,
     Actuator,
@@ -25,7 +26,7 @@ from stepcore.scene.elements import (
     Mesh,
     Site,
 )
-from stepcore.scene.layout import SIZES, Layout, check
+from stepcore.scene.layout import SIZES, Layout
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents

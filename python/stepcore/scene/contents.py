@@ -6,41 +6,33 @@
 
 from __future__ import annotations
 
-import copy
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore import checks
 from stepcore.scene import frames
 from stepcore.scene.elements import (
-    GRAVITY,
     Actuator,
     Body,
-    ContactOverride,
     Element,
     Equality,
-    Features,
     Geom,
     HField,
     Joint,
     Key,
-    MassRules,
     Mesh,
     Pair,
     Site,
     fields_of,
 )
-from stepcore.scene.names import Names
+from stepcore.scene.holdings import Holdings
 
 if TYPE_CHECKING:
-    from typing import Self, Unpack
+    from typing import Unpack
 
     from numpy.typing import ArrayLike
 
-    from stepcore._core import Settings
-    from stepcore.engine.settings_fields import SettingsFields
-    from stepcore.mjcf.nodes import Source
     from stepcore.scene.fields import (
         ActuatorFields,
         EqualityFields,
@@ -57,97 +49,8 @@ if TYPE_CHECKING:
 E = TypeVar("E", bound=Element)
 
 
-class Contents(checks.KnownNames):
+class Contents(Holdings):
     """The elements and settings of a `Scene`, which documents them."""
-
-    _attributes = (
-        *("name", "bodies", "joints", "geoms", "sites", "actuators", "equalities", "keys"),
-        *("meshes", "hfields", "excludes", "pairs", "contact_override", "mass_rules", "features"),
-        *("options", "ignored", "notes"),
-    )
-
-    def __init__(self, gravity: Vector = GRAVITY, name: str = "") -> None:
-        self.gravity = gravity
-        self.name = checks.text("scene", "name", name)
-        self.bodies: list[Body] = [Body(name="world")]
-        self.joints: list[Joint] = []
-        self.geoms: list[Geom] = []
-        self.meshes: list[Mesh] = []
-        self.hfields: list[HField] = []
-        self.sites: list[Site] = []
-        self.actuators: list[Actuator] = []
-        self.equalities: list[Equality] = []
-        self.keys: list[Key] = []
-        self.excludes: list[tuple[Body, Body]] = []
-        self.pairs: list[Pair] = []
-        self.contact_override = ContactOverride()
-        self.mass_rules = MassRules()
-        self.features = Features()
-        self.options: dict[str, Any] = {}
-        self.ignored: list[str] = []
-        self.notes: list[str] = []
-        # The text that the scene was read from, so that saving can keep it.
-        self._source: Source | None = None
-        # By kind, so that what an element refers to is found without looking at all of them.
-        self._names: dict[str, Names] = {}
-
-    @property
-    def gravity(self) -> frames.Vec:
-        """Gravitational acceleration [m/s²], shape (3,)."""
-        return self._gravity
-
-    @gravity.setter
-    def gravity(self, value: Vector) -> None:
-        self._gravity: frames.Vec = checks.vector(3)("scene", "gravity", value)
-
-    @property
-    def world(self) -> Body:
-        """The world: the body that everything stands on, which does not move."""
-        return self.bodies[0]
-
-    # What is in the scene.
-
-    def body(self, name: str | Body) -> Body:
-        """Returns the body of this name; ValueError with the nearest names if there is none."""
-        return self._find(self.bodies, "body", name)
-
-    def joint(self, name: str | Joint) -> Joint:
-        """Returns the joint of this name."""
-        return self._find(self.joints, "joint", name)
-
-    def geom(self, name: str | Geom) -> Geom:
-        """Returns the geom of this name."""
-        return self._find(self.geoms, "geom", name)
-
-    def mesh(self, name: str | Mesh) -> Mesh:
-        """Returns the mesh of this name."""
-        return self._find(self.meshes, "mesh", name)
-
-    def hfield(self, name: str | HField) -> HField:
-        """Returns the height field of this name."""
-        return self._find(self.hfields, "hfield", name)
-
-    def site(self, name: str | Site) -> Site:
-        """Returns the site of this name."""
-        return self._find(self.sites, "site", name)
-
-    def actuator(self, name: str | Actuator) -> Actuator:
-        """Returns the actuator of this name."""
-        return self._find(self.actuators, "actuator", name)
-
-    def equality(self, name: str | Equality) -> Equality:
-        """Returns the equality of this name."""
-        return self._find(self.equalities, "equality", name)
-
-    def pair(self, name: str | Pair) -> Pair:
-        """Returns the explicit pair of this name."""
-        return self._find(self.pairs, "pair", name)
-
-    def key(self, name: str | Key) -> Key:
-        """Returns the keyframe of this name."""
-        return self._find(self.keys, "key", name)
-
-    # Adding to it.
 
     def add_body(
         self,
@@ -357,70 +260,6 @@ class Contents(checks.KnownNames):
         into.append(element)
         names.added(into, element)
         return element
-
-    def _find(self, elements: Sequence[E], kind: str, name: object) -> E:
-        """The element of this name, or the element itself if it is one of these."""
-        found: E | None = self._names_of(kind).find(elements, name)
-        if found is None:
-            raise _unknown(elements, kind, name)
-        return found
-
-    def _names_of(self, kind: str) -> Names:
-        return self._names.setdefault(kind, Names())
-
-    # How it is computed.
-
-    @property
-    def settings(self) -> Settings:
-        """The scene's `Settings`: its `options`, and defaults for the rest.
-
-        Raises ValueError for an option that is not a field of `Settings` or is outside its limit.
-        """
-        from stepcore._core import Settings
-
-        for field in self.options:
-            if not isinstance(field, str):
-                raise ValueError(f"settings: {checks.shown(field)} must be the name of a field")
-        return Settings(**self.options)
-
-    @settings.setter
-    def settings(self, value: Settings) -> None:
-        self.options = value.as_dict()
-
-    def with_settings(
-        self,
-        settings: Settings | Mapping[str, Any] | None = None,
-        **fields: Unpack[SettingsFields],
-    ) -> Self:
-        """Returns a copy of the scene with other settings.
-
-        settings: a `Settings`, which replaces them all, or a dict of fields.
-        fields: single fields of `Settings`.
-
-        Raises ValueError for a field that settings do not have, or a value outside its limits.
-        """
-        scene = copy.deepcopy(self)
-        if settings is not None:
-            if isinstance(settings, Mapping):
-                scene.options.update(settings)
-            elif hasattr(settings, "as_dict"):
-                scene.options = settings.as_dict()
-            else:
-                limit = "Settings, or a dict of their fields"
-                raise ValueError(f"settings = {checks.shown(settings)}: must be {limit}")
-        scene.options.update(fields)
-        _ = scene.settings  # Raises for what settings do not take.
-        return scene
-
-
-def _unknown(elements: Sequence[Element], kind: str, name: object) -> ValueError:
-    if isinstance(name, str):
-        near = checks.nearest(name, [e.name for e in elements])  # type: ignore[attr-defined]
-        return ValueError(f"no {kind} is named {checks.quoted(name)}{near}")
-    if isinstance(name, Element):
-        return ValueError(f"{name} is not a {kind} of this scene")
-    limit = f"a name or a {kind.capitalize()}"
-    return ValueError(f"{kind} = {checks.shown(name)}: must be {limit}")
 
 
 def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from stepcore.scene.consistency import check
 from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Element
-from stepcore.scene.layout import Layout, check, essence, plain
+from stepcore.scene.layout import Layout
+from stepcore.scene.plain import essence, plain
 
 if TYPE_CHECKING:
     import os

@@ -1,0 +1,45 @@
+//! Explicit pairs, and what overrides the parameters of contacts.
+
+use super::Softness;
+
+/// Two geoms that collide whatever their bodies, masks and excludes say, with contact parameters of
+/// their own: MuJoCo's `pair`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ExplicitPair {
+    pub name: String,
+    pub geom1: usize,
+    pub geom2: usize,
+    pub condim: u32,
+    /// Sliding along both tangents [1], torsional [m], rolling about both [m].
+    pub friction: [f64; 5],
+    /// A contact has rows below `margin` [m] and is listed up to `gap` above that.
+    pub margin: f64,
+    pub gap: f64,
+    pub soft: Softness,
+    /// The solref of the friction rows of a cone; None: that of `soft`.
+    pub solreffriction: Option<[f64; 2]>,
+}
+
+impl Default for ExplicitPair {
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            geom1: 0,
+            geom2: 0,
+            condim: 3,
+            friction: [1.0, 1.0, 0.005, 0.0001, 0.0001],
+            margin: 0.0,
+            gap: 0.0,
+            soft: Softness::default(),
+            solreffriction: None,
+        }
+    }
+}
+
+/// Contact parameters that replace those of every contact: MuJoCo's `o_margin` and its like.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ContactOverride {
+    pub margin: f64,
+    pub friction: [f64; 5],
+    pub soft: Softness,
+}

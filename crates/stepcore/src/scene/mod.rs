@@ -1,0 +1,120 @@
+//! `Scene`: what is modelled, as the user wrote it. Compiling it gives a `Model`.
+//!
+//! Plain data in SI units, angles in radians, quaternions w x y z. Index 0 of
+//! `bodies` is the world. A parent stands before its children.
+
+mod actuator;
+mod body;
+mod contact;
+mod equality;
+mod geom;
+mod joint;
+mod site;
+mod softness;
+
+pub use crate::assets::{HField, Mesh, MeshInertia};
+pub use actuator::Actuator;
+pub use body::{Body, Inertial, MassRules};
+pub use contact::{ContactOverride, ExplicitPair};
+pub use equality::Equality;
+pub use geom::{Geom, GeomType};
+pub use joint::{Coefficients, Joint, JointType, NONE};
+pub use site::Site;
+pub use softness::Softness;
+
+/// A keyframe: a state by name. None: qpos0, and zeros.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Key {
+    pub name: String,
+    pub time: f64,
+    pub qpos: Option<Vec<f64>>,
+    pub qvel: Option<Vec<f64>>,
+    pub ctrl: Option<Vec<f64>>,
+}
+
+/// What can be switched off in the model itself; but for `coriolis`, MJCF's flags of that name.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Features {
+    pub constraint: bool,
+    pub equality: bool,
+    pub frictionloss: bool,
+    pub limit: bool,
+    pub contact: bool,
+    pub spring: bool,
+    pub damper: bool,
+    pub gravity: bool,
+    pub clampctrl: bool,
+    pub actuation: bool,
+    pub filterparent: bool,
+    /// MJCF's `eulerdamp`: the `euler` integrator treats joint damping implicitly.
+    pub eulerdamp: bool,
+    /// Coriolis, centrifugal and gyroscopic forces. MJCF has no flag for them: they are off
+    /// only where it is measured what they matter.
+    pub coriolis: bool,
+}
+
+impl Default for Features {
+    fn default() -> Self {
+        Self {
+            constraint: true,
+            equality: true,
+            frictionloss: true,
+            limit: true,
+            contact: true,
+            spring: true,
+            damper: true,
+            gravity: true,
+            clampctrl: true,
+            actuation: true,
+            filterparent: true,
+            eulerdamp: true,
+            coriolis: true,
+        }
+    }
+}
+
+/// Everything that is modelled. Elements of one kind stand in the order of their bodies.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    pub name: String,
+    /// [m/s²]
+    pub gravity: [f64; 3],
+    pub bodies: Vec<Body>,
+    pub joints: Vec<Joint>,
+    pub geoms: Vec<Geom>,
+    pub meshes: Vec<Mesh>,
+    pub hfields: Vec<HField>,
+    pub sites: Vec<Site>,
+    pub actuators: Vec<Actuator>,
+    pub equalities: Vec<Equality>,
+    pub keys: Vec<Key>,
+    /// Pairs of bodies that never collide, but for explicit pairs of their geoms.
+    pub excludes: Vec<[usize; 2]>,
+    pub pairs: Vec<ExplicitPair>,
+    pub contact_override: Option<ContactOverride>,
+    pub mass_rules: MassRules,
+    pub features: Features,
+}
+
+impl Default for Scene {
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            gravity: [0.0, 0.0, -9.81],
+            bodies: vec![Body { name: "world".into(), ..Body::default() }],
+            joints: vec![],
+            geoms: vec![],
+            meshes: vec![],
+            hfields: vec![],
+            sites: vec![],
+            actuators: vec![],
+            equalities: vec![],
+            keys: vec![],
+            excludes: vec![],
+            pairs: vec![],
+            contact_override: None,
+            mass_rules: MassRules::default(),
+            features: Features::default(),
+        }
+    }
+}

@@ -1,0 +1,123 @@
+"""Checks of what concerns several fields or elements of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from stepcore import checks
+from stepcore.scene import actuation
+from stepcore.scene.elements import Body, Element, Geom
+from stepcore.scene.frames import IDENTITY, ORIGIN
+from stepcore.scene.layout import DOFS, SIZES, Layout
+
+if TYPE_CHECKING:
+    pass
+
+SIZE_WORDS = {
+    "sphere": "a radius > 0",
+    "capsule": "a radius and a half length > 0",
+    "cylinder": "a radius and a half length > 0",
+    "ellipsoid": "3 radii > 0",
+    "box": "3 half sizes > 0",
+}
+
+
+def check(layout: Layout) -> None:
+    """Checks what concerns several fields or elements; a ValueError names the element."""
+    scene = layout.scene
+    world = layout.bodies[0]
+    if (world.pos, world.quat) != (ORIGIN, IDENTITY) or id(world) in layout.joints_of:
+        raise ValueError("the world cannot move: it has no pos, no quat and no joint")
+    for body in layout.bodies[1:]:
+        if body.mass is None and any((*body.inertia, *body.ipos)):
+            raise checks.refuse(body, "mass", None, "given where ipos or inertia is")
+        _check_joints(layout, body)
+    for geom in layout.geoms:
+        need = 0 if geom.mesh is not None else SIZES[geom.type]
+        _check_asset(layout, geom)
+        if any(size <= 0 for size in geom.size[:need]):
+            raise checks.refuse(
+                geom, "size", geom.size, f"{SIZE_WORDS[geom.type]} for a {geom.type}"
+            )
+        if geom.type == "plane" and layout.moving(geom.body):
+            raise checks.ElementError(
+                geom, "a plane must be on the world or on a body that cannot move"
+            )
+    inside = {id(joint) for joint in layout.joints}
+    for actuator in scene.actuators:
+        if id(actuator.joint) not in inside:
+            raise checks.ElementError(
+                actuator, f"refers to {actuator.joint}, which is not in this scene"
+            )
+        actuation.check(actuator)
+    for equality in scene.equalities:
+        if equality.body1 is equality.body2:
+            raise checks.ElementError(equality, f"connects {equality.body1} to itself")
+    _check_pairs(layout)
+    sizes = {"qpos": layout.nq, "qvel": layout.nv, "ctrl": len(scene.actuators)}
+    for key in scene.keys:
+        for field, count in sizes.items():
+            value = getattr(key, field)
+            if value is not None and len(value) != count:
+                raise checks.refuse(key, field, value, f"{count} numbers, not {len(value)}")
+    kinds: tuple[Sequence[Element], ...] = (
+        *(scene.bodies, scene.joints, scene.geoms, scene.sites),
+        *(scene.actuators, scene.equalities, scene.pairs, scene.keys),
+    )
+    for elements in kinds:
+        seen: set[str] = set()
+        for element in elements:
+            name = getattr(element, "name", "")
+            if name and name in seen:
+                raise checks.ElementError(element, "the name is used twice")
+            seen.add(name)
+
+
+def _check_pairs(layout: Layout) -> None:
+    inside = {id(geom) for geom in layout.geoms}
+    for pair in layout.scene.pairs:
+        for geom in (pair.geom1, pair.geom2):
+            if id(geom) not in inside:
+                raise checks.ElementError(pair, f"refers to {geom}, which is not in this scene")
+        if pair.geom1 is pair.geom2:
+            raise checks.ElementError(pair, f"pairs {pair.geom1} with itself")
+
+
+def _check_asset(layout: Layout, geom: Geom) -> None:
+    """What a geom refers to is in the scene and fits its type."""
+    scene = layout.scene
+    listed: tuple[tuple[str, Any, Sequence[Any], bool, bool], ...] = (
+        ("mesh", geom.mesh, scene.meshes, geom.type == "mesh", geom.type in ("plane", "hfield")),
+        ("hfield", geom.hfield, scene.hfields, geom.type == "hfield", geom.type != "hfield"),
+    )
+    for field, asset, known, needed, barred in listed:
+        if needed and asset is None:
+            raise checks.ElementError(geom, f"a geom of type {geom.type} needs a {field}")
+        if asset is None:
+            continue
+        if barred:
+            raise checks.ElementError(geom, f"a geom of type {geom.type} has no {field}")
+        if not any(asset is each for each in known):
+            raise checks.ElementError(geom, f"refers to {asset}, which is not in this scene")
+    if geom.type == "mesh" and geom.shellinertia:
+        limit = 'False for a mesh, whose own inertia can be "shell"'
+        raise checks.refuse(geom, "shellinertia", True, limit)
+
+
+def _check_joints(layout: Layout, body: Body) -> None:
+    joints = layout.joints_of.get(id(body), [])
+    if sum(DOFS[joint.type] for joint in joints) > 6:
+        raise checks.ElementError(body, "its joints have more than 6 dofs")
+    turned_by_ball = False
+    for joint in joints:
+        if turned_by_ball and joint.type in ("ball", "hinge"):
+            raise checks.ElementError(joint, "a ball joint must be a body's last joint that turns")
+        turned_by_ball |= joint.type == "ball"
+        if joint.type == "free" and body.parent is not layout.bodies[0]:
+            raise checks.ElementError(joint, "a free joint needs a body whose parent is the world")
+        if joint.range is not None:
+            if joint.type == "free":
+                raise checks.refuse(joint, "range", joint.range, "None for a free joint")
+            if joint.type == "ball" and joint.range[0] != 0:
+                raise checks.refuse(joint, "range", joint.range, "(0, angle) for a ball joint")

@@ -1,0 +1,26 @@
+"""The elements of a `Scene`: records whose fields are checked whenever they are assigned.
+
+Units are SI, angles are in radians, quaternions are w x y z and stored at unit length. A value
+outside its limits, of the wrong shape or not finite raises a ValueError that names the element,
+the field, the value and the limit, and leaves the element unchanged. Field names and defaults are
+MuJoCo's. Elements compare by identity.
+"""
+
+from stepcore.scene.element import Element as Element
+from stepcore.scene.element import fields_of as fields_of
+from stepcore.scene.elements.actuator import Actuator as Actuator
+from stepcore.scene.elements.body import Body as Body
+from stepcore.scene.elements.contact import ContactOverride as ContactOverride
+from stepcore.scene.elements.contact import Pair as Pair
+from stepcore.scene.elements.equality import Equality as Equality
+from stepcore.scene.elements.field_types import GRAVITY as GRAVITY
+from stepcore.scene.elements.field_types import SOLIMP as SOLIMP
+from stepcore.scene.elements.field_types import SOLREF as SOLREF
+from stepcore.scene.elements.geom import Geom as Geom
+from stepcore.scene.elements.joint import Joint as Joint
+from stepcore.scene.elements.site import Site as Site
+from stepcore.scene.elements.world import Features as Features
+from stepcore.scene.elements.world import Key as Key
+from stepcore.scene.elements.world import MassRules as MassRules
+from stepcore.scene.surfaces import HField as HField
+from stepcore.scene.surfaces import Mesh as Mesh

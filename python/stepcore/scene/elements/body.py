@@ -1,0 +1,38 @@
+"""`Body`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from stepcore import checks
+from stepcore.scene.element import Element
+from stepcore.scene.elements.field_types import Inertia, Mass, Quat, Text, Vec3
+from stepcore.scene.frames import IDENTITY, ORIGIN
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class Body(Element):
+    """A rigid body.
+
+    name: unique among bodies, or "".
+    parent: the `Body` that carries it; None for the world.
+    pos: position in the parent's frame [m], shape (3,).
+    quat: orientation in the parent's frame, shape (4,).
+    mass: [kg], >= 0; None takes mass, centre of mass and inertia from the body's geoms.
+    ipos: centre of mass in the body's frame [m], shape (3,).
+    inertia: about the centre of mass, in body axes [kg·m²], shape (6,): xx yy zz xy xz yz. Three
+        numbers give a diagonal.
+    """
+
+    name: Text = ""
+    parent: Annotated[Body | None, checks.optional(checks.element("Body"))] = None
+    pos: Vec3 = ORIGIN
+    quat: Quat = IDENTITY
+    mass: Mass = None
+    ipos: Vec3 = ORIGIN
+    inertia: Inertia = (0.0,) * 6
+
+
+# A reference to one.
+ABody = Annotated[Body, checks.element("Body")]

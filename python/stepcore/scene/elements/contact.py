@@ -1,0 +1,73 @@
+"""`Pair` and `ContactOverride`: what contacts have beside their geoms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from stepcore import checks
+from stepcore.scene.element import Element
+from stepcore.scene.elements.field_types import (
+    PAIR_FRICTION,
+    SOLIMP,
+    SOLREF,
+    Flag,
+    NonNegative,
+    PairFriction,
+    Real,
+    SolImp,
+    SolRef,
+    SolRefFriction,
+    Text,
+)
+from stepcore.scene.elements.geom import AGeom
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class Pair(Element):
+    """Two geoms that can collide, with contact parameters of their own.
+
+    Neither the parameters of the geoms count, nor their masks, nor what is excluded: they collide
+    even if one's body is the parent of the other's.
+
+    name: unique among pairs, or "".
+    geom1, geom2: the two `Geom` objects.
+    condim: dimension of the contact: 1 (frictionless), 3 (sliding), 4 (and torsion about the
+        normal) or 6 (and rolling).
+    friction: sliding along both tangents [1], torsional [m], and rolling about both [m], shape
+        (5,), >= 0. A pyramid or cone can be narrower along one tangent than along the other.
+    solref, solimp: softness of its contacts.
+    solreffriction: solref of the friction rows of an elliptic cone, where only the damping counts;
+        None means that of the normal.
+    margin: distance below which contacts act [m]. gap: contacts are listed from margin + gap [m].
+    """
+
+    name: Text = ""
+    geom1: AGeom
+    geom2: AGeom
+    condim: Annotated[int, checks.one_of(1, 3, 4, 6)] = 3
+    friction: PairFriction = PAIR_FRICTION
+    solref: SolRef = SOLREF
+    solimp: SolImp = SOLIMP
+    solreffriction: SolRefFriction = None
+    margin: Real = 0.0
+    gap: NonNegative = 0.0
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class ContactOverride(Element):
+    """Contact parameters that replace those of every contact while `enable` is True.
+
+    MJCF's ``o_margin``, ``o_solref``, ``o_solimp``, ``o_friction`` and the flag ``override``.
+
+    margin: [m]. solref, solimp: softness. friction: as in `Pair`, shape (5,).
+    """
+
+    enable: Flag = False
+    margin: Real = 0.0
+    solref: SolRef = SOLREF
+    solimp: SolImp = SOLIMP
+    friction: PairFriction = PAIR_FRICTION
+
+    def __str__(self) -> str:
+        return "contact_override"

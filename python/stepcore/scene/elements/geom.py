@@ -1,0 +1,90 @@
+"""`Geom`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from stepcore import checks
+from stepcore.scene.element import Element
+from stepcore.scene.elements.body import ABody
+from stepcore.scene.elements.field_types import (
+    FRICTION,
+    SOLIMP,
+    SOLREF,
+    Flag,
+    Friction,
+    Int,
+    Mask,
+    Mass,
+    NonNegative,
+    Quat,
+    Real,
+    Size,
+    SolImp,
+    SolRef,
+    Text,
+    Vec3,
+)
+from stepcore.scene.frames import IDENTITY, ORIGIN
+from stepcore.scene.surfaces import HField, Mesh
+
+GEOM_TYPES = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class Geom(Element):
+    """A shape fixed to a body: it collides, and it gives the body mass.
+
+    name: unique among geoms, or "".
+    body: the `Body` that it is fixed to.
+    type: "plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box" or "mesh".
+    size: [m], shape (3,): radius of a sphere; radius and half length of a capsule or cylinder; half
+        sizes of a box or ellipsoid; for a plane, half sizes and grid spacing for drawing (0 is
+        infinite). Fewer numbers may be given.
+    pos, quat: position [m], shape (3,), and orientation, shape (4,), in the body's frame. Those of
+        a mesh are of the coordinates of its vertices; the compiled geom stands at its centre.
+    mesh: the `Mesh` of a geom of type "mesh", or one that a primitive is fitted to: its size and
+        pose are then found from the mesh (see `MassRules.fitaabb`). fitscale: times that size.
+    hfield: the `HField` of a geom of type "hfield".
+    mass: [kg], >= 0; None means density × volume.
+    density: [kg/m³], or [kg/m²] with shellinertia; >= 0.
+    shellinertia: True puts the mass on the surface.
+    group: an integer that `MassRules.inertiagrouprange` refers to.
+    contype, conaffinity: 32-bit masks; two geoms can collide if the contype of one and the
+        conaffinity of the other share a bit.
+    condim: dimension of the contact: 1 (frictionless), 3 (sliding), 4 (and torsion about the
+        normal) or 6 (and rolling).
+    friction: sliding, torsional [m] and rolling [m] coefficient, shape (3,), >= 0.
+    solref, solimp: softness of its contacts.
+    priority, solmix: which of two geoms decides their contact's parameters, and how they are mixed.
+    margin: distance below which contacts act [m]. gap: contacts are listed from margin + gap [m].
+    """
+
+    name: Text = ""
+    body: ABody
+    type: Annotated[str, checks.one_of(*GEOM_TYPES)] = "sphere"
+    size: Size = ORIGIN
+    pos: Vec3 = ORIGIN
+    quat: Quat = IDENTITY
+    mesh: Annotated[Mesh | None, checks.optional(checks.element("Mesh"))] = None
+    fitscale: Annotated[float, checks.real(above=0)] = 1.0
+    hfield: Annotated[HField | None, checks.optional(checks.element("HField"))] = None
+    mass: Mass = None
+    density: NonNegative = 1000.0
+    shellinertia: Flag = False
+    group: Int = 0
+    contype: Mask = 1
+    conaffinity: Mask = 1
+    condim: Annotated[int, checks.one_of(1, 3, 4, 6)] = 3
+    priority: Int = 0
+    friction: Friction = FRICTION
+    margin: Real = 0.0
+    gap: NonNegative = 0.0
+    solmix: NonNegative = 1.0
+    solref: SolRef = SOLREF
+    solimp: SolImp = SOLIMP
+
+
+# A reference to one.
+AGeom = Annotated[Geom, checks.element("Geom")]

@@ -1,0 +1,102 @@
+"""`Joint`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from stepcore import checks
+from stepcore.scene.element import Element
+from stepcore.scene.elements.body import ABody
+from stepcore.scene.elements.field_types import (
+    SOLIMP,
+    SOLREF,
+    Axis,
+    NonNegative,
+    Poly,
+    Range,
+    Real,
+    SolImp,
+    SolRef,
+    Text,
+    Vec3,
+)
+from stepcore.scene.frames import ORIGIN
+
+JOINT_TYPES = ("free", "ball", "slide", "hinge")
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class Joint(Element):
+    """A joint between a body and its parent. Several joints of one body act in order.
+
+    name: unique among joints, or "".
+    body: the `Body` that it moves.
+    type: "hinge", "slide", "ball" or "free".
+    pos: anchor in the body's frame [m], shape (3,).
+    axis: of a hinge or slide, in the body's frame, shape (3,), stored at unit length.
+    range: (lower, upper) limit [rad or m], or None for no limit; (0, largest angle) for a ball.
+    margin: distance from a limit at which it starts to act [rad or m].
+    ref: coordinate of a hinge or slide in the pose in which the scene is described [rad or m].
+    springref: coordinate at which the spring is relaxed [rad or m].
+    stiffness: of the spring [N·m/rad or N/m].
+    stiffnesspoly: b [.../rad or m] and c [.../rad² or m²] of a spring that pulls back with
+        (stiffness + b x + c x²) x at a stretch x; of a ball, and of a free joint's way and turn
+        apart, x is the length of the stretch.
+    damping: [N·m·s/rad or N·s/m].
+    dampingpoly: b and c of a damper that pulls with (damping + b |v| + c v²) v.
+    armature: inertia added to each of its dofs [kg·m² or kg], >= 0.
+    frictionloss: dry friction [N·m or N], >= 0.
+    solreflimit, solimplimit: softness of the limit.
+    solreffriction, solimpfriction: softness of the dry friction.
+    """
+
+    name: Text = ""
+    body: ABody
+    type: Annotated[str, checks.one_of(*JOINT_TYPES)] = "hinge"
+    pos: Vec3 = ORIGIN
+    axis: Axis = (0.0, 0.0, 1.0)
+    range: Range = None
+    margin: Real = 0.0
+    ref: Real = 0.0
+    springref: Real = 0.0
+    stiffness: Real = 0.0
+    stiffnesspoly: Poly = (0.0, 0.0)
+    damping: Real = 0.0
+    dampingpoly: Poly = (0.0, 0.0)
+    armature: NonNegative = 0.0
+    frictionloss: NonNegative = 0.0
+    solreflimit: SolRef = SOLREF
+    solimplimit: SolImp = SOLIMP
+    solreffriction: SolRef = SOLREF
+    solimpfriction: SolImp = SOLIMP
+
+    @property
+    def sprung(self) -> bool:
+        """Whether it has a spring."""
+        return any(self.record()["stiffness"])
+
+    @property
+    def damped(self) -> bool:
+        """Whether it has a damper."""
+        return any(self.record()["damping"])
+
+    def values(self) -> dict[str, Any]:
+        """As for every element; coefficients of one polynomial stand together, if there are any."""
+        values = super().values()
+        for field in ("stiffness", "damping"):
+            if any(poly := values.pop(field + "poly")):
+                values[field] = (values[field], *poly)
+        return values
+
+    def record(self) -> dict[str, Any]:
+        """As for every element; stiffness and damping are lists of all three coefficients."""
+        coefficients = {
+            "stiffness": [self.stiffness, *self.stiffnesspoly],
+            "damping": [self.damping, *self.dampingpoly],
+        }
+        return super().record() | coefficients
+
+
+# A reference to one.
+AJoint = Annotated[Joint, checks.element("Joint")]

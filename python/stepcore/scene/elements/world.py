@@ -1,0 +1,79 @@
+"""`Key`, `MassRules` and `Features`: what concerns the whole scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from stepcore import checks
+from stepcore.scene.element import Element
+from stepcore.scene.elements.field_types import Flag, Groups, NonNegative, Numbers, Real, Text
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class Key(Element):
+    """A keyframe: a named state.
+
+    name: unique among keyframes, or "".
+    time: [s].
+    qpos, qvel, ctrl: in the order of the compiled model, shapes (nq,), (nv,) and (nu,); None means
+        the pose of the scene, rest and zero.
+    """
+
+    name: Text = ""
+    time: Real = 0.0
+    qpos: Numbers = None
+    qvel: Numbers = None
+    ctrl: Numbers = None
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class MassRules(Element):
+    """How the masses of bodies are made, with the words of MJCF's ``<compiler>``.
+
+    inertiafromgeom: True takes every body's mass from its geoms, False none, and None that of the
+        bodies that have no mass of their own.
+    inertiagrouprange: (first, last) group of the geoms that have mass.
+    boundmass, boundinertia: lower bounds of a body's mass [kg] and principal inertias [kg·m²].
+    balanceinertia: True repairs inertias that violate A + B >= C.
+    settotalmass: total mass to which all masses and inertias are scaled [kg]; <= 0 scales nothing.
+    fitaabb: True fits primitives to the bounding boxes of meshes, False to boxes of the same
+        inertia.
+    """
+
+    inertiafromgeom: Annotated[bool | None, checks.one_of(None, True, False)] = None
+    inertiagrouprange: Groups = (0, 5)
+    boundmass: NonNegative = 0.0
+    boundinertia: NonNegative = 0.0
+    balanceinertia: Flag = False
+    settotalmass: Real = -1.0
+    fitaabb: Flag = False
+
+    def __str__(self) -> str:
+        return "mass_rules"
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class Features(Element):
+    """What a model takes into account. Each field is a flag; False leaves the feature out.
+
+    The names are those of MJCF's flags, except `coriolis`: Coriolis, centrifugal and gyroscopic
+    forces.
+    """
+
+    constraint: Flag = True
+    equality: Flag = True
+    frictionloss: Flag = True
+    limit: Flag = True
+    contact: Flag = True
+    spring: Flag = True
+    damper: Flag = True
+    gravity: Flag = True
+    clampctrl: Flag = True
+    actuation: Flag = True
+    filterparent: Flag = True
+    eulerdamp: Flag = True
+    coriolis: Flag = True
+
+    def __str__(self) -> str:
+        return "features"
