@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.gains import ActuatorGains
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
@@ -17,12 +16,12 @@ WITH = {"site": "refsite", "slidersite": "cranksite"}
 STATEFUL = ("actlimited", "actrange")
 
 
-def actuator(world: WorldReader, defaults: Defaults, node: Node) -> None:
+def read(world: WorldReader, node: Node) -> None:
     """Reads one motor or servo on a joint."""
-    values = defaults.of(node)
+    values = world.defaults.of(node, kind="actuator")
     joint = _joint(world, node, values)
     _refuse(node, values)
-    gains = defaults.gains(node)
+    gains = world.defaults.gains(node)
     _refuse_gains(node, gains)
     added = world.scene.add_actuator(
         joint,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore.checks import nearest
 from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.schema import FLAGS
+from stepcore.mjcf.schema.option import FLAGS
 from stepcore.scene.elements import Features, fields_of
 
 if TYPE_CHECKING:

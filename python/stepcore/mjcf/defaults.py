@@ -8,14 +8,11 @@ from typing import Any
 from stepcore.checks import nearest
 from stepcore.mjcf import gains
 from stepcore.mjcf.nodes import Node
-from stepcore.mjcf.schema import ORIENTATION
-from stepcore.mjcf.schema_unread import ACTUATORS
+from stepcore.mjcf.schema.default import ACTUATORS
+from stepcore.mjcf.schema.notation import ORIENTATION
 
 Values = dict[str, Any]
 MAIN = "main"
-
-# All actuators share one set of defaults, whatever shortcut wrote it.
-_SHARED = dict.fromkeys((*ACTUATORS, *gains.BUILT, "orientation"), "actuator")
 
 
 def overlay(under: Values, over: Values) -> Values:
@@ -55,7 +52,7 @@ class Defaults:
             own = self.classes[name]
             for child in node.children:
                 if child.tag != "default":
-                    tag = _SHARED.get(child.tag, child.tag)
+                    tag = "actuator" if child.tag in ACTUATORS else child.tag
                     own[tag] = overlay(own.get(tag, {}), child.values)
                     if tag == "actuator":
                         own[tag] = gains.without_range(own[tag], child)
@@ -79,12 +76,15 @@ class Defaults:
             raise node.error(f'unknown default class "{name}"{nearest(name, self.classes)}')
         return name
 
-    def of(self, node: Node, childclass: str | None = None) -> Values:
-        """A node's values, completed from its class, else from `childclass`, else from main."""
+    def of(self, node: Node, childclass: str | None = None, kind: str = "") -> Values:
+        """A node's values, completed from its class, else from `childclass`, else from main.
+
+        kind: the element of a default class, where it is not called as the node: "actuator",
+        "equality" or "tendon".
+        """
         name = self.known(node, "class") or childclass or MAIN
-        tag = _SHARED.get(node.tag, node.tag)
         given = {key: value for key, value in node.values.items() if key != "class"}
-        return overlay(self.classes[name].get(tag, {}), given)
+        return overlay(self.classes[name].get(kind or node.tag, {}), given)
 
     def gains(self, node: Node) -> gains.ActuatorGains:
         """An actuator's gains, completed from its class."""

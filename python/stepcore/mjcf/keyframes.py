@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 MAX_KEYS = 100_000
 
 
-def key(world: WorldReader, layout: Layout, node: Node) -> None:
+def read(world: WorldReader, layout: Layout, node: Node) -> None:
     """Reads a keyframe; missing values are those of the default state."""
     values = node.values
     for name, what in (("act", "activations"), ("mpos", "mocap bodies"), ("plastic", "plastic")):

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stepcore.checks import ElementError
-from stepcore.mjcf import actuators, constraints, custom, keyframes, option
+from stepcore.mjcf import actuators, contacts, custom, equalities, keyframes, option
 from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
@@ -29,6 +29,14 @@ from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
+
+# The sections that are read one element after the other once the tree is there, in an order in
+# which names exist before something refers to them.
+SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
+    "contact": contacts.read,
+    "equality": equalities.read,
+    "actuator": actuators.read,
+}
 
 
 def read_file(scene: Contents, path: str | os.PathLike[str]) -> None:
@@ -78,15 +86,12 @@ def _fill(scene: Contents, root: Node, source: Source) -> None:
             _at(node, lambda node: option.read(scene, node))
         for node in _sections(root, "worldbody"):
             world.read(node)
-        for node in _inside(root, "contact"):
-            _at(node, lambda node: constraints.contact(world, defaults, node))
-        for node in _inside(root, "equality"):
-            _at(node, lambda node: constraints.connect(world, defaults, node))
-        for node in _inside(root, "actuator"):
-            _at(node, lambda node: actuators.actuator(world, defaults, node))
+        for section, read in SECTIONS.items():
+            for node in _inside(root, section):
+                _at(node, lambda node, read=read: read(world, node))  # type: ignore[misc]
         layout = Layout(scene)
         for node in _inside(root, "keyframe"):
-            _at(node, lambda node: keyframes.key(world, layout, node))
+            _at(node, lambda node: keyframes.read(world, layout, node))
         keyframes.add_empty_keys(scene, _sections(root, "size"))
         check_references(world, root)
         leave_out_visual_geoms(world, layout)

@@ -8,7 +8,8 @@ import re
 from stepcore.checks import nearest, shown
 from stepcore.mjcf.custom import ours
 from stepcore.mjcf.nodes import MJCFError, Node
-from stepcore.mjcf.schema import ROOT, Spec
+from stepcore.mjcf.schema import ROOT
+from stepcore.mjcf.schema.notation import Spec
 
 # Stricter than float(): no nan, inf, underscores or other spellings.
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)

@@ -9,7 +9,7 @@ from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.nodes import MJCFError, Node
-from stepcore.mjcf.schema import NOT_IN_WORLD
+from stepcore.mjcf.schema.tree import NOT_IN_WORLD
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element, Geom

@@ -1,0 +1,43 @@
+"""The section `<actuator>`."""
+
+from stepcore.mjcf.schema.notation import AUTO, BOOL, default_of, spec
+from stepcore.mjcf.schema.plugin import plugin
+
+_ALL = (
+    "name class group:int nsample:int interp:zoh|linear|cubic delay:1 ctrlrange:2 user:* "
+    f"ctrllimited:{AUTO} forcelimited:{AUTO} forcerange:2 lengthrange:2 gear:1-6 damping:1-3 "
+    "armature:1 cranklength:1 joint jointinparent tendon slidersite cranksite site refsite"
+)
+# What the actuators that are built have beyond that.
+_BUILT = {
+    "motor": "",
+    "position": "inheritrange:1 kp:1 kv:1 dampratio:1 timeconst:1",
+    "velocity": "kv:1",
+    "general": f"actlimited:{AUTO} actrange:2 body actdim:int input velrange:2 ffrange:2 "
+    "inheritrange:1 dyntype:none|integrator|filter|filterexact|pid|dcmotor|muscle|user "
+    "gaintype:fixed|affine|muscle|dcmotor|pid|so3|user "
+    f"biastype:none|affine|muscle|dcmotor|so3|user dynprm:* gainprm:* biasprm:* actearly:{BOOL}",
+}
+# And those that are not; only the names of these attributes are checked.
+_UNBUILT = {
+    "intvelocity": "actlimited actrange inheritrange kp kv dampratio",
+    "pid": "posrange velrange ffrange inheritrange kp kv dampratio ki imax slewmax input",
+    "damper": "kv",
+    "cylinder": "timeconst area diameter bias",
+    "muscle": "timeconst tausmooth range force scale lmin lmax vmax fpmax fvmax",
+    "adhesion": "body gain",
+    "dcmotor": "motorconst resistance nominal saturation inductance cogging controller thermal "
+    "lugre input",
+    "orientation": "kp kv dampratio input",
+}
+_PLUGIN = "plugin instance actlimited actrange actdim dyntype dynprm actearly"
+ACTUATOR = spec(
+    "",
+    {
+        **{tag: spec(f"{_ALL} {more}") for tag, more in _BUILT.items()},
+        **{tag: spec(f"{_ALL} {more}", role="unbuilt") for tag, more in _UNBUILT.items()},
+        "plugin": plugin(f"{_ALL} {_PLUGIN}"),
+    },
+)
+# The defaults of what is not built may stand in a file: they act only where they are used.
+DEFAULTS = {tag: default_of(f"{_ALL} {more}") for tag, more in (_BUILT | _UNBUILT).items()}

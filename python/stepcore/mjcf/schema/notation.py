@@ -1,0 +1,69 @@
+"""The notation of the schema: elements, their attributes, and the type of each attribute.
+
+Attributes are the words of a string: ``pos:3`` holds three reals, ``size:1-3`` one to three,
+``qpos:*`` any number, ``group:int`` an integer, ``limited:false|true|auto`` a keyword, and a bare
+name any text. ``!`` marks a required one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+BOOL = "false|true"
+AUTO = "false|true|auto"
+ABLE = "disable|enable"
+
+ORIENTATION = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
+POSE = "pos:3 quat:4 axisangle:4 xyaxes:6 zaxis:3 euler:3 "
+
+
+@dataclass
+class Spec:
+    """An element: its attributes (name → type), required ones, and the elements it may hold.
+
+    role: "" for an element that is read, else why it is not: "draws", "senses", "data", "unbuilt".
+    once: children that can appear only once.
+    """
+
+    attrs: dict[str, str] = field(default_factory=dict)
+    required: tuple[str, ...] = ()
+    children: dict[str, Spec] = field(default_factory=dict)
+    role: str = ""
+    once: tuple[str, ...] = ()
+
+
+def spec(
+    attrs: str = "",
+    children: dict[str, Spec] | None = None,
+    role: str = "",
+    once: tuple[str, ...] = (),
+) -> Spec:
+    """A `Spec` from the notation above."""
+    types: dict[str, str] = {}
+    required = []
+    for word in attrs.split():
+        name, _, kind = word.partition(":")
+        if name.endswith("!"):
+            name = name[:-1]
+            required.append(name)
+        types[name] = kind
+    return Spec(types, tuple(required), children or {}, role, once)
+
+
+def without(attrs: str, names: str) -> str:
+    """`attrs` without the named ones."""
+    drop = set(names.split())
+    return " ".join(w for w in attrs.split() if w.partition(":")[0].rstrip("!") not in drop)
+
+
+def default_of(attrs: str) -> Spec:
+    """The element of a default class for an element with these attributes."""
+    kept = without(attrs, OWN)
+    return spec(kept.replace("!", ""))
+
+
+# References and names have no place in a default.
+OWN = (
+    "name class geom1 geom2 target lengthrange joint jointinparent tendon slidersite cranksite "
+    "site refsite body body1 body2 instance plugin"
+)
