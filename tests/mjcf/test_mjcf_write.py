@@ -191,7 +191,7 @@ BAD = {
     "dt": "must be name=value",
     "dt=1 dt=2": "has dt twice",
     "unnamed=body/nobody": 'no body is named "nobody"',
-    "unnamed=site/x": 'must be "body/name"',
+    "unnamed=light/x": 'unnamed=light/x: must be one of "geom/name", ',
     "law=lesson solver=newton": "'newton' with law 'lesson'",
 }
 

@@ -22,7 +22,15 @@ if TYPE_CHECKING:
 NAME = "stepcore"
 # Features without an MJCF flag.
 OWN_FEATURES = tuple(name for name in fields_of(Features) if name not in FLAGS.split())
-KINDS = ("body", "joint", "geom")
+# Elements that others can name, and where a scene holds them.
+KINDS = {
+    "geom": "geoms",
+    "site": "sites",
+    "body": "bodies",
+    "joint": "joints",
+    "mesh": "meshes",
+    "hfield": "hfields",
+}
 _WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -92,6 +100,7 @@ def _unname(scene: Contents, node: Node, text: str) -> None:
     for word in text.split(","):
         kind, _, name = word.partition("/")
         if kind not in KINDS:
-            raise node.error(f'unnamed={word}: must be "body/name", "joint/name" or "geom/name"')
+            kinds = ", ".join(f'"{kind}/name"' for kind in KINDS)
+            raise node.error(f"unnamed={word}: must be one of {kinds}")
         element = getattr(scene, kind)(name)
         element.name = ""

@@ -17,7 +17,8 @@ from stepcore._core import Settings
 from stepcore.mjcf import custom
 from stepcore.mjcf.option import said
 from stepcore.mjcf.reader import read_text
-from stepcore.mjcf.write import Tag, escaped, written
+from stepcore.mjcf.write import written
+from stepcore.mjcf.write.tags import Tag, escaped
 
 if TYPE_CHECKING:
     from stepcore.mjcf.nodes import Source

@@ -1,0 +1,48 @@
+"""The sections `<compiler>` and `<option>`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from stepcore._core import Settings
+from stepcore.mjcf import custom
+from stepcore.mjcf.option import said
+from stepcore.mjcf.write.tags import Tag, changed, text
+from stepcore.scene.elements import GRAVITY, MassRules
+
+if TYPE_CHECKING:
+    from stepcore.scene.contents import Contents
+
+INERTIA_FROM = {None: "auto", True: "true", False: "false"}
+
+
+def add_compiler(root: Tag, rules: MassRules) -> None:
+    """Adds the compiler section."""
+    given = changed(rules)
+    if "inertiafromgeom" in given:
+        given["inertiafromgeom"] = INERTIA_FROM[given["inertiafromgeom"]]
+    root.add(Tag("compiler", angle="radian", **given))
+
+
+def add_option(root: Tag, scene: Contents) -> dict[str, Any]:
+    """Adds the option section; returns the settings that it cannot hold."""
+    default, settings = Settings().as_dict(), scene.settings.as_dict()
+    own = {name: value for name, value in settings.items() if value != default[name]}
+    attributes, flags, rest = said(own)
+    if scene.gravity != GRAVITY:
+        attributes["gravity"] = text(scene.gravity)
+    features = changed(scene.features)
+    for name, on in features.items():
+        if name in custom.OWN_FEATURES:
+            rest[name] = on
+        else:
+            flags[name] = "enable" if on else "disable"
+    override = changed(scene.contact_override)
+    if override.pop("enable", False):
+        flags["override"] = "enable"
+    attributes |= {f"o_{name}": text(value) for name, value in override.items()}
+    if attributes or flags:
+        option = root.add(Tag("option", **attributes))
+        if flags:
+            option.add(Tag("flag", **flags))
+    return rest

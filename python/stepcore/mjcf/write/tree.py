@@ -1,0 +1,76 @@
+"""The section `<worldbody>`."""
+
+from __future__ import annotations
+
+from stepcore.mjcf.nodes import DEPTH
+from stepcore.mjcf.write.names import Names
+from stepcore.mjcf.write.tags import Tag, changed
+from stepcore.scene.elements import Body, Geom, Joint, Site
+from stepcore.scene.layout import SIZES, Layout
+
+
+def add_tree(root: Tag, layout: Layout, names: Names) -> None:
+    """Adds the bodies, each with its joints, geoms and sites before its children."""
+    tags: dict[int, Tag] = {}
+    depth: dict[int, int] = {}
+    for body in layout.bodies:
+        if body.parent is None:
+            tag, level = root.add(Tag("worldbody")), 1
+        else:
+            tag = tags[id(body.parent)].add(_body(body, names))
+            level = depth[id(body.parent)] + 1
+        if level > DEPTH - 2:
+            raise ValueError(f"{body}: an MJCF file nests bodies at most {DEPTH - 2} deep")
+        tags[id(body)], depth[id(body)] = tag, level
+        # Its child bodies follow in the order of the layout.
+        for joint in layout.joints_of.get(id(body), []):
+            tag.add(_joint(joint, names))
+    for geom in layout.geoms:
+        _before_bodies(tags[id(geom.body)], _geom(geom, names))
+    for site in layout.sites:
+        _before_bodies(tags[id(site.body)], _site(site, names))
+
+
+def _before_bodies(tag: Tag, inner: Tag) -> None:
+    at = next((i for i, one in enumerate(tag.inside) if one.kind == "body"), len(tag.inside))
+    tag.inside.insert(at, inner)
+
+
+def _body(body: Body, names: Names) -> Tag:
+    placed = changed(body, "name", "parent", "mass", "ipos", "inertia")
+    tag = Tag("body", **names.attribute(body), **placed)
+    if body.mass is not None:
+        inertia = body.inertia
+        about = {"fullinertia": inertia} if any(inertia[3:]) else {"diaginertia": inertia[:3]}
+        tag.add(Tag("inertial", pos=body.ipos, mass=body.mass, **about))
+    return tag
+
+
+def _joint(joint: Joint, names: Names) -> Tag:
+    skip = ["name", "body"]
+    if joint.type in ("ball", "free"):
+        skip += ["axis", "ref", "springref"]
+    if joint.type == "free":
+        skip.append("pos")
+    return Tag("joint", **names.attribute(joint), **changed(joint, *skip))
+
+
+def _geom(geom: Geom, names: Names) -> Tag:
+    given = changed(geom, "name", "body", "size", "mesh", "hfield")
+    for field, asset in (("mesh", geom.mesh), ("hfield", geom.hfield)):
+        if asset is not None:
+            given[field] = names.of(asset)
+    used = SIZES[geom.type]
+    # MuJoCo wants a spacing for the grid of a plane, even where nothing is drawn.
+    size = geom.size[:used] if used else (*geom.size[:2], geom.size[2] or 1.0)
+    if "mesh" not in given and "hfield" not in given:
+        given = {"size": size, **given}
+    for mask in ("contype", "conaffinity"):
+        if mask in given:
+            given[mask] = (given[mask] + 2**31) % 2**32 - 2**31
+    first = {"type": given.pop("type")} if "type" in given else {}
+    return Tag("geom", **names.attribute(geom), **first, **given)
+
+
+def _site(site: Site, names: Names) -> Tag:
+    return Tag("site", **names.attribute(site), **changed(site, "name", "body"))
