@@ -44,6 +44,7 @@ def strict(model: mujoco.MjModel, **options) -> mujoco.MjModel:
     model.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     model.opt.tolerance, model.opt.iterations = 0.0, 200
     model.opt.ls_tolerance, model.opt.ls_iterations = 1e-6, 100
+    model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-12, 500
     # One problem, not one per island: the line search then sees the whole cost.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
     if "integrator" in options:
@@ -145,6 +146,15 @@ def apart(ours: np.ndarray, theirs: np.ndarray, floor: float = 1e-6) -> float:
     return float(worst) if np.isfinite(worst) else np.inf
 
 
+def kept_geoms(sim: sc.Sim, model: mujoco.MjModel) -> np.ndarray:
+    """Which of MuJoCo's geoms stepcore has: meshes that only draw are left out there."""
+    ours = np.bincount(sim.model.geom_body, minlength=model.nbody)
+    theirs = np.bincount(model.geom_bodyid, minlength=model.nbody)
+    draws = (model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & (model.geom_contype == 0)
+    draws &= (model.geom_conaffinity == 0) & (ours != theirs)[model.geom_bodyid]
+    return np.flatnonzero(~draws)
+
+
 def same_turn(ours: np.ndarray, theirs: np.ndarray) -> float:
     """`apart` for unit quaternions, of which q and -q are the same rotation."""
     sign = np.where((np.asarray(ours) * theirs).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
@@ -157,9 +167,13 @@ def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return full
 
 
-def contacts_apart(sim: sc.Sim, data: mujoco.MjData) -> float:
-    """How far dist, pos [m] and normal of the contacts are apart; infinite if pairs differ."""
-    ours = [(int(c["geom1"]), int(c["geom2"]), c) for c in sim.contacts]
+def contacts_apart(sim: sc.Sim, data: mujoco.MjData, geoms: np.ndarray | None = None) -> float:
+    """How far dist, pos [m] and normal of the contacts are apart; infinite if pairs differ.
+
+    geoms: MuJoCo's index of each of ours, if not the same.
+    """
+    index = np.arange(sim.model.ngeom) if geoms is None else geoms
+    ours = [(int(index[c["geom1"]]), int(index[c["geom2"]]), c) for c in sim.contacts]
     worst = 0.0
     if len(ours) != data.ncon:
         return np.inf
@@ -217,20 +231,20 @@ def note_forward(
     state.to_stepcore(sim)
     mujoco.mj_forward(model, data)
     sim.forward()
-    theirs_mass = mass_matrix(model, data)
+    theirs_mass, geoms = mass_matrix(model, data), kept_geoms(sim, model)
     # Forces below a hundredth of a typical one are rounding of a cancellation.
     force = 1e-2 * max(np.abs(theirs_mass).max(), np.abs(data.qfrc_smooth).max())
     note = {
         "xpos": apart(sim.xpos, data.xpos),
         "xquat": same_turn(sim.xquat, data.xquat),
-        "geom_xpos": apart(sim.geom_xpos, data.geom_xpos),
-        "geom_xmat": apart(sim.geom_xmat, data.geom_xmat.reshape(-1, 3, 3)),
+        "geom_xpos": apart(sim.geom_xpos, data.geom_xpos[geoms]),
+        "geom_xmat": apart(sim.geom_xmat, data.geom_xmat[geoms].reshape(-1, 3, 3)),
         "site_xpos": apart(sim.site_xpos, data.site_xpos),
         "mass": apart(sim.mass_matrix(), theirs_mass),
         "bias": apart(sim.bias, data.qfrc_bias, force),
         "passive": apart(sim.passive, data.qfrc_passive, force),
         "actuator": apart(sim.actuator_force, data.actuator_force),
-        "contacts": contacts_apart(sim, data),
+        "contacts": contacts_apart(sim, data, geoms),
         "constraint": apart(sim.constraint_force, data.qfrc_constraint, force),
         "qacc": apart(sim.qacc, data.qacc),
     }

@@ -1,0 +1,228 @@
+"""Public robots: which load, how far they are from MuJoCo, how fast; the table of docs/robots.md.
+
+    python benches/robots.py [--folder DIR] [--only TEXT] [--states 100] [--no-times] [--write]
+
+Every model of gymnasium's and dm-control's wheels, and every MJCF file below --folder. At each of
+100 states (random falls: contacts, limits and pushes are active; half of them with forces applied)
+both engines place, detect and solve from scratch, MuJoCo at its most accurate, and everything that
+they compute is compared, relative to the largest entry. Where the two find other contacts, what
+follows from them is not compared: the state counts as one whose contacts differ, and the pairs of
+geoms are named. Then one step of every integrator that both have.
+
+Times: MuJoCo in a C loop with its timers off, stepcore by `sim.step(n)`, both from the same starts,
+in turn. "equal": Newton, to the residual that MuJoCo reaches. "shipped": what the file asks for, on
+either side.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import warnings
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import peers
+import record
+import robot_files
+from robot_times import Times, times
+
+import stepcore as sc
+
+DOCS = Path(__file__).parent.parent / "docs" / "robots.md"
+MARKS = ("<!-- robots -->", "<!-- end of robots -->")
+# Which columns of the table hold which quantities.
+GROUPS = {
+    "placed": ("xpos", "xquat", "geom_xpos", "geom_xmat", "site_xpos", "mass"),
+    "forces": ("bias", "passive", "actuator"),
+    "solved": ("constraint", "qacc"),
+}
+
+
+@dataclass
+class Row:
+    """What was found of one file; errors are the worst over the states."""
+
+    collection: str
+    name: str
+    refused: str = ""
+    peer_refused: str = ""
+    nv: int = 0
+    nu: int = 0
+    states: int = 0
+    other_contacts: int = 0
+    other_pairs: list[str] = field(default_factory=list)
+    errors: dict[str, float] = field(default_factory=dict)
+    times: Times | None = None
+
+    @property
+    def loaded(self) -> bool:
+        return not self.refused
+
+    def worst(self, names: tuple[str, ...]) -> float:
+        return max((self.errors.get(name, 0.0) for name in names), default=0.0)
+
+
+def examine(robot: robot_files.Robot, count: int) -> Row:
+    """Loads a file in both engines and compares them at `count` states."""
+    row = Row(robot.collection, robot.name)
+    try:
+        theirs = peers.strict(mujoco.MjModel.from_xml_path(str(robot.path)))
+    except ValueError as error:
+        row.peer_refused = str(error).splitlines()[0]
+        theirs = None
+    try:
+        model = sc.load(robot.path).compile()
+    except ValueError as error:
+        row.refused = str(error).replace(str(robot.path.parent) + "/", "").replace("\n", "; ")
+        return row
+    if theirs is None or not model.nv:
+        return row
+    row.nv, row.nu = model.nv, model.nu
+    states = peers.fall_states(theirs, count, seed=7)
+    row.states = len(states)
+    compare_forward(row, model, theirs, states)
+    for integrator in peers.INTEGRATORS:
+        compare_steps(row, model, theirs, states, integrator)
+    return row
+
+
+def compare_forward(row: Row, model: sc.Model, theirs: mujoco.MjModel, states: list) -> None:
+    """Everything that a forward pass computes."""
+    sim, data = sc.Sim(model, **peers.EXACT), mujoco.MjData(theirs)
+    every, same = peers.Worst(), peers.Worst()
+    for index, state in enumerate(states):
+        one = peers.Worst()
+        peers.note_forward(one, index, sim, theirs, data, state)
+        differs = not np.isfinite(one.seen["contacts"][0])
+        if differs:
+            row.other_contacts += 1
+            note_pairs(row, sim, theirs, data)
+        for name, (value, _) in one.seen.items():
+            if name not in ("constraint", "qacc", "contacts", "sensordata"):
+                every.note(name, value, index)
+            elif not differs:
+                same.note(name, value, index)
+    row.errors = {name: value for name, (value, _) in (every.seen | same.seen).items()}
+
+
+def note_pairs(row: Row, sim: sc.Sim, theirs: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Which pairs of geoms have other contacts."""
+
+    def counts(pairs) -> dict[tuple[int, int], int]:
+        found: dict[tuple[int, int], int] = {}
+        for a, b in pairs:
+            found[int(a), int(b)] = found.get((int(a), int(b)), 0) + 1
+        return found
+
+    index = peers.kept_geoms(sim, theirs)
+    ours = counts((index[c["geom1"]], index[c["geom2"]]) for c in sim.contacts)
+    peer = counts(c.geom for c in data.contact[: data.ncon])
+    for pair in sorted(ours.keys() | peer.keys()):
+        if ours.get(pair) != peer.get(pair):
+            kinds = "–".join(mujoco.mjtGeom(theirs.geom_type[g]).name[7:].lower() for g in pair)
+            if kinds not in row.other_pairs:
+                row.other_pairs.append(kinds)
+
+
+def compare_steps(
+    row: Row, model: sc.Model, theirs: mujoco.MjModel, states: list, integrator: str
+) -> None:
+    """One step of an integrator, from states in which both find the same contacts."""
+    kept = theirs.opt.integrator
+    theirs.opt.integrator = peers.INTEGRATORS[integrator]
+    sim = sc.Sim(model, **peers.EXACT, integrator=integrator)
+    data, worst = mujoco.MjData(theirs), peers.Worst()
+    for index, state in enumerate(states):
+        one = peers.Worst()
+        peers.note_step(one, index, sim, theirs, data, state)
+        if len(sim.contacts) == data.ncon:
+            worst.note(f"step {integrator}", max(v for v, _ in one.seen.values()), index)
+    row.errors |= {name: value for name, (value, _) in worst.seen.items()}
+    theirs.opt.integrator = kept
+
+
+def cells(row: Row) -> list[str]:
+    """A line of the table."""
+    name = row.name
+    if row.refused:
+        reason = row.refused if len(row.refused) < 160 else row.refused[:157] + "…"
+        both = " (MuJoCo refuses it too)" if row.peer_refused else ""
+        return [name, "no" + both, "", "", "", "", "", reason]
+    if not row.states:
+        return [name, "yes", str(row.nv), "", "", "", "", row.peer_refused or "nothing moves"]
+    contacts = "" if not row.other_contacts else f"{row.other_contacts} of {row.states}"
+    if row.other_pairs:
+        contacts += f" ({', '.join(row.other_pairs[:3])})"
+    steps = tuple(name for name in row.errors if name.startswith("step"))
+    columns = [f"{row.worst(names):.0e}" for names in (*GROUPS.values(), ("sensordata",), steps)]
+    placed, forces, solved, _, stepped = columns
+    own = [name, "yes", str(row.nv), f"{placed}, {forces}", solved, stepped, contacts]
+    return [*own, row.times.cell() if row.times else ""]
+
+
+HEAD = (
+    *("model", "loads", "dofs", "placed, forces", "solved", "one step"),
+    *("other contacts", "µs a step: ours, MuJoCo's (equal; shipped)"),
+)
+
+
+def table(rows: list[Row]) -> str:
+    """The rows in Markdown, a table a collection."""
+    parts = []
+    for collection in dict.fromkeys(row.collection for row in rows):
+        own = [row for row in rows if row.collection == collection]
+        loaded = sum(row.loaded for row in own)
+        parts.append(f"### {collection}: {loaded} of {len(own)} load\n")
+        parts.append("| " + " | ".join(HEAD) + " |")
+        parts.append("|" + "---|" * len(HEAD))
+        parts += ["| " + " | ".join(c.replace("|", "\\|") for c in cells(r)) + " |" for r in own]
+        parts.append("")
+    return "\n".join(parts)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--folder", type=Path, help="a folder of MJCF files, beside the wheels")
+    parser.add_argument("--only", default="", help="only models with this text in their name")
+    parser.add_argument("--states", type=int, default=100)
+    parser.add_argument("--no-times", action="store_true")
+    parser.add_argument("--write", action="store_true", help="put the table into docs/robots.md")
+    chosen = parser.parse_args()
+    robots = robot_files.wheels()
+    if chosen.folder:
+        robots += robot_files.folder_of(chosen.folder.name, chosen.folder)
+    rows = []
+    for robot in robots:
+        if chosen.only not in f"{robot.collection}/{robot.name}":
+            continue
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            row = examine(robot, chosen.states)
+            if row.states and not chosen.no_times:
+                row.times = times(robot.path)
+        print(" | ".join((row.collection, *cells(row))), flush=True)
+        rows.append(row)
+    text = table(rows)
+    ratios = [r.times.equal for r in rows if r.times and r.times.equal]
+    if ratios:
+        print(f"equal settings: median {np.median(ratios):.2f}, least {min(ratios):.2f}")
+    if chosen.write:
+        write(text, rows)
+
+
+def write(text: str, rows: list[Row]) -> None:
+    """The table into the docs page, and all figures into results."""
+    page = DOCS.read_text()
+    before, rest = page.split(MARKS[0])
+    after = rest.split(MARKS[1])[1]
+    machine = record.machine()
+    DOCS.write_text(f"{before}{MARKS[0]}\n{text}{MARKS[1]}{after}")
+    data = {"machine": machine, "versions": record.versions(), "rows": [asdict(r) for r in rows]}
+    (record.RESULTS / "robots.json").write_text(json.dumps(data, indent=1, default=float) + "\n")
+
+
+if __name__ == "__main__":
+    main()
