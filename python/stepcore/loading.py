@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +20,8 @@ TESTS = {"test", "tests", "testing", "test_assets"}
 LESSON = ("spring", "drop", "stack", "grasp")
 
 
-def find_scene(source: str | os.PathLike[str]) -> Scene:
-    """The scene that `source` names.
+def find_scene(source: str | os.PathLike[str], without: Iterable[str] = ()) -> Scene:
+    """The scene that `source` names; without: kinds of elements of its file that are left out.
 
     "lesson:stack" is one of the lesson's scenes. "package:name" is the MJCF file name.xml among
     the files of an installed package, such as "gymnasium:half_cheetah"; the package is found but
@@ -33,10 +34,10 @@ def find_scene(source: str | os.PathLike[str]) -> Scene:
     text = os.fsdecode(source)
     package, _, name = text.partition(":")
     if not _is_name(text):
-        return _read(text)
+        return _read(text, without)
     if package == "lesson":
         return _lesson(name)
-    scene = _read(find_asset(package, name))
+    scene = _read(find_asset(package, name), without)
     scene.name = scene.name or name
     return scene
 
@@ -75,9 +76,9 @@ def find_asset(package: str, name: str) -> Path:
     return matches[0]
 
 
-def _read(path: str | Path) -> Scene:
+def _read(path: str | Path, without: Iterable[str]) -> Scene:
     scene = Scene()
-    read_file(scene, path)
+    read_file(scene, path, without)
     return scene
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 
 from stepcore import checks
 from stepcore.loading import find_scene
@@ -11,18 +12,23 @@ from stepcore.mjcf.reader import read_text
 from stepcore.scene.scene import Scene
 
 
-def load(path: str | os.PathLike[str]) -> Scene:
+def load(path: str | os.PathLike[str], *, without: Iterable[str] = ()) -> Scene:
     """Reads a scene from an MJCF file.
 
     path: the path of a file, "package:name" for a model among the files of an installed package
         (such as "gymnasium:ant"), or "lesson:name" for a scene of the lesson. The file's
         ``<option>`` becomes ``scene.settings``. Angles become radians and orientations unit
         quaternions; default classes, includes and frames are resolved.
+    without: kinds of things that are left out of the file on purpose, with all that refers to
+        them: an element ("weld", "actuator/muscle"), an attribute ("geom/surfacevel"), a section
+        ("contact", "tendon", "equality", "actuator", "sensor", "keyframe"), "flex" or "plugin".
+        `Scene.notes` says what that changes, and every result that of the scene it ran.
 
     Raises FileNotFoundError if there is no such file, IsADirectoryError for a folder, ValueError
-    for a name that does not exist, and MJCFError (a ValueError whose text begins with
-    ``file:line:``) for a file that cannot be read. Warns (`StiffnessWarning`) if the scene's own
-    time step has a stability margin below 2.
+    for a name or a kind that does not exist, and MJCFError (a ValueError whose text begins with
+    ``file:line:``, with a line for each thing that is wrong or not built yet) for a file that
+    cannot be read. Warns (`StiffnessWarning`) if the scene's own time step has a stability margin
+    below 2.
 
     >>> load("lesson:stack").compile().nv
     2
@@ -30,18 +36,22 @@ def load(path: str | os.PathLike[str]) -> Scene:
     if not isinstance(path, (str, bytes, os.PathLike)):
         limit = 'the path of an MJCF file, or "package:name"'
         raise checks.refuse("load", "path", path, limit)
-    scene = find_scene(os.fsdecode(path))
+    scene = find_scene(os.fsdecode(path), without)
     warn_of_stiffness(scene)
     return scene
 
 
 def loads(
-    text: str | bytes, *, base: str | os.PathLike[str] | None = None, name: str = "<string>"
+    text: str | bytes,
+    *,
+    base: str | os.PathLike[str] | None = None,
+    name: str = "<string>",
+    without: Iterable[str] = (),
 ) -> Scene:
     """Reads a scene from an MJCF text.
 
     text: the XML. base: the folder in which its includes are looked for. name: what error
-        messages call the text.
+        messages call the text. without: see `load`.
 
     Raises and warns as `load` does.
 
@@ -53,6 +63,6 @@ def loads(
     stepcore.mjcf.nodes.MJCFError: <string>:1: unknown element <wordbody> in <mujoco>; nearest: ...
     """
     scene = Scene()
-    read_text(scene, text, base=base, name=name)
+    read_text(scene, text, base=base, name=name, without=without)
     warn_of_stiffness(scene)
     return scene

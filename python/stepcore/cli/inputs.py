@@ -14,7 +14,12 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.engine.trajectory import whole_steps
 from stepcore.experiment.control import Control, control_name
-from stepcore.experiment.motion_words import actuators_in_words, held_in_words, start_in_words
+from stepcore.experiment.motion_words import (
+    actuators_in_words,
+    held_in_words,
+    scene_in_words,
+    start_in_words,
+)
 from stepcore.experiment.single_run import Push
 from stepcore.report.units import seconds
 
@@ -81,7 +86,7 @@ def in_words(
         drive = f"{actuators_in_words(model)} hold --ctrl {args.ctrl}"
     pushes = "".join(f"; push {text}" for text in args.push)
     begin = start_in_words(model, key)
-    return f"{seconds(time)} from {begin}; {drive}{pushes}; law {sim.settings.law}"
+    return f"{seconds(time)} from {begin}; {drive}{pushes}; {scene_in_words(model)}"
 
 
 def _table(path: str, control_dt: float | None, sim: Sim) -> Control:

@@ -54,15 +54,16 @@ def add(command: argparse.ArgumentParser) -> None:
 
 
 def call(args: argparse.Namespace) -> Result:
+    model = model_of(args)
     return stability_map(
-        args.file,
+        model if args.without else args.file,
         args.path,
         None if args.values is None else numbers("--values", args.values),
         None if args.dts is None else numbers("--dts", args.dts),
         integrator=args.integrator,
         error=args.error,
         size=args.size,
-        **motion_of(args, model_of(args)),
+        **motion_of(args, model),
     )
 
 

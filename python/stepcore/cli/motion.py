@@ -58,6 +58,14 @@ def add_file(command: argparse.ArgumentParser, **default: Any) -> None:
     """The model that a command works on."""
     words = "path, package:name or lesson:name"
     command.add_argument("file", metavar="FILE", help=words + default.pop("words", ""), **default)
+    command.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="KIND",
+        help="a kind of thing that is left out of the file on purpose, such as flex, plugin, "
+        "equality/weld or geom/surfacevel; may be given several times",
+    )
 
 
 def add_key(command: argparse.ArgumentParser) -> None:
@@ -91,7 +99,8 @@ def add_motion(
 
 def model_of(args: argparse.Namespace, warn: bool = True) -> Model:
     """The compiled model of FILE; warn: of stiffness, as `stepcore.load` does."""
-    return (load(args.file) if warn else find_scene(args.file)).compile()
+    read = load if warn else find_scene
+    return read(args.file, without=args.without).compile()
 
 
 def key_of(args: argparse.Namespace, model: Model) -> str | int | None:

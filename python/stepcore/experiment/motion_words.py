@@ -30,7 +30,18 @@ def motion_in_words(
     if count > 1:
         begin = f"{begin} and {counted(count - 1, 'start')} near it"
     drive = _drive(model, motion, schedule, sampled or f"every {seconds(schedule.period)}", driven)
-    return f"{seconds(schedule.horizon)} from {begin}; {drive}; law {model.settings.law}"
+    return f"{seconds(schedule.horizon)} from {begin}; {drive}; {scene_in_words(model)}"
+
+
+def scene_in_words(model: Model) -> str:
+    """The law, and what was left out of the scene's file."""
+    return f"law {model.settings.law}{without_in_words(model)}"
+
+
+def without_in_words(model: Model) -> str:
+    """What was left out of the scene's file on purpose: "; without flex (2)", or ""."""
+    left_out = ", ".join(model.scene.without)
+    return f"; without {left_out}" if left_out else ""
 
 
 def start_in_words(model: Model, key: str | int | None) -> str:
@@ -62,7 +73,7 @@ def held_motion_in_words(
     """What was run where the controls are constant, (nu,); horizon: [s]."""
     drive = held_in_words(model, ctrl)
     begin = start_in_words(model, key)
-    return f"{seconds(horizon)} from {begin}; {drive}; law {model.settings.law}"
+    return f"{seconds(horizon)} from {begin}; {drive}; {scene_in_words(model)}"
 
 
 def _drive(model: Model, motion: Motion, schedule: Schedule, sampled: str, driven: str) -> str:

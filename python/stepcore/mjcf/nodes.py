@@ -7,26 +7,52 @@ from typing import Any
 from xml.parsers import expat
 
 from stepcore.checks import cut
+from stepcore.mjcf.effects import effect
 
 # MuJoCo's own parser stops at this depth too.
 DEPTH = 500
 
 
 class MJCFError(ValueError):
-    """An MJCF file or text that cannot be read; the message is one line, ``file:line: …``.
+    """An MJCF file or text that cannot be read; the message begins with ``file:line: ``.
 
     file: the name of the file as it was given. line: counted from 1. text: the message without
-    them.
+    them. kind: of a thing that is not built yet, what `stepcore.load` can leave out ("" for other
+    errors). errors: all that is wrong with the file, this one first, where there is more.
     """
 
-    def __init__(self, file: str, line: int, text: str) -> None:
+    def __init__(self, file: str, line: int, text: str, kind: str = "") -> None:
         super().__init__(f"{cut(file, 300)}:{line}: {cut(' '.join(text.split()))}")
         self.file = file
         self.line = line
         self.text = text
+        self.kind = kind
+        self.errors: tuple[MJCFError, ...] = (self,)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.file, self.line, self.text)
+        return _again, (type(self), self.file, self.line, self.text, self.kind, self._more())
+
+    def _more(self) -> tuple[str, tuple[MJCFError, ...]]:
+        return str(self), self.errors[1:]
+
+    def with_others(self, errors: tuple[MJCFError, ...], message: str) -> MJCFError:
+        """The same error with all that is wrong with the file, and a message that lists it."""
+        self.errors = (self, *errors)
+        self.args = (message,)
+        return self
+
+
+def _again(
+    kind: type[MJCFError],
+    file: str,
+    line: int,
+    text: str,
+    what: str,
+    more: tuple[str, tuple[MJCFError, ...]],
+) -> MJCFError:
+    """Unpickles an error."""
+    message, others = more
+    return kind(file, line, text, what).with_others(others, message)
 
 
 @dataclass(frozen=True)
@@ -56,9 +82,13 @@ class Source:
 
 
 class Node:
-    """One XML element. values: its attributes as numbers and words, set by `validate`."""
+    """One XML element.
 
-    __slots__ = ("attrs", "children", "file", "line", "tag", "values")
+    values: its attributes as numbers and words, and path: its section and tag, "sensor/touch";
+    `validate` sets both.
+    """
+
+    __slots__ = ("attrs", "children", "file", "line", "path", "tag", "values")
 
     def __init__(self, tag: str, attrs: dict[str, str], file: str, line: int) -> None:
         self.tag = tag
@@ -67,14 +97,22 @@ class Node:
         self.line = line
         self.children: list[Node] = []
         self.values: dict[str, Any] = {}
+        self.path = tag
 
     def error(self, text: str) -> MJCFError:
         """Returns the error about this element, with its file and line."""
         return MJCFError(self.file, self.line, text)
 
-    def unbuilt(self, what: str) -> MJCFError:
-        """Returns the error for a feature that would change the motion and is not built yet."""
-        return self.error(f"{what} is not built yet")
+    def unbuilt(self, what: str, attribute: str = "") -> MJCFError:
+        """Returns the error for a feature that would change the motion and is not built yet.
+
+        attribute: that asks for it, where the element without it could be read.
+        """
+        kind = f"{self.tag}/{attribute}" if attribute else self.path
+        does = effect(kind)
+        return MJCFError(
+            self.file, self.line, f"{what} is not built yet{does and f': {does}'}", kind
+        )
 
     def listed(self, why: str) -> str:
         """Returns the line about this element in `Scene.ignored`."""

@@ -53,7 +53,7 @@ def read(scene: Contents, node: Node) -> None:
     if "integrator" in values:
         name = values["integrator"]
         if name not in INTEGRATORS:
-            raise node.unbuilt(f'the integrator "{name}"')
+            raise node.unbuilt(f'the integrator "{name}"', "integrator")
         options["integrator"] = INTEGRATORS[name]
     if "solver" in values:
         options["solver"] = SOLVERS[values["solver"]]
@@ -97,9 +97,11 @@ def _refuse(node: Node) -> None:
         if values.get(name, 0) < 0:
             raise bad(node, name, values[name], ">= 0")
         if values.get(name, 0) > 0:
-            raise node.unbuilt(f"a fluid around the bodies ({name})")
+            raise node.unbuilt(f"a fluid around the bodies ({name})", name)
     if values.get("actuatorgroupdisable"):
-        raise node.unbuilt("disabling groups of actuators (actuatorgroupdisable)")
+        raise node.unbuilt(
+            "disabling groups of actuators (actuatorgroupdisable)", "actuatorgroupdisable"
+        )
 
 
 def _flags(scene: Contents, node: Node) -> None:
@@ -113,7 +115,7 @@ def _flags(scene: Contents, node: Node) -> None:
             scene.contact_override.enable = on
         elif name in FLAGS_UNBUILT:
             if on:
-                raise node.unbuilt(f'the flag "{name}"')
+                raise node.unbuilt(f'the flag "{name}"', name)
         elif name in FLAG_NOTES:
             if on == (name in FLAG_DEFAULT_OFF):
                 _note(scene, node, f'flag {name}="{word}" has no effect: {FLAG_NOTES[name]}')

@@ -2,14 +2,16 @@
 
 The reader is strict. An element, attribute, keyword or reference that does not exist is an error
 with file, line and the nearest name. A feature that would change the motion and is not built yet
-is refused by name. `Scene.ignored` lists elements that only draw or sense, and `Scene.notes` what
+is refused by name, unless its kind is left out on purpose. All errors of a file are listed at once.
+`Scene.ignored` lists elements that only draw or sense, and `Scene.notes` what
 was translated.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +21,10 @@ from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.include import expand, read_bytes
+from stepcore.mjcf.left_out import LeftOut
 from stepcore.mjcf.nodes import MJCFError, Node, Source, parse
 from stepcore.mjcf.references import check_references
+from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.validation import validate
 from stepcore.mjcf.visual_geoms import leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
@@ -39,14 +43,14 @@ SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
 }
 
 
-def read_file(scene: Contents, path: str | os.PathLike[str]) -> None:
+def read_file(scene: Contents, path: str | os.PathLike[str], without: Iterable[str] = ()) -> None:
     """Fills an empty scene from an MJCF file; see `stepcore.load`."""
     shown = os.fsdecode(path)
     main = Path(shown)
     data = read_bytes(shown)
     root = parse(data, shown)
     scene.notes += expand(root, main.parent, main)
-    _fill(scene, root, Source(data, os.path.abspath(main.parent)))
+    _fill(scene, root, Source(data, os.path.abspath(main.parent)), without)
 
 
 def read_text(
@@ -55,6 +59,7 @@ def read_text(
     *,
     base: str | os.PathLike[str] | None = None,
     name: str = "<string>",
+    without: Iterable[str] = (),
 ) -> None:
     """Fills an empty scene from an MJCF text; see `stepcore.loads`."""
     if not isinstance(text, (str, bytes)):
@@ -62,49 +67,72 @@ def read_text(
     root = parse(text, name)
     scene.notes += expand(root, None if base is None else Path(base), None)
     data = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
-    _fill(scene, root, Source(data, None if base is None else os.path.abspath(base)))
+    _fill(scene, root, Source(data, None if base is None else os.path.abspath(base)), without)
 
 
-def _fill(scene: Contents, root: Node, source: Source) -> None:
+def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -> None:
     """Fills the scene from a whole model whose includes are expanded."""
     scene.name = root.attrs.get("model", "")
     scene._source = source.of(root)
-    scene.ignored += validate(root)
+    refusals, left_out = Refusals(), LeftOut(without)
+    try:
+        scene.ignored += validate(root, refusals, left_out)
+        world = _read(scene, root, refusals, source.directory)
+    except ValueError as error:
+        refusals.add(error if isinstance(error, MJCFError) else root.error(str(error)))
+        world = None
+    refusals.raise_all()
+    assert world is not None
+    try:
+        _finish(world, root)
+    except ElementError as error:
+        # The check of the whole scene names an element, whose line is known.
+        node = world.nodes.get(id(error.owner), root)
+        raise node.error(str(error)) from None
+    scene.ignored.sort(key=_place)
+    scene.notes += left_out.notes()
+    scene.without = left_out.said()
+
+
+def _read(scene: Contents, root: Node, refusals: Refusals, directory: str | None) -> WorldReader:
+    """Reads what can be read without the files of assets; errors are added to `refusals`."""
     compiler = Compiler(_sections(root, "compiler"))
     defaults = Defaults(_sections(root, "default"))
-    assets = Assets(_sections(root, "asset"), compiler, defaults, source.directory)
-    world = WorldReader(scene, compiler, defaults, assets)
+    assets = Assets(_sections(root, "asset"), compiler, defaults, directory)
+    world = WorldReader(scene, compiler, defaults, assets, refusals)
     world.paired = {
         pair.attrs.get(end, "")
         for pair in _inside(root, "contact")
         for end in ("geom1", "geom2")
         if pair.tag == "pair"
     }
-    try:
-        scene.mass_rules = compiler.mass_rules()
-        for node in _sections(root, "option"):
-            _at(node, lambda node: option.read(scene, node))
-        for node in _sections(root, "worldbody"):
-            world.read(node)
-        for section, read in SECTIONS.items():
-            for node in _inside(root, section):
-                _at(node, lambda node, read=read: read(world, node))  # type: ignore[misc]
-        layout = Layout(scene)
-        for node in _inside(root, "keyframe"):
-            _at(node, lambda node: keyframes.read(world, layout, node))
-        keyframes.add_empty_keys(scene, _sections(root, "size"))
-        check_references(world, root)
-        leave_out_visual_geoms(world, layout)
-        assets.read_used(scene)
-        layout = Layout(scene)
-        for node in custom.own_texts(_inside(root, "custom")):
-            _at(node, lambda node: custom.read(scene, node))
-        check(layout)
-    except ElementError as error:
-        # The check of the whole scene names an element, whose line is known.
-        node = world.nodes.get(id(error.owner), root)
-        raise node.error(str(error)) from None
-    scene.ignored.sort(key=_place)
+    scene.mass_rules = compiler.mass_rules()
+    for node in _sections(root, "option"):
+        refusals.at(node, lambda node: option.read(scene, node))
+    for node in _sections(root, "worldbody"):
+        world.read(node)
+    for section, read in SECTIONS.items():
+        for node in _inside(root, section):
+            refusals.at(node, partial(read, world))
+    return world
+
+
+def _finish(world: WorldReader, root: Node) -> None:
+    """Reads what needs the whole scene: keyframes, and the files of assets that are used."""
+    scene = world.scene
+    layout = Layout(scene)
+    for node in _inside(root, "keyframe"):
+        world.refusals.at(node, partial(keyframes.read, world, layout))
+    world.refusals.raise_all()
+    keyframes.add_empty_keys(scene, _sections(root, "size"))
+    check_references(world, root)
+    leave_out_visual_geoms(world, layout)
+    world.assets.read_used(scene)
+    layout = Layout(scene)
+    for node in custom.own_texts(_inside(root, "custom")):
+        world.refusals.at(node, partial(custom.read, scene))
+    world.refusals.raise_all()
+    check(layout)
 
 
 def _place(line: str) -> tuple[str, int]:
@@ -118,13 +146,3 @@ def _sections(root: Node, tag: str) -> list[Node]:
 
 def _inside(root: Node, tag: str) -> list[Node]:
     return [node for section in _sections(root, tag) for node in section.children]
-
-
-def _at(node: Node, read: Callable[[Node], None]) -> None:
-    """Calls `read` on a node; an error gets the node's file and line."""
-    try:
-        read(node)
-    except MJCFError:
-        raise
-    except ValueError as error:
-        raise node.error(str(error)) from None

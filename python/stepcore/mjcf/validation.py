@@ -7,7 +7,9 @@ import re
 
 from stepcore.checks import nearest, shown
 from stepcore.mjcf.custom import ours
+from stepcore.mjcf.left_out import LeftOut
 from stepcore.mjcf.nodes import MJCFError, Node
+from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.schema import ROOT
 from stepcore.mjcf.schema.notation import Spec
 
@@ -22,33 +24,58 @@ WHY = {
 }
 
 
-def validate(root: Node) -> list[str]:
+def validate(root: Node, refusals: Refusals, left_out: LeftOut) -> list[str]:
     """Sets `values` of every node that is read, and returns the lines for `Scene.ignored`.
 
-    Raises MJCFError for an element, attribute, keyword or number that the schema does not have, and
-    for an element that would change the motion and is not built yet.
+    Errors are added to `refusals`, and the elements that have them leave the tree: an element,
+    attribute, keyword or number that the schema does not have, and an element that would change
+    the motion and is not built yet. What is `left_out` leaves the tree too.
     """
     if root.tag != "mujoco":
         raise root.error(f"the root element is <{root.tag}>, not <mujoco>: not an MJCF model")
     # A schema location is advice to text editors.
     root.attrs = {k: v for k, v in root.attrs.items() if not k.startswith(("xmlns", "xsi:"))}
-    ignored = []
-    pending: list[tuple[Node, Spec, Node | None, str]] = [(root, ROOT, None, "")]
+    ignored: list[str] = []
+    root.values = _values(root, ROOT)
+    left_out.begin(root)
+    pending: list[tuple[Node, Spec, str]] = [(root, ROOT, "")]
     while pending:
-        node, spec, parent, above = pending.pop()
-        node.values = _values(node, spec)
-        _check_once(node, spec)
-        if spec.role == "unbuilt":
-            raise node.unbuilt(f"<{node.tag}> in <{parent.tag}>" if parent else f"<{node.tag}>")
-        if spec.role and spec.role != above and not ours(node):
-            ignored.append(node.listed(WHY[spec.role]))
-        for child in reversed(node.children):
+        node, spec, role = pending.pop()
+        inside: list[Node] = []
+        deeper: list[tuple[Node, Spec, str]] = []
+        for child in node.children:
             inner = spec.children.get(child.tag)
-            if inner is None:
-                near = nearest(child.tag, spec.children)
-                raise child.error(f"unknown element <{child.tag}> in <{node.tag}>{near}")
-            pending.append((child, inner, node, spec.role))
+            try:
+                if inner is None:
+                    near = nearest(child.tag, spec.children)
+                    raise child.error(f"unknown element <{child.tag}> in <{node.tag}>{near}")
+                # The tag of the root is no part of a path.
+                section = node.path.partition("/")[0] if node is not root else ""
+                child.path = f"{section}/{child.tag}" if section else child.tag
+                kind = left_out.takes(child.path) if section != "default" else ""
+                if kind:
+                    left_out.take(kind, child)
+                    continue
+                left_out.strip(child)
+                _read(child, inner, node, role, ignored)
+            except MJCFError as error:
+                refusals.add(error, child)
+                continue
+            inside.append(child)
+            deeper.append((child, inner, inner.role))
+        node.children = inside
+        pending += reversed(deeper)
+    left_out.follow(root)
     return ignored
+
+
+def _read(node: Node, spec: Spec, parent: Node, above: str, ignored: list[str]) -> None:
+    node.values = _values(node, spec)
+    _check_once(node, spec)
+    if spec.role == "unbuilt":
+        raise node.unbuilt(f"<{node.tag}> in <{parent.tag}>")
+    if spec.role and spec.role != above and not ours(node):
+        ignored.append(node.listed(WHY[spec.role]))
 
 
 def _check_once(node: Node, spec: Spec) -> None:

@@ -9,6 +9,7 @@ from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.nodes import MJCFError, Node
+from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.schema.tree import NOT_IN_WORLD
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
@@ -50,8 +51,14 @@ class WorldReader:
     """
 
     def __init__(
-        self, scene: Contents, compiler: Compiler, defaults: Defaults, assets: Assets
+        self,
+        scene: Contents,
+        compiler: Compiler,
+        defaults: Defaults,
+        assets: Assets,
+        refusals: Refusals,
     ) -> None:
+        self.refusals = refusals
         self.scene = scene
         self.compiler = compiler
         self.defaults = defaults
@@ -71,12 +78,13 @@ class WorldReader:
         pending = [(child, Place(self.scene.world)) for child in reversed(world.children)]
         while pending:
             node, place = pending.pop()
+            inner: Place | None = None
             try:
                 inner = self._element(node, place)
-            except MJCFError:
-                raise
+            except MJCFError as error:
+                self.refusals.add(error, node)
             except ValueError as error:
-                raise node.error(str(error)) from None
+                self.refusals.add(node.error(str(error)), node)
             if inner is not None:
                 pending += [(child, inner) for child in reversed(node.children)]
 
@@ -117,9 +125,9 @@ class WorldReader:
     def _body(self, node: Node, place: Place) -> Place:
         values = node.values
         if values.get("mocap"):
-            raise node.unbuilt("a mocap body")
+            raise node.unbuilt("a mocap body", "mocap")
         if values.get("gravcomp", 0) != 0:
-            raise node.unbuilt("gravity compensation (gravcomp)")
+            raise node.unbuilt("gravity compensation (gravcomp)", "gravcomp")
         pos, quat = self._pose(node, values, place)
         body = self.scene.add_body(values.get("name", ""), place.body, pos, quat)
         self.keep(node, body)
@@ -188,12 +196,14 @@ class WorldReader:
 
     def _refuse_joint(self, node: Node, kind: str, values: dict[str, Any]) -> None:
         if min(values.get("springdamper", (0.0,))) > 0:
-            raise node.unbuilt("springdamper")
+            raise node.unbuilt("springdamper", "springdamper")
         if values.get("springyield", 0) != 0 and kind != "free":
-            raise node.unbuilt("a spring that yields (springyield)")
+            raise node.unbuilt("a spring that yields (springyield)", "springyield")
         scalar = kind in ("hinge", "slide")
         if scalar and self.limits(node, values, "actuatorfrclimited", "actuatorfrcrange"):
-            raise node.unbuilt("clamping a joint's actuator force (actuatorfrcrange)")
+            raise node.unbuilt(
+                "clamping a joint's actuator force (actuatorfrcrange)", "actuatorfrcrange"
+            )
 
     def limits(
         self, node: Node, values: dict[str, Any], switch: str, field: str, lo_free: bool = True
@@ -232,9 +242,9 @@ class WorldReader:
         contype, conaffinity = values.get("contype", 1), values.get("conaffinity", 1)
         collides = contype != 0 or conaffinity != 0 or (name != "" and name in self.paired)
         if collides and any(values.get("surfacevel", ())):
-            raise node.unbuilt("a moving surface (surfacevel)")
+            raise node.unbuilt("a moving surface (surfacevel)", "surfacevel")
         if collides and values.get("adhesion", 0) != 0:
-            raise node.unbuilt("adhesion")
+            raise node.unbuilt("adhesion", "adhesion")
         if kind == "sdf":
             raise node.unbuilt("a geom of type sdf")
         if kind in ("mesh", "hfield") and kind not in values:

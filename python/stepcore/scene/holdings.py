@@ -46,7 +46,7 @@ class Holdings(checks.KnownNames):
     _attributes = (
         *("name", "bodies", "joints", "geoms", "sites", "actuators", "equalities", "keys"),
         *("meshes", "hfields", "excludes", "pairs", "contact_override", "mass_rules", "features"),
-        *("options", "ignored", "notes"),
+        *("options", "ignored", "notes", "without"),
     )
 
     def __init__(self, gravity: Vector = GRAVITY, name: str = "") -> None:
@@ -69,6 +69,7 @@ class Holdings(checks.KnownNames):
         self.options: dict[str, Any] = {}
         self.ignored: list[str] = []
         self.notes: list[str] = []
+        self.without: list[str] = []
         # The text that the scene was read from, so that saving can keep it.
         self._source: Source | None = None
         # By kind, so that what an element refers to is found without looking at all of them.

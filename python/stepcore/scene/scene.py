@@ -40,6 +40,8 @@ class Scene(Contents):
     options: the fields of `Settings` that the scene sets; see `settings`.
     ignored: elements of the file that cannot change the motion, one line each.
     notes: what the reader translated, one line each.
+    without: kinds of elements of the file that were left out on purpose, with how many; see
+        `stepcore.load`.
 
     >>> scene = Scene()
     >>> ball = scene.add_body("ball", pos=(0, 0, 1))

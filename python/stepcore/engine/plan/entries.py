@@ -57,6 +57,8 @@ class _Listing:
         unread = list(source.unread) if source else []
         yield _used("files", "files read", files, kind="file")
         yield _out("files", "files not read", unread, "used for drawing only", kind="file")
+        without = self.scene.without
+        yield _out("files", "left out on purpose", without, "left out by without=", kind="file")
         ignored = [line.rsplit(" (", 1)[0] for line in self.scene.ignored]
         why = "only for drawing or sensing, or unused by every equation"
         yield _out("files", "elements of the file", ignored, why, kind="file")

@@ -116,7 +116,7 @@ def check(
         findings=findings,
         diagnosis=diagnosis,
         ran=_ran(compiled, motion, schedule, held),
-        commands=next_commands(_file(model), compiled, findings, diagnosis),
+        commands=next_commands(_file(model, compiled), compiled, findings, diagnosis),
         notes=[*(n for n in compiled.scene.notes if not n.endswith(EMPTY)), *notes],
     )
 
@@ -202,6 +202,10 @@ def _diagnosis(setup: Setup, motion: Motion) -> tuple[Diagnosis | None, list[str
     return found, []
 
 
-def _file(source: Source) -> str:
+def _file(source: Source, model: Model) -> str:
     """What the next commands call the scene."""
-    return os.fspath(source) if isinstance(source, (str, os.PathLike)) else "FILE"
+    if isinstance(source, (str, os.PathLike)):
+        return os.fspath(source)
+    # A scene without some of its file is that of its file, with the kinds that are left out.
+    read = model.scene._source if model.scene.without else None
+    return read.files[0] if read else "FILE"

@@ -21,7 +21,8 @@ def next_commands(
     file: str, model: Model, findings: Sequence[Finding], diagnosis: Diagnosis | None
 ) -> list[tuple[str, str]]:
     """Commands and why, the most useful first. file: what they call the scene."""
-    named = shlex.quote(file)
+    left_out = [f" --without {line.split()[0]}" for line in model.scene.without]
+    named = shlex.quote(file) + "".join(left_out)
     some = _fitting(named, model, {finding.kind: finding for finding in findings}, diagnosis)
     return list(dict(some).items())[:NEXT]
 

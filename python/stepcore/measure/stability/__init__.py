@@ -14,7 +14,7 @@ from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.model import Model
 from stepcore.experiment.motion import Motion, MotionFields
-from stepcore.experiment.motion_words import held_in_words, start_in_words
+from stepcore.experiment.motion_words import held_in_words, start_in_words, without_in_words
 from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.workers import Workers
 from stepcore.measure.stability import cases, theory
@@ -165,7 +165,8 @@ def _ran(case: MapCase, horizon: float) -> str:
     begin = "the pose of the scene" if key is None else start_in_words(model, case.key)
     laws = {str(s.settings.get("law", model.settings.law)) for s in case.settings}
     law = f"; law {laws.pop()}" if len(laws) == 1 else ""
-    return f"{seconds(horizon)} from {begin}; {held_in_words(model, ctrl)}{law}"
+    said = f"{seconds(horizon)} from {begin}; {held_in_words(model, ctrl)}{law}"
+    return said + without_in_words(model)
 
 
 def _narrow(

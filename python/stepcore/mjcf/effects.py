@@ -1,0 +1,57 @@
+"""What the things that can stand in a file do to its motion: for refusals and for what is left out.
+
+A kind is a section ("tendon"), an element ("actuator/muscle"), an attribute ("geom/surfacevel"),
+or one of `GROUPS`.
+"""
+
+# Kinds that stand in several sections.
+GROUPS = {
+    "flex": ("flexcomp", "deformable/flex", "equality/flex", "equality/flexstrain"),
+    "plugin": ("plugin",),
+}
+# Sections that can be left out as a whole.
+SECTIONS = ("contact", "tendon", "equality", "actuator", "sensor", "keyframe", "deformable")
+# The longest key that fits counts.
+_EFFECTS = {
+    "flex": "its points move, collide, and pull on what they are pinned to",
+    "plugin": "it computes forces, shapes or sensors outside of the file",
+    "composite": "MuJoCo 4 has it no more; a replicate or flexcomp takes its place",
+    "attach": "it adds bodies of another model",
+    "replicate": "it adds copies of bodies",
+    "contact/exclude": "it keeps two bodies from colliding",
+    "contact/pair": "it decides how two geoms collide",
+    "contact": "it decides which geoms collide, and how",
+    "tendon": "its springs, limits and actuators pull along a path",
+    "equality": "it ties bodies, joints or tendons together",
+    "actuator": "it puts a force on bodies that follows a control",
+    "sensor": "it measures; nothing moves otherwise without it",
+    "keyframe": "it is a state to start from",
+    "deformable": "its points move with bodies",
+    "geom/surfacevel": "it drags along what touches the geom",
+    "geom/adhesion": "it pulls touching geoms together",
+    "pair/adhesion": "it pulls touching geoms together",
+    "geom/type": "the shape collides and has mass",
+    "option/density": "the fluid slows bodies down",
+    "option/viscosity": "the fluid slows bodies down",
+    "option/wind": "the fluid moves, and bodies in it",
+    "option/actuatorgroupdisable": "these actuators would not act",
+    "option/integrator": "each step has another error",
+    "flag/sleep": "what rests would be left out of the step until something touches it",
+    "body/gravcomp": "a force holds the body up against gravity",
+    "body/mocap": "the body stands where its user puts it",
+    "joint/springdamper": "a spring and a damper of given times act on the joint",
+    "joint/springyield": "the spring of the joint yields",
+    "joint/actuatorfrcrange": "it clamps the sum of what actuators put on the joint",
+    "frame/scale": "it changes sizes, masses and forces within the frame",
+    "frame/massscale": "it changes masses within the frame",
+}
+
+
+def effect(kind: str) -> str:
+    """What a thing of this kind does to the motion, "" if nothing more can be said of it."""
+    tag = kind.rpartition("/")[2]
+    group = next((name for name, tags in GROUPS.items() if kind in tags or tag in tags), "")
+    for name in (kind, group, tag, kind.partition("/")[0]):
+        if name in _EFFECTS:
+            return _EFFECTS[name]
+    return ""
