@@ -82,6 +82,15 @@ impl Transmission {
         }
     }
 
+    /// Calls `each(i, j, aᵢ aⱼ)` for every pair of arms, both ways, and each with itself: along a
+    /// length a stiffness of one is this matrix on the dofs.
+    #[inline(always)]
+    pub fn pairs<R: Real>(self, model: &Model, qpos: &[R], mut each: impl FnMut(usize, usize, R)) {
+        self.arms(model, qpos, |i, a: R| {
+            self.arms(model, qpos, |j, b: R| each(i, j, a * b));
+        });
+    }
+
     /// Length and arms at once, without a gear.
     #[inline(always)]
     pub fn reach<R: Real>(self, model: &Model, qpos: &[R]) -> Reach<R> {

@@ -1,8 +1,10 @@
 //! `euler` and `implicitfast`: forces first, solved in M; then damping implicitly,
 //! v⁺ = v + dt (M + dt·D)⁻¹ (f + Jᵀλ/dt). MuJoCo documentation, "Numerical integration".
 //!
-//! D is joint damping, and under `implicitfast` the velocity feedback of servos too, but for
-//! those whose force is at its bound. `implicitfast` re-solves the 6×6 block of a free body on its
+//! D is joint damping, and under `implicitfast` that of every element: the velocity feedback of
+//! servos too, but for those whose force is at its bound. Of what an element couples, D has the
+//! entries that M has, a dof and its ancestors, and is made symmetric, (D + Dᵀ)/2: MuJoCo's. What a
+//! length couples across branches or trees stays explicit. `implicitfast` re-solves the 6×6 block of a free body on its
 //! own with the derivative B of its bias force: with body axes, R the rotation,
 //! m the mass, c the centre, I the inertia about the joint and w the angular velocity,
 //!
@@ -10,7 +12,7 @@
 //! B[lin, ang] = −m R ([w×c]× + [w]×[c]×)      B[ang, ang] = [w]× I − [I w]×
 //! ```
 
-use crate::elements::force::{Group, Moment};
+use crate::elements::force::{Late, Moment};
 use crate::elements::forces::damping;
 use crate::model::Model;
 use crate::place::{Metric, Placed};
@@ -25,7 +27,7 @@ pub struct Damped<R: Real> {
     pub(super) change: Vec<R>,
     /// Stiffness and damping, by dof.
     pub(super) slopes: Vec<[R; 2]>,
-    /// Trees with a damped dof, and those under `implicitfast`, where servos damp too.
+    /// Trees that `euler` damps, and those under `implicitfast`.
     damped: Vec<usize>,
     damped_fast: Vec<usize>,
     /// Whether a tree is among the former, and among the latter.
@@ -38,11 +40,12 @@ room!(Damped<R>: impulse, change, slopes, damped, damped_fast, late, gyroscopic;
 
 impl<R: Real> Damped<R> {
     pub fn new(model: &Model) -> Self {
-        let (damped, served) = (model.damped(), model.served());
+        let (damped, by_any) = (model.damped(), model.damped_by_any());
+        let spins: Vec<bool> = model.trees.iter().map(|tree| model.gyroscopic(tree)).collect();
         let has = |test: &dyn Fn(usize) -> bool| {
             (0..model.trees.len()).filter(|tree| test(*tree)).collect::<Vec<_>>()
         };
-        let late = |tree: usize| [damped[tree], damped[tree] || served[tree]];
+        let late = |tree: usize| [damped[tree], by_any[tree] || spins[tree]];
         Self {
             metric: Metric::new(model),
             impulse: vec![R::zero(); model.nv],
@@ -50,8 +53,8 @@ impl<R: Real> Damped<R> {
             late: (0..model.trees.len()).map(late).collect(),
             slopes: vec![[R::zero(); 2]; model.nv],
             damped: has(&|tree| damped[tree]),
-            damped_fast: has(&|tree| damped[tree] || served[tree]),
-            gyroscopic: has(&|tree| model.gyroscopic(&model.trees[tree])),
+            damped_fast: has(&|tree| by_any[tree] && !spins[tree]),
+            gyroscopic: has(&|tree| spins[tree]),
         }
     }
 }
@@ -85,25 +88,23 @@ impl<R: Real> Damped<R> {
         }
         placed.metric.lower(&mut self.impulse);
         self.change.copy_from_slice(&self.impulse);
-        for &tree in trees {
+        for &tree in trees.iter().chain(gyroscopic) {
             for k in model.trees[tree].dofs.range() {
                 let row = model.dofs[k].row;
                 self.metric.l[row.range()].copy_from_slice(&placed.mass[row.range()]);
             }
         }
-        let (late, slopes) = (&self.late, &mut self.slopes);
-        let mut add = |k: usize, damping: R| {
-            if late[model.dofs[k].tree][usize::from(fast)] {
-                self.metric.l[model.dofs[k].row.start] += dt * damping;
+        let (late, l) = (&self.late, &mut self.metric.l);
+        damping(now, if fast { Late::All } else { Late::Joints }, |i, j, damping| {
+            if !late[model.dofs[i].tree][usize::from(fast)] {
+                return;
             }
-        };
-        damping(now, Group::Passive, |k, damping| {
-            slopes[k][1] = damping;
-            add(k, damping);
+            if i == j {
+                l[model.dofs[i].row.start] += dt * damping;
+            } else if let Some(at) = model.entry(i, j) {
+                l[at] += R::of(0.5) * dt * damping;
+            }
         });
-        if fast {
-            damping(now, Group::Driven, add);
-        }
         for &tree in trees {
             let dofs = model.trees[tree].dofs.range();
             self.metric.factor(dofs.clone());
@@ -114,7 +115,7 @@ impl<R: Real> Damped<R> {
         }
         for &tree in gyroscopic {
             let first = model.trees[tree].dofs.start;
-            let mut matrix = placed.free_body_matrix(model, tree, qvel, &self.slopes[first..], dt);
+            let mut matrix = placed.free_body_matrix(model, tree, qvel, &self.metric.l, dt);
             let mut x = [R::zero(); 6];
             x.copy_from_slice(&self.impulse[first..first + 6]);
             solve_six(&mut matrix, &mut x);
@@ -126,23 +127,22 @@ impl<R: Real> Damped<R> {
 }
 
 impl<R: Real> Placed<R> {
-    /// M + dt·(D + B) of a single free body; `slopes` of its dofs.
+    /// M + dt·(D + B) of a single free body; `damped` holds M + dt·D.
     fn free_body_matrix(
         &self,
         model: &Model,
         tree: usize,
         qvel: &[R],
-        slopes: &[[R; 2]],
+        damped: &[R],
         dt: R,
     ) -> [[R; 6]; 6] {
         let (first, root) = (model.trees[tree].dofs.start, model.trees[tree].bodies.start);
         let mut matrix = [[R::zero(); 6]; 6];
         for i in 0..6 {
             for (at, j) in model.dofs[first + i].row.range().zip((0..=i).rev()) {
-                matrix[i][j] = self.mass[at];
-                matrix[j][i] = self.mass[at];
+                matrix[i][j] = damped[at];
+                matrix[j][i] = damped[at];
             }
-            matrix[i][i] += dt * slopes[i][1];
         }
         let turn = &self.xmat[root];
         let whole = &self.composite[root];

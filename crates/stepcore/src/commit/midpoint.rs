@@ -133,7 +133,20 @@ impl<R: Real> Sim<R> {
         };
         let half = R::of(0.5 * self.clock.seconds);
         damped.slopes.fill([R::zero(); 2]);
-        slopes(&now, Group::Passive, |_, k, slopes| {
+        let quarter = R::of(0.25);
+        let implicit =
+            |[stiffness, damping]: [R; 2]| half * damping + quarter * dt * dt * stiffness;
+        let l = &mut damped.metric.l;
+        // Of two dofs. What couples branches or trees has no place here: the iteration finds it.
+        let mut couple = |i: usize, j: usize, slopes: [R; 2]| {
+            if let Some(at) = model.entry(i, j) {
+                l[at] += R::of(0.5) * implicit(slopes);
+            }
+        };
+        slopes(&now, Group::Passive, |_, k, j, slopes| {
+            if k != j {
+                return couple(k, j, slopes);
+            }
             for (sum, slope) in damped.slopes[k].iter_mut().zip(slopes) {
                 // A sum of one term is that term: nothing is added to it.
                 *sum = match (sum.is_zero(), slope.is_zero()) {
@@ -146,9 +159,14 @@ impl<R: Real> Sim<R> {
         for (dof, [stiffness, damping]) in model.dofs.iter().zip(&damped.slopes) {
             damped.metric.l[dof.row.start] += half * *damping + *stiffness * half * half;
         }
-        slopes(&now, Group::Driven, |_, k, [stiffness, damping]| {
-            let extra = half * damping + R::of(0.25) * dt * dt * stiffness;
-            damped.metric.l[model.dofs[k].row.start] += extra;
+        let l = &mut damped.metric.l;
+        slopes(&now, Group::Driven, |_, i, j, slopes| {
+            let extra = implicit(slopes);
+            if i == j {
+                l[model.dofs[i].row.start] += extra;
+            } else if let Some(at) = model.entry(i, j) {
+                l[at] += R::of(0.5) * extra;
+            }
         });
         damped.metric.factor(0..model.nv);
         damped.metric.solve(&mut damped.impulse);

@@ -154,25 +154,32 @@ impl Forces for Actuator {
 
     /// Zero at the bounds of `forcerange`, as in MuJoCo.
     #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, [R; 2])) {
+    fn slopes<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
         let actuator = &now.model.actuators[index];
         if !(now.model.features.actuation && actuator.feeds_back()) {
             return;
         }
-        actuator.transmission().arms(now.model, now.qpos, |dof, arm: R| {
-            let squared = arm * arm;
-            let slopes = [1, 2].map(|i| -(squared * R::of(actuator.bias[i])));
-            let Some([lo, hi]) = actuator.forcerange else { return add(dof, slopes) };
+        actuator.transmission().pairs(now.model, now.qpos, |i, j, product: R| {
+            let slopes = [1, 2].map(|n| -(product * R::of(actuator.bias[n])));
+            let Some([lo, hi]) = actuator.forcerange else { return add(i, j, slopes) };
             let force = now.frames.tension[index];
             let free = force.gt(R::of(lo)).and(force.lt(R::of(hi)));
-            add(dof, slopes.map(|slope| R::select(free, slope, R::zero())));
+            add(i, j, slopes.map(|slope| R::select(free, slope, R::zero())));
         });
     }
 
-    fn damps(model: &Model, index: usize) -> Option<usize> {
+    #[inline(always)]
+    fn sloped(model: &Model, index: usize, each: &mut impl FnMut(usize)) {
         let actuator = &model.actuators[index];
-        let damps = model.features.actuation && actuator.bias[2] != 0.0;
-        damps.then(|| model.joints[actuator.joint].dof)
+        if model.features.actuation && actuator.feeds_back() {
+            let joint = &model.joints[actuator.joint];
+            (joint.dof..joint.dof + joint.dofs()).for_each(each);
+        }
+    }
+
+    #[inline(always)]
+    fn damps(model: &Model, index: usize) -> bool {
+        model.features.actuation && model.actuators[index].bias[2] != 0.0
     }
 
     fn stored<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(R)) {

@@ -31,6 +31,7 @@ fn slope<R: Real>(&[a, b, c]: &Coefficients, velocity: R) -> R {
 impl Forces for Damper {
     const KIND: Kind = Kind::Damper;
     const GROUP: Group = Group::Passive;
+    const IN_JOINTS: bool = true;
 
     #[inline(always)]
     fn force<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, R)) {
@@ -51,21 +52,27 @@ impl Forces for Damper {
     }
 
     #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, [R; 2])) {
+    fn slopes<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
         let joint = &now.model.joints[joint];
         for k in joint.dof..joint.dof + joint.dofs() {
-            add(k, [R::zero(), slope(&joint.damping, now.qvel[k])]);
+            add(k, k, [R::zero(), slope(&joint.damping, now.qvel[k])]);
         }
     }
 
     /// Of every dof, also one that its joint does not damp.
     #[inline(always)]
-    fn damping<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, R)) {
-        Self::slopes(now, joint, &mut |dof, [_, damping]| add(dof, damping));
+    fn damping<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, usize, R)) {
+        Self::slopes(now, joint, &mut |i, j, [_, damping]| add(i, j, damping));
     }
 
-    fn damps(model: &Model, joint: usize) -> Option<usize> {
+    fn sloped(model: &Model, joint: usize, each: &mut impl FnMut(usize)) {
         let joint = &model.joints[joint];
-        (joint.damping != NONE).then_some(joint.dof)
+        if joint.damping != NONE {
+            (joint.dof..joint.dof + joint.dofs()).for_each(each);
+        }
+    }
+
+    fn damps(model: &Model, joint: usize) -> bool {
+        model.joints[joint].damping != NONE
     }
 }

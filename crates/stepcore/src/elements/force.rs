@@ -24,21 +24,32 @@ pub(crate) struct Sum<'a, R: Real> {
     pub wrench: &'a mut [Force<R>],
 }
 
-/// Who makes a force, and which integrators take its damping at the end of the step.
+/// Who makes a force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Group {
-    /// Joints themselves: `euler` and `implicitfast`.
+    /// What is there without anybody: springs and dampers.
     Passive,
-    /// Actuators and what the user applies: `implicitfast`.
+    /// Actuators and what the user applies.
     Driven,
     /// The weight, which the bias forces hold already.
     Weight,
+}
+
+/// Whose damping an integrator takes at the end of the step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Late {
+    /// That of joints themselves: `euler`.
+    Joints,
+    /// That of every element: `implicitfast`.
+    All,
 }
 
 /// One kind of force.
 pub(crate) trait Forces {
     const KIND: Kind;
     const GROUP: Group;
+    /// Acts in joints themselves, each dof by itself: `euler` takes its damping too.
+    const IN_JOINTS: bool = false;
 
     /// How many there are: its elements stand in some list of the model.
     #[inline(always)]
@@ -61,21 +72,28 @@ pub(crate) trait Forces {
         }
     }
 
-    /// Calls `add(dof, [stiffness, damping])`: minus the derivatives of the force on a dof by
-    /// its own position and velocity. Nothing where both are zero.
+    /// Calls `add(i, j, [stiffness, damping])`: minus the derivatives of the force on dof i by the
+    /// position and the velocity of dof j. What acts on each dof by itself has entries i = j alone.
+    /// What acts along a length has one for every pair of arms, both ways: aᵢ aⱼ times the stiffness
+    /// and damping along the length (`Transmission::pairs`). Nothing where both are zero.
     #[inline(always)]
-    fn slopes<R: Real>(_: &Moment<R>, _index: usize, _add: &mut impl FnMut(usize, [R; 2])) {}
+    fn slopes<R: Real>(_: &Moment<R>, _index: usize, _add: &mut impl FnMut(usize, usize, [R; 2])) {}
 
-    /// The first of the dofs of a tree that one element damps, if it damps at all.
-    fn damps(_: &Model, _index: usize) -> Option<usize> {
-        None
+    /// Calls `each(dof)` for every dof on which one element can have slopes, at whatever state.
+    #[inline(always)]
+    fn sloped(_: &Model, _index: usize, _each: &mut impl FnMut(usize)) {}
+
+    /// One element has damping, at some state.
+    #[inline(always)]
+    fn damps(_: &Model, _index: usize) -> bool {
+        false
     }
 
-    /// Calls `add(dof, damping)` for the dofs that one element damps.
+    /// Calls `add(i, j, damping)` for the entries of one element's slopes, if it damps.
     #[inline(always)]
-    fn damping<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, R)) {
-        if Self::damps(now.model, index).is_some() {
-            Self::slopes(now, index, &mut |dof, [_, damping]| add(dof, damping));
+    fn damping<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, usize, R)) {
+        if Self::damps(now.model, index) {
+            Self::slopes(now, index, &mut |i, j, [_, damping]| add(i, j, damping));
         }
     }
 

@@ -5,7 +5,7 @@
 use super::actuator::{tensions, Actuator};
 use super::applied::{BodyForce, JointForce};
 use super::damper::Damper;
-use super::force::{Forces, Group, Moment, Sum};
+use super::force::{Forces, Group, Late, Moment, Sum};
 use super::gravity::Gravity;
 use super::spring::Spring;
 use super::{Element, Kind};
@@ -24,43 +24,56 @@ macro_rules! forces {
             })+
         }
 
-        /// Calls `add(element, dof, [stiffness, damping])` for the elements of a group.
+        /// Calls `add(element, i, j, [stiffness, damping])` for the elements of a group: see
+        /// `Forces::slopes`.
         #[inline(always)]
         pub(crate) fn slopes<R: Real>(
             now: &Moment<R>,
             group: Group,
-            mut add: impl FnMut(Element, usize, [R; 2]),
+            mut add: impl FnMut(Element, usize, usize, [R; 2]),
         ) {
             $(if $kind::GROUP == group {
                 for index in 0..$kind::count(now.model) {
                     let element = $kind::element(index);
-                    $kind::slopes(now, index, &mut |dof, slopes| add(element, dof, slopes));
+                    $kind::slopes(now, index, &mut |i, j, slopes| add(element, i, j, slopes));
                 }
             })+
         }
 
-        /// Calls `add(dof, damping)` for the elements of a group.
+        /// Calls `add(i, j, damping)` for the damping that an integrator takes late.
         #[inline(always)]
         pub(crate) fn damping<R: Real>(
             now: &Moment<R>,
-            group: Group,
-            mut add: impl FnMut(usize, R),
+            late: Late,
+            mut add: impl FnMut(usize, usize, R),
         ) {
-            $(if $kind::GROUP == group {
+            $(if late == Late::All || $kind::IN_JOINTS {
                 for index in 0..$kind::count(now.model) {
                     $kind::damping(now, index, &mut add);
                 }
             })+
         }
 
-        /// By tree: some element of the group damps a dof of it.
-        fn damped(model: &Model, group: Group) -> Vec<bool> {
+        /// Calls `add(element, i, j, damping)` for the same.
+        pub(crate) fn damping_by_element<R: Real>(
+            now: &Moment<R>,
+            late: Late,
+            mut add: impl FnMut(Element, usize, usize, R),
+        ) {
+            $(if late == Late::All || $kind::IN_JOINTS {
+                for index in 0..$kind::count(now.model) {
+                    let element = $kind::element(index);
+                    $kind::damping(now, index, &mut |i, j, damping| add(element, i, j, damping));
+                }
+            })+
+        }
+
+            /// By tree: it has a damping that an integrator takes late.
+        fn damped(model: &Model, late: Late) -> Vec<bool> {
             let mut found = vec![false; model.trees.len()];
-            $(if $kind::GROUP == group {
-                for index in 0..$kind::count(model) {
-                    if let Some(dof) = $kind::damps(model, index) {
-                        found[model.dofs[dof].tree] = true;
-                    }
+            $(if late == Late::All || $kind::IN_JOINTS {
+                for index in (0..$kind::count(model)).filter(|index| $kind::damps(model, *index)) {
+                    $kind::sloped(model, index, &mut |dof| found[model.dofs[dof].tree] = true);
                 }
             })+
             found
@@ -172,11 +185,11 @@ impl Model {
 
     /// By tree: a joint of it is damped.
     pub fn damped(&self) -> Vec<bool> {
-        damped(self, Group::Passive)
+        damped(self, Late::Joints)
     }
 
-    /// By tree: a servo damps it.
-    pub fn served(&self) -> Vec<bool> {
-        damped(self, Group::Driven)
+    /// By tree: any element damps it.
+    pub fn damped_by_any(&self) -> Vec<bool> {
+        damped(self, Late::All)
     }
 }

@@ -61,6 +61,7 @@ fn length<R: Real>(stretch: &[R]) -> R {
 impl Forces for Spring {
     const KIND: Kind = Kind::Spring;
     const GROUP: Group = Group::Passive;
+    const IN_JOINTS: bool = true;
 
     #[inline(always)]
     fn force<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, R)) {
@@ -73,7 +74,7 @@ impl Forces for Spring {
     }
 
     #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, [R; 2])) {
+    fn slopes<R: Real>(now: &Moment<R>, joint: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
         let joint = &now.model.joints[joint];
         if joint.stiffness == NONE {
             return;
@@ -81,13 +82,22 @@ impl Forces for Spring {
         if linear(&joint.stiffness) {
             // Wherever the joint is.
             let slope = R::of(joint.stiffness[0]);
-            (joint.dof..joint.dof + joint.dofs()).for_each(|k| add(k, [slope, R::zero()]));
+            (joint.dof..joint.dof + joint.dofs()).for_each(|k| add(k, k, [slope, R::zero()]));
             return;
         }
         stretches(now.model, joint, now.qpos, |first, stretch| {
             let slope = slope(&joint.stiffness, stretch);
-            (0..stretch.len()).for_each(|at| add(first + at, [slope, R::zero()]));
+            for k in first..first + stretch.len() {
+                add(k, k, [slope, R::zero()]);
+            }
         });
+    }
+
+    fn sloped(model: &Model, joint: usize, each: &mut impl FnMut(usize)) {
+        let joint = &model.joints[joint];
+        if joint.stiffness != NONE {
+            (joint.dof..joint.dof + joint.dofs()).for_each(each);
+        }
     }
 
     #[inline(always)]

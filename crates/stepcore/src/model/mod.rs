@@ -330,6 +330,18 @@ impl Model {
         Span { start: body.chain.start, len: body.chain.len - after }
     }
 
+    /// Where the mass matrix has the entry of two dofs, in arrays laid out like `row_dofs`; None
+    /// where neither moves the other.
+    #[inline(always)]
+    pub fn entry(&self, i: usize, j: usize) -> Option<usize> {
+        let row = self.dofs[i.max(j)].row;
+        if i == j {
+            return Some(row.start);
+        }
+        let at = row.of(&self.row_dofs).iter().position(|dof| *dof == i.min(j))?;
+        Some(row.start + at)
+    }
+
     /// The island of each tree, by its lowest tree: trees that some pair or equality can connect share
     /// one. In a heap pairs connect trees only while they touch: see `solve/live.rs`.
     pub fn islands(&self) -> Vec<usize> {

@@ -10,8 +10,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::elements::actuator::saturated;
-use crate::elements::force::Group;
-use crate::elements::forces::{each, slopes, stored};
+use crate::elements::force::{Group, Late};
+use crate::elements::forces::{damping_by_element, each, stored};
 use crate::elements::{penalty, Element, Kind};
 use crate::error::Result;
 use crate::model::{Model, Span};
@@ -88,11 +88,13 @@ pub(crate) fn taped<R: Real>(
     let mut tape = Tape::new(lane, model.nv);
     step(sim, &mut tape)?;
     let v1: Vec<f64> = sim.state.qvel.iter().map(|v| v.lane(lane)).collect();
-    for group in sim.damped_late() {
+    if let Some(late) = sim.damped_late() {
         // Damping as it is at the end of the step: what its slope adds to the force before.
-        slopes(&sim.moment(At::State), *group, |element, k, [_, damping]| {
-            let more = -sim.clock.seconds * damping.lane(lane) * (v1[k] - v0[k]);
-            tape.add(element, k, more);
+        damping_by_element(&sim.moment(At::State), late, |element, i, j, damping| {
+            if model.entry(i, j).is_some() {
+                let more = -sim.clock.seconds * damping.lane(lane) * (v1[j] - v0[j]);
+                tape.add(element, i, more);
+            }
         });
     }
     let Tape { impulses, bias, saturated, .. } = tape;
@@ -115,11 +117,11 @@ pub(crate) fn element_forces<R: Real>(sim: &Sim<R>, lane: usize) -> BTreeMap<Ele
 
 impl<R: Real> Sim<R> {
     /// What the integrator damps at the end of the step.
-    fn damped_late(&self) -> &'static [Group] {
+    fn damped_late(&self) -> Option<Late> {
         match self.settings.integrator {
-            Integrator::Euler if self.model.features.eulerdamp => &[Group::Passive],
-            Integrator::ImplicitFast => &[Group::Passive, Group::Driven],
-            _ => &[],
+            Integrator::Euler if self.model.features.eulerdamp => Some(Late::Joints),
+            Integrator::ImplicitFast => Some(Late::All),
+            _ => None,
         }
     }
 

@@ -301,7 +301,7 @@ class _Listing:
             yield _out("solve", "warm start", [], "switched off", count=1)
         names, integrator = self.tree_names, settings.integrator
         fast = integrator == "implicitfast"
-        damped = [d or (fast and v) for d, v in zip(plan["damped"], plan["served"], strict=True)]
+        damped = plan["damped_by_any" if fast else "damped"]
         have = [n for n, d in zip(names, damped, strict=True) if d]
         lack = [n for n, d in zip(names, damped, strict=True) if not d]
         name = "implicit damping (by tree)"

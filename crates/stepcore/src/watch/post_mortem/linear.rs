@@ -1,18 +1,18 @@
 //! The step of joint springs, dampers and servos alone, as a matrix: is it stable, up to which dt,
 //! and how far does a healthy run swing?
 //!
-//! With M, K and D of one tree at the present state, F = [0 1; −M⁻¹K −M⁻¹D] and each
+//! With M, K and D of one tree, or of trees that elements couple, at the present state, F = [0 1; −M⁻¹K −M⁻¹D] and each
 //! integrator's own map A(dt), measured in the energy norm ½ vᵀMv + ½ xᵀKx. A symplectic
 //! method keeps another energy than this one: it may swing by (1 + z/2)/(1 − z/2),
 //! z = ω dt, and be healthy. ‖Aⁿ‖ for n = 1, 2, 4, … tells that from growth.
 
-use nalgebra::linalg::Schur;
+use nalgebra::linalg::{Schur, SymmetricEigen};
 use nalgebra::DMatrix;
 
 use super::budget::Budget;
-use crate::elements::force::Group;
-use crate::elements::forces::slopes;
-use crate::model::Tree;
+use crate::elements::force::{Group, Late};
+use crate::elements::forces::{damping, slopes};
+use crate::model::{Model, Union};
 use crate::real::Real;
 use crate::settings::Integrator;
 use crate::sim::{At, Sim};
@@ -28,13 +28,25 @@ const HALVINGS: u32 = 40;
 /// QR iterations for the eigenvalues of a map, by row: twice what any took that converged.
 const ITERATIONS: usize = 60;
 
-/// Mass, stiffness and damping of one tree.
+/// Mass, stiffness and damping of one tree, or of trees that elements couple.
 struct Oscillator {
     mass: DMatrix<f64>,
-    stiffness: Vec<f64>,
-    damping: Vec<f64>,
-    /// Of servos; taken at the end of the step by `implicitfast` alone.
-    feedback: Vec<f64>,
+    stiffness: DMatrix<f64>,
+    damping: DMatrix<f64>,
+    /// What `euler` and `implicitfast` take of the damping at the end of the step.
+    joints: DMatrix<f64>,
+    fast: DMatrix<f64>,
+}
+
+/// Entries of the slopes of all elements: two dofs, and a stiffness or a damping.
+type Entries = Vec<(usize, usize, f64)>;
+
+/// Of all elements; `joints`: the damping that `euler` takes.
+#[derive(Default)]
+struct Slopes {
+    stiffness: Entries,
+    damping: Entries,
+    joints: Entries,
 }
 
 impl<R: Real> Sim<R> {
@@ -87,48 +99,84 @@ impl<R: Real> Sim<R> {
     /// Every tree with a spring or a damper, at the present state.
     fn oscillators(&mut self, lane: usize) -> Vec<Oscillator> {
         self.refresh();
-        let model = self.model.clone();
-        let now = self.moment(At::State);
-        let sums = |group: Group| {
-            let mut sums = vec![[0.0; 2]; model.nv];
-            slopes(&now, group, |_, k, slopes| {
-                for (sum, slope) in sums[k].iter_mut().zip(slopes) {
-                    *sum += slope.lane(lane);
-                }
-            });
-            sums
-        };
-        let (joints, servos) = (sums(Group::Passive), sums(Group::Driven));
-        let wanted = |tree: &&Tree| {
-            let linear = tree.dofs.range().any(|k| {
-                let [stiffness, damping] = joints[k];
-                damping != 0.0 || stiffness > 0.0 || servos[k] != [0.0; 2]
-            });
-            linear && tree.dofs.len <= MOST_DOFS
-        };
-        let trees = model.trees.iter().filter(wanted);
-        trees
-            .map(|tree| {
-                let n = tree.dofs.len;
-                let mut mass = DMatrix::zeros(n, n);
-                for (i, dof) in tree.dofs.of(&model.dofs).iter().enumerate() {
-                    for at in dof.row.range() {
-                        let j = model.row_dofs[at] - tree.dofs.start;
-                        let entry = self.placed.mass[at].lane(lane);
-                        (mass[(i, j)], mass[(j, i)]) = (entry, entry);
-                    }
-                }
-                let (joints, servos) = (tree.dofs.of(&joints), tree.dofs.of(&servos));
-                let stiffness =
-                    joints.iter().zip(servos).map(|(joint, servo)| (joint[0] + servo[0]).max(0.0));
-                Oscillator {
-                    mass,
-                    stiffness: stiffness.collect(),
-                    damping: joints.iter().map(|joint| joint[1]).collect(),
-                    feedback: servos.iter().map(|servo| servo[1]).collect(),
-                }
-            })
+        let slopes = Slopes::of(self, lane);
+        let groups = slopes.groups(&self.model).into_iter();
+        groups
+            .filter(|dofs| dofs.len() <= MOST_DOFS)
+            .map(|dofs| slopes.oscillator(self, lane, &dofs))
             .collect()
+    }
+}
+
+impl Slopes {
+    /// Those of all elements at the present state.
+    fn of<R: Real>(sim: &Sim<R>, lane: usize) -> Self {
+        let now = sim.moment(At::State);
+        let mut all = Self::default();
+        let note = |list: &mut Entries, i: usize, j: usize, slope: R| {
+            let slope = slope.lane(lane);
+            if slope != 0.0 {
+                list.push((i, j, slope));
+            }
+        };
+        for group in [Group::Passive, Group::Driven] {
+            slopes(&now, group, |_, i, j, [stiffness, damping]| {
+                note(&mut all.stiffness, i, j, stiffness);
+                note(&mut all.damping, i, j, damping);
+            });
+        }
+        damping(&now, Late::Joints, |i, j, damping| note(&mut all.joints, i, j, damping));
+        all
+    }
+
+    /// The dofs of every tree that swings or is damped, trees that an element couples together.
+    fn groups(&self, model: &Model) -> Vec<Vec<usize>> {
+        let pulls = self.stiffness.iter().filter(|(i, j, k)| i != j || *k > 0.0);
+        let mut swings = vec![false; model.trees.len()];
+        let mut coupled = Union::new(model.trees.len());
+        for (i, j, _) in pulls.chain(&self.damping) {
+            let [i, j] = [i, j].map(|dof| model.dofs[*dof].tree);
+            swings[i] = true;
+            coupled.join(i, j);
+        }
+        let mut groups = vec![Vec::new(); model.trees.len()];
+        for (tree, _) in swings.iter().enumerate().filter(|(_, swings)| **swings) {
+            groups[coupled.of(tree)].extend(model.trees[tree].dofs.range());
+        }
+        groups.retain(|group| !group.is_empty());
+        groups
+    }
+
+    fn oscillator<R: Real>(&self, sim: &Sim<R>, lane: usize, dofs: &[usize]) -> Oscillator {
+        let model = &sim.model;
+        let place = |dof: usize| dofs.binary_search(&dof).ok();
+        let zeros = || DMatrix::zeros(dofs.len(), dofs.len());
+        let mut mass = zeros();
+        for (i, k) in dofs.iter().enumerate() {
+            for at in model.dofs[*k].row.range() {
+                if let Some(j) = place(model.row_dofs[at]) {
+                    let entry = sim.placed.mass[at].lane(lane);
+                    (mass[(i, j)], mass[(j, i)]) = (entry, entry);
+                }
+            }
+        }
+        let matrix = |entries: &Entries, keeps: &dyn Fn(usize, usize) -> bool| {
+            let mut matrix = zeros();
+            for (i, j, slope) in entries.iter().filter(|(i, j, _)| keeps(*i, *j)) {
+                if let (Some(i), Some(j)) = (place(*i), place(*j)) {
+                    matrix[(i, j)] += slope;
+                }
+            }
+            matrix
+        };
+        let every = |_: usize, _: usize| true;
+        Oscillator {
+            mass,
+            stiffness: matrix(&self.stiffness, &every),
+            damping: matrix(&self.damping, &every),
+            joints: matrix(&self.joints, &every),
+            fast: matrix(&self.damping, &|i, j| model.entry(i, j).is_some()),
+        }
     }
 }
 
@@ -136,7 +184,7 @@ impl Oscillator {
     /// |1 + dt s| < 1 for every eigenvalue s of F: dt < −2 Re s / |s|². None if they are not
     /// known.
     fn explicit_limit(&self, budget: &Budget) -> Option<f64> {
-        let n = self.damping.len();
+        let n = self.mass.nrows();
         // One step of dt = 1 of the explicit map is 1 + F.
         let map = self.map(Integrator::Explicit, 1.0, budget)?;
         let rate = map - DMatrix::identity(2 * n, 2 * n);
@@ -191,26 +239,20 @@ impl Oscillator {
     /// The step in coordinates (√K x, Lᵀ v), M = L Lᵀ, whose square is twice the energy. None
     /// where M has no such factor in these numbers, or an entry is not finite.
     fn map(&self, integrator: Integrator, dt: f64, budget: &Budget) -> Option<DMatrix<f64>> {
-        let map = budget.product(2 * self.damping.len(), 8).then(|| self.step_map(integrator, dt));
+        let map = budget.product(2 * self.mass.nrows(), 8).then(|| self.step_map(integrator, dt));
         map.flatten().filter(|map| map.iter().all(|x| x.is_finite()))
     }
 
     fn step_map(&self, integrator: Integrator, dt: f64) -> Option<DMatrix<f64>> {
-        let n = self.damping.len();
+        let n = self.mass.nrows();
         let one = DMatrix::identity(n, n);
-        let root = DMatrix::from_diagonal(&nalgebra::DVector::from_iterator(
-            n,
-            self.stiffness.iter().map(|k| k.sqrt()),
-        ));
-        let diagonal =
-            |list: &[f64]| DMatrix::from_diagonal(&nalgebra::DVector::from_column_slice(list));
+        let root = root(&self.stiffness)?;
         let lower = self.mass.clone().cholesky()?.l();
         let inverse = lower.clone().try_inverse()?;
         // ẏ = S w, ẇ = −Sᵀ y − C w with y = √K x, w = Lᵀ v.
         let s = &root * inverse.transpose();
-        let in_w = |damping: &[f64]| &inverse * diagonal(damping) * inverse.transpose();
-        let (joints, servos) = (in_w(&self.damping), in_w(&self.feedback));
-        let c = &joints + &servos;
+        let in_w = |damping: &DMatrix<f64>| &inverse * damping * inverse.transpose();
+        let c = in_w(&self.damping);
         let join = |yy: &DMatrix<f64>, yw: DMatrix<f64>, wy: DMatrix<f64>, ww: DMatrix<f64>| {
             let mut map = DMatrix::zeros(2 * n, 2 * n);
             map.view_mut((0, 0), (n, n)).copy_from(yy);
@@ -220,8 +262,8 @@ impl Oscillator {
             map
         };
         let late = match integrator {
-            Integrator::Euler => joints,
-            Integrator::ImplicitFast => c.clone(),
+            Integrator::Euler => in_w(&self.joints),
+            Integrator::ImplicitFast => in_w(&self.fast),
             _ => DMatrix::zeros(n, n),
         };
         Some(match integrator {
@@ -252,6 +294,19 @@ impl Oscillator {
             }
         })
     }
+}
+
+/// A matrix G with GᵀG = K, of the stiffness that pulls back.
+fn root(stiffness: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let n = stiffness.nrows();
+    let diagonal = stiffness.diagonal();
+    if *stiffness == DMatrix::from_diagonal(&diagonal) {
+        return Some(DMatrix::from_diagonal(&diagonal.map(|k| k.max(0.0).sqrt())));
+    }
+    let symmetric = (stiffness + stiffness.transpose()) * 0.5;
+    let eigen = SymmetricEigen::try_new(symmetric, f64::EPSILON, ITERATIONS * n)?;
+    let sizes = DMatrix::from_diagonal(&eigen.eigenvalues.map(|k| k.max(0.0).sqrt()));
+    Some(sizes * eigen.eigenvectors.transpose())
 }
 
 /// ln of the spectral radius, and the most that the energy grows by on the way.
