@@ -139,7 +139,17 @@ def scaled(scene, length, mass, time):
         assert pair.solreffriction is None, "is scaled as its solref is: not done here"
     for equality in scene.equalities:
         by(equality, unit(1), "anchor")
-        soften(equality, unit(1))
+        if equality.relpose is not None:
+            pos, quat = equality.relpose[:3], equality.relpose[3:]
+            equality.relpose = (*(x * unit(1) for x in pos), *quat)
+        own, other = (
+            1.0 if joint is None or joint.type in TURNS else unit(1)
+            for joint in (equality.joint1, equality.joint2)
+        )
+        equality.polycoef = [c * own / other**k for k, c in enumerate(equality.polycoef)]
+        # What holds turns and ways at once has one impedance, whatever its unit.
+        assert equality.type != "weld" or equality.solimp[0] == equality.solimp[1] or not length
+        soften(equality, own if equality.type == "joint" else unit(1))
     by(scene.mass_rules, unit(0, 1), "boundmass")
     by(scene.mass_rules, unit(2, 1), "boundinertia")
     if scene.mass_rules.settotalmass > 0:
@@ -206,6 +216,8 @@ def mirrored(scene):
             actuator.gear = actuator.gear * np.r_[AXIAL, 1, 1, 1]
     for equality in scene.equalities:
         equality.anchor = equality.anchor * MIRROR
+        if equality.relpose is not None:
+            equality.relpose = equality.relpose * np.r_[MIRROR, TURNED]
     scene.keys.clear()
     one = np.ones(1)
     positions = {"free": np.r_[MIRROR, TURNED], "ball": TURNED, "slide": one, "hinge": one}

@@ -333,6 +333,12 @@ def unit(count: int) -> Check:
     return check
 
 
+def pose(owner: Any, field: str, value: object) -> tuple[float, ...]:
+    """A position and a quaternion, 7 finite numbers; the quaternion is scaled to length 1."""
+    entries: tuple[float, ...] = vector(7)(owner, field, value)
+    return entries[:3] + tuple(unit(4)(owner, f"{field}[3:]", entries[3:]))
+
+
 def interval(owner: Any, field: str, value: object) -> tuple[float, float]:
     """Two finite numbers, the first smaller."""
     entries = listed(value)

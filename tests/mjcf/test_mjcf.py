@@ -139,10 +139,13 @@ def same_rest(plain: dict, model: Any) -> None:
     assert len(plain["equalities"]) == model.neq
     for i, equality in enumerate(plain["equalities"]):
         assert equality["name"] == model.equality(i).name
-        ends = (equality["body1"], equality["body2"])
-        assert ends == (model.eq_obj1id[i], model.eq_obj2id[i])
+        assert (equality["first"], equality["second"]) == _tied(model, i)
         assert equality["active"] == bool(model.eq_active0[i])
-        close(equality["anchor"], model.eq_data[i, :3], "anchor")
+        if equality["kind"] == "joint":
+            close(equality["polycoef"], model.eq_data[i, :5], "polycoef")
+        elif model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_BODY:
+            given = "frame1" if equality["kind"] == "connect" else "frame2"
+            close(equality[given]["pos"], model.eq_data[i, :3], "anchor")
         close(equality["soft"]["solref"], model.eq_solref[i], "solref")
         close(equality["soft"]["solimp"], model.eq_solimp[i], "solimp")
     theirs = sorted((s >> 16, s & 0xFFFF) for s in map(int, model.exclude_signature))
@@ -154,6 +157,14 @@ def same_rest(plain: dict, model: Any) -> None:
         for field, default in defaults.items():
             ours = default if key[field] is None else key[field]
             close(ours, getattr(model, f"key_{field}")[i], field)
+
+
+def _tied(model: Any, equality: int) -> tuple[int, int | None]:
+    """The two bodies or joints of an equality of MuJoCo's."""
+    ends = [int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])]
+    if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
+        ends = [int(model.site_bodyid[site]) for site in ends]
+    return ends[0], None if ends[1] < 0 else ends[1]
 
 
 def same_options(scene: Scene, plain: dict, model: Any) -> None:

@@ -222,7 +222,7 @@ MISTAKES = {
 # What would change the motion; a value without effect is accepted.
 UNBUILT = {
     "<fixed> in <tendon>": ("", "<tendon><fixed/></tendon>"),
-    "<weld> in <equality>": ("", '<equality><weld body1="b"/></equality>'),
+    "<flex> in <equality>": ("", '<equality><flex flex="b"/></equality>'),
     "<intvelocity> in <actuator>": ("", '<actuator><intvelocity joint="j"/></actuator>'),
     "<muscle> in <actuator>": ("", '<actuator><muscle joint="j"/></actuator>'),
     "(timeconst)": ('<joint name="j"/>', servo("position", 'timeconst=".1"')),
@@ -259,7 +259,6 @@ UNBUILT = {
         '<actuator><motor joint="j" nsample="3" delay=".1"/></actuator>',
     ),
     "own damping": ('<joint name="j"/>', '<actuator><motor joint="j" damping="1"/></actuator>'),
-    "between sites": ("", '<equality><connect site1="s" site2="s"/></equality>'),
     "fluid": ("", '<option density="1"/>'),
     'integrator "implicit"': ("", '<option integrator="implicit"/>'),
     'integrator "discrete"': ("", '<option integrator="discrete"/>'),

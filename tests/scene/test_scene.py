@@ -108,7 +108,7 @@ def test_bodies_become_depth_first_and_indices_follow() -> None:
             "dampratio": 0,
         }
     ]
-    assert (plain["equalities"][0]["body1"], plain["equalities"][0]["body2"]) == (2, 4)
+    assert (plain["equalities"][0]["first"], plain["equalities"][0]["second"]) == (2, 4)
     assert plain["equalities"][0]["soft"]["solref"] == [0.05, 1]
     assert plain["excludes"] == [[1, 4]]
 
@@ -203,7 +203,7 @@ def test_a_bad_argument_adds_nothing() -> None:
         lambda: scene.add_geom("ball", "box", (1, 1, 1, 1)),
         lambda: scene.add_site("ball", pos=None),
         lambda: scene.add_actuator("root", gear=(1, 2, 3, 4, 5, 6, 7)),
-        lambda: scene.add_equality("weld", "ball"),
+        lambda: scene.add_equality("glue", "ball"),
         lambda: scene.add_key("k", qpos="0 0"),
         lambda: scene.exclude("ball", "balls"),
         lambda: setattr(scene, "gravity", (0, 0, math.inf)),

@@ -2,8 +2,9 @@
 
 use pyo3::prelude::*;
 use stepcore::scene::{
-    Actuator, Body, ContactOverride, Equality, ExplicitPair, Features, Geom, GeomType, HField,
-    Inertial, Joint, JointType, Key, MassRules, Mesh, MeshInertia, Scene, Site, Softness,
+    Actuator, Body, ContactOverride, Equality, EqualityType, ExplicitPair, Features, Frame, Geom,
+    GeomType, HField, Inertial, Joint, JointType, Key, MassRules, Mesh, MeshInertia, Scene, Site,
+    Softness,
 };
 
 use crate::extract::{record, refuse, At, Read};
@@ -26,6 +27,7 @@ named!(GeomType {
     "plane" => Plane, "hfield" => HField, "sphere" => Sphere, "capsule" => Capsule,
     "ellipsoid" => Ellipsoid, "cylinder" => Cylinder, "box" => Box, "mesh" => Mesh,
 });
+named!(EqualityType { "connect" => Connect, "weld" => Weld, "joint" => Joint });
 named!(MeshInertia {
     "convex" => Convex, "exact" => Exact, "legacy" => Legacy, "shell" => Shell,
 });
@@ -78,7 +80,19 @@ record!(Mesh { name, vertices, faces, inertia, maxhullvert });
 record!(HField { name, nrow, ncol, size, data });
 record!(Site { name, body, pos, quat });
 record!(Actuator { name, joint, gear, gain, bias, dampratio, ctrlrange, forcerange });
-record!(Equality { name, body1, body2, anchor, active, soft });
+record!(Frame { pos, quat });
+record!(Equality {
+    name,
+    kind,
+    first,
+    second,
+    frame1,
+    frame2,
+    torquescale,
+    polycoef,
+    active,
+    soft,
+});
 record!(ExplicitPair { name, geom1, geom2, condim, friction, margin, gap, soft, solreffriction });
 record!(ContactOverride { margin, friction, soft });
 record!(Key { name, time, qpos, qvel, ctrl });

@@ -13,7 +13,7 @@
 //! 2. **detect** (`detect/`): every pair of shapes that touch or are about to; where two shapes
 //!    touch, `shapes/` says.
 //! 3. **solve** (`solve/`): each contact, friction direction, limit, friction loss and
-//!    connection is a row: a direction J, a target t, a regulariser c and a set for its
+//!    equality is a row: a direction J, a target t, a regulariser c and a set for its
 //!    impulse. One system, solved by projected Gauss-Seidel or by Newton, neither of
 //!    which knows what a row came from.
 //! 4. **commit** (`commit/`): one file per integrator turns the solved velocity into

@@ -246,7 +246,7 @@ impl Default for Settings {
 const MOST_CONTACTS: usize = 1_000_000;
 
 impl Settings {
-    /// Connections act within the step: `midpoint` and `rk4` hold them at their stages, where
+    /// Equalities act within the step: `midpoint` and `rk4` hold them at their stages, where
     /// the law makes them as hard as can be or a force. A softness is that of the step's end.
     pub fn connects_inside(&self) -> bool {
         let hard = match self.law {

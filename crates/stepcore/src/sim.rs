@@ -66,7 +66,7 @@ pub struct Sim<R: Real> {
 pub enum At {
     /// Those of the state.
     State,
-    /// Those of the state, the velocities made to keep the connections: `next.start`.
+    /// Those of the state, the velocities made to keep the equalities: `next.start`.
     Start,
     /// Those of `next.trial`, which an integrator tries on its way through the step.
     Trial,
@@ -129,12 +129,12 @@ impl<R: Real> Sim<R> {
     }
 
     /// Starts the rows that were made from the last step's impulses if they are kept, but for
-    /// those of a kind.
-    pub(crate) fn warm_start(&mut self, but: Option<Kind>) {
+    /// equalities that the stages held (`inside`).
+    pub(crate) fn warm_start(&mut self, inside: bool) {
         if self.settings.warm_start {
             let last = last_impulses(&self.state, &self.next);
             let lists = self.detected.dof_lists(&self.model);
-            self.rows.warm_start(lists, &self.placed.metric.inv_d, last, but);
+            self.rows.warm_start(lists, &self.placed.metric.inv_d, last, inside);
         }
     }
 

@@ -92,13 +92,15 @@ impl<R: Real> Sim<R> {
     /// Rows of the contacts at hand.
     pub(crate) fn make_rows(&mut self, at: At, part: Part) {
         R::enter(Stage::Rows);
+        let (qpos, qvel) = at.of(&self.state, &self.next);
         let now = Situation {
             model: &self.model,
             placed: &self.placed,
             dof_lists: self.detected.lists.of(&self.model),
             settings: &self.settings,
             clock: self.clock,
-            qpos: at.of(&self.state, &self.next).0,
+            qpos,
+            qvel,
             part,
             warm: last_impulses(&self.state, &self.next),
             asleep: &self.detected.asleep,
@@ -117,13 +119,13 @@ impl<R: Real> Sim<R> {
     fn solve_placed(&mut self, at: At) -> Result<()> {
         R::enter(Stage::Impulses);
         if self.rows.any() {
-            self.warm_start(None);
+            self.warm_start(false);
             self.solve()?;
         } else {
             self.effort.rest();
         }
         if self.settings.keeps() {
-            self.rows.store_warm(&mut self.next.warm, None);
+            self.rows.store_warm(&mut self.next.warm, false);
         }
         self.placed.metric.from_factored(&self.rows.u, &mut self.velocity);
         let (_, qvel) = at.of(&self.state, &self.next);
@@ -134,7 +136,7 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// The acceleration that the smooth forces and connections alone give; the model has some.
+    /// The acceleration that the smooth forces and equalities alone give; the model has some.
     pub(crate) fn smooth_and_connected(
         &mut self,
         at: At,
@@ -157,14 +159,14 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    /// Solves the connections alone from the guess at hand; what they change is in `velocity`.
+    /// Solves the equalities alone from the guess at hand; what they change is in `velocity`.
     /// Their impulses act for a share of the step.
     pub(crate) fn connect(&mut self, at: At, part: Part, share: f64, choice: Choice) -> Result<()> {
         self.make_rows(at, part);
         R::enter(Stage::Impulses);
         let lists = self.detected.dof_lists(&self.model);
         if !self.rows.solve_direct(lists, &self.placed.metric.inv_d, choice) {
-            self.warm_start(None);
+            self.warm_start(false);
             self.solve()?;
         }
         self.effort.most_rows = self.effort.most_rows.max(self.rows.rows.len());

@@ -288,7 +288,7 @@ class RemovableFeatures:
         return removals
 
     def equalities(self) -> list[Removal]:
-        """Each active connection."""
+        """Each active equality."""
         features = self.scene.features
         if not (features.equality and features.constraint):
             return []

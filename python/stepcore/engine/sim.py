@@ -280,9 +280,10 @@ class Sim(Stepped):
     def rows(self) -> NDArray[Any]:
         """Constraint rows of the last solve in their order, a structured array with the fields
 
-        - kind: "connect", "friction loss", "limit" or "contact"; index: of the equality, the joint
-          (friction loss, limit) or the pair of geoms; part: the dof of the joint, the bound of a
-          limit (0 lower, 1 upper) or the contact of the pair, -1 for a whole element;
+        - kind: "connect", "weld", "joint equality", "friction loss", "limit" or "contact";
+          index: of the equality, the joint (friction loss, limit) or the pair of geoms; part: the
+          dof of the joint, the bound of a limit (0 lower, 1 upper) or the contact of the pair, -1
+          for a whole element;
         - name: `Model.element_name` of these; block: rows with the same number are solved together;
         - impulse [N·s or N·m·s], force (impulse/dt), lo and hi (bounds of the impulse);
         - velocity: J v at the start of the step; target; regulariser;

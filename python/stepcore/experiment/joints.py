@@ -1,19 +1,22 @@
-"""Gaps of connections, and how far joints go beyond their limits."""
+"""Gaps of connects and welds, and how far joints go beyond their limits."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 from stepcore.experiment.coordinates import Coordinates, rotated, turned
+from stepcore.scene import tying
 from stepcore.scene.layout import QPOS, Layout
 
 
 class Joints:
-    """The connections and the limits of a scene.
+    """The connects and welds and the limits of a scene.
 
-    connected: it has any of the former. tied: the indices of its active connections, limited: those
+    connected: it has any of the former. tied: the indices of those that are active, limited: those
     of the joints with a range; in the order of the columns of `gaps` and `violations`.
     """
 
@@ -23,7 +26,7 @@ class Joints:
         self.limited = [k for k, joint in enumerate(coordinates.joints) if joint[3]]
         works = scene.features.equality and scene.features.constraint
         self.tied = [
-            k for k, e in enumerate(scene.equalities) if works and e.active and e.type == "connect"
+            k for k, e in enumerate(scene.equalities) if works and e.active and e.type != "joint"
         ]
         ties = [scene.equalities[k] for k in self.tied]
         self.connected = bool(ties)
@@ -33,9 +36,7 @@ class Joints:
             sim = Sim(model, model.settings.replace(precision="f64"))
             place, turn = sim.xpos, sim.xmat
             for tie in ties:
-                a, b = layout.index[id(tie.body1)], layout.index[id(tie.body2)]
-                point = place[a] + turn[a] @ np.array(tie.anchor)
-                self.ties.append((a, np.array(tie.anchor), b, turn[b].T @ (point - place[b])))
+                self.ties.append(_ends(tying.plain(layout, tie), place, turn))
 
     def apart(self, frames: np.ndarray) -> float | None:
         """The widest gap of a connection [m], None without one; frames: see `States`."""
@@ -65,3 +66,17 @@ class Joints:
                 value = np.linalg.norm(turned(quat), axis=1)
             beyond.append(np.maximum(0.0, np.maximum(low - value, value - high)))
         return np.array(beyond).T.reshape(len(qpos), len(beyond))
+
+
+def _ends(
+    tie: dict[str, Any], place: np.ndarray, turn: np.ndarray
+) -> tuple[int, np.ndarray, int, np.ndarray]:
+    """Where a connect or weld acts on its two bodies: what is not given follows from this pose."""
+    bodies = (tie["first"], tie["second"])
+    near, far = (frame and np.array(frame["pos"]) for frame in (tie["frame1"], tie["frame2"]))
+    (a, b) = bodies
+    if near is None:
+        near = turn[a].T @ (place[b] + turn[b] @ far - place[a])
+    if far is None:
+        far = turn[b].T @ (place[a] + turn[a] @ near - place[b])
+    return a, near, b, far

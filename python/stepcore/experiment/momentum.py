@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from stepcore.engine.model import Model
+from stepcore.scene.elements import Equality
 from stepcore.scene.layout import Layout
+
+
+def _inside(layout: Layout, equality: Equality) -> bool:
+    """It ties only what moves; one end of a connect or weld may be the world."""
+    moving = all(layout.moving(body) for body in equality.bodies)
+    return moving and (equality.type == "joint" or len(equality.bodies) == 2)
 
 
 class Balance:
@@ -25,10 +32,7 @@ class Balance:
             if joint.body.parent is None or not layout.moving(joint.body.parent)
         ]
         driven = {id(actuator.joint) for actuator in scene.actuators}
-        tied = any(
-            e.active and not (layout.moving(e.body1) and layout.moving(e.body2))
-            for e in scene.equalities
-        )
+        tied = any(e.active and not _inside(layout, e) for e in scene.equalities)
         self.gravity, self.mass = gravity, mass
         self.known = not tied and all(
             joint.type == "free"

@@ -1,4 +1,4 @@
-"""The section `<equality>`: connects."""
+"""The section `<equality>`: connects, welds and joint equalities."""
 
 from __future__ import annotations
 
@@ -6,22 +6,20 @@ from typing import Any
 
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.worldbody import WorldReader, soft
+from stepcore.scene.tying import FIELDS
 
 
 def read(world: WorldReader, node: Node) -> None:
-    """Reads an equality."""
-    _connect(world, node)
-
-
-def _connect(world: WorldReader, node: Node) -> None:
-    """A connect between two bodies."""
+    """Reads an equality; it is checked with the whole scene."""
     values = world.defaults.of(node, kind="equality")
-    if "site1" in values or "site2" in values:
-        raise node.unbuilt("a <connect> between sites (site1, site2)")
-    if "body1" not in values or "anchor" not in values:
+    if node.tag != "joint" and not {"body1", "site1", "site2"} & set(values):
+        raise node.error(f"<{node.tag}> needs body1, or site1 and site2")
+    if node.tag == "connect" and "body1" in values and "anchor" not in values:
         raise node.error("<connect> needs body1 and anchor")
-    names = ("name", "body1", "body2", "anchor", "active")
+    names = ("name", "active", *FIELDS[node.tag])
     given: dict[str, Any] = {name: values[name] for name in names if name in values}
+    if not any(given.get("relpose", ())[3:]):
+        # MuJoCo's "0 1 0 0 0 0 0": as in the pose of the scene.
+        given.pop("relpose", None)
     given |= soft(values, "solref", "solimp")
-    equality = world.scene.add_equality("connect", **given)
-    world.keep(node, equality)
+    world.keep(node, world.scene.add_equality(node.tag, **given))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from . import equalities
 from .model import Model, Pair, Record
 from .place import mass_matrix, place
 from .rotation import Array, matrix, unit
@@ -59,7 +60,7 @@ def compile_scene(scene: Any) -> Model:
     masses(model)
     model.actuator_bias = [servo_bias(model, actuator) for actuator in scene["actuators"]]
     model.pairs = candidate_pairs(model)
-    model.anchors = [anchors(model, equality) for equality in scene["equalities"]]
+    model.frames = [equalities.frames(model, equality) for equality in scene["equalities"]]
     return model
 
 
@@ -215,12 +216,3 @@ def mix(geoms: list[Record], i: int, j: int) -> Pair:
     slide, torsion, roll = (max(both) for both in zip(a["friction"], b["friction"], strict=True))
     condim = max(a["condim"], b["condim"])
     return Pair(i, j, (slide, slide, torsion, roll, roll)[: condim - 1])
-
-
-def anchors(model: Model, equality: Record) -> tuple[Array, Array]:
-    """Where a `connect` is fixed in each of its two bodies, from the pose at qpos0."""
-    placed = place(model, np.array(model.qpos0, float))
-    one, two = equality["body1"], equality["body2"]
-    first = np.array(equality["anchor"], float)
-    world = placed.xpos[one] + placed.xmat[one] @ first
-    return first, placed.xmat[two].T @ (world - placed.xpos[two])

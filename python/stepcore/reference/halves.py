@@ -1,6 +1,6 @@
-"""Connections within a step, and the second solve after it: `midpoint` and `rk4`.
+"""Equalities within a step, and the second solve after it: `midpoint` and `rk4`.
 
-The stages of a step move the bodies smoothly, with their connections. Rows then judge the mean
+The stages of a step move the bodies smoothly, with their equalities. Rows then judge the mean
 velocity, which moves positions, and a second solve of the same rows gives the last velocity what it
 still lacks: a force that lasts through the step changes it by twice as much as the mean.
 """
@@ -8,31 +8,30 @@ still lacks: a force that lasts through the step changes it by twice as much as 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import chain
 
 import numpy as np
 
-from . import place, rows, solve
+from . import equalities, place, rows, solve
 from .place import Placed
 from .rotation import Array
 from .rows import Rows
 from .world import World
 
 
-def connections(world: World, placed: Placed, M: Array) -> Rows | None:
-    """The rows of the connections, None without any."""
+def connections(world: World, qpos: Array, placed: Placed, M: Array) -> Rows | None:
+    """The rows of the equalities, None without any."""
     on = world.model.scene["features"]
     if not (world.settings.connects_inside and on["equality"] and on["constraint"]):
         return None
-    made = list(rows.equality_rows(world, placed, None))
+    made = list(rows.equality_rows(world, qpos, placed, None))
     blocks: list[rows.Block] = [(i, None) for i in range(len(made))]
     return rows.assemble(world, made, blocks, M) if made else None
 
 
 def started(world: World) -> Array:
-    """The velocity of the state, made to keep the connections, shape (nv,)."""
+    """The velocity of the state, made to keep the equalities, shape (nv,)."""
     placed = place.place(world.model, world.qpos)
-    system = connections(world, placed, place.mass_matrix(world.model, placed))
+    system = connections(world, world.qpos, placed, place.mass_matrix(world.model, placed))
     if system is None:
         return world.qvel
     return world.qvel + held(system, system.t - system.J @ world.qvel)
@@ -44,23 +43,20 @@ def held(system: Rows, short: Array) -> Array:
     return np.asarray(system.W @ impulse)
 
 
-def connected(world: World, placed: Placed, M: Array, v: Array, smooth: Array) -> Array:
-    """The acceleration with the forces that keep the connections together, shape (nv,)."""
-    system = connections(world, placed, M)
+def connected(
+    world: World, qpos: Array, placed: Placed, M: Array, v: Array, smooth: Array
+) -> Array:
+    """The acceleration with the forces that keep the equalities, shape (nv,)."""
+    system = connections(world, qpos, placed, M)
     if system is None:
         return smooth
     model = world.model
-    moving = place.rates(model, placed, v)
-    curving = []
-    for equality, anchors in zip(model.scene["equalities"], model.anchors, strict=True):
-        if equality["active"]:
-            ends = zip((equality["body1"], equality["body2"]), anchors, strict=True)
-            one, two = (
-                place.curving(model, placed, moving, b, placed.xpos[b] + placed.xmat[b] @ at, v)
-                for b, at in ends
-            )
-            curving.append(one - two)
-    return smooth + held(system, -np.array(list(chain(*curving))) - system.J @ smooth)
+    curving = [
+        equalities.curving(model, placed, qpos, v, index)
+        for index, equality in enumerate(model.scene["equalities"])
+        if equality["active"]
+    ]
+    return smooth + held(system, -np.concatenate(curving) - system.J @ smooth)
 
 
 def second(
@@ -82,7 +78,7 @@ def second(
     blocks = []
     for i, friction in system.blocks:
         kind = system.rows[i].key[0]
-        if kind == "connect" and settings.connects_inside:
+        if kind in equalities.KINDS.values() and settings.connects_inside:
             t[i] = system.J[i] @ last
             blocks.append((i, friction))
             continue

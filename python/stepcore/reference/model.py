@@ -25,6 +25,9 @@ class Pair:
         return [way for way, mu in enumerate(self.friction) if mu > 0]
 
 
+Frame = tuple[Array, Array]
+
+
 @dataclass
 class Model:
     """Everything about the scene that no step changes. Built by `compile_scene`."""
@@ -49,7 +52,8 @@ class Model:
     tree_mass: dict[int, float] = field(default_factory=dict)  # of all that hangs on a root [kg]
     pairs: list[Pair] = field(default_factory=list)
     actuator_bias: list[Array] = field(default_factory=list)  # constant, per length, per velocity
-    anchors: list[tuple[Array, Array]] = field(default_factory=list)  # of each equality
+    # Of each equality, None of joints: a position and a quaternion on each of its bodies.
+    frames: list[tuple[Frame, Frame] | None] = field(default_factory=list)
 
     def mass_of(self, dofs: Array) -> float:
         """Mass of the trees that a set of dofs (mask) belongs to [kg]."""

@@ -32,6 +32,11 @@ def multiply(p: Array, q: Array) -> Array:
     )
 
 
+def conjugate(q: Array) -> Array:
+    """The rotation back, of a unit quaternion."""
+    return np.array([q[0], -q[1], -q[2], -q[3]])
+
+
 def unit(vector: ArrayLike) -> Array:
     """The same direction with length 1."""
     v = np.asarray(vector, float)

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from . import detect, ways
+from . import detect, equalities, ways
 from .detect import Contact, contact_jacobian, friction_jacobian
 from .model import Model
-from .place import Placed, jacobians
+from .place import Placed
 from .rotation import Array, to_vector, unit
 from .settings import Settings
 from .world import World
@@ -117,7 +117,7 @@ def build(
     on = world.model.scene["features"]
     if on["constraint"] and world.settings.law != "penalty":
         makers: list[tuple[bool, Iterable[Row]]] = [
-            (on["equality"], equality_rows(world, placed, guess)),
+            (on["equality"], equality_rows(world, world.qpos, placed, guess)),
             (on["frictionloss"], friction_loss_rows(world)),
             (on["limit"], limit_rows(world, v, guess)),
         ]
@@ -151,8 +151,8 @@ def assemble(world: World, rows: list[Row], blocks: list[Block], M: Array) -> Ro
     return Rows(rows, blocks, J, W, A, t, c, A + c + soft, lo, hi, mass)
 
 
-def equality_rows(world: World, placed: Placed, guess: Array | None) -> Iterator[Row]:
-    """connect: a point of one body and a point of another are one, along x, y and z.
+def equality_rows(world: World, qpos: Array, placed: Placed, guess: Array | None) -> Iterator[Row]:
+    """Equalities: what each of their rows holds stays zero.
 
     guess: where stages have held them already, they only keep what it has of their velocity.
     """
@@ -161,17 +161,13 @@ def equality_rows(world: World, placed: Placed, guess: Array | None) -> Iterator
     for index, equality in enumerate(model.scene["equalities"]):
         if not equality["active"]:
             continue
-        one, two = equality["body1"], equality["body2"]
-        local1, local2 = model.anchors[index]
-        point1 = placed.xpos[one] + placed.xmat[one] @ local1
-        point2 = placed.xpos[two] + placed.xmat[two] @ local2
-        J = jacobians(model, placed, one, point1)[0] - jacobians(model, placed, two, point2)[0]
-        dofs = model.moves[one] | model.moves[two]
-        for k in range(3):
-            t = -settings.beta * (point1 - point2)[k] / settings.dt
+        tied = equalities.tied(model, placed, qpos, index)
+        for k, phi in enumerate(tied.phi):
+            t = -settings.beta * phi / settings.dt
             if guess is not None and settings.connects_inside:
-                t = float(J[k] @ guess)
-            yield Row(("connect", index, k), J[k], dofs, t, c, soft, -INF, INF)
+                t = float(tied.J[k] @ guess)
+            key = (equalities.KINDS[equality["kind"]], index, k)
+            yield Row(key, tied.J[k], tied.dofs, t, c, soft, -INF, INF)
 
 
 def friction_loss_rows(world: World) -> Iterator[Row]:

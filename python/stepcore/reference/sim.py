@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from . import commit, detect, halves, place, rows, solve
+from . import commit, detect, equalities, halves, place, rows, solve
 from .compile import compile_scene
 from .rotation import Array
 from .settings import Settings
@@ -76,10 +76,10 @@ class Sim(World):
         self.contacts = detect.detect(self.model, self.placed)
         self.system = rows.build(self, self.placed, self.contacts, M, start, guess)
         warm = self._warm if self.settings.warm_start else {}
-        inside = self.settings.connects_inside
+        inside, held = self.settings.connects_inside, equalities.KINDS.values()
         begin = np.array(
             [
-                0.0 if inside and row.key[0] == "connect" else warm.get(row.key, 0.0)
+                0.0 if inside and row.key[0] in held else warm.get(row.key, 0.0)
                 for row in self.system.rows
             ]
         )
@@ -107,7 +107,7 @@ class Sim(World):
             found = detect.detect(self.model, placed)
             force = force + rows.penalty_force(self, placed, found, v, M)
         smooth = np.asarray(np.linalg.solve(M, force), float)
-        return halves.connected(self, placed, M, v, smooth)
+        return halves.connected(self, qpos, placed, M, v, smooth)
 
     def mass_matrix(self) -> Array:
         """The mass matrix at the present positions, armature included, shape (nv, nv)."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
-from stepcore.scene import actuation
+from stepcore.scene import actuation, tying
 from stepcore.scene.elements import Body, Element, Geom
 from stepcore.scene.frames import IDENTITY, ORIGIN
 from stepcore.scene.layout import DOFS, SIZES, Layout
@@ -52,8 +52,7 @@ def check(layout: Layout) -> None:
             )
         actuation.check(actuator)
     for equality in scene.equalities:
-        if equality.body1 is equality.body2:
-            raise checks.ElementError(equality, f"connects {equality.body1} to itself")
+        tying.check(layout, equality)
     _check_pairs(layout)
     sizes = {"qpos": layout.nq, "qvel": layout.nv, "ctrl": len(scene.actuators)}
     for key in scene.keys:

@@ -214,18 +214,33 @@ class Contents(Holdings):
     def add_equality(
         self,
         type: str = "connect",
-        body1: str | Body = "",
-        body2: str | Body = "world",
+        body1: str | Body | None = None,
+        body2: str | Body | None = None,
         anchor: Vector = frames.ORIGIN,
+        *,
+        site1: str | Site | None = None,
+        site2: str | Site | None = None,
+        joint1: str | Joint | None = None,
+        joint2: str | Joint | None = None,
         **fields: Unpack[EqualityFields],
     ) -> Equality:
-        """Adds a constraint that holds a point of one body on another.
+        """Adds a constraint that ties two bodies or two joints together.
 
-        type: "connect". body1, body2: names or `Body` objects.
-        anchor: the shared point in the frame of body1 [m], shape (3,).
-        fields: of `Equality`: name, active, solref, solimp.
+        type: "connect" (bodies share a point), "weld" (they share a frame) or "joint" (a hinge or
+            slide follows a polynomial of another, or stays).
+        body1, body2: names or `Body` objects of a connect or weld; without body2, the world.
+        anchor: the shared point [m], shape (3,); see `Equality`.
+        site1, site2: two sites in place of bodies and anchor. joint1, joint2: of a joint equality.
+        fields: of `Equality`: name, active, relpose, torquescale, polycoef, solref, solimp.
         """
-        ends = {"body1": self.body(body1), "body2": self.body(body2)}
+        ends: dict[str, Any] = {
+            "body1": body1 if body1 is None else self.body(body1),
+            "body2": body2 if body2 is None else self.body(body2),
+            "site1": site1 if site1 is None else self.site(site1),
+            "site2": site2 if site2 is None else self.site(site2),
+            "joint1": joint1 if joint1 is None else self.joint(joint1),
+            "joint2": joint2 if joint2 is None else self.joint(joint2),
+        }
         return self._add(self.equalities, Equality, fields, type=type, anchor=anchor, **ends)
 
     def add_key(self, name: str = "", **fields: Unpack[KeyFields]) -> Key:

@@ -94,9 +94,12 @@ class ActuatorFields(TypedDict, total=False):
 
 
 class EqualityFields(TypedDict, total=False):
-    """Fields of an `Equality` beside its type, bodies and anchor."""
+    """Fields of an `Equality` beside its type, what it ties and its anchor."""
 
     name: str
+    relpose: Vector | None
+    torquescale: float
+    polycoef: Numbers
     active: bool
     solref: Vector
     solimp: Numbers

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from stepcore.scene import actuation, assets
+from stepcore.scene import actuation, assets, tying
 from stepcore.scene.elements import Body, ContactOverride, Element, Geom, Joint, Pair
 from stepcore.scene.frames import ORIGIN
 from stepcore.scene.layout import SIZES, Layout
@@ -69,17 +69,7 @@ def plain(layout: Layout) -> dict[str, Any]:
             | actuation.plain(actuator)
             for actuator in scene.actuators
         ],
-        "equalities": [
-            {
-                "name": equality.name,
-                "body1": layout.body(equality, equality.body1),
-                "body2": layout.body(equality, equality.body2),
-                "anchor": list(equality.anchor),
-                "active": equality.active,
-                "soft": {"solref": list(equality.solref), "solimp": list(equality.solimp)},
-            }
-            for equality in scene.equalities
-        ],
+        "equalities": [tying.plain(layout, equality) for equality in scene.equalities],
         "keys": [
             _record(key) | {"qpos": key.qpos and layout.unit_quaternions(key.qpos)}
             for key in scene.keys

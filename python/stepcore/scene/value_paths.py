@@ -17,7 +17,10 @@ SomeScene = TypeVar("SomeScene", bound="Contents")
 KINDS = ("body", "joint", "geom", "mesh", "site", "actuator", "equality", "pair", "key")
 
 # Names and references.
-_NO_VALUES = ("name", "file", "body", "parent", "joint", "geom1", "geom2", "mesh", "hfield")
+_NO_VALUES = (
+    *("name", "file", "body", "parent", "joint", "geom1", "geom2", "mesh", "hfield"),
+    *("body1", "body2", "site1", "site2", "joint1", "joint2"),
+)
 
 
 def changed(

@@ -35,9 +35,9 @@ impl<R: Real> Sim<R> {
         self.detect(At::Start);
         self.make_rows(At::Start, Part::End);
         R::enter(Stage::Impulses);
-        // Connections that the stages held have nothing to answer to but other rows.
-        let answers = self.settings.connects_inside().then_some(Kind::Connect);
-        let alone = self.rows.blocks.iter().all(|block| Some(block.element.kind) == answers);
+        // Equalities that the stages held have nothing to answer to but other rows.
+        let answers = self.settings.connects_inside();
+        let alone = self.rows.blocks.iter().all(|block| answers && block.element.kind.ties());
         if alone || !self.rows.any() {
             self.effort.rest();
             self.velocity.fill(R::zero());
@@ -92,7 +92,7 @@ impl<R: Real> Sim<R> {
     }
 
     /// The second solve: what the last velocity still lacks.
-    fn second<O: Observer<R>>(&mut self, answers: Option<Kind>, observer: &mut O) -> Result<()> {
+    fn second<O: Observer<R>>(&mut self, answers: bool, observer: &mut O) -> Result<()> {
         let nv = self.model.nv;
         // v₁ − v̄, which the first solve did not change.
         for k in 0..nv {
@@ -112,14 +112,14 @@ impl<R: Real> Sim<R> {
         Ok(())
     }
 
-    fn targets_of_the_second(&mut self, answers: Option<Kind>) {
+    fn targets_of_the_second(&mut self, answers: bool) {
         let (settings, rows) = (&self.settings, &mut self.rows);
         let lists = self.detected.dof_lists(&self.model);
         let bounces = settings.law == Law::Rigid && settings.restitution > 0.0;
         let (push, slop) = (R::of(-settings.beta / settings.dt), R::of(settings.slop));
         for b in 0..rows.blocks.len() {
             let (kind, first) = (rows.blocks[b].element.kind, rows.blocks[b].rows.start);
-            if Some(kind) == answers {
+            if answers && kind.ties() {
                 for at in rows.blocks[b].rows.range() {
                     rows.rows[at].t = rows.dot(lists, &rows.rows[at], &self.placed.guess);
                 }

@@ -12,9 +12,9 @@ use crate::solve::{Choice, Part};
 pub(super) enum Inside {
     /// The motion of the stages is smooth.
     Nothing,
-    /// Connections hold at every stage, as accelerations, so that the order of the integrator
-    /// is that of the motion on the connections.
-    Connections,
+    /// Equalities hold at every stage, as accelerations, so that the order of the integrator
+    /// is that of the motion on them.
+    Equalities,
     /// Every row, and the springs of law `penalty`.
     All,
 }
@@ -26,7 +26,7 @@ impl<R: Real> Sim<R> {
         if soft || settings.law == Law::Penalty {
             Inside::All
         } else if settings.connects_inside() && !self.next.held.is_empty() {
-            Inside::Connections
+            Inside::Equalities
         } else {
             Inside::Nothing
         }
@@ -41,7 +41,7 @@ impl<R: Real> Sim<R> {
         let inside = self.inside();
         self.next.start.copy_from_slice(&self.state.qvel);
         self.next.held.fill(R::zero());
-        if inside == Inside::Connections && self.settings.law.on_guess() {
+        if inside == Inside::Equalities && self.settings.law.on_guess() {
             self.start(observer)?;
         }
         stages(self, inside, observer)?;
@@ -51,7 +51,7 @@ impl<R: Real> Sim<R> {
         self.rows_at_the_end(observer)
     }
 
-    /// Makes the velocities at the start keep the connections, and take back a share β of what
+    /// Makes the velocities at the start keep the equalities, and take back a share β of what
     /// these gape. The stages leave both as they are.
     fn start<O: Observer<R>>(&mut self, observer: &mut O) -> Result<()> {
         let model = self.model.clone();
@@ -77,7 +77,7 @@ impl<R: Real> Sim<R> {
                 self.smooth(at);
                 Ok(())
             }
-            Inside::Connections => self.smooth_and_connected(at, share, choice),
+            Inside::Equalities => self.smooth_and_connected(at, share, choice),
             Inside::All => self.place_detect_solve(at),
         }
     }

@@ -19,7 +19,7 @@ const MOST_ITERATIONS: usize = 200;
 /// accelerations: in a long chain they lose digits to the condition of its mass matrix.
 const LONG: usize = 20;
 
-/// Iterations after which hard connections keep the impulses that they began with: near a position
+/// Iterations after which hard equalities keep the impulses that they began with: near a position
 /// in which they say the same, these are quotients of small numbers and do not come to rest. What they
 /// lack, the start of the next step gives.
 const PATIENCE: usize = 16;
@@ -37,7 +37,7 @@ impl<R: Real> Sim<R> {
         let mut open = R::Mask::of(true);
         let mut last = R::of(f64::INFINITY);
         let (mut slope, coarse) = (f64::INFINITY, (1e4 * R::EPSILON).max(R::EPSILON.sqrt()));
-        let hard = inside == Inside::Connections && self.settings.law.on_guess();
+        let hard = inside == Inside::Equalities && self.settings.law.on_guess();
         let patience = if hard { PATIENCE } else { MOST_ITERATIONS };
         for iteration in 0..MOST_ITERATIONS {
             if iteration == patience {

@@ -11,9 +11,9 @@ use crate::state::Warm;
 pub struct Next<R: Real> {
     pub qpos: Vec<R>,
     pub qvel: Vec<R>,
-    /// The velocities of the state, made to keep the connections where these act within the step.
+    /// The velocities of the state, made to keep the equalities where these act within the step.
     pub start: Vec<R>,
-    /// What the connections gave in the stages, by row.
+    /// What the equalities gave in the stages, by row.
     pub held: Vec<R>,
     /// Working space, by dof.
     pub change: Vec<R>,
@@ -63,7 +63,7 @@ impl<R: Real> Next<R> {
             qpos: zeros(nq),
             qvel: zeros(nv),
             start: zeros(nv),
-            held: zeros(3 * model.equalities.iter().filter(|equality| equality.active).count()),
+            held: zeros(model.equalities.iter().filter(|e| e.active).map(|e| e.rows()).sum()),
             change: zeros(nv),
             gained: zeros(nv),
             mean: zeros(nv),

@@ -1,81 +1,50 @@
-//! `connect`: a point of one body stays on a point of another. Three equality rows.
+//! `connect`: a point of one body stays on a point of another. Three equality rows, along x, y, z.
 
-use super::constraint::{Constraint, Makings};
-use super::{Element, Kind};
-use crate::model::{Equality, Model, NONE};
-use crate::real::{Mask, Real};
-use crate::settings::Law;
-use crate::solve::law::{least_softness, OnGuess, SolRef};
-use crate::solve::{Part, Rows, Set, Situation};
+use super::equality::Held;
+use crate::model::{Ends, NONE};
+use crate::real::Real;
+use crate::solve::{Rows, Situation};
 use crate::spatial::{rotate, splat, Motion, V3};
 
-pub(super) struct Connect;
-
-impl Constraint for Connect {
-    const MOST_ROWS: usize = 3;
-
-    fn any(model: &Model) -> bool {
-        !model.equalities.is_empty()
-    }
-
-    fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
-        let now = makings.now;
-        if !now.model.features.equality {
-            return;
-        }
-        for (index, equality) in now.model.equalities.iter().enumerate() {
-            let rests = |body: usize| now.rests(now.model.bodies[body].tree);
-            if equality.active && !(rests(equality.body1) && rests(equality.body2)) {
-                rows.connect(now, index, equality);
-            }
-        }
-    }
+/// How far a point of one body is from a point of another.
+pub(super) struct Apart<R: Real> {
+    pub way: V3<R>,
+    /// Its acceleration when no dof accelerates.
+    pub curving: V3<R>,
 }
 
 impl<R: Real> Rows<R> {
-    fn connect(&mut self, now: &Situation<R>, index: usize, equality: &Equality) {
-        let placed = now.placed;
-        let point =
-            |body: usize, anchor| placed.xpos[body] + rotate(&placed.xmat[body], &splat(anchor));
-        let p1 = point(equality.body1, &equality.anchor1);
-        let p2 = point(equality.body2, &equality.anchor2);
-        let apart = p1 - p2;
-        let curving = self.acceleration(now, equality.body1, &p1)
-            - self.acceleration(now, equality.body2, &p2);
+    pub(super) fn connect(&mut self, now: &Situation<R>, index: usize, ends: &Ends) {
         let first = self.rows.len();
+        let Apart { way, curving } = self.points(now, index, ends);
+        let held = [0, 1, 2].map(|k| Held {
+            gap: way[k],
+            curving: curving[k],
+            invweight: ends.invweight[0],
+        });
+        self.tie(now, index, first, way.dot(&way).sqrt(), &held);
+    }
+
+    /// The rows of the points alone.
+    pub(super) fn points(&mut self, now: &Situation<R>, index: usize, ends: &Ends) -> Apart<R> {
+        let (placed, equality) = (now.placed, &now.model.equalities[index]);
+        let [one, two] = ends.bodies;
+        let point = |k: usize| {
+            let body = ends.bodies[k];
+            placed.xpos[body] + rotate(&placed.xmat[body], &splat(&ends.pos[k]))
+        };
+        let (p1, p2) = (point(0), point(1));
         for k in 0..3 {
             let mut axis = V3::zeros();
             axis[k] = R::one();
             self.clear_scratch(equality.dofs.of(now.dof_lists));
-            self.add_jacobian(now, equality.body1, &p1, &axis);
-            self.add_jacobian(now, equality.body2, &p2, &-axis);
+            self.add_jacobian(now, one, &p1, &axis);
+            self.add_jacobian(now, two, &p2, &-axis);
             self.push_scratch(now, equality.dofs).lo = R::of(f64::NEG_INFINITY);
-            let bodies = [equality.body1, equality.body2];
-            self.drop_rounding(now, bodies, &p1, equality.mass, Motion::most_at);
+            self.drop_rounding(now, ends.bodies, &p1, equality.mass, Motion::most_at);
         }
-        let (dt, law) = (now.settings.dt, OnGuess::new(now));
-        let least = least_softness(&self.rows[first..], equality.mass);
-        let soft =
-            || SolRef::at(&equality.soft, apart.dot(&apart).sqrt(), dt, now.settings.refsafe);
-        let soft = (now.settings.law == Law::SolRef).then(soft);
-        for (k, row) in self.rows[first..].iter_mut().enumerate() {
-            if let Some(law) = &soft {
-                law.fill(row, apart[k], R::of(equality.invweight), least, R::of(dt));
-                row.t -= R::of(dt) * curving[k];
-            } else {
-                law.equality(row, apart[k]);
-                if now.part == Part::Stage {
-                    row.t = row.velocity - R::of(dt) * curving[k];
-                }
-            }
-        }
-        if now.part == Part::End && now.settings.connects_inside() {
-            for at in first..self.rows.len() {
-                self.rows[at].t = self.dot(now.dof_lists, &self.rows[at], &now.placed.guess);
-            }
-        }
-        let element = Element::whole(Kind::Connect, index);
-        self.push_block(first, Set::Interval, R::Mask::of(true), now, element, equality.mass);
+        let curving = self.acceleration(now, one, &p1) - self.acceleration(now, two, &p2);
+        Apart { way: p1 - p2, curving }
     }
 
     /// Acceleration of a body point when no dof accelerates: J̇ v.

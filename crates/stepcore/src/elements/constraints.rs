@@ -1,8 +1,8 @@
 //! The list of elements that are rows: a new kind is one file and one line here.
 
-use super::connect::Connect;
 use super::constraint::{Constraint, Makings};
 use super::contact::Contacts;
+use super::equality::Equalities;
 use super::friction_loss::FrictionLoss;
 use super::limit::Limit;
 use crate::detect::Contact;
@@ -29,7 +29,7 @@ macro_rules! constraints {
 }
 
 // In the order of their slots: see `model/slots.rs`.
-constraints!(Connect, FrictionLoss, Limit, Contacts);
+constraints!(Equalities, FrictionLoss, Limit, Contacts);
 
 impl<R: Real> Rows<R> {
     /// Makes every row that exists now.
@@ -40,7 +40,7 @@ impl<R: Real> Rows<R> {
             let mut makings = Makings { now, contacts };
             match now.part {
                 Part::Whole | Part::End => make_all(&mut makings, self),
-                Part::Start | Part::Stage => Connect::make(&mut makings, self),
+                Part::Start | Part::Stage => Equalities::make(&mut makings, self),
             }
             self.find_islands(now.model, now.dof_lists);
         }

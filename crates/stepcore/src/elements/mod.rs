@@ -12,7 +12,9 @@ mod connect;
 mod constraint;
 mod constraints;
 mod contact;
+mod coupling;
 mod damper;
+mod equality;
 pub(crate) mod force;
 pub(crate) mod forces;
 pub(crate) mod friction;
@@ -23,6 +25,7 @@ mod name;
 pub(crate) mod penalty;
 mod spring;
 mod text;
+mod weld;
 
 pub(crate) use anchor::{Anchor, SLIPS};
 pub use forces::joint_forces;
@@ -56,8 +59,13 @@ pub enum Kind {
     BodyForce,
     /// Part: the weight of which body.
     Gravity,
-    /// A point that two bodies share, by the index of its equality.
+    // By the index of their equality.
+    /// A point that two bodies share.
     Connect,
+    /// A frame that two bodies share.
+    Weld,
+    /// A joint that follows another, or stays.
+    JointEquality,
     /// By the index of its pair of geoms, in a heap by their number (`model/heap.rs`). Part: which of
     /// the pair's contacts.
     Contact,
@@ -65,7 +73,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the enum.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 19] = [
         Self::Body,
         Self::Joint,
         Self::Geom,
@@ -82,8 +90,15 @@ impl Kind {
         Self::BodyForce,
         Self::Gravity,
         Self::Connect,
+        Self::Weld,
+        Self::JointEquality,
         Self::Contact,
     ];
+
+    /// The rows of an equality.
+    pub(crate) fn ties(self) -> bool {
+        matches!(self, Self::Connect | Self::Weld | Self::JointEquality)
+    }
 
     /// The word by which data outside the engine calls it.
     pub fn word(self) -> &'static str {
@@ -104,6 +119,8 @@ impl Kind {
             Self::BodyForce => "xfrc_applied",
             Self::Gravity => "gravity",
             Self::Connect => "connect",
+            Self::Weld => "weld",
+            Self::JointEquality => "joint equality",
             Self::Contact => "contact",
         }
     }

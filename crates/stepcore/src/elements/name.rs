@@ -37,7 +37,9 @@ impl Model {
             Kind::JointForce => joint("force applied to joint"),
             Kind::BodyForce => quoted("force applied to body", &self.bodies[index].name, index),
             Kind::Gravity => "gravity".into(),
-            Kind::Connect => quoted("connect", &self.equalities[index].name, index),
+            Kind::Connect | Kind::Weld | Kind::JointEquality => {
+                quoted(element.kind.word(), &self.equalities[index].name, index)
+            }
             Kind::Contact => {
                 let Some((one, two)) = self.contact_geoms(index) else {
                     return format!("contact {index}");
@@ -64,7 +66,9 @@ impl Model {
             | Kind::JointForce => self.joints.len(),
             Kind::Geom => self.geoms.len(),
             Kind::Site => self.sites.len(),
-            Kind::Equality | Kind::Connect => self.equalities.len(),
+            Kind::Equality | Kind::Connect | Kind::Weld | Kind::JointEquality => {
+                self.equalities.len()
+            }
             Kind::Key => self.keys.len(),
             Kind::Actuator => self.actuators.len(),
             Kind::Gravity => 1,

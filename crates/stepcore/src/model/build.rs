@@ -1,7 +1,7 @@
 //! From a `Scene` to a `Model`: check, lay out, weigh, pair.
 
 use super::slots::Slots;
-use super::{apart, check, heap, inertia, invweight, meshes, pairs, pose, tree, Model, NONE};
+use super::{apart, check, heap, inertia, invweight, meshes, pairs, pose, ties, tree, Model, NONE};
 use crate::error::Result;
 use crate::scene::Scene;
 
@@ -25,8 +25,8 @@ impl Model {
         if !pairs::fill(scene, &mut model, &poses, &mut unions, most_fixed)? {
             heap::fill(scene, &mut model, &poses)?;
         }
-        pairs::fill_equalities(scene, &mut model, &poses, &mut unions)?;
-        let tied: Vec<usize> = model.equalities.iter().flat_map(|e| [e.body1, e.body2]).collect();
+        ties::fill(scene, &mut model, &poses, &mut unions)?;
+        let tied: Vec<usize> = model.equalities.iter().flat_map(|e| e.placed()).collect();
         let met = model.geoms.iter().filter(|g| g.collides).map(|g| g.body);
         let met = trees_of(&model, met);
         let tied = trees_of(&model, tied.into_iter());

@@ -4,7 +4,8 @@
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{
-    Actuator, Equality, ExplicitPair, Geom, GeomType, Inertial, Joint, JointType, Scene, Softness,
+    Actuator, Equality, EqualityType, ExplicitPair, Geom, GeomType, Inertial, Joint, JointType,
+    Scene, Softness,
 };
 use std::collections::HashSet;
 use std::fmt;
@@ -141,7 +142,7 @@ pub fn scene(scene: &Scene) -> Result<()> {
         actuator(&Subject::new(Kind::Actuator, &a.name, i), a, scene)?;
     }
     for (i, q) in scene.equalities.iter().enumerate() {
-        equality(&Subject::new(Kind::Equality, &q.name, i), q, nbody)?;
+        equality(&Subject::new(Kind::Equality, &q.name, i), q, scene)?;
     }
     for (i, pair) in scene.excludes.iter().enumerate() {
         let e = Subject(format!("exclude {i}").into());
@@ -443,13 +444,36 @@ fn actuator(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
     Ok(())
 }
 
-fn equality(e: &Subject, q: &Equality, nbody: usize) -> Result<()> {
-    e.below("body1", q.body1, nbody, "body")?;
-    e.below("body2", q.body2, nbody, "body")?;
-    if q.body1 == q.body2 {
-        return Err(e.refuse("body2", q.body2, "another body than body1"));
+fn equality(e: &Subject, q: &Equality, scene: &Scene) -> Result<()> {
+    let (count, word) = match q.kind {
+        EqualityType::Connect | EqualityType::Weld => (scene.bodies.len(), "body"),
+        EqualityType::Joint => (scene.joints.len(), "joint"),
+    };
+    e.below("first", q.first, count, word)?;
+    if let Some(second) = q.second {
+        e.below("second", second, count, word)?;
+        if q.first == second {
+            return Err(e.refuse("second", second, &format!("another {word} than the first")));
+        }
     }
-    e.finite("anchor", &q.anchor)?;
+    if word == "joint" {
+        for joint in std::iter::once(q.first).chain(q.second) {
+            let kind = scene.joints[joint].kind;
+            if !matches!(kind, JointType::Hinge | JointType::Slide) {
+                return Err(e.refuse("joint", joint, "a hinge or a slide"));
+            }
+        }
+    } else if q.second.is_none() || (q.frame1.is_none() && q.frame2.is_none()) {
+        return Err(e.refuse("second", "none", "a body, and one of the two frames given"));
+    }
+    for (field, frame) in [("frame1", &q.frame1), ("frame2", &q.frame2)] {
+        if let Some(frame) = frame {
+            e.finite(&format!("{field} pos"), &frame.pos)?;
+            e.direction(&format!("{field} quat"), &frame.quat)?;
+        }
+    }
+    e.finite("torquescale", &[q.torquescale])?;
+    e.finite("polycoef", &q.polycoef)?;
     e.softness("", &q.soft)
 }
 

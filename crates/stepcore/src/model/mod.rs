@@ -22,6 +22,7 @@ mod still;
 mod tally;
 #[cfg(test)]
 mod tests;
+mod ties;
 mod tree;
 mod union;
 
@@ -30,6 +31,7 @@ pub use material::Material;
 pub use pairs::Never;
 pub use plan::Unmet;
 pub use tally::Tally;
+pub use ties::{Coupling, Ends, Equality, Tie};
 pub(crate) use union::Union;
 
 use crate::elements::friction::Ways;
@@ -227,22 +229,6 @@ pub struct Guard {
     pub high: f64,
 }
 
-/// `connect`: a point of `body1` and a point of `body2` are one.
-#[derive(Clone, Debug)]
-pub struct Equality {
-    pub name: String,
-    pub body1: usize,
-    pub body2: usize,
-    pub anchor1: Vector3<f64>,
-    pub anchor2: Vector3<f64>,
-    pub active: bool,
-    pub soft: Softness,
-    /// As those of a `Pair`.
-    pub invweight: f64,
-    pub dofs: Span,
-    pub mass: f64,
-}
-
 /// A scene, compiled.
 #[derive(Clone, Debug)]
 pub struct Model {
@@ -347,11 +333,15 @@ impl Model {
     pub fn islands(&self) -> Vec<usize> {
         let mut island = Union::new(self.trees.len());
         let meets = self.pairs.iter().map(|p| [self.geoms[p.geom1].body, self.geoms[p.geom2].body]);
-        let ties = self.equalities.iter().map(|e| [e.body1, e.body2]);
-        for bodies in meets.chain(ties) {
+        for bodies in meets {
             let [a, b] = bodies.map(|body| self.bodies[body].tree);
             if a != NONE && b != NONE {
                 island.join(a, b);
+            }
+        }
+        for equality in &self.equalities {
+            for dofs in equality.dofs.of(&self.dof_lists).windows(2) {
+                island.join(self.dofs[dofs[0]].tree, self.dofs[dofs[1]].tree);
             }
         }
         (0..self.trees.len()).map(|tree| island.of(tree)).collect()

@@ -4,12 +4,11 @@
 use super::pose::Pose;
 use super::still::still;
 use super::tree::Unions;
-use super::{Equality, Material, Model, Pair, NONE};
+use super::{Material, Model, Pair, NONE};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{ExplicitPair, GeomType, Scene};
 use crate::shapes::ShapeTest;
-use nalgebra::Vector3;
 
 /// A plane is fixed to the world, as in MuJoCo.
 pub fn planes_stand_still(model: &Model) -> Result<()> {
@@ -248,36 +247,4 @@ pub(super) fn touched_mass(model: &Model, body1: usize, body2: usize) -> f64 {
     let (one, two) = (model.bodies[body1].tree, model.bodies[body2].tree);
     let mass = |tree: usize| if tree == NONE { 0.0 } else { model.trees[tree].mass };
     mass(one) + if one == two { 0.0 } else { mass(two) }
-}
-
-/// `connect`: the point is given on body 1; where it lies on body 2 follows from qpos0.
-pub fn fill_equalities(
-    scene: &Scene,
-    model: &mut Model,
-    poses: &[Pose],
-    unions: &mut Unions,
-) -> Result<()> {
-    for (i, q) in scene.equalities.iter().enumerate() {
-        let dofs = unions.of(model, q.body1, q.body2);
-        if dofs.len == 0 {
-            let name = Text::label(Kind::Equality, &q.name, i);
-            return Err(Error::Scene(text![name, " connects two bodies that cannot move"]));
-        }
-        let anchor1 = Vector3::from(q.anchor);
-        let (one, two) = (&poses[q.body1], &poses[q.body2]);
-        let equality = Equality {
-            name: q.name.clone(),
-            body1: q.body1,
-            body2: q.body2,
-            anchor1,
-            anchor2: two.rot.transpose() * (one.point(anchor1) - two.pos),
-            active: q.active,
-            soft: q.soft.clone(),
-            invweight: model.bodies[q.body1].invweight[0] + model.bodies[q.body2].invweight[0],
-            dofs,
-            mass: touched_mass(model, q.body1, q.body2),
-        };
-        model.equalities.push(equality);
-    }
-    Ok(())
 }

@@ -9,7 +9,7 @@ use std::ops::Range;
 /// Bounds of a joint.
 pub const SIDES: usize = 2;
 
-/// Where each kind's slots begin: connections, then the friction losses of dofs, the limits
+/// Where each kind's slots begin: equalities, then the friction losses of dofs, the limits
 /// of joints, the contacts of pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Slots {
@@ -27,7 +27,7 @@ impl Slots {
 }
 
 impl Model {
-    /// The slot of a connection, friction loss, limit or contact.
+    /// The slot of an equality, friction loss, limit or contact.
     pub fn slot(&self, element: Element) -> u64 {
         let (index, part) = (element.index as usize, element.part as usize);
         let slot = match element.kind {
@@ -37,7 +37,7 @@ impl Model {
                 let fixed = self.pairs.get(index).map(|pair| pair.slot);
                 self.slots.contacts + fixed.unwrap_or(index * MOST_TOUCHES) + part
             }
-            // Connections stand first; nothing else has rows.
+            // Equalities stand first; nothing else has rows.
             _ => index,
         };
         slot as u64
@@ -59,7 +59,7 @@ impl Model {
     pub fn ranks(&self, islands: &[usize]) -> Vec<u32> {
         let tree = |body: usize| self.bodies[body].tree;
         let either = |a: usize, b: usize| tree(if tree(a) == NONE { b } else { a });
-        let connects = self.equalities.iter().map(|e| either(e.body1, e.body2));
+        let ties = self.equalities.iter().map(|e| self.dofs[e.dofs.of(&self.dof_lists)[0]].tree);
         let losses = self.dofs.iter().map(|dof| dof.tree);
         let limits = self.joints.iter().flat_map(|joint| [tree(joint.body); SIDES]);
         let contacts = self.pairs.iter().flat_map(|p| {
@@ -67,8 +67,7 @@ impl Model {
             std::iter::repeat_n(tree, p.test.most_touches())
         });
         let mut used = vec![0; islands.len()];
-        connects
-            .chain(losses)
+        ties.chain(losses)
             .chain(limits)
             .chain(contacts)
             .map(|tree| {

@@ -17,7 +17,7 @@ pub enum Stage {
     Guess,
     /// Pairs of shapes that touch.
     Detect,
-    /// Rows out of contacts, limits, friction losses and connections.
+    /// Rows out of contacts, limits, friction losses and equalities.
     Rows,
     /// The impulses on which the rows agree, and the velocity that they make.
     Impulses,

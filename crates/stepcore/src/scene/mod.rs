@@ -16,7 +16,7 @@ pub use crate::assets::{HField, Mesh, MeshInertia};
 pub use actuator::Actuator;
 pub use body::{Body, Inertial, MassRules};
 pub use contact::{ContactOverride, ExplicitPair};
-pub use equality::Equality;
+pub use equality::{Equality, EqualityType, Frame};
 pub use geom::{Geom, GeomType};
 pub use joint::{Coefficients, Joint, JointType, NONE};
 pub use site::Site;

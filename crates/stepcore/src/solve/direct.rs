@@ -9,14 +9,14 @@ use crate::room::room;
 
 /// Of more rows the sweeps are cheaper.
 pub(super) const MOST: usize = 96;
-/// A pivot of no more than so many roundings of the largest A of its connection is none.
+/// A pivot of no more than so many roundings of the largest A of its group is none.
 const ROUNDINGS: f64 = 4096.0;
 /// Nor one of no more than this share of it, where an iteration has to come to rest: close to a
 /// position in which rows say the same, the force is a quotient of two small numbers.
 const ITERATED: f64 = 1e-5;
 
-/// Rows of one connection.
-const CONNECT: usize = 3;
+/// Rows of one block that have a unit in common: the three ways of a point, or of turning.
+pub(crate) const GROUP: usize = 3;
 
 /// How rows are chosen that others fix already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,7 +75,7 @@ impl<R: Real> Rows<R> {
             self.kick_direct(dof_lists, inv_d);
             return true;
         }
-        let Self { rows, y, direct, u, .. } = self;
+        let Self { rows, blocks, y, direct, u, .. } = self;
         let Direct { l, inv, counts, x, z, .. } = direct;
         l.clear();
         l.resize(n * n, R::zero());
@@ -86,6 +86,7 @@ impl<R: Real> Rows<R> {
             counts.clear();
         }
         x.clear();
+        let mut block = 0;
         for i in 0..n {
             z.fill(R::zero());
             let own = &rows[i];
@@ -123,10 +124,14 @@ impl<R: Real> Rows<R> {
                 l[i * n + j] = share;
             }
             if choice != Choice::Kept {
-                // Beside the largest of its connection: where nothing moves along one of its axes,
+                // Beside the largest of its group: where nothing moves along one of its axes,
                 // that row's own A is small as well.
-                let first = i - i % CONNECT;
-                let own = &rows[first..(first + CONNECT).min(n)];
+                while blocks[block].rows.range().end <= i {
+                    block += 1;
+                }
+                let span = blocks[block].rows.range();
+                let first = i - (i - span.start) % GROUP;
+                let own = &rows[first..(first + GROUP).min(span.end)];
                 let most = own.iter().fold(whole, |most, row| most.max(row.a + row.c));
                 counts.push((least * most).lt(pivot));
             }

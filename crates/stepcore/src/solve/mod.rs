@@ -1,4 +1,4 @@
-//! Stage 3, solve: every contact, limit, friction loss and connection as rows of one
+//! Stage 3, solve: every contact, limit, friction loss and equality as rows of one
 //! system, and the impulses on which they all agree.
 
 mod alone;
@@ -28,7 +28,7 @@ mod tests;
 mod wide;
 
 pub(crate) use derivative::Differentiated;
-pub(crate) use direct::Choice;
+pub(crate) use direct::{Choice, GROUP};
 pub(crate) use limits::Report;
 #[cfg(test)]
 pub(crate) use live::Live;
@@ -36,7 +36,6 @@ pub use rows::{Block, Part, Push, Row, Rows, Set, Situation};
 pub(crate) use rows::{Guessed, CONE};
 pub(crate) use solver::{Solve, Solvers, Unconstrained};
 
-use crate::elements::Kind;
 use crate::model::Span;
 use crate::real::{Mask, Real};
 use crate::spatial::{Force, Motion, V3};
@@ -152,16 +151,12 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Starts every impulse from the last step's, found by slot and feature; `but`: not of this kind.
-    pub fn warm_start(
-        &mut self,
-        dof_lists: &[usize],
-        inv_d: &[R],
-        warm: &[Warm<R>],
-        but: Option<Kind>,
-    ) {
+    /// Starts every impulse from the last step's, found by slot and feature; but for
+    /// equalities that the stages of the step held (`inside`).
+    pub fn warm_start(&mut self, dof_lists: &[usize], inv_d: &[R], warm: &[Warm<R>], inside: bool) {
         let mut at = 0;
-        for block in self.blocks.iter().filter(|block| but != Some(block.element.kind)) {
+        let others = self.blocks.iter().filter(|block| !(inside && block.element.kind.ties()));
+        for block in others {
             while at < warm.len() && warm[at].slot < block.kin.start {
                 at += 1;
             }
@@ -182,15 +177,15 @@ impl<R: Real> Rows<R> {
         self.main.get(row).copied().unwrap_or(self.rows[row].impulse)
     }
 
-    /// Keeps every impulse for the next step, but for what is no number; those of a kind that
-    /// the stages of the step held, as they were there.
-    pub fn store_warm(&self, warm: &mut Vec<Warm<R>>, inside: Option<Kind>) {
+    /// Keeps every impulse for the next step, but for what is no number; those of equalities
+    /// that the stages of the step held (`inside`), as they were there.
+    pub fn store_warm(&self, warm: &mut Vec<Warm<R>>, inside: bool) {
         warm.clear();
         let mut anchors = self.anchors.iter().peekable();
         for (index, block) in self.blocks.iter().enumerate() {
             let mut impulse = [R::zero(); WARM_ROWS];
             for (k, row) in self.rows[block.rows.range()].iter().enumerate() {
-                let held = inside == Some(block.element.kind);
+                let held = inside && block.element.kind.ties();
                 let own = if held { row.beside } else { self.solved(block.rows.start + k) };
                 let kept = block.mask.and(own.is_finite());
                 impulse[k] = R::select(kept, own, R::zero());

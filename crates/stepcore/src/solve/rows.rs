@@ -80,11 +80,11 @@ impl<R: Real> Row<R> {
 pub enum Part {
     /// All, on the velocity of the step.
     Whole,
-    /// Connections alone, on the velocity at the start, which then keeps them.
+    /// Equalities alone, on the velocity at the start, which then keeps them.
     Start,
-    /// Connections alone, on the acceleration of a stage.
+    /// Equalities alone, on the acceleration of a stage.
     Stage,
-    /// All, after a smooth motion: see `commit/halves.rs`. Connections that its stages held answer
+    /// All, after a smooth motion: see `commit/halves.rs`. Equalities that its stages held answer
     /// to the others only.
     End,
 }
@@ -235,6 +235,7 @@ pub struct Situation<'a, R: Real> {
     pub settings: &'a crate::settings::Settings,
     pub clock: Clock<R>,
     pub qpos: &'a [R],
+    pub qvel: &'a [R],
     pub part: Part,
     /// What the last step kept.
     pub warm: &'a [Warm<R>],

@@ -4,7 +4,8 @@
 use stepcore::model::Model;
 use stepcore::real::Real;
 use stepcore::scene::{
-    Actuator, Body, Equality, Geom, GeomType, Inertial, Joint, JointType, Scene,
+    Actuator, Body, Equality, EqualityType, Frame, Geom, GeomType, Inertial, Joint, JointType,
+    Scene,
 };
 use stepcore::sim::Sim;
 
@@ -150,9 +151,13 @@ pub fn heap() -> Scene {
         Some(Inertial { mass: 0.3, pos: [0.0; 3], inertia: [0.01, 0.01, 0.01, 0.0, 0.0, 0.0] });
     scene.equalities.push(Equality {
         name: "tie".into(),
-        body1: lower,
-        body2: slider,
-        anchor: [0.2, 0.0, -0.1],
+        kind: EqualityType::Connect,
+        first: lower,
+        second: Some(slider),
+        frame1: Some(Frame { pos: [0.2, 0.0, -0.1], quat: [1.0, 0.0, 0.0, 0.0] }),
+        frame2: None,
+        torquescale: 1.0,
+        polycoef: [0.0; 5],
         active: true,
         soft: Default::default(),
     });

@@ -10,10 +10,17 @@ from typing import TYPE_CHECKING, Any
 from stepcore._core import Settings
 from stepcore.engine.features import RemovableFeatures, Removal
 from stepcore.engine.plan.result import PlanEntry
+from stepcore.scene.elements.equality import ROW_KINDS
 
 if TYPE_CHECKING:
     from stepcore.engine.model_data import ModelData
 
+# Equalities: what they are called, how many rows each has, their type.
+EQUALITIES = (
+    ("connections", "3 rows", "connect"),
+    ("welds", "6 rows", "weld"),
+    ("joint equalities", "1 row", "joint"),
+)
 # An entry, and the removal that would leave it out, if there is one.
 Listed = tuple[PlanEntry, Removal | None]
 
@@ -181,13 +188,16 @@ class _Listing:
         """Kinds of rows, and what makes none."""
         equalities, on = self.scene.equalities, self.scene.features
         names = _named([e.name for e in equalities], "equality")
-        active = [n for n, e in zip(names, equalities, strict=True) if e.active]
-        inactive = [n for n, e in zip(names, equalities, strict=True) if not e.active]
-        if on.equality and on.constraint:
-            yield self._rows("connections, 3 rows each", active, "connect", "equality")
-            yield _out("solve", "connections", inactive, "not active", kind="row")
-        else:
-            yield _out("solve", "connections", names, "switched off", kind="row")
+        for name, per, type in EQUALITIES:
+            tied = [(n, e) for n, e in zip(names, equalities, strict=True) if e.type == type]
+            active = [n for n, e in tied if e.active]
+            if on.equality and on.constraint:
+                kind = ROW_KINDS[type]
+                yield self._rows(f"{name}, {per} each", active, kind, "equality")
+                inactive = [n for n, e in tied if not e.active]
+                yield _out("solve", name, inactive, "not active", kind="row")
+            else:
+                yield _out("solve", name, [n for n, _ in tied], "switched off", kind="row")
         have, lack = self._split(lambda joint: joint.frictionloss)
         if on.frictionloss and on.constraint:
             name = "friction loss, one row per dof"

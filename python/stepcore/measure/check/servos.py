@@ -161,7 +161,7 @@ def _held_bodies(model: Model, sim: Sim) -> Iterator[int]:
             yield from (int(model.geom_body[geom]) for geom in model.contact_pair(index).geoms)
         elif kind not in ("limit", "friction loss"):
             equality = model.scene.equalities[index]
-            yield from (layout.index[id(body)] for body in (equality.body1, equality.body2))
+            yield from (layout.index[id(body)] for body in equality.bodies)
 
 
 def _without_armature(model: Model) -> Iterator[Finding]:

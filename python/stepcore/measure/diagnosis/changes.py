@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.closed_form_bound import root_of
+from stepcore.measure.diagnosis.element_id import EQUALITIES
 from stepcore.measure.diagnosis.element_limits import ElementLimits
 from stepcore.measure.diagnosis.new_value import NewValue, ratio, rounded
 from stepcore.measure.diagnosis.solref import solref_of
@@ -85,7 +86,7 @@ CHANGES: dict[str, tuple[Change, ...]] = {
     "contact": ROWS,
     "limit": ROWS,
     "friction loss": ROWS,
-    "connect": ROWS,
+    **dict.fromkeys(EQUALITIES, ROWS),
 }
 
 
@@ -235,7 +236,7 @@ def _solref(
         for geom in model.contact_pair(index).geoms:
             layout.geoms[geom].solref = new
         return [NewValue(f"both geoms of {element.name}", "solref", old, new, size=size)]
-    if kind == "connect":
+    if kind in EQUALITIES:
         layout.scene.equalities[index].solref = new
         return [NewValue(element.name, "solref", old, new, size=size)]
     field = "solreflimit" if kind == "limit" else "solreffriction"

@@ -70,7 +70,7 @@ def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
 
 
 def _rows(model: Model) -> Iterator[_Oscillator]:
-    """Limits, connects, friction losses and contacts that nothing softens with dt."""
+    """Limits, equalities, friction losses and contacts that nothing softens with dt."""
     layout = Layout(model.scene)
     for element in _row_elements(model, layout):
         solref = solref_of(model, layout, element)
@@ -102,7 +102,7 @@ def _row_elements(model: Model, layout: Layout) -> Iterator[ElementId]:
             yield ElementId.of(model, "friction loss", j)
     for e, equality in enumerate(model.scene.equalities):
         if features.equality and equality.active:
-            yield ElementId.of(model, "connect", e)
+            yield ElementId.of(model, equality.row_kind, e)
     if settings.law == "solref":
         # A heap's contacts are judged while they are there.
         solrefs = enumerate([] if model.is_heap else model.pair_solref.tolist())

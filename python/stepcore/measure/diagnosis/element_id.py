@@ -9,17 +9,18 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 
 # Kinds that are rows of the solver (contacts except under the law `penalty`).
-ROWS = ("contact", "limit", "connect", "friction loss")
+EQUALITIES = ("connect", "weld", "joint equality")
+ROWS = ("contact", "limit", *EQUALITIES, "friction loss")
 
 
 @dataclass(frozen=True, order=True)
 class ElementId:
     """One element of a model.
 
-    kind: "spring", "damper", "actuator", "limit", "friction loss", "connect" or "contact" as in
-    `Sim.rows` and `Sim.contacts`, or "spin", the gyroscopic torque of a body, or "control", what
-    the user's control function makes of an actuator. index: of its joint, actuator, equality, pair
-    of geoms or body. name: as `Model.element_name` has it.
+    kind: "spring", "damper", "actuator", "limit", "friction loss", "connect", "weld",
+    "joint equality" or "contact" as in `Sim.rows` and `Sim.contacts`, or "spin", the gyroscopic
+    torque of a body, or "control", what the user's control function makes of an actuator. index: of
+    its joint, actuator, equality, pair of geoms or body. name: as `Model.element_name` has it.
     """
 
     kind: str
@@ -48,8 +49,8 @@ def row_elements(sim: Sim) -> Iterator[ElementId]:
 
 
 def acting_elements(sim: Sim) -> tuple[ElementId, ...]:
-    """The elements whose rows act: connects and friction losses, limits and contacts that push."""
-    always = ("connect", "friction loss")
+    """The elements whose rows act: equalities, friction losses; limits and contacts that push."""
+    always = (*EQUALITIES, "friction loss")
     rows = zip(row_elements(sim), (sim.rows["impulse"] != 0).tolist(), strict=True)
     return tuple(dict.fromkeys(e for e, pushes in rows if pushes or e.kind in always))
 

@@ -191,7 +191,7 @@ def rates_matrix(model: Model, state: State, dt: float | None = None) -> Floats 
 
 @functools.lru_cache(maxsize=4)
 def without_rows(model: Model) -> Model:
-    """The model without contacts, limits, friction losses and connects."""
+    """The model without contacts, limits, friction losses and equalities."""
     # The model copies its scene; everything else in it stays the same.
     scene = copy.copy(model.scene)
     scene.features = dataclasses.replace(scene.features, constraint=False)

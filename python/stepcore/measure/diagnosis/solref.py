@@ -1,4 +1,4 @@
-"""The `solref` of limits, connects, friction losses and contacts, and what `refsafe` does to it.
+"""The `solref` of limits, equalities, friction losses and contacts, and what `refsafe` does to it.
 
 In standard form (positive) it is a time constant and a damping ratio. `refsafe` keeps the time
 constant at 2 dt or above, so from dt = tc/2 on the row gets softer as dt grows, and its stiffness
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from stepcore.engine.model import Model
-from stepcore.measure.diagnosis.element_id import ElementId
+from stepcore.measure.diagnosis.element_id import EQUALITIES, ElementId
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 
@@ -25,7 +25,7 @@ def solref_of(model: Model, layout: Layout, element: ElementId) -> Vec | None:
         return None
     if element.kind == "friction loss":
         return layout.joints[index].solreffriction
-    if element.kind == "connect":
+    if element.kind in EQUALITIES:
         return model.scene.equalities[index].solref
     if element.kind == "contact":
         return model.contact_pair(index).solref

@@ -41,7 +41,7 @@ def _gapes(model: Model, watch: Watch, sizes: Sizes) -> Iterator[Finding]:
     notable: list[tuple[float, Gape, float]] = []
     for one in watch.joints.gapes():
         equality = model.scene.equalities[one.equality]
-        bodies = [layout.index[id(body)] for body in (equality.body1, equality.body2)]
+        bodies = [layout.index[id(body)] for body in equality.bodies]
         # The world has no size of its own to compare with.
         size = min((sizes.bodies[body] for body in bodies if body), default=sizes.bodies[0])
         if one.most > GAPES * size:
@@ -50,7 +50,7 @@ def _gapes(model: Model, watch: Watch, sizes: Sizes) -> Iterator[Finding]:
         return
     notable.sort(key=lambda some: -some[0])
     _, worst, size = notable[0]
-    names = [model.element_name("connect", one.equality) for _, one, _ in notable]
+    names = [_name(model, one.equality) for _, one, _ in notable]
     equality = model.scene.equalities[worst.equality]
     now = worst.most if worst.rest is None else worst.rest
     where = f"up to {metres(now)}" if worst.rest is None else metres(now)
@@ -66,6 +66,10 @@ def _gapes(model: Model, watch: Watch, sizes: Sizes) -> Iterator[Finding]:
         now,
         "m",
     )
+
+
+def _name(model: Model, equality: int) -> str:
+    return model.element_name(model.scene.equalities[equality].row_kind, equality)
 
 
 def _limits(model: Model, watch: Watch) -> Iterator[Finding]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from stepcore.mjcf.write.names import Names
 from stepcore.mjcf.write.tags import Tag, changed
+from stepcore.scene import tying
 from stepcore.scene.elements import Element, Equality
 
 if TYPE_CHECKING:
@@ -13,8 +14,9 @@ if TYPE_CHECKING:
 
 
 def referred(scene: Contents) -> list[Element]:
-    """The bodies that equalities name."""
-    return [body for e in scene.equalities for body in (e.body1, e.body2)]
+    """The bodies, sites and joints that equalities name."""
+    values = [value for e in scene.equalities for value in tying.given(e).values()]
+    return [value for value in values if isinstance(value, Element)]
 
 
 def tags(scene: Contents, names: Names) -> list[Tag]:
@@ -23,7 +25,10 @@ def tags(scene: Contents, names: Names) -> list[Tag]:
 
 
 def _equality(equality: Equality, names: Names) -> Tag:
-    given = changed(equality, "name", "type", "body1", "body2", "anchor")
+    own = tying.given(equality)
+    if equality.body1 is not None and equality.type == "connect":
+        # Without it MuJoCo does not know what is connected.
+        own["anchor"] = equality.anchor
+    own = {k: names.of(v) if isinstance(v, Element) else v for k, v in own.items()}
     first = {"name": equality.name} if equality.name else {}
-    ends = {"body1": names.of(equality.body1), "body2": names.of(equality.body2)}
-    return Tag(equality.type, **first, **ends, anchor=equality.anchor, **given)
+    return Tag(equality.type, **first, **own, **changed(equality, "name", "type", *own))

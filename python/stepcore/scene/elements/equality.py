@@ -7,28 +7,77 @@ from typing import Annotated
 
 from stepcore import checks
 from stepcore.scene.element import Element
-from stepcore.scene.elements.body import ABody
-from stepcore.scene.elements.field_types import SOLIMP, SOLREF, Flag, SolImp, SolRef, Text, Vec3
+from stepcore.scene.elements.body import Body
+from stepcore.scene.elements.field_types import (
+    POLYCOEF,
+    SOLIMP,
+    SOLREF,
+    Flag,
+    PolyCoef,
+    Real,
+    RelPose,
+    SolImp,
+    SolRef,
+    Text,
+    Vec3,
+)
+from stepcore.scene.elements.joint import Joint
+from stepcore.scene.elements.site import Site
 from stepcore.scene.frames import ORIGIN
+
+# By type: what its rows are called.
+ROW_KINDS = {"connect": "connect", "weld": "weld", "joint": "joint equality"}
+
+SomeBody = Annotated[Body | None, checks.optional(checks.element("Body"))]
+SomeSite = Annotated[Site | None, checks.optional(checks.element("Site"))]
+SomeJoint = Annotated[Joint | None, checks.optional(checks.element("Joint"))]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Equality(Element):
-    """A constraint between two bodies.
+    """A constraint that ties two bodies or two joints together.
 
     name: unique among equalities, or "".
-    type: "connect": the bodies share one point.
-    body1, body2: the two `Body` objects.
-    anchor: the point in the frame of body1, in the pose of the scene [m], shape (3,).
+    type: "connect": two bodies share one point; "weld": they share one frame; "joint": a hinge or
+        slide follows another, q₁ − ref₁ = p(q₂ − ref₂), or stays where it is.
+    body1, body2: the two `Body` objects of a connect or weld.
+    site1, site2: in place of them, two `Site` objects, which the constraint brings together.
+    anchor: the shared point [m], shape (3,); of a connect in the frame of body1, in the pose of the
+        scene; of a weld in the frame of body2.
+    relpose: of a weld: position [m] of the point and orientation of body2, in the frame of body1,
+        shape (7,); None for that in the pose of the scene.
+    torquescale: of a weld: by what its turns are multiplied beside its displacements, MuJoCo's
+        scale [m/rad]. 0: it does not mind turns.
+    joint1, joint2: hinges or slides. Without joint2, joint1 stays at ref₁ + polycoef[0].
+    polycoef: coefficients of the polynomial p by ascending powers [rad or m], shape (5,).
     active: False leaves the constraint out.
     solref, solimp: softness of the constraint.
     """
 
     name: Text = ""
-    type: Annotated[str, checks.one_of("connect")] = "connect"
-    body1: ABody
-    body2: ABody
+    type: Annotated[str, checks.one_of(*ROW_KINDS)] = "connect"
+    body1: SomeBody = None
+    body2: SomeBody = None
+    site1: SomeSite = None
+    site2: SomeSite = None
+    joint1: SomeJoint = None
+    joint2: SomeJoint = None
     anchor: Vec3 = ORIGIN
+    relpose: RelPose = None
+    torquescale: Real = 1.0
+    polycoef: PolyCoef = POLYCOEF
     active: Flag = True
     solref: SolRef = SOLREF
     solimp: SolImp = SOLIMP
+
+    @property
+    def row_kind(self) -> str:
+        """What its rows are called, in `Sim.rows` and `Model.element_name`."""
+        return ROW_KINDS[self.type]
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """The bodies that it ties, directly or by their sites or joints."""
+        holders = (self.site1, self.site2, self.joint1, self.joint2)
+        own = tuple(body for body in (self.body1, self.body2) if body is not None)
+        return own + tuple(holder.body for holder in holders if holder is not None)

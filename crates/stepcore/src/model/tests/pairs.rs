@@ -1,8 +1,9 @@
 //! Chains, pairs, mixing, still tangents and equalities.
 
 use super::{ball, free, geom, joint, near, Build};
+use crate::model::Tie;
 use crate::model::NONE;
-use crate::scene::{Equality, Geom, GeomType, Joint, JointType, Softness};
+use crate::scene::{Equality, EqualityType, Frame, Geom, GeomType, Joint, JointType, Softness};
 
 /// Two arms on one trunk: rows hold a dof and its ancestors, nearest first.
 #[test]
@@ -126,13 +127,18 @@ fn a_connected_point_is_found_on_both_bodies() {
     let soft = Softness::default();
     b.0.equalities.push(Equality {
         name: "pin".into(),
-        body1: 1,
-        body2: 2,
-        anchor: [0.5, 0.0, 0.25],
+        kind: EqualityType::Connect,
+        first: 1,
+        second: Some(2),
+        frame1: Some(Frame { pos: [0.5, 0.0, 0.25], quat: [1.0, 0.0, 0.0, 0.0] }),
+        frame2: None,
+        torquescale: 1.0,
+        polycoef: [0.0; 5],
         active: true,
         soft,
     });
     let q = b.model().equalities[0].clone();
-    assert!((q.anchor2 - nalgebra::Vector3::new(0.0, -1.5, 0.25)).amax() < 1e-15);
-    assert_eq!((q.dofs.len, q.invweight, q.mass), (12, 2.0, 2.0));
+    let Tie::Connect(ends) = &q.tie else { panic!("{:?}", q.tie) };
+    assert!((ends.pos[1] - nalgebra::Vector3::new(0.0, -1.5, 0.25)).amax() < 1e-15);
+    assert_eq!((q.dofs.len, ends.invweight[0], q.mass), (12, 2.0, 2.0));
 }

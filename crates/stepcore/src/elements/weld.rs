@@ -1,0 +1,87 @@
+//! `weld`: a frame of one body stays on a frame of another. Three rows of their points, as those of
+//! `connect`, and three of their turn.
+//!
+//! With A and B the orientations of frame 1 and 2, the turn is s · vec Q, Q = B* A, half the rotation
+//! vector where it is small; s is `torquescale`. As Ȧ = ½ ω₁ A and Ḃ = ½ ω₂ B (quaternion products),
+//!
+//!     Q̇ = ½ B* ω A,  Q̈ = ½ B* (ω̇ + ω₁ × ω₂ − ½ |ω|²) A,  ω = ω₁ − ω₂
+//!
+//! so that row k turns along d = ½ s R_B (Q_w e_k + Q_v × e_k), and its J̇ v is
+//! d · (ω̇ + ω₁ × ω₂) − ¼ s |ω|² Q_k, ω̇ being what no dof's acceleration adds to.
+
+use super::connect::Apart;
+use super::equality::Held;
+use crate::model::{Ends, NONE};
+use crate::real::Real;
+use crate::solve::{Rows, Situation};
+use crate::spatial::{rotate, Motion, Quat, V3};
+
+impl<R: Real> Rows<R> {
+    pub(super) fn weld(&mut self, now: &Situation<R>, index: usize, ends: &Ends, scale: f64) {
+        let first = self.rows.len();
+        let Apart { way, curving } = self.points(now, index, ends);
+        let zero = Held { gap: R::zero(), curving: R::zero(), invweight: 0.0 };
+        let mut held = [zero; 6];
+        for k in 0..3 {
+            held[k] = Held { gap: way[k], curving: curving[k], invweight: ends.invweight[0] };
+        }
+        self.turns(now, index, ends, scale, &mut held[3..]);
+        let square = held.iter().fold(R::zero(), |sum, held| sum + held.gap * held.gap);
+        self.tie(now, index, first, square.sqrt(), &held);
+    }
+
+    /// The rows of the turn.
+    fn turns(
+        &mut self,
+        now: &Situation<R>,
+        index: usize,
+        ends: &Ends,
+        scale: f64,
+        held: &mut [Held<R>],
+    ) {
+        let (placed, equality) = (now.placed, &now.model.equalities[index]);
+        let [one, two] = ends.bodies;
+        let frame = |k: usize| placed.xquat[ends.bodies[k]].mul(&Quat::splat(&ends.quat[k]));
+        let (a, b) = (frame(0), frame(1));
+        let (turn, matrix) = (b.conjugate().mul(&a), b.matrix());
+        let ([v1, v2], [a1, a2]) = ([one, two].map(spin(now)), [one, two].map(spinning_up(now)));
+        let (relative, gains) = (v1 - v2, a1 - a2 + v1.cross(&v2));
+        let at = placed.xpos[one];
+        for k in 0..3 {
+            let mut axis = V3::zeros();
+            axis[k] = R::one();
+            let local = axis * turn.w + turn.v.cross(&axis);
+            let along = rotate(&matrix, &local) * R::of(0.5 * scale);
+            // Body 1 relative to body 2.
+            self.turning_jacobian(now, [two, one], equality.dofs, &along);
+            self.push_scratch(now, equality.dofs).lo = R::of(f64::NEG_INFINITY);
+            self.drop_rounding(now, ends.bodies, &at, equality.mass, |motion: &Motion<R>, _| {
+                motion.ang.dot(&motion.ang) * R::of(0.25 * scale * scale)
+            });
+            let gap = R::of(scale) * turn.v[k];
+            let bent = R::of(0.25) * relative.dot(&relative) * gap;
+            held[k] = Held { gap, curving: along.dot(&gains) - bent, invweight: ends.invweight[1] };
+        }
+    }
+}
+
+/// Angular velocity of a body.
+fn spin<'a, R: Real>(now: &'a Situation<'a, R>) -> impl Fn(usize) -> V3<R> + 'a {
+    |body| if turns(now, body) { now.placed.velocity[body].ang } else { V3::zeros() }
+}
+
+/// The same accelerated, when no dof accelerates.
+fn spinning_up<'a, R: Real>(now: &'a Situation<'a, R>) -> impl Fn(usize) -> V3<R> + 'a {
+    |body| {
+        if turns(now, body) {
+            now.placed.free_acceleration(now.model, body).ang
+        } else {
+            V3::zeros()
+        }
+    }
+}
+
+fn turns<R: Real>(now: &Situation<R>, body: usize) -> bool {
+    let tree = now.model.bodies[body].tree;
+    tree != NONE && !now.model.trees[tree].slides_only
+}

@@ -1,0 +1,166 @@
+//! Equalities, compiled: what each ties, with everything its rows share.
+
+use super::pairs::touched_mass;
+use super::pose::{unit_quat, Pose};
+use super::tree::Unions;
+use super::{Model, Span};
+use crate::elements::{text, Kind, Text};
+use crate::error::{Error, Result};
+use crate::scene::{self, EqualityType, Scene, Softness};
+use crate::spatial::Quat;
+use nalgebra::Vector3;
+
+/// An equality, with what its rows share.
+#[derive(Clone, Debug)]
+pub struct Equality {
+    pub name: String,
+    pub tie: Tie,
+    pub active: bool,
+    pub soft: Softness,
+    /// As those of a `Pair`.
+    pub dofs: Span,
+    pub mass: f64,
+}
+
+/// What an equality holds.
+#[derive(Clone, Debug)]
+pub enum Tie {
+    /// The two points are one.
+    Connect(Ends),
+    /// The two frames are one; their turn times `torquescale`.
+    Weld { ends: Ends, torquescale: f64 },
+    /// A joint follows another.
+    Joints(Coupling),
+}
+
+/// A frame on each of two bodies.
+#[derive(Clone, Debug)]
+pub struct Ends {
+    pub bodies: [usize; 2],
+    /// In the frames of the bodies [m].
+    pub pos: [Vector3<f64>; 2],
+    /// w x y z.
+    pub quat: [[f64; 4]; 2],
+    /// Sums of both bodies' invweight: translation and rotation.
+    pub invweight: [f64; 2],
+}
+
+/// q₁ − q₁⁰ is a polynomial of q₂ − q₂⁰.
+#[derive(Clone, Debug)]
+pub struct Coupling {
+    pub first: usize,
+    pub second: Option<usize>,
+    /// The coordinates at the initial configuration.
+    pub rest: [f64; 2],
+    pub polycoef: [f64; 5],
+    /// Sum of both joints' invweight.
+    pub invweight: f64,
+}
+
+impl Equality {
+    /// How many rows it has.
+    pub fn rows(&self) -> usize {
+        match self.tie {
+            Tie::Connect(_) => 3,
+            Tie::Weld { .. } => 6,
+            Tie::Joints(_) => 1,
+        }
+    }
+
+    /// What its rows are called.
+    pub fn kind(&self) -> Kind {
+        match self.tie {
+            Tie::Connect(_) => Kind::Connect,
+            Tie::Weld { .. } => Kind::Weld,
+            Tie::Joints(_) => Kind::JointEquality,
+        }
+    }
+
+    /// The bodies whose poses it reads.
+    pub(super) fn placed(&self) -> Vec<usize> {
+        match &self.tie {
+            Tie::Connect(ends) | Tie::Weld { ends, .. } => ends.bodies.to_vec(),
+            Tie::Joints(_) => vec![],
+        }
+    }
+}
+
+/// Compiles the equalities; bodies and dofs have their inverse weights.
+pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Unions) -> Result<()> {
+    for (index, q) in scene.equalities.iter().enumerate() {
+        let tie = match q.kind {
+            EqualityType::Connect => Tie::Connect(ends(model, poses, q)),
+            EqualityType::Weld => {
+                Tie::Weld { ends: ends(model, poses, q), torquescale: q.torquescale }
+            }
+            EqualityType::Joint => Tie::Joints(coupling(model, q)),
+        };
+        let [one, two] = match &tie {
+            Tie::Connect(ends) | Tie::Weld { ends, .. } => ends.bodies,
+            Tie::Joints(coupling) => [coupling.first, coupling.second.unwrap_or(coupling.first)]
+                .map(|joint| model.joints[joint].body),
+        };
+        let dofs = unions.of(model, one, two);
+        if dofs.len == 0 {
+            let name = Text::label(Kind::Equality, &q.name, index);
+            return Err(Error::Scene(text![name, " connects two bodies that cannot move"]));
+        }
+        model.equalities.push(Equality {
+            name: q.name.clone(),
+            tie,
+            active: q.active,
+            soft: q.soft.clone(),
+            dofs,
+            mass: touched_mass(model, one, two),
+        });
+    }
+    Ok(())
+}
+
+/// A frame that is not given is where the other one is at qpos0.
+fn ends(model: &Model, poses: &[Pose], q: &scene::Equality) -> Ends {
+    let bodies = [q.first, q.second.unwrap_or(0)];
+    let mut pos = [Vector3::zeros(); 2];
+    let mut quat = [[1.0, 0.0, 0.0, 0.0]; 2];
+    let frames = [&q.frame1, &q.frame2];
+    for k in 0..2 {
+        let (own, other) = (bodies[k], bodies[1 - k]);
+        match (frames[k], frames[1 - k]) {
+            (Some(frame), _) => {
+                (pos[k], quat[k]) = (Vector3::from(frame.pos), unit_quat(frame.quat));
+            }
+            (None, Some(frame)) => {
+                let at = poses[other].point(Vector3::from(frame.pos)) - poses[own].pos;
+                let there = turn(model, other).mul(&Quat::of(&unit_quat(frame.quat)));
+                pos[k] = poses[own].rot.transpose() * at;
+                turn(model, own).conjugate().mul(&there).store(&mut quat[k]);
+            }
+            (None, None) => {}
+        }
+    }
+    let sum = |k: usize| bodies.iter().map(|body| model.bodies[*body].invweight[k]).sum();
+    Ends { bodies, pos, quat, invweight: [sum(0), sum(1)] }
+}
+
+/// Orientation of a body at qpos0.
+fn turn(model: &Model, body: usize) -> Quat<f64> {
+    let mut turn = Quat::identity();
+    let mut at = body;
+    while at > 0 {
+        turn = Quat::of(&model.bodies[at].quat).mul(&turn);
+        at = model.bodies[at].parent;
+    }
+    turn
+}
+
+fn coupling(model: &Model, q: &scene::Equality) -> Coupling {
+    let rest = |joint: usize| model.qpos0[model.joints[joint].qpos];
+    let weight = |joint: usize| model.dofs[model.joints[joint].dof].invweight;
+    Coupling {
+        first: q.first,
+        second: q.second,
+        rest: [rest(q.first), q.second.map_or(0.0, rest)],
+        polycoef: q.polycoef,
+        invweight: weight(q.first) + q.second.map_or(0.0, weight),
+    }
+}
