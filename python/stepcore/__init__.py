@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from stepcore.engine.views import GeomView as GeomView
     from stepcore.engine.views import JointView as JointView
     from stepcore.engine.views import SiteView as SiteView
+    from stepcore.engine.views import TendonView as TendonView
     from stepcore.experiment.motion import Motion as Motion
     from stepcore.measure.ablation import Ablation as Ablation
     from stepcore.measure.ablation import FeatureEffect as FeatureEffect
@@ -87,7 +88,9 @@ if TYPE_CHECKING:
     from stepcore.scene.elements import MassRules as MassRules
     from stepcore.scene.elements import Mesh as Mesh
     from stepcore.scene.elements import Pair as Pair
+    from stepcore.scene.elements import Pulley as Pulley
     from stepcore.scene.elements import Site as Site
+    from stepcore.scene.elements import Tendon as Tendon
     from stepcore.scene.scene import Scene as Scene
 
 # Where each public name comes from. A module is imported when one of its names is first used, so
@@ -128,6 +131,7 @@ _MODULES = {
         "GeomView",
         "JointView",
         "SiteView",
+        "TendonView",
     ),
     "stepcore.experiment.motion": ("Motion",),
     "stepcore.measure.ablation": (
@@ -174,7 +178,7 @@ _MODULES = {
     "stepcore.report.table": ("Table",),
     "stepcore.scene.elements": (
         *("Actuator", "Body", "ContactOverride", "Equality", "Features", "Geom", "HField"),
-        *("Joint", "Key", "MassRules", "Mesh", "Pair", "Site"),
+        *("Joint", "Key", "MassRules", "Mesh", "Pair", "Pulley", "Site", "Tendon"),
     ),
     "stepcore.scene.scene": ("Scene",),
 }

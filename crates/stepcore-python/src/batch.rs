@@ -318,6 +318,23 @@ impl Batch {
         self.placed(py, Placed::BodyQuat, &[self.model.bodies.len(), 4])
     }
     #[getter]
+    fn ten_length<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::TendonLength, &[self.model.tendons.len()])
+    }
+    #[getter]
+    fn ten_velocity<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::TendonVelocity, &[self.model.tendons.len()])
+    }
+    #[getter]
+    #[pyo3(name = "ten_J")]
+    fn ten_jacobian<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::TendonJacobian, &[self.model.tendons.len(), self.model.nv])
+    }
+    #[getter]
+    fn ten_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::TendonForce, &[self.model.tendons.len()])
+    }
+    #[getter]
     fn site_xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.placed(py, Placed::SitePos, &[self.model.sites.len(), 3])
     }

@@ -79,6 +79,7 @@ impl Model {
         names.set_item("joint", m.joints.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         names.set_item("geom", m.geoms.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         names.set_item("site", m.sites.iter().map(|e| &e.name).collect::<Vec<_>>())?;
+        names.set_item("tendon", m.tendons.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         names.set_item("actuator", m.actuators.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         names.set_item("equality", m.equalities.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         names.set_item("key", m.keys.iter().map(|e| &e.name).collect::<Vec<_>>())?;
@@ -199,6 +200,20 @@ impl Model {
             m.joints.iter().flat_map(|j| [j.pos.x, j.pos.y, j.pos.z]).collect(),
             &[njnt, 3],
         )?;
+        let tendons = || m.tendons.iter();
+        let ntendon = m.tendons.len();
+        add("tendon_length0", tendons().map(|t| t.length0).collect(), &[ntendon])?;
+        add("tendon_invweight0", tendons().map(|t| t.invweight).collect(), &[ntendon])?;
+        add(
+            "tendon_lengthspring",
+            tendons().flat_map(|t| t.springlength).collect(),
+            &[ntendon, 2],
+        )?;
+        add(
+            "tendon_range",
+            tendons().flat_map(|t| t.range.unwrap_or(FREE)).collect(),
+            &[ntendon, 2],
+        )?;
         add("geom_size", m.geoms.iter().flat_map(|g| g.size).collect(), &[ngeom, 3])?;
         add(
             "actuator_ctrlrange",
@@ -305,6 +320,7 @@ impl Model {
         plan.set_item("gyroscopic", trees.map(|t| m.gyroscopic(t)).collect::<Vec<_>>())?;
         plan.set_item("turns", m.bodies.iter().map(|b| b.turns).collect::<Vec<_>>())?;
         plan.set_item("collides", m.geoms.iter().map(|g| g.collides).collect::<Vec<_>>())?;
+        plan.set_item("tendons", m.tendons.iter().map(|t| t.used).collect::<Vec<_>>())?;
         plan.set_item("islands", m.islands())?;
         Ok(plan)
     }

@@ -4,10 +4,10 @@ use pyo3::prelude::*;
 use stepcore::scene::{
     Actuator, Body, ContactOverride, Equality, EqualityType, ExplicitPair, Features, Frame, Geom,
     GeomType, HField, Inertial, Joint, JointType, Key, MassRules, Mesh, MeshInertia, Scene, Site,
-    Softness,
+    Softness, Stop, Tendon,
 };
 
-use crate::extract::{record, refuse, At, Read};
+use crate::extract::{record, refuse, At, Read, Record};
 
 /// An enum by its name.
 macro_rules! named {
@@ -31,6 +31,26 @@ named!(EqualityType { "connect" => Connect, "weld" => Weld, "joint" => Joint });
 named!(MeshInertia {
     "convex" => Convex, "exact" => Exact, "legacy" => Legacy, "shell" => Shell,
 });
+
+/// By which of its fields is there.
+impl Read for Stop {
+    fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
+        let has = |field: &str| value.contains(field).unwrap_or(false);
+        let of = |fields: &[&str]| Record::new(value, at, fields);
+        if has("joint") {
+            let record = of(&["joint", "coef"])?;
+            return Ok(Self::Joint { joint: record.field("joint")?, coef: record.field("coef")? });
+        }
+        if has("geom") {
+            let record = of(&["geom", "side"])?;
+            return Ok(Self::Geom { geom: record.field("geom")?, side: record.field("side")? });
+        }
+        if has("divisor") {
+            return Ok(Self::Pulley { divisor: of(&["divisor"])?.field("divisor")? });
+        }
+        Ok(Self::Site { site: of(&["site"])?.field("site")? })
+    }
+}
 
 record!(Softness { solref, solimp });
 record!(Inertial { mass, pos, inertia });
@@ -79,6 +99,20 @@ record!(Geom {
 record!(Mesh { name, vertices, faces, inertia, maxhullvert });
 record!(HField { name, nrow, ncol, size, data });
 record!(Site { name, body, pos, quat });
+record!(Tendon {
+    name,
+    path,
+    range,
+    margin,
+    springlength,
+    stiffness,
+    damping,
+    armature,
+    frictionloss,
+    actuatorfrcrange,
+    limit,
+    friction,
+});
 record!(Actuator { name, joint, gear, gain, bias, dampratio, ctrlrange, forcerange });
 record!(Frame { pos, quat });
 record!(Equality {
@@ -129,6 +163,7 @@ record!(Scene {
     meshes,
     hfields,
     sites,
+    tendons,
     actuators,
     equalities,
     keys,

@@ -24,6 +24,10 @@ pub enum Placed {
     GeomPos,
     GeomMat,
     SitePos,
+    TendonLength,
+    TendonVelocity,
+    TendonJacobian,
+    TendonForce,
     MassMatrix,
     Bias,
     Passive,
@@ -342,6 +346,10 @@ fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
             .iter()
             .flat_map(|s| flat(&sim.attached(s.body, &s.pos, &s.quat).0))
             .collect(),
+        Placed::TendonLength => numbers(&sim.placed.tendon_length),
+        Placed::TendonVelocity => numbers(&sim.tendon_velocity()),
+        Placed::TendonJacobian => sim.tendon_jacobian(0),
+        Placed::TendonForce => numbers(&sim.tendon_force()),
         Placed::MassMatrix => sim.mass_matrix(0),
         Placed::Bias => numbers(&sim.placed.bias),
         Placed::Passive => numbers(&sim.placed.passive),

@@ -1,9 +1,10 @@
 //! How a length follows the dofs: its value at a position, and its gradient, the moment arms.
 //!
-//! What pulls along a length (an actuator, a limit; a tendon's spring, once there are tendons)
-//! asks here, and knows no joint. A tendon will be one more variant.
+//! What pulls along a length (an actuator, a limit, a tendon's spring) asks here, and knows neither
+//! joint nor path. The lengths and arms of tendons are made in `place/tendon.rs`.
 
 use crate::model::{Model, Span};
+use crate::place::Pulls;
 use crate::real::Real;
 use crate::scene::JointType;
 use crate::spatial::Quat;
@@ -17,9 +18,11 @@ pub enum Transmission {
     /// A joint behind a gear, which has one entry for each dof. The length is that of a hinge
     /// or a slide; the arms are there for every joint.
     Geared(usize, [f64; 6]),
+    /// A tendon, and a gear by which its length is multiplied.
+    Tendon(usize, f64),
 }
 
-/// A length and its arms.
+/// The length of a joint and its arms.
 #[derive(Clone, Copy, Debug)]
 pub struct Reach<R: Real> {
     /// [m or rad]
@@ -38,46 +41,67 @@ impl<R: Real> Reach<R> {
 }
 
 impl Transmission {
-    fn joint(self) -> usize {
-        let (Self::Joint(joint) | Self::Geared(joint, _)) = self;
-        joint
-    }
-
     /// The dofs that move the length and all their ancestors, in `Model::dof_lists`.
     pub fn dofs(self, model: &Model) -> Span {
-        let joint = &model.joints[self.joint()];
-        model.chain_of_dof(joint.dof + joint.dofs() - 1)
+        match self {
+            Self::Joint(joint) | Self::Geared(joint, _) => {
+                let joint = &model.joints[joint];
+                model.chain_of_dof(joint.dof + joint.dofs() - 1)
+            }
+            Self::Tendon(tendon, _) => model.tendons[tendon].dofs,
+        }
     }
 
     /// [m or rad]
     #[inline(always)]
-    pub fn length<R: Real>(self, model: &Model, qpos: &[R]) -> R {
+    pub fn length<R: Real>(self, model: &Model, qpos: &[R], pulls: Pulls<R>) -> R {
         match self {
-            Self::Joint(_) => self.reach(model, qpos).length,
+            Self::Joint(joint) => Reach::of(model, joint, qpos).length,
             Self::Geared(joint, gear) => R::of(gear[0]) * qpos[model.joints[joint].qpos],
+            Self::Tendon(tendon, gear) => R::of(gear) * pulls.length[tendon],
         }
     }
 
-    /// Rate of the length of a hinge or a slide [m/s or rad/s].
+    /// Rate of the length of a hinge, a slide or a tendon [m/s or rad/s].
     #[inline(always)]
-    pub fn velocity<R: Real>(self, model: &Model, qvel: &[R]) -> R {
-        let velocity = qvel[model.joints[self.joint()].dof];
+    pub fn velocity<R: Real>(self, model: &Model, qvel: &[R], pulls: Pulls<R>) -> R {
         match self {
-            Self::Joint(_) => velocity,
-            Self::Geared(_, gear) => R::of(gear[0]) * velocity,
+            Self::Joint(joint) => qvel[model.joints[joint].dof],
+            Self::Geared(joint, gear) => R::of(gear[0]) * qvel[model.joints[joint].dof],
+            Self::Tendon(tendon, gear) => {
+                let (tendon, mut sum) = (&model.tendons[tendon], R::zero());
+                let arms = tendon.arms.of(pulls.arms);
+                for (dof, arm) in tendon.dofs.of(&model.dof_lists).iter().zip(arms) {
+                    sum += *arm * qvel[*dof];
+                }
+                R::of(gear) * sum
+            }
         }
     }
 
     /// Calls `each(dof, ∂length/∂dof)` for every dof that moves the length.
     #[inline(always)]
-    pub fn arms<R: Real>(self, model: &Model, qpos: &[R], mut each: impl FnMut(usize, R)) {
+    pub fn arms<R: Real>(
+        self,
+        model: &Model,
+        qpos: &[R],
+        pulls: Pulls<R>,
+        mut each: impl FnMut(usize, R),
+    ) {
         match self {
-            Self::Joint(_) => {
-                self.reach(model, qpos).arms().for_each(|(dof, arm)| each(dof, arm));
+            Self::Joint(joint) => {
+                Reach::of(model, joint, qpos).arms().for_each(|(dof, arm)| each(dof, arm));
             }
             Self::Geared(joint, gear) => {
                 let joint = &model.joints[joint];
                 (0..joint.dofs()).for_each(|k| each(joint.dof + k, R::of(gear[k])));
+            }
+            Self::Tendon(tendon, gear) => {
+                let tendon = &model.tendons[tendon];
+                let arms = tendon.arms.of(pulls.arms);
+                for (dof, arm) in tendon.dofs.of(&model.dof_lists).iter().zip(arms) {
+                    each(*dof, R::of(gear) * *arm);
+                }
             }
         }
     }
@@ -85,26 +109,34 @@ impl Transmission {
     /// Calls `each(i, j, aᵢ aⱼ)` for every pair of arms, both ways, and each with itself: along a
     /// length a stiffness of one is this matrix on the dofs.
     #[inline(always)]
-    pub fn pairs<R: Real>(self, model: &Model, qpos: &[R], mut each: impl FnMut(usize, usize, R)) {
-        self.arms(model, qpos, |i, a: R| {
-            self.arms(model, qpos, |j, b: R| each(i, j, a * b));
+    pub fn pairs<R: Real>(
+        self,
+        model: &Model,
+        qpos: &[R],
+        pulls: Pulls<R>,
+        mut each: impl FnMut(usize, usize, R),
+    ) {
+        self.arms(model, qpos, pulls, |i, a: R| {
+            self.arms(model, qpos, pulls, |j, b: R| each(i, j, a * b));
         });
     }
+}
 
-    /// Length and arms at once, without a gear.
+impl<R: Real> Reach<R> {
+    /// Length and arms of a joint at once.
     #[inline(always)]
-    pub fn reach<R: Real>(self, model: &Model, qpos: &[R]) -> Reach<R> {
-        let joint = &model.joints[self.joint()];
+    pub fn of(model: &Model, joint: usize, qpos: &[R]) -> Self {
+        let joint = &model.joints[joint];
         let first = joint.dof;
         if joint.kind == JointType::Ball {
             let quat = Quat::of(&qpos[joint.qpos..joint.qpos + 4]).normalized();
             let (axis, angle) = quat.axis_angle();
             let sign = R::select(angle.lt(R::zero()), -R::one(), R::one());
             let arms = [axis.x * sign, axis.y * sign, axis.z * sign];
-            return Reach { length: angle.abs(), first, arms, count: 3 };
+            return Self { length: angle.abs(), first, arms, count: 3 };
         }
         let arms = [R::one(), R::zero(), R::zero()];
-        Reach { length: qpos[joint.qpos], first, arms, count: 1 }
+        Self { length: qpos[joint.qpos], first, arms, count: 1 }
     }
 }
 
@@ -136,14 +168,15 @@ mod tests {
             }
             for along in all {
                 let mut arms = vec![0.0; model.nv];
-                along.arms(&model, &start, |dof, arm: f64| arms[dof] += arm);
+                let pulls = Pulls { length: &[], arms: &[] };
+                along.arms(&model, &start, pulls, |dof, arm: f64| arms[dof] += arm);
                 for (dof, arm) in arms.iter().enumerate() {
                     let length = |by: f64| {
                         let mut unit = vec![0.0; model.nv];
                         unit[dof] = by;
                         let mut moved = start.clone();
                         advance(&model, &start, &unit, 1.0, &mut moved);
-                        along.length(&model, &moved)
+                        along.length(&model, &moved, pulls)
                     };
                     let slope = (length(1e-6) - length(-1e-6)) / 2e-6;
                     assert!((slope - arm).abs() < 1e-8, "{kind:?} {dof}: {slope} {arm}");

@@ -52,6 +52,7 @@ def _elements(layout: Layout, kind: str) -> Sequence[Element]:
         "joint": layout.joints,
         "geom": layout.geoms,
         "site": layout.sites,
+        "tendon": layout.scene.tendons,
         "actuator": layout.scene.actuators,
         "equality": layout.scene.equalities,
         "pair": layout.scene.pairs,

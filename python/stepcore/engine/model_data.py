@@ -132,11 +132,16 @@ class ModelData(ABC):
         """Of a heap, how many pairs can meet by the types of their geoms; else empty."""
         return {(one, two): count for one, two, count in self._core.heap() or ()}
 
+    @property
+    def ntendon(self) -> int:
+        """The number of tendons."""
+        return len(self.tendon_names)
+
     # Names, in the order of the arrays.
 
     @functools.cached_property
     def names(self) -> dict[str, tuple[str, ...]]:
-        """Names by kind: "body", "joint", "geom", "site", "actuator", "equality", "key"."""
+        """Names by kind: "body", "joint", "geom", "site", "tendon", "actuator", "equality", "key"."""
         return {kind: tuple(names) for kind, names in self._core.names().items()}
 
     @property
@@ -189,6 +194,11 @@ class ModelData(ABC):
         return self.names["site"]
 
     @property
+    def tendon_names(self) -> tuple[str, ...]:
+        """Names of the tendons."""
+        return self.names["tendon"]
+
+    @property
     def actuator_names(self) -> tuple[str, ...]:
         """Names of the actuators."""
         return self.names["actuator"]
@@ -201,7 +211,7 @@ class ModelData(ABC):
     def index(self, kind: str, name: str | int) -> int:
         """Returns the index of an element.
 
-        kind: "body", "joint", "geom", "site", "actuator", "equality" or "key".
+        kind: "body", "joint", "geom", "site", "tendon", "actuator", "equality" or "key".
         name: its name, or an index, which may be negative.
 
         Raises ValueError, with the nearest names, if there is no such element.
@@ -280,6 +290,16 @@ class ModelData(ABC):
     geom_size = ModelArray("Sizes of each geom in MuJoCo's convention [m], shape (ngeom, 3).")
     geom_body = ModelArray("Index of each geom's body, shape (ngeom,).")
     site_body = ModelArray("Index of each site's body, shape (nsite,).")
+    tendon_length0 = ModelArray("Length of each tendon at qpos0, shape (ntendon,).")
+    tendon_invweight0 = ModelArray(
+        "J M⁻¹ Jᵀ of each tendon's moment arms J at qpos0, shape (ntendon,)."
+    )
+    tendon_lengthspring = ModelArray(
+        "Lengths between which each tendon's spring is slack, shape (ntendon, 2)."
+    )
+    tendon_range = ModelArray(
+        "Shortest and longest length of each tendon, ±inf without a limit, shape (ntendon, 2)."
+    )
     actuator_joint = ModelArray("Index of the joint that each actuator drives, shape (nu,).")
     actuator_ctrlrange = ModelArray(
         "Range to which each control is clamped, ±inf without one, shape (nu, 2)."

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from typing import TYPE_CHECKING
 
 from stepcore import _core, checks
-from stepcore.engine.views import BodyView, GeomView, JointView, SiteView
+from stepcore.engine.views import BodyView, GeomView, JointView, SiteView, TendonView
 from stepcore.engine.world import World
 
 if TYPE_CHECKING:
@@ -64,6 +64,10 @@ class Stepped(World):
     def site(self, name: str | int) -> SiteView:
         """Returns a view of one site; see `body`."""
         return SiteView(self, self._model.index("site", name))
+
+    def tendon(self, name: str | int) -> TendonView:
+        """Returns a view of one tendon; see `body`."""
+        return TendonView(self, self._model.index("tendon", name))
 
     def reset(self, key: str | int | None = None) -> None:
         """Resets to the scene's initial pose at rest and time 0, or to a keyframe.

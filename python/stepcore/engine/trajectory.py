@@ -23,7 +23,7 @@ Control = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
 RECORDED = (
     *("qpos", "qvel", "act", "ctrl", "qfrc_applied", "xfrc_applied"),
-    *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos"),
+    *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos", "ten_length", "ten_velocity"),
     *("energy", "momentum", "overlap", "bias", "passive"),
     *("qacc", "residual", "constraint_force", "actuator_force", "sweeps_done", "row_updates"),
     "unrecovered_overlap",

@@ -167,3 +167,29 @@ class SiteView(_View):
     def xpos(self) -> Floats:
         """Position of the site [m], shape (3,)."""
         return self._sim.site_xpos[..., self.index, :]
+
+
+class TendonView(_View):
+    """One tendon of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
+
+    kind = "tendon"
+
+    @property
+    def length(self) -> Floats:
+        """Length [m, or the unit of its joints], shape ()."""
+        return self._sim.ten_length[..., self.index]
+
+    @property
+    def velocity(self) -> Floats:
+        """Rate of the length, shape ()."""
+        return self._sim.ten_velocity[..., self.index]
+
+    @property
+    def jacobian(self) -> Floats:
+        """Derivative of the length by the dofs, its moment arms, shape (nv,)."""
+        return self._sim.ten_J[..., self.index, :]
+
+    @property
+    def force(self) -> Floats:
+        """Force of its spring and damper along it, positive where it lengthens it [N], shape ()."""
+        return self._sim.ten_force[..., self.index]

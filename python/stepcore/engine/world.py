@@ -41,11 +41,20 @@ class World(checks.KnownNames, ABC):
     geom_xpos = Readout("Position of each geom [m], shape (ngeom, 3).")
     geom_xmat = Readout("Orientation of each geom as a rotation matrix, shape (ngeom, 3, 3).")
     site_xpos = Readout("Position of each site [m], shape (nsite, 3).")
+    ten_length = Readout("Length of each tendon [m, or the unit of its joints], shape (ntendon,).")
+    ten_velocity = Readout("Rate of each tendon's length, shape (ntendon,).")
+    ten_J = Readout(
+        "Derivative of each tendon's length by the dofs, its moment arms, shape (ntendon, nv)."
+    )
+    ten_force = Readout(
+        "Force of each tendon's spring and damper, positive where it lengthens it [N], "
+        "shape (ntendon,)."
+    )
     bias = Readout(
         "Coriolis, centrifugal and gravity forces [N or N·m], shape (nv,); on the left-hand side "
         "of the equation of motion, M qacc + bias = forces."
     )
-    passive = Readout("Forces of joint springs and dampers [N or N·m], shape (nv,).")
+    passive = Readout("Forces of springs and dampers of joints and tendons [N or N·m], shape (nv,).")
 
     # Of the last step or forward().
     qacc = Readout("Accelerations of the last solve [m/s² or rad/s²], shape (nv,).")

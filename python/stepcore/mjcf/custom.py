@@ -28,6 +28,7 @@ KINDS = {
     "site": "sites",
     "body": "bodies",
     "joint": "joints",
+    "tendon": "tendons",
     "mesh": "meshes",
     "hfield": "hfields",
 }

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stepcore.checks import ElementError
-from stepcore.mjcf import actuators, contacts, custom, equalities, keyframes, option
+from stepcore.mjcf import actuators, contacts, custom, equalities, keyframes, option, tendons
 from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 # which names exist before something refers to them.
 SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
     "contact": contacts.read,
+    "tendon": tendons.read,
     "equality": equalities.read,
     "actuator": actuators.read,
 }

@@ -23,7 +23,7 @@ def check_references(world: WorldReader, root: Node) -> None:
         "joint": {element.name for element in scene.joints},
         "site": {element.name for element in scene.sites},
         "actuator": {element.name for element in scene.actuators},
-        "tendon": set(),
+        "tendon": {element.name for element in scene.tendons},
         **_assets(root),
     }
     for node, kind, name in world.references:

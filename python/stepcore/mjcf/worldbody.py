@@ -183,8 +183,8 @@ class WorldReader:
             range=limits and tuple(convert(bound) for bound in limits),
             ref=convert(values.get("ref", 0.0)) if scalar else 0.0,
             springref=convert(values.get("springref", 0.0)) if scalar else 0.0,
-            **_polynomial(values, "stiffness"),
-            **_polynomial(values, "damping"),
+            **polynomial(values, "stiffness"),
+            **polynomial(values, "damping"),
             **{f: values[f] for f in ("margin", "armature", "frictionloss") if f in values},
             **soft(values, "solreflimit", "solimplimit"),
             **soft(values, "solreffriction", "solimpfriction"),
@@ -323,7 +323,7 @@ def soft(values: dict[str, Any], solref: str, solimp: str) -> dict[str, Any]:
     return result
 
 
-def _polynomial(values: dict[str, Any], name: str) -> dict[str, Any]:
-    """Stiffness or damping as the fields of a joint: the first power, and those above."""
+def polynomial(values: dict[str, Any], name: str) -> dict[str, Any]:
+    """Stiffness or damping as the fields of an element: the first power, and those above."""
     first, *poly = values.get(name, (0.0,))
     return {name: first, f"{name}poly": tuple(poly)} if any(poly) else {name: first}

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
 from stepcore.scene import actuation, tying
-from stepcore.scene.elements import Body, Element, Geom
+from stepcore.scene.elements import Body, Element, Geom, Site, Tendon
+from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import IDENTITY, ORIGIN
 from stepcore.scene.layout import DOFS, SIZES, Layout
 
@@ -44,6 +46,7 @@ def check(layout: Layout) -> None:
             raise checks.ElementError(
                 geom, "a plane must be on the world or on a body that cannot move"
             )
+    _check_tendons(layout)
     inside = {id(joint) for joint in layout.joints}
     for actuator in scene.actuators:
         if id(actuator.joint) not in inside:
@@ -62,7 +65,7 @@ def check(layout: Layout) -> None:
                 raise checks.refuse(key, field, value, f"{count} numbers, not {len(value)}")
     kinds: tuple[Sequence[Element], ...] = (
         *(scene.bodies, scene.joints, scene.geoms, scene.sites),
-        *(scene.actuators, scene.equalities, scene.pairs, scene.keys),
+        *(scene.tendons, scene.actuators, scene.equalities, scene.pairs, scene.keys),
     )
     for elements in kinds:
         seen: set[str] = set()
@@ -81,6 +84,56 @@ def _check_pairs(layout: Layout) -> None:
                 raise checks.ElementError(pair, f"refers to {geom}, which is not in this scene")
         if pair.geom1 is pair.geom2:
             raise checks.ElementError(pair, f"pairs {pair.geom1} with itself")
+
+
+def _check_tendons(layout: Layout) -> None:
+    inside = {id(e) for elements in (layout.joints, layout.sites, layout.geoms) for e in elements}
+    for tendon in layout.scene.tendons:
+        for element in tendon.elements():
+            if id(element) not in inside:
+                raise checks.ElementError(tendon, f"refers to {element}, which is not in this scene")
+        if tendon.fixed:
+            _check_fixed(tendon)
+        else:
+            _check_spatial(tendon)
+
+
+def _check_fixed(tendon: Tendon) -> None:
+    seen: set[int] = set()
+    for stop in tendon.path:
+        if not isinstance(stop, Share):
+            raise checks.ElementError(tendon, "passes a joint, so it passes nothing but joints")
+        joint = stop.joint
+        if joint.type not in ("hinge", "slide"):
+            raise checks.ElementError(tendon, f"passes {joint}, which is no hinge or slide")
+        if id(joint) in seen:
+            raise checks.ElementError(tendon, f"passes {joint} twice")
+        seen.add(id(joint))
+
+
+def _check_spatial(tendon: Tendon) -> None:
+    """Every branch runs from site to site, with at most one geom between two sites."""
+    branches: list[list[Stop]] = [[]]
+    for at, stop in enumerate(tendon.path):
+        if isinstance(stop, Share):
+            raise checks.ElementError(tendon, f"passes {stop.joint}, and other things than joints")
+        if not isinstance(stop, Pulley):
+            branches[-1].append(stop)
+        elif at:
+            branches.append([])
+    for branch in branches:
+        if sum(isinstance(stop, Site) for stop in branch) < 2:
+            raise checks.ElementError(tendon, "a branch of its path needs at least two sites")
+        if not (isinstance(branch[0], Site) and isinstance(branch[-1], Site)):
+            raise checks.ElementError(tendon, "a branch of its path must begin and end with a site")
+        for one, two in itertools.pairwise(branch):
+            if isinstance(one, Around) and isinstance(two, Around):
+                raise checks.ElementError(tendon, "two geoms of its path need a site between them")
+            if isinstance(one, Around) and one.geom.type not in ("sphere", "cylinder"):
+                raise checks.ElementError(
+                    tendon, f"goes round {one.geom}, which is a {one.geom.type}: a sphere or a "
+                    "cylinder can be gone round"
+                )
 
 
 def _check_asset(layout: Layout, geom: Geom) -> None:

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore import checks
@@ -24,6 +24,7 @@ from stepcore.scene.elements import (
     Mesh,
     Pair,
     Site,
+    Tendon,
     fields_of,
 )
 from stepcore.scene.holdings import Holdings
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
         Numbers,
         PairFields,
         SiteFields,
+        TendonFields,
         Vector,
     )
 
@@ -199,6 +201,46 @@ class Contents(Holdings):
         fields: of `Site`: name, pos [m], quat.
         """
         return self._add(self.sites, Site, fields, body=self.body(body))
+
+    def add_tendon(
+        self,
+        name: str = "",
+        path: Iterable[Any] = (),
+        joints: Mapping[str | Joint, float] | None = None,
+        **fields: Unpack[TendonFields],
+    ) -> Tendon:
+        """Adds a tendon: over joints (fixed), or through sites and round geoms (spatial).
+
+        joints: of a fixed tendon, its joints and their coefficients.
+        path: in place of these, of a spatial tendon, what it passes: a site; (a geom, a side site
+            or None) for a sphere or cylinder; a `Pulley`, which starts a branch. Sites and geoms
+            by name or as `Site` and `Geom`; a name alone is a site's.
+        fields: of `Tendon`: range, stiffness [N/m], damping [N·s/m], springlength, frictionloss
+            [N], armature [kg], …
+
+        >>> from stepcore import Scene, Sim
+        >>> scene = Scene()
+        >>> ball = scene.add_body("ball", pos=(0, 0, -1))
+        >>> _ = scene.add_joint(ball, "slide", axis=(0, 0, 1))
+        >>> _ = scene.add_geom(ball, "sphere", 0.1, mass=1.0)
+        >>> hook, knot = scene.add_site(name="hook"), scene.add_site(ball, name="knot")
+        >>> _ = scene.add_tendon("rope", ["hook", "knot"], stiffness=100)
+        >>> float(Sim(scene).tendon("rope").length)
+        1.0
+        """
+        stops = [self._stop(stop) for stop in path]
+        if joints is not None:
+            stops += [(self.joint(joint), coef) for joint, coef in joints.items()]
+        return self._add(self.tendons, Tendon, fields, name=name, path=stops)
+
+    def _stop(self, stop: Any) -> Any:
+        """A stop of a tendon whose names are looked up."""
+        match stop:
+            case str():
+                return self.site(stop)
+            case (str() as geom, sidesite) | (Geom() as geom, sidesite):
+                return self.geom(geom), None if sidesite is None else self.site(sidesite)
+        return stop
 
     def add_actuator(
         self, joint: str | Joint, type: str = "motor", **fields: Unpack[ActuatorFields]

@@ -79,6 +79,25 @@ class SiteFields(TypedDict, total=False):
     quat: Vector
 
 
+class TendonFields(TypedDict, total=False):
+    """Fields of a `Tendon` beside its name and path."""
+
+    range: Vector | None
+    margin: float
+    springlength: Numbers
+    stiffness: float
+    stiffnesspoly: Vector
+    damping: float
+    dampingpoly: Vector
+    armature: float
+    frictionloss: float
+    actuatorfrcrange: Vector | None
+    solreflimit: Vector
+    solimplimit: Numbers
+    solreffriction: Vector
+    solimpfriction: Numbers
+
+
 class ActuatorFields(TypedDict, total=False):
     """Fields of an `Actuator` beside its joint and type."""
 

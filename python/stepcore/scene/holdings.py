@@ -24,6 +24,7 @@ from stepcore.scene.elements import (
     Mesh,
     Pair,
     Site,
+    Tendon,
 )
 from stepcore.scene.names import Names
 
@@ -44,7 +45,7 @@ class Holdings(checks.KnownNames):
     """The elements and settings of a scene."""
 
     _attributes = (
-        *("name", "bodies", "joints", "geoms", "sites", "actuators", "equalities", "keys"),
+        *("name", "bodies", "joints", "geoms", "sites", "tendons", "actuators", "equalities", "keys"),
         *("meshes", "hfields", "excludes", "pairs", "contact_override", "mass_rules", "features"),
         *("options", "ignored", "notes", "without"),
     )
@@ -58,6 +59,7 @@ class Holdings(checks.KnownNames):
         self.meshes: list[Mesh] = []
         self.hfields: list[HField] = []
         self.sites: list[Site] = []
+        self.tendons: list[Tendon] = []
         self.actuators: list[Actuator] = []
         self.equalities: list[Equality] = []
         self.keys: list[Key] = []
@@ -114,6 +116,10 @@ class Holdings(checks.KnownNames):
     def site(self, name: str | Site) -> Site:
         """Returns the site of this name."""
         return self._find(self.sites, "site", name)
+
+    def tendon(self, name: str | Tendon) -> Tendon:
+        """Returns the tendon of this name."""
+        return self._find(self.tendons, "tendon", name)
 
     def actuator(self, name: str | Actuator) -> Actuator:
         """Returns the actuator of this name."""

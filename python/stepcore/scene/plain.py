@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from stepcore.scene import actuation, assets, tying
-from stepcore.scene.elements import Body, ContactOverride, Element, Geom, Joint, Pair
+from stepcore.scene.elements import Body, ContactOverride, Element, Geom, Joint, Pair, Tendon
+from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import ORIGIN
 from stepcore.scene.layout import SIZES, Layout
 
@@ -18,6 +19,10 @@ RENAMED = {"type": "kind", "ref": "reference", "shellinertia": "shell_inertia"}
 SERVO = ("kp", "kv", "dampratio", "gainprm", "biasprm")
 SOFTNESS = {
     Joint: {
+        "limit": ("solreflimit", "solimplimit"),
+        "friction": ("solreffriction", "solimpfriction"),
+    },
+    Tendon: {
         "limit": ("solreflimit", "solimplimit"),
         "friction": ("solreffriction", "solimpfriction"),
     },
@@ -47,6 +52,8 @@ def plain(layout: Layout) -> dict[str, Any]:
     mesh_of = {id(mesh): i for i, mesh in enumerate(scene.meshes)}
     hfield_of = {id(hfield): i for i, hfield in enumerate(scene.hfields)}
 
+    index = geom_of | joint_of | {id(site): i for i, site in enumerate(layout.sites)}
+
     def attached(element: Any, *skip: str) -> dict[str, Any]:
         return _record(element, "body", *skip) | {"body": body_of[id(element.body)]}
 
@@ -63,6 +70,10 @@ def plain(layout: Layout) -> dict[str, Any]:
         "meshes": [assets.plain_mesh(mesh) for mesh in scene.meshes],
         "hfields": [assets.plain_hfield(hfield) for hfield in scene.hfields],
         "sites": [attached(site) for site in layout.sites],
+        "tendons": [
+            _record(tendon, "path") | {"path": [_stop(stop, index) for stop in tendon.path]}
+            for tendon in scene.tendons
+        ],
         "actuators": [
             _record(actuator, "joint", "type", *SERVO)
             | {"joint": joint_of.get(id(actuator.joint), -1)}
@@ -106,6 +117,22 @@ def essence(layout: Layout) -> dict[str, Any]:
         # An empty list and none are the same: nothing is given.
         key |= {field: key[field] or None for field in ("qpos", "qvel", "ctrl")}
     return scene
+
+
+def _stop(stop: Stop, index: dict[int, int]) -> dict[str, Any]:
+    """A stop of a tendon; -1 where what it refers to is not in the scene."""
+
+    def at(element: Element) -> int:
+        return index.get(id(element), -1)
+
+    if isinstance(stop, Share):
+        return {"joint": at(stop.joint), "coef": stop.coef}
+    if isinstance(stop, Around):
+        side = stop.sidesite
+        return {"geom": at(stop.geom), "side": None if side is None else at(side)}
+    if isinstance(stop, Pulley):
+        return {"divisor": stop.divisor}
+    return {"site": at(stop)}
 
 
 def _record(element: Element, *skip: str) -> dict[str, Any]:

@@ -31,7 +31,7 @@ class Scene(Contents):
     Every value is checked when it is given. A bad value raises a ValueError that names the element,
     the field, the value and the limit; an unknown name raises one that lists the nearest names.
 
-    bodies, joints, geoms, meshes, hfields, sites, actuators, equalities, pairs, keys: lists of
+    bodies, joints, geoms, meshes, hfields, sites, tendons, actuators, equalities, pairs, keys: lists of
         the elements; ``bodies[0]`` is the world.
     excludes: pairs of bodies that do not collide, but for geoms in `pairs`.
     contact_override: contact parameters that replace those of every contact (`ContactOverride`).
@@ -140,6 +140,7 @@ class Scene(Contents):
             "mesh": self.meshes,
             "hfield": self.hfields,
             "site": self.sites,
+            "tendon": self.tendons,
             "actuator": self.actuators,
             "equality": self.equalities,
             "pair": self.pairs,

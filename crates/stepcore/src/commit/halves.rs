@@ -125,7 +125,7 @@ impl<R: Real> Sim<R> {
                 }
                 continue;
             }
-            let pushes = matches!(kind, Kind::Contact | Kind::Limit);
+            let pushes = matches!(kind, Kind::Contact | Kind::Limit | Kind::TendonLimit);
             if pushes {
                 let gave = rows.first_impulse(first).gt(R::zero());
                 rows.blocks[b].mask = rows.blocks[b].mask.and(gave);

@@ -12,6 +12,7 @@
 use super::force::{Forces, Group, Moment};
 use super::Kind;
 use crate::model::Model;
+use crate::place::Pulls;
 use crate::real::{Mask, Real};
 use crate::scene;
 use crate::state::Inputs;
@@ -68,6 +69,7 @@ pub(crate) fn tensions<R: Real>(
     qpos: &[R],
     qvel: &[R],
     inputs: &Inputs<R>,
+    pulls: Pulls<R>,
     tensions: &mut [R],
 ) {
     if !model.features.actuation {
@@ -76,30 +78,43 @@ pub(crate) fn tensions<R: Real>(
     for (index, actuator) in model.actuators.iter().enumerate() {
         let mut force = actuator.asked(model, inputs.ctrl[index]);
         if actuator.bias != [0.0; 3] {
-            force += bias(model, actuator, qpos, qvel);
+            force += bias(model, actuator, qpos, qvel, pulls);
         }
         tensions[index] = actuator.bounded(force);
     }
 }
 
 /// What the force has beside the control: bias₀ + bias₁·length + bias₂·velocity.
-fn bias<R: Real>(model: &Model, actuator: &scene::Actuator, qpos: &[R], qvel: &[R]) -> R {
+fn bias<R: Real>(
+    model: &Model,
+    actuator: &scene::Actuator,
+    qpos: &[R],
+    qvel: &[R],
+    pulls: Pulls<R>,
+) -> R {
     let [constant, length, velocity] = actuator.bias.map(R::of);
     if !actuator.feeds_back() {
         return constant;
     }
     let along = actuator.transmission();
-    constant + length * along.length(model, qpos) + velocity * along.velocity(model, qvel)
+    let (at, rate) = (along.length(model, qpos, pulls), along.velocity(model, qvel, pulls));
+    constant + length * at + velocity * rate
 }
 
 /// What a position servo stores under a control [J]; 0 of other actuators.
-pub(crate) fn stored_under<R: Real>(model: &Model, index: usize, qpos: &[R], ctrl: R) -> R {
+pub(crate) fn stored_under<R: Real>(
+    model: &Model,
+    index: usize,
+    qpos: &[R],
+    pulls: Pulls<R>,
+    ctrl: R,
+) -> R {
     let actuator = &model.actuators[index];
     if !model.features.actuation || actuator.drive() != Drive::Spring {
         return R::zero();
     }
     let (k, half) = (R::of(-actuator.bias[1]), R::of(0.5));
-    let length = actuator.transmission().length(model, qpos);
+    let length = actuator.transmission().length(model, qpos, pulls);
     let force = actuator.asked(model, ctrl) + R::of(actuator.bias[0]) - k * length;
     let within = half * force * force / k;
     let Some([lo, hi]) = actuator.forcerange else { return within };
@@ -135,7 +150,8 @@ pub(crate) fn power_beyond<R: Real>(
     Actuator::power(now, index, velocity, &mut |part| usual += part);
     let tension = now.frames.tension[index];
     let along = now.model.actuators[index].transmission();
-    along.arms(now.model, now.qpos, |dof, arm: R| whole += tension * (arm * velocity(dof)));
+    let pulls = now.frames.pulls;
+    along.arms(now.model, now.qpos, pulls, |dof, arm: R| whole += tension * (arm * velocity(dof)));
     whole.max(R::zero()) + (-usual).max(R::zero())
 }
 
@@ -148,7 +164,8 @@ impl Forces for Actuator {
         if now.model.features.actuation {
             let tension = now.frames.tension[index];
             let along = now.model.actuators[index].transmission();
-            along.arms(now.model, now.qpos, |dof, arm: R| add(dof, arm * tension));
+            along
+                .arms(now.model, now.qpos, now.frames.pulls, |dof, arm: R| add(dof, arm * tension));
         }
     }
 
@@ -159,7 +176,7 @@ impl Forces for Actuator {
         if !(now.model.features.actuation && actuator.feeds_back()) {
             return;
         }
-        actuator.transmission().pairs(now.model, now.qpos, |i, j, product: R| {
+        actuator.transmission().pairs(now.model, now.qpos, now.frames.pulls, |i, j, product: R| {
             let slopes = [1, 2].map(|n| -(product * R::of(actuator.bias[n])));
             let Some([lo, hi]) = actuator.forcerange else { return add(i, j, slopes) };
             let force = now.frames.tension[index];
@@ -183,7 +200,7 @@ impl Forces for Actuator {
     }
 
     fn stored<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(R)) {
-        add(stored_under(now.model, index, now.qpos, now.inputs.ctrl[index]));
+        add(stored_under(now.model, index, now.qpos, now.frames.pulls, now.inputs.ctrl[index]));
     }
 
     fn power<R: Real>(
@@ -202,8 +219,7 @@ impl Forces for Actuator {
                 actuator.bounded(asked + R::of(actuator.bias[0]))
             }
         };
-        actuator
-            .transmission()
-            .arms(model, now.qpos, |dof, arm: R| add(force * (arm * velocity(dof))));
+        let mut work = |dof, arm: R| add(force * (arm * velocity(dof)));
+        actuator.transmission().arms(model, now.qpos, now.frames.pulls, &mut work);
     }
 }

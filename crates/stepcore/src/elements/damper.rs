@@ -10,7 +10,7 @@ pub(super) struct Damper;
 
 /// −(a + b |v| + c v²) v: MuJoCo's polynomial, odd in v (documentation, "Polynomial forces").
 #[inline(always)]
-fn pull<R: Real>(&[a, b, c]: &Coefficients, velocity: R) -> R {
+pub(super) fn pull<R: Real>(&[a, b, c]: &Coefficients, velocity: R) -> R {
     let mut damping = R::of(a);
     if b != 0.0 || c != 0.0 {
         damping += R::of(b) * velocity.abs() + R::of(c) * velocity * velocity;
@@ -20,7 +20,7 @@ fn pull<R: Real>(&[a, b, c]: &Coefficients, velocity: R) -> R {
 
 /// Minus the derivative of that: a + 2 b |v| + 3 c v².
 #[inline(always)]
-fn slope<R: Real>(&[a, b, c]: &Coefficients, velocity: R) -> R {
+pub(super) fn slope<R: Real>(&[a, b, c]: &Coefficients, velocity: R) -> R {
     let mut damping = R::of(a);
     if b != 0.0 || c != 0.0 {
         damping += R::of(2.0 * b) * velocity.abs() + R::of(3.0 * c) * velocity * velocity;

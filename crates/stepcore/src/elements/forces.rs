@@ -8,9 +8,10 @@ use super::damper::Damper;
 use super::force::{Forces, Group, Late, Moment, Sum};
 use super::gravity::Gravity;
 use super::spring::Spring;
+use super::tendon_spring::{TendonDamper, TendonSpring};
 use super::{Element, Kind};
 use crate::model::{Model, NONE};
-use crate::place::Frames;
+use crate::place::{Frames, Pulls};
 use crate::real::Real;
 use crate::state::Inputs;
 
@@ -131,7 +132,7 @@ macro_rules! forces {
 }
 
 // In the order in which they are added up.
-forces!(Damper, Spring, Actuator, JointForce, BodyForce, Gravity);
+forces!(Damper, Spring, TendonSpring, TendonDamper, Actuator, JointForce, BodyForce, Gravity);
 
 /// The force of all elements of one kind on the dofs at many states [N or N·m], for kinds that
 /// depend on their own joint alone: springs, dampers and actuators. None for others.
@@ -151,8 +152,10 @@ pub fn joint_forces(
     for (n, (qpos, qvel)) in qpos.chunks(model.nq).zip(qvel.chunks(model.nv)).enumerate() {
         let nu = tension.len();
         inputs.ctrl.copy_from_slice(&ctrl[n * nu..(n + 1) * nu]);
-        tensions(model, qpos, qvel, &inputs, &mut tension);
-        let frames = Frames { xpos: &[], xmat: &[], origin: &[], motion: &[], tension: &tension };
+        let pulls = Pulls { length: &[], arms: &[] };
+        tensions(model, qpos, qvel, &inputs, pulls, &mut tension);
+        let tension = &tension;
+        let frames = Frames { xpos: &[], xmat: &[], origin: &[], motion: &[], tension, pulls };
         let now = Moment { model, frames, qpos, qvel, inputs: &inputs };
         let start = all.len();
         all.resize(start + model.nv, 0.0);

@@ -2,11 +2,12 @@
 
 use super::constraint::{Constraint, Makings};
 use super::{Element, Kind};
-use crate::model::Model;
+use crate::model::{Model, Span};
 use crate::real::{Mask, Real};
+use crate::scene::Softness;
 use crate::settings::Law;
 use crate::solve::law::{least_softness, OnGuess, SolRef};
-use crate::solve::{Rows, Set};
+use crate::solve::{Rows, Set, Situation};
 use std::slice;
 
 pub(super) struct FrictionLoss;
@@ -20,37 +21,68 @@ impl Constraint for FrictionLoss {
 
     fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
         let now = makings.now;
-        let (model, settings) = (now.model, now.settings);
+        let model = now.model;
         if !model.features.frictionloss {
             return;
         }
-        let dt = settings.dt;
-        // Half a step's for the mean velocity, and half for the last: see `commit/halves.rs`.
-        let most = if now.halves() { 0.5 * dt } else { dt };
         for &k in &model.rubbing {
             let dof = &model.dofs[k];
             if now.rests(dof.tree) {
                 continue;
             }
-            let dofs = model.chain_of_dof(k);
-            rows.clear_scratch(dofs.of(&model.dof_lists));
-            rows.scratch[k] = R::one();
-            let mass = model.trees[dof.tree].mass;
-            let first = rows.rows.len();
-            let row = rows.push_scratch(now, dofs);
-            row.lo = R::of(-most * dof.frictionloss);
-            row.hi = R::of(most * dof.frictionloss);
-            if settings.law == Law::SolRef {
-                let law =
-                    SolRef::at(&dof.friction, R::zero(), dt, settings.refsafe).without_position();
-                let least = least_softness(slice::from_ref(row), mass);
-                law.fill(row, R::zero(), R::of(dof.invweight), least, R::of(dt));
-            } else {
-                OnGuess::new(now).friction(row);
-            }
-            let part = k - model.joints[dof.joint].dof;
-            let element = Element::part(Kind::FrictionLoss, dof.joint, part);
-            rows.push_block(first, Set::Interval, R::Mask::of(true), now, element, mass);
+            let loss = Loss {
+                element: Element::part(
+                    Kind::FrictionLoss,
+                    dof.joint,
+                    k - model.joints[dof.joint].dof,
+                ),
+                most: dof.frictionloss,
+                soft: &dof.friction,
+                dofs: model.chain_of_dof(k),
+                invweight: dof.invweight,
+                mass: model.trees[dof.tree].mass,
+            };
+            rows.friction_loss(now, &loss, |rows| rows.scratch[k] = R::one());
         }
+    }
+}
+
+/// Dry friction along a length, and the row that it becomes.
+pub(super) struct Loss<'a> {
+    pub element: Element,
+    /// The largest force.
+    pub most: f64,
+    pub soft: &'a Softness,
+    /// Into `Model::dof_lists`.
+    pub dofs: Span,
+    pub invweight: f64,
+    pub mass: f64,
+}
+
+impl<R: Real> Rows<R> {
+    /// The row of a friction loss; `arms` puts ∂length/∂dof into `scratch`.
+    pub(super) fn friction_loss(
+        &mut self,
+        now: &Situation<R>,
+        loss: &Loss,
+        arms: impl FnOnce(&mut Self),
+    ) {
+        let (settings, dt) = (now.settings, now.settings.dt);
+        // Half a step's for the mean velocity, and half for the last: see `commit/halves.rs`.
+        let most = if now.halves() { 0.5 * dt } else { dt };
+        self.clear_scratch(loss.dofs.of(&now.model.dof_lists));
+        arms(self);
+        let first = self.rows.len();
+        let row = self.push_scratch(now, loss.dofs);
+        row.lo = R::of(-most * loss.most);
+        row.hi = R::of(most * loss.most);
+        if settings.law == Law::SolRef {
+            let law = SolRef::at(loss.soft, R::zero(), dt, settings.refsafe).without_position();
+            let least = least_softness(slice::from_ref(row), loss.mass);
+            law.fill(row, R::zero(), R::of(loss.invweight), least, R::of(dt));
+        } else {
+            OnGuess::new(now).friction(row);
+        }
+        self.push_block(first, Set::Interval, R::Mask::of(true), now, loss.element, loss.mass);
     }
 }

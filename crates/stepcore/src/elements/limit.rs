@@ -2,9 +2,9 @@
 
 use super::constraint::{Constraint, Makings};
 use super::{Element, Kind};
-use crate::model::Model;
+use crate::model::{Model, Span};
 use crate::real::{Mask, Real};
-use crate::scene::JointType;
+use crate::scene::{JointType, Softness};
 use crate::solve::law::{least_softness, Near, OnGuess, SolRef, NEAR};
 use crate::solve::{Guessed, Rows, Set, Situation};
 use crate::transmission::{Reach, Transmission};
@@ -30,42 +30,74 @@ impl Constraint for Limit {
             if now.rests(now.model.dofs[joint.dof].tree) {
                 continue;
             }
-            let reach = Transmission::Joint(index).reach(now.model, now.qpos);
+            let reach = Reach::of(now.model, index, now.qpos);
+            let bound = |side: usize, phi: R| Bound {
+                element: Element::part(Kind::Limit, index, side),
+                phi,
+                range: [lo, hi],
+                margin: joint.margin,
+                soft: &joint.limit,
+                dofs: Transmission::Joint(index).dofs(now.model),
+                invweight: now.model.dofs[joint.dof].invweight,
+                mass: now.model.trees[now.model.dofs[joint.dof].tree].mass,
+            };
             // The angle of a ball has no lower bound but zero.
             if joint.kind != JointType::Ball {
-                rows.limit(now, index, 0, reach.length - R::of(lo), &reach);
+                let lower = bound(0, reach.length - R::of(lo));
+                rows.limit(now, &lower, |rows| rows.joint_arms(&reach, false));
             }
-            rows.limit(now, index, 1, R::of(hi) - reach.length, &reach);
+            let upper = bound(1, R::of(hi) - reach.length);
+            rows.limit(now, &upper, |rows| rows.joint_arms(&reach, true));
         }
     }
 }
 
+/// One bound of a length, and the row that it becomes.
+pub(super) struct Bound<'a, R: Real> {
+    /// Part 0: the lower bound, from which φ grows with the length; 1: the upper one.
+    pub element: Element,
+    /// How far the length is from it.
+    pub phi: R,
+    pub range: [f64; 2],
+    pub margin: f64,
+    pub soft: &'a Softness,
+    /// Into `Model::dof_lists`.
+    pub dofs: Span,
+    pub invweight: f64,
+    pub mass: f64,
+}
+
 impl<R: Real> Rows<R> {
-    /// One bound at distance φ: the lower one (side 0) grows with the length, the upper one
-    /// (side 1) falls.
-    fn limit(&mut self, now: &Situation<R>, index: usize, side: usize, phi: R, reach: &Reach<R>) {
-        let (model, settings) = (now.model, now.settings);
-        let joint = &model.joints[index];
-        let near = phi.lt(R::of(joint.margin));
+    /// ∂φ/∂dof of a bound of a joint.
+    fn joint_arms(&mut self, reach: &Reach<R>, upper: bool) {
+        for (dof, arm) in reach.arms() {
+            self.scratch[dof] = if upper { -arm } else { arm };
+        }
+    }
+
+    /// The row of a bound; `arms` puts ∂φ/∂dof into `scratch`.
+    pub(super) fn limit(
+        &mut self,
+        now: &Situation<R>,
+        bound: &Bound<R>,
+        arms: impl FnOnce(&mut Self),
+    ) {
+        let (model, settings, phi) = (now.model, now.settings, bound.phi);
+        let near = phi.lt(R::of(bound.margin));
         // `penalty` is a law of contacts alone: limits stay MuJoCo's.
         let by_position = !settings.law.on_guess();
         if by_position && near.none() {
             return;
         }
-        let dofs = Transmission::Joint(index).dofs(model);
-        self.clear_scratch(dofs.of(&model.dof_lists));
-        for (dof, arm) in reach.arms() {
-            self.scratch[dof] = if side == 0 { arm } else { -arm };
-        }
+        self.clear_scratch(bound.dofs.of(&model.dof_lists));
+        arms(self);
         let first = self.rows.len();
-        let mass = model.trees[model.dofs[joint.dof].tree].mass;
-        let row = self.push_scratch(now, dofs);
+        let row = self.push_scratch(now, bound.dofs);
         let mask = if by_position {
-            let dof = &model.dofs[joint.dof];
-            let r = phi - R::of(joint.margin);
-            let law = SolRef::at(&joint.limit, r, settings.dt, settings.refsafe);
-            let least = least_softness(slice::from_ref(row), mass);
-            law.fill(row, r, R::of(dof.invweight), least, R::of(settings.dt));
+            let r = phi - R::of(bound.margin);
+            let law = SolRef::at(bound.soft, r, settings.dt, settings.refsafe);
+            let least = least_softness(slice::from_ref(row), bound.mass);
+            law.fill(row, r, R::of(bound.invweight), least, R::of(settings.dt));
             near
         } else {
             let Guessed { closing, gained } = self.guessed(now, first, phi);
@@ -73,14 +105,13 @@ impl<R: Real> Rows<R> {
             let near = Near { phi, closing, gained, arrives, far };
             let law = OnGuess::new(now);
             law.distance(&mut self.rows[first], &near, 0.0, law.push(phi));
-            let [lo, hi] = joint.range.unwrap_or_default();
+            let [lo, hi] = bound.range;
             closing.or(phi.le(R::of(NEAR * (hi - lo))))
         };
         if mask.none() {
             self.pop_row();
             return;
         }
-        let element = Element::part(Kind::Limit, index, side);
-        self.push_block(first, Set::Interval, mask, now, element, mass);
+        self.push_block(first, Set::Interval, mask, now, bound.element, bound.mass);
     }
 }

@@ -24,6 +24,9 @@ mod limit;
 mod name;
 pub(crate) mod penalty;
 mod spring;
+mod tendon_friction;
+mod tendon_limit;
+pub(crate) mod tendon_spring;
 mod text;
 mod weld;
 
@@ -40,6 +43,7 @@ pub enum Kind {
     Joint,
     Geom,
     Site,
+    Tendon,
     Equality,
     Key,
     /// A motor or a servo.
@@ -51,6 +55,12 @@ pub enum Kind {
     FrictionLoss,
     /// Part: 0 for the lower bound, 1 for the upper one.
     Limit,
+    // Of a tendon, by its index.
+    TendonSpring,
+    TendonDamper,
+    TendonFriction,
+    /// Part: 0 for the lower bound, 1 for the upper one.
+    TendonLimit,
     /// The inertial forces of a tree, identified by the joint on which they do most work.
     Inertia,
     /// `qfrc_applied` on a joint.
@@ -73,11 +83,12 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the enum.
-    pub const ALL: [Self; 19] = [
+    pub const ALL: [Self; 24] = [
         Self::Body,
         Self::Joint,
         Self::Geom,
         Self::Site,
+        Self::Tendon,
         Self::Equality,
         Self::Key,
         Self::Actuator,
@@ -85,6 +96,10 @@ impl Kind {
         Self::Damper,
         Self::FrictionLoss,
         Self::Limit,
+        Self::TendonSpring,
+        Self::TendonDamper,
+        Self::TendonFriction,
+        Self::TendonLimit,
         Self::Inertia,
         Self::JointForce,
         Self::BodyForce,
@@ -107,6 +122,7 @@ impl Kind {
             Self::Joint => "joint",
             Self::Geom => "geom",
             Self::Site => "site",
+            Self::Tendon => "tendon",
             Self::Equality => "equality",
             Self::Key => "key",
             Self::Actuator => "actuator",
@@ -114,6 +130,10 @@ impl Kind {
             Self::Damper => "damper",
             Self::FrictionLoss => "friction loss",
             Self::Limit => "limit",
+            Self::TendonSpring => "tendon spring",
+            Self::TendonDamper => "tendon damper",
+            Self::TendonFriction => "tendon friction loss",
+            Self::TendonLimit => "tendon limit",
             Self::Inertia => "inertia",
             Self::JointForce => "qfrc_applied",
             Self::BodyForce => "xfrc_applied",

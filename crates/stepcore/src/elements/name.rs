@@ -17,11 +17,17 @@ impl Model {
     pub fn element_name(&self, element: Element) -> String {
         let index = element.index as usize;
         let joint = |words: &str| quoted(words, &self.joints[index].name, index);
+        let tendon = |words: &str| quoted(words, &self.tendons[index].name, index);
         match element.kind {
             Kind::Body => quoted("body", &self.bodies[index].name, index),
             Kind::Joint => joint("joint"),
             Kind::Geom => quoted("geom", &self.geoms[index].name, index),
             Kind::Site => quoted("site", &self.sites[index].name, index),
+            Kind::Tendon => tendon("tendon"),
+            Kind::TendonSpring => tendon("tendon spring"),
+            Kind::TendonDamper => tendon("tendon damper"),
+            Kind::TendonFriction => tendon("friction loss of tendon"),
+            Kind::TendonLimit => tendon("limit of tendon"),
             Kind::Equality => quoted("equality", &self.equalities[index].name, index),
             Kind::Key => quoted("key", &self.keys[index].name, index),
             Kind::Actuator => {
@@ -66,6 +72,11 @@ impl Model {
             | Kind::JointForce => self.joints.len(),
             Kind::Geom => self.geoms.len(),
             Kind::Site => self.sites.len(),
+            Kind::Tendon
+            | Kind::TendonSpring
+            | Kind::TendonDamper
+            | Kind::TendonFriction
+            | Kind::TendonLimit => self.tendons.len(),
             Kind::Equality | Kind::Connect | Kind::Weld | Kind::JointEquality => {
                 self.equalities.len()
             }

@@ -14,7 +14,7 @@ pub(super) struct Spring;
 /// Calls `add(part, force)` with −(a + b x + c x²) s for every part of a stretch s, x being its
 /// length: MuJoCo's polynomial (documentation, "Polynomial forces").
 #[inline(always)]
-fn pull<R: Real>(law: &Coefficients, stretch: &[R], mut add: impl FnMut(usize, R)) {
+pub(super) fn pull<R: Real>(law: &Coefficients, stretch: &[R], mut add: impl FnMut(usize, R)) {
     let [mut k, b, c] = law.map(R::of);
     if !linear(law) {
         let x = length(stretch);
@@ -27,14 +27,14 @@ fn pull<R: Real>(law: &Coefficients, stretch: &[R], mut add: impl FnMut(usize, R
 
 /// Minus the derivative of that along the stretch: a + 2 b x + 3 c x².
 #[inline(always)]
-fn slope<R: Real>(law: &Coefficients, stretch: &[R]) -> R {
+pub(super) fn slope<R: Real>(law: &Coefficients, stretch: &[R]) -> R {
     let ([a, b, c], x) = (law.map(R::of), length(stretch));
     a + R::of(2.0) * b * x + R::of(3.0) * c * x * x
 }
 
 /// a x²/2 + b x³/3 + c x⁴/4, the first part by part.
 #[inline(always)]
-fn energy<R: Real>(law: &Coefficients, stretch: &[R], mut add: impl FnMut(R)) {
+pub(super) fn energy<R: Real>(law: &Coefficients, stretch: &[R], mut add: impl FnMut(R)) {
     let [a, b, c] = *law;
     for s in stretch {
         add(R::of(0.5 * a) * *s * *s);

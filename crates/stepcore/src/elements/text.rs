@@ -20,6 +20,10 @@ impl Named {
             | Kind::Damper
             | Kind::FrictionLoss
             | Kind::Limit
+            | Kind::TendonSpring
+            | Kind::TendonDamper
+            | Kind::TendonFriction
+            | Kind::TendonLimit
             | Kind::Inertia
             | Kind::JointForce
             | Kind::BodyForce

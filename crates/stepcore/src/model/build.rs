@@ -1,7 +1,9 @@
 //! From a `Scene` to a `Model`: check, lay out, weigh, pair.
 
 use super::slots::Slots;
-use super::{apart, check, heap, inertia, invweight, meshes, pairs, pose, ties, tree, Model, NONE};
+use super::{
+    apart, check, heap, inertia, invweight, meshes, pairs, pose, tendons, ties, tree, Model, NONE,
+};
 use crate::error::Result;
 use crate::scene::Scene;
 
@@ -20,6 +22,7 @@ impl Model {
         pairs::planes_stand_still(&model)?;
         let aligned = inertia::weigh(scene, &assets, &mut model)?;
         let poses = pose::at_qpos0(&model.bodies);
+        tendons::fill(scene, &mut model);
         invweight::fill(&mut model, &poses, &aligned)?;
         let mut unions = tree::Unions::default();
         if !pairs::fill(scene, &mut model, &poses, &mut unions, most_fixed)? {
@@ -28,11 +31,11 @@ impl Model {
         ties::fill(scene, &mut model, &poses, &mut unions)?;
         let tied: Vec<usize> = model.equalities.iter().flat_map(|e| e.placed()).collect();
         let met = model.geoms.iter().filter(|g| g.collides).map(|g| g.body);
-        let met = trees_of(&model, met);
+        let (met, passed) = (trees_of(&model, met), model.passed_by_tendons());
         let tied = trees_of(&model, tied.into_iter());
         for tree in 0..model.trees.len() {
             let turns = !model.trees[tree].slides_only;
-            model.trees[tree].seen = met[tree] || tied[tree] || turns;
+            model.trees[tree].seen = met[tree] || tied[tree] || passed[tree] || turns;
             let ball = model.free_ball(&model.trees[tree]);
             model.trees[tree].constant = !turns || ball && !tied[tree];
         }

@@ -1,6 +1,8 @@
 //! What a scene must satisfy before it is compiled. Every error names the
 //! element, the field, the value and the limit; nothing is built before all hold.
 
+mod tendon;
+
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{
@@ -138,6 +140,7 @@ pub fn scene(scene: &Scene) -> Result<()> {
         e.direction("quat", &s.quat)?;
     }
     grouped(Kind::Site, scene.sites.iter().map(|s| (&*s.name, s.body)))?;
+    tendon::tendons(scene)?;
     for (i, a) in scene.actuators.iter().enumerate() {
         actuator(&Subject::new(Kind::Actuator, &a.name, i), a, scene)?;
     }
@@ -179,6 +182,7 @@ fn names(scene: &Scene) -> Result<()> {
     once("joints", scene.joints.iter().map(|x| &x.name))?;
     once("geoms", scene.geoms.iter().map(|x| &x.name))?;
     once("sites", scene.sites.iter().map(|x| &x.name))?;
+    once("tendons", scene.tendons.iter().map(|x| &x.name))?;
     once("actuators", scene.actuators.iter().map(|x| &x.name))?;
     once("equalities", scene.equalities.iter().map(|x| &x.name))?;
     once("pairs", scene.pairs.iter().map(|x| &x.name))?;

@@ -3,7 +3,7 @@
 //! damping ratio means is decided by the same factors.
 
 use super::pose::Pose;
-use super::{Body, Dof, Model, Span, Tree, NONE};
+use super::{Body, Dof, Model, Span, Tendon, Tree, NONE};
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::JointType;
@@ -147,6 +147,7 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
     let mut bodies = vec![[0.0; 2]; model.bodies.len()];
     let mut dofs = vec![0.0; model.nv];
     let mut servos = vec![];
+    let mut tendons = vec![0.0; model.tendons.len()];
     for tree in &model.trees {
         let factor = Factor::new(model, poses, &motions, tree)?;
         let (first, n) = (tree.dofs.start, tree.dofs.len);
@@ -167,6 +168,9 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
             dofs[i] = factor.weight(unit);
         }
         servos.extend(moved_by_servos(&factor));
+        for (weight, tendon) in tendons.iter_mut().zip(&model.tendons) {
+            *weight += tendon_weight(&factor, tendon);
+        }
     }
     for (index, inertia) in servos {
         let servo = &mut model.actuators[index];
@@ -183,6 +187,7 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
         bodies[i] = [1.0 / body.mass, 0.0];
         dofs[body.dofs.range()].fill(1.0 / body.mass);
     }
+    model.tendons.iter_mut().zip(tendons).for_each(|(t, x)| t.invweight = x);
     model.bodies.iter_mut().zip(bodies).for_each(|(b, x)| b.invweight = x);
     model.dofs.iter_mut().zip(dofs).for_each(|(d, x): (&mut Dof, f64)| d.invweight = x);
     Ok(())
@@ -205,6 +210,17 @@ fn moved_by_servos(factor: &Factor) -> Vec<(usize, f64)> {
         (index, if weight > 0.0 { 1.0 / weight } else { 0.0 })
     };
     (0..model.actuators.len()).filter(own).map(inertia).collect()
+}
+
+/// The part of J M⁻¹ Jᵀ of a tendon that this tree gives.
+fn tendon_weight(factor: &Factor, tendon: &Tendon) -> f64 {
+    let mut row = DVector::zeros(factor.tree.len);
+    for (dof, arm) in tendon.dofs.of(&factor.model.dof_lists).iter().zip(&tendon.arms0) {
+        if factor.tree.range().contains(dof) {
+            row[dof - factor.tree.start] = *arm;
+        }
+    }
+    factor.weight(row)
 }
 
 fn body_weight(factor: &Factor, motions: &[Motion], body: &Body, com: Vector3<f64>) -> [f64; 2] {

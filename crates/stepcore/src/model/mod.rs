@@ -20,6 +20,7 @@ mod slots;
 mod solid;
 mod still;
 mod tally;
+mod tendons;
 #[cfg(test)]
 mod tests;
 mod ties;
@@ -31,6 +32,7 @@ pub use material::Material;
 pub use pairs::Never;
 pub use plan::Unmet;
 pub use tally::Tally;
+pub use tendons::{Course, Mover, Point, Round, Stretch, Tendon};
 pub use ties::{Coupling, Ends, Equality, Tie};
 pub(crate) use union::Union;
 
@@ -244,6 +246,7 @@ pub struct Model {
     pub trees: Vec<Tree>,
     pub geoms: Vec<Geom>,
     pub sites: Vec<Site>,
+    pub tendons: Vec<Tendon>,
     /// Empty in a heap.
     pub pairs: Vec<Pair>,
     /// There are too many pairs that could meet for a list of them.
@@ -328,8 +331,8 @@ impl Model {
         Some(row.start + at)
     }
 
-    /// The island of each tree, by its lowest tree: trees that some pair or equality can connect share
-    /// one. In a heap pairs connect trees only while they touch: see `solve/live.rs`.
+    /// The island of each tree, by its lowest tree: trees that some pair, equality or tendon
+    /// can connect share one. In a heap pairs connect trees only while they touch: see `solve/live.rs`.
     pub fn islands(&self) -> Vec<usize> {
         let mut island = Union::new(self.trees.len());
         let meets = self.pairs.iter().map(|p| [self.geoms[p.geom1].body, self.geoms[p.geom2].body]);
@@ -339,9 +342,10 @@ impl Model {
                 island.join(a, b);
             }
         }
-        for equality in &self.equalities {
-            for dofs in equality.dofs.of(&self.dof_lists).windows(2) {
-                island.join(self.dofs[dofs[0]].tree, self.dofs[dofs[1]].tree);
+        let tendons = self.tendons.iter().filter(|tendon| tendon.used).map(|tendon| tendon.dofs);
+        for dofs in self.equalities.iter().map(|equality| equality.dofs).chain(tendons) {
+            for two in dofs.of(&self.dof_lists).windows(2) {
+                island.join(self.dofs[two[0]].tree, self.dofs[two[1]].tree);
             }
         }
         (0..self.trees.len()).map(|tree| island.of(tree)).collect()

@@ -2,27 +2,32 @@
 //! in the order in which their rows are made.
 
 use super::heap::MOST_TOUCHES;
-use super::{Model, Pair, NONE};
+use super::{Model, Pair, Tendon, NONE};
 use crate::elements::{Element, Kind};
 use std::ops::Range;
 
-/// Bounds of a joint.
+/// Bounds of a joint or a tendon.
 pub const SIDES: usize = 2;
 
-/// Where each kind's slots begin: equalities, then the friction losses of dofs, the limits
-/// of joints, the contacts of pairs.
+/// Where each kind's slots begin: equalities, then the friction losses of dofs and of
+/// tendons, the limits of joints and of tendons, the contacts of pairs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Slots {
     losses: usize,
+    tendon_losses: usize,
     limits: usize,
+    tendon_limits: usize,
     contacts: usize,
 }
 
 impl Slots {
     pub(super) fn of(model: &Model) -> Self {
         let losses = model.equalities.len();
-        let limits = losses + model.nv;
-        Self { losses, limits, contacts: limits + SIDES * model.joints.len() }
+        let tendon_losses = losses + model.nv;
+        let limits = tendon_losses + model.tendons.len();
+        let tendon_limits = limits + SIDES * model.joints.len();
+        let contacts = tendon_limits + SIDES * model.tendons.len();
+        Self { losses, tendon_losses, limits, tendon_limits, contacts }
     }
 }
 
@@ -32,7 +37,9 @@ impl Model {
         let (index, part) = (element.index as usize, element.part as usize);
         let slot = match element.kind {
             Kind::FrictionLoss => self.slots.losses + self.joints[index].dof + part,
+            Kind::TendonFriction => self.slots.tendon_losses + index,
             Kind::Limit => self.slots.limits + SIDES * index + part,
+            Kind::TendonLimit => self.slots.tendon_limits + SIDES * index + part,
             Kind::Contact => {
                 let fixed = self.pairs.get(index).map(|pair| pair.slot);
                 self.slots.contacts + fixed.unwrap_or(index * MOST_TOUCHES) + part
@@ -62,13 +69,20 @@ impl Model {
         let ties = self.equalities.iter().map(|e| self.dofs[e.dofs.of(&self.dof_lists)[0]].tree);
         let losses = self.dofs.iter().map(|dof| dof.tree);
         let limits = self.joints.iter().flat_map(|joint| [tree(joint.body); SIDES]);
+        let moved = |tendon: &Tendon| {
+            tendon.dofs.of(&self.dof_lists).first().map_or(NONE, |dof| self.dofs[*dof].tree)
+        };
+        let tendon_losses = self.tendons.iter().map(moved);
+        let tendon_limits = self.tendons.iter().flat_map(|tendon| [moved(tendon); SIDES]);
         let contacts = self.pairs.iter().flat_map(|p| {
             let tree = either(self.geoms[p.geom1].body, self.geoms[p.geom2].body);
             std::iter::repeat_n(tree, p.test.most_touches())
         });
         let mut used = vec![0; islands.len()];
         ties.chain(losses)
+            .chain(tendon_losses)
             .chain(limits)
+            .chain(tendon_limits)
             .chain(contacts)
             .map(|tree| {
                 // What ties the world to itself has no rows.

@@ -23,6 +23,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         trees: vec![],
         geoms: scene.geoms.iter().zip(assets).map(|(g, asset)| geom(g, asset)).collect(),
         sites: vec![],
+        tendons: vec![],
         pairs: vec![],
         heap: None,
         materials: vec![],

@@ -1,6 +1,6 @@
 //! The smooth forces on the dofs: everything in `elements/` that pushes without rows.
 
-use super::{Frames, Placed};
+use super::{Frames, Placed, Pulls};
 use crate::elements::actuator::tensions;
 use crate::elements::force::{Group, Moment, Sum};
 use crate::elements::forces::push;
@@ -16,9 +16,10 @@ impl<R: Real> Placed<R> {
         qvel: &[R],
         inputs: &Inputs<R>,
     ) {
-        tensions(model, qpos, qvel, inputs, &mut self.actuator);
         let Self { xpos, xmat, origin, motion, actuator, passive, bias, force, wrench, .. } = self;
-        let frames = Frames { xpos, xmat, origin, motion, tension: actuator };
+        let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };
+        tensions(model, qpos, qvel, inputs, pulls, actuator);
+        let frames = Frames { xpos, xmat, origin, motion, tension: actuator, pulls };
         let now = Moment { model, frames, qpos, qvel, inputs };
         push(&now, Group::Passive, &mut Sum { force: passive, wrench });
         for k in 0..model.nv {

@@ -9,6 +9,8 @@ mod factor;
 mod force;
 mod inertia;
 mod kinematics;
+mod tendon;
+mod wrap;
 
 pub use factor::Metric;
 
@@ -49,6 +51,10 @@ pub struct Placed<R: Real> {
     pub bias: Vec<R>,
     /// Joint springs and dampers, by dof.
     pub passive: Vec<R>,
+    /// Length of each tendon [m, or that of its joints], and its arms in the layout of
+    /// `Tendon::arms`; of tendons that no step uses, from when they were last read.
+    pub tendon_length: Vec<R>,
+    pub tendon_arms: Vec<R>,
     /// Force of each motor and servo before its gear, by actuator.
     pub actuator: Vec<R>,
     /// All smooth forces summed, by dof: applied + actuated + passive − bias.
@@ -67,6 +73,7 @@ pub(crate) struct Frames<'a, R: Real> {
     pub motion: &'a [Motion<R>],
     /// `Placed::actuator`.
     pub tension: &'a [R],
+    pub pulls: Pulls<'a, R>,
 }
 
 impl<R: Real> Frames<'_, R> {
@@ -77,8 +84,16 @@ impl<R: Real> Frames<'_, R> {
     }
 }
 
+/// Lengths that were placed: by tendon, and their arms (see `Tendon::arms`).
+#[derive(Clone, Copy)]
+pub struct Pulls<'a, R: Real> {
+    pub length: &'a [R],
+    pub arms: &'a [R],
+}
+
 room!(Placed<R>: xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, mass,
-    velocity, acceleration, wrench, bias, passive, actuator, force, u, guess; metric);
+    velocity, acceleration, wrench, bias, passive, tendon_length, tendon_arms, actuator, force, u, guess;
+    metric);
 
 impl<R: Real> Placed<R> {
     pub fn new(model: &Model) -> Self {
@@ -103,6 +118,8 @@ impl<R: Real> Placed<R> {
             wrench: vec![Force::zero(); nbody],
             bias: vec![zero; nv],
             passive: vec![zero; nv],
+            tendon_length: vec![zero; model.tendons.len()],
+            tendon_arms: vec![zero; model.tendons.iter().map(|t| t.arms.len).sum()],
             actuator: vec![zero; model.actuators.len()],
             force: vec![zero; nv],
             u: vec![zero; nv],
@@ -120,6 +137,7 @@ impl<R: Real> Placed<R> {
             self.place_body(model, &qpos, body);
         }
         self.placed = true;
+        self.constant_arms(model);
         for geom in 0..model.geoms.len() {
             self.place_geom(model, geom);
         }
@@ -134,11 +152,13 @@ impl<R: Real> Placed<R> {
     /// Positions only: bodies, geoms and the motion of every dof.
     pub fn positions(&mut self, model: &Model, qpos: &[R]) {
         self.place_trees(model, qpos, |_| true);
+        self.place_tendons(model, qpos, |_| true);
     }
 
     /// The same where a step needs it: see `Tree::seen`.
     pub fn positions_in_step(&mut self, model: &Model, qpos: &[R]) {
         self.place_trees(model, qpos, |tree| tree.seen);
+        self.place_tendons(model, qpos, |tendon| tendon.used);
     }
 
     fn place_trees(&mut self, model: &Model, qpos: &[R], needed: impl Fn(&Tree) -> bool) {
@@ -180,7 +200,14 @@ impl<R: Real> Placed<R> {
             origin: &self.origin,
             motion: &self.motion,
             tension: &self.actuator,
+            pulls: self.pulls(),
         }
+    }
+
+    /// Lengths and arms of tendons.
+    #[inline(always)]
+    pub(crate) fn pulls(&self) -> Pulls<'_, R> {
+        Pulls { length: &self.tendon_length, arms: &self.tendon_arms }
     }
 
     /// The smooth dynamics at (qpos, qvel): M, its factors, and the forces.

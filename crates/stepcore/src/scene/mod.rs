@@ -11,6 +11,7 @@ mod geom;
 mod joint;
 mod site;
 mod softness;
+mod tendon;
 
 pub use crate::assets::{HField, Mesh, MeshInertia};
 pub use actuator::Actuator;
@@ -21,6 +22,7 @@ pub use geom::{Geom, GeomType};
 pub use joint::{Coefficients, Joint, JointType, NONE};
 pub use site::Site;
 pub use softness::Softness;
+pub use tendon::{Stop, Tendon, AUTOMATIC};
 
 /// A keyframe: a state by name. None: qpos0, and zeros.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -85,6 +87,7 @@ pub struct Scene {
     pub meshes: Vec<Mesh>,
     pub hfields: Vec<HField>,
     pub sites: Vec<Site>,
+    pub tendons: Vec<Tendon>,
     pub actuators: Vec<Actuator>,
     pub equalities: Vec<Equality>,
     pub keys: Vec<Key>,
@@ -107,6 +110,7 @@ impl Default for Scene {
             meshes: vec![],
             hfields: vec![],
             sites: vec![],
+            tendons: vec![],
             actuators: vec![],
             equalities: vec![],
             keys: vec![],

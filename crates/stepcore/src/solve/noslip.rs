@@ -28,7 +28,7 @@ enum Friction {
 fn friction<R: Real>(block: &Block<R>) -> Friction {
     match (block.set, block.element.kind) {
         (Set::Convex, _) => Friction::Cone,
-        (Set::Interval, Kind::FrictionLoss) => Friction::Loss,
+        (Set::Interval, Kind::FrictionLoss | Kind::TendonFriction) => Friction::Loss,
         (Set::Interval, Kind::Contact) if block.rows.len > 1 => Friction::Edges,
         _ => Friction::None,
     }

@@ -11,6 +11,7 @@ mod past;
 mod post_mortem;
 mod readout;
 mod tape;
+mod tendons;
 mod watched;
 
 pub use count::Counter;

@@ -14,9 +14,8 @@ TENDON = spec(
         "spatial": spec(
             f"{_TENDON} {_LOOK}",
             {"site": spec("site!"), "geom": spec("geom! sidesite"), "pulley": spec("divisor!:1")},
-            role="unbuilt",
         ),
-        "fixed": spec(_TENDON, {"joint": spec("joint! coef!:1")}, role="unbuilt"),
+        "fixed": spec(_TENDON, {"joint": spec("joint! coef!:1")}),
     },
 )
 # Both kinds share one set of defaults.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from stepcore.mjcf import custom
-from stepcore.mjcf.write import actuators, assets, contacts, equalities, keyframes
+from stepcore.mjcf.write import actuators, assets, contacts, equalities, keyframes, tendons
 from stepcore.mjcf.write.names import Names
 from stepcore.mjcf.write.option import add_compiler, add_option
 from stepcore.mjcf.write.tags import Tag, printed
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 # elements by name say in `referred` to which, so that all of these have names.
 SECTIONS = {
     "contact": contacts,
+    "tendon": tendons,
     "equality": equalities,
     "actuator": actuators,
     "keyframe": keyframes,

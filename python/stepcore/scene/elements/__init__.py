@@ -19,6 +19,8 @@ from stepcore.scene.elements.field_types import SOLREF as SOLREF
 from stepcore.scene.elements.geom import Geom as Geom
 from stepcore.scene.elements.joint import Joint as Joint
 from stepcore.scene.elements.site import Site as Site
+from stepcore.scene.elements.tendon import Pulley as Pulley
+from stepcore.scene.elements.tendon import Tendon as Tendon
 from stepcore.scene.elements.world import Features as Features
 from stepcore.scene.elements.world import Key as Key
 from stepcore.scene.elements.world import MassRules as MassRules

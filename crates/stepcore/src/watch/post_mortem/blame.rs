@@ -65,6 +65,8 @@ impl<R: Real> Sim<R> {
         let acts = |forces: &[R]| forces.iter().any(|force| force.lane(lane) != 0.0);
         match element.kind {
             Kind::Spring => model.joints[index].stiffness.iter().any(|k| *k != 0.0),
+            Kind::TendonSpring => model.tendons[index].stiffness.iter().any(|k| *k != 0.0),
+            Kind::TendonDamper => model.tendons[index].damping.iter().any(|d| *d != 0.0),
             Kind::Damper => model.joints[index].damping.iter().any(|d| *d != 0.0),
             Kind::JointForce => {
                 let joint = &model.joints[index];

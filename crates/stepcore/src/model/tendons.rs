@@ -1,0 +1,258 @@
+//! Tendons compiled: their stretches, the dofs that move them, and what they are at qpos0.
+
+use super::{Model, Span};
+use crate::place::Placed;
+use crate::scene::{self, Coefficients, GeomType, Scene, Softness, Stop, AUTOMATIC};
+use crate::transmission::Transmission;
+use nalgebra::Vector3;
+
+/// A point of a body, in its frame [m].
+#[derive(Clone, Copy, Debug)]
+pub struct Point {
+    pub body: usize,
+    pub pos: Vector3<f64>,
+}
+
+/// What a stretch of a tendon goes round.
+#[derive(Clone, Copy, Debug)]
+pub struct Round {
+    pub geom: usize,
+    /// Of a sphere, else of a cylinder without ends.
+    pub sphere: bool,
+    pub radius: f64,
+    pub side: Option<Point>,
+}
+
+/// A dof that moves the ends of a stretch or its geom against each other.
+#[derive(Clone, Copy, Debug)]
+pub struct Mover {
+    pub dof: usize,
+    /// Its place among the tendon's dofs.
+    pub at: usize,
+    /// It moves the first end, the geom, the second end.
+    pub moves: [bool; 3],
+}
+
+/// The path between two sites that follow each other.
+#[derive(Clone, Debug)]
+pub struct Stretch {
+    pub ends: [Point; 2],
+    pub round: Option<Round>,
+    /// One over the divisor of its branch.
+    pub share: f64,
+    pub movers: Vec<Mover>,
+}
+
+/// How its length comes about.
+#[derive(Clone, Debug)]
+pub enum Course {
+    /// (joint, coefficient)
+    Fixed(Vec<(usize, f64)>),
+    Spatial(Vec<Stretch>),
+}
+
+/// A tendon, compiled.
+#[derive(Clone, Debug)]
+pub struct Tendon {
+    pub name: String,
+    pub course: Course,
+    /// Into `Model::dof_lists`: every dof that moves a body it passes, ascending, with all ancestors.
+    pub dofs: Span,
+    /// Into `Placed::tendon_arms`: one entry for each of `dofs`.
+    pub arms: Span,
+    /// Something reads its length in a step.
+    pub used: bool,
+    pub range: Option<[f64; 2]>,
+    pub margin: f64,
+    /// As found where the scene leaves it to be found.
+    pub springlength: [f64; 2],
+    /// Zero where MJCF's flags switch springs and dampers off.
+    pub stiffness: Coefficients,
+    pub damping: Coefficients,
+    pub armature: f64,
+    pub frictionloss: f64,
+    pub actuatorfrcrange: Option<[f64; 2]>,
+    pub limit: Softness,
+    pub friction: Softness,
+    /// Length and arms J at qpos0, and J M⁻¹ Jᵀ there: MuJoCo's `tendon_length0` and
+    /// `tendon_invweight0`.
+    pub length0: f64,
+    pub arms0: Vec<f64>,
+    pub invweight: f64,
+    /// Mass of the trees that it touches, for residuals.
+    pub mass: f64,
+}
+
+impl Tendon {
+    /// Its poses are needed: it runs over points of bodies.
+    pub fn spatial(&self) -> bool {
+        matches!(self.course, Course::Spatial(_))
+    }
+
+    /// It has a force, an inertia or a row of its own.
+    fn acts(&self) -> bool {
+        let pulls = self.stiffness != scene::NONE || self.damping != scene::NONE;
+        pulls || self.armature > 0.0 || self.frictionloss > 0.0 || self.range.is_some()
+    }
+}
+
+/// Compiles the tendons, all but their inverse weights.
+pub fn fill(scene: &Scene, model: &mut Model) {
+    lay_out(scene, model);
+    if !model.tendons.is_empty() {
+        measure(model);
+    }
+}
+
+fn lay_out(scene: &Scene, model: &mut Model) {
+    for source in &scene.tendons {
+        let dofs = dofs(model, source);
+        let start = model.tendons.last().map_or(0, |last| last.arms.start + last.arms.len);
+        let mut trees: Vec<usize> =
+            dofs.of(&model.dof_lists).iter().map(|dof| model.dofs[*dof].tree).collect();
+        trees.dedup();
+        let features = &scene.features;
+        let tendon = Tendon {
+            name: source.name.clone(),
+            course: course(model, source, dofs),
+            dofs,
+            arms: Span { start, len: dofs.len },
+            used: false,
+            range: source.range,
+            margin: source.margin,
+            springlength: source.springlength,
+            stiffness: if features.spring { source.stiffness } else { scene::NONE },
+            damping: if features.damper { source.damping } else { scene::NONE },
+            armature: source.armature,
+            frictionloss: source.frictionloss,
+            actuatorfrcrange: source.actuatorfrcrange,
+            limit: source.limit.clone(),
+            friction: source.friction.clone(),
+            length0: 0.0,
+            arms0: vec![],
+            invweight: 0.0,
+            mass: trees.iter().map(|tree| model.trees[*tree].mass).sum(),
+        };
+        model.tendons.push(tendon);
+    }
+    let driven: Vec<usize> = (model.actuators.iter())
+        .filter_map(|actuator| match actuator.transmission() {
+            Transmission::Tendon(tendon, _) => Some(tendon),
+            _ => None,
+        })
+        .collect();
+    for (index, tendon) in model.tendons.iter_mut().enumerate() {
+        tendon.used = tendon.acts() || driven.contains(&index);
+    }
+}
+
+/// The bodies that a stop of a spatial tendon lies on.
+fn bodies(model: &Model, stop: &Stop) -> Vec<usize> {
+    match *stop {
+        Stop::Joint { joint, .. } => vec![model.joints[joint].body],
+        Stop::Site { site } => vec![model.sites[site].body],
+        Stop::Geom { geom, .. } => vec![model.geoms[geom].body],
+        Stop::Pulley { .. } => vec![],
+    }
+}
+
+/// The union of what moves its stops, as a list of its own.
+fn dofs(model: &mut Model, source: &scene::Tendon) -> Span {
+    let mut union = vec![];
+    for stop in &source.path {
+        match *stop {
+            Stop::Joint { joint, .. } => {
+                let chain = model.chain_of_dof(model.joints[joint].dof);
+                union.extend_from_slice(chain.of(&model.dof_lists));
+            }
+            _ => {
+                for body in bodies(model, stop) {
+                    union.extend_from_slice(model.bodies[body].chain.of(&model.dof_lists));
+                }
+            }
+        }
+    }
+    union.sort_unstable();
+    union.dedup();
+    let span = Span { start: model.dof_lists.len(), len: union.len() };
+    model.dof_lists.extend(union);
+    span
+}
+
+fn course(model: &Model, source: &scene::Tendon, dofs: Span) -> Course {
+    if let Some(Stop::Joint { .. }) = source.path.first() {
+        let part = |stop: &Stop| match *stop {
+            Stop::Joint { joint, coef } => Some((joint, coef)),
+            _ => None,
+        };
+        return Course::Fixed(source.path.iter().filter_map(part).collect());
+    }
+    let point = |site: usize| Point { body: model.sites[site].body, pos: model.sites[site].pos };
+    let (mut stretches, mut last, mut round, mut share) = (vec![], None, None, 1.0);
+    for stop in &source.path {
+        match *stop {
+            Stop::Pulley { divisor } => (last, round, share) = (None, None, 1.0 / divisor),
+            Stop::Geom { geom, side } => {
+                let shape = &model.geoms[geom];
+                let sphere = shape.kind == GeomType::Sphere;
+                let side = side.map(point);
+                round = Some(Round { geom, sphere, radius: shape.size[0], side });
+            }
+            Stop::Site { site } => {
+                let end = point(site);
+                if let Some(first) = last {
+                    let ends = [first, end];
+                    let movers = movers(model, ends, round, dofs.of(&model.dof_lists));
+                    stretches.push(Stretch { ends, round, share, movers });
+                }
+                (last, round) = (Some(end), None);
+            }
+            Stop::Joint { .. } => {}
+        }
+    }
+    Course::Spatial(stretches)
+}
+
+/// The dofs that move some, but not all, of what a stretch hangs on.
+fn movers(model: &Model, ends: [Point; 2], round: Option<Round>, dofs: &[usize]) -> Vec<Mover> {
+    let carries = |body: usize, dof: usize| {
+        model.bodies[body].chain.of(&model.dof_lists).binary_search(&dof).is_ok()
+    };
+    let geom = round.map(|round| model.geoms[round.geom].body);
+    let mover = |(at, &dof): (usize, &usize)| {
+        let [first, second] = ends.map(|end| carries(end.body, dof));
+        let middle = geom.map(|body| carries(body, dof));
+        let all = first && second && middle.unwrap_or(true);
+        let moves = [first, middle.unwrap_or(false), second];
+        (moves.contains(&true) && !all).then_some(Mover { dof, at, moves })
+    };
+    dofs.iter().enumerate().filter_map(mover).collect()
+}
+
+/// What tendons are at qpos0, and where their springs are at rest.
+fn measure(model: &mut Model) {
+    let mut placed = Placed::<f64>::new(model);
+    placed.positions(model, &model.qpos_spring);
+    let rest = placed.tendon_length.clone();
+    placed.positions(model, &model.qpos0);
+    for (index, tendon) in model.tendons.iter_mut().enumerate() {
+        tendon.length0 = placed.tendon_length[index];
+        if tendon.springlength == AUTOMATIC {
+            tendon.springlength = [rest[index]; 2];
+        }
+        tendon.arms0 = tendon.arms.of(&placed.tendon_arms).to_vec();
+    }
+}
+
+impl Model {
+    /// By tree: a spatial tendon that steps read runs over a body of it.
+    pub(super) fn passed_by_tendons(&self) -> Vec<bool> {
+        let mut found = vec![false; self.trees.len()];
+        for tendon in self.tendons.iter().filter(|tendon| tendon.used && tendon.spatial()) {
+            for dof in tendon.dofs.of(&self.dof_lists) {
+                found[self.dofs[*dof].tree] = true;
+            }
+        }
+        found
+    }
+}

@@ -1,0 +1,137 @@
+//! Lengths of tendons and their arms, ∂length/∂dof.
+//!
+//! The shortest path does not change its length, to first order, when the points move along
+//! which it touches a geom: its gradient is that of its straight parts between points fixed to
+//! their bodies.
+
+use super::wrap::{wrap, Obstacle};
+use super::Placed;
+use crate::model::{Course, Model, Point, Round, Stretch, Tendon};
+use crate::real::Real;
+use crate::spatial::{rotate, splat, Force, Pose, Quat, V3};
+
+/// Points of bodies at which a stretch pulls: at both ends, and where it comes to its geom and
+/// leaves it. Directions are of unit length, from the other end of a straight part to this one.
+struct Pull<R: Real> {
+    ends: [(V3<R>, V3<R>); 2],
+    geom: [(V3<R>, V3<R>); 2],
+    length: R,
+}
+
+impl<R: Real> Placed<R> {
+    /// Length and arms of the tendons that are needed; bodies must have been placed.
+    pub(super) fn place_tendons(
+        &mut self,
+        model: &Model,
+        qpos: &[R],
+        needed: impl Fn(&Tendon) -> bool,
+    ) {
+        for (index, tendon) in model.tendons.iter().enumerate().filter(|(_, t)| needed(t)) {
+            match &tendon.course {
+                Course::Fixed(parts) => {
+                    let mut length = R::zero();
+                    for (joint, coef) in parts {
+                        length += R::of(*coef) * qpos[model.joints[*joint].qpos];
+                    }
+                    self.tendon_length[index] = length;
+                }
+                Course::Spatial(stretches) => {
+                    self.tendon_arms[tendon.arms.range()].fill(R::zero());
+                    let mut length = R::zero();
+                    for stretch in stretches {
+                        length += self.place_stretch(model, tendon, stretch);
+                    }
+                    self.tendon_length[index] = length;
+                }
+            }
+        }
+    }
+
+    /// The arms of fixed tendons, which no position changes.
+    pub(super) fn constant_arms(&mut self, model: &Model) {
+        for tendon in &model.tendons {
+            let Course::Fixed(parts) = &tendon.course else { continue };
+            for (joint, coef) in parts {
+                let dof = model.joints[*joint].dof;
+                let dofs = tendon.dofs.of(&model.dof_lists);
+                let at = dofs.iter().position(|k| *k == dof);
+                self.tendon_arms[tendon.arms.start + at.unwrap_or(0)] += R::of(*coef);
+            }
+        }
+    }
+
+    fn point(&self, point: &Point) -> V3<R> {
+        self.xpos[point.body] + rotate(&self.xmat[point.body], &splat(&point.pos))
+    }
+
+    /// Adds the arms of a stretch; returns its share of the length.
+    fn place_stretch(&mut self, model: &Model, tendon: &Tendon, stretch: &Stretch) -> R {
+        let ends = [self.point(&stretch.ends[0]), self.point(&stretch.ends[1])];
+        let pull = match &stretch.round {
+            None => straight(ends),
+            Some(round) => self.around(model, ends, round),
+        };
+        let share = R::of(stretch.share);
+        let geom = stretch.round.map(|round| model.geoms[round.geom].body);
+        for mover in &stretch.movers {
+            let dof = &model.dofs[mover.dof];
+            let (motion, origin) = (&self.motion[mover.dof], &self.origin[dof.tree]);
+            let mut arm = R::zero();
+            let mut feel = |(at, along): &(V3<R>, V3<R>)| {
+                let wrench = Force { ang: (at - origin).cross(along), lin: *along };
+                arm += motion.dot(&wrench);
+            };
+            let [first, middle, second] = mover.moves;
+            if first {
+                feel(&pull.ends[0]);
+            }
+            if middle && geom.is_some() {
+                pull.geom.iter().for_each(&mut feel);
+            }
+            if second {
+                feel(&pull.ends[1]);
+            }
+            self.tendon_arms[tendon.arms.start + mover.at] += share * arm;
+        }
+        share * pull.length
+    }
+
+    fn around(&self, model: &Model, ends: [V3<R>; 2], round: &Round) -> Pull<R> {
+        let pose = self.pose_of(model, round.geom);
+        let side = round.side.as_ref().map(|side| self.point(side));
+        let obstacle =
+            Obstacle { pose: &pose, sphere: round.sphere, radius: R::of(round.radius), side };
+        let wrapped = wrap(ends, &obstacle);
+        let free = straight(ends);
+        let [one, two] = wrapped.points;
+        let (before, after) = (straight([ends[0], one]), straight([two, ends[1]]));
+        let on = wrapped.touches;
+        let pick = |yes: &V3<R>, no: &V3<R>| V3::from_fn(|k, _| R::select(on, yes[k], no[k]));
+        let zero = V3::zeros();
+        let whole = before.length + wrapped.length + after.length;
+        Pull {
+            ends: [
+                (ends[0], pick(&before.ends[0].1, &free.ends[0].1)),
+                (ends[1], pick(&after.ends[1].1, &free.ends[1].1)),
+            ],
+            geom: [(one, pick(&before.ends[1].1, &zero)), (two, pick(&after.ends[0].1, &zero))],
+            length: R::select(on, whole, free.length),
+        }
+    }
+
+    /// Where a geom is, whether or not it collides.
+    fn pose_of(&self, model: &Model, index: usize) -> Pose<R> {
+        let geom = &model.geoms[index];
+        let pos = self.xpos[geom.body] + rotate(&self.xmat[geom.body], &splat(&geom.pos));
+        Pose { pos, rot: self.xquat[geom.body].mul(&Quat::splat(&geom.quat)).matrix() }
+    }
+}
+
+/// The straight line between two points; one of no length pulls nowhere.
+fn straight<R: Real>([a, b]: [V3<R>; 2]) -> Pull<R> {
+    let apart = b - a;
+    let length = apart.dot(&apart).sqrt();
+    let along = apart * length.recip_or_zero();
+    let none = (V3::zeros(), V3::zeros());
+    Pull { ends: [(a, -along), (b, along)], geom: [none, none], length }
+}

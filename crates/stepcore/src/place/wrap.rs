@@ -1,0 +1,228 @@
+//! The shortest way from one point to another round a sphere or a cylinder without ends.
+//!
+//! In the plane of the circle, with the points a and b at distances A, B ≥ r from its centre and
+//! φ the angle from a to b, the way touches the circle where φ > α₁ + α₂, cos α₁ = r/A,
+//! cos α₂ = r/B; then it is √(A² − r²) + r (φ − α₁ − α₂) + √(B² − r²) long. Without a side, φ is
+//! the smaller angle; with a side point s it is the angle of the way a → s → b, which may be more
+//! than half a turn: the path keeps the way round on which s lies (MuJoCo 4, `sidesite`). Round a
+//! sphere the plane is that of both points and the centre; on a cylinder the path is a straight
+//! line of the unrolled surface, so that it rises in proportion to its way in the plane.
+//!
+//! Where s lies within r of the centre the path goes *through* the geom: it passes the disc, and
+//! where the straight line misses it, it bends at the point t of the circle with the least
+//! |a − t| + |t − b|.
+
+use crate::real::{Mask, Real};
+use crate::spatial::{Pose, V3};
+
+/// Where a path touches: first and second point in the world, and its length between the two.
+pub(super) struct Wrap<R: Real> {
+    /// Lanes in which it touches at all.
+    pub touches: R::Mask,
+    pub points: [V3<R>; 2],
+    pub length: R,
+}
+
+/// Round what.
+pub(super) struct Obstacle<'a, R: Real> {
+    pub pose: &'a Pose<R>,
+    pub sphere: bool,
+    pub radius: R,
+    pub side: Option<V3<R>>,
+}
+
+/// A vector of the plane of the circle.
+type Flat<R> = [R; 2];
+
+fn dot<R: Real>(a: Flat<R>, b: Flat<R>) -> R {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+/// The angle from a to b, counter-clockwise.
+fn angle<R: Real>(a: Flat<R>, b: Flat<R>) -> R {
+    (a[0] * b[1] - a[1] * b[0]).atan2(dot(a, b))
+}
+
+/// Two points of the circle, and the way along it from one to the other.
+struct Touch<R: Real> {
+    mask: R::Mask,
+    points: [Flat<R>; 2],
+    arc: R,
+}
+
+pub(super) fn wrap<R: Real>(ends: [V3<R>; 2], obstacle: &Obstacle<R>) -> Wrap<R> {
+    let &Obstacle { pose, sphere, radius, side } = obstacle;
+    let local = |p: V3<R>| pose.to_local(&(p - pose.pos));
+    let [p, q] = ends.map(local);
+    let axes = if sphere { plane_of(&p, &q) } else { [V3::x(), V3::y()] };
+    let flat = |v: &V3<R>| [axes[0].dot(v), axes[1].dot(v)];
+    let (a, b) = (flat(&p), flat(&q));
+    let touch = match side.map(local) {
+        None => outside(a, b, angle(a, b), radius),
+        Some(s) => {
+            let within = s.dot(&s).lt(radius * radius);
+            let past = flat(&s);
+            let around = outside(a, b, angle(a, past) + angle(past, b), radius);
+            if within.none() {
+                around
+            } else {
+                choose(within, &inside(a, b, radius), &around)
+            }
+        }
+    };
+    let [mut first, mut second] = touch.points.map(|[x, y]| axes[0] * x + axes[1] * y);
+    let mut length = touch.arc;
+    if !sphere {
+        let way = |from: Flat<R>, to: Flat<R>| {
+            let apart = [to[0] - from[0], to[1] - from[1]];
+            dot(apart, apart).sqrt()
+        };
+        let before = way(a, touch.points[0]);
+        let all = before + touch.arc + way(touch.points[1], b);
+        let slope = (q.z - p.z) * all.recip_or_zero();
+        first.z = p.z + slope * before;
+        second.z = p.z + slope * (before + touch.arc);
+        let rise = slope * touch.arc;
+        length = (touch.arc * touch.arc + rise * rise).sqrt();
+    }
+    let points = [first, second].map(|v| pose.pos + pose.to_world(&v));
+    Wrap { touches: touch.mask, points, length }
+}
+
+fn choose<R: Real>(mask: R::Mask, yes: &Touch<R>, no: &Touch<R>) -> Touch<R> {
+    let number = |y: R, n: R| R::select(mask, y, n);
+    let point = |k: usize| {
+        [number(yes.points[k][0], no.points[k][0]), number(yes.points[k][1], no.points[k][1])]
+    };
+    Touch {
+        mask: yes.mask.and(mask).or(no.mask.and(mask.not())),
+        points: [point(0), point(1)],
+        arc: number(yes.arc, no.arc),
+    }
+}
+
+/// Axes of the plane through the centre and two points; the first is along p. Where both points
+/// are on one line with the centre, any plane with them is as good: MuJoCo's.
+fn plane_of<R: Real>(p: &V3<R>, q: &V3<R>) -> [V3<R>; 2] {
+    let (zero, one) = (R::zero(), R::one());
+    let along = *p * p.dot(p).sqrt().recip_or_zero();
+    let across = p.cross(q);
+    let square = across.dot(&across);
+    let least = R::of(R::EPSILON * R::EPSILON) * p.dot(p) * q.dot(q);
+    let [x, y, z] = [along.x.abs(), along.y.abs(), along.z.abs()];
+    let (second, third) = (y.gt(x).and(y.gt(z)), z.gt(x).and(z.gt(y)));
+    let first = second.or(third).not();
+    let but = |largest: R::Mask| R::select(largest, zero, one);
+    let other = along.cross(&V3::new(but(first), but(second), but(third)));
+    let pick = square.gt(least);
+    let normal = V3::from_fn(|k, _| R::select(pick, across[k], other[k]));
+    let normal = normal * normal.dot(&normal).sqrt().recip_or_zero();
+    [along, normal.cross(&along)]
+}
+
+/// Round the circle by the signed angle `turn` from a to b.
+fn outside<R: Real>(a: Flat<R>, b: Flat<R>, turn: R, radius: R) -> Touch<R> {
+    let zero = R::zero();
+    let square = radius * radius;
+    let (aa, bb) = (dot(a, a), dot(b, b));
+    let (left, right) = ((aa - square).max(zero).sqrt(), (bb - square).max(zero).sqrt());
+    let sign = R::select(turn.lt(zero), -R::one(), R::one());
+    let angle = turn * sign - left.atan2(radius) - right.atan2(radius);
+    let mask = aa.ge(square).and(bb.ge(square)).and(angle.gt(zero));
+    // r/A of the way from the centre, turned by ±α: cos α = r/A, sin α = l/A.
+    let tangent = |v: Flat<R>, vv: R, l: R, sign: R| {
+        let k = radius * vv.recip_or_zero();
+        [k * (radius * v[0] - sign * l * v[1]), k * (radius * v[1] + sign * l * v[0])]
+    };
+    let points = [tangent(a, aa, left, sign), tangent(b, bb, right, -sign)];
+    Touch { mask, points, arc: R::select(mask, radius * angle, zero) }
+}
+
+/// Most steps of the search for a bend, which halves its bracket where Newton's leaves it.
+const STEPS: usize = 100;
+
+/// Through the circle: the point of it with the shortest way from a to b.
+fn inside<R: Real>(a: Flat<R>, b: Flat<R>, radius: R) -> Touch<R> {
+    let (zero, one) = (R::zero(), R::one());
+    let square = radius * radius;
+    let (aa, bb) = (dot(a, a), dot(b, b));
+    // The point of the straight line that is nearest to the centre.
+    let apart = [b[0] - a[0], b[1] - a[1]];
+    let share = -dot(apart, a) * dot(apart, apart).recip_or_zero();
+    let near = [a[0] + share * apart[0], a[1] + share * apart[1]];
+    let within = share.gt(zero).and(share.lt(one));
+    let crosses = within.and(dot(near, near).le(square));
+    let mask = aa.gt(square).and(bb.gt(square)).and(crosses.not());
+    let turn = angle(a, b);
+    let sign = R::select(turn.lt(zero), -one, one);
+    let bend = Bend { far: [aa.sqrt(), bb.sqrt()], radius, whole: turn * sign };
+    let at = if mask.any() { bend.solve(mask) } else { zero };
+    let (sin, cos) = at.sin_cos();
+    let (k, sin) = (radius * bend.far[0].recip_or_zero(), sin * sign);
+    let point = [k * (cos * a[0] - sin * a[1]), k * (cos * a[1] + sin * a[0])];
+    Touch { mask, points: [point, point], arc: zero }
+}
+
+/// Where a path through a circle bends: at the angle x from its first end, with
+/// f(x) = A sin x / |a − t| − B sin(φ − x) / |b − t| = 0, which is the slope of the way over r.
+struct Bend<R: Real> {
+    /// A and B, and φ ≥ 0.
+    far: [R; 2],
+    radius: R,
+    whole: R,
+}
+
+impl<R: Real> Bend<R> {
+    /// A sin x / |a − t|, and its slope.
+    fn part(&self, far: R, x: R) -> [R; 2] {
+        let (sin, cos) = x.sin_cos();
+        let (across, r) = (far * sin, self.radius);
+        let apart = (far * far + r * r - R::of(2.0) * far * r * cos).sqrt();
+        let inverse = apart.recip_or_zero();
+        let rate = across * inverse;
+        [rate, (far * cos - r * rate * rate) * inverse]
+    }
+
+    /// f and its slope.
+    fn miss(&self, x: R) -> [R; 2] {
+        let ([one, up], [two, down]) =
+            (self.part(self.far[0], x), self.part(self.far[1], self.whole - x));
+        [one - two, up + down]
+    }
+
+    fn newton(&self, x: R) -> R {
+        let [miss, slope] = self.miss(x);
+        x - miss * slope.recip_or_zero()
+    }
+
+    /// f grows between the ends of what both a and b see of the circle, where it changes its sign.
+    fn solve(&self, mask: R::Mask) -> R {
+        let (zero, half) = (R::zero(), R::of(0.5));
+        let sees = |far: R| {
+            let r = self.radius;
+            (far * far - r * r).max(zero).sqrt().atan2(r)
+        };
+        let mut low = (self.whole - sees(self.far[1])).max(zero);
+        let mut high = sees(self.far[0]).min(self.whole);
+        let mut x = half * (low + high);
+        let mut open = mask;
+        let small = R::of(2.0 * R::EPSILON) * self.whole;
+        for _ in 0..STEPS {
+            let [miss, slope] = self.miss(x);
+            let above = miss.gt(zero);
+            high = R::select(open.and(above), x, high);
+            low = R::select(open.and(above.not()), x, low);
+            let guess = x - miss * slope.recip_or_zero();
+            let kept = guess.ge(low).and(guess.le(high)).and(slope.gt(zero));
+            let next = R::select(kept, guess, half * (low + high));
+            let done = (next - x).abs().le(small);
+            x = R::select(open, next, x);
+            open = open.and(done.not());
+            if open.none() {
+                break;
+            }
+        }
+        let [x] = R::implicit([x], |[x]| [self.newton(x)]);
+        x
+    }
+}

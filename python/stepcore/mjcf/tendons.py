@@ -1,0 +1,51 @@
+"""The section `<tendon>`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.worldbody import WorldReader, polynomial, soft
+from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
+
+COPIED = ("margin", "armature", "frictionloss")
+
+
+def read(world: WorldReader, node: Node) -> None:
+    """Reads a fixed or a spatial tendon."""
+    values = world.defaults.of(node, kind="tendon")
+    if values.get("springyield", 0) > 0:
+        raise node.unbuilt("a spring that yields (springyield)")
+    if "material" in values:
+        world.references.append((node, "material", values["material"]))
+    given: dict[str, Any] = {field: values[field] for field in COPIED if field in values}
+    if "springlength" in values:
+        # One number is both ends, whatever a default class has for the second.
+        own = node.values.get("springlength", values["springlength"])
+        given["springlength"] = own[0] if len(own) == 1 else own
+    given |= polynomial(values, "stiffness") | polynomial(values, "damping")
+    given |= soft(values, "solreflimit", "solimplimit")
+    given |= soft(values, "solreffriction", "solimpfriction")
+    tendon = world.scene.add_tendon(
+        values.get("name", ""),
+        path=[_stop(world, child) for child in node.children],
+        range=world.limits(node, values, "limited", "range"),
+        actuatorfrcrange=world.limits(node, values, "actuatorfrclimited", "actuatorfrcrange"),
+        **given,
+    )
+    world.keep(node, tendon)
+
+
+def _stop(world: WorldReader, node: Node) -> Stop:
+    values, scene = node.values, world.scene
+    try:
+        if node.tag == "joint":
+            return Share(scene.joint(values["joint"]), values["coef"])
+        if node.tag == "site":
+            return scene.site(values["site"])
+        if node.tag == "geom":
+            side = values.get("sidesite")
+            return Around(scene.geom(values["geom"]), None if side is None else scene.site(side))
+        return Pulley(values["divisor"])
+    except ValueError as error:
+        raise node.error(str(error)) from None

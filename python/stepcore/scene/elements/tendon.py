@@ -1,0 +1,186 @@
+"""`Tendon`, and what its path passes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
+
+from stepcore import checks
+from stepcore.scene.element import Element
+from stepcore.scene.elements.field_types import (
+    SOLIMP,
+    SOLREF,
+    NonNegative,
+    Poly,
+    Range,
+    Real,
+    SolImp,
+    SolRef,
+    Text,
+)
+from stepcore.scene.elements.geom import Geom
+from stepcore.scene.elements.joint import Joint
+from stepcore.scene.elements.site import Site
+
+# MuJoCo's: the length at which the springs of joints are at rest.
+AUTOMATIC = (-1.0, -1.0)
+
+
+class Share(NamedTuple):
+    """A joint of a fixed tendon, whose length has coef × its position."""
+
+    joint: Joint
+    coef: float
+
+
+class Around(NamedTuple):
+    """A sphere or cylinder round which a tendon goes where it is in the way.
+
+    sidesite: the site past which it goes; one that is nearer to the geom's centre than its radius
+    makes it pass through the geom instead.
+    """
+
+    geom: Geom
+    sidesite: Site | None = None
+
+
+class Pulley(NamedTuple):
+    """Starts a branch of a tendon, whose length counts divided by the divisor, > 0."""
+
+    divisor: float
+
+
+Stop = Share | Around | Pulley | Site
+
+
+class Path(tuple[Stop, ...]):
+    """What a tendon passes, in order."""
+
+    __slots__ = ()
+
+    @property
+    def fixed(self) -> bool:
+        """Whether it runs over joints."""
+        return bool(self) and isinstance(self[0], Share)
+
+
+def path(owner: Any, field: str, value: object) -> Path:
+    """Joints with their coefficients, or sites, geoms and pulleys."""
+    stops = value if isinstance(value, (list, tuple)) else None
+    if stops is None:
+        raise checks.refuse(owner, field, value, "a list of joints, or of sites, geoms and pulleys")
+    return Path(_stop(owner, f"{field}[{i}]", stop) for i, stop in enumerate(stops))
+
+
+def _stop(owner: Any, field: str, stop: object) -> Stop:
+    if isinstance(stop, Site):
+        return stop
+    if isinstance(stop, Geom):
+        return Around(stop)
+    if isinstance(stop, Pulley):
+        return Pulley(checks.real(above=0)(owner, f"{field}.divisor", stop.divisor))
+    match stop:
+        case (Joint() as joint, coef):
+            return Share(joint, checks.real()(owner, f"{field}.coef", coef))
+        case (Geom() as geom, Site() | None as sidesite):
+            return Around(geom, sidesite)
+    limit = "a (Joint, coef), a Site, a Geom, a (Geom, Site) or a Pulley"
+    raise checks.refuse(owner, field, stop, limit)
+
+
+def spring_length(owner: Any, field: str, value: object) -> tuple[float, ...]:
+    """One length, or two of which the second is not smaller."""
+    number = checks.number(value)
+    pair = (number, number) if number is not None else value
+    low, high = checks.vector(2)(owner, field, pair)
+    if high < low:
+        raise checks.refuse(owner, field, value, "1 length, or 2 of which the second is not less")
+    return low, high
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class Tendon(Element):
+    """A length, with what holds it and pulls along it.
+
+    A fixed tendon runs over hinges and slides, and its length is the sum of coef × position. A
+    spatial one is the shortest way through sites and round geoms [m]. Forces along it are positive
+    where they lengthen it. A tendon without a force, a limit or an actuator costs no step anything.
+
+    name: unique among tendons, or "".
+    path: of a fixed tendon, (joint, coef) each; of a spatial one, a `Site`, a `Geom` (a sphere or
+        cylinder; without ends), a (geom, side site) or a `Pulley`. Every branch begins and ends
+        with a site, and has sites between its geoms.
+    range: (shortest, longest) length, or None for no limit.
+    margin: distance from a limit at which it starts to act.
+    springlength: length at which the spring is relaxed, or (low, high) between which it is slack;
+        (-1, -1): the length where joints are at their springref.
+    stiffness: of the spring [N/m]. stiffnesspoly: b and c of a spring that pulls back with
+        (stiffness + b x + c x²) x at a stretch x.
+    damping: [N·s/m]. dampingpoly: b and c of a damper that pulls with (damping + b |v| + c v²) v.
+    armature: inertia of a change of its length [kg], >= 0.
+    frictionloss: dry friction [N], >= 0.
+    actuatorfrcrange: bounds of the sum of forces of the actuators on it [N], or None.
+    solreflimit, solimplimit: softness of the limit.
+    solreffriction, solimpfriction: softness of the dry friction.
+    """
+
+    name: Text = ""
+    path: Annotated[Path, path]
+    range: Range = None
+    margin: Real = 0.0
+    springlength: Annotated[tuple[float, ...], spring_length] = AUTOMATIC
+    stiffness: Real = 0.0
+    stiffnesspoly: Poly = (0.0, 0.0)
+    damping: Real = 0.0
+    dampingpoly: Poly = (0.0, 0.0)
+    armature: NonNegative = 0.0
+    frictionloss: NonNegative = 0.0
+    actuatorfrcrange: Range = None
+    solreflimit: SolRef = SOLREF
+    solimplimit: SolImp = SOLIMP
+    solreffriction: SolRef = SOLREF
+    solimpfriction: SolImp = SOLIMP
+
+    @property
+    def fixed(self) -> bool:
+        """Whether it runs over joints, and not through sites."""
+        return self.path.fixed
+
+    @property
+    def sprung(self) -> bool:
+        """Whether it has a spring."""
+        return any((self.stiffness, *self.stiffnesspoly))
+
+    @property
+    def damped(self) -> bool:
+        """Whether it has a damper."""
+        return any((self.damping, *self.dampingpoly))
+
+    def elements(self) -> Iterable[Element]:
+        """The joints, sites and geoms that it refers to."""
+        for stop in self.path:
+            if isinstance(stop, Element):
+                yield stop
+            else:
+                yield from (part for part in stop if isinstance(part, Element))
+
+    def values(self) -> dict[str, Any]:
+        """As for every element; coefficients of one polynomial stand together, if there are any."""
+        values = super().values()
+        for field in ("stiffness", "damping"):
+            if any(poly := values.pop(field + "poly")):
+                values[field] = (values[field], *poly)
+        return values
+
+    def record(self) -> dict[str, Any]:
+        """As for every element; stiffness and damping are lists of all three coefficients."""
+        coefficients = {
+            "stiffness": [self.stiffness, *self.stiffnesspoly],
+            "damping": [self.damping, *self.dampingpoly],
+        }
+        return super().record() | coefficients
+
+
+# A reference to one.
+ATendon = Annotated[Tendon, checks.element("Tendon")]
