@@ -52,6 +52,10 @@ def set_up(
     motion = Motion.of(motion, fields, measurement, leaves)
     compiled = find_model(model)
     workers = Workers.checked(measurement.__name__, threads, executor, progress)
+    if not compiled.nv:
+        raise ValueError(
+            "the scene has no joint, so nothing in it can move: add a body with a joint"
+        )
     if not Coordinates(compiled).moving:
         raise ValueError(f"nothing in the scene can move: there is {missing}")
     return Setup(compiled, motion, workers)

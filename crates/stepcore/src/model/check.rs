@@ -111,10 +111,8 @@ impl Subject {
 pub fn scene(scene: &Scene) -> Result<()> {
     let whole = Subject("scene".into());
     whole.finite("gravity", &scene.gravity)?;
-    if scene.bodies.is_empty() || scene.joints.is_empty() {
-        return Err(Error::Scene(
-            "the scene has no joint, so nothing in it can move: add a body with a joint".into(),
-        ));
+    if scene.bodies.is_empty() {
+        return Err(Error::Scene("the scene has no world: its first body".into()));
     }
     let rules = Subject("mass rules".into());
     rules.not_negative("bound_mass", scene.mass_rules.bound_mass)?;

@@ -17,7 +17,7 @@ fn what_is_refused_is_named() {
     type Spoil = fn(&mut Scene);
     let cases: &[(Spoil, &str)] = &[
         (|s| s.gravity[2] = f64::NAN, "gravity[2]"),
-        (|s| s.joints.clear(), "no joint"),
+        (|s| s.bodies.clear(), "no world"),
         (|s| s.geoms[1].size[0] = 0.0, "geom 'ball' size[0]"),
         (|s| s.geoms[1].mass = Some(-1.0), "geom 'ball' mass"),
         (|s| s.geoms[1].mass = Some(0.0), "body 'toy' mass"),
