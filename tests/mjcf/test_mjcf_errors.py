@@ -221,7 +221,6 @@ MISTAKES = {
 
 # What would change the motion; a value without effect is accepted.
 UNBUILT = {
-    "<fixed> in <tendon>": ("", "<tendon><fixed/></tendon>"),
     "<flex> in <equality>": ("", '<equality><flex flex="b"/></equality>'),
     "<intvelocity> in <actuator>": ("", '<actuator><intvelocity joint="j"/></actuator>'),
     "<muscle> in <actuator>": ("", '<actuator><muscle joint="j"/></actuator>'),
