@@ -9,7 +9,7 @@ from __future__ import annotations
 
 # The order in which they stand in the zoo.
 # isort: off
-from . import joints, equalities, pairs, materials, heaps
+from . import joints, equalities, tendons, pairs, materials, heaps
 
 # isort: on
 from .entry import CONTACT, EQUALITY, FRICTION, LIMIT, ZOO, Entry
@@ -30,4 +30,5 @@ __all__ = [
     "joints",
     "materials",
     "pairs",
+    "tendons",
 ]

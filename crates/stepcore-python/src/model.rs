@@ -321,6 +321,7 @@ impl Model {
         plan.set_item("turns", m.bodies.iter().map(|b| b.turns).collect::<Vec<_>>())?;
         plan.set_item("collides", m.geoms.iter().map(|g| g.collides).collect::<Vec<_>>())?;
         plan.set_item("tendons", m.tendons.iter().map(|t| t.used).collect::<Vec<_>>())?;
+        plan.set_item("armature_beyond_the_tree", m.armature_beyond_the_tree())?;
         plan.set_item("islands", m.islands())?;
         Ok(plan)
     }

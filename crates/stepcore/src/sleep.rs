@@ -270,6 +270,13 @@ impl<R: Real> Sim<R> {
                 union.join(tree_of(two[0]), tree_of(two[1]));
             }
         }
+        // What pulls at one of its ends when the other moves.
+        for tendon in model.tendons.iter().filter(|tendon| tendon.pulls() || tendon.armature > 0.0)
+        {
+            for two in tendon.dofs.of(&model.dof_lists).windows(2) {
+                union.join(tree_of(two[0]), tree_of(two[1]));
+            }
+        }
         ready.clear();
         ready.resize(model.trees.len(), true);
         for (tree, own) in model.trees.iter().enumerate() {

@@ -54,7 +54,9 @@ class World(checks.KnownNames, ABC):
         "Coriolis, centrifugal and gravity forces [N or N·m], shape (nv,); on the left-hand side "
         "of the equation of motion, M qacc + bias = forces."
     )
-    passive = Readout("Forces of springs and dampers of joints and tendons [N or N·m], shape (nv,).")
+    passive = Readout(
+        "Forces of springs and dampers of joints and tendons [N or N·m], shape (nv,)."
+    )
 
     # Of the last step or forward().
     qacc = Readout("Accelerations of the last solve [m/s² or rad/s²], shape (nv,).")

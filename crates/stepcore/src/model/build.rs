@@ -33,11 +33,13 @@ impl Model {
         let met = model.geoms.iter().filter(|g| g.collides).map(|g| g.body);
         let (met, passed) = (trees_of(&model, met), model.passed_by_tendons());
         let tied = trees_of(&model, tied.into_iter());
+        let weighted = model.weighted_by_tendons();
         for tree in 0..model.trees.len() {
             let turns = !model.trees[tree].slides_only;
             model.trees[tree].seen = met[tree] || tied[tree] || passed[tree] || turns;
             let ball = model.free_ball(&model.trees[tree]);
-            model.trees[tree].constant = !turns || ball && !tied[tree];
+            let still = !turns || ball && !tied[tree];
+            model.trees[tree].constant = still && !weighted[tree];
         }
         model.slots = Slots::of(&model);
         apart::fill(&mut model);

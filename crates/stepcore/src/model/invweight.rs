@@ -78,6 +78,10 @@ impl<'a> Factor<'a> {
         for i in 0..n {
             matrix[(i, i)] += model.dofs[first + i].armature;
         }
+        for tendon in model.tendons.iter().filter(|tendon| tendon.armature > 0.0) {
+            let arms = tree_arms(model, tendon, tree.dofs);
+            matrix += tendon.armature * &arms * arms.transpose();
+        }
         let mut factor = Self { matrix, model, tree: tree.dofs };
         factor.eliminate()?;
         Ok(factor)
@@ -214,13 +218,18 @@ fn moved_by_servos(factor: &Factor) -> Vec<(usize, f64)> {
 
 /// The part of J M⁻¹ Jᵀ of a tendon that this tree gives.
 fn tendon_weight(factor: &Factor, tendon: &Tendon) -> f64 {
-    let mut row = DVector::zeros(factor.tree.len);
-    for (dof, arm) in tendon.dofs.of(&factor.model.dof_lists).iter().zip(&tendon.arms0) {
-        if factor.tree.range().contains(dof) {
-            row[dof - factor.tree.start] = *arm;
+    factor.weight(tree_arms(factor.model, tendon, factor.tree))
+}
+
+/// The arms of a tendon at qpos0 on the dofs of a tree.
+fn tree_arms(model: &Model, tendon: &Tendon, tree: Span) -> DVector<f64> {
+    let mut row = DVector::zeros(tree.len);
+    for (dof, arm) in tendon.dofs.of(&model.dof_lists).iter().zip(&tendon.arms0) {
+        if tree.range().contains(dof) {
+            row[dof - tree.start] = *arm;
         }
     }
-    factor.weight(row)
+    row
 }
 
 fn body_weight(factor: &Factor, motions: &[Motion], body: &Body, com: Vector3<f64>) -> [f64; 2] {

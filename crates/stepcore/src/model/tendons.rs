@@ -89,10 +89,14 @@ impl Tendon {
         matches!(self.course, Course::Spatial(_))
     }
 
+    /// It has a spring or a damper.
+    pub fn pulls(&self) -> bool {
+        self.stiffness != scene::NONE || self.damping != scene::NONE
+    }
+
     /// It has a force, an inertia or a row of its own.
     fn acts(&self) -> bool {
-        let pulls = self.stiffness != scene::NONE || self.damping != scene::NONE;
-        pulls || self.armature > 0.0 || self.frictionloss > 0.0 || self.range.is_some()
+        self.pulls() || self.armature > 0.0 || self.frictionloss > 0.0 || self.range.is_some()
     }
 }
 
@@ -245,10 +249,42 @@ fn measure(model: &mut Model) {
 }
 
 impl Model {
+    /// Tendons whose armature couples dofs of which neither moves the other: see
+    /// `place/tendon_inertia.rs`.
+    pub fn armature_beyond_the_tree(&self) -> Vec<bool> {
+        let beyond = |tendon: &Tendon| {
+            let dofs = tendon.dofs.of(&self.dof_lists);
+            let moved: Vec<usize> =
+                (dofs.iter().copied()).filter(|dof| self.moved_by(tendon, *dof)).collect();
+            let apart = |i: &usize| moved.iter().any(|j| self.entry(*i, *j).is_none());
+            tendon.armature > 0.0 && moved.iter().any(apart)
+        };
+        self.tendons.iter().map(beyond).collect()
+    }
+
+    /// A dof can change the length of a tendon.
+    fn moved_by(&self, tendon: &Tendon, dof: usize) -> bool {
+        match &tendon.course {
+            Course::Fixed(parts) => parts.iter().any(|(joint, _)| self.joints[*joint].dof == dof),
+            Course::Spatial(stretches) => {
+                stretches.iter().any(|stretch| stretch.movers.iter().any(|m| m.dof == dof))
+            }
+        }
+    }
+
+    /// By tree: the armature of a spatial tendon is part of its mass matrix.
+    pub(super) fn weighted_by_tendons(&self) -> Vec<bool> {
+        self.trees_of_tendons(|tendon| tendon.armature > 0.0)
+    }
+
     /// By tree: a spatial tendon that steps read runs over a body of it.
     pub(super) fn passed_by_tendons(&self) -> Vec<bool> {
+        self.trees_of_tendons(|tendon| tendon.used)
+    }
+
+    fn trees_of_tendons(&self, which: impl Fn(&Tendon) -> bool) -> Vec<bool> {
         let mut found = vec![false; self.trees.len()];
-        for tendon in self.tendons.iter().filter(|tendon| tendon.used && tendon.spatial()) {
+        for tendon in self.tendons.iter().filter(|tendon| which(tendon) && tendon.spatial()) {
             for dof in tendon.dofs.of(&self.dof_lists) {
                 found[self.dofs[*dof].tree] = true;
             }

@@ -33,6 +33,7 @@ impl<R: Real> Placed<R> {
             }
             self.mass[dof.row.start] += R::of(dof.armature);
         }
+        self.weigh_tendons(model, tree);
     }
 }
 

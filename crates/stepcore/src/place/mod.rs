@@ -10,6 +10,7 @@ mod force;
 mod inertia;
 mod kinematics;
 mod tendon;
+mod tendon_inertia;
 mod wrap;
 
 pub use factor::Metric;
@@ -225,6 +226,7 @@ impl<R: Real> Placed<R> {
                 self.bias_of_tree(model, index);
             }
         }
+        self.bias_of_tendons(model);
         R::enter(Stage::Forces);
         self.smooth_force(model, qpos, qvel, inputs);
     }

@@ -60,7 +60,7 @@ impl<R: Real> Placed<R> {
         }
     }
 
-    fn point(&self, point: &Point) -> V3<R> {
+    pub(super) fn point(&self, point: &Point) -> V3<R> {
         self.xpos[point.body] + rotate(&self.xmat[point.body], &splat(&point.pos))
     }
 

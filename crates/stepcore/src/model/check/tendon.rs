@@ -89,6 +89,10 @@ fn spatial(e: &Subject, t: &Tendon, scene: &Scene) -> Result<()> {
                 if let Some(side) = side {
                     e.below(&format!("{field} side"), side, scene.sites.len(), "site")?;
                 }
+                if t.armature > 0.0 {
+                    let limit = "0 for a tendon that goes round a geom";
+                    return Err(e.refuse("armature", t.armature, limit));
+                }
                 if sites == 0 || geom {
                     return Err(e.refuse(&field, "a geom", "after a site and before another"));
                 }

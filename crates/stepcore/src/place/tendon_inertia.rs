@@ -1,0 +1,75 @@
+//! Armature of tendons: an inertia m of a change of length, ½ m (a·v)² with the arms a.
+//!
+//! The mass matrix gets m a aᵀ, and the bias force m a (ȧ·v): what the length does on its own while
+//! no dof accelerates. As in MuJoCo the mass matrix keeps its pattern: entries of two dofs of which
+//! neither moves the other are left out (the plan says where), and so is armature round geoms.
+
+use super::Placed;
+use crate::model::{Course, Model, Stretch, Tree, NONE};
+use crate::real::Real;
+use crate::spatial::V3;
+
+impl<R: Real> Placed<R> {
+    /// Adds the armature of tendons to a tree's part of the mass matrix.
+    pub(super) fn weigh_tendons(&mut self, model: &Model, tree: &Tree) {
+        let own = tree.dofs.range();
+        for tendon in model.tendons.iter().filter(|tendon| tendon.armature > 0.0) {
+            let dofs = tendon.dofs.of(&model.dof_lists);
+            let arms = tendon.arms.of(&self.tendon_arms);
+            for (k, &i) in dofs.iter().enumerate().filter(|(_, dof)| own.contains(dof)) {
+                for (l, &j) in dofs[..=k].iter().enumerate() {
+                    if let Some(at) = model.entry(i, j) {
+                        self.mass[at] += R::of(tendon.armature) * arms[k] * arms[l];
+                    }
+                }
+            }
+        }
+    }
+
+    /// Adds their bias forces to those of the trees.
+    pub(super) fn bias_of_tendons(&mut self, model: &Model) {
+        if !model.features.coriolis {
+            return;
+        }
+        for tendon in model.tendons.iter().filter(|tendon| tendon.armature > 0.0) {
+            let Course::Spatial(stretches) = &tendon.course else { continue };
+            let mut own = R::zero();
+            for stretch in stretches {
+                own += R::of(stretch.share) * self.acceleration_of(model, stretch);
+            }
+            let pull = R::of(tendon.armature) * own;
+            let arms = tendon.arms.of(&self.tendon_arms);
+            for (dof, arm) in tendon.dofs.of(&model.dof_lists).iter().zip(arms) {
+                self.bias[*dof] += *arm * pull;
+            }
+        }
+    }
+
+    /// d²/dt² |b − a| while no dof accelerates: along the line the difference of what both ends do,
+    /// and the square of how fast they turn about each other over the length.
+    fn acceleration_of(&self, model: &Model, stretch: &Stretch) -> R {
+        let [a, b] = [0, 1].map(|end| {
+            let point = &stretch.ends[end];
+            (self.point(point), self.free_motion_of(model, point.body, &self.point(point)))
+        });
+        let apart = b.0 - a.0;
+        let inverse = apart.dot(&apart).sqrt().recip_or_zero();
+        let along = apart * inverse;
+        let (velocity, acceleration) = (b.1[0] - a.1[0], b.1[1] - a.1[1]);
+        let rate = along.dot(&velocity);
+        along.dot(&acceleration) + (velocity.dot(&velocity) - rate * rate) * inverse
+    }
+
+    /// Velocity and acceleration of a body point while no dof accelerates.
+    fn free_motion_of(&self, model: &Model, body: usize, at: &V3<R>) -> [V3<R>; 2] {
+        let tree = model.bodies[body].tree;
+        if tree == NONE {
+            return [V3::zeros(); 2];
+        }
+        let arm = at - self.origin[tree];
+        let motion = &self.velocity[body];
+        let velocity = motion.at(&arm);
+        let free = self.free_acceleration(model, body).at(&arm);
+        [velocity, free + motion.ang.cross(&velocity)]
+    }
+}
