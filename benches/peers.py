@@ -269,8 +269,8 @@ def rows_seen(model: mujoco.MjModel, data: mujoco.MjData, states: list[State]) -
     kind = mujoco.mjtConstraint
     groups = {
         "equality": (kind.mjCNSTR_EQUALITY,),
-        "friction": (kind.mjCNSTR_FRICTION_DOF,),
-        "limit": (kind.mjCNSTR_LIMIT_JOINT,),
+        "friction": (kind.mjCNSTR_FRICTION_DOF, kind.mjCNSTR_FRICTION_TENDON),
+        "limit": (kind.mjCNSTR_LIMIT_JOINT, kind.mjCNSTR_LIMIT_TENDON),
         "contact": (
             kind.mjCNSTR_CONTACT_FRICTIONLESS,
             kind.mjCNSTR_CONTACT_PYRAMIDAL,
@@ -284,7 +284,7 @@ def rows_seen(model: mujoco.MjModel, data: mujoco.MjData, states: list[State]) -
         for name, kinds in groups.items():
             active = np.isin(data.efc_type, [int(k) for k in kinds]) & (data.efc_force != 0.0)
             count[name] += bool(active.any())
-        loss = data.efc_type == int(kind.mjCNSTR_FRICTION_DOF)
+        loss = np.isin(data.efc_type, [int(k) for k in groups["friction"]])
         slips = np.abs(data.efc_force[loss]) >= data.efc_frictionloss[loss] * (1 - 1e-12)
         count["slips"] += bool(slips.any())
         count["sticks"] += bool((~slips).any())
