@@ -33,7 +33,9 @@ class Transform:
 def named(scene):
     """A copy whose joints, bodies and geoms all have names."""
     scene = copy.deepcopy(scene)
-    for elements in (scene.joints, scene.bodies[1:], scene.geoms, scene.actuators):
+    for elements in (
+        *(scene.joints, scene.bodies[1:], scene.geoms, scene.tendons, scene.actuators),
+    ):
         kind = type(elements[0]).__name__.lower() if elements else ""
         for i, element in enumerate(elements):
             element.name = element.name or f"{kind}_{i}"
@@ -113,6 +115,28 @@ def scaled(scene, length, mass, time):
         soften(geom, unit(1))
     for site in scene.sites:
         by(site, unit(1), "pos")
+    for tendon in scene.tendons:
+        # One over joints has the unit of an angle: the coefficients of slides turn theirs into it.
+        way, arm = (1.0, unit(2)) if tendon.fixed else (unit(1), 1.0)
+        if tendon.fixed:
+            tendon.path = [
+                (joint, coef if joint.type in TURNS else coef / unit(1))
+                for joint, coef in tendon.path
+            ]
+        if tendon.springlength != (-1.0, -1.0):
+            by(tendon, way, "springlength")
+        by(tendon, way, "range", "margin")
+        by(tendon, unit(0, 1, -2) * arm, "stiffness")
+        by(tendon, unit(0, 1, -1) * arm, "damping")
+        for field, rate in (("stiffnesspoly", -2), ("dampingpoly", 0)):
+            per = unit(0, 0, 1) if field == "dampingpoly" else 1.0
+            b, c = getattr(tendon, field)
+            first = unit(0, 1, rate) * arm / way
+            setattr(tendon, field, (b * first, c * first * per / way))
+        by(tendon, unit(0, 1) * arm, "armature")
+        by(tendon, unit(1, 1, -2) * arm / (unit(1) if tendon.fixed else 1.0), "frictionloss")
+        soften(tendon, way, "limit")
+        soften(tendon, 1.0, "friction")
     for actuator in scene.actuators:
         force, moment = unit(1, 1, -2), unit(2, 1, -2)
         kind = actuator.joint.type
@@ -236,6 +260,7 @@ def reordered(scene):
     other.bodies[1:] = other.bodies[:0:-1]
     other.geoms.reverse()
     other.equalities.reverse()
+    other.tendons.reverse()
     other.pairs.reverse()
     after = layout(other.compile())
 
@@ -259,8 +284,8 @@ def doubled(scene):
     twin = copy.deepcopy(scene)
     for geom in twin.geoms:
         geom.contype, geom.conaffinity = geom.contype << 16, geom.conaffinity << 16
-    lists = (twin.bodies, twin.joints, twin.geoms, twin.sites, twin.actuators, twin.equalities)
-    for elements in (*lists, twin.pairs):
+    lists = (twin.bodies, twin.joints, twin.geoms, twin.sites, twin.tendons, twin.actuators)
+    for elements in (*lists, twin.equalities, twin.pairs):
         for element in elements:
             element.name = element.name and f"{element.name}_twin"
     world = scene.bodies[0]
@@ -272,6 +297,7 @@ def doubled(scene):
         (scene.joints, twin.joints),
         (scene.geoms, twin.geoms),
         (scene.sites, twin.sites),
+        (scene.tendons, twin.tendons),
         (scene.actuators, twin.actuators),
         (scene.equalities, twin.equalities),
         (scene.pairs, twin.pairs),

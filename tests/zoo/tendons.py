@@ -51,7 +51,7 @@ add(
       <fixed frictionloss=".4"><joint joint="a" coef="1"/><joint joint="b" coef=".5"/></fixed>
       <spatial frictionloss="3" solreffriction=".03 1" solimpfriction=".8 .8"><site site="wall"/>
         <geom geom="peg"/><site site="l"/></spatial>
-      <spatial frictionloss="6" stiffness="30"><site site="u"/><site site="hook"/></spatial>
+      <spatial frictionloss="60" stiffness="30"><site site="u"/><site site="hook"/></spatial>
       </tendon>""",
 )
 # An inertia along a chain, whose dofs all move one another.
