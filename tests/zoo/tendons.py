@@ -9,7 +9,8 @@ ARM = f"""
     <geom name="peg" type="cylinder" size=".08 .2" pos=".25 0 1.1" euler="90 0 0" {INERT}/>
     <site name="over" pos=".25 0 1.3"/>
     <body name="upper" pos="0 0 1"><joint name="a" axis="0 1 0"/>
-      <geom type="capsule" fromto="0 0 0 .4 0 0" size=".03" {INERT}/><site name="u" pos=".3 .05 .05"/>
+      <geom type="capsule" fromto="0 0 0 .4 0 0" size=".03" {INERT}/>
+      <site name="u" pos=".3 .05 .05"/>
       <body name="lower" pos=".4 0 0"><joint name="b" axis="0 1 0"/>
         <joint name="c" type="slide" axis="1 0 0" stiffness="50"/>
         <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" {INERT}/>
@@ -60,7 +61,8 @@ add(
     f"""
     <site name="wall" pos="0 .1 1.3"/>
     <body pos="0 0 1"><joint name="a" axis="0 1 0"/>
-      <geom type="capsule" fromto="0 0 0 .4 0 0" size=".03" {INERT}/><site name="u" pos=".3 .05 .05"/>
+      <geom type="capsule" fromto="0 0 0 .4 0 0" size=".03" {INERT}/>
+      <site name="u" pos=".3 .05 .05"/>
       <body pos=".4 0 0"><joint name="b" axis="0 1 0"/>
         <joint name="c" type="slide" axis="1 0 0" stiffness="50"/>
         <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" {INERT}/>

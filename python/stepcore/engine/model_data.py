@@ -141,7 +141,7 @@ class ModelData(ABC):
 
     @functools.cached_property
     def names(self) -> dict[str, tuple[str, ...]]:
-        """Names by kind: "body", "joint", "geom", "site", "tendon", "actuator", "equality", "key"."""
+        """Names of "body", "joint", "geom", "site", "tendon", "actuator", "equality", "key"."""
         return {kind: tuple(names) for kind, names in self._core.names().items()}
 
     @property

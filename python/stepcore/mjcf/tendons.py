@@ -21,7 +21,7 @@ def read(world: WorldReader, node: Node) -> None:
     given: dict[str, Any] = {field: values[field] for field in COPIED if field in values}
     if "springlength" in values:
         # One number is both ends, whatever a default class has for the second.
-        own = node.values.get("springlength", values["springlength"])
+        own: Any = node.values.get("springlength", values["springlength"])
         given["springlength"] = own[0] if len(own) == 1 else own
     given |= polynomial(values, "stiffness") | polynomial(values, "damping")
     given |= soft(values, "solreflimit", "solimplimit")

@@ -91,7 +91,8 @@ def _check_tendons(layout: Layout) -> None:
     for tendon in layout.scene.tendons:
         for element in tendon.elements():
             if id(element) not in inside:
-                raise checks.ElementError(tendon, f"refers to {element}, which is not in this scene")
+                what = f"refers to {element}, which is not in this scene"
+                raise checks.ElementError(tendon, what)
         if tendon.fixed:
             _check_fixed(tendon)
         else:
@@ -131,8 +132,9 @@ def _check_spatial(tendon: Tendon) -> None:
                 raise checks.ElementError(tendon, "two geoms of its path need a site between them")
             if isinstance(one, Around) and one.geom.type not in ("sphere", "cylinder"):
                 raise checks.ElementError(
-                    tendon, f"goes round {one.geom}, which is a {one.geom.type}: a sphere or a "
-                    "cylinder can be gone round"
+                    tendon,
+                    f"goes round {one.geom}, which is a {one.geom.type}: a sphere or a "
+                    "cylinder can be gone round",
                 )
 
 

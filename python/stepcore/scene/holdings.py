@@ -45,8 +45,17 @@ class Holdings(checks.KnownNames):
     """The elements and settings of a scene."""
 
     _attributes = (
-        *("name", "bodies", "joints", "geoms", "sites", "tendons", "actuators", "equalities", "keys"),
-        *("meshes", "hfields", "excludes", "pairs", "contact_override", "mass_rules", "features"),
+        *("name", "bodies", "joints", "geoms", "sites", "tendons", "actuators", "equalities"),
+        *(
+            "keys",
+            "meshes",
+            "hfields",
+            "excludes",
+            "pairs",
+            "contact_override",
+            "mass_rules",
+            "features",
+        ),
         *("options", "ignored", "notes", "without"),
     )
 
