@@ -233,8 +233,6 @@ UNBUILT = {
     "<flex> in <deformable>": ("", "<deformable><flex/></deformable>"),
     "<flexcomp> in <body>": ("<flexcomp/>", ""),
     "<composite> in <body>": ("<composite/>", ""),
-    "<replicate> in <body>": ('<replicate count="2"/>', ""),
-    "<attach> in <body>": ('<attach model="a"/>', ""),
     "mocap": ('<body mocap="true"/>', ""),
     "gravcomp": ('<body gravcomp="1"/>', ""),
     "align": ('<body><freejoint align="true"/></body>', ""),

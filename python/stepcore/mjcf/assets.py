@@ -31,21 +31,16 @@ _FIELDS = ("scale", "refpos", "refquat", "inertia", "maxhullvert")
 
 
 class Assets:
-    """The meshes and height fields of a file by name; `read_used` fills those that geoms use.
-
-    directory: the folder of the main file, or None for a text without one.
-    """
+    """The meshes and height fields of a file by name; `read_used` fills those that geoms use."""
 
     def __init__(
         self,
         sections: Iterable[Node],
         compiler: Compiler,
         defaults: Defaults,
-        directory: str | None,
     ) -> None:
         self.compiler = compiler
         self.defaults = defaults
-        self.directory = directory
         self.nodes: dict[str, dict[str, Node]] = {"mesh": {}, "hfield": {}}
         self.known: dict[tuple[str, str], Mesh | HField] = {}
         # Of the files that are read: their sizes [bytes], and their names in the text.
@@ -162,15 +157,16 @@ class Assets:
         """Where a file of this name lies; a note if that is outside the folder of the model."""
         if not name or "\0" in name:
             raise bad(node, "file", name, "the name of a file")
-        values = self.compiler.values
+        compiler = node.compiler or self.compiler
+        values, directory = compiler.values, compiler.directory
         name = name.replace("\\", "/")
         if values.get("strippath"):
             name = name.rpartition("/")[2]
         folder = values.get("meshdir", values.get("assetdir", ""))
-        if self.directory is None and not os.path.isabs(os.path.join(folder, name)):
+        if directory is None and not os.path.isabs(os.path.join(folder, name)):
             raise node.error(f'<{node.tag} file="{name}"> in a text needs loads(text, base=folder)')
-        path = os.path.normpath(os.path.join(self.directory or "", folder, name))
-        real, home = os.path.realpath(path), os.path.realpath(self.directory or os.sep)
+        path = os.path.normpath(os.path.join(directory or "", folder, name))
+        real, home = os.path.realpath(path), os.path.realpath(self.compiler.directory or os.sep)
         if os.path.commonpath([real, home]) != home:
             scene.notes.append(
                 f"{node.file}:{node.line}: <{node.tag}> reads {path}, which is outside the folder "

@@ -21,9 +21,13 @@ _UNBUILT = {
 
 
 class Compiler:
-    """All compiler sections of a file together; a later value replaces an earlier one."""
+    """All compiler sections of a file together; a later value replaces an earlier one.
 
-    def __init__(self, sections: Iterable[Node]) -> None:
+    directory: the folder of the model's main file, or None for a text without one.
+    """
+
+    def __init__(self, sections: Iterable[Node], directory: str | None = None) -> None:
+        self.directory = directory
         self.values: dict[str, Any] = {}
         for node in sections:
             self.values |= node.values

@@ -32,6 +32,12 @@ def overlay(under: Values, over: Values) -> Values:
     return result
 
 
+def _prefixed(values: Values, prefix: str) -> Values:
+    """The values of a class, with the prefix before the names of assets."""
+    assets = ("mesh", "hfield", "material")
+    return {name: prefix + value if name in assets else value for name, value in values.items()}
+
+
 class Defaults:
     """The default classes of a model; `of` completes an element's attributes."""
 
@@ -68,6 +74,21 @@ class Defaults:
                 self.classes[inner_name] = dict(own)
                 self.chains[inner_name] = (*self.chains[name], self.chains[name][-1])
             pending += [(child, child.attrs["class"]) for child in reversed(inner)]
+
+    def adopt(self, other: Defaults, prefix: str) -> bool:
+        """Adds the classes of an attached model, whose names and assets get the prefix.
+
+        Returns False, without a change, if that gives classes of this model another meaning.
+        """
+        new = {
+            prefix + name: {tag: _prefixed(values, prefix) for tag, values in own.items()}
+            for name, own in other.classes.items()
+        }
+        if any(name in self.classes and self.classes[name] != new[name] for name in new):
+            return False
+        self.classes |= new
+        self.chains |= {prefix + name: chain for name, chain in other.chains.items()}
+        return True
 
     def known(self, node: Node, attribute: str) -> str | None:
         """The class that an attribute of a node names, which must exist; None for none."""

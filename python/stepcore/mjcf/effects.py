@@ -17,7 +17,6 @@ _EFFECTS = {
     "plugin": "it computes forces, shapes or sensors outside of the file",
     "composite": "MuJoCo 4 has it no more; a replicate or flexcomp takes its place",
     "attach": "it adds bodies of another model",
-    "replicate": "it adds copies of bodies",
     "contact/exclude": "it keeps two bodies from colliding",
     "contact/pair": "it decides how two geoms collide",
     "contact": "it decides which geoms collide, and how",

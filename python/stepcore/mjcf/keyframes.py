@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
-from stepcore.scene.layout import Layout
+from stepcore.scene.layout import DOFS, QPOS, Layout
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
@@ -32,6 +32,8 @@ def read(world: WorldReader, layout: Layout, node: Node) -> None:
     fields: dict[str, Any] = {}
     for name, default in rest.items():
         given = list(values.get(name, ()))
+        if node.parts is not None:
+            given = _assembled(world, layout, node, name, default)
         if len(given) > len(default):
             raise bad(node, name, tuple(given), f"at most {len(default)} numbers, not {len(given)}")
         if given:
@@ -40,6 +42,24 @@ def read(world: WorldReader, layout: Layout, node: Node) -> None:
         fields["qpos"] = layout.unit_quaternions(fields["qpos"])
     added = world.scene.add_key(values.get("name", ""), time=values.get("time", 0.0), **fields)
     world.keep(node, added)
+
+
+def _assembled(
+    world: WorldReader, layout: Layout, node: Node, name: str, default: list[float]
+) -> list[float]:
+    """A vector of a keyframe of an attached model, whose numbers belong to elements."""
+    starts: dict[int, int] = {}
+    at = 0
+    sizes = {"qpos": QPOS, "qvel": DOFS}.get(name)
+    for element in world.scene.actuators if sizes is None else layout.joints:
+        starts[id(element)] = at
+        at += 1 if sizes is None else sizes[element.type]
+    numbers = list(default)
+    for part, given in (node.parts or {})[name]:
+        start = starts.get(id(world.elements.get(id(part))))
+        if start is not None:
+            numbers[start : start + len(given)] = given
+    return numbers
 
 
 def add_empty_keys(scene: Contents, sizes: Iterable[Node]) -> None:

@@ -85,10 +85,14 @@ class Node:
     """One XML element.
 
     values: its attributes as numbers and words, and path: its section and tag, "sensor/touch";
-    `validate` sets both.
+    `validate` sets both. compiler: the compiler sections of an attached model that it is from.
+    parts: the vectors of a keyframe of such a model, as (element, its numbers).
     """
 
-    __slots__ = ("attrs", "children", "file", "line", "path", "tag", "values")
+    __slots__ = (
+        *("attrs", "children", "compiler", "file", "line", "parts", "path", "tag"),
+        "values",
+    )
 
     def __init__(self, tag: str, attrs: dict[str, str], file: str, line: int) -> None:
         self.tag = tag
@@ -98,6 +102,8 @@ class Node:
         self.children: list[Node] = []
         self.values: dict[str, Any] = {}
         self.path = tag
+        self.compiler: Any = None
+        self.parts: dict[str, list[tuple[Node, tuple[float, ...]]]] | None = None
 
     def error(self, text: str) -> MJCFError:
         """Returns the error about this element, with its file and line."""

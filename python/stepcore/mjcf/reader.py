@@ -18,14 +18,13 @@ from typing import TYPE_CHECKING
 from stepcore.checks import ElementError
 from stepcore.mjcf import actuators, contacts, custom, equalities, keyframes, option, tendons
 from stepcore.mjcf.assets import Assets
-from stepcore.mjcf.compiler import Compiler
-from stepcore.mjcf.defaults import Defaults
+from stepcore.mjcf.expand.attach import Model
 from stepcore.mjcf.include import expand, read_bytes
 from stepcore.mjcf.left_out import LeftOut
+from stepcore.mjcf.models import Models, inside, sections
 from stepcore.mjcf.nodes import MJCFError, Node, Source, parse
 from stepcore.mjcf.references import check_references
 from stepcore.mjcf.refusals import Refusals
-from stepcore.mjcf.validation import validate
 from stepcore.mjcf.visual_geoms import leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.consistency import check
@@ -74,16 +73,17 @@ def read_text(
 def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -> None:
     """Fills the scene from a whole model whose includes are expanded."""
     scene.name = root.attrs.get("model", "")
-    scene._source = source.of(root)
     refusals, left_out = Refusals(), LeftOut(without)
+    models = Models(scene, refusals, left_out)
     try:
-        scene.ignored += validate(root, refusals, left_out)
-        world = _read(scene, root, refusals, source.directory)
+        model = models.prepared(root, source.directory)
+        world = _read(scene, model, refusals)
     except ValueError as error:
         refusals.add(error if isinstance(error, MJCFError) else root.error(str(error)))
         world = None
     refusals.raise_all()
     assert world is not None
+    scene._source = source.of(root)
     try:
         _finish(world, root)
     except ElementError as error:
@@ -95,26 +95,25 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
     scene.without = left_out.said()
 
 
-def _read(scene: Contents, root: Node, refusals: Refusals, directory: str | None) -> WorldReader:
+def _read(scene: Contents, model: Model, refusals: Refusals) -> WorldReader:
     """Reads what can be read without the files of assets; errors are added to `refusals`."""
-    compiler = Compiler(_sections(root, "compiler"))
-    defaults = Defaults(_sections(root, "default"))
-    assets = Assets(_sections(root, "asset"), compiler, defaults, directory)
+    root, compiler, defaults = model.root, model.compiler, model.defaults
+    assets = Assets(sections(root, "asset"), compiler, defaults)
     world = WorldReader(scene, compiler, defaults, assets, refusals)
     world.paired = {
         pair.attrs.get(end, "")
-        for pair in _inside(root, "contact")
+        for pair in inside(root, "contact")
         for end in ("geom1", "geom2")
         if pair.tag == "pair"
     }
     scene.mass_rules = compiler.mass_rules()
-    for node in _sections(root, "option"):
+    for node in sections(root, "option"):
         refusals.at(node, lambda node: option.read(scene, node))
-    for node in _sections(root, "worldbody"):
+    for node in sections(root, "worldbody"):
         world.read(node)
     for section, read in SECTIONS.items():
-        for node in _inside(root, section):
-            refusals.at(node, partial(read, world))
+        for node in inside(root, section):
+            world.at(node, partial(read, world))
     return world
 
 
@@ -122,15 +121,15 @@ def _finish(world: WorldReader, root: Node) -> None:
     """Reads what needs the whole scene: keyframes, and the files of assets that are used."""
     scene = world.scene
     layout = Layout(scene)
-    for node in _inside(root, "keyframe"):
+    for node in inside(root, "keyframe"):
         world.refusals.at(node, partial(keyframes.read, world, layout))
     world.refusals.raise_all()
-    keyframes.add_empty_keys(scene, _sections(root, "size"))
+    keyframes.add_empty_keys(scene, sections(root, "size"))
     check_references(world, root)
     leave_out_visual_geoms(world, layout)
     world.assets.read_used(scene)
     layout = Layout(scene)
-    for node in custom.own_texts(_inside(root, "custom")):
+    for node in custom.own_texts(inside(root, "custom")):
         world.refusals.at(node, partial(custom.read, scene))
     world.refusals.raise_all()
     check(layout)
@@ -139,11 +138,3 @@ def _finish(world: WorldReader, root: Node) -> None:
 def _place(line: str) -> tuple[str, int]:
     file, number, _ = line.rsplit(" <", 1)[0].rsplit(":", 2)
     return file, int(number)
-
-
-def _sections(root: Node, tag: str) -> list[Node]:
-    return [node for node in root.children if node.tag == tag]
-
-
-def _inside(root: Node, tag: str) -> list[Node]:
-    return [node for section in _sections(root, tag) for node in section.children]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import TypeVar
 
 from stepcore.checks import cut
 from stepcore.mjcf.nodes import MJCFError, Node
 
+T = TypeVar("T")
 # The most lines of a message, and lines of the file that one of them lists.
 LINES = 20
 PLACES = 4
@@ -20,14 +22,15 @@ class Refusals:
         # Names of elements that are not read, so that what refers to them is no new error.
         self._gone: set[str] = set()
 
-    def at(self, node: Node, read: Callable[[Node], None]) -> None:
-        """Calls `read` on a node; an error is kept, with the node's file and line."""
+    def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
+        """What `read` gives for a node; an error is kept, with the node's file and line."""
         try:
-            read(node)
+            return read(node)
         except MJCFError as error:
             self.add(error, node)
         except ValueError as error:
             self.add(node.error(str(error)), node)
+        return None
 
     def add(self, error: MJCFError, node: Node | None = None) -> None:
         """Keeps an error; node: the element that is not read because of it."""

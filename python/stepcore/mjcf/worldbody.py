@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
-from stepcore.mjcf.nodes import MJCFError, Node
+from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.schema.tree import NOT_IN_WORLD
 from stepcore.mjcf.validation import bad
@@ -19,6 +21,7 @@ from stepcore.scene.frames import Vec
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
+T = TypeVar("T")
 # How a note ends on a range that MuJoCo takes for none.
 EMPTY = "is empty: no limit"
 AT_ORIGIN = (frames.ORIGIN, frames.IDENTITY)
@@ -59,6 +62,7 @@ class WorldReader:
         refusals: Refusals,
     ) -> None:
         self.refusals = refusals
+        self.main = compiler
         self.scene = scene
         self.compiler = compiler
         self.defaults = defaults
@@ -66,6 +70,7 @@ class WorldReader:
         # Geoms of explicit pairs collide whatever their masks say.
         self.paired: set[str] = set()
         self.nodes: dict[int, Node] = {}
+        self.elements: dict[int, Element] = {}
         self.names: dict[str, set[str]] = {"body": {"world"}, "geom": set(), "camera": set()}
         self.references: list[tuple[Node, str, str]] = []
         self.shapes: list[Shape] = []
@@ -78,17 +83,16 @@ class WorldReader:
         pending = [(child, Place(self.scene.world)) for child in reversed(world.children)]
         while pending:
             node, place = pending.pop()
-            inner: Place | None = None
-            try:
-                inner = self._element(node, place)
-            except MJCFError as error:
-                self.refusals.add(error, node)
-            except ValueError as error:
-                self.refusals.add(node.error(str(error)), node)
+            inner = self.at(node, partial(self._element, place))
             if inner is not None:
                 pending += [(child, inner) for child in reversed(node.children)]
 
-    def _element(self, node: Node, place: Place) -> Place | None:
+    def at(self, node: Node, read: Callable[[Node], T]) -> T | None:
+        """Reads an element with the compiler settings of its own model; errors are kept."""
+        self.compiler = node.compiler or self.main
+        return self.refusals.at(node, read)
+
+    def _element(self, place: Place, node: Node) -> Place | None:
         """Reads an element; returns the place of its children if they are to be read."""
         name = node.attrs.get("name", "")
         if place.body is self.scene.world and node.tag in NOT_IN_WORLD:
@@ -112,8 +116,9 @@ class WorldReader:
         return None
 
     def keep(self, node: Node, element: Element) -> None:
-        """Records the node of an element, for error messages."""
+        """Records the node of an element, for error messages, and for keyframes."""
         self.nodes[id(element)] = node
+        self.elements[id(node)] = element
         # Past the element's own check of fields: its place is none.
         element.__dict__["place"] = f"{node.file}:{node.line}"
 

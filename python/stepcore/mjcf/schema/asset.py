@@ -14,8 +14,7 @@ ASSET = spec(
     {
         "mesh": spec(_MESH, {"plugin": plugin()}),
         "hfield": spec("name content_type file nrow:int ncol:int size!:4 elevation:*"),
-        # Only an <attach>, which is not built, makes anything of it.
-        "model": spec("name file content_type", role="draws"),
+        "model": spec("name file! content_type"),
         **visual.ASSETS,
     },
 )

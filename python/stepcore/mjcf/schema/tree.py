@@ -35,7 +35,7 @@ _CHILDREN: dict[str, Spec] = {
     "camera": visual.CAMERA,
     "light": visual.LIGHT,
     "plugin": plugin(),
-    "attach": spec("model! body frame prefix", role="unbuilt"),
+    "attach": spec("model body frame prefix!"),
     "flexcomp": deformable.FLEXCOMP,
     "composite": spec(role="unbuilt"),
 }
@@ -45,7 +45,7 @@ _BODY = spec(
     once=("inertial",),
 )
 _FRAME = spec(f"name childclass {POSE} scale:1-3 scaling:similar|geometry massscale:1")
-_REPLICATE = spec("count!:int sep offset:3 euler:3", role="unbuilt")
+_REPLICATE = spec("count!:int sep offset:3 euler:3")
 for _parent in (_BODY, _FRAME, _REPLICATE):
     _parent.children = _CHILDREN
 _CHILDREN |= {"body": _BODY, "frame": _FRAME, "replicate": _REPLICATE}

@@ -1,0 +1,1 @@
+"""Elements that stand for others: `<replicate>` and `<attach>` are replaced by what they mean."""

@@ -1,0 +1,223 @@
+"""`<replicate>` and `<attach>` make the model that MuJoCo makes of them."""
+
+from pathlib import Path
+
+import compiled
+import mujoco
+import pytest
+
+from stepcore import load, loads
+from stepcore.mjcf.nodes import MJCFError
+
+REPLICATED = {
+    "names, order and what refers to copies": """
+  <worldbody><geom name="floor" type="plane" size="1 1 1"/>
+    <body name="o"><joint name="oj"/><geom size="1"/></body>
+    <replicate count="2" offset="1 0 0" sep="-">
+      <body name="b"><joint name="j"/><joint name="k" axis="1 0 0"/><geom name="g" size=".1"/>
+        <site name="s"/></body>
+      <geom name="h" size="1"/>
+    </replicate>
+    <body name="z"><joint name="zj"/><geom size="1"/></body></worldbody>
+  <contact><exclude body1="b" body2="o"/><pair geom1="g" geom2="floor"/></contact>
+  <equality><connect name="e" body1="b" body2="o" anchor="0 0 0"/></equality>
+  <actuator><motor name="m0" joint="zj"/><motor name="m1" joint="j"/><motor name="m2" joint="k"/>
+    <motor name="m3" joint="oj"/></actuator>
+  <sensor><jointpos joint="j"/><actuatorpos actuator="m1"/></sensor>
+  <keyframe><key name="h" qpos="1 2 3 4 5 6" ctrl="1 2 3 4 5 6"/></keyframe>""",
+    "ten have two digits": """
+  <worldbody><replicate count="10" offset="1 0 0"><body><joint name="h"/><geom size=".1"/></body>
+  </replicate></worldbody>""",
+    "one": """
+  <worldbody><replicate count="1"><body><joint name="h"/><geom size=".1"/></body></replicate>
+  </worldbody>""",
+    "none": """
+  <worldbody><replicate count="0"><geom name="h" size=".1"/></replicate>
+  <body><joint/><geom size="1"/></body></worldbody>""",
+    "nested, turning": """
+  <compiler angle="radian" eulerseq="ZYX"/>
+  <worldbody><replicate count="3" offset="1 0 .1" euler="0 .2 .5">
+    <replicate count="2" offset="0 1 0" sep="_" euler=".1 0 0">
+      <frame pos="0 0 1" euler="0 0 1"><body name="c" pos="0 1 0"><joint name="j"/>
+        <geom name="h" type="box" size=".1 .2 .3" pos=".1 0 0"/></body></frame>
+    </replicate><site name="a" pos="1 2 3"/></replicate></worldbody>
+  <actuator><motor name="m" joint="j"/></actuator>""",
+    "within a body, with a class": """
+  <default><default class="a"><geom size=".2"/></default></default>
+  <worldbody><body name="w" childclass="a"><freejoint/>
+    <replicate count="4" euler="0 0 90"><geom name="h" pos="1 0 0"/>
+      <body name="in" pos="2 0 0"><joint name="hinge"/><geom mass="1"/></body></replicate>
+    <geom name="k"/></body></worldbody>""",
+    "a copy named in its new name": """
+  <worldbody><replicate count="2" offset="1 0 0"><body name="c"><joint name="j"/>
+    <geom size=".1"/></body></replicate></worldbody>
+  <actuator><motor joint="j1"/></actuator>""",
+}
+CHILD = """<mujoco model="kid"><compiler angle="radian" autolimits="true" eulerseq="zyx"/>
+  <option timestep="0.005" gravity="0 0 -1"/>
+  <default><geom size=".3"/><motor gear="7"/>
+    <default class="a"><geom size=".2"/></default></default>
+  <asset><mesh name="me" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>
+  <worldbody><geom name="wg"/>
+    <body name="b" pos="1 0 0" euler=".1 .2 .3"><joint name="j" range="-1 1"/>
+      <geom name="g" class="a"/><site name="s"/><geom type="mesh" mesh="me"/>
+      <body name="bb" childclass="a"><joint name="jj"/><geom name="gg"/></body></body>
+    <body name="c"><joint name="k"/><geom/></body>
+    <frame name="fr" pos="0 0 9" euler="0 0 1">
+      <body name="d" pos="1 0 0"><joint type="slide" name="l"/><geom/></body></frame>
+  </worldbody>
+  <contact><pair name="p" geom1="g" geom2="wg"/><exclude name="x" body1="b" body2="c"/>
+    <exclude name="y" body1="b" body2="world"/></contact>
+  <equality><connect name="e" body1="b" body2="bb" anchor="0 0 0"/>
+    <connect name="e2" body1="b" body2="c" anchor="0 0 0"/>
+    <connect name="e3" body1="b" anchor="0 0 0"/></equality>
+  <actuator><motor name="m" joint="j"/><motor name="mk" joint="k"/>
+    <motor name="ml" joint="l"/></actuator>
+  <sensor><jointpos name="q" joint="j"/><clock name="t"/></sensor>
+  <keyframe><key name="h" qpos=".1 .2 .3 .4" qvel="1 2 3 4" ctrl="1 2 3" time="2"/><key/></keyframe>
+</mujoco>"""
+
+
+def parent(attach: str, before: str = "", world: str = "", after: str = "") -> str:
+    return f"""<mujoco>{before}<asset><model name="kid" file="kid.xml"/></asset>
+  <default><geom size=".5"/><joint damping="1"/></default>
+  <worldbody><body name="o" pos="0 0 1"><joint name="oj" range="0 45"/><geom name="og"/>
+    <frame pos="0 0 1" euler="0 90 0">{attach}</frame>
+    <body name="z"><joint name="zj"/><geom/></body></body>{world}</worldbody>
+  <actuator><motor name="mo" joint="oj"/></actuator>
+  <keyframe><key name="hh" qpos="9 8"/></keyframe>{after}</mujoco>"""
+
+
+ATTACHED = {
+    "a whole model": parent('<attach model="kid" prefix="K-"/>'),
+    "a body": parent('<attach model="kid" body="b" prefix="K-"/>'),
+    "an inner body": parent('<attach model="kid" body="bb" prefix="K-"/>'),
+    "a frame": parent('<attach model="kid" frame="fr" prefix="K-"/>'),
+    "two": parent(
+        '<attach model="kid" body="b" prefix="K-"/><attach model="kid" body="b" prefix="L-"/>'
+    ),
+    "copies": parent(
+        '<replicate count="3" offset="0 1 0"><attach model="kid" body="c" prefix="K-"/></replicate>'
+    ),
+    "named from outside": parent(
+        '<attach model="kid" body="b" prefix="K-"/>',
+        after='<actuator><motor joint="K-jj" name="own"/></actuator>',
+        world='<body><geom name="y" class="K-a"/><geom name="zz" class="K-main"/></body>',
+    ),
+    "itself": parent("", world='<attach body="o" prefix="S-"/>'),
+    "merged": parent(
+        '<attach model="kid" body="b" prefix="K-"/>',
+        '<compiler conflict="merge"/><option timestep="0.001"/>',
+    ),
+    "without conflict": parent(
+        '<attach model="kid" body="b" prefix="K-"/>',
+        '<compiler conflict="error"/><option timestep="0.005"/>',
+    ),
+}
+
+
+@pytest.mark.parametrize("what", REPLICATED)
+def test_replicas_are_mujocos(what: str) -> None:
+    text = f"<mujoco>{REPLICATED[what]}</mujoco>"
+    theirs = mujoco.MjModel.from_xml_string(text)
+    scene = loads(text)
+    compiled.compare(scene, theirs)
+    # What stands for copies is written as copies.
+    compiled.compare(loads(scene.to_mjcf()), theirs)
+
+
+@pytest.mark.parametrize("what", ATTACHED)
+def test_attached_models_are_mujocos(what: str, tmp_path: Path) -> None:
+    (tmp_path / "kid.xml").write_text(CHILD)
+    (tmp_path / "m.xml").write_text(ATTACHED[what])
+    theirs = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
+    scene = load(tmp_path / "m.xml")
+    compiled.compare(scene, theirs)
+    pairs = theirs.nexclude, theirs.npair, theirs.neq
+    assert (len(scene.excludes), len(scene.pairs), len(scene.equalities)) == pairs
+    gears = [actuator.gear[0] for actuator in scene.actuators]
+    assert gears == list(theirs.actuator_gear[:, 0])
+    assert [j.damping for j in scene.joints] == list(theirs.dof_damping)
+
+
+def test_models_within_models_find_their_files(tmp_path: Path) -> None:
+    """Each model's files lie beside it; keyframes come through both."""
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "shapes").mkdir()
+    obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    (tmp_path / "deep" / "shapes" / "tetra.obj").write_text(obj)
+    (tmp_path / "deep" / "in.xml").write_text(
+        """<mujoco><compiler meshdir="shapes" angle="radian"/>
+  <asset><mesh file="tetra.obj"/></asset>
+  <worldbody><body name="i"><joint name="j" range="0 1"/><geom type="mesh" mesh="tetra"/></body>
+  </worldbody><actuator><motor name="m" joint="j"/></actuator>
+  <keyframe><key name="k" qpos=".5" ctrl="3"/></keyframe></mujoco>"""
+    )
+    (tmp_path / "deep" / "mid.xml").write_text(
+        """<mujoco><asset><model name="in" file="in.xml"/></asset><worldbody>
+  <body name="p"><joint name="j"/><geom size=".1"/></body>
+  <attach model="in" prefix="in-"/></worldbody></mujoco>"""
+    )
+    (tmp_path / "m.xml").write_text(
+        """<mujoco><asset><model name="mid" file="deep/mid.xml"/></asset><worldbody>
+  <frame pos="1 0 0"><attach model="mid" prefix="mid-"/></frame></worldbody></mujoco>"""
+    )
+    scene = load(tmp_path / "m.xml")
+    # MuJoCo warns that it loses the outer prefix of such a keyframe.
+    assert scene.keys[0].name == "mid-in-k"
+    assert (scene.keys[0].qpos, scene.keys[0].ctrl) == ((0.0, 0.5), (3.0,))
+    inner = (tmp_path / "deep" / "in.xml").read_text().split("<keyframe>")[0] + "</mujoco>"
+    (tmp_path / "deep" / "in.xml").write_text(inner)
+    theirs = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
+    compiled.compare(load(tmp_path / "m.xml"), theirs)
+    assert [mesh.name for mesh in scene.meshes] == ["mid-in-tetra"]
+    files = [Path(file).name for file in scene._source.files]
+    assert files == ["m.xml", "mid.xml", "in.xml", "tetra.obj"]
+
+
+def test_options_that_are_not_taken_over_are_noted(tmp_path: Path) -> None:
+    (tmp_path / "kid.xml").write_text(CHILD)
+    text = parent('<attach model="kid" body="b" prefix="K-"/>')
+    (tmp_path / "m.xml").write_text(text)
+    notes = load(tmp_path / "m.xml").notes
+    assert any('"kid": its timestep, gravity are not used (conflict)' in note for note in notes)
+
+
+WRONG = {
+    'no such model; nearest: "kid"': '<attach model="kit" prefix="a"/>',
+    'no such body; nearest: "bb"': '<attach model="kid" body="bbb" prefix="a"/>',
+    'no such frame; nearest: "fr"': '<attach model="kid" frame="frr" prefix="a"/>',
+    "has both body and frame": '<attach model="kid" frame="fr" body="b" prefix="a"/>',
+    "needs body or frame": '<attach prefix="a"/>',
+    "default classes have these names": '<attach model="kid" prefix=""/>',
+    "direct child of <replicate>": '<replicate count="2"><joint/></replicate>',
+    "more than 1000000 elements": '<replicate count="2000000000"><geom/></replicate>',
+    "count = -1: must be >= 0": '<replicate count="-1"><geom/></replicate>',
+    "used twice": '<attach model="kid" body="b" prefix="a"/>' * 2,
+}
+
+
+@pytest.mark.parametrize("says", WRONG)
+def test_mistakes_have_their_line(says: str, tmp_path: Path) -> None:
+    (tmp_path / "kid.xml").write_text(CHILD)
+    with pytest.raises(MJCFError, match=says):
+        loads(parent(WRONG[says]), base=tmp_path)
+
+
+def test_conflicts_and_circles_are_errors(tmp_path: Path) -> None:
+    (tmp_path / "kid.xml").write_text(CHILD)
+    body = '<attach model="kid" body="b" prefix="K-"/>'
+    for policy, option in (("error", 'timestep="1"'), ("merge", 'gravity="0 0 -2"')):
+        before = f'<compiler conflict="{policy}"/><option {option}/>'
+        with pytest.raises(MJCFError, match="a conflict"):
+            loads(parent(body, before), base=tmp_path)
+    (tmp_path / "kid.xml").write_text(parent('<attach model="kid" prefix="x"/>'))
+    with pytest.raises(MJCFError, match="attaches itself"):
+        load(tmp_path / "kid.xml")
+    with pytest.raises(MJCFError, match="needs loads"):
+        loads(parent(body))
+    with pytest.raises(FileNotFoundError, match=r"<string>:1: .*gone\.xml"):
+        loads(parent(body).replace("kid.xml", "gone.xml"), base=tmp_path)
+    (tmp_path / "kid.xml").write_text(CHILD.replace("<option", '<option foo="1"'))
+    with pytest.raises(MJCFError, match=r"kid\.xml:2: unknown attribute"):
+        loads(parent(body), base=tmp_path)
