@@ -6,7 +6,7 @@ use numpy::{PyArrayDyn, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyBaseException, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use stepcore::arrays::Given;
+use stepcore::arrays::{self, Given};
 use stepcore::batch::Play;
 use stepcore::error::Error;
 use stepcore::model::Model as EngineModel;
@@ -65,11 +65,11 @@ impl Batch {
     }
 
     fn store(&self, py: Python<'_>, worlds: &dyn Worlds) {
-        self.arrays.store(py, |world, qpos, qvel| worlds.take(world, qpos, qvel));
+        self.arrays.store(py, |world, array, out| worlds.take(world, array, out));
     }
 
-    fn view<'py>(&self, py: Python<'py>, array: usize, shape: &[usize]) -> PyResult<Array<'py>> {
-        self.arrays.view(py, array, &[&[self.arrays.worlds], shape].concat())
+    fn view<'py>(&self, py: Python<'py>, array: arrays::Array) -> PyResult<Array<'py>> {
+        self.arrays.view(py, array, &[self.arrays.worlds])
     }
 
     /// Reads every world's present state in turn.
@@ -112,7 +112,7 @@ impl Batch {
 
     /// The controls of a play, checked.
     fn controls(&self, ctrl: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<f64>> {
-        let (n, nu) = (self.arrays.worlds, self.arrays.lengths[2]);
+        let (n, nu) = (self.arrays.worlds, self.arrays.lengths[arrays::Array::Ctrl as usize]);
         let shape = ctrl.shape();
         if shape[0] != n || shape[2] != nu {
             let text = format!("ctrl has shape {shape:?}: must be [{n}, steps, {nu}]");
@@ -156,23 +156,27 @@ impl Batch {
 
     #[getter]
     fn qpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, 0, &[self.model.nq])
+        self.view(py, arrays::Array::Qpos)
     }
     #[getter]
     fn qvel<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, 1, &[self.model.nv])
+        self.view(py, arrays::Array::Qvel)
+    }
+    #[getter]
+    fn act<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.view(py, arrays::Array::Act)
     }
     #[getter]
     fn ctrl<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, 2, &[self.model.actuators.len()])
+        self.view(py, arrays::Array::Ctrl)
     }
     #[getter]
     fn qfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, 3, &[self.model.nv])
+        self.view(py, arrays::Array::QfrcApplied)
     }
     #[getter]
     fn xfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, 4, &[self.model.bodies.len(), 6])
+        self.view(py, arrays::Array::XfrcApplied)
     }
 
     /// Advances every world by n steps.
@@ -198,24 +202,29 @@ impl Batch {
         gil::release(py, || worlds.forward())
     }
 
-    /// Steps with controls (n, steps, nu); returns qpos and qvel after every step.
+    /// Steps with controls (n, steps, nu); returns qpos, qvel and act after every step.
     fn rollout<'py>(
         &self,
         py: Python<'py>,
         ctrl: PyReadonlyArray3<'py, f64>,
-    ) -> PyResult<(Array<'py>, Array<'py>)> {
+    ) -> PyResult<Vec<Array<'py>>> {
         let mut guard = self.lock()?;
         let worlds = &mut **guard;
-        let [nq, nv, nu, ..] = self.arrays.lengths;
+        let lengths = self.arrays.lengths;
+        let nu = lengths[arrays::Array::Ctrl as usize];
         let (n, steps) = (self.arrays.worlds, ctrl.shape()[1]);
         let controls = self.controls(&ctrl)?;
-        let (mut qpos, mut qvel) = (room(n, steps, nq)?, room(n, steps, nv)?);
+        let mut states: [Vec<f64>; arrays::Array::CHANGED] = Default::default();
+        for (list, entries) in states.iter_mut().zip(lengths) {
+            *list = room(n, steps, entries)?;
+        }
         if steps > 0 {
             self.load(py, worlds)?;
         } else {
             self.check(py, worlds)?;
         }
-        let mut play = Play { steps, ctrl: &controls, qpos: &mut qpos, qvel: &mut qvel };
+        let mut play =
+            Play { steps, ctrl: &controls, states: states.each_mut().map(|list| &mut list[..]) };
         let mut from = 0;
         let outcome = gil::steps(py, steps as u64, |count| {
             worlds.play(&mut play, from, count as usize)?;
@@ -226,11 +235,12 @@ impl Batch {
         if from > 0 {
             for world in 0..n {
                 let last = &controls[(world * steps + from - 1) * nu..][..nu];
-                self.arrays.write(py, 2, world, last);
+                self.arrays.write(py, arrays::Array::Ctrl, world, last);
             }
         }
         outcome?;
-        Ok((shaped(py, qpos, &[n, steps, nq])?, shaped(py, qvel, &[n, steps, nv])?))
+        let states = states.into_iter().zip(lengths);
+        states.map(|(list, entries)| shaped(py, list, &[n, steps, entries])).collect()
     }
 
     /// The errors of the worlds that failed while the others went on; `known` are left out.

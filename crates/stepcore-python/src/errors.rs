@@ -3,7 +3,7 @@
 use pyo3::exceptions::{PyBaseException, PyRuntimeError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
-use stepcore::arrays::Given;
+use stepcore::arrays::{Array, Given};
 use stepcore::elements::Mention;
 use stepcore::error::{Divergence, Error, Fault};
 use stepcore::post_mortem::{Held, PostMortem, Stable};
@@ -113,13 +113,14 @@ fn attach_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> 
         warm: start.warm.clone(),
         sleep: start.sleep.clone(),
     };
-    let given = Given {
-        qpos: &start.qpos,
-        qvel: &start.qvel,
-        ctrl: &inputs.ctrl,
-        qfrc_applied: &inputs.qfrc_applied,
-        xfrc_applied: &inputs.xfrc_applied,
-    };
+    let given = Given::new(|array| match array {
+        Array::Qpos => &start.qpos,
+        Array::Qvel => &start.qvel,
+        Array::Act => &start.act,
+        Array::Ctrl => &inputs.ctrl,
+        Array::QfrcApplied => &inputs.qfrc_applied,
+        Array::XfrcApplied => &inputs.xfrc_applied,
+    });
     error.setattr("_start", PyBytes::new(py, &encode(post.dt, &memo, &given)))?;
     let change = |(step, inputs): &(u64, Held)| {
         (*step, inputs.ctrl.clone(), inputs.qfrc_applied.clone(), inputs.xfrc_applied.clone())

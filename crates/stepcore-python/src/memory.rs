@@ -10,13 +10,14 @@ use numpy::ndarray::{ArrayViewMut, IxDyn};
 use numpy::{PyArray, PyArrayDyn};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
-use stepcore::arrays::Given;
+use stepcore::arrays::{Array, Given};
 use stepcore::model::Model;
 
-/// The five arrays of `worlds` worlds: all worlds' qpos, then all worlds' qvel, and so on.
+/// The arrays of `worlds` worlds: all worlds' qpos, then all worlds' qvel, and so on.
 pub struct Arrays {
-    /// Numbers a world has in qpos, qvel, ctrl, qfrc_applied, xfrc_applied.
-    pub lengths: [usize; 5],
+    /// Numbers a world has in each of `Array::ALL`, and their shape there.
+    pub lengths: [usize; Array::COUNT],
+    shapes: [Vec<usize>; Array::COUNT],
     pub worlds: usize,
     memory: Py<Memory>,
 }
@@ -24,15 +25,15 @@ pub struct Arrays {
 impl Arrays {
     /// Every world at qpos0 and at rest.
     pub fn new(py: Python<'_>, model: &Model, worlds: usize) -> PyResult<Self> {
-        let (nv, nu) = (model.nv, model.actuators.len());
-        let lengths = [model.nq, nv, nu, nv, 6 * model.bodies.len()];
+        let (lengths, shapes) = (Array::counts(model), Array::ALL.map(|array| array.shape(model)));
         let memory = Py::new(py, Memory::new(worlds * lengths.iter().sum::<usize>()))?;
         memory.get().write(py, 0, &model.qpos0.repeat(worlds));
-        Ok(Self { lengths, worlds, memory })
+        Ok(Self { lengths, shapes, worlds, memory })
     }
 
     /// All worlds' part of one array.
-    fn range(&self, array: usize) -> Range<usize> {
+    fn range(&self, array: Array) -> Range<usize> {
+        let array = array as usize;
         let start = self.worlds * self.lengths[..array].iter().sum::<usize>();
         start..start + self.worlds * self.lengths[array]
     }
@@ -45,57 +46,49 @@ impl Arrays {
         read: impl FnOnce(&Given) -> T + Send,
     ) -> T {
         self.memory.get().read(py, |numbers| {
-            let of = |array| {
-                let start = self.range(array).start + world * self.lengths[array];
-                &numbers[start..start + self.lengths[array]]
-            };
-            read(&Given {
-                qpos: of(0),
-                qvel: of(1),
-                ctrl: of(2),
-                qfrc_applied: of(3),
-                xfrc_applied: of(4),
-            })
+            read(&Given::new(|array| {
+                let length = self.lengths[array as usize];
+                &numbers[self.range(array).start + world * length..][..length]
+            }))
         })
     }
 
-    /// Lets `take(world, qpos, qvel)` overwrite every world's positions and velocities.
-    pub fn store(
-        &self,
-        py: Python<'_>,
-        mut take: impl FnMut(usize, &mut [f64], &mut [f64]) + Send,
-    ) {
-        let ([nq, nv, ..], n) = (self.lengths, self.worlds);
-        self.memory.get().edit(py, 0..n * (nq + nv), |numbers| {
-            let (qpos, qvel) = numbers.split_at_mut(n * nq);
-            for world in 0..n {
-                take(world, &mut qpos[world * nq..][..nq], &mut qvel[world * nv..][..nv]);
-            }
-        });
+    /// Lets `take(world, array, numbers)` overwrite every world's part of what a step changes.
+    pub fn store(&self, py: Python<'_>, mut take: impl FnMut(usize, Array, &mut [f64]) + Send) {
+        for array in &Array::ALL[..Array::CHANGED] {
+            let length = self.lengths[*array as usize];
+            self.memory.get().edit(py, self.range(*array), |numbers| {
+                for world in 0..self.worlds {
+                    take(world, *array, &mut numbers[world * length..][..length]);
+                }
+            });
+        }
     }
 
     /// Overwrites one world's part of one array.
-    pub fn write(&self, py: Python<'_>, array: usize, world: usize, values: &[f64]) {
-        self.memory.get().write(py, self.range(array).start + world * self.lengths[array], values);
+    pub fn write(&self, py: Python<'_>, array: Array, world: usize, values: &[f64]) {
+        let start = self.range(array).start + world * self.lengths[array as usize];
+        self.memory.get().write(py, start, values);
     }
 
     /// Overwrites all of one world's arrays with numbers that stand one after the other.
     pub fn restore(&self, py: Python<'_>, world: usize, mut numbers: &[f64]) {
-        for (array, length) in self.lengths.into_iter().enumerate() {
-            let (head, tail) = numbers.split_at(length);
+        for array in Array::ALL {
+            let (head, tail) = numbers.split_at(self.lengths[array as usize]);
             self.write(py, array, world, head);
             numbers = tail;
         }
     }
 
-    /// A numpy view of all worlds' part of one array.
+    /// A numpy view of all worlds' part of one array; `before`: axes before those of a world.
     pub fn view<'py>(
         &self,
         py: Python<'py>,
-        array: usize,
-        shape: &[usize],
+        array: Array,
+        before: &[usize],
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        Memory::view(self.memory.bind(py), self.range(array), shape)
+        let shape = [before, &self.shapes[array as usize]].concat();
+        Memory::view(self.memory.bind(py), self.range(array), &shape)
     }
 }
 

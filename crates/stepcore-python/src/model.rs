@@ -71,6 +71,11 @@ impl Model {
         self.0.nv
     }
 
+    #[getter]
+    fn na(&self) -> usize {
+        self.0.na
+    }
+
     /// Names of every kind of element, in the order of the model; "" where there is none.
     fn names<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let m = &*self.0;
@@ -93,19 +98,23 @@ impl Model {
     }
 
     /// The force of all springs, dampers or actuators on the dofs at many states: ctrl (n, nu),
-    /// qpos (n, nq), qvel (n, nv).
+    /// act (n, na), qpos (n, nq), qvel (n, nv).
     fn element_force<'py>(
         &self,
         py: Python<'py>,
         kind: &str,
         ctrl: PyReadonlyArray2<'py, f64>,
+        act: PyReadonlyArray2<'py, f64>,
         qpos: PyReadonlyArray2<'py, f64>,
         qvel: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let (m, n) = (&*self.0, qvel.shape()[0]);
-        for (name, array, width) in
-            [("ctrl", &ctrl, m.actuators.len()), ("qpos", &qpos, m.nq), ("qvel", &qvel, m.nv)]
-        {
+        for (name, array, width) in [
+            ("ctrl", &ctrl, m.actuators.len()),
+            ("act", &act, m.na),
+            ("qpos", &qpos, m.nq),
+            ("qvel", &qvel, m.nv),
+        ] {
             if array.shape() != [n, width] {
                 let shape = array.shape();
                 let text = format!("{name} has shape {shape:?}: must be ({n}, {width})");
@@ -113,10 +122,9 @@ impl Model {
             }
         }
         let list = |array: &PyReadonlyArray2<'py, f64>| array.as_array().iter().copied().collect();
-        let (ctrl, qpos, qvel): (Vec<f64>, Vec<f64>, Vec<f64>) =
-            (list(&ctrl), list(&qpos), list(&qvel));
+        let [ctrl, act, qpos, qvel]: [Vec<f64>; 4] = [&ctrl, &act, &qpos, &qvel].map(list);
         let found = Kind::ALL.into_iter().find(|known| known.word() == kind);
-        let forces = found.and_then(|kind| joint_forces(m, kind, &ctrl, &qpos, &qvel));
+        let forces = found.and_then(|kind| joint_forces(m, kind, &ctrl, &act, &qpos, &qvel));
         let Some(forces) = forces else {
             let limit = "must be 'spring', 'damper' or 'actuator'";
             return Err(PyValueError::new_err(format!("kind = '{}': {limit}", cut(kind))));
@@ -225,6 +233,11 @@ impl Model {
             m.actuators.iter().flat_map(|a| a.forcerange.unwrap_or(FREE)).collect(),
             &[nu, 2],
         )?;
+        add(
+            "actuator_actrange",
+            m.actuators.iter().flat_map(|a| a.actrange.unwrap_or(FREE)).collect(),
+            &[nu, 2],
+        )?;
         add("actuator_gain", m.actuators.iter().map(|a| a.gain).collect(), &[nu])?;
         add("actuator_bias", m.actuators.iter().flat_map(|a| a.bias).collect(), &[nu, 3])?;
         add("actuator_gear", m.actuators.iter().flat_map(|a| a.gear).collect(), &[nu, 6])?;
@@ -251,6 +264,9 @@ impl Model {
         lists.set_item("jnt_qposadr", m.joints.iter().map(|j| j.qpos).collect::<Vec<_>>())?;
         lists.set_item("jnt_dofadr", m.joints.iter().map(|j| j.dof).collect::<Vec<_>>())?;
         lists.set_item("jnt_body", m.joints.iter().map(|j| j.body).collect::<Vec<_>>())?;
+        let act = |span: &stepcore::model::Span| if span.len > 0 { span.start as i64 } else { -1 };
+        let actadr: Vec<i64> = m.activations.iter().map(act).collect();
+        lists.set_item("actuator_actadr", actadr)?;
         lists.set_item("geom_body", m.geoms.iter().map(|g| g.body).collect::<Vec<_>>())?;
         lists.set_item("site_body", m.sites.iter().map(|s| s.body).collect::<Vec<_>>())?;
         lists
@@ -326,15 +342,16 @@ impl Model {
         Ok(plan)
     }
 
-    /// Time, qpos, qvel and ctrl of every keyframe, defaults filled in.
+    /// Time, qpos, qvel, act and ctrl of every keyframe, defaults filled in.
     #[allow(clippy::type_complexity)]
-    fn keys(&self) -> Vec<(f64, Vec<f64>, Vec<f64>, Vec<f64>)> {
+    fn keys(&self) -> Vec<(f64, Vec<f64>, Vec<f64>, Vec<f64>, Vec<f64>)> {
         let m = &*self.0;
         let or_zero =
             |given: &Option<Vec<f64>>, count| given.clone().unwrap_or_else(|| vec![0.0; count]);
         let qpos = |given: &Option<Vec<f64>>| given.clone().unwrap_or_else(|| m.qpos0.clone());
         let key = |k: &stepcore::scene::Key| {
-            (k.time, qpos(&k.qpos), or_zero(&k.qvel, m.nv), or_zero(&k.ctrl, m.actuators.len()))
+            let ctrl = or_zero(&k.ctrl, m.actuators.len());
+            (k.time, qpos(&k.qpos), or_zero(&k.qvel, m.nv), or_zero(&k.act, m.na), ctrl)
         };
         m.keys.iter().map(key).collect()
     }

@@ -2,7 +2,7 @@
 
 use pyo3::prelude::*;
 use stepcore::scene::{
-    Actuator, Body, ContactOverride, Equality, EqualityType, ExplicitPair, Features, Frame, Geom,
+    Actuator, Body, ContactOverride, Dynamics, Equality, EqualityType, ExplicitPair, Features, Frame, Geom,
     GeomType, HField, Inertial, Joint, JointType, Key, MassRules, Mesh, MeshInertia, Scene, Site,
     Softness, Stop, Tendon,
 };
@@ -30,6 +30,9 @@ named!(GeomType {
 named!(EqualityType { "connect" => Connect, "weld" => Weld, "joint" => Joint });
 named!(MeshInertia {
     "convex" => Convex, "exact" => Exact, "legacy" => Legacy, "shell" => Shell,
+});
+named!(Dynamics {
+    "none" => None, "integrator" => Integrator, "filter" => Filter, "filterexact" => FilterExact,
 });
 
 /// By which of its fields is there.
@@ -113,7 +116,20 @@ record!(Tendon {
     limit,
     friction,
 });
-record!(Actuator { name, joint, gear, gain, bias, dampratio, ctrlrange, forcerange });
+record!(Actuator {
+    name,
+    joint,
+    gear,
+    gain,
+    bias,
+    dampratio,
+    dynamics,
+    dynprm,
+    ctrlrange,
+    actrange,
+    forcerange,
+    actearly,
+});
 record!(Frame { pos, quat });
 record!(Equality {
     name,
@@ -129,7 +145,7 @@ record!(Equality {
 });
 record!(ExplicitPair { name, geom1, geom2, condim, friction, margin, gap, soft, solreffriction });
 record!(ContactOverride { margin, friction, soft });
-record!(Key { name, time, qpos, qvel, ctrl });
+record!(Key { name, time, qpos, qvel, act, ctrl });
 record!(MassRules {
     from_geoms,
     group_range,

@@ -8,6 +8,7 @@ use numpy::PyArrayDyn;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
+use stepcore::arrays;
 use stepcore::elements::Element;
 use stepcore::model::Model as EngineModel;
 use stepcore::real::Stage;
@@ -92,7 +93,7 @@ impl Sim {
     }
 
     fn store(&self, py: Python<'_>, world: &mut dyn World) {
-        self.arrays.store(py, move |_, qpos, qvel| world.take(qpos, qvel));
+        self.arrays.store(py, move |_, array, out| world.take(array, out));
     }
 
     fn placed<'py>(&self, py: Python<'py>, what: Placed, shape: &[usize]) -> PyResult<Array<'py>> {
@@ -121,23 +122,27 @@ impl Sim {
 
     #[getter]
     fn qpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, 0, &[self.model.nq])
+        self.arrays.view(py, arrays::Array::Qpos, &[])
     }
     #[getter]
     fn qvel<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, 1, &[self.model.nv])
+        self.arrays.view(py, arrays::Array::Qvel, &[])
+    }
+    #[getter]
+    fn act<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.arrays.view(py, arrays::Array::Act, &[])
     }
     #[getter]
     fn ctrl<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, 2, &[self.model.actuators.len()])
+        self.arrays.view(py, arrays::Array::Ctrl, &[])
     }
     #[getter]
     fn qfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, 3, &[self.model.nv])
+        self.arrays.view(py, arrays::Array::QfrcApplied, &[])
     }
     #[getter]
     fn xfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, 4, &[self.model.bodies.len(), 6])
+        self.arrays.view(py, arrays::Array::XfrcApplied, &[])
     }
 
     /// Advances by n steps.
@@ -219,7 +224,7 @@ impl Sim {
         Ok(())
     }
 
-    /// A (2 nv × 2 nv) and B (2 nv × nu), side by side, of the step from the present state; the
+    /// A (2 nv + na columns) and B (nu columns), side by side, of the step from the present state; the
     /// elements at which they are one-sided.
     fn linearize<'py>(&self, py: Python<'py>) -> PyResult<(Array<'py>, Vec<Id>)> {
         let mut linearizer = {
@@ -229,7 +234,7 @@ impl Sim {
             gil::release(py, || world.linearizer())?
         };
         gil::steps(py, linearizer.steps(), |n| linearizer.advance(n))?;
-        let rows = 2 * self.model.nv;
+        let rows = 2 * self.model.nv + self.model.na;
         let degenerate = linearizer.degenerate().iter().copied().map(id).collect();
         let matrix = result(py, linearizer.matrix, &[rows, rows + self.model.actuators.len()])?;
         Ok((matrix, degenerate))

@@ -1,6 +1,6 @@
 //! A snapshot as bytes: the arrays of one world and what a step hands to the next.
 
-use stepcore::arrays::Given;
+use stepcore::arrays::{Array, Given};
 use stepcore::model::NONE;
 use stepcore::sleep::Sleep;
 use stepcore::state::{Warm, WARM_ROWS};
@@ -8,7 +8,7 @@ use stepcore::state::{Warm, WARM_ROWS};
 use crate::world::Memo;
 
 /// First bytes of a snapshot; the number goes up when the layout changes.
-const HEAD: &[u8; 16] = b"stepcore state 5";
+const HEAD: &[u8; 16] = b"stepcore state 6";
 
 /// Steps are counted in numbers that hold every one of them.
 const MOST_STEPS: u64 = 1 << 53;
@@ -18,7 +18,7 @@ const MOST_STEPS: u64 = 1 << 53;
 pub struct Snapshot {
     pub dt: f64,
     pub memo: Memo,
-    /// qpos, qvel, ctrl, qfrc_applied, xfrc_applied one after the other.
+    /// Those of `Array::ALL` one after the other.
     pub numbers: Vec<f64>,
 }
 
@@ -34,7 +34,7 @@ impl Snapshot {
 }
 
 pub fn encode(dt: f64, memo: &Memo, given: &Given) -> Vec<u8> {
-    let arrays = [given.qpos, given.qvel, given.ctrl, given.qfrc_applied, given.xfrc_applied];
+    let arrays = *given.lists();
     let mut bytes = HEAD.to_vec();
     for array in arrays {
         bytes.extend((array.len() as u64).to_le_bytes());
@@ -75,7 +75,7 @@ fn checksum(bytes: &[u8]) -> u64 {
 }
 
 /// The snapshot in `bytes`, or what is wrong with them.
-pub fn decode(bytes: &[u8], lengths: [usize; 5]) -> Result<Snapshot, String> {
+pub fn decode(bytes: &[u8], lengths: [usize; Array::COUNT]) -> Result<Snapshot, String> {
     const OTHER: &str = "these are not the bytes of a state() of this version";
     const CHANGED: &str = "the bytes of this state() were changed";
     let (bytes, sum) = bytes.split_last_chunk().ok_or(OTHER)?;
@@ -84,7 +84,8 @@ pub fn decode(bytes: &[u8], lengths: [usize; 5]) -> Result<Snapshot, String> {
         return Err(CHANGED.into());
     }
     let mut rest = Rest(rest);
-    for (name, length) in ["nq", "nv", "nu", "nv", "6 nbody"].iter().zip(lengths) {
+    for (array, length) in Array::ALL.into_iter().zip(lengths) {
+        let name = array.length();
         let theirs = rest.word()?;
         if theirs != length as u64 {
             return Err(format!(

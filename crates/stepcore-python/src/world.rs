@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use stepcore::arrays::Given;
+use stepcore::arrays::{Array, Given};
 use stepcore::elements::Element;
 use stepcore::error::Result;
 use stepcore::model::Model;
@@ -101,7 +101,7 @@ pub fn impulse<R: Real>(x: f64) -> f64 {
 pub trait World: Send {
     fn check(&self, given: &Given) -> Result<()>;
     fn put(&mut self, given: &Given);
-    fn take(&self, qpos: &mut [f64], qvel: &mut [f64]);
+    fn take(&self, array: Array, out: &mut [f64]);
     fn step(&mut self, n: u64) -> Result<()>;
     /// A call of so many steps ends: balances the ledger if they are enough.
     fn balance_at_end(&mut self, n: u64) -> Result<()>;
@@ -184,8 +184,8 @@ impl<R: Real> World for One<R> {
     fn put(&mut self, given: &Given) {
         self.watched.put(0, given);
     }
-    fn take(&self, qpos: &mut [f64], qvel: &mut [f64]) {
-        self.sim().state.take(0, qpos, qvel);
+    fn take(&self, array: Array, out: &mut [f64]) {
+        self.sim().state.take(0, array, out);
     }
     fn step(&mut self, n: u64) -> Result<()> {
         self.watched.step(n)

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use stepcore::arrays::Given;
+use stepcore::arrays::{lists, Array, Given};
 use stepcore::batch::{Batch, Last, Play};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
@@ -17,7 +17,7 @@ use crate::world::{impulse, Memo, World};
 pub trait Worlds: Send + Sync {
     fn check(&self, world: usize, given: &Given) -> Result<()>;
     fn put(&mut self, world: usize, given: &Given);
-    fn take(&self, world: usize, qpos: &mut [f64], qvel: &mut [f64]);
+    fn take(&self, world: usize, array: Array, out: &mut [f64]);
     fn step(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
     fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()>;
@@ -70,8 +70,8 @@ impl<R: Real> Worlds for Batch<R> {
     fn put(&mut self, world: usize, given: &Given) {
         Batch::put(self, world, given);
     }
-    fn take(&self, world: usize, qpos: &mut [f64], qvel: &mut [f64]) {
-        Batch::take(self, world, qpos, qvel);
+    fn take(&self, world: usize, array: Array, out: &mut [f64]) {
+        Batch::take(self, world, array, out);
     }
     fn step(&mut self, n: u64) -> Result<()> {
         Batch::step(self, n)
@@ -95,26 +95,15 @@ impl<R: Real> Worlds for Batch<R> {
     fn again(&self, world: usize, into: &mut dyn World) -> Result<()> {
         let (state, inputs, last) = self.last(world);
         let lane = world % R::LANES;
-        let of = |numbers: &[R]| numbers.iter().map(|x| x.lane(lane)).collect::<Vec<f64>>();
+        let mut lists = lists(state, inputs, lane);
         if let Some(failed) = Batch::failed(self, world) {
             // Its last solve led nowhere: what is read is that of the state it stands in.
-            into.put(&Given {
-                qpos: &failed.qpos,
-                qvel: &failed.qvel,
-                ctrl: &of(&inputs.ctrl),
-                qfrc_applied: &of(inputs.qfrc_applied()),
-                xfrc_applied: &of(inputs.xfrc_applied()),
-            });
+            lists[..Array::CHANGED].clone_from_slice(&failed.state);
+            into.put(&Given::new(|array| &lists[array as usize]));
             let _ = into.forward();
             return Ok(());
         }
-        into.put(&Given {
-            qpos: &of(&state.qpos),
-            qvel: &of(&state.qvel),
-            ctrl: &of(&inputs.ctrl),
-            qfrc_applied: &of(inputs.qfrc_applied()),
-            xfrc_applied: &of(inputs.xfrc_applied()),
-        });
+        into.put(&Given::new(|array| &lists[array as usize]));
         into.set_memo(&Memo::of(state, lane));
         match last {
             Last::Nothing => Ok(()),

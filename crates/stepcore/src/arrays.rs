@@ -1,5 +1,10 @@
 //! One world's arrays as the user holds them: `f64`, whatever the engine computes
 //! with. They are checked before anything moves, copied in, and copied out again.
+//!
+//! `Array` lists them. A new one is a line in each of its functions, and one in `State::lists` or in
+//! `Inputs::arrays`, where the engine keeps it.
+
+use std::ops::Index;
 
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
@@ -13,52 +18,124 @@ use crate::state::{Inputs, State, Warm};
 /// The square of a quaternion's length from which it can still be scaled to 1 in any precision.
 const SHORTEST_SQUARE: f64 = 1e-30;
 
-/// State and inputs of one world, to be read.
-#[derive(Clone, Copy)]
-pub struct Given<'a> {
-    pub qpos: &'a [f64],
-    pub qvel: &'a [f64],
-    pub ctrl: &'a [f64],
-    pub qfrc_applied: &'a [f64],
+/// An array that is the user's to write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Array {
+    // What a step changes.
+    Qpos,
+    Qvel,
+    Act,
+    // What it reads.
+    Ctrl,
+    QfrcApplied,
     /// Force, then moment, by body: 6 numbers each.
-    pub xfrc_applied: &'a [f64],
+    XfrcApplied,
 }
 
-impl Given<'_> {
+impl Array {
+    pub const COUNT: usize = 6;
+    pub const ALL: [Self; Self::COUNT] =
+        [Self::Qpos, Self::Qvel, Self::Act, Self::Ctrl, Self::QfrcApplied, Self::XfrcApplied];
+    /// How many of them a step changes: the first ones.
+    pub const CHANGED: usize = 3;
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Qpos => "qpos",
+            Self::Qvel => "qvel",
+            Self::Act => "act",
+            Self::Ctrl => "ctrl",
+            Self::QfrcApplied => "qfrc_applied",
+            Self::XfrcApplied => "xfrc_applied",
+        }
+    }
+
+    /// Of one world.
+    pub fn shape(self, model: &Model) -> Vec<usize> {
+        match self {
+            Self::Qpos => vec![model.nq],
+            Self::Qvel | Self::QfrcApplied => vec![model.nv],
+            Self::Act => vec![model.na],
+            Self::Ctrl => vec![model.actuators.len()],
+            Self::XfrcApplied => vec![model.bodies.len(), 6],
+        }
+    }
+
+    /// What its length is called.
+    pub fn length(self) -> &'static str {
+        match self {
+            Self::Qpos => "nq",
+            Self::Qvel | Self::QfrcApplied => "nv",
+            Self::Act => "na",
+            Self::Ctrl => "nu",
+            Self::XfrcApplied => "6 nbody",
+        }
+    }
+
+    pub fn count(self, model: &Model) -> usize {
+        self.shape(model).iter().product()
+    }
+
+    /// The numbers of every array in one world.
+    pub fn counts(model: &Model) -> [usize; Self::COUNT] {
+        Self::ALL.map(|array| array.count(model))
+    }
+
+    /// Whose an entry is.
+    pub(crate) fn owner(self, model: &Model, k: usize) -> Element {
+        let joint = |index| Element::whole(Kind::Joint, index);
+        match self {
+            Self::Qpos => joint(model.joints.iter().rposition(|j| j.qpos <= k).unwrap_or(0)),
+            Self::Qvel | Self::QfrcApplied => joint(model.dofs[k].joint),
+            Self::Act => {
+                let own = |span: &crate::model::Span| span.range().contains(&k);
+                let index = model.activations.iter().position(own).unwrap_or(0);
+                Element::whole(Kind::Actuator, index)
+            }
+            Self::Ctrl => Element::whole(Kind::Actuator, k),
+            Self::XfrcApplied => Element::whole(Kind::Body, k / 6),
+        }
+    }
+}
+
+/// State and inputs of one world, to be read.
+#[derive(Clone, Copy)]
+pub struct Given<'a>([&'a [f64]; Array::COUNT]);
+
+impl Index<Array> for Given<'_> {
+    type Output = [f64];
+
+    fn index(&self, array: Array) -> &[f64] {
+        self.0[array as usize]
+    }
+}
+
+impl<'a> Given<'a> {
+    /// Of what `list` holds for each array.
+    pub fn new(list: impl FnMut(Array) -> &'a [f64]) -> Self {
+        Self(Array::ALL.map(list))
+    }
+
+    /// In the order of `Array::ALL`.
+    pub fn lists(&self) -> &[&'a [f64]; Array::COUNT] {
+        &self.0
+    }
+
     /// Refuses what is not finite in the engine's number, and quaternions of no length.
     /// `world`: its index in a batch, for the error text.
     pub fn check<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
-        let bad = |values: &[f64]| values.iter().position(|x| !R::of(*x).is_finite().all());
-        let of_joint = |dof: usize| joint_name(model, model.dofs[dof].joint);
-        if let Some(k) = bad(self.qpos) {
-            let joint = model.joints.iter().rposition(|joint| joint.qpos <= k).unwrap_or(0);
-            return Err(refuse::<R>(
-                format!("qpos[{k}]"),
-                self.qpos[k],
-                &joint_name(model, joint),
-                world,
-            ));
-        }
-        if let Some(k) = bad(self.qvel) {
-            return Err(refuse::<R>(format!("qvel[{k}]"), self.qvel[k], &of_joint(k), world));
-        }
-        if let Some(k) = bad(self.ctrl) {
-            let actuator = model.element_name(Element::whole(Kind::Actuator, k));
-            return Err(refuse::<R>(format!("ctrl[{k}]"), self.ctrl[k], &actuator, world));
-        }
-        if let Some(k) = bad(self.qfrc_applied) {
-            return Err(refuse::<R>(
-                format!("qfrc_applied[{k}]"),
-                self.qfrc_applied[k],
-                &of_joint(k),
-                world,
-            ));
-        }
-        if let Some(k) = bad(self.xfrc_applied) {
-            let (body, part) = (k / 6, k % 6);
-            let name = model.element_name(Element::whole(Kind::Body, body));
-            let field = format!("xfrc_applied[{body}, {part}]");
-            return Err(refuse::<R>(field, self.xfrc_applied[k], &name, world));
+        for array in Array::ALL {
+            let values = &self[array];
+            let Some(k) = values.iter().position(|x| !R::of(*x).is_finite().all()) else {
+                continue;
+            };
+            let place = match array.shape(model)[..] {
+                [_, width] => format!("{}, {}", k / width, k % width),
+                _ => k.to_string(),
+            };
+            let owner = model.element_name(array.owner(model, k));
+            let field = format!("{}[{place}]", array.name());
+            return Err(refuse::<R>(field, values[k], &owner, world));
         }
         self.check_quaternions::<R>(model, world)
     }
@@ -70,11 +147,12 @@ impl Given<'_> {
                 JointType::Free => joint.qpos + 3,
                 JointType::Slide | JointType::Hinge => continue,
             };
-            let quat = &self.qpos[first..first + 4];
+            let quat = &self[Array::Qpos][first..first + 4];
             let square = quat.iter().fold(R::zero(), |sum, x| sum + R::of(*x) * R::of(*x));
             // Too short to be divided by, or so long that its square overflows.
             if !(square.gt(R::of(SHORTEST_SQUARE)).all() && square.is_finite().all()) {
-                let whose = whose(&joint_name(model, index), world);
+                let joint = model.element_name(Element::whole(Kind::Joint, index));
+                let whose = whose(&joint, world);
                 let field = format!("qpos[{first}:{}]", first + 4);
                 let limit = format!("a quaternion of a length that can be scaled to 1 ({whose}); nothing was stepped");
                 return Err(Error::value(field, format!("{quat:?}"), limit));
@@ -96,10 +174,6 @@ fn whose(element: &str, world: Option<usize>) -> String {
     }
 }
 
-fn joint_name(model: &Model, index: usize) -> String {
-    model.element_name(Element::whole(Kind::Joint, index))
-}
-
 fn put<R: Real>(to: &mut [R], lane: usize, from: &[f64]) {
     for (to, from) in to.iter_mut().zip(from) {
         to.set_lane(lane, *from);
@@ -107,24 +181,23 @@ fn put<R: Real>(to: &mut [R], lane: usize, from: &[f64]) {
 }
 
 impl<R: Real> State<R> {
-    /// Takes one world's positions and velocities; says whether any differed.
+    /// Takes one world's state; says whether any of it differed.
     pub fn put(&mut self, lane: usize, given: &Given) -> bool {
         let differs =
             |now: &[R], new: &[f64]| now.iter().zip(new).any(|(now, new)| now.lane(lane) != *new);
-        let changed = differs(&self.qpos, given.qpos) || differs(&self.qvel, given.qvel);
+        let both = self.lists().into_iter().zip(given.lists());
+        let changed = both.into_iter().any(|(now, new)| differs(now, new));
         if changed {
-            put(&mut self.qpos, lane, given.qpos);
-            put(&mut self.qvel, lane, given.qvel);
+            for (to, from) in self.lists_mut().into_iter().zip(given.lists()) {
+                put(to, lane, from);
+            }
         }
         changed
     }
 
-    /// Gives one world's positions and velocities.
-    pub fn take(&self, lane: usize, qpos: &mut [f64], qvel: &mut [f64]) {
-        for (to, from) in qpos.iter_mut().zip(&self.qpos) {
-            *to = from.lane(lane);
-        }
-        for (to, from) in qvel.iter_mut().zip(&self.qvel) {
+    /// Gives one world's part of an array that a step changes.
+    pub fn take(&self, lane: usize, array: Array, out: &mut [f64]) {
+        for (to, from) in out.iter_mut().zip(self.lists()[array as usize]) {
             *to = from.lane(lane);
         }
     }
@@ -144,10 +217,8 @@ impl<R: Real> Sim<R> {
         let settings =
             Settings { precision: Precision::F64, ledger: false, ..self.settings.clone() };
         let mut sim = Sim::<Q>::new(self.model.clone(), settings)?;
-        let plain = |list: &[R]| list.iter().map(|x| x.lane(0)).collect::<Vec<_>>();
-        let (qpos, qvel) = (&plain(&self.state.qpos), &plain(&self.state.qvel));
-        let [ctrl, qfrc_applied, xfrc_applied] = &self.inputs.arrays().map(plain);
-        sim.put(0, &Given { qpos, qvel, ctrl, qfrc_applied, xfrc_applied });
+        let lists = lists(&self.state, &self.inputs, 0);
+        sim.put(0, &Given::new(|array| &lists[array as usize]));
         let number = |x: R| Q::of(x.lane(0));
         let warm = self.state.warm.iter();
         let warm = warm.map(|w| Warm {
@@ -162,9 +233,17 @@ impl<R: Real> Sim<R> {
     }
 }
 
+/// One lane of state and inputs, in the order of `Array::ALL`.
+pub fn lists<R: Real>(state: &State<R>, inputs: &Inputs<R>, lane: usize) -> Vec<Vec<f64>> {
+    let plain = |list: &[R]| list.iter().map(|x| x.lane(lane)).collect();
+    let state = state.lists().into_iter().map(|list| plain(list));
+    state.chain(inputs.arrays().into_iter().map(plain)).collect()
+}
+
 impl<R: Real> Inputs<R> {
-    /// Takes one world's controls and forces. Lane 0 comes first.
+    /// Takes one world's inputs. Lane 0 comes first.
     pub fn put(&mut self, lane: usize, given: &Given) {
-        self.set_lane(lane, given.ctrl, given.qfrc_applied, given.xfrc_applied);
+        let (_, inputs) = given.lists().split_at(Array::CHANGED);
+        self.set_lane(lane, inputs);
     }
 }

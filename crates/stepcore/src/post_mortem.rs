@@ -30,6 +30,7 @@ pub struct Start {
     pub time: f64,
     pub qpos: Vec<f64>,
     pub qvel: Vec<f64>,
+    pub act: Vec<f64>,
     /// Impulses of the last solve, by slot.
     pub warm: Vec<Warm<f64>>,
     /// Who slept.

@@ -5,9 +5,11 @@
 use crate::room::{room, Room};
 use std::sync::Arc;
 
+use crate::arrays::Array;
 use crate::clock::Clock;
 use crate::commit::Next;
 use crate::detect::Detected;
+use crate::elements::activation::Activations;
 use crate::elements::{Element, Kind};
 use crate::error::{Divergence, Error, Fault, Result};
 use crate::model::Model;
@@ -79,6 +81,17 @@ impl At {
             Self::Start => (&state.qpos, &next.start),
             Self::Trial => (&next.trial.qpos, &next.trial.qvel),
         }
+    }
+
+    /// The activations there, in steps of `clock`.
+    pub(crate) fn activations<'a, R: Real>(
+        self,
+        state: &'a State<R>,
+        next: &'a Next<R>,
+        clock: Clock<R>,
+    ) -> Activations<'a, R> {
+        let act = if self == Self::Trial { &next.trial.act } else { &state.act };
+        Activations { act, seconds: clock.seconds }
     }
 }
 
@@ -172,6 +185,14 @@ impl<R: Real> Sim<R> {
         };
         let joint = Element::whole(Kind::Joint, self.model.dofs[dof].joint);
         Fault::NotFinite { quantity, joint: self.model.named(joint) }
+    }
+
+    /// The first activation after the step that is not finite in a lane.
+    pub(crate) fn act_not_finite(&self, lane: usize) -> Fault {
+        let bad = self.next.act.iter().position(|x| !x.is_finite().lane(lane));
+        let Some(entry) = bad else { return Fault::Position };
+        let element = Array::Act.owner(&self.model, entry);
+        Fault::NotFinite { quantity: "activation", joint: self.model.named(element) }
     }
 
     /// Nothing is known of a solve any more.

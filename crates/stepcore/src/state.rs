@@ -1,5 +1,8 @@
 //! What a step changes, and what the user puts in from outside.
 
+use crate::arrays::Array;
+use crate::clock::Clock;
+use crate::elements::activation::Activations;
 use crate::elements::SLIPS;
 use crate::model::Model;
 use crate::real::Real;
@@ -49,12 +52,14 @@ pub struct State<R: Real> {
     pub qpos: Vec<R>,
     /// Velocities [m/s, rad/s], in MuJoCo's order; nv entries.
     pub qvel: Vec<R>,
+    /// Activations of actuators, in MuJoCo's order; na entries.
+    pub act: Vec<R>,
     pub warm: Vec<Warm<R>>,
     /// Who sleeps.
     pub sleep: Sleep<R>,
 }
 
-room!(State<R>: qpos, qvel, warm; sleep);
+room!(State<R>: qpos, qvel, act, warm; sleep);
 
 impl<R: Real> State<R> {
     /// At qpos0 and at rest.
@@ -64,16 +69,32 @@ impl<R: Real> State<R> {
             start: 0.0,
             qpos: model.qpos0.iter().map(|q| R::of(*q)).collect(),
             qvel: vec![R::zero(); model.nv],
+            act: vec![R::zero(); model.na],
             warm: Vec::new(),
             sleep: Sleep::new(),
         }
     }
 
+    /// Its activations, in steps of `clock`.
+    pub(crate) fn activations(&self, clock: Clock<R>) -> Activations<'_, R> {
+        Activations { act: &self.act, seconds: clock.seconds }
+    }
+
+    /// What of it the user holds, in the order of `arrays::Array`.
+    pub(crate) fn lists(&self) -> [&Vec<R>; Array::CHANGED] {
+        [&self.qpos, &self.qvel, &self.act]
+    }
+
+    pub(crate) fn lists_mut(&mut self) -> [&mut Vec<R>; Array::CHANGED] {
+        [&mut self.qpos, &mut self.qvel, &mut self.act]
+    }
+
     /// Copies into a state of the same model, whose room is used again.
     pub(crate) fn copy_to(&self, to: &mut Self) {
         (to.steps, to.start) = (self.steps, self.start);
-        to.qpos.copy_from_slice(&self.qpos);
-        to.qvel.copy_from_slice(&self.qvel);
+        for (to, from) in to.lists_mut().into_iter().zip(self.lists()) {
+            to.copy_from_slice(from);
+        }
         to.warm.clone_from(&self.warm);
         self.sleep.copy_to(&mut to.sleep);
     }
@@ -92,6 +113,9 @@ impl<R: Real> State<R> {
         self.start + self.steps as f64 * dt
     }
 }
+
+/// How many arrays of inputs there are.
+pub(crate) const INPUTS: usize = Array::COUNT - Array::CHANGED;
 
 /// Controls and applied forces: held during a step.
 #[derive(Clone, Debug, PartialEq)]
@@ -138,25 +162,25 @@ impl<R: Real> Inputs<R> {
         self.edit(|[_, qfrc, xfrc]| write(qfrc, xfrc));
     }
 
-    /// ctrl, qfrc_applied, xfrc_applied.
-    pub(crate) fn arrays(&self) -> [&[R]; 3] {
+    /// In the order of `arrays::Array`.
+    pub(crate) fn arrays(&self) -> [&[R]; INPUTS] {
         [&self.ctrl, &self.qfrc_applied, &self.xfrc_applied]
     }
 
-    /// Lets `write` change ctrl, qfrc_applied and xfrc_applied.
-    pub(crate) fn edit(&mut self, write: impl FnOnce([&mut [R]; 3])) {
+    /// Lets `write` change them, in this order.
+    pub(crate) fn edit(&mut self, write: impl FnOnce([&mut [R]; INPUTS])) {
         write([&mut self.ctrl, &mut self.qfrc_applied, &mut self.xfrc_applied]);
         let mut forces = self.qfrc_applied.iter().chain(&self.xfrc_applied);
         self.applied = forces.any(|force| !force.is_zero());
     }
 
-    /// Takes one world's numbers. Lane 0 comes first.
-    pub(crate) fn set_lane(&mut self, lane: usize, ctrl: &[f64], qfrc: &[f64], xfrc: &[f64]) {
-        let applied = qfrc.iter().chain(xfrc).any(|force| *force != 0.0);
+    /// Takes one world's numbers, in the order of `arrays`. Lane 0 comes first.
+    pub(crate) fn set_lane(&mut self, lane: usize, given: &[&[f64]]) {
+        let applied = given[1..3].iter().copied().flatten().any(|force| *force != 0.0);
         self.applied = applied || (lane > 0 && self.applied);
         let arrays = [&mut self.ctrl, &mut self.qfrc_applied, &mut self.xfrc_applied];
-        for (to, from) in arrays.into_iter().zip([ctrl, qfrc, xfrc]) {
-            for (to, from) in to.iter_mut().zip(from) {
+        for (to, from) in arrays.into_iter().zip(given) {
+            for (to, from) in to.iter_mut().zip(*from) {
                 to.set_lane(lane, *from);
             }
         }

@@ -3,6 +3,7 @@
 //! The integrator says how often a step runs the first three; `integrate` is in
 //! `commit/`. What is written here is the whole of a step.
 
+use crate::commit::Next;
 use crate::detect::Detected;
 use crate::elements::force::Moment;
 use crate::error::Result;
@@ -31,6 +32,7 @@ impl<R: Real> Sim<R> {
             observer.committing(self);
             std::mem::swap(&mut self.state.qpos, &mut self.next.qpos);
             std::mem::swap(&mut self.state.qvel, &mut self.next.qvel);
+            std::mem::swap(&mut self.state.act, &mut self.next.act);
             std::mem::swap(&mut self.state.warm, &mut self.next.warm);
             std::mem::swap(&mut self.state.sleep, &mut self.next.sleep);
             self.state.steps += 1;
@@ -55,7 +57,8 @@ impl<R: Real> Sim<R> {
     pub(crate) fn moment(&self, at: At) -> Moment<'_, R> {
         let (qpos, qvel) = at.of(&self.state, &self.next);
         let frames = self.placed.frames();
-        Moment { model: &self.model, frames, qpos, qvel, inputs: &self.inputs }
+        let act = at.activations(&self.state, &self.next, self.clock);
+        Moment { model: &self.model, frames, qpos, qvel, act, inputs: &self.inputs }
     }
 
     pub(crate) fn place_detect_solve(&mut self, at: At) -> Result<()> {
@@ -74,7 +77,8 @@ impl<R: Real> Sim<R> {
 
     fn place_and_make_rows(&mut self, at: At) {
         let (qpos, qvel) = at.of(&self.state, &self.next);
-        self.placed.place(&self.model, qpos, qvel, &self.inputs, self.clock.dt);
+        let act = at.activations(&self.state, &self.next, self.clock);
+        self.placed.place(&self.model, qpos, qvel, act, &self.inputs, self.clock.dt);
         if self.settings.sleep {
             self.hold_asleep();
         }
@@ -186,7 +190,8 @@ impl<R: Real> Sim<R> {
         self.effort.evaluations += 1;
         let (qpos, qvel) = at.of(&self.state, &self.next);
         self.placed.positions_in_step(&self.model, qpos);
-        self.placed.dynamics(&self.model, qpos, qvel, &self.inputs);
+        let act = at.activations(&self.state, &self.next, self.clock);
+        self.placed.dynamics(&self.model, qpos, qvel, act, &self.inputs);
         R::enter(Stage::Guess);
         self.qacc.copy_from_slice(&self.placed.force);
         self.placed.metric.solve(&mut self.qacc);
@@ -195,11 +200,16 @@ impl<R: Real> Sim<R> {
 
     /// A state that is not finite is never committed.
     fn check_next(&self) -> Result<()> {
-        let bad = all_finite(&self.next.qvel).and(all_finite(&self.next.qpos)).not();
+        let Next { qpos, qvel, act, .. } = &self.next;
+        let bad = all_finite(qvel).and(all_finite(qpos)).not();
         if bad.any() {
             return Err(
                 self.diverged(bad, |lane| self.not_finite(lane, "velocity", &self.next.qvel))
             );
+        }
+        let bad = all_finite(act).not();
+        if bad.any() {
+            return Err(self.diverged(bad, |lane| self.act_not_finite(lane)));
         }
         Ok(())
     }

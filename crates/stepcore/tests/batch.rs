@@ -6,7 +6,7 @@ mod scenes;
 use std::panic::{catch_unwind, AssertUnwindSafe};
 use std::sync::Arc;
 
-use stepcore::arrays::Given;
+use stepcore::arrays::{Array, Given};
 use stepcore::batch::{Batch, Play};
 use stepcore::error::Error;
 use stepcore::model::Model;
@@ -16,10 +16,11 @@ use stepcore::settings::{Integrator, Settings, Solver};
 
 use scenes::Random;
 
-/// One world's five arrays.
+/// One world's arrays.
 struct World {
     qpos: Vec<f64>,
     qvel: Vec<f64>,
+    act: Vec<f64>,
     ctrl: Vec<f64>,
     applied: Vec<f64>,
     wrenches: Vec<f64>,
@@ -30,19 +31,21 @@ impl World {
         Self {
             qpos: model.qpos0.clone(),
             qvel: vec![0.0; model.nv],
+            act: vec![0.0; model.na],
             ctrl: vec![0.0; model.actuators.len()],
             applied: vec![0.0; model.nv],
             wrenches: vec![0.0; 6 * model.bodies.len()],
         }
     }
     fn given(&self) -> Given<'_> {
-        Given {
-            qpos: &self.qpos,
-            qvel: &self.qvel,
-            ctrl: &self.ctrl,
-            qfrc_applied: &self.applied,
-            xfrc_applied: &self.wrenches,
-        }
+        Given::new(|array| match array {
+            Array::Qpos => &self.qpos,
+            Array::Qvel => &self.qvel,
+            Array::Act => &self.act,
+            Array::Ctrl => &self.ctrl,
+            Array::QfrcApplied => &self.applied,
+            Array::XfrcApplied => &self.wrenches,
+        })
     }
 }
 
@@ -63,7 +66,10 @@ fn batch_of<R: Real>(
 
 fn states<R: Real>(batch: &Batch<R>, worlds: &mut [World]) -> Vec<u64> {
     for (index, world) in worlds.iter_mut().enumerate() {
-        batch.take(index, &mut world.qpos, &mut world.qvel);
+        let World { qpos, qvel, act, .. } = world;
+        for (array, out) in Array::ALL.into_iter().zip([qpos, qvel, act]) {
+            batch.take(index, array, out);
+        }
     }
     worlds.iter().flat_map(|w| w.qpos.iter().chain(&w.qvel)).map(|x| x.to_bits()).collect()
 }
@@ -113,7 +119,9 @@ fn a_play_in_portions_is_steps_with_its_controls() {
     let (mut qpos, mut qvel) =
         (vec![0.0; worlds.len() * steps * nq], vec![0.0; worlds.len() * steps * nv]);
     let mut pack = batch_of::<Lanes>(&scene, &Settings::default(), &worlds, 2);
-    let mut play = Play { steps, ctrl: &ctrl, qpos: &mut qpos, qvel: &mut qvel };
+    let mut act = vec![];
+    let kept = [&mut qpos[..], &mut qvel[..], &mut act[..]];
+    let mut play = Play { steps, ctrl: &ctrl, states: kept };
     pack.play(&mut play, 0, 13).unwrap();
     pack.play(&mut play, 13, steps - 13).unwrap();
     let mut alone = batch_of::<f64>(&scene, &Settings::default(), &worlds, 1);
@@ -175,7 +183,7 @@ fn after_a_panic_the_worlds_are_still_there() {
     let mut batch = batch_of::<Lanes>(&scene, &settings, &worlds, 1);
     let (mut qpos, mut qvel) = (vec![0.0; n * nq], vec![0.0; n * nv]);
     batch.step(70).unwrap();
-    let mut play = Play { steps: 1, ctrl: &[], qpos: &mut qpos, qvel: &mut qvel };
+    let mut play = Play { steps: 1, ctrl: &[], states: [&mut qpos, &mut qvel, &mut []] };
     let outcome = catch_unwind(AssertUnwindSafe(|| batch.play(&mut play, 0, 1)));
     assert!(outcome.is_err(), "a play without its controls must not pass");
     batch.step(70).unwrap();

@@ -4,7 +4,7 @@
 //! group from then on, as the lanes without a world of their own do, so that nothing that is
 //! not finite is ever computed again and the other lanes keep their bits.
 
-use crate::arrays::Given;
+use crate::arrays::{Array, Given};
 use crate::error::Error;
 use crate::real::Real;
 use crate::state::{Inputs, State};
@@ -13,8 +13,8 @@ use crate::watch::Watched;
 /// A world that stands still.
 #[derive(Clone, Debug)]
 pub struct Failed {
-    pub qpos: Vec<f64>,
-    pub qvel: Vec<f64>,
+    /// In the order of `arrays::Array`.
+    pub state: [Vec<f64>; Array::CHANGED],
     /// Steps of the present call before it failed; 0 where it had failed before.
     pub done: u64,
     pub error: Error,
@@ -23,7 +23,7 @@ pub struct Failed {
 impl Failed {
     /// The state that its user holds is still the one in which it failed.
     pub fn stands(&self, given: &Given) -> bool {
-        self.qpos == given.qpos && self.qvel == given.qvel
+        self.state.iter().zip(given.lists()).all(|(own, given)| own == given)
     }
 }
 
@@ -50,9 +50,8 @@ impl Standing {
     /// a copy that went astray.
     pub fn take<R: Real>(&mut self, state: &State<R>, lane: usize, done: u64, error: Error) {
         let Some(place) = self.lanes.get_mut(lane).filter(|place| place.is_none()) else { return };
-        let (mut qpos, mut qvel) = (vec![0.0; state.qpos.len()], vec![0.0; state.qvel.len()]);
-        state.take(lane, &mut qpos, &mut qvel);
-        *place = Some(Failed { qpos, qvel, done, error });
+        let plain = |list: &Vec<R>| list.iter().map(|x| x.lane(lane)).collect();
+        *place = Some(Failed { state: state.lists().map(plain), done, error });
     }
 
     /// Lanes that repeat the healthy one: of failed worlds, and of none.
@@ -76,8 +75,7 @@ impl Standing {
                 list.iter_mut().for_each(|x| x.set_lane(lane, x.lane(from)));
             }
         };
-        copy(&mut state.qpos);
-        copy(&mut state.qvel);
+        state.lists_mut().into_iter().for_each(|list| copy(list));
         state.warm.iter_mut().for_each(|warm| copy(&mut warm.impulse));
         inputs.edit(|arrays| arrays.into_iter().for_each(copy));
         true

@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use group::{in_batch, Group};
 use play::Part;
 
-use crate::arrays::Given;
+use crate::arrays::{Array, Given};
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::Real;
@@ -76,9 +76,9 @@ impl<R: Real> Batch<R> {
 
     /// A little more than a world's numbers take here and in its user's arrays.
     fn bytes_a_world(model: &Model) -> usize {
-        let (nq, nv) = (model.nq, model.nv);
-        let state = 3 * (nq + nv) + model.actuators.len() + nv + 6 * model.bodies.len();
-        1024 + 8 * (2 * state + nv)
+        let counts = Array::counts(model);
+        let all = counts.iter().sum::<usize>() + 2 * counts[..Array::CHANGED].iter().sum::<usize>();
+        1024 + 8 * (2 * all + model.nv)
     }
 
     pub fn time(&self) -> f64 {
@@ -114,15 +114,12 @@ impl<R: Real> Batch<R> {
         }
     }
 
-    /// Gives a world's positions and velocities.
-    pub fn take(&self, world: usize, qpos: &mut [f64], qvel: &mut [f64]) {
+    /// Gives a world's part of an array that a step changes.
+    pub fn take(&self, world: usize, array: Array, out: &mut [f64]) {
         let group = &self.groups[world / R::LANES];
         match &group.standing.lanes[world % R::LANES] {
-            None => group.state.take(world % R::LANES, qpos, qvel),
-            Some(failed) => {
-                qpos.copy_from_slice(&failed.qpos);
-                qvel.copy_from_slice(&failed.qvel);
-            }
+            None => group.state.take(world % R::LANES, array, out),
+            Some(failed) => out.copy_from_slice(&failed.state[array as usize]),
         }
     }
 
@@ -176,8 +173,7 @@ impl<R: Real> Batch<R> {
 
     /// Steps `from..from + n` of a play.
     pub fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()> {
-        let sizes = [self.model.actuators.len(), self.model.nq, self.model.nv];
-        let parts = play.parts(self.worlds, R::LANES, sizes);
+        let parts = play.parts(self.worlds, R::LANES, Array::counts(&self.model));
         let parts: Vec<Mutex<Part>> = parts.into_iter().map(Mutex::new).collect();
         self.advance(n as u64, |index, k, watched| {
             let mut part = parts[index].lock().unwrap_or_else(PoisonError::into_inner);
@@ -194,13 +190,13 @@ impl<R: Real> Batch<R> {
 
     /// In a play's states, worlds that failed stand where they failed.
     fn stand(&self, play: &mut Play, from: usize, n: usize) {
-        let (nq, nv) = (self.model.nq, self.model.nv);
         for world in 0..self.worlds {
             let Some(failed) = self.failed(world) else { continue };
             for step in from + failed.done as usize..from + n {
                 let at = world * play.steps + step;
-                play.qpos[at * nq..(at + 1) * nq].copy_from_slice(&failed.qpos);
-                play.qvel[at * nv..(at + 1) * nv].copy_from_slice(&failed.qvel);
+                for (list, own) in play.states.iter_mut().zip(&failed.state) {
+                    list[at * own.len()..(at + 1) * own.len()].copy_from_slice(own);
+                }
             }
         }
     }

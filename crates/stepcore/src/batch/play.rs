@@ -1,5 +1,6 @@
 //! Steps of a batch under given controls, with the states after each.
 
+use crate::arrays::Array;
 use crate::real::Real;
 use crate::state::State;
 use crate::watch::Watched;
@@ -9,19 +10,18 @@ use crate::watch::Watched;
 pub struct Play<'a> {
     pub steps: usize,
     pub ctrl: &'a [f64],
-    pub qpos: &'a mut [f64],
-    pub qvel: &'a mut [f64],
+    /// In the order of `Array`.
+    pub states: [&'a mut [f64]; Array::CHANGED],
 }
 
 /// A group's part of a `Play`.
 pub(super) struct Part<'a> {
     worlds: usize,
     steps: usize,
-    /// nu, nq, nv.
-    sizes: [usize; 3],
+    /// Entries of every array in one world.
+    counts: [usize; Array::COUNT],
     ctrl: &'a [f64],
-    qpos: &'a mut [f64],
-    qvel: &'a mut [f64],
+    states: [&'a mut [f64]; Array::CHANGED],
 }
 
 impl Play<'_> {
@@ -30,16 +30,18 @@ impl Play<'_> {
         &mut self,
         worlds: usize,
         lanes: usize,
-        sizes: [usize; 3],
+        counts: [usize; Array::COUNT],
     ) -> Vec<Part<'_>> {
         let steps = self.steps;
-        let [nu, nq, nv] = sizes.map(|size| size * steps * lanes);
-        let (mut ctrl, mut qpos, mut qvel) = (self.ctrl, &mut *self.qpos, &mut *self.qvel);
+        let mut ctrl = self.ctrl;
+        let mut states = self.states.each_mut().map(|list| &mut **list);
         let part = |first: usize| {
             let worlds = (worlds - first).min(lanes);
-            let (ctrl, qpos, qvel) =
-                (cut(&mut ctrl, nu), cut_mut(&mut qpos, nq), cut_mut(&mut qvel, nv));
-            Part { worlds, steps, sizes, ctrl, qpos, qvel }
+            let size = |array: usize| counts[array] * steps * lanes;
+            let mut own = 0..Array::CHANGED;
+            let states = states.each_mut().map(|list| cut_mut(list, own.next().map_or(0, size)));
+            let ctrl = cut(&mut ctrl, size(Array::Ctrl as usize));
+            Part { worlds, steps, counts, ctrl, states }
         };
         (0..worlds).step_by(lanes).map(part).collect()
     }
@@ -48,7 +50,7 @@ impl Play<'_> {
 impl Part<'_> {
     /// Puts the controls of a step in; lanes without a world repeat the last one.
     pub fn control<R: Real>(&self, step: usize, watched: &mut Watched<R>) {
-        let nu = self.sizes[0];
+        let nu = self.counts[Array::Ctrl as usize];
         let own = (0..R::LANES).find(|lane| watched.is_world(*lane)).unwrap_or(0);
         for lane in 0..R::LANES {
             let world = if watched.is_world(lane) { lane.min(self.worlds - 1) } else { own };
@@ -62,14 +64,12 @@ impl Part<'_> {
 
     /// Keeps the state after a step.
     pub fn record<R: Real>(&mut self, step: usize, state: &State<R>) {
-        let [_, nq, nv] = self.sizes;
         for lane in 0..self.worlds {
             let at = lane * self.steps + step;
-            state.take(
-                lane,
-                &mut self.qpos[at * nq..(at + 1) * nq],
-                &mut self.qvel[at * nv..(at + 1) * nv],
-            );
+            for (array, list) in Array::ALL.into_iter().zip(&mut self.states) {
+                let count = self.counts[array as usize];
+                state.take(lane, array, &mut list[at * count..(at + 1) * count]);
+            }
         }
     }
 }

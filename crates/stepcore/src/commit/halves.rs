@@ -28,7 +28,8 @@ impl<R: Real> Sim<R> {
         let model = self.model.clone();
         let Clock { dt, rate, .. } = self.clock;
         let (qpos, qvel) = At::Start.of(&self.state, &self.next);
-        self.placed.place(&model, qpos, qvel, &self.inputs, dt);
+        let act = self.state.activations(self.clock);
+        self.placed.place(&model, qpos, qvel, act, &self.inputs, dt);
         let on_guess = self.settings.law.on_guess();
         let judged = if on_guess { &self.next.mean } else { &self.next.qvel };
         self.placed.metric.to_factored(judged, &mut self.placed.guess);

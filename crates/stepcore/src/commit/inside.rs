@@ -55,7 +55,9 @@ impl<R: Real> Sim<R> {
     /// these gape. The stages leave both as they are.
     fn start<O: Observer<R>>(&mut self, observer: &mut O) -> Result<()> {
         let model = self.model.clone();
-        self.placed.place(&model, &self.state.qpos, &self.state.qvel, &self.inputs, R::zero());
+        let (qpos, qvel) = At::State.of(&self.state, &self.next);
+        let act = self.state.activations(self.clock);
+        self.placed.place(&model, qpos, qvel, act, &self.inputs, R::zero());
         self.connect(At::State, Part::Start, 1.0, Choice::Now)?;
         observer.solved(self, At::State, 1.0);
         for k in 0..model.nv {

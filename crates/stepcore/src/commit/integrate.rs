@@ -2,6 +2,7 @@
 
 use super::advance;
 use super::damped::Solved;
+use crate::elements::activation;
 use crate::elements::force::Moment;
 use crate::error::Result;
 use crate::observer::Observer;
@@ -38,6 +39,8 @@ impl<R: Real> Sim<R> {
             _ => &self.next.qvel,
         };
         advance(&self.model, &self.state.qpos, moving, self.clock.dt, &mut self.next.qpos);
+        let (rates, seconds) = (&self.placed.act_rate, self.clock.seconds);
+        activation::advance(&self.model, &self.state.act, rates, seconds, &mut self.next.act);
     }
 
     /// Damping implicitly: see `damped.rs`.
@@ -47,6 +50,7 @@ impl<R: Real> Sim<R> {
             frames: self.placed.frames(),
             qpos: &self.state.qpos,
             qvel: &self.state.qvel,
+            act: self.state.activations(self.clock),
             inputs: &self.inputs,
         };
         let (placed, u) = (&self.placed, &self.rows.u);

@@ -5,6 +5,7 @@
 
 use super::inside::Inside;
 use super::{advance, Next};
+use crate::elements::activation::{self, Activations};
 use crate::elements::force::{Group, Moment};
 use crate::elements::forces::slopes;
 use crate::error::{Fault, Result};
@@ -56,6 +57,8 @@ impl<R: Real> Sim<R> {
                 trial.qvel[k] = new.with_slopes_of(open.not(), || middle);
             }
             advance(&model, &self.state.qpos, &trial.qvel, half * dt, &mut trial.qpos);
+            let act = self.state.activations(self.clock);
+            activation::middle(&model, act, &self.inputs, &mut trial.act);
             self.next.held.fill(R::zero());
             let choice = match iteration {
                 0 => Choice::First,
@@ -89,6 +92,9 @@ impl<R: Real> Sim<R> {
             self.next.mean[k] = half * (self.next.start[k] + self.next.qvel[k]);
         }
         advance(&model, &self.state.qpos, &self.next.mean, dt, &mut self.next.qpos);
+        let act = self.state.activations(self.clock);
+        let rates = &self.placed.act_rate;
+        activation::through_middle(&model, act, &self.inputs, rates, &mut self.next.act);
         self.velocity.copy_from_slice(&self.next.qvel);
         Ok(())
     }
@@ -129,6 +135,7 @@ impl<R: Real> Sim<R> {
             frames: self.placed.frames(),
             qpos: &self.next.trial.qpos,
             qvel: &self.next.trial.qvel,
+            act: Activations { act: &self.next.trial.act, seconds: self.clock.seconds },
             inputs: &self.inputs,
         };
         let half = R::of(0.5 * self.clock.seconds);

@@ -11,6 +11,7 @@ use crate::state::Warm;
 pub struct Next<R: Real> {
     pub qpos: Vec<R>,
     pub qvel: Vec<R>,
+    pub act: Vec<R>,
     /// The velocities of the state, made to keep the equalities where these act within the step.
     pub start: Vec<R>,
     /// What the equalities gave in the stages, by row.
@@ -34,15 +35,16 @@ pub struct Next<R: Real> {
     pub(super) sums: Sums<R>,
 }
 
-room!(Next<R>: qpos, qvel, start, held, change, gained, mean, warm, woken; sleep, trial, damped, sums);
+room!(Next<R>: qpos, qvel, act, start, held, change, gained, mean, warm, woken; sleep, trial, damped, sums);
 
 /// Positions and velocities within a step.
 pub(crate) struct Trial<R: Real> {
     pub qpos: Vec<R>,
     pub qvel: Vec<R>,
+    pub act: Vec<R>,
 }
 
-room!(Trial<R>: qpos, qvel;);
+room!(Trial<R>: qpos, qvel, act;);
 
 /// The weighted sums of the stages of `rk4`.
 pub(super) struct Sums<R: Real> {
@@ -51,9 +53,11 @@ pub(super) struct Sums<R: Real> {
     pub turned: Vec<R>,
     pub moved: Vec<R>,
     pub gained: Vec<R>,
+    /// Rates of the activations.
+    pub act_rate: Vec<R>,
 }
 
-room!(Sums<R>: rate, turned, moved, gained;);
+room!(Sums<R>: rate, turned, moved, gained, act_rate;);
 
 impl<R: Real> Next<R> {
     pub fn new(model: &Model) -> Self {
@@ -62,6 +66,7 @@ impl<R: Real> Next<R> {
         Self {
             qpos: zeros(nq),
             qvel: zeros(nv),
+            act: zeros(model.na),
             start: zeros(nv),
             held: zeros(model.equalities.iter().filter(|e| e.active).map(|e| e.rows()).sum()),
             change: zeros(nv),
@@ -71,9 +76,15 @@ impl<R: Real> Next<R> {
             sleep: Sleep::new(),
             woken: Vec::new(),
             stage: 0,
-            trial: Trial { qpos: zeros(nq), qvel: zeros(nv) },
+            trial: Trial { qpos: zeros(nq), qvel: zeros(nv), act: zeros(model.na) },
             damped: Damped::new(model),
-            sums: Sums { rate: zeros(nv), turned: zeros(nv), moved: zeros(nv), gained: zeros(nv) },
+            sums: Sums {
+                rate: zeros(nv),
+                turned: zeros(nv),
+                moved: zeros(nv),
+                gained: zeros(nv),
+                act_rate: zeros(model.na),
+            },
         }
     }
 }

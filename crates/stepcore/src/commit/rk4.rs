@@ -4,6 +4,7 @@
 
 use super::inside::Inside;
 use super::{advance, Next};
+use crate::elements::activation;
 use crate::error::Result;
 use crate::model::Model;
 use crate::observer::Observer;
@@ -31,6 +32,7 @@ impl<R: Real> Sim<R> {
         self.next.sums.turned.fill(zero);
         self.next.sums.moved.fill(zero);
         self.next.sums.gained.fill(zero);
+        self.next.sums.act_rate.fill(zero);
         for stage in 0..4 {
             self.next.stage = stage;
             let at = if stage == 0 { At::Start } else { At::Trial };
@@ -41,6 +43,9 @@ impl<R: Real> Sim<R> {
                 for k in 0..model.nv {
                     sums.turned[k] = reach * sums.rate[k];
                     trial.qvel[k] = start[k] + reach * self.qacc[k];
+                }
+                for (k, rate) in self.placed.act_rate.iter().enumerate() {
+                    trial.act[k] = self.state.act[k] + reach * *rate;
                 }
             }
             self.accelerate(at, inside, B[stage], Choice::Now)?;
@@ -56,10 +61,15 @@ impl<R: Real> Sim<R> {
                 sums.moved[k] += weight * sums.rate[k];
                 sums.gained[k] += weight * self.qacc[k];
             }
+            for (sum, rate) in sums.act_rate.iter_mut().zip(&self.placed.act_rate) {
+                *sum += weight * *rate;
+            }
         }
         let sums = &self.next.sums;
         self.next.mean.copy_from_slice(&sums.moved);
         advance(&model, &self.state.qpos, &sums.moved, dt, &mut self.next.qpos);
+        let seconds = self.clock.seconds;
+        activation::advance(&model, &self.state.act, &sums.act_rate, seconds, &mut self.next.act);
         for k in 0..model.nv {
             self.next.qvel[k] = self.next.start[k] + dt * sums.gained[k];
         }

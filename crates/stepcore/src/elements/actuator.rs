@@ -9,6 +9,7 @@
 //! gain·ctrl + bias₀ and a damper. Everything else is a motor, and all of its work counts as
 //! put in.
 
+use super::activation::{signal, Activations};
 use super::force::{Forces, Group, Moment};
 use super::Kind;
 use crate::model::Model;
@@ -26,14 +27,13 @@ impl scene::Actuator {
         Transmission::Geared(self.joint, self.gear)
     }
 
-    /// gain·ctrl, the control within its bounds where these are obeyed.
+    /// A control within its bounds, where these are obeyed.
     #[inline(always)]
-    fn asked<R: Real>(&self, model: &Model, ctrl: R) -> R {
-        let ctrl = match self.ctrlrange {
+    pub(super) fn held<R: Real>(&self, model: &Model, ctrl: R) -> R {
+        match self.ctrlrange {
             Some([lo, hi]) if model.features.clampctrl => ctrl.clamp(R::of(lo), R::of(hi)),
             _ => ctrl,
-        };
-        R::of(self.gain) * ctrl
+        }
     }
 
     fn bounded<R: Real>(&self, force: R) -> R {
@@ -63,11 +63,19 @@ enum Drive {
     Damped,
 }
 
+/// gain·u, u the control within its bounds or the activation.
+#[inline(always)]
+fn asked<R: Real>(model: &Model, index: usize, act: Activations<R>, ctrl: R) -> R {
+    let actuator = &model.actuators[index];
+    R::of(actuator.gain) * signal(model, index, act, || actuator.held(model, ctrl))
+}
+
 /// The force of every actuator before its gear, by actuator.
 pub(crate) fn tensions<R: Real>(
     model: &Model,
     qpos: &[R],
     qvel: &[R],
+    act: Activations<R>,
     inputs: &Inputs<R>,
     pulls: Pulls<R>,
     tensions: &mut [R],
@@ -76,7 +84,7 @@ pub(crate) fn tensions<R: Real>(
         return;
     }
     for (index, actuator) in model.actuators.iter().enumerate() {
-        let mut force = actuator.asked(model, inputs.ctrl[index]);
+        let mut force = asked(model, index, act, inputs.ctrl[index]);
         if actuator.bias != [0.0; 3] {
             force += bias(model, actuator, qpos, qvel, pulls);
         }
@@ -107,6 +115,7 @@ pub(crate) fn stored_under<R: Real>(
     index: usize,
     qpos: &[R],
     pulls: Pulls<R>,
+    act: Activations<R>,
     ctrl: R,
 ) -> R {
     let actuator = &model.actuators[index];
@@ -115,7 +124,7 @@ pub(crate) fn stored_under<R: Real>(
     }
     let (k, half) = (R::of(-actuator.bias[1]), R::of(0.5));
     let length = actuator.transmission().length(model, qpos, pulls);
-    let force = actuator.asked(model, ctrl) + R::of(actuator.bias[0]) - k * length;
+    let force = asked(model, index, act, ctrl) + R::of(actuator.bias[0]) - k * length;
     let within = half * force * force / k;
     let Some([lo, hi]) = actuator.forcerange else { return within };
     let beyond = |bound: f64| R::of(bound) * (force - half * R::of(bound)) / k;
@@ -200,7 +209,8 @@ impl Forces for Actuator {
     }
 
     fn stored<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(R)) {
-        add(stored_under(now.model, index, now.qpos, now.frames.pulls, now.inputs.ctrl[index]));
+        let (ctrl, pulls) = (now.inputs.ctrl[index], now.frames.pulls);
+        add(stored_under(now.model, index, now.qpos, pulls, now.act, ctrl));
     }
 
     fn power<R: Real>(
@@ -215,7 +225,7 @@ impl Forces for Actuator {
             Drive::Spring => return,
             Drive::Motor => now.frames.tension[index],
             Drive::Damped => {
-                let asked = actuator.asked(model, now.inputs.ctrl[index]);
+                let asked = asked(model, index, now.act, now.inputs.ctrl[index]);
                 actuator.bounded(asked + R::of(actuator.bias[0]))
             }
         };

@@ -1,5 +1,6 @@
 //! What every kind of force offers, and what it reads.
 
+use super::activation::Activations;
 use super::{Element, Kind};
 use crate::model::Model;
 use crate::place::Frames;
@@ -13,6 +14,7 @@ pub(crate) struct Moment<'a, R: Real> {
     pub frames: Frames<'a, R>,
     pub qpos: &'a [R],
     pub qvel: &'a [R],
+    pub act: Activations<'a, R>,
     pub inputs: &'a Inputs<R>,
 }
 

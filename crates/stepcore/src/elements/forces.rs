@@ -2,6 +2,7 @@
 //! integrators take their slopes, and the watchers read their energies, their power and each
 //! element's own force: a new kind of force is one file and one line here.
 
+use super::activation::Activations;
 use super::actuator::{tensions, Actuator};
 use super::applied::{BodyForce, JointForce};
 use super::damper::Damper;
@@ -136,11 +137,12 @@ forces!(Damper, Spring, TendonSpring, TendonDamper, Actuator, JointForce, BodyFo
 
 /// The force of all elements of one kind on the dofs at many states [N or N·m], for kinds that
 /// depend on their own joint alone: springs, dampers and actuators. None for others.
-/// ctrl, qpos and qvel one state after the other.
+/// ctrl, act, qpos and qvel one state after the other.
 pub fn joint_forces(
     model: &Model,
     kind: Kind,
     ctrl: &[f64],
+    act: &[f64],
     qpos: &[f64],
     qvel: &[f64],
 ) -> Option<Vec<f64>> {
@@ -152,11 +154,12 @@ pub fn joint_forces(
     for (n, (qpos, qvel)) in qpos.chunks(model.nq).zip(qvel.chunks(model.nv)).enumerate() {
         let nu = tension.len();
         inputs.ctrl.copy_from_slice(&ctrl[n * nu..(n + 1) * nu]);
+        let act = Activations { act: &act[n * model.na..(n + 1) * model.na], seconds: 0.0 };
         let pulls = Pulls { length: &[], arms: &[] };
-        tensions(model, qpos, qvel, &inputs, pulls, &mut tension);
+        tensions(model, qpos, qvel, act, &inputs, pulls, &mut tension);
         let tension = &tension;
         let frames = Frames { xpos: &[], xmat: &[], origin: &[], motion: &[], tension, pulls };
-        let now = Moment { model, frames, qpos, qvel, inputs: &inputs };
+        let now = Moment { model, frames, qpos, qvel, act, inputs: &inputs };
         let start = all.len();
         all.resize(start + model.nv, 0.0);
         let mut add = |dof: usize, force: f64| all[start + dof] += force;

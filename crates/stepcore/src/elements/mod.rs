@@ -5,6 +5,7 @@
 //! which says what it has of force, slopes, energy, power and rows; `forces.rs` lists
 //! those that push, and `constraints.rs` those that are rows.
 
+pub(crate) mod activation;
 pub(crate) mod actuator;
 mod anchor;
 mod applied;

@@ -437,11 +437,11 @@ fn actuator(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
     if a.feeds_back() && matches!(kind, JointType::Ball | JointType::Free) {
         return Err(e.refuse("joint", a.joint, "a hinge or a slide under a servo"));
     }
-    if let Some(range) = a.ctrlrange {
-        e.range("ctrlrange", range)?;
-    }
-    if let Some(range) = a.forcerange {
-        e.range("forcerange", range)?;
+    e.finite("dynprm", &a.dynprm)?;
+    let ranges =
+        [("ctrlrange", a.ctrlrange), ("actrange", a.actrange), ("forcerange", a.forcerange)];
+    for (field, range) in ranges {
+        range.map_or(Ok(()), |range| e.range(field, range))?;
     }
     Ok(())
 }
@@ -482,12 +482,14 @@ fn equality(e: &Subject, q: &Equality, scene: &Scene) -> Result<()> {
 fn keys(scene: &Scene) -> Result<()> {
     let nq = scene.joints.iter().map(|j| j.kind.positions()).sum();
     let nv = scene.joints.iter().map(|j| j.kind.dofs()).sum();
+    let na = scene.actuators.iter().map(|a| a.dynamics.count()).sum();
     for (i, key) in scene.keys.iter().enumerate() {
         let e = Subject::new(Kind::Key, &key.name, i);
         e.finite("time", &[key.time])?;
         let arrays = [
             ("qpos", &key.qpos, nq),
             ("qvel", &key.qvel, nv),
+            ("act", &key.act, na),
             ("ctrl", &key.ctrl, scene.actuators.len()),
         ];
         for (field, values, count) in arrays {

@@ -238,6 +238,9 @@ pub struct Model {
     /// Entries of qpos, and of qvel.
     pub nq: usize,
     pub nv: usize,
+    /// Entries of act, and by actuator those that are its own.
+    pub na: usize,
+    pub activations: Vec<Span>,
     pub gravity: Vector3<f64>,
     pub features: Features,
     pub bodies: Vec<Body>,

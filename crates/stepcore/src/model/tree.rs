@@ -15,6 +15,8 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         name: scene.name.clone(),
         nq: 0,
         nv: 0,
+        na: 0,
+        activations: vec![],
         gravity: Vector3::from(scene.gravity),
         features: scene.features.clone(),
         bodies: Vec::with_capacity(scene.bodies.len()),
@@ -48,6 +50,11 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
     for s in &scene.sites {
         let (name, pos) = (s.name.clone(), Vector3::from(s.pos));
         model.sites.push(Site { name, body: s.body, pos, quat: unit_quat(s.quat) });
+    }
+    for actuator in &scene.actuators {
+        let len = actuator.dynamics.count();
+        model.activations.push(Span { start: model.na, len });
+        model.na += len;
     }
     let mut next = 0;
     for i in 0..scene.bodies.len() {

@@ -1,6 +1,7 @@
 //! The smooth forces on the dofs: everything in `elements/` that pushes without rows.
 
 use super::{Frames, Placed, Pulls};
+use crate::elements::activation::{rates, Activations};
 use crate::elements::actuator::tensions;
 use crate::elements::force::{Group, Moment, Sum};
 use crate::elements::forces::push;
@@ -14,13 +15,15 @@ impl<R: Real> Placed<R> {
         model: &Model,
         qpos: &[R],
         qvel: &[R],
+        act: Activations<R>,
         inputs: &Inputs<R>,
     ) {
+        rates(model, act.act, inputs, &mut self.act_rate);
         let Self { xpos, xmat, origin, motion, actuator, passive, bias, force, wrench, .. } = self;
         let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };
-        tensions(model, qpos, qvel, inputs, pulls, actuator);
+        tensions(model, qpos, qvel, act, inputs, pulls, actuator);
         let frames = Frames { xpos, xmat, origin, motion, tension: actuator, pulls };
-        let now = Moment { model, frames, qpos, qvel, inputs };
+        let now = Moment { model, frames, qpos, qvel, act, inputs };
         push(&now, Group::Passive, &mut Sum { force: passive, wrench });
         for k in 0..model.nv {
             force[k] = passive[k] - bias[k];

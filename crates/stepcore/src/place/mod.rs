@@ -15,6 +15,7 @@ mod wrap;
 
 pub use factor::Metric;
 
+use crate::elements::activation::Activations;
 use crate::model::{Model, Tree};
 use crate::real::{Real, Stage};
 use crate::room::room;
@@ -58,6 +59,8 @@ pub struct Placed<R: Real> {
     pub tendon_arms: Vec<R>,
     /// Force of each motor and servo before its gear, by actuator.
     pub actuator: Vec<R>,
+    /// Rates of the activations, by entry of act.
+    pub act_rate: Vec<R>,
     /// All smooth forces summed, by dof: applied + actuated + passive − bias.
     pub force: Vec<R>,
     /// u = L v of the present velocity, and of the guess.
@@ -93,8 +96,8 @@ pub struct Pulls<'a, R: Real> {
 }
 
 room!(Placed<R>: xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, mass,
-    velocity, acceleration, wrench, bias, passive, tendon_length, tendon_arms, actuator, force, u, guess;
-    metric);
+    velocity, acceleration, wrench, bias, passive, tendon_length, tendon_arms, actuator, act_rate, force,
+    u, guess; metric);
 
 impl<R: Real> Placed<R> {
     pub fn new(model: &Model) -> Self {
@@ -122,6 +125,7 @@ impl<R: Real> Placed<R> {
             tendon_length: vec![zero; model.tendons.len()],
             tendon_arms: vec![zero; model.tendons.iter().map(|t| t.arms.len).sum()],
             actuator: vec![zero; model.actuators.len()],
+            act_rate: vec![zero; model.na],
             force: vec![zero; nv],
             u: vec![zero; nv],
             guess: vec![zero; nv],
@@ -212,7 +216,14 @@ impl<R: Real> Placed<R> {
     }
 
     /// The smooth dynamics at (qpos, qvel): M, its factors, and the forces.
-    pub fn dynamics(&mut self, model: &Model, qpos: &[R], qvel: &[R], inputs: &Inputs<R>) {
+    pub(crate) fn dynamics(
+        &mut self,
+        model: &Model,
+        qpos: &[R],
+        qvel: &[R],
+        act: Activations<R>,
+        inputs: &Inputs<R>,
+    ) {
         for (index, tree) in model.trees.iter().enumerate() {
             if !tree.constant {
                 R::enter(Stage::Inertia);
@@ -228,7 +239,7 @@ impl<R: Real> Placed<R> {
         }
         self.bias_of_tendons(model);
         R::enter(Stage::Forces);
-        self.smooth_force(model, qpos, qvel, inputs);
+        self.smooth_force(model, qpos, qvel, act, inputs);
     }
 
     /// Inertia and velocity of every body about its tree's origin; `dynamics` skips trees
@@ -241,9 +252,17 @@ impl<R: Real> Placed<R> {
     }
 
     /// The whole stage, ending with the guess û.
-    pub fn place(&mut self, model: &Model, qpos: &[R], qvel: &[R], inputs: &Inputs<R>, dt: R) {
+    pub(crate) fn place(
+        &mut self,
+        model: &Model,
+        qpos: &[R],
+        qvel: &[R],
+        act: Activations<R>,
+        inputs: &Inputs<R>,
+        dt: R,
+    ) {
         self.positions_in_step(model, qpos);
-        self.dynamics(model, qpos, qvel, inputs);
+        self.dynamics(model, qpos, qvel, act, inputs);
         R::enter(Stage::Guess);
         self.metric.to_factored(qvel, &mut self.u);
         self.guess.copy_from_slice(&self.force);

@@ -1,7 +1,8 @@
 //! Actuators.
 
-/// A motor or a servo. Its force is gain·ctrl + bias₀ + bias₁·length + bias₂·velocity, with
-/// length = gear·q and velocity = gear·v of a hinge or a slide; the joint feels gear × force.
+/// A motor or a servo. Its force is gain·u + bias₀ + bias₁·length + bias₂·velocity, with
+/// length = gear·q and velocity = gear·v of a hinge or a slide; the joint feels gear × force. u is
+/// the control, or the activation where there is one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Actuator {
     pub name: String,
@@ -15,9 +16,37 @@ pub struct Actuator {
     /// Not 0: bias₂ is −2·dampratio·√(kp·m), m being the inertia that the actuator moves at
     /// the initial configuration, and is filled in when the scene is compiled.
     pub dampratio: f64,
-    /// Bounds of the control, and of the force before the gear. None: none.
+    /// Whether it has an activation, and how that follows the control.
+    pub dynamics: Dynamics,
+    /// Of a filter: its time constant [s].
+    pub dynprm: [f64; 3],
+    /// Bounds of the control, of the activation, and of the force before the gear. None: none.
     pub ctrlrange: Option<[f64; 2]>,
+    pub actrange: Option<[f64; 2]>,
     pub forcerange: Option<[f64; 2]>,
+    /// The force is that of the activation at the end of the step.
+    pub actearly: bool,
+}
+
+/// How an activation w follows the control u.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Dynamics {
+    /// There is none: the force is that of the control.
+    #[default]
+    None,
+    /// ẇ = u
+    Integrator,
+    /// ẇ = (u − w)/τ
+    Filter,
+    /// The same, a step being that of the exact solution.
+    FilterExact,
+}
+
+impl Dynamics {
+    /// How many activations it has.
+    pub fn count(self) -> usize {
+        usize::from(self != Self::None)
+    }
 }
 
 impl Default for Actuator {
@@ -29,8 +58,12 @@ impl Default for Actuator {
             gain: 1.0,
             bias: [0.0; 3],
             dampratio: 0.0,
+            dynamics: Dynamics::None,
+            dynprm: [1.0, 0.0, 0.0],
             ctrlrange: None,
+            actrange: None,
             forcerange: None,
+            actearly: false,
         }
     }
 }

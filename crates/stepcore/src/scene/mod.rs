@@ -14,7 +14,7 @@ mod softness;
 mod tendon;
 
 pub use crate::assets::{HField, Mesh, MeshInertia};
-pub use actuator::Actuator;
+pub use actuator::{Actuator, Dynamics};
 pub use body::{Body, Inertial, MassRules};
 pub use contact::{ContactOverride, ExplicitPair};
 pub use equality::{Equality, EqualityType, Frame};
@@ -31,6 +31,7 @@ pub struct Key {
     pub time: f64,
     pub qpos: Option<Vec<f64>>,
     pub qvel: Option<Vec<f64>>,
+    pub act: Option<Vec<f64>>,
     pub ctrl: Option<Vec<f64>>,
 }
 

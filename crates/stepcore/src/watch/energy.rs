@@ -73,6 +73,8 @@ impl<R: Real> Sim<R> {
     pub fn refresh(&mut self) {
         let model = self.model.clone();
         self.placed.positions(&model, &self.state.qpos);
-        self.placed.dynamics(&model, &self.state.qpos, &self.state.qvel, &self.inputs);
+        let (qpos, qvel) = At::State.of(&self.state, &self.next);
+        let act = self.state.activations(self.clock);
+        self.placed.dynamics(&model, qpos, qvel, act, &self.inputs);
     }
 }

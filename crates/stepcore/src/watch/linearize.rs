@@ -1,12 +1,13 @@
 //! The step as a linear map: how the state after it moves with the state before it.
 //!
 //! One step of a `Sim<Dual>`, from the same state and inputs, as often as there are
-//! directions, a few at a time. Tangent coordinates x = (dq, dv) have nv entries each: dq
+//! directions, a few at a time. Tangent coordinates x = (dq, dv, dw) have nv, nv and na entries: dq
 //! moves positions as a velocity of that size moves them in a unit of time (`advance`), so
-//! that a turn is a rotation vector in the body's own axes. The impulses that the solver
+//! that a turn is a rotation vector in the body's own axes; dw are activations. The impulses that the solver
 //! starts from are held.
 
 use super::watched::explained;
+use crate::arrays::Array;
 use crate::elements::{Element, Kind};
 use crate::error::{Error, Result};
 use crate::model::Model;
@@ -22,7 +23,7 @@ pub struct Linearizer {
     start: State<Dual>,
     ctrl: Vec<Dual>,
     done: usize,
-    /// 2 nv rows of 2 nv + nu numbers: A, and B beside it.
+    /// 2 nv + na rows of 2 nv + na + nu numbers: A, and B beside it.
     pub matrix: Vec<f64>,
 }
 
@@ -31,6 +32,7 @@ pub struct Linearizer {
 enum Direction {
     Position(usize),
     Velocity(usize),
+    Activation(usize),
     Control(usize),
 }
 
@@ -42,18 +44,19 @@ impl Linearizer {
         sim.state.wake();
         sim.settings.sleep = false;
         sim.solver = Box::new(Differentiated::new());
-        let width = 2 * from.model.nv + from.model.actuators.len();
+        let rows = 2 * from.model.nv + from.model.na;
+        let width = rows + from.model.actuators.len();
         Ok(Self {
             start: sim.state.clone(),
             ctrl: sim.inputs.ctrl.clone(),
             sim,
             done: 0,
-            matrix: vec![0.0; 2 * from.model.nv * width],
+            matrix: vec![0.0; rows * width],
         })
     }
 
     fn width(&self) -> usize {
-        2 * self.sim.model.nv + self.ctrl.len()
+        2 * self.sim.model.nv + self.sim.model.na + self.ctrl.len()
     }
 
     /// Steps that it takes in all.
@@ -87,19 +90,22 @@ impl Linearizer {
     }
 
     fn direction(&self, way: usize) -> Direction {
-        let nv = self.sim.model.nv;
+        let (nv, na) = (self.sim.model.nv, self.sim.model.na);
         if way < nv {
             Direction::Position(way)
         } else if way < 2 * nv {
             Direction::Velocity(way - nv)
+        } else if way < 2 * nv + na {
+            Direction::Activation(way - 2 * nv)
         } else {
-            Direction::Control(way - 2 * nv)
+            Direction::Control(way - 2 * nv - na)
         }
     }
 
     fn seed(&mut self, direction: Direction, slot: usize) {
         match direction {
             Direction::Velocity(dof) => self.sim.state.qvel[dof].slopes[slot] = 1.0,
+            Direction::Activation(entry) => self.sim.state.act[entry].slopes[slot] = 1.0,
             Direction::Control(index) => self.sim.inputs.ctrl[index].slopes[slot] = 1.0,
             Direction::Position(dof) => {
                 let (place, axis) = coordinate(&self.sim.model, dof);
@@ -143,14 +149,25 @@ impl Linearizer {
             self.matrix[dof * width + column] = dq;
             self.matrix[(nv + dof) * width + column] = dv;
         }
+        for (entry, act) in state.act.iter().enumerate() {
+            if !act.slopes[slot].is_finite() {
+                let owner = self.sim.model.element_name(Array::Act.owner(&self.sim.model, entry));
+                return Err(self.infinite(format!("derivative of act[{entry}] of {owner}")));
+            }
+            self.matrix[(2 * nv + entry) * width + column] = act.slopes[slot];
+        }
         Ok(())
     }
 
     fn steep(&self, dof: usize) -> Error {
         let joint = self.sim.model.dofs[dof].joint;
         let joint = self.sim.model.element_name(Element::whole(Kind::Joint, joint));
+        self.infinite(format!("derivative of dof {dof} of {joint}"))
+    }
+
+    fn infinite(&self, field: String) -> Error {
         let limit = "finite: the step is not differentiable at this state";
-        Error::value(format!("derivative of dof {dof} of {joint}"), "infinite", limit)
+        Error::value(field, "infinite", limit)
     }
 }
 

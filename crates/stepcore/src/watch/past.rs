@@ -1,5 +1,6 @@
 //! Where a run came from: the states of its last steps, and of some long before.
 
+use crate::arrays::Array;
 use crate::model::Model;
 use crate::observer::Observer;
 use crate::real::Real;
@@ -12,7 +13,7 @@ const MEMORY: usize = 16;
 /// Steps from one milestone to the next.
 const STRIDE: u64 = 64;
 
-/// Positions and velocities before each of the last steps, and at every 64th step before.
+/// States before each of the last steps, and at every 64th step before.
 pub(crate) struct Past<R: Real> {
     recent: Ring<R>,
     milestones: Ring<R>,
@@ -21,35 +22,39 @@ pub(crate) struct Past<R: Real> {
 
 room!(Past<R>: ; recent, milestones);
 
+/// What of a state is kept: its lists, in the order of `arrays::Array`.
+pub(crate) type Kept<R> = [Vec<R>; Array::CHANGED];
+
 struct Ring<R: Real> {
-    states: Vec<(Vec<R>, Vec<R>)>,
+    states: Vec<Kept<R>>,
     at: usize,
     len: usize,
 }
 
 impl<R: Real> Room for Ring<R> {
     fn room(&self) -> usize {
-        let each = self.states.iter().map(|(qpos, qvel)| listed(qpos) + listed(qvel));
+        let each = self.states.iter().flatten().map(listed);
         listed(&self.states) + each.sum::<usize>()
     }
 }
 
 impl<R: Real> Ring<R> {
     fn new(model: &Model) -> Self {
-        let empty = (vec![R::zero(); model.nq], vec![R::zero(); model.nv]);
+        let mut counts = Array::counts(model).into_iter();
+        let empty = std::array::from_fn(|_| vec![R::zero(); counts.next().unwrap_or(0)]);
         Self { states: vec![empty; MEMORY], at: 0, len: 0 }
     }
 
     /// Keeps a state in the place of the oldest.
     fn keep(&mut self, state: &State<R>) {
-        let (qpos, qvel) = &mut self.states[self.at];
-        qpos.copy_from_slice(&state.qpos);
-        qvel.copy_from_slice(&state.qvel);
+        for (to, from) in self.states[self.at].iter_mut().zip(state.lists()) {
+            to.copy_from_slice(from);
+        }
         self.at = (self.at + 1) % MEMORY;
         self.len = (self.len + 1).min(MEMORY);
     }
 
-    fn oldest_first(&self) -> impl Iterator<Item = &(Vec<R>, Vec<R>)> {
+    fn oldest_first(&self) -> impl Iterator<Item = &Kept<R>> {
         (0..self.len).rev().map(|back| &self.states[(self.at + MEMORY - 1 - back) % MEMORY])
     }
 }
@@ -65,7 +70,7 @@ impl<R: Real> Past<R> {
     }
 
     /// Old states, oldest first.
-    pub fn states(&self) -> impl Iterator<Item = &(Vec<R>, Vec<R>)> {
+    pub fn states(&self) -> impl Iterator<Item = &Kept<R>> {
         self.milestones.oldest_first().chain(self.recent.oldest_first())
     }
 }

@@ -18,7 +18,7 @@ use crate::observer::Observer;
 use crate::real::Real;
 use crate::room::room;
 use crate::sim::Sim;
-use crate::state::{Inputs, State};
+use crate::state::{Inputs, State, INPUTS};
 
 /// How many milestones are kept, and the steps from one to the next.
 const MEMORY: usize = 8;
@@ -85,7 +85,7 @@ pub(super) struct Milestone<R: Real> {
     /// By lane: what was gained, beside the energy that circulated.
     pub gained: Vec<f64>,
     /// Steps done before each change, and which arrays changed.
-    pub changes: Vec<(u64, [bool; 3])>,
+    pub changes: Vec<(u64, [bool; INPUTS])>,
     /// The changed arrays, one after the other.
     pub numbers: Vec<R>,
 }
@@ -269,7 +269,7 @@ impl<R: Real> Ledger<R> {
         }
         let (new, old) = (sim.inputs.arrays(), self.seen.arrays());
         let changed = std::array::from_fn(|k| new[k] != old[k]);
-        if changed == [false; 3] {
+        if !changed.contains(&true) {
             return;
         }
         let milestone = &mut self.milestones[self.at];

@@ -5,6 +5,7 @@
 //! Forces and moments are compared by what they do: Q² / M, the rate at which a
 //! force Q speeds up the inertia M that it acts on [W/s], whatever its unit.
 
+use crate::arrays::Array;
 use crate::elements::forces::strengths;
 use crate::elements::{Element, Kind};
 use crate::real::{Mask, Real};
@@ -16,17 +17,18 @@ const GROWN: f64 = 2.0;
 /// Strength of every element in one lane.
 type Strengths = Vec<(Element, f64)>;
 
-/// The element that became the strongest on the way through these positions and velocities,
+/// The element that became the strongest on the way through these states,
 /// or that is the strongest at the last of them. `sim` is a copy that may be moved about.
 pub(super) fn strongest<R: Real>(
     mut sim: Sim<R>,
-    way: &[(&[R], &[R])],
+    way: &[[&Vec<R>; Array::CHANGED]],
     lane: usize,
 ) -> Option<Element> {
     let mut strengths: Vec<Strengths> = Vec::new();
-    for (qpos, qvel) in way {
-        sim.state.qpos.copy_from_slice(qpos);
-        sim.state.qvel.copy_from_slice(qvel);
+    for kept in way {
+        for (to, from) in sim.state.lists_mut().into_iter().zip(kept) {
+            to.copy_from_slice(from);
+        }
         if sim.place_detect_solve(At::State).is_ok() {
             strengths.push(sim.strengths(lane));
         }

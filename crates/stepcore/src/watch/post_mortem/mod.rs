@@ -153,7 +153,8 @@ impl<R: Real> Run<'_, R> {
             a.iter().zip(b).all(|(a, b)| a.lane(lane).to_bits() == b.lane(lane).to_bits())
         };
         let (now, there) = (&self.sim.state, &sim.state);
-        (same(&there.qpos, &now.qpos) && same(&there.qvel, &now.qvel)).then_some(steps)
+        let mut both = there.lists().into_iter().zip(now.lists());
+        both.all(|(there, now)| same(there, now)).then_some(steps)
     }
 
     /// Without a ledger: the steps from the last states, started without their impulses.
@@ -168,9 +169,10 @@ impl<R: Real> Run<'_, R> {
         let states: Vec<_> = self.past.states().collect();
         // Half of what is left is for the rest.
         let few = states.len() - budget.count(2 * self.sim.tape(), states.len());
-        for (qpos, qvel) in &states[few..] {
-            all(&mut sim.state.qpos, qpos);
-            all(&mut sim.state.qvel, qvel);
+        for kept in &states[few..] {
+            for (to, from) in sim.state.lists_mut().into_iter().zip(*kept) {
+                all(to, from);
+            }
             sim.state.warm.clear();
             steps.extend(one_taped(&mut sim, lane, budget));
         }
@@ -182,9 +184,9 @@ impl<R: Real> Run<'_, R> {
     fn strongest(&self, lane: usize, was_well: bool, budget: &Budget) -> Option<Element> {
         let sim = Segment::at_present(self.sim, lane).world(self.sim)?;
         let past = self.past.states().filter(|_| !was_well);
-        let mut way: Vec<_> = past.map(|(qpos, qvel)| (&qpos[..], &qvel[..])).collect();
+        let mut way: Vec<_> = past.map(|kept| kept.each_ref()).collect();
         way.drain(..way.len() - budget.count(self.sim.tape(), way.len()));
-        way.push((&self.sim.state.qpos, &self.sim.state.qvel));
+        way.push(self.sim.state.lists());
         strongest(sim, &way, lane)
     }
 
@@ -245,6 +247,7 @@ fn start<R: Real>(state: &State<R>, lane: usize) -> Start {
         time: state.start,
         qpos: numbers(&state.qpos, lane),
         qvel: numbers(&state.qvel, lane),
+        act: numbers(&state.act, lane),
         // An impulse of zero is as good as none, and a lane has zeros for its neighbours' contacts.
         warm: warm.filter(Warm::acts).collect(),
         sleep: state.sleep.cast(),

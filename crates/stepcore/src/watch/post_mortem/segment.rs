@@ -108,8 +108,7 @@ impl<R: Real> Segment<R> {
     /// One lane's numbers into all lanes.
     fn spread(&mut self, lane: usize) {
         let all = |list: &mut [R]| list.iter_mut().for_each(|x| *x = R::of(x.lane(lane)));
-        all(&mut self.state.qpos);
-        all(&mut self.state.qvel);
+        self.state.lists_mut().into_iter().for_each(|list| all(list));
         for warm in &mut self.state.warm {
             all(&mut warm.impulse);
         }

@@ -1,0 +1,149 @@
+//! Activations: the state that an actuator has between its control and its force.
+//!
+//! MuJoCo documentation, "Actuation model": ẇ = u of an integrator, ẇ = (u − w)/τ of a filter.
+//! A step takes w + dt·ẇ, and of `filterexact` what the filter does in dt under a control that is
+//! held, w + (1 − exp(−dt/τ)) τ ẇ; then bounds.
+
+use crate::model::Model;
+use crate::real::Real;
+use crate::scene::{self, Dynamics};
+use crate::state::Inputs;
+
+/// The shortest time constant that counts [s]: MuJoCo's `mjMINVAL`.
+const SHORTEST: f64 = 1e-15;
+
+/// Activations at hand, and the step that they are advanced by.
+#[derive(Clone, Copy)]
+pub(crate) struct Activations<'a, R: Real> {
+    pub act: &'a [R],
+    /// Time step [s].
+    pub seconds: f64,
+}
+
+impl scene::Actuator {
+    /// Time constant of a filter [s].
+    fn time_constant(&self) -> f64 {
+        self.dynprm[0].max(SHORTEST)
+    }
+
+    /// ẇ under a control.
+    fn rate<R: Real>(&self, act: R, ctrl: R) -> R {
+        match self.dynamics {
+            Dynamics::None => R::zero(),
+            Dynamics::Integrator => ctrl,
+            Dynamics::Filter | Dynamics::FilterExact => (ctrl - act) / R::of(self.time_constant()),
+        }
+    }
+
+    /// For how long ẇ acts in so many seconds [s].
+    fn span(&self, seconds: f64) -> f64 {
+        if self.dynamics != Dynamics::FilterExact {
+            return seconds;
+        }
+        let tau = self.time_constant();
+        -tau * (-seconds / tau).exp_m1()
+    }
+
+    /// An activation after a step in which it changes at a rate.
+    fn next<R: Real>(&self, act: R, rate: R, seconds: f64) -> R {
+        self.within(act + rate * R::of(self.span(seconds)))
+    }
+
+    fn within<R: Real>(&self, act: R) -> R {
+        self.actrange.map_or(act, |[lo, hi]| act.clamp(R::of(lo), R::of(hi)))
+    }
+}
+
+/// What stands for the control of an actuator with an activation: that, or what it will be at the
+/// end of the step.
+#[inline(always)]
+pub(crate) fn signal<R: Real>(
+    model: &Model,
+    index: usize,
+    now: Activations<R>,
+    ctrl: impl FnOnce() -> R,
+) -> R {
+    let span = model.activations[index];
+    if span.len == 0 {
+        return ctrl();
+    }
+    let (actuator, act) = (&model.actuators[index], now.act[span.start]);
+    if !actuator.actearly {
+        return act;
+    }
+    actuator.next(act, actuator.rate(act, ctrl()), now.seconds)
+}
+
+/// The rates of all activations.
+pub(crate) fn rates<R: Real>(model: &Model, act: &[R], inputs: &Inputs<R>, rates: &mut [R]) {
+    if !model.features.actuation {
+        return;
+    }
+    for (index, k) in model.active() {
+        let actuator = &model.actuators[index];
+        rates[k] = actuator.rate(act[k], actuator.held(model, inputs.ctrl[index]));
+    }
+}
+
+/// All activations after a step with these rates.
+pub(crate) fn advance<R: Real>(model: &Model, act: &[R], rates: &[R], seconds: f64, out: &mut [R]) {
+    if !model.features.actuation {
+        return out.copy_from_slice(act);
+    }
+    for (index, k) in model.active() {
+        out[k] = model.actuators[index].next(act[k], rates[k], seconds);
+    }
+}
+
+/// All activations in the middle of a step: of an exact filter what it does in half of it, of others
+/// the implicit midpoint rule, w_m = w + dt/2·ẇ(w_m).
+pub(crate) fn middle<R: Real>(
+    model: &Model,
+    now: Activations<R>,
+    inputs: &Inputs<R>,
+    out: &mut [R],
+) {
+    let half = 0.5 * now.seconds;
+    out.copy_from_slice(now.act);
+    if !model.features.actuation {
+        return;
+    }
+    for (index, k) in model.active() {
+        let actuator = &model.actuators[index];
+        let rate = actuator.rate(now.act[k], actuator.held(model, inputs.ctrl[index]));
+        let span = match actuator.dynamics {
+            Dynamics::Filter => half / (1.0 + half / actuator.time_constant()),
+            _ => actuator.span(half),
+        };
+        out[k] = now.act[k] + rate * R::of(span);
+    }
+}
+
+/// All activations after a step in the middle of which these were their rates.
+pub(crate) fn through_middle<R: Real>(
+    model: &Model,
+    now: Activations<R>,
+    inputs: &Inputs<R>,
+    rates: &[R],
+    out: &mut [R],
+) {
+    advance(model, now.act, rates, now.seconds, out);
+    if !model.features.actuation {
+        return;
+    }
+    for (index, k) in model.active() {
+        let actuator = &model.actuators[index];
+        if actuator.dynamics == Dynamics::FilterExact {
+            let rate = actuator.rate(now.act[k], actuator.held(model, inputs.ctrl[index]));
+            out[k] = actuator.next(now.act[k], rate, now.seconds);
+        }
+    }
+}
+
+impl Model {
+    /// Actuators with an activation, and its place.
+    fn active(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let all = self.activations.iter().enumerate();
+        all.flat_map(|(index, span)| span.range().map(move |k| (index, k)))
+    }
+}
