@@ -182,7 +182,11 @@ MISTAKES = {
         3,
         "at most 1 numbers, not 2",
     ),
-    "key of an activation": (body("", "", '<keyframe><key act="1"/></keyframe>'), 3, "activations"),
+    "key of an activation": (
+        body("", "", '<keyframe><key act="1"/></keyframe>'),
+        3,
+        "at most 0 numbers, not 1",
+    ),
     "unknown material": (
         world('<geom size="1" material="rde"/>', '<asset><material name="red"/></asset>'),
         2,

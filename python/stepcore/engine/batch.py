@@ -130,9 +130,9 @@ class Batch(Stepped):
             limit = f"({len(self)}, steps, {self._model.nu})"
             raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
         with self._explained():
-            qpos, qvel = self._core.rollout(table)
+            states = self._core.rollout(table)
         self._told(table.shape[1])
-        return Rollout(qpos, qvel, np.zeros((*qpos.shape[:2], 0)))
+        return Rollout(*states)
 
     def _told(self, steps: int) -> None:
         """Warns of rows that stay unsolved."""

@@ -23,11 +23,11 @@ AXES = {
 class Linearization:
     """A step linearised about one state: x⁺ = A x + B u to first order.
 
-    x = (dq, dv) is a small change of position and velocity, and u one of ctrl. dq has nv entries
-    [m or rad] and changes qpos as a velocity dq does in one second; a ball or free joint rotates by
-    a rotation vector in its body's axes.
+    x = (dq, dv, dw) is a small change of position, velocity and activation, and u one of ctrl. dq
+    has nv entries [m or rad] and changes qpos as a velocity dq does in one second; a ball or free
+    joint rotates by a rotation vector in its body's axes. dw has na entries.
 
-    A: shape (2 nv, 2 nv). B: shape (2 nv, nu). dt: the time step [s].
+    A: shape (2 nv + na, 2 nv + na). B: shape (2 nv + na, nu). dt: the time step [s].
     labels: names of the dofs. controls: names of the actuators.
     degenerate: names of the elements at which A and B are one-sided, because a row of theirs is
     exactly where it becomes active; empty as a rule. degenerate_ids: (kind, index, part) of each.
@@ -65,12 +65,12 @@ class Linearization:
 
     @property
     def nv(self) -> int:
-        """The number of dofs; x has twice as many entries."""
+        """The number of dofs; x begins with twice as many entries."""
         return len(self.labels)
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
-        """Eigenvalues of A, largest first, shape (2 nv,): the factors of the modes in one step."""
+        """Eigenvalues of A, largest first, shape (2 nv + na,): the factors of the modes in one step."""
         values: NDArray[np.complex128] = np.linalg.eigvals(self.A).astype(complex)
         return values[np.argsort(-np.abs(values), kind="stable")]
 
@@ -106,7 +106,7 @@ def linearized(
 
     degenerate: the elements at which these are one-sided.
     """
-    split = 2 * model.nv
+    split = 2 * model.nv + model.na
     labels = tuple(
         (name or f"joint {index}") + axis
         for index, (name, kind) in enumerate(zip(model.joint_names, model.jnt_type, strict=True))

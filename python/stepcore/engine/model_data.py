@@ -26,13 +26,14 @@ if TYPE_CHECKING:
 class Keyframe(NamedTuple):
     """A named state, with defaults for what the scene leaves open.
 
-    time: [s]. qpos: shape (nq,). qvel: shape (nv,). ctrl: shape (nu,).
+    time: [s]. qpos: shape (nq,). qvel: shape (nv,). act: shape (na,). ctrl: shape (nu,).
     """
 
     name: str
     time: float
     qpos: Floats
     qvel: Floats
+    act: Floats
     ctrl: Floats
 
 
@@ -91,8 +92,8 @@ class ModelData(ABC):
 
     @property
     def na(self) -> int:
-        """Length of act; no actuator has an activation yet, so it is 0."""
-        return 0
+        """Length of act: the number of activations."""
+        return self._core.na
 
     @property
     def nbody(self) -> int:
@@ -162,16 +163,23 @@ class ModelData(ABC):
         """
         return self._core.element_name(kind, index, part)
 
-    def element_force(self, kind: str, ctrl: Floats, qpos: Floats, qvel: Floats) -> Floats:
+    def element_force(
+        self, kind: str, ctrl: Floats, act: Floats, qpos: Floats, qvel: Floats
+    ) -> Floats:
         """Generalised force of all elements of one kind at many states, shape (…, nv) [N or N·m].
 
-        kind: "spring", "damper" or "actuator". ctrl, qpos, qvel: shapes (…, nu), (…, nq), (…, nv),
-        with the same leading axes.
+        kind: "spring", "damper" or "actuator". ctrl, act, qpos, qvel: shapes (…, nu), (…, na),
+        (…, nq), (…, nv), with the same leading axes.
         """
         states = int(np.prod(np.shape(qvel)[:-1], dtype=int))
         flat = [
             np.ascontiguousarray(array, float).reshape(states, count)
-            for array, count in ((ctrl, self.nu), (qpos, self.nq), (qvel, self.nv))
+            for array, count in (
+                (ctrl, self.nu),
+                (act, self.na),
+                (qpos, self.nq),
+                (qvel, self.nv),
+            )
         ]
         force = self._core.element_force(kind, *flat)
         return force.reshape(np.shape(qvel))
@@ -303,6 +311,12 @@ class ModelData(ABC):
     actuator_joint = ModelArray("Index of the joint that each actuator drives, shape (nu,).")
     actuator_ctrlrange = ModelArray(
         "Range to which each control is clamped, ±inf without one, shape (nu, 2)."
+    )
+    actuator_actrange = ModelArray(
+        "Range to which each activation is clamped, ±inf without one, shape (nu, 2)."
+    )
+    actuator_actadr = ModelArray(
+        "Index in act of each actuator's activation, -1 without one, shape (nu,)."
     )
     actuator_gear = ModelArray("Gear of each actuator for each dof of its joint, shape (nu, 6).")
     actuator_gain = ModelArray("Force per unit of control, before the gear, shape (nu,).")

@@ -83,5 +83,6 @@ class Stepped(World):
         self._arrays["qpos"][...] = self._model.qpos0 if state is None else state.qpos
         if state is not None:
             self._arrays["qvel"][...] = state.qvel
+            self._arrays["act"][...] = state.act
             self._arrays["ctrl"][...] = state.ctrl
         self._restart(0.0 if state is None else state.time)

@@ -9,8 +9,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from stepcore import checks
 from stepcore.engine.arrays import Floats, Readout, StateArray
 
@@ -24,7 +22,7 @@ class World(checks.KnownNames, ABC):
 
     qpos = StateArray("Positions [m or rad], shape (nq,); quaternions w x y z.")
     qvel = StateArray("Velocities [m/s or rad/s], shape (nv,).")
-    act = StateArray("Activations of actuators, shape (na,); no actuator has one yet, so na is 0.")
+    act = StateArray("Activations of actuators, shape (na,): the states of filters and integrators.")
     ctrl = StateArray("Controls, shape (nu,), constant during a step.")
     qfrc_applied = StateArray(
         "Applied forces on the dofs [N or N·m], shape (nv,), constant during a step."
@@ -73,7 +71,7 @@ class World(checks.KnownNames, ABC):
         self._arrays = {
             "qpos": core.qpos,
             "qvel": core.qvel,
-            "act": np.zeros((*core.qpos.shape[:-1], 0)),
+            "act": core.act,
             "ctrl": core.ctrl,
             "qfrc_applied": core.qfrc_applied,
             "xfrc_applied": core.xfrc_applied,

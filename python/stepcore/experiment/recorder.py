@@ -47,6 +47,7 @@ class Recorder(Probe):
         self.bodies, self.schedule = bodies, schedule
         self.qpos: list[np.ndarray] = []
         self.qvel: list[np.ndarray] = []
+        self.act: list[np.ndarray] = []
         self.ctrl: list[np.ndarray] = []
         self.samples: list[int] = []
         self.slips: list[Slips] = []
@@ -90,6 +91,7 @@ class Recorder(Probe):
     def _state(self, sim: Sim) -> None:
         self.qpos.append(np.array(sim.qpos))
         self.qvel.append(np.array(sim.qvel))
+        self.act.append(np.array(sim.act))
 
     def _contacts(self, sim: Sim) -> None:
         # Without a row since the last look there is nothing to see, but for penalties.
@@ -110,7 +112,7 @@ class Recorder(Probe):
         # Energies before work: a state that is finite in itself can overflow in them.
         with np.errstate(over="ignore", invalid="ignore"):
             seen = bodies.states(qpos[[0, *at]], qvel[[0, *at]])
-            work = np.concatenate([[0.0], np.cumsum(self._work(qpos, qvel, np.array(self.ctrl)))])
+            work = np.concatenate([[0.0], np.cumsum(self._work(qpos, qvel))])
             path.balance = seen.energy[1:] - seen.energy[0] - work[at]
             path.height = bodies.height(seen.com[1:])
             if bodies.conserved.known and not self.grounded:
@@ -123,17 +125,17 @@ class Recorder(Probe):
         path.overlap, path.residual = self.overlap, self.residual
         path.row_updates, path.rows = sim.row_updates, sim.most_rows
 
-    def _work(self, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
+    def _work(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Work done on the bodies between two states by actuators and dampers [J].
 
         A motor's force is held, so force × change of the joint is exact for hinges and slides;
         a servo's is the mean of both ends, which is exact for its stiffness.
         """
-        model = self.bodies.model
+        model, ctrl, act = self.bodies.model, np.array(self.ctrl), np.array(self.act)
         change = self.bodies.coordinates.change(qpos[:-1], qpos[1:])
         mean = (qvel[:-1] + qvel[1:]) / 2
-        damped = model.element_force("damper", ctrl, qpos[:-1], mean)
-        before = model.element_force("actuator", ctrl, qpos[:-1], qvel[:-1])
-        after = model.element_force("actuator", ctrl, qpos[1:], qvel[1:])
+        damped = model.element_force("damper", ctrl, act[:-1], qpos[:-1], mean)
+        before = model.element_force("actuator", ctrl, act[:-1], qpos[:-1], qvel[:-1])
+        after = model.element_force("actuator", ctrl, act[1:], qpos[1:], qvel[1:])
         work: np.ndarray = np.sum(((before + after) / 2 + damped) * change, axis=-1)
         return work

@@ -9,6 +9,7 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.elements import Joint
+from stepcore.scene.elements.actuator import DYNAMICS
 
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")
 # The second site of a transmission between two sites.
@@ -30,6 +31,8 @@ def read(world: WorldReader, node: Node) -> None:
         gear=values.get("gear", (1.0,)),
         ctrlrange=_ctrlrange(world, node, values, gains, joint),
         forcerange=world.limits(node, values, "forcelimited", "forcerange"),
+        actrange=_actrange(world, node, values, gains),
+        actearly=values.get("actearly", False),
         **_words(gains),
     )
     world.keep(node, added)
@@ -56,19 +59,12 @@ def _refuse(node: Node, values: dict[str, Any]) -> None:
         raise node.unbuilt("a delay between control and force (delay)")
     if any(values.get("damping", ())) or values.get("armature", 0) != 0:
         raise node.unbuilt("an actuator's own damping or armature")
-    for name in STATEFUL:
-        if values.get(name, False) not in (False, "auto"):
-            raise node.error(f"<{node.tag}> inherits {name}, but a {node.tag} has no activation")
-    if values.get("actdim", -1) not in (-1, 0):
-        raise bad(node, "actdim", values["actdim"], "-1 or 0: no activation is built yet")
     if node.values.get("input", "") not in ("", "pos", "vel", "pressure"):
         raise bad(node, "input", node.values["input"], "pos, vel or pressure")
 
 
 def _refuse_gains(node: Node, gains: ActuatorGains) -> None:
-    if gains.tag == "position" and gains.dyntype != "none":
-        raise node.unbuilt("a servo with a filter, which needs an activation (timeconst)")
-    for name, built in (("dyntype", ("none",)), ("gaintype", ("fixed",))):
+    for name, built in (("dyntype", DYNAMICS), ("gaintype", ("fixed",))):
         if getattr(gains, name) not in built:
             raise node.unbuilt(f'<general> {name}="{getattr(gains, name)}"')
     if gains.biastype not in ("none", "affine"):
@@ -79,13 +75,30 @@ def _words(gains: ActuatorGains) -> dict[str, Any]:
     """The gains as fields of `Actuator`."""
     gain, damping = gains.gainprm[0], gains.biasprm[2]
     if gains.tag == "position":
-        return {"kp": gain, **({"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping})}
+        words = {"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping}
+        return {"kp": gain, **words, "timeconst": gains.dynprm[0] if gains.dyntype != "none" else None}
     if gains.tag == "velocity":
         return {"kv": gain}
     if gains.tag == "general":
         bias = gains.biasprm[:3] if gains.biastype == "affine" else None
-        return {"gainprm": gain, "biasprm": bias}
+        words = {"dyntype": gains.dyntype, "dynprm": gains.dynprm} if gains.dyntype != "none" else {}
+        return {"gainprm": gain, "biasprm": bias, **words}
     return {}
+
+
+def _actrange(
+    world: WorldReader, node: Node, values: dict[str, Any], gains: ActuatorGains
+) -> tuple[float, ...] | None:
+    stateless = gains.dyntype == "none"
+    if stateless:
+        for name in STATEFUL:
+            if values.get(name, False) not in (False, "auto"):
+                text = f"<{node.tag}> inherits {name}, but a {node.tag} has no activation"
+                raise node.error(text)
+    dim = values.get("actdim", -1)
+    if dim not in (-1, 0 if stateless else 1):
+        raise bad(node, "actdim", dim, "-1, 0 without an activation or 1 with one")
+    return None if stateless else world.limits(node, values, "actlimited", "actrange")
 
 
 def _ctrlrange(

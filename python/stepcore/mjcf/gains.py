@@ -31,6 +31,7 @@ class ActuatorGains:
     gaintype: str = "fixed"
     biastype: str = "none"
     inheritrange: float = 0.0
+    dynprm: Vec = (1.0, 0.0, 0.0)
 
     @property
     def is_position(self) -> bool:
@@ -64,7 +65,7 @@ def _general(base: ActuatorGains, node: Node) -> ActuatorGains:
     values = node.values
     given: dict[str, Any] = {
         name: (*values[name], *getattr(base, name)[len(values[name]) :])
-        for name in ("gainprm", "biasprm")
+        for name in ("gainprm", "biasprm", "dynprm")
         if values.get(name)
     }
     given |= {n: values[n] for n in ("dyntype", "gaintype", "biastype") if n in values}
@@ -83,13 +84,13 @@ def _position(base: ActuatorGains, node: Node) -> ActuatorGains:
     damping = base.biasprm[2]
     if "kv" in values or "dampratio" in values:
         damping = values.get("dampratio", -values.get("kv", 0.0))
-    dyntype = base.dyntype if base.tag == "position" else "none"
+    dyntype, dynprm = (base.dyntype, base.dynprm) if base.tag == "position" else ("none", (1.0,))
     if "timeconst" in values:
         dyntype = "filterexact" if values["timeconst"] > 0 else "none"
+        dynprm = (values["timeconst"],)
     bias = (0.0, -kp, damping)
-    return ActuatorGains(
-        "position", (kp,), bias, dyntype, "fixed", "affine", _inheritrange(base, node)
-    )
+    inherited = _inheritrange(base, node)
+    return ActuatorGains("position", (kp,), bias, dyntype, "fixed", "affine", inherited, dynprm)
 
 
 def _inheritrange(base: ActuatorGains, node: Node) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
+from stepcore.scene import actuation
 from stepcore.scene.layout import DOFS, QPOS, Layout
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ MAX_KEYS = 100_000
 def read(world: WorldReader, layout: Layout, node: Node) -> None:
     """Reads a keyframe; missing values are those of the default state."""
     values = node.values
-    for name, what in (("act", "activations"), ("mpos", "mocap bodies"), ("plastic", "plastic")):
+    for name, what in (("mpos", "mocap bodies"), ("plastic", "plastic")):
         if values.get(name):
             raise bad(node, name, values[name], f"empty: the model has no {what}")
     if values.get("mquat"):
@@ -27,6 +28,7 @@ def read(world: WorldReader, layout: Layout, node: Node) -> None:
     rest = {
         "qpos": layout.qpos0(),
         "qvel": [0.0] * layout.nv,
+        "act": [0.0] * actuation.na(world.scene),
         "ctrl": [0.0] * len(world.scene.actuators),
     }
     fields: dict[str, Any] = {}
@@ -55,7 +57,7 @@ def _assembled(
         starts[id(element)] = at
         at += 1 if sizes is None else sizes[element.type]
     numbers = list(default)
-    for part, given in (node.parts or {})[name]:
+    for part, given in (node.parts or {}).get(name, ()):
         start = starts.get(id(world.elements.get(id(part))))
         if start is not None:
             numbers[start : start + len(given)] = given

@@ -7,18 +7,21 @@ MuJoCo's (documentation, XML reference, "actuator").
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stepcore import checks
 from stepcore.scene.elements import Actuator
 from stepcore.scene.frames import ORIGIN, Vec
 
+if TYPE_CHECKING:
+    from stepcore.scene.contents import Contents
+
 # The fields of each type of actuator; those of other types are refused.
 WORDS = {
     "motor": (),
-    "position": ("kp", "kv", "dampratio"),
+    "position": ("kp", "kv", "dampratio", "timeconst"),
     "velocity": ("kv",),
-    "general": ("gainprm", "biasprm"),
+    "general": ("gainprm", "biasprm", "dyntype", "dynprm"),
 }
 
 
@@ -52,10 +55,25 @@ def gains(actuator: Actuator) -> Gains:
     return Gains()
 
 
-def plain(actuator: Actuator) -> dict[str, float | list[float]]:
-    """The gains as the engine's fields."""
+def dynamics(actuator: Actuator) -> tuple[str, Vec]:
+    """The type of its activation, "none" if it has none, and the parameters of that."""
+    if actuator.type == "position":
+        timeconst = _or(actuator.timeconst, 0.0)
+        return ("filterexact" if timeconst > 0 else "none"), (timeconst, 0.0, 0.0)
+    return actuator.dyntype or "none", actuator.dynprm or (1.0, 0.0, 0.0)
+
+
+def na(scene: Contents) -> int:
+    """The number of activations in a scene."""
+    return sum(dynamics(actuator)[0] != "none" for actuator in scene.actuators)
+
+
+def plain(actuator: Actuator) -> dict[str, Any]:
+    """The gains and the dynamics as the engine's fields."""
     gain, bias, dampratio = gains(actuator)
-    return {"gain": gain, "bias": list(bias), "dampratio": dampratio}
+    kind, parameters = dynamics(actuator)
+    terms = {"gain": gain, "bias": list(bias), "dampratio": dampratio}
+    return terms | {"dynamics": kind, "dynprm": list(parameters)}
 
 
 def check(actuator: Actuator) -> None:
@@ -67,11 +85,13 @@ def check(actuator: Actuator) -> None:
             limit = f"None for type {actuator.type!r}, which has {has}"
             raise checks.refuse(actuator, word, getattr(actuator, word), limit)
     if actuator.type == "position":
-        for word in ("kv", "dampratio"):
+        for word in ("kv", "dampratio", "timeconst"):
             if _or(getattr(actuator, word), 0.0) < 0:
                 raise checks.refuse(actuator, word, getattr(actuator, word), ">= 0")
         if actuator.kv and actuator.dampratio:
             raise checks.ElementError(actuator, "kv and dampratio are both given")
+    if dynamics(actuator)[0] == "none" and actuator.actrange is not None:
+        raise checks.refuse(actuator, "actrange", actuator.actrange, "None without an activation")
     gain, bias, dampratio = gains(actuator)
     if dampratio and gain < 0:
         word = "kp" if actuator.type == "position" else "gainprm"

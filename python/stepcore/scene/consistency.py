@@ -57,7 +57,8 @@ def check(layout: Layout) -> None:
     for equality in scene.equalities:
         tying.check(layout, equality)
     _check_pairs(layout)
-    sizes = {"qpos": layout.nq, "qvel": layout.nv, "ctrl": len(scene.actuators)}
+    sizes = {"qpos": layout.nq, "qvel": layout.nv, "act": actuation.na(scene)}
+    sizes["ctrl"] = len(scene.actuators)
     for key in scene.keys:
         for field, count in sizes.items():
             value = getattr(key, field)

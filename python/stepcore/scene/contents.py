@@ -288,7 +288,7 @@ class Contents(Holdings):
     def add_key(self, name: str = "", **fields: Unpack[KeyFields]) -> Key:
         """Adds a keyframe, a named state.
 
-        fields: of `Key`: time [s], qpos, qvel and ctrl in the compiled model's order.
+        fields: of `Key`: time [s], qpos, qvel, act and ctrl in the compiled model's order.
         """
         return self._add(self.keys, Key, fields, name=name)
 

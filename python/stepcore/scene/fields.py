@@ -108,6 +108,11 @@ class ActuatorFields(TypedDict, total=False):
     dampratio: float | None
     gainprm: float | None
     biasprm: Numbers | None
+    timeconst: float | None
+    dyntype: str | None
+    dynprm: Numbers | None
+    actrange: Vector | None
+    actearly: bool
     ctrlrange: Vector | None
     forcerange: Vector | None
 
@@ -143,4 +148,5 @@ class KeyFields(TypedDict, total=False):
     time: float
     qpos: Vector | None
     qvel: Vector | None
+    act: Vector | None
     ctrl: Vector | None

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 # Fields whose name in the engine is not MuJoCo's word.
 RENAMED = {"type": "kind", "ref": "reference", "shellinertia": "shell_inertia"}
 # Fields of an actuator that reach the engine as gain, bias and dampratio.
-SERVO = ("kp", "kv", "dampratio", "gainprm", "biasprm")
+SERVO = ("kp", "kv", "dampratio", "gainprm", "biasprm", "timeconst", "dyntype", "dynprm")
 SOFTNESS = {
     Joint: {
         "limit": ("solreflimit", "solimplimit"),
@@ -115,7 +115,7 @@ def essence(layout: Layout) -> dict[str, Any]:
         asset |= {k: (v.shape, v.tobytes()) for k, v in asset.items() if hasattr(v, "tobytes")}
     for key in scene["keys"]:
         # An empty list and none are the same: nothing is given.
-        key |= {field: key[field] or None for field in ("qpos", "qvel", "ctrl")}
+        key |= {field: key[field] or None for field in ("qpos", "qvel", "act", "ctrl")}
     return scene
 
 

@@ -7,10 +7,12 @@ from typing import Annotated
 
 from stepcore import checks
 from stepcore.scene.element import Element
-from stepcore.scene.elements.field_types import GEAR, Bias, Gain, Gear, Range, Text
+from stepcore.scene.elements.field_types import GEAR, Bias, DynPrm, Flag, Gain, Gear, Range, Text
 from stepcore.scene.elements.joint import AJoint
 
 ACTUATOR_TYPES = ("motor", "position", "velocity", "general")
+DYNAMICS = ("none", "integrator", "filter", "filterexact")
+DynType = Annotated[str | None, checks.optional(checks.one_of(*DYNAMICS))]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
@@ -35,7 +37,15 @@ class Actuator(Element):
         where m is the inertia that it moves in the initial pose.
     gainprm, biasprm: of a general actuator; None means 1 and zeros. If gainprm = −biasprm[1], a
         positive biasprm[2] is a damping ratio, as in MuJoCo.
-    ctrlrange, forcerange: (lower, upper) bounds to which control and force are clamped, or None.
+    timeconst: of a position servo: time constant of a filter between its control and its target
+        [s]; None means 0, no filter.
+    dyntype: of a general actuator: what stands in for the control is an activation w, a state of
+        the simulation, with dw/dt = control ("integrator") or (control − w)/dynprm[0] ("filter", and
+        "filterexact", whose steps are exact); None means "none".
+    dynprm: of a general actuator; None means 1 [s].
+    ctrlrange, actrange, forcerange: (lower, upper) bounds to which control, activation and force
+        are clamped, or None.
+    actearly: True takes the force from the activation at the end of the step.
     """
 
     name: Text = ""
@@ -47,5 +57,10 @@ class Actuator(Element):
     dampratio: Gain = None
     gainprm: Gain = None
     biasprm: Bias = None
+    timeconst: Gain = None
+    dyntype: DynType = None
+    dynprm: DynPrm = None
     ctrlrange: Range = None
+    actrange: Range = None
     forcerange: Range = None
+    actearly: Flag = False

@@ -16,14 +16,15 @@ class Key(Element):
 
     name: unique among keyframes, or "".
     time: [s].
-    qpos, qvel, ctrl: in the order of the compiled model, shapes (nq,), (nv,) and (nu,); None means
-        the pose of the scene, rest and zero.
+    qpos, qvel, act, ctrl: in the order of the compiled model, shapes (nq,), (nv,), (na,) and (nu,);
+        None means the pose of the scene, rest, zero and zero.
     """
 
     name: Text = ""
     time: Real = 0.0
     qpos: Numbers = None
     qvel: Numbers = None
+    act: Numbers = None
     ctrl: Numbers = None
 
 
