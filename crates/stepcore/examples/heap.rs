@@ -1,10 +1,10 @@
-//! How long a heap's step takes, for a profiler: spheres in a box without a lid, or capsules on a
-//! floor.
+//! How long a heap's step takes, for a profiler: spheres or boxes in a box without a lid, capsules
+//! on a floor, or a tower of boxes.
 //!
 //!     cargo run --release -p stepcore --example heap -- 100 newton 200
 //!
 //! The number of bodies, the solver, the steps that are timed after 500 steps of settling; then
-//! `momentum`, the tolerance, and `capsules`. Times against other engines are `benches/heaps.py`'s.
+//! `momentum`, the tolerance, and `capsules`, `boxes` or `tower`. Times against other engines are `benches/heaps.py`'s.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -16,8 +16,23 @@ use stepcore::sim::Sim;
 
 const RADIUS: f64 = 0.05;
 
-fn heap(count: usize, capsules: bool) -> Scene {
+fn heap(count: usize, shape: &str) -> Scene {
     let mut scene = Scene::default();
+    if shape == "tower" {
+        plane(&mut scene, [0.0; 3], [0.0, 0.0, 1.0]);
+        for i in 0..count {
+            let along = |k: usize| 0.02 * RADIUS * ((k * i % 5) as f64 - 2.0);
+            let pos = [along(7), along(3), (2 * i + 1) as f64 * RADIUS];
+            body(&mut scene, GeomType::Box, pos, [1.0, 0.0, 0.0, 0.0]);
+        }
+        return scene;
+    }
+    let capsules = shape == "capsules";
+    let kind = match shape {
+        "capsules" => GeomType::Capsule,
+        "boxes" => GeomType::Box,
+        _ => GeomType::Sphere,
+    };
     let side = (1..).find(|side| side * side * side >= count).unwrap_or(1);
     let half = 1.15 * RADIUS * side as f64;
     plane(&mut scene, [0.0; 3], [0.0, 0.0, 1.0]);
@@ -39,25 +54,34 @@ fn heap(count: usize, capsules: bool) -> Scene {
             wide * y * half / side as f64 - half + jitter(),
             (z * 1.2 + (wide - 1.0) * 3.0 * z) * RADIUS + jitter(),
         ];
-        let quat = [1.0; 4].map(|_| if capsules { 20.0 * jitter() } else { 0.5 });
-        scene.bodies.push(Body { pos, quat, ..Body::default() });
-        let body = scene.bodies.len() - 1;
-        scene.joints.push(Joint {
-            name: format!("free{i}"),
-            body,
-            kind: JointType::Free,
-            ..Joint::default()
-        });
-        scene.geoms.push(Geom {
-            name: format!("ball{i}"),
-            body,
-            kind: if capsules { GeomType::Capsule } else { GeomType::Sphere },
-            size: [RADIUS, 1.6 * RADIUS, 0.0],
-            mass: Some(1.0),
-            ..Geom::default()
-        });
+        let quat = match kind {
+            GeomType::Capsule => [1.0; 4].map(|_| 20.0 * jitter()),
+            GeomType::Box => [1.0, 0.0, 0.0, 0.0],
+            _ => [0.5; 4],
+        };
+        body(&mut scene, kind, pos, quat);
     }
     scene
+}
+
+fn body(scene: &mut Scene, kind: GeomType, pos: [f64; 3], quat: [f64; 4]) {
+    scene.bodies.push(Body { pos, quat, ..Body::default() });
+    let body = scene.bodies.len() - 1;
+    scene.joints.push(Joint {
+        name: format!("free{body}"),
+        body,
+        kind: JointType::Free,
+        ..Joint::default()
+    });
+    let size = if kind == GeomType::Box { [RADIUS; 3] } else { [RADIUS, 1.6 * RADIUS, 0.0] };
+    scene.geoms.push(Geom {
+        name: format!("geom{body}"),
+        body,
+        kind,
+        size,
+        mass: Some(1.0),
+        ..Geom::default()
+    });
 }
 
 /// A plane through `pos` whose normal is the unit vector `up`.
@@ -89,7 +113,7 @@ fn main() {
         sweeps: 500.into(),
         ..Settings::default()
     };
-    let model = Arc::new(Model::compile(&heap(count, word(6, "") == "capsules")).expect("a scene"));
+    let model = Arc::new(Model::compile(&heap(count, &word(6, "spheres"))).expect("a scene"));
     let mut sim = Sim::<f64>::new(model, settings).expect("settings");
     sim.step(500).expect("a finite state");
     let (mut sweeps, mut rows) = (0, 0);
@@ -102,6 +126,10 @@ fn main() {
     let spent = start.elapsed().as_secs_f64() / steps as f64;
     let (sweeps, rows) = (sweeps as f64 / steps as f64, rows as f64 / steps as f64);
     let sum: f64 = sim.state.qpos.iter().sum();
-    println!("{:.1} us a step, {rows:.1} rows, {sweeps:.2} sweeps or iterations, {:.2} ns a row and sweep, sum {sum:.12}",
-        spent * 1e6, spent * 1e9 / (rows * sweeps));
+    println!(
+        "{:.1} us a step, {rows:.1} rows, {sweeps:.2} sweeps or iterations, {:.2} ns a row and sweep, \
+         sum {sum:.12}",
+        spent * 1e6,
+        spent * 1e9 / (rows * sweeps)
+    );
 }

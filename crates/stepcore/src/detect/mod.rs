@@ -116,10 +116,9 @@ impl<R: Real> Detected<R> {
                 continue;
             }
             let material = model.material(pair);
-            let listed =
-                R::of(if on_guess { f64::INFINITY } else { material.margin + material.gap });
-            meet(model, placed, pair, |part, touch| {
-                let mask = touch.exists.and(touch.dist.lt(listed));
+            let listed = if on_guess { f64::INFINITY } else { material.margin + material.gap };
+            meet(model, placed, pair, listed, |part, touch| {
+                let mask = touch.exists.and(touch.dist.lt(R::of(listed)));
                 if mask.any() {
                     self.push(pair, part, touch, mask);
                 }
@@ -187,7 +186,7 @@ fn beyond<R: Real>(model: &Model, qpos: &[R]) -> bool {
 /// The smallest distance of a pair's geoms [m].
 pub(crate) fn distance(model: &Model, placed: &Placed<f64>, pair: &Pair) -> f64 {
     let mut least = f64::INFINITY;
-    meet(model, placed, pair, |_, touch| {
+    meet(model, placed, pair, f64::INFINITY, |_, touch| {
         if touch.exists {
             least = least.min(touch.dist);
         }
@@ -222,15 +221,17 @@ fn far<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair, more: Option<R>)
     between.dot(&between).gt(reach).all()
 }
 
-/// The exact test of one pair: `take(part, touch)` gets what is in each of its slots.
+/// The exact test of one pair: `take(part, touch)` gets what is in each of its slots, if nearer than
+/// `within` [m].
 #[inline(always)]
 fn meet<R: Real>(
     model: &Model,
     placed: &Placed<R>,
     pair: &Pair,
+    within: f64,
     take: impl FnMut(usize, &Touch<R>),
 ) {
-    meet_at(model, pair, &placed.geom[pair.geom1], &placed.geom[pair.geom2], take);
+    meet_at(model, pair, [&placed.geom[pair.geom1], &placed.geom[pair.geom2]], within, take);
 }
 
 /// The same with the two geoms at these poses.
@@ -238,11 +239,11 @@ fn meet<R: Real>(
 fn meet_at<R: Real>(
     model: &Model,
     pair: &Pair,
-    p1: &Pose<R>,
-    p2: &Pose<R>,
+    [p1, p2]: [&Pose<R>; 2],
+    within: f64,
     take: impl FnMut(usize, &Touch<R>),
 ) {
     let one = model.geoms[pair.geom1].shape(p1);
     let two = model.geoms[pair.geom2].shape(p2);
-    shapes::meet(pair.test, &one, &two, take);
+    shapes::meet(pair.test, &one, &two, within, take);
 }

@@ -104,11 +104,11 @@ impl<R: Real> Detected<R> {
             return;
         }
         let material = model.material(&pair);
-        let listed = R::of(if on_guess { f64::INFINITY } else { material.margin + material.gap });
+        let listed = if on_guess { f64::INFINITY } else { material.margin + material.gap };
         let bodies = [model.geoms[pair.geom1].body, model.geoms[pair.geom2].body];
         let before = self.contacts.len();
-        meet(model, placed, &{ pair }, |part, touch| {
-            let mask = touch.exists.and(touch.dist.lt(listed));
+        meet(model, placed, &{ pair }, listed, |part, touch| {
+            let mask = touch.exists.and(touch.dist.lt(R::of(listed)));
             if mask.any() {
                 if self.contacts.len() == before {
                     pair.dofs = self.lists.union(model, bodies);

@@ -7,7 +7,7 @@
 //! never dropped, because they carry stiffness.
 
 use super::constraint::{Constraint, Makings};
-use super::friction::{Axis, Ways};
+use super::friction::{Axis, Way, Ways, MOST_WAYS};
 use crate::detect::path::meeting;
 use crate::detect::Contact;
 use crate::model::{Model, Pair, NONE};
@@ -16,7 +16,7 @@ use crate::settings::{Cone, Law};
 use crate::solve::law::{
     least_softness, target_at, weightless_softness, Near, OnGuess, SolRef, NEAR,
 };
-use crate::solve::{Guessed, Rows, Set, Situation};
+use crate::solve::{Guessed, Row, Rows, Set, Situation};
 use crate::spatial::{Motion, V3};
 
 pub(super) struct Contacts;
@@ -46,20 +46,27 @@ impl Constraint for Contacts {
 }
 
 impl<R: Real> Rows<R> {
-    fn contact_row(
+    /// Rows of how the geoms slide along some directions, each drawn out by its scale.
+    fn sliding_rows(
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
         pair: &Pair,
-        along: &V3<R>,
-        scale: f64,
+        along: &[V3<R>],
+        scales: &[f64],
     ) {
-        let bodies = bodies(now.model, pair);
-        self.relative_jacobian(now, bodies, pair.dofs, &contact.points(), along);
-        self.push_scratch(now, pair.dofs);
-        self.drop_rounding(now, bodies, &contact.pos, pair.mass, |motion, arm| {
-            motion.most_at(arm) * R::of(scale * scale)
-        });
+        let (bodies, points, first) = (bodies(now.model, pair), contact.points(), self.rows.len());
+        match *along {
+            [a] => self.push_relative(now, bodies, pair.dofs, &points, &[a]),
+            [a, b] => self.push_relative(now, bodies, pair.dofs, &points, &[a, b]),
+            [a, b, c] => self.push_relative(now, bodies, pair.dofs, &points, &[a, b, c]),
+            _ => {}
+        }
+        for (row, scale) in (first..).zip(scales) {
+            self.drop_rounding_of(row, now, (bodies, &contact.pos), pair.mass, |motion, arm| {
+                motion.most_at(arm) * R::of(scale * scale)
+            });
+        }
     }
 
     fn turning_row(
@@ -79,7 +86,7 @@ impl<R: Real> Rows<R> {
     }
 
     pub(super) fn normal_row(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
-        self.contact_row(now, contact, pair, &contact.normal, 1.0);
+        self.sliding_rows(now, contact, pair, &[contact.normal], &[1.0]);
     }
 
     /// Rows of the ways of friction, in their measure.
@@ -90,21 +97,45 @@ impl<R: Real> Rows<R> {
         pair: &Pair,
         ways: &Ways,
     ) {
+        self.rows_along(now, contact, pair, ways, false);
+    }
+
+    /// Rows of the ways of friction, and of the normal before them where that is asked for.
+    fn rows_along(
+        &mut self,
+        now: &Situation<R>,
+        contact: &Contact<R>,
+        pair: &Pair,
+        ways: &Ways,
+        normal: bool,
+    ) {
         if ways.list().is_empty() {
+            if normal {
+                self.normal_row(now, contact, pair);
+            }
             return;
         }
         let tangents = contact.tangents(now.placed);
-        for way in ways.list() {
+        let axis = |way: &Way| {
             let axis = match way.axis {
                 Axis::Normal => contact.normal,
                 Axis::Tangent(at) => tangents[at],
             };
-            let axis = if way.scale == 1.0 { axis } else { axis * R::of(way.scale) };
-            if way.turns {
-                self.turning_row(now, contact, pair, &axis, way.scale);
+            if way.scale == 1.0 {
+                axis
             } else {
-                self.contact_row(now, contact, pair, &axis, way.scale);
+                axis * R::of(way.scale)
             }
+        };
+        let (mut along, mut scales) = ([contact.normal; 3], [1.0; 3]);
+        let mut count = usize::from(normal);
+        for way in ways.list().iter().filter(|way| !way.turns) {
+            (along[count], scales[count]) = (axis(way), way.scale);
+            count += 1;
+        }
+        self.sliding_rows(now, contact, pair, &along[..count], &scales[..count]);
+        for way in ways.list().iter().filter(|way| way.turns) {
+            self.turning_row(now, contact, pair, &axis(way), way.scale);
         }
     }
 
@@ -150,7 +181,7 @@ impl<R: Real> Rows<R> {
         let ways = Ways::soft(pair.still, material);
         let (weight, mu, impratio) = (pair.invweight, ways.slide, settings.impratio);
         let first = self.rows.len();
-        self.normal_row(now, contact, pair);
+        self.rows_along(now, contact, pair, &ways, true);
         if let Some(most) = settings.max_recovery_speed.under(Law::SolRef) {
             // The normal of a pyramid is its edges side by side, four with condim 3.
             let edges = settings.cone == Cone::Pyramidal && material.condim > 1;
@@ -170,7 +201,6 @@ impl<R: Real> Rows<R> {
             return self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
         }
         if settings.cone == Cone::Elliptic {
-            self.friction_rows(now, contact, pair, &ways);
             let least = self.least_softness(first, pair);
             law.fill(&mut self.rows[first], r, R::of(weight), least, dt);
             // MuJoCo's R_j = R₁ μ₁²/μ_j², in the measure of the ways.
@@ -185,7 +215,7 @@ impl<R: Real> Rows<R> {
         }
         let edge = weight * 2.0 * mu * mu / impratio * (1.0 + mu * mu);
         let unmoved = R::Mask::of(weight == 0.0).and(self.rows[first].a.le(R::zero()));
-        self.pyramid(now, contact, pair, &ways, first);
+        self.pyramid(now, &ways, first);
         let still = ways.still;
         let edges = self.rows.len() - first;
         let least = self.least_softness(first, pair);
@@ -222,39 +252,29 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Replaces the normal row at `first` by the edges J_n ± μ_j J_j, then the fold.
-    fn pyramid(
-        &mut self,
-        now: &Situation<R>,
-        contact: &Contact<R>,
-        pair: &Pair,
-        ways: &Ways,
-        first: usize,
-    ) {
-        let mu = R::of(ways.mu);
-        let (normal, tangents) = (first, first + 1);
-        self.friction_rows(now, contact, pair, ways);
-        let moving = self.rows.len() - tangents;
+    /// Replaces the rows from `first` on, the normal and the ways, by the edges J_n ± μ_j J_j, then
+    /// the fold.
+    fn pyramid(&mut self, now: &Situation<R>, ways: &Ways, first: usize) {
+        let moving = self.rows.len() - first - 1;
         if moving == 0 {
             return; // The normal row is the fold.
         }
-        for k in 0..moving {
-            self.push_sum(now, normal, tangents + k, mu);
-            self.push_sum(now, normal, tangents + k, -mu);
+        let making = |row: &Row<R>| (row.y, row.velocity);
+        let normal = self.rows[first].clone();
+        let mut tangents = [(0, R::zero()); MOST_WAYS];
+        for (tangent, row) in tangents.iter_mut().zip(&self.rows[first + 1..]) {
+            *tangent = making(row);
+        }
+        self.rows.truncate(first);
+        let end = self.y.len();
+        for tangent in &tangents[..moving] {
+            self.push_edges(now, normal.dofs, making(&normal), *tangent, R::of(ways.mu));
         }
         if ways.still > 0 {
-            self.push_sum(now, normal, normal, R::zero());
+            self.push_again(&normal);
         }
-        // The normal and the tangents were only the makings of the edges: y stays packed.
-        self.rows.drain(first..first + 1 + moving);
-        let makings = (1 + moving) * pair.dofs.len;
-        let end = self.y.len() - makings;
-        let start = end - (self.rows.len() - first) * pair.dofs.len;
-        self.y.copy_within(start + makings.., start);
-        self.y.truncate(end);
-        for row in &mut self.rows[first..] {
-            row.y -= makings;
-        }
+        // What they were made of goes: y stays packed.
+        self.pack(first, normal.y, end);
     }
 
     /// A contact under `lesson`, `relaxed` or `rigid`: a row where the guess overlaps, or where

@@ -36,9 +36,16 @@ impl<R: Real> Metric<R> {
         }
     }
 
-    /// A row's entries left of the diagonal, nearest ancestor first, with their dofs.
+    /// A row's entries left of the diagonal, nearest ancestor first.
     #[inline(always)]
-    fn row(&self, k: usize) -> impl Iterator<Item = (R, usize)> + '_ {
+    pub fn left_of(&self, k: usize) -> &[R] {
+        let Span { start, len } = self.rows[k];
+        &self.l[start + 1..start + len]
+    }
+
+    /// The same with their dofs.
+    #[inline(always)]
+    pub fn row(&self, k: usize) -> impl Iterator<Item = (R, usize)> + '_ {
         let Span { start, len } = self.rows[k];
         let (from, to) = (start + 1, start + len);
         self.l[from..to].iter().copied().zip(self.dofs[from..to].iter().copied())

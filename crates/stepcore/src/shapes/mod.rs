@@ -72,12 +72,14 @@ impl<'a, R: Real> Shape<'a, R> {
     }
 }
 
-/// Tests a pair exactly: `take(slot, touch)` gets what is in each of its slots.
+/// Tests a pair exactly: `take(slot, touch)` gets what is in each of its slots. Of shapes that are
+/// `within` [m] apart or more a slot may tell nothing.
 #[inline(always)]
 pub fn meet<R: Real>(
     test: ShapeTest,
     one: &Shape<R>,
     two: &Shape<R>,
+    within: f64,
     mut take: impl FnMut(usize, &Touch<R>),
 ) {
     let (p1, p2) = (one.pose, two.pose);
@@ -104,7 +106,7 @@ pub fn meet<R: Real>(
             all(&cylinder::sphere_cylinder(p1, s1.x, p2, s2.x, s2.y));
         }
         ShapeTest::CapsuleBox => all(&by_lane(&capsule_box::CapsuleBox, one, two)),
-        ShapeTest::BoxBox => all(&by_lane(&boxes::Boxes { within: f64::INFINITY }, one, two)),
+        ShapeTest::BoxBox => all(&by_lane(&boxes::Boxes { within }, one, two)),
         ShapeTest::Convex(a, b) => {
             let test = Convex { one: a, two: b };
             match test.most() {

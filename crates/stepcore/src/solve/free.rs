@@ -57,13 +57,42 @@ impl Free {
         total(core::array::from_fn(|a| one[a] + two[a]))
     }
 
-    /// out += y k.
+    /// out = y·x of some rows, y one row after another.
     #[inline(always)]
-    pub fn add<R: Real>(&self, y: &[R], k: R, out: &mut [R]) {
-        scaled(&y[..SIX], k, &mut out[self.body(0)]);
-        if self.two {
-            scaled(&y[SIX..2 * SIX], k, &mut out[self.body(1)]);
+    pub fn dot_each<R: Real>(&self, y: &[R], x: &[R], out: &mut [R]) {
+        let one: [R; SIX] = core::array::from_fn(|a| x[self.body(0)][a]);
+        if !self.two {
+            for (out, y) in out.iter_mut().zip(y.chunks_exact(SIX)) {
+                *out = total(products(y, &one));
+            }
+            return;
         }
+        let two: [R; SIX] = core::array::from_fn(|a| x[self.body(1)][a]);
+        for (out, y) in out.iter_mut().zip(y.chunks_exact(2 * SIX)) {
+            let (first, second) = (products(&y[..SIX], &one), products(&y[SIX..], &two));
+            *out = total(core::array::from_fn(|a| first[a] + second[a]));
+        }
+    }
+
+    /// out += k Σ y x over some rows, y one row after another.
+    #[inline(always)]
+    pub fn add_each<R: Real>(&self, y: &[R], x: &[R], k: R, out: &mut [R]) {
+        let mut one: [R; SIX] = core::array::from_fn(|a| out[self.body(0)][a]);
+        if !self.two {
+            for (x, y) in x.iter().zip(y.chunks_exact(SIX)) {
+                scaled(y, k * *x, &mut one);
+            }
+            out[self.body(0)].copy_from_slice(&one);
+            return;
+        }
+        let mut two: [R; SIX] = core::array::from_fn(|a| out[self.body(1)][a]);
+        for (x, y) in x.iter().zip(y.chunks_exact(2 * SIX)) {
+            let x = k * *x;
+            scaled(&y[..SIX], x, &mut one);
+            scaled(&y[SIX..], x, &mut two);
+        }
+        out[self.body(0)].copy_from_slice(&one);
+        out[self.body(1)].copy_from_slice(&two);
     }
 
     /// y·u of some rows, y one row after another.
@@ -153,8 +182,10 @@ mod tests {
         assert!((got[0] - want(&y)).abs() < 1e-14 && (got[1] - want(&y[12..])).abs() < 1e-14);
         let (mut both, mut one) = (u.clone(), u.clone());
         free.kick(&y, &[0.5, -2.0], &mut both, true);
-        free.add(&y, 0.5, &mut one);
-        free.add(&y[12..], -2.0, &mut one);
+        free.add_each(&y, &[0.25, -1.0], 2.0, &mut one);
         assert_eq!(both, one);
+        let mut each = [0.0; 2];
+        free.dot_each(&y, &u, &mut each);
+        assert_eq!(each, got);
     }
 }

@@ -19,6 +19,7 @@ mod momentum;
 mod newton;
 mod noslip;
 mod pgs;
+mod relative;
 mod residual;
 mod rows;
 mod solver;
@@ -47,22 +48,8 @@ const SUSPECT: f64 = 1e8;
 const ROUNDED: f64 = 1024.0;
 
 impl<R: Real> Rows<R> {
-    /// Sets `scratch` to the Jacobian of the relative velocity of two body points, each at
-    /// its `at` (body 2 minus body 1), along `direction`, on the union `dofs` of their chains.
-    pub(crate) fn relative_jacobian(
-        &mut self,
-        now: &Situation<R>,
-        bodies: [usize; 2],
-        dofs: Span,
-        at: &[V3<R>; 2],
-        direction: &V3<R>,
-    ) {
-        self.clear_scratch(dofs.of(now.dof_lists));
-        self.add_jacobian(now, bodies[0], &at[0], &-direction);
-        self.add_jacobian(now, bodies[1], &at[1], direction);
-    }
-
-    /// The same of the angular velocity of body 2 relative to body 1, along `axis`.
+    /// Sets `scratch` to the Jacobian of the angular velocity of body 2 relative to body 1, about
+    /// `axis`, on the union `dofs` of their chains.
     pub(crate) fn turning_jacobian(
         &mut self,
         now: &Situation<R>,
@@ -109,12 +96,7 @@ impl<R: Real> Rows<R> {
         }
     }
 
-    /// Makes the row pushed last a row that nothing moves (J = 0) where its J, the relative velocity
-    /// of two body points at `at`, is but the rounding of what cancels in it.
-    ///
-    /// `size` is how large the square of a dof's part could be, from its motion and the arm to `at`.
-    /// 1/A of such a row is a number without meaning: where its regulariser is as small, it
-    /// would ask for a motion at any speed.
+    /// The same of the row pushed last.
     pub(crate) fn drop_rounding(
         &mut self,
         now: &Situation<R>,
@@ -123,7 +105,26 @@ impl<R: Real> Rows<R> {
         mass: f64,
         size: impl Fn(&Motion<R>, &V3<R>) -> R,
     ) {
-        let Some(row) = self.rows.last() else { return };
+        if let Some(last) = self.rows.len().checked_sub(1) {
+            self.drop_rounding_of(last, now, (bodies, at), mass, size);
+        }
+    }
+
+    /// Makes a row one that nothing moves (J = 0) where its J, the relative velocity of two bodies'
+    /// points at `at`, is but the rounding of what cancels in it.
+    ///
+    /// `size` is how large the square of a dof's part could be, from its motion and the arm to `at`.
+    /// 1/A of such a row is a number without meaning: where its regulariser is as small, it
+    /// would ask for a motion at any speed.
+    pub(crate) fn drop_rounding_of(
+        &mut self,
+        index: usize,
+        now: &Situation<R>,
+        (bodies, at): ([usize; 2], &V3<R>),
+        mass: f64,
+        size: impl Fn(&Motion<R>, &V3<R>) -> R,
+    ) {
+        let row = &self.rows[index];
         let suspect = (row.a * R::of(mass)).lt(R::of(SUSPECT * R::EPSILON * R::EPSILON));
         if suspect.none() {
             return;
@@ -144,11 +145,10 @@ impl<R: Real> Rows<R> {
         for y in &mut self.y[y..y + list.len()] {
             *y = R::select(none, R::zero(), *y).with_slopes_of(none, || *y);
         }
-        if let Some(row) = self.rows.last_mut() {
-            row.a = R::select(none, R::zero(), row.a);
-            let velocity = row.velocity;
-            row.velocity = R::select(none, R::zero(), velocity).with_slopes_of(none, || velocity);
-        }
+        let row = &mut self.rows[index];
+        row.a = R::select(none, R::zero(), row.a);
+        let velocity = row.velocity;
+        row.velocity = R::select(none, R::zero(), velocity).with_slopes_of(none, || velocity);
     }
 
     /// Starts every impulse from the last step's, found by slot and feature; but for

@@ -6,6 +6,7 @@
 //! line search is exact. Where no row changes its zone in a full step the problem
 //! was quadratic along it, and the step was the last.
 
+mod bundles;
 mod by_lane;
 mod columns;
 mod hessian;
@@ -13,17 +14,20 @@ mod minimise;
 mod nodes;
 mod order;
 mod penalty;
+mod refine;
 mod system;
 #[cfg(test)]
 mod tests;
 
 use super::few::{Few, Island};
-use super::islands::{alive, Islands};
+use super::islands::{alive, row_count, Islands};
 use super::limits::{Limits, Report};
 use super::rows::{Rows, Set};
+use super::solver::Unconstrained;
 use crate::error::{Error, Result};
 use crate::real::{Count, Mask, Real};
 use crate::room::room;
+use bundles::{Bundles, Problem};
 use by_lane::ByLane;
 use hessian::Pattern;
 use nodes::NOWHERE;
@@ -37,13 +41,15 @@ pub struct Newton<R: Real> {
     present: Vec<usize>,
     /// Scratch of patterns, by dof.
     class: Vec<usize>,
+    /// Of the island at hand.
+    bundles: Bundles<R>,
     system: System<R>,
     few: Few<R>,
     /// Of heaps in lanes.
     by_lane: Option<Box<ByLane>>,
 }
 
-room!(Newton<R>: present, class; islands, patterns, system, few, by_lane);
+room!(Newton<R>: present, class; islands, patterns, bundles, system, few, by_lane);
 
 impl<R: Real> Default for Newton<R> {
     fn default() -> Self {
@@ -58,6 +64,7 @@ impl<R: Real> Newton<R> {
             patterns: Vec::new(),
             present: Vec::new(),
             class: Vec::new(),
+            bundles: Bundles::new(),
             system: System::new(),
             few: Few::new(),
             by_lane: None,
@@ -71,16 +78,15 @@ impl<R: Real> Newton<R> {
     /// it, or after `limits.sweeps` iterations. Changes nothing when it refuses.
     pub fn solve(
         &mut self,
-        dof_lists: &[usize],
-        inv_d: &[R],
-        guess: &[R],
+        free: Unconstrained<R>,
         rows: &mut Rows<R>,
         limits: Limits,
     ) -> Result<Report<R>> {
         check(rows)?;
+        let Unconstrained { dof_lists, inv_d, guess } = free;
         if rows.heap && R::LANES > 1 {
             let by_lane = self.by_lane.get_or_insert_with(|| Box::new(ByLane::new()));
-            return by_lane.solve(dof_lists, inv_d, guess, rows, limits);
+            return by_lane.solve(free, rows, limits);
         }
         let mut report: Report<R> = Report::new();
         self.islands.sort(&rows.blocks);
@@ -121,18 +127,53 @@ impl<R: Real> Newton<R> {
             if live.none() {
                 continue;
             }
-            let pattern = &mut self.patterns[island];
-            pattern.fit(dof_lists, rows, &self.present, &mut self.class);
-            self.system.start(pattern, &self.present, inv_d, guess, rows);
-            let open =
-                self.system.minimise(pattern, &self.present, rows, live, limits, &mut report);
-            self.system.finish(pattern, &self.present, rows, live);
+            let open = self.solve_island(island, free, rows, live, limits, &mut report);
             report.open = report.open.or(open);
             report.decrement =
                 report.decrement.max(R::select(live, self.system.decrement, R::zero()));
         }
         Ok(report)
     }
+
+    /// The primal method on the blocks `present`; lanes that it left unfinished.
+    fn solve_island(
+        &mut self,
+        island: usize,
+        free: Unconstrained<R>,
+        rows: &mut Rows<R>,
+        live: R::Mask,
+        limits: Limits,
+        report: &mut Report<R>,
+    ) -> R::Mask {
+        let Self { patterns, present, class, bundles, system, .. } = self;
+        let pattern = &mut patterns[island];
+        bundles.take(present, rows);
+        pattern.fit(free.dof_lists, rows.heap, &bundles.list, class);
+        let problem = Problem { pattern, bundles, y: &rows.y };
+        system.start(problem, free.inv_d, free.guess, &rows.u);
+        let scale = (lightest(present, rows), row_count(rows, present));
+        let open = system.minimise(problem, live, limits, scale, report);
+        system.settle(problem, limits);
+        let mut impulses = system.impulse.iter();
+        for block in present.iter().map(|b| &rows.blocks[*b]) {
+            for (row, new) in rows.rows[block.rows.range()].iter_mut().zip(impulses.by_ref()) {
+                row.impulse = R::select(block.mask.and(live), *new, row.impulse);
+            }
+        }
+        for (k, u) in pattern.dofs().iter().zip(&system.u) {
+            rows.u[*k] = R::select(live, *u, rows.u[*k]);
+        }
+        open
+    }
+}
+
+/// The least mass of a block.
+fn lightest<R: Real>(blocks: &[usize], rows: &Rows<R>) -> R {
+    let mut mass = R::of(f64::INFINITY);
+    for block in blocks.iter().map(|b| &rows.blocks[*b]) {
+        mass = R::select(block.mask, mass.min(R::of(block.mass)), mass);
+    }
+    mass
 }
 
 /// Every block has a penalty: it is convex, and what can move it has a regulariser.

@@ -9,6 +9,7 @@ use super::direct::Direct;
 use super::dot::dot;
 use super::first::First;
 use super::live::Live;
+use super::relative::WIDE;
 use crate::clock::Clock;
 use crate::elements::{Anchor, Element};
 use crate::model::{Model, Span, NONE};
@@ -269,7 +270,7 @@ impl<R: Real> Rows<R> {
             y: Vec::new(),
             u: vec![R::zero(); model.nv],
             unrecovered: R::zero(),
-            scratch: vec![R::zero(); model.nv],
+            scratch: vec![R::zero(); WIDE * model.nv],
             guess: vec![R::zero(); model.nv],
             direct: Direct::new(model.nv),
             first: First::new(model.nv),
@@ -335,28 +336,7 @@ impl<R: Real> Rows<R> {
         self.push_row(dofs, start, a, velocity)
     }
 
-    /// A row whose y is y(first) + k · y(second): an edge of a pyramid.
-    pub(crate) fn push_sum(
-        &mut self,
-        now: &Situation<R>,
-        first: usize,
-        second: usize,
-        k: R,
-    ) -> &mut Row<R> {
-        let (first, second) = (&self.rows[first], &self.rows[second]);
-        let (dofs, y1, y2) = (first.dofs, first.y, second.y);
-        let velocity = first.velocity + k * second.velocity;
-        let start = self.y.len();
-        let mut a = R::zero();
-        for at in 0..dofs.len {
-            let y = self.y[y1 + at] + k * self.y[y2 + at];
-            a += y * y * now.placed.metric.inv_d[now.dof_lists[dofs.start + at]];
-            self.y.push(y);
-        }
-        self.push_row(dofs, start, a, velocity)
-    }
-
-    fn push_row(&mut self, dofs: Span, y: usize, a: R, velocity: R) -> &mut Row<R> {
+    pub(super) fn push_row(&mut self, dofs: Span, y: usize, a: R, velocity: R) -> &mut Row<R> {
         let zero = R::zero();
         self.rows.push(Row {
             dofs,
@@ -437,7 +417,22 @@ impl<R: Real> Rows<R> {
     /// Adds the impulses that the rows hold now to u.
     pub fn apply_impulses(&mut self, dof_lists: &[usize], inv_d: &[R]) {
         for block in &self.blocks {
-            for row in &self.rows[block.rows.range()] {
+            let mut own = &self.rows[block.rows.range()];
+            // Four at a time, each dof's sum in the order of the rows.
+            while let [a, b, c, d, rest @ ..] = own {
+                let dofs = a.dofs.of(dof_lists);
+                let y = [a, b, c, d].map(|row| &self.y[row.y..row.y + dofs.len()]);
+                let change = [a, b, c, d].map(|row| row.impulse);
+                for (at, k) in dofs.iter().enumerate() {
+                    let (mut new, inv_d) = (self.u[*k], inv_d[*k]);
+                    for i in 0..4 {
+                        new += inv_d * y[i][at] * change[i];
+                    }
+                    self.u[*k] = R::select(block.mask, new, self.u[*k]);
+                }
+                own = rest;
+            }
+            for row in own {
                 let dofs = row.dofs.of(dof_lists);
                 let y = &self.y[row.y..row.y + dofs.len()];
                 Self::kick(&mut self.u, inv_d, dofs, y, row.impulse, block.mask);

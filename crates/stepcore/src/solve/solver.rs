@@ -66,10 +66,10 @@ impl<R: Real> Solve<R> for Solvers<R> {
         rows: &mut Rows<R>,
     ) -> Result<Report<R>> {
         let limits = Limits::of(settings);
-        let Unconstrained { dof_lists, inv_d, guess } = free;
         if settings.solver == Solver::Newton {
-            return self.newton.solve(dof_lists, inv_d, guess, rows, limits);
+            return self.newton.solve(free, rows, limits);
         }
+        let Unconstrained { dof_lists, inv_d, .. } = free;
         // One row on its own, and one update all that is asked or all that it takes.
         if limits.sweeps == 1 || limits.exact {
             if let Some(report) = rows.solve_single(dof_lists, inv_d, limits.exact) {

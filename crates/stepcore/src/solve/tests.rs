@@ -11,6 +11,7 @@ mod wide_cones;
 use super::limits::Limits;
 use super::pgs::Pgs;
 use super::rows::{Block, Row, Rows, Set};
+use super::solver::Unconstrained;
 use crate::elements::{Element, Kind};
 use crate::model::Span;
 use crate::real::{Mask, Real};
@@ -54,6 +55,10 @@ impl Problem {
     }
     pub fn dof_lists(&self) -> Vec<usize> {
         (0..self.inv_d.len()).collect()
+    }
+    /// The motion without rows; `dof_lists`: as `Problem::dof_lists`.
+    pub fn free<'a>(&'a self, dof_lists: &'a [usize]) -> Unconstrained<'a, f64> {
+        Unconstrained { dof_lists, inv_d: &self.inv_d, guess: &self.guess }
     }
     /// The same problem with random changes of guess, target and y.
     pub fn shaken(&self, random: &mut Random) -> Self {

@@ -48,8 +48,9 @@ pub(super) struct Edges<R: Real> {
 }
 
 impl<R: Real> Axes<R> {
-    /// Of equal axes the first counts: faces of the first box, of the second, then edges.
-    pub fn of(a: &Block<R>, b: &Block<R>) -> Self {
+    /// Of equal axes the first counts: faces of the first box, of the second, then edges. None: some
+    /// axis shows that the boxes are `within` [m] apart or more.
+    pub fn of(a: &Block<R>, b: &Block<R>, within: f64) -> Option<Self> {
         let cosines = a.axes.map(|x| b.axes.map(|y| x.dot(&y)));
         let span = cosines.map(|row| row.map(R::abs));
         let between = b.centre - a.centre;
@@ -72,6 +73,10 @@ impl<R: Real> Axes<R> {
         for j in 0..3 {
             let other = span[0][j] * a.half[0] + span[1][j] * a.half[1] + span[2][j] * a.half[2];
             consider(Side::Second, j, tb[j], b.half[j] + other);
+        }
+
+        if face.gap.lane(0) >= within {
+            return None;
         }
 
         // aᵢ × bⱼ = c[i₁][j] a[i₂] − c[i₂][j] a[i₁]: what each box has of it follows from the cosines.
@@ -116,7 +121,8 @@ impl<R: Real> Axes<R> {
                 alike: face_axis.dot(&normal).lane(0).abs() > ALIKE,
             }
         });
-        Self { cosines, face, edges }
+        let axes = Self { cosines, face, edges };
+        (axes.apart() < within).then_some(axes)
     }
 
     /// How far the boxes are apart along the best axis [m]; negative: they overlap by so much.

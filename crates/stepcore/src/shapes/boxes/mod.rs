@@ -117,11 +117,8 @@ impl OneWorld<MOST> for Boxes {
         let origin = one.pose.pos;
         let (a, b) = (Block::of(one, &origin), Block::of(two, &origin));
         let mut out = [empty(); MOST];
-        let axes = Axes::of(&a, &b);
+        let Some(axes) = Axes::of(&a, &b, self.within) else { return out };
         let apart = axes.apart();
-        if apart >= self.within {
-            return out;
-        }
         let tiny = ROUNDING * (a.size() + b.size());
         let clipped = axes.faces_meet(tiny) && {
             clip::contacts(&a, &b, &axes, &mut out);

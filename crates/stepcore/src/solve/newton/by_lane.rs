@@ -9,6 +9,7 @@ use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::solve::limits::{Limits, Report};
 use crate::solve::rows::Rows;
+use crate::solve::solver::Unconstrained;
 
 /// One world's problem, and who solves it.
 pub(super) struct ByLane {
@@ -36,18 +37,18 @@ impl ByLane {
     /// Solves every lane by itself.
     pub fn solve<R: Real>(
         &mut self,
-        dof_lists: &[usize],
-        inv_d: &[R],
-        guess: &[R],
+        free: Unconstrained<R>,
         rows: &mut Rows<R>,
         limits: Limits,
     ) -> Result<Report<R>> {
+        let dof_lists = free.dof_lists;
         let mut report: Report<R> = Report::new();
         for lane in 0..R::LANES {
             let mine = R::Mask::from_lanes(|other| other == lane);
-            self.take(lane, inv_d, guess, rows);
+            self.take(lane, free, rows);
             let Self { newton, rows: own, inv_d, guess, .. } = self;
-            let done = newton.solve(dof_lists, inv_d, guess, own, limits)?;
+            let world = Unconstrained { dof_lists, inv_d, guess };
+            let done = newton.solve(world, own, limits)?;
             self.give(lane, rows);
             report.sweeps.add(mine, done.sweeps.lane(0));
             report.updates.add(mine, done.updates.lane(0));
@@ -57,13 +58,13 @@ impl ByLane {
         Ok(report)
     }
 
-    fn take<R: Real>(&mut self, lane: usize, inv_d: &[R], guess: &[R], rows: &Rows<R>) {
+    fn take<R: Real>(&mut self, lane: usize, free: Unconstrained<R>, rows: &Rows<R>) {
         let fill = |to: &mut Vec<f64>, from: &[R]| {
             to.clear();
             to.extend(from.iter().map(|x| x.lane(lane)));
         };
-        fill(&mut self.inv_d, inv_d);
-        fill(&mut self.guess, guess);
+        fill(&mut self.inv_d, free.inv_d);
+        fill(&mut self.guess, free.guess);
         let own = &mut self.rows;
         own.clear();
         own.heap = rows.heap;

@@ -1,19 +1,20 @@
 //! The Hessian of a heap in dense blocks between nodes, and its LDLᵀ column by column.
 //!
-//! A column gathers D, what its blocks of rows add, and then what every earlier column that
+//! A column gathers D, what its bundles of rows add, and then what every earlier column that
 //! reaches it takes away (left-looking: George & Liu 1981, 5.6). So a column depends on those
-//! columns alone, and where the curvature changed in a few blocks of rows only their nodes'
-//! columns and the ones that these reach are made again, with the same bits as all of them.
+//! columns alone, and where the curvature changed in a few bundles only their nodes'
+//! columns and the ones that these reach are made again, with the same bits as all of them. Of the
+//! diagonal blocks only the entries [m][a] with a ≥ m count.
 //!
 //! A block of a column stands pivot by pivot: entry [m][a] couples the column's dof m with the
 //! row's dof a, and holds Lᵀ[m][a] once factored. Free bodies make 6 × 6 blocks, for which the
 //! loops have constant lengths; no sum is split, so the bits are the same however they are
 //! vectorised.
 
+use super::bundles::Bundles;
 use super::nodes::{Meeting, Nodes};
 use crate::real::{Mask, Real};
 use crate::room::room;
-use crate::solve::rows::{Rows, Set};
 
 /// Dofs of a free body.
 const FREE: usize = 6;
@@ -29,23 +30,23 @@ pub(super) struct Columns<R> {
     stale: Vec<bool>,
     /// By node: where its block of the column at hand stands.
     place: Vec<usize>,
-    /// Scratch: Lᵀ scaled by D; see `bend`.
+    /// Scratch: Lᵀ scaled by D; see `bend`; y at another node in the rows of `active`.
     scaled: Vec<R>,
     own: Vec<R>,
+    theirs: Vec<R>,
     active: Vec<usize>,
 }
 
-room!(Columns<R>: values, d, inverse, curve, stale, place, scaled, own, active;);
+room!(Columns<R>: values, d, inverse, curve, stale, place, scaled, own, theirs, active;);
 
-/// An island's blocks of rows, as `System` sees them.
+/// An island's rows and their curvature.
 #[derive(Clone, Copy)]
 pub(super) struct Curved<'a, R: Real> {
-    pub blocks: &'a [usize],
-    pub rows: &'a Rows<R>,
+    pub bundles: &'a Bundles<R>,
+    /// As `Rows::y`.
+    pub y: &'a [R],
     /// s″, as in `System::curve`.
     pub curve: &'a [R],
-    /// By block: its first entry of these.
-    pub starts: &'a [usize],
 }
 
 impl<R: Real> Columns<R> {
@@ -59,6 +60,7 @@ impl<R: Real> Columns<R> {
             place: Vec::new(),
             scaled: Vec::new(),
             own: Vec::new(),
+            theirs: Vec::new(),
             active: Vec::new(),
         }
     }
@@ -96,13 +98,12 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// The nodes of blocks whose curvature is another than the factors'.
+    /// The nodes of bundles whose curvature is another than the factors'.
     fn mark(&mut self, nodes: &Nodes, curved: &Curved<R>) {
         if self.curve.len() == curved.curve.len() {
-            for (b, start) in curved.starts.iter().enumerate() {
-                let own = *start..*start + curved.rows.blocks[curved.blocks[b]].curves();
-                if self.curve[own.clone()] != curved.curve[own] {
-                    for member in nodes.blocks[b].of(&nodes.members) {
+            for (b, bundle) in curved.bundles.list.iter().enumerate() {
+                if bundle.curve.of(&self.curve) != bundle.curve.of(curved.curve) {
+                    for member in nodes.bundles[b].of(&nodes.members) {
                         self.stale[member.node] = true;
                     }
                 }
@@ -127,20 +128,29 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// Adds y s″ yᵀ of one block of rows to the column of one of its nodes.
+    /// Adds y s″ yᵀ of one bundle to the column of one of its nodes.
     fn add(&mut self, nodes: &Nodes, meeting: Meeting, curved: &Curved<R>) {
         self.bend(nodes, meeting, curved);
         if self.active.is_empty() {
             return;
         }
-        let y = &curved.rows.y;
-        let size = nodes.size(nodes.members[meeting.member].node);
+        let y = curved.y;
+        let own = nodes.members[meeting.member];
+        let size = nodes.size(own.node);
         for member in &nodes.members[meeting.member..meeting.end] {
             let width = nodes.size(member.node);
             let place = self.place[member.node];
             let target = &mut self.values[place..place + size * width];
             if let (FREE, FREE, Some(run)) = (size, width, member.run) {
-                outer::<R, FREE>(target, &self.own, &self.active, |row| &y[row + run..]);
+                self.theirs.clear();
+                for row in &self.active {
+                    self.theirs.extend_from_slice(&y[row + run..][..FREE]);
+                }
+                if member.node == own.node {
+                    upper(target, &self.own, &self.theirs);
+                } else {
+                    outer(target, &self.own, &self.theirs);
+                }
                 continue;
             }
             let entries = &nodes.entries[member.entries..member.entries + width];
@@ -154,39 +164,44 @@ impl<R: Real> Columns<R> {
         }
     }
 
-    /// s″ y at a node of a block of rows: `own`, row by row of `active`, which says where each
-    /// row's y begins.
+    /// s″ y at a node of a bundle: `own`, row by row of `active`, which says where each row's y
+    /// begins.
     fn bend(&mut self, nodes: &Nodes, meeting: Meeting, curved: &Curved<R>) {
-        let block = &curved.rows.blocks[curved.blocks[meeting.block]];
-        let rows = &curved.rows.rows[block.rows.range()];
-        let curve = &curved.curve[curved.starts[meeting.block]..][..block.curves()];
+        let bundle = &curved.bundles.list[meeting.bundle];
         let member = nodes.members[meeting.member];
-        let y = &curved.rows.y;
+        let y = curved.y;
         let entries = &nodes.entries[member.entries..][..nodes.size(member.node)];
         self.active.clear();
         self.own.clear();
-        for (i, row) in rows.iter().enumerate() {
-            if block.set == Set::Interval {
-                if curve[i].gt(R::zero()).none() {
+        for run in curved.bundles.runs_of(bundle) {
+            let begin = |row: usize| bundle.y + (row - bundle.rows.start) * bundle.dofs.len;
+            let curve = run.curve.of(curved.curve);
+            if run.cone.is_some() {
+                for (row, curve) in run.rows.range().zip(curve.chunks_exact(run.rows.len)) {
+                    let first = self.own.len();
+                    self.own.resize(first + entries.len(), R::zero());
+                    for (bend, other) in curve.iter().zip(run.rows.range().map(begin)) {
+                        for (own, e) in self.own[first..].iter_mut().zip(entries) {
+                            *own += *bend * y[other + e];
+                        }
+                    }
+                    self.active.push(begin(row));
+                }
+                continue;
+            }
+            for (row, curve) in run.rows.range().map(begin).zip(curve) {
+                if curve.gt(R::zero()).none() {
                     continue;
                 }
                 if let (FREE, Some(run)) = (entries.len(), member.run) {
-                    let y = &y[row.y + run..][..FREE];
-                    let own: [R; FREE] = core::array::from_fn(|a| curve[i] * y[a]);
+                    let y = &y[row + run..][..FREE];
+                    let own: [R; FREE] = core::array::from_fn(|a| *curve * y[a]);
                     self.own.extend_from_slice(&own);
                 } else {
-                    self.own.extend(entries.iter().map(|e| curve[i] * y[row.y + e]));
+                    self.own.extend(entries.iter().map(|e| *curve * y[row + e]));
                 }
-            } else {
-                let first = self.own.len();
-                self.own.resize(first + entries.len(), R::zero());
-                for (bend, row) in curve[i * rows.len()..].iter().zip(rows) {
-                    for (own, e) in self.own[first..].iter_mut().zip(entries) {
-                        *own += *bend * y[row.y + e];
-                    }
-                }
+                self.active.push(row);
             }
-            self.active.push(row.y);
         }
     }
 
@@ -338,24 +353,37 @@ impl Columns<f64> {
     }
 }
 
-/// target += Σ own otherᵀ over rows; `other` gives a row's y at the other node.
+/// target += Σ own theirsᵀ over rows of six.
 #[inline(always)]
-fn outer<'a, R: Real, const N: usize>(
-    target: &mut [R],
-    own: &[R],
-    rows: &[usize],
-    other: impl Fn(usize) -> &'a [R],
-) {
-    for (m, line) in target.chunks_exact_mut(N).enumerate() {
-        let mut sum: [R; N] = core::array::from_fn(|a| line[a]);
-        for (own, row) in own.chunks_exact(N).zip(rows) {
-            let other = &other(*row)[..N];
-            for a in 0..N {
-                sum[a] += own[m] * other[a];
-            }
-        }
-        line.copy_from_slice(&sum);
+fn outer<R: Real>(target: &mut [R], own: &[R], theirs: &[R]) {
+    for m in [0, 2, 4] {
+        lines::<R, FREE>(target, m, own, theirs);
     }
+}
+
+/// The same of a node with itself: entries on the diagonal and above, by pairs of lines.
+#[inline(always)]
+fn upper<R: Real>(target: &mut [R], own: &[R], theirs: &[R]) {
+    lines::<R, 6>(target, 0, own, theirs);
+    lines::<R, 4>(target, 2, own, theirs);
+    lines::<R, 2>(target, 4, own, theirs);
+}
+
+/// Lines m and m + 1, in the last N columns.
+#[inline(always)]
+fn lines<R: Real, const N: usize>(target: &mut [R], m: usize, own: &[R], theirs: &[R]) {
+    let from = FREE - N;
+    let place = |m: usize| m * FREE + from;
+    let mut one: [R; N] = core::array::from_fn(|a| target[place(m) + a]);
+    let mut two: [R; N] = core::array::from_fn(|a| target[place(m + 1) + a]);
+    for (own, theirs) in own.chunks_exact(FREE).zip(theirs.chunks_exact(FREE)) {
+        for a in 0..N {
+            one[a] += own[m] * theirs[from + a];
+            two[a] += own[m + 1] * theirs[from + a];
+        }
+    }
+    target[place(m)..][..N].copy_from_slice(&one);
+    target[place(m + 1)..][..N].copy_from_slice(&two);
 }
 
 /// target[b] −= Σ scaled[m][b] source[m].

@@ -5,26 +5,25 @@
 //! The pattern depends on which rows exist and is kept while that stays the same;
 //! an entry that a lane does not need is a zero that changes none of its bits.
 
+use super::bundles::{Bundle, Problem};
 use super::nodes::Nodes;
 use super::order::ones;
 use crate::model::Span;
-use crate::real::Real;
+use crate::real::{Mask, Real};
 use crate::room::room;
-use crate::solve::dot::dot;
 use crate::solve::free::Free;
-use crate::solve::rows::Rows;
 
 const NOWHERE: usize = usize::MAX;
 
 /// Which dofs an island's rows couple. Indices are local: places in `dofs`.
 #[derive(Default)]
 pub(super) struct Pattern {
-    /// The dof list of each block: what the pattern was made for.
+    /// The dof list of each bundle: what the pattern was made for.
     key: Vec<Span>,
     /// Dofs that some row touches, ascending.
     dofs: Vec<usize>,
-    /// By block: its list in `lists`, and the first of its entries in `places`.
-    blocks: Vec<(Span, usize)>,
+    /// By bundle: its list in `lists`, and the first of its entries in `places`.
+    bundles: Vec<(Span, usize)>,
     lists: Vec<usize>,
     /// Where in the matrix each pair of a list stands, later dof first.
     places: Vec<usize>,
@@ -42,39 +41,37 @@ pub(super) struct Pattern {
     local: Vec<usize>,
 }
 
-room!(Pattern: key, dofs, blocks, lists, places, start, cols, below_start, below, bits, local; nodes);
+room!(Pattern: key, dofs, bundles, lists, places, start, cols, below_start, below, bits, local; nodes);
 
 impl Pattern {
-    /// Makes the pattern of these blocks, unless it is the one at hand.
-    /// `class`: scratch of `Nodes::fit`.
-    pub fn fit<R: Real>(
+    /// Makes the pattern of these bundles, unless it is the one at hand.
+    /// `class`: scratch of `Nodes::fit`, a number for each dof.
+    pub fn fit(
         &mut self,
         dof_lists: &[usize],
-        rows: &Rows<R>,
-        blocks: &[usize],
+        heap: bool,
+        bundles: &[Bundle],
         class: &mut [usize],
     ) {
-        let span = |b: &usize| rows.rows[rows.blocks[*b].rows.start].dofs;
-        self.heap = rows.heap;
-        if self.heap {
+        let keys = bundles.iter().map(|bundle| bundle.dofs);
+        self.heap = heap;
+        if heap {
             self.key.clear();
-            self.key.extend(blocks.iter().map(span));
+            self.key.extend(keys);
             self.nodes.fit(dof_lists, &self.key, class);
             return;
         }
-        if self.key.len() == blocks.len()
-            && self.key.iter().zip(blocks).all(|(key, b)| *key == span(b))
-        {
+        if keys.clone().eq(self.key.iter().copied()) {
             return;
         }
         self.key.clear();
-        self.key.extend(blocks.iter().map(span));
-        self.number(dof_lists, rows.u.len());
+        self.key.extend(keys);
+        self.number(dof_lists, class.len());
         self.fill();
         self.place();
     }
 
-    /// Local numbers of the dofs, and every block's list in them.
+    /// Local numbers of the dofs, and every bundle's list in them.
     fn number(&mut self, dof_lists: &[usize], nv: usize) {
         self.local.clear();
         self.local.resize(nv, NOWHERE);
@@ -92,18 +89,12 @@ impl Pattern {
             self.local[*k] = at;
         }
         self.lists.clear();
-        self.blocks.clear();
+        self.bundles.clear();
         let mut places = 0;
-        for (at, span) in self.key.iter().enumerate() {
-            // Blocks on the same dofs, one after another, share list and places.
-            if at > 0 && self.key[at - 1] == *span {
-                let last = self.blocks[at - 1];
-                self.blocks.push(last);
-                continue;
-            }
+        for span in &self.key {
             let list = Span { start: self.lists.len(), len: span.len };
             self.lists.extend(span.of(dof_lists).iter().map(|k| self.local[*k]));
-            self.blocks.push((list, places));
+            self.bundles.push((list, places));
             places += span.len * span.len.saturating_sub(1) / 2;
         }
         self.places.clear();
@@ -116,7 +107,7 @@ impl Pattern {
         let words = n.div_ceil(64);
         self.bits.clear();
         self.bits.resize(n * words, 0);
-        for (list, _) in &self.blocks {
+        for (list, _) in &self.bundles {
             let list = list.of(&self.lists);
             for (at, i) in list.iter().enumerate() {
                 for j in &list[..at] {
@@ -172,7 +163,7 @@ impl Pattern {
         // From here `local` holds, for one row at a time, the place of each column.
         next.clear();
         next.resize(n, 0);
-        for (list, first) in &self.blocks {
+        for (list, first) in &self.bundles {
             let list = list.of(&self.lists);
             let mut at = *first;
             for (len, i) in list.iter().enumerate() {
@@ -196,30 +187,21 @@ impl Pattern {
         }
     }
 
-    /// A block's dofs in local numbers.
-    pub fn list(&self, block: usize) -> &[usize] {
+    /// A bundle's dofs in local numbers.
+    pub fn list(&self, bundle: usize) -> &[usize] {
         if self.heap {
-            return self.nodes.local(block);
+            return self.nodes.local(bundle);
         }
-        self.blocks[block].0.of(&self.lists)
+        self.bundles[bundle].0.of(&self.lists)
     }
 
-    /// Of a heap: the block's dofs, where they are those of free bodies.
+    /// Of a heap: the bundle's dofs, where they are those of free bodies.
     #[inline(always)]
-    pub fn free(&self, block: usize) -> Option<&Free> {
+    pub fn free(&self, bundle: usize) -> Option<&Free> {
         if self.heap {
-            self.nodes.free[block].as_ref()
+            self.nodes.free[bundle].as_ref()
         } else {
             None
-        }
-    }
-
-    /// y·x over a block's dofs, x in local numbers.
-    #[inline(always)]
-    pub fn dot<R: Real>(&self, block: usize, y: &[R], x: &[R]) -> R {
-        match self.free(block) {
-            Some(free) => free.dot(y, x),
-            None => dot(self.list(block), y, x),
         }
     }
 }
@@ -230,17 +212,71 @@ pub(super) struct Hessian<R> {
     diagonal: Vec<R>,
     inverse: Vec<R>,
     work: Vec<R>,
+    /// Scratch: the lower half of what one bundle's dofs have, row by row; s″ y of a row.
+    part: Vec<R>,
+    bent: Vec<R>,
 }
 
-room!(Hessian<R>: entries, diagonal, inverse, work;);
+room!(Hessian<R>: entries, diagonal, inverse, work, part, bent;);
 
 impl<R: Real> Hessian<R> {
     pub fn new() -> Self {
-        Self { entries: Vec::new(), diagonal: Vec::new(), inverse: Vec::new(), work: Vec::new() }
+        Self {
+            entries: Vec::new(),
+            diagonal: Vec::new(),
+            inverse: Vec::new(),
+            work: Vec::new(),
+            part: Vec::new(),
+            bent: Vec::new(),
+        }
+    }
+
+    /// Makes H = D + Σ y s″ yᵀ of the curvature s″ and its factors.
+    pub fn make(&mut self, problem: Problem<R>, d: &[R], curve: &[R]) {
+        self.reset(problem.pattern, d);
+        for (b, bundle) in problem.bundles.list.iter().enumerate() {
+            self.open(problem.pattern, b);
+            for run in problem.bundles.runs_of(bundle) {
+                let len = bundle.dofs.len;
+                let from = bundle.y + (run.rows.start - bundle.rows.start) * len;
+                let y = &problem.y[from..from + run.rows.len * len];
+                let mask = &problem.bundles.mask[run.rows.range()];
+                let curve = run.curve.of(curve);
+                if run.cone.is_some() {
+                    self.add_cone(len, y, curve, mask[0]);
+                    continue;
+                }
+                for ((y, curve), mask) in y.chunks_exact(len.max(1)).zip(curve).zip(mask) {
+                    if curve.gt(R::zero()).any() {
+                        self.bent.clear();
+                        self.bent.extend(y.iter().map(|y| *curve * *y));
+                        self.add(y, *mask);
+                    }
+                }
+            }
+            self.close(problem.pattern, b);
+        }
+        self.factor(problem.pattern);
+    }
+
+    /// A cone's rows, by its curvature row by row.
+    fn add_cone(&mut self, len: usize, y: &[R], curve: &[R], mask: R::Mask) {
+        let y = || y.chunks_exact(len.max(1));
+        let rows = y().len();
+        for (left, curve) in y().zip(curve.chunks_exact(rows)) {
+            self.bent.clear();
+            self.bent.resize(len, R::zero());
+            for (y, curve) in y().zip(curve) {
+                for (bent, y) in self.bent.iter_mut().zip(y) {
+                    *bent += *curve * *y;
+                }
+            }
+            self.add(left, mask);
+        }
     }
 
     /// D alone.
-    pub fn reset(&mut self, pattern: &Pattern, d: &[R]) {
+    fn reset(&mut self, pattern: &Pattern, d: &[R]) {
         self.entries.clear();
         self.entries.resize(pattern.cols.len(), R::zero());
         self.diagonal.clear();
@@ -251,32 +287,48 @@ impl<R: Real> Hessian<R> {
         }
     }
 
-    /// Adds left rightᵀ, whose sum over a block's rows is symmetric, on a block's dofs.
-    #[inline(always)]
-    pub fn add(
-        &mut self,
-        pattern: &Pattern,
-        block: usize,
-        left: &[R],
-        right: impl Fn(usize) -> R,
-        mask: R::Mask,
-    ) {
-        let (list, first) = pattern.blocks[block];
-        let list = list.of(&pattern.lists);
+    /// What a bundle's dofs have so far, side by side in `part`.
+    fn open(&mut self, pattern: &Pattern, bundle: usize) {
+        let (list, first) = pattern.bundles[bundle];
         let mut places = pattern.places[first..].iter();
-        for (at, (i, left)) in list.iter().zip(left).enumerate() {
-            for (j, place) in (0..at).zip(places.by_ref()) {
-                let old = self.entries[*place];
-                self.entries[*place] = R::select(mask, old + *left * right(j), old);
+        self.part.clear();
+        for (at, i) in list.of(&pattern.lists).iter().enumerate() {
+            self.part.extend(places.by_ref().take(at).map(|place| self.entries[*place]));
+            self.part.push(self.diagonal[*i]);
+        }
+    }
+
+    /// Adds left · bentᵀ, whose sum over a block's rows is symmetric, to `part`.
+    #[inline(always)]
+    fn add(&mut self, left: &[R], mask: R::Mask) {
+        let mut rest = self.part.as_mut_slice();
+        for (at, left) in left.iter().enumerate() {
+            let (own, later) = rest.split_at_mut(at + 1);
+            rest = later;
+            for (x, bent) in own.iter_mut().zip(&self.bent) {
+                *x = R::select(mask, *x + *left * *bent, *x);
             }
-            let old = self.diagonal[*i];
-            self.diagonal[*i] = R::select(mask, old + *left * right(at), old);
+        }
+    }
+
+    /// Puts `part` back.
+    fn close(&mut self, pattern: &Pattern, bundle: usize) {
+        let (list, first) = pattern.bundles[bundle];
+        let mut places = pattern.places[first..].iter();
+        let mut part = self.part.iter();
+        for (at, i) in list.of(&pattern.lists).iter().enumerate() {
+            for (place, x) in places.by_ref().take(at).zip(part.by_ref()) {
+                self.entries[*place] = *x;
+            }
+            if let Some(x) = part.next() {
+                self.diagonal[*i] = *x;
+            }
         }
     }
 
     /// H = LᵀDL; the entries become L, the diagonal D.
-    pub fn factor(&mut self, pattern: &Pattern) {
-        let Self { entries, diagonal, inverse, work } = self;
+    fn factor(&mut self, pattern: &Pattern) {
+        let Self { entries, diagonal, inverse, work, .. } = self;
         for i in (0..diagonal.len()).rev() {
             let own = pattern.start[i]..pattern.start[i + 1];
             let cols = &pattern.cols[own.clone()];
@@ -326,7 +378,8 @@ impl<R: Real> Hessian<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::solve::tests::{pack, Problem, Random};
+    use crate::solve::newton::bundles::Bundles;
+    use crate::solve::tests::{pack, Problem as Given, Random};
 
     #[test]
     fn factors_solve_what_was_built() {
@@ -334,35 +387,36 @@ mod tests {
         for _ in 0..50 {
             let nv = 2 + random.below(9);
             let ones = vec![1.0; nv];
-            let mut problem = Problem::new(&ones, &ones);
+            let mut given = Given::new(&ones, &ones);
             let count = 1 + random.below(6);
             for _ in 0..count {
-                problem.limit(&ones, 0.0, 1.0);
+                given.limit(&ones, 0.0, 1.0);
             }
-            let mut rows = pack::<f64>(&[problem]);
+            let mut rows = pack::<f64>(&[given]);
             // Every block on its own random list of dofs.
-            let (mut lists, mut y) = (Vec::new(), Vec::new());
+            let mut lists = Vec::new();
+            rows.y.clear();
             for row in &mut rows.rows {
                 let own: Vec<usize> = (0..nv).filter(|_| random.next() > 0.0).collect();
                 row.dofs = Span { start: lists.len(), len: own.len() };
-                lists.extend(&own);
-                y.push(own.iter().map(|_| random.next()).collect::<Vec<_>>());
+                row.y = rows.y.len();
+                rows.y.extend(own.iter().map(|_| random.next()));
+                lists.extend(own);
             }
             let blocks: Vec<usize> = (0..count).collect();
+            let mut bundles = Bundles::new();
+            bundles.take(&blocks, &rows);
             let mut pattern = Pattern::default();
-            pattern.fit(&lists, &rows, &blocks, &mut []);
+            pattern.fit(&lists, false, &bundles.list, &mut vec![0; nv]);
+            let problem = Problem { pattern: &pattern, bundles: &bundles, y: &rows.y };
             let n = pattern.dofs.len();
-            let mut hessian = Hessian::new();
-            hessian.reset(&pattern, &vec![0.5; n]);
             let x: Vec<f64> = (0..n).map(|_| random.next()).collect();
             let mut b: Vec<f64> = x.iter().map(|x| 0.5 * x).collect();
-            for block in 0..count {
-                let list = pattern.list(block);
-                let along: f64 = list.iter().zip(&y[block]).map(|(k, y)| x[*k] * y).sum();
-                list.iter().zip(&y[block]).for_each(|(k, y)| b[*k] += 3.0 * along * y);
-                hessian.add(&pattern, block, &y[block], |j| 3.0 * y[block][j], true);
-            }
-            hessian.factor(&pattern);
+            let mut along = vec![0.0; count];
+            problem.dots(&x, &mut along);
+            problem.gather(&along, 3.0, &mut b);
+            let mut hessian = Hessian::new();
+            hessian.make(problem, &vec![0.5; n], &vec![3.0; count]);
             hessian.solve(&pattern, &mut b);
             for (a, b) in x.iter().zip(&b) {
                 assert!((a - b).abs() < 1e-12);

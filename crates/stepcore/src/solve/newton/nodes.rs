@@ -13,42 +13,42 @@ use crate::solve::free::Free;
 /// What a dof without a class has.
 pub(super) const NOWHERE: usize = usize::MAX;
 
-/// A node of a block's list.
+/// A node of a bundle's list.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Member {
     /// The node's turn.
     pub node: usize,
-    /// Its dofs' places in the block's list: into `Nodes::entries`.
+    /// Its dofs' places in the bundle's list: into `Nodes::entries`.
     pub entries: usize,
     /// The first of these, where they are one after another.
     pub run: Option<usize>,
 }
 
-/// One block at one of its nodes: `node` is `members[member]`, and the block's later nodes follow
+/// One bundle at one of its nodes: `node` is `members[member]`, and the bundle's later nodes follow
 /// there up to `end`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Meeting {
-    pub block: usize,
+    pub bundle: usize,
     pub member: usize,
     pub end: usize,
 }
 
 #[derive(Default)]
 pub(super) struct Nodes {
-    /// Every block's list, one after another: what the rest was made for.
+    /// Every bundle's list, one after another: what the rest was made for.
     key: Vec<usize>,
     ends: Vec<usize>,
     pub order: Order,
     /// Dofs in the order of elimination, and by turn where a node's begin; one more at the end.
     pub dofs: Vec<usize>,
     pub first: Vec<usize>,
-    /// By block: its nodes in `members`, by turn.
-    pub blocks: Vec<Span>,
+    /// By bundle: its nodes in `members`, by turn.
+    pub bundles: Vec<Span>,
     pub members: Vec<Member>,
     pub entries: Vec<usize>,
-    /// Every block's list in local numbers.
+    /// Every bundle's list in local numbers.
     pub lists: Vec<usize>,
-    /// By block: the same, where it is of free bodies.
+    /// By bundle: the same, where it is of free bodies.
     pub free: Vec<Option<Free>>,
     /// By turn: who meets there, `meetings[meets[k]..meets[k + 1]]`.
     pub meets: Vec<usize>,
@@ -71,11 +71,11 @@ pub(super) struct Nodes {
     next: Vec<usize>,
 }
 
-room!(Nodes: key, ends, dofs, first, blocks, members, entries, lists, free, meets, meetings, places,
+room!(Nodes: key, ends, dofs, first, bundles, members, entries, lists, free, meets, meetings, places,
     offsets, left_start, left, split, seen, node_of, sizes, edges, next; order);
 
 impl Nodes {
-    /// Makes everything for blocks with these lists, unless it is at hand.
+    /// Makes everything for bundles with these lists, unless it is at hand.
     /// `class`: scratch by dof, `NOWHERE` before and after.
     pub fn fit(&mut self, dof_lists: &[usize], spans: &[Span], class: &mut [usize]) {
         let lists = spans.iter().map(|span| span.of(dof_lists));
@@ -108,7 +108,7 @@ impl Nodes {
         self.meet();
         let mut free = std::mem::take(&mut self.free);
         free.clear();
-        free.extend((0..self.ends.len()).map(|block| Free::of(self.local(block))));
+        free.extend((0..self.ends.len()).map(|bundle| Free::of(self.local(bundle))));
         self.free = free;
     }
 
@@ -160,7 +160,7 @@ impl Nodes {
     fn link(&mut self) {
         self.edges.clear();
         self.members.clear();
-        self.blocks.clear();
+        self.bundles.clear();
         let mut start = 0;
         for end in &self.ends {
             let first = self.members.len();
@@ -171,7 +171,7 @@ impl Nodes {
                     self.members.push(Member { node: *node, entries: 0, run: None });
                 }
             }
-            self.blocks.push(Span { start: first, len: self.members.len() - first });
+            self.bundles.push(Span { start: first, len: self.members.len() - first });
             start = *end;
         }
     }
@@ -203,13 +203,13 @@ impl Nodes {
             class[*k] = NOWHERE;
         }
         self.entries.clear();
-        for block in 0..self.ends.len() {
-            let start = if block == 0 { 0 } else { self.ends[block - 1] };
-            let own = self.blocks[block].range();
+        for bundle in 0..self.ends.len() {
+            let start = if bundle == 0 { 0 } else { self.ends[bundle - 1] };
+            let own = self.bundles[bundle].range();
             for member in &mut self.members[own.clone()] {
                 let node = member.node;
                 let first = self.entries.len();
-                let nodes = self.node_of[start..self.ends[block]].iter();
+                let nodes = self.node_of[start..self.ends[bundle]].iter();
                 let places = nodes.enumerate().filter(|(_, other)| **other == node);
                 self.entries.extend(places.map(|(place, _)| place));
                 let own = &self.entries[first..];
@@ -256,7 +256,7 @@ impl Nodes {
         }
     }
 
-    /// Blocks by their nodes.
+    /// Bundles by their nodes.
     fn meet(&mut self) {
         let count = self.sizes.len();
         self.meets.clear();
@@ -270,20 +270,20 @@ impl Nodes {
         self.next.clear();
         self.next.extend_from_slice(&self.meets[..count]);
         self.meetings.clear();
-        self.meetings.resize(self.members.len(), Meeting { block: 0, member: 0, end: 0 });
-        for (block, span) in self.blocks.iter().enumerate() {
+        self.meetings.resize(self.members.len(), Meeting { bundle: 0, member: 0, end: 0 });
+        for (bundle, span) in self.bundles.iter().enumerate() {
             for member in span.range() {
                 let next = &mut self.next[self.members[member].node];
-                self.meetings[*next] = Meeting { block, member, end: span.range().end };
+                self.meetings[*next] = Meeting { bundle, member, end: span.range().end };
                 *next += 1;
             }
         }
     }
 
-    /// A block's list in local numbers.
-    pub fn local(&self, block: usize) -> &[usize] {
-        let start = if block == 0 { 0 } else { self.ends[block - 1] };
-        &self.lists[start..self.ends[block]]
+    /// A bundle's list in local numbers.
+    pub fn local(&self, bundle: usize) -> &[usize] {
+        let start = if bundle == 0 { 0 } else { self.ends[bundle - 1] };
+        &self.lists[start..self.ends[bundle]]
     }
 
     /// How many dofs a node has.

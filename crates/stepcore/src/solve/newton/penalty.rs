@@ -14,15 +14,16 @@ use crate::solve::rows::Row;
 
 /// −w/c within the bounds, and its curvature.
 #[inline(always)]
-pub(super) fn interval<R: Real>(row: &Row<R>, inv_c: R, w: R) -> (R, R) {
+pub(super) fn interval<R: Real>([lo, hi]: [R; 2], inv_c: R, w: R) -> (R, R) {
     let free = -w * inv_c;
-    let active = free.gt(row.lo).and(free.lt(row.hi));
-    (free.clamp(row.lo, row.hi), R::select(active, inv_c, R::zero()))
+    let active = free.gt(lo).and(free.lt(hi));
+    (free.clamp(lo, hi), R::select(active, inv_c, R::zero()))
 }
 
 /// The constants of a convex cone.
 #[derive(Clone, Copy)]
 pub(super) struct Cone<R> {
+    pub mu: R,
     inv_c: R,
     k: R,
     slope: R,
@@ -34,7 +35,7 @@ impl<R: Real> Cone<R> {
         let c = rows.first().map_or(R::zero(), |row| row.c);
         let tangent = rows.get(1).map_or(c, |row| row.c);
         let k = (c * tangent.recip_or_zero()).sqrt();
-        Self { inv_c: c.recip_or_zero(), k, slope: mu * k.recip_or_zero() }
+        Self { mu, inv_c: c.recip_or_zero(), k, slope: mu * k.recip_or_zero() }
     }
 
     /// λ, and λ's derivative against −w.

@@ -1,27 +1,23 @@
 //! What Newton's method holds of one island, and the laws of its rows.
 
+use super::bundles::{Bundles, Problem, Run};
 use super::columns::Columns;
-use super::hessian::{Hessian, Pattern};
-use super::penalty::{interval, Cone};
+use super::hessian::Hessian;
+use super::penalty::interval;
 use crate::real::{Mask, Real};
 use crate::room::room;
-use crate::solve::rows::{Rows, Set, CONE, NARROW};
-use std::ops::Range;
+use crate::solve::rows::{CONE, NARROW};
 
-/// What the method holds of an island. "By row" counts the rows of the blocks at
-/// hand one after another; "by dof" is local, as in `Pattern::dofs`.
+/// What the method holds of an island. "By row" counts its rows one after another; "by dof" is
+/// local, as in `Pattern::dofs`.
 pub(super) struct System<R: Real> {
-    /// By row: 1/c; w = y·u − t; how fast w changes along the step (`finish` keeps what is left
-    /// of the impulses there); the impulse.
-    pub(super) inv_c: Vec<R>,
+    /// By row: w = y·u − t; how fast w changes along the step (while it is refined, what is left of
+    /// the impulses); the impulse.
     pub(super) w: Vec<R>,
     pub(super) rate: Vec<R>,
     pub(super) impulse: Vec<R>,
-    /// By row: its row of the block's curvature s″, as long as the block has rows; of an interval
-    /// one number.
+    /// Curvature s″, run by run: see `Run::curve`.
     pub(super) curve: Vec<R>,
-    /// By block; only convex cones use theirs.
-    pub(super) cones: Vec<Cone<R>>,
     /// By dof.
     pub(super) guess: Vec<R>,
     pub(super) u: Vec<R>,
@@ -29,13 +25,9 @@ pub(super) struct System<R: Real> {
     pub(super) inv_d: Vec<R>,
     pub(super) gradient: Vec<R>,
     pub(super) step: Vec<R>,
-    /// s″ y of a cone's row.
-    pub(super) bent: Vec<R>,
     pub(super) hessian: Hessian<R>,
     /// The same of a heap.
     pub(super) columns: Columns<R>,
-    /// By block: its first entry of `curve`.
-    pub(super) starts: Vec<usize>,
     /// Lanes whose factors belong to the curvature at hand.
     pub(super) fresh: R::Mask,
     /// Newton's decrement relative to `floor`, the energy of the motion that the rows see.
@@ -45,28 +37,23 @@ pub(super) struct System<R: Real> {
     pub(super) moved: bool,
 }
 
-room!(System<R>: inv_c, w, rate, impulse, curve, cones, guess, u, d, inv_d, gradient, step,
-    bent, starts; hessian, columns);
+room!(System<R>: w, rate, impulse, curve, guess, u, d, inv_d, gradient, step; hessian, columns);
 
 impl<R: Real> System<R> {
     pub fn new() -> Self {
         Self {
-            inv_c: Vec::new(),
             w: Vec::new(),
             rate: Vec::new(),
             impulse: Vec::new(),
             curve: Vec::new(),
-            cones: Vec::new(),
             guess: Vec::new(),
             u: Vec::new(),
             d: Vec::new(),
             inv_d: Vec::new(),
             gradient: Vec::new(),
             step: Vec::new(),
-            bent: Vec::new(),
             hessian: Hessian::new(),
             columns: Columns::new(),
-            starts: Vec::new(),
             fresh: R::Mask::of(false),
             decrement: R::zero(),
             floor: R::zero(),
@@ -74,147 +61,110 @@ impl<R: Real> System<R> {
         }
     }
 
-    /// Takes an island in; starts from u or from û, whichever costs less.
-    pub fn start(
-        &mut self,
-        pattern: &Pattern,
-        blocks: &[usize],
-        inv_d: &[R],
-        guess: &[R],
-        rows: &Rows<R>,
-    ) {
+    /// Takes an island in, whose velocities are u; starts from these or from û, whichever costs
+    /// less.
+    pub fn start(&mut self, problem: Problem<R>, inv_d: &[R], guess: &[R], u: &[R]) {
+        let dofs = problem.pattern.dofs();
         let take = |out: &mut Vec<R>, from: &[R]| {
             out.clear();
-            out.extend(pattern.dofs().iter().map(|k| from[*k]));
+            out.extend(dofs.iter().map(|k| from[*k]));
         };
         take(&mut self.guess, guess);
-        take(&mut self.u, &rows.u);
+        take(&mut self.u, u);
         take(&mut self.inv_d, inv_d);
         self.d.clear();
         self.d.extend(self.inv_d.iter().map(|inv| R::one() / *inv));
-        self.inv_c.clear();
-        self.cones.clear();
-        self.starts.clear();
-        for block in blocks.iter().map(|b| &rows.blocks[*b]) {
-            let own = &rows.rows[block.rows.range()];
-            self.inv_c.extend(own.iter().map(|row| row.c.recip_or_zero()));
-            self.cones
-                .push(Cone::new(if block.set == Set::Interval { &[] } else { own }, block.mu));
-        }
-        let count = self.inv_c.len();
-        let mut entries = 0;
-        for block in blocks {
-            self.starts.push(entries);
-            entries += rows.blocks[*block].curves();
-        }
+        let fill = |list: &mut Vec<R>, len: usize| {
+            list.clear();
+            list.resize(len, R::zero());
+        };
         for list in [&mut self.w, &mut self.rate, &mut self.impulse] {
-            list.clear();
-            list.resize(count, R::zero());
+            fill(list, problem.bundles.t.len());
         }
-        self.curve.clear();
-        self.curve.resize(entries, R::zero());
+        fill(&mut self.curve, problem.bundles.curves);
         for list in [&mut self.gradient, &mut self.step] {
-            list.clear();
-            list.resize(pattern.dofs().len(), R::zero());
+            fill(list, dofs.len());
         }
-        if pattern.heap {
-            self.columns.start(&pattern.nodes);
+        if problem.pattern.heap {
+            self.columns.start(&problem.pattern.nodes);
         }
-        if self.u != self.guess {
-            let warm = self.cost(pattern, blocks, rows);
-            std::mem::swap(&mut self.u, &mut self.guess);
-            let cold = self.cost(pattern, blocks, rows);
-            std::mem::swap(&mut self.u, &mut self.guess);
-            for (u, guess) in self.u.iter_mut().zip(&self.guess) {
-                *u = R::select(warm.le(cold), *u, *guess);
-            }
+        slacks(problem, &self.guess, &mut self.w);
+        if self.u == self.guess {
+            return;
         }
-    }
-
-    /// ½ (u − û)ᵀD(u − û) + Σ s at u; the first part is 0 at û.
-    fn cost(&mut self, pattern: &Pattern, blocks: &[usize], rows: &Rows<R>) -> R {
-        let half = R::of(0.5);
-        let mut cost = R::zero();
+        // ½ (u − û)ᵀD(u − û) + Σ s; the first part is 0 at û.
+        let mut warm = R::zero();
         for ((u, guess), d) in self.u.iter().zip(&self.guess).zip(&self.d) {
-            cost += half * *d * (*u - *guess) * (*u - *guess);
+            warm += R::of(0.5) * *d * (*u - *guess) * (*u - *guess);
         }
-        self.laws(pattern, blocks, rows, R::Mask::of(false));
-        let mut at = 0;
-        for block in blocks.iter().map(|b| &rows.blocks[*b]) {
-            for row in &rows.rows[block.rows.range()] {
-                let s = -self.impulse[at] * (self.w[at] + half * row.c * self.impulse[at]);
-                cost = R::select(block.mask, cost + s, cost);
-                at += 1;
-            }
+        slacks(problem, &self.u, &mut self.rate);
+        let warm = penalties(problem.bundles, &self.rate, warm);
+        let warmer = warm.le(penalties(problem.bundles, &self.w, R::zero()));
+        for (u, guess) in self.u.iter_mut().zip(&self.guess) {
+            *u = R::select(warmer, *u, *guess);
         }
-        cost
+        for (w, warm) in self.w.iter_mut().zip(&self.rate) {
+            *w = R::select(warmer, *warm, *w);
+        }
     }
 
-    /// Every row's w and impulse at u; in lanes of `bend` also the curvature.
-    /// Returns the lanes where some curvature changed, and the energy that the
-    /// velocities of the rows stand for (what rounding is measured by).
-    pub(super) fn laws(
-        &mut self,
-        pattern: &Pattern,
-        blocks: &[usize],
-        rows: &Rows<R>,
-        bend: R::Mask,
-    ) -> (R::Mask, R) {
-        let (mut changed, mut scale) = (R::Mask::of(false), R::zero());
-        let (mut at, mut start) = (0, 0);
-        for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
-            let list = pattern.list(b);
-            let first = at;
-            let curves = start..start + block.curves();
-            start = curves.end;
-            let bend = bend.and(block.mask);
-            let own = &rows.rows[block.rows.range()];
-            for row in own {
-                let velocity = pattern.dot(b, &rows.y[row.y..row.y + list.len()], &self.u);
-                self.w[at] = velocity - row.t;
-                let energy = scale + (velocity * velocity + row.t * row.t) * row.inv_s;
-                scale = R::select(block.mask, energy, scale);
-                if block.set == Set::Interval {
-                    let (impulse, curve) = interval(row, self.inv_c[at], self.w[at]);
-                    let bent = curves.start + at - first;
-                    let old = self.curve[bent];
-                    // At a bound the impulse is constant: another one is the other bound.
-                    let jump = impulse - self.impulse[at];
-                    let slides = curve.gt(R::zero()).or(jump.abs().le(R::zero()));
-                    let same = curve.le(old).and(curve.ge(old)).and(slides);
-                    self.impulse[at] = impulse;
-                    changed = changed.or(bend.and(same.not()));
-                    self.curve[bent] = R::select(bend, curve, old);
-                }
-                at += 1;
-            }
-            if block.set == Set::Interval {
-                continue;
-            }
-            let new = if own.len() <= NARROW {
-                self.bend_cone::<NARROW>(b, first..at, curves, bend)
-            } else {
-                self.bend_cone::<CONE>(b, first..at, curves, bend)
+    /// w = y·u − t by row.
+    pub(super) fn find_slacks(&mut self, problem: Problem<R>) {
+        slacks(problem, &self.u, &mut self.w);
+    }
+
+    /// Every row's impulse at its w; in lanes of `bend` also the curvature. Returns the lanes where
+    /// some curvature changed.
+    pub(super) fn laws(&mut self, bundles: &Bundles<R>, bend: R::Mask) -> R::Mask {
+        let mut changed = R::Mask::of(false);
+        for run in &bundles.runs {
+            let new = match run.cone {
+                None => self.intervals(bundles, run, bend),
+                Some(_) if run.rows.len <= NARROW => self.bend_cone::<NARROW>(bundles, run, bend),
+                Some(_) => self.bend_cone::<CONE>(bundles, run, bend),
             };
             changed = changed.or(new);
         }
-        (changed, scale)
+        changed
     }
 
-    /// The impulses of a cone's rows at their w, and in lanes of `bend` their curvature; the lanes
-    /// where that changed.
+    #[inline(always)]
+    fn intervals(&mut self, bundles: &Bundles<R>, run: &Run, bend: R::Mask) -> R::Mask {
+        let mut changed = R::Mask::of(false);
+        let own = run.rows.range();
+        let (lo, hi) = (&bundles.lo[own.clone()], &bundles.hi[own.clone()]);
+        let (inv_c, mask) = (&bundles.inv_c[own.clone()], &bundles.mask[own.clone()]);
+        let (w, impulses) = (&self.w[own.clone()], &mut self.impulse[own]);
+        let curves = &mut self.curve[run.curve.range()];
+        for i in 0..run.rows.len {
+            let (impulse, curve) = interval([lo[i], hi[i]], inv_c[i], w[i]);
+            let old = curves[i];
+            // At a bound the impulse is constant: another one is the other bound.
+            let jump = impulse - impulses[i];
+            let slides = curve.gt(R::zero()).or(jump.abs().le(R::zero()));
+            let same = curve.le(old).and(curve.ge(old)).and(slides);
+            impulses[i] = impulse;
+            let bend = if run.whole { bend } else { bend.and(mask[i]) };
+            changed = changed.or(bend.and(same.not()));
+            curves[i] = R::select(bend, curve, old);
+        }
+        changed
+    }
+
+    /// The same of a cone.
     fn bend_cone<const N: usize>(
         &mut self,
-        cone: usize,
-        own: Range<usize>,
-        curves: Range<usize>,
+        bundles: &Bundles<R>,
+        run: &Run,
         bend: R::Mask,
     ) -> R::Mask {
+        let Some(cone) = run.cone else { return R::Mask::of(false) };
+        let (own, len) = (run.rows.range(), run.rows.len);
+        let bend = bend.and(bundles.mask[run.rows.start]);
         let mut changed = R::Mask::of(false);
-        let (impulse, curve) = self.cones[cone].law::<N>(padded(&self.w[own.clone()]));
-        let len = own.len();
+        let (impulse, curve) = bundles.cones[cone].law::<N>(padded(&self.w[own.clone()]));
         self.impulse[own].copy_from_slice(&impulse[..len]);
-        for (row, new) in self.curve[curves].chunks_exact_mut(len).zip(&curve) {
+        for (row, new) in self.curve[run.curve.range()].chunks_exact_mut(len).zip(&curve) {
             for (old, new) in row.iter_mut().zip(new) {
                 changed = changed.or(bend.and(new.le(*old).and(new.ge(*old)).not()));
                 *old = R::select(bend, *new, *old);
@@ -223,33 +173,46 @@ impl<R: Real> System<R> {
         changed
     }
 
-    /// out += sign · Σ y x, x by row.
-    pub(super) fn gather(
-        pattern: &Pattern,
-        blocks: &[usize],
-        rows: &Rows<R>,
-        x: &[R],
-        sign: R,
-        out: &mut [R],
-    ) {
-        let mut at = 0;
-        for (b, block) in blocks.iter().map(|b| &rows.blocks[*b]).enumerate() {
-            let list = pattern.list(b);
-            for row in &rows.rows[block.rows.range()] {
-                let x = sign * x[at];
-                if let Some(free) = pattern.free(b) {
-                    // A heap is one world.
-                    free.add(&rows.y[row.y..row.y + list.len()], x, out);
-                    at += 1;
-                    continue;
-                }
-                for (k, y) in list.iter().zip(&rows.y[row.y..row.y + list.len()]) {
-                    out[*k] = R::select(block.mask, out[*k] + *y * x, out[*k]);
-                }
-                at += 1;
-            }
+    /// The energy that the velocities of the rows stand for: what rounding is measured by.
+    pub(super) fn scale(&self, bundles: &Bundles<R>) -> R {
+        let mut scale = R::zero();
+        for (i, w) in self.w.iter().enumerate() {
+            let t = bundles.t[i];
+            let velocity = *w + t;
+            let energy = scale + (velocity * velocity + t * t) * bundles.inv_s[i];
+            scale = R::select(bundles.mask[i], energy, scale);
+        }
+        scale
+    }
+}
+
+/// out = y·u − t by row.
+fn slacks<R: Real>(problem: Problem<R>, u: &[R], out: &mut [R]) {
+    problem.dots(u, out);
+    for (w, t) in out.iter_mut().zip(&problem.bundles.t) {
+        *w -= *t;
+    }
+}
+
+/// cost + Σ s at w, where s = −λ (w + ½ c λ).
+fn penalties<R: Real>(bundles: &Bundles<R>, w: &[R], mut cost: R) -> R {
+    for run in &bundles.runs {
+        let own = run.rows.range();
+        let cone = run.cone.map(|cone| {
+            let w = &w[own.clone()];
+            bundles.cones[cone].law::<CONE>(padded(w)).0
+        });
+        for (i, at) in own.enumerate() {
+            let (lo, hi, inv_c) = (bundles.lo[at], bundles.hi[at], bundles.inv_c[at]);
+            let impulse = match &cone {
+                Some(impulse) => impulse[i],
+                None => interval([lo, hi], inv_c, w[at]).0,
+            };
+            let s = -impulse * (w[at] + R::of(0.5) * bundles.c[at] * impulse);
+            cost = R::select(bundles.mask[at], cost + s, cost);
         }
     }
+    cost
 }
 
 /// A cone's numbers, 0 for the rows that it does not have.

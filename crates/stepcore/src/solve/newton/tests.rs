@@ -1,5 +1,6 @@
 //! Factors of heaps against dense elimination, and what of them is made again.
 
+use super::bundles::Bundles;
 use super::columns::{Columns, Curved};
 use super::nodes::{Nodes, NOWHERE};
 use super::Newton;
@@ -7,6 +8,7 @@ use crate::model::Span;
 use crate::solve::limits::Limits;
 use crate::solve::pgs::Pgs;
 use crate::solve::rows::{Rows, Set};
+use crate::solve::solver::Unconstrained;
 use crate::solve::tests::{close, pack, Problem, Random};
 
 /// Bodies of some dofs each, touched by blocks of rows: one body alone, or two together.
@@ -66,9 +68,15 @@ fn two_of(count: usize) -> impl Fn(&mut Random) -> Vec<usize> {
     }
 }
 
-fn nodes_of(heap: &Heap) -> Nodes {
-    let spans: Vec<Span> =
-        heap.rows.blocks.iter().map(|b| heap.rows.rows[b.rows.start].dofs).collect();
+fn bundles_of(heap: &Heap) -> Bundles<f64> {
+    let blocks: Vec<usize> = (0..heap.rows.blocks.len()).collect();
+    let mut bundles = Bundles::new();
+    bundles.take(&blocks, &heap.rows);
+    bundles
+}
+
+fn nodes_of(heap: &Heap, bundles: &Bundles<f64>) -> Nodes {
+    let spans: Vec<Span> = bundles.list.iter().map(|bundle| bundle.dofs).collect();
     let mut nodes = Nodes::default();
     nodes.fit(&heap.lists, &spans, &mut vec![NOWHERE; heap.rows.u.len()]);
     nodes
@@ -128,21 +136,16 @@ fn factors_solve_what_was_built() {
         let sizes: Vec<usize> =
             (0..12).map(|i| if case % 2 == 0 { 6 } else { 1 + (i + case) % 7 }).collect();
         let heap = heap(&sizes, 5 + case, &mut random, two_of(12));
-        let nodes = nodes_of(&heap);
+        let bundles = bundles_of(&heap);
+        let nodes = nodes_of(&heap, &bundles);
         let d: Vec<f64> = heap.inv_d.iter().map(|inv| 1.0 / inv).collect();
         let local: Vec<f64> = nodes.dofs.iter().map(|k| d[*k]).collect();
-        let blocks: Vec<usize> = (0..heap.rows.blocks.len()).collect();
         let starts = starts(&heap);
         let mut columns = Columns::new();
         columns.start(&nodes);
         let mut curve = curvature(&heap, &mut random);
         for turn in 0..4 {
-            let curved = Curved {
-                blocks: &blocks,
-                rows: &heap.rows,
-                curve: &curve,
-                starts: &starts[..blocks.len()],
-            };
+            let curved = Curved { bundles: &bundles, y: &heap.rows.y, curve: &curve };
             columns.factor(&nodes, &local, curved);
             // What was kept from the last turn is what all of it would be.
             let mut whole = Columns::new();
@@ -174,7 +177,7 @@ fn a_stack_fills_nothing() {
         let a = random.below(29);
         vec![a, a + 1]
     });
-    let nodes = nodes_of(&heap);
+    let nodes = nodes_of(&heap, &bundles_of(&heap));
     assert_eq!(nodes.count(), 30);
     assert_eq!(nodes.numbers, 36 * (30 + 29));
 }
@@ -198,7 +201,8 @@ fn heaps_equal_converged_pgs() {
         };
         Pgs::new().solve(&heap.lists, &heap.inv_d, &mut want, limits);
         let newton = Limits { sweeps: 50, tolerance: 0.0, ..limits };
-        Newton::new().solve(&heap.lists, &heap.inv_d, &guess, &mut heap.rows, newton).unwrap();
+        let free = Unconstrained { dof_lists: &heap.lists, inv_d: &heap.inv_d, guess: &guess };
+        Newton::new().solve(free, &mut heap.rows, newton).unwrap();
         assert!(heap.rows.residual(&heap.lists) < 1e-13);
         for (a, b) in heap.rows.u.iter().zip(&want.u) {
             close(*a, *b, 1e-9);

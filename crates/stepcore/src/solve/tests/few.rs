@@ -41,8 +41,7 @@ fn few_rows_equal_converged_pgs() {
         }
         let limits =
             Limits { sweeps: 50, tolerance: 0.0, momentum: false, exact: true, rounding: false };
-        let report =
-            Newton::new().solve(&lists, &problem.inv_d, &problem.guess, &mut rows, limits).unwrap();
+        let report = Newton::new().solve(problem.free(&lists), &mut rows, limits).unwrap();
         assert!(report.sweeps.lane(0) < 25, "{:?} guesses in case {case}", report.sweeps);
         assert!(rows.residual(&lists) < 1e-12, "{} in case {case}", rows.residual(&lists));
         for (a, b) in rows.rows.iter().zip(&want.rows) {
@@ -62,7 +61,7 @@ fn a_row_that_nothing_moves() {
     problem.limit(&[0.0, 0.0], 0.5, 0.0);
     problem.limit(&[0.0, 1.0], 0.0, 0.1);
     let mut rows = problem.rows::<f64>();
-    Newton::new().solve(&[0, 1], &problem.inv_d, &problem.guess, &mut rows, EVERY).unwrap();
+    Newton::new().solve(problem.free(&[0, 1]), &mut rows, EVERY).unwrap();
     let impulses: Vec<f64> = rows.rows.iter().map(|row| row.impulse).collect();
     close(impulses[0], 1.0 / 1.1, 1e-15);
     assert_eq!(impulses[1], 0.0);

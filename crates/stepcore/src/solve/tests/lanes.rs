@@ -10,6 +10,7 @@ use crate::solve::limits::{Limits, Report};
 use crate::solve::newton::Newton;
 use crate::solve::pgs::Pgs;
 use crate::solve::rows::{Rows, Set};
+use crate::solve::solver::Unconstrained;
 
 /// Who solves: PGS with these limits, or Newton.
 #[derive(Clone, Copy)]
@@ -24,7 +25,8 @@ fn solve<R: Real>(by: By, lists: &[usize], inv_d: &[f64], rows: &mut Rows<R>) ->
         By::Pgs(limits) => Pgs::new().solve(lists, &inv_d, rows, limits),
         By::Newton(limits) => {
             let guess = rows.u.clone();
-            Newton::new().solve(lists, &inv_d, &guess, rows, limits).unwrap()
+            let free = Unconstrained { dof_lists: lists, inv_d: &inv_d, guess: &guess };
+            Newton::new().solve(free, rows, limits).unwrap()
         }
     }
 }

@@ -46,8 +46,7 @@ fn newton_equals_converged_pgs() {
         }
         let limits =
             Limits { sweeps: 50, tolerance: 0.0, momentum: false, exact: false, rounding: false };
-        let report =
-            Newton::new().solve(&lists, &problem.inv_d, &problem.guess, &mut rows, limits).unwrap();
+        let report = Newton::new().solve(problem.free(&lists), &mut rows, limits).unwrap();
         assert!(report.sweeps.lane(0) < 15);
         assert!(rows.residual(&lists) < 1e-14, "{}", rows.residual(&lists));
         for (a, b) in rows.rows.iter().zip(&want.rows) {
@@ -69,7 +68,7 @@ fn newton_stops_at_its_tolerance() {
             let mut rows = problem.rows::<f64>();
             let limits =
                 Limits { sweeps: 50, tolerance, momentum: false, exact: false, rounding: false };
-            Newton::new().solve(&lists, &problem.inv_d, &problem.guess, &mut rows, limits).unwrap();
+            Newton::new().solve(problem.free(&lists), &mut rows, limits).unwrap();
             assert!(rows.residual(&lists) <= tolerance);
         }
     }
@@ -80,11 +79,11 @@ fn newton_needs_softness() {
     let mut problem = Problem::new(&[1.0], &[-1.0]);
     problem.limit(&[1.0], 0.0, 0.0);
     let mut rows = problem.rows::<f64>();
-    assert!(Newton::new().solve(&[0], &problem.inv_d, &problem.guess, &mut rows, EVERY).is_err());
+    assert!(Newton::new().solve(problem.free(&[0]), &mut rows, EVERY).is_err());
     assert_eq!((rows.u[0], rows.rows[0].impulse), (-1.0, 0.0));
     // A row that nothing moves needs none.
     problem.blocks[0].2[0] = (vec![0.0], 0.5, 0.0, 0.0, INF);
     let mut rows = problem.rows::<f64>();
-    assert!(Newton::new().solve(&[0], &problem.inv_d, &problem.guess, &mut rows, EVERY).is_ok());
+    assert!(Newton::new().solve(problem.free(&[0]), &mut rows, EVERY).is_ok());
     assert_eq!((rows.u[0], rows.rows[0].impulse), (-1.0, 0.0));
 }

@@ -6,6 +6,7 @@ use crate::solve::limits::Limits;
 use crate::solve::newton::Newton;
 use crate::solve::pgs::Pgs;
 use crate::solve::rows::{Rows, Set};
+use crate::solve::solver::Unconstrained;
 
 /// The same rows, ten to a block.
 fn in_tens(problem: &Problem) -> Problem {
@@ -28,7 +29,8 @@ fn accelerated(problem: &Problem, rows: &mut Rows<f64>) {
 fn newton(problem: &Problem, rows: &mut Rows<f64>) {
     let limits = Limits { sweeps: 50, tolerance: 0.0, ..EVERY };
     let (lists, guess) = (problem.dof_lists(), &problem.guess);
-    Newton::new().solve(&lists, &problem.inv_d, guess, rows, limits).unwrap();
+    let free = Unconstrained { guess, ..problem.free(&lists) };
+    Newton::new().solve(free, rows, limits).unwrap();
 }
 
 /// Ten rows are few, thirty are not: both of Newton's methods.

@@ -7,6 +7,7 @@ use crate::solve::limits::Limits;
 use crate::solve::newton::Newton;
 use crate::solve::pgs::Pgs;
 use crate::solve::rows::{Set, CONE};
+use crate::solve::solver::Unconstrained;
 use crate::solve::wide::Wide;
 
 type Vector = [f64; CONE];
@@ -180,7 +181,9 @@ fn sweeps_and_newton_agree() {
         let mut rows = problem.rows::<f64>();
         let limits = Limits { sweeps: 60, tolerance: 0.0, ..EVERY };
         let guess = &problem.guess;
-        let report = Newton::new().solve(&lists, &problem.inv_d, guess, &mut rows, limits).unwrap();
+        let report = Newton::new()
+            .solve(Unconstrained { guess, ..problem.free(&lists) }, &mut rows, limits)
+            .unwrap();
         assert!(report.sweeps.lane(0) < 20, "{}", report.sweeps.lane(0));
         assert!(rows.residual(&lists) < 1e-13, "{case}: {:e}", rows.residual(&lists));
         for other in &found {

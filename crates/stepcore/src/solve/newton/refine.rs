@@ -1,0 +1,141 @@
+//! The last digits: impulses and velocities that agree.
+//!
+//! −w/c magnifies the rounding of w where c is small. So the pair (λ, u) is refined with the last
+//! factors, within their zones: the law's impulse at this u, less λ, is e; Hδ = Σ y e,
+//! Δλ = e − s″ y·δ. Where e is no more than the tolerance allows there is nothing to refine, and
+//! once is enough unless c is tiny.
+
+use super::bundles::{Problem, Run};
+use super::system::{padded, System};
+use crate::real::{Mask, Real};
+use crate::solve::cone::project_some;
+use crate::solve::limits::Limits;
+use crate::solve::rows::{CONE, NARROW};
+
+/// The most refinements.
+const REFINEMENTS: usize = 3;
+/// What a refinement would take away is left where it is this part of the tolerance: Newton's steps
+/// end far within it, and those who asked for no other one get digits to spare.
+const SPARE: f64 = 1e-3;
+
+impl<R: Real> System<R> {
+    /// Impulses by their laws, refined, and u = û + D⁻¹ Σ yλ.
+    pub fn settle(&mut self, problem: Problem<R>, limits: Limits) {
+        if self.moved {
+            self.laws(problem.bundles, R::Mask::of(false));
+        }
+        self.follow(problem);
+        let enough = R::of(SPARE * limits.tolerance);
+        for _ in 0..REFINEMENTS {
+            if self.fresh.none() {
+                break;
+            }
+            self.find_slacks(problem);
+            let (most, energy) = self.errors(problem);
+            let done = self.fresh.and(most.le(enough * enough));
+            let left = (energy * self.floor.recip_or_zero()).sqrt();
+            self.decrement = R::select(done, left, self.decrement);
+            self.fresh = self.fresh.and(done.not());
+            if self.fresh.none() {
+                break;
+            }
+            self.step.fill(R::zero());
+            problem.gather(&self.rate, R::one(), &mut self.step);
+            // Σ y e is what is left of the gradient: with δ it tells the decrement.
+            self.gradient.copy_from_slice(&self.step);
+            self.solve(problem.pattern);
+            let fall =
+                self.gradient.iter().zip(&self.step).fold(R::zero(), |sum, (g, p)| sum + *g * *p);
+            let left = (fall * self.floor.recip_or_zero()).max(R::zero()).sqrt();
+            self.decrement = R::select(self.fresh, left, self.decrement);
+            self.refine(problem);
+            self.follow(problem);
+            self.fresh = self.fresh.and(left.gt(R::of(R::EPSILON)));
+        }
+    }
+
+    /// e by row, into `rate`. The largest as the square of a speed, e²A/m, which is the residual's;
+    /// and Σ e²A. A row at a bound stays there: rounding/c must not flip it out of its zone.
+    fn errors(&mut self, problem: Problem<R>) -> (R, R) {
+        let bundles = problem.bundles;
+        for run in &bundles.runs {
+            let own = run.rows.range();
+            if let Some(cone) = run.cone {
+                let w = &self.w[own.clone()];
+                let law = if own.len() <= NARROW {
+                    let impulse = bundles.cones[cone].law::<NARROW>(padded(w)).0;
+                    padded::<R, CONE>(&impulse)
+                } else {
+                    bundles.cones[cone].law::<CONE>(padded(w)).0
+                };
+                for (at, law) in own.zip(law) {
+                    self.rate[at] = law - self.impulse[at];
+                }
+                continue;
+            }
+            for (at, curve) in own.zip(run.curve.of(&self.curve)) {
+                let free = -self.w[at] * bundles.inv_c[at];
+                let active = curve.gt(R::zero());
+                self.rate[at] = R::select(active, free - self.impulse[at], R::zero());
+            }
+        }
+        let (mut most, mut energy) = (R::zero(), R::zero());
+        for (at, e) in self.rate.iter().enumerate() {
+            let speed = *e * *e * bundles.per_mass[at];
+            let mask = bundles.mask[at];
+            most = R::select(mask, most.max(speed), most);
+            energy = R::select(mask, energy + *e * *e * bundles.a[at], energy);
+        }
+        (most, energy)
+    }
+
+    /// λ + e − s″ y·δ, within the sets.
+    fn refine(&mut self, problem: Problem<R>) {
+        problem.dots(&self.step, &mut self.w);
+        for run in &problem.bundles.runs {
+            match run.cone {
+                None => self.refine_intervals(problem, run),
+                Some(cone) => self.refine_cone(problem, run, problem.bundles.cones[cone].mu),
+            }
+        }
+    }
+
+    fn refine_intervals(&mut self, problem: Problem<R>, run: &Run) {
+        let bundles = problem.bundles;
+        for (at, curve) in run.rows.range().zip(run.curve.of(&self.curve)) {
+            let mask = bundles.mask[at].and(self.fresh);
+            let new = self.impulse[at] + (self.rate[at] - *curve * self.w[at]);
+            let new = new.clamp(bundles.lo[at], bundles.hi[at]);
+            self.impulse[at] = R::select(mask, new, self.impulse[at]);
+        }
+    }
+
+    fn refine_cone(&mut self, problem: Problem<R>, run: &Run, mu: R) {
+        let own = run.rows.range();
+        let mask = problem.bundles.mask[run.rows.start].and(self.fresh);
+        let v = &self.w[own.clone()];
+        let mut new: [R; CONE] = padded(&self.impulse[own.clone()]);
+        for (i, curve) in run.curve.of(&self.curve).chunks_exact(own.len()).enumerate() {
+            let mut bent = curve[0] * v[0];
+            for (curve, v) in curve.iter().zip(v).skip(1) {
+                bent += *curve * *v;
+            }
+            new[i] += self.rate[run.rows.start + i] - bent;
+        }
+        let new = project_some(mu, new, own.len());
+        for (x, new) in self.impulse[own].iter_mut().zip(new) {
+            *x = R::select(mask, new, *x);
+        }
+    }
+
+    /// u = û + D⁻¹ Σ yλ.
+    fn follow(&mut self, problem: Problem<R>) {
+        self.gradient.fill(R::zero());
+        problem.gather(&self.impulse, R::one(), &mut self.gradient);
+        for (((u, guess), f), inv) in
+            self.u.iter_mut().zip(&self.guess).zip(&self.gradient).zip(&self.inv_d)
+        {
+            *u = *guess + *f * *inv;
+        }
+    }
+}

@@ -1,0 +1,220 @@
+//! Rows of how two bodies move against each other, several directions at a time.
+//!
+//! A contact's normal and tangents share bodies, points and dofs: each dof's motion, each entry of
+//! the factors and each place in a list is read once for all of them. The numbers are those of one
+//! row after another (`Rows::push_scratch`), bit for bit.
+
+use super::rows::{Row, Rows, Situation};
+use crate::model::{Model, Span, NONE};
+use crate::place::Metric;
+use crate::real::Real;
+use crate::spatial::{Force, V3};
+
+/// The most directions at a time.
+pub(super) const WIDE: usize = 3;
+/// Dofs of a free body.
+const SIX: usize = 6;
+
+/// One of the two bodies: the forces whose power is its part of each row's velocity.
+struct Side<'a, R: Real, const N: usize> {
+    chain: &'a [usize],
+    along: [Force<R>; N],
+}
+
+impl<'a, R: Real, const N: usize> Side<'a, R, N> {
+    /// None: nothing moves the body.
+    fn of(now: &Situation<'a, R>, body: usize, at: &V3<R>, along: [V3<R>; N]) -> Option<Self> {
+        let body = &now.model.bodies[body];
+        if body.tree == NONE {
+            return None;
+        }
+        let arm = at - now.placed.origin[body.tree];
+        let along = along.map(|d| Force { ang: arm.cross(&d), lin: d });
+        Some(Self { chain: body.chain.of(&now.model.dof_lists), along })
+    }
+
+    /// J of one dof in each direction.
+    #[inline(always)]
+    fn of_dof(&self, now: &Situation<R>, k: usize) -> [R; N] {
+        let motion = &now.placed.motion[k];
+        core::array::from_fn(|i| motion.dot(&self.along[i]))
+    }
+}
+
+impl<R: Real> Rows<R> {
+    /// Pushes the rows of the relative velocity of two body points, each at its `at` (body 2 minus
+    /// body 1), along N directions, on the union `dofs` of their chains.
+    pub(crate) fn push_relative<const N: usize>(
+        &mut self,
+        now: &Situation<R>,
+        bodies: [usize; 2],
+        dofs: Span,
+        at: &[V3<R>; 2],
+        along: &[V3<R>; N],
+    ) {
+        let sides = [
+            Side::of(now, bodies[0], &at[0], along.map(|d| -d)),
+            Side::of(now, bodies[1], &at[1], *along),
+        ];
+        let start = self.y.len();
+        self.y.resize(start + N * dofs.len, R::zero());
+        let list = dofs.of(now.dof_lists);
+        let bodies = || sides.iter().flatten();
+        let apart = list.len() == bodies().count() * SIX;
+        let sums = if apart && bodies().all(|side| is_free(now.model, side.chain)) {
+            self.lift_free(now, list, &sides, start)
+        } else {
+            self.lift_any(now, list, &sides, start)
+        };
+        for (i, (a, velocity)) in sums.into_iter().enumerate() {
+            self.push_row(dofs, start + i * dofs.len, a, velocity);
+        }
+    }
+
+    /// y of all directions from `start` on; A and J v of each.
+    fn lift_any<const N: usize>(
+        &mut self,
+        now: &Situation<R>,
+        list: &[usize],
+        sides: &[Option<Side<R, N>>; 2],
+        start: usize,
+    ) -> [(R, R); N] {
+        // By dof N numbers, of which the rest of `scratch` has room.
+        let scratch = &mut self.scratch;
+        for k in list {
+            scratch[k * N..(k + 1) * N].fill(R::zero());
+        }
+        for side in sides.iter().flatten() {
+            for &k in side.chain {
+                let j = side.of_dof(now, k);
+                for (x, j) in scratch[k * N..(k + 1) * N].iter_mut().zip(j) {
+                    *x += j;
+                }
+            }
+        }
+        now.placed.metric.lift_each::<N>(list, scratch);
+        let mut sums = [(R::zero(), R::zero()); N];
+        for (at, &k) in list.iter().enumerate() {
+            let (inv_d, u) = (now.placed.metric.inv_d[k], now.placed.u[k]);
+            for (i, (a, velocity)) in sums.iter_mut().enumerate() {
+                let y = self.scratch[k * N + i];
+                *a += y * y * inv_d;
+                *velocity += y * u;
+                self.y[start + i * list.len() + at] = y;
+            }
+        }
+        sums
+    }
+
+    /// The same of free bodies.
+    fn lift_free<const N: usize>(
+        &mut self,
+        now: &Situation<R>,
+        list: &[usize],
+        sides: &[Option<Side<R, N>>; 2],
+        start: usize,
+    ) -> [(R, R); N] {
+        let mut sums = [(R::zero(), R::zero()); N];
+        for from in (0..list.len()).step_by(SIX) {
+            let first = list[from];
+            let mine = |side: &&Side<R, N>| side.chain[0] == first;
+            let Some(side) = sides.iter().flatten().find(mine) else { continue };
+            let mut x: [[R; N]; SIX] =
+                core::array::from_fn(|k| side.of_dof(now, first + k).map(|j| R::zero() + j));
+            now.placed.metric.lift_six(first, &mut x);
+            let inv_d = &now.placed.metric.inv_d[first..first + SIX];
+            let u = &now.placed.u[first..first + SIX];
+            for (i, (a, velocity)) in sums.iter_mut().enumerate() {
+                let out = &mut self.y[start + i * list.len() + from..][..SIX];
+                for k in 0..SIX {
+                    let y = x[k][i];
+                    *a += y * y * inv_d[k];
+                    *velocity += y * u[k];
+                    out[k] = y;
+                }
+            }
+        }
+        sums
+    }
+
+    /// Pushes two rows whose y are y(first) ± k · y(second): edges of a pyramid. Either is given by
+    /// where its y begins, and its J v.
+    pub(crate) fn push_edges(
+        &mut self,
+        now: &Situation<R>,
+        dofs: Span,
+        (first, one): (usize, R),
+        (second, two): (usize, R),
+        k: R,
+    ) {
+        let len = dofs.len;
+        let start = self.y.len();
+        self.y.resize(start + 2 * len, R::zero());
+        let (from, to) = self.y.split_at_mut(start);
+        let (first, second) = (&from[first..first + len], &from[second..second + len]);
+        let (plus, minus) = to.split_at_mut(len);
+        let (mut a, mut b) = (R::zero(), R::zero());
+        for (at, dof) in dofs.of(now.dof_lists).iter().enumerate() {
+            let inv_d = now.placed.metric.inv_d[*dof];
+            let by = k * second[at];
+            let (up, down) = (first[at] + by, first[at] - by);
+            a += up * up * inv_d;
+            b += down * down * inv_d;
+            (plus[at], minus[at]) = (up, down);
+        }
+        self.push_row(dofs, start, a, one + k * two);
+        self.push_row(dofs, start + len, b, one - k * two);
+    }
+
+    /// Pushes a row with the y of another, which may be taken back already.
+    pub(crate) fn push_again(&mut self, row: &Row<R>) {
+        let start = self.y.len();
+        self.y.extend_from_within(row.y..row.y + row.dofs.len);
+        self.push_row(row.dofs, start, row.a, row.velocity);
+    }
+
+    /// Takes the y from `start` to `end` out, of which the rows from `first` on were made.
+    pub(crate) fn pack(&mut self, first: usize, start: usize, end: usize) {
+        self.y.copy_within(end.., start);
+        self.y.truncate(self.y.len() - (end - start));
+        for row in &mut self.rows[first..] {
+            row.y -= end - start;
+        }
+    }
+}
+
+/// The dofs are those of one free body.
+fn is_free(model: &Model, chain: &[usize]) -> bool {
+    let [first, .., last] = chain else { return false };
+    chain.len() == SIX && *last == first + SIX - 1 && model.dofs[*first].row.len == 1
+}
+
+impl<R: Real> Metric<R> {
+    /// x ← L⁻ᵀ x of N vectors side by side, on an ancestor-closed, ascending list of dofs.
+    #[inline(always)]
+    fn lift_each<const N: usize>(&self, dofs: &[usize], x: &mut [R]) {
+        for &k in dofs.iter().rev() {
+            let factor: [R; N] = core::array::from_fn(|i| x[k * N + i]);
+            for (l, j) in self.row(k) {
+                for (x, factor) in x[j * N..(j + 1) * N].iter_mut().zip(factor) {
+                    *x -= l * factor;
+                }
+            }
+        }
+    }
+
+    /// The same on the six dofs of a free body.
+    #[inline(always)]
+    fn lift_six<const N: usize>(&self, first: usize, x: &mut [[R; N]; SIX]) {
+        for k in (1..SIX).rev() {
+            let l = self.left_of(first + k);
+            let l: &[R] = &l[..k];
+            for at in 0..k {
+                for i in 0..N {
+                    let taken = l[at] * x[k][i];
+                    x[k - 1 - at][i] -= taken;
+                }
+            }
+        }
+    }
+}
