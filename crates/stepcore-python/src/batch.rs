@@ -18,9 +18,10 @@ use crate::gil;
 use crate::memory::Arrays;
 use crate::model::{result, shaped, Model};
 use crate::settings::Settings;
-use crate::sim::{check_body, check_time, contacts, rows, ContactTable, RowTable};
+use crate::sim::{check_body, check_site, check_time, contacts, ray_filter, rows};
+use crate::sim::{ContactTable, RayTable, RowTable};
 use crate::snapshot::{decode, encode, Snapshot};
-use crate::world::{world, Memo, Placed, Solved, World};
+use crate::world::{world, BodyForce, Memo, Placed, Solved, World};
 use crate::worlds::{worlds, Worlds};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
@@ -90,7 +91,7 @@ impl Batch {
     fn again<T: Send>(
         &self,
         py: Python<'_>,
-        read: impl Fn(&dyn World) -> T + Sync,
+        read: impl Fn(&mut dyn World) -> T + Sync,
     ) -> PyResult<Vec<T>> {
         let guard = self.lock()?;
         let (worlds, model, settings) = (&**guard, self.model.clone(), &self.settings);
@@ -99,7 +100,7 @@ impl Batch {
             let mut reader = world(model, settings)?;
             let each = (0..n).map(|world| {
                 worlds.again(world, &mut *reader)?;
-                Ok(read(&*reader))
+                Ok(read(&mut *reader))
             });
             each.collect()
         })
@@ -108,6 +109,13 @@ impl Batch {
     fn solved<'py>(&self, py: Python<'py>, what: Solved, count: usize) -> PyResult<Array<'py>> {
         let all = self.again(py, |world| world.solved(what))?;
         result(py, all.concat(), &[self.arrays.worlds, count])
+    }
+
+    fn body_force<'py>(&self, py: Python<'py>, what: BodyForce) -> PyResult<Array<'py>> {
+        let all = self.again(py, |world| world.body_force(what))?;
+        let all: Result<Vec<Vec<f64>>, Error> = all.into_iter().collect();
+        let shape = [self.arrays.worlds, self.model.bodies.len(), 6];
+        result(py, all.raised(py)?.concat(), &shape)
     }
 
     /// The controls of a play, checked.
@@ -360,6 +368,22 @@ impl Batch {
     fn geom_xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.placed(py, Placed::GeomMat, &[self.model.geoms.len(), 3, 3])
     }
+    #[getter]
+    fn site_xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::SiteMat, &[self.model.sites.len(), 3, 3])
+    }
+    #[getter]
+    fn subtree_com<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::SubtreeCom, &[self.model.bodies.len(), 3])
+    }
+    #[getter]
+    fn cinert<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::Inertias, &[self.model.bodies.len(), 10])
+    }
+    #[getter]
+    fn cvel<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::Velocities, &[self.model.bodies.len(), 6])
+    }
     fn mass_matrix<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.placed(py, Placed::MassMatrix, &[self.model.nv, self.model.nv])
     }
@@ -390,6 +414,19 @@ impl Batch {
         check_body(&self.model, body)?;
         self.placed(py, Placed::Jacobian(body), &[6, self.model.nv])
     }
+    fn site_jacobian<'py>(&self, py: Python<'py>, site: usize) -> PyResult<Array<'py>> {
+        check_site(&self.model, site)?;
+        self.placed(py, Placed::SiteJacobian(site), &[6, self.model.nv])
+    }
+    fn point_jacobian<'py>(
+        &self,
+        py: Python<'py>,
+        body: usize,
+        point: [f64; 3],
+    ) -> PyResult<Array<'py>> {
+        check_body(&self.model, body)?;
+        self.placed(py, Placed::PointJacobian(body, point), &[6, self.model.nv])
+    }
 
     // Of the last solve, which is done again for them.
 
@@ -400,6 +437,59 @@ impl Batch {
     #[getter]
     fn actuator_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.solved(py, Solved::ActuatorForce, self.model.actuators.len())
+    }
+    #[getter]
+    fn cfrc_ext<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.body_force(py, BodyForce::External)
+    }
+    #[getter]
+    fn cfrc_int<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.body_force(py, BodyForce::Internal)
+    }
+    #[getter]
+    fn cacc<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.body_force(py, BodyForce::Acceleration)
+    }
+    /// The forces that give accelerations (n, nv), by default those of the last solves.
+    #[pyo3(signature = (qacc = None))]
+    fn inverse<'py>(&self, py: Python<'py>, qacc: Option<Vec<f64>>) -> PyResult<Array<'py>> {
+        let (guard, nv) = (self.lock()?, self.model.nv);
+        let worlds = &**guard;
+        let qacc = qacc.unwrap_or_else(|| worlds.qacc());
+        let mut all = Vec::new();
+        let mut reader = world(self.model.clone(), &self.settings).raised(py)?;
+        self.read(py, |world, given| {
+            worlds.check(world, given)?;
+            all.extend(reader.inverse(given, Some(&qacc[world * nv..][..nv]))?);
+            Ok(())
+        })?;
+        result(py, all, &[self.arrays.worlds, nv])
+    }
+    /// Distances, geoms and normals of as many rays (n, rays, 6) in each world.
+    #[pyo3(signature = (rays, excluded = None, groups = None, moving = false))]
+    fn rays<'py>(
+        &self,
+        py: Python<'py>,
+        rays: Vec<f64>,
+        excluded: Option<usize>,
+        groups: Option<[bool; 6]>,
+        moving: bool,
+    ) -> PyResult<RayTable<'py>> {
+        let (guard, n) = (self.lock()?, self.arrays.worlds);
+        let (worlds, filter) = (&**guard, ray_filter(excluded, groups, moving));
+        let each = rays.len() / n;
+        let (mut dist, mut geom, mut normal) = (Vec::new(), Vec::new(), Vec::new());
+        let mut reader = world(self.model.clone(), &self.settings).raised(py)?;
+        self.read(py, |world, given| {
+            worlds.check(world, given)?;
+            let found = reader.rays(given, &rays[world * each..][..each], &filter)?;
+            dist.extend(found.dist);
+            geom.extend(found.geom);
+            normal.extend(found.normal);
+            Ok(())
+        })?;
+        let count = dist.len();
+        Ok((result(py, dist, &[count])?, geom, result(py, normal, &[count, 3])?))
     }
     /// One of `Sim.contacts` a world.
     fn contacts<'py>(&self, py: Python<'py>) -> PyResult<Vec<ContactTable<'py>>> {

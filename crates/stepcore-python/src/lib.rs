@@ -13,6 +13,7 @@ mod gil;
 mod memory;
 mod model;
 mod nearest;
+mod readings;
 mod scene;
 mod settings;
 mod sim;

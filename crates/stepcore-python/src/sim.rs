@@ -13,6 +13,7 @@ use stepcore::elements::Element;
 use stepcore::model::Model as EngineModel;
 use stepcore::real::Stage;
 use stepcore::sleep::Sleep;
+use stepcore::watch::RayFilter;
 
 use crate::element::{id, Id};
 use crate::errors::{EnergyWarning, Raised};
@@ -22,13 +23,16 @@ use crate::memory::Arrays;
 use crate::model::{result, shaped, Model};
 use crate::settings::Settings;
 use crate::snapshot::{decode, encode};
-use crate::world::{world, Contacts, Memo, Placed, Rows, Solved, World};
+use crate::world::{world, BodyForce, Contacts, Memo, Placed, Rows, Solved, World};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
 /// Elements, geoms; dist, pos, normal, force, torque.
 pub type ContactTable<'py> = (Vec<Id>, Vec<(usize, usize)>, Array<'py>);
 /// Elements, names, blocks; impulse, velocity, target, regulariser, residual, lo, hi.
 pub type RowTable<'py> = (Vec<Id>, Vec<String>, Vec<usize>, Array<'py>);
+
+/// Distances, geoms, normals.
+pub type RayTable<'py> = (Array<'py>, Vec<i64>, Array<'py>);
 
 /// Energy before and after, and gains by element.
 type TapedStep = (f64, f64, Vec<(Id, f64)>);
@@ -58,6 +62,19 @@ pub fn check_body(model: &EngineModel, body: usize) -> PyResult<()> {
         return Ok(());
     }
     Err(PyValueError::new_err(format!("body = {body}: must be below {count}")))
+}
+
+pub fn check_site(model: &EngineModel, site: usize) -> PyResult<()> {
+    let count = model.sites.len();
+    if site < count {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("site = {site}: must be below {count}")))
+}
+
+/// The arguments of `rays` beside the rays, as MuJoCo has them.
+pub fn ray_filter(excluded: Option<usize>, groups: Option<[bool; 6]>, moving: bool) -> RayFilter {
+    RayFilter { excluded, groups, moving }
 }
 
 /// Says what there is to say of a world's energies.
@@ -101,6 +118,13 @@ impl Sim {
         let world = &mut **guard;
         let numbers = self.arrays.read(py, 0, |given| world.placed(given, what)).raised(py)?;
         result(py, numbers, shape)
+    }
+
+    fn body_force<'py>(&self, py: Python<'py>, what: BodyForce) -> PyResult<Array<'py>> {
+        let mut guard = self.lock()?;
+        let world = &mut **guard;
+        let numbers = gil::release(py, || world.body_force(what))?;
+        result(py, numbers, &[self.model.bodies.len(), 6])
     }
 
     fn solved<'py>(&self, py: Python<'py>, what: Solved) -> PyResult<Array<'py>> {
@@ -319,6 +343,22 @@ impl Sim {
     fn site_xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.placed(py, Placed::SitePos, &[self.model.sites.len(), 3])
     }
+    #[getter]
+    fn site_xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::SiteMat, &[self.model.sites.len(), 3, 3])
+    }
+    #[getter]
+    fn subtree_com<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::SubtreeCom, &[self.model.bodies.len(), 3])
+    }
+    #[getter]
+    fn cinert<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::Inertias, &[self.model.bodies.len(), 10])
+    }
+    #[getter]
+    fn cvel<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::Velocities, &[self.model.bodies.len(), 6])
+    }
     fn mass_matrix<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.placed(py, Placed::MassMatrix, &[self.model.nv, self.model.nv])
     }
@@ -349,6 +389,19 @@ impl Sim {
         check_body(&self.model, body)?;
         self.placed(py, Placed::Jacobian(body), &[6, self.model.nv])
     }
+    fn site_jacobian<'py>(&self, py: Python<'py>, site: usize) -> PyResult<Array<'py>> {
+        check_site(&self.model, site)?;
+        self.placed(py, Placed::SiteJacobian(site), &[6, self.model.nv])
+    }
+    fn point_jacobian<'py>(
+        &self,
+        py: Python<'py>,
+        body: usize,
+        point: [f64; 3],
+    ) -> PyResult<Array<'py>> {
+        check_body(&self.model, body)?;
+        self.placed(py, Placed::PointJacobian(body, point), &[6, self.model.nv])
+    }
 
     // Of the last solve.
 
@@ -363,6 +416,43 @@ impl Sim {
     #[getter]
     fn actuator_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.solved(py, Solved::ActuatorForce)
+    }
+    #[getter]
+    fn cfrc_ext<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.body_force(py, BodyForce::External)
+    }
+    #[getter]
+    fn cfrc_int<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.body_force(py, BodyForce::Internal)
+    }
+    #[getter]
+    fn cacc<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.body_force(py, BodyForce::Acceleration)
+    }
+    /// The forces that give an acceleration (nv,), by default that of the last solve.
+    #[pyo3(signature = (qacc = None))]
+    fn inverse<'py>(&self, py: Python<'py>, qacc: Option<Vec<f64>>) -> PyResult<Array<'py>> {
+        let mut guard = self.lock()?;
+        let (world, qacc) = (&mut **guard, qacc.as_deref());
+        let forces = self.arrays.read(py, 0, |given| world.inverse(given, qacc)).raised(py)?;
+        result(py, forces, &[self.model.nv])
+    }
+    /// Distances, geoms and normals of rays (n, 6) at the present state.
+    #[pyo3(signature = (rays, excluded = None, groups = None, moving = false))]
+    fn rays<'py>(
+        &self,
+        py: Python<'py>,
+        rays: Vec<f64>,
+        excluded: Option<usize>,
+        groups: Option<[bool; 6]>,
+        moving: bool,
+    ) -> PyResult<RayTable<'py>> {
+        let mut guard = self.lock()?;
+        let (world, filter) = (&mut **guard, ray_filter(excluded, groups, moving));
+        let found =
+            self.arrays.read(py, 0, |given| world.rays(given, &rays, &filter)).raised(py)?;
+        let count = found.dist.len();
+        Ok((result(py, found.dist, &[count])?, found.geom, result(py, found.normal, &[count, 3])?))
     }
     /// Elements that push, and the generalised force of each.
     fn element_forces<'py>(&self, py: Python<'py>) -> PyResult<(Vec<Id>, Array<'py>)> {

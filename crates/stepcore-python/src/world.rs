@@ -13,7 +13,9 @@ use stepcore::sim::{Effort, Sim};
 use stepcore::sleep::Sleep;
 use stepcore::spatial::V3;
 use stepcore::state::{State, Warm};
-use stepcore::watch::{Counter, Coupling, Linearizer, StepGains, Watched};
+use stepcore::watch::{Counter, Coupling, LastSolve, Linearizer, RayFilter, StepGains, Watched};
+
+use crate::readings::{self, Rays};
 
 /// What is read of the present state.
 #[derive(Clone, Copy)]
@@ -28,6 +30,11 @@ pub enum Placed {
     TendonVelocity,
     TendonJacobian,
     TendonForce,
+    SiteMat,
+    SubtreeCom,
+    /// As `Bodies` has them.
+    Inertias,
+    Velocities,
     MassMatrix,
     Bias,
     Passive,
@@ -35,6 +42,17 @@ pub enum Placed {
     Momentum,
     Overlap,
     Jacobian(usize),
+    SiteJacobian(usize),
+    /// Of the point of a body that is here in the world.
+    PointJacobian(usize, [f64; 3]),
+}
+
+/// What is read of bodies in the last solve.
+#[derive(Clone, Copy)]
+pub enum BodyForce {
+    External,
+    Internal,
+    Acceleration,
 }
 
 /// What is read of the last solve.
@@ -119,6 +137,13 @@ pub trait World: Send {
     fn set_memo(&mut self, memo: &Memo);
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>>;
     fn solved(&self, what: Solved) -> Vec<f64>;
+    /// By body, 6 numbers each; zero before anything was solved.
+    fn body_force(&mut self, what: BodyForce) -> Result<Vec<f64>>;
+    /// Inverse dynamics at the present state; the acceleration is that of the last solve if none
+    /// is given.
+    fn inverse(&mut self, given: &Given, qacc: Option<&[f64]>) -> Result<Vec<f64>>;
+    /// Through the present state: origin and direction, 6 numbers a ray.
+    fn rays(&mut self, given: &Given, rays: &[f64], filter: &RayFilter) -> Result<Rays>;
     fn contacts(&self) -> Contacts;
     /// The generalised force of every element that pushes.
     fn element_forces(&self) -> BTreeMap<Element, Vec<f64>>;
@@ -150,15 +175,26 @@ struct One<R: Real> {
     /// Placed anew whenever something of the present state is read, so that reading
     /// leaves the last solve as it is. Made when first needed.
     reader: Option<Box<Sim<R>>>,
+    last: LastSolve<R>,
 }
 
 impl<R: Real> One<R> {
     fn new(model: Arc<Model>, settings: &Settings) -> Result<Self> {
-        Ok(Self { watched: Watched::new(model, settings.clone())?, reader: None })
+        let last = LastSolve::new(&model);
+        Ok(Self { watched: Watched::new(model, settings.clone())?, reader: None, last })
     }
 
     fn sim(&self) -> &Sim<R> {
         &self.watched.sim
+    }
+
+    /// A solve is over: of a step that was taken, or at a state that stayed.
+    fn note(&mut self, stepped: bool) {
+        if stepped {
+            self.last.stepped(&self.watched.sim);
+        } else {
+            self.last.stayed(&self.watched.sim);
+        }
     }
 }
 
@@ -188,13 +224,19 @@ impl<R: Real> World for One<R> {
         self.sim().state.take(0, array, out);
     }
     fn step(&mut self, n: u64) -> Result<()> {
-        self.watched.step(n)
+        let outcome = self.watched.step(n);
+        if n > 0 {
+            self.note(outcome.is_ok());
+        }
+        outcome
     }
     fn balance_at_end(&mut self, n: u64) -> Result<()> {
         self.watched.balance_at_end(n)
     }
     fn forward(&mut self) -> Result<()> {
-        self.watched.forward()
+        let outcome = self.watched.forward();
+        self.note(false);
+        outcome
     }
     fn take_warning(&mut self) -> Option<String> {
         self.watched.take_warning()
@@ -203,7 +245,9 @@ impl<R: Real> World for One<R> {
         self.watched.unwatch();
     }
     fn taped_step(&mut self) -> Result<StepGains> {
-        self.watched.taped_step(0)
+        let outcome = self.watched.taped_step(0);
+        self.note(outcome.is_ok());
+        outcome
     }
     fn time(&self) -> f64 {
         self.sim().time()
@@ -238,6 +282,25 @@ impl<R: Real> World for One<R> {
             Solved::ConstraintForce => self.sim().constraint_force(0),
             Solved::ActuatorForce => numbers(&self.sim().placed.actuator),
         }
+    }
+
+    fn body_force(&mut self, what: BodyForce) -> Result<Vec<f64>> {
+        let Some(sim) = self.last.again(&self.watched.sim)? else {
+            return Ok(vec![0.0; 6 * self.sim().model().bodies.len()]);
+        };
+        let bodies = sim.bodies(0);
+        Ok(readings::body_force(&sim.body_forces(&bodies, 0), what))
+    }
+
+    fn inverse(&mut self, given: &Given, qacc: Option<&[f64]>) -> Result<Vec<f64>> {
+        let own = numbers(&self.sim().qacc);
+        let reader = self.reader(given)?;
+        reader.forward()?;
+        reader.inverse(qacc.unwrap_or(&own), 0)
+    }
+
+    fn rays(&mut self, given: &Given, rays: &[f64], filter: &RayFilter) -> Result<Rays> {
+        Ok(readings::rays(self.reader(given)?, rays, filter))
     }
 
     fn element_forces(&self) -> BTreeMap<Element, Vec<f64>> {
@@ -350,6 +413,14 @@ fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
         Placed::TendonVelocity => numbers(&sim.tendon_velocity()),
         Placed::TendonJacobian => sim.tendon_jacobian(0),
         Placed::TendonForce => numbers(&sim.tendon_force()),
+        Placed::SiteMat => model
+            .sites
+            .iter()
+            .flat_map(|s| matrix(&sim.attached(s.body, &s.pos, &s.quat).1))
+            .collect(),
+        Placed::SubtreeCom | Placed::Inertias | Placed::Velocities => {
+            readings::bodies(&sim.bodies(0), what)
+        }
         Placed::MassMatrix => sim.mass_matrix(0),
         Placed::Bias => numbers(&sim.placed.bias),
         Placed::Passive => numbers(&sim.placed.passive),
@@ -363,5 +434,11 @@ fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
         }
         Placed::Overlap => vec![sim.overlap().lane(0)],
         Placed::Jacobian(body) => sim.jacobian(body, 0),
+        Placed::SiteJacobian(site) => {
+            let site = &model.sites[site];
+            let (point, _) = sim.attached(site.body, &site.pos, &site.quat);
+            sim.jacobian_at(site.body, &point, 0)
+        }
+        Placed::PointJacobian(body, point) => sim.jacobian_at(body, &V3::from(point.map(R::of)), 0),
     }
 }

@@ -29,7 +29,7 @@ mod tendon_friction;
 mod tendon_limit;
 pub(crate) mod tendon_spring;
 mod text;
-mod weld;
+pub(crate) mod weld;
 
 pub(crate) use anchor::{Anchor, SLIPS};
 pub use forces::joint_forces;

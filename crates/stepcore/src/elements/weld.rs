@@ -14,7 +14,7 @@ use super::equality::Held;
 use crate::model::{Ends, NONE};
 use crate::real::Real;
 use crate::solve::{Rows, Situation};
-use crate::spatial::{rotate, Motion, Quat, V3};
+use crate::spatial::{rotate, Motion, Quat, M3, V3};
 
 impl<R: Real> Rows<R> {
     pub(super) fn weld(&mut self, now: &Situation<R>, index: usize, ends: &Ends, scale: f64) {
@@ -47,11 +47,7 @@ impl<R: Real> Rows<R> {
         let ([v1, v2], [a1, a2]) = ([one, two].map(spin(now)), [one, two].map(spinning_up(now)));
         let (relative, gains) = (v1 - v2, a1 - a2 + v1.cross(&v2));
         let at = placed.xpos[one];
-        for k in 0..3 {
-            let mut axis = V3::zeros();
-            axis[k] = R::one();
-            let local = axis * turn.w + turn.v.cross(&axis);
-            let along = rotate(&matrix, &local) * R::of(0.5 * scale);
+        for (k, along) in axes(&turn, &matrix, scale).into_iter().enumerate() {
             // Body 1 relative to body 2.
             self.turning_jacobian(now, [two, one], equality.dofs, &along);
             self.push_scratch(now, equality.dofs).lo = R::of(f64::NEG_INFINITY);
@@ -63,6 +59,16 @@ impl<R: Real> Rows<R> {
             held[k] = Held { gap, curving: along.dot(&gains) - bent, invweight: ends.invweight[1] };
         }
     }
+}
+
+/// The way along which each row of the turn Q turns, in the world; `matrix` is R_B.
+pub(crate) fn axes<R: Real>(turn: &Quat<R>, matrix: &M3<R>, scale: f64) -> [V3<R>; 3] {
+    [0, 1, 2].map(|k| {
+        let mut axis = V3::zeros();
+        axis[k] = R::one();
+        let local = axis * turn.w + turn.v.cross(&axis);
+        rotate(matrix, &local) * R::of(0.5 * scale)
+    })
 }
 
 /// Angular velocity of a body.

@@ -8,12 +8,14 @@ use crate::error::{Error, Result};
 use crate::scene::{Geom, GeomType, HField, Mesh, MeshInertia, Scene};
 use crate::shapes::height_field::HeightField;
 use crate::shapes::hull::Hull;
+use crate::shapes::ray::Surface;
 use nalgebra::Vector3;
 use std::sync::Arc;
 
 /// A mesh once measured. Its hull is in the mesh's own coordinates.
 struct Measured {
     solid: Arc<Solid>,
+    surface: Arc<Surface>,
     hull: Option<Hull>,
     /// The hull in the frame of the principal axes.
     aligned: Option<Arc<Hull>>,
@@ -26,6 +28,7 @@ pub struct Asset {
     /// Of a mesh that collides.
     pub hull: Option<Arc<Hull>>,
     pub field: Option<Arc<HeightField>>,
+    pub surface: Option<Arc<Surface>>,
 }
 
 /// The geoms of a scene, those of meshes in the frames of their meshes or fitted to them, with
@@ -64,6 +67,7 @@ pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
         place(geom, &known.solid, scene.mass_rules.fit_aabb);
         if geom.kind == GeomType::Mesh {
             asset.solid = Some(known.solid.clone());
+            asset.surface = Some(known.surface.clone());
             asset.hull = known.aligned.clone().filter(|_| collides);
         }
     }
@@ -133,7 +137,21 @@ fn measure(mesh: &Mesh, index: usize) -> Result<Measured> {
         };
         Error::Scene(format!("{}: {words}", label(mesh, index)).into())
     })?;
-    Ok(Measured { solid: Arc::new(solid), hull, aligned: None })
+    let faces = match &hull {
+        Some(hull) if mesh.faces.is_empty() => {
+            Arc::new(hull.triangles.iter().map(|face| face.map(|at| hull.source[at])).collect())
+        }
+        _ => mesh.faces.clone(),
+    };
+    let surface = Surface {
+        vertices: mesh.vertices.clone(),
+        faces,
+        centre: solid.centre,
+        turn: rotation(solid.quat),
+        low: solid.low,
+        high: solid.high,
+    };
+    Ok(Measured { solid: Arc::new(solid), surface: Arc::new(surface), hull, aligned: None })
 }
 
 /// No two faces run along an edge in the same direction: the surface has an outside.

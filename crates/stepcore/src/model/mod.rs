@@ -41,6 +41,7 @@ use crate::real::Real;
 use crate::scene::{Actuator, Coefficients, Features, GeomType, JointType, Key, Softness};
 use crate::shapes::height_field::HeightField;
 use crate::shapes::hull::Hull;
+use crate::shapes::ray::Surface;
 use crate::shapes::{Shape, ShapeTest};
 use crate::spatial::Pose;
 use nalgebra::{Matrix3, Vector3};
@@ -174,6 +175,9 @@ pub struct Geom {
     pub hull: Option<Arc<Hull>>,
     /// Of a height field.
     pub field: Option<Arc<HeightField>>,
+    /// Of a mesh: its triangles, for rays.
+    pub surface: Option<Arc<Surface>>,
+    pub group: i32,
     /// Takes part in some pair, so that its pose is needed.
     pub collides: bool,
 }

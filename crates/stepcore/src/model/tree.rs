@@ -215,6 +215,8 @@ fn geom(source: &crate::scene::Geom, asset: &Asset) -> Geom {
         reach: asset.hull.as_ref().map_or(reach, |hull| hull.reach()),
         hull: asset.hull.clone(),
         field: asset.field.clone(),
+        surface: asset.surface.clone(),
+        group: source.group,
         contype: source.contype,
         conaffinity: source.conaffinity,
         collides: false,

@@ -60,6 +60,16 @@ impl HeightField {
         )
     }
 
+    /// The corners of one of a cell's two triangles, counter-clockwise seen from above.
+    pub(super) fn top(&self, row: usize, col: usize, upper: bool) -> [V3<f64>; 3] {
+        let (first, last) = (self.node(row, col), self.node(row + 1, col + 1));
+        if upper {
+            [first, last, self.node(row + 1, col)]
+        } else {
+            [first, self.node(row, col + 1), last]
+        }
+    }
+
     fn prism(&self, row: usize, col: usize, upper: bool) -> Prism {
         let third = if upper { (row + 1, col) } else { (row, col + 1) };
         let nodes = [(row, col), third, (row + 1, col + 1)];

@@ -26,6 +26,7 @@ mod manifold;
 pub(crate) mod plane;
 mod plane_mesh;
 mod quickhull;
+pub mod ray;
 mod separation;
 mod shape_test;
 mod solid;

@@ -10,6 +10,7 @@ mod bundles;
 mod by_lane;
 mod columns;
 mod hessian;
+mod inverse;
 mod minimise;
 mod nodes;
 mod order;

@@ -1,23 +1,33 @@
 //! The watchers: energy, the ledger, post-mortems, linearisation and counts, around a `Sim`.
 //!
 //! A [`Watched`] is a `Sim` with its recent past, a ledger if the settings ask for one, and an
-//! explanation of every failure. A [`Linearizer`] and a [`Counter`] step a copy in other numbers.
+//! explanation of every failure. `Bodies` and `BodyForces` are what MuJoCo tells of bodies, rays
+//! what they meet, and a [`LastSolve`] solves once more for what a step does not keep. A [`Linearizer`] and a [`Counter`] step a copy in other numbers.
 
+mod bodies;
+mod body_forces;
 mod count;
 mod energy;
+mod inverse;
+mod last_solve;
 mod ledger;
 mod linearize;
 mod past;
 mod post_mortem;
+mod rays;
 mod readout;
 mod tape;
 mod tendons;
 mod watched;
 
+pub use bodies::Bodies;
+pub use body_forces::BodyForces;
 pub use count::Counter;
 pub use energy::Energy;
+pub use last_solve::LastSolve;
 pub(crate) use ledger::{Care, Ledger};
 pub use linearize::Linearizer;
+pub use rays::{first_hit, RayFilter};
 pub use readout::Coupling;
 pub use tape::StepGains;
 pub use watched::Watched;

@@ -32,13 +32,18 @@ impl<R: Real> Sim<R> {
     /// How a body's frame moves with every dof: linear velocity of its origin in 3 rows
     /// of nv numbers, then its angular velocity in 3.
     pub fn jacobian(&self, body: usize, lane: usize) -> Vec<f64> {
+        self.jacobian_at(body, &self.placed.xpos[body], lane)
+    }
+
+    /// The same of the point of the body that is at `point`.
+    pub fn jacobian_at(&self, body: usize, point: &V3<R>, lane: usize) -> Vec<f64> {
         let model = &*self.model;
         let mut rows = vec![0.0; 6 * model.nv];
         let tree = model.bodies[body].tree;
         if tree == NONE {
             return rows;
         }
-        let arm = self.placed.xpos[body] - self.placed.origin[tree];
+        let arm = point - self.placed.origin[tree];
         for &k in model.bodies[body].chain.of(&model.dof_lists) {
             let motion = &self.placed.motion[k];
             let lin = motion.lin + motion.ang.cross(&arm);

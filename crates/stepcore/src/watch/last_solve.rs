@@ -1,0 +1,80 @@
+//! The last solve once more, for what is read of it and was not kept.
+//!
+//! A step leaves the state that it started from behind, and keeps of its solve only what it needs.
+//! Body forces and sensors belong to that state: MuJoCo computes them in `mj_forward`, before it
+//! integrates. They are computed when they are read, by solving there again; that is the same
+//! solve bit for bit but under `midpoint` and `rk4`, whose steps have several.
+
+use crate::error::Result;
+use crate::model::Model;
+use crate::real::Real;
+use crate::room::room;
+use crate::sim::Sim;
+use crate::state::{Inputs, State};
+
+/// The state and the inputs at which a `Sim` last solved.
+pub struct LastSolve<R: Real> {
+    start: State<R>,
+    inputs: Inputs<R>,
+    /// Something was solved.
+    any: bool,
+    again: Option<Box<Sim<R>>>,
+    /// `again` has been placed there, and has solved there.
+    placed: bool,
+    solved: bool,
+}
+
+room!(LastSolve<R>: ; start, inputs, again);
+
+impl<R: Real> LastSolve<R> {
+    pub fn new(model: &Model) -> Self {
+        Self {
+            start: State::new(model),
+            inputs: Inputs::new(model),
+            any: false,
+            again: None,
+            placed: false,
+            solved: false,
+        }
+    }
+
+    /// A step has just been taken.
+    pub fn stepped(&mut self, sim: &Sim<R>) {
+        let (start, before) = (&mut self.start, &sim.next);
+        start.qpos.copy_from_slice(&before.qpos);
+        start.qvel.copy_from_slice(&before.qvel);
+        start.warm.clone_from(&before.warm);
+        before.sleep.copy_to(&mut start.sleep);
+        (start.start, start.steps) = (sim.state.start, sim.state.steps - 1);
+        self.noted(sim);
+    }
+
+    /// `forward` was called, or a step failed, and the state is as it was.
+    pub fn stayed(&mut self, sim: &Sim<R>) {
+        sim.state.copy_to(&mut self.start);
+        self.noted(sim);
+    }
+
+    fn noted(&mut self, sim: &Sim<R>) {
+        sim.inputs.copy_to(&mut self.inputs);
+        (self.any, self.placed, self.solved) = (true, false, false);
+    }
+
+    /// A copy of `sim` that has solved once more; None if nothing was solved yet.
+    pub fn again(&mut self, sim: &Sim<R>) -> Result<Option<&mut Sim<R>>> {
+        if !self.any {
+            return Ok(None);
+        }
+        let again = match &mut self.again {
+            Some(again) => again,
+            none => none.insert(Box::new(Sim::new(sim.model.clone(), sim.settings.clone())?)),
+        };
+        if !self.solved {
+            self.start.copy_to(&mut again.state);
+            self.inputs.copy_to(&mut again.inputs);
+            again.forward()?;
+            (self.placed, self.solved) = (true, true);
+        }
+        Ok(Some(again))
+    }
+}
