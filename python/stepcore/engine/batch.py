@@ -15,10 +15,11 @@ from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, numbers, snapshot
 from stepcore.engine.sim import Momentum
 from stepcore.engine.stepped import Stepped, compiled
-from stepcore.engine.tables import contact_table, row_table
+from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning
 
 if TYPE_CHECKING:
+    import os
     from typing import Unpack
 
     from stepcore.engine.model import Model
@@ -51,7 +52,8 @@ class Batch(Stepped):
 
     An array whose documentation says shape (nq,) has shape (n, nq) here, and so on.
 
-    model: a `Model`, or a `Scene`, which is compiled.
+    model: a `Model`, a `Scene`, which is compiled, or what `stepcore.load` takes, such as the path
+        of an MJCF file.
     n: the number of worlds.
     threads: how many threads step them; by default one a core, or one in all for a batch so small
         that waking threads costs more than it gains.
@@ -83,7 +85,7 @@ class Batch(Stepped):
 
     def __init__(
         self,
-        model: Model | Scene,
+        model: Model | Scene | str | os.PathLike[str],
         n: int,
         threads: int | None = None,
         *,
@@ -192,6 +194,10 @@ class Batch(Stepped):
         """Contacts of each world, a list of n structured arrays; see `Sim.contacts`."""
         names = self._model.geom_names
         return [contact_table(names, *table) for table in self._core.contacts()]
+
+    def contacts_of(self, body: str | int) -> list[NDArray[Any]]:
+        """Contacts of a body in each world, a list of n; see `Sim.contacts_of`."""
+        return [contacts_of_body(table, self._model, body) for table in self.contacts]
 
     @property
     def rows(self) -> list[NDArray[Any]]:

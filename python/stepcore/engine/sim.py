@@ -14,11 +14,12 @@ from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, snapshot
 from stepcore.engine.linearization import Linearization, linearized
 from stepcore.engine.stepped import Stepped, compiled
-from stepcore.engine.tables import contact_table, row_table
+from stepcore.engine.tables import contact_table, contacts_of_body, row_table
 from stepcore.engine.trajectory import Trajectory, record_run
 from stepcore.engine.unsolved import UnsolvedWarning
 
 if TYPE_CHECKING:
+    import os
     from typing import Unpack
 
     from stepcore.engine.model import Model
@@ -56,7 +57,8 @@ class Momentum(NamedTuple):
 class Sim(Stepped):
     """Simulates one world of a model.
 
-    model: a `Model`, or a `Scene`, which is compiled.
+    model: a `Model`, a `Scene`, which is compiled, or what `stepcore.load` takes, such as the path
+        of an MJCF file.
     settings: a `Settings` that replaces the model's own.
     fields: single fields of `Settings` to change, such as ``dt=0.005, solver="pgs"``.
 
@@ -83,7 +85,7 @@ class Sim(Stepped):
 
     def __init__(
         self,
-        model: Model | Scene,
+        model: Model | Scene | str | os.PathLike[str],
         settings: Settings | None = None,
         **fields: Unpack[SettingsFields],
     ) -> None:
@@ -275,6 +277,13 @@ class Sim(Stepped):
         normal and the two tangents.
         """
         return contact_table(self._model.geom_names, *self._core.contacts())
+
+    def contacts_of(self, body: str | int) -> NDArray[Any]:
+        """The entries of `contacts` in which a geom of this body takes part.
+
+        Bodies fixed to it are others. Raises ValueError for an unknown body.
+        """
+        return contacts_of_body(self.contacts, self._model, body)
 
     @property
     def rows(self) -> NDArray[Any]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from abc import abstractmethod
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from stepcore import _core, checks
 from stepcore.engine.views import BodyView, GeomView, JointView, SiteView, TendonView
@@ -15,14 +17,26 @@ if TYPE_CHECKING:
     from stepcore.scene.scene import Scene
 
 
-def compiled(model: Model | Scene) -> Model:
-    """The model, or the compiled model of a scene; ValueError for anything else."""
+# Makes a scene of what `stepcore.load` takes. The readers stand above the engine, which is handed
+# theirs together with the public names `Sim` and `Batch`.
+_readers: list[Callable[[Any], Scene]] = []
+
+
+def read_with(reader: Callable[[Any], Scene]) -> None:
+    """Lets `Sim` and `Batch` take paths, which `reader` reads."""
+    _readers[:] = [reader]
+
+
+def compiled(model: Model | Scene | str | os.PathLike[str]) -> Model:
+    """The model, or the compiled model of a scene or a file; ValueError for anything else."""
     if isinstance(getattr(model, "core", None), _core.Model):
         return model  # type: ignore[return-value]
+    if isinstance(model, (str, os.PathLike)) and _readers:
+        model = _readers[0](model)
     if not hasattr(model, "compile") or not hasattr(model, "to_dict"):
-        limit = "a stepcore.Model or a stepcore.Scene"
+        limit = "a stepcore.Model, a stepcore.Scene or the path of an MJCF file"
         raise ValueError(f"model = {checks.shown(model)}: must be {limit}")
-    return model.compile()
+    return model.compile()  # type: ignore[union-attr]
 
 
 class Stepped(World):

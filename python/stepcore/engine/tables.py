@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from stepcore.engine.model_data import ModelData
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +38,15 @@ def contact_table(
         table[field] = numbers[:, 1 + 3 * k : 4 + 3 * k]
     table.flags.writeable = False
     return table
+
+
+def contacts_of_body(
+    table: NDArray[Any], model: ModelData, body: str | int
+) -> NDArray[Any]:
+    """The contacts of a table in which a geom of this body takes part."""
+    index = model.index("body", body)
+    touching = [model.geom_body[table[geom]] == index for geom in ("geom1", "geom2")]
+    return table[touching[0] | touching[1]]
 
 
 def row_table(

@@ -23,7 +23,9 @@ Control = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
 RECORDED = (
     *("qpos", "qvel", "act", "ctrl", "qfrc_applied", "xfrc_applied"),
-    *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos", "ten_length", "ten_velocity"),
+    *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat"),
+    *("ten_length", "ten_velocity"),
+    *("subtree_com", "cinert", "cvel", "cacc", "cfrc_ext", "cfrc_int"),
     *("energy", "momentum", "overlap", "bias", "passive"),
     *("qacc", "residual", "constraint_force", "actuator_force", "sweeps_done", "row_updates"),
     "unrecovered_overlap",

@@ -71,6 +71,11 @@ class BodyView(_View):
         return self._sim.jacobian(self.index)
 
     @property
+    def subtree_com(self) -> Floats:
+        """Centre of mass of the body with all that hangs on it [m], shape (3,)."""
+        return self._sim.subtree_com[..., self.index, :]
+
+    @property
     def mass(self) -> float:
         """Mass of the body [kg]."""
         return float(self._sim.model.body_mass[self.index])
@@ -167,6 +172,23 @@ class SiteView(_View):
     def xpos(self) -> Floats:
         """Position of the site [m], shape (3,)."""
         return self._sim.site_xpos[..., self.index, :]
+
+    @property
+    def xmat(self) -> Floats:
+        """Orientation of the site as a rotation matrix, shape (3, 3)."""
+        return self._sim.site_xmat[..., self.index, :, :]
+
+    @property
+    def jacobian(self) -> Floats:
+        """Jacobian of the site's frame, shape (6, nv); see `Sim.jacobian`."""
+        jacobian: Floats = self._sim._core.site_jacobian(self.index)
+        return jacobian
+
+    @property
+    def velocity(self) -> Floats:
+        """Velocity of the site [m/s], then its angular velocity [rad/s], shape (6,)."""
+        velocity: Floats = self.jacobian @ self._sim.qvel[..., None]
+        return velocity[..., 0]
 
 
 class TendonView(_View):

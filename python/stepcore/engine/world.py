@@ -7,10 +7,15 @@ run need only this.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from stepcore import checks
-from stepcore.engine.arrays import Floats, Readout, StateArray
+from stepcore.engine.arrays import Floats, Readout, StateArray, numbers
+from stepcore.engine.rays import RayHits, ray_hits
 
 if TYPE_CHECKING:
     from stepcore._core import Settings
@@ -48,6 +53,20 @@ class World(checks.KnownNames, ABC):
         "Force of each tendon's spring and damper, positive where it lengthens it [N], "
         "shape (ntendon,)."
     )
+    site_xmat = Readout("Orientation of each site as a rotation matrix, shape (nsite, 3, 3).")
+    subtree_com = Readout(
+        "Centre of mass of each body with all that hangs on it [m], shape (nbody, 3)."
+    )
+    cinert = Readout(
+        "Inertia of each body about c, the centre of mass of the tree that it is in: "
+        "xx, yy, zz, xy, xz, yz [kg·m²], then its mass times the way from c to its own centre "
+        "[kg·m], then its mass [kg]; shape (nbody, 10). A tree is all that hangs on one child of "
+        "the world, and c is that child's `subtree_com`. Zero for the world."
+    )
+    cvel = Readout(
+        "Velocity of each body: angular [rad/s], then linear, of the point of the body at c (see "
+        "`cinert`) [m/s], in world axes; shape (nbody, 6)."
+    )
     bias = Readout(
         "Coriolis, centrifugal and gravity forces [N or N·m], shape (nv,); on the left-hand side "
         "of the equation of motion, M qacc + bias = forces."
@@ -60,6 +79,19 @@ class World(checks.KnownNames, ABC):
     qacc = Readout("Accelerations of the last solve [m/s² or rad/s²], shape (nv,).")
     constraint_force = Readout(
         "Force of all constraint rows on the dofs, Jᵀλ/dt [N or N·m], shape (nv,)."
+    )
+    cacc = Readout(
+        "Acceleration of each body in the last solve, written as `cvel` is [rad/s², m/s²], shape "
+        "(nbody, 6). Gravity counts as an upward acceleration: a body at rest has +9.81. The "
+        "linear part is the rate of `cvel`, not of a point that moves along: a sensor gives that."
+    )
+    cfrc_ext = Readout(
+        "Applied forces, contacts and body equalities on each body in the last solve: moment about "
+        "c (see `cinert`) [N·m], then force [N], in world axes; shape (nbody, 6)."
+    )
+    cfrc_int = Readout(
+        "What each body's parent exerts on it in the last solve, written as `cfrc_ext` is, shape "
+        "(nbody, 6)."
     )
     actuator_force = Readout("Force of each actuator before its gear [N or N·m], shape (nu,).")
 
@@ -106,11 +138,89 @@ class World(checks.KnownNames, ABC):
         matrix: Floats = self._core.mass_matrix()
         return matrix
 
-    def jacobian(self, body: str | int) -> Floats:
+    def jacobian(self, body: str | int, point: ArrayLike | None = None) -> Floats:
         """Returns the Jacobian of a body's frame, shape (6, nv), in world axes.
 
-        Times qvel, its first three rows give the velocity of the frame's origin [m/s] and the last
-        three its angular velocity [rad/s]. Raises ValueError for an unknown body.
+        point: the point of the body that is here in the world [m], shape (3,), instead of the
+            frame's origin.
+
+        Times qvel, its first three rows give the velocity of the point [m/s] and the last three
+        the angular velocity [rad/s]. Raises ValueError for an unknown body. `Sim.site` gives that
+        of a site.
         """
-        jacobian: Floats = self._core.jacobian(self.model.index("body", body))
-        return jacobian
+        index = self.model.index("body", body)
+        if point is None:
+            jacobian: Floats = self._core.jacobian(index)
+            return jacobian
+        place = numbers("point", point)
+        if place.shape != (3,) or not np.isfinite(place).all():
+            raise ValueError(f"point = {checks.shown(point)}: must be 3 finite numbers")
+        at_point: Floats = self._core.point_jacobian(index, place.tolist())
+        return at_point
+
+    def inverse(self, qacc: ArrayLike | None = None) -> Floats:
+        """Returns the forces that give an acceleration at the present state, shape (nv,).
+
+        qacc: the acceleration [m/s² or rad/s²], shape (nv,); by default that of the last solve.
+
+        These are the generalised forces that actuators and applied forces must give together [N or
+        N·m]: M qacc + bias − passive − Jᵀf, where f are the constraint forces that follow from the
+        acceleration (MuJoCo's `mj_inverse`). Nothing changes.
+
+        Raises ValueError for a qacc of another shape, and under laws other than "solref", whose
+        rows have no such forces.
+
+        >>> from stepcore import Scene, Sim
+        >>> scene = Scene()
+        >>> ball = scene.add_body("ball")
+        >>> _ = scene.add_joint(ball, "slide", axis=(0, 0, 1))
+        >>> _ = scene.add_geom(ball, "sphere", 0.1, mass=2.0)
+        >>> Sim(scene).inverse([1.0]).round(2).tolist()
+        [21.62]
+        """
+        shape = self._arrays["qvel"].shape
+        if qacc is None:
+            own: Floats = self._core.inverse()
+            return own
+        table = numbers("qacc", qacc)
+        if table.shape != shape:
+            raise ValueError(f"qacc has shape {table.shape}: must be {shape}")
+        if not np.isfinite(table).all():
+            raise ValueError("qacc: must be finite")
+        forces: Floats = self._core.inverse(table.ravel())
+        return forces
+
+    def ray(
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        *,
+        exclude: str | int | None = None,
+        groups: Sequence[int] | None = None,
+        static: bool = True,
+    ) -> RayHits:
+        """Returns what rays meet first at the present state.
+
+        origin, direction: where each ray starts [m] and where it goes, in world axes, shape (…, 3);
+            they broadcast against each other, so that one origin serves many directions. In a
+            `Batch` the first axis is the world, and (3,) stands for all of them.
+        exclude: a body whose geoms are not seen.
+        groups: the groups (0 to 5) whose geoms are seen; None sees all.
+        static: False leaves out geoms that are fixed to the world.
+
+        As MuJoCo's `mj_ray`: a ray that starts inside a geom finds its surface from within, planes
+        are seen from their front and within their size, meshes are met at their triangles. Geoms
+        of a file that only draw and are meshes or height fields are not in the scene, and not seen.
+
+        Raises ValueError for shapes that do not broadcast, a direction without length and an
+        unknown body.
+
+        >>> from stepcore import Scene, Sim
+        >>> scene = Scene()
+        >>> _ = scene.add_geom("world", "sphere", 0.5, name="ball")
+        >>> hits = Sim(scene).ray((0, 0, 2), [(0, 0, -1), (1, 0, 0)])
+        >>> hits.distance.tolist(), hits.geom.tolist()
+        ([1.5, -1.0], [0, -1])
+        """
+        worlds = self._arrays["qpos"].shape[:-1]
+        return ray_hits(self, worlds, origin, direction, exclude, groups, static)

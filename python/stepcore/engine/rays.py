@@ -1,0 +1,86 @@
+"""Rays: which geom each meets first, and how far away."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stepcore import checks
+from stepcore.engine.arrays import Floats, numbers
+
+if TYPE_CHECKING:
+    from stepcore.engine.world import World
+
+GROUPS = 6
+
+
+class RayHits(NamedTuple):
+    """What rays meet first; the shape (…) is that of the rays.
+
+    distance: in lengths of each ray's direction, which are metres for a unit vector; −1 where the
+        ray meets nothing. Shape (…).
+    geom: index of the geom, −1 where the ray meets nothing. Shape (…).
+    normal: the surface's outward unit normal in world axes, zero where the ray meets nothing.
+        Shape (…, 3).
+    """
+
+    distance: Floats
+    geom: NDArray[np.int64]
+    normal: Floats
+
+
+def ray_hits(
+    world: World,
+    worlds: tuple[int, ...],
+    origin: ArrayLike,
+    direction: ArrayLike,
+    exclude: str | int | None,
+    groups: Sequence[int] | None,
+    static: bool,
+) -> RayHits:
+    """See `World.ray`. worlds: () for one world, (n,) for n."""
+    ends = [_vectors(name, value) for name, value in (("origin", origin), ("direction", direction))]
+    if not ends[1].any(axis=-1).all():
+        raise ValueError("direction = (0, 0, 0): must have a length")
+    try:
+        shape = np.broadcast_shapes(*(end.shape for end in ends), (*worlds, *(1,) * _more(ends)))
+    except ValueError:
+        shapes = " and ".join(str(end.shape) for end in ends)
+        limit = "shapes that broadcast" + (f", with {worlds[0]} worlds first" if worlds else "")
+        raise ValueError(f"origin and direction have shapes {shapes}: must have {limit}") from None
+    rays = np.concatenate([np.broadcast_to(end, (*shape[:-1], 3)) for end in ends], axis=-1)
+    excluded = None if exclude is None else world.model.index("body", exclude)
+    seen = None if groups is None else _groups(groups)
+    distance, geom, normal = world._core.rays(
+        np.ascontiguousarray(rays).ravel(), excluded, seen, not checks.flag("ray", "static", static)
+    )
+    lead = shape[:-1]
+    found = np.array(geom, dtype=np.int64).reshape(lead)
+    return RayHits(distance.reshape(lead), found, normal.reshape((*lead, 3)))
+
+
+def _more(ends: list[Any]) -> int:
+    """Axes of the rays behind that of the worlds."""
+    return max(max(end.ndim for end in ends) - 1, 1)
+
+
+def _vectors(name: str, value: ArrayLike) -> Floats:
+    table = numbers(name, value)
+    if table.ndim == 0 or table.shape[-1] != 3:
+        raise ValueError(f"{name} has shape {table.shape}: must be (…, 3)")
+    if not np.isfinite(table).all():
+        raise ValueError(f"{name}: must be finite")
+    return table
+
+
+def _groups(groups: Sequence[int]) -> list[bool]:
+    """By group whether its geoms are seen."""
+    seen = [False] * GROUPS
+    for group in groups:
+        if isinstance(group, bool) or group not in range(GROUPS):
+            raise checks.refuse("ray", "groups", groups, f"integers from 0 to {GROUPS - 1}")
+        seen[group] = True
+    return seen
