@@ -40,9 +40,7 @@ def contact_table(
     return table
 
 
-def contacts_of_body(
-    table: NDArray[Any], model: ModelData, body: str | int
-) -> NDArray[Any]:
+def contacts_of_body(table: NDArray[Any], model: ModelData, body: str | int) -> NDArray[Any]:
     """The contacts of a table in which a geom of this body takes part."""
     index = model.index("body", body)
     touching = [model.geom_body[table[geom]] == index for geom in ("geom1", "geom2")]
