@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from stepcore.engine.plan import Plan as Plan
     from stepcore.engine.plan import PlanEntry as PlanEntry
     from stepcore.engine.postmortem import PostMortem as PostMortem
+    from stepcore.engine.rays import RayHits as RayHits
     from stepcore.engine.replay import Replay as Replay
     from stepcore.engine.replay import replay as replay
     from stepcore.engine.sim import Energy as Energy
@@ -114,6 +115,7 @@ _MODULES = {
         "PlanEntry",
     ),
     "stepcore.engine.postmortem": ("PostMortem",),
+    "stepcore.engine.rays": ("RayHits",),
     "stepcore.engine.replay": (
         "Replay",
         "replay",

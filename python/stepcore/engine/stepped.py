@@ -36,7 +36,7 @@ def compiled(model: Model | Scene | str | os.PathLike[str]) -> Model:
     if not hasattr(model, "compile") or not hasattr(model, "to_dict"):
         limit = "a stepcore.Model, a stepcore.Scene or the path of an MJCF file"
         raise ValueError(f"model = {checks.shown(model)}: must be {limit}")
-    return model.compile()  # type: ignore[union-attr]
+    return model.compile()
 
 
 class Stepped(World):
