@@ -94,9 +94,8 @@ impl<R: Real> Sim<R> {
             let moment: V3<f64> = if scale == 0.0 {
                 V3::zeros()
             } else {
-                let [a, b] = [0, 1].map(|k| {
-                    bodies.xquat[ends.bodies[k]].mul(&Quat::splat(&ends.quat[k]))
-                });
+                let [a, b] =
+                    [0, 1].map(|k| bodies.xquat[ends.bodies[k]].mul(&Quat::splat(&ends.quat[k])));
                 let along = axes(&b.conjugate().mul(&a), &b.matrix(), scale);
                 (0..3).map(|k| along[k] * force(3 + k)).sum()
             };
