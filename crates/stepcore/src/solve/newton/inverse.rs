@@ -19,7 +19,7 @@ impl<R: Real> Rows<R> {
             match block.set {
                 Set::Interval => {
                     for ((impulse, row), w) in own.iter_mut().zip(rows).zip(w) {
-                        *impulse = interval(row, row.c.recip_or_zero(), w).0;
+                        *impulse = interval([row.lo, row.hi], row.c.recip_or_zero(), w).0;
                     }
                 }
                 Set::Convex if rows.len() <= NARROW => {
