@@ -8,7 +8,10 @@ import numpy as np
 import stepcore as sc
 
 LAWS = ("solref", "solref", "lesson", "relaxed", "rigid", "penalty")
-INTEGRATORS = ("semi-implicit", "euler", "implicitfast", "midpoint", "rk4")
+INTEGRATORS = (
+    *("semi-implicit", "euler", "implicitfast", "implicit", "discrete"),
+    *("midpoint", "rk4"),
+)
 FLOOR = '<geom type="plane" size="1 1 1"/>'
 KINDS = ("dropped", "pressed", "spun", "servos", "motors", "pushed", "sprung", "loop")
 

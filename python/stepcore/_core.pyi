@@ -15,7 +15,9 @@ __all__ = ["Batch", "EnergyWarning", "Model", "Settings", "Sim", "SimulationErro
 _Floats = NDArray[np.float64]
 # Kind, index, part; part -1 is the whole element.
 _Element = tuple[str, int, int]
-_Integrator = Literal["explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4"]
+_Integrator = Literal[
+    "explicit", "semi-implicit", "euler", "implicitfast", "implicit", "discrete", "midpoint", "rk4"
+]
 _Solver = Literal["pgs", "newton"]
 _Acceleration = Literal["none", "momentum"]
 _Precision = Literal["f32", "f64"]
@@ -110,7 +112,7 @@ class Settings:
     @property
     def integrator(self) -> str:
         """Integrator: "explicit", "semi-implicit", "euler" (semi-implicit with implicit joint
-        damping), "implicitfast", "midpoint" or "rk4"."""
+        damping), "implicitfast", "implicit", "discrete", "midpoint" or "rk4"."""
 
     @property
     def solver(self) -> str:

@@ -14,11 +14,14 @@ from zoo import ZOO
 import stepcore as sc
 from stepcore import Sim
 
-INTEGRATORS = ("explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4")
+INTEGRATORS = (
+    *("explicit", "semi-implicit", "euler", "implicitfast"),
+    *("implicit", "discrete", "midpoint", "rk4"),
+)
 SWEPT = {"solver": "pgs", "sweeps": 6, "tolerance": 0.0}
 TO_ROUNDING = {"solver": "pgs", "sweeps": 3000, "tolerance": 1e-13}
 NUMERICS = [
-    *({"integrator": name} for name in INTEGRATORS),
+    *({"integrator": name} for name in INTEGRATORS if name not in ("implicit", "discrete")),
     {"cone": "elliptic"},
     {"integrator": "rk4", "cone": "elliptic"},
     {"cone": "elliptic", **SWEPT},
@@ -29,6 +32,9 @@ NUMERICS = [
     {"law": "lesson", "softness": 1e-3, **SWEPT},
     {"law": "relaxed", "softness": 1e-3, "cone": "elliptic", **SWEPT},
     {"law": "penalty", "penalty_stiffness": 3e3, "solver": "pgs"},
+    {"integrator": "implicit"},
+    {"integrator": "discrete"},
+    {"integrator": "discrete", "cone": "elliptic", **TO_ROUNDING},
 ]
 SCENES = (
     "ball_joints",
@@ -127,6 +133,8 @@ def test_spring_and_damper(integrator):
         "semi-implicit": late @ kick,
         "euler": late @ implicit,
         "implicitfast": late @ implicit,
+        "implicit": late @ implicit,
+        "discrete": late @ np.array([[1, 0], np.array([-h * k, m]) / (m + h * d + h * h * k)]),
         "midpoint": np.linalg.solve(one - z / 2, one + z / 2),
         "rk4": one + z @ (one + z @ (one / 2 + z @ (one / 6 + z / 24))),
     }[integrator]
@@ -183,7 +191,11 @@ def test_rotation_springs_at_rest(integrator):
     step = Sim(scene).linearize()
     inertia = 3.0 * 2 * 0.1**2 / 3
     wanted = -0.01 * 4.0 / inertia
-    share = {"midpoint": 1 / (1 - 0.25 * 0.01 * wanted), "rk4": 1 + 0.01 * wanted / 6}
+    share = {
+        "discrete": 1 / (1 - 0.01 * wanted),
+        "midpoint": 1 / (1 - 0.25 * 0.01 * wanted),
+        "rk4": 1 + 0.01 * wanted / 6,
+    }
     got = step.A[3:, :3]
     assert abs(got - wanted * share.get(integrator, 1.0) * np.eye(3)).max() < 1e-12
     assert step.labels == ("hip turn x", "hip turn y", "hip turn z")
@@ -274,7 +286,7 @@ def test_one_sided_where_friction_just_holds(law):
 
 
 @pytest.mark.parametrize("name", ["half_cheetah", "hopper", "walker2d"])
-@pytest.mark.parametrize("integrator", ["euler", "implicitfast"])
+@pytest.mark.parametrize("integrator", ["euler", "implicitfast", "implicit"])
 def test_mujoco_differences_its_own_step_to_the_same(name, integrator):
     """A and B of `mjd_transitionFD`, which has the same coordinates, on the ground: to what
     central differences of size 1e-6 can tell."""

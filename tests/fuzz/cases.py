@@ -22,7 +22,10 @@ import stepcore as sc
 # What a user is promised for bad input and for motions that diverge.
 PROMISED = (ValueError, FileNotFoundError, IsADirectoryError, sc.SimulationError)
 LAWS = ("solref", "lesson", "relaxed", "rigid", "penalty")
-INTEGRATORS = ("explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4")
+INTEGRATORS = (
+    *("explicit", "semi-implicit", "euler", "implicitfast"),
+    *("implicit", "discrete", "midpoint", "rk4"),
+)
 EXTREMES = (0.0, 1e-300, 1e-12, 1e-3, 0.7, 3.0, 1e3, 1e8, 1e40, 1e140, 1e154, 1e308)
 ODD = (
     *("", "nan", "inf", "-1", "0", "1e308", "1e-320", "1e400", "a", "0 0 0", "1 2 3 4 5 6 7 8"),

@@ -27,6 +27,8 @@ WAYS = {
     "newton": {"solver": "newton", "sweeps": 50},
     "newton elliptic": {"solver": "newton", "cone": "elliptic", "impratio": 4.0},
     "pgs": PGS | {"integrator": "implicitfast"},
+    "implicit": {"integrator": "implicit"},
+    "discrete": PGS | {"integrator": "discrete"},
     "pgs elliptic tolerance": PGS | {"cone": "elliptic", "tolerance": 2.0**-20},
     "momentum": PGS | {"acceleration": "momentum", "integrator": "rk4"},
     "rigid": PGS | {"law": "rigid", "cone": "elliptic", "integrator": "semi-implicit"},

@@ -123,7 +123,8 @@ def slider(cone="elliptic", impratio=1.0, condim=3, mu=0.5, dt=0.002, **options)
 
 
 @pytest.mark.parametrize(
-    "integrator", ["semi-implicit", "euler", "implicitfast", "rk4", "midpoint"]
+    "integrator",
+    ["semi-implicit", "euler", "implicitfast", "implicit", "discrete", "rk4", "midpoint"],
 )
 @pytest.mark.parametrize("impratio", [1.0, 7.0])
 def test_a_held_load_rests_on_its_spring(integrator, impratio):

@@ -21,7 +21,8 @@ def gears(ratio, first=0.4, second=0.1):
 
 
 @pytest.mark.parametrize(
-    "integrator", ("semi-implicit", "euler", "implicitfast", "rk4", "midpoint")
+    "integrator",
+    ("semi-implicit", "euler", "implicitfast", "implicit", "discrete", "rk4", "midpoint"),
 )
 def test_geared_flywheels_under_torque(integrator):
     """τ on the first of I₁, I₂ at a ratio r: q̈₁ = τ / (I₁ + r² I₂), and q₂ = r q₁ to rounding."""

@@ -12,7 +12,10 @@ from stepcore.measure.diagnosis.control_probe import with_feedback
 from stepcore.measure.diagnosis.linear_motion import linear_motion
 from stepcore.measure.diagnosis.linear_step import State, step_map
 
-INTEGRATORS = ("explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4")
+INTEGRATORS = (
+    *("explicit", "semi-implicit", "euler", "implicitfast"),
+    *("implicit", "discrete", "midpoint", "rk4"),
+)
 INERTIA, KP, KD = 0.115, 2000.0, 20.0
 QUIET = {"horizon": 1.0, "threads": 1, "progress": False}
 

@@ -178,7 +178,7 @@ def same_options(scene: Scene, plain: dict, model: Any) -> None:
     assert options.get("impratio", 1.0) == model.opt.impratio
     assert options.get("sweeps", 100) == model.opt.iterations
     assert options.get("cone", "pyramidal") == ("pyramidal", "elliptic")[model.opt.cone]
-    integrators = {0: "euler", 1: "rk4", 3: "implicitfast"}
+    integrators = {0: "euler", 1: "rk4", 2: "implicit", 3: "implicitfast", 4: "discrete"}
     assert options.get("integrator", "euler") == integrators[model.opt.integrator]
     assert options.get("solver", "newton") == ("pgs", "newton", "newton")[model.opt.solver]
     warm = not model.opt.disableflags & bits.mjDSBL_WARMSTART

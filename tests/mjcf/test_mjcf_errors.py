@@ -261,8 +261,6 @@ UNBUILT = {
     ),
     "own damping": ('<joint name="j"/>', '<actuator><motor joint="j" damping="1"/></actuator>'),
     "fluid": ("", '<option density="1"/>'),
-    'integrator "implicit"': ("", '<option integrator="implicit"/>'),
-    'integrator "discrete"': ("", '<option integrator="discrete"/>'),
     "actuatorgroupdisable": ("", '<option actuatorgroupdisable="1"/>'),
     "fusestatic": ("", '<compiler fusestatic="true"/>'),
     "alignfree": ("", '<compiler alignfree="true"/>'),

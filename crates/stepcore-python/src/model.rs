@@ -331,6 +331,7 @@ impl Model {
         plan.set_item("constant", trees.clone().map(|t| t.constant).collect::<Vec<_>>())?;
         plan.set_item("seen", trees.clone().map(|t| t.seen).collect::<Vec<_>>())?;
         plan.set_item("damped", m.damped())?;
+        plan.set_item("sloped", m.sloped())?;
         plan.set_item("damped_by_any", m.damped_by_any())?;
         plan.set_item("free", trees.clone().map(|t| m.free_alone(t)).collect::<Vec<_>>())?;
         plan.set_item("gyroscopic", trees.map(|t| m.gyroscopic(t)).collect::<Vec<_>>())?;

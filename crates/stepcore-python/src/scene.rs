@@ -2,9 +2,9 @@
 
 use pyo3::prelude::*;
 use stepcore::scene::{
-    Actuator, Body, ContactOverride, Dynamics, Equality, EqualityType, ExplicitPair, Features, Frame, Geom,
-    GeomType, HField, Inertial, Joint, JointType, Key, MassRules, Mesh, MeshInertia, Scene, Site,
-    Softness, Stop, Tendon,
+    Actuator, Body, ContactOverride, Dynamics, Equality, EqualityType, ExplicitPair, Features,
+    Frame, Geom, GeomType, HField, Inertial, Joint, JointType, Key, MassRules, Mesh, MeshInertia,
+    Scene, Site, Softness, Stop, Tendon,
 };
 
 use crate::extract::{record, refuse, At, Read, Record};

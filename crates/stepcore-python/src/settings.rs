@@ -175,7 +175,7 @@ settings! {
     /// Time step [s], > 0.
     dt: f64,
     /// Integrator: "explicit", "semi-implicit", "euler" (semi-implicit with implicit joint
-    /// damping), "implicitfast", "midpoint" or "rk4".
+    /// damping), "implicitfast", "implicit", "discrete", "midpoint" or "rk4".
     integrator: Integrator,
     /// Solver of the constraint rows: "pgs" (projected Gauss-Seidel) or "newton".
     solver: Solver,

@@ -35,6 +35,10 @@ named!(
         Euler = "euler",
         /// MuJoCo's implicitfast: velocity derivatives implicit, symmetrised.
         ImplicitFast = "implicitfast",
+        /// MuJoCo's implicit: Coriolis and centrifugal forces too, unsymmetric.
+        Implicit = "implicit",
+        /// Rows solved in the metric M + dt·D + dt²·K, in which stiffness and damping are implicit.
+        Discrete = "discrete",
         /// Implicit midpoint, solved to rounding.
         Midpoint = "midpoint",
         /// Classical Runge-Kutta of fourth order.

@@ -15,7 +15,7 @@ use crate::error::{Divergence, Error, Fault, Result};
 use crate::model::Model;
 use crate::place::Placed;
 use crate::real::{Mask, Real};
-use crate::settings::{Law, Settings, Solver};
+use crate::settings::{Integrator, Law, Settings, Solver};
 use crate::sleep::{last_impulses, Sleeper};
 use crate::solve::{Report, Rows, Solve, Solvers, Unconstrained};
 use crate::state::{Inputs, State};
@@ -110,16 +110,17 @@ impl<R: Real> Sim<R> {
             let limit = "1 with sleep: each world sleeps by itself";
             return Err(Error::value("lanes", R::LANES, limit));
         }
+        let effective = settings.integrator == Integrator::Discrete;
         Ok(Self {
             state: State::new(&model),
             inputs: Inputs::new(&model),
-            placed: Placed::new(&model),
+            placed: Placed::new(&model, effective.then(|| R::of(settings.dt))),
             detected: Detected::new(&model, settings.max_contacts),
             rows: Rows::new(&model),
             velocity: vec![R::zero(); model.nv],
             qacc: vec![R::zero(); model.nv],
             effort: Effort::default(),
-            next: Next::new(&model),
+            next: Next::new(&model, settings.integrator),
             solver: Box::new(Solvers::new()),
             sleeper: if settings.sleep { Sleeper::new(&model) } else { Sleeper::default() },
             clock: Clock::new(settings.dt),

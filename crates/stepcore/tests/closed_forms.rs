@@ -58,6 +58,8 @@ fn a_spring_under_each_integrator() {
         (Integrator::SemiImplicit, 1.049_825_516_576_3, 1e-12),
         (Integrator::Midpoint, 1.0, 1e-12),
         (Integrator::Rk4, 0.999_972_257_33, 1e-11),
+        // Backward Euler: 1/(1 + ω²dt²) a step.
+        (Integrator::Discrete, 1.01_f64.powi(-2000), 1e-11),
     ];
     for (integrator, ratio, tolerance) in table {
         let mut sim = sim(&scene, Settings { dt: 0.01, integrator, ..Settings::default() });

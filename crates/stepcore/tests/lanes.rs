@@ -124,6 +124,8 @@ by_integrator! {
     semi_implicit: Integrator::SemiImplicit,
     euler: Integrator::Euler,
     implicitfast: Integrator::ImplicitFast,
+    implicit: Integrator::Implicit,
+    discrete: Integrator::Discrete,
     midpoint: Integrator::Midpoint,
     rk4: Integrator::Rk4,
 }
@@ -136,7 +138,8 @@ fn cold_starts() {
 
 #[test]
 fn newton() {
-    for integrator in [Integrator::Euler, Integrator::ImplicitFast, Integrator::Rk4] {
+    let implicit = [Integrator::ImplicitFast, Integrator::Implicit, Integrator::Discrete];
+    for integrator in implicit.into_iter().chain([Integrator::Euler, Integrator::Rk4]) {
         check(Law::SolRef, integrator, |s| (s.solver, s.sweeps) = (Solver::Newton, 50.into()));
     }
 }

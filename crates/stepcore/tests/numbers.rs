@@ -14,11 +14,13 @@ use stepcore::sim::Sim;
 
 use scenes::{put, start};
 
-const INTEGRATORS: [Integrator; 6] = [
+const INTEGRATORS: [Integrator; 8] = [
     Integrator::Explicit,
     Integrator::SemiImplicit,
     Integrator::Euler,
     Integrator::ImplicitFast,
+    Integrator::Implicit,
+    Integrator::Discrete,
     Integrator::Midpoint,
     Integrator::Rk4,
 ];

@@ -7,7 +7,10 @@ springs and dampers, M dv' = −K dq − D dv, J is [[0, 1], [−M⁻¹K, −M�
     rk4                     A = 1 + z + z²/2 + z³/6 + z⁴/24, z = h J
     midpoint                A = (1 − z/2)⁻¹ (1 + z/2)
     semi-implicit           v⁺ = v + h J_v x, then q⁺ = q + h (J_qq q + J_qv v⁺)
-    euler, implicitfast     the same with v⁺ = v + h (M + h D̂)⁻¹ M J_v x, D̂ the implicit damping
+    euler, implicitfast,
+    implicit                the same with v⁺ = v + h (M + h D̂)⁻¹ M J_v x, D̂ the implicit damping
+    discrete                the same with v⁺ = v + h (M + h D̂ + h² K̂)⁻¹ (M J_v x − h K̂ v), K̂ the
+                            implicit stiffness
 
 The first three are functions of h J, so that the eigenvalues of A are the same functions of those
 of J (`amplification`). Source: the integrators' definitions in docs/method.md; Hairer and Wanner,
@@ -23,9 +26,13 @@ import numpy as np
 
 from stepcore.engine.arrays import Floats
 
-INTEGRATORS = ("explicit", "semi-implicit", "euler", "implicitfast", "midpoint", "rk4")
-# Those that treat (some) damping implicitly.
-DAMPING_IMPLICIT = ("euler", "implicitfast")
+INTEGRATORS = (
+    *("explicit", "semi-implicit", "euler", "implicitfast"),
+    *("implicit", "discrete", "midpoint", "rk4"),
+)
+# Those that treat (some) damping implicitly, and those that do so with stiffness.
+DAMPING_IMPLICIT = ("euler", "implicitfast", "implicit", "discrete")
+STIFFNESS_IMPLICIT = ("discrete",)
 
 # A matrix times a block of columns: both of shape (2n, any number).
 Product = Callable[[Any], Any]
@@ -54,13 +61,15 @@ def stepped(
     mass: Floats,
     implicit: Floats,
     after: Product | None = None,
+    stiff: Floats | None = None,
 ) -> Any:
     """A x of one step of dt [s], shape of x.
 
     rates: J times a block. mass: M, shape (n, n). implicit: D̂ of the integrators in
     `DAMPING_IMPLICIT`, shape (n, n); others ignore it. after: the accelerations of a block, shape
     (n, …), that `midpoint` adds to the velocities explicitly after its implicit step (rows of the
-    law `solref`), and half of which moves the positions; they are part of `rates` too.
+    law `solref`), and half of which moves the positions; they are part of `rates` too. stiff: K̂ of
+    the integrators in `STIFFNESS_IMPLICIT`, shape (n, n); none without it.
     """
     n = len(mass)
     if integrator == "explicit":
@@ -74,7 +83,11 @@ def stepped(
         return _midpoint(dt, rates, x, n, after)
     change = rates(x)
     inertia = mass + dt * implicit if integrator in DAMPING_IMPLICIT else mass
-    new = x[n:] + dt * np.linalg.solve(inertia, mass @ change[n:])
+    force = mass @ change[n:]
+    if stiff is not None and integrator in STIFFNESS_IMPLICIT:
+        inertia = inertia + dt * dt * stiff
+        force = force - dt * stiff @ x[n : 2 * n]
+    new = x[n:] + dt * np.linalg.solve(inertia, force)
     # J_qq q + J_qv v⁺: the change at x, and what the new velocity adds to it.
     moving = rates(np.concatenate([x[:n], new]))[:n]
     return np.concatenate([x[:n] + dt * moving, new])
@@ -106,9 +119,12 @@ def step_matrix(
     """A of a system M dv' = −K dq − D dv, shape (2n, 2n).
 
     mass, stiffness, damping: M, K and the whole of D, shape (n, n) each; implicit: the part of D
-    that `euler` and `implicitfast` treat implicitly.
+    that `DAMPING_IMPLICIT` treat implicitly. `discrete` treats all of K so.
     """
     n = len(mass)
     pull = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
     flow = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), pull])
-    return np.asarray(stepped(integrator, dt, lambda y: flow @ y, np.eye(2 * n), mass, implicit))
+    whole = np.eye(2 * n)
+    return np.asarray(
+        stepped(integrator, dt, lambda y: flow @ y, whole, mass, implicit, stiff=stiffness)
+    )

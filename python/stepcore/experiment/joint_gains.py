@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from stepcore.engine.linear_maps import DAMPING_IMPLICIT
 from stepcore.engine.model import Model
 from stepcore.scene.layout import DOFS, Layout
 
@@ -48,7 +49,7 @@ def joint_dofs(model: Model, joint: int) -> slice:
 
 
 def implicit_kinds(model: Model, integrator: str) -> tuple[str, ...]:
-    """The kinds of elements on joints whose damping an integrator treats implicitly."""
+    """The kinds of elements whose damping an integrator treats implicitly."""
     if integrator == "euler":
         return ("damper",) if model.scene.features.eulerdamp else ()
-    return ("damper", "actuator") if integrator == "implicitfast" else ()
+    return ("damper", "tendon damper", "actuator") if integrator in DAMPING_IMPLICIT else ()

@@ -44,7 +44,7 @@ MODELLED = (
     *("max_recovery_speed", "penalty_stiffness", "penalty_damping_ratio"),
 )
 # Integrators that only solref knows.
-SMOOTH = ("euler", "implicitfast")
+SMOOTH = ("euler", "implicitfast", "implicit", "discrete")
 # Time constants of solref are divided by these, one after the other, towards a rigid scene.
 STIFFER = (4.0, 16.0)
 # Laws whose limit is soft, and how they are made harder, in words.

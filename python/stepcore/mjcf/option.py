@@ -11,7 +11,14 @@ from stepcore.mjcf.validation import bad
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
-INTEGRATORS = {"Euler": "euler", "RK4": "rk4", "implicitfast": "implicitfast"}
+# MJCF's names, and ours.
+INTEGRATORS = {
+    "Euler": "euler",
+    "RK4": "rk4",
+    "implicitfast": "implicitfast",
+    "implicit": "implicit",
+    "discrete": "discrete",
+}
 SOLVERS = {"PGS": "pgs", "Newton": "newton", "CG": "newton"}
 
 # Attributes that are ignored; they do not change what a motion converges to.
@@ -51,10 +58,7 @@ def read(scene: Contents, node: Node) -> None:
     if "gravity" in values:
         scene.gravity = values["gravity"]
     if "integrator" in values:
-        name = values["integrator"]
-        if name not in INTEGRATORS:
-            raise node.unbuilt(f'the integrator "{name}"', "integrator")
-        options["integrator"] = INTEGRATORS[name]
+        options["integrator"] = INTEGRATORS[values["integrator"]]
     if "solver" in values:
         options["solver"] = SOLVERS[values["solver"]]
         if values["solver"] == "CG":

@@ -18,11 +18,14 @@ use crate::model::Model;
 use crate::place::{Metric, Placed};
 use crate::real::Real;
 use crate::room::room;
+use crate::settings::Integrator;
 use crate::spatial::{rotate, rotate_back, M3, V3};
 
 /// Factors of M + dt·D, and the impulse of the step.
 pub struct Damped<R: Real> {
     pub(super) metric: Metric<R>,
+    /// Where each entry of M stands in it.
+    pub(super) places: Vec<usize>,
     pub(super) impulse: Vec<R>,
     pub(super) change: Vec<R>,
     /// Stiffness and damping, by dof.
@@ -34,20 +37,29 @@ pub struct Damped<R: Real> {
     late: Vec<[bool; 2]>,
     /// Single free bodies whose bias has a derivative.
     gyroscopic: Vec<usize>,
+    /// Those of them that no element couples to another tree.
+    gyroscopic_alone: Vec<usize>,
 }
 
-room!(Damped<R>: impulse, change, slopes, damped, damped_fast, late, gyroscopic; metric);
+room!(Damped<R>: places, impulse, change, slopes, damped, damped_fast, late, gyroscopic, gyroscopic_alone; metric);
 
 impl<R: Real> Damped<R> {
-    pub fn new(model: &Model) -> Self {
+    pub fn new(model: &Model, integrator: Integrator) -> Self {
         let (damped, by_any) = (model.damped(), model.damped_by_any());
         let spins: Vec<bool> = model.trees.iter().map(|tree| model.gyroscopic(tree)).collect();
+        let coupled = model.coupled();
+        // `midpoint` takes every stiffness whole: see `model/coupling.rs`.
+        let metric = match integrator {
+            Integrator::Midpoint => Metric::coupled(model),
+            _ => Metric::new(model),
+        };
         let has = |test: &dyn Fn(usize) -> bool| {
             (0..model.trees.len()).filter(|tree| test(*tree)).collect::<Vec<_>>()
         };
         let late = |tree: usize| [damped[tree], by_any[tree] || spins[tree]];
         Self {
-            metric: Metric::new(model),
+            places: metric.places(model),
+            metric,
             impulse: vec![R::zero(); model.nv],
             change: vec![R::zero(); model.nv],
             late: (0..model.trees.len()).map(late).collect(),
@@ -55,6 +67,7 @@ impl<R: Real> Damped<R> {
             damped: has(&|tree| damped[tree]),
             damped_fast: has(&|tree| by_any[tree] && !spins[tree]),
             gyroscopic: has(&|tree| spins[tree]),
+            gyroscopic_alone: has(&|tree| spins[tree] && !coupled[tree]),
         }
     }
 }
@@ -68,11 +81,22 @@ pub(super) struct Solved<'a, R: Real> {
     pub dt: R,
 }
 
+impl<R: Real> Solved<'_, R> {
+    /// out ← the impulse H (v⁺ − v) = LᵀD (u⁺ − u), H being what rows were solved in.
+    pub fn impulse(&self, out: &mut [R]) {
+        let metric = &self.placed.metric;
+        for k in 0..out.len() {
+            out[k] = (self.u[k] - self.placed.u[k]) / metric.inv_d[k];
+        }
+        metric.lower(out);
+    }
+}
+
 impl<R: Real> Damped<R> {
     /// Rewrites the solved velocities in `out` with damping (and under `fast` servos and the
     /// gyroscopic forces of free bodies) treated implicitly.
     pub(super) fn damp(&mut self, solved: &Solved<R>, fast: bool, out: &mut [R]) {
-        let &Solved { ref now, placed, u, dt } = solved;
+        let &Solved { ref now, placed, dt, .. } = solved;
         let &Moment { model, qvel, .. } = now;
         let (trees, gyroscopic) = if fast {
             (&self.damped_fast, self.gyroscopic.as_slice())
@@ -82,11 +106,7 @@ impl<R: Real> Damped<R> {
         if trees.is_empty() && gyroscopic.is_empty() {
             return;
         }
-        // The impulse M (v⁺ − v) = LᵀD (u⁺ − u).
-        for k in 0..model.nv {
-            self.impulse[k] = (u[k] - placed.u[k]) / placed.metric.inv_d[k];
-        }
-        placed.metric.lower(&mut self.impulse);
+        solved.impulse(&mut self.impulse);
         self.change.copy_from_slice(&self.impulse);
         for &tree in trees.iter().chain(gyroscopic) {
             for k in model.trees[tree].dofs.range() {
@@ -114,34 +134,60 @@ impl<R: Real> Damped<R> {
             }
         }
         for &tree in gyroscopic {
-            let first = model.trees[tree].dofs.start;
-            let mut matrix = placed.free_body_matrix(model, tree, qvel, &self.metric.l, dt);
-            let mut x = [R::zero(); 6];
-            x.copy_from_slice(&self.impulse[first..first + 6]);
-            solve_six(&mut matrix, &mut x);
-            for k in 0..6 {
-                out[first + k] = qvel[first + k] + x[k];
-            }
+            let l = &self.metric.l;
+            self.spin(solved, tree, |i, j| model.entry(i, j).map_or(R::zero(), |at| l[at]), out);
+        }
+    }
+
+    /// The same for the gyroscopic forces alone, of free bodies that nothing couples to others, after
+    /// rows were solved in M̂.
+    pub(super) fn spin_all(&mut self, solved: &Solved<R>, out: &mut [R]) {
+        let Some(effective) = &solved.placed.effective else { return };
+        if !self.gyroscopic_alone.is_empty() {
+            solved.impulse(&mut self.impulse);
+        }
+        for &tree in &self.gyroscopic_alone {
+            self.spin(solved, tree, |i, j| effective.entry(&solved.placed.metric, i, j), out);
+        }
+    }
+
+    /// v⁺ = v + (A + dt·B)⁻¹ P of one free body, A given by its entries.
+    fn spin(
+        &self,
+        solved: &Solved<R>,
+        tree: usize,
+        entry: impl Fn(usize, usize) -> R,
+        out: &mut [R],
+    ) {
+        let &Solved { ref now, placed, dt, .. } = solved;
+        let first = now.model.trees[tree].dofs.start;
+        let mut matrix = placed.free_body_matrix(now.model, tree, now.qvel, entry, dt);
+        let mut x = [R::zero(); 6];
+        x.copy_from_slice(&self.impulse[first..first + 6]);
+        solve_six(&mut matrix, &mut x);
+        for k in 0..6 {
+            out[first + k] = now.qvel[first + k] + x[k];
         }
     }
 }
 
 impl<R: Real> Placed<R> {
-    /// M + dt·(D + B) of a single free body; `damped` holds M + dt·D.
+    /// A + dt·B of a single free body, A given by its entries.
     fn free_body_matrix(
         &self,
         model: &Model,
         tree: usize,
         qvel: &[R],
-        damped: &[R],
+        entry: impl Fn(usize, usize) -> R,
         dt: R,
     ) -> [[R; 6]; 6] {
         let (first, root) = (model.trees[tree].dofs.start, model.trees[tree].bodies.start);
         let mut matrix = [[R::zero(); 6]; 6];
         for i in 0..6 {
-            for (at, j) in model.dofs[first + i].row.range().zip((0..=i).rev()) {
-                matrix[i][j] = damped[at];
-                matrix[j][i] = damped[at];
+            for j in 0..=i {
+                let entry = entry(first + i, first + j);
+                matrix[i][j] = entry;
+                matrix[j][i] = entry;
             }
         }
         let turn = &self.xmat[root];

@@ -1,7 +1,7 @@
 //! One step of an integrator, into `Next`.
 
-use super::advance;
 use super::damped::Solved;
+use super::{advance, Next};
 use crate::elements::activation;
 use crate::elements::force::Moment;
 use crate::error::Result;
@@ -30,8 +30,11 @@ impl<R: Real> Sim<R> {
     fn commit(&mut self) {
         self.next.qvel.copy_from_slice(&self.velocity);
         match self.settings.integrator {
-            Integrator::Euler if self.model.features.eulerdamp => self.damp(false),
-            Integrator::ImplicitFast => self.damp(true),
+            Integrator::Euler if !self.model.features.eulerdamp => {}
+            Integrator::Euler
+            | Integrator::ImplicitFast
+            | Integrator::Implicit
+            | Integrator::Discrete => self.damp(),
             _ => {}
         }
         let moving = match self.settings.integrator {
@@ -43,8 +46,8 @@ impl<R: Real> Sim<R> {
         activation::advance(&self.model, &self.state.act, rates, seconds, &mut self.next.act);
     }
 
-    /// Damping implicitly: see `damped.rs`.
-    fn damp(&mut self, fast: bool) {
+    /// What is implicit beside the rows: see `damped.rs`, `implicit.rs`.
+    fn damp(&mut self) {
         let now = Moment {
             model: &self.model,
             frames: self.placed.frames(),
@@ -55,6 +58,11 @@ impl<R: Real> Sim<R> {
         };
         let (placed, u) = (&self.placed, &self.rows.u);
         let solved = Solved { now, placed, u, dt: self.clock.dt };
-        self.next.damped.damp(&solved, fast, &mut self.next.qvel);
+        let Next { damped, implicit, qvel, .. } = &mut self.next;
+        match (self.settings.integrator, implicit) {
+            (Integrator::Implicit, Some(implicit)) => implicit.damp(&solved, qvel),
+            (Integrator::Discrete, _) => damped.spin_all(&solved, qvel),
+            (integrator, _) => damped.damp(&solved, integrator != Integrator::Euler, qvel),
+        }
     }
 }

@@ -129,7 +129,10 @@ impl<R: Real> Sim<R> {
             scale = scale.max(last.abs()).max(start.abs()).max(gained.abs());
         }
         self.placed.mul_mass(model, &damped.change, &mut damped.impulse);
-        damped.metric.l.copy_from_slice(&self.placed.mass);
+        damped.metric.l.fill(R::zero());
+        for (at, mass) in damped.places.iter().zip(&self.placed.mass) {
+            damped.metric.l[*at] = *mass;
+        }
         let now = Moment {
             model,
             frames: self.placed.frames(),
@@ -143,18 +146,11 @@ impl<R: Real> Sim<R> {
         let quarter = R::of(0.25);
         let implicit =
             |[stiffness, damping]: [R; 2]| half * damping + quarter * dt * dt * stiffness;
-        let l = &mut damped.metric.l;
-        // Of two dofs. What couples branches or trees has no place here: the iteration finds it.
-        let mut couple = |i: usize, j: usize, slopes: [R; 2]| {
-            if let Some(at) = model.entry(i, j) {
-                l[at] += R::of(0.5) * implicit(slopes);
+        slopes(&now, Group::Passive, |_, i, j, slopes| {
+            if i != j {
+                return damped.metric.add_pair(i, j, implicit(slopes));
             }
-        };
-        slopes(&now, Group::Passive, |_, k, j, slopes| {
-            if k != j {
-                return couple(k, j, slopes);
-            }
-            for (sum, slope) in damped.slopes[k].iter_mut().zip(slopes) {
+            for (sum, slope) in damped.slopes[i].iter_mut().zip(slopes) {
                 // A sum of one term is that term: nothing is added to it.
                 *sum = match (sum.is_zero(), slope.is_zero()) {
                     (true, _) => slope,
@@ -163,16 +159,14 @@ impl<R: Real> Sim<R> {
                 };
             }
         });
-        for (dof, [stiffness, damping]) in model.dofs.iter().zip(&damped.slopes) {
-            damped.metric.l[dof.row.start] += half * *damping + *stiffness * half * half;
+        for (k, [stiffness, damping]) in damped.slopes.iter().enumerate() {
+            damped.metric.add_own(k, half * *damping + *stiffness * half * half);
         }
-        let l = &mut damped.metric.l;
         slopes(&now, Group::Driven, |_, i, j, slopes| {
-            let extra = implicit(slopes);
             if i == j {
-                l[model.dofs[i].row.start] += extra;
-            } else if let Some(at) = model.entry(i, j) {
-                l[at] += R::of(0.5) * extra;
+                damped.metric.add_own(i, implicit(slopes));
+            } else {
+                damped.metric.add_pair(i, j, implicit(slopes));
             }
         });
         damped.metric.factor(0..model.nv);

@@ -6,6 +6,7 @@
 
 mod damped;
 mod halves;
+mod implicit;
 mod inside;
 mod integrate;
 mod midpoint;

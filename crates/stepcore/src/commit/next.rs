@@ -1,9 +1,11 @@
 //! What a step proposes, and the working space of the integrators.
 
 use super::damped::Damped;
+use super::implicit::Implicit;
 use crate::model::Model;
 use crate::real::Real;
 use crate::room::room;
+use crate::settings::Integrator;
 use crate::sleep::Sleep;
 use crate::state::Warm;
 
@@ -32,10 +34,11 @@ pub struct Next<R: Real> {
     /// Where `rk4` and `midpoint` run the stages within the step.
     pub(crate) trial: Trial<R>,
     pub(super) damped: Damped<R>,
+    pub(super) implicit: Option<Implicit<R>>,
     pub(super) sums: Sums<R>,
 }
 
-room!(Next<R>: qpos, qvel, act, start, held, change, gained, mean, warm, woken; sleep, trial, damped, sums);
+room!(Next<R>: qpos, qvel, act, start, held, change, gained, mean, warm, woken; sleep, trial, damped, implicit, sums);
 
 /// Positions and velocities within a step.
 pub(crate) struct Trial<R: Real> {
@@ -60,7 +63,7 @@ pub(super) struct Sums<R: Real> {
 room!(Sums<R>: rate, turned, moved, gained, act_rate;);
 
 impl<R: Real> Next<R> {
-    pub fn new(model: &Model) -> Self {
+    pub fn new(model: &Model, integrator: Integrator) -> Self {
         let zeros = |n| vec![R::zero(); n];
         let (nq, nv) = (model.nq, model.nv);
         Self {
@@ -77,7 +80,8 @@ impl<R: Real> Next<R> {
             woken: Vec::new(),
             stage: 0,
             trial: Trial { qpos: zeros(nq), qvel: zeros(nv), act: zeros(model.na) },
-            damped: Damped::new(model),
+            damped: Damped::new(model, integrator),
+            implicit: (integrator == Integrator::Implicit).then(|| Implicit::new(model)),
             sums: Sums {
                 rate: zeros(nv),
                 turned: zeros(nv),

@@ -43,7 +43,7 @@ impl Lists {
 
     /// The dofs that move either body, ascending.
     fn union(&mut self, model: &Model, bodies: [usize; 2]) -> Span {
-        let [one, two] = bodies.map(|body| model.bodies[body].chain);
+        let [one, two] = bodies.map(|body| model.bodies[body].closed);
         if one.len == 0 || two.len == 0 {
             return if one.len == 0 { two } else { one };
         }

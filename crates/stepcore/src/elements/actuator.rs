@@ -198,8 +198,8 @@ impl Forces for Actuator {
     fn sloped(model: &Model, index: usize, each: &mut impl FnMut(usize)) {
         let actuator = &model.actuators[index];
         if model.features.actuation && actuator.feeds_back() {
-            let joint = &model.joints[actuator.joint];
-            (joint.dof..joint.dof + joint.dofs()).for_each(each);
+            let dofs = actuator.transmission().dofs(model);
+            dofs.of(&model.dof_lists).iter().for_each(|dof| each(*dof));
         }
     }
 

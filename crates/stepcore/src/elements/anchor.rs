@@ -164,8 +164,8 @@ impl<R: Real> Rows<R> {
         if body.tree == NONE || !body.turns {
             return R::zero();
         }
-        let chain = body.chain.of(&now.model.dof_lists);
-        now.placed.metric.from_factored_on(chain, &now.placed.u, &mut self.guess);
+        let [chain, closed] = [body.chain, body.closed].map(|dofs| dofs.of(&now.model.dof_lists));
+        now.placed.metric.from_factored_on(closed, &now.placed.u, &mut self.guess);
         chain
             .iter()
             .fold(R::zero(), |spin, &k| spin + now.placed.motion[k].ang.dot(normal) * self.guess[k])

@@ -379,8 +379,8 @@ impl<R: Real> Rows<R> {
         if body.tree == NONE {
             return V3::zeros();
         }
-        let chain = body.chain.of(&now.model.dof_lists);
-        now.placed.metric.from_factored_on(chain, &now.placed.guess, &mut self.guess);
+        let [chain, closed] = [body.chain, body.closed].map(|dofs| dofs.of(&now.model.dof_lists));
+        now.placed.metric.from_factored_on(closed, &now.placed.guess, &mut self.guess);
         let arm = at - now.placed.origin[body.tree];
         let mut motion = Motion::zero();
         for &k in chain {

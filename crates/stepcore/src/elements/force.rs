@@ -42,7 +42,7 @@ pub(crate) enum Group {
 pub(crate) enum Late {
     /// That of joints themselves: `euler`.
     Joints,
-    /// That of every element: `implicitfast`.
+    /// That of every element: `implicitfast`, `implicit`.
     All,
 }
 
@@ -97,6 +97,29 @@ pub(crate) trait Forces {
         if Self::damps(now.model, index) {
             Self::slopes(now, index, &mut |i, j, [_, damping]| add(i, j, damping));
         }
+    }
+
+    /// Calls `add` for what of one element's slopes holds back: a stiffness or a damping below zero is
+    /// left out. `discrete` takes these, and its metric stays positive definite.
+    #[inline(always)]
+    fn holding<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
+        let zero = R::zero();
+        if Self::IN_JOINTS {
+            Self::slopes(now, index, &mut |i, j, slopes| add(i, j, slopes.map(|x| x.max(zero))));
+            return;
+        }
+        // The sign of the sum on the diagonal is that of a stiffness along a length.
+        let mut sums = [zero; 2];
+        Self::slopes(now, index, &mut |i, j, slopes| {
+            if i == j {
+                sums = [sums[0] + slopes[0], sums[1] + slopes[1]];
+            }
+        });
+        let holds = sums.map(|sum| sum.gt(zero));
+        Self::slopes(now, index, &mut |i, j, [stiffness, damping]| {
+            let stiffness = R::select(holds[0], stiffness, zero);
+            add(i, j, [stiffness, R::select(holds[1], damping, zero)]);
+        });
     }
 
     /// Calls `add` for every part of what one element stores at the positions at hand [J].

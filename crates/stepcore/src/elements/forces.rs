@@ -42,6 +42,30 @@ macro_rules! forces {
             })+
         }
 
+        /// Calls `add(element, i, j, [stiffness, damping])` for what `discrete` takes: see
+        /// `Forces::holding`.
+        #[inline(always)]
+        pub(crate) fn holding<R: Real>(
+            now: &Moment<R>,
+            mut add: impl FnMut(Element, usize, usize, [R; 2]),
+        ) {
+            $(for index in 0..$kind::count(now.model) {
+                let element = $kind::element(index);
+                $kind::holding(now, index, &mut |i, j, slopes| add(element, i, j, slopes));
+            })+
+        }
+
+        /// Calls `each(dofs)` for every element that can have slopes, with the dofs of these.
+        pub(crate) fn sloped(model: &Model, mut each: impl FnMut(&[usize])) {
+            let mut dofs = Vec::new();
+            $(for index in 0..$kind::count(model) {
+                dofs.clear();
+                $kind::sloped(model, index, &mut |dof| dofs.push(dof));
+                // A joint's dofs are each by themselves.
+                dofs.chunks(if $kind::IN_JOINTS { 1 } else { dofs.len().max(1) }).for_each(&mut each);
+            })+
+        }
+
         /// Calls `add(i, j, damping)` for the damping that an integrator takes late.
         #[inline(always)]
         pub(crate) fn damping<R: Real>(

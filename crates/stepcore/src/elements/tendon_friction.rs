@@ -29,7 +29,7 @@ impl Constraint for TendonFriction {
                 element: Element::whole(Kind::TendonFriction, index),
                 most: tendon.frictionloss,
                 soft: &tendon.friction,
-                dofs: tendon.dofs,
+                dofs: tendon.closed,
                 invweight: tendon.invweight,
                 mass: tendon.mass,
             };

@@ -33,7 +33,7 @@ impl Constraint for TendonLimit {
                     range: [lo, hi],
                     margin: tendon.margin,
                     soft: &tendon.limit,
-                    dofs: tendon.dofs,
+                    dofs: tendon.closed,
                     invweight: tendon.invweight,
                     mass: tendon.mass,
                 };

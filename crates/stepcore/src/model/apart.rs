@@ -56,7 +56,7 @@ pub fn fill(model: &mut Model) {
     let mut left = ALL_BOXES;
     for index in 0..model.pairs.len() {
         let Some(between) = between(model, index) else { continue };
-        let placed = placed.get_or_insert_with(|| Placed::<f64>::new(model));
+        let placed = placed.get_or_insert_with(|| Placed::<f64>::new(model, None));
         let mut boxes = BOXES.min(left);
         let budget = boxes;
         let apart = Search::new(model, placed, index, &between).apart(&mut boxes);

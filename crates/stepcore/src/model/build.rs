@@ -2,7 +2,8 @@
 
 use super::slots::Slots;
 use super::{
-    apart, check, heap, inertia, invweight, meshes, pairs, pose, tendons, ties, tree, Model, NONE,
+    apart, check, coupling, heap, inertia, invweight, meshes, pairs, pose, tendons, ties, tree,
+    Model, NONE,
 };
 use crate::error::Result;
 use crate::scene::Scene;
@@ -41,6 +42,7 @@ impl Model {
             let still = !turns || ball && !tied[tree];
             model.trees[tree].constant = still && !weighted[tree];
         }
+        coupling::fill(&mut model);
         model.slots = Slots::of(&model);
         apart::fill(&mut model);
         Ok(model)

@@ -6,6 +6,7 @@
 mod apart;
 mod build;
 mod check;
+mod coupling;
 mod heap;
 mod inertia;
 mod invweight;
@@ -84,6 +85,8 @@ pub struct Body {
     pub dofs: Span,
     /// Into `Model::dof_lists`: every dof that moves this body, ascending.
     pub chain: Span,
+    /// The same, with the dofs that the metric of `discrete` couples to these: `model/coupling.rs`.
+    pub closed: Span,
     /// [kg]
     pub mass: f64,
     /// Centre of mass in body axes [m].
@@ -132,6 +135,9 @@ pub struct Dof {
     pub tree: usize,
     /// The dof before this one on the chain to the root, or `NONE`.
     pub parent: usize,
+    /// Into `Model::dof_lists`: it and its ancestors, ascending, and what the metric of `discrete`
+    /// couples to these.
+    pub closed: Span,
     /// Row of the mass matrix, in `Model::row_dofs` and every array laid out like
     /// it: this dof, then its ancestors, nearest first.
     pub row: Span,
@@ -275,6 +281,8 @@ pub struct Model {
     pub dof_lists: Vec<usize>,
     /// The mass matrix's pattern: see `Dof::row`.
     pub row_dofs: Vec<usize>,
+    /// An element couples dofs of different branches or trees: see `model/coupling.rs`.
+    pub couples: bool,
     /// Joints that have a range, and dofs that have friction loss.
     pub limited: Vec<usize>,
     pub rubbing: Vec<usize>,
@@ -319,11 +327,9 @@ impl Model {
         self.features.coriolis && self.free_alone(tree) && !self.free_ball(tree)
     }
 
-    /// A dof and its ancestors, ascending: the head of its body's chain.
+    /// A dof and its ancestors, ascending, closed as `Dof::closed`.
     pub fn chain_of_dof(&self, k: usize) -> Span {
-        let body = &self.bodies[self.dofs[k].body];
-        let after = body.dofs.start + body.dofs.len - 1 - k;
-        Span { start: body.chain.start, len: body.chain.len - after }
+        self.dofs[k].closed
     }
 
     /// Where the mass matrix has the entry of two dofs, in arrays laid out like `row_dofs`; None
@@ -355,6 +361,7 @@ impl Model {
                 island.join(self.dofs[two[0]].tree, self.dofs[two[1]].tree);
             }
         }
+        self.join_coupled(&mut island);
         (0..self.trees.len()).map(|tree| island.of(tree)).collect()
     }
 }

@@ -58,6 +58,8 @@ pub struct Tendon {
     pub course: Course,
     /// Into `Model::dof_lists`: every dof that moves a body it passes, ascending, with all ancestors.
     pub dofs: Span,
+    /// The same, with the dofs that the metric of `discrete` couples to these: those of its rows.
+    pub closed: Span,
     /// Into `Placed::tendon_arms`: one entry for each of `dofs`.
     pub arms: Span,
     /// Something reads its length in a step.
@@ -120,6 +122,7 @@ fn lay_out(scene: &Scene, model: &mut Model) {
             name: source.name.clone(),
             course: course(model, source, dofs),
             dofs,
+            closed: dofs,
             arms: Span { start, len: dofs.len },
             used: false,
             range: source.range,
@@ -235,7 +238,7 @@ fn movers(model: &Model, ends: [Point; 2], round: Option<Round>, dofs: &[usize])
 
 /// What tendons are at qpos0, and where their springs are at rest.
 fn measure(model: &mut Model) {
-    let mut placed = Placed::<f64>::new(model);
+    let mut placed = Placed::<f64>::new(model, None);
     placed.positions(model, &model.qpos_spring);
     let rest = placed.tendon_length.clone();
     placed.positions(model, &model.qpos0);

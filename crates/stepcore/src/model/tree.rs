@@ -4,7 +4,7 @@
 use super::meshes::Asset;
 use super::pose::unit_quat;
 use super::slots::Slots;
-use super::{Body, Dof, Geom, Joint, Model, Site, Span, Tree, NONE};
+use super::{coupling, Body, Dof, Geom, Joint, Model, Site, Span, Tree, NONE};
 use crate::scene::{self, GeomType, JointType, Scene};
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashMap;
@@ -43,6 +43,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         qpos_spring: vec![],
         dof_lists: vec![],
         row_dofs: vec![],
+        couples: false,
         limited: vec![],
         rubbing: vec![],
         slots: Slots::default(),
@@ -67,6 +68,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
     for i in 0..model.nv {
         row(&mut model, i);
     }
+    coupling::plain(&mut model);
     let all = |count: usize, has: &dyn Fn(usize) -> bool| (0..count).filter(|i| has(*i)).collect();
     model.limited = all(model.joints.len(), &|i| model.joints[i].range.is_some());
     model.rubbing = all(model.nv, &|i| model.dofs[i].frictionloss > 0.0);
@@ -117,6 +119,7 @@ fn body(model: &mut Model, scene: &Scene, i: usize, joints: Span) {
         joints,
         dofs,
         chain,
+        closed: Span::default(),
         mass: 0.0,
         ipos: Vector3::zeros(),
         inertia: Matrix3::zeros(),
@@ -168,6 +171,7 @@ fn joint(model: &mut Model, scene: &Scene, index: usize) {
             body: source.body,
             tree: body.tree,
             parent,
+            closed: Span::default(),
             row: Span::default(),
             armature: source.armature,
             frictionloss: source.frictionloss,

@@ -11,13 +11,14 @@ use std::ops::Range;
 use crate::model::{Model, Span, Tree};
 use crate::real::Real;
 
-/// The factors of one symmetric matrix with the pattern of the mass matrix.
+/// The factors of one symmetric matrix with the pattern of the mass matrix, or with that which the
+/// metric of `discrete` has (`model/coupling.rs`).
 pub struct Metric<R: Real> {
-    /// L in the layout of `Model::row_dofs`; the diagonal places hold D.
+    /// L in the layout of `Model::row_dofs`, or of its own pattern; the diagonal places hold D.
     pub l: Vec<R>,
     /// 1 / D, by dof.
     pub inv_d: Vec<R>,
-    /// The model's pattern, packed: each dof's row, and each entry's dof and its row.
+    /// The pattern, packed: each dof's row, and each entry's dof and its row.
     rows: Vec<Span>,
     dofs: Vec<usize>,
     above: Vec<usize>,
@@ -36,6 +37,45 @@ impl<R: Real> Metric<R> {
         }
     }
 
+    /// With the pattern of the metric of `discrete`: each dof's row is its closed chain.
+    pub fn coupled(model: &Model) -> Self {
+        let chain = |k: usize| model.dofs[k].closed.of(&model.dof_lists);
+        let dofs: Vec<usize> = (0..model.nv).flat_map(|k| chain(k).iter().rev()).copied().collect();
+        let mut start = 0;
+        let row = |k: usize| {
+            let row = Span { start, len: chain(k).len() };
+            start += row.len;
+            row
+        };
+        let rows: Vec<Span> = (0..model.nv).map(row).collect();
+        Self {
+            l: vec![R::one(); dofs.len()],
+            inv_d: vec![R::one(); model.nv],
+            above: dofs.iter().map(|k| rows[*k].start).collect(),
+            rows,
+            dofs,
+        }
+    }
+
+    /// Where each entry of M stands in this matrix, in the layout of `Model::row_dofs`.
+    pub fn places(&self, model: &Model) -> Vec<usize> {
+        let rows = model.dofs.iter().enumerate();
+        let entries =
+            rows.flat_map(|(k, dof)| dof.row.of(&model.row_dofs).iter().map(move |j| (k, *j)));
+        entries.filter_map(|(k, j)| self.place(k, j)).collect()
+    }
+
+    /// Where the matrix has the entry of two dofs; None where it has none.
+    #[inline(always)]
+    pub fn place(&self, i: usize, j: usize) -> Option<usize> {
+        let row = self.rows[i.max(j)];
+        if i == j {
+            return Some(row.start);
+        }
+        let at = row.of(&self.dofs).iter().position(|dof| *dof == i.min(j))?;
+        Some(row.start + at)
+    }
+
     /// A row's entries left of the diagonal, nearest ancestor first.
     #[inline(always)]
     pub fn left_of(&self, k: usize) -> &[R] {
@@ -49,6 +89,28 @@ impl<R: Real> Metric<R> {
         let Span { start, len } = self.rows[k];
         let (from, to) = (start + 1, start + len);
         self.l[from..to].iter().copied().zip(self.dofs[from..to].iter().copied())
+    }
+
+    /// Copies rows of a matrix of the same layout.
+    pub(super) fn refill(&mut self, dofs: Range<usize>, matrix: &[R]) {
+        for k in dofs {
+            let row = self.rows[k].range();
+            self.l[row.clone()].copy_from_slice(&matrix[row]);
+        }
+    }
+
+    /// Adds to an entry on the diagonal of a matrix that was copied into `l`.
+    #[inline(always)]
+    pub fn add_own(&mut self, dof: usize, x: R) {
+        self.l[self.rows[dof].start] += x;
+    }
+
+    /// Adds one half of a symmetric matrix's two entries of these dofs, if there is a place for it.
+    #[inline(always)]
+    pub fn add_pair(&mut self, i: usize, j: usize, x: R) {
+        if let Some(at) = self.place(i, j) {
+            self.l[at] += R::of(0.5) * x;
+        }
     }
 
     /// Factors the rows `dofs` of a matrix that was copied into `l`.
@@ -159,6 +221,9 @@ impl<R: Real> Metric<R> {
 
 impl<R: Real> Placed<R> {
     pub(super) fn factor_mass(&mut self, model: &Model, tree: &Tree) {
+        if self.effective.is_some() {
+            return;
+        }
         for k in tree.dofs.range() {
             let row = model.dofs[k].row.range();
             self.metric.l[row.clone()].copy_from_slice(&self.mass[row]);

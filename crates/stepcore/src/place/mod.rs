@@ -5,6 +5,8 @@
 //! the guess, in factored coordinates: u = L v, û = u + dt·D⁻¹L⁻ᵀf.
 
 mod bias;
+pub(crate) mod bias_slopes;
+mod effective;
 mod factor;
 mod force;
 mod inertia;
@@ -13,6 +15,7 @@ mod tendon;
 mod tendon_inertia;
 mod wrap;
 
+pub use effective::Effective;
 pub use factor::Metric;
 
 use crate::elements::activation::Activations;
@@ -43,8 +46,9 @@ pub struct Placed<R: Real> {
     pub composite: Vec<Inertia<R>>,
     /// The mass matrix, armature included, in the layout of `Model::row_dofs`.
     pub mass: Vec<R>,
-    /// M = LᵀDL.
+    /// M = LᵀDL; under `discrete` the factors of M̂, and M̂ itself.
     pub metric: Metric<R>,
+    pub effective: Option<Effective<R>>,
     /// Velocity by body.
     pub velocity: Vec<Motion<R>>,
     acceleration: Vec<Motion<R>>,
@@ -97,13 +101,18 @@ pub struct Pulls<'a, R: Real> {
 
 room!(Placed<R>: xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, mass,
     velocity, acceleration, wrench, bias, passive, tendon_length, tendon_arms, actuator, act_rate, force,
-    u, guess; metric);
+    u, guess; metric, effective);
 
 impl<R: Real> Placed<R> {
-    pub fn new(model: &Model) -> Self {
+    /// effective: the step in whose metric rows are solved, if not in M [s].
+    pub fn new(model: &Model, effective: Option<R>) -> Self {
         let (nbody, nv) = (model.bodies.len(), model.nv);
         let zero = R::zero();
         let identity = Quat::identity();
+        let metric = match effective {
+            Some(_) => Metric::coupled(model),
+            None => Metric::new(model),
+        };
         let mut placed = Self {
             xpos: vec![V3::zeros(); nbody],
             xquat: vec![identity; nbody],
@@ -116,7 +125,8 @@ impl<R: Real> Placed<R> {
             inertia: vec![Inertia::zero(); nbody],
             composite: vec![Inertia::zero(); nbody],
             mass: vec![zero; model.row_dofs.len()],
-            metric: Metric::new(model),
+            effective: effective.map(|dt| Effective::new(model, &metric, dt)),
+            metric,
             velocity: vec![Motion::zero(); nbody],
             acceleration: vec![Motion::zero(); nbody],
             wrench: vec![Force::zero(); nbody],
@@ -151,6 +161,9 @@ impl<R: Real> Placed<R> {
             self.factor_mass(model, tree);
             self.velocities(model, &still, tree);
             self.bias_of_tree(model, index);
+        }
+        if let Some(effective) = &mut self.effective {
+            effective.start(&self.mass, &mut self.metric);
         }
     }
 
@@ -240,6 +253,7 @@ impl<R: Real> Placed<R> {
         self.bias_of_tendons(model);
         R::enter(Stage::Forces);
         self.smooth_force(model, qpos, qvel, act, inputs);
+        self.weigh_effective(model, qpos, qvel, act, inputs);
     }
 
     /// Inertia and velocity of every body about its tree's origin; `dynamics` skips trees
@@ -266,6 +280,11 @@ impl<R: Real> Placed<R> {
         R::enter(Stage::Guess);
         self.metric.to_factored(qvel, &mut self.u);
         self.guess.copy_from_slice(&self.force);
+        if let Some(Effective { shift, .. }) = &self.effective {
+            for (guess, shift) in self.guess.iter_mut().zip(shift) {
+                *guess = *guess - *shift;
+            }
+        }
         self.metric.half_solve(&mut self.guess);
         for k in 0..model.nv {
             self.guess[k] = self.u[k] + dt * self.guess[k];

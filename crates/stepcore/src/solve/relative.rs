@@ -60,7 +60,7 @@ impl<R: Real> Rows<R> {
         self.y.resize(start + N * dofs.len, R::zero());
         let list = dofs.of(now.dof_lists);
         let bodies = || sides.iter().flatten();
-        let apart = list.len() == bodies().count() * SIX;
+        let apart = list.len() == bodies().count() * SIX && !now.model.couples;
         let sums = if apart && bodies().all(|side| is_free(now.model, side.chain)) {
             self.lift_free(now, list, &sides, start)
         } else {

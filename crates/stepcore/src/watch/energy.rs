@@ -19,23 +19,28 @@ impl<R: Real> Sim<R> {
     /// Energy at the present positions and velocities. Armature counts as inertia.
     pub fn energy(&mut self) -> Energy<R> {
         self.refresh();
+        let kinetic = self.kinetic();
+        let now = self.moment(At::State);
+        let mut potential = R::zero();
+        stored(&now, Group::Passive, |_, energy| potential += energy);
+        stored(&now, Group::Weight, |_, energy| potential += energy);
+        Energy { kinetic, potential }
+    }
+
+    /// ½ vᵀMv, M the one at hand [J].
+    pub(crate) fn kinetic(&self) -> R {
         let model = &*self.model;
-        let (half, zero) = (R::of(0.5), R::zero());
-        let mut kinetic = zero;
+        let mut kinetic = R::zero();
         for k in 0..model.nv {
             let dof = &model.dofs[k];
             let v = self.state.qvel[k];
-            let mut share = half * self.placed.mass[dof.row.start] * v * v;
+            let mut share = R::of(0.5) * self.placed.mass[dof.row.start] * v * v;
             for at in dof.row.range().skip(1) {
                 share += self.placed.mass[at] * v * self.state.qvel[model.row_dofs[at]];
             }
             kinetic += share;
         }
-        let now = self.moment(At::State);
-        let mut potential = zero;
-        stored(&now, Group::Passive, |_, energy| potential += energy);
-        stored(&now, Group::Weight, |_, energy| potential += energy);
-        Energy { kinetic, potential }
+        kinetic
     }
 
     /// Centre of mass of a body in the world [m].

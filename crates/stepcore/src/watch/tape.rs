@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::elements::actuator::saturated;
 use crate::elements::force::{Group, Late};
-use crate::elements::forces::{damping_by_element, each, stored};
+use crate::elements::forces::{damping_by_element, each, holding, stored};
 use crate::elements::{penalty, Element, Kind};
 use crate::error::Result;
 use crate::model::{Model, Span};
@@ -40,6 +40,9 @@ pub struct StepGains {
     /// Servos whose force was at its bound.
     pub saturated: BTreeSet<Element>,
 }
+
+/// Of an element, and two dofs: a stiffness and a damping.
+type LateSlope = (Element, [usize; 2], [f64; 2]);
 
 /// Energies at a state: kinetic by tree, stored by element, and what gravity has.
 struct Levels {
@@ -85,17 +88,15 @@ pub(crate) fn taped<R: Real>(
     let model = sim.model.clone();
     let v0: Vec<f64> = sim.state.qvel.iter().map(|v| v.lane(lane)).collect();
     let before = sim.levels(lane);
+    let late = sim.late_slopes(lane);
     let mut tape = Tape::new(lane, model.nv);
     step(sim, &mut tape)?;
     let v1: Vec<f64> = sim.state.qvel.iter().map(|v| v.lane(lane)).collect();
-    if let Some(late) = sim.damped_late() {
-        // Damping as it is at the end of the step: what its slope adds to the force before.
-        damping_by_element(&sim.moment(At::State), late, |element, i, j, damping| {
-            if model.entry(i, j).is_some() {
-                let more = -sim.clock.seconds * damping.lane(lane) * (v1[j] - v0[j]);
-                tape.add(element, i, more);
-            }
-        });
+    let dt = sim.clock.seconds;
+    for (element, [i, j], [stiffness, damping]) in late {
+        // Forces as they are at the end of the step: what their slopes add to those before.
+        let more = damping * (v1[j] - v0[j]) + stiffness * dt * v1[j];
+        tape.add(element, i, -dt * more);
     }
     let Tape { impulses, bias, saturated, .. } = tape;
     let after = sim.levels(lane);
@@ -116,13 +117,27 @@ pub(crate) fn element_forces<R: Real>(sim: &Sim<R>, lane: usize) -> BTreeMap<Ele
 }
 
 impl<R: Real> Sim<R> {
-    /// What the integrator damps at the end of the step.
-    fn damped_late(&self) -> Option<Late> {
-        match self.settings.integrator {
-            Integrator::Euler if self.model.features.eulerdamp => Some(Late::Joints),
-            Integrator::ImplicitFast => Some(Late::All),
-            _ => None,
-        }
+    /// Stiffness and damping that the integrator takes at the end of a step from the state of which
+    /// the levels were taken.
+    fn late_slopes(&self, lane: usize) -> Vec<LateSlope> {
+        let (now, mut list) = (self.moment(At::State), Vec::new());
+        let late = match self.settings.integrator {
+            Integrator::Euler if self.model.features.eulerdamp => Late::Joints,
+            Integrator::ImplicitFast | Integrator::Implicit => Late::All,
+            Integrator::Discrete => {
+                holding(&now, |element, i, j, slopes| {
+                    list.push((element, [i, j], slopes.map(|slope| slope.lane(lane))));
+                });
+                return list;
+            }
+            _ => return list,
+        };
+        damping_by_element(&now, late, |element, i, j, damping| {
+            if self.model.entry(i, j).is_some() {
+                list.push((element, [i, j], [0.0, damping.lane(lane)]));
+            }
+        });
+        list
     }
 
     /// Energies at the present state of one lane.

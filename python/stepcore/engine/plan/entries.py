@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore._core import Settings
 from stepcore.engine.features import RemovableFeatures, Removal
+from stepcore.engine.linear_maps import DAMPING_IMPLICIT
 from stepcore.engine.plan.result import PlanEntry
 from stepcore.scene.elements.equality import ROW_KINDS
 
@@ -284,7 +285,7 @@ class _Listing:
 
     def commit(self) -> Iterator[Listed]:
         """The solver, what the integrator adds, and quaternions."""
-        settings, on, plan = self.settings, self.scene.features, self.plan
+        settings, plan = self.settings, self.plan
         stages = ("solve/impulses",)
         if self.model.is_heap:
             name = f"impulses: {settings.solver} (by island of what touches, one world at a time)"
@@ -309,30 +310,49 @@ class _Listing:
         yield _used("commit", name, self.joint_names, stages=("commit",))
         if not settings.warm_start:
             yield _out("solve", "warm start", [], "switched off", count=1)
-        names, integrator = self.tree_names, settings.integrator
-        fast = integrator == "implicitfast"
-        damped = plan["damped_by_any" if fast else "damped"]
-        have = [n for n, d in zip(names, damped, strict=True) if d]
-        lack = [n for n, d in zip(names, damped, strict=True) if not d]
+        yield from self._implicit()
+        have, lack = self._split(lambda joint: joint.type in ("free", "ball"))
+        yield _used("commit", "quaternions", have)
+        yield _out("commit", "quaternions", lack, "slides and hinges have none")
+
+    def _implicit(self) -> Iterator[Listed]:
+        """What the integrator treats implicitly."""
+        plan, on = self.plan, self.scene.features
+        names, integrator = self.tree_names, self.settings.integrator
+
+        def split(flags: Sequence[bool]) -> tuple[list[str], list[str]]:
+            pairs = list(zip(names, flags, strict=True))
+            return [n for n, flag in pairs if flag], [n for n, flag in pairs if not flag]
+
+        have, lack = split(plan["damped" if integrator == "euler" else "damped_by_any"])
         name = "implicit damping (by tree)"
-        if fast or (integrator == "euler" and on.eulerdamp):
+        if integrator == "discrete":
+            have, lack = split(plan["sloped"])
+            name = "implicit stiffness and damping (by tree)"
+            yield _used("place", name, have)
+            yield _out("place", name, lack, "nothing is stiff or damped")
+        elif integrator in DAMPING_IMPLICIT and (integrator != "euler" or on.eulerdamp):
             yield _used("commit", name, have)
             yield _out("commit", name, lack, "nothing is damped")
         else:
+            have, _ = split(plan["damped"])
             why = f"{integrator} treats damping explicitly"
             if integrator == "euler":
                 why = "switched off (eulerdamp)"
             yield _out("commit", name, have, why)
-        if fast:
+        if integrator == "implicit":
+            still = zip(plan["slides"], plan["constant"], strict=True)
+            have, lack = split([on.coriolis and not (slides or same) for slides, same in still])
+            name = "derivative of the bias forces (by tree)"
+            yield _used("commit", name, have)
+            yield _out("commit", name, lack, "constant" if on.coriolis else "switched off")
+        if integrator in ("implicitfast", "discrete"):
             name = "gyroscopic derivative (by free body)"
             free = [i for i, is_free in enumerate(plan["free"]) if is_free]
             have = [names[i] for i in free if plan["gyroscopic"][i]]
             lack = [names[i] for i in free if not plan["gyroscopic"][i]]
             yield _used("commit", name, have)
             yield _out("commit", name, lack, "isotropic" if on.coriolis else "switched off")
-        have, lack = self._split(lambda joint: joint.type in ("free", "ball"))
-        yield _used("commit", "quaternions", have)
-        yield _out("commit", "quaternions", lack, "slides and hinges have none")
 
     def _split(self, test: Callable[[Any], object]) -> tuple[list[str], list[str]]:
         """Names of the joints that pass a test, and of the others."""

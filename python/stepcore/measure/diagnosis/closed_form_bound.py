@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from stepcore.engine.linear_maps import STIFFNESS_IMPLICIT
 from stepcore.engine.model import Model
 from stepcore.experiment.joint_gains import implicit_kinds, joint_dofs, joint_gains
 from stepcore.measure.diagnosis.element_id import ElementId
@@ -58,6 +59,7 @@ def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
     """Springs, dampers and servos; what is treated implicitly helps the others of its joint."""
     hidden = implicit_kinds(model, integrator)
     gains = list(joint_gains(model))
+    implicit_stiffness = integrator in STIFFNESS_IMPLICIT
     dampers = {gain.joint: gain.damping for gain in gains if gain.kind == "damper"}
     for gain in gains:
         weight, tree = _weight(model, gain.joint), root_of(model, int(model.jnt_body[gain.joint]))
@@ -65,7 +67,12 @@ def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
         square, rate = max(gain.stiffness, 0.0) * weight, gain.damping * weight
         own = dampers[gain.joint] * weight * ("damper" in hidden)
         implicit = gain.kind in hidden
-        if square > 0 or (rate > 0 and not (gain.kind == "damper" and implicit)):
+        if implicit_stiffness:
+            # Servos and springs hold at any dt.
+            square = 0.0
+        if square > 0 or (
+            rate > 0 and not (implicit_stiffness or (gain.kind == "damper" and implicit))
+        ):
             yield _Oscillator(tree, square, rate * (not implicit), own + rate * implicit)
 
 

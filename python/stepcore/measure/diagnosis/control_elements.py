@@ -53,18 +53,18 @@ def held_step(
     rates: Callable[[Any], Any],
     block: Any,
     mass: Floats,
-    implicit: Floats,
+    late: tuple[Floats, Floats],
     smooth: Callable[[Any], Any] | None,
     feedback: Feedback,
     inputs: Floats,
 ) -> Any:
     """The map of (x, z) over `hold` steps of dt [s] times a block, the controls of the first held.
 
-    rates: J without the controls, times a block. smooth: the same without the accelerations that
-    `midpoint` adds after its implicit step, or None without those. inputs: force of each control,
-    shape (nv, nu).
+    rates: J without the controls, times a block. late: implicit damping and stiffness. smooth:
+    rates without the accelerations that `midpoint` adds after its implicit step, or None without
+    those. inputs: force of each control, shape (nv, nu).
     """
-    n = len(mass)
+    n, (implicit, stiff) = len(mass), late
     x, z = block[: 2 * n], block[2 * n :]
     push = np.zeros_like(x)
     push[n:] = np.linalg.solve(mass, inputs @ feedback.controls(x, z))
@@ -77,7 +77,8 @@ def held_step(
             x = stepped(integrator, dt, rates, x, mass, implicit, after)
             x = x + np.linalg.solve(whole - dt / 2 * within, dt * push)
         else:
-            x = stepped(integrator, dt, lambda y: rates(y) + push, x, mass, implicit)
+            pushed = lambda y: rates(y) + push  # noqa: E731
+            x = stepped(integrator, dt, pushed, x, mass, implicit, stiff=stiff)
     return np.concatenate([x, remembered])
 
 

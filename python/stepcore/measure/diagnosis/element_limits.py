@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore.engine.arrays import Floats
-from stepcore.engine.linear_maps import INTEGRATORS
+from stepcore.engine.linear_maps import INTEGRATORS, STIFFNESS_IMPLICIT
 from stepcore.measure.diagnosis.control_elements import KIND, control_dt
 from stepcore.measure.diagnosis.dt_limits import LONGEST, SHORTEST
 from stepcore.measure.diagnosis.element_id import INERTIAL, ROWS, ElementId
@@ -129,6 +129,8 @@ class IsolatedElements:
             return oscillator_dt(omega, along(self.damping), 0.0, name, self.horizon)
         implicit = along(self.implicit[name]) if name in self.implicit else 0.0
         explicit = 0.0 if element in self.motion.implicit.get(name, ()) else own
+        if name in STIFFNESS_IMPLICIT and element in self.motion.held and explicit == 0.0:
+            return math.inf
         return oscillator_dt(omega, explicit, implicit, name, self.horizon)
 
     def _per_mass(self, matrix: Floats) -> Floats:

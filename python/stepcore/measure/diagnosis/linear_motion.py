@@ -16,7 +16,7 @@ import numpy as np
 
 from stepcore._core import SimulationError
 from stepcore.engine.arrays import Floats
-from stepcore.engine.linear_maps import DAMPING_IMPLICIT, stepped
+from stepcore.engine.linear_maps import DAMPING_IMPLICIT, STIFFNESS_IMPLICIT, stepped
 from stepcore.engine.model import Model
 from stepcore.experiment.joint_gains import implicit_kinds
 from stepcore.measure.diagnosis.control_elements import (
@@ -36,7 +36,10 @@ from stepcore.measure.diagnosis.linear_step import (
     sim_at,
     without_rows,
 )
-from stepcore.scene.layout import Layout
+from stepcore.scene.layout import DOFS, Layout
+
+# Kinds whose stiffness `discrete` treats implicitly, where it pulls back.
+HELD = ("spring", "tendon spring", "actuator")
 
 
 @dataclass(frozen=True)
@@ -44,15 +47,19 @@ class LinearMotion:
     """The linearised motion at a state.
 
     mass: M, shape (nv, nv). rates: J, shape (2 nv, 2 nv) [1/s]. elements: K_e and D_e of each.
-    implicit: whose damping each integrator treats implicitly. after: the elements whose impulses
-    come on top of the midpoint step. feedback: the user's control function, whose forces are held;
-    J has it as if it were not. inputs: the force of each control, shape (nv, nu).
+    implicit: whose damping each integrator treats implicitly; held: whose stiffness those of
+    `STIFFNESS_IMPLICIT` do; pattern: 1 where the others can treat an entry implicitly. after: the
+    elements whose impulses come on top of the midpoint step. feedback: the user's control
+    function, whose forces are held; J has it as if it were not. inputs: the force of each control,
+    shape (nv, nu).
     """
 
     mass: Floats
     rates: Floats
     elements: dict[ElementId, ElementMatrices]
     implicit: dict[str, frozenset[ElementId]]
+    held: frozenset[ElementId] = frozenset()
+    pattern: Floats | float = 1.0
     after: frozenset[ElementId] = frozenset()
     feedback: Feedback | None = None
     inputs: Floats | None = None
@@ -72,9 +79,13 @@ class LinearMotion:
         this block instead, with less work. hold: so many steps, the controls of the first held.
         """
         n = len(self.mass)
-        implicit = np.zeros((n, n))
+        implicit, stiff = np.zeros((n, n)), np.zeros((n, n))
         for element in self.implicit.get(integrator, ()):
             implicit += self.elements[element].damping * (1 + by if element == scaled else 1.0)
+        if integrator not in STIFFNESS_IMPLICIT:
+            implicit *= self.pattern
+        for element in self.held if integrator in STIFFNESS_IMPLICIT else ():
+            stiff += self.elements[element].stiffness * (1 + by if element == scaled else 1.0)
 
         def after(y: Any) -> Any:
             force = np.zeros_like(y[:n])
@@ -99,8 +110,9 @@ class LinearMotion:
 
             block = np.eye(2 * n + feedback.order) if of is None else of
             within = smooth if self.after else None
+            late = (implicit, stiff)
             return held_step(
-                integrator, dt, hold, free, block, self.mass, implicit, within, feedback, inputs
+                integrator, dt, hold, free, block, self.mass, late, within, feedback, inputs
             )
         return stepped(
             integrator,
@@ -110,6 +122,7 @@ class LinearMotion:
             self.mass,
             implicit,
             after if self.after else None,
+            stiff,
         )
 
     def _free(self, scaled: ElementId | None, by: float, x: Any) -> Any:
@@ -171,7 +184,24 @@ def linear_motion(model: Model, state: State, dt: float | None) -> LinearMotion 
     penalty = model.settings.law == "penalty"
     rows = {e for e in elements if e.kind in ROWS and not (penalty and e.kind == "contact")}
     implicit = _implicit(model, elements)
-    return LinearMotion(mass, rates, elements, implicit, frozenset(rows), feedback, inputs)
+    held = frozenset(e for e in elements if e.kind in HELD and np.trace(elements[e].stiffness) > 0)
+    return LinearMotion(
+        *(mass, rates, elements, implicit, held, _pattern(model)),
+        *(frozenset(rows), feedback, inputs),
+    )
+
+
+def _pattern(model: Model) -> Floats | float:
+    """The entries of the mass matrix: a dof and its ancestors. 1 where nothing has others."""
+    if not model.scene.tendons:
+        return 1.0
+    chains: list[set[int]] = [{0}]
+    for body, parent in enumerate(model.body_parent.tolist()[1:], 1):
+        chains.append(chains[parent] | {body})
+    widths = [DOFS[kind] for kind in model.jnt_type]
+    bodies = np.repeat(model.jnt_body, widths).tolist()
+    above = np.array([[a in chains[b] for b in bodies] for a in bodies], float)
+    return np.maximum(above, above.T)
 
 
 def _implicit(model: Model, elements: dict[ElementId, Any]) -> dict[str, frozenset[ElementId]]:
@@ -185,4 +215,10 @@ def _implicit(model: Model, elements: dict[ElementId, Any]) -> dict[str, frozens
     for integrator in DAMPING_IMPLICIT:
         kinds = implicit_kinds(model, integrator)
         implicit[integrator] = frozenset(e for e in elements if e.kind in kinds)
-    return implicit | {"implicitfast": implicit["implicitfast"] | spins}
+    # Centrifugal and Coriolis forces are what the other elements leave.
+    turning = {e for e in elements if e.kind == "spin"} | {INERTIAL}
+    return implicit | {
+        "implicitfast": implicit["implicitfast"] | spins,
+        "implicit": implicit["implicit"] | turning,
+        "discrete": implicit["discrete"] | spins,
+    }

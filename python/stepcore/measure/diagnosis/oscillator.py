@@ -5,7 +5,9 @@ the damping, a step is stable where
 
     explicit                |1 + h s| ≤ 1
     semi-implicit           ω² h² + 2 c h < 4
-    euler, implicitfast     ω² h² + 2 (c_explicit − c_implicit) h < 4
+    euler, implicitfast,
+    implicit, discrete      ω² h² + 2 (c_explicit − c_implicit) h < 4, ω² of a stiffness that is not
+                            implicit: with ω² and c implicit `discrete` is stable at any h
     rk4                     |1 + z + z²/2 + z³/6 + z⁴/24| ≤ 1, z = h s
     midpoint                always; a row of `solref`, which acts after it: h < 2/c and h < 2c/ω²
 

@@ -55,7 +55,8 @@ class MapCase:
 
 GROWS = "motion grows beyond"
 # ω·dt at that boundary, undamped, where there is one.
-PHASE = {"semi-implicit": "2", "euler": "2", "implicitfast": "2", "rk4": "2√2"}
+PHASE = {"semi-implicit": "2", "euler": "2", "implicitfast": "2", "implicit": "2"}
+PHASE["rk4"] = "2√2"
 
 
 def spring(size: float | None) -> MapCase:

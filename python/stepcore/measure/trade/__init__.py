@@ -30,7 +30,7 @@ from stepcore.measure.trade.orders import observed_orders
 from stepcore.measure.trade.recommend import Again, Confirmation, within_budget, within_error
 from stepcore.measure.trade.result import Trade
 from stepcore.measure.trade.row import TradeRow
-from stepcore.measure.trade.settings import grid
+from stepcore.measure.trade.settings import grid, is_stiff
 from stepcore.measure.trade.statistics import LEAST, MOST, AfterPrediction
 from stepcore.measure.trade.trials import Trials
 from stepcore.report import units
@@ -148,7 +148,7 @@ def trade(
     trials = Trials(runner, reference, size, workers)
     counts, rows = Steps(period, shipped.dt), max(path.rows for path in reference.paths)
     if full:
-        tried = grid(shipped, steps, rows=rows, **axes)
+        tried = grid(shipped, steps, rows=rows, stiff=is_stiff(model), **axes)
         trials.run(tried)
     else:
         wanted = frugal.Wanted(target, limit is not None, mujoco)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stepcore._core import Settings
-from stepcore.measure.trade.settings import COULOMB_LAW, SMOOTH_LAW
+from stepcore.measure.trade.settings import integrators_for
 from stepcore.scene.scene import Scene
 
 SWEEPS = (1, 2, 3, 5, 8, 12, 20, 32, 50, 100, 200)
@@ -86,14 +86,13 @@ def longest(period: float, horizon: float) -> float:
     return times * period
 
 
-def families(shipped: Settings, rows: int) -> list[Settings]:
+def families(shipped: Settings, rows: int, stiff: bool = False) -> list[Settings]:
     """Each integrator with each kind of solver, all else as shipped.
 
     rows: the most alive at once in the reference; without any the solver stays as shipped, and
-    for one alone one sweep is all.
+    for one alone one sweep is all. stiff: as in `settings.grid`.
     """
     smooth = shipped.law == "solref"
-    names = SMOOTH_LAW if smooth else COULOMB_LAW
     methods: list[dict[str, Any]] = [{}]
     if rows:
         own = shipped.sweeps if shipped.solver == "pgs" else 20
@@ -104,7 +103,7 @@ def families(shipped: Settings, rows: int) -> list[Settings]:
             methods.append({"solver": "newton", "sweeps": count})
     chosen = [
         shipped.replace(integrator=name, precision="f64", **method)
-        for name in dict.fromkeys([*names, shipped.integrator])
+        for name in integrators_for(shipped, stiff)
         for method in methods
     ]
     return list(dict.fromkeys(chosen))

@@ -35,7 +35,9 @@ from stepcore.measure.trade.moves import Steps
 from stepcore.measure.trade.row import TradeRow
 from stepcore.report.units import metres, seconds
 
-INTEGRATORS = {"euler": 0, "rk4": 1, "implicitfast": 3}
+# MuJoCo's numbers of integrators, and those that are tried.
+INTEGRATORS = {"euler": 0, "rk4": 1, "implicit": 2, "implicitfast": 3, "discrete": 4}
+TRIED = ("euler", "rk4", "implicitfast")
 SOLVERS = {"pgs": 0, "newton": 2}
 # Steps tried, over the shipped one.
 FACTORS = (4.0, 2.0, 1.0, 0.5, 0.25, 0.125)
@@ -243,7 +245,7 @@ class MujocoTrials:
         """Integrators × solvers × steps, all run from every start; and the same to be timed."""
         solvers = SOLVERS if any(path.rows for path in self.reference.paths) else ("newton",)
         pieces = sorted({max(1, round(steps.own / factor)) for factor in FACTORS})
-        asked = [Setting(steps.dt(n), i, s) for n in pieces for i in INTEGRATORS for s in solvers]
+        asked = [Setting(steps.dt(n), i, s) for n in pieces for i in TRIED for s in solvers]
         starts = len(self.runner.schedule.starts)
         with workers.bar("MuJoCo", len(asked) * starts) as bar:
             check = self._check()

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 from stepcore._core import Settings
 from stepcore.measure.trade.moves import Steps, families, moves
+from stepcore.measure.trade.settings import is_stiff
 from stepcore.measure.trade.trials import Score, Trials
 
 # Starts that methods are first judged from.
@@ -107,6 +108,7 @@ class SettingsSearch:
     ) -> None:
         self.trials, self.steps, self.shipped = trials, steps, shipped
         self.rows, self.friction = rows, friction
+        self.stiff = is_stiff(trials.runner.model)
         self.all = len(trials.runner.schedule.starts)
         self.few = min(FEW, self.all)
         # Methods found by changing settings of the families.
@@ -119,7 +121,7 @@ class SettingsSearch:
 
     def overview(self) -> list[Settings]:
         """Runs every family at a few time steps from few starts, around the shipped settings."""
-        some = families(self.shipped, self.rows)
+        some = families(self.shipped, self.rows, self.stiff)
         own = self.steps.own
         counts = {max(1, own // 4), max(1, own // 2), own, 2 * own, 4 * own, 8 * own, 1}
         tried = [self.steps.at(base, n) for base in some for n in sorted(counts)]
@@ -132,7 +134,7 @@ class SettingsSearch:
         Empty where no step that the reference can judge meets it. climb: change settings of the
         methods too, beyond the families and what earlier calls have found.
         """
-        bases = dict.fromkeys([*families(self.shipped, self.rows), *self.methods])
+        bases = dict.fromkeys([*families(self.shipped, self.rows, self.stiff), *self.methods])
         open_ = [self.bracket(base) for base in bases]
         self.narrow(open_, error, self.few, COARSE, "families")
         open_ = self.keep(open_, error, FIRST)

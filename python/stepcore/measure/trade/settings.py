@@ -6,10 +6,16 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from stepcore._core import Settings
+from stepcore.engine.model import Model
+from stepcore.experiment.joint_gains import joint_gains
 
 SMOOTH_LAW = ("semi-implicit", "euler", "implicitfast", "rk4")
 COULOMB_LAW = ("explicit", "semi-implicit", "midpoint", "rk4")
+# Beside these, where springs, tendons or servos are stiff.
+STIFF = ("discrete",)
 SWEEPS_SMOOTH = (5, 20, 100)
 SWEEPS_COULOMB = (1, 5, 20)
 
@@ -22,18 +28,18 @@ def grid(
     sweeps: Sequence[int] | None,
     precisions: Sequence[str] | None,
     rows: int,
+    stiff: bool = False,
 ) -> list[Settings]:
     """Settings to try, the shipped ones among them; all else is as shipped.
 
     rows: the most rows alive at once in the reference. Without any the solver does not matter
     and stays as shipped. A single row is solved by one sweep, so there is one number of sweeps.
-    For Newton sweeps only limit its iterations: it has no such axis. Unless asked for, single
-    precision is tried with one number of sweeps.
+    For Newton sweeps only limit its iterations: it has no such axis. stiff: whether anything of
+    the scene is (`is_stiff`). Unless asked for, single precision is tried with one number of
+    sweeps.
     """
-    smooth = shipped.law == "solref"
     if integrators is None:
-        integrators = SMOOTH_LAW if smooth else COULOMB_LAW
-        integrators = list(dict.fromkeys([*integrators, shipped.integrator]))
+        integrators = integrators_for(shipped, stiff)
     methods = _methods(shipped, solvers, sweeps, rows)
     few = methods if precisions is not None else _one_each(methods)
     chosen = []
@@ -45,6 +51,19 @@ def grid(
         changes = {"dt": dt, "integrator": integrator, "precision": precision, **method}
         points.append(shipped.replace(**changes))
     return sorted(dict.fromkeys(points), key=lambda s: -s.dt)
+
+
+def integrators_for(shipped: Settings, stiff: bool) -> list[str]:
+    """The integrators to try, the shipped one among them."""
+    names = SMOOTH_LAW if shipped.law == "solref" else COULOMB_LAW
+    return list(dict.fromkeys([*names, *(STIFF if stiff else ()), shipped.integrator]))
+
+
+def is_stiff(model: Model) -> bool:
+    """Whether a spring, a tendon or a servo of the model pulls back."""
+    if any(gain.stiffness > 0 for gain in joint_gains(model)):
+        return True
+    return any(np.any(tendon.stiffness) for tendon in model.scene.tendons)
 
 
 def _methods(

@@ -15,6 +15,8 @@ COLOURS = {
     "semi-implicit": "#D55E00",
     "explicit": "#CC79A7",
     "midpoint": "#56B4E9",
+    "implicit": "#000000",
+    "discrete": "#F0E442",
 }
 BLUE, GREEN, ORANGE = COLOURS["rk4"], COLOURS["implicitfast"], COLOURS["euler"]
 RED = COLOURS["semi-implicit"]

@@ -1,6 +1,7 @@
 //! The builder against closed forms and MuJoCo's rules; here what the tests share.
 
 mod apart;
+mod coupling;
 mod pairs;
 mod refused;
 mod weights;

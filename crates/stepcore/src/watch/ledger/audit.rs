@@ -24,9 +24,13 @@ impl<R: Real> Sim<R> {
         self.placed.positions(&model, &self.state.qpos);
         let (half, zero) = (R::of(0.5), R::zero());
         let mut kinetic = zero;
-        for k in 0..model.nv {
-            // ½ vᵀMv = ½ Σ u²D
-            kinetic += half * self.placed.u[k] * self.placed.u[k] / self.placed.metric.inv_d[k];
+        if self.placed.effective.is_some() {
+            kinetic = self.kinetic();
+        } else {
+            for k in 0..model.nv {
+                // ½ vᵀMv = ½ Σ u²D
+                kinetic += half * self.placed.u[k] * self.placed.u[k] / self.placed.metric.inv_d[k];
+            }
         }
         let now = self.moment(At::State);
         let mut moving = kinetic;

@@ -263,7 +263,8 @@ impl Oscillator {
         };
         let late = match integrator {
             Integrator::Euler => in_w(&self.joints),
-            Integrator::ImplicitFast => in_w(&self.fast),
+            Integrator::ImplicitFast | Integrator::Implicit => in_w(&self.fast),
+            Integrator::Discrete => &c + s.transpose() * &s * dt,
             _ => DMatrix::zeros(n, n),
         };
         Some(match integrator {
@@ -281,10 +282,12 @@ impl Oscillator {
                 whole + rate + square / 2.0 + cube / 6.0 + fourth / 24.0
             }
             _ => {
-                // w⁺ = w + dt H (−Sᵀ y − C w), H = (1 + dt C')⁻¹, C' what is implicit of C.
+                // w⁺ = w + dt H (−Sᵀ y − C'' w), H = (1 + dt C')⁻¹, C' what is implicit of C; under
+                // `discrete` C' = C'' = C + dt SᵀS.
                 let h = (&one + &late * dt).try_inverse()?;
                 let wy = -(&h * s.transpose()) * dt;
-                let ww = &one - &h * &c * dt;
+                let c = if integrator == Integrator::Discrete { &late } else { &c };
+                let ww = &one - &h * c * dt;
                 if integrator == Integrator::Explicit {
                     return Some(join(&one, &s * dt, wy, ww));
                 }

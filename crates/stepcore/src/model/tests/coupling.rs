@@ -1,0 +1,67 @@
+//! The pattern of the metric of `discrete`, where tendons couple branches and trees.
+
+use super::{ball, joint, Build};
+use crate::scene::{Geom, Joint, JointType, Stop, Tendon};
+
+fn hinge() -> [Joint; 1] {
+    [joint(JointType::Hinge, [0.0, 1.0, 0.0])]
+}
+
+/// A trunk (0) with two arms (1, 2), and another tree of two (3, 4).
+fn trees(tendons: &[&[usize]], stiffness: f64) -> Build {
+    let mut build = Build::new()
+        .body(0, &hinge(), &[ball()])
+        .body(1, &hinge(), &[ball()])
+        .body(1, &hinge(), &[Geom { pos: [0.0, 0.0, 1.0], ..ball() }])
+        .body(0, &hinge(), &[Geom { pos: [0.0, 3.0, 1.0], ..ball() }])
+        .body(4, &hinge(), &[ball()]);
+    let stop = |joint: &usize| Stop::Joint { joint: *joint, coef: 1.0 };
+    build.0.tendons.extend(tendons.iter().map(|joints| Tendon {
+        path: joints.iter().map(stop).collect(),
+        stiffness: [stiffness, 0.0, 0.0],
+        ..Tendon::default()
+    }));
+    build
+}
+
+fn closed(build: &Build) -> Vec<Vec<usize>> {
+    let model = build.model();
+    model.dofs.iter().map(|dof| dof.closed.of(&model.dof_lists).to_vec()).collect()
+}
+
+#[test]
+fn what_nothing_couples_has_the_chains_of_its_tree() {
+    let alone = [vec![0], vec![0, 1], vec![0, 2], vec![3], vec![3, 4]];
+    assert_eq!(closed(&trees(&[], 1.0)), alone);
+    // Of one chain; and a tendon that does not pull.
+    assert_eq!(closed(&trees(&[&[0, 2]], 1.0)), alone);
+    assert_eq!(closed(&trees(&[&[1, 2]], 0.0)), alone);
+}
+
+#[test]
+fn coupled_branches_become_one_chain() {
+    let build = trees(&[&[1, 2]], 1.0);
+    assert_eq!(closed(&build), [vec![0], vec![0, 1], vec![0, 1, 2], vec![3], vec![3, 4]]);
+    // Rows of what hangs on the second branch touch the first one too, and the pattern is closed.
+    let model = build.model();
+    assert!(model.couples);
+    for dofs in model.pairs.iter().map(|pair| pair.dofs.of(&model.dof_lists)) {
+        for dof in dofs {
+            let own = model.dofs[*dof].closed.of(&model.dof_lists);
+            assert!(own.iter().all(|ancestor| dofs.contains(ancestor)), "{dofs:?}");
+        }
+    }
+}
+
+#[test]
+fn coupled_trees_are_one_island() {
+    let apart = |tendons: &[&[usize]]| {
+        let mut build = trees(tendons, 1.0);
+        build.0.geoms.iter_mut().for_each(|geom| (geom.contype, geom.conaffinity) = (0, 0));
+        build
+    };
+    assert_eq!(apart(&[]).model().islands(), [0, 1]);
+    let build = apart(&[&[2, 4]]);
+    assert_eq!(build.model().islands(), [0, 0]);
+    assert_eq!(closed(&build), [vec![0], vec![0, 1], vec![0, 2], vec![0, 2, 3], vec![0, 2, 3, 4]]);
+}

@@ -1,0 +1,102 @@
+//! The metric of `discrete`: M̂ = M + dt·D + dt²·K, in which the step solves its rows.
+//!
+//! Forces of springs, dampers and servos are those at the end of the step, to first order:
+//! f − D (v⁺ − v) − dt K v⁺, and so M̂ (v⁺ − v) = dt (f − dt K v) + Jᵀλ. (MuJoCo documentation,
+//! "Numerical integration": its `discrete`.) K and D hold back, `Forces::holding`, so that M̂ is
+//! positive definite.
+
+use std::ops::Range;
+
+use super::{Metric, Placed};
+use crate::elements::activation::Activations;
+use crate::elements::force::Moment;
+use crate::elements::forces::holding;
+use crate::model::Model;
+use crate::real::{Real, Stage};
+use crate::room::room;
+use crate::state::Inputs;
+
+/// M̂ and what goes with it.
+pub struct Effective<R: Real> {
+    dt: R,
+    /// M̂, in the layout of the metric.
+    matrix: Vec<R>,
+    /// Where each entry of M stands in it.
+    places: Vec<usize>,
+    /// dt K v, by dof [N or N·m].
+    pub(super) shift: Vec<R>,
+    /// Dofs whose M̂ a step changes, and which are factored together.
+    parts: Vec<Range<usize>>,
+}
+
+room!(Effective<R>: matrix, places, shift, parts;);
+
+impl<R: Real> Effective<R> {
+    pub(super) fn new(model: &Model, metric: &Metric<R>, dt: R) -> Self {
+        let places = metric.places(model);
+        let sloped = model.sloped();
+        let changing =
+            model.trees.iter().zip(sloped).filter(|(tree, sloped)| *sloped || !tree.constant);
+        let mut parts = vec![0..model.nv];
+        if !model.couples && !model.coupled().contains(&true) {
+            parts = changing.map(|(tree, _)| tree.dofs.range()).collect();
+        }
+        let zero = R::zero();
+        let (matrix, shift) = (vec![zero; metric.l.len()], vec![zero; model.nv]);
+        Self { dt, matrix, places, shift, parts }
+    }
+
+    /// M alone, of all dofs: what stands of it where no step changes it.
+    pub(super) fn start(&mut self, mass: &[R], metric: &mut Metric<R>) {
+        self.matrix.fill(R::zero());
+        for (at, mass) in self.places.iter().zip(mass) {
+            self.matrix[*at] = *mass;
+        }
+        metric.l.copy_from_slice(&self.matrix);
+        metric.factor(0..self.shift.len());
+    }
+
+    fn assemble(&mut self, now: &Moment<R>, mass: &[R], metric: &Metric<R>) {
+        let Self { dt, matrix, places, shift, .. } = self;
+        let (dt, half) = (*dt, R::of(0.5));
+        matrix.fill(R::zero());
+        shift.fill(R::zero());
+        for (at, mass) in places.iter().zip(mass) {
+            matrix[*at] = *mass;
+        }
+        holding(now, |_, i, j, [stiffness, damping]| {
+            let Some(at) = metric.place(i, j) else { return };
+            let extra = dt * (damping + dt * stiffness);
+            // Each pair of dofs comes twice.
+            matrix[at] += if i == j { extra } else { half * extra };
+            shift[i] += dt * stiffness * now.qvel[j];
+        });
+    }
+
+    /// An entry of M̂ of two dofs.
+    pub(crate) fn entry(&self, metric: &Metric<R>, i: usize, j: usize) -> R {
+        metric.place(i, j).map_or(R::zero(), |at| self.matrix[at])
+    }
+}
+
+impl<R: Real> Placed<R> {
+    /// M̂ and its factors, if rows are solved in it; M is there.
+    pub(super) fn weigh_effective(
+        &mut self,
+        model: &Model,
+        qpos: &[R],
+        qvel: &[R],
+        act: Activations<R>,
+        inputs: &Inputs<R>,
+    ) {
+        let Some(mut effective) = self.effective.take() else { return };
+        R::enter(Stage::Factor);
+        let now = Moment { model, frames: self.frames(), qpos, qvel, act, inputs };
+        effective.assemble(&now, &self.mass, &self.metric);
+        for part in &effective.parts {
+            self.metric.refill(part.clone(), &effective.matrix);
+            self.metric.factor(part.clone());
+        }
+        self.effective = Some(effective);
+    }
+}
