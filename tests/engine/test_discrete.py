@@ -177,9 +177,13 @@ def test_linearize_is_a_difference():
 
 def test_the_ledger_balances_and_the_limit_is_infinite():
     """Law: a stiff servo under `discrete` loses energy and no more; diagnose finds no limit."""
-    sim = servo(1e5, 1.0, 0.02)
+    sim = sc.Sim(servo(1e5, 1.0, 0.02).model, ledger=True)
+    sim.qpos[0], sim.qvel[0] = 0.3, -0.7
     sim.step(2000)
     assert abs(sim.qpos[0]) < 1e-6
+    for solver in ("PGS", "Newton"):
+        text = TIED.format(dt=0.005, solver=solver, floor=0.65, k=1e5, d=10.0)
+        sc.Sim(sc.loads(text), ledger=True).step(1000)
     diagnosis = sc.diagnose(servo(1e5, 1.0, 0.02).model)
     assert math.isinf(diagnosis.limit("discrete"))
     assert diagnosis.limit("implicitfast") < 0.02
