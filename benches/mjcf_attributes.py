@@ -1,0 +1,191 @@
+"""What becomes of every attribute of MuJoCo's schema: writes docs/mjcf_attributes.md.
+
+    python benches/mjcf_attributes.py
+
+The list is that of the schema in the installed MuJoCo. Each attribute is set to a value that is
+not its default, in a scene where it matters (`attributes/`), and both engines run it: it is
+honoured if the motion is MuJoCo's and another one than without it, has no effect if MuJoCo's motion
+is the same, and is refused if reading it is an error. Anything else is a mistake, and nothing is
+written.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import mujoco
+from attributes.runs import case_of, measured
+from attributes.scenes import SCENES
+
+from stepcore.mjcf.schema import ROOT
+from stepcore.mjcf.schema.notation import Spec
+
+PAGE = Path(__file__).parent.parent / "docs" / "mjcf_attributes.md"
+# What the schema's text calls the elements of the tree, and those that stand outside of it.
+TREE = "(world)body"
+OUTSIDE = {
+    "frame": "name childclass pos quat axisangle xyaxes zaxis euler scale scaling massscale",
+    "replicate": "count sep offset euler",
+    "include": "file",
+}
+# What a motion does not show, and the tests that do.
+ELSEWHERE = {
+    "compiler": dict.fromkeys(("meshdir", "assetdir", "strippath"), "test_mesh_files.py")
+    | {"conflict": "test_expand.py", "autolimits": "test_mjcf_errors.py"},
+    "asset/mesh": dict.fromkeys(("file", "content_type"), "test_mesh_files.py"),
+    "asset/hfield": dict.fromkeys(("file", "content_type"), "test_mesh_files.py"),
+    "asset/model": dict.fromkeys(("file", "content_type"), "test_expand.py"),
+    "attach": dict.fromkeys(("model", "body", "frame", "prefix"), "test_expand.py"),
+    "replicate": {"sep": "test_expand.py"},
+    "include": {"file": "test_mjcf_files.py"},
+}
+# What cannot be tried alone: ranges of muscles that give none, and the state of flexes.
+KNOWN = {
+    "compiler/lengthrange": dict.fromkeys(
+        [
+            *("mode", "useexisting", "uselimit", "accel", "maxforce", "timeconst", "timestep"),
+            *("inttotal", "interval", "tolrange"),
+        ],
+        "no effect",
+    ),
+    "keyframe/key": {"plastic": "refused"},
+}
+ROLES = {"draws": "only draws", "senses": "senses", "data": "data", "unbuilt": "refused"}
+COLUMNS = ("honoured", "no effect", "only draws", "senses", "data", "refused")
+TEXT = """# Every attribute of MJCF
+
+From the schema of MuJoCo {version}, by `python benches/mjcf_attributes.py`, which sets each
+attribute to a value that is not its default in a scene where it matters, and runs that scene here
+and in MuJoCo:
+
+- **honoured**: the motion is MuJoCo's, and another one than without the attribute; and names.
+- **no effect**: MuJoCo's motion is the same with and without it; it is read and checked.
+- **only draws**, **senses**, **data**: the element is read past and listed in `Scene.ignored`.
+- **refused**: an error with file and line that says what the thing does to the motion. It can be
+  left out: `load(path, without=["geom/adhesion"])`, `--without geom/adhesion`
+  ([refusals](#refusals)).
+
+An attribute of a default class is what the same attribute of the element is.
+Of {count} attributes {counts}.
+
+{table}
+
+## Refusals
+
+All that is wrong with a file, or not built yet, is listed at once, a line for each:
+
+    robot.xml:12: <flexcomp> in <body> is not built yet: its points move, … (also in line 15)
+    robot.xml:40: adhesion is not built yet: it pulls touching geoms together
+    without=["worldbody/flexcomp", "geom/adhesion"] leaves these things out
+
+`without` takes a section (`contact`, `tendon`, `equality`, `actuator`, `sensor`, `keyframe`), an
+element (`weld`, or `actuator/muscle` where a name is ambiguous), an attribute (`geom/adhesion`),
+`flex` or `plugin`. What refers to something that is left out is left out too, and a keyframe keeps
+the controls of the actuators that stay. `Scene.notes` says what that changes, and every result that
+says what motion it ran says so: "…; law solref; without flex (2)".
+"""
+
+
+def schema() -> dict[str, list[str]]:
+    """The attributes of every element, by path, but for default classes."""
+    tree: dict[str, list[str]] = {}
+    path: list[str] = []
+    for line in mujoco.mj_printSchema(False, False).splitlines():
+        words = line.split()
+        if not words:
+            continue
+        indent = len(line) - len(line.lstrip())
+        if indent < 28:
+            path = [*path[: indent // 3], words[0]]
+            words = line[28:].split()
+        if path[1:2] != ["default"]:
+            tree.setdefault("/".join(path[1:]), []).extend(words)
+    found = {_short(name): attributes for name, attributes in tree.items() if name}
+    return found | {name: words.split() for name, words in OUTSIDE.items()}
+
+
+def _short(path: str) -> str:
+    return "body" if path == TREE else path.removeprefix(f"{TREE}/")
+
+
+def spec_of(path: str) -> Spec | None:
+    """Our own element of this path."""
+    for root in (ROOT, ROOT.children["worldbody"]):
+        found: Spec | None = root
+        for tag in path.split("/"):
+            found = found.children.get(tag) if found else None
+        if found is not None:
+            return found
+    return ROOT.children["worldbody"].children["body"].children.get(path)
+
+
+def mark(path: str, attribute: str) -> tuple[str, str]:
+    """(what becomes of an attribute, what is wrong with that)."""
+    if attribute in ELSEWHERE.get(path, {}):
+        return "honoured", ""
+    spec = spec_of(path)
+    if spec is None or attribute not in spec.attrs:
+        if path == "composite" or (spec is None and _refused_above(path)):
+            return "refused", ""
+        return "honoured", f"{path} {attribute}: not in our schema"
+    role = _refused_above(path) or spec.role
+    if role:
+        return ROLES[role], ""
+    if attribute in ("name", "class"):
+        return "honoured", ""
+    if attribute in KNOWN.get(path, {}):
+        return KNOWN[path][attribute], ""
+    case = case_of(path, attribute)
+    if path not in SCENES or case is None:
+        return "honoured", f"{path} {attribute}: no case"
+    outcome = measured(path, attribute, case)
+    if outcome.word in COLUMNS:
+        return outcome.word, ""
+    return "honoured", f"{path} {attribute}: {outcome.word}: {outcome.text}"
+
+
+def _refused_above(path: str) -> str:
+    """The role of an element that holds this one."""
+    parts = path.split("/")
+    above = [spec_of("/".join(parts[:count])) for count in range(1, len(parts))]
+    return next((spec.role for spec in above if spec is not None and spec.role), "")
+
+
+def page() -> tuple[str, list[str]]:
+    """The text of the page, and what is wrong."""
+    wrong: list[str] = []
+    lines = ["| element | " + " | ".join(COLUMNS) + " |", "|---" * (len(COLUMNS) + 1) + "|"]
+    counts = dict.fromkeys(COLUMNS, 0)
+    for path, attributes in schema().items():
+        cells: dict[str, list[str]] = {column: [] for column in COLUMNS}
+        for attribute in attributes:
+            word, mistake = mark(path, attribute)
+            cells[word].append(attribute)
+            counts[word] += 1
+            wrong += [mistake] if mistake else []
+        if attributes:
+            row = " | ".join(" ".join(cells[column]) for column in COLUMNS)
+            lines.append(f"| `{path}` | {row} |")
+    said = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
+    text = TEXT.format(
+        version=mujoco.__version__,
+        count=sum(counts.values()),
+        counts=said,
+        table="\n".join(lines),
+    )
+    return text, wrong
+
+
+def main() -> int:
+    text, wrong = page()
+    for line in wrong:
+        print(line, file=sys.stderr)
+    if wrong:
+        return 1
+    PAGE.write_text(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,65 @@
+"""No attribute of MJCF makes a silent difference: each is honoured, without effect, or refused."""
+
+import re
+
+import mjcf_attributes
+import pytest
+from attributes.runs import models
+from attributes.scenes import SCENES
+
+from stepcore import loads
+from stepcore.mjcf.nodes import MJCFError
+from stepcore.mjcf.schema import ROOT
+
+
+def test_every_attribute_is_what_the_page_says() -> None:
+    """After a change: python benches/mjcf_attributes.py."""
+    text, wrong = mjcf_attributes.page()
+    assert wrong == []
+    page = mjcf_attributes.PAGE.read_text().splitlines()
+    assert page == text.splitlines()
+
+
+# (path, the element of a default class) where one stands for the other.
+CLASSES = {
+    **{tag: tag for tag in ("joint", "geom", "site")},
+    **{f"contact/{tag}": tag for tag in ("pair",)},
+    **{f"equality/{tag}": "equality" for tag in ("connect", "weld", "joint", "tendon")},
+    **{f"tendon/{tag}": "tendon" for tag in ("fixed", "spatial")},
+    **{path: path.partition("/")[2] for path in SCENES if path.startswith("actuator/")},
+}
+# What a class does to other attributes of its actuator: gains.py.
+GAINS = {"inheritrange"}
+
+
+def held(text: str, place: int) -> set[str]:
+    """The attributes of the element whose tag ends at this place."""
+    return set(re.findall(r'(\w+)="', text[place : text.index(">", place)]))
+
+
+@pytest.mark.parametrize("path", [path for path in CLASSES if "," not in path])
+def test_an_attribute_of_a_class_is_that_of_the_element(path: str) -> None:
+    default = ROOT.children["default"].children[CLASSES[path]]
+    scene, tag = SCENES[path], path.rpartition("/")[2]
+    for attribute in mjcf_attributes.schema().get(path, []):
+        case = mjcf_attributes.case_of(path, attribute)
+        if case is None or attribute not in default.attrs or attribute in GAINS:
+            continue
+        base, tried = models(path, attribute, case)
+        value = case if isinstance(case, str) else case[0]
+        own = f'<{CLASSES[path]} {attribute}="{value}"/>'
+        classes = f'<default><default class="own">{own}</default></default>'
+        # The element is where the two texts part.
+        start = next(i for i, (a, b) in enumerate(zip(base, tried, strict=False)) if a != b)
+        start = base.rindex(f"<{tag}", 0, start + 1)
+        place = start + len(tag) + 1
+        rest = re.sub(f' {attribute}="[^"]*"', "", base[place:], count=1)
+        if attribute not in held(base, place):
+            rest = base[place:]
+        named = f'{base[:place]} class="own"{rest}'
+        named = named.replace("<worldbody>", f"{classes}<worldbody>", 1)
+        try:
+            scene = loads(tried)
+        except MJCFError:
+            continue
+        assert loads(named) == scene, (path, attribute)
