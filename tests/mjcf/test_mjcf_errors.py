@@ -228,8 +228,6 @@ UNBUILT = {
     "<flex> in <equality>": ("", '<equality><flex flex="b"/></equality>'),
     "<intvelocity> in <actuator>": ("", '<actuator><intvelocity joint="j"/></actuator>'),
     "<muscle> in <actuator>": ("", '<actuator><muscle joint="j"/></actuator>'),
-    "(timeconst)": ('<joint name="j"/>', servo("position", 'timeconst=".1"')),
-    'dyntype="integrator"': ('<joint name="j"/>', servo("general", 'dyntype="integrator"')),
     'gaintype="affine"': ('<joint name="j"/>', servo("general", 'gaintype="affine"')),
     'biastype="muscle"': ('<joint name="j"/>', servo("general", 'biastype="muscle"')),
     "<general> that acts through body": ("", '<actuator><general body="b"/></actuator>'),
@@ -239,7 +237,6 @@ UNBUILT = {
     "<composite> in <body>": ("<composite/>", ""),
     "mocap": ('<body mocap="true"/>', ""),
     "gravcomp": ('<body gravcomp="1"/>', ""),
-    "align": ('<body><freejoint align="true"/></body>', ""),
     "scaling": ('<frame scale="2"/>', ""),
     "springdamper": ('<joint springdamper="1 1"/>', ""),
     "springyield": ('<joint springyield="1"/>', ""),
@@ -262,8 +259,6 @@ UNBUILT = {
     "own damping": ('<joint name="j"/>', '<actuator><motor joint="j" damping="1"/></actuator>'),
     "fluid": ("", '<option density="1"/>'),
     "actuatorgroupdisable": ("", '<option actuatorgroupdisable="1"/>'),
-    "fusestatic": ("", '<compiler fusestatic="true"/>'),
-    "alignfree": ("", '<compiler alignfree="true"/>'),
     **{
         f'flag "{flag}"': ("", f'<option><flag {flag}="enable"/></option>')
         for flag in ("sleep", "diagexact", "ipc", "speculative")

@@ -13,12 +13,6 @@ from stepcore.scene import frames
 from stepcore.scene.elements import MassRules, fields_of
 from stepcore.scene.frames import Vec
 
-# Other attributes are accepted without effect: folders of files, how a model is saved.
-_UNBUILT = {
-    "fusestatic": "fusing static bodies with their parents (fusestatic)",
-    "alignfree": "aligning free bodies with their inertia (alignfree)",
-}
-
 
 class Compiler:
     """All compiler sections of a file together; a later value replaces an earlier one.
@@ -37,9 +31,6 @@ class Compiler:
         self.eulerseq: str = self.values.get("eulerseq", "xyz")
 
     def _check(self, node: Node) -> None:
-        for name, what in _UNBUILT.items():
-            if node.values.get(name):
-                raise node.unbuilt(what)
         if node.values.get("coordinate") == "global":
             raise bad(node, "coordinate", "global", "local: MuJoCo dropped global coordinates")
         sequence = node.values.get("eulerseq", "xyz")

@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING
 
 from stepcore.checks import ElementError
 from stepcore.mjcf import actuators, contacts, custom, equalities, keyframes, option, tendons
+from stepcore.mjcf.align import align
 from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.expand.attach import Model
+from stepcore.mjcf.fuse import fuse
 from stepcore.mjcf.include import expand, read_bytes
 from stepcore.mjcf.left_out import LeftOut
 from stepcore.mjcf.models import Models, inside, sections
@@ -90,6 +92,10 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
         # The check of the whole scene names an element, whose line is known.
         node = world.nodes.get(id(error.owner), root)
         raise node.error(str(error)) from None
+    except MJCFError:
+        raise
+    except ValueError as error:
+        raise root.error(str(error)) from None
     scene.ignored.sort(key=_place)
     scene.notes += left_out.notes()
     scene.without = left_out.said()
@@ -128,6 +134,9 @@ def _finish(world: WorldReader, root: Node) -> None:
     check_references(world, root)
     leave_out_visual_geoms(world, layout)
     world.assets.read_used(scene)
+    if world.main.values.get("fusestatic"):
+        fuse(world, root)
+    align(world)
     layout = Layout(scene)
     for node in custom.own_texts(inside(root, "custom")):
         world.refusals.at(node, partial(custom.read, scene))

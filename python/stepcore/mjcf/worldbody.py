@@ -15,7 +15,7 @@ from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.schema.tree import NOT_IN_WORLD
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
-from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element, Geom
+from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element, Geom, Joint
 from stepcore.scene.frames import Vec
 
 if TYPE_CHECKING:
@@ -75,6 +75,10 @@ class WorldReader:
         self.references: list[tuple[Node, str, str]] = []
         self.shapes: list[Shape] = []
         self.with_inertial: set[int] = set()
+        # The axes of inertias that are given by moments about them, by body; free joints whose
+        # bodies are to be aligned with their inertia.
+        self.inertial_axes: dict[int, Vec] = {}
+        self.aligned: set[int] = set()
         # Ranges of joints, limited or not, which servos can inherit.
         self.ranges: dict[int, tuple[float, ...]] = {}
 
@@ -108,12 +112,17 @@ class WorldReader:
         elif node.tag == "camera":
             self.names["camera"].add(name)
         elif node.tag == "freejoint":
-            if node.values.get("align") is True:
-                raise node.unbuilt("aligning a free body with its inertia (align)")
-            self.keep(node, self.scene.add_joint(place.body, "free", name=name))
+            self._align(node, self.scene.add_joint(place.body, "free", name=name))
         elif node.tag == "joint":
             self._joint(node, place)
         return None
+
+    def _align(self, node: Node, joint: Joint) -> None:
+        """Keeps a free joint, and whether its body is to be aligned with its inertia."""
+        asked = node.values.get("align", "auto")
+        if asked is True or (asked == "auto" and self.compiler.values.get("alignfree")):
+            self.aligned.add(id(joint))
+        self.keep(node, joint)
 
     def keep(self, node: Node, element: Element) -> None:
         """Records the node of an element, for error messages, and for keyframes."""
@@ -158,10 +167,11 @@ class WorldReader:
         if id(place.body) in self.with_inertial:
             raise node.error("a second <inertial> in the same <body>")
         self.with_inertial.add(id(place.body))
+        place.body.ipos, turn = self._pose(node, values, place)
         inertia = values.get("fullinertia")
         if inertia is None:
+            self.inertial_axes[id(place.body)] = turn
             inertia = (*values.get("diaginertia", frames.ORIGIN), 0.0, 0.0, 0.0)
-        place.body.ipos, turn = self._pose(node, values, place)
         place.body.inertia = frames.turned_inertia(turn, inertia)
         place.body.mass = values["mass"]
 
@@ -194,6 +204,8 @@ class WorldReader:
             **soft(values, "solreflimit", "solimplimit"),
             **soft(values, "solreffriction", "solimpfriction"),
         )
+        if kind == "free":
+            self._align(node, joint)
         self.keep(node, joint)
         if angles:
             # MuJoCo converts the range of a limited joint only.

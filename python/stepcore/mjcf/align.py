@@ -1,0 +1,73 @@
+"""`align` and `alignfree`: free bodies whose frame becomes that of their inertia.
+
+MuJoCo documentation, XML reference, freejoint/align. As there, only a body without bodies in it is
+aligned; what is given in its frame elsewhere (anchors of equalities, keyframes) is not changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from stepcore.mjcf.masses import six, weights
+from stepcore.mjcf.principal import principal_axes
+from stepcore.scene import frames
+from stepcore.scene.elements import Body, Geom, Site
+from stepcore.scene.frames import Vec
+
+if TYPE_CHECKING:
+    from stepcore.mjcf.worldbody import WorldReader
+
+Pose = tuple[Vec, Vec]
+
+
+def align(world: WorldReader) -> None:
+    """Aligns the free bodies for which the file asks for it."""
+    scene = world.scene
+    parents = {id(body.parent) for body in scene.bodies}
+    bodies = [j.body for j in scene.joints if id(j) in world.aligned and id(j.body) not in parents]
+    if not bodies:
+        return
+    known = weights(scene)
+    for body in bodies:
+        weight = known[id(body)]
+        quat = _axes(world, body)
+        if quat is None:
+            quat = principal_axes(weight.inertia)[0]
+        pose = (tuple(map(float, weight.ipos)), quat)
+        placed: list[Geom | Site] = [*scene.geoms, *scene.sites]
+        for element in placed:
+            if element.body is body:
+                element.pos, element.quat = _seen_in(pose, element.pos, element.quat)
+        if body.mass is not None:
+            back = _inverse(pose)
+            own = weight.seen_from(*back)
+            body.ipos, body.inertia = frames.ORIGIN, (*six(own.inertia)[:3], 0.0, 0.0, 0.0)
+        body.pos, body.quat = frames.composed((body.pos, body.quat), *pose)
+
+
+def _axes(world: WorldReader, body: Body) -> Vec | None:
+    """The axes that the file itself gives an inertia: those of its element, or of an only geom."""
+    rules = world.scene.mass_rules
+    if body.mass is not None and rules.inertiafromgeom is not True:
+        return world.inertial_axes.get(id(body))
+    low, high = rules.inertiagrouprange
+    heavy: Iterable[Vec] = [
+        shape.geom.quat
+        for shape in world.shapes
+        if shape.geom.body is body and shape.heavy and low <= shape.geom.group <= high
+    ]
+    found = list(heavy)
+    meshes = any(g.mesh is not None for g in world.scene.geoms if g.body is body)
+    return found[0] if len(found) == 1 and not meshes else None
+
+
+def _inverse(pose: Pose) -> Pose:
+    pos, (w, x, y, z) = pose
+    back = (w, -x, -y, -z)
+    return tuple(-a for a in frames.rotated(back, pos)), back
+
+
+def _seen_in(pose: Pose, pos: Vec, quat: Vec) -> Pose:
+    """A pose of the outer frame in the frame that has the pose `pose` there."""
+    return frames.composed(_inverse(pose), pos, quat)

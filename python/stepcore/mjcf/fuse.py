@@ -1,0 +1,126 @@
+"""`fusestatic`: bodies that cannot move against their parent become part of it.
+
+MuJoCo documentation, XML reference, compiler/fusestatic.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeVar
+
+from stepcore.mjcf.expand.naming import references
+from stepcore.mjcf.masses import Weight, six, weights
+from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.refusals import below
+from stepcore.scene import frames
+from stepcore.scene.elements import Body, Geom, Site
+
+if TYPE_CHECKING:
+    from stepcore.mjcf.worldbody import WorldReader
+
+E = TypeVar("E", Geom, Site)
+# Rules under which the bodies alone and the fused one would not weigh the same.
+BOUNDS = ("boundmass", "boundinertia", "balanceinertia")
+
+
+def fuse(world: WorldReader, root: Node) -> None:
+    """Fuses the static bodies of the scene, the innermost first."""
+    scene = world.scene
+    jointed = {id(joint.body) for joint in scene.joints}
+    named = _referred(root)
+    sensed = _sensed(root)
+    sites = {id(site.body) for site in scene.sites if site.name in sensed}
+    options = [section.values for section in root.children if section.tag == "option"]
+    fluid = any(o.get(name, 0.0) > 0 for o in options for name in ("density", "viscosity"))
+    known = weights(scene)
+    for body in _innermost_first(scene.bodies):
+        kept = id(body) in jointed or id(body) in sites or (body.name and body.name in named)
+        if not kept and _may(world, body, known, fluid):
+            _fuse(world, body, known)
+
+
+def _innermost_first(bodies: list[Body]) -> list[Body]:
+    """The bodies but the world, each after those that it carries, else in the order of the file."""
+    inside: dict[int, list[Body]] = {}
+    for body in bodies[1:]:
+        inside.setdefault(id(body.parent), []).append(body)
+    order: list[Body] = []
+    pending = [bodies[0]]
+    while pending:
+        body = pending.pop()
+        order.append(body)
+        pending += inside.get(id(body), [])
+    return order[:0:-1]
+
+
+def _referred(root: Node) -> set[str]:
+    """The names of bodies that any element refers to."""
+    return {name for node in below(root) for _, kind, name in references(node) if kind == "body"}
+
+
+def _sensed(root: Node) -> set[str]:
+    """The sites of sensors of forces, which measure between a body and its parent."""
+    sections = [section for section in root.children if section.tag == "sensor"]
+    return {
+        node.attrs.get("site", "")
+        for section in sections
+        for node in section.children
+        if node.tag in ("force", "torque")
+    } - {""}
+
+
+def _may(world: WorldReader, body: Body, known: dict[int, Weight], fluid: bool) -> bool:
+    """Whether the body's own attributes, and the fluid, let it be fused."""
+    values = world.nodes[id(body)].values
+    if values.get("mocap") or values.get("fuse") is False or "sleep" in values:
+        return False
+    if known[id(body)].mass == 0.0:
+        return True
+    parent = world.nodes.get(id(body.parent))
+    above = parent.values.get("gravcomp", 0.0) if parent is not None else 0.0
+    return not fluid and bool(values.get("gravcomp", 0.0) == above)
+
+
+def _fuse(world: WorldReader, body: Body, known: dict[int, Weight]) -> None:
+    scene, parent = world.scene, body.parent
+    assert parent is not None
+    pose = (body.pos, body.quat)
+    if parent is not scene.world:
+        _add_weight(world, body, parent, known)
+    scene.geoms = _moved(scene.geoms, body, parent)
+    scene.sites = _moved(scene.sites, body, parent)
+    for child in scene.bodies:
+        if child.parent is body:
+            child.parent = parent
+            child.pos, child.quat = frames.composed(pose, child.pos, child.quat)
+    scene.bodies.remove(body)
+
+
+def _moved(elements: list[E], body: Body, parent: Body) -> list[E]:
+    """The elements, those of a body after all others and on its parent."""
+    moved: list[E] = [element for element in elements if element.body is body]
+    rest: list[E] = [element for element in elements if element.body is not body]
+    for element in moved:
+        element.body = parent
+        element.pos, element.quat = frames.composed(
+            (body.pos, body.quat), element.pos, element.quat
+        )
+    return rest + moved
+
+
+def _add_weight(world: WorldReader, body: Body, parent: Body, known: dict[int, Weight]) -> None:
+    """Gives the parent the weight of both, unless it comes from the geoms of both anyway."""
+    rules = world.scene.mass_rules
+    both = known[id(parent)] + known[id(body)].seen_from(body.pos, body.quat)
+    bounded = any(getattr(rules, name) for name in BOUNDS)
+    known[id(parent)] = both
+    if known[id(body)].mass == 0.0 and body.mass is None:
+        return
+    inferred = parent.mass is None and body.mass is None
+    if rules.inertiafromgeom is True or (inferred and rules.inertiafromgeom is None):
+        if not bounded:
+            return
+        node = world.nodes[id(body)]
+        raise node.unbuilt("fusing bodies (fusestatic) with bounds of their inertia")
+    parent.mass, parent.inertia = both.mass, six(both.inertia)
+    x, y, z = both.ipos
+    parent.ipos = (float(x), float(y), float(z))

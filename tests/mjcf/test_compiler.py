@@ -1,0 +1,133 @@
+"""Options of `<compiler>` that move bodies or change masses make MuJoCo's model."""
+
+import compiled
+import mujoco
+import numpy as np
+import pytest
+
+from stepcore import loads
+from stepcore.mjcf.nodes import MJCFError
+from stepcore.mjcf.principal import principal_axes
+
+FREE = """<mujoco><compiler {0}/><default><geom density="800"/></default>
+  <asset><mesh name="m" vertex="0 0 0 .5 0 0 0 .25 0 0 0 1"/></asset>
+  <worldbody><body name="a" pos="1 2 3" euler="10 20 30"><freejoint {1}/>{2}
+    <site name="s" pos="1 1 1"/></body></worldbody>
+  <keyframe><key qpos="5 6 7 1 0 0 0"/><key qvel="1 2 3 4 5 6"/></keyframe></mujoco>"""
+BOX = '<geom type="box" size="1 .2 .3" pos="1 0 0" euler="0 0 40"/>'
+TWO = BOX + '<geom size=".3"/>'
+ON = 'alignfree="true"'
+ALIGNED = {
+    "two geoms": FREE.format(ON, "", TWO),
+    "by the joint": FREE.format("", 'align="true"', TWO),
+    "not by the joint": FREE.format(ON, 'align="false"', TWO),
+    "one geom": FREE.format(ON, "", BOX),
+    "one with mass": FREE.format(ON, "", BOX + '<geom size="1" mass="0"/>'),
+    "one in the groups": FREE.format(
+        f'{ON} inertiagrouprange="0 2"', "", BOX + '<geom size="1" group="3"/>'
+    ),
+    "with a child": FREE.format(ON, "", TWO + '<body name="c"><geom size=".1"/></body>'),
+    "moments": FREE.format(
+        ON, "", TWO + '<inertial pos="1 2 3" mass="2" diaginertia="1 2 2.5" euler="10 0 0"/>'
+    ),
+    "a full inertia": FREE.format(
+        ON, "", TWO + '<inertial pos="1 2 3" mass="2" fullinertia="1 2 2.5 .1 .2 .3"/>'
+    ),
+    "geoms instead of moments": FREE.format(
+        f'{ON} inertiafromgeom="true"',
+        "",
+        TWO + '<inertial pos="1 2 3" mass="2" diaginertia="1 2 2.5"/>',
+    ),
+    "a joint of type free": FREE.format(ON, "", TWO).replace("<freejoint", '<joint type="free"'),
+}
+FUSED = """<mujoco><compiler fusestatic="true" {0}/><worldbody><geom name="w" size=".1"/>
+  <body name="mv" pos="0 1 0"><joint name="j" axis="1 0 0"/>{1}
+    <body name="st" {2} pos="0 0 1" euler="90 0 10"><geom name="gs" type="box" size=".1 .2 .3"/>{3}
+      <site name="s" pos="1 0 0"/>
+      <body name="in" pos="1 0 0"><geom name="gi" size=".1"/>
+        <body name="k1" pos="0 0 1"><joint name="jk"/><geom name="gk" size=".1"/></body></body>
+    </body>
+    <body name="k2" pos="0 2 0"><joint name="j2"/><geom size=".1"/></body>
+    <body name="st2" pos=".1 0 0"><geom name="gs2" size=".1"/></body>
+    <geom name="gm2" size=".2" pos="1 1 1"/></body>
+  <body name="W" pos="1 1 1" euler="0 45 0"><geom name="wg" size="1"/>
+    <body name="k3" pos="1 0 0"><joint name="j3"/><geom size=".1" name="k3g"/></body></body>
+  <geom name="w2" size=".1"/></worldbody>{4}</mujoco>"""
+GM = '<geom name="gm" size=".2"/>'
+INERTIAL = '<inertial pos="1 0 0" mass="2" diaginertia="1 2 2.5" euler="0 0 20"/>'
+FUSING = {
+    "geoms": FUSED.format("", GM, "", "", ""),
+    "the parent's inertial": FUSED.format("", INERTIAL, "", "", ""),
+    "its own inertial": FUSED.format("", GM, "", INERTIAL, ""),
+    "both": FUSED.format("", INERTIAL, "", INERTIAL, ""),
+    "always from geoms": FUSED.format('inertiafromgeom="true"', INERTIAL, "", INERTIAL, ""),
+    "a total mass": FUSED.format('settotalmass="7"', GM, "", INERTIAL, ""),
+    "kept by its attribute": FUSED.format("", GM, 'fuse="false"', "", ""),
+    "kept by a pair": FUSED.format(
+        "", GM, "", "", '<contact><exclude body1="st" body2="k2"/></contact>'
+    ),
+    "kept by a tuple": FUSED.format(
+        "",
+        GM,
+        "",
+        "",
+        '<custom><tuple name="t"><element objtype="body" objname="st"/></tuple></custom>',
+    ),
+    "kept by a force": FUSED.format("", GM, "", "", '<sensor><force site="s"/></sensor>'),
+    "kept by a camera": FUSED.format(
+        "", GM + '<camera target="st" mode="targetbody"/>', "", "", ""
+    ),
+}
+MASSES = {
+    "boundmass": 'boundmass="9"',
+    "boundinertia": 'boundinertia=".5"',
+    "settotalmass": 'settotalmass="5"',
+    "balanceinertia": 'balanceinertia="true"',
+    "inertiafromgeom": 'inertiafromgeom="true"',
+    "inertiagrouprange": 'inertiagrouprange="2 4"',
+    "several": 'inertiagrouprange="0 2" boundmass="9" boundinertia=".5" settotalmass="100"',
+}
+HEAVY = """<mujoco><compiler {0}/><worldbody><body name="a"><joint axis="1 0 0"/>
+    <geom type="box" size=".1 .2 .3" group="3" pos=".1 0 0"/><geom size=".2" group="2"/>
+    <body pos="0 1 0"><joint/><inertial pos="0 0 .1" mass="2" diaginertia="1 2 {1}"/>
+      <geom size=".1" group="2"/></body></body>
+  <body name="still"><geom size=".1"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("what", ALIGNED)
+def test_free_bodies_are_aligned(what: str) -> None:
+    compiled.compare(loads(ALIGNED[what]), mujoco.MjModel.from_xml_string(ALIGNED[what]))
+
+
+@pytest.mark.parametrize("what", FUSING)
+def test_static_bodies_are_fused(what: str) -> None:
+    compiled.compare(loads(FUSING[what]), mujoco.MjModel.from_xml_string(FUSING[what]))
+
+
+@pytest.mark.parametrize("what", MASSES)
+def test_rules_for_masses(what: str) -> None:
+    text = HEAVY.format(MASSES[what], 4 if what == "balanceinertia" else 2.5)
+    compiled.compare(loads(text), mujoco.MjModel.from_xml_string(text))
+
+
+def test_a_mesh_is_aligned_up_to_single_precision() -> None:
+    text = ALIGNED["one geom"].replace(BOX, '<geom type="mesh" mesh="m"/>')
+    scene, theirs = loads(text), mujoco.MjModel.from_xml_string(text)
+    assert scene.compile().qpos0 == pytest.approx(theirs.qpos0, abs=1e-6)
+
+
+def test_principal_axes_are_mujocos() -> None:
+    chance = np.random.default_rng(3)
+    for _ in range(300):
+        root = chance.normal(size=(3, 3)) * chance.choice([1.0, 1e-2], size=(1, 3))
+        inertia = root @ root.T * 10.0 ** chance.integers(-6, 4)
+        moments, axes, quat = np.zeros(3), np.zeros(9), np.zeros(4)
+        mujoco.mju_eig3(moments, axes, quat, inertia.ravel())
+        ours = principal_axes(inertia)
+        assert ours[0] == pytest.approx(quat, abs=1e-9)
+        assert ours[1] == pytest.approx(moments, rel=1e-9)
+
+
+def test_fusing_under_bounds_is_refused() -> None:
+    with pytest.raises(MJCFError, match="with bounds of their inertia is not built yet"):
+        loads(FUSED.format('boundmass="1" inertiafromgeom="true"', GM, "", "", ""))
