@@ -8,7 +8,7 @@ and applied to any copy of the scene.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -117,6 +117,15 @@ def _inactive(scene: Contents, equalities: Iterable[int]) -> None:
         scene.equalities[equality].active = False
 
 
+def _cleared(scene: Contents, value: tuple[str, tuple[int, ...], tuple[str, ...]]) -> None:
+    """Fields of some elements of a list back at their defaults."""
+    elements, indices, fields = value
+    for index in indices:
+        element = getattr(scene, elements)[index]
+        for field in fields:
+            setattr(element, field, getattr(type(element), field))
+
+
 def _settings(scene: Contents, values: tuple[tuple[str, Any], ...]) -> None:
     scene.options.update(values)
 
@@ -130,7 +139,25 @@ _EDITS: dict[str, Any] = {
     "sliding only": _sliding_only,
     "no contact": _no_contact,
     "inactive": _inactive,
+    "cleared": _cleared,
     "settings": _settings,
+}
+
+
+@dataclass(frozen=True)
+class Has:
+    """What joints and tendons can both have: whether one has it, its fields, and in words."""
+
+    test: Callable[[Any], bool]
+    fields: tuple[str, ...]
+    words: str
+
+
+HAS = {
+    "spring": Has(lambda e: e.sprung, ("stiffness", "stiffnesspoly"), "springs"),
+    "damper": Has(lambda e: e.damped, ("damping", "dampingpoly"), "damping"),
+    "frictionloss": Has(lambda e: e.frictionloss > 0, ("frictionloss",), "friction loss"),
+    "armature": Has(lambda e: e.armature > 0, ("armature",), "armature"),
 }
 
 
@@ -189,22 +216,54 @@ class RemovableFeatures:
         """Smooth forces, armature and friction loss."""
         scene, features = self.scene, self.scene.features
         removals: list[Removal] = []
-        lossy = [j for j in scene.joints if j.frictionloss > 0]
-        if lossy and features.frictionloss and features.constraint:
-            removals.append(_switched_off("friction loss", lossy, "frictionloss"))
+        if features.frictionloss and features.constraint:
+            removals += self._term("friction loss", "frictionloss")
         heavy = tuple(i for i, joint in enumerate(scene.joints) if joint.armature > 0)
         if heavy:
             removals.append(Removal("armature", _count(heavy, "joint"), (("no armature", heavy),)))
-        damped = [j for j in scene.joints if j.damped]
-        if damped and features.damper:
-            removals.append(_switched_off("joint damping", damped, "damper"))
-        sprung = [j for j in scene.joints if j.sprung]
-        if sprung and features.spring:
-            removals.append(_switched_off("joint springs", sprung, "spring"))
+        if features.damper:
+            removals += self._term("joint damping", "damper")
+        if features.spring:
+            removals += self._term("joint springs", "spring")
+        removals += self.tendons()
         if features.coriolis and not all(self.plan["constant"]):
             name = "Coriolis, gyroscopic"
             removals.append(Removal("velocity forces", name, (("feature", "coriolis"),)))
         return removals
+
+    def _term(self, kind: str, feature: str) -> list[Removal]:
+        """What joints have of a feature: switched off, or cleared where tendons have it too."""
+        has = HAS[feature]
+        joints = [j for j, joint in enumerate(self.scene.joints) if has.test(joint)]
+        if not joints:
+            return []
+        edit: Edit = ("feature", feature)
+        if any(has.test(tendon) for tendon in self.scene.tendons):
+            edit = ("cleared", ("joints", tuple(joints), has.fields))
+        return [Removal(kind, _count(joints, "joint"), (edit,))]
+
+    def tendons(self) -> list[Removal]:
+        """Springs, damping, friction loss and armature of all tendons, and each one's limit."""
+        features, tendons = self.scene.features, self.scene.tendons
+        rows = features.constraint
+        on = {
+            "spring": features.spring,
+            "damper": features.damper,
+            "frictionloss": features.frictionloss and rows,
+            "armature": True,
+        }
+        found = []
+        for feature, has in HAS.items():
+            own = tuple(i for i, tendon in enumerate(tendons) if has.test(tendon))
+            if own and on[feature]:
+                edit = ("cleared", ("tendons", own, has.fields))
+                found.append(Removal(f"tendon {has.words}", _count(own, "tendon"), (edit,)))
+        for i, tendon in enumerate(tendons if features.limit and rows else ()):
+            if tendon.range is not None:
+                edit = ("cleared", ("tendons", (i,), ("range",)))
+                name = tendon.name or f"tendon {i}"
+                found.append(Removal("tendon limit", name, (edit,)))
+        return found
 
     def limits(self, usage: MotionUsage) -> list[Removal]:
         """All limits that the motion never reached, together; each that it reached, alone."""
@@ -319,10 +378,6 @@ def _positions(compiled: Iterable[Any], listed: Iterable[Any]) -> list[int]:
     """The index in the scene's list of each element, in the order of the compiled model."""
     index = {id(element): i for i, element in enumerate(listed)}
     return [index[id(element)] for element in compiled]
-
-
-def _switched_off(kind: str, joints: list[Any], feature: str) -> Removal:
-    return Removal(kind, _count(joints, "joint"), (("feature", feature),))
 
 
 def _unreached(joints: Any) -> str:

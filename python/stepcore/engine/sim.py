@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 class Energy(NamedTuple):
     """Kinetic and potential energy [J].
 
-    The potential energy is that of joint springs and of gravity on every body, fixed bodies
+    The potential energy is that of springs and of gravity on every body, fixed bodies
     included; gravity's is zero at the world's origin.
     """
 
@@ -289,7 +289,8 @@ class Sim(Stepped):
     def rows(self) -> NDArray[Any]:
         """Constraint rows of the last solve in their order, a structured array with the fields
 
-        - kind: "connect", "weld", "joint equality", "friction loss", "limit" or "contact";
+        - kind: "connect", "weld", "joint equality", "friction loss", "limit" or "contact", or
+          "tendon friction loss" or "tendon limit";
           index: of the equality, the joint (friction loss, limit) or the pair of geoms; part: the
           dof of the joint, the bound of a limit (0 lower, 1 upper) or the contact of the pair, -1
           for a whole element;

@@ -23,6 +23,7 @@ from stepcore.experiment.path import Path
 from stepcore.experiment.reference import Gap, Level, Reference, ReferenceRuns
 from stepcore.experiment.runner import Runner
 from stepcore.report.progress import Progress
+from stepcore.scene.elements import Joint, Tendon
 from stepcore.scene.scene import Scene
 
 Ref = tuple[float, ...]
@@ -243,9 +244,10 @@ def _softened(scene: Any, change: Callable[[Ref], Ref]) -> Any:
     made = copy.deepcopy(scene)
     for geom in made.geoms:
         geom.solref = change(geom.solref)
-    for joint in made.joints:
-        joint.solreflimit = change(joint.solreflimit)
-        joint.solreffriction = change(joint.solreffriction)
+    lengths: list[Joint | Tendon] = [*made.joints, *made.tendons]
+    for length in lengths:
+        length.solreflimit = change(length.solreflimit)
+        length.solreffriction = change(length.solreffriction)
     for other in (*made.equalities, *made.pairs, made.contact_override):
         other.solref = change(other.solref)
     return made
@@ -286,8 +288,9 @@ def time_scale(scene: Scene) -> float:
 def _solrefs(scene: Scene) -> list[Ref]:
     """Of everything in a scene that can make rows."""
     refs = [g.solref for g in scene.geoms if g.contype or g.conaffinity]
-    refs += [j.solreflimit for j in scene.joints if j.range is not None]
-    refs += [j.solreffriction for j in scene.joints if j.frictionloss > 0]
+    lengths: list[Joint | Tendon] = [*scene.joints, *scene.tendons]
+    refs += [length.solreflimit for length in lengths if length.range is not None]
+    refs += [length.solreffriction for length in lengths if length.frictionloss > 0]
     refs += [e.solref for e in scene.equalities if e.active]
     refs += [pair.solref for pair in scene.pairs]
     refs += [scene.contact_override.solref] * scene.contact_override.enable

@@ -56,6 +56,10 @@ def compile_scene(scene: Any) -> Model:
     for geom in scene["geoms"]:
         if geom.get("mesh") is not None or geom.get("hfield") is not None:
             raise ValueError(f"geom '{geom['name']}': the reference has no meshes")
+    for tendon in scene.get("tendons", ()):
+        acts = ("range", "armature", "frictionloss")
+        if any(tendon[field] for field in acts) or any(tendon["stiffness"] + tendon["damping"]):
+            raise ValueError(f"tendon '{tendon['name']}': the reference has no tendons")
     number_joints(model)
     masses(model)
     model.actuator_bias = [servo_bias(model, actuator) for actuator in scene["actuators"]]

@@ -226,3 +226,98 @@ impl<R: Real> Bend<R> {
         x
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::real::Dual;
+    use std::f64::consts::PI;
+
+    fn round<R: Real>(ends: [V3<f64>; 2], sphere: bool, side: Option<V3<f64>>) -> R {
+        let vector = |v: V3<f64>| v.map(R::of);
+        let pose = Pose { pos: V3::zeros(), rot: crate::spatial::M3::identity() };
+        let side = side.map(vector);
+        let obstacle = Obstacle { pose: &pose, sphere, radius: R::of(0.5), side };
+        let ends = ends.map(vector);
+        let found = wrap(ends, &obstacle);
+        let way = |a: V3<R>, b: V3<R>| (b - a).dot(&(b - a)).sqrt();
+        let [one, two] = found.points;
+        let bent = way(ends[0], one) + found.length + way(two, ends[1]);
+        R::select(found.touches, bent, way(ends[0], ends[1]))
+    }
+
+    fn at(radius: f64, angle: f64, z: f64) -> V3<f64> {
+        V3::new(radius * angle.cos(), radius * angle.sin(), z)
+    }
+
+    /// Half a turn from tangent to tangent, a turn and a half past a side, a helix, no touch.
+    #[test]
+    fn closed_forms() {
+        let [down, up] = [V3::new(0.5, -1.0, 0.0), V3::new(-0.5, -1.0, 0.0)];
+        let half: f64 = round([down, up], false, Some(V3::new(0.0, 2.0, 0.0)));
+        assert!((half - (2.0 + 0.5 * PI)).abs() < 1e-14);
+        let short: f64 = round([down, up], false, None);
+        assert!((short - 1.0).abs() < 1e-15, "below the drum the line is straight");
+        let ball: f64 = round([down, up], true, Some(V3::new(0.0, 2.0, 0.3)));
+        assert!((ball - half).abs() < 1e-14);
+        let rise = V3::new(-0.5, -1.0, 0.7);
+        let helix: f64 = round([down, rise], false, Some(V3::new(0.0, 2.0, 0.0)));
+        assert!((helix - half.hypot(0.7)).abs() < 1e-14);
+        let (turn, reach) = (0.9, (0.5f64 / 2.0).acos());
+        let wide = [at(2.0, -turn, 0.0), at(2.0, turn, 0.0)];
+        let far: f64 = round(wide, false, Some(V3::new(-1.0, 0.0, 0.0)));
+        let arc = 2.0 * PI - 2.0 * turn - 2.0 * reach;
+        assert!((far - (2.0 * 3.75f64.sqrt() + 0.5 * arc)).abs() < 1e-14);
+    }
+
+    /// Through the disc: a path that bends at the point of the circle that makes it shortest.
+    #[test]
+    fn a_bend_is_the_shortest() {
+        for (one, two) in [(0.4, 1.1), (0.2, 0.3), (1.2, 0.1)] {
+            let ends = [at(1.3, one, 0.0), at(0.9, -two, 0.0)];
+            for sphere in [true, false] {
+                let found: f64 = round(ends, sphere, Some(V3::new(0.1, 0.0, 0.0)));
+                let way = |angle: f64| {
+                    let bend = at(0.5, angle, 0.0);
+                    (ends[0] - bend).norm() + (bend - ends[1]).norm()
+                };
+                let least = (0..=4000).map(|k| way(-1.3 + k as f64 * 6.5e-4)).fold(9.0, f64::min);
+                let straight = (ends[0] - ends[1]).norm();
+                assert!(found <= least + 1e-12 && found >= straight - 1e-15);
+                assert!(
+                    found > least - 1e-6 || (found - straight).abs() < 1e-15,
+                    "{found} {least}"
+                );
+            }
+        }
+    }
+
+    /// The slopes of dual numbers are differences of lengths, also where an iteration found the bend.
+    #[test]
+    fn dual_numbers_follow() {
+        let sides = [None, Some(V3::new(0.0, 2.0, 0.0)), Some(V3::new(0.1, 0.0, 0.0))];
+        for side in sides {
+            let length =
+                |y: f64| -> f64 { round([at(0.8, 0.3, 0.1), V3::new(0.7, y, -0.2)], false, side) };
+            let pose = Pose { pos: V3::zeros(), rot: crate::spatial::M3::identity() };
+            let number = |v: V3<f64>| v.map(Dual::of);
+            let mut end = number(V3::new(0.7, -0.6, -0.2));
+            end.y.slopes[0] = 1.0;
+            let start = number(at(0.8, 0.3, 0.1));
+            let obstacle = Obstacle {
+                pose: &pose,
+                sphere: false,
+                radius: Dual::of(0.5),
+                side: side.map(number),
+            };
+            let found = wrap([start, end], &obstacle);
+            let way = |a: V3<Dual>, b: V3<Dual>| (b - a).dot(&(b - a)).sqrt();
+            let [one, two] = found.points;
+            let bent = way(start, one) + found.length + way(two, end);
+            let got = if found.touches { bent } else { way(start, end) };
+            let h = 1e-6;
+            let want = (length(-0.6 + h) - length(-0.6 - h)) / (2.0 * h);
+            assert!((got.slopes[0] - want).abs() < 1e-8, "{side:?}: {} {want}", got.slopes[0]);
+        }
+    }
+}

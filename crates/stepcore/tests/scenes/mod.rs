@@ -5,7 +5,7 @@ use stepcore::model::Model;
 use stepcore::real::Real;
 use stepcore::scene::{
     Actuator, Body, Equality, EqualityType, Frame, Geom, GeomType, Inertial, Joint, JointType,
-    Scene,
+    Scene, Site, Stop, Tendon,
 };
 use stepcore::sim::Sim;
 
@@ -161,7 +161,31 @@ pub fn heap() -> Scene {
         active: true,
         soft: Default::default(),
     });
+    rope(&mut scene, [upper, slider], ball);
     scene
+}
+
+/// A rope between two bodies round the ball that a third one is, with all that a tendon can have.
+fn rope(scene: &mut Scene, ends: [usize; 2], around: usize) {
+    for body in ends {
+        scene.sites.push(Site {
+            name: String::new(),
+            body,
+            pos: [0.1, 0.0, 0.02],
+            quat: [1.0, 0.0, 0.0, 0.0],
+        });
+    }
+    let geom = scene.geoms.iter().position(|geom| geom.body == around).unwrap();
+    scene.tendons.push(Tendon {
+        name: "rope".into(),
+        path: vec![Stop::Site { site: 0 }, Stop::Geom { geom, side: None }, Stop::Site { site: 1 }],
+        range: Some([0.0, 0.3]),
+        springlength: [0.1, 0.2],
+        stiffness: [20.0, 5.0, 0.0],
+        damping: [1.0, 0.0, 0.5],
+        frictionloss: 0.2,
+        ..Tendon::default()
+    });
 }
 
 /// The elements in the order of their bodies, as the engine takes them.

@@ -12,6 +12,7 @@ from stepcore.engine.features import RemovableFeatures, Removal
 from stepcore.engine.linear_maps import DAMPING_IMPLICIT
 from stepcore.engine.plan.result import PlanEntry
 from stepcore.scene.elements.equality import ROW_KINDS
+from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
     from stepcore.engine.model_data import ModelData
@@ -49,6 +50,7 @@ class _Listing:
         self.plan = self.features.plan
         self.body_names = _named(model.body_names, "body")
         self.geom_names = _named(model.geom_names, "geom")
+        self.tendon_names = _named(model.tendon_names, "tendon")
         self.joint_names = _named(model.joint_names, "joint")
         # Joints and geoms in the model's order.
         self.joints = [model.scene.joints[i] for i in self.features.joint]
@@ -95,8 +97,44 @@ class _Listing:
         why = "fixed: computed once, at compilation"
         yield _out("place", name, _pick(self.geom_names, still), why)
         yield _out("place", name, _pick(self.geom_names, free), "they collide with nothing")
-        sites = _named(self.model.site_names, "site")
-        yield _out("place", "poses of sites", sites, "no force acts there: computed when read")
+        yield from self._tendon_lengths()
+
+    def _tendon_lengths(self) -> Iterator[Listed]:
+        """Lengths of tendons, and the sites that they pass."""
+        tendons = list(
+            zip(self.tendon_names, self.scene.tendons, self.plan["tendons"], strict=True)
+        )
+        name = "lengths of tendons"
+        yield _used("place", name, [n for n, _, used in tendons if used])
+        why = "nothing pulls along them: computed when read"
+        yield _out("place", name, [n for n, _, used in tendons if not used], why)
+        passed = {id(e) for _, tendon, used in tendons if used for e in tendon.elements()}
+        sites = Layout(self.scene).sites
+        names = list(zip(_named(self.model.site_names, "site"), sites, strict=True))
+        name = "poses of sites"
+        yield _used("place", name, [n for n, site in names if id(site) in passed])
+        left = [n for n, site in names if id(site) not in passed]
+        yield _out("place", name, left, "no force acts there: computed when read")
+
+    def _tendon_terms(self, removals: dict[str, Removal]) -> Iterator[Listed]:
+        """Springs, dampers and armature of tendons."""
+        on, tendons = self.scene.features, self.scene.tendons
+        for words, has, flag in (("springs", "sprung", "spring"), ("damping", "damped", "damper")):
+            names = _pick(self.tendon_names, [i for i, t in enumerate(tendons) if getattr(t, has)])
+            name = f"tendon {words}"
+            if getattr(on, flag):
+                yield _used("place", name, names, removal=removals.get(name))
+            else:
+                yield _out("place", name, names, f"switched off ({flag})")
+        heavy = [i for i, tendon in enumerate(tendons) if tendon.armature > 0]
+        name = "tendon armature"
+        yield _used("place", name, _pick(self.tendon_names, heavy), removal=removals.get(name))
+        beyond = [
+            i for i, is_beyond in enumerate(self.plan["armature_beyond_the_tree"]) if is_beyond
+        ]
+        why = "left out, as MuJoCo does: the mass matrix has no entry for such two dofs"
+        name = "tendon armature, between dofs of which neither moves the other"
+        yield _out("place", name, _pick(self.tendon_names, beyond), why)
 
     def terms(self) -> Iterator[Listed]:
         """Inertia and the smooth forces."""
@@ -128,6 +166,7 @@ class _Listing:
             else:
                 yield _out("place", name, have, f"switched off ({flag})")
             yield _out("place", name, lack, f"{field} 0")
+        yield from self._tendon_terms(removals)
         actuators = _named(self.model.actuator_names, "actuator")
         if on.actuation:
             removal = Removal("actuators", "", (("feature", "actuation"),))
@@ -215,7 +254,23 @@ class _Listing:
             yield _out("solve", "limits", have, "switched off", kind="row")
         yield _out("solve", "limits", lack, "no range", kind="row")
         yield _out("solve", "limits", free, "free joints have none", kind="row")
+        yield from self._tendon_rows()
         yield from self._contact_rows()
+
+    def _tendon_rows(self) -> Iterator[Listed]:
+        """Friction losses and limits of tendons."""
+        on, tendons = self.scene.features, self.scene.tendons
+        for name, per, flag, has in (
+            ("tendon friction loss", "one row each", on.frictionloss, "frictionloss"),
+            ("tendon limits", "one row while reached", on.limit, "range"),
+        ):
+            names = _pick(self.tendon_names, [i for i, t in enumerate(tendons) if getattr(t, has)])
+            if flag and on.constraint:
+                kind = name.removesuffix("s") if has == "range" else name
+                rows = self.row_count[kind]
+                yield _used("solve", f"{name}, {per}", names, kind="row", rows=rows)
+            else:
+                yield _out("solve", name, names, "switched off", kind="row")
 
     def _rows(self, name: str, names: list[str], kind: str, feature: str) -> Listed:
         """Rows that a feature of the scene makes."""

@@ -84,7 +84,11 @@ CHANGES: dict[str, tuple[Change, ...]] = {
     "actuator": (_both("kp"), _both("kv"), GAINS, ARMATURE, CHAIN, DAMPING),
     "control": (ARMATURE, CHAIN, DAMPING),
     "contact": ROWS,
+    "tendon spring": (_less("stiffness"),),
+    "tendon damper": (_both("damping"),),
     "limit": ROWS,
+    "tendon limit": ROWS,
+    "tendon friction loss": ROWS,
     "friction loss": ROWS,
     **dict.fromkeys(EQUALITIES, ROWS),
 }
@@ -128,6 +132,14 @@ def _scaled(
     model: Model, layout: Layout, element: ElementLimits, field: str, x: float
 ) -> list[NewValue]:
     """A gain of the element times x."""
+    if element.element.kind.startswith("tendon"):
+        tendon = layout.scene.tendons[element.element.index]
+        old = getattr(tendon, field)
+        if old <= 0:
+            return []
+        new = rounded(old * x, up=x > 1)
+        setattr(tendon, field, new)
+        return [NewValue(element.name, field, (old,), (new,), size=ratio(old, new))]
     joint = _joint(layout, element)
     owner: Joint | Actuator = joint
     if element.element.kind == "actuator":
@@ -239,8 +251,9 @@ def _solref(
     if kind in EQUALITIES:
         layout.scene.equalities[index].solref = new
         return [NewValue(element.name, "solref", old, new, size=size)]
-    field = "solreflimit" if kind == "limit" else "solreffriction"
-    setattr(layout.joints[index], field, new)
+    field = "solreflimit" if kind.endswith("limit") else "solreffriction"
+    owner = layout.scene.tendons[index] if kind.startswith("tendon") else layout.joints[index]
+    setattr(owner, field, new)
     return [NewValue(element.name, field, old, new, size=size)]
 
 

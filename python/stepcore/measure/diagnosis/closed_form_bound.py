@@ -43,7 +43,7 @@ def closed_form_bound(model: Model, integrator: str | None = None) -> float:
     integrator: by default the model's own.
     """
     integrator = integrator or model.settings.integrator
-    joints = list(_joints(model, integrator))
+    joints = [*_joints(model, integrator), *_tendons(model, integrator)]
     safe = math.inf
     for row in [*_rows(model), *_penalties(model)]:
         omega = math.sqrt(row.square)
@@ -76,6 +76,19 @@ def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
             yield _Oscillator(tree, square, rate * (not implicit), own + rate * implicit)
 
 
+def _tendons(model: Model, integrator: str) -> Iterator[_Oscillator]:
+    """Springs and dampers of tendons, in each tree that they pass; J M⁻¹ Jᵀ is their weight."""
+    features, late = model.scene.features, integrator == "implicitfast"
+    layout = Layout(model.scene)
+    for weight, tendon in zip(model.tendon_invweight0.tolist(), model.scene.tendons, strict=True):
+        square = features.spring * max(tendon.stiffness, 0.0) * weight
+        rate = features.damper * tendon.damping * weight
+        bodies = [element.body for element in tendon.elements()]  # type: ignore[attr-defined]
+        trees = {root_of(model, layout.body(tendon, body)) for body in bodies} - {0}
+        for tree in trees if square > 0 or (rate > 0 and not late) else ():
+            yield _Oscillator(tree, square, rate * (not late), rate * late)
+
+
 def _rows(model: Model) -> Iterator[_Oscillator]:
     """Limits, equalities, friction losses and contacts that nothing softens with dt."""
     layout = Layout(model.scene)
@@ -92,7 +105,7 @@ def _rows(model: Model) -> Iterator[_Oscillator]:
                 continue
         else:
             square, rate = -solref[0], -solref[1]
-        if element.kind == "friction loss":
+        if element.kind in ("friction loss", "tendon friction loss"):
             square = 0.0
         yield _Oscillator(-1, max(square, 0.0), max(rate, 0.0))
 
@@ -107,6 +120,11 @@ def _row_elements(model: Model, layout: Layout) -> Iterator[ElementId]:
             yield ElementId.of(model, "limit", j)
         if features.frictionloss and joint.frictionloss > 0:
             yield ElementId.of(model, "friction loss", j)
+    for t, tendon in enumerate(model.scene.tendons):
+        if features.limit and tendon.range is not None:
+            yield ElementId.of(model, "tendon limit", t)
+        if features.frictionloss and tendon.frictionloss > 0:
+            yield ElementId.of(model, "tendon friction loss", t)
     for e, equality in enumerate(model.scene.equalities):
         if features.equality and equality.active:
             yield ElementId.of(model, equality.row_kind, e)

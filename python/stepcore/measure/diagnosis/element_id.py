@@ -10,7 +10,11 @@ from stepcore.engine.sim import Sim
 
 # Kinds that are rows of the solver (contacts except under the law `penalty`).
 EQUALITIES = ("connect", "weld", "joint equality")
-ROWS = ("contact", "limit", *EQUALITIES, "friction loss")
+ROWS = (
+    *("contact", "limit", "tendon limit"),
+    *EQUALITIES,
+    *("friction loss", "tendon friction loss"),
+)
 
 
 @dataclass(frozen=True, order=True)
@@ -18,9 +22,10 @@ class ElementId:
     """One element of a model.
 
     kind: "spring", "damper", "actuator", "limit", "friction loss", "connect", "weld",
-    "joint equality" or "contact" as in `Sim.rows` and `Sim.contacts`, or "spin", the gyroscopic
-    torque of a body, or "control", what the user's control function makes of an actuator. index: of
-    its joint, actuator, equality, pair of geoms or body. name: as `Model.element_name` has it.
+    "joint equality", "contact", "tendon spring", "tendon damper", "tendon limit" or "friction
+    loss" as in `Sim.rows` and `Sim.contacts`, or "spin", the gyroscopic torque of a body, or
+    "control", what the user's control function makes of an actuator. index: of its joint, tendon,
+    actuator, equality, pair of geoms or body. name: as `Model.element_name` has it.
     """
 
     kind: str
@@ -50,7 +55,7 @@ def row_elements(sim: Sim) -> Iterator[ElementId]:
 
 def acting_elements(sim: Sim) -> tuple[ElementId, ...]:
     """The elements whose rows act: equalities, friction losses; limits and contacts that push."""
-    always = (*EQUALITIES, "friction loss")
+    always = (*EQUALITIES, "friction loss", "tendon friction loss")
     rows = zip(row_elements(sim), (sim.rows["impulse"] != 0).tolist(), strict=True)
     return tuple(dict.fromkeys(e for e, pushes in rows if pushes or e.kind in always))
 

@@ -65,6 +65,7 @@ def element_matrices(model: Model, sim: Sim, state: State) -> dict[ElementId, El
         return read_with(state.qpos, after), read_with(state.qpos, before)
 
     matrices: dict[ElementId, ElementMatrices] = dict(_joint_matrices(model, sides))
+    matrices |= _tendon_matrices(model, sides)
     matrices |= _row_matrices(model, sim, sides)
     sim.qpos[:], sim.qvel[:] = state.qpos, state.qvel
     if np.any(state.qvel):
@@ -93,6 +94,20 @@ def _joint_matrices(model: Model, sides: Sides) -> dict[ElementId, ElementMatric
             slope = before.get((kind, index), none) - after.get((kind, index), none)
             derivative = matrices[ElementId.of(model, kind, index)].by(column)
             derivative[at, at.start + nth] = slope[at] / (2 * SMALL)
+    return matrices
+
+
+def _tendon_matrices(model: Model, sides: Sides) -> dict[ElementId, ElementMatrices]:
+    """Those of springs and dampers of tendons, which couple dofs."""
+    matrices = _no_matrices(model.nv)
+    none = np.zeros(model.nv)
+    pull = any(tendon.sprung or tendon.damped for tendon in model.scene.tendons)
+    for dof, column in product(range(model.nv if pull else 0), (0, 1)):
+        change = SMALL * np.eye(1, model.nv, dof)[0]
+        after, before = sides(column, change, _forces("tendon spring", "tendon damper"))
+        for element in dict.fromkeys([*after, *before]):
+            slope = before.get(element, none) - after.get(element, none)
+            matrices[ElementId.of(model, *element)].by(column)[:, dof] = slope / (2 * SMALL)
     return matrices
 
 

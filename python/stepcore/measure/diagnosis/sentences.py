@@ -25,6 +25,9 @@ SLOW = 10.0
 # one below this is none.
 SLOWEST, FASTEST, OVERDAMPED, NONE = 1e-3, 1e9, 100.0, 1e-6
 
+# Rows that can open.
+OPEN = ("contact", "limit", "tendon limit")
+
 
 def sentences(d: DiagnosisFindings) -> Iterator[str]:
     """The answer, the advice, and the state that decides."""
@@ -110,10 +113,10 @@ def _outcome(d: DiagnosisFindings, limiting: ElementLimits | None) -> str:
     if d.limits[own].outcome == "explodes" and d.observed is not None:
         return f"explodes after {seconds(d.observed.time)}"
     kind = limiting.element.kind if limiting else ""
-    if kind == "friction loss":
+    if kind in ("friction loss", "tendon friction loss"):
         # Its force is bounded.
         return "chatters"
-    if kind in ("contact", "limit"):
+    if kind in OPEN:
         # What opens may come to rest again, and open again.
         return "explodes or rattles"
     if d.rate is None or not d.rate * d.horizon < SLOW:
@@ -177,7 +180,7 @@ def notes(
             f"above dt {above} refsafe makes {names} softer than the scene asks, so that "
             "no dt is limited there; refsafe=False or a solref in direct form keeps the stiffness"
         )
-    if any(limits.element.kind in ("contact", "limit", "friction loss") for limits in elements):
+    if any(limits.element.kind in (*OPEN, "friction loss") for limits in elements):
         yield (
             "rows are linearised as they act at each state; a contact or limit that opens on "
             "rebound rattles beyond its largest stable dt, but stays finite"

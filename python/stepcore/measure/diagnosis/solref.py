@@ -12,6 +12,7 @@ import math
 
 from stepcore.engine.model import Model
 from stepcore.measure.diagnosis.element_id import EQUALITIES, ElementId
+from stepcore.scene.elements import Joint, Tendon
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 
@@ -21,10 +22,14 @@ def solref_of(model: Model, layout: Layout, element: ElementId) -> Vec | None:
     law, index = model.settings.law, element.index
     if element.kind == "limit" and law in ("solref", "penalty"):
         return layout.joints[index].solreflimit
+    if element.kind == "tendon limit" and law in ("solref", "penalty"):
+        return model.scene.tendons[index].solreflimit
     if law != "solref":
         return None
     if element.kind == "friction loss":
         return layout.joints[index].solreffriction
+    if element.kind == "tendon friction loss":
+        return model.scene.tendons[index].solreffriction
     if element.kind in EQUALITIES:
         return model.scene.equalities[index].solref
     if element.kind == "contact":
@@ -54,9 +59,10 @@ def first_softened(model: Model) -> float:
     law, scene = model.settings.law, model.scene
     if law not in ("solref", "penalty") or not model.settings.refsafe:
         return math.inf
-    solrefs = [joint.solreflimit for joint in scene.joints if joint.range is not None]
+    lengths: list[Joint | Tendon] = [*scene.joints, *scene.tendons]
+    solrefs = [length.solreflimit for length in lengths if length.range is not None]
     if law == "solref":
-        solrefs += [joint.solreffriction for joint in scene.joints if joint.frictionloss > 0]
+        solrefs += [length.solreffriction for length in lengths if length.frictionloss > 0]
         solrefs += [equality.solref for equality in scene.equalities]
         # What is mixed of two geoms lies between theirs.
         pairs = [g.solref for g in scene.geoms] if model.is_heap else model.pair_solref.tolist()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from stepcore._core import Settings
     from stepcore.engine.model import Model
+    from stepcore.scene.elements import Joint, Tendon
     from stepcore.scene.scene import Scene
 
 # The least stability margin, the largest stable dt over the scene's own, without a warning.
@@ -77,7 +78,8 @@ def _may_be_stiff(scene: Scene) -> bool:
         return False
     if scene.options.get("law") == "penalty":
         return True
-    if any(joint.sprung or joint.damped for joint in scene.joints):
+    lengths: list[Joint | Tendon] = [*scene.joints, *scene.tendons]
+    if any(length.sprung or length.damped for length in lengths):
         return True
     if any(actuator.type != "motor" for actuator in scene.actuators):
         return True
@@ -86,9 +88,9 @@ def _may_be_stiff(scene: Scene) -> bool:
     refsafe = scene.options.get("refsafe", True)
     solrefs = [geom.solref for geom in scene.geoms] + [e.solref for e in scene.equalities]
     solrefs += [pair.solref for pair in scene.pairs] + [scene.contact_override.solref]
-    for joint in scene.joints:
-        solrefs += [joint.solreflimit] * (joint.range is not None)
-        solrefs += [joint.solreffriction] * (joint.frictionloss > 0)
+    for length in lengths:
+        solrefs += [length.solreflimit] * (length.range is not None)
+        solrefs += [length.solreffriction] * (length.frictionloss > 0)
     return any(may_limit_dt(solref, refsafe) for solref in solrefs)
 
 
