@@ -60,9 +60,11 @@ pub struct Span {
 }
 
 impl Span {
+    #[inline(always)]
     pub fn range(self) -> std::ops::Range<usize> {
         self.start..self.start + self.len
     }
+    #[inline(always)]
     pub fn of<T>(self, list: &[T]) -> &[T] {
         &list[self.range()]
     }

@@ -37,9 +37,11 @@ pub trait Mask: Copy + Debug + Send + Sync + 'static {
     fn or(self, other: Self) -> Self;
     fn not(self) -> Self;
     fn any(self) -> bool;
+    #[inline(always)]
     fn none(self) -> bool {
         !self.any()
     }
+    #[inline(always)]
     fn all(self) -> bool {
         self.not().none()
     }
@@ -78,9 +80,11 @@ pub trait Real:
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
     fn lt(self, other: Self) -> Self::Mask;
     fn le(self, other: Self) -> Self::Mask;
+    #[inline(always)]
     fn gt(self, other: Self) -> Self::Mask {
         other.lt(self)
     }
+    #[inline(always)]
     fn ge(self, other: Self) -> Self::Mask {
         other.le(self)
     }
@@ -113,19 +117,24 @@ pub trait Real:
     /// What follows belongs to this stage: only a number that counts asks.
     #[inline(always)]
     fn enter(_: Stage) {}
+    #[inline(always)]
     fn abs(self) -> Self {
         Self::select(self.lt(Self::zero()), -self, self)
     }
+    #[inline(always)]
     fn min(self, other: Self) -> Self {
         Self::select(other.lt(self), other, self)
     }
+    #[inline(always)]
     fn max(self, other: Self) -> Self {
         Self::select(self.lt(other), other, self)
     }
+    #[inline(always)]
     fn clamp(self, lo: Self, hi: Self) -> Self {
         self.max(lo).min(hi)
     }
     /// 1 / x, and 0 where x is not positive: a row that nothing can move.
+    #[inline(always)]
     fn recip_or_zero(self) -> Self {
         Self::select(self.gt(Self::zero()), Self::one() / self, Self::zero())
     }
@@ -134,6 +143,7 @@ pub trait Real:
 impl Mask for bool {
     const LANES: usize = 1;
 
+    #[inline(always)]
     fn of(value: bool) -> Self {
         value
     }

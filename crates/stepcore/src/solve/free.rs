@@ -60,24 +60,27 @@ impl Free {
     /// out = y·x of some rows, y one row after another.
     #[inline(always)]
     pub fn dot_each<R: Real>(&self, y: &[R], x: &[R], out: &mut [R]) {
-        let one: [R; SIX] = core::array::from_fn(|a| x[self.body(0)][a]);
+        let one = &six(&x[self.body(0)]);
         if !self.two {
             for (out, y) in out.iter_mut().zip(y.chunks_exact(SIX)) {
-                *out = total(products(y, &one));
+                *out = total(products(y, one));
             }
             return;
         }
-        let two: [R; SIX] = core::array::from_fn(|a| x[self.body(1)][a]);
+        let two = &six(&x[self.body(1)]);
         for (out, y) in out.iter_mut().zip(y.chunks_exact(2 * SIX)) {
-            let (first, second) = (products(&y[..SIX], &one), products(&y[SIX..], &two));
-            *out = total(core::array::from_fn(|a| first[a] + second[a]));
+            let (mut both, second) = (products(&y[..SIX], one), products(&y[SIX..], two));
+            for a in 0..SIX {
+                both[a] += second[a];
+            }
+            *out = total(both);
         }
     }
 
     /// out += k Σ y x over some rows, y one row after another.
     #[inline(always)]
     pub fn add_each<R: Real>(&self, y: &[R], x: &[R], k: R, out: &mut [R]) {
-        let mut one: [R; SIX] = core::array::from_fn(|a| out[self.body(0)][a]);
+        let mut one = six(&out[self.body(0)]);
         if !self.two {
             for (x, y) in x.iter().zip(y.chunks_exact(SIX)) {
                 scaled(y, k * *x, &mut one);
@@ -85,7 +88,7 @@ impl Free {
             out[self.body(0)].copy_from_slice(&one);
             return;
         }
-        let mut two: [R; SIX] = core::array::from_fn(|a| out[self.body(1)][a]);
+        let mut two = six(&out[self.body(1)]);
         for (x, y) in x.iter().zip(y.chunks_exact(2 * SIX)) {
             let x = k * *x;
             scaled(&y[..SIX], x, &mut one);
@@ -133,8 +136,19 @@ impl Free {
 
 #[inline(always)]
 fn products<R: Real>(y: &[R], x: &[R]) -> [R; SIX] {
-    let (y, x) = (&y[..SIX], &x[..SIX]);
-    core::array::from_fn(|a| y[a] * x[a])
+    let (mut products, x) = (six(y), &x[..SIX]);
+    for a in 0..SIX {
+        products[a] *= x[a];
+    }
+    products
+}
+
+/// The first six numbers.
+#[inline(always)]
+fn six<R: Real>(x: &[R]) -> [R; SIX] {
+    let mut six = [R::zero(); SIX];
+    six.copy_from_slice(&x[..SIX]);
+    six
 }
 
 #[inline(always)]

@@ -37,7 +37,11 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
     #[inline(always)]
     fn of_dof(&self, now: &Situation<R>, k: usize) -> [R; N] {
         let motion = &now.placed.motion[k];
-        core::array::from_fn(|i| motion.dot(&self.along[i]))
+        let mut j = [R::zero(); N];
+        for (j, along) in j.iter_mut().zip(&self.along) {
+            *j += motion.dot(along);
+        }
+        j
     }
 }
 
@@ -119,8 +123,10 @@ impl<R: Real> Rows<R> {
             let first = list[from];
             let mine = |side: &&Side<R, N>| side.chain[0] == first;
             let Some(side) = sides.iter().flatten().find(mine) else { continue };
-            let mut x: [[R; N]; SIX] =
-                core::array::from_fn(|k| side.of_dof(now, first + k).map(|j| R::zero() + j));
+            let mut x = [[R::zero(); N]; SIX];
+            for (k, x) in x.iter_mut().enumerate() {
+                *x = side.of_dof(now, first + k);
+            }
             now.placed.metric.lift_six(first, &mut x);
             let inv_d = &now.placed.metric.inv_d[first..first + SIX];
             let u = &now.placed.u[first..first + SIX];
@@ -194,7 +200,8 @@ impl<R: Real> Metric<R> {
     #[inline(always)]
     fn lift_each<const N: usize>(&self, dofs: &[usize], x: &mut [R]) {
         for &k in dofs.iter().rev() {
-            let factor: [R; N] = core::array::from_fn(|i| x[k * N + i]);
+            let mut factor = [R::zero(); N];
+            factor.copy_from_slice(&x[k * N..(k + 1) * N]);
             for (l, j) in self.row(k) {
                 for (x, factor) in x[j * N..(j + 1) * N].iter_mut().zip(factor) {
                     *x -= l * factor;

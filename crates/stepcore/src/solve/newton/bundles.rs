@@ -234,12 +234,13 @@ const WIDE: usize = 4;
 /// y·x of N rows.
 #[inline(always)]
 fn dots<R: Real, const N: usize>(list: &[usize], y: &[R], x: &[R]) -> [R; N] {
-    let y: [&[R]; N] = core::array::from_fn(|i| &y[i * list.len()..(i + 1) * list.len()]);
+    let len = list.len();
+    let y = &y[..N * len];
     let mut sums = [R::zero(); N];
     for (at, k) in list.iter().enumerate() {
         let x = x[*k];
         for i in 0..N {
-            sums[i] += y[i][at] * x;
+            sums[i] += y[i * len + at] * x;
         }
     }
     sums
@@ -248,11 +249,12 @@ fn dots<R: Real, const N: usize>(list: &[usize], y: &[R], x: &[R]) -> [R; N] {
 /// out += Σ y x of N rows, each dof's sum in the order of the rows.
 #[inline(always)]
 fn sums<R: Real, const N: usize>(list: &[usize], y: &[R], x: [R; N], out: &mut [R]) {
-    let y: [&[R]; N] = core::array::from_fn(|i| &y[i * list.len()..(i + 1) * list.len()]);
+    let len = list.len();
+    let y = &y[..N * len];
     for (at, k) in list.iter().enumerate() {
         let mut sum = out[*k];
         for i in 0..N {
-            sum += y[i][at] * x[i];
+            sum += y[i * len + at] * x[i];
         }
         out[*k] = sum;
     }

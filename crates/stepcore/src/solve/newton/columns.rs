@@ -373,30 +373,36 @@ fn upper<R: Real>(target: &mut [R], own: &[R], theirs: &[R]) {
 #[inline(always)]
 fn lines<R: Real, const N: usize>(target: &mut [R], m: usize, own: &[R], theirs: &[R]) {
     let from = FREE - N;
-    let place = |m: usize| m * FREE + from;
-    let mut one: [R; N] = core::array::from_fn(|a| target[place(m) + a]);
-    let mut two: [R; N] = core::array::from_fn(|a| target[place(m + 1) + a]);
+    let (mut one, mut two) = ([R::zero(); N], [R::zero(); N]);
+    one.copy_from_slice(&target[m * FREE + from..][..N]);
+    two.copy_from_slice(&target[(m + 1) * FREE + from..][..N]);
     for (own, theirs) in own.chunks_exact(FREE).zip(theirs.chunks_exact(FREE)) {
+        let (Some(own), Some(theirs)) = (own.first_chunk::<FREE>(), theirs.last_chunk::<N>())
+        else {
+            continue;
+        };
+        let (p, q) = (own[m], own[m + 1]);
         for a in 0..N {
-            one[a] += own[m] * theirs[from + a];
-            two[a] += own[m + 1] * theirs[from + a];
+            one[a] += p * theirs[a];
+        }
+        for a in 0..N {
+            two[a] += q * theirs[a];
         }
     }
-    target[place(m)..][..N].copy_from_slice(&one);
-    target[place(m + 1)..][..N].copy_from_slice(&two);
+    target[m * FREE + from..][..N].copy_from_slice(&one);
+    target[(m + 1) * FREE + from..][..N].copy_from_slice(&two);
 }
 
 /// target[b] −= Σ scaled[m][b] source[m].
 #[inline(always)]
 fn take<R: Real, const N: usize>(target: &mut [R], source: &[R], scaled: &[R]) {
-    let source: &[R] = &source[..N * N];
-    let scaled: &[R] = &scaled[..N * N];
     for (b, line) in target.chunks_exact_mut(N).enumerate() {
-        let mut sum: [R; N] = core::array::from_fn(|a| line[a]);
-        for m in 0..N {
-            let factor = scaled[m * N + b];
+        let mut sum = [R::zero(); N];
+        sum.copy_from_slice(line);
+        for (source, scaled) in source.chunks_exact(N).zip(scaled.chunks_exact(N)) {
+            let Some(source) = source.first_chunk::<N>() else { continue };
             for a in 0..N {
-                sum[a] -= factor * source[m * N + a];
+                sum[a] -= scaled[b] * source[a];
             }
         }
         line.copy_from_slice(&sum);
@@ -410,7 +416,8 @@ fn settle<R: Real, const N: usize>(block: &mut [R], square: &[R], inverse: &[R])
     let block: &mut [R] = &mut block[..N * N];
     let mut lines = [[R::zero(); N]; N];
     for m in 0..N {
-        let mut line: [R; N] = core::array::from_fn(|a| block[m * N + a]);
+        let mut line = [R::zero(); N];
+        line.copy_from_slice(&block[m * N..][..N]);
         for b in 0..m {
             let factor = square[b * N + m];
             for a in 0..N {
@@ -431,6 +438,7 @@ fn settle<R: Real, const N: usize>(block: &mut [R], square: &[R], inverse: &[R])
 fn forward<R: Real, const N: usize>(target: &mut [R; N], block: &[R], own: &[R]) {
     let mut sum = *target;
     for (line, own) in block.chunks_exact(N).zip(own) {
+        let Some(line) = line.first_chunk::<N>() else { continue };
         for a in 0..N {
             sum[a] -= line[a] * *own;
         }
