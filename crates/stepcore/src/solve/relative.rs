@@ -225,3 +225,54 @@ impl<R: Real> Metric<R> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Body, Geom, Joint, JointType, Scene};
+    use crate::settings::Settings;
+    use crate::sim::Sim;
+    use crate::solve::tests::Random;
+    use std::sync::Arc;
+
+    /// Two free bodies, whose mass is beside their origin.
+    fn two_bodies() -> Sim<f64> {
+        let mut scene = Scene::default();
+        for k in 0..2 {
+            let pos = [0.3 * f64::from(k), 0.1, 0.2];
+            scene.bodies.push(Body { pos, ..Body::default() });
+            let body = scene.bodies.len() - 1;
+            scene.joints.push(Joint { body, kind: JointType::Free, ..Joint::default() });
+            let geom =
+                Geom { body, size: [0.1, 0.0, 0.0], pos: [0.05, 0.02, 0.01], ..Geom::default() };
+            scene.geoms.push(geom);
+        }
+        let mut sim =
+            Sim::new(Arc::new(Model::compile(&scene).unwrap()), Settings::default()).unwrap();
+        sim.forward().unwrap();
+        sim
+    }
+
+    /// Several vectors at once, over a list or over a free body's six dofs, are one after another.
+    #[test]
+    fn vectors_are_lifted_as_one_is() {
+        let sim = two_bodies();
+        let metric = &sim.placed.metric;
+        let mut random = Random::new(4);
+        let given: Vec<[f64; 3]> = (0..12).map(|_| [0; 3].map(|_| random.next())).collect();
+        let list: Vec<usize> = (6..12).collect();
+        assert!(is_free(&sim.model, &list) && !is_free(&sim.model, &list[1..]));
+        let mut each: Vec<f64> = given.iter().flatten().copied().collect();
+        metric.lift_each::<3>(&list, &mut each);
+        let mut six: [[f64; 3]; 6] = core::array::from_fn(|k| given[6 + k]);
+        metric.lift_six(6, &mut six);
+        for i in 0..3 {
+            let mut one: Vec<f64> = given.iter().map(|x| x[i]).collect();
+            metric.lift(&list, &mut one);
+            assert!((6..12).any(|k| one[k] != given[k][i]));
+            for k in 6..12 {
+                assert_eq!([each[3 * k + i], six[k - 6][i]], [one[k]; 2]);
+            }
+        }
+    }
+}

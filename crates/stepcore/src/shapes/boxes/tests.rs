@@ -166,6 +166,31 @@ fn exchanging_the_boxes_turns_the_normals_round() {
     }
 }
 
+/// Of boxes farther apart than asked for nothing need be told; of nearer ones everything is.
+#[test]
+fn nothing_within_the_limit_is_left_out() {
+    let mut random = Random(11);
+    let (mut told, mut left_out) = (0, 0);
+    for _ in 0..2000 {
+        let (a, b) = (random.pose(0.1), random.pose(1.2));
+        let (sa, sb) = (random.size(), random.size());
+        let all = meet(&a, &sa, &b, &sb);
+        for within in [0.0, 0.1, 0.5] {
+            let some: [Touch<f64>; MOST] = Boxes { within }.touches(&bare(&a, &sa), &bare(&b, &sb));
+            let some: Vec<_> = some.into_iter().filter(|touch| touch.exists).collect();
+            if some.is_empty() {
+                left_out += 1;
+                assert!(least(&all).dist >= within);
+            } else {
+                told += 1;
+                let numbers = |t: &Touch<f64>| (t.dist, t.pos, t.normal, t.feature);
+                assert!(some.iter().map(numbers).eq(all.iter().map(numbers)));
+            }
+        }
+    }
+    assert!(told > 300 && left_out > 300);
+}
+
 #[test]
 fn names_differ_and_every_case_is_finite() {
     let mut random = Random(8);

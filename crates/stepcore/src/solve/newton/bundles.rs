@@ -259,3 +259,54 @@ fn sums<R: Real, const N: usize>(list: &[usize], y: &[R], x: [R; N], out: &mut [
         out[*k] = sum;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solve::rows::Set;
+    use crate::solve::tests::{pack, Problem as Given, Random};
+
+    /// Seven intervals, a cone and an interval on the same dofs are one bundle of three runs, whose
+    /// products are those of its rows.
+    #[test]
+    fn rows_on_the_same_dofs_are_one_bundle() {
+        let mut random = Random::new(31);
+        let ones = [1.0; 5];
+        let mut given = Given::new(&ones, &ones);
+        let mut line = |lo: f64| {
+            let y: Vec<f64> = (0..5).map(|_| random.next()).collect();
+            (y, 0.1, 0.2, lo, f64::INFINITY)
+        };
+        for count in [4, 3] {
+            given.blocks.push((Set::Interval, 0.0, (0..count).map(|_| line(0.0)).collect()));
+        }
+        let low = f64::NEG_INFINITY;
+        given.blocks.push((Set::Convex, 0.5, vec![line(0.0), line(low), line(low)]));
+        given.blocks.push((Set::Interval, 0.0, vec![line(0.0)]));
+        let rows = pack::<f64>(&[given]);
+        let mut bundles = Bundles::new();
+        bundles.take(&[0, 1, 2, 3], &rows);
+        let runs: Vec<(usize, usize)> =
+            bundles.runs.iter().map(|run| (run.rows.len, run.curve.len)).collect();
+        assert_eq!((bundles.list.len(), runs), (1, vec![(7, 7), (3, 9), (1, 1)]));
+        let mut pattern = Pattern::default();
+        pattern.fit(&[0, 1, 2, 3, 4], false, &bundles.list, &mut [0; 5]);
+        let problem = Problem { pattern: &pattern, bundles: &bundles, y: &rows.y };
+        let x = [0.3, -0.2, 0.7, 0.1, -0.9];
+        let (mut along, mut sums) = ([0.0; 11], [0.5; 5]);
+        problem.dots(&x, &mut along);
+        problem.gather(&along, -2.0, &mut sums);
+        let mut want = [0.5; 5];
+        for (row, along) in rows.rows.iter().zip(along) {
+            let y = &rows.y[row.y..row.y + 5];
+            assert_eq!(along, y.iter().zip(x).fold(0.0, |sum, (y, x)| sum + y * x));
+            for (want, y) in want.iter_mut().zip(y) {
+                *want += y * (-2.0 * along);
+            }
+        }
+        assert_eq!(sums, want);
+        // Not one after another: two bundles.
+        bundles.take(&[0, 2], &rows);
+        assert_eq!(bundles.list.len(), 2);
+    }
+}
