@@ -89,6 +89,9 @@ def scaled(scene, length, mass, time):
 
     scene = copy.deepcopy(scene)
     scene.gravity = tuple(x * unit(1, 0, -2) for x in scene.gravity)
+    scene.density *= unit(-3, 1)
+    scene.viscosity *= unit(-1, 1, -1)
+    scene.wind = tuple(x * unit(1, 0, -1) for x in scene.wind)
     for body in scene.bodies:
         by(body, unit(1), "pos", "ipos")
         by(body, unit(0, 1), "mass")
@@ -103,6 +106,8 @@ def scaled(scene, length, mass, time):
         by(joint, unit(0, 1, -2) * arm, "stiffness")
         by(joint, unit(0, 1, -1) * arm, "damping")
         by(joint, unit(0, 1) * arm, "armature")
+        if joint.springdamper is not None:
+            joint.springdamper = (joint.springdamper[0] * unit(0, 0, 1), joint.springdamper[1])
         by(joint, unit(2, 1, -2) if turns else unit(1, 1, -2), "frictionloss")
         soften(joint, reach, "limit")
         soften(joint, 1.0, "friction")
@@ -225,6 +230,7 @@ def mirrored(scene):
     """The scene in a mirror, the plane y = 0."""
     scene = copy.deepcopy(scene)
     scene.gravity = tuple(scene.gravity * MIRROR)
+    scene.wind = tuple(scene.wind * MIRROR)
     for body in scene.bodies:
         body.pos, body.quat, body.ipos = body.pos * MIRROR, body.quat * TURNED, body.ipos * MIRROR
         body.inertia = np.array(body.inertia) * [1, 1, 1, -1, 1, -1]

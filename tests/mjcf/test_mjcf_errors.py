@@ -236,9 +236,7 @@ UNBUILT = {
     "<flexcomp> in <body>": ("<flexcomp/>", ""),
     "<composite> in <body>": ("<composite/>", ""),
     "mocap": ('<body mocap="true"/>', ""),
-    "gravcomp": ('<body gravcomp="1"/>', ""),
     "scaling": ('<frame scale="2"/>', ""),
-    "springdamper": ('<joint springdamper="1 1"/>', ""),
     "springyield": ('<joint springyield="1"/>', ""),
     "actuatorfrcrange": ('<joint actuatorfrcrange="-1 1"/>', ""),
     "surfacevel": ('<geom size="1" surfacevel="1 0 0 0 0 0"/>', ""),
@@ -257,7 +255,6 @@ UNBUILT = {
         '<actuator><motor joint="j" nsample="3" delay=".1"/></actuator>',
     ),
     "own damping": ('<joint name="j"/>', '<actuator><motor joint="j" damping="1"/></actuator>'),
-    "fluid": ("", '<option density="1"/>'),
     "actuatorgroupdisable": ("", '<option actuatorgroupdisable="1"/>'),
     **{
         f'flag "{flag}"': ("", f'<option><flag {flag}="enable"/></option>')

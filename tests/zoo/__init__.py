@@ -9,7 +9,7 @@ from __future__ import annotations
 
 # The order in which they stand in the zoo.
 # isort: off
-from . import joints, equalities, tendons, pairs, materials, heaps
+from . import joints, equalities, tendons, passive, pairs, materials, heaps
 
 # isort: on
 from .entry import CONTACT, EQUALITY, FRICTION, LIMIT, ZOO, Entry
@@ -30,5 +30,6 @@ __all__ = [
     "joints",
     "materials",
     "pairs",
+    "passive",
     "tendons",
 ]

@@ -328,6 +328,8 @@ impl Model {
         let spans = trees.clone().map(|t| (t.bodies.start, t.bodies.len, t.dofs.start, t.dofs.len));
         plan.set_item("trees", spans.collect::<Vec<_>>())?;
         plan.set_item("slides", trees.clone().map(|t| t.slides_only).collect::<Vec<_>>())?;
+        let wet = m.fluid.of_body.iter().map(|parts| parts.len > 0).collect::<Vec<_>>();
+        plan.set_item("fluid", wet)?;
         plan.set_item("constant", trees.clone().map(|t| t.constant).collect::<Vec<_>>())?;
         plan.set_item("seen", trees.clone().map(|t| t.seen).collect::<Vec<_>>())?;
         plan.set_item("damped", m.damped())?;

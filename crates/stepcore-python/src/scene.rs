@@ -3,8 +3,8 @@
 use pyo3::prelude::*;
 use stepcore::scene::{
     Actuator, Body, ContactOverride, Dynamics, Equality, EqualityType, ExplicitPair, Features,
-    Frame, Geom, GeomType, HField, Inertial, Joint, JointType, Key, MassRules, Mesh, MeshInertia,
-    Scene, Site, Softness, Stop, Tendon,
+    FluidShape, Frame, Geom, GeomType, HField, Inertial, Joint, JointType, Key, MassRules, Mesh,
+    MeshInertia, Scene, Site, Softness, Stop, Tendon,
 };
 
 use crate::extract::{record, refuse, At, Read, Record};
@@ -27,7 +27,8 @@ named!(GeomType {
     "plane" => Plane, "hfield" => HField, "sphere" => Sphere, "capsule" => Capsule,
     "ellipsoid" => Ellipsoid, "cylinder" => Cylinder, "box" => Box, "mesh" => Mesh,
 });
-named!(EqualityType { "connect" => Connect, "weld" => Weld, "joint" => Joint });
+named!(EqualityType { "connect" => Connect, "weld" => Weld, "joint" => Joint, "tendon" => Tendon });
+named!(FluidShape { "none" => None, "ellipsoid" => Ellipsoid });
 named!(MeshInertia {
     "convex" => Convex, "exact" => Exact, "legacy" => Legacy, "shell" => Shell,
 });
@@ -57,7 +58,7 @@ impl Read for Stop {
 
 record!(Softness { solref, solimp });
 record!(Inertial { mass, pos, inertia });
-record!(Body { name, parent, pos, quat, inertial });
+record!(Body { name, parent, pos, quat, inertial, gravcomp });
 record!(Joint {
     name,
     body,
@@ -70,6 +71,8 @@ record!(Joint {
     springref,
     stiffness,
     damping,
+    springdamper,
+    actuatorgravcomp,
     armature,
     frictionloss,
     limit,
@@ -98,6 +101,8 @@ record!(Geom {
     gap,
     solmix,
     soft,
+    fluidshape,
+    fluidcoef,
 });
 record!(Mesh { name, vertices, faces, inertia, maxhullvert });
 record!(HField { name, nrow, ncol, size, data });
@@ -173,6 +178,9 @@ record!(Features {
 record!(Scene {
     name,
     gravity,
+    density,
+    viscosity,
+    wind,
     bodies,
     joints,
     geoms,

@@ -88,6 +88,15 @@ def _no_armature(scene: Contents, joints: Iterable[int]) -> None:
         scene.joints[joint].armature = 0.0
 
 
+def _no_gravcomp(scene: Contents, bodies: Iterable[int]) -> None:
+    for body in bodies:
+        scene.bodies[body].gravcomp = 0.0
+
+
+def _no_fluid(scene: Contents, _: None) -> None:
+    scene.density = scene.viscosity = 0.0
+
+
 def _frictionless(scene: Contents, geoms: Iterable[int]) -> None:
     _limit_condim(scene, geoms, 1)
 
@@ -135,6 +144,8 @@ _EDITS: dict[str, Any] = {
     "exclude": _exclude,
     "no range": _no_range,
     "no armature": _no_armature,
+    "no gravcomp": _no_gravcomp,
+    "no fluid": _no_fluid,
     "frictionless": _frictionless,
     "sliding only": _sliding_only,
     "no contact": _no_contact,
@@ -226,6 +237,13 @@ class RemovableFeatures:
         if features.spring:
             removals += self._term("joint springs", "spring")
         removals += self.tendons()
+        if scene.density > 0 or scene.viscosity > 0:
+            removals.append(Removal("fluid", "", (("no fluid", None),)))
+        light = tuple(i for i, body in enumerate(scene.bodies) if body.gravcomp != 0)
+        if light and features.gravity:
+            edit = ("no gravcomp", light)
+            name = "1 body" if len(light) == 1 else f"{len(light)} bodies"
+            removals.append(Removal("gravity compensation", name, (edit,)))
         if features.coriolis and not all(self.plan["constant"]):
             name = "Coriolis, gyroscopic"
             removals.append(Removal("velocity forces", name, (("feature", "coriolis"),)))

@@ -26,7 +26,9 @@ class Joints:
         self.limited = [k for k, joint in enumerate(coordinates.joints) if joint[3]]
         works = scene.features.equality and scene.features.constraint
         self.tied = [
-            k for k, e in enumerate(scene.equalities) if works and e.active and e.type != "joint"
+            k
+            for k, e in enumerate(scene.equalities)
+            if works and e.active and e.type in ("connect", "weld")
         ]
         ties = [scene.equalities[k] for k in self.tied]
         self.connected = bool(ties)

@@ -7,12 +7,13 @@ import numpy as np
 from stepcore.engine.model import Model
 from stepcore.scene.elements import Equality
 from stepcore.scene.layout import Layout
+from stepcore.scene.tying import LENGTHS
 
 
 def _inside(layout: Layout, equality: Equality) -> bool:
     """It ties only what moves; one end of a connect or weld may be the world."""
     moving = all(layout.moving(body) for body in equality.bodies)
-    return moving and (equality.type == "joint" or len(equality.bodies) == 2)
+    return moving and (equality.type in LENGTHS or len(equality.bodies) == 2)
 
 
 class Balance:
@@ -34,7 +35,8 @@ class Balance:
         driven = {id(actuator.joint) for actuator in scene.actuators}
         tied = any(e.active and not _inside(layout, e) for e in scene.equalities)
         self.gravity, self.mass = gravity, mass
-        self.known = not tied and all(
+        held = scene.density > 0 or scene.viscosity > 0 or any(b.gravcomp for b in scene.bodies)
+        self.known = not (tied or held) and all(
             joint.type == "free"
             and not (joint.damped or joint.sprung or joint.armature or joint.frictionloss)
             and id(joint) not in driven

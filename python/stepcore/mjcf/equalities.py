@@ -1,4 +1,4 @@
-"""The section `<equality>`: connects, welds and joint equalities."""
+"""The section `<equality>`: connects, welds, and equalities of joints and tendons."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stepcore.scene.tying import FIELDS
 def read(world: WorldReader, node: Node) -> None:
     """Reads an equality; it is checked with the whole scene."""
     values = world.defaults.of(node, kind="equality")
-    if node.tag != "joint" and not {"body1", "site1", "site2"} & set(values):
+    if node.tag in ("connect", "weld") and not {"body1", "site1", "site2"} & set(values):
         raise node.error(f"<{node.tag}> needs body1, or site1 and site2")
     if node.tag == "connect" and "body1" in values and "anchor" not in values:
         raise node.error("<connect> needs body1 and anchor")

@@ -55,8 +55,12 @@ def read(scene: Contents, node: Node) -> None:
         if values["timestep"] <= 0:
             raise bad(node, "timestep", values["timestep"], "> 0 s")
         options["dt"] = values["timestep"]
-    if "gravity" in values:
-        scene.gravity = values["gravity"]
+    for name in ("density", "viscosity"):
+        if values.get(name, 0) < 0:
+            raise bad(node, name, values[name], ">= 0")
+    for name in ("gravity", "density", "viscosity", "wind"):
+        if name in values:
+            setattr(scene, name, values[name])
     if "integrator" in values:
         options["integrator"] = INTEGRATORS[values["integrator"]]
     if "solver" in values:
@@ -97,11 +101,6 @@ def _override(scene: Contents, values: Mapping[str, Any]) -> None:
 
 def _refuse(node: Node) -> None:
     values = node.values
-    for name in ("density", "viscosity"):
-        if values.get(name, 0) < 0:
-            raise bad(node, name, values[name], ">= 0")
-        if values.get(name, 0) > 0:
-            raise node.unbuilt(f"a fluid around the bodies ({name})", name)
     if values.get("actuatorgroupdisable"):
         raise node.unbuilt(
             "disabling groups of actuators (actuatorgroupdisable)", "actuatorgroupdisable"

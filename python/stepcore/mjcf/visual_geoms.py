@@ -15,7 +15,8 @@ def leave_out_visual_geoms(world: WorldReader, layout: Layout) -> None:
     scene = world.scene
     gone = set()
     for shape in world.shapes:
-        if shape.collides or weighs(world, layout, shape):
+        drags = shape.geom.fluidshape != "none" and (scene.density > 0 or scene.viscosity > 0)
+        if shape.collides or drags or weighs(world, layout, shape):
             continue
         scene.ignored.append(shape.node.listed("only draws: no collisions, no mass"))
         if shape.geom.mesh is not None or shape.geom.hfield is not None:

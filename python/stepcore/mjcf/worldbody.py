@@ -140,10 +140,9 @@ class WorldReader:
         values = node.values
         if values.get("mocap"):
             raise node.unbuilt("a mocap body", "mocap")
-        if values.get("gravcomp", 0) != 0:
-            raise node.unbuilt("gravity compensation (gravcomp)", "gravcomp")
         pos, quat = self._pose(node, values, place)
-        body = self.scene.add_body(values.get("name", ""), place.body, pos, quat)
+        own = {"gravcomp": values.get("gravcomp", 0.0)}
+        body = self.scene.add_body(values.get("name", ""), place.body, pos, quat, **own)
         self.keep(node, body)
         self.names["body"].add(body.name)
         childclass = self.defaults.known(node, "childclass") or place.childclass
@@ -200,7 +199,8 @@ class WorldReader:
             springref=convert(values.get("springref", 0.0)) if scalar else 0.0,
             **polynomial(values, "stiffness"),
             **polynomial(values, "damping"),
-            **{f: values[f] for f in ("margin", "armature", "frictionloss") if f in values},
+            **_times(values),
+            **{f: values[f] for f in _COPIED if f in values},
             **soft(values, "solreflimit", "solimplimit"),
             **soft(values, "solreffriction", "solimpfriction"),
         )
@@ -212,8 +212,6 @@ class WorldReader:
             self.ranges[id(joint)] = angles if limits else values["range"]
 
     def _refuse_joint(self, node: Node, kind: str, values: dict[str, Any]) -> None:
-        if min(values.get("springdamper", (0.0,))) > 0:
-            raise node.unbuilt("springdamper", "springdamper")
         if values.get("springyield", 0) != 0 and kind != "free":
             raise node.unbuilt("a spring that yields (springyield)", "springyield")
         scalar = kind in ("hinge", "slide")
@@ -281,8 +279,7 @@ class WorldReader:
         if own:
             size = frames.ORIGIN
             own |= {k: values[k] for k in ("fitscale",) if k in values}
-        copied = ("condim", "group", "priority", "friction", "mass", "density", "shellinertia")
-        more = {f: values[f] for f in (*copied, "solmix", "margin", "gap") if f in values}
+        more = {f: values[f] for f in _OF_GEOM if f in values}
         geom = self.scene.add_geom(
             place.body,
             kind,
@@ -338,6 +335,21 @@ def soft(values: dict[str, Any], solref: str, solimp: str) -> dict[str, Any]:
         if field in values:
             result[field] = values[field] + default[len(values[field]) :]
     return result
+
+
+# Fields of a geom whose values are those of the file.
+_OF_GEOM = (
+    *("condim", "group", "priority", "friction", "mass", "density", "shellinertia"),
+    *("solmix", "margin", "gap", "fluidshape", "fluidcoef"),
+)
+# Fields of a joint whose values are those of the file.
+_COPIED = ("margin", "armature", "frictionloss", "actuatorgravcomp")
+
+
+def _times(values: dict[str, Any]) -> dict[str, Any]:
+    """A spring and a damper by their times, which count where both are positive."""
+    given = values.get("springdamper", (0.0, 0.0))
+    return {"springdamper": given} if min(given) > 0 else {}
 
 
 def polynomial(values: dict[str, Any], name: str) -> dict[str, Any]:

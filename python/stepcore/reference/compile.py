@@ -60,6 +60,14 @@ def compile_scene(scene: Any) -> Model:
         acts = ("range", "armature", "frictionloss")
         if any(tendon[field] for field in acts) or any(tendon["stiffness"] + tendon["damping"]):
             raise ValueError(f"tendon '{tendon['name']}': the reference has no tendons")
+    lacks = {
+        "fluid": scene["density"] > 0 or scene["viscosity"] > 0,
+        "springdamper": any(all(joint["springdamper"]) for joint in scene["joints"]),
+        "tendon": any(equality["kind"] == "tendon" for equality in scene["equalities"]),
+    }
+    for name, has in lacks.items():
+        if has:
+            raise ValueError(f"the reference has no {name}")
     number_joints(model)
     masses(model)
     model.actuator_bias = [servo_bias(model, actuator) for actuator in scene["actuators"]]

@@ -64,6 +64,7 @@ class Contents(Holdings):
         mass: float | None = None,
         inertia: Vector | None = None,
         ipos: Vector | None = None,
+        gravcomp: float = 0.0,
     ) -> Body:
         """Adds a body.
 
@@ -74,14 +75,16 @@ class Contents(Holdings):
         ipos: centre of mass in the body's frame [m].
         inertia: about the centre of mass, in body axes [kg·m²]: xx yy zz, or xx yy zz xy xz yz.
             A mass without an inertia is a point mass.
+        gravcomp: share of its weight that a force at its centre of mass holds up.
         """
         fields: dict[str, Any] = {"name": name, "pos": pos, "quat": quat, "mass": mass}
         if inertia is not None:
             fields["inertia"] = inertia
         if ipos is not None:
             fields["ipos"] = ipos
-        body = Body(parent=self.body(parent), **fields)
-        if mass is None and len(fields) > 4:
+        given = len(fields) > 4
+        body = Body(parent=self.body(parent), gravcomp=gravcomp, **fields)
+        if mass is None and given:
             raise checks.refuse(body, "mass", None, "given where ipos or inertia is")
         return self._append(self.bodies, body)
 
@@ -264,15 +267,18 @@ class Contents(Holdings):
         site2: str | Site | None = None,
         joint1: str | Joint | None = None,
         joint2: str | Joint | None = None,
+        tendon1: str | Tendon | None = None,
+        tendon2: str | Tendon | None = None,
         **fields: Unpack[EqualityFields],
     ) -> Equality:
-        """Adds a constraint that ties two bodies or two joints together.
+        """Adds a constraint that ties two bodies, two joints or two tendons together.
 
-        type: "connect" (bodies share a point), "weld" (they share a frame) or "joint" (a hinge or
-            slide follows a polynomial of another, or stays).
+        type: "connect" (bodies share a point), "weld" (they share a frame), "joint" (a hinge or
+            slide follows a polynomial of another, or stays) or "tendon" (a tendon does).
         body1, body2: names or `Body` objects of a connect or weld; without body2, the world.
         anchor: the shared point [m], shape (3,); see `Equality`.
-        site1, site2: two sites in place of bodies and anchor. joint1, joint2: of a joint equality.
+        site1, site2: two sites in place of bodies and anchor. joint1, joint2,
+            tendon1, tendon2: of equalities of joints and of tendons.
         fields: of `Equality`: name, active, relpose, torquescale, polycoef, solref, solimp.
         """
         ends: dict[str, Any] = {
@@ -282,6 +288,8 @@ class Contents(Holdings):
             "site2": site2 if site2 is None else self.site(site2),
             "joint1": joint1 if joint1 is None else self.joint(joint1),
             "joint2": joint2 if joint2 is None else self.joint(joint2),
+            "tendon1": tendon1 if tendon1 is None else self.tendon(tendon1),
+            "tendon2": tendon2 if tendon2 is None else self.tendon(tendon2),
         }
         return self._add(self.equalities, Equality, fields, type=type, anchor=anchor, **ends)
 

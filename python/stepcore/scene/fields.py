@@ -30,6 +30,8 @@ class JointFields(TypedDict, total=False):
     stiffnesspoly: Vector
     damping: float
     dampingpoly: Vector
+    springdamper: Vector | None
+    actuatorgravcomp: bool
     armature: float
     frictionloss: float
     solreflimit: Vector
@@ -59,6 +61,8 @@ class GeomFields(TypedDict, total=False):
     solmix: float
     solref: Vector
     solimp: Numbers
+    fluidshape: str
+    fluidcoef: Numbers
 
 
 class MeshFields(TypedDict, total=False):

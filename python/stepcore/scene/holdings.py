@@ -46,21 +46,16 @@ class Holdings(checks.KnownNames):
 
     _attributes = (
         *("name", "bodies", "joints", "geoms", "sites", "tendons", "actuators", "equalities"),
-        *(
-            "keys",
-            "meshes",
-            "hfields",
-            "excludes",
-            "pairs",
-            "contact_override",
-            "mass_rules",
-            "features",
-        ),
+        *("keys", "meshes", "hfields", "excludes", "pairs", "contact_override", "mass_rules"),
+        *("features", "density", "viscosity", "wind"),
         *("options", "ignored", "notes", "without"),
     )
 
     def __init__(self, gravity: Vector = GRAVITY, name: str = "") -> None:
         self.gravity = gravity
+        self.density = 0.0
+        self.viscosity = 0.0
+        self.wind = frames.ORIGIN
         self.name = checks.text("scene", "name", name)
         self.bodies: list[Body] = [Body(name="world")]
         self.joints: list[Joint] = []
@@ -94,6 +89,33 @@ class Holdings(checks.KnownNames):
     @gravity.setter
     def gravity(self, value: Vector) -> None:
         self._gravity: frames.Vec = checks.vector(3)("scene", "gravity", value)
+
+    @property
+    def density(self) -> float:
+        """Density of the fluid around the bodies [kg/m³], >= 0: its drag and lift go by it."""
+        return self._density
+
+    @density.setter
+    def density(self, value: float) -> None:
+        self._density: float = checks.real(low=0)("scene", "density", value)
+
+    @property
+    def viscosity(self) -> float:
+        """Viscosity of the fluid around the bodies [Pa·s], >= 0."""
+        return self._viscosity
+
+    @viscosity.setter
+    def viscosity(self, value: float) -> None:
+        self._viscosity: float = checks.real(low=0)("scene", "viscosity", value)
+
+    @property
+    def wind(self) -> frames.Vec:
+        """Velocity of the fluid around the bodies [m/s], shape (3,)."""
+        return self._wind
+
+    @wind.setter
+    def wind(self, value: Vector) -> None:
+        self._wind: frames.Vec = checks.vector(3)("scene", "wind", value)
 
     @property
     def world(self) -> Body:

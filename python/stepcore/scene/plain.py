@@ -60,6 +60,9 @@ def plain(layout: Layout) -> dict[str, Any]:
     return {
         "name": scene.name,
         "gravity": list(scene.gravity),
+        "density": scene.density,
+        "viscosity": scene.viscosity,
+        "wind": list(scene.wind),
         "bodies": [_body(body, body_of) for body in layout.bodies],
         "joints": [attached(joint) for joint in layout.joints],
         "geoms": [
@@ -159,4 +162,5 @@ def _body(body: Body, index: dict[int, int]) -> dict[str, Any]:
         "pos": list(body.pos),
         "quat": list(body.quat),
         "inertial": inertial,
+        "gravcomp": body.gravcomp,
     }

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 from stepcore import checks
-from stepcore.scene.elements import Equality
+from stepcore.scene.elements import Element, Equality, Joint
+from stepcore.scene.elements.tendon import Tendon
 from stepcore.scene.frames import IDENTITY
 from stepcore.scene.layout import Layout
 
@@ -16,9 +18,11 @@ FIELDS = {
     "connect": (*BODIES, *SITES),
     "weld": (*BODIES, *SITES, "relpose", "torquescale"),
     "joint": ("joint1", "joint2", "polycoef"),
+    "tendon": ("tendon1", "tendon2", "polycoef"),
 }
 COMMON = ("name", "type", "active", "solref", "solimp")
-TURNING = ("hinge", "slide")
+# Types that tie lengths.
+LENGTHS = ("joint", "tendon")
 
 
 def given(equality: Equality) -> dict[str, Any]:
@@ -34,8 +38,8 @@ def check(layout: Layout, equality: Equality) -> None:
     for field, value in fields.items():
         if field not in FIELDS[kind]:
             raise checks.refuse(equality, field, value, f"left out: a {kind} has none")
-    if kind == "joint":
-        return _check_joints(layout, equality)
+    if kind in LENGTHS:
+        return _check_lengths(layout, equality)
     by_site = [field for field in SITES if field in fields]
     if by_site:
         if len(by_site) < 2:
@@ -56,20 +60,33 @@ def check(layout: Layout, equality: Equality) -> None:
         raise checks.ElementError(equality, f"connects {ends[0]} to itself")
 
 
-def _check_joints(layout: Layout, equality: Equality) -> None:
-    if equality.joint1 is None:
-        raise checks.ElementError(equality, "a joint equality needs joint1")
-    listed = {id(joint) for joint in layout.joints}
-    for joint in (equality.joint1, equality.joint2):
-        if joint is None:
+def _check_lengths(layout: Layout, equality: Equality) -> None:
+    kind = equality.type
+    first, second = _lengths(equality)
+    if first is None:
+        raise checks.ElementError(equality, f"a {kind} equality needs {kind}1")
+    listed = {id(element) for element in _listed(layout, kind)}
+    for element in (first, second):
+        if element is None:
             continue
-        if id(joint) not in listed:
-            raise checks.ElementError(equality, f"refers to {joint}, which is not in this scene")
-        if joint.type not in TURNING:
-            limit = "a hinge or a slide"
-            raise checks.ElementError(equality, f"{joint} is a {joint.type}: must be {limit}")
-    if equality.joint1 is equality.joint2:
-        raise checks.ElementError(equality, f"connects {equality.joint1} to itself")
+        if id(element) not in listed:
+            raise checks.ElementError(equality, f"refers to {element}, which is not in this scene")
+        if isinstance(element, Joint) and element.type not in ("hinge", "slide"):
+            limit = "must be a hinge or a slide"
+            raise checks.ElementError(equality, f"{element} is a {element.type}: {limit}")
+    if first is second:
+        raise checks.ElementError(equality, f"connects {first} to itself")
+
+
+def _lengths(equality: Equality) -> tuple[Joint | Tendon | None, Joint | Tendon | None]:
+    """The two joints or tendons of an equality."""
+    if equality.type == "joint":
+        return equality.joint1, equality.joint2
+    return equality.tendon1, equality.tendon2
+
+
+def _listed(layout: Layout, kind: str) -> Sequence[Element]:
+    return layout.joints if kind == "joint" else layout.scene.tendons
 
 
 def plain(layout: Layout, equality: Equality) -> dict[str, Any]:
@@ -84,11 +101,10 @@ def plain(layout: Layout, equality: Equality) -> dict[str, Any]:
         "frame1": None,
         "frame2": None,
     }
-    if equality.type == "joint":
-        index = {id(joint): i for i, joint in enumerate(layout.joints)}
-        ends = [index.get(id(equality.joint1), -1), None]
-        if equality.joint2 is not None:
-            ends[1] = index.get(id(equality.joint2), -1)
+    if equality.type in LENGTHS:
+        index = {id(element): i for i, element in enumerate(_listed(layout, equality.type))}
+        tied = _lengths(equality)
+        ends = [None if element is None else index.get(id(element), -1) for element in tied]
     else:
         ends = [layout.body(equality, body) for body in _bodies(layout, equality)]
         record |= _frames(equality)

@@ -16,10 +16,12 @@ SomeScene = TypeVar("SomeScene", bound="Contents")
 
 KINDS = ("body", "joint", "geom", "mesh", "site", "actuator", "equality", "pair", "key")
 
+# Values of the whole scene.
+WHOLE = ("gravity", "density", "viscosity", "wind")
 # Names and references.
 _NO_VALUES = (
     *("name", "file", "body", "parent", "joint", "geom1", "geom2", "mesh", "hfield"),
-    *("body1", "body2", "site1", "site2", "joint1", "joint2"),
+    *("body1", "body2", "site1", "site2", "joint1", "joint2", "tendon1", "tendon2"),
 )
 
 
@@ -34,8 +36,8 @@ def changed(
         raise ValueError(f"values = {checks.shown(values)}: must be a dict of paths and values")
     scene = copy.deepcopy(scene)
     for path, value in values.items():
-        if path == "gravity":
-            scene.gravity = value
+        if path in WHOLE:
+            setattr(scene, path, value)
             continue
         element, field = find(scene, path)
         if field == "mass" and isinstance(element, Body) and element.mass is None:
@@ -50,7 +52,8 @@ def find(scene: Contents, path: object) -> tuple[Element, str]:
     parts = path.split("/") if isinstance(path, str) else []
     shown = checks.cut(str(path), 80)
     if len(parts) < 3:
-        raise ValueError(f'{checks.shown(path)}: must be "gravity" or "kind/name/field"')
+        words = ", ".join(f'"{word}"' for word in WHOLE)
+        raise ValueError(f'{checks.shown(path)}: must be {words} or "kind/name/field"')
     # A name may hold slashes itself.
     kind, name, field = parts[0], "/".join(parts[1:-1]), parts[-1]
     if kind not in KINDS:

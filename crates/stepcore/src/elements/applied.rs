@@ -123,15 +123,25 @@ pub(super) fn on_dofs<R: Real>(
     moment: &V3<R>,
     add: &mut impl FnMut(usize, R),
 ) {
-    let (model, frames) = (now.model, &now.frames);
-    let tree = model.bodies[body].tree;
-    if tree == NONE {
-        return;
+    let tree = now.model.bodies[body].tree;
+    if tree != NONE {
+        let arm = now.frames.centre(now.model, body) - now.frames.origin[tree];
+        at_point(now, body, &arm, force, moment, add);
     }
-    let arm = frames.centre(model, body) - frames.origin[tree];
-    for &k in model.bodies[body].chain.of(&model.dof_lists) {
-        let motion = &frames.motion[k];
-        let along = force.dot(&(motion.lin + motion.ang.cross(&arm)));
+}
+
+/// The same for a force at a point of a body that moves, `arm` from its tree's origin.
+pub(super) fn at_point<R: Real>(
+    now: &Moment<R>,
+    body: usize,
+    arm: &V3<R>,
+    force: &V3<R>,
+    moment: &V3<R>,
+    add: &mut impl FnMut(usize, R),
+) {
+    for &k in now.model.bodies[body].chain.of(&now.model.dof_lists) {
+        let motion = &now.frames.motion[k];
+        let along = force.dot(&(motion.lin + motion.ang.cross(arm)));
         add(k, along + moment.dot(&motion.ang));
     }
 }

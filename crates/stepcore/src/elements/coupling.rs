@@ -1,11 +1,13 @@
-//! Joint equality: q₁ − q₁⁰ stays p(q₂ − q₂⁰), p a polynomial; of one joint alone, a constant.
-//! One row, J = (1, −p′).
+//! Joint and tendon equality: L₁ − L₁⁰ stays p(L₂ − L₂⁰), p a polynomial; of one joint or tendon
+//! alone, a constant. One row, J = J₁ − p′ J₂. What bends beside p, the way of a spatial tendon,
+//! J̇ v leaves out.
 
 use super::equality::Held;
 use crate::model::Coupling;
 use crate::real::Real;
 use crate::settings::Law;
 use crate::solve::{Rows, Situation};
+use crate::transmission::Transmission;
 
 /// A polynomial with its first two derivatives.
 struct Poly<R: Real> {
@@ -27,20 +29,19 @@ fn poly<R: Real>(coefficients: &[f64; 5], x: R) -> Poly<R> {
 }
 
 impl<R: Real> Rows<R> {
-    pub(super) fn joint_equality(&mut self, now: &Situation<R>, index: usize, tie: &Coupling) {
+    pub(super) fn coupled(&mut self, now: &Situation<R>, index: usize, tie: &Coupling) {
         let (model, dofs) = (now.model, now.model.equalities[index].dofs);
-        let joint = |at: usize| &model.joints[at];
-        let gone = |at: usize, rest: f64| now.qpos[joint(at).qpos] - R::of(rest);
+        let pulls = now.placed.frames().pulls;
+        let gone = |of: Transmission, rest: f64| of.length(model, now.qpos, pulls) - R::of(rest);
         self.clear_scratch(dofs.of(now.dof_lists));
-        self.scratch[joint(tie.first).dof] = R::one();
+        tie.first.arms(model, now.qpos, pulls, |dof, arm| self.scratch[dof] += arm);
         let mut gap = gone(tie.first, tie.rest[0]);
         let mut curving = R::zero();
         if let Some(second) = tie.second {
             let Poly { value, slope, bend } = poly(&tie.polycoef, gone(second, tie.rest[1]));
-            let dof = joint(second).dof;
-            self.scratch[dof] = -slope;
+            second.arms(model, now.qpos, pulls, |dof, arm| self.scratch[dof] -= slope * arm);
             gap -= value;
-            let velocity = now.qvel[dof];
+            let velocity = second.velocity(model, now.qvel, pulls);
             curving = -(bend * velocity * velocity);
         } else {
             gap -= R::of(tie.polycoef[0]);

@@ -1,4 +1,4 @@
-//! Equalities: what ties bodies or joints together, in the order of the scene's list. Each kind
+//! Equalities: what ties bodies, joints or tendons together, in the order of the scene's list. Each kind
 //! makes its rows in a file of its own; what all of them share stands here.
 
 use super::constraint::{Constraint, Makings};
@@ -32,7 +32,7 @@ impl Constraint for Equalities {
             match &equality.tie {
                 Tie::Connect(ends) => rows.connect(now, index, ends),
                 Tie::Weld { ends, torquescale } => rows.weld(now, index, ends, *torquescale),
-                Tie::Joints(coupling) => rows.joint_equality(now, index, coupling),
+                Tie::Lengths(coupling) => rows.coupled(now, index, coupling),
             }
         }
     }

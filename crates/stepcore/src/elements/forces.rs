@@ -6,7 +6,9 @@ use super::activation::Activations;
 use super::actuator::{tensions, Actuator};
 use super::applied::{BodyForce, JointForce};
 use super::damper::Damper;
+use super::fluid::Fluid;
 use super::force::{Forces, Group, Late, Moment, Sum};
+use super::gravcomp::{Compensation, DrivenCompensation, Held};
 use super::gravity::Gravity;
 use super::spring::Spring;
 use super::tendon_spring::{TendonDamper, TendonSpring};
@@ -157,7 +159,20 @@ macro_rules! forces {
 }
 
 // In the order in which they are added up.
-forces!(Damper, Spring, TendonSpring, TendonDamper, Actuator, JointForce, BodyForce, Gravity);
+forces!(
+    Damper,
+    Spring,
+    TendonSpring,
+    TendonDamper,
+    Compensation,
+    Fluid,
+    Actuator,
+    DrivenCompensation,
+    JointForce,
+    BodyForce,
+    Gravity,
+    Held,
+);
 
 /// The force of all elements of one kind on the dofs at many states [N or N·m], for kinds that
 /// depend on their own joint alone: springs, dampers and actuators. None for others.

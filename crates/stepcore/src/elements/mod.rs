@@ -16,10 +16,12 @@ mod contact;
 mod coupling;
 mod damper;
 mod equality;
+mod fluid;
 pub(crate) mod force;
 pub(crate) mod forces;
 pub(crate) mod friction;
 mod friction_loss;
+mod gravcomp;
 mod gravity;
 mod limit;
 mod name;
@@ -70,6 +72,9 @@ pub enum Kind {
     BodyForce,
     /// Part: the weight of which body.
     Gravity,
+    // Of a body, by its index.
+    Fluid,
+    GravityCompensation,
     // By the index of their equality.
     /// A point that two bodies share.
     Connect,
@@ -77,6 +82,8 @@ pub enum Kind {
     Weld,
     /// A joint that follows another, or stays.
     JointEquality,
+    /// A tendon's length that follows another's, or stays.
+    TendonEquality,
     /// By the index of its pair of geoms, in a heap by their number (`model/heap.rs`). Part: which of
     /// the pair's contacts.
     Contact,
@@ -84,7 +91,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the enum.
-    pub const ALL: [Self; 24] = [
+    pub const ALL: [Self; 27] = [
         Self::Body,
         Self::Joint,
         Self::Geom,
@@ -105,15 +112,18 @@ impl Kind {
         Self::JointForce,
         Self::BodyForce,
         Self::Gravity,
+        Self::Fluid,
+        Self::GravityCompensation,
         Self::Connect,
         Self::Weld,
         Self::JointEquality,
+        Self::TendonEquality,
         Self::Contact,
     ];
 
     /// The rows of an equality.
     pub(crate) fn ties(self) -> bool {
-        matches!(self, Self::Connect | Self::Weld | Self::JointEquality)
+        matches!(self, Self::Connect | Self::Weld | Self::JointEquality | Self::TendonEquality)
     }
 
     /// The word by which data outside the engine calls it.
@@ -139,9 +149,12 @@ impl Kind {
             Self::JointForce => "qfrc_applied",
             Self::BodyForce => "xfrc_applied",
             Self::Gravity => "gravity",
+            Self::Fluid => "fluid",
+            Self::GravityCompensation => "gravity compensation",
             Self::Connect => "connect",
             Self::Weld => "weld",
             Self::JointEquality => "joint equality",
+            Self::TendonEquality => "tendon equality",
             Self::Contact => "contact",
         }
     }

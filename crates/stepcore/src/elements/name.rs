@@ -43,7 +43,11 @@ impl Model {
             Kind::JointForce => joint("force applied to joint"),
             Kind::BodyForce => quoted("force applied to body", &self.bodies[index].name, index),
             Kind::Gravity => "gravity".into(),
-            Kind::Connect | Kind::Weld | Kind::JointEquality => {
+            Kind::Fluid => quoted("fluid drag on body", &self.bodies[index].name, index),
+            Kind::GravityCompensation => {
+                quoted("gravity compensation of body", &self.bodies[index].name, index)
+            }
+            Kind::Connect | Kind::Weld | Kind::JointEquality | Kind::TendonEquality => {
                 quoted(element.kind.word(), &self.equalities[index].name, index)
             }
             Kind::Contact => {
@@ -62,7 +66,9 @@ impl Model {
     /// How many elements of a kind the model has.
     pub fn count(&self, kind: Kind) -> usize {
         match kind {
-            Kind::Body | Kind::BodyForce => self.bodies.len(),
+            Kind::Body | Kind::BodyForce | Kind::Fluid | Kind::GravityCompensation => {
+                self.bodies.len()
+            }
             Kind::Joint
             | Kind::Spring
             | Kind::Damper
@@ -77,9 +83,11 @@ impl Model {
             | Kind::TendonDamper
             | Kind::TendonFriction
             | Kind::TendonLimit => self.tendons.len(),
-            Kind::Equality | Kind::Connect | Kind::Weld | Kind::JointEquality => {
-                self.equalities.len()
-            }
+            Kind::Equality
+            | Kind::Connect
+            | Kind::Weld
+            | Kind::JointEquality
+            | Kind::TendonEquality => self.equalities.len(),
             Kind::Key => self.keys.len(),
             Kind::Actuator => self.actuators.len(),
             Kind::Gravity => 1,

@@ -2,8 +2,8 @@
 
 use super::slots::Slots;
 use super::{
-    apart, check, coupling, heap, inertia, invweight, meshes, pairs, pose, tendons, ties, tree,
-    Model, NONE,
+    apart, auto_spring, check, coupling, fluid, heap, inertia, invweight, meshes, pairs, pose,
+    tendons, ties, tree, Model, NONE,
 };
 use crate::error::Result;
 use crate::scene::Scene;
@@ -21,10 +21,12 @@ impl Model {
         let scene = &Scene { geoms, ..scene.clone() };
         let mut model = tree::lay_out(scene, &assets);
         pairs::planes_stand_still(&model)?;
-        let aligned = inertia::weigh(scene, &assets, &mut model)?;
+        let (aligned, axes) = inertia::weigh(scene, &assets, &mut model)?;
         let poses = pose::at_qpos0(&model.bodies);
         tendons::fill(scene, &mut model);
         invweight::fill(&mut model, &poses, &aligned)?;
+        auto_spring::fill(scene, &mut model);
+        fluid::fill(scene, &axes, &mut model);
         let mut unions = tree::Unions::default();
         if !pairs::fill(scene, &mut model, &poses, &mut unions, most_fixed)? {
             heap::fill(scene, &mut model, &poses)?;

@@ -3,11 +3,12 @@
 
 mod tendon;
 
+mod equality;
+
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{
-    Actuator, Equality, EqualityType, ExplicitPair, Geom, GeomType, Inertial, Joint, JointType,
-    Scene, Softness,
+    Actuator, ExplicitPair, Geom, GeomType, Inertial, Joint, JointType, Scene, Softness,
 };
 use std::collections::HashSet;
 use std::fmt;
@@ -111,6 +112,9 @@ impl Subject {
 pub fn scene(scene: &Scene) -> Result<()> {
     let whole = Subject("scene".into());
     whole.finite("gravity", &scene.gravity)?;
+    whole.not_negative("density", scene.density)?;
+    whole.not_negative("viscosity", scene.viscosity)?;
+    whole.finite("wind", &scene.wind)?;
     if scene.bodies.is_empty() {
         return Err(Error::Scene("the scene has no world: its first body".into()));
     }
@@ -143,7 +147,7 @@ pub fn scene(scene: &Scene) -> Result<()> {
         actuator(&Subject::new(Kind::Actuator, &a.name, i), a, scene)?;
     }
     for (i, q) in scene.equalities.iter().enumerate() {
-        equality(&Subject::new(Kind::Equality, &q.name, i), q, scene)?;
+        equality::check(&Subject::new(Kind::Equality, &q.name, i), q, scene)?;
     }
     for (i, pair) in scene.excludes.iter().enumerate() {
         let e = Subject(format!("exclude {i}").into());
@@ -195,6 +199,7 @@ fn bodies(scene: &Scene) -> Result<()> {
         let e = Subject::new(Kind::Body, &b.name, i);
         e.finite("pos", &b.pos)?;
         e.direction("quat", &b.quat)?;
+        e.finite("gravcomp", &[b.gravcomp])?;
         if let Some(x) = &b.inertial {
             inertial(&e, x)?;
         }
@@ -306,6 +311,7 @@ fn joint(e: &Subject, j: &Joint) -> Result<()> {
     e.finite("stiffness", &j.stiffness)?;
     e.finite("damping", &j.damping)?;
     e.not_negative("damping", j.damping[0])?;
+    e.finite("springdamper", &j.springdamper)?;
     e.not_negative("armature", j.armature)?;
     e.not_negative("frictionloss", j.frictionloss)?;
     e.softness("limit ", &j.limit)?;
@@ -342,6 +348,7 @@ fn geom(e: &Subject, g: &Geom) -> Result<()> {
     e.finite("margin", &[g.margin])?;
     e.not_negative("gap", g.gap)?;
     e.not_negative("solmix", g.solmix)?;
+    e.finite("fluidcoef", &g.fluidcoef)?;
     e.softness("", &g.soft)
 }
 
@@ -444,39 +451,6 @@ fn actuator(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
         range.map_or(Ok(()), |range| e.range(field, range))?;
     }
     Ok(())
-}
-
-fn equality(e: &Subject, q: &Equality, scene: &Scene) -> Result<()> {
-    let (count, word) = match q.kind {
-        EqualityType::Connect | EqualityType::Weld => (scene.bodies.len(), "body"),
-        EqualityType::Joint => (scene.joints.len(), "joint"),
-    };
-    e.below("first", q.first, count, word)?;
-    if let Some(second) = q.second {
-        e.below("second", second, count, word)?;
-        if q.first == second {
-            return Err(e.refuse("second", second, &format!("another {word} than the first")));
-        }
-    }
-    if word == "joint" {
-        for joint in std::iter::once(q.first).chain(q.second) {
-            let kind = scene.joints[joint].kind;
-            if !matches!(kind, JointType::Hinge | JointType::Slide) {
-                return Err(e.refuse("joint", joint, "a hinge or a slide"));
-            }
-        }
-    } else if q.second.is_none() || (q.frame1.is_none() && q.frame2.is_none()) {
-        return Err(e.refuse("second", "none", "a body, and one of the two frames given"));
-    }
-    for (field, frame) in [("frame1", &q.frame1), ("frame2", &q.frame2)] {
-        if let Some(frame) = frame {
-            e.finite(&format!("{field} pos"), &frame.pos)?;
-            e.direction(&format!("{field} quat"), &frame.quat)?;
-        }
-    }
-    e.finite("torquescale", &[q.torquescale])?;
-    e.finite("polycoef", &q.polycoef)?;
-    e.softness("", &q.soft)
 }
 
 fn keys(scene: &Scene) -> Result<()> {

@@ -2,7 +2,7 @@
 
 use super::meshes::Asset;
 use super::pose::{rotation, unit_quat};
-use super::principal::seen_from;
+use super::principal::{axes, seen_from};
 use super::shape::{measure, unit_inertia};
 use super::{Model, NONE};
 use crate::elements::{text, Kind, Text};
@@ -25,6 +25,26 @@ struct Load {
     inertia: Matrix3<f64>,
     /// The body's frame is its inertia's frame: MuJoCo's rule for simple bodies.
     aligned: bool,
+    axes: Axes,
+}
+
+/// The principal axes of a body's inertia.
+#[derive(Clone, Copy, Debug)]
+pub enum Axes {
+    /// Those of its only geom.
+    Own([f64; 4]),
+    /// To be found from the matrix.
+    Found,
+}
+
+impl Axes {
+    /// w x y z, in body axes.
+    pub fn of(self, inertia: &Matrix3<f64>) -> [f64; 4] {
+        match self {
+            Self::Own(quat) => quat,
+            Self::Found => axes(inertia),
+        }
+    }
 }
 
 fn turned(diagonal: Vector3<f64>, rot: &Matrix3<f64>) -> Matrix3<f64> {
@@ -73,7 +93,7 @@ fn from_geoms(scene: &Scene, assets: &[Asset], geoms: &[usize]) -> Option<Load> 
         let inertia = own_inertia(g, asset, mass);
         let size = (inertia.trace() / mass).sqrt();
         let aligned = same_frame(&ipos, quat, size);
-        return Some(Load { mass, ipos, inertia, aligned });
+        return Some(Load { mass, ipos, inertia, aligned, axes: Axes::Own(quat) });
     }
     chosen.first()?;
     let weighed = chosen.iter().map(|(g, _, m)| Vector3::from(g.pos) * *m);
@@ -87,7 +107,7 @@ fn from_geoms(scene: &Scene, assets: &[Asset], geoms: &[usize]) -> Option<Load> 
     // another order has a turned frame there.
     let falling = inertia[(0, 0)] >= inertia[(1, 1)] && inertia[(1, 1)] >= inertia[(2, 2)];
     let aligned = falling && centred(mass, &ipos, &inertia) && diagonal(&inertia);
-    Some(Load { mass, ipos, inertia, aligned })
+    Some(Load { mass, ipos, inertia, aligned, axes: Axes::Found })
 }
 
 fn centred(mass: f64, ipos: &Vector3<f64>, inertia: &Matrix3<f64>) -> bool {
@@ -107,7 +127,7 @@ fn given(scene: &Scene, body: usize) -> Option<Load> {
     let [xx, yy, zz, xy, xz, yz] = x.inertia;
     let (ipos, inertia) = (Vector3::from(x.pos), Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz));
     let aligned = (x.mass == 0.0 || centred(x.mass, &ipos, &inertia)) && diagonal(&inertia);
-    Some(Load { mass: x.mass, ipos, inertia, aligned })
+    Some(Load { mass: x.mass, ipos, inertia, aligned, axes: Axes::Found })
 }
 
 /// A body that weighs nothing. MuJoCo then reads the body's own pos and quat as
@@ -116,7 +136,7 @@ fn given(scene: &Scene, body: usize) -> Option<Load> {
 fn nothing(scene: &Scene, body: usize) -> Load {
     let ipos = Vector3::from(scene.bodies[body].pos);
     let aligned = same_frame(&ipos, unit_quat(scene.bodies[body].quat), 0.0);
-    Load { mass: 0.0, ipos, inertia: Matrix3::zeros(), aligned }
+    Load { mass: 0.0, ipos, inertia: Matrix3::zeros(), aligned, axes: Axes::Found }
 }
 
 fn same_frame(offset: &Vector3<f64>, quat: [f64; 4], size: f64) -> bool {
@@ -171,8 +191,8 @@ fn apply_rules(scene: &Scene, body: usize, load: &mut Load) -> Result<()> {
 }
 
 /// Fills mass, centre and inertia of every body and the mass of every tree; says
-/// which bodies' frames are their inertias' frames.
-pub fn weigh(scene: &Scene, assets: &[Asset], model: &mut Model) -> Result<Vec<bool>> {
+/// which bodies' frames are their inertias' frames, and the axes of the inertias.
+pub fn weigh(scene: &Scene, assets: &[Asset], model: &mut Model) -> Result<(Vec<bool>, Vec<Axes>)> {
     let rules = &scene.mass_rules;
     let mut geoms = vec![vec![]; scene.bodies.len()];
     for (i, g) in scene.geoms.iter().enumerate() {
@@ -202,7 +222,7 @@ pub fn weigh(scene: &Scene, assets: &[Asset], model: &mut Model) -> Result<Vec<b
             model.trees[body.tree].mass += x.mass;
         }
     }
-    Ok(loads.iter().map(|x| x.aligned).collect())
+    Ok(loads.iter().map(|x| (x.aligned, x.axes)).unzip())
 }
 
 fn finite(element: &Text, x: &Load) -> Result<()> {

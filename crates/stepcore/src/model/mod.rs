@@ -4,9 +4,11 @@
 //! Fields that a `Scene` has too mean here what they mean there.
 
 mod apart;
+mod auto_spring;
 mod build;
 mod check;
 mod coupling;
+pub(crate) mod fluid;
 mod heap;
 mod inertia;
 mod invweight;
@@ -97,6 +99,8 @@ pub struct Body {
     pub inertia: Matrix3<f64>,
     /// Mean inverse mass and inverse inertia at qpos0: MuJoCo's `body_invweight0`.
     pub invweight: [f64; 2],
+    /// The share of its weight that holds it up.
+    pub gravcomp: f64,
     /// Some dof rotates this body; else its orientation is constant.
     pub turns: bool,
 }
@@ -120,6 +124,8 @@ pub struct Joint {
     pub stiffness: Coefficients,
     pub damping: Coefficients,
     pub limit: Softness,
+    /// Its share of what holds bodies up against gravity counts as its actuators' force.
+    pub actuatorgravcomp: bool,
 }
 
 impl Joint {
@@ -262,6 +268,10 @@ pub struct Model {
     pub geoms: Vec<Geom>,
     pub sites: Vec<Site>,
     pub tendons: Vec<Tendon>,
+    /// Some body is held up against gravity.
+    pub compensates: bool,
+    /// What resists where the bodies move through a fluid.
+    pub fluid: fluid::Fluid,
     /// Empty in a heap.
     pub pairs: Vec<Pair>,
     /// There are too many pairs that could meet for a list of them.

@@ -1,6 +1,5 @@
 //! Equalities, compiled: what each ties, with everything its rows share.
 
-use super::pairs::touched_mass;
 use super::pose::{unit_quat, Pose};
 use super::tree::Unions;
 use super::{Model, Span};
@@ -8,6 +7,7 @@ use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{self, EqualityType, Scene, Softness};
 use crate::spatial::Quat;
+use crate::transmission::Transmission;
 use nalgebra::Vector3;
 
 /// An equality, with what its rows share.
@@ -29,8 +29,8 @@ pub enum Tie {
     Connect(Ends),
     /// The two frames are one; their turn times `torquescale`.
     Weld { ends: Ends, torquescale: f64 },
-    /// A joint follows another.
-    Joints(Coupling),
+    /// A length follows another.
+    Lengths(Coupling),
 }
 
 /// A frame on each of two bodies.
@@ -45,15 +45,15 @@ pub struct Ends {
     pub invweight: [f64; 2],
 }
 
-/// q₁ − q₁⁰ is a polynomial of q₂ − q₂⁰.
+/// L₁ − L₁⁰ is a polynomial of L₂ − L₂⁰, the lengths of joints or of tendons.
 #[derive(Clone, Debug)]
 pub struct Coupling {
-    pub first: usize,
-    pub second: Option<usize>,
-    /// The coordinates at the initial configuration.
+    pub first: Transmission,
+    pub second: Option<Transmission>,
+    /// The lengths at the initial configuration.
     pub rest: [f64; 2],
     pub polycoef: [f64; 5],
-    /// Sum of both joints' invweight.
+    /// Sum of both invweights.
     pub invweight: f64,
 }
 
@@ -63,7 +63,7 @@ impl Equality {
         match self.tie {
             Tie::Connect(_) => 3,
             Tie::Weld { .. } => 6,
-            Tie::Joints(_) => 1,
+            Tie::Lengths(_) => 1,
         }
     }
 
@@ -72,7 +72,8 @@ impl Equality {
         match self.tie {
             Tie::Connect(_) => Kind::Connect,
             Tie::Weld { .. } => Kind::Weld,
-            Tie::Joints(_) => Kind::JointEquality,
+            Tie::Lengths(Coupling { first: Transmission::Tendon(..), .. }) => Kind::TendonEquality,
+            Tie::Lengths(_) => Kind::JointEquality,
         }
     }
 
@@ -80,7 +81,7 @@ impl Equality {
     pub(super) fn placed(&self) -> Vec<usize> {
         match &self.tie {
             Tie::Connect(ends) | Tie::Weld { ends, .. } => ends.bodies.to_vec(),
-            Tie::Joints(_) => vec![],
+            Tie::Lengths(_) => vec![],
         }
     }
 }
@@ -93,14 +94,20 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Union
             EqualityType::Weld => {
                 Tie::Weld { ends: ends(model, poses, q), torquescale: q.torquescale }
             }
-            EqualityType::Joint => Tie::Joints(coupling(model, q)),
+            EqualityType::Joint => Tie::Lengths(coupling(model, q, Transmission::Joint)),
+            EqualityType::Tendon => {
+                Tie::Lengths(coupling(model, q, |tendon| Transmission::Tendon(tendon, 1.0)))
+            }
         };
-        let [one, two] = match &tie {
-            Tie::Connect(ends) | Tie::Weld { ends, .. } => ends.bodies,
-            Tie::Joints(coupling) => [coupling.first, coupling.second.unwrap_or(coupling.first)]
-                .map(|joint| model.joints[joint].body),
+        let chains = match &tie {
+            Tie::Connect(ends) | Tie::Weld { ends, .. } => {
+                ends.bodies.map(|body| model.bodies[body].chain)
+            }
+            Tie::Lengths(tie) => {
+                [tie.first, tie.second.unwrap_or(tie.first)].map(|length| length.dofs(model))
+            }
         };
-        let dofs = unions.of(model, one, two);
+        let dofs = unions.of_spans(model, chains[0], chains[1]);
         if dofs.len == 0 {
             let name = Text::label(Kind::Equality, &q.name, index);
             return Err(Error::Scene(text![name, " connects two bodies that cannot move"]));
@@ -111,10 +118,18 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Union
             active: q.active,
             soft: q.soft.clone(),
             dofs,
-            mass: touched_mass(model, one, two),
+            mass: mass_of(model, dofs),
         });
     }
     Ok(())
+}
+
+/// Mass of the trees of some dofs, each once.
+fn mass_of(model: &Model, dofs: Span) -> f64 {
+    let mut trees: Vec<usize> =
+        dofs.of(&model.dof_lists).iter().map(|dof| model.dofs[*dof].tree).collect();
+    trees.dedup();
+    trees.iter().map(|tree| model.trees[*tree].mass).sum()
 }
 
 /// A frame that is not given is where the other one is at qpos0.
@@ -153,14 +168,30 @@ fn turn(model: &Model, body: usize) -> Quat<f64> {
     turn
 }
 
-fn coupling(model: &Model, q: &scene::Equality) -> Coupling {
-    let rest = |joint: usize| model.qpos0[model.joints[joint].qpos];
-    let weight = |joint: usize| model.dofs[model.joints[joint].dof].invweight;
+fn coupling(
+    model: &mut Model,
+    q: &scene::Equality,
+    length: impl Fn(usize) -> Transmission,
+) -> Coupling {
+    if q.kind == EqualityType::Tendon {
+        [Some(q.first), q.second].iter().flatten().for_each(|at| model.tendons[*at].used = true);
+    }
+    let at = |index: usize| match length(index) {
+        Transmission::Tendon(tendon, _) => {
+            let tendon = &model.tendons[tendon];
+            (tendon.length0, tendon.invweight)
+        }
+        _ => {
+            let joint = &model.joints[index];
+            (model.qpos0[joint.qpos], model.dofs[joint.dof].invweight)
+        }
+    };
+    let (first, second) = (at(q.first), q.second.map_or((0.0, 0.0), at));
     Coupling {
-        first: q.first,
-        second: q.second,
-        rest: [rest(q.first), q.second.map_or(0.0, rest)],
+        first: length(q.first),
+        second: q.second.map(length),
+        rest: [first.0, second.0],
         polycoef: q.polycoef,
-        invweight: weight(q.first) + q.second.map_or(0.0, weight),
+        invweight: first.1 + second.1,
     }
 }

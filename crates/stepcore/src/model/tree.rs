@@ -1,6 +1,7 @@
 //! The skeleton: bodies, joints and dofs in order, trees, chains of dofs, and the
 //! pattern of the mass matrix.
 
+use super::fluid::Fluid;
 use super::meshes::Asset;
 use super::pose::unit_quat;
 use super::slots::Slots;
@@ -26,6 +27,8 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         geoms: scene.geoms.iter().zip(assets).map(|(g, asset)| geom(g, asset)).collect(),
         sites: vec![],
         tendons: vec![],
+        compensates: compensates(scene),
+        fluid: Fluid::default(),
         pairs: vec![],
         heap: None,
         materials: vec![],
@@ -73,6 +76,13 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
     model.limited = all(model.joints.len(), &|i| model.joints[i].range.is_some());
     model.rubbing = all(model.nv, &|i| model.dofs[i].frictionloss > 0.0);
     model
+}
+
+/// MJCF's flags of springs and dampers, both off, switch off all that is passive.
+fn compensates(scene: &Scene) -> bool {
+    let features = &scene.features;
+    let on = features.gravity && (features.spring || features.damper);
+    on && scene.bodies.iter().any(|body| body.gravcomp != 0.0)
 }
 
 /// Appends body `i` with its joints, its dofs and its chain.
@@ -124,6 +134,7 @@ fn body(model: &mut Model, scene: &Scene, i: usize, joints: Span) {
         ipos: Vector3::zeros(),
         inertia: Matrix3::zeros(),
         invweight: [0.0; 2],
+        gravcomp: source.gravcomp,
         turns,
     });
     for index in joints.range() {
@@ -159,6 +170,7 @@ fn joint(model: &mut Model, scene: &Scene, index: usize) {
         stiffness: if scene.features.spring { source.stiffness } else { scene::NONE },
         damping: if scene.features.damper { source.damping } else { scene::NONE },
         limit: source.limit.clone(),
+        actuatorgravcomp: source.actuatorgravcomp,
     });
     // The last dof already on the chain: of this body, or of the ones above it.
     let body = &model.bodies[source.body];
@@ -235,6 +247,11 @@ impl Unions {
     /// Every dof that moves either body, ascending.
     pub fn of(&mut self, model: &mut Model, body1: usize, body2: usize) -> Span {
         let (a, b) = (model.bodies[body1].chain, model.bodies[body2].chain);
+        self.of_spans(model, a, b)
+    }
+
+    /// Every dof of two lists, ascending.
+    pub fn of_spans(&mut self, model: &mut Model, a: Span, b: Span) -> Span {
         let (one, two) = (a.of(&model.dof_lists), b.of(&model.dof_lists));
         if two.iter().all(|d| one.contains(d)) {
             return a;
@@ -245,7 +262,7 @@ impl Unions {
         let mut union = [one, two].concat();
         union.sort_unstable();
         union.dedup();
-        // One list for all bodies with these two chains, in either order.
+        // One list for all with these two, in either order.
         let lists = &mut model.dof_lists;
         *self.0.entry((a.start.min(b.start), a.start.max(b.start))).or_insert_with(|| {
             let span = Span { start: lists.len(), len: union.len() };

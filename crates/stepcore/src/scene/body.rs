@@ -21,6 +21,8 @@ pub struct Body {
     pub quat: [f64; 4],
     /// None: taken from the geoms.
     pub inertial: Option<Inertial>,
+    /// A force at its centre of mass holds up this share of its weight.
+    pub gravcomp: f64,
 }
 
 impl Default for Body {
@@ -31,6 +33,7 @@ impl Default for Body {
             pos: [0.0; 3],
             quat: [1.0, 0.0, 0.0, 0.0],
             inertial: None,
+            gravcomp: 0.0,
         }
     }
 }

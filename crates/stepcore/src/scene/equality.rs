@@ -11,6 +11,8 @@ pub enum EqualityType {
     Weld,
     /// A joint follows a polynomial of another, or is held where it is.
     Joint,
+    /// A tendon's length does.
+    Tendon,
 }
 
 /// A place on a body.
@@ -27,9 +29,9 @@ pub struct Frame {
 pub struct Equality {
     pub name: String,
     pub kind: EqualityType,
-    /// What it ties: bodies (of `Connect` and `Weld`) or joints, by index.
+    /// What it ties: bodies (of `Connect` and `Weld`), joints or tendons, by index.
     pub first: usize,
-    /// None: one joint alone.
+    /// None: one joint or tendon alone.
     pub second: Option<usize>,
     /// What becomes one on the two bodies. None: what the other is on at the initial
     /// configuration; one of the two is given.
@@ -37,7 +39,7 @@ pub struct Equality {
     pub frame2: Option<Frame>,
     /// Of a weld: by what its turns are multiplied, MuJoCo's `torquescale`.
     pub torquescale: f64,
-    /// Of joints: q₁ − q₁⁰ is this polynomial of q₂ − q₂⁰ (a constant without a second joint).
+    /// Of joints and tendons: q₁ − q₁⁰ is this polynomial of q₂ − q₂⁰ (a constant without a second).
     pub polycoef: [f64; 5],
     pub active: bool,
     pub soft: Softness,

@@ -41,6 +41,15 @@ impl GeomType {
     }
 }
 
+/// What a fluid takes a geom for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FluidShape {
+    /// A part of its body, which is resisted as a box of the same inertia.
+    None,
+    /// An ellipsoid: then that box counts no more.
+    Ellipsoid,
+}
+
 /// A shape on a body: it collides, and gives mass where the body has no `Inertial`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geom {
@@ -84,6 +93,10 @@ pub struct Geom {
     /// Weight of this geom's softness in the mixture of two.
     pub solmix: f64,
     pub soft: Softness,
+    /// How a fluid resists it.
+    pub fluidshape: FluidShape,
+    /// Of an ellipsoid: blunt, slender and angular drag, Kutta and Magnus lift.
+    pub fluidcoef: [f64; 5],
 }
 
 impl Default for Geom {
@@ -111,6 +124,8 @@ impl Default for Geom {
             gap: 0.0,
             solmix: 1.0,
             soft: Softness::default(),
+            fluidshape: FluidShape::None,
+            fluidcoef: [0.5, 0.25, 1.5, 1.0, 1.0],
         }
     }
 }

@@ -60,6 +60,10 @@ pub struct Joint {
     pub springref: f64,
     pub stiffness: Coefficients,
     pub damping: Coefficients,
+    /// Time constant [s] and damping ratio that replace both where both are > 0.
+    pub springdamper: [f64; 2],
+    /// Its share of gravity compensation counts as its actuators' force.
+    pub actuatorgravcomp: bool,
     /// Inertia added to the dof itself [kg or kg·m²].
     pub armature: f64,
     /// Dry friction: the largest force.
@@ -83,6 +87,8 @@ impl Default for Joint {
             springref: 0.0,
             stiffness: NONE,
             damping: NONE,
+            springdamper: [0.0; 2],
+            actuatorgravcomp: false,
             armature: 0.0,
             frictionloss: 0.0,
             limit: Softness::default(),

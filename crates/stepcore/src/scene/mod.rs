@@ -18,7 +18,7 @@ pub use actuator::{Actuator, Dynamics};
 pub use body::{Body, Inertial, MassRules};
 pub use contact::{ContactOverride, ExplicitPair};
 pub use equality::{Equality, EqualityType, Frame};
-pub use geom::{Geom, GeomType};
+pub use geom::{FluidShape, Geom, GeomType};
 pub use joint::{Coefficients, Joint, JointType, NONE};
 pub use site::Site;
 pub use softness::Softness;
@@ -82,6 +82,10 @@ pub struct Scene {
     pub name: String,
     /// [m/s²]
     pub gravity: [f64; 3],
+    /// Of the fluid around the bodies [kg/m³], [Pa·s], and its velocity [m/s].
+    pub density: f64,
+    pub viscosity: f64,
+    pub wind: [f64; 3],
     pub bodies: Vec<Body>,
     pub joints: Vec<Joint>,
     pub geoms: Vec<Geom>,
@@ -105,6 +109,9 @@ impl Default for Scene {
         Self {
             name: String::new(),
             gravity: [0.0, 0.0, -9.81],
+            density: 0.0,
+            viscosity: 0.0,
+            wind: [0.0; 3],
             bodies: vec![Body { name: "world".into(), ..Body::default() }],
             joints: vec![],
             geoms: vec![],

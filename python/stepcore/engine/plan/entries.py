@@ -22,6 +22,7 @@ EQUALITIES = (
     ("connections", "3 rows", "connect"),
     ("welds", "6 rows", "weld"),
     ("joint equalities", "1 row", "joint"),
+    ("tendon equalities", "1 row", "tendon"),
 )
 # An entry, and the removal that would leave it out, if there is one.
 Listed = tuple[PlanEntry, Removal | None]
@@ -167,6 +168,17 @@ class _Listing:
                 yield _out("place", name, have, f"switched off ({flag})")
             yield _out("place", name, lack, f"{field} 0")
         yield from self._tendon_terms(removals)
+        passive = on.spring or on.damper
+        wet = [n for n, has in zip(self.body_names, self.plan["fluid"], strict=True) if has]
+        yield _used("place", "fluid drag (by body)", wet, removal=removals.get("fluid"))
+        bodies = Layout(self.scene).bodies
+        light = [n for n, b in zip(self.body_names, bodies, strict=True) if b.gravcomp != 0]
+        name = "gravity compensation (by body)"
+        if on.gravity and passive:
+            removal = removals.get("gravity compensation")
+            yield _used("place", name, light, removal=removal)
+        else:
+            yield _out("place", name, light, "switched off")
         actuators = _named(self.model.actuator_names, "actuator")
         if on.actuation:
             removal = Removal("actuators", "", (("feature", "actuation"),))

@@ -9,7 +9,7 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
 
 # Kinds that are rows of the solver (contacts except under the law `penalty`).
-EQUALITIES = ("connect", "weld", "joint equality")
+EQUALITIES = ("connect", "weld", "joint equality", "tendon equality")
 ROWS = (
     *("contact", "limit", "tendon limit"),
     *EQUALITIES,

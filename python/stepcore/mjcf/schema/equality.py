@@ -9,7 +9,7 @@ EQUALITY = spec(
         "connect": spec(f"{_ALL} body1 body2 anchor:3 site1 site2"),
         "weld": spec(f"{_ALL} body1 body2 relpose:7 anchor:3 site1 site2 torquescale:1"),
         "joint": spec(f"{_ALL} joint1! joint2 polycoef:1-5"),
-        "tendon": spec(f"{_ALL} tendon1! tendon2 polycoef:1-5", role="unbuilt"),
+        "tendon": spec(f"{_ALL} tendon1! tendon2 polycoef:1-5"),
         "flex": spec(f"{_ALL} flex", role="unbuilt"),
         "flexstrain": spec(f"{_ALL} flex cell", role="unbuilt"),
     },

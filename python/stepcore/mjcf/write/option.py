@@ -9,6 +9,7 @@ from stepcore.mjcf import custom
 from stepcore.mjcf.option import said
 from stepcore.mjcf.write.tags import Tag, changed, text
 from stepcore.scene.elements import GRAVITY, MassRules
+from stepcore.scene.frames import ORIGIN
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
@@ -29,8 +30,10 @@ def add_option(root: Tag, scene: Contents) -> dict[str, Any]:
     default, settings = Settings().as_dict(), scene.settings.as_dict()
     own = {name: value for name, value in settings.items() if value != default[name]}
     attributes, flags, rest = said(own)
-    if scene.gravity != GRAVITY:
-        attributes["gravity"] = text(scene.gravity)
+    whole = {"gravity": GRAVITY, "density": 0.0, "viscosity": 0.0, "wind": ORIGIN}
+    for name, usual in whole.items():
+        if getattr(scene, name) != usual:
+            attributes[name] = text(getattr(scene, name))
     features = changed(scene.features)
     for name, on in features.items():
         if name in custom.OWN_FEATURES:

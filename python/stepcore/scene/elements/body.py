@@ -7,7 +7,7 @@ from typing import Annotated
 
 from stepcore import checks
 from stepcore.scene.element import Element
-from stepcore.scene.elements.field_types import Inertia, Mass, Quat, Text, Vec3
+from stepcore.scene.elements.field_types import Inertia, Mass, Quat, Real, Text, Vec3
 from stepcore.scene.frames import IDENTITY, ORIGIN
 
 
@@ -23,6 +23,7 @@ class Body(Element):
     ipos: centre of mass in the body's frame [m], shape (3,).
     inertia: about the centre of mass, in body axes [kg·m²], shape (6,): xx yy zz xy xz yz. Three
         numbers give a diagonal.
+    gravcomp: share of its weight that a force at its centre of mass holds up; 1 floats.
     """
 
     name: Text = ""
@@ -32,6 +33,7 @@ class Body(Element):
     mass: Mass = None
     ipos: Vec3 = ORIGIN
     inertia: Inertia = (0.0,) * 6
+    gravcomp: Real = 0.0
 
 
 # A reference to one.

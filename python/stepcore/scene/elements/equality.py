@@ -21,25 +21,34 @@ from stepcore.scene.elements.field_types import (
     Text,
     Vec3,
 )
+from stepcore.scene.elements.geom import Geom
 from stepcore.scene.elements.joint import Joint
 from stepcore.scene.elements.site import Site
+from stepcore.scene.elements.tendon import Tendon
 from stepcore.scene.frames import ORIGIN
 
 # By type: what its rows are called.
-ROW_KINDS = {"connect": "connect", "weld": "weld", "joint": "joint equality"}
+ROW_KINDS = {
+    "connect": "connect",
+    "weld": "weld",
+    "joint": "joint equality",
+    "tendon": "tendon equality",
+}
 
 SomeBody = Annotated[Body | None, checks.optional(checks.element("Body"))]
 SomeSite = Annotated[Site | None, checks.optional(checks.element("Site"))]
+SomeTendon = Annotated[Tendon | None, checks.optional(checks.element("Tendon"))]
 SomeJoint = Annotated[Joint | None, checks.optional(checks.element("Joint"))]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Equality(Element):
-    """A constraint that ties two bodies or two joints together.
+    """A constraint that ties two bodies, two joints or two tendons together.
 
     name: unique among equalities, or "".
     type: "connect": two bodies share one point; "weld": they share one frame; "joint": a hinge or
-        slide follows another, q₁ − ref₁ = p(q₂ − ref₂), or stays where it is.
+        slide follows another, q₁ − ref₁ = p(q₂ − ref₂), or stays where it is; "tendon": a tendon
+        does, by its length beside that in the pose of the scene.
     body1, body2: the two `Body` objects of a connect or weld.
     site1, site2: in place of them, two `Site` objects, which the constraint brings together.
     anchor: the shared point [m], shape (3,); of a connect in the frame of body1, in the pose of the
@@ -49,6 +58,7 @@ class Equality(Element):
     torquescale: of a weld: by what its turns are multiplied beside its displacements, MuJoCo's
         scale [m/rad]. 0: it does not mind turns.
     joint1, joint2: hinges or slides. Without joint2, joint1 stays at ref₁ + polycoef[0].
+    tendon1, tendon2: `Tendon` objects, in the same way.
     polycoef: coefficients of the polynomial p by ascending powers [rad or m], shape (5,).
     active: False leaves the constraint out.
     solref, solimp: softness of the constraint.
@@ -62,6 +72,8 @@ class Equality(Element):
     site2: SomeSite = None
     joint1: SomeJoint = None
     joint2: SomeJoint = None
+    tendon1: SomeTendon = None
+    tendon2: SomeTendon = None
     anchor: Vec3 = ORIGIN
     relpose: RelPose = None
     torquescale: Real = 1.0
@@ -77,7 +89,10 @@ class Equality(Element):
 
     @property
     def bodies(self) -> tuple[Body, ...]:
-        """The bodies that it ties, directly or by their sites or joints."""
+        """The bodies that it ties, directly or by their sites, joints or tendons."""
         holders = (self.site1, self.site2, self.joint1, self.joint2)
         own = tuple(body for body in (self.body1, self.body2) if body is not None)
-        return own + tuple(holder.body for holder in holders if holder is not None)
+        own += tuple(holder.body for holder in holders if holder is not None)
+        tendons = (tendon for tendon in (self.tendon1, self.tendon2) if tendon is not None)
+        passed = (element for tendon in tendons for element in tendon.elements())
+        return own + tuple(e.body for e in passed if isinstance(e, (Joint, Site, Geom)))

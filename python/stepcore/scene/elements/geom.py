@@ -9,10 +9,12 @@ from stepcore import checks
 from stepcore.scene.element import Element
 from stepcore.scene.elements.body import ABody
 from stepcore.scene.elements.field_types import (
+    FLUIDCOEF,
     FRICTION,
     SOLIMP,
     SOLREF,
     Flag,
+    FluidCoef,
     Friction,
     Int,
     Mask,
@@ -58,6 +60,9 @@ class Geom(Element):
     friction: sliding, torsional [m] and rolling [m] coefficient, shape (3,), >= 0.
     solref, solimp: softness of its contacts.
     priority, solmix: which of two geoms decides their contact's parameters, and how they are mixed.
+    fluidshape: what a fluid around the scene takes the geom for: "ellipsoid", or "none", a part of
+        a box with the inertia of its body, which counts where none of its geoms is an ellipsoid.
+    fluidcoef: of an ellipsoid: blunt, slender and angular drag, Kutta and Magnus lift, shape (5,).
     margin: distance below which contacts act [m]. gap: contacts are listed from margin + gap [m].
     """
 
@@ -84,6 +89,8 @@ class Geom(Element):
     solmix: NonNegative = 1.0
     solref: SolRef = SOLREF
     solimp: SolImp = SOLIMP
+    fluidshape: Annotated[str, checks.one_of("none", "ellipsoid")] = "none"
+    fluidcoef: FluidCoef = FLUIDCOEF
 
 
 # A reference to one.

@@ -12,12 +12,14 @@ from stepcore.scene.elements.field_types import (
     SOLIMP,
     SOLREF,
     Axis,
+    Flag,
     NonNegative,
     Poly,
     Range,
     Real,
     SolImp,
     SolRef,
+    SpringDamper,
     Text,
     Vec3,
 )
@@ -45,6 +47,11 @@ class Joint(Element):
         apart, x is the length of the stretch.
     damping: [N·m·s/rad or N·s/m].
     dampingpoly: b and c of a damper that pulls with (damping + b |v| + c v²) v.
+    springdamper: time constant [s] and damping ratio, > 0, of spring and damper on the inertia that
+        the joint moves in the pose of the scene, in place of `stiffness` and `damping`; None for
+        those.
+    actuatorgravcomp: the gravity compensation of bodies counts on this joint as a force of its
+        actuators.
     armature: inertia added to each of its dofs [kg·m² or kg], >= 0.
     frictionloss: dry friction [N·m or N], >= 0.
     solreflimit, solimplimit: softness of the limit.
@@ -64,6 +71,8 @@ class Joint(Element):
     stiffnesspoly: Poly = (0.0, 0.0)
     damping: Real = 0.0
     dampingpoly: Poly = (0.0, 0.0)
+    springdamper: SpringDamper = None
+    actuatorgravcomp: Flag = False
     armature: NonNegative = 0.0
     frictionloss: NonNegative = 0.0
     solreflimit: SolRef = SOLREF
@@ -74,12 +83,12 @@ class Joint(Element):
     @property
     def sprung(self) -> bool:
         """Whether it has a spring."""
-        return any(self.record()["stiffness"])
+        return self.springdamper is not None or any(self.record()["stiffness"])
 
     @property
     def damped(self) -> bool:
         """Whether it has a damper."""
-        return any(self.record()["damping"])
+        return self.springdamper is not None or any(self.record()["damping"])
 
     def values(self) -> dict[str, Any]:
         """As for every element; coefficients of one polynomial stand together, if there are any."""
@@ -90,10 +99,12 @@ class Joint(Element):
         return values
 
     def record(self) -> dict[str, Any]:
-        """As for every element; stiffness and damping are lists of all three coefficients."""
+        """As for every element; stiffness and damping are lists of all three coefficients, and
+        springdamper is of two numbers, zero for none."""
         coefficients = {
             "stiffness": [self.stiffness, *self.stiffnesspoly],
             "damping": [self.damping, *self.dampingpoly],
+            "springdamper": list(self.springdamper or (0.0, 0.0)),
         }
         return super().record() | coefficients
 

@@ -70,6 +70,8 @@ impl<R: Real> Sim<R> {
             Kind::TendonSpring => model.tendons[index].stiffness.iter().any(|k| *k != 0.0),
             Kind::TendonDamper => model.tendons[index].damping.iter().any(|d| *d != 0.0),
             Kind::Damper => model.joints[index].damping.iter().any(|d| *d != 0.0),
+            Kind::Fluid => model.fluid.of_body[index].len > 0,
+            Kind::GravityCompensation => model.bodies[index].gravcomp != 0.0,
             Kind::JointForce => {
                 let joint = &model.joints[index];
                 acts(&self.inputs.qfrc_applied()[joint.dof..joint.dof + joint.dofs()])
