@@ -129,7 +129,7 @@ def test_names():
     model = scene.compile()
     assert model.element_name("fluid", 1) == "fluid drag on body `ball`"
     assert model.element_name("gravity compensation", 1) == "gravity compensation of body `ball`"
-    labels = {entry.name for entry in model.plan()}
+    labels = {entry.name for entry in model.plan().entries}
     assert {"fluid drag (by body)", "gravity compensation (by body)"} <= labels
 
 

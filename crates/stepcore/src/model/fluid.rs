@@ -163,7 +163,8 @@ fn ellipsoid(scene: &Scene, geom: &Geom, r: Vector3<f64>) -> Shape {
 /// Volume and moment of the fluid that moves with an ellipsoid (Lamb 1932, chapter 5; Tuckerman
 /// 1925), of density one.
 fn moved(r: &Vector3<f64>, volume: f64) -> (Vector3<f64>, Vector3<f64>) {
-    let (x, y, z) = (r.x, r.y, r.z);
+    // A number without a unit: of the shape alone.
+    let (x, y, z) = (r.x / r.max(), r.y / r.max(), r.z / r.max());
     let kappa = Vector3::new(kappa(x, y, z), kappa(y, z, x), kappa(z, x, y));
     let mass = kappa.map(|k| volume * k / (2.0 - k).max(MARGIN));
     let moment = |i: usize| {
