@@ -172,13 +172,16 @@ def scaled(scene, length, mass, time):
             pos, quat = equality.relpose[:3], equality.relpose[3:]
             equality.relpose = (*(x * unit(1) for x in pos), *quat)
         own, other = (
-            1.0 if joint is None or joint.type in TURNS else unit(1)
-            for joint in (equality.joint1, equality.joint2)
+            unit(1) if _is_way(joint, tendon) else 1.0
+            for joint, tendon in (
+                (equality.joint1, equality.tendon1),
+                (equality.joint2, equality.tendon2),
+            )
         )
         equality.polycoef = [c * own / other**k for k, c in enumerate(equality.polycoef)]
         # What holds turns and ways at once has one impedance, whatever its unit.
         assert equality.type != "weld" or equality.solimp[0] == equality.solimp[1] or not length
-        soften(equality, own if equality.type == "joint" else unit(1))
+        soften(equality, own if equality.type in ("joint", "tendon") else unit(1))
     by(scene.mass_rules, unit(0, 1), "boundmass")
     by(scene.mass_rules, unit(2, 1), "boundinertia")
     if scene.mass_rules.settotalmass > 0:
@@ -216,6 +219,13 @@ def scaled(scene, length, mass, time):
     return Transform(
         scene, _by_joint(scene, positions.get), _by_joint(scene, speeds.get), scaled_settings
     )
+
+
+def _is_way(joint, tendon):
+    """What an equality ties is a length, and not an angle."""
+    if tendon is not None:
+        return not tendon.fixed
+    return joint is not None and joint.type == "slide"
 
 
 # --- a mirror -------------------------------------------------------------------------------------

@@ -68,16 +68,21 @@ def test_fields_have_the_engines_names() -> None:
             "contact_override",
             "mass_rules",
             "features",
+            "density",
+            "viscosity",
+            "wind",
+            "tendons",
         ),
     }
     assert set(plain["joints"][0]) == {
         *("name", "body", "kind", "pos", "axis", "range", "margin", "reference", "springref"),
         *("stiffness", "damping", "armature", "frictionloss", "limit", "friction"),
+        *("springdamper", "actuatorgravcomp"),
     }
     assert set(plain["geoms"][0]) == {
         *("name", "body", "kind", "size", "pos", "quat", "mass", "density", "shell_inertia"),
         *("group", "contype", "conaffinity", "condim", "priority", "friction", "margin", "gap"),
-        *("solmix", "soft", "mesh", "fitscale", "hfield"),
+        *("solmix", "soft", "mesh", "fitscale", "hfield", "fluidshape", "fluidcoef"),
     }
     assert plain["geoms"][0]["soft"] == {
         "solref": [0.02, 1.0],

@@ -68,3 +68,26 @@ add(
       <joint joint1="d" joint2="c" polycoef=".02 1.5 .4" solref="-400 -30"/>
       <joint joint1="e" polycoef=".3"/></equality>""",
 )
+add(
+    "tendon_equality",
+    f"""
+    <site name="wall" pos="0 .1 1.3"/>
+    <body pos="0 0 1"><joint name="a" axis="0 1 0"/>
+      <geom type="capsule" size=".04" fromto="0 0 0 .3 0 0" {INERT}/>
+      <body pos=".3 0 0"><joint name="b" axis="0 1 1"/>
+        <geom type="capsule" size=".03" fromto="0 0 0 .2 0 0" {INERT}/>
+        <site name="tip" pos=".2 0 0"/></body></body>
+    <body pos="1 0 1"><joint name="c" axis="1 0 0" armature=".1"/>
+      <geom type="box" size=".1 .1 .05" pos="0 .1 0" {INERT}/></body>
+    <body pos=".5 .5 1.2"><freejoint/><geom type="box" size=".1 .05 .02" {INERT}/>
+      <site name="hook" pos=".05 0 0"/></body>
+    """,
+    EQUALITY,
+    extra="""<tendon><fixed name="one"><joint joint="a" coef="1.5"/><joint joint="b" coef="-.7"/></fixed>
+      <fixed name="two"><joint joint="c" coef="2"/></fixed>
+      <spatial name="rope"><site site="wall"/><site site="tip"/></spatial>
+      <spatial name="line"><site site="tip"/><site site="hook"/></spatial></tendon>
+      <equality><tendon tendon1="one" tendon2="two" polycoef=".1 .5 .2" solimp=".8 .95 .05 .4 3"/>
+      <tendon tendon1="line" tendon2="rope" polycoef="0 .8 .3" solref=".04 .8"/>
+      <tendon tendon1="rope" solref="-300 -20"/></equality>""",
+)
