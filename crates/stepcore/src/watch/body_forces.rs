@@ -85,7 +85,7 @@ impl<R: Real> Sim<R> {
                 (Kind::Connect | Kind::Weld, index) => match &model.equalities[index].tie {
                     Tie::Connect(ends) => (ends, 0.0),
                     Tie::Weld { ends, torquescale } => (ends, *torquescale),
-                    Tie::Joints(_) => continue,
+                    Tie::Lengths(_) => continue,
                 },
                 _ => continue,
             };
