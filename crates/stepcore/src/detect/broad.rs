@@ -171,7 +171,9 @@ impl Broad {
         }
     }
 
-    /// Compares a box with those of its own grid that come after it, and with those of coarser ones.
+    /// Compares a box with those of its own grid in its cell and after it, and with those of coarser
+    /// grids. Of two boxes of one grid the other's lowest corner lies in a cell from one below this
+    /// one's on, so that the one whose cell comes first, by z, y and x, finds both.
     fn compare_with_grids(&mut self, at: usize) {
         let (bounds, own) = (self.boxes[at], self.size[at] as usize);
         for grid in (0..self.grids.len()).rev() {
@@ -179,21 +181,30 @@ impl Broad {
             if size < own {
                 break;
             }
-            let low = bounds.low.map(|x| place(x, size).saturating_sub(1));
+            let cell = bounds.low.map(|x| place(x, size));
+            let low = cell.map(|x| x.saturating_sub(1));
             let high = bounds.high.map(|x| place(x, size));
-            for z in low[2]..=high[2] {
-                for y in low[1]..=high[1] {
-                    for x in low[0]..=high[0] {
-                        let cell = self.hash(size, [x, y, z]);
-                        let inside = self.cells[cell] as usize..self.cells[cell + 1] as usize;
-                        for &other in &self.inside[inside] {
-                            let theirs = self.size[other as usize] as usize;
-                            if theirs > own || theirs == own && other as usize > at {
-                                note(&mut self.found, &bounds, &self.boxes[other as usize]);
-                            }
-                        }
+            let same = size == own;
+            for z in (if same { cell[2] } else { low[2] })..=high[2] {
+                let level = same && z == cell[2];
+                for y in (if level { cell[1] } else { low[1] })..=high[1] {
+                    let line = level && y == cell[1];
+                    for x in (if line { cell[0] } else { low[0] })..=high[0] {
+                        let home = line && x == cell[0];
+                        self.compare_with_cell(&bounds, self.hash(size, [x, y, z]), |other| {
+                            !home || other > at
+                        });
                     }
                 }
+            }
+        }
+    }
+
+    fn compare_with_cell(&mut self, one: &Bounds, cell: usize, takes: impl Fn(usize) -> bool) {
+        let inside = self.cells[cell] as usize..self.cells[cell + 1] as usize;
+        for &other in &self.inside[inside] {
+            if takes(other as usize) {
+                note(&mut self.found, one, &self.boxes[other as usize]);
             }
         }
     }
@@ -201,9 +212,11 @@ impl Broad {
 
 /// Which cell of its axis a coordinate lies in; a cell is larger than boxes of this size.
 fn place(x: f64, size: usize) -> i64 {
-    // The reciprocal of 2 to the power of the size's exponent plus one.
+    // The reciprocal of 2 to the power of the size's exponent plus one. `floor` is a call.
     let reciprocal = f64::from_bits(((SIZES - 3 - size) as u64) << 52);
-    (x * reciprocal).floor() as i64
+    let x = x * reciprocal;
+    let whole = x as i64;
+    whole.saturating_sub(i64::from((whole as f64) > x))
 }
 
 fn note(found: &mut Vec<(u32, u32)>, one: &Bounds, two: &Bounds) {

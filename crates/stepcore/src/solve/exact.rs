@@ -73,19 +73,35 @@ impl<R: Real> Tangents<R> {
         let k = bound * norm(p1, p2).recip_or_zero();
         select2(none, [zero; 2], select2(inside, free, back(k * p1, k * p2)))
     }
+}
+
+/// A symmetric 2 × 2 matrix with the inverses that its minima over a box need.
+#[derive(Clone, Copy, Debug)]
+pub struct TangentBox<R: Real> {
+    pub(super) q: [R; 3],
+    /// Of q₁₁, q₂₂, and of q₁₁ with x₂ at its best.
+    inv: [R; 3],
+}
+
+impl<R: Real> TangentBox<R> {
+    /// From q₁₁, q₁₂, q₂₂; positive semi-definite.
+    pub fn new(q: [R; 3]) -> Self {
+        let [q11, q12, q22] = q;
+        let (i1, i2) = (q11.recip_or_zero(), q22.recip_or_zero());
+        let schur = q11 - q12 * q12 * i2;
+        let schur = R::select(schur.gt(R::of(4.0 * R::EPSILON) * q11), schur, R::zero());
+        Self { q, inv: [i1, i2, schur.recip_or_zero()] }
+    }
 
     /// The minimiser of ½ xᵀQx + g·x over the box |x_i| ≤ bound.
     ///
     /// With x₂ at its best for a given x₁ the cost is convex in x₁ with three
     /// quadratic pieces (x₂ free, at one bound, at the other); x₂ at the root of the
     /// free piece tells which piece holds the minimum.
-    pub fn square(&self, g: [R; 2], bound: R) -> [R; 2] {
-        let [q11, q12, q22] = self.q;
-        let (i1, i2) = (q11.recip_or_zero(), q22.recip_or_zero());
-        let schur = q11 - q12 * q12 * i2;
-        let schur = R::select(schur.gt(R::of(4.0 * R::EPSILON) * q11), schur, R::zero());
+    pub fn minimiser(&self, g: [R; 2], bound: R) -> [R; 2] {
+        let ([_, q12, _], [i1, i2, inv]) = (self.q, self.inv);
         let second = |x1: R| -(g[1] + q12 * x1) * i2;
-        let free = -(g[0] - q12 * g[1] * i2) * schur.recip_or_zero();
+        let free = -(g[0] - q12 * g[1] * i2) * inv;
         let x2 = second(free);
         let held = -(g[0] + q12 * x2.clamp(-bound, bound)) * i1;
         let x1 = R::select(x2.abs().le(bound), free, held).clamp(-bound, bound);

@@ -4,7 +4,7 @@
 //! Only heaps use this (`Rows::heap`): a sum is taken in another order than `dot`'s, by even and
 //! odd dofs, so that two partial sums advance side by side.
 
-use crate::real::{Mask, Real};
+use crate::real::Real;
 
 /// Dofs of a free body.
 pub(super) const SIX: usize = 6;
@@ -40,8 +40,15 @@ impl Free {
         }
     }
 
+    /// How many bodies.
     #[inline(always)]
-    fn body(&self, which: usize) -> std::ops::Range<usize> {
+    pub fn count(&self) -> usize {
+        1 + usize::from(self.two)
+    }
+
+    /// The dofs of one of them.
+    #[inline(always)]
+    pub fn body(&self, which: usize) -> std::ops::Range<usize> {
         let first = self.first[which] as usize;
         first..first + SIX
     }
@@ -97,45 +104,10 @@ impl Free {
         out[self.body(0)].copy_from_slice(&one);
         out[self.body(1)].copy_from_slice(&two);
     }
-
-    /// y·u of some rows, y one row after another.
-    #[inline(always)]
-    pub fn dots<R: Real, const N: usize>(&self, y: &[R], u: &[R]) -> [R; N] {
-        let mut sums = [R::zero(); N];
-        for (sum, y) in sums.iter_mut().zip(y.chunks_exact(self.len())) {
-            *sum = self.dot(y, u);
-        }
-        sums
-    }
-
-    /// u += Σ z change, z one row after another; in lanes of `mask`.
-    #[inline(always)]
-    pub fn kick<R: Real, const N: usize>(
-        &self,
-        z: &[R],
-        change: &[R; N],
-        u: &mut [R],
-        mask: R::Mask,
-    ) {
-        let len = self.len();
-        for which in 0..1 + usize::from(self.two) {
-            let own = &mut u[self.body(which)];
-            let mut new: [R; SIX] = core::array::from_fn(|a| own[a]);
-            for (row, change) in change.iter().enumerate() {
-                let z = &z[row * len + which * SIX..][..SIX];
-                for a in 0..SIX {
-                    new[a] += z[a] * *change;
-                }
-            }
-            for a in 0..SIX {
-                own[a] = R::select(mask, new[a], own[a]);
-            }
-        }
-    }
 }
 
 #[inline(always)]
-fn products<R: Real>(y: &[R], x: &[R]) -> [R; SIX] {
+pub(super) fn products<R: Real>(y: &[R], x: &[R]) -> [R; SIX] {
     let (mut products, x) = (six(y), &x[..SIX]);
     for a in 0..SIX {
         products[a] *= x[a];
@@ -152,7 +124,7 @@ fn six<R: Real>(x: &[R]) -> [R; SIX] {
 }
 
 #[inline(always)]
-fn total<R: Real>(p: [R; SIX]) -> R {
+pub(super) fn total<R: Real>(p: [R; SIX]) -> R {
     ((p[0] + p[2]) + p[4]) + ((p[1] + p[3]) + p[5])
 }
 
@@ -162,13 +134,6 @@ fn scaled<R: Real>(y: &[R], k: R, out: &mut [R]) {
     for a in 0..SIX {
         out[a] += y[a] * k;
     }
-}
-
-/// Lanes in which some change is one, or no number.
-#[inline(always)]
-pub(super) fn moves<R: Real, const N: usize>(change: &[R; N]) -> R::Mask {
-    let zero = R::zero();
-    change.iter().fold(R::Mask::of(false), |mask, x| mask.or(x.le(zero).and(x.ge(zero)).not()))
 }
 
 #[cfg(test)]
@@ -192,14 +157,13 @@ mod tests {
         let u: Vec<f64> = (0..20).map(|i| (0.7 * i as f64).cos()).collect();
         let list = [3, 4, 5, 6, 7, 8, 12, 13, 14, 15, 16, 17];
         let want = |y: &[f64]| list.iter().zip(y).map(|(k, y)| u[*k] * y).sum::<f64>();
-        let got: [f64; 2] = free.dots(&y, &u);
-        assert!((got[0] - want(&y)).abs() < 1e-14 && (got[1] - want(&y[12..])).abs() < 1e-14);
-        let (mut both, mut one) = (u.clone(), u.clone());
-        free.kick(&y, &[0.5, -2.0], &mut both, true);
-        free.add_each(&y, &[0.25, -1.0], 2.0, &mut one);
-        assert_eq!(both, one);
         let mut each = [0.0; 2];
         free.dot_each(&y, &u, &mut each);
-        assert_eq!(each, got);
+        assert!((each[0] - want(&y)).abs() < 1e-14 && (each[1] - want(&y[12..])).abs() < 1e-14);
+        let mut moved = u.clone();
+        free.add_each(&y, &[0.25, -1.0], 2.0, &mut moved);
+        for (at, k) in list.into_iter().enumerate() {
+            assert!((moved[k] - (u[k] + y[at] * 0.5 - y[12 + at] * 2.0)).abs() < 1e-15);
+        }
     }
 }

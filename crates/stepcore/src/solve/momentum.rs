@@ -231,7 +231,7 @@ impl<R: Real> Momentum<R> {
     pub fn step(
         &mut self,
         dof_lists: &[usize],
-        z: &[R],
+        inv_d: &[R],
         rows: &mut Rows<R>,
         blocks: &[usize],
         gain: R,
@@ -239,7 +239,7 @@ impl<R: Real> Momentum<R> {
     ) {
         let noise = self.measure(rows, blocks, gain);
         let step = self.best(noise);
-        let change = self.propose(dof_lists, z, rows, blocks, &step, live);
+        let change = self.propose(dof_lists, inv_d, rows, blocks, &step, live);
         let keep = live.and(change.le(R::zero()));
         let zero = R::zero();
         let own = self.commit(rows, blocks, keep);
@@ -335,7 +335,7 @@ impl<R: Real> Momentum<R> {
     fn propose(
         &mut self,
         dof_lists: &[usize],
-        z: &[R],
+        inv_d: &[R],
         rows: &mut Rows<R>,
         blocks: &[usize],
         step: &Step<R>,
@@ -351,7 +351,7 @@ impl<R: Real> Momentum<R> {
         let fall = R::of(0.5) * along(tau, &self.slopes);
         let change = R::select(step.linear, fall, R::zero());
         let mask = live;
-        let mut landing = Landing { dof_lists, y, z, u, linear: step.linear, mask, change };
+        let mut landing = Landing { dof_lists, inv_d, y, u, linear: step.linear, mask, change };
         let mut start = 0;
         for block in blocks.iter().map(|b| &all[*b]) {
             let own = start..start + block.rows.len;
@@ -423,8 +423,8 @@ impl<R: Real> Momentum<R> {
 /// Where rows end.
 struct Landing<'a, R: Real> {
     dof_lists: &'a [usize],
+    inv_d: &'a [R],
     y: &'a [R],
-    z: &'a [R],
     u: &'a mut [R],
     linear: R::Mask,
     mask: R::Mask,
@@ -452,9 +452,7 @@ impl<R: Real> Landing<'_, R> {
         let w = dot(dofs, &self.y[row.y..row.y + dofs.len()], self.u) + row.c * from - row.t;
         let change = self.change + rest * (w + R::of(0.5) * (row.a + row.c) * rest);
         self.change = R::select(mask, change, self.change);
-        for (k, z) in dofs.iter().zip(&self.z[row.y..row.y + dofs.len()]) {
-            self.u[*k] = R::select(mask, self.u[*k] + *z * rest, self.u[*k]);
-        }
+        Rows::kick(self.u, self.inv_d, dofs, &self.y[row.y..row.y + dofs.len()], rest, mask);
     }
 }
 

@@ -4,6 +4,8 @@
 //! its impulse by (t − Jv − cλ)/s and clamps it; a cone is solved exactly as one
 //! block. A sweep touches y and u only, never a matrix of rows.
 
+mod cones;
+mod packed;
 mod sweep;
 
 use super::islands::{alive, row_count, Islands};
@@ -65,6 +67,7 @@ impl<R: Real> Pgs<R> {
             let mut live = alive(rows, blocks);
             let single = if limits.exact { rows.alone(blocks) } else { R::Mask::of(false) };
             let tolerance = reachable(dof_lists, rows, &sweeps.weight, blocks, limits);
+            let judged = R::zero().lt(tolerance);
             let (count, mut done) = (row_count(rows, blocks), Count::ZERO);
             for sweep in 0..limits.sweeps {
                 if live.none() {
@@ -72,9 +75,9 @@ impl<R: Real> Pgs<R> {
                 }
                 let swept = if let Some(momentum) = &mut momentum {
                     let order = momentum.order(sweep);
-                    sweeps.sweep::<true>(dof_lists, rows, order, live)
+                    sweeps.sweep::<true>(dof_lists, inv_d, rows, order, live)
                 } else {
-                    sweeps.sweep::<false>(dof_lists, rows, blocks, live)
+                    sweeps.sweep::<false>(dof_lists, inv_d, rows, blocks, live)
                 };
                 done.add(live, 1);
                 report.updates.add_each(live, &count);
@@ -83,9 +86,19 @@ impl<R: Real> Pgs<R> {
                     break;
                 }
                 if let Some(momentum) = &mut momentum {
-                    momentum.step(dof_lists, &sweeps.z, rows, blocks, swept.gain, live);
+                    momentum.step(dof_lists, inv_d, rows, blocks, swept.gain, live);
                 }
-                live = judge(dof_lists, rows, blocks, live, swept.change, tolerance);
+                let close = live.and(swept.change.le(tolerance)).and(judged);
+                if close.any() {
+                    if momentum.is_none() {
+                        sweeps.store(rows, blocks);
+                    }
+                    let residual = rows.residual_of(dof_lists, blocks);
+                    live = live.and(close.and(residual.le(tolerance)).not());
+                }
+            }
+            if momentum.is_none() {
+                sweeps.store(rows, blocks);
             }
             report.sweeps.raise(&done);
             report.open = report.open.or(live);
@@ -119,21 +132,4 @@ fn reachable<R: Real>(
         }
     }
     tolerance
-}
-
-/// Lanes that go on after a sweep with this largest change [m/s].
-fn judge<R: Real>(
-    dof_lists: &[usize],
-    rows: &Rows<R>,
-    blocks: &[usize],
-    live: R::Mask,
-    change: R,
-    tolerance: R,
-) -> R::Mask {
-    let close = live.and(change.le(tolerance)).and(R::zero().lt(tolerance));
-    if close.none() {
-        return live;
-    }
-    let residual = rows.residual_of(dof_lists, blocks);
-    live.and(close.and(residual.le(tolerance)).not())
 }

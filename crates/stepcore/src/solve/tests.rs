@@ -5,6 +5,7 @@ mod derivative;
 mod few;
 mod lanes;
 mod newton;
+mod packed;
 mod wide;
 mod wide_cones;
 

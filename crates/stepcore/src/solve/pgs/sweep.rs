@@ -1,83 +1,108 @@
 //! One pass over blocks: each gets its own solution while all others hold theirs.
 
 use super::super::dot::dot;
-use super::super::exact::{Convex, Tangents};
-use super::super::free::{moves, Free};
+use super::super::exact::Convex;
 use super::super::rows::{Block, Row, Rows, Set, CONE, NARROW};
 use super::super::wide::Wide;
+use super::cones::{Cones, Tie};
+use super::packed::{Packed, Target};
 use crate::real::{Mask, Real};
 use crate::room::room;
 
-/// What a cone's exact solution needs, made once a solve.
-enum Cone<R: Real> {
-    /// Solved row by row.
-    None,
-    /// The four edges of a pyramid between free bodies of a heap.
-    Edges(Edges<R>),
-    Convex(Convex<R>),
-    Coulomb(Tangents<R>),
-    /// More ways than two tangents: its place in `Sweeps::wide`.
-    Wide(usize),
+/// How a block is solved, and its place among those solved like it.
+#[derive(Clone, Copy)]
+enum How {
+    /// Row by row.
+    Rows,
+    /// A contact of a heap: see `packed.rs`.
+    Packed(u32),
+    Cone(Tie),
+    /// A cone of more ways than two tangents.
+    Wide(u32),
 }
 
-/// Rows in a pyramid.
-const EDGES: usize = 4;
-
-/// Four interval rows on the same free bodies.
-struct Edges<R> {
-    free: Free,
-    /// y D⁻¹ yᵀ below the diagonal: how much each row moves the later ones.
-    beside: [[R; EDGES]; EDGES],
-}
-
-/// What sweeps need of the rows at hand, beside them.
+/// What sweeps need of the rows at hand, beside them; made once a solve.
 pub(in super::super) struct Sweeps<R: Real> {
-    /// D⁻¹ y, in the layout of `Rows::y`.
-    pub z: Vec<R>,
+    /// D⁻¹ y of blocks that are not packed, in the layout of `Rows::y`.
+    z: Vec<R>,
     /// √(A/m) by row: makes an impulse a speed.
     pub weight: Vec<R>,
     /// By block.
-    cones: Vec<Cone<R>>,
+    how: Vec<How>,
+    packed: Vec<Packed<R>>,
+    cones: Cones<R>,
     wide: Vec<Wide<R>>,
 }
 
-room!(Sweeps<R>: z, weight, cones, wide;);
+room!(Sweeps<R>: z, weight, how, packed, wide; cones);
 
 impl<R: Real> Sweeps<R> {
     pub fn new() -> Self {
-        Self { z: Vec::new(), weight: Vec::new(), cones: Vec::new(), wide: Vec::new() }
+        Self {
+            z: Vec::new(),
+            weight: Vec::new(),
+            how: Vec::new(),
+            packed: Vec::new(),
+            cones: Cones::new(),
+            wide: Vec::new(),
+        }
     }
 
     /// For these rows; `weigh`: changes will be judged.
     pub fn prepare(&mut self, dof_lists: &[usize], inv_d: &[R], rows: &Rows<R>, weigh: bool) {
-        self.z.clear();
         self.z.resize(rows.y.len(), R::zero());
-        for row in &rows.rows {
-            let dofs = row.dofs.of(dof_lists);
-            let own = row.y..row.y + dofs.len();
-            for ((z, y), k) in self.z[own.clone()].iter_mut().zip(&rows.y[own]).zip(dofs) {
-                *z = inv_d[*k] * *y;
-            }
-        }
         self.weight.clear();
         self.weight.resize(rows.rows.len(), R::zero());
+        self.how.clear();
+        self.packed.clear();
         self.cones.clear();
         self.wide.clear();
         for block in &rows.blocks {
+            let range = block.rows.range();
+            let own = &rows.rows[range.clone()];
+            let weight = &mut self.weight[range];
             if weigh {
                 let per_mass = R::of(1.0 / block.mass);
-                for at in block.rows.range() {
-                    self.weight[at] = (rows.rows[at].a * per_mass).sqrt();
+                for (weight, row) in weight.iter_mut().zip(own) {
+                    *weight = (row.a * per_mass).sqrt();
                 }
             }
-            let cone = self.cone(dof_lists, rows, block);
-            self.cones.push(cone);
+            let packed = Packed::of(dof_lists, inv_d, rows, block, weight, &mut self.cones);
+            let how = if let Some(packed) = packed {
+                self.packed.push(packed);
+                How::Packed((self.packed.len() - 1) as u32)
+            } else {
+                self.scale(dof_lists, inv_d, &rows.y, own);
+                self.cone(dof_lists, rows, block)
+            };
+            self.how.push(how);
         }
     }
 
-    fn cone(&mut self, dof_lists: &[usize], rows: &Rows<R>, block: &Block<R>) -> Cone<R> {
+    /// z of some rows.
+    fn scale(&mut self, dof_lists: &[usize], inv_d: &[R], y: &[R], rows: &[Row<R>]) {
+        for row in rows {
+            let dofs = row.dofs.of(dof_lists);
+            let own = row.y..row.y + dofs.len();
+            for ((z, y), k) in self.z[own.clone()].iter_mut().zip(&y[own]).zip(dofs) {
+                *z = inv_d[*k] * *y;
+            }
+        }
+    }
+
+    /// Rows of packed blocks get their impulses.
+    pub fn store(&self, rows: &mut Rows<R>, list: &[usize]) {
+        for at in list {
+            if let How::Packed(place) = self.how[*at] {
+                let own = rows.blocks[*at].rows.range();
+                self.packed[place as usize].store(&mut rows.rows[own]);
+            }
+        }
+    }
+
+    fn cone(&mut self, dof_lists: &[usize], rows: &Rows<R>, block: &Block<R>) -> How {
         if block.set == Set::Interval {
-            return self.edges(dof_lists, rows, block).map_or(Cone::None, Cone::Edges);
+            return How::Rows;
         }
         let own = &rows.rows[block.rows.range()];
         let len = own.first().map_or(0, |row| row.dofs.of(dof_lists).len());
@@ -106,48 +131,27 @@ impl<R: Real> Sweeps<R> {
             let q = core::array::from_fn(|i| core::array::from_fn(|j| whole(i, j)));
             let wide = if convex { Wide::convex(q, block.mu) } else { Wide::coulomb(q, block.mu) };
             self.wide.push(wide);
-            return Cone::Wide(self.wide.len() - 1);
+            return How::Wide((self.wide.len() - 1) as u32);
         }
+        let mut q = [entry(0, 0), entry(1, 0), entry(1, 1), entry(2, 0), entry(2, 1), entry(2, 2)];
         if block.set == Set::Convex {
-            let mut q =
-                [entry(0, 0), entry(1, 0), entry(1, 1), entry(2, 0), entry(2, 1), entry(2, 2)];
             if own.len() < 2 {
                 q[2] = q[0];
             }
             if own.len() < 3 {
                 q[5] = q[2];
             }
-            return Cone::Convex(Convex::new(q, block.mu));
         }
-        Cone::Coulomb(Tangents::new(entry(1, 1), entry(2, 1), entry(2, 2)))
-    }
-
-    fn edges(&self, dof_lists: &[usize], rows: &Rows<R>, block: &Block<R>) -> Option<Edges<R>> {
-        let own = &rows.rows[block.rows.range()];
-        if !rows.heap || own.len() != EDGES {
-            return None;
-        }
-        let free = Free::of(own[0].dofs.of(dof_lists))?;
-        let len = free.len();
-        if own.iter().enumerate().any(|(at, row)| row.y != own[0].y + at * len) {
-            return None;
-        }
-        let mut beside = [[R::zero(); EDGES]; EDGES];
-        for i in 1..EDGES {
-            for j in 0..i {
-                let (y, z) = (&rows.y[own[i].y..][..len], &self.z[own[j].y..][..len]);
-                beside[i][j] = y.iter().zip(z).fold(R::zero(), |sum, (y, z)| sum + *y * *z);
-            }
-        }
-        Some(Edges { free, beside })
+        How::Cone(self.cones.tie(block.set, block.mu, q))
     }
 
     /// One pass over the listed blocks. Not inlined: next to each other the two kinds of
     /// sweep get slower code.
     #[inline(never)]
     pub fn sweep<const GAIN: bool>(
-        &self,
+        &mut self,
         dof_lists: &[usize],
+        inv_d: &[R],
         rows: &mut Rows<R>,
         list: &[usize],
         live: R::Mask,
@@ -155,53 +159,32 @@ impl<R: Real> Sweeps<R> {
         let Rows { rows, blocks, y, u, .. } = rows;
         let (mut largest, mut gain) = (R::zero(), R::zero());
         for at in list {
+            let how = self.how[*at];
+            if let How::Packed(place) = how {
+                let packed = &mut self.packed[place as usize];
+                let mask = packed.mask.and(live);
+                if mask.none() {
+                    continue;
+                }
+                let own = if GAIN { &mut rows[blocks[*at].rows.range()] } else { &mut [][..] };
+                let mut to = Target { inv_d, u, mask };
+                let done = packed.update::<GAIN>(own, &self.cones, &mut to);
+                largest = largest.max(done.change);
+                if GAIN {
+                    gain = R::select(mask, gain + done.gain, gain);
+                }
+                continue;
+            }
             let block = &blocks[*at];
             let mask = block.mask.and(live);
             if mask.none() {
                 continue;
             }
             let own = block.rows.range();
-            let mut sweep = Update::<R, GAIN> { dof_lists, y, z: &self.z, u, mask, gain };
+            let mut sweep = Update::<R, GAIN> { dof_lists, y, z: &self.z, u, mask, gain, largest };
             let weight = &self.weight[own.clone()];
-            let own = &mut rows[own];
-            match &self.cones[*at] {
-                Cone::None => {
-                    for (row, weight) in own.iter_mut().zip(weight) {
-                        let change = sweep.interval(row);
-                        largest = largest.max(change.abs() * *weight);
-                    }
-                }
-                Cone::Edges(edges) => {
-                    let change = sweep.edges(own, edges);
-                    for (change, weight) in change.iter().zip(weight) {
-                        largest = largest.max(change.abs() * *weight);
-                    }
-                }
-                Cone::Convex(cone) => {
-                    let change = sweep.convex(own, cone);
-                    for (change, weight) in change.iter().zip(weight) {
-                        largest = largest.max(change.abs() * *weight);
-                    }
-                }
-                Cone::Wide(at) => {
-                    let cone = &self.wide[*at];
-                    let change = if block.set == Set::Convex {
-                        sweep.convex_wide(own, cone)
-                    } else {
-                        sweep.coulomb_wide(own, block, cone)
-                    };
-                    for (change, weight) in change.iter().zip(weight) {
-                        largest = largest.max(change.abs() * *weight);
-                    }
-                }
-                Cone::Coulomb(tangents) => {
-                    let change = sweep.coulomb(own, block, tangents);
-                    for (change, weight) in change.iter().zip(weight) {
-                        largest = largest.max(change.abs() * *weight);
-                    }
-                }
-            }
-            gain = sweep.gain;
+            sweep.block(&mut rows[own], block, weight, how, &self.cones, &self.wide);
+            (gain, largest) = (sweep.gain, sweep.largest);
         }
         Swept { change: largest, gain }
     }
@@ -223,9 +206,54 @@ struct Update<'a, R: Real, const GAIN: bool> {
     u: &'a mut [R],
     mask: R::Mask,
     gain: R,
+    largest: R,
 }
 
 impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
+    #[inline(always)]
+    fn block(
+        &mut self,
+        own: &mut [Row<R>],
+        block: &Block<R>,
+        weight: &[R],
+        how: How,
+        cones: &Cones<R>,
+        wide: &[Wide<R>],
+    ) {
+        match how {
+            How::Rows | How::Packed(_) => {
+                for (row, weight) in own.iter_mut().zip(weight) {
+                    let change = self.interval(row);
+                    self.note(&[change], &[*weight]);
+                }
+            }
+            How::Cone(Tie::Convex(at)) => {
+                let change = self.convex(own, &cones.convex[at as usize]);
+                self.note(&change, weight);
+            }
+            How::Cone(tie) => {
+                let change = self.coulomb(own, block.mu, tie, cones);
+                self.note(&change, weight);
+            }
+            How::Wide(at) => {
+                let cone = &wide[at as usize];
+                let change = if block.set == Set::Convex {
+                    self.convex_wide(own, cone)
+                } else {
+                    self.coulomb_wide(own, block, cone)
+                };
+                self.note(&change, weight);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn note(&mut self, change: &[R], weight: &[R]) {
+        for (change, weight) in change.iter().zip(weight) {
+            self.largest = self.largest.max(change.abs() * *weight);
+        }
+    }
+
     /// t − Jv − cλ.
     #[inline(always)]
     fn short(&self, row: &Row<R>) -> R {
@@ -254,36 +282,6 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
         if GAIN {
             let gain = self.gain + change * (R::of(0.5) * (row.a + row.c) * change - short);
             self.gain = R::select(self.mask, gain, self.gain);
-        }
-        change
-    }
-
-    /// Row by row as `interval`, but u is read once before and written once after: what the rows
-    /// do to each other goes by `beside`.
-    #[inline(always)]
-    fn edges(&mut self, own: &mut [Row<R>], edges: &Edges<R>) -> [R; EDGES] {
-        let mut change = [R::zero(); EDGES];
-        let Some(own) = own.first_chunk_mut::<EDGES>() else { return change };
-        let start = own[0].y;
-        let velocity: [R; EDGES] = edges.free.dots(&self.y[start..], self.u);
-        for i in 0..EDGES {
-            let row = &mut own[i];
-            let mut short = row.t - velocity[i] - row.c * row.impulse;
-            for j in 0..i {
-                short -= edges.beside[i][j] * change[j];
-            }
-            let impulse = (row.impulse + short * row.inv_s).clamp(row.lo, row.hi);
-            change[i] = R::select(self.mask, impulse - row.impulse, R::zero());
-            row.impulse = R::select(self.mask, impulse, row.impulse);
-            if GAIN {
-                let gain =
-                    self.gain + change[i] * (R::of(0.5) * (row.a + row.c) * change[i] - short);
-                self.gain = R::select(self.mask, gain, self.gain);
-            }
-        }
-        let moved = moves(&change);
-        if moved.any() {
-            edges.free.kick(&self.z[start..], &change, self.u, moved);
         }
         change
     }
@@ -318,13 +316,8 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
     }
 
     /// The normal as an interval, then the tangents within its friction bound.
-    fn coulomb(
-        &mut self,
-        own: &mut [Row<R>],
-        block: &Block<R>,
-        plane: &Tangents<R>,
-    ) -> [R; NARROW] {
-        let q = &plane.q;
+    fn coulomb(&mut self, own: &mut [Row<R>], mu: R, tie: Tie, cones: &Cones<R>) -> [R; NARROW] {
+        let q = cones.plane(tie);
         let mut change = [R::zero(); NARROW];
         let Some((normal, tangents)) = own.split_first_mut() else { return change };
         let impulse = (normal.impulse + self.short(normal) * normal.inv_s).max(R::zero());
@@ -335,11 +328,7 @@ impl<R: Real, const GAIN: bool> Update<'_, R, GAIN> {
             x[i] = row.impulse;
         }
         let g = [g[0] - (q[0] * x[0] + q[1] * x[1]), g[1] - (q[1] * x[0] + q[2] * x[1])];
-        let bound = block.mu * normal.impulse;
-        let x = match block.set {
-            Set::CoulombBox => plane.square(g, bound),
-            _ => plane.disc(g, bound, self.mask),
-        };
+        let x = cones.friction(tie, g, mu * normal.impulse, self.mask);
         for (i, row) in tangents.iter_mut().enumerate() {
             change[i + 1] = self.set(row, x[i]);
         }

@@ -2,7 +2,7 @@
 
 use super::{close, Random};
 use crate::solve::cone::{project_box, project_round};
-use crate::solve::exact::{Convex, Tangents};
+use crate::solve::exact::{Convex, TangentBox, Tangents};
 
 /// min ½xᵀQx + b·x over a convex set, by accelerated projected gradients with restart.
 fn brute(q: &[[f64; 3]; 3], b: [f64; 3], project: impl Fn([f64; 3]) -> [f64; 3]) -> [f64; 3] {
@@ -85,12 +85,13 @@ fn coulomb_tangents_are_the_minimum() {
         let g = [random.next(), random.next()];
         let bound = [0.05, 0.4, 3.0][case % 3];
         let tangents = Tangents::new(q[1][1], q[1][2], q[2][2]);
+        let square = TangentBox::new([q[1][1], q[1][2], q[2][2]]);
         let ball = |x: [f64; 3]| {
             let k = (bound / (x[1] * x[1] + x[2] * x[2]).sqrt()).min(1.0);
             [0.0, k * x[1], k * x[2]]
         };
         let edge = |x: [f64; 3]| [0.0, x[1].clamp(-bound, bound), x[2].clamp(-bound, bound)];
-        let (disc, square) = (tangents.disc(g, bound, true), tangents.square(g, bound));
+        let (disc, square) = (tangents.disc(g, bound, true), square.minimiser(g, bound));
         let b = [0.0, g[0], g[1]];
         let (want_disc, want_square) = (brute(&q, b, ball), brute(&q, b, edge));
         for i in 0..2 {
@@ -104,7 +105,7 @@ fn coulomb_tangents_are_the_minimum() {
 fn tangents_that_nothing_moves_stay_zero() {
     let one = Tangents::new(2.0, 0.0, 0.0);
     assert_eq!(one.disc([1.0, 0.0], 9.0, true), [-0.5, 0.0]);
-    assert_eq!(one.square([1.0, 0.0], 0.25), [-0.25, 0.0]);
+    assert_eq!(TangentBox::new([2.0, 0.0, 0.0]).minimiser([1.0, 0.0], 0.25), [-0.25, 0.0]);
     assert_eq!(one.disc([1.0, 0.0], 0.25, true), [-0.25, 0.0]);
     assert_eq!(one.disc([1.0, 0.0], 0.0, true), [0.0, 0.0]);
     assert_eq!(Tangents::new(0.0, 0.0, 0.0).disc([0.0, 0.0], 1.0, true), [0.0, 0.0]);
