@@ -229,6 +229,12 @@ def test_many_worlds_sleep_one_by_one(model):
     sim.step(400)
     assert sim.asleep.any()
     assert all(np.array_equal(qpos, sim.qpos) for qpos in batch.qpos)
+    assert batch.asleep.dtype == bool
+    assert all(np.array_equal(asleep, sim.asleep) for asleep in batch.asleep)
+    batch.xfrc_applied[4, np.flatnonzero(sim.asleep)[0], 2] = 1e-3
+    batch.step(1)
+    assert batch.asleep[3].any() and batch.asleep[4].sum() < batch.asleep[3].sum()
+    assert not sc.Batch(model, 3).asleep.any()
 
 
 @pytest.mark.parametrize("integrator", ["midpoint", "rk4"])

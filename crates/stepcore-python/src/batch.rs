@@ -501,6 +501,12 @@ impl Batch {
         let tables = self.again(py, |world| world.rows())?;
         tables.into_iter().map(|table| rows(py, table)).collect()
     }
+    /// `Sim.asleep` of each world.
+    #[getter]
+    fn asleep(&self) -> PyResult<Vec<Vec<bool>>> {
+        let memos = self.lock()?.memos();
+        Ok(memos.iter().map(|memo| memo.sleep.bodies(&self.model)).collect())
+    }
     #[getter]
     fn residual<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         let all = self.again(py, |world| world.residual())?;

@@ -56,6 +56,11 @@ impl<R: Real> Sleep<R> {
         self.island.get(tree).is_some_and(|island| *island != NONE)
     }
 
+    /// By body: whether it sleeps.
+    pub fn bodies(&self, model: &Model) -> Vec<bool> {
+        model.bodies.iter().map(|body| self.has(body.tree)).collect()
+    }
+
     pub(crate) fn copy_to(&self, to: &mut Self) {
         to.slow.clone_from(&self.slow);
         to.island.clone_from(&self.island);
@@ -188,7 +193,7 @@ pub(crate) fn last_impulses<'a, R: Real>(state: &'a State<R>, next: &'a Next<R>)
 impl<R: Real> Sim<R> {
     /// By body: whether it sleeps.
     pub fn asleep(&self) -> Vec<bool> {
-        self.model.bodies.iter().map(|body| self.state.sleep.has(body.tree)).collect()
+        self.state.sleep.bodies(&self.model)
     }
 
     /// Nobody sleeps under settings without sleep.

@@ -205,6 +205,12 @@ class Batch(Stepped):
         return [row_table(self.settings.dt, *table) for table in self._core.rows()]
 
     @property
+    def asleep(self) -> NDArray[np.bool_]:
+        """Whether each body of each world sleeps, shape (n, nbody); see `Settings.sleep`."""
+        shape = (len(self), self.model.nbody)
+        return np.array(self._core.asleep, dtype=bool).reshape(shape)
+
+    @property
     def residual(self) -> Floats:
         """Residual of each world's last solve [m/s], shape (n,); see `Sim.residual`."""
         return self._core.residual
