@@ -13,7 +13,11 @@ INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
     "rk4": mujoco.mjtIntegrator.mjINT_RK4,
 }
-SOLVERS = {"pgs": mujoco.mjtSolver.mjSOL_PGS, "newton": mujoco.mjtSolver.mjSOL_NEWTON}
+SOLVERS = {
+    "pgs": mujoco.mjtSolver.mjSOL_PGS,
+    "newton": mujoco.mjtSolver.mjSOL_NEWTON,
+    "cg": mujoco.mjtSolver.mjSOL_CG,
+}
 # MuJoCo would write its warnings to a file in the working directory.
 mujoco.set_mju_user_warning(lambda text: None)
 

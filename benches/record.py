@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
-PACKAGES = ("stepcore", "numpy", "mujoco", "gymnasium", "rapier3d", "distributed")
+PACKAGES = ("stepcore", "numpy", "mujoco", "gymnasium", "rapier3d", "pybullet", "distributed")
 
 
 def arguments(description: str) -> argparse.Namespace:

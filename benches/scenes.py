@@ -92,7 +92,7 @@ def _spheres_in_a_box(name: str, half: float, centres: np.ndarray, radius: float
     return _in_a_box(name, half, centres, f'size="{radius}"')
 
 
-def _in_a_box(name: str, half: float, centres: np.ndarray, shape: str) -> str:
+def _in_a_box(name: str, half: float, centres: np.ndarray, shape: str, memory: str = "256M") -> str:
     text = FLOOR
     for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         text += (
@@ -101,7 +101,7 @@ def _in_a_box(name: str, half: float, centres: np.ndarray, shape: str) -> str:
     for x, y, z in centres:
         text += f'<body pos="{x:.6f} {y:.6f} {z:.6f}"><freejoint/>'
         text += f'<geom {shape} mass="1"/></body>'
-    return _mjcf(name, text, memory="256M")
+    return _mjcf(name, text, memory=memory)
 
 
 def spheres(count: int, radius: float = 0.05) -> str:
@@ -142,7 +142,8 @@ def boxes(count: int, half: float = 0.05) -> str:
     side = next(side for side in range(1, count + 1) if side**3 >= count)
     width, centres = pile_centres(side, half)
     shape = f'type="box" size="{half} {half} {half}"'
-    return _in_a_box(f"boxes{count}", width, centres[:count], shape)
+    memory = "256M" if count < 500 else "4G"
+    return _in_a_box(f"boxes{count}", width, centres[:count], shape, memory)
 
 
 def in_the_air(count: int, radius: float = 0.1) -> str:
