@@ -53,17 +53,6 @@ impl Free {
         first..first + SIX
     }
 
-    /// y·x.
-    #[inline(always)]
-    pub fn dot<R: Real>(&self, y: &[R], x: &[R]) -> R {
-        let one = products(&y[..SIX], &x[self.body(0)]);
-        if !self.two {
-            return total(one);
-        }
-        let two = products(&y[SIX..2 * SIX], &x[self.body(1)]);
-        total(core::array::from_fn(|a| one[a] + two[a]))
-    }
-
     /// out = y·x of some rows, y one row after another.
     #[inline(always)]
     pub fn dot_each<R: Real>(&self, y: &[R], x: &[R], out: &mut [R]) {
