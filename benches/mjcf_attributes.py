@@ -15,8 +15,7 @@ import sys
 from pathlib import Path
 
 import mujoco
-from attributes.runs import case_of, measured
-from attributes.scenes import SCENES
+from attributes.runs import SCENES, case_of, measured
 
 from stepcore.mjcf.schema import ROOT
 from stepcore.mjcf.schema.notation import Spec
@@ -50,6 +49,11 @@ KNOWN = {
         "no effect",
     ),
     "keyframe/key": {"plastic": "refused"},
+    # MuJoCo refuses a cutoff of directions too.
+    **{
+        f"sensor/{tag}": {"cutoff": "refused"}
+        for tag in ("ballquat", "framequat", "framexaxis", "frameyaxis", "framezaxis")
+    },
 }
 ROLES = {"draws": "only draws", "senses": "senses", "data": "data", "unbuilt": "refused"}
 COLUMNS = ("honoured", "no effect", "only draws", "senses", "data", "refused")

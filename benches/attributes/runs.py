@@ -7,11 +7,16 @@ import mujoco
 import numpy as np
 
 import stepcore as sc
+from attributes import sensors
 from attributes.cases import CASES, OTHERS, Case, actuator_case
-from attributes.scenes import ACTUATORS, BASE, SCENES
+from attributes.scenes import ACTUATORS
+from attributes.scenes import BASE as BASES
+from attributes.scenes import SCENES as OF_MOTION
 from stepcore import loads
 from stepcore.mjcf.nodes import MJCFError
 
+SCENES = OF_MOTION | sensors.SCENES
+BASE = BASES | sensors.BASE
 STEPS = 6
 # How far motions may differ, of the largest coordinate.
 EXACT = 1e-7
@@ -32,6 +37,8 @@ def case_of(path: str, attribute: str) -> Case | None:
     section, _, tag = path.partition("/")
     if section == "actuator" and tag in ACTUATORS:
         return actuator_case(tag, attribute)
+    if section == "sensor" and path in SCENES:
+        return sensors.case_of(tag, attribute)
     return CASES.get(path, {}).get(attribute)
 
 
@@ -50,6 +57,9 @@ def models(path: str, attribute: str, case: Case) -> tuple[str, str]:
     if path.startswith("actuator/") and attribute in ("jointinparent", "tendon", "body"):
         base.pop("joint", None)
     base |= words(attrs)
+    for group in sensors.ONE_OF.get(path.partition("/")[2], ()) if path in sensors.SCENES else ():
+        if attribute in group:
+            base = {name: word for name, word in base.items() if name not in group}
     scene = SCENES[place or path].replace("</mujoco>", f"{end}</mujoco>")
 
     def text(given: dict[str, str]) -> str:
@@ -67,14 +77,20 @@ def _before(scene: str) -> str:
 
 @dataclass
 class Run:
-    """A motion, (steps, nq + nv), or why there is none."""
+    """A motion, (steps, nq + nv), and what sensors measure; or why there is none."""
 
     path: np.ndarray | None = None
     error: str = ""
+    measured: np.ndarray | None = None
 
     def same(self, other: "Run", relative: float = 0.0) -> bool:
         if self.path is None or other.path is None or self.path.shape != other.path.shape:
             return self.path is other.path
+        if self.measured is not None and other.measured is not None:
+            if self.measured.shape != other.measured.shape:
+                return False
+            if not np.allclose(self.measured, other.measured, relative, relative):
+                return False
         if not relative:
             return bool((self.path == other.path).all())
         scale = max(1.0, float(np.abs(self.path).max()))
@@ -98,11 +114,12 @@ def mujocos(text: str) -> Run:
         mujoco.mj_resetDataKeyframe(model, data, 0)
     else:
         data.qvel[:], data.ctrl[:] = _inputs(model.nv, model.nu)
-    states = []
+    states, measured = [], []
     for _ in range(STEPS):
         mujoco.mj_step(model, data)
         states.append(np.concatenate([[data.time], data.qpos, data.qvel]))
-    return Run(np.array(states))
+        measured.append(data.sensordata.copy())
+    return Run(np.array(states), measured=np.array(measured))
 
 
 def ours(text: str) -> Run:
@@ -116,11 +133,14 @@ def ours(text: str) -> Run:
         sim.reset(key=0)
     else:
         sim.qvel[:], sim.ctrl[:] = _inputs(sim.model.nv, sim.model.nu)
-    states = []
+    states, measured = [], []
     for _ in range(STEPS):
+        if hasattr(sim, "sensordata"):
+            # As MuJoCo's: of the state before the step.
+            measured.append(np.array(sim.sensordata))
         sim.step()
         states.append(np.concatenate([[sim.time], sim.qpos, sim.qvel]))
-    return Run(np.array(states))
+    return Run(np.array(states), measured=np.array(measured) if measured else None)
 
 
 @dataclass

@@ -94,6 +94,34 @@ HEAVY = """<mujoco><compiler {0}/><worldbody><body name="a"><joint axis="1 0 0"/
   <body name="still"><geom size=".1"/></body></worldbody></mujoco>"""
 
 
+DISCARDED = """<mujoco><compiler discardvisual="true" {0}/>
+  <asset><mesh name="m" vertex="0 0 0 .5 0 0 0 .25 0 0 0 1"/></asset>
+  <worldbody><body name="a"><joint/><geom name="v" type="box" size="1 .5 .2" pos="1 0 0" contype="0"
+      conaffinity="0"/><geom name="c" size=".5"/>{1}</body>
+    <body name="b"><joint/><geom name="v2" size="1" contype="0" conaffinity="0"/>
+      <geom name="pc" size=".1" contype="0" conaffinity="0"/></body>
+    <geom name="wv" size="1" contype="0" conaffinity="0"/></worldbody>{2}</mujoco>"""
+DISCARDING = {
+    "masses stay": DISCARDED.format("", "", ""),
+    "an inertial": DISCARDED.format("", '<inertial pos="0 0 1" mass="1" diaginertia="1 1 1"/>', ""),
+    "in pairs": DISCARDED.format("", "", '<contact><pair geom1="pc" geom2="c"/></contact>'),
+    "sensed": DISCARDED.format(
+        "", "", '<sensor><distance geom1="v" geom2="c" cutoff="1"/></sensor>'
+    ),
+    "and fused": DISCARDED.format('fusestatic="true"', "<body>" + TWO + "</body>", ""),
+}
+
+
+@pytest.mark.parametrize("what", DISCARDING)
+def test_visual_geoms_are_discarded(what: str) -> None:
+    compiled.compare(loads(DISCARDING[what]), mujoco.MjModel.from_xml_string(DISCARDING[what]))
+
+
+def test_visual_geoms_that_alone_give_mass_are_not_discarded() -> None:
+    with pytest.raises(MJCFError, match="would change the inertia"):
+        loads(DISCARDED.format('inertiafromgeom="true"', "", ""))
+
+
 @pytest.mark.parametrize("what", ALIGNED)
 def test_free_bodies_are_aligned(what: str) -> None:
     compiled.compare(loads(ALIGNED[what]), mujoco.MjModel.from_xml_string(ALIGNED[what]))

@@ -19,6 +19,7 @@ from stepcore.checks import ElementError
 from stepcore.mjcf import actuators, contacts, custom, equalities, keyframes, option, tendons
 from stepcore.mjcf.align import align
 from stepcore.mjcf.assets import Assets
+from stepcore.mjcf.discard import discard_visual
 from stepcore.mjcf.expand.attach import Model
 from stepcore.mjcf.fuse import fuse
 from stepcore.mjcf.include import expand, read_bytes
@@ -134,6 +135,8 @@ def _finish(world: WorldReader, root: Node) -> None:
     check_references(world, root)
     leave_out_visual_geoms(world, layout)
     world.assets.read_used(scene)
+    if world.main.values.get("discardvisual"):
+        discard_visual(world, root)
     if world.main.values.get("fusestatic"):
         fuse(world, root)
     align(world)

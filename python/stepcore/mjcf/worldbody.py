@@ -38,12 +38,16 @@ class Place:
 
 @dataclass(frozen=True)
 class Shape:
-    """A geom of the file. heavy: nothing but its body's own mass keeps it from giving mass."""
+    """A geom of the file.
+
+    heavy: nothing but its body's own mass keeps it from giving mass. fluid: a fluid sees its shape.
+    """
 
     node: Node
     geom: Geom
     collides: bool
     heavy: bool
+    fluid: bool
 
 
 class WorldReader:
@@ -294,7 +298,8 @@ class WorldReader:
             **soft(values, "solref", "solimp"),
         )
         self.keep(node, geom)
-        self.shapes.append(Shape(node, geom, collides, heavy))
+        fluid = values.get("fluidshape", "none") != "none"
+        self.shapes.append(Shape(node, geom, collides, heavy, fluid))
 
     def _shape(
         self, node: Node, values: dict[str, Any], kind: str, place: Place
