@@ -229,6 +229,25 @@ def test_armature_is_inertia():
     assert sim.qacc[0] == pytest.approx(-9.81 * 2 / 8, abs=1e-12)
 
 
+def test_a_rope_keeps_its_trees_awake():
+    """A load at rest does not sleep while a spring pulls it with what hangs on its other end."""
+    scene = sc.Scene()
+    scene.add_geom(type="plane", size=(1, 1, 1))
+    for x, name, height, mass in ((0, "rests", 0.1, 50.0), (1, "swings", 2.0, 1.0)):
+        body = scene.add_body(name, pos=(x, 0, height))
+        scene.add_joint(body, "slide", axis=(0, 0, 1))
+        scene.add_geom(body, "sphere", 0.1, mass=mass)
+        scene.add_site(body, name=name)
+    scene.add_tendon("rope", ["rests", "swings"], stiffness=20, springlength=1)
+    sim = sc.Sim(scene, sleep=True)
+    sim.step(500)
+    assert not sim.asleep.any()
+    scene.tendons.clear()
+    alone = sc.Sim(scene, sleep=True)
+    alone.step(500)
+    assert alone.asleep.tolist() == [False, True, False]
+
+
 # --- what no step uses ----------------------------------------------------------------------------
 
 
@@ -290,6 +309,14 @@ def test_armature_round_a_geom_is_refused():
         sc.loads(source).compile()
     with pytest.raises(ValueError, match="wrapping not supported"):
         mujoco.MjModel.from_xml_string(source)
+
+
+def test_springs_that_yield_are_refused():
+    """By name, with the way to leave them out."""
+    source = around(SPHERE).replace('stiffness="3"', 'stiffness="3" springyield=".1"')
+    with pytest.raises(sc.MJCFError, match="springyield"):
+        sc.loads(source)
+    assert sc.loads(source, without=["spatial/springyield"]).tendons[0].stiffness == 3
 
 
 # --- any tendon -----------------------------------------------------------------------------------

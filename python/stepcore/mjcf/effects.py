@@ -40,6 +40,9 @@ _EFFECTS = {
     "body/mocap": "the body stands where its user puts it",
     "joint/springdamper": "a spring and a damper of given times act on the joint",
     "joint/springyield": "the spring of the joint yields",
+    **dict.fromkeys(
+        ("fixed/springyield", "spatial/springyield"), "the spring of the tendon yields"
+    ),
     "joint/actuatorfrcrange": "it clamps the sum of what actuators put on the joint",
     "frame/scale": "it changes sizes, masses and forces within the frame",
     "frame/massscale": "it changes masses within the frame",

@@ -15,7 +15,7 @@ def read(world: WorldReader, node: Node) -> None:
     """Reads a fixed or a spatial tendon."""
     values = world.defaults.of(node, kind="tendon")
     if values.get("springyield", 0) > 0:
-        raise node.unbuilt("a spring that yields (springyield)")
+        raise node.unbuilt("a spring that yields (springyield)", "springyield")
     if "material" in values:
         world.references.append((node, "material", values["material"]))
     given: dict[str, Any] = {field: values[field] for field in COPIED if field in values}

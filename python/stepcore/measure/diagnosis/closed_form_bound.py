@@ -83,7 +83,7 @@ def _tendons(model: Model, integrator: str) -> Iterator[_Oscillator]:
     for weight, tendon in zip(model.tendon_invweight0.tolist(), model.scene.tendons, strict=True):
         square = features.spring * max(tendon.stiffness, 0.0) * weight
         rate = features.damper * tendon.damping * weight
-        bodies = [element.body for element in tendon.elements()]  # type: ignore[attr-defined]
+        bodies = [element.body for element in tendon.elements()]
         trees = {root_of(model, layout.body(tendon, body)) for body in bodies} - {0}
         for tree in trees if square > 0 or (rate > 0 and not late) else ():
             yield _Oscillator(tree, square, rate * (not late), rate * late)

@@ -157,13 +157,11 @@ class Tendon(Element):
         """Whether it has a damper."""
         return any((self.damping, *self.dampingpoly))
 
-    def elements(self) -> Iterable[Element]:
+    def elements(self) -> Iterable[Joint | Site | Geom]:
         """The joints, sites and geoms that it refers to."""
         for stop in self.path:
-            if isinstance(stop, Element):
-                yield stop
-            else:
-                yield from (part for part in stop if isinstance(part, Element))
+            parts = (stop,) if isinstance(stop, Site) else stop
+            yield from (part for part in parts if isinstance(part, (Joint, Site, Geom)))
 
     def values(self) -> dict[str, Any]:
         """As for every element; coefficients of one polynomial stand together, if there are any."""
