@@ -78,7 +78,8 @@ def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
 
 def _tendons(model: Model, integrator: str) -> Iterator[_Oscillator]:
     """Springs and dampers of tendons, in each tree that they pass; J M⁻¹ Jᵀ is their weight."""
-    features, late = model.scene.features, integrator == "implicitfast"
+    features = model.scene.features
+    late = "tendon damper" in implicit_kinds(model, integrator)
     layout = Layout(model.scene)
     for weight, tendon in zip(model.tendon_invweight0.tolist(), model.scene.tendons, strict=True):
         square = features.spring * max(tendon.stiffness, 0.0) * weight
