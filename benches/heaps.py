@@ -5,8 +5,8 @@ checks of equal physics this bench uses. MuJoCo keeps its shipped iterations and
 At every step of its motion its acceleration is compared with the converged one at the same state,
 |a − a*| / max(|a*|, 1) in the largest entry; ours likewise along our motion. Our tolerance is then
 the loosest at which neither the mean nor the worst of our errors is larger than MuJoCo's. Errors
-below 1e-10 count as equal: both are then at what rounding leaves of a heap's acceleration. With 1000
-boxes each of MuJoCo's solvers, CG too, meets the quickest of ours; the line says which.
+below 1e-10 count as equal: both are then at what rounding leaves of a heap's acceleration. With
+1000 boxes each of MuJoCo's solvers, CG too, meets the quickest of ours; the line says which.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Heap(Match):
         self.ours = [{"solver": own, "acceleration": acceleration} for acceleration in ways]
 
     def try_any(self) -> None:
-        """Ours is the quickest of all solvers, whatever MuJoCo's; physics are compared by Newton."""
+        """Ours is the quickest of all solvers, whatever theirs; physics are compared by Newton."""
         self.ours = ANY
         self.settings["solver"] = "newton"
 

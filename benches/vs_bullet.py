@@ -1,8 +1,9 @@
-"""stepcore against PyBullet, a ball drop and piles of spheres: the cases and checks of `vs_rapier.py`.
+"""stepcore against PyBullet, a ball drop and piles of spheres: cases and checks of `vs_rapier.py`.
 
 Bullet's contacts are hard, its friction is a pyramid and its method sequential impulses, in double
-precision in this package: what stepcore calls law `rigid` under PGS. Bullet keeps its 50 iterations, stepcore takes the
-fewest sweeps at which its spheres overlap no deeper. Both take one call from Python a step.
+precision in this package: what stepcore calls law `rigid` under PGS. Bullet keeps its 50
+iterations, stepcore takes the fewest sweeps at which its spheres overlap no deeper. Both take one
+call from Python a step.
 """
 
 from __future__ import annotations

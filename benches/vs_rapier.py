@@ -4,8 +4,9 @@ The two have different contact laws (Rapier: soft contacts in single precision, 
 stepcore here: law `rigid`, double precision, PGS), so what can be compared is what they agree on.
 Checked first: the ball's fall before it lands (to 1 mm), and, once everything has come to rest,
 the mean height of all bodies (to 1 % of a radius for the ball, 10 % for the pile) and their
-speed, and stepcore's deepest overlap of the pile at rest, which is printed for both, is no larger. stepcore
-takes the fewest sweeps of 1, 2, 4 … 64 at which that holds; where none does there is no ratio.
+speed, and stepcore's deepest overlap of the pile at rest, which is printed for both, is no larger.
+stepcore takes the fewest sweeps of 1, 2, 4 … 64 at which that holds; where none does there is no
+ratio.
 
 Both take one call from Python a step: the package has no call for several.
 """
@@ -120,8 +121,8 @@ def main() -> None:
 def header(report: record.Report, peer) -> None:
     report.say()
     report.say(
-        f"{'scene':14}{'mean height [mm]':>22}{'deepest overlap [mm]':>24}{'sweeps':>8}{'µs a step':>20}"
-        f"{'ratio (quartiles)':>22}"
+        f"{'scene':14}{'mean height [mm]':>22}{'deepest overlap [mm]':>24}{'sweeps':>8}"
+        f"{'µs a step':>20}{'ratio (quartiles)':>22}"
     )
     both = f"{'stepcore':>12}{peer.name:>10}"
     report.say(f"{'':14}{both}{both}{'':8}{both}")
