@@ -1,4 +1,4 @@
-"""stepcore against PyBullet, a ball drop and piles of spheres: cases and checks of `vs_rapier.py`.
+"""stepcore against PyBullet, a ball drop and piles of spheres: see `falling.py`.
 
 Bullet's contacts are hard, its friction is a pyramid and its method sequential impulses, in double
 precision in this package: what stepcore calls law `rigid` under PGS. Bullet keeps its 50
@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import pybullet
 import record
-from vs_rapier import CASES, DT, Case, compare, header
+from falling import CASES, DT, Case, compare, header
 
 SWEEPS = 50  # Bullet's default
 
@@ -20,6 +20,7 @@ class Bullet:
     """Spheres over planes, in a process without graphics."""
 
     name = "Bullet"
+    threads = False
 
     def __init__(self, case: Case) -> None:
         self.client = pybullet.connect(pybullet.DIRECT)
