@@ -34,8 +34,7 @@ def wall():
 def test_f16_a_kapla_wall_stands(settings, still):
     """The measure of F16 is when the top has sunk by a block's thickness. Twelve soft contacts give
     one after another, at once and no more later; planks slide by less than half the posts, and the
-    floor bears all. (`rigid`
-    needs sweeps until it is solved: 200 let the wall sway, as towers do.)"""
+    floor bears all. (`rigid` needs sweeps until it is solved: 200 let the wall sway.)"""
     scene = sc.Scene(gravity=(0, 0, -G))
     scene.add_geom("world", "plane", (0, 0, 1), name="floor")
     start = np.array([place for place, _ in wall()])
