@@ -168,6 +168,37 @@ def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return full
 
 
+def sensors_apart(sim: sc.Sim, model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """How far the sensors are apart, each relative to its largest number, at least 1.
+
+    MuJoCo's that have no counterpart, because they are not computed here, are passed over.
+    """
+    worst, at = 0.0, 0
+    ours = np.split(sim.sensordata, np.cumsum(sim.model.sensor_dim)[:-1])
+    for kind, name, mine in zip(sim.model.sensor_type, sim.model.sensor_names, ours, strict=True):
+        while (_sensor_word(model, at), model.sensor(at).name) != (kind, name):
+            at += 1
+        first = model.sensor_adr[at]
+        theirs = data.sensordata[first : first + model.sensor_dim[at]]
+        if kind in ("framequat", "ballquat") and mine @ theirs < 0:
+            mine = -mine
+        worst = max(worst, apart(mine, theirs, 1.0))
+        at += 1
+    return worst
+
+
+def _sensor_word(model: mujoco.MjModel, index: int) -> str:
+    """MJCF's word for the type of a sensor."""
+    word = mujoco.mjtSensor(model.sensor_type[index]).name.removeprefix("mjSENS_").lower()
+    renamed = {
+        "jointactfrc": "jointactuatorfrc",
+        "geomdist": "distance",
+        "geomnormal": "normal",
+        "geomfromto": "fromto",
+    }
+    return renamed.get(word, word)
+
+
 def contacts_apart(sim: sc.Sim, data: mujoco.MjData, geoms: np.ndarray | None = None) -> float:
     """How far dist, pos [m] and normal of the contacts are apart; infinite if pairs differ.
 
@@ -220,7 +251,7 @@ PLACED = dict.fromkeys(
     ("xpos", "xquat", "geom_xpos", "geom_xmat", "site_xpos", "mass", "bias", "passive", "actuator"),
     1e-10,
 )
-SOLVED = {"contacts": 1e-10, "constraint": 1e-9, "qacc": 1e-9}
+SOLVED = {"contacts": 1e-10, "constraint": 1e-9, "qacc": 1e-9, "sensordata": 1e-9}
 STEPPED = {"qpos": 1e-9, "qvel": 1e-9}
 
 
@@ -248,6 +279,7 @@ def note_forward(
         "contacts": contacts_apart(sim, data, geoms),
         "constraint": apart(sim.constraint_force, data.qfrc_constraint, force),
         "qacc": apart(sim.qacc, data.qacc),
+        "sensordata": sensors_apart(sim, model, data),
     }
     for name, value in note.items():
         worst.note(name, value, index)

@@ -119,7 +119,7 @@ def scaled(scene, length, mass, time):
         geom.friction = (slide, spin * unit(1), roll * unit(1))
         soften(geom, unit(1))
     for site in scene.sites:
-        by(site, unit(1), "pos")
+        by(site, unit(1), "pos", "size")
     for tendon in scene.tendons:
         # One over joints has the unit of an angle: the coefficients of slides turn theirs into it.
         way, arm = (1.0, unit(2)) if tendon.fixed else (unit(1), 1.0)

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from stepcore.engine.views import BodyView as BodyView
     from stepcore.engine.views import GeomView as GeomView
     from stepcore.engine.views import JointView as JointView
+    from stepcore.engine.views import SensorView as SensorView
     from stepcore.engine.views import SiteView as SiteView
     from stepcore.engine.views import TendonView as TendonView
     from stepcore.experiment.motion import Motion as Motion
@@ -90,6 +91,7 @@ if TYPE_CHECKING:
     from stepcore.scene.elements import Mesh as Mesh
     from stepcore.scene.elements import Pair as Pair
     from stepcore.scene.elements import Pulley as Pulley
+    from stepcore.scene.elements import Sensor as Sensor
     from stepcore.scene.elements import Site as Site
     from stepcore.scene.elements import Tendon as Tendon
     from stepcore.scene.scene import Scene as Scene
@@ -132,6 +134,7 @@ _MODULES = {
         "BodyView",
         "GeomView",
         "JointView",
+        "SensorView",
         "SiteView",
         "TendonView",
     ),
@@ -180,7 +183,7 @@ _MODULES = {
     "stepcore.report.table": ("Table",),
     "stepcore.scene.elements": (
         *("Actuator", "Body", "ContactOverride", "Equality", "Features", "Geom", "HField"),
-        *("Joint", "Key", "MassRules", "Mesh", "Pair", "Pulley", "Site", "Tendon"),
+        *("Joint", "Key", "MassRules", "Mesh", "Pair", "Pulley", "Sensor", "Site", "Tendon"),
     ),
     "stepcore.scene.scene": ("Scene",),
 }

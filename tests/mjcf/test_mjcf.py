@@ -319,7 +319,6 @@ def test_what_is_ignored_or_translated_is_listed() -> None:
         "m.xml:7: <geom> (only draws: no collisions, no mass)",
         'm.xml:8: <geom> "decal" (only draws: no collisions, no mass)',
         "m.xml:9: <geom> (only draws: no collisions, no mass)",
-        "m.xml:11: <jointpos> (only senses)",
         'm.xml:11: <numeric> "n" (data that the simulation does not use)',
     ]
     text = (

@@ -195,7 +195,7 @@ MISTAKES = {
     "unknown sensor target": (
         body('<joint name="j"/>', "", '<sensor><jointpos joint="k"/></sensor>'),
         3,
-        "no such joint",
+        'no joint is named "k"',
     ),
     "zero step": ('<mujoco><option timestep="0"/></mujoco>', 1, "> 0 s"),
     "negative iterations": ('<mujoco><option iterations="-1"/></mujoco>', 1, ">= 0"),

@@ -58,8 +58,8 @@ def test_an_empty_scene_is_the_world() -> None:
 def test_fields_have_the_engines_names() -> None:
     plain = ball_on_floor().to_dict()
     assert set(plain) == {
-        *("name", "gravity", "bodies", "joints", "geoms", "sites", "tendons"),
-        *("actuators", "equalities"),
+        *("name", "gravity", "magnetic", "bodies", "joints", "geoms", "sites", "tendons"),
+        *("sensors", "actuators", "equalities"),
         *(
             "meshes",
             "hfields",

@@ -18,7 +18,7 @@ use crate::gil;
 use crate::memory::Arrays;
 use crate::model::{result, shaped, Model};
 use crate::settings::Settings;
-use crate::sim::{check_body, check_site, check_time, contacts, ray_filter, rows};
+use crate::sim::{check_body, check_sensor, check_site, check_time, contacts, ray_filter, rows};
 use crate::sim::{ContactTable, RayTable, RowTable};
 use crate::snapshot::{decode, encode, Snapshot};
 use crate::world::{world, BodyForce, Memo, Placed, Solved, World};
@@ -449,6 +449,16 @@ impl Batch {
     #[getter]
     fn cacc<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.body_force(py, BodyForce::Acceleration)
+    }
+    /// A sensor's values, or all sensors'.
+    #[pyo3(signature = (sensor = None))]
+    fn sensordata<'py>(&self, py: Python<'py>, sensor: Option<usize>) -> PyResult<Array<'py>> {
+        check_sensor(&self.model, sensor)?;
+        let all = self.again(py, |world| world.sensordata(sensor))?;
+        let all: Result<Vec<Vec<f64>>, Error> = all.into_iter().collect();
+        let all = all.raised(py)?;
+        let shape = [self.arrays.worlds, all.first().map_or(0, Vec::len)];
+        result(py, all.concat(), &shape)
     }
     /// The forces that give accelerations (n, nv), by default those of the last solves.
     #[pyo3(signature = (qacc = None))]

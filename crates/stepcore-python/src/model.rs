@@ -85,6 +85,7 @@ impl Model {
         names.set_item("geom", m.geoms.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         names.set_item("site", m.sites.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         names.set_item("tendon", m.tendons.iter().map(|e| &e.name).collect::<Vec<_>>())?;
+        names.set_item("sensor", m.sensors.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         names.set_item("actuator", m.actuators.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         names.set_item("equality", m.equalities.iter().map(|e| &e.name).collect::<Vec<_>>())?;
         names.set_item("key", m.keys.iter().map(|e| &e.name).collect::<Vec<_>>())?;
@@ -268,6 +269,7 @@ impl Model {
         let actadr: Vec<i64> = m.activations.iter().map(act).collect();
         lists.set_item("actuator_actadr", actadr)?;
         lists.set_item("geom_body", m.geoms.iter().map(|g| g.body).collect::<Vec<_>>())?;
+        lists.set_item("sensor_dim", m.sensors.iter().map(|s| s.size()).collect::<Vec<_>>())?;
         lists.set_item("site_body", m.sites.iter().map(|s| s.body).collect::<Vec<_>>())?;
         lists
             .set_item("actuator_joint", m.actuators.iter().map(|a| a.joint).collect::<Vec<_>>())?;
@@ -280,6 +282,10 @@ impl Model {
 
     fn geom_types(&self) -> Vec<&'static str> {
         self.0.geoms.iter().map(|geom| geom.kind.word()).collect()
+    }
+
+    fn sensor_types(&self) -> Vec<&'static str> {
+        self.0.sensors.iter().map(|sensor| sensor.kind.word()).collect()
     }
 
     /// Geoms that can meet, by index; empty in a heap.

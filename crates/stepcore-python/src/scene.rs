@@ -4,7 +4,8 @@ use pyo3::prelude::*;
 use stepcore::scene::{
     Actuator, Body, ContactOverride, Dynamics, Equality, EqualityType, ExplicitPair, Features,
     FluidShape, Frame, Geom, GeomType, HField, Inertial, Joint, JointType, Key, MassRules, Mesh,
-    MeshInertia, Scene, Site, Softness, Stop, Tendon,
+    MeshInertia, ObjectType, Reduce, Scene, Sensor, SensorField, SensorObject, SensorType, Site,
+    Softness, Stop, Tendon,
 };
 
 use crate::extract::{record, refuse, At, Read, Record};
@@ -56,6 +57,31 @@ impl Read for Stop {
     }
 }
 
+named!(ObjectType {
+    "body" => Body, "xbody" => XBody, "geom" => Geom, "site" => Site, "joint" => Joint,
+    "tendon" => Tendon, "actuator" => Actuator,
+});
+named!(SensorField {
+    "found" => Found, "force" => Force, "torque" => Torque, "dist" => Dist, "dir" => Dir,
+    "origin" => Origin, "point" => Point, "pos" => Pos, "normal" => Normal,
+    "tangent" => Tangent, "depth" => Depth, "linvel" => LinVel, "angvel" => AngVel,
+});
+named!(Reduce {
+    "none" => None, "mindist" => MinDist, "maxforce" => MaxForce, "netforce" => NetForce,
+});
+
+impl Read for SensorType {
+    fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
+        let word = String::read(value, at)?;
+        let known = Self::ALL.iter().copied();
+        let mut named = known.clone().filter(|kind| kind.word() == word);
+        named.next().ok_or_else(|| {
+            let words: Vec<_> = known.map(Self::word).collect();
+            refuse(value, at, &format!("one of {}", words.join(" ")))
+        })
+    }
+}
+
 record!(Softness { solref, solimp });
 record!(Inertial { mass, pos, inertia });
 record!(Body { name, parent, pos, quat, inertial, gravcomp });
@@ -92,6 +118,7 @@ record!(Geom {
     density,
     shell_inertia,
     group,
+    hidden,
     contype,
     conaffinity,
     condim,
@@ -106,7 +133,6 @@ record!(Geom {
 });
 record!(Mesh { name, vertices, faces, inertia, maxhullvert });
 record!(HField { name, nrow, ncol, size, data });
-record!(Site { name, body, pos, quat });
 record!(Tendon {
     name,
     path,
@@ -121,6 +147,9 @@ record!(Tendon {
     limit,
     friction,
 });
+record!(Site { name, body, pos, quat, kind, size });
+record!(SensorObject { kind, index });
+record!(Sensor { name, kind, object, reference, cutoff, data, reduce, num });
 record!(Actuator {
     name,
     joint,
@@ -173,6 +202,7 @@ record!(Features {
     actuation,
     filterparent,
     eulerdamp,
+    sensor,
     coriolis,
 });
 record!(Scene {
@@ -181,6 +211,7 @@ record!(Scene {
     density,
     viscosity,
     wind,
+    magnetic,
     bodies,
     joints,
     geoms,
@@ -188,6 +219,7 @@ record!(Scene {
     hfields,
     sites,
     tendons,
+    sensors,
     actuators,
     equalities,
     keys,

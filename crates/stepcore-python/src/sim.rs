@@ -72,6 +72,16 @@ pub fn check_site(model: &EngineModel, site: usize) -> PyResult<()> {
     Err(PyValueError::new_err(format!("site = {site}: must be below {count}")))
 }
 
+pub fn check_sensor(model: &EngineModel, sensor: Option<usize>) -> PyResult<()> {
+    let count = model.sensors.len();
+    match sensor {
+        Some(index) if index >= count => {
+            Err(PyValueError::new_err(format!("sensor = {index}: must be below {count}")))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// The arguments of `rays` beside the rays, as MuJoCo has them.
 pub fn ray_filter(excluded: Option<usize>, groups: Option<[bool; 6]>, moving: bool) -> RayFilter {
     RayFilter { excluded, groups, moving }
@@ -428,6 +438,16 @@ impl Sim {
     #[getter]
     fn cacc<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.body_force(py, BodyForce::Acceleration)
+    }
+    /// A sensor's values, or all sensors'.
+    #[pyo3(signature = (sensor = None))]
+    fn sensordata<'py>(&self, py: Python<'py>, sensor: Option<usize>) -> PyResult<Array<'py>> {
+        check_sensor(&self.model, sensor)?;
+        let mut guard = self.lock()?;
+        let world = &mut **guard;
+        let numbers = gil::release(py, || world.sensordata(sensor))?;
+        let count = numbers.len();
+        result(py, numbers, &[count])
     }
     /// The forces that give an acceleration (nv,), by default that of the last solve.
     #[pyo3(signature = (qacc = None))]

@@ -8,6 +8,8 @@ use stepcore::elements::Element;
 use stepcore::error::Result;
 use stepcore::model::Model;
 use stepcore::real::{Mask, Real};
+use stepcore::scene::Sensor;
+use stepcore::sensors::Reading;
 use stepcore::settings::{Precision, Settings};
 use stepcore::sim::{Effort, Sim};
 use stepcore::sleep::Sleep;
@@ -139,6 +141,8 @@ pub trait World: Send {
     fn solved(&self, what: Solved) -> Vec<f64>;
     /// By body, 6 numbers each; zero before anything was solved.
     fn body_force(&mut self, what: BodyForce) -> Result<Vec<f64>>;
+    /// A sensor's values, or all sensors', at the last solve; zero before anything was solved.
+    fn sensordata(&mut self, sensor: Option<usize>) -> Result<Vec<f64>>;
     /// Inverse dynamics at the present state; the acceleration is that of the last solve if none
     /// is given.
     fn inverse(&mut self, given: &Given, qacc: Option<&[f64]>) -> Result<Vec<f64>>;
@@ -285,11 +289,26 @@ impl<R: Real> World for One<R> {
     }
 
     fn body_force(&mut self, what: BodyForce) -> Result<Vec<f64>> {
-        let Some(sim) = self.last.again(&self.watched.sim)? else {
+        let Some(sim) = self.last.again(&self.watched.sim, true)? else {
             return Ok(vec![0.0; 6 * self.sim().model().bodies.len()]);
         };
         let bodies = sim.bodies(0);
         Ok(readings::body_force(&sim.body_forces(&bodies, 0), what))
+    }
+
+    fn sensordata(&mut self, sensor: Option<usize>) -> Result<Vec<f64>> {
+        let model = self.sim().model().clone();
+        let sensors = sensor.map_or(&*model.sensors, |index| &model.sensors[index..=index]);
+        let solve = sensors.iter().any(Sensor::needs_solve);
+        let mut values = Vec::new();
+        match self.last.again(&self.watched.sim, solve)? {
+            Some(sim) if model.features.sensor && !sensors.is_empty() => {
+                let mut reading = Reading::new(sim, 0);
+                sensors.iter().for_each(|sensor| reading.read(sensor, &mut values));
+            }
+            _ => values.resize(sensors.iter().map(Sensor::size).sum(), 0.0),
+        }
+        Ok(values)
     }
 
     fn inverse(&mut self, given: &Given, qacc: Option<&[f64]>) -> Result<Vec<f64>> {

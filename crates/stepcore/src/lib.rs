@@ -62,6 +62,7 @@ pub mod post_mortem;
 pub mod real;
 mod room;
 pub mod scene;
+pub mod sensors;
 pub mod settings;
 pub mod shapes;
 pub mod sim;

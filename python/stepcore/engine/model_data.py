@@ -207,6 +207,11 @@ class ModelData(ABC):
         return self.names["tendon"]
 
     @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """Names of the sensors."""
+        return self.names["sensor"]
+
+    @property
     def actuator_names(self) -> tuple[str, ...]:
         """Names of the actuators."""
         return self.names["actuator"]
@@ -219,7 +224,7 @@ class ModelData(ABC):
     def index(self, kind: str, name: str | int) -> int:
         """Returns the index of an element.
 
-        kind: "body", "joint", "geom", "site", "tendon", "actuator", "equality" or "key".
+        kind: "body", "joint", "geom", "site", "tendon", "sensor", "actuator", "equality" or "key".
         name: its name, or an index, which may be negative.
 
         Raises ValueError, with the nearest names, if there is no such element.
@@ -297,6 +302,7 @@ class ModelData(ABC):
     jnt_pos = ModelArray("Anchor of each joint in the body's frame [m], shape (njnt, 3).")
     geom_size = ModelArray("Sizes of each geom in MuJoCo's convention [m], shape (ngeom, 3).")
     geom_body = ModelArray("Index of each geom's body, shape (ngeom,).")
+    sensor_dim = ModelArray("How many numbers each sensor gives, shape (nsensor,).")
     site_body = ModelArray("Index of each site's body, shape (nsite,).")
     tendon_length0 = ModelArray("Length of each tendon at qpos0, shape (ntendon,).")
     tendon_invweight0 = ModelArray(
@@ -341,6 +347,11 @@ class ModelData(ABC):
         "Sum of both bodies' mean inverse mass of each pair at qpos0 [1/kg], shape (npair,).",
         "_pair_arrays",
     )
+
+    @functools.cached_property
+    def sensor_type(self) -> tuple[str, ...]:
+        """Type of each sensor: "accelerometer", "touch" and so on."""
+        return tuple(self._core.sensor_types())
 
     @functools.cached_property
     def jnt_type(self) -> tuple[str, ...]:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
 from stepcore.engine.arrays import Floats, numbers
-
-if TYPE_CHECKING:
-    from stepcore.engine.world import World
 
 GROUPS = 6
 
@@ -33,15 +30,17 @@ class RayHits(NamedTuple):
 
 
 def ray_hits(
-    world: World,
+    core: Any,
     worlds: tuple[int, ...],
     origin: ArrayLike,
     direction: ArrayLike,
-    exclude: str | int | None,
+    excluded: int | None,
     groups: Sequence[int] | None,
     static: bool,
 ) -> RayHits:
-    """See `World.ray`. worlds: () for one world, (n,) for n."""
+    """See `World.ray`. core: a `_core.Sim` or `_core.Batch`; worlds: () for one world, (n,) for n;
+    excluded: the index of a body.
+    """
     ends = [_vectors(name, value) for name, value in (("origin", origin), ("direction", direction))]
     if not ends[1].any(axis=-1).all():
         raise ValueError("direction = (0, 0, 0): must have a length")
@@ -52,9 +51,8 @@ def ray_hits(
         limit = "shapes that broadcast" + (f", with {worlds[0]} worlds first" if worlds else "")
         raise ValueError(f"origin and direction have shapes {shapes}: must have {limit}") from None
     rays = np.concatenate([np.broadcast_to(end, (*shape[:-1], 3)) for end in ends], axis=-1)
-    excluded = None if exclude is None else world.model.index("body", exclude)
     seen = None if groups is None else _groups(groups)
-    distance, geom, normal = world._core.rays(
+    distance, geom, normal = core.rays(
         np.ascontiguousarray(rays).ravel(), excluded, seen, not checks.flag("ray", "static", static)
     )
     lead = shape[:-1]

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from stepcore import _core, checks
-from stepcore.engine.views import BodyView, GeomView, JointView, SiteView, TendonView
+from stepcore.engine.arrays import Floats
+from stepcore.engine.views import BodyView, GeomView, JointView, SensorView, SiteView, TendonView
 from stepcore.engine.world import World
 
 if TYPE_CHECKING:
@@ -82,6 +83,22 @@ class Stepped(World):
     def tendon(self, name: str | int) -> TendonView:
         """Returns a view of one tendon; see `body`."""
         return TendonView(self, self._model.index("tendon", name))
+
+    def sensor(self, name: str | int) -> SensorView:
+        """Returns a view of one sensor; see `body`."""
+        return SensorView(self, self._model.index("sensor", name))
+
+    @property
+    def sensordata(self) -> Floats:
+        """Values of all sensors in their order, shape (nsensordata,); `Model.sensor_dim` tells how
+        many each has.
+
+        They belong to the last `step` or `forward`: to the state from which it started, before the
+        step moved anything, as MuJoCo's do after mj_step. They are computed when they are read,
+        those that tell of forces by solving once more. Zero before the first step or forward.
+        """
+        values: Floats = self._core.sensordata()
+        return values
 
     def reset(self, key: str | int | None = None) -> None:
         """Resets to the scene's initial pose at rest and time 0, or to a keyframe.

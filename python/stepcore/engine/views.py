@@ -215,3 +215,21 @@ class TendonView(_View):
     def force(self) -> Floats:
         """Force of its spring and damper along it, positive where it lengthens it [N], shape ()."""
         return self._sim.ten_force[..., self.index]
+
+
+class SensorView(_View):
+    """One sensor of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n)."""
+
+    kind = "sensor"
+
+    @property
+    def type(self) -> str:
+        """Type of the sensor, such as "accelerometer"."""
+        kind: str = self._sim.model.sensor_type[self.index]
+        return kind
+
+    @property
+    def data(self) -> Floats:
+        """Its values, shape (size,); see `Sim.sensordata`. Only this sensor is computed."""
+        values: Floats = self._sim._core.sensordata(self.index)
+        return values

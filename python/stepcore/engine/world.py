@@ -225,4 +225,5 @@ class World(checks.KnownNames, ABC):
         ([1.5, -1.0], [0, -1])
         """
         worlds = self._arrays["qpos"].shape[:-1]
-        return ray_hits(self, worlds, origin, direction, exclude, groups, static)
+        excluded = None if exclude is None else self.model.index("body", exclude)
+        return ray_hits(self._core, worlds, origin, direction, excluded, groups, static)

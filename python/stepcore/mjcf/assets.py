@@ -7,7 +7,7 @@ it. MuJoCo documentation, XML reference, asset/mesh, asset/hfield and compiler/m
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -46,10 +46,27 @@ class Assets:
         # Of the files that are read: their sizes [bytes], and their names in the text.
         self.sizes: dict[str, int] = {}
         self.named: set[str] = set()
+        # Materials whose opacity is 0.
+        self.clear: dict[str, bool] = {}
         for section in sections:
             for node in section.children:
                 if node.tag in self.nodes:
                     self._declare(node)
+                elif node.tag == "material":
+                    self._material(node)
+
+    def _material(self, node: Node) -> None:
+        default: Any = self.defaults.of(node, kind="material").get("rgba", "")
+        rgba: Any = node.attrs.get("rgba", default)
+        words = rgba.split() if isinstance(rgba, str) else [str(entry) for entry in rgba]
+        self.clear[node.attrs.get("name", "")] = len(words) > 3 and _zero(words[3])
+
+    def unseen(self, values: Mapping[str, Any]) -> bool:
+        """Whether the material of a geom with these attributes, or its colour, has opacity 0."""
+        if "material" in values:
+            return self.clear.get(values["material"], False)
+        rgba = values.get("rgba", ())
+        return len(rgba) > 3 and rgba[3] == 0
 
     def _declare(self, node: Node) -> None:
         file = node.attrs.get("file", "").replace("\\", "/").rpartition("/")[2]
@@ -211,3 +228,10 @@ def _check_counts(node: Node, mesh: Mesh) -> None:
         raise node.error(f"<mesh> has {count} vertices: must be at least 4")
     if mesh.faces is not None and len(mesh.faces) and mesh.faces.max() >= count:
         raise node.error(f"<mesh> has a face with vertex {mesh.faces.max()}, of {count}")
+
+
+def _zero(word: str) -> bool:
+    try:
+        return float(word) == 0
+    except ValueError:
+        return False

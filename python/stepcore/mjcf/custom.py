@@ -29,6 +29,7 @@ KINDS = {
     "body": "bodies",
     "joint": "joints",
     "tendon": "tendons",
+    "actuator": "actuators",
     "mesh": "meshes",
     "hfield": "hfields",
 }

@@ -30,7 +30,6 @@ IGNORED = {
 }
 # Flags without effect here, with the reason.
 FLAG_NOTES = {
-    "sensor": "there are no sensors",
     "midphase": "it decides how pairs are found, not which",
     "autoreset": "a diverged step is always an error",
     "nativeccd": "no general convex collider is used",
@@ -38,7 +37,7 @@ FLAG_NOTES = {
     "island": "it decides how rows are grouped, not their solution",
     "energy": "energy can always be read",
     "fwdinv": "it is a check within MuJoCo",
-    "invdiscrete": "it concerns inverse dynamics",
+    "invdiscrete": "inverse dynamics are always those of continuous time",
 }
 # The attributes "o_margin" and its like, which the flag "override" turns on.
 OVERRIDES = ("margin", "solref", "solimp", "friction")
@@ -58,7 +57,7 @@ def read(scene: Contents, node: Node) -> None:
     for name in ("density", "viscosity"):
         if values.get(name, 0) < 0:
             raise bad(node, name, values[name], ">= 0")
-    for name in ("gravity", "density", "viscosity", "wind"):
+    for name in ("gravity", "density", "viscosity", "wind", "magnetic"):
         if name in values:
             setattr(scene, name, values[name])
     if "integrator" in values:

@@ -16,7 +16,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stepcore.checks import ElementError
-from stepcore.mjcf import actuators, contacts, custom, equalities, keyframes, option, tendons
+from stepcore.mjcf import (
+    actuators,
+    contacts,
+    custom,
+    equalities,
+    keyframes,
+    option,
+    sensors,
+    tendons,
+)
 from stepcore.mjcf.align import align
 from stepcore.mjcf.assets import Assets
 from stepcore.mjcf.discard import discard_visual
@@ -43,6 +52,7 @@ SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
     "tendon": tendons.read,
     "equality": equalities.read,
     "actuator": actuators.read,
+    "sensor": sensors.read,
 }
 
 

@@ -10,9 +10,13 @@ def leave_out_visual_geoms(world: WorldReader, layout: Layout) -> None:
     """Adds the geoms that only draw to `Scene.ignored`.
 
     A primitive that only draws stays in the scene, so that geoms keep MuJoCo's order; meshes,
-    primitives fitted to them and height fields leave it, and are then never read.
+    primitives fitted to them and height fields leave it, and are then never read. A scene with a
+    rangefinder keeps them all.
     """
     scene = world.scene
+    if any(sensor.type == "rangefinder" for sensor in scene.sensors):
+        # They see what only draws.
+        return
     gone = set()
     for shape in world.shapes:
         drags = shape.geom.fluidshape != "none" and (scene.density > 0 or scene.viscosity > 0)

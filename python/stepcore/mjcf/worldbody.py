@@ -16,6 +16,7 @@ from stepcore.mjcf.schema.tree import NOT_IN_WORLD
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
 from stepcore.scene.elements import SOLIMP, SOLREF, Body, Element, Geom, Joint
+from stepcore.scene.elements.site import SITE_SIZE
 from stepcore.scene.frames import Vec
 
 if TYPE_CHECKING:
@@ -78,6 +79,8 @@ class WorldReader:
         self.names: dict[str, set[str]] = {"body": {"world"}, "geom": set(), "camera": set()}
         self.references: list[tuple[Node, str, str]] = []
         self.shapes: list[Shape] = []
+        # Sites whose volume is that of a mesh.
+        self.mesh_sites: set[str] = set()
         self.with_inertial: set[int] = set()
         # The axes of inertias that are given by moments about them, by body; free joints whose
         # bodies are to be aligned with their inertia.
@@ -284,6 +287,8 @@ class WorldReader:
             size = frames.ORIGIN
             own |= {k: values[k] for k in ("fitscale",) if k in values}
         more = {f: values[f] for f in _OF_GEOM if f in values}
+        if self.assets.unseen(values):
+            more["hidden"] = True
         geom = self.scene.add_geom(
             place.body,
             kind,
@@ -320,13 +325,24 @@ class WorldReader:
         self._refer(node, values, "material")
         self._refer(node, values, "mesh")
         kind = values.get("type", "sphere")
-        _, (pos, quat) = self._shape(node, values, kind, place)
-        site = self.scene.add_site(place.body, name=values.get("name", ""), pos=pos, quat=quat)
-        self.keep(node, site)
+        size, (pos, quat) = self._shape(node, values | {"size": _site_size(values)}, kind, place)
+        name = values.get("name", "")
+        own: dict[str, Any] = {"name": name, "pos": pos, "quat": quat}
+        if kind == "mesh":
+            self.mesh_sites.add(name)
+        else:
+            own |= {"type": kind, "size": size}
+        self.keep(node, self.scene.add_site(place.body, **own))
 
     def _refer(self, node: Node, values: dict[str, Any], kind: str) -> None:
         if kind in values:
             self.references.append((node, kind, values[kind]))
+
+
+def _site_size(values: dict[str, Any]) -> tuple[float, ...]:
+    """The size of a site, the rest of it MuJoCo's default."""
+    size: tuple[float, ...] = values.get("size", ())
+    return size + SITE_SIZE[len(size) :]
 
 
 def _within(outer: tuple[Vec, Vec], pos: Vec, quat: Vec) -> tuple[Vec, Vec]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
-from stepcore.scene import actuation, tying
+from stepcore.scene import actuation, sensing, tying
 from stepcore.scene.elements import Body, Element, Geom, Site, Tendon
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import IDENTITY, ORIGIN
@@ -57,6 +57,12 @@ def check(layout: Layout) -> None:
     for equality in scene.equalities:
         tying.check(layout, equality)
     _check_pairs(layout)
+    sensing.check(layout)
+    for site in layout.sites:
+        if any(size <= 0 for size in site.size[: SIZES[site.type]]):
+            raise checks.refuse(
+                site, "size", site.size, f"{SIZE_WORDS[site.type]} for a {site.type}"
+            )
     sizes = {"qpos": layout.nq, "qvel": layout.nv, "act": actuation.na(scene)}
     sizes["ctrl"] = len(scene.actuators)
     for key in scene.keys:
@@ -66,7 +72,7 @@ def check(layout: Layout) -> None:
                 raise checks.refuse(key, field, value, f"{count} numbers, not {len(value)}")
     kinds: tuple[Sequence[Element], ...] = (
         *(scene.bodies, scene.joints, scene.geoms, scene.sites),
-        *(scene.tendons, scene.actuators, scene.equalities, scene.pairs, scene.keys),
+        *(scene.tendons, scene.actuators, scene.equalities, scene.sensors, scene.pairs, scene.keys),
     )
     for elements in kinds:
         seen: set[str] = set()

@@ -23,11 +23,14 @@ from stepcore.scene.elements import (
     Key,
     Mesh,
     Pair,
+    Sensor,
     Site,
     Tendon,
     fields_of,
 )
+from stepcore.scene.elements.sensor import OBJECTS
 from stepcore.scene.holdings import Holdings
+from stepcore.scene.sensor_ends import find as find_end
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -43,6 +46,7 @@ if TYPE_CHECKING:
         MeshFields,
         Numbers,
         PairFields,
+        SensorFields,
         SiteFields,
         TendonFields,
         Vector,
@@ -201,7 +205,7 @@ class Contents(Holdings):
     def add_site(self, body: str | Body = "world", **fields: Unpack[SiteFields]) -> Site:
         """Adds a site, a named place on a body.
 
-        fields: of `Site`: name, pos [m], quat.
+        fields: of `Site`: name, pos [m], quat, type, size [m].
         """
         return self._add(self.sites, Site, fields, body=self.body(body))
 
@@ -244,6 +248,27 @@ class Contents(Holdings):
             case (str() as geom, sidesite) | (Geom() as geom, sidesite):
                 return self.geom(geom), None if sidesite is None else self.site(sidesite)
         return stop
+
+    def add_sensor(
+        self,
+        type: str,
+        object: str | Element | None = None,
+        reference: str | Element | None = None,
+        **fields: Unpack[SensorFields],
+    ) -> Sensor:
+        """Adds a sensor.
+
+        type: "accelerometer", "touch", "jointpos", "framepos", "contact" and so on; docs/sensors.md
+            lists them.
+        object: what it looks at, by name or as an element: a site, body, geom, joint or actuator,
+            as the type needs.
+        reference: the frame of reference, or the second end of a distance or a contact.
+        fields: of `Sensor`: name, cutoff, objtype, reftype, data, reduce, num, noise.
+        """
+        checks.one_of(*OBJECTS)("Sensor", "type", type)
+        kinds = zip(OBJECTS[type], (("object", object), ("reference", reference)), strict=True)
+        ends = {end: find_end(self, of, end, name) for of, (end, name) in kinds}
+        return self._add(self.sensors, Sensor, fields, type=type, **ends)
 
     def add_actuator(
         self, joint: str | Joint, type: str = "motor", **fields: Unpack[ActuatorFields]

@@ -51,6 +51,7 @@ class GeomFields(TypedDict, total=False):
     density: float
     shellinertia: bool
     group: int
+    hidden: bool
     contype: int
     conaffinity: int
     condim: int
@@ -81,6 +82,21 @@ class SiteFields(TypedDict, total=False):
     name: str
     pos: Vector
     quat: Vector
+    type: str
+    size: Numbers
+
+
+class SensorFields(TypedDict, total=False):
+    """Fields of a `Sensor` beside its type, object and reference."""
+
+    name: str
+    objtype: str
+    reftype: str
+    cutoff: float
+    noise: float
+    data: str | Sequence[str]
+    reduce: str
+    num: int
 
 
 class TendonFields(TypedDict, total=False):

@@ -23,6 +23,7 @@ from stepcore.scene.elements import (
     MassRules,
     Mesh,
     Pair,
+    Sensor,
     Site,
     Tendon,
 )
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     )
 
 E = TypeVar("E", bound=Element)
+# MuJoCo's default.
+MAGNETIC: frames.Vec = (0.0, -0.5, 0.0)
 
 
 class Holdings(checks.KnownNames):
@@ -46,8 +49,8 @@ class Holdings(checks.KnownNames):
 
     _attributes = (
         *("name", "bodies", "joints", "geoms", "sites", "tendons", "actuators", "equalities"),
-        *("keys", "meshes", "hfields", "excludes", "pairs", "contact_override", "mass_rules"),
-        *("features", "density", "viscosity", "wind"),
+        *("sensors", "keys", "meshes", "hfields", "excludes", "pairs", "contact_override"),
+        *("mass_rules", "features", "density", "viscosity", "wind", "magnetic"),
         *("options", "ignored", "notes", "without"),
     )
 
@@ -56,6 +59,7 @@ class Holdings(checks.KnownNames):
         self.density = 0.0
         self.viscosity = 0.0
         self.wind = frames.ORIGIN
+        self.magnetic = MAGNETIC
         self.name = checks.text("scene", "name", name)
         self.bodies: list[Body] = [Body(name="world")]
         self.joints: list[Joint] = []
@@ -64,6 +68,7 @@ class Holdings(checks.KnownNames):
         self.hfields: list[HField] = []
         self.sites: list[Site] = []
         self.tendons: list[Tendon] = []
+        self.sensors: list[Sensor] = []
         self.actuators: list[Actuator] = []
         self.equalities: list[Equality] = []
         self.keys: list[Key] = []
@@ -118,6 +123,15 @@ class Holdings(checks.KnownNames):
         self._wind: frames.Vec = checks.vector(3)("scene", "wind", value)
 
     @property
+    def magnetic(self) -> frames.Vec:
+        """Magnetic flux, which magnetometers read [T], shape (3,)."""
+        return self._magnetic
+
+    @magnetic.setter
+    def magnetic(self, value: Vector) -> None:
+        self._magnetic: frames.Vec = checks.vector(3)("scene", "magnetic", value)
+
+    @property
     def world(self) -> Body:
         """The world: the body that everything stands on, which does not move."""
         return self.bodies[0]
@@ -151,6 +165,10 @@ class Holdings(checks.KnownNames):
     def tendon(self, name: str | Tendon) -> Tendon:
         """Returns the tendon of this name."""
         return self._find(self.tendons, "tendon", name)
+
+    def sensor(self, name: str | Sensor) -> Sensor:
+        """Returns the sensor of this name."""
+        return self._find(self.sensors, "sensor", name)
 
     def actuator(self, name: str | Actuator) -> Actuator:
         """Returns the actuator of this name."""

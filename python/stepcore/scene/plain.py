@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from stepcore.scene import actuation, assets, tying
+from stepcore.scene import actuation, assets, sensing, tying
 from stepcore.scene.elements import Body, ContactOverride, Element, Geom, Joint, Pair, Tendon
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import ORIGIN
@@ -63,6 +63,7 @@ def plain(layout: Layout) -> dict[str, Any]:
         "density": scene.density,
         "viscosity": scene.viscosity,
         "wind": list(scene.wind),
+        "magnetic": list(scene.magnetic),
         "bodies": [_body(body, body_of) for body in layout.bodies],
         "joints": [attached(joint) for joint in layout.joints],
         "geoms": [
@@ -77,6 +78,7 @@ def plain(layout: Layout) -> dict[str, Any]:
             _record(tendon, "path") | {"path": [_stop(stop, index) for stop in tendon.path]}
             for tendon in scene.tendons
         ],
+        "sensors": [sensing.plain(layout, sensor) for sensor in scene.sensors],
         "actuators": [
             _record(actuator, "joint", "type", *SERVO)
             | {"joint": joint_of.get(id(actuator.joint), -1)}
@@ -113,6 +115,8 @@ def essence(layout: Layout) -> dict[str, Any]:
     for geom in scene["geoms"]:
         used = 0 if geom["mesh"] is not None else SIZES[geom["kind"]]
         geom["size"] = geom["size"][:used] + [0.0] * (3 - used)
+    for site in scene["sites"]:
+        site["size"] = site["size"][: SIZES[site["kind"]]]
     for asset in scene["meshes"] + scene["hfields"]:
         # Arrays are equal entry by entry, and these all at once.
         asset |= {k: (v.shape, v.tobytes()) for k, v in asset.items() if hasattr(v, "tobytes")}

@@ -31,8 +31,8 @@ class Scene(Contents):
     Every value is checked when it is given. A bad value raises a ValueError that names the element,
     the field, the value and the limit; an unknown name raises one that lists the nearest names.
 
-    bodies, joints, geoms, meshes, hfields, sites, tendons, actuators, equalities, pairs, keys:
-        lists of the elements; ``bodies[0]`` is the world.
+    bodies, joints, geoms, meshes, hfields, sites, tendons, sensors, actuators, equalities, pairs,
+        keys: lists of the elements; ``bodies[0]`` is the world.
     excludes: pairs of bodies that do not collide, but for geoms in `pairs`.
     contact_override: contact parameters that replace those of every contact (`ContactOverride`).
     mass_rules: how masses are made from geoms (`MassRules`: MJCF's ``<compiler>``).
@@ -141,6 +141,7 @@ class Scene(Contents):
             "hfield": self.hfields,
             "site": self.sites,
             "tendon": self.tendons,
+            "sensor": self.sensors,
             "actuator": self.actuators,
             "equality": self.equalities,
             "pair": self.pairs,

@@ -51,6 +51,7 @@ pub enum Kind {
     Key,
     /// A motor or a servo.
     Actuator,
+    Sensor,
     // Of a joint, by its index.
     Spring,
     Damper,
@@ -91,7 +92,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind, in the order of the enum.
-    pub const ALL: [Self; 27] = [
+    pub const ALL: [Self; 28] = [
         Self::Body,
         Self::Joint,
         Self::Geom,
@@ -100,6 +101,7 @@ impl Kind {
         Self::Equality,
         Self::Key,
         Self::Actuator,
+        Self::Sensor,
         Self::Spring,
         Self::Damper,
         Self::FrictionLoss,
@@ -137,6 +139,7 @@ impl Kind {
             Self::Equality => "equality",
             Self::Key => "key",
             Self::Actuator => "actuator",
+            Self::Sensor => "sensor",
             Self::Spring => "spring",
             Self::Damper => "damper",
             Self::FrictionLoss => "friction loss",

@@ -35,6 +35,7 @@ impl Model {
                 let words = if actuator.feeds_back() { "servo" } else { "motor" };
                 quoted(words, &actuator.name, index)
             }
+            Kind::Sensor => quoted("sensor", &self.sensors[index].name, index),
             Kind::Spring => joint("spring of joint"),
             Kind::Damper => joint("damper of joint"),
             Kind::FrictionLoss => joint("friction loss of joint"),
@@ -90,6 +91,7 @@ impl Model {
             | Kind::TendonEquality => self.equalities.len(),
             Kind::Key => self.keys.len(),
             Kind::Actuator => self.actuators.len(),
+            Kind::Sensor => self.sensors.len(),
             Kind::Gravity => 1,
             Kind::Contact => self.heap.as_ref().map_or(self.pairs.len(), |heap| heap.numbers()),
         }

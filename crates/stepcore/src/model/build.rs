@@ -17,6 +17,7 @@ impl Model {
     /// The same, where up to so many pairs are listed: see `heap.rs`.
     pub fn compile_with(scene: &Scene, most_fixed: usize) -> Result<Self> {
         check::scene(scene)?;
+        crate::sensors::check::sensors(scene)?;
         let (geoms, assets) = meshes::placed(scene)?;
         let scene = &Scene { geoms, ..scene.clone() };
         let mut model = tree::lay_out(scene, &assets);

@@ -41,7 +41,7 @@ pub(crate) use union::Union;
 
 use crate::elements::friction::Ways;
 use crate::real::Real;
-use crate::scene::{Actuator, Coefficients, Features, GeomType, JointType, Key, Softness};
+use crate::scene::{Actuator, Coefficients, Features, GeomType, JointType, Key, Sensor, Softness};
 use crate::shapes::height_field::HeightField;
 use crate::shapes::hull::Hull;
 use crate::shapes::ray::Surface;
@@ -95,6 +95,8 @@ pub struct Body {
     pub mass: f64,
     /// Centre of mass in body axes [m].
     pub ipos: Vector3<f64>,
+    /// Orientation of its principal axes in body axes, w x y z; only sensors read it.
+    pub iquat: [f64; 4],
     /// About the centre of mass, in body axes [kg·m²].
     pub inertia: Matrix3<f64>,
     /// Mean inverse mass and inverse inertia at qpos0: MuJoCo's `body_invweight0`.
@@ -192,6 +194,8 @@ pub struct Geom {
     /// Of a mesh: its triangles, for rays.
     pub surface: Option<Arc<Surface>>,
     pub group: i32,
+    /// Rays pass through it.
+    pub hidden: bool,
     /// Takes part in some pair, so that its pose is needed.
     pub collides: bool,
 }
@@ -211,6 +215,9 @@ pub struct Site {
     pub body: usize,
     pub pos: Vector3<f64>,
     pub quat: [f64; 4],
+    /// The volume that sensors use.
+    pub kind: GeomType,
+    pub size: [f64; 3],
 }
 
 /// Two geoms that can meet, with everything their contacts share.
@@ -260,6 +267,7 @@ pub struct Model {
     pub na: usize,
     pub activations: Vec<Span>,
     pub gravity: Vector3<f64>,
+    pub magnetic: Vector3<f64>,
     pub features: Features,
     pub bodies: Vec<Body>,
     pub joints: Vec<Joint>,
@@ -272,6 +280,7 @@ pub struct Model {
     pub compensates: bool,
     /// What resists where the bodies move through a fluid.
     pub fluid: fluid::Fluid,
+    pub sensors: Vec<Sensor>,
     /// Empty in a heap.
     pub pairs: Vec<Pair>,
     /// There are too many pairs that could meet for a list of them.

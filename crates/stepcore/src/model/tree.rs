@@ -19,6 +19,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         na: 0,
         activations: vec![],
         gravity: Vector3::from(scene.gravity),
+        magnetic: Vector3::from(scene.magnetic),
         features: scene.features.clone(),
         bodies: Vec::with_capacity(scene.bodies.len()),
         joints: Vec::with_capacity(scene.joints.len()),
@@ -29,6 +30,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         tendons: vec![],
         compensates: compensates(scene),
         fluid: Fluid::default(),
+        sensors: scene.sensors.clone(),
         pairs: vec![],
         heap: None,
         materials: vec![],
@@ -53,7 +55,8 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
     };
     for s in &scene.sites {
         let (name, pos) = (s.name.clone(), Vector3::from(s.pos));
-        model.sites.push(Site { name, body: s.body, pos, quat: unit_quat(s.quat) });
+        let quat = unit_quat(s.quat);
+        model.sites.push(Site { name, body: s.body, pos, quat, kind: s.kind, size: s.size });
     }
     for actuator in &scene.actuators {
         let len = actuator.dynamics.count();
@@ -132,6 +135,7 @@ fn body(model: &mut Model, scene: &Scene, i: usize, joints: Span) {
         closed: Span::default(),
         mass: 0.0,
         ipos: Vector3::zeros(),
+        iquat: [1.0, 0.0, 0.0, 0.0],
         inertia: Matrix3::zeros(),
         invweight: [0.0; 2],
         gravcomp: source.gravcomp,
@@ -233,6 +237,7 @@ fn geom(source: &crate::scene::Geom, asset: &Asset) -> Geom {
         field: asset.field.clone(),
         surface: asset.surface.clone(),
         group: source.group,
+        hidden: source.hidden,
         contype: source.contype,
         conaffinity: source.conaffinity,
         collides: false,

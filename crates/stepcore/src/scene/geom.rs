@@ -74,6 +74,8 @@ pub struct Geom {
     pub density: f64,
     /// The mass is on the surface.
     pub shell_inertia: bool,
+    /// Rays pass through it.
+    pub hidden: bool,
     /// Only groups in `MassRules::group_range` give mass.
     pub group: i32,
     /// Two geoms collide where one's contype shares a bit with the other's conaffinity.
@@ -114,6 +116,7 @@ impl Default for Geom {
             mass: None,
             density: 1000.0,
             shell_inertia: false,
+            hidden: false,
             group: 0,
             contype: 1,
             conaffinity: 1,

@@ -9,6 +9,7 @@ mod contact;
 mod equality;
 mod geom;
 mod joint;
+mod sensor;
 mod site;
 mod softness;
 mod tendon;
@@ -20,6 +21,7 @@ pub use contact::{ContactOverride, ExplicitPair};
 pub use equality::{Equality, EqualityType, Frame};
 pub use geom::{FluidShape, Geom, GeomType};
 pub use joint::{Coefficients, Joint, JointType, NONE};
+pub use sensor::{ObjectType, Reduce, Sensor, SensorField, SensorObject, SensorType};
 pub use site::Site;
 pub use softness::Softness;
 pub use tendon::{Stop, Tendon, AUTOMATIC};
@@ -51,6 +53,8 @@ pub struct Features {
     pub filterparent: bool,
     /// MJCF's `eulerdamp`: the `euler` integrator treats joint damping implicitly.
     pub eulerdamp: bool,
+    /// MJCF's `sensor`: without it sensors read zero.
+    pub sensor: bool,
     /// Coriolis, centrifugal and gyroscopic forces. MJCF has no flag for them: they are off
     /// only where it is measured what they matter.
     pub coriolis: bool,
@@ -71,6 +75,7 @@ impl Default for Features {
             actuation: true,
             filterparent: true,
             eulerdamp: true,
+            sensor: true,
             coriolis: true,
         }
     }
@@ -86,6 +91,8 @@ pub struct Scene {
     pub density: f64,
     pub viscosity: f64,
     pub wind: [f64; 3],
+    /// Magnetic flux, for magnetometers [T].
+    pub magnetic: [f64; 3],
     pub bodies: Vec<Body>,
     pub joints: Vec<Joint>,
     pub geoms: Vec<Geom>,
@@ -93,6 +100,7 @@ pub struct Scene {
     pub hfields: Vec<HField>,
     pub sites: Vec<Site>,
     pub tendons: Vec<Tendon>,
+    pub sensors: Vec<Sensor>,
     pub actuators: Vec<Actuator>,
     pub equalities: Vec<Equality>,
     pub keys: Vec<Key>,
@@ -112,6 +120,7 @@ impl Default for Scene {
             density: 0.0,
             viscosity: 0.0,
             wind: [0.0; 3],
+            magnetic: [0.0, -0.5, 0.0],
             bodies: vec![Body { name: "world".into(), ..Body::default() }],
             joints: vec![],
             geoms: vec![],
@@ -119,6 +128,7 @@ impl Default for Scene {
             hfields: vec![],
             sites: vec![],
             tendons: vec![],
+            sensors: vec![],
             actuators: vec![],
             equalities: vec![],
             keys: vec![],

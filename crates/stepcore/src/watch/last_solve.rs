@@ -19,7 +19,7 @@ pub struct LastSolve<R: Real> {
     /// Something was solved.
     any: bool,
     again: Option<Box<Sim<R>>>,
-    /// `again` has been placed there, and has solved there.
+    /// `again` has that state, and has solved there.
     placed: bool,
     solved: bool,
 }
@@ -61,8 +61,9 @@ impl<R: Real> LastSolve<R> {
         (self.any, self.placed, self.solved) = (true, false, false);
     }
 
-    /// A copy of `sim` that has solved once more; None if nothing was solved yet.
-    pub fn again(&mut self, sim: &Sim<R>) -> Result<Option<&mut Sim<R>>> {
+    /// A copy of `sim` at the state of the last solve, where it has solved once more if `solve`;
+    /// None if nothing was solved yet.
+    pub fn again(&mut self, sim: &Sim<R>, solve: bool) -> Result<Option<&mut Sim<R>>> {
         if !self.any {
             return Ok(None);
         }
@@ -70,11 +71,14 @@ impl<R: Real> LastSolve<R> {
             Some(again) => again,
             none => none.insert(Box::new(Sim::new(sim.model.clone(), sim.settings.clone())?)),
         };
-        if !self.solved {
+        if !self.placed {
             self.start.copy_to(&mut again.state);
             self.inputs.copy_to(&mut again.inputs);
+            self.placed = true;
+        }
+        if solve && !self.solved {
             again.forward()?;
-            (self.placed, self.solved) = (true, true);
+            self.solved = true;
         }
         Ok(Some(again))
     }

@@ -19,7 +19,8 @@ pub struct RayFilter {
 impl RayFilter {
     fn sees(&self, model: &Model, geom: &Geom) -> bool {
         let group = geom.group.clamp(0, 5) as usize;
-        self.excluded != Some(geom.body)
+        !geom.hidden
+            && self.excluded != Some(geom.body)
             && !(self.moving && model.bodies[geom.body].weld == 0)
             && self.groups.is_none_or(|groups| groups[group])
     }

@@ -173,6 +173,8 @@ fn rope(scene: &mut Scene, ends: [usize; 2], around: usize) {
             body,
             pos: [0.1, 0.0, 0.02],
             quat: [1.0, 0.0, 0.0, 0.0],
+            kind: GeomType::Sphere,
+            size: [0.005; 3],
         });
     }
     let geom = scene.geoms.iter().position(|geom| geom.body == around).unwrap();

@@ -38,6 +38,7 @@ def entries(model: ModelData, settings: Settings, rows: Counter[str]) -> Iterato
         listing.pairs,
         listing.rows,
         listing.commit,
+        listing.sensors,
     )
     for part in parts:
         # What the scene has none of is neither used nor left out.
@@ -420,6 +421,10 @@ class _Listing:
             lack = [names[i] for i in free if not plan["gyroscopic"][i]]
             yield _used("commit", name, have)
             yield _out("commit", name, lack, "isotropic" if on.coriolis else "switched off")
+
+    def sensors(self) -> Iterator[Listed]:
+        names = _named(self.model.sensor_names, "sensor")
+        yield _out("commit", "sensors", names, "computed when they are read, never in a step")
 
     def _split(self, test: Callable[[Any], object]) -> tuple[list[str], list[str]]:
         """Names of the joints that pass a test, and of the others."""

@@ -5,7 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from stepcore.mjcf import custom
-from stepcore.mjcf.write import actuators, assets, contacts, equalities, keyframes, tendons
+from stepcore.mjcf.write import (
+    actuators,
+    assets,
+    contacts,
+    equalities,
+    keyframes,
+    sensors,
+    tendons,
+)
 from stepcore.mjcf.write.names import Names
 from stepcore.mjcf.write.option import add_compiler, add_option
 from stepcore.mjcf.write.tags import Tag, printed
@@ -23,6 +31,7 @@ SECTIONS = {
     "tendon": tendons,
     "equality": equalities,
     "actuator": actuators,
+    "sensor": sensors,
     "keyframe": keyframes,
 }
 

@@ -10,6 +10,7 @@ from stepcore.mjcf.option import said
 from stepcore.mjcf.write.tags import Tag, changed, text
 from stepcore.scene.elements import GRAVITY, MassRules
 from stepcore.scene.frames import ORIGIN
+from stepcore.scene.holdings import MAGNETIC
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
@@ -31,6 +32,7 @@ def add_option(root: Tag, scene: Contents) -> dict[str, Any]:
     own = {name: value for name, value in settings.items() if value != default[name]}
     attributes, flags, rest = said(own)
     whole = {"gravity": GRAVITY, "density": 0.0, "viscosity": 0.0, "wind": ORIGIN}
+    whole["magnetic"] = MAGNETIC
     for name, usual in whole.items():
         if getattr(scene, name) != usual:
             attributes[name] = text(getattr(scene, name))

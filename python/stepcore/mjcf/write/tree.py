@@ -6,7 +6,11 @@ from stepcore.mjcf.nodes import DEPTH
 from stepcore.mjcf.write.names import Names
 from stepcore.mjcf.write.tags import Tag, changed
 from stepcore.scene.elements import Body, Geom, Joint, Site
+from stepcore.scene.elements.site import SITE_SIZE
 from stepcore.scene.layout import SIZES, Layout
+
+# MuJoCo's grey with opacity 0.
+UNSEEN = (0.5, 0.5, 0.5, 0.0)
 
 
 def add_tree(root: Tag, layout: Layout, names: Names) -> None:
@@ -60,6 +64,8 @@ def _geom(geom: Geom, names: Names) -> Tag:
     for field, asset in (("mesh", geom.mesh), ("hfield", geom.hfield)):
         if asset is not None:
             given[field] = names.of(asset)
+    if given.pop("hidden", False):
+        given["rgba"] = UNSEEN
     used = SIZES[geom.type]
     # MuJoCo wants a spacing for the grid of a plane, even where nothing is drawn.
     size = geom.size[:used] if used else (*geom.size[:2], geom.size[2] or 1.0)
@@ -73,4 +79,8 @@ def _geom(geom: Geom, names: Names) -> Tag:
 
 
 def _site(site: Site, names: Names) -> Tag:
-    return Tag("site", **names.attribute(site), **changed(site, "name", "body"))
+    given = changed(site, "name", "body", "size")
+    size = site.size[: SIZES[site.type]]
+    if size != SITE_SIZE[: len(size)]:
+        given["size"] = size
+    return Tag("site", **names.attribute(site), **given)

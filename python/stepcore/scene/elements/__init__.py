@@ -18,6 +18,7 @@ from stepcore.scene.elements.field_types import SOLIMP as SOLIMP
 from stepcore.scene.elements.field_types import SOLREF as SOLREF
 from stepcore.scene.elements.geom import Geom as Geom
 from stepcore.scene.elements.joint import Joint as Joint
+from stepcore.scene.elements.sensor import Sensor as Sensor
 from stepcore.scene.elements.site import Site as Site
 from stepcore.scene.elements.tendon import Pulley as Pulley
 from stepcore.scene.elements.tendon import Tendon as Tendon

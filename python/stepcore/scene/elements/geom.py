@@ -63,6 +63,7 @@ class Geom(Element):
     fluidshape: what a fluid around the scene takes the geom for: "ellipsoid", or "none", a part of
         a box with the inertia of its body, which counts where none of its geoms is an ellipsoid.
     fluidcoef: of an ellipsoid: blunt, slender and angular drag, Kutta and Magnus lift, shape (5,).
+    hidden: True: rays and rangefinders pass through it, as through MJCF's geoms of opacity 0.
     margin: distance below which contacts act [m]. gap: contacts are listed from margin + gap [m].
     """
 
@@ -79,6 +80,7 @@ class Geom(Element):
     density: NonNegative = 1000.0
     shellinertia: Flag = False
     group: Int = 0
+    hidden: Flag = False
     contype: Mask = 1
     conaffinity: Mask = 1
     condim: Annotated[int, checks.one_of(1, 3, 4, 6)] = 3

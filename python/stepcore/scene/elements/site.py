@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
+from stepcore import checks
 from stepcore.scene.element import Element
 from stepcore.scene.elements.body import ABody
-from stepcore.scene.elements.field_types import Quat, Text, Vec3
+from stepcore.scene.elements.field_types import Quat, Size, Text, Vec3
 from stepcore.scene.frames import IDENTITY, ORIGIN
+
+# MuJoCo's default size of a site.
+SITE_SIZE = (0.005, 0.005, 0.005)
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Site(Element):
-    """A named place on a body.
+    """A named place on a body, with a volume that some sensors use.
 
     pos, quat: position [m], shape (3,), and orientation, shape (4,), in the body's frame.
+    type: of its volume: "sphere", "capsule", "ellipsoid", "cylinder" or "box".
+    size: of its volume [m], as that of a geom, shape (3,). Fewer numbers may be given.
     """
 
     name: Text = ""
     body: ABody
     pos: Vec3 = ORIGIN
     quat: Quat = IDENTITY
+    type: Annotated[str, checks.one_of("sphere", "capsule", "ellipsoid", "cylinder", "box")] = (
+        "sphere"
+    )
+    size: Size = SITE_SIZE

@@ -74,6 +74,7 @@ class Features(Element):
     actuation: Flag = True
     filterparent: Flag = True
     eulerdamp: Flag = True
+    sensor: Flag = True
     coriolis: Flag = True
 
     def __str__(self) -> str:

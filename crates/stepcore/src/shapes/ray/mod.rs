@@ -59,6 +59,22 @@ pub fn primitive(kind: GeomType, size: &[f64; 3], ray: &Ray) -> Option<Hit> {
     }
 }
 
+/// Whether a point, in the frame of a primitive, is within it. A plane has nothing within.
+pub fn inside(kind: GeomType, size: &[f64; 3], point: &V) -> bool {
+    let [a, b, _] = *size;
+    match kind {
+        GeomType::Sphere => point.norm() < a,
+        GeomType::Capsule => {
+            let along = point.z.clamp(-b, b);
+            (point - V::new(0.0, 0.0, along)).norm() < a
+        }
+        GeomType::Cylinder => point.z.abs() < b && point.xy().norm() < a,
+        GeomType::Ellipsoid => point.component_div(&V::from(*size)).norm() < 1.0,
+        GeomType::Box => (0..3).all(|k| point[k].abs() < size[k]),
+        GeomType::Plane | GeomType::Mesh | GeomType::HField => false,
+    }
+}
+
 /// The first point of a height field that the ray meets: of its top, its sides or its base.
 pub fn height_field(field: &HeightField, ray: &Ray) -> Option<Hit> {
     surface::height_field(field, ray)
