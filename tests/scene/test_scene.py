@@ -58,7 +58,7 @@ def test_an_empty_scene_is_the_world() -> None:
 def test_fields_have_the_engines_names() -> None:
     plain = ball_on_floor().to_dict()
     assert set(plain) == {
-        *("name", "gravity", "magnetic", "bodies", "joints", "geoms", "sites", "tendons"),
+        *("name", "gravity", "magnetic", "bodies", "joints", "geoms", "sites"),
         *("sensors", "actuators", "equalities"),
         *(
             "meshes",
@@ -84,6 +84,7 @@ def test_fields_have_the_engines_names() -> None:
         *("name", "body", "kind", "size", "pos", "quat", "mass", "density", "shell_inertia"),
         *("group", "contype", "conaffinity", "condim", "priority", "friction", "margin", "gap"),
         *("solmix", "soft", "mesh", "fitscale", "hfield", "fluidshape", "fluidcoef"),
+        "hidden",
     }
     assert plain["geoms"][0]["soft"] == {
         "solref": [0.02, 1.0],
