@@ -71,8 +71,9 @@ impl<R: Real> Implicit<R> {
         for &tree in &*trees {
             let own = &model.trees[tree];
             if turns[tree] {
-                bias.of_tree(placed, model, own, qvel, |i, j, slope| {
-                    matrix.add(model, i, j, dt * slope);
+                bias.of_tree(placed, model, own, qvel, |at, [up, low]| {
+                    matrix.upper[at] += dt * up;
+                    matrix.lower[at] += dt * low;
                 });
             }
             matrix.factor(model, own.dofs.range());
@@ -87,7 +88,7 @@ impl<R: Real> Implicit<R> {
 /// A matrix whose rows and columns have the pattern of M, both in the layout of `Model::row_dofs`.
 struct Unsymmetric<R: Real> {
     /// Row k, left of its diagonal and with it; and column k, above its diagonal: once factored, over
-    /// the diagonal.
+    /// the diagonal. The diagonal itself is that of `lower`.
     lower: Vec<R>,
     upper: Vec<R>,
     /// 1 / diagonal, once factored.
@@ -127,7 +128,7 @@ impl<R: Real> Unsymmetric<R> {
             let inv = R::one() / self.lower[row.start];
             self.inv_d[k] = inv;
             for at in row.range().skip(1) {
-                self.upper[at] = self.upper[at] * inv;
+                self.upper[at] *= inv;
             }
             // A_ij −= A_ik A_kj / A_kk for all ancestors i, j: row j of the pattern is the rest of row k.
             for nth in 1..row.len {

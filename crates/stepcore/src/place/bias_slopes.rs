@@ -38,14 +38,15 @@ impl<R: Real> BiasSlopes<R> {
         }
     }
 
-    /// Calls `add(i, j, ∂cᵢ/∂vⱼ)` for every two dofs of a tree of which one moves the other.
+    /// Calls `add(at, [∂cⱼ/∂vₖ, ∂cₖ/∂vⱼ])` for every dof k of a tree and each dof j of its row, itself
+    /// the first; `at`: their place in `Model::row_dofs`.
     pub fn of_tree(
         &mut self,
         placed: &Placed<R>,
         model: &Model,
         tree: &Tree,
         qvel: &[R],
-        mut add: impl FnMut(usize, usize, R),
+        mut add: impl FnMut(usize, [R; 2]),
     ) {
         self.carry(placed, model, tree, qvel);
         for index in tree.bodies.range() {
@@ -66,11 +67,10 @@ impl<R: Real> BiasSlopes<R> {
             let mut wrench = whole.mul(&self.carried[k]);
             wrench.add(&times(map, own));
             let back = transposed(map, own);
-            for (nth, &j) in dof.row.of(&model.row_dofs).iter().enumerate() {
-                add(j, k, placed.motion[j].dot(&wrench));
-                if nth > 0 {
-                    add(k, j, self.carried[j].dot(&momentum) + placed.motion[j].dot(&back));
-                }
+            for at in dof.row.range() {
+                let (motion, carried) = (&placed.motion[model.row_dofs[at]], &self.carried);
+                let own = carried[model.row_dofs[at]].dot(&momentum) + motion.dot(&back);
+                add(at, [motion.dot(&wrench), own]);
             }
         }
     }

@@ -35,12 +35,14 @@ impl<R: Real> Effective<R> {
     pub(super) fn new(model: &Model, metric: &Metric<R>, dt: R) -> Self {
         let places = metric.places(model);
         let sloped = model.sloped();
-        let changing =
-            model.trees.iter().zip(sloped).filter(|(tree, sloped)| *sloped || !tree.constant);
-        let mut parts = vec![0..model.nv];
-        if !model.couples && !model.coupled().contains(&true) {
-            parts = changing.map(|(tree, _)| tree.dofs.range()).collect();
-        }
+        let trees = model.trees.iter().zip(sloped);
+        let parts = match model.couples {
+            true => std::iter::once(0..model.nv).collect(),
+            false => trees
+                .filter(|(tree, sloped)| *sloped || !tree.constant)
+                .map(|(tree, _)| tree.dofs.range())
+                .collect(),
+        };
         let zero = R::zero();
         let (matrix, shift) = (vec![zero; metric.l.len()], vec![zero; model.nv]);
         Self { dt, matrix, places, shift, parts }

@@ -282,7 +282,7 @@ impl<R: Real> Placed<R> {
         self.guess.copy_from_slice(&self.force);
         if let Some(Effective { shift, .. }) = &self.effective {
             for (guess, shift) in self.guess.iter_mut().zip(shift) {
-                *guess = *guess - *shift;
+                *guess -= *shift;
             }
         }
         self.metric.half_solve(&mut self.guess);
