@@ -254,7 +254,7 @@ def test_text_data_and_picture(tmp_path):
     printed = [line.split() for line in text.splitlines() if line.startswith("1e+05")]
     assert [line[1] for line in printed] == list(marks.values())
     data = json.loads(found.to_json())
-    assert len(data["rows"]) == 6 * 2 * 3 and data["units"]["dt"] == "s"
+    assert len(data["rows"]) == 8 * 2 * 3 and data["units"]["dt"] == "s"
     assert {"setting", "value", "dt", "state", "error", "theory"} <= set(data["rows"][0])
     figure = found.plot(tmp_path / "map.png")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")

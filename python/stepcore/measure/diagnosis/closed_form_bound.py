@@ -78,6 +78,8 @@ def _joints(model: Model, integrator: str) -> Iterator[_Oscillator]:
 
 def _tendons(model: Model, integrator: str) -> Iterator[_Oscillator]:
     """Springs and dampers of tendons, in each tree that they pass; J M⁻¹ Jᵀ is their weight."""
+    if integrator in STIFFNESS_IMPLICIT:
+        return
     features = model.scene.features
     late = "tendon damper" in implicit_kinds(model, integrator)
     layout = Layout(model.scene)
