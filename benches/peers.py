@@ -18,6 +18,8 @@ GYM = (
     "walker2d",
     "half_cheetah",
     "ant",
+    "humanoid",
+    "humanoidstandup",
 )
 # What both engines have, by our name.
 INTEGRATORS = {

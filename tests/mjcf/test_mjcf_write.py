@@ -29,6 +29,10 @@ SAME = (
     *("jnt_axis", "jnt_pos", "jnt_solref", "jnt_solimp", "qpos0", "qpos_spring", "geom_friction"),
     *("geom_solref", "geom_solimp", "geom_margin", "geom_condim", "geom_contype"),
     *("geom_conaffinity", "eq_data", "eq_solref", "actuator_gear", "actuator_ctrlrange"),
+    *("tendon_length0", "tendon_lengthspring", "tendon_invweight0", "tendon_range"),
+    *("tendon_margin", "tendon_stiffness", "tendon_stiffnesspoly", "tendon_damping"),
+    *("tendon_dampingpoly", "tendon_armature", "tendon_frictionloss", "tendon_solref_lim"),
+    *("tendon_solimp_lim", "tendon_solref_fri", "tendon_solimp_fri", "tendon_actfrcrange"),
     *("actuator_forcerange", "actuator_gainprm", "actuator_biasprm", "key_qpos", "key_ctrl"),
 )
 

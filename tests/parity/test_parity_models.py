@@ -1,4 +1,4 @@
-"""The seven gymnasium models against MuJoCo: 200 states each, every stage of the loop.
+"""Nine gymnasium models against MuJoCo: 200 states each, every stage of the loop.
 
 Law: same model, same state, same numbers. Poses, mass matrix and smooth forces
 to 1e-10 of the largest entry; contact sets equal; constraint forces, qacc and

@@ -25,8 +25,8 @@ class Scene(Contents):
 
     Elements are added by the ``add_…`` methods, in any order, and refer to each other by name or
     by the object that ``add_…`` returned. Their fields can be read and assigned. Names, defaults
-    and conventions are MuJoCo's; `Body`, `Joint`, `Geom`, `Mesh`, `HField`, `Site`, `Actuator`,
-    `Equality`, `Pair` and `Key` document the fields with their units.
+    and conventions are MuJoCo's; `Body`, `Joint`, `Geom`, `Mesh`, `HField`, `Site`, `Tendon`,
+    `Actuator`, `Equality`, `Pair` and `Key` document the fields with their units.
 
     Every value is checked when it is given. A bad value raises a ValueError that names the element,
     the field, the value and the limit; an unknown name raises one that lists the nearest names.
