@@ -235,7 +235,6 @@ UNBUILT = {
     "<flex> in <deformable>": ("", "<deformable><flex/></deformable>"),
     "<flexcomp> in <body>": ("<flexcomp/>", ""),
     "<composite> in <body>": ("<composite/>", ""),
-    "mocap": ('<body mocap="true"/>', ""),
     "scaling": ('<frame scale="2"/>', ""),
     "springyield": ('<joint springyield="1"/>', ""),
     "actuatorfrcrange": ('<joint actuatorfrcrange="-1 1"/>', ""),

@@ -186,6 +186,18 @@ impl Batch {
     fn xfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.view(py, arrays::Array::XfrcApplied)
     }
+    #[getter]
+    fn eq_active<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.view(py, arrays::Array::EqActive)
+    }
+    #[getter]
+    fn mocap_pos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.view(py, arrays::Array::MocapPos)
+    }
+    #[getter]
+    fn mocap_quat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.view(py, arrays::Array::MocapQuat)
+    }
 
     /// Advances every world by n steps.
     fn step(&self, py: Python<'_>, n: &Bound<'_, PyAny>) -> PyResult<()> {

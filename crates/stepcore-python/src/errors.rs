@@ -120,10 +120,15 @@ fn attach_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> 
         Array::Ctrl => &inputs.ctrl,
         Array::QfrcApplied => &inputs.qfrc_applied,
         Array::XfrcApplied => &inputs.xfrc_applied,
+        Array::EqActive => &inputs.eq_active,
+        Array::MocapPos => &inputs.mocap_pos,
+        Array::MocapQuat => &inputs.mocap_quat,
     });
     error.setattr("_start", PyBytes::new(py, &encode(post.dt, &memo, &given)))?;
     let change = |(step, inputs): &(u64, Held)| {
-        (*step, inputs.ctrl.clone(), inputs.qfrc_applied.clone(), inputs.xfrc_applied.clone())
+        let Held { ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat } =
+            inputs.clone();
+        (*step, ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat)
     };
     let changes: Vec<_> = post.changes.iter().map(change).collect();
     error.setattr("_changes", changes)?;

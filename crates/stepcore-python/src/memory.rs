@@ -23,12 +23,16 @@ pub struct Arrays {
 }
 
 impl Arrays {
-    /// Every world at qpos0 and at rest.
+    /// Every world as it is initially: see `Array::initial`.
     pub fn new(py: Python<'_>, model: &Model, worlds: usize) -> PyResult<Self> {
         let (lengths, shapes) = (Array::counts(model), Array::ALL.map(|array| array.shape(model)));
         let memory = Py::new(py, Memory::new(worlds * lengths.iter().sum::<usize>()))?;
-        memory.get().write(py, 0, &model.qpos0.repeat(worlds));
-        Ok(Self { lengths, shapes, worlds, memory })
+        let arrays = Self { lengths, shapes, worlds, memory };
+        for array in Array::ALL {
+            let start = arrays.range(array).start;
+            arrays.memory.get().write(py, start, &array.initial(model).repeat(worlds));
+        }
+        Ok(arrays)
     }
 
     /// All worlds' part of one array.

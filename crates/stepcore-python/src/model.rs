@@ -6,6 +6,7 @@ use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArray2, PyUntypedArr
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use stepcore::arrays::Array;
 use stepcore::elements::{joint_forces, Kind};
 use stepcore::model::Model as Engine;
 use stepcore::real::Lanes;
@@ -351,17 +352,29 @@ impl Model {
         Ok(plan)
     }
 
-    /// Time, qpos, qvel, act and ctrl of every keyframe, defaults filled in.
-    #[allow(clippy::type_complexity)]
-    fn keys(&self) -> Vec<(f64, Vec<f64>, Vec<f64>, Vec<f64>, Vec<f64>)> {
+    /// Time of every keyframe and its qpos, qvel, act, ctrl, mocap_pos and mocap_quat, defaults
+    /// filled in.
+    fn keys(&self) -> Vec<(f64, Vec<Vec<f64>>)> {
         let m = &*self.0;
-        let or_zero =
-            |given: &Option<Vec<f64>>, count| given.clone().unwrap_or_else(|| vec![0.0; count]);
-        let qpos = |given: &Option<Vec<f64>>| given.clone().unwrap_or_else(|| m.qpos0.clone());
         let key = |k: &stepcore::scene::Key| {
-            let ctrl = or_zero(&k.ctrl, m.actuators.len());
-            (k.time, qpos(&k.qpos), or_zero(&k.qvel, m.nv), or_zero(&k.act, m.na), ctrl)
+            let given = [
+                (Array::Qpos, &k.qpos),
+                (Array::Qvel, &k.qvel),
+                (Array::Act, &k.act),
+                (Array::Ctrl, &k.ctrl),
+                (Array::MocapPos, &k.mpos),
+                (Array::MocapQuat, &k.mquat),
+            ];
+            let filled =
+                given.map(|(array, values)| values.clone().unwrap_or_else(|| array.initial(m)));
+            (k.time, filled.to_vec())
         };
         m.keys.iter().map(key).collect()
+    }
+
+    /// Every array that is the user's to write, by name, as it is initially: its numbers one after
+    /// the other.
+    fn initial(&self) -> Vec<(&'static str, Vec<f64>)> {
+        Array::ALL.map(|array| (array.name(), array.initial(&self.0))).to_vec()
     }
 }

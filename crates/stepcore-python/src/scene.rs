@@ -84,7 +84,7 @@ impl Read for SensorType {
 
 record!(Softness { solref, solimp });
 record!(Inertial { mass, pos, inertia });
-record!(Body { name, parent, pos, quat, inertial, gravcomp });
+record!(Body { name, parent, pos, quat, inertial, gravcomp, mocap });
 record!(Joint {
     name,
     body,
@@ -179,7 +179,7 @@ record!(Equality {
 });
 record!(ExplicitPair { name, geom1, geom2, condim, friction, margin, gap, soft, solreffriction });
 record!(ContactOverride { margin, friction, soft });
-record!(Key { name, time, qpos, qvel, act, ctrl });
+record!(Key { name, time, qpos, qvel, act, ctrl, mpos, mquat });
 record!(MassRules {
     from_geoms,
     group_range,

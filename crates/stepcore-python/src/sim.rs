@@ -178,6 +178,18 @@ impl Sim {
     fn xfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.arrays.view(py, arrays::Array::XfrcApplied, &[])
     }
+    #[getter]
+    fn eq_active<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.arrays.view(py, arrays::Array::EqActive, &[])
+    }
+    #[getter]
+    fn mocap_pos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.arrays.view(py, arrays::Array::MocapPos, &[])
+    }
+    #[getter]
+    fn mocap_quat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.arrays.view(py, arrays::Array::MocapQuat, &[])
+    }
 
     /// Advances by n steps.
     fn step(&self, py: Python<'_>, n: &Bound<'_, PyAny>) -> PyResult<()> {

@@ -30,12 +30,25 @@ pub enum Array {
     QfrcApplied,
     /// Force, then moment, by body: 6 numbers each.
     XfrcApplied,
+    /// 0: an equality is left out.
+    EqActive,
+    MocapPos,
+    MocapQuat,
 }
 
 impl Array {
-    pub const COUNT: usize = 6;
-    pub const ALL: [Self; Self::COUNT] =
-        [Self::Qpos, Self::Qvel, Self::Act, Self::Ctrl, Self::QfrcApplied, Self::XfrcApplied];
+    pub const COUNT: usize = 9;
+    pub const ALL: [Self; Self::COUNT] = [
+        Self::Qpos,
+        Self::Qvel,
+        Self::Act,
+        Self::Ctrl,
+        Self::QfrcApplied,
+        Self::XfrcApplied,
+        Self::EqActive,
+        Self::MocapPos,
+        Self::MocapQuat,
+    ];
     /// How many of them a step changes: the first ones.
     pub const CHANGED: usize = 3;
 
@@ -47,6 +60,9 @@ impl Array {
             Self::Ctrl => "ctrl",
             Self::QfrcApplied => "qfrc_applied",
             Self::XfrcApplied => "xfrc_applied",
+            Self::EqActive => "eq_active",
+            Self::MocapPos => "mocap_pos",
+            Self::MocapQuat => "mocap_quat",
         }
     }
 
@@ -58,6 +74,9 @@ impl Array {
             Self::Act => vec![model.na],
             Self::Ctrl => vec![model.actuators.len()],
             Self::XfrcApplied => vec![model.bodies.len(), 6],
+            Self::EqActive => vec![model.equalities.len()],
+            Self::MocapPos => vec![model.mocaps.len(), 3],
+            Self::MocapQuat => vec![model.mocaps.len(), 4],
         }
     }
 
@@ -69,6 +88,26 @@ impl Array {
             Self::Act => "na",
             Self::Ctrl => "nu",
             Self::XfrcApplied => "6 nbody",
+            Self::EqActive => "neq",
+            Self::MocapPos => "3 nmocap",
+            Self::MocapQuat => "4 nmocap",
+        }
+    }
+
+    /// The numbers at the initial configuration, at rest and without inputs.
+    pub fn initial(self, model: &Model) -> Vec<f64> {
+        match self {
+            Self::Qpos => model.qpos0.clone(),
+            Self::EqActive => (model.equalities.iter())
+                .map(|equality| if equality.active { 1.0 } else { 0.0 })
+                .collect(),
+            Self::MocapPos => (model.mocaps.iter())
+                .flat_map(|body| model.bodies[*body].pos.as_slice().to_vec())
+                .collect(),
+            Self::MocapQuat => {
+                model.mocaps.iter().flat_map(|body| model.bodies[*body].quat).collect()
+            }
+            _ => vec![0.0; self.count(model)],
         }
     }
 
@@ -94,6 +133,9 @@ impl Array {
             }
             Self::Ctrl => Element::whole(Kind::Actuator, k),
             Self::XfrcApplied => Element::whole(Kind::Body, k / 6),
+            Self::EqActive => Element::whole(Kind::Equality, k),
+            Self::MocapPos => Element::whole(Kind::Body, model.mocaps[k / 3]),
+            Self::MocapQuat => Element::whole(Kind::Body, model.mocaps[k / 4]),
         }
     }
 }
@@ -141,19 +183,27 @@ impl<'a> Given<'a> {
     }
 
     fn check_quaternions<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
-        for (index, joint) in model.joints.iter().enumerate() {
+        let joints = model.joints.iter().enumerate().filter_map(|(index, joint)| {
             let first = match joint.kind {
                 JointType::Ball => joint.qpos,
                 JointType::Free => joint.qpos + 3,
-                JointType::Slide | JointType::Hinge => continue,
+                JointType::Slide | JointType::Hinge => return None,
             };
-            let quat = &self[Array::Qpos][first..first + 4];
+            Some((Array::Qpos, first, Element::whole(Kind::Joint, index)))
+        });
+        let mocaps = model.mocaps.iter().enumerate();
+        let mocaps =
+            mocaps.map(|(at, body)| (Array::MocapQuat, 4 * at, Element::whole(Kind::Body, *body)));
+        for (array, first, owner) in joints.chain(mocaps) {
+            let quat = &self[array][first..first + 4];
             let square = quat.iter().fold(R::zero(), |sum, x| sum + R::of(*x) * R::of(*x));
             // Too short to be divided by, or so long that its square overflows.
             if !(square.gt(R::of(SHORTEST_SQUARE)).all() && square.is_finite().all()) {
-                let joint = model.element_name(Element::whole(Kind::Joint, index));
-                let whose = whose(&joint, world);
-                let field = format!("qpos[{first}:{}]", first + 4);
+                let whose = whose(&model.element_name(owner), world);
+                let field = match array {
+                    Array::MocapQuat => format!("mocap_quat[{}]", first / 4),
+                    _ => format!("{}[{first}:{}]", array.name(), first + 4),
+                };
                 let limit = format!("a quaternion of a length that can be scaled to 1 ({whose}); nothing was stepped");
                 return Err(Error::value(field, format!("{quat:?}"), limit));
             }

@@ -43,6 +43,9 @@ pub struct Held {
     pub ctrl: Vec<f64>,
     pub qfrc_applied: Vec<f64>,
     pub xfrc_applied: Vec<f64>,
+    pub eq_active: Vec<f64>,
+    pub mocap_pos: Vec<f64>,
+    pub mocap_quat: Vec<f64>,
 }
 
 /// What a failed run tells about itself: one world, in `f64`.

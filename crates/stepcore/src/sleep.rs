@@ -208,6 +208,8 @@ impl<R: Real> Sim<R> {
         self.next.woken.clear();
         let Self { model, state, next, inputs, sleeper, .. } = self;
         state.sleep.copy_to(&mut next.sleep);
+        // What a mocap body holds or touches may be anything.
+        let carried = self.placed.mocap.iter().zip(inputs.mocap()).any(|(old, new)| *old != new);
         for (tree, [from, to]) in sleeper.qpos.iter().enumerate() {
             if !next.sleep.has(tree) {
                 continue;
@@ -215,7 +217,7 @@ impl<R: Real> Sim<R> {
             let mut qvel = state.qvel[model.trees[tree].dofs.range()].iter();
             let moves = qvel.any(|v| !v.is_zero());
             let moved = state.qpos[*from..*to] != next.sleep.qpos[*from..*to];
-            if moves || moved || pushed(model, inputs, tree) {
+            if carried || moves || moved || pushed(model, inputs, tree) {
                 if next.woken.is_empty() {
                     next.woken.clone_from(&state.warm);
                 }

@@ -5,9 +5,10 @@ use crate::clock::Clock;
 use crate::elements::activation::Activations;
 use crate::elements::SLIPS;
 use crate::model::Model;
-use crate::real::Real;
+use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::sleep::Sleep;
+use crate::spatial::{Quat, V3};
 
 /// The most rows of a block, which `elements/constraints.rs` sees to: after their impulses stands the
 /// slip of friction that holds (`elements/anchor.rs`).
@@ -124,19 +125,26 @@ pub struct Inputs<R: Real> {
     pub ctrl: Vec<R>,
     qfrc_applied: Vec<R>,
     xfrc_applied: Vec<R>,
+    eq_active: Vec<R>,
+    mocap_pos: Vec<R>,
+    mocap_quat: Vec<R>,
     /// Some applied force may not be zero. Whatever writes them writes this too.
     applied: bool,
 }
 
-room!(Inputs<R>: ctrl, qfrc_applied, xfrc_applied;);
+room!(Inputs<R>: ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat;);
 
 impl<R: Real> Inputs<R> {
-    /// No control, no force.
+    /// No control, no force; equalities and mocap bodies as the scene has them.
     pub fn new(model: &Model) -> Self {
+        let initial = |array: Array| array.initial(model).into_iter().map(R::of).collect();
         Self {
             ctrl: vec![R::zero(); model.actuators.len()],
             qfrc_applied: vec![R::zero(); model.nv],
             xfrc_applied: vec![R::zero(); 6 * model.bodies.len()],
+            eq_active: initial(Array::EqActive),
+            mocap_pos: initial(Array::MocapPos),
+            mocap_quat: initial(Array::MocapQuat),
             applied: false,
         }
     }
@@ -159,17 +167,36 @@ impl<R: Real> Inputs<R> {
 
     /// Lets `write(qfrc_applied, xfrc_applied)` change the applied forces.
     pub fn apply(&mut self, write: impl FnOnce(&mut [R], &mut [R])) {
-        self.edit(|[_, qfrc, xfrc]| write(qfrc, xfrc));
+        self.edit(|[_, qfrc, xfrc, ..]| write(qfrc, xfrc));
+    }
+
+    /// Where an equality acts.
+    #[inline(always)]
+    pub(crate) fn eq_active(&self, index: usize) -> R::Mask {
+        let (active, zero) = (self.eq_active[index], R::zero());
+        active.gt(zero).or(active.lt(zero))
+    }
+
+    /// Poses of mocap bodies.
+    pub(crate) fn mocap(&self) -> impl Iterator<Item = (V3<R>, Quat<R>)> + '_ {
+        let quats = self.mocap_quat.chunks(4).map(|quat| Quat::of(quat).normalized());
+        self.mocap_pos.chunks(3).map(|pos| V3::new(pos[0], pos[1], pos[2])).zip(quats)
     }
 
     /// In the order of `arrays::Array`.
     pub(crate) fn arrays(&self) -> [&[R]; INPUTS] {
-        [&self.ctrl, &self.qfrc_applied, &self.xfrc_applied]
+        let Self { ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat, .. } = self;
+        [ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat]
+    }
+
+    fn arrays_mut(&mut self) -> [&mut [R]; INPUTS] {
+        let Self { ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat, .. } = self;
+        [ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat]
     }
 
     /// Lets `write` change them, in this order.
     pub(crate) fn edit(&mut self, write: impl FnOnce([&mut [R]; INPUTS])) {
-        write([&mut self.ctrl, &mut self.qfrc_applied, &mut self.xfrc_applied]);
+        write(self.arrays_mut());
         let mut forces = self.qfrc_applied.iter().chain(&self.xfrc_applied);
         self.applied = forces.any(|force| !force.is_zero());
     }
@@ -178,8 +205,7 @@ impl<R: Real> Inputs<R> {
     pub(crate) fn set_lane(&mut self, lane: usize, given: &[&[f64]]) {
         let applied = given[1..3].iter().copied().flatten().any(|force| *force != 0.0);
         self.applied = applied || (lane > 0 && self.applied);
-        let arrays = [&mut self.ctrl, &mut self.qfrc_applied, &mut self.xfrc_applied];
-        for (to, from) in arrays.into_iter().zip(given) {
+        for (to, from) in self.arrays_mut().into_iter().zip(given) {
             for (to, from) in to.iter_mut().zip(*from) {
                 to.set_lane(lane, *from);
             }
@@ -188,9 +214,9 @@ impl<R: Real> Inputs<R> {
 
     /// Copies into inputs of the same model, whose room is used again.
     pub(crate) fn copy_to(&self, to: &mut Self) {
-        to.ctrl.copy_from_slice(&self.ctrl);
-        to.qfrc_applied.copy_from_slice(&self.qfrc_applied);
-        to.xfrc_applied.copy_from_slice(&self.xfrc_applied);
+        for (to, from) in to.arrays_mut().into_iter().zip(self.arrays()) {
+            to.copy_from_slice(from);
+        }
         to.applied = self.applied;
     }
 }

@@ -105,6 +105,7 @@ impl<R: Real> Sim<R> {
             clock: self.clock,
             qpos,
             qvel,
+            inputs: &self.inputs,
             part,
             warm: last_impulses(&self.state, &self.next),
             asleep: &self.detected.asleep,
@@ -189,6 +190,7 @@ impl<R: Real> Sim<R> {
     pub(crate) fn smooth(&mut self, at: At) {
         self.effort.evaluations += 1;
         let (qpos, qvel) = at.of(&self.state, &self.next);
+        self.placed.carry(&self.inputs);
         self.placed.positions_in_step(&self.model, qpos);
         let act = at.activations(&self.state, &self.next, self.clock);
         self.placed.dynamics(&self.model, qpos, qvel, act, &self.inputs);

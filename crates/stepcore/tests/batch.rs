@@ -24,6 +24,7 @@ struct World {
     ctrl: Vec<f64>,
     applied: Vec<f64>,
     wrenches: Vec<f64>,
+    active: Vec<f64>,
 }
 
 impl World {
@@ -35,6 +36,7 @@ impl World {
             ctrl: vec![0.0; model.actuators.len()],
             applied: vec![0.0; model.nv],
             wrenches: vec![0.0; 6 * model.bodies.len()],
+            active: Array::EqActive.initial(model),
         }
     }
     fn given(&self) -> Given<'_> {
@@ -45,6 +47,8 @@ impl World {
             Array::Ctrl => &self.ctrl,
             Array::QfrcApplied => &self.applied,
             Array::XfrcApplied => &self.wrenches,
+            Array::EqActive => &self.active,
+            Array::MocapPos | Array::MocapQuat => &[],
         })
     }
 }

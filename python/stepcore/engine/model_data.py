@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 class Keyframe(NamedTuple):
     """A named state, with defaults for what the scene leaves open.
 
-    time: [s]. qpos: shape (nq,). qvel: shape (nv,). act: shape (na,). ctrl: shape (nu,).
+    time: [s]. qpos: shape (nq,). qvel: shape (nv,). act: shape (na,). ctrl: shape (nu,). mpos,
+    mquat: of mocap bodies, shapes (3 nmocap,) and (4 nmocap,).
     """
 
     name: str
@@ -35,6 +36,8 @@ class Keyframe(NamedTuple):
     qvel: Floats
     act: Floats
     ctrl: Floats
+    mpos: Floats
+    mquat: Floats
 
 
 class ContactPair(NamedTuple):
@@ -387,7 +390,7 @@ class ModelData(ABC):
         states = zip(self.key_names, self._core.keys(), strict=True)
         return tuple(
             Keyframe(name, time, *(_frozen(np.array(x, dtype=float)) for x in arrays))
-            for name, (time, *arrays) in states
+            for name, (time, arrays) in states
         )
 
 

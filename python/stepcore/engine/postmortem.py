@@ -176,6 +176,8 @@ def _put(sim: _core.Sim, arrays: list[list[float]] | None) -> None:
     if arrays is not None:
         sim.ctrl[:], sim.qfrc_applied[:] = arrays[0], arrays[1]
         sim.xfrc_applied.reshape(-1)[:] = arrays[2]
+        sim.eq_active[:] = arrays[3]
+        sim.mocap_pos.reshape(-1)[:], sim.mocap_quat.reshape(-1)[:] = arrays[4], arrays[5]
 
 
 def _fails(failure: Replay, sim: _core.Sim) -> bool:

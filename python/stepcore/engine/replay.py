@@ -45,8 +45,8 @@ class Replay:
     name: the name of the scene.
     settings: the settings of the run.
     state: the complete state (`Sim.state`) from which the run fails again.
-    inputs: (step, ctrl, qfrc_applied, xfrc_applied) wherever they change; steps count from that
-        state.
+    inputs: (step, ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat) wherever they
+        change; steps count from that state.
     steps: the number of steps to the last finite state. In the step after it something is not
         finite; or, with a ledger, that state has energy that it cannot have gained.
     happened: the attributes of the error, its text, and a digest of the last finite state.
@@ -67,7 +67,7 @@ class Replay:
     name: str
     settings: Settings
     state: bytes
-    inputs: list[tuple[int, list[float], list[float], list[float]]]
+    inputs: list[tuple[Any, ...]]
     steps: int
     happened: dict[str, Any]
     # The compiled model's own scene, or the plain data that a file has.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from abc import abstractmethod
+from collections.abc import Sequence
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from stepcore.engine.world import World
 
 if TYPE_CHECKING:
     from stepcore._core import SimulationError
+    from stepcore.engine.arrays import Floats
     from stepcore.engine.model import Model
     from stepcore.scene.scene import Scene
 
@@ -26,6 +28,10 @@ _readers: list[Callable[[Any], Scene]] = []
 def read_with(reader: Callable[[Any], Scene]) -> None:
     """Lets `Sim` and `Batch` take paths, which `reader` reads."""
     _readers[:] = [reader]
+
+
+# The arrays that a keyframe has, in its order.
+OF_KEYS = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat")
 
 
 def compiled(model: Model | Scene | str | os.PathLike[str]) -> Model:
@@ -104,16 +110,16 @@ class Stepped(World):
         """Resets to the scene's initial pose at rest and time 0, or to a keyframe.
 
         key: the name or index of a keyframe. Controls become the keyframe's, else 0; applied forces
-        become 0 and warm-start impulses are forgotten.
+        become 0 and warm-start impulses are forgotten; mocap bodies stand where the keyframe, else
+        the scene, has them, and `eq_active` is the scene's.
 
         Raises ValueError, with the nearest names, for an unknown keyframe.
         """
         state = None if key is None else self._model.keys[self._model.index("key", key)]
-        for array in self._arrays.values():
-            array[...] = 0.0
-        self._arrays["qpos"][...] = self._model.qpos0 if state is None else state.qpos
+        given: dict[str, Sequence[float] | Floats] = dict(self._model.core.initial())
         if state is not None:
-            self._arrays["qvel"][...] = state.qvel
-            self._arrays["act"][...] = state.act
-            self._arrays["ctrl"][...] = state.ctrl
+            given |= zip(OF_KEYS, state[2:], strict=True)
+        for name, values in given.items():
+            if len(values):
+                self._arrays[name].reshape(-1, len(values))[...] = values
         self._restart(0.0 if state is None else state.time)

@@ -23,6 +23,7 @@ Control = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
 RECORDED = (
     *("qpos", "qvel", "act", "ctrl", "qfrc_applied", "xfrc_applied"),
+    *("eq_active", "mocap_pos", "mocap_quat"),
     *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat"),
     *("ten_length", "ten_velocity"),
     *("subtree_com", "cinert", "cvel", "cacc", "cfrc_ext", "cfrc_int"),

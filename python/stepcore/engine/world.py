@@ -38,6 +38,12 @@ class World(checks.KnownNames, ABC):
         "Force on each body's centre of mass [N] and moment [N·m], in world axes, "
         "shape (nbody, 6), constant during a step."
     )
+    eq_active = StateArray(
+        "Whether each equality acts, shape (neq,): 1 or True, or 0 where it is left out. Constant "
+        "during a step; initially as `Equality.active`."
+    )
+    mocap_pos = StateArray("Positions of mocap bodies [m], shape (nmocap, 3).")
+    mocap_quat = StateArray("Orientations of mocap bodies, quaternions w x y z, shape (nmocap, 4).")
 
     # Of the present state.
     xpos = Readout("Position of each body's frame [m], shape (nbody, 3).")
@@ -109,6 +115,9 @@ class World(checks.KnownNames, ABC):
             "ctrl": core.ctrl,
             "qfrc_applied": core.qfrc_applied,
             "xfrc_applied": core.xfrc_applied,
+            "eq_active": core.eq_active,
+            "mocap_pos": core.mocap_pos,
+            "mocap_quat": core.mocap_quat,
         }
 
     @property

@@ -14,22 +14,24 @@ from stepcore.scene.layout import DOFS, QPOS, Layout
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
+# Numbers of a mocap body.
+MOCAP = {"mpos": 3, "mquat": 4}
 MAX_KEYS = 100_000
 
 
 def read(world: WorldReader, layout: Layout, node: Node) -> None:
     """Reads a keyframe; missing values are those of the default state."""
     values = node.values
-    for name, what in (("mpos", "mocap bodies"), ("plastic", "plastic")):
-        if values.get(name):
-            raise bad(node, name, values[name], f"empty: the model has no {what}")
-    if values.get("mquat"):
-        raise bad(node, "mquat", values["mquat"], "empty: the model has no mocap bodies")
+    if values.get("plastic"):
+        raise bad(node, "plastic", values["plastic"], "empty: the model has no plastic")
+    mocaps = [body for body in layout.bodies if body.mocap]
     rest = {
         "qpos": layout.qpos0(),
         "qvel": [0.0] * layout.nv,
         "act": [0.0] * actuation.na(world.scene),
         "ctrl": [0.0] * len(world.scene.actuators),
+        "mpos": [x for body in mocaps for x in body.pos],
+        "mquat": [x for body in mocaps for x in body.quat],
     }
     fields: dict[str, Any] = {}
     for name, default in rest.items():
@@ -53,8 +55,11 @@ def _assembled(
     starts: dict[int, int] = {}
     at = 0
     sizes = {"qpos": QPOS, "qvel": DOFS}.get(name)
+    if name in MOCAP:
+        for body in (body for body in layout.bodies if body.mocap):
+            starts[id(body)], at = at, at + MOCAP[name]
     for element in world.scene.actuators if sizes is None else layout.joints:
-        starts[id(element)] = at
+        starts.setdefault(id(element), at)
         at += 1 if sizes is None else sizes[element.type]
     numbers = list(default)
     for part, given in (node.parts or {}).get(name, ()):

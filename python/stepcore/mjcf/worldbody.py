@@ -145,10 +145,8 @@ class WorldReader:
 
     def _body(self, node: Node, place: Place) -> Place:
         values = node.values
-        if values.get("mocap"):
-            raise node.unbuilt("a mocap body", "mocap")
         pos, quat = self._pose(node, values, place)
-        own = {"gravcomp": values.get("gravcomp", 0.0)}
+        own = {name: values[name] for name in ("gravcomp", "mocap") if name in values}
         body = self.scene.add_body(values.get("name", ""), place.body, pos, quat, **own)
         self.keep(node, body)
         self.names["body"].add(body.name)

@@ -184,10 +184,10 @@ def known_forces(world: World, placed: Placed, qpos: Array, v: Array) -> Array:
     for b in np.flatnonzero(world.xfrc_applied.any(axis=1)):
         linear, spin = jacobians(model, placed, b, placed.com[b])
         force = force + world.xfrc_applied[b, :3] @ linear + world.xfrc_applied[b, 3:] @ spin
-    for b, body in enumerate(model.scene["bodies"]):
+    for index, body in enumerate(model.scene["bodies"]):
         if body["gravcomp"] and on["gravity"] and (on["spring"] or on["damper"]):
-            linear, _ = jacobians(model, placed, b, placed.com[b])
-            force = force - body["gravcomp"] * model.mass[b] * model.gravity @ linear
+            linear, _ = jacobians(model, placed, index, placed.com[index])
+            force = force - body["gravcomp"] * model.mass[index] * model.gravity @ linear
     for joint in model.joints:
         own = slice(joint["dof"], joint["dof"] + joint["width"])
         if on["damper"]:

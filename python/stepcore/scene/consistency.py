@@ -34,6 +34,9 @@ def check(layout: Layout) -> None:
     for body in layout.bodies[1:]:
         if body.mass is None and any((*body.inertia, *body.ipos)):
             raise checks.refuse(body, "mass", None, "given where ipos or inertia is")
+        if body.mocap and (body.parent is not world or id(body) in layout.joints_of):
+            limit = "a child of the world without joints"
+            raise checks.refuse(body, "mocap", True, f"False, or {limit}")
         _check_joints(layout, body)
     for geom in layout.geoms:
         need = 0 if geom.mesh is not None else SIZES[geom.type]
@@ -65,6 +68,8 @@ def check(layout: Layout) -> None:
             )
     sizes = {"qpos": layout.nq, "qvel": layout.nv, "act": actuation.na(scene)}
     sizes["ctrl"] = len(scene.actuators)
+    mocaps = sum(body.mocap for body in scene.bodies)
+    sizes |= {"mpos": 3 * mocaps, "mquat": 4 * mocaps}
     for key in scene.keys:
         for field, count in sizes.items():
             value = getattr(key, field)

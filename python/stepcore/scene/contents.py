@@ -69,6 +69,7 @@ class Contents(Holdings):
         inertia: Vector | None = None,
         ipos: Vector | None = None,
         gravcomp: float = 0.0,
+        mocap: bool = False,
     ) -> Body:
         """Adds a body.
 
@@ -80,6 +81,7 @@ class Contents(Holdings):
         inertia: about the centre of mass, in body axes [kg·m²]: xx yy zz, or xx yy zz xy xz yz.
             A mass without an inertia is a point mass.
         gravcomp: share of its weight that a force at its centre of mass holds up.
+        mocap: True for a body whose pose is an input.
         """
         fields: dict[str, Any] = {"name": name, "pos": pos, "quat": quat, "mass": mass}
         if inertia is not None:
@@ -87,7 +89,7 @@ class Contents(Holdings):
         if ipos is not None:
             fields["ipos"] = ipos
         given = len(fields) > 4
-        body = Body(parent=self.body(parent), gravcomp=gravcomp, **fields)
+        body = Body(parent=self.body(parent), gravcomp=gravcomp, mocap=mocap, **fields)
         if mass is None and given:
             raise checks.refuse(body, "mass", None, "given where ipos or inertia is")
         return self._append(self.bodies, body)

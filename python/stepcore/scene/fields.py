@@ -170,3 +170,5 @@ class KeyFields(TypedDict, total=False):
     qvel: Vector | None
     act: Vector | None
     ctrl: Vector | None
+    mpos: Vector | None
+    mquat: Vector | None

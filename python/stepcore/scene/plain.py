@@ -167,4 +167,5 @@ def _body(body: Body, index: dict[int, int]) -> dict[str, Any]:
         "quat": list(body.quat),
         "inertial": inertial,
         "gravcomp": body.gravcomp,
+        "mocap": body.mocap,
     }

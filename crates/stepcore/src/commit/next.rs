@@ -71,7 +71,7 @@ impl<R: Real> Next<R> {
             qvel: zeros(nv),
             act: zeros(model.na),
             start: zeros(nv),
-            held: zeros(model.equalities.iter().filter(|e| e.active).map(|e| e.rows()).sum()),
+            held: zeros(model.equalities.iter().map(|e| e.rows()).sum()),
             change: zeros(nv),
             gained: zeros(nv),
             mean: zeros(nv),

@@ -26,7 +26,8 @@ impl Constraint for Equalities {
         for (index, equality) in now.model.equalities.iter().enumerate() {
             let dofs = equality.dofs.of(now.dof_lists);
             let rests = || dofs.iter().all(|k| now.rests(now.model.dofs[*k].tree));
-            if !equality.active || (!now.asleep.is_empty() && rests()) {
+            let active = now.inputs.eq_active(index);
+            if active.none() || (!now.asleep.is_empty() && rests()) {
                 continue;
             }
             match &equality.tie {
@@ -83,6 +84,7 @@ impl<R: Real> Rows<R> {
             }
         }
         let element = Element::whole(equality.kind(), index);
-        self.push_block(first, Set::Interval, R::Mask::of(true), now, element, equality.mass);
+        let active = now.inputs.eq_active(index);
+        self.push_block(first, Set::Interval, active, now, element, equality.mass);
     }
 }

@@ -76,6 +76,9 @@ pub fn fill(model: &mut Model) {
 fn between(model: &Model, pair: usize) -> Option<Vec<Between>> {
     let pair = &model.pairs[pair];
     let bodies = [model.geoms[pair.geom1].body, model.geoms[pair.geom2].body];
+    if bodies.iter().any(|body| model.bodies[*body].carried) {
+        return None;
+    }
     let mut joints = walk(model, pair.geom1, bodies[1])?;
     joints.extend(walk(model, pair.geom2, bodies[0])?);
     // Two trees that no joint ties to the world reach each other everywhere.

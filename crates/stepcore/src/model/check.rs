@@ -200,6 +200,10 @@ fn bodies(scene: &Scene) -> Result<()> {
         e.finite("pos", &b.pos)?;
         e.direction("quat", &b.quat)?;
         e.finite("gravcomp", &[b.gravcomp])?;
+        let jointed = scene.joints.iter().any(|joint| joint.body == i);
+        if b.mocap && (i == 0 || b.parent != 0 || jointed) {
+            return Err(e.refuse("mocap", true, "a child of the world without joints"));
+        }
         if let Some(x) = &b.inertial {
             inertial(&e, x)?;
         }
@@ -456,6 +460,7 @@ fn actuator(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
 fn keys(scene: &Scene) -> Result<()> {
     let nq = scene.joints.iter().map(|j| j.kind.positions()).sum();
     let nv = scene.joints.iter().map(|j| j.kind.dofs()).sum();
+    let mocaps = scene.bodies.iter().filter(|body| body.mocap).count();
     let na = scene.actuators.iter().map(|a| a.dynamics.count()).sum();
     for (i, key) in scene.keys.iter().enumerate() {
         let e = Subject::new(Kind::Key, &key.name, i);
@@ -465,6 +470,8 @@ fn keys(scene: &Scene) -> Result<()> {
             ("qvel", &key.qvel, nv),
             ("act", &key.act, na),
             ("ctrl", &key.ctrl, scene.actuators.len()),
+            ("mpos", &key.mpos, 3 * mocaps),
+            ("mquat", &key.mquat, 4 * mocaps),
         ];
         for (field, values, count) in arrays {
             let Some(values) = values else { continue };

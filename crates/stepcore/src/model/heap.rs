@@ -248,7 +248,7 @@ impl Model {
         let own = !heap.explicit.is_empty() && self.explicit.contains(&(a.min(b), a.max(b)));
         let never = if own {
             // Nothing else keeps the geoms of an explicit pair apart.
-            let moves = self.bodies[one].weld != self.bodies[two].weld;
+            let moves = !self.stand_still(one, two);
             !(moves && self.features.contact && self.features.constraint)
         } else {
             self.never_between(one, two).is_some() || self.never(a, b).is_some()

@@ -264,7 +264,7 @@ fn plain<'a>(model: &'a Model, aligned: &'a [bool]) -> impl Iterator<Item = usiz
     };
     let grounded = |i: usize| {
         let parent = &model.bodies[model.bodies[i].parent];
-        parent.parent == 0 && parent.dofs.len == 0
+        parent.parent == 0 && parent.dofs.len == 0 && !parent.carried
     };
     (1..model.bodies.len()).filter(move |&i| {
         let body = &model.bodies[i];

@@ -77,7 +77,7 @@ impl Span {
 pub struct Body {
     pub name: String,
     pub parent: usize,
-    /// The nearest ancestor-or-self with a joint; 0 (the world) for a fixed body.
+    /// The nearest ancestor-or-self with a joint or a mocap pose; 0 (the world) for a fixed body.
     pub weld: usize,
     /// `NONE` for a fixed body.
     pub tree: usize,
@@ -103,7 +103,11 @@ pub struct Body {
     pub invweight: [f64; 2],
     /// The share of its weight that holds it up.
     pub gravcomp: f64,
-    /// Some dof rotates this body; else its orientation is constant.
+    /// Its place among `Model::mocaps`.
+    pub mocap: Option<usize>,
+    /// It is a mocap body, or hangs on one.
+    pub carried: bool,
+    /// Some dof rotates this body, or it is carried; else its orientation is constant.
     pub turns: bool,
 }
 
@@ -270,6 +274,9 @@ pub struct Model {
     pub magnetic: Vector3<f64>,
     pub features: Features,
     pub bodies: Vec<Body>,
+    /// Bodies whose poses are inputs; and of what they carry the bodies without a dof, in order.
+    pub mocaps: Vec<usize>,
+    pub carried: Vec<usize>,
     pub joints: Vec<Joint>,
     pub dofs: Vec<Dof>,
     pub trees: Vec<Tree>,

@@ -47,6 +47,12 @@ pub enum Never {
 }
 
 impl Model {
+    /// Two bodies that nothing in a step moves against each other.
+    pub(super) fn stand_still(&self, body1: usize, body2: usize) -> bool {
+        let (one, two) = (&self.bodies[body1], &self.bodies[body2]);
+        one.weld == two.weld || (one.tree == NONE && two.tree == NONE)
+    }
+
     /// Why no geom of these two bodies can meet one of the other, or None.
     pub fn never_between(&self, body1: usize, body2: usize) -> Option<Never> {
         let (weld1, weld2) = (self.bodies[body1].weld, self.bodies[body2].weld);
@@ -56,7 +62,7 @@ impl Model {
             Some(Never::Off)
         } else if body1 == body2 {
             Some(Never::SameBody)
-        } else if weld1 == weld2 {
+        } else if self.stand_still(body1, body2) {
             Some(Never::Fixed)
         } else if self.excludes.contains(&(body1.min(body2), body1.max(body2))) {
             Some(Never::Excluded)
@@ -152,8 +158,8 @@ fn explicit(scene: &Scene, model: &Model) -> Vec<([usize; 2], usize)> {
     if !(model.features.contact && model.features.constraint) {
         return vec![];
     }
-    let weld = |geom: usize| model.bodies[scene.geoms[geom].body].weld;
-    let moving = |(_, p): &(usize, &ExplicitPair)| weld(p.geom1) != weld(p.geom2);
+    let body = |geom: usize| scene.geoms[geom].body;
+    let moving = |(_, p): &(usize, &ExplicitPair)| !model.stand_still(body(p.geom1), body(p.geom2));
     let all = scene.pairs.iter().enumerate().filter(moving);
     let mut list: Vec<_> = all
         .map(|(index, p)| {

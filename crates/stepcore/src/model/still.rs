@@ -33,6 +33,9 @@ pub fn still(
     second: usize,
 ) -> [bool; 2] {
     let (plane, other) = (&model.geoms[first], &model.geoms[second]);
+    if model.bodies[plane.body].carried || model.bodies[other.body].carried {
+        return [false; 2];
+    }
     if plane.kind != GeomType::Plane {
         return between_round_shapes(model, poses, plane, other);
     }

@@ -99,7 +99,9 @@ impl Count<'_> {
             self.sorts[sort].push(geom);
             *all.entry(sort).or_default() += 1;
             *self.by_body[shape.body].entry(sort).or_default() += 1;
-            *self.by_weld[self.model.bodies[shape.body].weld].entry(sort).or_default() += 1;
+            let body = &self.model.bodies[shape.body];
+            let weld = if body.tree == super::NONE { 0 } else { body.weld };
+            *self.by_weld[weld].entry(sort).or_default() += 1;
         }
         within(&all, &mut self.left);
     }

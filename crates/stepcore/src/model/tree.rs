@@ -22,6 +22,8 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         magnetic: Vector3::from(scene.magnetic),
         features: scene.features.clone(),
         bodies: Vec::with_capacity(scene.bodies.len()),
+        mocaps: vec![],
+        carried: vec![],
         joints: Vec::with_capacity(scene.joints.len()),
         dofs: vec![],
         trees: vec![],
@@ -101,7 +103,7 @@ fn body(model: &mut Model, scene: &Scene, i: usize, joints: Span) {
             bodies: Span { start: i, len: 0 },
             dofs: Span { start: model.nv, len: 0 },
             mass: 0.0,
-            slides_only: true,
+            slides_only: above.as_ref().is_none_or(|p| !p.carried),
             constant: false,
             seen: true,
         });
@@ -120,8 +122,15 @@ fn body(model: &mut Model, scene: &Scene, i: usize, joints: Span) {
         tree.dofs.len += dofs.len;
         tree.slides_only &= !kinds().any(JointType::turns);
     }
-    let weld = if joints.len > 0 { i } else { above.as_ref().map_or(0, |p| p.weld) };
-    let turns = above.is_some_and(|p| p.turns) || kinds().any(JointType::turns);
+    let mocap = source.mocap.then_some(model.mocaps.len());
+    model.mocaps.extend(mocap.map(|_| i));
+    let carried = mocap.is_some() || above.as_ref().is_some_and(|p| p.carried);
+    if carried && tree == NONE {
+        model.carried.push(i);
+    }
+    let weld =
+        if joints.len > 0 || mocap.is_some() { i } else { above.as_ref().map_or(0, |p| p.weld) };
+    let turns = carried || above.is_some_and(|p| p.turns) || kinds().any(JointType::turns);
     model.bodies.push(Body {
         name: source.name.clone(),
         parent: source.parent,
@@ -139,6 +148,8 @@ fn body(model: &mut Model, scene: &Scene, i: usize, joints: Span) {
         inertia: Matrix3::zeros(),
         invweight: [0.0; 2],
         gravcomp: source.gravcomp,
+        mocap,
+        carried,
         turns,
     });
     for index in joints.range() {

@@ -33,6 +33,11 @@ impl<R: Real> Placed<R> {
     pub(super) fn place_body(&mut self, model: &Model, qpos: &[R], index: usize) {
         let body = &model.bodies[index];
         let parent = body.parent;
+        if let Some(at) = body.mocap {
+            let (pos, quat) = self.mocap[at];
+            (self.xpos[index], self.xquat[index], self.xmat[index]) = (pos, quat, quat.matrix());
+            return;
+        }
         let joints = body.joints.of(&model.joints);
         if let [only] = joints {
             if only.kind == JointType::Free {

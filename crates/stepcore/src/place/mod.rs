@@ -19,7 +19,7 @@ pub use effective::Effective;
 pub use factor::Metric;
 
 use crate::elements::activation::Activations;
-use crate::model::{Model, Tree};
+use crate::model::{Body, Model, Tree};
 use crate::real::{Real, Stage};
 use crate::room::room;
 use crate::spatial::{rotate, splat, Force, Inertia, Motion, Pose, Quat, M3, V3};
@@ -33,6 +33,8 @@ pub struct Placed<R: Real> {
     pub xmat: Vec<M3<R>>,
     /// From the parent's frame to this one before its joints move it, in world axes.
     offset: Vec<V3<R>>,
+    /// Poses of mocap bodies, as they were put in last.
+    pub(crate) mocap: Vec<(V3<R>, Quat<R>)>,
     /// Everything was placed once, so that constants stand.
     placed: bool,
     /// Pose of each geom that collides, by geom.
@@ -99,7 +101,7 @@ pub struct Pulls<'a, R: Real> {
     pub arms: &'a [R],
 }
 
-room!(Placed<R>: xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, mass,
+room!(Placed<R>: mocap, xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, mass,
     velocity, acceleration, wrench, bias, passive, tendon_length, tendon_arms, actuator, act_rate, force,
     u, guess; metric, effective);
 
@@ -118,6 +120,7 @@ impl<R: Real> Placed<R> {
             xquat: vec![identity; nbody],
             xmat: vec![identity.matrix(); nbody],
             offset: vec![V3::zeros(); nbody],
+            mocap: model.mocaps.iter().map(|body| pose_of(&model.bodies[*body])).collect(),
             placed: false,
             geom: vec![Pose { pos: V3::zeros(), rot: identity.matrix() }; model.geoms.len()],
             origin: vec![V3::zeros(); model.trees.len()],
@@ -181,13 +184,17 @@ impl<R: Real> Placed<R> {
 
     fn place_trees(&mut self, model: &Model, qpos: &[R], needed: impl Fn(&Tree) -> bool) {
         R::enter(Stage::Kinematics);
+        for body in &model.carried {
+            self.place_body(model, qpos, *body);
+        }
         for tree in model.trees.iter().filter(|tree| needed(tree)) {
             for body in tree.bodies.range() {
                 self.place_body(model, qpos, body);
             }
         }
         for (index, geom) in model.geoms.iter().enumerate() {
-            if geom.collides && model.bodies[geom.body].tree != crate::model::NONE {
+            let body = &model.bodies[geom.body];
+            if geom.collides && (body.tree != crate::model::NONE || body.carried) {
                 self.place_colliding(model, index);
             }
         }
@@ -265,6 +272,13 @@ impl<R: Real> Placed<R> {
         }
     }
 
+    /// Takes the poses of mocap bodies in.
+    pub(crate) fn carry(&mut self, inputs: &Inputs<R>) {
+        for (pose, given) in self.mocap.iter_mut().zip(inputs.mocap()) {
+            *pose = given;
+        }
+    }
+
     /// The whole stage, ending with the guess û.
     pub(crate) fn place(
         &mut self,
@@ -275,6 +289,7 @@ impl<R: Real> Placed<R> {
         inputs: &Inputs<R>,
         dt: R,
     ) {
+        self.carry(inputs);
         self.positions_in_step(model, qpos);
         self.dynamics(model, qpos, qvel, act, inputs);
         R::enter(Stage::Guess);
@@ -290,4 +305,9 @@ impl<R: Real> Placed<R> {
             self.guess[k] = self.u[k] + dt * self.guess[k];
         }
     }
+}
+
+/// Where a fixed body stands, as its scene has it.
+fn pose_of<R: Real>(body: &Body) -> (V3<R>, Quat<R>) {
+    (splat(&body.pos), Quat::splat(&body.quat))
 }

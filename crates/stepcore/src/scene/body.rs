@@ -23,6 +23,8 @@ pub struct Body {
     pub inertial: Option<Inertial>,
     /// A force at its centre of mass holds up this share of its weight.
     pub gravcomp: f64,
+    /// Its pose is an input: `Inputs::mocap_pos`, `Inputs::mocap_quat`.
+    pub mocap: bool,
 }
 
 impl Default for Body {
@@ -34,6 +36,7 @@ impl Default for Body {
             quat: [1.0, 0.0, 0.0, 0.0],
             inertial: None,
             gravcomp: 0.0,
+            mocap: false,
         }
     }
 }

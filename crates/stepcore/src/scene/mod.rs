@@ -35,6 +35,9 @@ pub struct Key {
     pub qvel: Option<Vec<f64>>,
     pub act: Option<Vec<f64>>,
     pub ctrl: Option<Vec<f64>>,
+    /// Of mocap bodies.
+    pub mpos: Option<Vec<f64>>,
+    pub mquat: Option<Vec<f64>>,
 }
 
 /// What can be switched off in the model itself; but for `coriolis`, MJCF's flags of that name.

@@ -4,7 +4,7 @@
 //! holds twice holds. No order of rows is looked for, so that lanes do the same operations.
 
 use super::rows::Rows;
-use crate::real::Real;
+use crate::real::{Mask, Real};
 use crate::room::room;
 
 /// Of more rows the sweeps are cheaper.
@@ -60,7 +60,7 @@ impl<R: Real> Direct<R> {
 }
 
 impl<R: Real> Rows<R> {
-    /// Whether all rows are equalities that exist in every lane, and few enough. `u` must hold û.
+    /// Whether all rows are equalities, and few enough. `u` must hold û.
     pub(crate) fn solve_direct(
         &mut self,
         dof_lists: &[usize],
@@ -133,7 +133,7 @@ impl<R: Real> Rows<R> {
                 let first = i - (i - span.start) % GROUP;
                 let own = &rows[first..(first + GROUP).min(span.end)];
                 let most = own.iter().fold(whole, |most, row| most.max(row.a + row.c));
-                counts.push((least * most).lt(pivot));
+                counts.push((least * most).lt(pivot).and(blocks[block].mask));
             }
             inv.push(R::select(counts[i], pivot.recip_or_zero(), R::zero()));
             l[i * n + i] = R::one();

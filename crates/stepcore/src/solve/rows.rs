@@ -16,7 +16,7 @@ use crate::model::{Model, Span, NONE};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::room::room;
-use crate::state::Warm;
+use crate::state::{Inputs, Warm};
 use std::ops::Range;
 
 /// One row. Impulses in N·s or N·m·s.
@@ -237,6 +237,7 @@ pub struct Situation<'a, R: Real> {
     pub clock: Clock<R>,
     pub qpos: &'a [R],
     pub qvel: &'a [R],
+    pub inputs: &'a Inputs<R>,
     pub part: Part,
     /// What the last step kept.
     pub warm: &'a [Warm<R>],

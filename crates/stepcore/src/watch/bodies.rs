@@ -42,6 +42,7 @@ impl<R: Real> Sim<R> {
     /// The bodies at the present state, in one lane.
     pub fn bodies(&mut self, lane: usize) -> Bodies {
         let model = self.model.clone();
+        self.placed.carry(&self.inputs);
         self.placed.positions(&model, &self.state.qpos);
         self.placed.all_bodies(&model, &self.state.qvel);
         let placed = &self.placed;

@@ -77,6 +77,7 @@ impl<R: Real> Sim<R> {
     /// Poses, inertias and the mass matrix at the present positions.
     pub fn refresh(&mut self) {
         let model = self.model.clone();
+        self.placed.carry(&self.inputs);
         self.placed.positions(&model, &self.state.qpos);
         let (qpos, qvel) = At::State.of(&self.state, &self.next);
         let act = self.state.activations(self.clock);

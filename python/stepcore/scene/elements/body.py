@@ -7,7 +7,7 @@ from typing import Annotated
 
 from stepcore import checks
 from stepcore.scene.element import Element
-from stepcore.scene.elements.field_types import Inertia, Mass, Quat, Real, Text, Vec3
+from stepcore.scene.elements.field_types import Flag, Inertia, Mass, Quat, Real, Text, Vec3
 from stepcore.scene.frames import IDENTITY, ORIGIN
 
 
@@ -24,6 +24,8 @@ class Body(Element):
     inertia: about the centre of mass, in body axes [kg·m²], shape (6,): xx yy zz xy xz yz. Three
         numbers give a diagonal.
     gravcomp: share of its weight that a force at its centre of mass holds up; 1 floats.
+    mocap: True for a body whose pose is an input (`Sim.mocap_pos`, `Sim.mocap_quat`): a child of
+        the world without joints, that stands still in every step, and holds what is welded to it.
     """
 
     name: Text = ""
@@ -34,6 +36,7 @@ class Body(Element):
     ipos: Vec3 = ORIGIN
     inertia: Inertia = (0.0,) * 6
     gravcomp: Real = 0.0
+    mocap: Flag = False
 
 
 # A reference to one.

@@ -26,6 +26,8 @@ class Key(Element):
     qvel: Numbers = None
     act: Numbers = None
     ctrl: Numbers = None
+    mpos: Numbers = None
+    mquat: Numbers = None
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

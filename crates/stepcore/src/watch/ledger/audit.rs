@@ -21,6 +21,7 @@ impl<R: Real> Sim<R> {
             return false;
         }
         let model = self.model.clone();
+        self.placed.carry(&self.inputs);
         self.placed.positions(&model, &self.state.qpos);
         let (half, zero) = (R::of(0.5), R::zero());
         let mut kinetic = zero;

@@ -256,6 +256,7 @@ fn start<R: Real>(state: &State<R>, lane: usize) -> Start {
 
 /// One lane of the inputs.
 fn held<R: Real>(inputs: &Inputs<R>, lane: usize) -> Held {
-    let [ctrl, qfrc_applied, xfrc_applied] = inputs.arrays().map(|list| numbers(list, lane));
-    Held { ctrl, qfrc_applied, xfrc_applied }
+    let [ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat] =
+        inputs.arrays().map(|list| numbers(list, lane));
+    Held { ctrl, qfrc_applied, xfrc_applied, eq_active, mocap_pos, mocap_quat }
 }
