@@ -18,7 +18,7 @@ TEXT = """
   <geom name="floor" type="plane" size="3 3 .1"/>
   <body name="hand" mocap="true" pos=".3 0 .5" quat=".9 .1 .3 0">
     <geom type="box" size=".1 .08 .05"/>
-    <body name="thumb" pos=".12 0 .05" euler="0 30 0"><geom type="capsule" size=".02 .06"/></body>
+    <body name="thumb" pos=".12 0 .05" euler="0 30 0"><geom size=".04"/></body>
   </body>
   <body name="target" mocap="true" pos="-.4 .1 .6"><geom size=".03" contype="0" conaffinity="0"/>
     <body name="flag" pos="0 .1 0"><joint name="flap" axis="1 0 0" damping=".05"/>
@@ -26,9 +26,10 @@ TEXT = """
       <geom type="box" size=".02 .05 .01" pos="0 .06 0"/></body></body>
   <body name="cube" pos=".32 .02 .62"><freejoint/><geom type="box" size=".06 .05 .04"/></body>
   <body name="arm" pos="-.8 0 .6"><joint axis="0 1 0"/>
-    <geom type="capsule" size=".03" fromto="0 0 0 .3 0 0"/>
+    <geom type="capsule" size=".03" fromto="0 0 0 .3 0 0" contype="0" conaffinity="0"/>
     <body name="wrist" pos=".3 0 0"><joint name="twist" type="ball"/>
-      <geom type="capsule" size=".025" fromto="0 0 0 .1 .05 0"/></body></body></worldbody>
+      <geom type="capsule" size=".025" fromto="0 0 0 .1 .05 0" contype="0" conaffinity="0"/>
+    </body></body></worldbody>
   <equality><weld name="grab" body1="target" body2="wrist" torquescale=".5" solref=".03 1"/>
     <connect name="string" body1="cube" body2="hand" anchor="0 0 .1" solref=".1 1"/>
     <joint name="stuck" joint1="flap" polycoef=".2" active="false"/></equality>

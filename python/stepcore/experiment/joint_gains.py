@@ -52,4 +52,6 @@ def implicit_kinds(model: Model, integrator: str) -> tuple[str, ...]:
     """The kinds of elements whose damping an integrator treats implicitly."""
     if integrator == "euler":
         return ("damper",) if model.scene.features.eulerdamp else ()
-    return ("damper", "tendon damper", "actuator") if integrator in DAMPING_IMPLICIT else ()
+    if integrator not in DAMPING_IMPLICIT:
+        return ()
+    return ("damper", "tendon damper", "fluid", "actuator")
