@@ -83,7 +83,8 @@ add(
       <site name="hook" pos=".05 0 0"/></body>
     """,
     EQUALITY,
-    extra="""<tendon><fixed name="one"><joint joint="a" coef="1.5"/><joint joint="b" coef="-.7"/></fixed>
+    extra="""<tendon>
+      <fixed name="one"><joint joint="a" coef="1.5"/><joint joint="b" coef="-.7"/></fixed>
       <fixed name="two"><joint joint="c" coef="2"/></fixed>
       <spatial name="rope"><site site="wall"/><site site="tip"/></spatial>
       <spatial name="line"><site site="tip"/><site site="hook"/></spatial></tendon>
