@@ -135,10 +135,9 @@ def ours(text: str) -> Run:
         sim.qvel[:], sim.ctrl[:] = _inputs(sim.model.nv, sim.model.nu)
     states, measured = [], []
     for _ in range(STEPS):
-        if hasattr(sim, "sensordata"):
-            # As MuJoCo's: of the state before the step.
-            measured.append(np.array(sim.sensordata))
         sim.step()
+        # As MuJoCo's: of the state before the step.
+        measured.append(np.array(sim.sensordata))
         states.append(np.concatenate([[sim.time], sim.qpos, sim.qvel]))
     return Run(np.array(states), measured=np.array(measured) if measured else None)
 

@@ -448,6 +448,7 @@ def test_rangefinders_see_what_only_draws_but_not_what_is_clear():
         ('<gyro site="eye" nsample="3" delay=".01"/>', "late or rare"),
         ('<gyro site="eye" nsample="3" interval=".1"/>', "late or rare"),
         ('<user dim="3"/>', "only senses"),
+        ('<torque site="hook"/>', "spatial tendon"),
         ('<insidesite objtype="geom" objname="box" site="zone" enclosed="true"/>', "enclosed"),
     ],
 )
@@ -473,6 +474,7 @@ def test_what_is_not_computed_is_listed(line, why):
         (("clock", "eye"), "has none"),
         (("distance", "floor"), "reference = None"),
         (("framepos", "arm", "foot"), "is the name of"),
+        (("force", "hook"), "spatial tendon"),
     ],
 )
 def test_bad_sensors(arguments, words):

@@ -95,7 +95,8 @@ class World(checks.KnownNames, ABC):
     )
     cfrc_ext = Readout(
         "Applied forces, contacts and body equalities on each body in the last solve: moment about "
-        "c (see `cinert`) [N·m], then force [N], in world axes; shape (nbody, 6)."
+        "c (see `cinert`) [N·m], then force [N], in world axes; shape (nbody, 6). The forces of "
+        "tendons count as the joints' own, those of spatial tendons too."
     )
     cfrc_int = Readout(
         "What each body's parent exerts on it in the last solve, written as `cfrc_ext` is, shape "

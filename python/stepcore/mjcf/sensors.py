@@ -12,6 +12,7 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.elements import Element
 from stepcore.scene.elements.sensor import OBJECTS as TYPES
+from stepcore.scene.sensor_ends import PULLED, pulled
 
 # Attributes that name the object, or the reference, with what they name and as what.
 NAMED = {
@@ -47,6 +48,7 @@ def read(world: WorldReader, node: Node) -> None:
 def _not_computed(world: WorldReader, node: Node) -> str:
     """Why the readings of a sensor are not computed, "" if they are."""
     values = node.values
+    site = values.get("site", "")
     for attribute in ("objtype", "reftype"):
         if values.get(attribute) == "camera":
             return f"its {attribute} is a camera"
@@ -59,9 +61,11 @@ def _not_computed(world: WorldReader, node: Node) -> str:
             body = world.scene.body(values.get(f"{prefix}name", ""))
             if body.mass is not None:
                 return "the axes of a body's own inertial frame are not kept"
+    if node.tag in ("force", "torque") and pulled(world.scene, world.scene.site(site).body):
+        return PULLED
     if values.get("enclosed"):
         return "how far an object juts out of a site (enclosed) is not computed"
-    if node.tag in ("touch", "contact", "insidesite") and values.get("site") in world.mesh_sites:
+    if node.tag in ("touch", "contact", "insidesite") and site in world.mesh_sites:
         return "its site is a mesh"
     return ""
 

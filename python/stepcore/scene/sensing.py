@@ -18,7 +18,7 @@ from stepcore.scene.elements.sensor import (
     RAY_DATA,
     REFERENCE,
 )
-from stepcore.scene.sensor_ends import LISTS
+from stepcore.scene.sensor_ends import LISTS, PULLED, pulled
 
 if TYPE_CHECKING:
     from stepcore.scene.layout import Layout
@@ -47,6 +47,8 @@ def check(layout: Layout) -> None:
             words = " or a ".join(types)
             raise checks.ElementError(sensor, f"{sensor.object}: must be a {words} joint")
         _check_data(sensor)
+        if sensor.type in ("force", "torque") and pulled(layout.scene, sensor.object.body):  # type: ignore[union-attr]
+            raise checks.ElementError(sensor, PULLED)
 
 
 def _check_end(
