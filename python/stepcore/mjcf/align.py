@@ -6,7 +6,6 @@ aligned; what is given in its frame elsewhere (anchors of equalities, keyframes)
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from stepcore.mjcf.masses import six, weights
@@ -16,7 +15,7 @@ from stepcore.scene.elements import Body, Geom, Site
 from stepcore.scene.frames import Vec
 
 if TYPE_CHECKING:
-    from stepcore.mjcf.worldbody import WorldReader
+    from stepcore.mjcf.worldbody import Shape, WorldReader
 
 Pose = tuple[Vec, Vec]
 
@@ -29,16 +28,21 @@ def align(world: WorldReader) -> None:
     if not bodies:
         return
     known = weights(scene)
+    on: dict[int, list[Geom | Site]] = {}
+    placed: list[Geom | Site] = [*scene.geoms, *scene.sites]
+    for element in placed:
+        on.setdefault(id(element.body), []).append(element)
+    shapes: dict[int, list[Shape]] = {}
+    for shape in world.shapes:
+        shapes.setdefault(id(shape.geom.body), []).append(shape)
     for body in bodies:
         weight = known[id(body)]
-        quat = _axes(world, body)
+        quat = _axes(world, body, shapes.get(id(body), []))
         if quat is None:
             quat = principal_axes(weight.inertia)[0]
         pose = (tuple(map(float, weight.ipos)), quat)
-        placed: list[Geom | Site] = [*scene.geoms, *scene.sites]
-        for element in placed:
-            if element.body is body:
-                element.pos, element.quat = _seen_in(pose, element.pos, element.quat)
+        for element in on.get(id(body), []):
+            element.pos, element.quat = _seen_in(pose, element.pos, element.quat)
         if body.mass is not None:
             back = _inverse(pose)
             own = weight.seen_from(*back)
@@ -46,20 +50,15 @@ def align(world: WorldReader) -> None:
         body.pos, body.quat = frames.composed((body.pos, body.quat), *pose)
 
 
-def _axes(world: WorldReader, body: Body) -> Vec | None:
+def _axes(world: WorldReader, body: Body, shapes: list[Shape]) -> Vec | None:
     """The axes that the file itself gives an inertia: those of its element, or of an only geom."""
     rules = world.scene.mass_rules
     if body.mass is not None and rules.inertiafromgeom is not True:
         return world.inertial_axes.get(id(body))
     low, high = rules.inertiagrouprange
-    heavy: Iterable[Vec] = [
-        shape.geom.quat
-        for shape in world.shapes
-        if shape.geom.body is body and shape.heavy and low <= shape.geom.group <= high
-    ]
-    found = list(heavy)
-    meshes = any(g.mesh is not None for g in world.scene.geoms if g.body is body)
-    return found[0] if len(found) == 1 and not meshes else None
+    geoms = [shape.geom for shape in shapes if shape.heavy and low <= shape.geom.group <= high]
+    # A mesh has axes of its own.
+    return geoms[0].quat if len(geoms) == 1 and geoms[0].mesh is None else None
 
 
 def _inverse(pose: Pose) -> Pose:

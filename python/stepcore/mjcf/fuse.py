@@ -5,7 +5,7 @@ MuJoCo documentation, XML reference, compiler/fusestatic.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from stepcore.mjcf.expand.naming import references
 from stepcore.mjcf.masses import Weight, six, weights
@@ -17,7 +17,8 @@ from stepcore.scene.elements import Body, Geom, Site
 if TYPE_CHECKING:
     from stepcore.mjcf.worldbody import WorldReader
 
-E = TypeVar("E", Geom, Site)
+# What stands on each body.
+Held = dict[int, list[Geom | Site | Body]]
 # Rules under which the bodies alone and the fused one would not weigh the same.
 BOUNDS = ("boundmass", "boundinertia", "balanceinertia")
 
@@ -32,10 +33,24 @@ def fuse(world: WorldReader, root: Node) -> None:
     options = [section.values for section in root.children if section.tag == "option"]
     fluid = any(o.get(name, 0.0) > 0 for o in options for name in ("density", "viscosity"))
     known = weights(scene)
+    held: Held = {}
+    placed: list[Geom | Site] = [*scene.geoms, *scene.sites]
+    for element in placed:
+        held.setdefault(id(element.body), []).append(element)
+    for body in scene.bodies[1:]:
+        held.setdefault(id(body.parent), []).append(body)
+    gone = set()
+    moved: dict[int, int] = {}
     for body in _innermost_first(scene.bodies):
         kept = id(body) in jointed or id(body) in sites or (body.name and body.name in named)
         if not kept and _may(world, body, known, fluid):
-            _fuse(world, body, known)
+            gone.add(id(body))
+            _fuse(world, body, known, held)
+    for elements in held.values():
+        moved |= {id(element): place for place, element in enumerate(elements)}
+    scene.bodies = [body for body in scene.bodies if id(body) not in gone]
+    scene.geoms.sort(key=lambda geom: moved[id(geom)])
+    scene.sites.sort(key=lambda site: moved[id(site)])
 
 
 def _innermost_first(bodies: list[Body]) -> list[Body]:
@@ -80,31 +95,20 @@ def _may(world: WorldReader, body: Body, known: dict[int, Weight], fluid: bool) 
     return not fluid and bool(values.get("gravcomp", 0.0) == above)
 
 
-def _fuse(world: WorldReader, body: Body, known: dict[int, Weight]) -> None:
+def _fuse(world: WorldReader, body: Body, known: dict[int, Weight], held: Held) -> None:
     scene, parent = world.scene, body.parent
     assert parent is not None
-    pose = (body.pos, body.quat)
     if parent is not scene.world:
         _add_weight(world, body, parent, known)
-    scene.geoms = _moved(scene.geoms, body, parent)
-    scene.sites = _moved(scene.sites, body, parent)
-    for child in scene.bodies:
-        if child.parent is body:
-            child.parent = parent
-            child.pos, child.quat = frames.composed(pose, child.pos, child.quat)
-    scene.bodies.remove(body)
-
-
-def _moved(elements: list[E], body: Body, parent: Body) -> list[E]:
-    """The elements, those of a body after all others and on its parent."""
-    moved: list[E] = [element for element in elements if element.body is body]
-    rest: list[E] = [element for element in elements if element.body is not body]
-    for element in moved:
-        element.body = parent
-        element.pos, element.quat = frames.composed(
-            (body.pos, body.quat), element.pos, element.quat
-        )
-    return rest + moved
+    # Elements come after all of the parent's own.
+    for element in held.pop(id(body), []):
+        pose = frames.composed((body.pos, body.quat), element.pos, element.quat)
+        element.pos, element.quat = pose
+        if isinstance(element, Body):
+            element.parent = parent
+        else:
+            element.body = parent
+        held.setdefault(id(parent), []).append(element)
 
 
 def _add_weight(world: WorldReader, body: Body, parent: Body, known: dict[int, Weight]) -> None:
