@@ -65,7 +65,8 @@ and in MuJoCo:
 
 - **honoured**: the motion is MuJoCo's, and another one than without the attribute; and names.
 - **no effect**: MuJoCo's motion is the same with and without it; it is read and checked.
-- **only draws**, **senses**, **data**: the element is read past and listed in `Scene.ignored`.
+- **only draws**, **senses**, **data**: the element is read past and listed in `Scene.ignored`; of a
+  sensor, where this attribute is set.
 - **refused**: an error with file and line that says what the thing does to the motion. It can be
   left out: `load(path, without=["geom/adhesion"])`, `--without geom/adhesion`
   ([refusals](#refusals)).
