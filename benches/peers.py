@@ -72,6 +72,7 @@ class State:
     ctrl: np.ndarray
     qfrc_applied: np.ndarray
     xfrc_applied: np.ndarray
+    act: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def to_mujoco(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Sets a cleared `data` to this state: no warm start from another one."""
@@ -134,6 +135,7 @@ def fall_states(
                     data.ctrl.copy(),
                     pushed * 3.0 * weight * rng.normal(size=model.nv),
                     pushed * 3.0 * wrench,
+                    data.act.copy(),
                 )
             )
     return states[:count]
@@ -297,6 +299,7 @@ def note_step(
     sim.step(1)
     worst.note("qpos", apart(sim.qpos, data.qpos), index)
     worst.note("qvel", apart(sim.qvel, data.qvel), index)
+    worst.note("act", apart(sim.act, data.act), index)
 
 
 def rows_seen(model: mujoco.MjModel, data: mujoco.MjData, states: list[State]) -> dict[str, int]:

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from stepcore.engine.touches import Touches as Touches
     from stepcore.engine.trajectory import Trajectory as Trajectory
     from stepcore.engine.unsolved import UnsolvedWarning as UnsolvedWarning
+    from stepcore.engine.views import ActuatorView as ActuatorView
     from stepcore.engine.views import BodyView as BodyView
     from stepcore.engine.views import GeomView as GeomView
     from stepcore.engine.views import JointView as JointView
@@ -131,6 +132,7 @@ _MODULES = {
     "stepcore.engine.trajectory": ("Trajectory",),
     "stepcore.engine.unsolved": ("UnsolvedWarning",),
     "stepcore.engine.views": (
+        "ActuatorView",
         "BodyView",
         "GeomView",
         "JointView",

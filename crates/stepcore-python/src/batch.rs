@@ -348,6 +348,14 @@ impl Batch {
         self.placed(py, Placed::BodyQuat, &[self.model.bodies.len(), 4])
     }
     #[getter]
+    fn actuator_length<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::ActuatorLength, &[self.model.actuators.len()])
+    }
+    #[getter]
+    fn actuator_velocity<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::ActuatorVelocity, &[self.model.actuators.len()])
+    }
+    #[getter]
     fn ten_length<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.placed(py, Placed::TendonLength, &[self.model.tendons.len()])
     }

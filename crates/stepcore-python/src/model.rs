@@ -10,7 +10,7 @@ use stepcore::arrays::Array;
 use stepcore::elements::{joint_forces, Kind};
 use stepcore::model::Model as Engine;
 use stepcore::real::Lanes;
-use stepcore::scene::{JointType, Scene};
+use stepcore::scene::{JointType, Scene, Target};
 
 use crate::element::read;
 use crate::extract::{At, Read};
@@ -240,7 +240,7 @@ impl Model {
             m.actuators.iter().flat_map(|a| a.actrange.unwrap_or(FREE)).collect(),
             &[nu, 2],
         )?;
-        add("actuator_gain", m.actuators.iter().map(|a| a.gain).collect(), &[nu])?;
+        add("actuator_gain", m.actuators.iter().map(|a| a.gain[0]).collect(), &[nu])?;
         add("actuator_bias", m.actuators.iter().flat_map(|a| a.bias).collect(), &[nu, 3])?;
         add("actuator_gear", m.actuators.iter().flat_map(|a| a.gear).collect(), &[nu, 6])?;
         let npair = m.pairs.len();
@@ -272,8 +272,12 @@ impl Model {
         lists.set_item("geom_body", m.geoms.iter().map(|g| g.body).collect::<Vec<_>>())?;
         lists.set_item("sensor_dim", m.sensors.iter().map(|s| s.size()).collect::<Vec<_>>())?;
         lists.set_item("site_body", m.sites.iter().map(|s| s.body).collect::<Vec<_>>())?;
-        lists
-            .set_item("actuator_joint", m.actuators.iter().map(|a| a.joint).collect::<Vec<_>>())?;
+        let joint = |target: &Target| match *target {
+            Target::Joint(joint) | Target::InParent(joint) => joint as i64,
+            _ => -1,
+        };
+        let joints: Vec<i64> = m.actuators.iter().map(|a| joint(&a.target)).collect();
+        lists.set_item("actuator_joint", joints)?;
         Ok(lists)
     }
 

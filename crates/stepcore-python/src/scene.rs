@@ -4,8 +4,8 @@ use pyo3::prelude::*;
 use stepcore::scene::{
     Actuator, Body, ContactOverride, Dynamics, Equality, EqualityType, ExplicitPair, Features,
     FluidShape, Frame, Geom, GeomType, HField, Inertial, Joint, JointType, Key, MassRules, Mesh,
-    MeshInertia, ObjectType, Reduce, Scene, Sensor, SensorField, SensorObject, SensorType, Site,
-    Softness, Stop, Tendon,
+    MeshInertia, Muscle, ObjectType, Reduce, Scene, Sensor, SensorField, SensorObject, SensorType, Site,
+    Softness, Stop, Target, Tendon,
 };
 
 use crate::extract::{record, refuse, At, Read, Record};
@@ -35,6 +35,7 @@ named!(MeshInertia {
 });
 named!(Dynamics {
     "none" => None, "integrator" => Integrator, "filter" => Filter, "filterexact" => FilterExact,
+    "muscle" => Muscle,
 });
 
 /// By which of its fields is there.
@@ -82,6 +83,34 @@ impl Read for SensorType {
     }
 }
 
+/// By which of its fields is there.
+impl Read for Target {
+    fn read(value: &Bound<'_, PyAny>, at: &At) -> PyResult<Self> {
+        let has = |field: &str| value.contains(field).unwrap_or(false);
+        let of = |fields: &[&str]| Record::new(value, at, fields);
+        if has("jointinparent") {
+            return Ok(Self::InParent(of(&["jointinparent"])?.field("jointinparent")?));
+        }
+        if has("tendon") {
+            return Ok(Self::Tendon(of(&["tendon"])?.field("tendon")?));
+        }
+        if has("site") {
+            let record = of(&["site", "refsite"])?;
+            let (site, reference) = (record.field("site")?, record.field("refsite")?);
+            return Ok(Self::Site { site, reference });
+        }
+        if has("body") {
+            return Ok(Self::Body(of(&["body"])?.field("body")?));
+        }
+        if has("cranksite") {
+            let record = of(&["cranksite", "slidersite", "cranklength"])?;
+            let (crank, slider) = (record.field("cranksite")?, record.field("slidersite")?);
+            return Ok(Self::Crank { crank, slider, rod: record.field("cranklength")? });
+        }
+        Ok(Self::Joint(of(&["joint"])?.field("joint")?))
+    }
+}
+
 record!(Softness { solref, solimp });
 record!(Inertial { mass, pos, inertia });
 record!(Body { name, parent, pos, quat, inertial, gravcomp, mocap });
@@ -100,6 +129,7 @@ record!(Joint {
     springdamper,
     actuatorgravcomp,
     armature,
+    actuatorfrcrange,
     frictionloss,
     limit,
     friction,
@@ -150,12 +180,15 @@ record!(Tendon {
 record!(Site { name, body, pos, quat, kind, size });
 record!(SensorObject { kind, index });
 record!(Sensor { name, kind, object, reference, cutoff, data, reduce, num });
+record!(Muscle { range, force, scale, lmin, lmax, vmax, fpmax, fvmax });
 record!(Actuator {
     name,
-    joint,
+    target,
     gear,
     gain,
     bias,
+    muscle_gain,
+    muscle_bias,
     dampratio,
     dynamics,
     dynprm,
@@ -163,6 +196,10 @@ record!(Actuator {
     actrange,
     forcerange,
     actearly,
+    lengthrange,
+    damping,
+    armature,
+    enabled,
 });
 record!(Frame { pos, quat });
 record!(Equality {

@@ -345,6 +345,14 @@ impl Sim {
         self.placed(py, Placed::GeomMat, &[self.model.geoms.len(), 3, 3])
     }
     #[getter]
+    fn actuator_length<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::ActuatorLength, &[self.model.actuators.len()])
+    }
+    #[getter]
+    fn actuator_velocity<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
+        self.placed(py, Placed::ActuatorVelocity, &[self.model.actuators.len()])
+    }
+    #[getter]
     fn ten_length<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
         self.placed(py, Placed::TendonLength, &[self.model.tendons.len()])
     }

@@ -28,6 +28,8 @@ pub enum Placed {
     GeomPos,
     GeomMat,
     SitePos,
+    ActuatorLength,
+    ActuatorVelocity,
     TendonLength,
     TendonVelocity,
     TendonJacobian,
@@ -428,7 +430,9 @@ fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
             .iter()
             .flat_map(|s| flat(&sim.attached(s.body, &s.pos, &s.quat).0))
             .collect(),
-        Placed::TendonLength => numbers(&sim.placed.tendon_length),
+        Placed::ActuatorLength => sim.actuator_motion(0).0,
+        Placed::ActuatorVelocity => sim.actuator_motion(0).1,
+        Placed::TendonLength => numbers(&sim.placed.tendon_length[..model.tendons.len()]),
         Placed::TendonVelocity => numbers(&sim.tendon_velocity()),
         Placed::TendonJacobian => sim.tendon_jacobian(0),
         Placed::TendonForce => numbers(&sim.tendon_force()),

@@ -140,8 +140,8 @@ impl Room for Sleeper {
 impl Sleeper {
     pub fn new(model: &Model) -> Self {
         let mut driven = vec![false; model.trees.len()];
-        for actuator in &model.actuators {
-            driven[model.bodies[model.joints[actuator.joint].body].tree] = true;
+        for along in &model.along {
+            along.movers(model, |dof| driven[model.dofs[dof].tree] = true);
         }
         let mut qpos = vec![[usize::MAX, 0]; model.trees.len()];
         for joint in &model.joints {

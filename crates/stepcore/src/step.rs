@@ -83,6 +83,10 @@ impl<R: Real> Sim<R> {
             self.hold_asleep();
         }
         self.detect(at);
+        if self.model.adheres {
+            self.placed.place_adhesion(&self.model, &self.detected.contacts);
+            self.placed.make_guess(&self.model, self.clock.dt);
+        }
         self.make_rows(at, Part::Whole);
     }
 

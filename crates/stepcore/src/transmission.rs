@@ -3,11 +3,11 @@
 //! What pulls along a length (an actuator, a limit, a tendon's spring) asks here, and knows neither
 //! joint nor path. The lengths and arms of tendons are made in `place/tendon.rs`.
 
-use crate::model::{Model, Span};
+use crate::model::{Linkage, Model, Span};
 use crate::place::Pulls;
 use crate::real::Real;
 use crate::scene::JointType;
-use crate::spatial::Quat;
+use crate::spatial::{Quat, V3};
 
 /// Whose length.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,11 +15,15 @@ pub enum Transmission {
     /// Of a hinge or a slide its position; of a ball the angle by which it is turned, never
     /// negative.
     Joint(usize),
-    /// A joint behind a gear, which has one entry for each dof. The length is that of a hinge
-    /// or a slide; the arms are there for every joint.
+    /// A joint behind a gear, which has one entry for each dof. The length of a ball is the part of
+    /// its rotation vector along the gear; a free joint has none.
     Geared(usize, [f64; 6]),
+    /// A ball or a free joint whose axes of rotation are those of the frame in which it stands.
+    InParent(usize, [f64; 6]),
     /// A tendon, and a gear by which its length is multiplied.
     Tendon(usize, f64),
+    /// A linkage, whose arms hold its gear.
+    Linkage(usize),
 }
 
 /// The length of a joint and its arms.
@@ -44,11 +48,12 @@ impl Transmission {
     /// The dofs that move the length and all their ancestors, in `Model::dof_lists`.
     pub fn dofs(self, model: &Model) -> Span {
         match self {
-            Self::Joint(joint) | Self::Geared(joint, _) => {
+            Self::Joint(joint) | Self::Geared(joint, _) | Self::InParent(joint, _) => {
                 let joint = &model.joints[joint];
                 model.chain_of_dof(joint.dof + joint.dofs() - 1)
             }
             Self::Tendon(tendon, _) => model.tendons[tendon].dofs,
+            Self::Linkage(linkage) => model.linkages[linkage].dofs,
         }
     }
 
@@ -57,24 +62,47 @@ impl Transmission {
     pub fn length<R: Real>(self, model: &Model, qpos: &[R], pulls: Pulls<R>) -> R {
         match self {
             Self::Joint(joint) => Reach::of(model, joint, qpos).length,
-            Self::Geared(joint, gear) => R::of(gear[0]) * qpos[model.joints[joint].qpos],
+            Self::Geared(joint, gear) | Self::InParent(joint, gear) => {
+                let joint = &model.joints[joint];
+                match joint.kind {
+                    JointType::Hinge | JointType::Slide => R::of(gear[0]) * qpos[joint.qpos],
+                    // A rotation leaves its own axis where it is: in both frames it is the same.
+                    JointType::Ball => turned(joint.qpos, qpos).log().dot(&axis(&gear[..3])),
+                    JointType::Free => R::zero(),
+                }
+            }
             Self::Tendon(tendon, gear) => R::of(gear) * pulls.length[tendon],
+            Self::Linkage(linkage) => pulls.length[model.linkages[linkage].length],
         }
     }
 
-    /// Rate of the length of a hinge, a slide or a tendon [m/s or rad/s].
+    /// What moves along the arms: of a hinge, a slide or a tendon the rate of its length [m/s or rad/s].
     #[inline(always)]
-    pub fn velocity<R: Real>(self, model: &Model, qvel: &[R], pulls: Pulls<R>) -> R {
+    pub fn velocity<R: Real>(self, model: &Model, qpos: &[R], qvel: &[R], pulls: Pulls<R>) -> R {
+        let along = |dofs: Span, arms: Span| {
+            let mut sum = R::zero();
+            for (dof, arm) in dofs.of(&model.dof_lists).iter().zip(arms.of(pulls.arms)) {
+                sum += *arm * qvel[*dof];
+            }
+            sum
+        };
         match self {
             Self::Joint(joint) => qvel[model.joints[joint].dof],
-            Self::Geared(joint, gear) => R::of(gear[0]) * qvel[model.joints[joint].dof],
+            Self::Geared(joint, gear) if model.joints[joint].dofs() == 1 => {
+                R::of(gear[0]) * qvel[model.joints[joint].dof]
+            }
+            Self::Geared(..) | Self::InParent(..) => {
+                let mut sum = R::zero();
+                self.arms(model, qpos, pulls, |dof, arm: R| sum += arm * qvel[dof]);
+                sum
+            }
             Self::Tendon(tendon, gear) => {
-                let (tendon, mut sum) = (&model.tendons[tendon], R::zero());
-                let arms = tendon.arms.of(pulls.arms);
-                for (dof, arm) in tendon.dofs.of(&model.dof_lists).iter().zip(arms) {
-                    sum += *arm * qvel[*dof];
-                }
-                R::of(gear) * sum
+                let tendon = &model.tendons[tendon];
+                R::of(gear) * along(tendon.dofs, tendon.arms)
+            }
+            Self::Linkage(linkage) => {
+                let Linkage { dofs, arms, .. } = model.linkages[linkage];
+                along(dofs, arms)
             }
         }
     }
@@ -96,12 +124,40 @@ impl Transmission {
                 let joint = &model.joints[joint];
                 (0..joint.dofs()).for_each(|k| each(joint.dof + k, R::of(gear[k])));
             }
+            Self::InParent(joint, gear) => {
+                let joint = &model.joints[joint];
+                let moves = joint.dofs() - 3;
+                (0..moves).for_each(|k| each(joint.dof + k, R::of(gear[k])));
+                let back = turned(joint.qpos + joint.kind.positions() - 4, qpos).conjugate();
+                let turns = back.rotate(&axis(&gear[moves..moves + 3]));
+                (0..3).for_each(|k| each(joint.dof + moves + k, turns[k]));
+            }
             Self::Tendon(tendon, gear) => {
                 let tendon = &model.tendons[tendon];
                 let arms = tendon.arms.of(pulls.arms);
                 for (dof, arm) in tendon.dofs.of(&model.dof_lists).iter().zip(arms) {
                     each(*dof, R::of(gear) * *arm);
                 }
+            }
+            Self::Linkage(linkage) => {
+                let Linkage { dofs, arms, .. } = model.linkages[linkage];
+                for (dof, arm) in dofs.of(&model.dof_lists).iter().zip(arms.of(pulls.arms)) {
+                    each(*dof, *arm);
+                }
+            }
+        }
+    }
+
+    /// Calls `each` with every dof that can move the length.
+    pub fn movers(self, model: &Model, mut each: impl FnMut(usize)) {
+        match self {
+            Self::Joint(joint) | Self::Geared(joint, _) | Self::InParent(joint, _) => {
+                let joint = &model.joints[joint];
+                (joint.dof..joint.dof + joint.dofs()).for_each(each);
+            }
+            Self::Tendon(..) => self.dofs(model).of(&model.dof_lists).iter().for_each(|k| each(*k)),
+            Self::Linkage(linkage) => {
+                model.linkages[linkage].movers.iter().for_each(|moved| each(moved.dof));
             }
         }
     }
@@ -120,6 +176,16 @@ impl Transmission {
             self.arms(model, qpos, pulls, |j, b: R| each(i, j, a * b));
         });
     }
+}
+
+/// The quaternion that begins at a place of qpos.
+#[inline(always)]
+fn turned<R: Real>(from: usize, qpos: &[R]) -> Quat<R> {
+    Quat::of(&qpos[from..from + 4]).normalized()
+}
+
+fn axis<R: Real>(gear: &[f64]) -> V3<R> {
+    V3::new(R::of(gear[0]), R::of(gear[1]), R::of(gear[2]))
 }
 
 impl<R: Real> Reach<R> {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore import _core, checks
 from stepcore.engine.arrays import Floats
-from stepcore.engine.views import BodyView, GeomView, JointView, SensorView, SiteView, TendonView
+from stepcore.engine.views import ActuatorView, BodyView, GeomView, JointView, SensorView, SiteView, TendonView
 from stepcore.engine.world import World
 
 if TYPE_CHECKING:
@@ -104,6 +104,10 @@ class Stepped(World):
         """
         values: Floats = self._core.sensordata()
         return values
+
+    def actuator(self, name: str | int) -> ActuatorView:
+        """Returns a view of one actuator; see `body`."""
+        return ActuatorView(self, self._model.index("actuator", name))
 
     def reset(self, key: str | int | None = None) -> None:
         """Resets to the scene's initial pose at rest and time 0, or to a keyframe.

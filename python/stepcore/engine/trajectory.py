@@ -28,6 +28,7 @@ RECORDED = (
     *("ten_length", "ten_velocity"),
     *("subtree_com", "cinert", "cvel", "cacc", "cfrc_ext", "cfrc_int"),
     *("energy", "momentum", "overlap", "bias", "passive"),
+    *("actuator_length", "actuator_velocity"),
     "sensordata",
     *("qacc", "residual", "constraint_force", "actuator_force", "sweeps_done", "row_updates"),
     "unrecovered_overlap",

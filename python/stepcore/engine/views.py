@@ -233,3 +233,46 @@ class SensorView(_View):
         """Its values, shape (size,); see `Sim.sensordata`. Only this sensor is computed."""
         values: Floats = self._sim._core.sensordata(self.index)
         return values
+
+
+class ActuatorView(_View):
+    """One actuator of a `Sim`, or of all worlds of a `Batch` (shapes then begin with n).
+
+    ctrl and act can be written.
+    """
+
+    kind = "actuator"
+
+    @property
+    def ctrl(self) -> Floats:
+        """Control, shape (1,)."""
+        return self._sim.ctrl[..., self.index : self.index + 1]
+
+    @ctrl.setter
+    def ctrl(self, value: ArrayLike) -> None:
+        fill(self.ctrl, f"ctrl of {self._label}", value)
+
+    @property
+    def act(self) -> Floats:
+        """Activation, shape (1,), or (0,) without one."""
+        start = int(self._sim.model.actuator_actadr[self.index])
+        return self._sim.act[..., start : start + 1] if start >= 0 else self._sim.act[..., :0]
+
+    @act.setter
+    def act(self, value: ArrayLike) -> None:
+        fill(self.act, f"act of {self._label}", value)
+
+    @property
+    def length(self) -> Floats:
+        """Length along which it pulls, times its gear [m or rad]."""
+        return self._sim.actuator_length[..., self.index]
+
+    @property
+    def velocity(self) -> Floats:
+        """Rate of its length, times its gear [m/s or rad/s]."""
+        return self._sim.actuator_velocity[..., self.index]
+
+    @property
+    def force(self) -> Floats:
+        """Force of the last solve, before the gear [N or N·m]."""
+        return self._sim.actuator_force[..., self.index]

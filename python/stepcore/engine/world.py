@@ -79,6 +79,8 @@ class World(checks.KnownNames, ABC):
         "Coriolis, centrifugal and gravity forces [N or N·m], shape (nv,); on the left-hand side "
         "of the equation of motion, M qacc + bias = forces."
     )
+    actuator_length = Readout("Length of each actuator, times its gear [m or rad], shape (nu,).")
+    actuator_velocity = Readout("Velocity of each actuator, times its gear, shape (nu,).")
     passive = Readout(
         "Forces of springs and dampers of joints and tendons [N or N·m], shape (nv,)."
     )

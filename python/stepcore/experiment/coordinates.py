@@ -12,10 +12,11 @@ from stepcore.scene.layout import DOFS, Layout
 
 @dataclass(frozen=True)
 class Start:
-    """One initial state. qpos: shape (nq,); qvel: shape (nv,)."""
+    """One initial state. qpos: shape (nq,); qvel: shape (nv,); act: shape (na,), None for zeros."""
 
     qpos: np.ndarray
     qvel: np.ndarray
+    act: np.ndarray | None = None
 
 
 class Coordinates:

@@ -39,6 +39,8 @@ def joint_gains(model: Model) -> Iterator[JointGain]:
         square = float(model.actuator_gear[i, 0]) ** 2
         _, length, velocity = model.actuator_bias[i].tolist()
         joint_index = int(model.actuator_joint[i])
+        if joint_index < 0 or model.jnt_type[joint_index] not in ("hinge", "slide"):
+            continue
         yield JointGain("actuator", i, joint_index, -square * length, -square * velocity)
 
 

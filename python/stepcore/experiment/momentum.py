@@ -32,11 +32,13 @@ class Balance:
             for joint in layout.joints
             if joint.body.parent is None or not layout.moving(joint.body.parent)
         ]
-        driven = {id(actuator.joint) for actuator in scene.actuators}
+        driven = {id(actuator.target[1]) for actuator in scene.actuators}
+        # A jet pushes on the world.
+        jets = any(a.site is not None and a.refsite is None for a in scene.actuators)
         tied = any(e.active and not _inside(layout, e) for e in scene.equalities)
         self.gravity, self.mass = gravity, mass
         held = scene.density > 0 or scene.viscosity > 0 or any(b.gravcomp for b in scene.bodies)
-        self.known = not (tied or held) and all(
+        self.known = not (tied or held or jets) and all(
             joint.type == "free"
             and not (joint.damped or joint.sprung or joint.armature or joint.frictionloss)
             and id(joint) not in driven

@@ -13,7 +13,8 @@ from stepcore.experiment.schedule import Schedule
 from stepcore.report.units import counted, seconds
 
 # What actuators of a type are called.
-WORDS = {"motor": "motor", "position": "servo", "velocity": "servo"}
+WORDS = {"motor": "motor", "muscle": "muscle", "damper": "damper", "cylinder": "cylinder"}
+WORDS |= dict.fromkeys(("position", "velocity", "intvelocity"), "servo")
 
 
 def motion_in_words(

@@ -149,6 +149,9 @@ class Runner:
         sim.reset()
         sim.qpos = self.schedule.starts[start].qpos
         sim.qvel = self.schedule.starts[start].qvel
+        act = self.schedule.starts[start].act
+        if act is not None:
+            sim.act = act
 
     def control(self, sim: Any, start: int, period: int, function: Control | None) -> None:
         """Sets the controls of a Sim at the beginning of a period; function: of this run."""

@@ -23,7 +23,7 @@ def home(model: Model, key: str | int | None) -> tuple[Start, np.ndarray]:
     if key is None and not model.keys:
         return Start(model.qpos0, np.zeros(model.nv)), np.zeros(model.nu)
     frame = model.keys[0 if key is None else model.index("key", key)]
-    return Start(frame.qpos, frame.qvel), frame.ctrl
+    return Start(frame.qpos, frame.qvel, frame.act), frame.ctrl
 
 
 def near(model: Model, coordinates: Coordinates, home: Start, rng: np.random.Generator) -> Start:
@@ -46,7 +46,7 @@ def near(model: Model, coordinates: Coordinates, home: Start, rng: np.random.Gen
     for _ in range(64):
         step, rate = coordinates.drawn(rng, SHIFT, TURN), coordinates.drawn(rng, SPEED, SPIN)
         moved = coordinates.inside(coordinates.moved(home.qpos, step))
-        start = Start(moved, home.qvel + rate)
+        start = Start(moved, home.qvel + rate, home.act)
         tried.append((depth(start), start))
         if tried[-1][0] <= allowed:
             return start

@@ -1,4 +1,4 @@
-"""The section `<actuator>`: motors and servos on joints."""
+"""The section `<actuator>`: motors, servos and muscles."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any
 from stepcore.mjcf.gains import ActuatorGains
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
-from stepcore.mjcf.worldbody import WorldReader
-from stepcore.scene.elements import Joint
-from stepcore.scene.elements.actuator import DYNAMICS
+from stepcore.mjcf.worldbody import WorldReader, polynomial
+from stepcore.scene.actuation import MUSCLE
+from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS
 
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")
 # The second site of a transmission between two sites.
@@ -18,77 +18,139 @@ STATEFUL = ("actlimited", "actrange")
 
 
 def read(world: WorldReader, node: Node) -> None:
-    """Reads one motor or servo on a joint."""
+    """Reads one motor, servo or muscle."""
     values = world.defaults.of(node, kind="actuator")
-    joint = _joint(world, node, values)
+    target = _target(world, node, values)
     _refuse(node, values)
     gains = world.defaults.gains(node)
     _refuse_gains(node, gains)
+    ctrlrange, actrange = _ranges(world, node, values, gains, target)
+    given: dict[str, Any] = {
+        **target,
+        **polynomial(values, "damping"),
+        **{name: values[name] for name in ("armature",) if name in values},
+        **_words(gains),
+    }
+    if given.get("damping") == 0.0:
+        del given["damping"]
+    lengthrange = values.get("lengthrange", (0.0, 0.0))
     added = world.scene.add_actuator(
-        joint,
-        gains.tag,
+        type=gains.tag,
         name=values.get("name", ""),
         gear=values.get("gear", (1.0,)),
-        ctrlrange=_ctrlrange(world, node, values, gains, joint),
+        ctrlrange=ctrlrange,
         forcerange=world.limits(node, values, "forcelimited", "forcerange"),
-        actrange=_actrange(world, node, values, gains),
+        actrange=actrange,
         actearly=values.get("actearly", False),
-        **_words(gains),
+        lengthrange=lengthrange if lengthrange[0] < lengthrange[1] else None,
+        enabled=values.get("group", 0) not in world.disabled_groups,
+        **given,
     )
     world.keep(node, added)
 
 
-def _joint(world: WorldReader, node: Node, values: dict[str, Any]) -> Joint:
+def _target(world: WorldReader, node: Node, values: dict[str, Any]) -> dict[str, Any]:
+    """What it pulls at, as fields of `Actuator`."""
     used = [name for name in TRANSMISSIONS if name in values]
     if not used:
         raise node.error(f'<{node.tag}> needs joint="…"')
     if len(used) > 1:
         raise node.error(f"<{node.tag}> has two transmissions: {used[0]} and {used[1]}")
-    if used[0] not in ("joint", "jointinparent"):
-        second = WITH.get(used[0], "")
-        both = f" and {second}" if second in values else ""
-        raise node.unbuilt(f"a <{node.tag}> that acts through {used[0]}{both}")
-    joint = world.scene.joint(values[used[0]])
-    if used[0] == "jointinparent" and joint.type in ("ball", "free"):
-        raise node.unbuilt(f"jointinparent on a {joint.type} joint")
-    return joint
+    kind = used[0]
+    scene = world.scene
+    if kind == "body":
+        return {"body": scene.body(values["body"])}
+    if kind in ("joint", "jointinparent"):
+        return {kind: scene.joint(values[kind])}
+    if kind == "tendon":
+        return {"tendon": scene.tendon(values["tendon"])}
+    second = WITH[kind]
+    sites = {name: scene.site(values[name]) for name in (kind, second) if name in values}
+    if kind == "slidersite":
+        if second not in values:
+            raise node.error(f'<{node.tag}> needs cranksite="…" beside slidersite')
+        if values.get("cranklength", 0.0) <= 0:
+            raise bad(node, "cranklength", values.get("cranklength", 0.0), "> 0")
+        sites["cranklength"] = values["cranklength"]
+    return sites
 
 
 def _refuse(node: Node, values: dict[str, Any]) -> None:
     if values.get("delay", 0) != 0:
-        raise node.unbuilt("a delay between control and force (delay)")
-    if any(values.get("damping", ())) or values.get("armature", 0) != 0:
-        raise node.unbuilt("an actuator's own damping or armature")
+        raise node.unbuilt("a delay between control and force (delay)", "delay")
     if node.values.get("input", "") not in ("", "pos", "vel", "pressure"):
         raise bad(node, "input", node.values["input"], "pos, vel or pressure")
 
 
 def _refuse_gains(node: Node, gains: ActuatorGains) -> None:
-    for name, built in (("dyntype", DYNAMICS), ("gaintype", ("fixed",))):
+    for name, built in (("dyntype", DYNAMICS), ("gaintype", GAINS), ("biastype", BIASES)):
         if getattr(gains, name) not in built:
             raise node.unbuilt(f'<general> {name}="{getattr(gains, name)}"')
-    if gains.biastype not in ("none", "affine"):
-        raise node.unbuilt(f'<general> biastype="{gains.biastype}"')
 
 
 def _words(gains: ActuatorGains) -> dict[str, Any]:
-    """The gains as fields of `Actuator`."""
+    """The law as fields of `Actuator`."""
     gain, damping = gains.gainprm[0], gains.biasprm[2]
-    if gains.tag == "position":
-        words = {"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping}
-        return {"kp": gain, **words, "timeconst": gains.dynprm[0] if gains.dyntype != "none" else None}
+    filtered = gains.dyntype != "none"
+    if gains.tag in ("position", "intvelocity"):
+        words: dict[str, Any] = {"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping}
+        if gains.tag == "position" and filtered:
+            words["timeconst"] = gains.dynprm[0]
+        return {"kp": gain, **words}
     if gains.tag == "velocity":
         return {"kv": gain}
-    if gains.tag == "general":
-        bias = gains.biasprm[:3] if gains.biastype == "affine" else None
-        words = {"dyntype": gains.dyntype, "dynprm": gains.dynprm} if gains.dyntype != "none" else {}
-        return {"gainprm": gain, "biasprm": bias, **words}
-    return {}
+    if gains.tag == "adhesion":
+        return {"gain": gain}
+    if gains.tag == "damper":
+        return {"kv": 0.0 - gains.gainprm[2]}
+    if gains.tag == "cylinder":
+        return {"area": gain, "bias": gains.biasprm[:3], "timeconst": gains.dynprm[0]}
+    if gains.tag == "muscle":
+        numbers = (gains.gainprm[:2], *gains.gainprm[2:9])
+        rise, fall, smooth = gains.dynprm[:3]
+        muscle = dict(zip(MUSCLE, numbers, strict=True))
+        return {**muscle, "timeconst": (rise, fall), "tausmooth": smooth}
+    return _general(gains) if gains.tag == "general" else {}
+
+
+def _general(gains: ActuatorGains) -> dict[str, Any]:
+    affine = gains.biastype == "affine"
+    words: dict[str, Any] = {"gainprm": gains.gainprm[0]}
+    words["biasprm"] = gains.biasprm[:3] if affine else None
+    if gains.gaintype != "fixed":
+        words |= {"gaintype": gains.gaintype, "gainprm": gains.gainprm[:10]}
+    if gains.biastype == "muscle":
+        words |= {"biastype": "muscle", "biasprm": gains.biasprm[:10]}
+    if gains.dyntype != "none":
+        words |= {"dyntype": gains.dyntype, "dynprm": gains.dynprm[:3]}
+    return words
+
+
+Bounds = tuple[float, ...] | None
+
+
+def _ranges(
+    world: WorldReader,
+    node: Node,
+    values: dict[str, Any],
+    gains: ActuatorGains,
+    target: dict[str, Any],
+) -> tuple[Bounds, Bounds]:
+    """The bounds of control and activation, one of which may be that of the joint or tendon."""
+    actrange = _actrange(world, node, values, gains)
+    integrates = gains.dyntype == "integrator"
+    if gains.inheritrange <= 0 or not gains.is_position:
+        return world.limits(node, values, "ctrllimited", "ctrlrange"), actrange
+    found = _inherited(world, node, values, gains, target)
+    if integrates:
+        limited = values.get("actlimited", "auto") is not False
+        return world.limits(node, values, "ctrllimited", "ctrlrange"), found if limited else None
+    return None if values.get("ctrllimited", "auto") is False else found, actrange
 
 
 def _actrange(
     world: WorldReader, node: Node, values: dict[str, Any], gains: ActuatorGains
-) -> tuple[float, ...] | None:
+) -> Bounds:
     stateless = gains.dyntype == "none"
     if stateless:
         for name in STATEFUL:
@@ -101,21 +163,26 @@ def _actrange(
     return None if stateless else world.limits(node, values, "actlimited", "actrange")
 
 
-def _ctrlrange(
-    world: WorldReader, node: Node, values: dict[str, Any], gains: ActuatorGains, joint: Joint
-) -> tuple[float, ...] | None:
-    if gains.inheritrange <= 0 or not gains.is_position:
-        return world.limits(node, values, "ctrllimited", "ctrlrange")
+def _inherited(
+    world: WorldReader,
+    node: Node,
+    values: dict[str, Any],
+    gains: ActuatorGains,
+    target: dict[str, Any],
+) -> tuple[float, float]:
     takes_over = node.values.get("inheritrange", 0.0) > 0
     if gains.tag == "position" and "ctrlrange" in values and not takes_over:
         raise node.error("<position> inherits both ctrlrange and inheritrange")
-    bounds = world.ranges.get(id(joint))
+    element = next(iter(target.values()))
+    if "tendon" in target:
+        bounds = element.range
+    else:
+        bounds = world.ranges.get(id(element))
     if bounds is None or bounds[0] == bounds[1]:
-        raise node.error(f"<{node.tag}> inheritrange: {joint} has no range")
-    if joint.range is None and joint.type == "hinge" and world.compiler.degrees:
-        what = f"the range of {joint} is inherited unconverted, as radians, as MuJoCo does"
+        raise node.error(f"<{node.tag}> inheritrange: {element} has no range")
+    radians = "tendon" in target or element.range is not None or element.type != "hinge"
+    if not radians and world.compiler.degrees:
+        what = f"the range of {element} is inherited unconverted, as radians, as MuJoCo does"
         world.scene.notes.append(f"{node.file}:{node.line}: {what}: the joint is not limited")
-    if values.get("ctrllimited", "auto") is False:
-        return None
     middle, half = (bounds[0] + bounds[1]) / 2, gains.inheritrange * (bounds[1] - bounds[0]) / 2
     return middle - half, middle + half

@@ -33,7 +33,6 @@ _EFFECTS = {
     "option/density": "the fluid slows bodies down",
     "option/viscosity": "the fluid slows bodies down",
     "option/wind": "the fluid moves, and bodies in it",
-    "option/actuatorgroupdisable": "these actuators would not act",
     "option/integrator": "each step has another error",
     "flag/sleep": "what rests would be left out of the step until something touches it",
     "flag/diagexact": "the solver would see other inverse masses of rows",

@@ -1,32 +1,36 @@
-"""The gains of an actuator from its element and its default classes.
+"""The force law of an actuator from its element and its default classes.
 
 MuJoCo's rule: `<general>` inherits from its class. A shortcut (`<position>`, `<velocity>`, …)
 inherits from the innermost class whose actuator was last written as the same shortcut or as
-`<general>`; without one it has defaults of its own. A class stores its gains as `<general>` would.
+`<general>`; without one it has defaults of its own. A class stores its law as `<general>` would.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
-from stepcore.scene.frames import Vec
+from stepcore.scene.actuation import MUSCLE
+from stepcore.scene.frames import ORIGIN, Vec
 
-BUILT = ("motor", "position", "velocity", "general")
+BUILT = (
+    *("motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion", "general"),
+)
 
 
 @dataclass(frozen=True)
 class ActuatorGains:
-    """The gains of an actuator or a default class.
+    """The force law of an actuator or a default class.
 
-    tag: the element that gave them. inheritrange: the scale of an inherited range, or 0.
+    tag: the element that gave it. inheritrange: the scale of an inherited range, or 0.
     """
 
     tag: str = "general"
     gainprm: Vec = (1.0,)
-    biasprm: Vec = (0.0, 0.0, 0.0)
+    biasprm: Vec = ORIGIN
     dyntype: str = "none"
     gaintype: str = "fixed"
     biastype: str = "none"
@@ -36,14 +40,15 @@ class ActuatorGains:
     @property
     def is_position(self) -> bool:
         """Whether it controls a length; only then can it inherit its joint's range."""
-        return self.biastype == "affine" and self.gainprm[0] == -self.biasprm[1]
+        fixed = self.gaintype == "fixed" and self.biastype == "affine"
+        return fixed and self.gainprm[0] == -self.biasprm[1]
 
 
 Chain = tuple[ActuatorGains, ...]
 
 
 def inherited(chain: Chain, node: Node) -> ActuatorGains:
-    """The gains of an actuator or a default; chain: those of its classes, outermost first."""
+    """The law of an actuator or a default; chain: those of its classes, outermost first."""
     if node.tag not in BUILT:
         return ActuatorGains(node.tag)
     # Only a <general> of the same class uses it.
@@ -53,10 +58,69 @@ def inherited(chain: Chain, node: Node) -> ActuatorGains:
     if node.tag == "general":
         return _general(chain[-1], node)
     base = next((g for g in reversed(chain) if g.tag in (node.tag, "general")), ActuatorGains())
-    if node.tag == "position":
+    if node.tag in ("position", "intvelocity"):
         return _position(base, node)
+    return replace(_SHORTCUTS[node.tag](base, node), inheritrange=kept)
+
+
+def _velocity(base: ActuatorGains, node: Node) -> ActuatorGains:
     kv = node.values.get("kv", base.gainprm[0])
-    return ActuatorGains("velocity", (kv,), (0.0, 0.0, -kv), biastype="affine", inheritrange=kept)
+    return ActuatorGains("velocity", (kv,), (0.0, 0.0, -kv), biastype="affine")
+
+
+def _damper(base: ActuatorGains, node: Node) -> ActuatorGains:
+    known = base.tag == "damper"
+    kv = node.values.get("kv", 0.0 - base.gainprm[2] if known else 0.0)
+    if kv < 0:
+        raise bad(node, "kv", kv, ">= 0")
+    return ActuatorGains("damper", (0.0, 0.0, 0.0 - kv), gaintype="affine")
+
+
+def _cylinder(base: ActuatorGains, node: Node) -> ActuatorGains:
+    values = node.values
+    area = values.get("area", base.gainprm[0])
+    if values.get("diameter", -1.0) >= 0:
+        area = math.pi / 4 * values["diameter"] ** 2
+    bias = (*values.get("bias", ()), *base.biasprm[len(values.get("bias", ())) :])
+    times = (values.get("timeconst", base.dynprm[0]), 0.0, 0.0)
+    return ActuatorGains("cylinder", (area,), bias, "filter", "fixed", "affine", 0.0, times)
+
+
+def _adhesion(base: ActuatorGains, node: Node) -> ActuatorGains:
+    gain = node.values.get("gain", base.gainprm[0])
+    if gain < 0:
+        raise bad(node, "gain", gain, ">= 0")
+    return ActuatorGains("adhesion", (gain,))
+
+
+def _muscle(base: ActuatorGains, node: Node) -> ActuatorGains:
+    """MuJoCo takes what is as in `<general>` for what was not given."""
+    values = node.values
+    base = base if base.tag == "muscle" else ActuatorGains()
+    old = (*base.gainprm, *(0.0,) * 9)[:9]
+    fresh = (1.0,) + (0.0,) * 8
+    defaults = (*MUSCLE["range"], *list(MUSCLE.values())[1:])
+    numbers = [
+        default if kept == unset else kept
+        for kept, unset, default in zip(old, fresh, defaults, strict=True)
+    ]
+    for index, word in enumerate(MUSCLE):
+        if word == "range" and word in values:
+            numbers[:2] = values[word]
+        elif word in values:
+            numbers[index + 1] = values[word]
+    rise, fall, smooth = base.dynprm[:3]
+    times = (0.01 if rise == 1 else rise, 0.04 if fall == 0 else fall)
+    times = values.get("timeconst", times)
+    dynamics = (*times, values.get("tausmooth", smooth))
+    if dynamics[2] < 0:
+        raise bad(node, "tausmooth", dynamics[2], ">= 0")
+    own = tuple(numbers)
+    return ActuatorGains("muscle", own, own, "muscle", "muscle", "muscle", 0.0, dynamics)
+
+
+_SHORTCUTS = {"velocity": _velocity, "damper": _damper, "cylinder": _cylinder, "muscle": _muscle}
+_SHORTCUTS["adhesion"] = _adhesion
 
 
 def _general(base: ActuatorGains, node: Node) -> ActuatorGains:
@@ -78,28 +142,30 @@ def _position(base: ActuatorGains, node: Node) -> ActuatorGains:
         if values.get(name, 0.0) < 0:
             raise bad(node, name, values[name], ">= 0")
     if "kv" in values and "dampratio" in values:
-        raise node.error("<position> has both kv and dampratio")
+        raise node.error(f"<{node.tag}> has both kv and dampratio")
     kp = values.get("kp", base.gainprm[0])
     # Above 0 the last one is a damping ratio.
     damping = base.biasprm[2]
     if "kv" in values or "dampratio" in values:
         damping = values.get("dampratio", -values.get("kv", 0.0))
-    dyntype, dynprm = (base.dyntype, base.dynprm) if base.tag == "position" else ("none", (1.0,))
+    kind, times = (base.dyntype, base.dynprm) if base.tag == "position" else ("none", (1.0, 0.0, 0.0))
     if "timeconst" in values:
-        dyntype = "filterexact" if values["timeconst"] > 0 else "none"
-        dynprm = (values["timeconst"],)
-    bias = (0.0, -kp, damping)
-    inherited = _inheritrange(base, node)
-    return ActuatorGains("position", (kp,), bias, dyntype, "fixed", "affine", inherited, dynprm)
+        kind = "filterexact" if values["timeconst"] > 0 else "none"
+        times = (values["timeconst"], 0.0, 0.0)
+    if node.tag == "intvelocity":
+        kind, times = "integrator", (1.0, 0.0, 0.0)
+    bias, scale = (0.0, -kp, damping), _inheritrange(base, node)
+    return ActuatorGains(node.tag, (kp,), bias, kind, "fixed", "affine", scale, times)
 
 
 def _inheritrange(base: ActuatorGains, node: Node) -> float:
     """The scale from the joint's range to the control's; 0 if a control range is given."""
     given: float = node.values.get("inheritrange", base.inheritrange)
-    if "ctrlrange" not in node.values:
+    own = "actrange" if node.tag == "intvelocity" else "ctrlrange"
+    if own not in node.values:
         return given
     if node.values.get("inheritrange", 0.0) > 0:
-        raise node.error(f"<{node.tag}> has both ctrlrange and inheritrange")
+        raise node.error(f"<{node.tag}> has both {own} and inheritrange")
     return 0.0
 
 

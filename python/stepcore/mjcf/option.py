@@ -100,10 +100,9 @@ def _override(scene: Contents, values: Mapping[str, Any]) -> None:
 
 def _refuse(node: Node) -> None:
     values = node.values
-    if values.get("actuatorgroupdisable"):
-        raise node.unbuilt(
-            "disabling groups of actuators (actuatorgroupdisable)", "actuatorgroupdisable"
-        )
+    for group in values.get("actuatorgroupdisable", ()):
+        if not 0 <= group <= 30:
+            raise bad(node, "actuatorgroupdisable", group, "groups from 0 to 30")
 
 
 def _flags(scene: Contents, node: Node) -> None:

@@ -126,6 +126,9 @@ def _read(scene: Contents, model: Model, refusals: Refusals) -> WorldReader:
     scene.mass_rules = compiler.mass_rules()
     for node in sections(root, "option"):
         refusals.at(node, lambda node: option.read(scene, node))
+        world.disabled_groups = frozenset(
+            node.values.get("actuatorgroupdisable", world.disabled_groups)
+        )
     for node in sections(root, "worldbody"):
         world.read(node)
     for section, read in SECTIONS.items():

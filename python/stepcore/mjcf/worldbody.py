@@ -86,6 +86,8 @@ class WorldReader:
         # bodies are to be aligned with their inertia.
         self.inertial_axes: dict[int, Vec] = {}
         self.aligned: set[int] = set()
+        # Groups of actuators that are left out.
+        self.disabled_groups: frozenset[int] = frozenset()
         # Ranges of joints, limited or not, which servos can inherit.
         self.ranges: dict[int, tuple[float, ...]] = {}
 
@@ -200,6 +202,7 @@ class WorldReader:
             pos=pos if kind != "free" else frames.ORIGIN,
             axis=frames.rotated(turn, axis),
             range=limits and tuple(convert(bound) for bound in limits),
+            actuatorfrcrange=self._force_range(node, values) if scalar else None,
             ref=convert(values.get("ref", 0.0)) if scalar else 0.0,
             springref=convert(values.get("springref", 0.0)) if scalar else 0.0,
             **polynomial(values, "stiffness"),
@@ -216,14 +219,12 @@ class WorldReader:
             # MuJoCo converts the range of a limited joint only.
             self.ranges[id(joint)] = angles if limits else values["range"]
 
+    def _force_range(self, node: Node, values: dict[str, Any]) -> tuple[float, ...] | None:
+        return self.limits(node, values, "actuatorfrclimited", "actuatorfrcrange")
+
     def _refuse_joint(self, node: Node, kind: str, values: dict[str, Any]) -> None:
         if values.get("springyield", 0) != 0 and kind != "free":
             raise node.unbuilt("a spring that yields (springyield)", "springyield")
-        scalar = kind in ("hinge", "slide")
-        if scalar and self.limits(node, values, "actuatorfrclimited", "actuatorfrcrange"):
-            raise node.unbuilt(
-                "clamping a joint's actuator force (actuatorfrcrange)", "actuatorfrcrange"
-            )
 
     def limits(
         self, node: Node, values: dict[str, Any], switch: str, field: str, lo_free: bool = True

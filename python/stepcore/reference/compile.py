@@ -70,10 +70,33 @@ def compile_scene(scene: Any) -> Model:
             raise ValueError(f"the reference has no {name}")
     number_joints(model)
     masses(model)
+    check_actuators(model)
     model.actuator_bias = [servo_bias(model, actuator) for actuator in scene["actuators"]]
     model.pairs = candidate_pairs(model)
     model.frames = [equalities.frames(model, equality) for equality in scene["equalities"]]
     return model
+
+
+def check_actuators(model: Model) -> None:
+    """The reference has motors and servos of one control on joints, without activation."""
+    for actuator in model.scene["actuators"]:
+        kind = next(iter(actuator["target"]))
+        muscle = actuator["muscle_gain"] or actuator["muscle_bias"]
+        turns = kind == "joint" and model.joints[actuator["target"]["joint"]]["width"] > 1
+        for what, there in {
+            f"actuator on a {kind}": kind != "joint",
+            "activation": actuator["dynamics"] != "none",
+            "muscle": muscle is not None,
+            "gain that varies": any(actuator["gain"][1:]),
+            "servo on a ball or a free joint": turns and any(actuator["bias"][1:]),
+            "damping or armature of an actuator": any(actuator["damping"]) or actuator["armature"],
+            "actuator that is left out": not actuator["enabled"],
+        }.items():
+            if there:
+                raise ValueError(f"actuator '{actuator['name']}': the reference has no {what}")
+    for joint in model.scene["joints"]:
+        if joint["actuatorfrcrange"] is not None:
+            raise ValueError(f"joint '{joint['name']}': the reference has no actuatorfrcrange")
 
 
 def servo_bias(model: Model, actuator: Record) -> Array:
@@ -81,7 +104,7 @@ def servo_bias(model: Model, actuator: Record) -> Array:
     bias = np.array(actuator["bias"], float)
     if actuator["dampratio"]:
         row = np.zeros(model.nv)
-        row[model.joints[actuator["joint"]]["dof"]] = actuator["gear"][0]
+        row[model.joints[actuator["target"]["joint"]]["dof"]] = actuator["gear"][0]
         M = mass_matrix(model, place(model, np.array(model.qpos0, float)))
         easy = row @ np.linalg.solve(M, row)
         bias[2] = -2 * actuator["dampratio"] * np.sqrt(-bias[1] / easy) if easy > 0 else 0.0

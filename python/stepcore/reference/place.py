@@ -199,10 +199,10 @@ def known_forces(world: World, placed: Placed, qpos: Array, v: Array) -> Array:
         model.scene["actuators"], model.actuator_bias, world.ctrl, strict=True
     ):
         if on["actuation"]:
-            joint = model.joints[actuator["joint"]]
+            joint = model.joints[actuator["target"]["joint"]]
             if actuator["ctrlrange"] is not None and on["clampctrl"]:
                 signal = np.clip(signal, *actuator["ctrlrange"])
-            signal = actuator["gain"] * signal + bias_[0]
+            signal = actuator["gain"][0] * signal + bias_[0]
             if bias_[1:].any():  # of hinges and slides only
                 gear = actuator["gear"][0]
                 signal += gear * (bias_[1] * qpos[joint["qpos"]] + bias_[2] * v[joint["dof"]])

@@ -1,8 +1,9 @@
-"""Gain and bias of an actuator from its fields kp, kv, dampratio, gainprm and biasprm.
+"""The force law of an actuator from the fields of its type.
 
-Its force is gain × control + bias₀ + bias₁ × length + bias₂ × velocity, where length and
-velocity are gear × those of the joint; the joint feels gear × force. The conventions are
-MuJoCo's (documentation, XML reference, "actuator").
+Its force is gain × u + bias, where u is its control or its activation; gain and bias are
+(g₀, g₁, g₂) · (1, length, velocity) or those of a muscle, and length and velocity are gear × those of
+what it pulls at, which feels gear × force. The conventions are MuJoCo's (documentation, XML
+reference, "actuator").
 """
 
 from __future__ import annotations
@@ -11,96 +12,217 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stepcore import checks
 from stepcore.scene.elements import Actuator
+from stepcore.scene.elements.actuator import SECOND, TARGETS
 from stepcore.scene.frames import ORIGIN, Vec
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
+# A muscle's numbers in the order of gainprm, with their defaults.
+MUSCLE: dict[str, Any] = {
+    "range": (0.75, 1.05),
+    "force": -1.0,
+    "scale": 200.0,
+    "lmin": 0.5,
+    "lmax": 1.6,
+    "vmax": 1.5,
+    "fpmax": 1.3,
+    "fvmax": 1.2,
+}
+SERVO = ("kp", "kv", "dampratio")
 # The fields of each type of actuator; those of other types are refused.
 WORDS = {
     "motor": (),
-    "position": ("kp", "kv", "dampratio", "timeconst"),
+    "position": (*SERVO, "timeconst"),
     "velocity": ("kv",),
-    "general": ("gainprm", "biasprm", "dyntype", "dynprm"),
+    "intvelocity": SERVO,
+    "damper": ("kv",),
+    "cylinder": ("timeconst", "area", "bias"),
+    "adhesion": ("gain",),
+    "muscle": (*MUSCLE, "timeconst", "tausmooth"),
+    "general": ("gaintype", "gainprm", "biastype", "biasprm", "dyntype", "dynprm"),
 }
+NO_DYNAMICS = ("none", (1.0, 0.0, 0.0))
+# Fields that reach the engine as its law, and as its target.
+LAW = tuple(sorted({word for words in WORDS.values() for word in words}))
+TARGET = (*TARGETS, *SECOND, "cranklength")
 
 
-class Gains(NamedTuple):
+class Law(NamedTuple):
     """An actuator as the engine reads it.
 
     The engine replaces a dampratio other than 0 by bias₂ = −2 × dampratio × √(kp × m), where m is
     the inertia that the actuator moves in the pose of the scene.
     """
 
-    gain: float = 1.0
+    gain: Vec = (1.0, 0.0, 0.0)
     bias: Vec = ORIGIN
     dampratio: float = 0.0
+    dynamics: tuple[str, Vec] = NO_DYNAMICS
+    muscle_gain: dict[str, Any] | None = None
+    muscle_bias: dict[str, Any] | None = None
+
+    @property
+    def servo(self) -> bool:
+        """Whether its force depends on length or velocity."""
+        muscle = self.muscle_gain is not None or self.muscle_bias is not None
+        return muscle or any(self.gain[1:]) or any(self.bias[1:]) or self.dampratio != 0
 
 
-def gains(actuator: Actuator) -> Gains:
-    """Gain, bias and damping ratio, with defaults for fields that are None."""
-    if actuator.type == "position":
-        kp = _or(actuator.kp, 1.0)
-        damping = _or(actuator.kv, 0.0)
-        return Gains(kp, (0.0, -kp, -damping), _or(actuator.dampratio, 0.0))
-    if actuator.type == "velocity":
+def law(actuator: Actuator) -> Law:
+    """Its law, with defaults for fields that are None."""
+    kind = actuator.type
+    if kind in ("position", "intvelocity"):
+        kp, timeconst = _or(actuator.kp, 1.0), _or(actuator.timeconst, 0.0)
+        bias = (0.0, -kp, 0.0 - _or(actuator.kv, 0.0))
+        filtered = ("filterexact", (timeconst, 0.0, 0.0)) if timeconst > 0 else NO_DYNAMICS
+        dynamics = filtered if kind == "position" else ("integrator", (1.0, 0.0, 0.0))
+        return Law((kp, 0.0, 0.0), bias, _or(actuator.dampratio, 0.0), dynamics)
+    if kind == "velocity":
         kv = _or(actuator.kv, 1.0)
-        return Gains(kv, (0.0, 0.0, -kv))
-    if actuator.type == "general":
-        gain, bias = _or(actuator.gainprm, 1.0), actuator.biasprm or ORIGIN
-        if gain == -bias[1] and bias[2] > 0:
+        return Law((kv, 0.0, 0.0), (0.0, 0.0, -kv))
+    if kind == "damper":
+        return Law((0.0, 0.0, 0.0 - _or(actuator.kv, 1.0)))
+    if kind == "adhesion":
+        return Law((_or(actuator.gain, 1.0), 0.0, 0.0))
+    if kind == "cylinder":
+        dynamics = ("filter", (_or(actuator.timeconst, 1.0), 0.0, 0.0))
+        return Law((_or(actuator.area, 1.0), 0.0, 0.0), actuator.bias or ORIGIN, 0.0, dynamics)
+    if kind == "muscle":
+        words = {word: _or(getattr(actuator, word), default) for word, default in MUSCLE.items()}
+        times = _or(actuator.timeconst, (0.01, 0.04))
+        parameters = (*times, _or(actuator.tausmooth, 0.0))
+        return Law((0.0, 0.0, 0.0), ORIGIN, 0.0, ("muscle", parameters), words, words)
+    return _general(actuator) if kind == "general" else Law()
+
+
+def _general(actuator: Actuator) -> Law:
+    given = actuator.gainprm if actuator.gainprm is not None else 1.0
+    gainprm = given if isinstance(given, tuple) else (given,)
+    bias = actuator.biasprm if actuator.biasprm is not None else ORIGIN
+    bias = bias if isinstance(bias, tuple) else (bias,)
+    gain, bias = (*gainprm, *ORIGIN)[:3], (*bias, *ORIGIN)
+    dynamics = (actuator.dyntype or "none", actuator.dynprm or (1.0, 0.0, 0.0))
+    result = Law((gain[0], 0.0, 0.0), ORIGIN, 0.0, dynamics)
+    if actuator.gaintype == "affine":
+        result = result._replace(gain=gain)
+    if actuator.gaintype == "muscle":
+        result = result._replace(gain=ORIGIN, muscle_gain=_muscle(gainprm))
+    if actuator.biastype == "muscle":
+        result = result._replace(muscle_bias=_muscle(bias))
+    elif actuator.biastype != "none":
+        result = result._replace(bias=bias[:3])
+        if actuator.gaintype in (None, "fixed") and gain[0] == -bias[1] and bias[2] > 0:
             # A position servo whose damping is written as a ratio: MuJoCo's convention.
-            return Gains(gain, (bias[0], bias[1], 0.0), bias[2])
-        return Gains(gain, bias)
-    return Gains()
+            result = result._replace(bias=(bias[0], bias[1], 0.0), dampratio=bias[2])
+    return result
 
 
-def dynamics(actuator: Actuator) -> tuple[str, Vec]:
-    """The type of its activation, "none" if it has none, and the parameters of that."""
-    if actuator.type == "position":
-        timeconst = _or(actuator.timeconst, 0.0)
-        return ("filterexact" if timeconst > 0 else "none"), (timeconst, 0.0, 0.0)
-    return actuator.dyntype or "none", actuator.dynprm or (1.0, 0.0, 0.0)
+def _muscle(parameters: Vec) -> dict[str, Any]:
+    numbers = (*parameters, *(0.0,) * 9)[:9]
+    return dict(zip(MUSCLE, (numbers[:2], *numbers[2:]), strict=True))
 
 
 def na(scene: Contents) -> int:
     """The number of activations in a scene."""
-    return sum(dynamics(actuator)[0] != "none" for actuator in scene.actuators)
+    return sum(law(actuator).dynamics[0] != "none" for actuator in scene.actuators)
 
 
 def plain(actuator: Actuator) -> dict[str, Any]:
-    """The gains and the dynamics as the engine's fields."""
-    gain, bias, dampratio = gains(actuator)
-    kind, parameters = dynamics(actuator)
-    terms = {"gain": gain, "bias": list(bias), "dampratio": dampratio}
-    return terms | {"dynamics": kind, "dynprm": list(parameters)}
+    """The law as the engine's fields."""
+    own = law(actuator)
+    kind, parameters = own.dynamics
+    return {
+        "gain": list(own.gain),
+        "bias": list(own.bias),
+        "dampratio": own.dampratio,
+        "dynamics": kind,
+        "dynprm": list(parameters),
+        "muscle_gain": _listed(own.muscle_gain),
+        "muscle_bias": _listed(own.muscle_bias),
+        "lengthrange": list(actuator.lengthrange or (0.0, 0.0)),
+        "damping": [actuator.damping, *actuator.dampingpoly],
+    }
+
+
+def _listed(words: dict[str, Any] | None) -> dict[str, Any] | None:
+    return words and {**words, "range": list(words["range"])}
+
+
+def target(actuator: Actuator, index: dict[int, int]) -> dict[str, Any]:
+    """What it pulls at as the engine reads it; index: of each element, by identity."""
+    field, element = actuator.target
+    own = {field: index.get(id(element), -1)}
+    if field == "site":
+        reference = actuator.refsite
+        own["refsite"] = None if reference is None else index.get(id(reference), -1)
+    if field == "cranksite":
+        own["slidersite"] = index.get(id(actuator.slidersite), -1)
+        own["cranklength"] = actuator.cranklength
+    return own
 
 
 def check(actuator: Actuator) -> None:
     """ValueError for fields that the type does not have, or that contradict each other."""
     own = WORDS[actuator.type]
-    for word in sorted({word for words in WORDS.values() for word in words}):
+    for word in LAW:
         if getattr(actuator, word) is not None and word not in own:
             has = ", ".join(own) or "none of these"
             limit = f"None for type {actuator.type!r}, which has {has}"
             raise checks.refuse(actuator, word, getattr(actuator, word), limit)
-    if actuator.type == "position":
+    _check_target(actuator)
+    if isinstance(actuator.timeconst, tuple) != (actuator.type == "muscle"):
+        if actuator.timeconst is not None:
+            limit = "two numbers for a muscle, one for others"
+            raise checks.refuse(actuator, "timeconst", actuator.timeconst, limit)
+    if actuator.type in ("position", "intvelocity", "damper"):
         for word in ("kv", "dampratio", "timeconst"):
             if _or(getattr(actuator, word), 0.0) < 0:
                 raise checks.refuse(actuator, word, getattr(actuator, word), ">= 0")
         if actuator.kv and actuator.dampratio:
             raise checks.ElementError(actuator, "kv and dampratio are both given")
-    if dynamics(actuator)[0] == "none" and actuator.actrange is not None:
+    if actuator.type in ("damper", "adhesion"):
+        if actuator.ctrlrange is None or actuator.ctrlrange[0] < 0:
+            limit = f">= 0 for type {actuator.type!r}"
+            raise checks.refuse(actuator, "ctrlrange", actuator.ctrlrange, limit)
+    own_law = law(actuator)
+    if own_law.dynamics[0] == "none" and actuator.actrange is not None:
         raise checks.refuse(actuator, "actrange", actuator.actrange, "None without an activation")
-    gain, bias, dampratio = gains(actuator)
-    if dampratio and gain < 0:
-        word = "kp" if actuator.type == "position" else "gainprm"
-        raise checks.refuse(actuator, word, gain, ">= 0 with a damping ratio")
-    kind = actuator.joint.type
-    if (any(bias[1:]) or dampratio) and kind in ("ball", "free"):
-        text = f"a servo on a {kind} joint is not built yet: hinges and slides have them"
+    if own_law.muscle_gain is not None or own_law.muscle_bias is not None:
+        if actuator.lengthrange is None:
+            limit = "given for a muscle: finding it by simulation, as MuJoCo does, is not built"
+            raise checks.refuse(actuator, "lengthrange", None, limit)
+    if own_law.dampratio and own_law.gain[0] < 0:
+        word = "gainprm" if actuator.type == "general" else "kp"
+        raise checks.refuse(actuator, word, own_law.gain[0], ">= 0 with a damping ratio")
+
+
+def _check_target(actuator: Actuator) -> None:
+    if actuator.body is not None and law(actuator).servo:
+        raise checks.ElementError(actuator, "a servo has no length at the contacts of a body")
+    if actuator.type == "adhesion" and actuator.body is None:
+        raise checks.refuse(actuator, "body", None, "given for an adhesion")
+    found = [field for field in TARGETS if getattr(actuator, field) is not None]
+    if len(found) != 1:
+        what = " and ".join(found) or "nothing"
+        text = f"pulls at {what}: it needs exactly one of {', '.join(TARGETS)}"
         raise checks.ElementError(actuator, text)
+    for second, first in SECOND.items():
+        if getattr(actuator, second) is not None and found[0] != first:
+            raise checks.refuse(actuator, second, getattr(actuator, second), f"None without a {first}")
+    if found[0] == "cranksite":
+        if actuator.slidersite is None:
+            raise checks.refuse(actuator, "slidersite", None, "given with a cranksite")
+        if actuator.cranklength <= 0:
+            raise checks.refuse(actuator, "cranklength", actuator.cranklength, "> 0")
+    elif actuator.cranklength:
+        raise checks.refuse(actuator, "cranklength", actuator.cranklength, "0 without a cranksite")
+    if found[0] not in ("joint", "jointinparent", "tendon"):
+        for field in ("damping", "dampingpoly", "armature"):
+            value = getattr(actuator, field)
+            if any(value) if isinstance(value, tuple) else value:
+                raise checks.refuse(actuator, field, value, "0 unless it drives a joint or a tendon")
 
 
-def _or(value: float | None, default: float) -> float:
+def _or(value: Any, default: Any) -> Any:
     return default if value is None else value

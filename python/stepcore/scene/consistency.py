@@ -50,12 +50,13 @@ def check(layout: Layout) -> None:
                 geom, "a plane must be on the world or on a body that cannot move"
             )
     _check_tendons(layout)
-    inside = {id(joint) for joint in layout.joints}
+    inside = {id(element) for element in (*layout.joints, *layout.sites, *scene.tendons, *layout.bodies)}
     for actuator in scene.actuators:
-        if id(actuator.joint) not in inside:
-            raise checks.ElementError(
-                actuator, f"refers to {actuator.joint}, which is not in this scene"
-            )
+        for field in actuation.TARGET:
+            element = getattr(actuator, field)
+            if isinstance(element, Element) and id(element) not in inside:
+                text = f"refers to {element}, which is not in this scene"
+                raise checks.ElementError(actuator, text)
         actuation.check(actuator)
     for equality in scene.equalities:
         tying.check(layout, equality)

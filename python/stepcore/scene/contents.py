@@ -273,15 +273,40 @@ class Contents(Holdings):
         return self._add(self.sensors, Sensor, fields, type=type, **ends)
 
     def add_actuator(
-        self, joint: str | Joint, type: str = "motor", **fields: Unpack[ActuatorFields]
+        self,
+        joint: str | Joint | None = None,
+        type: str = "motor",
+        *,
+        jointinparent: str | Joint | None = None,
+        tendon: str | Tendon | None = None,
+        site: str | Site | None = None,
+        refsite: str | Site | None = None,
+        cranksite: str | Site | None = None,
+        slidersite: str | Site | None = None,
+        body: str | Body | None = None,
+        **fields: Unpack[ActuatorFields],
     ) -> Actuator:
-        """Adds an actuator on a joint.
+        """Adds an actuator on a joint, or on something else.
 
         joint: a name or a `Joint`.
-        type: "motor", "position" (servo), "velocity" (servo) or "general".
+        type: "motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle",
+            "adhesion" or "general".
+        jointinparent, tendon, site and refsite, cranksite and slidersite, body: in place of the joint,
+            by name or as elements; see `Actuator`.
         fields: of `Actuator`: name, gear, kp, kv, dampratio, ctrlrange, forcerange [N or N·m], …
         """
-        return self._add(self.actuators, Actuator, fields, joint=self.joint(joint), type=type)
+        found: dict[str, Any] = {
+            "joint": (joint, self.joint),
+            "jointinparent": (jointinparent, self.joint),
+            "tendon": (tendon, self.tendon),
+            "site": (site, self.site),
+            "refsite": (refsite, self.site),
+            "cranksite": (cranksite, self.site),
+            "slidersite": (slidersite, self.site),
+            "body": (body, self.body),
+        }
+        own = {field: find(given) for field, (given, find) in found.items() if given is not None}
+        return self._add(self.actuators, Actuator, fields, **own, type=type)
 
     def add_equality(
         self,

@@ -33,6 +33,7 @@ class JointFields(TypedDict, total=False):
     springdamper: Vector | None
     actuatorgravcomp: bool
     armature: float
+    actuatorfrcrange: Vector | None
     frictionloss: float
     solreflimit: Vector
     solimplimit: Numbers
@@ -122,17 +123,37 @@ class ActuatorFields(TypedDict, total=False):
     """Fields of an `Actuator` beside its joint and type."""
 
     name: str
+    cranklength: float
     gear: Numbers
     kp: float | None
     kv: float | None
     dampratio: float | None
-    gainprm: float | None
+    timeconst: Numbers | None
+    gain: float | None
+    area: float | None
+    bias: Numbers | None
+    range: Vector | None
+    force: float | None
+    scale: float | None
+    lmin: float | None
+    lmax: float | None
+    vmax: float | None
+    fpmax: float | None
+    fvmax: float | None
+    tausmooth: float | None
+    gaintype: str | None
+    gainprm: Numbers | None
+    biastype: str | None
     biasprm: Numbers | None
-    timeconst: float | None
     dyntype: str | None
     dynprm: Numbers | None
     actrange: Vector | None
     actearly: bool
+    lengthrange: Vector | None
+    damping: float
+    dampingpoly: Vector
+    armature: float
+    enabled: bool
     ctrlrange: Vector | None
     forcerange: Vector | None
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 # Fields whose name in the engine is not MuJoCo's word.
 RENAMED = {"type": "kind", "ref": "reference", "shellinertia": "shell_inertia"}
-# Fields of an actuator that reach the engine as gain, bias and dampratio.
-SERVO = ("kp", "kv", "dampratio", "gainprm", "biasprm", "timeconst", "dyntype", "dynprm")
 SOFTNESS = {
     Joint: {
         "limit": ("solreflimit", "solimplimit"),
@@ -53,6 +51,7 @@ def plain(layout: Layout) -> dict[str, Any]:
     hfield_of = {id(hfield): i for i, hfield in enumerate(scene.hfields)}
 
     index = geom_of | joint_of | {id(site): i for i, site in enumerate(layout.sites)}
+    index |= {id(tendon): i for i, tendon in enumerate(scene.tendons)} | body_of
 
     def attached(element: Any, *skip: str) -> dict[str, Any]:
         return _record(element, "body", *skip) | {"body": body_of[id(element.body)]}
@@ -80,8 +79,8 @@ def plain(layout: Layout) -> dict[str, Any]:
         ],
         "sensors": [sensing.plain(layout, sensor) for sensor in scene.sensors],
         "actuators": [
-            _record(actuator, "joint", "type", *SERVO)
-            | {"joint": joint_of.get(id(actuator.joint), -1)}
+            _record(actuator, "type", "dampingpoly", *actuation.LAW, *actuation.TARGET)
+            | {"target": actuation.target(actuator, index)}
             | actuation.plain(actuator)
             for actuator in scene.actuators
         ],

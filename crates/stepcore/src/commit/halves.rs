@@ -34,6 +34,9 @@ impl<R: Real> Sim<R> {
         let judged = if on_guess { &self.next.mean } else { &self.next.qvel };
         self.placed.metric.to_factored(judged, &mut self.placed.guess);
         self.detect(At::Start);
+        if self.model.adheres {
+            self.adhere(dt);
+        }
         self.make_rows(At::Start, Part::End);
         R::enter(Stage::Impulses);
         // Equalities that the stages held have nothing to answer to but other rows.
@@ -66,6 +69,23 @@ impl<R: Real> Sim<R> {
         advance(&model, &self.state.qpos, &self.next.mean, dt, &mut self.next.qpos);
         self.velocity.copy_from_slice(&self.next.qvel);
         Ok(())
+    }
+
+    /// What adhesion gives through the step: the last velocity changes by twice as much as the mean.
+    fn adhere(&mut self, dt: R) {
+        let model = self.model.clone();
+        self.next.change.copy_from_slice(&self.placed.force);
+        self.placed.place_adhesion(&model, &self.detected.contacts);
+        for k in 0..model.nv {
+            self.next.change[k] = dt * (self.placed.force[k] - self.next.change[k]);
+        }
+        self.placed.metric.solve(&mut self.next.change);
+        for k in 0..model.nv {
+            self.next.qvel[k] += self.next.change[k];
+            self.next.mean[k] += R::of(0.5) * self.next.change[k];
+        }
+        let judged = if self.settings.law.on_guess() { &self.next.mean } else { &self.next.qvel };
+        self.placed.metric.to_factored(judged, &mut self.placed.guess);
     }
 
     /// What the rows changed since the guess, into `velocity`: exactly zero in a tree without rows.

@@ -1,10 +1,12 @@
 //! Activations: the state that an actuator has between its control and its force.
 //!
-//! MuJoCo documentation, "Actuation model": ẇ = u of an integrator, ẇ = (u − w)/τ of a filter.
+//! MuJoCo documentation, "Actuation model": ẇ = u of an integrator, ẇ = (u − w)/τ of a filter; that of
+//! a muscle is in `muscle.rs`.
 //! A step takes w + dt·ẇ, and of `filterexact` what the filter does in dt under a control that is
 //! held, w + (1 − exp(−dt/τ)) τ ẇ; then bounds.
 
-use crate::model::Model;
+use super::muscle;
+use crate::model::{Model, Span};
 use crate::real::Real;
 use crate::scene::{self, Dynamics};
 use crate::state::Inputs;
@@ -32,6 +34,7 @@ impl scene::Actuator {
             Dynamics::None => R::zero(),
             Dynamics::Integrator => ctrl,
             Dynamics::Filter | Dynamics::FilterExact => (ctrl - act) / R::of(self.time_constant()),
+            Dynamics::Muscle => muscle::rate(act, ctrl, self.dynprm),
         }
     }
 
@@ -87,8 +90,9 @@ pub(crate) fn rates<R: Real>(model: &Model, act: &[R], inputs: &Inputs<R>, rates
 
 /// All activations after a step with these rates.
 pub(crate) fn advance<R: Real>(model: &Model, act: &[R], rates: &[R], seconds: f64, out: &mut [R]) {
+    out.copy_from_slice(act);
     if !model.features.actuation {
-        return out.copy_from_slice(act);
+        return;
     }
     for (index, k) in model.active() {
         out[k] = model.actuators[index].next(act[k], rates[k], seconds);
@@ -144,6 +148,7 @@ impl Model {
     /// Actuators with an activation, and its place.
     fn active(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let all = self.activations.iter().enumerate();
-        all.flat_map(|(index, span)| span.range().map(move |k| (index, k)))
+        let own = |(index, span): (usize, &Span)| span.range().map(move |k| (index, k));
+        all.filter(|(index, _)| self.actuators[*index].enabled).flat_map(own)
     }
 }

@@ -1,13 +1,14 @@
-//! Motors and servos: a force gain·ctrl + bias₀ + bias₁·length + bias₂·velocity along a
-//! transmission, control and force within their bounds.
+//! Motors, servos and muscles: a force gain·u + bias along a transmission, u the control or the
+//! activation, everything within its bounds. Gain and bias are g₀ + g₁·length + g₂·velocity each, or a
+//! muscle's.
 //!
 //! What of it drives from outside, and what is a spring that stores: a position servo
-//! (bias₁ < 0) with its control held is a passive spring about l* = (gain·ctrl + bias₀)/k,
+//! (bias₁ < 0) with its control held is a passive spring about l* = (gain·u + bias₀)/k,
 //! k = −bias₁, and a damper: an energy that it gains on its own is none. With the bounds
 //! [lo, hi] of its force the spring yields: V = ½ k e² within them, F |e| − F²/2k beyond. What
-//! the control puts in is the change of V when it moves. A velocity servo is a motor of force
-//! gain·ctrl + bias₀ and a damper. Everything else is a motor, and all of its work counts as
-//! put in.
+//! the control puts in is the change of V when it moves, and what an activation puts in that when it
+//! moves. A velocity servo is a motor of force gain·u + bias₀ and a damper. Everything else is a
+//! motor, and all of its work counts as put in.
 
 use super::activation::{signal, Activations};
 use super::force::{Forces, Group, Moment};
@@ -15,18 +16,12 @@ use super::Kind;
 use crate::model::Model;
 use crate::place::Pulls;
 use crate::real::{Mask, Real};
-use crate::scene;
+use crate::scene::{self, Target};
 use crate::state::Inputs;
-use crate::transmission::Transmission;
 
 pub(super) struct Actuator;
 
 impl scene::Actuator {
-    /// Along what it pulls.
-    pub(crate) fn transmission(&self) -> Transmission {
-        Transmission::Geared(self.joint, self.gear)
-    }
-
     /// A control within its bounds, where these are obeyed.
     #[inline(always)]
     pub(super) fn held<R: Real>(&self, model: &Model, ctrl: R) -> R {
@@ -40,10 +35,16 @@ impl scene::Actuator {
         self.forcerange.map_or(force, |[lo, hi]| force.clamp(R::of(lo), R::of(hi)))
     }
 
+    /// Its gain depends on length or velocity.
+    fn gain_varies(&self) -> bool {
+        self.gain[1] != 0.0 || self.gain[2] != 0.0 || self.muscle_gain.is_some()
+    }
+
     fn drive(&self) -> Drive {
         let [_, length, velocity] = self.bias;
         let pulls_both_ways = self.forcerange.is_none_or(|[lo, hi]| lo < 0.0 && hi > 0.0);
-        if velocity > 0.0 || length > 0.0 || !pulls_both_ways {
+        let plain = !self.gain_varies() && self.muscle_bias.is_none();
+        if !plain || velocity > 0.0 || length > 0.0 || !pulls_both_ways {
             Drive::Motor
         } else if length < 0.0 {
             Drive::Spring
@@ -63,11 +64,67 @@ enum Drive {
     Damped,
 }
 
-/// gain·u, u the control within its bounds or the activation.
+/// What an actuator reads: its length and the rate of that; zeros where nothing depends on them.
+#[derive(Clone, Copy)]
+struct Along<R: Real> {
+    length: R,
+    velocity: R,
+}
+
+impl<R: Real> Along<R> {
+    #[inline(always)]
+    fn of(model: &Model, index: usize, qpos: &[R], qvel: &[R], pulls: Pulls<R>) -> Self {
+        if !model.actuators[index].feeds_back() {
+            return Self { length: R::zero(), velocity: R::zero() };
+        }
+        let along = model.along[index];
+        Self {
+            length: along.length(model, qpos, pulls),
+            velocity: along.velocity(model, qpos, qvel, pulls),
+        }
+    }
+}
+
+/// What stands for the control: within its bounds, or the activation; of a servo on a circle the one
+/// of those that are the same which is nearest.
 #[inline(always)]
-fn asked<R: Real>(model: &Model, index: usize, act: Activations<R>, ctrl: R) -> R {
+fn input<R: Real>(model: &Model, index: usize, act: Activations<R>, ctrl: R, length: R) -> R {
+    let u = signal(model, index, act, || model.actuators[index].held(model, ctrl));
+    let circle = model.circles[index];
+    if circle == 0.0 {
+        return u;
+    }
+    let scale = R::of(std::f64::consts::TAU / circle);
+    let far = (u - length).abs().gt(R::of(0.5 * circle));
+    let (sin, cos) = ((u - length) * scale).sin_cos();
+    R::select(far, length + sin.atan2(cos) / scale, u)
+}
+
+/// gain·u.
+#[inline(always)]
+fn asked<R: Real>(model: &Model, index: usize, at: Along<R>, u: R) -> R {
     let actuator = &model.actuators[index];
-    R::of(actuator.gain) * signal(model, index, act, || actuator.held(model, ctrl))
+    if let Some(muscle) = &actuator.muscle_gain {
+        return muscle.gain(at.length, at.velocity, actuator.lengthrange)[0] * u;
+    }
+    let [constant, length, velocity] = actuator.gain.map(R::of);
+    if !actuator.gain_varies() {
+        return constant * u;
+    }
+    (constant + length * at.length + velocity * at.velocity) * u
+}
+
+/// What the force has beside that.
+#[inline(always)]
+fn bias<R: Real>(actuator: &scene::Actuator, at: Along<R>) -> R {
+    if let Some(muscle) = &actuator.muscle_bias {
+        return muscle.bias(at.length, actuator.lengthrange);
+    }
+    let [constant, length, velocity] = actuator.bias.map(R::of);
+    if actuator.bias[1] == 0.0 && actuator.bias[2] == 0.0 {
+        return constant;
+    }
+    constant + length * at.length + velocity * at.velocity
 }
 
 /// The force of every actuator before its gear, by actuator.
@@ -83,30 +140,61 @@ pub(crate) fn tensions<R: Real>(
     if !model.features.actuation {
         return;
     }
-    for (index, actuator) in model.actuators.iter().enumerate() {
-        let mut force = asked(model, index, act, inputs.ctrl[index]);
-        if actuator.bias != [0.0; 3] {
-            force += bias(model, actuator, qpos, qvel, pulls);
+    for (index, actuator) in model.actuators.iter().enumerate().filter(|(_, a)| a.enabled) {
+        let at = Along::of(model, index, qpos, qvel, pulls);
+        let u = input(model, index, act, inputs.ctrl[index], at.length);
+        let mut force = asked(model, index, at, u);
+        if actuator.bias != [0.0; 3] || actuator.muscle_bias.is_some() {
+            force += bias(actuator, at);
         }
         tensions[index] = actuator.bounded(force);
     }
 }
 
-/// What the force has beside the control: bias₀ + bias₁·length + bias₂·velocity.
-fn bias<R: Real>(
-    model: &Model,
-    actuator: &scene::Actuator,
-    qpos: &[R],
-    qvel: &[R],
-    pulls: Pulls<R>,
-) -> R {
-    let [constant, length, velocity] = actuator.bias.map(R::of);
-    if !actuator.feeds_back() {
-        return constant;
+/// The actuators of a tendon together stay within its `actuatorfrcrange`; by tendon, the part that
+/// it lets through.
+pub(crate) fn clamp_tendons<R: Real>(model: &Model, tensions: &mut [R], shares: &mut [R]) {
+    shares.fill(R::one());
+    for (tendon, limits) in model.tendons.iter().enumerate() {
+        let Some(range) = limits.actuatorfrcrange else { continue };
+        let pulls = |index: &usize| model.actuators[*index].target == Target::Tendon(tendon);
+        let own = || (0..model.actuators.len()).filter(pulls);
+        let total = own().fold(R::zero(), |sum, index| sum + tensions[index]);
+        shares[tendon] = share(total, range);
+        for index in own() {
+            tensions[index] = tensions[index] * shares[tendon];
+        }
     }
-    let along = actuator.transmission();
-    let (at, rate) = (along.length(model, qpos, pulls), along.velocity(model, qvel, pulls));
-    constant + length * at + velocity * rate
+}
+
+/// The part of a sum that its bounds let through.
+fn share<R: Real>(total: R, [lo, hi]: [f64; 2]) -> R {
+    let one = R::one();
+    let beyond = total.lt(R::of(lo)).or(total.gt(R::of(hi)));
+    let whole = R::select(beyond.and(total.abs().gt(R::zero())), total, one);
+    R::select(beyond, total.clamp(R::of(lo), R::of(hi)) / whole, one)
+}
+
+/// What joints let through of the forces of their actuators, by dof.
+pub(crate) fn clamp_joints<R: Real>(
+    model: &Model,
+    qpos: &[R],
+    pulls: Pulls<R>,
+    tensions: &[R],
+    shares: &mut [R],
+) {
+    shares.fill(R::zero());
+    for (index, along) in model.along.iter().enumerate() {
+        along.arms(model, qpos, pulls, |dof, arm: R| shares[dof] += arm * tensions[index]);
+    }
+    let mut clamps = model.clamps.iter().peekable();
+    for (dof, share_of) in shares.iter_mut().enumerate() {
+        let own = |(joint, _): &&(usize, [f64; 2])| model.joints[*joint].dof == dof;
+        *share_of = match clamps.next_if(own) {
+            Some((_, range)) => share(*share_of, *range),
+            None => R::one(),
+        };
+    }
 }
 
 /// What a position servo stores under a control [J]; 0 of other actuators.
@@ -119,12 +207,14 @@ pub(crate) fn stored_under<R: Real>(
     ctrl: R,
 ) -> R {
     let actuator = &model.actuators[index];
-    if !model.features.actuation || actuator.drive() != Drive::Spring {
+    if !model.acts(index) || actuator.drive() != Drive::Spring {
         return R::zero();
     }
     let (k, half) = (R::of(-actuator.bias[1]), R::of(0.5));
-    let length = actuator.transmission().length(model, qpos, pulls);
-    let force = asked(model, index, act, ctrl) + R::of(actuator.bias[0]) - k * length;
+    let length = model.along[index].length(model, qpos, pulls);
+    let u = input(model, index, act, ctrl, length);
+    let at = Along { length, velocity: R::zero() };
+    let force = asked(model, index, at, u) + R::of(actuator.bias[0]) - k * length;
     let within = half * force * force / k;
     let Some([lo, hi]) = actuator.forcerange else { return within };
     let beyond = |bound: f64| R::of(bound) * (force - half * R::of(bound)) / k;
@@ -140,6 +230,24 @@ impl Model {
         let all = self.actuators.iter().enumerate();
         all.filter(move |(_, actuator)| bounded(actuator)).map(|(index, _)| index)
     }
+}
+
+/// Where no bound holds the force of an actuator; None: it has no bound.
+fn free<R: Real>(now: &Moment<R>, index: usize) -> Option<R::Mask> {
+    let (model, actuator) = (now.model, &now.model.actuators[index]);
+    let own = actuator.forcerange.map(|[lo, hi]| {
+        let force = now.frames.tension[index];
+        force.gt(R::of(lo)).and(force.lt(R::of(hi)))
+    });
+    let at = match actuator.target {
+        _ if now.frames.shares.is_empty() => return own,
+        Target::Joint(joint) | Target::InParent(joint) => model.joints[joint].dof,
+        Target::Tendon(tendon) => model.nv + tendon,
+        Target::Site { .. } | Target::Crank { .. } | Target::Body(_) => return own,
+    };
+    let share = now.frames.shares[at];
+    let whole = share.ge(R::one()).and(share.le(R::one()));
+    Some(own.map_or(whole, |own| own.and(whole)))
 }
 
 /// The force of a servo is at its bound.
@@ -158,8 +266,7 @@ pub(crate) fn power_beyond<R: Real>(
     let (mut usual, mut whole) = (R::zero(), R::zero());
     Actuator::power(now, index, velocity, &mut |part| usual += part);
     let tension = now.frames.tension[index];
-    let along = now.model.actuators[index].transmission();
-    let pulls = now.frames.pulls;
+    let (along, pulls) = (now.model.along[index], now.frames.pulls);
     along.arms(now.model, now.qpos, pulls, |dof, arm: R| whole += tension * (arm * velocity(dof)));
     whole.max(R::zero()) + (-usual).max(R::zero())
 }
@@ -170,42 +277,58 @@ impl Forces for Actuator {
 
     #[inline(always)]
     fn force<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, R)) {
-        if now.model.features.actuation {
-            let tension = now.frames.tension[index];
-            let along = now.model.actuators[index].transmission();
-            along
-                .arms(now.model, now.qpos, now.frames.pulls, |dof, arm: R| add(dof, arm * tension));
-        }
-    }
-
-    /// Zero at the bounds of `forcerange`, as in MuJoCo.
-    #[inline(always)]
-    fn slopes<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
-        let actuator = &now.model.actuators[index];
-        if !(now.model.features.actuation && actuator.feeds_back()) {
+        if !now.model.acts(index) {
             return;
         }
-        actuator.transmission().pairs(now.model, now.qpos, now.frames.pulls, |i, j, product: R| {
-            let slopes = [1, 2].map(|n| -(product * R::of(actuator.bias[n])));
-            let Some([lo, hi]) = actuator.forcerange else { return add(i, j, slopes) };
-            let force = now.frames.tension[index];
-            let free = force.gt(R::of(lo)).and(force.lt(R::of(hi)));
-            add(i, j, slopes.map(|slope| R::select(free, slope, R::zero())));
+        let (tension, shares) = (now.frames.tension[index], now.frames.shares);
+        let (along, pulls) = (now.model.along[index], now.frames.pulls);
+        along.arms(now.model, now.qpos, pulls, |dof, arm: R| {
+            let force = arm * tension;
+            add(dof, if shares.is_empty() { force } else { force * shares[dof] });
+        });
+    }
+
+    /// Zero at the bounds of `forcerange`, and where the own joint or tendon bounds the sum, as in
+    /// MuJoCo.
+    #[inline(always)]
+    fn slopes<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(usize, usize, [R; 2])) {
+        let (model, actuator) = (now.model, &now.model.actuators[index]);
+        if !(model.acts(index) && actuator.feeds_back()) {
+            return;
+        }
+        let (along, pulls) = (model.along[index], now.frames.pulls);
+        let mut by = [R::of(actuator.bias[1]), R::of(actuator.bias[2])];
+        if actuator.gain_varies() {
+            let at = Along::of(model, index, now.qpos, now.qvel, pulls);
+            let u = input(model, index, now.act, now.inputs.ctrl[index], at.length);
+            let own = actuator.muscle_gain.map_or_else(
+                || [R::of(actuator.gain[1]), R::of(actuator.gain[2])],
+                |muscle| [R::zero(), muscle.gain(at.length, at.velocity, actuator.lengthrange)[1]],
+            );
+            by = [by[0] + own[0] * u, by[1] + own[1] * u];
+        }
+        along.pairs(model, now.qpos, pulls, |i, j, product: R| {
+            let slopes = by.map(|slope| -(product * slope));
+            match free(now, index) {
+                None => add(i, j, slopes),
+                Some(free) => add(i, j, slopes.map(|slope| R::select(free, slope, R::zero()))),
+            }
         });
     }
 
     #[inline(always)]
     fn sloped(model: &Model, index: usize, each: &mut impl FnMut(usize)) {
-        let actuator = &model.actuators[index];
-        if model.features.actuation && actuator.feeds_back() {
-            let dofs = actuator.transmission().dofs(model);
+        if model.acts(index) && model.actuators[index].feeds_back() {
+            let dofs = model.along[index].dofs(model);
             dofs.of(&model.dof_lists).iter().for_each(|dof| each(*dof));
         }
     }
 
     #[inline(always)]
     fn damps(model: &Model, index: usize) -> bool {
-        model.features.actuation && model.actuators[index].bias[2] != 0.0
+        let actuator = &model.actuators[index];
+        let varies = actuator.gain[2] != 0.0 || actuator.muscle_gain.is_some();
+        model.acts(index) && (actuator.bias[2] != 0.0 || varies)
     }
 
     fn stored<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(R)) {
@@ -221,15 +344,16 @@ impl Forces for Actuator {
     ) {
         let (model, actuator) = (now.model, &now.model.actuators[index]);
         let force = match actuator.drive() {
-            _ if !model.features.actuation => return,
+            _ if !model.acts(index) => return,
             Drive::Spring => return,
             Drive::Motor => now.frames.tension[index],
             Drive::Damped => {
-                let asked = asked(model, index, now.act, now.inputs.ctrl[index]);
-                actuator.bounded(asked + R::of(actuator.bias[0]))
+                let none = Along { length: R::zero(), velocity: R::zero() };
+                let u = input(model, index, now.act, now.inputs.ctrl[index], R::zero());
+                actuator.bounded(asked(model, index, none, u) + R::of(actuator.bias[0]))
             }
         };
         let mut work = |dof, arm: R| add(force * (arm * velocity(dof)));
-        actuator.transmission().arms(model, now.qpos, now.frames.pulls, &mut work);
+        model.along[index].arms(model, now.qpos, now.frames.pulls, &mut work);
     }
 }

@@ -3,7 +3,7 @@
 //! element's own force: a new kind of force is one file and one line here.
 
 use super::activation::Activations;
-use super::actuator::{tensions, Actuator};
+use super::actuator::Actuator;
 use super::applied::{BodyForce, JointForce};
 use super::damper::Damper;
 use super::fluid::Fluid;
@@ -14,7 +14,7 @@ use super::spring::Spring;
 use super::tendon_spring::{TendonDamper, TendonSpring};
 use super::{Element, Kind};
 use crate::model::{Model, NONE};
-use crate::place::{Frames, Pulls};
+use crate::place::Placed;
 use crate::real::Real;
 use crate::state::Inputs;
 
@@ -188,16 +188,19 @@ pub fn joint_forces(
     if !matches!(kind, Kind::Spring | Kind::Damper | Kind::Actuator) {
         return None;
     }
-    let (mut inputs, mut tension) = (Inputs::<f64>::new(model), vec![0.0; model.actuators.len()]);
+    let (mut inputs, mut placed) = (Inputs::<f64>::new(model), Placed::new(model));
+    let nu = model.actuators.len();
     let mut all = Vec::with_capacity(qvel.len());
     for (n, (qpos, qvel)) in qpos.chunks(model.nq).zip(qvel.chunks(model.nv)).enumerate() {
-        let nu = tension.len();
         inputs.ctrl.copy_from_slice(&ctrl[n * nu..(n + 1) * nu]);
         let act = Activations { act: &act[n * model.na..(n + 1) * model.na], seconds: 0.0 };
-        let pulls = Pulls { length: &[], arms: &[] };
-        tensions(model, qpos, qvel, act, &inputs, pulls, &mut tension);
-        let tension = &tension;
-        let frames = Frames { xpos: &[], xmat: &[], origin: &[], motion: &[], tension, pulls };
+        if kind == Kind::Actuator {
+            if !(model.tendons.is_empty() && model.linkages.is_empty()) {
+                placed.positions(model, qpos);
+            }
+            placed.tensions(model, qpos, qvel, act, &inputs);
+        }
+        let frames = placed.frames();
         let now = Moment { model, frames, qpos, qvel, act, inputs: &inputs };
         let start = all.len();
         all.resize(start + model.nv, 0.0);

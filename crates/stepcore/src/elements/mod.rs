@@ -24,6 +24,7 @@ mod friction_loss;
 mod gravcomp;
 mod gravity;
 mod limit;
+mod muscle;
 mod name;
 pub(crate) mod penalty;
 mod spring;

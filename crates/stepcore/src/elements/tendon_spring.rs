@@ -45,7 +45,7 @@ fn dofs(model: &Model, index: usize, each: &mut impl FnMut(usize)) {
 }
 
 fn rate<R: Real>(now: &Moment<R>, index: usize) -> R {
-    Transmission::Tendon(index, 1.0).velocity(now.model, now.qvel, now.frames.pulls)
+    Transmission::Tendon(index, 1.0).velocity(now.model, now.qpos, now.qvel, now.frames.pulls)
 }
 
 /// The force of springs and dampers along a tendon, positive where it lengthens it [N].

@@ -2,7 +2,7 @@
 
 use super::slots::Slots;
 use super::{
-    apart, auto_spring, check, coupling, fluid, heap, inertia, invweight, meshes, pairs, pose,
+    apart, auto_spring, check, coupling, fluid, heap, inertia, invweight, linkages, meshes, pairs, pose,
     tendons, ties, tree, Model, NONE,
 };
 use crate::error::Result;
@@ -25,6 +25,8 @@ impl Model {
         let (aligned, axes) = inertia::weigh(scene, &assets, &mut model)?;
         let poses = pose::at_qpos0(&model.bodies);
         tendons::fill(scene, &mut model);
+        linkages::fill(scene, &mut model);
+        linkages::reflect(&mut model);
         invweight::fill(&mut model, &poses, &aligned)?;
         auto_spring::fill(scene, &mut model);
         fluid::fill(scene, &axes, &mut model);
@@ -36,11 +38,13 @@ impl Model {
         let tied: Vec<usize> = model.equalities.iter().flat_map(|e| e.placed()).collect();
         let met = model.geoms.iter().filter(|g| g.collides).map(|g| g.body);
         let (met, passed) = (trees_of(&model, met), model.passed_by_tendons());
+        let linked = model.passed_by_linkages();
         let tied = trees_of(&model, tied.into_iter());
         let weighted = model.weighted_by_tendons();
         for tree in 0..model.trees.len() {
             let turns = !model.trees[tree].slides_only;
-            model.trees[tree].seen = met[tree] || tied[tree] || passed[tree] || turns;
+            model.trees[tree].seen =
+                met[tree] || tied[tree] || passed[tree] || linked[tree] || turns;
             let ball = model.free_ball(&model.trees[tree]);
             let still = !turns || ball && !tied[tree];
             model.trees[tree].constant = still && !weighted[tree];

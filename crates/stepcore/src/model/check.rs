@@ -8,7 +8,7 @@ mod equality;
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{
-    Actuator, ExplicitPair, Geom, GeomType, Inertial, Joint, JointType, Scene, Softness,
+    Actuator, ExplicitPair, Geom, GeomType, Inertial, Joint, JointType, Muscle, Scene, Softness, Target,
 };
 use std::collections::HashSet;
 use std::fmt;
@@ -436,17 +436,42 @@ fn assets(scene: &Scene) -> Result<()> {
 }
 
 fn actuator(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
-    e.below("joint", a.joint, scene.joints.len(), "joint")?;
+    let (joints, sites) = (scene.joints.len(), scene.sites.len());
+    match a.target {
+        Target::Joint(joint) | Target::InParent(joint) => {
+            e.below("joint", joint, joints, "joint")?
+        }
+        Target::Tendon(tendon) => e.below("tendon", tendon, scene.tendons.len(), "tendon")?,
+        Target::Site { site, reference } => {
+            e.below("site", site, sites, "site")?;
+            e.below("refsite", reference.unwrap_or(site), sites, "site")?;
+        }
+        Target::Body(body) => {
+            e.below("body", body, scene.bodies.len(), "body")?;
+            if a.feeds_back() {
+                return Err(e.refuse("bias", format!("{:?}", a.bias), "constant at contacts"));
+            }
+        }
+        Target::Crank { crank, slider, rod } => {
+            e.below("cranksite", crank, sites, "site")?;
+            e.below("slidersite", slider, sites, "site")?;
+            e.not_negative("cranklength", rod)?;
+        }
+    }
     e.finite("gear", &a.gear)?;
-    e.finite("gain", &[a.gain])?;
+    e.finite("gain", &a.gain)?;
     e.finite("bias", &a.bias)?;
     e.not_negative("dampratio", a.dampratio)?;
     if a.dampratio != 0.0 && a.bias[1] > 0.0 {
         return Err(e.refuse("bias[1]", a.bias[1], "<= 0 with a dampratio"));
     }
-    let kind = scene.joints[a.joint].kind;
-    if a.feeds_back() && matches!(kind, JointType::Ball | JointType::Free) {
-        return Err(e.refuse("joint", a.joint, "a hinge or a slide under a servo"));
+    e.finite("damping", &a.damping)?;
+    e.not_negative("armature", a.armature)?;
+    for muscle in [&a.muscle_gain, &a.muscle_bias].into_iter().flatten() {
+        let Muscle { force, scale, lmin, lmax, vmax, fpmax, fvmax, range } = *muscle;
+        e.finite("muscle", &[force, scale, lmin, lmax, vmax, fpmax, fvmax])?;
+        e.range("range", range)?;
+        e.range("lengthrange", a.lengthrange)?;
     }
     e.finite("dynprm", &a.dynprm)?;
     let ranges =

@@ -126,6 +126,22 @@ impl<'a> Factor<'a> {
         Ok(())
     }
 
+    /// M⁻¹ jᵀ.
+    fn answer(&self, mut j: DVector<f64>) -> DVector<f64> {
+        for k in (0..self.tree.len).rev() {
+            for i in self.ancestors(k) {
+                j[i] -= self.matrix[(k, i)] * j[k];
+            }
+        }
+        for k in 0..self.tree.len {
+            j[k] /= self.matrix[(k, k)];
+            for i in self.ancestors(k) {
+                j[k] -= self.matrix[(k, i)] * j[i];
+            }
+        }
+        j
+    }
+
     /// j M⁻¹ jᵀ.
     fn weight(&self, mut j: DVector<f64>) -> f64 {
         let mut sum = 0.0;
@@ -150,7 +166,8 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
     let motions = motions(model, poses);
     let mut bodies = vec![[0.0; 2]; model.bodies.len()];
     let mut dofs = vec![0.0; model.nv];
-    let mut servos = vec![];
+    let arms = model.arms_at_qpos0();
+    let mut pulled = vec![[0.0; 2]; arms.len()];
     let mut tendons = vec![0.0; model.tendons.len()];
     for tree in &model.trees {
         let factor = Factor::new(model, poses, &motions, tree)?;
@@ -171,14 +188,25 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
             unit[i - first] = 1.0;
             dofs[i] = factor.weight(unit);
         }
-        servos.extend(moved_by_servos(&factor));
+        for (sum, arms) in pulled.iter_mut().zip(&arms) {
+            let row = DVector::from_column_slice(&arms[tree.dofs.range()]);
+            let answer = factor.answer(row.clone());
+            sum[0] += row.dot(&answer);
+            sum[1] += answer.norm_squared();
+        }
         for (weight, tendon) in tendons.iter_mut().zip(&model.tendons) {
             *weight += tendon_weight(&factor, tendon);
         }
     }
-    for (index, inertia) in servos {
-        let servo = &mut model.actuators[index];
-        servo.bias[2] = -2.0 * servo.dampratio * (-servo.bias[1] * inertia).sqrt();
+    for (actuator, [weight, square]) in model.actuators.iter_mut().zip(pulled) {
+        if actuator.dampratio != 0.0 {
+            let inertia = if weight > 0.0 { 1.0 / weight } else { 0.0 };
+            actuator.bias[2] = -2.0 * actuator.dampratio * (-actuator.bias[1] * inertia).sqrt();
+        }
+        let muscles = [&mut actuator.muscle_gain, &mut actuator.muscle_bias];
+        for muscle in muscles.into_iter().flatten().filter(|muscle| muscle.force < 0.0) {
+            muscle.force = muscle.scale / square.sqrt().max(1e-15);
+        }
     }
     for joint in model.joints.iter().filter(|j| matches!(j.kind, JointType::Ball | JointType::Free))
     {
@@ -195,25 +223,6 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
     model.bodies.iter_mut().zip(bodies).for_each(|(b, x)| b.invweight = x);
     model.dofs.iter_mut().zip(dofs).for_each(|(d, x): (&mut Dof, f64)| d.invweight = x);
     Ok(())
-}
-
-/// The inertia 1 / (J M⁻¹ Jᵀ), J = gear, that each servo with a damping ratio moves in this
-/// tree [kg or kg·m² at the gear's input]; 0 where the gear is 0.
-fn moved_by_servos(factor: &Factor) -> Vec<(usize, f64)> {
-    let model = factor.model;
-    let own = |index: &usize| {
-        let actuator = &model.actuators[*index];
-        let dof = model.joints[actuator.joint].dof;
-        actuator.dampratio != 0.0 && factor.tree.range().contains(&dof)
-    };
-    let inertia = |index: usize| {
-        let actuator = &model.actuators[index];
-        let mut row = DVector::zeros(factor.tree.len);
-        row[model.joints[actuator.joint].dof - factor.tree.start] = actuator.gear[0];
-        let weight = factor.weight(row);
-        (index, if weight > 0.0 { 1.0 / weight } else { 0.0 })
-    };
-    (0..model.actuators.len()).filter(own).map(inertia).collect()
 }
 
 /// The part of J M⁻¹ Jᵀ of a tendon that this tree gives.

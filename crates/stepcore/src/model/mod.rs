@@ -12,6 +12,7 @@ pub(crate) mod fluid;
 mod heap;
 mod inertia;
 mod invweight;
+mod linkages;
 mod material;
 mod meshes;
 mod pairs;
@@ -31,6 +32,7 @@ mod tree;
 mod union;
 
 pub use heap::Heap;
+pub use linkages::{Linkage, Moved};
 pub use material::Material;
 pub use pairs::Never;
 pub use plan::Unmet;
@@ -47,6 +49,7 @@ use crate::shapes::hull::Hull;
 use crate::shapes::ray::Surface;
 use crate::shapes::{Shape, ShapeTest};
 use crate::spatial::Pose;
+use crate::transmission::Transmission;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -129,6 +132,7 @@ pub struct Joint {
     /// Zero where MJCF's flags switch springs and dampers off.
     pub stiffness: Coefficients,
     pub damping: Coefficients,
+    pub actuatorfrcrange: Option<[f64; 2]>,
     pub limit: Softness,
     /// Its share of what holds bodies up against gravity counts as its actuators' force.
     pub actuatorgravcomp: bool,
@@ -270,6 +274,15 @@ pub struct Model {
     /// Entries of act, and by actuator those that are its own.
     pub na: usize,
     pub activations: Vec<Span>,
+    /// By actuator: along what it pulls, and after which length the target of its servo is the same
+    /// again (0: never).
+    pub along: Vec<Transmission>,
+    pub circles: Vec<f64>,
+    pub linkages: Vec<Linkage>,
+    /// Some of them are those of contacts, which are found after the smooth forces.
+    pub adheres: bool,
+    /// Joints whose actuators together are bounded, and the bounds.
+    pub clamps: Vec<(usize, [f64; 2])>,
     pub gravity: Vector3<f64>,
     pub magnetic: Vector3<f64>,
     pub features: Features,

@@ -2,8 +2,7 @@
 
 use super::{Model, Span};
 use crate::place::Placed;
-use crate::scene::{self, Coefficients, GeomType, Scene, Softness, Stop, AUTOMATIC};
-use crate::transmission::Transmission;
+use crate::scene::{self, Coefficients, GeomType, Scene, Softness, Stop, Target, AUTOMATIC};
 use nalgebra::Vector3;
 
 /// A point of a body, in its frame [m].
@@ -143,8 +142,8 @@ fn lay_out(scene: &Scene, model: &mut Model) {
         model.tendons.push(tendon);
     }
     let driven: Vec<usize> = (model.actuators.iter())
-        .filter_map(|actuator| match actuator.transmission() {
-            Transmission::Tendon(tendon, _) => Some(tendon),
+        .filter_map(|actuator| match actuator.target {
+            Target::Tendon(tendon) => Some(tendon),
             _ => None,
         })
         .collect();

@@ -18,6 +18,11 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         nv: 0,
         na: 0,
         activations: vec![],
+        along: vec![],
+        circles: vec![],
+        linkages: vec![],
+        adheres: false,
+        clamps: vec![],
         gravity: Vector3::from(scene.gravity),
         magnetic: Vector3::from(scene.magnetic),
         features: scene.features.clone(),
@@ -59,11 +64,6 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         let (name, pos) = (s.name.clone(), Vector3::from(s.pos));
         let quat = unit_quat(s.quat);
         model.sites.push(Site { name, body: s.body, pos, quat, kind: s.kind, size: s.size });
-    }
-    for actuator in &scene.actuators {
-        let len = actuator.dynamics.count();
-        model.activations.push(Span { start: model.na, len });
-        model.na += len;
     }
     let mut next = 0;
     for i in 0..scene.bodies.len() {
@@ -184,6 +184,7 @@ fn joint(model: &mut Model, scene: &Scene, index: usize) {
         reference: source.reference,
         stiffness: if scene.features.spring { source.stiffness } else { scene::NONE },
         damping: if scene.features.damper { source.damping } else { scene::NONE },
+        actuatorfrcrange: source.actuatorfrcrange,
         limit: source.limit.clone(),
         actuatorgravcomp: source.actuatorgravcomp,
     });

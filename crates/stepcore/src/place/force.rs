@@ -2,7 +2,7 @@
 
 use super::{Frames, Placed, Pulls};
 use crate::elements::activation::{rates, Activations};
-use crate::elements::actuator::tensions;
+use crate::elements::actuator::{clamp_joints, clamp_tendons, tensions};
 use crate::elements::force::{Group, Moment, Sum};
 use crate::elements::forces::push;
 use crate::model::Model;
@@ -10,6 +10,24 @@ use crate::real::Real;
 use crate::state::Inputs;
 
 impl<R: Real> Placed<R> {
+    /// The forces of actuators, and what joints let through of them.
+    pub(crate) fn tensions(
+        &mut self,
+        model: &Model,
+        qpos: &[R],
+        qvel: &[R],
+        act: Activations<R>,
+        inputs: &Inputs<R>,
+    ) {
+        let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };
+        tensions(model, qpos, qvel, act, inputs, pulls, &mut self.actuator);
+        if !self.shares.is_empty() {
+            let (joints, tendons) = self.shares.split_at_mut(model.nv);
+            clamp_tendons(model, &mut self.actuator, tendons);
+            clamp_joints(model, qpos, pulls, &self.actuator, joints);
+        }
+    }
+
     pub(super) fn smooth_force(
         &mut self,
         model: &Model,
@@ -19,10 +37,11 @@ impl<R: Real> Placed<R> {
         inputs: &Inputs<R>,
     ) {
         rates(model, act.act, inputs, &mut self.act_rate);
+        self.tensions(model, qpos, qvel, act, inputs);
         let Self { xpos, xmat, origin, motion, actuator, passive, bias, force, wrench, .. } = self;
         let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };
-        tensions(model, qpos, qvel, act, inputs, pulls, actuator);
-        let frames = Frames { xpos, xmat, origin, motion, tension: actuator, pulls };
+        let shares = &self.shares;
+        let frames = Frames { xpos, xmat, origin, motion, tension: actuator, shares, pulls };
         let now = Moment { model, frames, qpos, qvel, act, inputs };
         push(&now, Group::Passive, &mut Sum { force: passive, wrench });
         for k in 0..model.nv {

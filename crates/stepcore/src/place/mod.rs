@@ -11,6 +11,7 @@ mod factor;
 mod force;
 mod inertia;
 mod kinematics;
+mod linkage;
 mod tendon;
 mod tendon_inertia;
 mod wrap;
@@ -60,13 +61,17 @@ pub struct Placed<R: Real> {
     /// Joint springs and dampers, by dof.
     pub passive: Vec<R>,
     /// Length of each tendon [m, or that of its joints], and its arms in the layout of
-    /// `Tendon::arms`; of tendons that no step uses, from when they were last read.
+    /// `Tendon::arms`; of tendons that no step uses, from when they were last read. Then those of
+    /// linkages.
     pub tendon_length: Vec<R>,
     pub tendon_arms: Vec<R>,
     /// Force of each motor and servo before its gear, by actuator.
     pub actuator: Vec<R>,
     /// Rates of the activations, by entry of act.
     pub act_rate: Vec<R>,
+    /// How much of the actuators' forces its joint lets through, by dof, and its tendon, by tendon;
+    /// empty: all.
+    pub shares: Vec<R>,
     /// All smooth forces summed, by dof: applied + actuated + passive − bias.
     pub force: Vec<R>,
     /// u = L v of the present velocity, and of the guess.
@@ -83,6 +88,8 @@ pub(crate) struct Frames<'a, R: Real> {
     pub motion: &'a [Motion<R>],
     /// `Placed::actuator`.
     pub tension: &'a [R],
+    /// `Placed::shares`.
+    pub shares: &'a [R],
     pub pulls: Pulls<'a, R>,
 }
 
@@ -102,7 +109,7 @@ pub struct Pulls<'a, R: Real> {
 }
 
 room!(Placed<R>: mocap, xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, mass,
-    velocity, acceleration, wrench, bias, passive, tendon_length, tendon_arms, actuator, act_rate, force,
+    velocity, acceleration, wrench, bias, passive, tendon_length, tendon_arms, actuator, act_rate, shares, force,
     u, guess; metric, effective);
 
 impl<R: Real> Placed<R> {
@@ -135,10 +142,11 @@ impl<R: Real> Placed<R> {
             wrench: vec![Force::zero(); nbody],
             bias: vec![zero; nv],
             passive: vec![zero; nv],
-            tendon_length: vec![zero; model.tendons.len()],
-            tendon_arms: vec![zero; model.tendons.iter().map(|t| t.arms.len).sum()],
+            tendon_length: vec![zero; model.lengths().0],
+            tendon_arms: vec![zero; model.lengths().1],
             actuator: vec![zero; model.actuators.len()],
             act_rate: vec![zero; model.na],
+            shares: vec![zero; model.shares()],
             force: vec![zero; nv],
             u: vec![zero; nv],
             guess: vec![zero; nv],
@@ -174,12 +182,14 @@ impl<R: Real> Placed<R> {
     pub fn positions(&mut self, model: &Model, qpos: &[R]) {
         self.place_trees(model, qpos, |_| true);
         self.place_tendons(model, qpos, |_| true);
+        self.place_linkages(model);
     }
 
     /// The same where a step needs it: see `Tree::seen`.
     pub fn positions_in_step(&mut self, model: &Model, qpos: &[R]) {
         self.place_trees(model, qpos, |tree| tree.seen);
         self.place_tendons(model, qpos, |tendon| tendon.used);
+        self.place_linkages(model);
     }
 
     fn place_trees(&mut self, model: &Model, qpos: &[R], needed: impl Fn(&Tree) -> bool) {
@@ -225,6 +235,7 @@ impl<R: Real> Placed<R> {
             origin: &self.origin,
             motion: &self.motion,
             tension: &self.actuator,
+            shares: &self.shares,
             pulls: self.pulls(),
         }
     }
@@ -294,6 +305,11 @@ impl<R: Real> Placed<R> {
         self.dynamics(model, qpos, qvel, act, inputs);
         R::enter(Stage::Guess);
         self.metric.to_factored(qvel, &mut self.u);
+        self.make_guess(model, dt);
+    }
+
+    /// û of the smooth force at hand.
+    pub(crate) fn make_guess(&mut self, model: &Model, dt: R) {
         self.guess.copy_from_slice(&self.force);
         if let Some(Effective { shift, .. }) = &self.effective {
             for (guess, shift) in self.guess.iter_mut().zip(shift) {

@@ -1,24 +1,31 @@
 //! Actuators.
 
-/// A motor or a servo. Its force is gain·u + bias₀ + bias₁·length + bias₂·velocity, with
-/// length = gear·q and velocity = gear·v of a hinge or a slide; the joint feels gear × force. u is
-/// the control, or the activation where there is one.
+use super::{Coefficients, NONE};
+
+/// A motor, a servo or a muscle. Its force is gain·u + bias: u is the control, or the activation where
+/// there is one; gain and bias depend on the length along which it pulls and on the rate of that, both
+/// of them times the gear. What it pulls at feels gear × force.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Actuator {
     pub name: String,
-    pub joint: usize,
-    /// By dof of the joint.
+    pub target: Target,
+    /// The first alone for a hinge, a slide, a tendon and a crank; of a ball an axis; of a free joint
+    /// and of a site a direction and an axis.
     pub gear: [f64; 6],
-    /// A motor: 1 and zeros. A position servo: kp and 0, −kp, −kv. A velocity servo: kv and
-    /// 0, 0, −kv. Feedback (bias₁, bias₂) on a ball or a free joint is not built.
-    pub gain: f64,
+    /// gain = g₀ + g₁·length + g₂·velocity; bias likewise. A motor: 1, and zeros. A position servo:
+    /// kp, and 0, −kp, −kv. A velocity servo: kv, and 0, 0, −kv.
+    pub gain: [f64; 3],
     pub bias: [f64; 3],
+    /// In place of these: the force of a muscle.
+    pub muscle_gain: Option<Muscle>,
+    pub muscle_bias: Option<Muscle>,
     /// Not 0: bias₂ is −2·dampratio·√(kp·m), m being the inertia that the actuator moves at
     /// the initial configuration, and is filled in when the scene is compiled.
     pub dampratio: f64,
     /// Whether it has an activation, and how that follows the control.
     pub dynamics: Dynamics,
-    /// Of a filter: its time constant [s].
+    /// Of a filter: its time constant [s]. Of a muscle: those of activation and deactivation [s], and
+    /// the width of control over which one becomes the other.
     pub dynprm: [f64; 3],
     /// Bounds of the control, of the activation, and of the force before the gear. None: none.
     pub ctrlrange: Option<[f64; 2]>,
@@ -26,6 +33,36 @@ pub struct Actuator {
     pub forcerange: Option<[f64; 2]>,
     /// The force is that of the activation at the end of the step.
     pub actearly: bool,
+    /// The least and greatest length that it can have, which muscles refer to.
+    pub lengthrange: [f64; 2],
+    /// Given, times gear², to the joint or tendon that it pulls at.
+    pub damping: Coefficients,
+    pub armature: f64,
+    /// False: it is left out (MJCF's `actuatorgroupdisable`).
+    pub enabled: bool,
+}
+
+/// What an actuator pulls at, by index.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Target {
+    /// The axes of a ball or a free joint's rotation are those of its body.
+    Joint(usize),
+    /// The axes are those of the frame in which the joint stands.
+    InParent(usize),
+    Tendon(usize),
+    /// In the axes of the site; with a reference in those of that, and measured from it.
+    Site {
+        site: usize,
+        reference: Option<usize>,
+    },
+    /// A rod of some length [m] from a site to another, which slides along its own z axis.
+    Crank {
+        crank: usize,
+        slider: usize,
+        rod: f64,
+    },
+    /// The contacts of a body, which it pulls together along their normals.
+    Body(usize),
 }
 
 /// How an activation w follows the control u.
@@ -40,6 +77,26 @@ pub enum Dynamics {
     Filter,
     /// The same, a step being that of the exact solution.
     FilterExact,
+    /// A filter whose time constant depends on w, and on whether it grows.
+    Muscle,
+}
+
+/// A muscle as MuJoCo describes it (documentation, "Muscle actuators").
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Muscle {
+    /// The operating range of lengths, of the optimal length.
+    pub range: [f64; 2],
+    /// Peak force [N]; negative: `scale` over the acceleration that a unit force gives at the initial
+    /// configuration, filled in when the scene is compiled.
+    pub force: f64,
+    pub scale: f64,
+    /// Lengths beyond which it does not pull; the fastest shortening [1/s].
+    pub lmin: f64,
+    pub lmax: f64,
+    pub vmax: f64,
+    /// Passive force at lmax and active force while it lengthens, of the peak force.
+    pub fpmax: f64,
+    pub fvmax: f64,
 }
 
 impl Dynamics {
@@ -53,10 +110,12 @@ impl Default for Actuator {
     fn default() -> Self {
         Self {
             name: String::new(),
-            joint: 0,
+            target: Target::Joint(0),
             gear: [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-            gain: 1.0,
+            gain: [1.0, 0.0, 0.0],
             bias: [0.0; 3],
+            muscle_gain: None,
+            muscle_bias: None,
             dampratio: 0.0,
             dynamics: Dynamics::None,
             dynprm: [1.0, 0.0, 0.0],
@@ -64,13 +123,28 @@ impl Default for Actuator {
             actrange: None,
             forcerange: None,
             actearly: false,
+            lengthrange: [0.0; 2],
+            damping: NONE,
+            armature: 0.0,
+            enabled: true,
         }
     }
 }
 
 impl Actuator {
-    /// Its force depends on where its joint is, or how fast.
+    /// Its force depends on a length, or how fast that changes.
     pub fn feeds_back(&self) -> bool {
-        self.bias[1] != 0.0 || self.bias[2] != 0.0
+        let depends = |term: &[f64; 3]| term[1] != 0.0 || term[2] != 0.0;
+        self.is_muscle() || depends(&self.bias) || depends(&self.gain)
+    }
+
+    pub fn is_muscle(&self) -> bool {
+        self.muscle_gain.is_some() || self.muscle_bias.is_some()
+    }
+
+    /// Its control is a length: gain · (u − length), but for a constant.
+    pub fn holds_a_length(&self) -> bool {
+        let fixed = self.gain[1] == 0.0 && self.gain[2] == 0.0 && !self.is_muscle();
+        fixed && self.gain[0] != 0.0 && self.gain[0] == -self.bias[1]
     }
 }

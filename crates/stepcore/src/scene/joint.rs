@@ -66,6 +66,8 @@ pub struct Joint {
     pub actuatorgravcomp: bool,
     /// Inertia added to the dof itself [kg or kg·m²].
     pub armature: f64,
+    /// Bounds of the force of all actuators on a hinge or a slide together. None: none.
+    pub actuatorfrcrange: Option<[f64; 2]>,
     /// Dry friction: the largest force.
     pub frictionloss: f64,
     /// Of the limit's rows, and of the friction loss.
@@ -90,6 +92,7 @@ impl Default for Joint {
             springdamper: [0.0; 2],
             actuatorgravcomp: false,
             armature: 0.0,
+            actuatorfrcrange: None,
             frictionloss: 0.0,
             limit: Softness::default(),
             friction: Softness::default(),

@@ -4,6 +4,7 @@
 //! explanation of every failure. `Bodies` and `BodyForces` are what MuJoCo tells of bodies, rays
 //! what they meet, and a [`LastSolve`] solves once more for what a step does not keep. A [`Linearizer`] and a [`Counter`] step a copy in other numbers.
 
+mod actuators;
 mod bodies;
 mod body_forces;
 mod count;

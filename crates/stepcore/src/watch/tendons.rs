@@ -10,7 +10,7 @@ impl<R: Real> Sim<R> {
     pub fn tendon_velocity(&self) -> Vec<R> {
         let rate = |index| {
             let along = Transmission::Tendon(index, 1.0);
-            along.velocity(&self.model, &self.state.qvel, self.placed.pulls())
+            along.velocity(&self.model, &self.state.qpos, &self.state.qvel, self.placed.pulls())
         };
         (0..self.model.tendons.len()).map(rate).collect()
     }

@@ -5,7 +5,7 @@ use stepcore::model::Model;
 use stepcore::real::Real;
 use stepcore::scene::{
     Actuator, Body, Equality, EqualityType, Frame, Geom, GeomType, Inertial, Joint, JointType,
-    Scene, Site, Stop, Tendon,
+    Scene, Site, Stop, Target, Tendon,
 };
 use stepcore::sim::Sim;
 
@@ -96,7 +96,7 @@ pub fn runner() -> Scene {
             hinge.armature = 0.05;
             let motor = Actuator {
                 name: format!("motor{at}"),
-                joint: at,
+                target: Target::Joint(at),
                 gear: [20.0, 0.0, 0.0, 0.0, 0.0, 0.0],
                 ctrlrange: Some([-1.0, 1.0]),
                 ..Actuator::default()
@@ -196,7 +196,8 @@ fn by_body(mut scene: Scene) -> Scene {
     scene.joints.sort_by_key(|j| j.body);
     scene.geoms.sort_by_key(|g| g.body);
     for motor in &mut scene.actuators {
-        motor.joint = scene.joints.iter().position(|j| j.name == old[motor.joint]).unwrap();
+        let Target::Joint(joint) = &mut motor.target else { continue };
+        *joint = scene.joints.iter().position(|j| j.name == old[*joint]).unwrap();
     }
     scene
 }

@@ -63,7 +63,11 @@ class ActuatorWatch:
         self.model = model
         self.works = model.nu > 0 and model.scene.features.actuation
         joints = model.actuator_joint
-        hinged = np.array([model.jnt_type[j] in ("hinge", "slide") for j in joints], bool)
+        kinds = [model.jnt_type[j] if j >= 0 else "" for j in joints]
+        own = (model.actuator_actadr < 0).tolist()
+        hinged = np.array(
+            [kind in ("hinge", "slide") and bare for kind, bare in zip(kinds, own, strict=True)], bool
+        )
         # Position feedback that pulls back, on a joint of one coordinate.
         self.servos = np.flatnonzero(hinged & (model.actuator_bias[:, 1] < 0))
         self.joints = [int(joint) for joint in joints[self.servos]]

@@ -29,6 +29,8 @@ def about_limits(model: Model) -> Iterator[Finding]:
     found = []
     for k in range(model.nu):
         index = int(model.actuator_joint[k])
+        if index < 0 or model.actuator_actadr[k] >= 0:
+            continue
         kind, joint = model.jnt_type[index], joints[index]
         low, high = (float(bound) for bound in model.jnt_range[index])
         if kind not in ("hinge", "slide") or not np.isfinite([low, high]).all():

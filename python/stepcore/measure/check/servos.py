@@ -39,11 +39,16 @@ def about_servos(model: Model, start: Start, ctrl: np.ndarray) -> Iterator[Findi
 
 def _servos(model: Model) -> list[int]:
     """Actuators that pull back to a position, on a hinge or a slide."""
-    kinds = [model.jnt_type[j] for j in model.actuator_joint]
+    return [k for k in _on_one_dof(model) if model.actuator_bias[k, 1] < 0]
+
+
+def _on_one_dof(model: Model) -> list[int]:
+    """Actuators on a hinge or a slide that have no activation."""
+    both = zip(model.actuator_joint, model.actuator_actadr, strict=True)
     return [
         k
-        for k, kind in enumerate(kinds)
-        if kind in ("hinge", "slide") and model.actuator_bias[k, 1] < 0
+        for k, (joint, act) in enumerate(both)
+        if joint >= 0 and act < 0 and model.jnt_type[joint] in ("hinge", "slide")
     ]
 
 
@@ -87,9 +92,11 @@ def _saturated(model: Model, start: Start, ctrl: np.ndarray) -> Iterator[Finding
 def _too_weak(model: Model, state: Start, where: str, seen: set[int]) -> Iterator[Finding]:
     """Actuators whose largest force is below the load of a pose that hangs on its joints alone."""
     loads = _static_loads(model, state)
-    drives = np.bincount(model.actuator_joint, minlength=model.njnt)
+    joints = model.actuator_joint
+    drives = np.bincount(joints[joints >= 0], minlength=model.njnt)
     weak: dict[bool, list[tuple[float, int, float, float]]] = {True: [], False: []}
-    for k in range(model.nu):
+    linked = bool((joints < 0).any())
+    for k in () if linked else _on_one_dof(model):
         joint, gear = int(model.actuator_joint[k]), float(model.actuator_gear[k, 0])
         load = loads.get(int(model.jnt_dofadr[joint]))
         if load is None or not gear or drives[joint] > 1 or k in seen:
@@ -168,9 +175,9 @@ def _without_armature(model: Model) -> Iterator[Finding]:
     """Servos that are stiff beside the inertia that their joint moves."""
     joints, dt = Layout(model.scene).joints, model.settings.dt
     found = []
-    for k in range(model.nu):
+    for k in _on_one_dof(model):
         joint = int(model.actuator_joint[k])
-        if model.jnt_type[joint] not in ("hinge", "slide") or joints[joint].armature > 0:
+        if joints[joint].armature > 0 or model.scene.actuators[k].armature > 0:
             continue
         inverse = float(model.dof_invweight0[model.jnt_dofadr[joint]])
         gear = float(model.actuator_gear[k, 0])

@@ -139,6 +139,8 @@ def _controls(model: Model) -> Iterator[Finding]:
     found = []
     for k in range(model.nu):
         joint = int(model.actuator_joint[k])
+        if joint < 0:
+            continue
         bounds, limits = model.actuator_ctrlrange[k], model.jnt_range[joint]
         servo = model.actuator_bias[k, 1] < 0 and model.jnt_type[joint] == "hinge"
         if not servo or not np.isfinite([*bounds, *limits]).all():

@@ -44,6 +44,9 @@ def settles(model: Model, state: State, integrator: str, dt: float, servo: int) 
     Its control is held; in fine steps it comes to rest. A kick that is faster than any motion of
     use is not made. dt [s].
     """
+    if model.actuator_joint[servo] < 0:
+        # Not along one joint, which alone could be kicked.
+        return True
     dof, kick = driven_dof(model, servo), KICK * reaching_speed(model, servo)
     turns = model.jnt_type[int(model.actuator_joint[servo])] != "slide"
     if not kick <= (FASTEST if turns else FASTEST_SLIDE):

@@ -112,7 +112,10 @@ def changed(
             softest = 2 * dt if model.settings.refsafe else 0.0
             values += _solref(model, layout, element, change.what, x, softest)
         elif change in (ARMATURE, DAMPING, CHAIN):
-            own = layout.joints.index(_joint(layout, element))
+            joint = _joint(layout, element)
+            if joint is None:
+                continue
+            own = layout.joints.index(joint)
             joints = _chain(model, layout, own) if change is CHAIN else [own]
             # A joint with a spring and a servo, or of a chain, is changed once.
             fresh = [joint for joint in joints if joint not in done]
@@ -141,7 +144,7 @@ def _scaled(
         setattr(tendon, field, new)
         return [NewValue(element.name, field, (old,), (new,), size=ratio(old, new))]
     joint = _joint(layout, element)
-    owner: Joint | Actuator = joint
+    owner: Joint | Actuator | None = joint
     if element.element.kind == "actuator":
         owner = layout.scene.actuators[element.element.index]
         if owner.type == "general":
@@ -154,7 +157,7 @@ def _scaled(
     if old is None:
         # The default of the gain that the actuator's type is named after.
         old = 1.0 if (field == "kp") == (getattr(owner, "type", "") == "position") else 0.0
-    if old == 0 and field == "kv" and x > 1 and element.omega > 0:
+    if old == 0 and field == "kv" and x > 1 and element.omega > 0 and joint is not None:
         square = float(model.actuator_gear[element.element.index, 0]) ** 2
         critical = 2 * _mass(model, layout.joints.index(joint)) * element.omega / square
         new = rounded(FROM_NOTHING * x * critical, up=True)
@@ -257,12 +260,14 @@ def _solref(
     return [NewValue(element.name, field, old, new, size=size)]
 
 
-def _joint(layout: Layout, element: ElementLimits) -> Joint:
+def _joint(layout: Layout, element: ElementLimits) -> Joint | None:
+    """The joint that an element acts on; None for one that acts on several."""
     index = element.element.index
     if element.element.kind in ("actuator", "control"):
-        return layout.scene.actuators[index].joint
+        actuator = layout.scene.actuators[index]
+        return actuator.joint or actuator.jointinparent
     return layout.joints[index]
 
 
-def _unit(field: str, joint: Joint) -> str:
-    return unit_of(field, joint.type in ("hinge", "ball"))
+def _unit(field: str, joint: Joint | None) -> str:
+    return unit_of(field, joint is not None and joint.type in ("hinge", "ball"))

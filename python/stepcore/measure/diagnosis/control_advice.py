@@ -233,7 +233,8 @@ class _ControlSearch:
 
     def _angular(self, element: ElementId) -> bool:
         model = self.here.model
-        return bool(model.jnt_type[int(model.actuator_joint[element.index])] == "hinge")
+        joint = int(model.actuator_joint[element.index])
+        return joint >= 0 and model.jnt_type[joint] == "hinge"
 
 
 def rescaled(model: Model, state: State, rows: Sequence[int], by: tuple[float, float]) -> Feedback:
@@ -286,7 +287,7 @@ def _servo_gains(here: StepStability, element: ElementId) -> tuple[float, float]
     """
     model, best = here.model, None
     joint = int(model.actuator_joint[element.index])
-    if model.jnt_type[joint] not in ("hinge", "slide"):
+    if joint < 0 or model.jnt_type[joint] not in ("hinge", "slide"):
         return None
     dof = int(model.jnt_dofadr[joint])
     for state in here.states:

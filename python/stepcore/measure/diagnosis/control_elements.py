@@ -27,7 +27,7 @@ KIND = "control"
 def control_inputs(model: Model, state: State, mass: Floats) -> Floats:
     """The force on the dofs of a unit of each control, shape (nv, nu)."""
     sim = sim_at(model, state, integrator="explicit", dt=TINY_STEP, refsafe=False)
-    inputs: Floats = mass @ sim.linearize().B[model.nv :] / TINY_STEP
+    inputs: Floats = mass @ sim.linearize().B[model.nv : 2 * model.nv] / TINY_STEP
     return inputs
 
 

@@ -66,6 +66,7 @@ def element_matrices(model: Model, sim: Sim, state: State) -> dict[ElementId, El
 
     matrices: dict[ElementId, ElementMatrices] = dict(_joint_matrices(model, sides))
     matrices |= _tendon_matrices(model, sides)
+    matrices |= _linked_matrices(model, sides)
     matrices |= _row_matrices(model, sim, sides)
     sim.qpos[:], sim.qvel[:] = state.qpos, state.qvel
     if np.any(state.qvel):
@@ -88,7 +89,7 @@ def _joint_matrices(model: Model, sides: Sides) -> dict[ElementId, ElementMatric
         after, before = sides(column, change, _forces("spring", "damper", "actuator"))
         for kind, index in dict.fromkeys([*after, *before]):
             joint = model.actuator_joint[index] if kind == "actuator" else index
-            if counts[joint] <= nth:
+            if joint < 0 or counts[joint] <= nth:
                 continue
             at = slice(starts[joint], starts[joint] + counts[joint])
             slope = before.get((kind, index), none) - after.get((kind, index), none)
@@ -108,6 +109,22 @@ def _tendon_matrices(model: Model, sides: Sides) -> dict[ElementId, ElementMatri
         for element in dict.fromkeys([*after, *before]):
             slope = before.get(element, none) - after.get(element, none)
             matrices[ElementId.of(model, *element)].by(column)[:, dof] = slope / (2 * SMALL)
+    return matrices
+
+
+def _linked_matrices(model: Model, sides: Sides) -> dict[ElementId, ElementMatrices]:
+    """Those of actuators along tendons, sites and slider-cranks: one dof after the other."""
+    linked = {int(k) for k in np.flatnonzero(model.actuator_joint < 0)}
+    matrices = _no_matrices(model.nv)
+    for dof, column in product(range(model.nv if linked else 0), (0, 1)):
+        change = SMALL * np.eye(1, model.nv, dof)[0]
+        after, before = sides(column, change, _forces("actuator"))
+        for kind, index in dict.fromkeys([*after, *before]):
+            if index in linked:
+                none = np.zeros(model.nv)
+                slope = before.get((kind, index), none) - after.get((kind, index), none)
+                derivative = matrices[ElementId.of(model, kind, index)].by(column)
+                derivative[:, dof] = slope / (2 * SMALL)
     return matrices
 
 

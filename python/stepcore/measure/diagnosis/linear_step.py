@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -41,7 +41,8 @@ class State:
     label: where in the motion it is. time: of the motion [s]. qpos: shape (nq,); qvel: shape
     (nv,); ctrl: shape (nu,). rows: the elements whose rows act there. touching: the contacts that
     overlap there and have no row, those of the law `penalty`. feedback: the user's control function
-    at this state, if the controls depend on it.
+    at this state, if the controls depend on it. act: shape (na,), empty for zeros; activations are
+    held.
     """
 
     label: str
@@ -52,6 +53,7 @@ class State:
     rows: tuple[ElementId, ...] = ()
     touching: tuple[ElementId, ...] = ()
     feedback: Feedback | None = None
+    act: Floats = field(default_factory=lambda: np.zeros(0))
 
 
 def with_converged_rows(model: Model) -> Model:
@@ -70,13 +72,15 @@ def with_converged_rows(model: Model) -> Model:
 def state_of(sim: Sim, label: str, time: float) -> State:
     """The present state of a Sim whose rows were solved there."""
     qpos, qvel, ctrl = (np.array(x) for x in (sim.qpos, sim.qvel, sim.ctrl))
-    return State(label, time, qpos, qvel, ctrl, acting_elements(sim), penalised_contacts(sim))
+    met = acting_elements(sim), penalised_contacts(sim)
+    return State(label, time, qpos, qvel, ctrl, *met, act=np.array(sim.act))
 
 
 def sim_at(model: Model, state: State, **settings: Any) -> Sim:
     """A Sim in this state, with some settings of its own."""
     sim = unwatched(Sim(model.with_settings(**settings)))
     sim.qpos[:], sim.qvel[:], sim.ctrl[:] = state.qpos, state.qvel, state.ctrl
+    sim.act[:] = state.act if len(state.act) else 0.0
     return sim
 
 
@@ -158,8 +162,9 @@ def closed_step(sim: Sim, feedback: Feedback | None, hold: int = 1) -> Floats:
     if sim.settings.integrator == "midpoint" and not sim.model.scene.features.constraint:
         step, inputs = midpoint_map(sim)
     else:
-        linear = sim.linearize()
-        step, inputs = linear.A, linear.B
+        linear, n = sim.linearize(), 2 * sim.model.nv
+        # Activations are held.
+        step, inputs = linear.A[:n, :n], linear.B[:n]
     return step if feedback is None else feedback.closed(step, inputs, hold)
 
 

@@ -40,8 +40,10 @@ def midpoint_map(sim: Sim) -> tuple[Floats, Floats]:
     mean = (qvel + np.array(stepped.qvel)) / 2
     middle = _at(sim, dofs.moved(qpos, h * mean), mean, integrator="explicit", dt=SHORT)
     linear = middle.linearize()
-    slopes = (linear.A - np.eye(2 * n))[n:] / SHORT
-    by_position, by_velocity, by_control = slopes[:, :n], slopes[:, n:], linear.B[n:] / SHORT
+    # Activations are held.
+    slopes = (linear.A[: 2 * n, : 2 * n] - np.eye(2 * n))[n:] / SHORT
+    by_position, by_velocity = slopes[:, :n], slopes[:, n:]
+    by_control = linear.B[n : 2 * n] / SHORT
     turn, gain = _displacement_maps(dofs, h * mean)
     system = np.eye(n) - h * h * by_position @ gain - h * by_velocity
     known = np.hstack([h * by_position @ turn, np.eye(n), h * by_control])
@@ -56,7 +58,7 @@ def midpoint_map(sim: Sim) -> tuple[Floats, Floats]:
 def _at(sim: Sim, qpos: Floats, qvel: Floats, **settings: Any) -> Sim:
     """A Sim of the same model and controls in this state."""
     moved = unwatched(Sim(sim.model.with_settings(**settings)))
-    moved.qpos[:], moved.qvel[:], moved.ctrl[:] = qpos, qvel, sim.ctrl
+    moved.qpos[:], moved.qvel[:], moved.ctrl[:], moved.act[:] = qpos, qvel, sim.ctrl, sim.act
     return moved
 
 

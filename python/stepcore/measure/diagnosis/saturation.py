@@ -95,6 +95,9 @@ def _candidates(judge: Judge, wanted: float) -> list[tuple[ElementId, float]]:
         return []
     servos = []
     for i in range(model.nu):
+        if model.actuator_joint[i] < 0:
+            # Not along one joint, which alone could be kicked.
+            continue
         turns = model.jnt_type[int(model.actuator_joint[i])] != "slide"
         usual = max(FASTEST if turns else FASTEST_SLIDE, judge.fine.speeds[driven_dof(model, i)])
         if not KICK * reaching_speed(model, i) <= usual:

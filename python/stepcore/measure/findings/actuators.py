@@ -101,7 +101,7 @@ def _sags(model: Model, servo: Servo) -> Finding | None:
 def force_text(model: Model, one: object) -> str:
     """The end of a force range that an actuator is at, with its unit."""
     joint = int(model.actuator_joint[one.actuator])  # type: ignore[attr-defined]
-    units = FORCES if model.jnt_type[joint] == "slide" else TORQUES
+    units = FORCES if joint < 0 or model.jnt_type[joint] == "slide" else TORQUES
     return quantity(one.end, units)  # type: ignore[attr-defined]
 
 

@@ -206,6 +206,7 @@ class MujocoRunner(Runner):
         require().mj_resetData(self.theirs, sim.data)
         begin = self.schedule.starts[start]
         sim.data.qpos[:], sim.data.qvel[:] = begin.qpos, begin.qvel
+        sim.data.act[:] = 0.0 if begin.act is None else begin.act
 
     def control(self, sim: World, start: int, period: int, function: Control | None) -> None:
         data, shown = sim.data, self.shown

@@ -13,6 +13,12 @@ _BUILT = {
     "motor": "",
     "position": "inheritrange:1 kp:1 kv:1 dampratio:1 timeconst:1",
     "velocity": "kv:1",
+    "intvelocity": f"actlimited:{AUTO} actrange:2 inheritrange:1 kp:1 kv:1 dampratio:1",
+    "damper": "kv:1",
+    "adhesion": "body! gain:1",
+    "cylinder": "timeconst:1 area:1 diameter:1 bias:1-3",
+    "muscle": "timeconst:1-2 tausmooth:1 range:2 force:1 scale:1 lmin:1 lmax:1 vmax:1 fpmax:1 "
+    "fvmax:1",
     "general": f"actlimited:{AUTO} actrange:2 body actdim:int input velrange:2 ffrange:2 "
     "inheritrange:1 dyntype:none|integrator|filter|filterexact|pid|dcmotor|muscle|user "
     "gaintype:fixed|affine|muscle|dcmotor|pid|so3|user "
@@ -20,12 +26,7 @@ _BUILT = {
 }
 # And those that are not; only the names of these attributes are checked.
 _UNBUILT = {
-    "intvelocity": "actlimited actrange inheritrange kp kv dampratio",
     "pid": "posrange velrange ffrange inheritrange kp kv dampratio ki imax slewmax input",
-    "damper": "kv",
-    "cylinder": "timeconst area diameter bias",
-    "muscle": "timeconst tausmooth range force scale lmin lmax vmax fpmax fvmax",
-    "adhesion": "body gain",
     "dcmotor": "motorconst resistance nominal saturation inductance cogging controller thermal "
     "lugre input",
     "orientation": "kp kv dampratio input",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from stepcore._core import Settings
 from stepcore.mjcf import custom
 from stepcore.mjcf.option import said
+from stepcore.mjcf.write import actuators
 from stepcore.mjcf.write.tags import Tag, changed, text
 from stepcore.scene.elements import GRAVITY, MassRules
 from stepcore.scene.frames import ORIGIN
@@ -46,6 +47,8 @@ def add_option(root: Tag, scene: Contents) -> dict[str, Any]:
     if override.pop("enable", False):
         flags["override"] = "enable"
     attributes |= {f"o_{name}": text(value) for name, value in override.items()}
+    if any(not actuator.enabled for actuator in scene.actuators):
+        attributes["actuatorgroupdisable"] = str(actuators.DISABLED)
     if attributes or flags:
         option = root.add(Tag("option", **attributes))
         if flags:

@@ -3,64 +3,170 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from stepcore import checks
 from stepcore.scene.element import Element
-from stepcore.scene.elements.field_types import GEAR, Bias, DynPrm, Flag, Gain, Gear, Range, Text
-from stepcore.scene.elements.joint import AJoint
+from stepcore.scene.elements.body import Body
+from stepcore.scene.elements.field_types import (
+    GEAR,
+    Bias,
+    DynPrm,
+    Flag,
+    Gain,
+    Gear,
+    NonNegative,
+    Poly,
+    Range,
+    Real,
+    Text,
+)
+from stepcore.scene.elements.joint import Joint
+from stepcore.scene.elements.site import Site
+from stepcore.scene.elements.tendon import Tendon
 
-ACTUATOR_TYPES = ("motor", "position", "velocity", "general")
-DYNAMICS = ("none", "integrator", "filter", "filterexact")
-DynType = Annotated[str | None, checks.optional(checks.one_of(*DYNAMICS))]
+ACTUATOR_TYPES = (
+    *("motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion", "general"),
+)
+DYNAMICS = ("none", "integrator", "filter", "filterexact", "muscle")
+GAINS = ("fixed", "affine", "muscle")
+BIASES = ("none", "affine", "muscle")
+# What an actuator can pull at: exactly one of these, and what else goes with it.
+TARGETS = ("joint", "jointinparent", "tendon", "site", "cranksite", "body")
+SECOND = {"refsite": "site", "slidersite": "cranksite"}
+
+
+def _one_or(count: int) -> checks.Check:
+    """A number, or up to `count` of them."""
+
+    def check(owner: Any, field: str, value: object) -> Any:
+        if checks.listed(value) is None:
+            return checks.real()(owner, field, value)
+        return checks.vector(count, fill=(0.0,) * count)(owner, field, value)
+
+    return checks.optional(check)
+
+
+Terms = Annotated[Any, _one_or(10)]
+Times = Annotated[Any, _one_or(2)]
+AnyJoint = Annotated[Joint | None, checks.optional(checks.element("Joint"))]
+AnyTendon = Annotated[Tendon | None, checks.optional(checks.element("Tendon"))]
+AnyBody = Annotated[Body | None, checks.optional(checks.element("Body"))]
+AnySite = Annotated[Site | None, checks.optional(checks.element("Site"))]
 
 
 @dataclass(eq=False, repr=False, kw_only=True)
 class Actuator(Element):
-    """A motor or servo on a joint. The force on the joint is gear × force, where force is
+    """A motor, servo or muscle. What it pulls at feels gear × force, where force is
 
     - for a "motor", the control;
     - for a "position" servo, kp × (control − length) − kv × velocity;
     - for a "velocity" servo, kv × (control − velocity);
-    - for a "general" actuator, gainprm × control + biasprm · (1, length, velocity).
+    - for an "intvelocity" servo, kp × (w − length) − kv × velocity, where dw/dt = control;
+    - for a "damper", −kv × velocity × control;
+    - for a "cylinder", area × w + bias · (1, length, velocity), where w is the pressure, which
+      follows the control with the time constant timeconst;
+    - for an "adhesion", gain × control, with which the contacts of a body are pulled together;
+    - for a "muscle", that of MuJoCo's muscles at activation w (docs/method.md);
+    - for a "general" actuator, gain × u + bias: u is the control, or an activation w.
 
-    The length is gear × the joint's coordinate [rad or m], the velocity its rate. Servos act on
-    hinges and slides, and a Sim's `energy` does not include their work.
+    Length and velocity are gear × those of what it pulls at. A Sim's `energy` does not include what
+    actuators store. Activations are a state of the simulation, `Sim.act`.
 
     name: unique among actuators, or "".
-    joint: the `Joint` that it drives.
-    type: "motor", "position", "velocity" or "general". A field of another type is refused.
-    gear: shape (6,); a hinge or slide uses the first number, a ball 3, a free joint 6.
-    kp: stiffness of a position servo; None means 1.
-    kv: damping of a position servo (None means 0), or gain of a velocity servo (None means 1).
-    dampratio: damping ratio of a position servo, in place of kv: kv = 2 × dampratio × √(kp × m),
-        where m is the inertia that it moves in the initial pose.
-    gainprm, biasprm: of a general actuator; None means 1 and zeros. If gainprm = −biasprm[1], a
-        positive biasprm[2] is a damping ratio, as in MuJoCo.
-    timeconst: of a position servo: time constant of a filter between its control and its target
-        [s]; None means 0, no filter.
-    dyntype: of a general actuator: what stands in for the control is an activation w, a state of
-        the simulation, with dw/dt = control ("integrator") or (control − w)/dynprm[0] ("filter", and
-        "filterexact", whose steps are exact); None means "none".
+    joint: the `Joint` that it drives. The length of a ball is the part of its rotation vector along
+        gear, that of a free joint 0; a servo on a ball goes the shorter way round.
+    jointinparent: in its place, a joint whose axes of rotation are those of the frame it stands in.
+    tendon: in its place, the `Tendon` that it pulls.
+    site, refsite: in its place, a site at which force and torque act along gear, in the axes of the
+        site; with a refsite in the axes of that, and the length is that of the offset from it.
+    cranksite, slidersite, cranklength: in its place, a slider-crank: a rod of this length [m] from
+        the cranksite to the slidersite, which slides along its own z axis.
+    body: in its place, a `Body` whose contacts are pulled at along their normals, each with the same
+        part of the force.
+    type: one of those above. A field of another type is refused.
+    gear: shape (6,); a hinge, slide, tendon or slider-crank uses the first number, a ball 3, a free
+        joint and a site 6: a direction and an axis.
+    kp: stiffness of a position or intvelocity servo; None means 1.
+    kv: damping of these (None means 0), gain of a velocity servo or a damper (None means 1).
+    dampratio: damping ratio of a position or intvelocity servo, in place of kv:
+        kv = 2 × dampratio × √(kp × m), where m is the inertia that it moves in the initial pose.
+    timeconst: time constant [s] of a filter between control and target of a position servo (None
+        means 0, no filter), of a cylinder (None means 1), and two of a muscle, of activation and
+        deactivation (None means 0.01 and 0.04).
+    gain: of an adhesion [N]; None means 1. area: of a cylinder [m²]; None means 1. bias: of a cylinder; None means zeros.
+    range, force, scale, lmin, lmax, vmax, fpmax, fvmax, tausmooth: of a muscle, as in MJCF.
+    gaintype, gainprm: of a general actuator. "fixed" (None): gain = gainprm (None means 1); "affine":
+        gainprm · (1, length, velocity); "muscle": gainprm are range (2), force, scale, lmin, lmax,
+        vmax, fpmax, fvmax.
+    biastype, biasprm: "none", "affine" (None, where there is a biasprm) or "muscle". If
+        gainprm = −biasprm[1], a positive biasprm[2] is a damping ratio, as in MuJoCo.
+    dyntype: "none" (None); "integrator": dw/dt = control; "filter": dw/dt = (control − w)/dynprm[0];
+        "filterexact": the same with exact steps; "muscle".
     dynprm: of a general actuator; None means 1 [s].
     ctrlrange, actrange, forcerange: (lower, upper) bounds to which control, activation and force
         are clamped, or None.
     actearly: True takes the force from the activation at the end of the step.
+    lengthrange: least and greatest length, which a muscle needs.
+    damping, dampingpoly, armature: of the actuator itself; gear² times these are added to those of
+        the joint or tendon that it drives.
+    enabled: False leaves it out.
     """
 
     name: Text = ""
-    joint: AJoint
+    joint: AnyJoint = None
+    jointinparent: AnyJoint = None
+    tendon: AnyTendon = None
+    site: AnySite = None
+    refsite: AnySite = None
+    cranksite: AnySite = None
+    slidersite: AnySite = None
+    cranklength: NonNegative = 0.0
+    body: AnyBody = None
     type: Annotated[str, checks.one_of(*ACTUATOR_TYPES)] = "motor"
     gear: Gear = GEAR
     kp: Gain = None
     kv: Gain = None
     dampratio: Gain = None
-    gainprm: Gain = None
-    biasprm: Bias = None
-    timeconst: Gain = None
-    dyntype: DynType = None
+    timeconst: Times = None
+    gain: Gain = None
+    area: Gain = None
+    bias: Bias = None
+    range: Range = None
+    force: Gain = None
+    scale: Gain = None
+    lmin: Gain = None
+    lmax: Gain = None
+    vmax: Gain = None
+    fpmax: Gain = None
+    fvmax: Gain = None
+    tausmooth: Gain = None
+    gaintype: Annotated[str | None, checks.optional(checks.one_of(*GAINS))] = None
+    gainprm: Terms = None
+    biastype: Annotated[str | None, checks.optional(checks.one_of(*BIASES))] = None
+    biasprm: Terms = None
+    dyntype: Annotated[str | None, checks.optional(checks.one_of(*DYNAMICS))] = None
     dynprm: DynPrm = None
     ctrlrange: Range = None
     actrange: Range = None
     forcerange: Range = None
     actearly: Flag = False
+    lengthrange: Range = None
+    damping: Real = 0.0
+    dampingpoly: Poly = (0.0, 0.0)
+    armature: NonNegative = 0.0
+    enabled: Flag = True
+
+    @property
+    def target(self) -> tuple[str, Any]:
+        """The field that says what it pulls at, and that element; ("joint", None) without one."""
+        found = [field for field in TARGETS if getattr(self, field) is not None]
+        field = found[0] if found else "joint"
+        return field, getattr(self, field)
+
+    def values(self) -> dict[str, Any]:
+        """As for every element; coefficients of one polynomial stand together, if there are any."""
+        values = super().values()
+        if any(poly := values.pop("dampingpoly")):
+            values["damping"] = (values["damping"], *poly)
+        return values

@@ -1,7 +1,8 @@
 //! What drives from outside: the work of motors and applied forces, and what moving the
 //! control of a servo puts into its spring. What is which, `elements/` says.
 
-use crate::elements::actuator::power_beyond;
+use crate::elements::activation::Activations;
+use crate::elements::actuator::{power_beyond, stored_under};
 use crate::elements::force::{Group, Moment};
 use crate::elements::forces::{power, stored};
 use crate::elements::{Element, Kind};
@@ -63,6 +64,25 @@ impl<R: Real> Sim<R> {
         for index in servos {
             power += power_beyond(&now, *index, &mean);
         }
-        self.clock.dt * power
+        self.clock.dt * power + self.driven_by_activations(&now)
+    }
+
+    /// What activations put into the springs of their servos as they moved.
+    fn driven_by_activations(&self, now: &Moment<R>) -> R {
+        let mut sum = R::zero();
+        if self.model.na == 0 {
+            return sum;
+        }
+        let after = Activations { act: &self.next.act, ..now.act };
+        for (index, span) in self.model.activations.iter().enumerate() {
+            if span.len > 0 {
+                let stored = |act| {
+                    let (pulls, ctrl) = (now.frames.pulls, now.inputs.ctrl[index]);
+                    stored_under(&self.model, index, now.qpos, pulls, act, ctrl)
+                };
+                sum += stored(after) + -stored(now.act);
+            }
+        }
+        sum
     }
 }

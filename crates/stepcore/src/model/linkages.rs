@@ -1,0 +1,208 @@
+//! What actuators pull along, compiled: their transmissions, and the linkages whose length no joint and
+//! no tendon is: that of a site, and of a slider-crank.
+
+use super::{Model, Span};
+use crate::place::Placed;
+use crate::scene::{self, JointType, Scene, Target};
+use crate::transmission::Transmission;
+
+/// The length of an actuator that is neither a joint's nor a tendon's.
+#[derive(Clone, Debug)]
+pub struct Linkage {
+    pub course: Target,
+    pub gear: [f64; 6],
+    /// Its place in `Placed::tendon_length`, after the tendons.
+    pub length: usize,
+    /// As those of a tendon.
+    pub dofs: Span,
+    pub arms: Span,
+    pub movers: Vec<Moved>,
+}
+
+/// A dof that moves one of the ends of a linkage, and not both alike.
+#[derive(Clone, Copy, Debug)]
+pub struct Moved {
+    pub dof: usize,
+    /// Its place among the linkage's dofs.
+    pub at: usize,
+    pub ends: [bool; 2],
+}
+
+/// Everything that concerns actuators but what they do to inertias.
+pub fn fill(scene: &Scene, model: &mut Model) {
+    for actuator in &scene.actuators {
+        let len = actuator.dynamics.count();
+        model.activations.push(Span { start: model.na, len });
+        model.na += len;
+        let along = transmission(model, actuator);
+        model.along.push(along);
+        model.circles.push(circle(model, actuator));
+    }
+    model.clamps = (model.joints.iter().enumerate())
+        .filter_map(|(index, joint)| Some((index, joint.actuatorfrcrange?)))
+        .collect();
+}
+
+/// Damping and armature of actuators become those of what they pull at.
+pub fn reflect(model: &mut Model) {
+    for index in 0..model.actuators.len() {
+        let scene::Actuator { target, gear, damping, armature, .. } = model.actuators[index];
+        let square = gear[0] * gear[0];
+        let (kept, heavier) = match target {
+            Target::Joint(joint) | Target::InParent(joint) => {
+                let dofs =
+                    model.joints[joint].dof..model.joints[joint].dof + model.joints[joint].dofs();
+                model.dofs[dofs].iter_mut().for_each(|dof| dof.armature += square * armature);
+                (&mut model.joints[joint].damping, None)
+            }
+            Target::Tendon(tendon) => {
+                let tendon = &mut model.tendons[tendon];
+                (&mut tendon.damping, Some(&mut tendon.armature))
+            }
+            Target::Site { .. } | Target::Crank { .. } | Target::Body(_) => continue,
+        };
+        if let Some(heavier) = heavier {
+            *heavier += square * armature;
+        }
+        for (sum, part) in kept.iter_mut().zip(damping) {
+            *sum += if model.features.damper { square * part } else { 0.0 };
+        }
+    }
+}
+
+fn transmission(model: &mut Model, actuator: &scene::Actuator) -> Transmission {
+    let gear = actuator.gear;
+    match actuator.target {
+        Target::InParent(joint) if model.joints[joint].kind.dofs() > 1 => {
+            Transmission::InParent(joint, gear)
+        }
+        Target::Joint(joint) | Target::InParent(joint) => Transmission::Geared(joint, gear),
+        Target::Tendon(tendon) => Transmission::Tendon(tendon, gear[0]),
+        course @ Target::Site { site, reference } => {
+            link(model, course, gear, [site, reference.unwrap_or(site)], reference.is_some())
+        }
+        course @ Target::Crank { crank, slider, .. } => {
+            link(model, course, gear, [crank, slider], false)
+        }
+        course @ Target::Body(_) => {
+            let all: Vec<usize> = (0..model.nv).collect();
+            let moved = |dof| Moved { dof, at: dof, ends: [true; 2] };
+            let movers = all.iter().copied().map(moved).collect();
+            model.adheres = true;
+            push(model, course, gear, all, movers)
+        }
+    }
+}
+
+/// Adds a linkage between two sites; `apart`: what moves both does not count.
+fn link(
+    model: &mut Model,
+    course: Target,
+    gear: [f64; 6],
+    sites: [usize; 2],
+    apart: bool,
+) -> Transmission {
+    let chains = sites.map(|site| {
+        let chain = model.bodies[model.sites[site].body].chain;
+        chain.of(&model.dof_lists).to_vec()
+    });
+    let mut union = chains.concat();
+    union.sort_unstable();
+    union.dedup();
+    let single = matches!(course, Target::Site { reference: None, .. });
+    let moved = |(at, dof): (usize, &usize)| {
+        let [first, second] = [0, 1].map(|end| chains[end].contains(dof));
+        let ends = [first, second && !single];
+        (!(apart && first && second)).then_some(Moved { dof: *dof, at, ends })
+    };
+    let movers = union.iter().enumerate().filter_map(moved).collect();
+    push(model, course, gear, union, movers)
+}
+
+/// Adds a linkage that these dofs move.
+fn push(
+    model: &mut Model,
+    course: Target,
+    gear: [f64; 6],
+    union: Vec<usize>,
+    movers: Vec<Moved>,
+) -> Transmission {
+    let dofs = Span { start: model.dof_lists.len(), len: union.len() };
+    model.dof_lists.extend(union);
+    let tendons = model.tendons.last().map_or(0, |last| last.arms.start + last.arms.len);
+    let start = model.linkages.last().map_or(tendons, |last| last.arms.start + last.arms.len);
+    let length = model.tendons.len() + model.linkages.len();
+    let arms = Span { start, len: dofs.len };
+    model.linkages.push(Linkage { course, gear, length, dofs, arms, movers });
+    Transmission::Linkage(model.linkages.len() - 1)
+}
+
+/// The length after which a servo's target is the same again; 0 where it never is.
+fn circle(model: &Model, actuator: &scene::Actuator) -> f64 {
+    let [x, y, z, a, b, c] = actuator.gear;
+    let turn =
+        |axis: [f64; 3]| std::f64::consts::TAU * axis.iter().map(|x| x * x).sum::<f64>().sqrt();
+    match actuator.target {
+        _ if !actuator.holds_a_length() => 0.0,
+        Target::Joint(joint) | Target::InParent(joint)
+            if model.joints[joint].kind == JointType::Ball =>
+        {
+            turn([x, y, z])
+        }
+        Target::Site { reference: Some(_), .. } if [x, y, z] == [0.0; 3] => turn([a, b, c]),
+        _ => 0.0,
+    }
+}
+
+impl Model {
+    /// The force of an actuator takes part.
+    #[inline(always)]
+    pub fn acts(&self, index: usize) -> bool {
+        self.features.actuation && self.actuators[index].enabled
+    }
+
+    /// Entries of `Placed::shares`.
+    pub(crate) fn shares(&self) -> usize {
+        let bounded = self.tendons.iter().any(|tendon| tendon.actuatorfrcrange.is_some());
+        let some = bounded || !self.clamps.is_empty();
+        if some {
+            self.nv + self.tendons.len()
+        } else {
+            0
+        }
+    }
+
+    /// Entries of `Placed::tendon_length` and of `Placed::tendon_arms`.
+    pub(crate) fn lengths(&self) -> (usize, usize) {
+        let tendons = self.tendons.iter().map(|t| t.arms.len).sum::<usize>();
+        let linkages = self.linkages.iter().map(|l| l.arms.len).sum::<usize>();
+        (self.tendons.len() + self.linkages.len(), tendons + linkages)
+    }
+
+    /// The arms of each actuator at qpos0, by dof.
+    pub(super) fn arms_at_qpos0(&self) -> Vec<Vec<f64>> {
+        if self.actuators.is_empty() {
+            return vec![];
+        }
+        let mut placed = Placed::<f64>::new(self);
+        placed.positions(self, &self.qpos0);
+        let arms = |along: &Transmission| {
+            let mut row = vec![0.0; self.nv];
+            along.arms(self, &self.qpos0, placed.pulls(), |dof, arm: f64| row[dof] += arm);
+            row
+        };
+        self.along.iter().map(arms).collect()
+    }
+
+    /// By tree: a linkage ends on a body of it.
+    pub(super) fn passed_by_linkages(&self) -> Vec<bool> {
+        let mut found = vec![false; self.trees.len()];
+        let ended = |linkage: &&Linkage| !matches!(linkage.course, Target::Body(_));
+        for linkage in self.linkages.iter().filter(ended) {
+            for dof in linkage.dofs.of(&self.dof_lists) {
+                found[self.dofs[*dof].tree] = true;
+            }
+        }
+        found
+    }
+}

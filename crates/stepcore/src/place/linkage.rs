@@ -1,0 +1,165 @@
+//! Lengths and arms of linkages: what actuators pull along at sites.
+//!
+//! MuJoCo documentation, "Transmission". At a site the arms are those of a force and a moment in its
+//! axes, and there is no length; from a reference the length is gear · (offset, rotation vector) in the
+//! axes of that, and what moves both is left out.
+//!
+//! A crank pin and a slider are joined by a rod r: with v from the slider to the pin and a the slider's
+//! axis the slider is at l = a·v − √d, d = (a·v)² + r² − v·v, whose slopes are
+//! ∂l/∂v = (1 − a·v/√d) a + v/√d and ∂l/∂a = (1 − a·v/√d) v. Where the rod cannot reach (d ≤ 0),
+//! l = a·v.
+//!
+//! The contacts of a body are pulled at along their normals, each with the same force.
+
+use super::Placed;
+use crate::detect::Contact;
+use crate::model::{Linkage, Model};
+use crate::real::{Mask, Real};
+use crate::scene::Target;
+use crate::spatial::{rotate, rotate_back, splat, Force, Quat, M3, V3};
+use crate::transmission::Transmission;
+
+/// What an end of a linkage is pulled by: a force and a moment at a point.
+struct Grip<R: Real> {
+    point: V3<R>,
+    force: V3<R>,
+    moment: V3<R>,
+}
+
+/// Where a site is.
+struct Frame<R: Real> {
+    pos: V3<R>,
+    quat: Quat<R>,
+    rot: M3<R>,
+}
+
+impl<R: Real> Placed<R> {
+    /// Lengths and arms of linkages; bodies must have been placed.
+    pub(super) fn place_linkages(&mut self, model: &Model) {
+        for linkage in &model.linkages {
+            let (length, grips) = match linkage.course {
+                Target::Site { site, reference: None } => {
+                    (R::zero(), self.thrust(model, site, &linkage.gear))
+                }
+                Target::Site { site, reference: Some(reference) } => {
+                    self.offset_of(model, [site, reference], &linkage.gear)
+                }
+                Target::Crank { crank, slider, rod } => {
+                    self.crank(model, [crank, slider], rod, linkage.gear[0])
+                }
+                Target::Body(_) => {
+                    self.tendon_arms[linkage.arms.range()].fill(R::zero());
+                    continue;
+                }
+                Target::Joint(_) | Target::InParent(_) | Target::Tendon(_) => continue,
+            };
+            self.tendon_length[linkage.length] = length;
+            self.pull(model, linkage, &grips);
+        }
+    }
+
+    fn pull(&mut self, model: &Model, linkage: &Linkage, grips: &[Grip<R>; 2]) {
+        self.tendon_arms[linkage.arms.range()].fill(R::zero());
+        for moved in &linkage.movers {
+            let (motion, tree) = (&self.motion[moved.dof], model.dofs[moved.dof].tree);
+            let origin = &self.origin[tree];
+            let mut arm = R::zero();
+            for (grip, _) in grips.iter().zip(moved.ends).filter(|(_, moves)| *moves) {
+                let ang = (grip.point - origin).cross(&grip.force) + grip.moment;
+                arm += motion.dot(&Force { ang, lin: grip.force });
+            }
+            self.tendon_arms[linkage.arms.start + moved.at] = arm;
+        }
+    }
+
+    /// The arms at contacts, each in some lanes: an equal share of each, along its normal and pulling
+    /// its bodies together; and what they add to the smooth force.
+    pub(crate) fn place_adhesion(&mut self, model: &Model, contacts: &[Contact<R>]) {
+        let near = |contact: &Contact<R>| {
+            let material = model.material(&contact.pair);
+            contact.mask.and(contact.dist.lt(R::of(material.margin + material.gap)))
+        };
+        for (index, along) in model.along.iter().enumerate() {
+            let Transmission::Linkage(linkage) = *along else { continue };
+            let linkage = &model.linkages[linkage];
+            let Target::Body(body) = linkage.course else { continue };
+            let bodies = |contact: &Contact<R>| {
+                [contact.pair.geom1, contact.pair.geom2].map(|geom| model.geoms[geom].body)
+            };
+            let own = || contacts.iter().filter(|contact| bodies(contact).contains(&body));
+            let (zero, one) = (R::zero(), R::one());
+            let count = own().fold(zero, |n, c| n + R::select(near(c), one, zero));
+            let share = R::of(linkage.gear[0]) * count.recip_or_zero();
+            for contact in own() {
+                let pull = contact.normal * R::select(near(contact), share, zero);
+                for (body, force) in bodies(contact).into_iter().zip([pull, -pull]) {
+                    for dof in model.bodies[body].chain.of(&model.dof_lists) {
+                        let origin = &self.origin[model.dofs[*dof].tree];
+                        let ang = (contact.pos - origin).cross(&force);
+                        let arm = self.motion[*dof].dot(&Force { ang, lin: force });
+                        self.tendon_arms[linkage.arms.start + *dof] += arm;
+                    }
+                }
+            }
+            let tension = self.actuator[index];
+            for (dof, arm) in self.tendon_arms[linkage.arms.range()].iter().enumerate() {
+                self.force[dof] += *arm * tension;
+            }
+        }
+    }
+
+    fn frame(&self, model: &Model, site: usize) -> Frame<R> {
+        let site = &model.sites[site];
+        let pos = self.xpos[site.body] + rotate(&self.xmat[site.body], &splat(&site.pos));
+        let quat = self.xquat[site.body].mul(&Quat::splat(&site.quat));
+        Frame { pos, rot: quat.matrix(), quat }
+    }
+
+    fn thrust(&self, model: &Model, site: usize, gear: &[f64; 6]) -> [Grip<R>; 2] {
+        let at = self.frame(model, site);
+        let [along, about] = halves(gear);
+        let grip =
+            Grip { point: at.pos, force: rotate(&at.rot, &along), moment: rotate(&at.rot, &about) };
+        [grip, Grip { point: at.pos, force: V3::zeros(), moment: V3::zeros() }]
+    }
+
+    fn offset_of(&self, model: &Model, sites: [usize; 2], gear: &[f64; 6]) -> (R, [Grip<R>; 2]) {
+        let [at, from] = sites.map(|site| self.frame(model, site));
+        let [along, about] = halves(gear);
+        let mut length = R::zero();
+        if gear[..3] != [0.0; 3] {
+            length += rotate_back(&from.rot, &(at.pos - from.pos)).dot(&along);
+        }
+        if gear[3..] != [0.0; 3] {
+            length += from.quat.conjugate().mul(&at.quat).log().dot(&about);
+        }
+        let (force, moment) = (rotate(&from.rot, &along), rotate(&from.rot, &about));
+        let own = Grip { point: at.pos, force, moment };
+        (length, [own, Grip { point: from.pos, force: -force, moment: -moment }])
+    }
+
+    fn crank(&self, model: &Model, sites: [usize; 2], rod: f64, gear: f64) -> (R, [Grip<R>; 2]) {
+        let [pin, slider] = sites.map(|site| self.frame(model, site));
+        let axis = V3::new(slider.rot[(0, 2)], slider.rot[(1, 2)], slider.rot[(2, 2)]);
+        let (v, zero, one) = (pin.pos - slider.pos, R::zero(), R::one());
+        let reach = axis.dot(&v);
+        let square = reach * reach + R::of(rod * rod) - v.dot(&v);
+        let reaches = square.gt(zero);
+        let root = R::select(reaches, square, one).sqrt();
+        let (scale, share) = (one - reach / root, one / root);
+        let pick = |yes: R, no: R| R::select(reaches, yes, no);
+        let by_v = V3::from_fn(|k, _| pick(axis[k] * scale + v[k] * share, axis[k]));
+        let by_axis = V3::from_fn(|k, _| pick(v[k] * scale, v[k]));
+        let gear = R::of(gear);
+        let length = gear * (reach - pick(root, zero));
+        let moment = axis.cross(&by_axis) * gear;
+        let (force, none) = (by_v * gear, V3::zeros());
+        let own = Grip { point: pin.pos, force, moment: none };
+        (length, [own, Grip { point: slider.pos, force: -force, moment }])
+    }
+}
+
+/// The direction and the axis of a gear of six.
+fn halves<R: Real>(gear: &[f64; 6]) -> [V3<R>; 2] {
+    [0, 3].map(|k| V3::from_fn(|i, _| R::of(gear[k + i])))
+}
