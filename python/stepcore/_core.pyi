@@ -312,7 +312,7 @@ class Sim:
         """Forgets the impulses of the last step."""
 
     def linearize(self) -> tuple[_Floats, list[_Element]]:
-        """A (2 nv + na columns) and B (nu columns) side by side; elements at which they are one-sided."""
+        """A (2 nv + na columns) and B (nu columns), and where they are one-sided."""
 
     def count(self, n: int) -> list[tuple[str, int]]:
         """Floating-point operations of the next n steps, by stage."""

@@ -58,9 +58,11 @@ TYPES = {
     "own damping": '<motor joint="a" gear="1.5" damping=".2 .3 .1" armature=".05"/>',
     "tendon damping": '<motor tendon="both" gear="1.5" damping=".2 .3 .1" armature=".05"/>',
     "tendon": '<motor tendon="both" gear="2"/><position tendon="rope" kp="20" kv="1"/>',
-    "ball": '<motor joint="ball" gear="1 2 3"/><position joint="ball" gear="0 0 2" kp="3" kv=".4"/>',
+    "ball": '<motor joint="ball" gear="1 2 3"/>'
+    '<position joint="ball" gear="0 0 2" kp="3" kv=".4"/>',
     "ball in parent": '<position jointinparent="ball" gear="1 -2 .5" kp="2" dampratio="1"/>',
-    "free": '<motor joint="free" gear="1 2 3 .4 .5 .6"/><velocity joint="free" gear="0 1 0 0 0 1"/>',
+    "free": '<motor joint="free" gear="1 2 3 .4 .5 .6"/>'
+    '<velocity joint="free" gear="0 1 0 0 0 1"/>',
     "free in parent": '<velocity jointinparent="free" gear="1 2 0 .4 0 .6" kv=".5"/>',
     "site": '<motor site="l" gear="1 2 3 .4 .5 .6"/><velocity site="f" gear="0 0 1 .1 0 0"/>',
     "refsite": '<position site="l" refsite="u" gear="1 .5 0 0 0 0" kp="20" kv="1"/>'
@@ -75,7 +77,8 @@ STICKY = """
   <geom type="plane" size="2 2 .1"/>
   <body pos="0 0 .09"><freejoint/><geom type="box" size=".2 .15 .1" gap=".02"/>
     <body pos="0 0 .19"><joint axis="0 1 .2" damping=".1"/><geom size=".1" gap=".03"/></body></body>
-  <body name="foot" pos=".5 0 .095"><freejoint/><geom size=".1"/><geom size=".1" pos=".15 0 0"/></body>
+  <body name="foot" pos=".5 0 .095"><freejoint/><geom size=".1"/>
+    <geom size=".1" pos=".15 0 0"/></body>
   </worldbody>
   <actuator><adhesion body="foot" gain="30" ctrlrange="0 1"/>
     <general body="world" gainprm="7" gear="2"/></actuator></mujoco>
@@ -249,7 +252,7 @@ def test_midpoint_and_rk4_advance_a_filter_to_their_order():
 
 @pytest.mark.parametrize("name", TYPES)
 def test_lanes_singles_and_written_files_are_the_same(name):
-    """A batch in lanes equals single worlds bit for bit; f32 to rounding; a written file exactly."""
+    """A lane equals a single world bit for bit, f32 to rounding, a written file exactly."""
     _, _, sim = pair(TYPES[name], integrator="implicitfast")
     batch = sc.Batch(sim.model, 9)
     single = sc.Sim(sim.model, precision="f32")

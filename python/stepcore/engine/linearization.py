@@ -70,7 +70,7 @@ class Linearization:
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
-        """Eigenvalues of A, largest first, shape (2 nv + na,): the factors of the modes in one step."""
+        """Eigenvalues of A, largest first, shape (2 nv + na,): the modes' factors in one step."""
         values: NDArray[np.complex128] = np.linalg.eigvals(self.A).astype(complex)
         return values[np.argsort(-np.abs(values), kind="stable")]
 

@@ -27,9 +27,7 @@ class World(checks.KnownNames, ABC):
 
     qpos = StateArray("Positions [m or rad], shape (nq,); quaternions w x y z.")
     qvel = StateArray("Velocities [m/s or rad/s], shape (nv,).")
-    act = StateArray(
-        "Activations of actuators, shape (na,): the states of filters and integrators."
-    )
+    act = StateArray("Activations of actuators, shape (na,): states of filters and integrators.")
     ctrl = StateArray("Controls, shape (nu,), constant during a step.")
     qfrc_applied = StateArray(
         "Applied forces on the dofs [N or N·m], shape (nv,), constant during a step."

@@ -174,10 +174,7 @@ def _inherited(
     if gains.tag == "position" and "ctrlrange" in values and not takes_over:
         raise node.error("<position> inherits both ctrlrange and inheritrange")
     element = next(iter(target.values()))
-    if "tendon" in target:
-        bounds = element.range
-    else:
-        bounds = world.ranges.get(id(element))
+    bounds = element.range if "tendon" in target else world.ranges.get(id(element))
     if bounds is None or bounds[0] == bounds[1]:
         raise node.error(f"<{node.tag}> inheritrange: {element} has no range")
     radians = "tendon" in target or element.range is not None or element.type != "hinge"

@@ -17,7 +17,17 @@ from stepcore.scene.actuation import MUSCLE
 from stepcore.scene.frames import ORIGIN, Vec
 
 BUILT = (
-    *("motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion", "general"),
+    *(
+        "motor",
+        "position",
+        "velocity",
+        "intvelocity",
+        "damper",
+        "cylinder",
+        "muscle",
+        "adhesion",
+        "general",
+    ),
 )
 
 
@@ -148,7 +158,9 @@ def _position(base: ActuatorGains, node: Node) -> ActuatorGains:
     damping = base.biasprm[2]
     if "kv" in values or "dampratio" in values:
         damping = values.get("dampratio", -values.get("kv", 0.0))
-    kind, times = (base.dyntype, base.dynprm) if base.tag == "position" else ("none", (1.0, 0.0, 0.0))
+    kind, times = (
+        (base.dyntype, base.dynprm) if base.tag == "position" else ("none", (1.0, 0.0, 0.0))
+    )
     if "timeconst" in values:
         kind = "filterexact" if values["timeconst"] > 0 else "none"
         times = (values["timeconst"], 0.0, 0.0)

@@ -1,8 +1,8 @@
 """The force law of an actuator from the fields of its type.
 
 Its force is gain × u + bias, where u is its control or its activation; gain and bias are
-(g₀, g₁, g₂) · (1, length, velocity) or those of a muscle, and length and velocity are gear × those of
-what it pulls at, which feels gear × force. The conventions are MuJoCo's (documentation, XML
+(g₀, g₁, g₂) · (1, length, velocity) or those of a muscle, and length and velocity are gear × those
+of what it pulls at, which feels gear × force. The conventions are MuJoCo's (documentation, XML
 reference, "actuator").
 """
 
@@ -152,7 +152,7 @@ def _listed(words: dict[str, Any] | None) -> dict[str, Any] | None:
 def target(actuator: Actuator, index: dict[int, int]) -> dict[str, Any]:
     """What it pulls at as the engine reads it; index: of each element, by identity."""
     field, element = actuator.target
-    own = {field: index.get(id(element), -1)}
+    own: dict[str, Any] = {field: index.get(id(element), -1)}
     if field == "site":
         reference = actuator.refsite
         own["refsite"] = None if reference is None else index.get(id(reference), -1)
@@ -171,27 +171,27 @@ def check(actuator: Actuator) -> None:
             limit = f"None for type {actuator.type!r}, which has {has}"
             raise checks.refuse(actuator, word, getattr(actuator, word), limit)
     _check_target(actuator)
-    if isinstance(actuator.timeconst, tuple) != (actuator.type == "muscle"):
-        if actuator.timeconst is not None:
-            limit = "two numbers for a muscle, one for others"
-            raise checks.refuse(actuator, "timeconst", actuator.timeconst, limit)
+    pair, timeconst = isinstance(actuator.timeconst, tuple), actuator.timeconst
+    if timeconst is not None and pair != (actuator.type == "muscle"):
+        limit = "two numbers for a muscle, one for others"
+        raise checks.refuse(actuator, "timeconst", timeconst, limit)
     if actuator.type in ("position", "intvelocity", "damper"):
         for word in ("kv", "dampratio", "timeconst"):
             if _or(getattr(actuator, word), 0.0) < 0:
                 raise checks.refuse(actuator, word, getattr(actuator, word), ">= 0")
         if actuator.kv and actuator.dampratio:
             raise checks.ElementError(actuator, "kv and dampratio are both given")
-    if actuator.type in ("damper", "adhesion"):
-        if actuator.ctrlrange is None or actuator.ctrlrange[0] < 0:
-            limit = f">= 0 for type {actuator.type!r}"
-            raise checks.refuse(actuator, "ctrlrange", actuator.ctrlrange, limit)
+    lowest = -1.0 if actuator.ctrlrange is None else actuator.ctrlrange[0]
+    if actuator.type in ("damper", "adhesion") and lowest < 0:
+        limit = f">= 0 for type {actuator.type!r}"
+        raise checks.refuse(actuator, "ctrlrange", actuator.ctrlrange, limit)
     own_law = law(actuator)
     if own_law.dynamics[0] == "none" and actuator.actrange is not None:
         raise checks.refuse(actuator, "actrange", actuator.actrange, "None without an activation")
-    if own_law.muscle_gain is not None or own_law.muscle_bias is not None:
-        if actuator.lengthrange is None:
-            limit = "given for a muscle: finding it by simulation, as MuJoCo does, is not built"
-            raise checks.refuse(actuator, "lengthrange", None, limit)
+    muscle = own_law.muscle_gain is not None or own_law.muscle_bias is not None
+    if muscle and actuator.lengthrange is None:
+        limit = "given for a muscle: finding it by simulation, as MuJoCo does, is not built"
+        raise checks.refuse(actuator, "lengthrange", None, limit)
     if own_law.dampratio and own_law.gain[0] < 0:
         word = "gainprm" if actuator.type == "general" else "kp"
         raise checks.refuse(actuator, word, own_law.gain[0], ">= 0 with a damping ratio")
@@ -209,7 +209,9 @@ def _check_target(actuator: Actuator) -> None:
         raise checks.ElementError(actuator, text)
     for second, first in SECOND.items():
         if getattr(actuator, second) is not None and found[0] != first:
-            raise checks.refuse(actuator, second, getattr(actuator, second), f"None without a {first}")
+            raise checks.refuse(
+                actuator, second, getattr(actuator, second), f"None without a {first}"
+            )
     if found[0] == "cranksite":
         if actuator.slidersite is None:
             raise checks.refuse(actuator, "slidersite", None, "given with a cranksite")
@@ -221,7 +223,9 @@ def _check_target(actuator: Actuator) -> None:
         for field in ("damping", "dampingpoly", "armature"):
             value = getattr(actuator, field)
             if any(value) if isinstance(value, tuple) else value:
-                raise checks.refuse(actuator, field, value, "0 unless it drives a joint or a tendon")
+                raise checks.refuse(
+                    actuator, field, value, "0 unless it drives a joint or a tendon"
+                )
 
 
 def _or(value: Any, default: Any) -> Any:

@@ -50,7 +50,9 @@ def check(layout: Layout) -> None:
                 geom, "a plane must be on the world or on a body that cannot move"
             )
     _check_tendons(layout)
-    inside = {id(element) for element in (*layout.joints, *layout.sites, *scene.tendons, *layout.bodies)}
+    inside = {
+        id(element) for element in (*layout.joints, *layout.sites, *scene.tendons, *layout.bodies)
+    }
     for actuator in scene.actuators:
         for field in actuation.TARGET:
             element = getattr(actuator, field)

@@ -291,8 +291,8 @@ class Contents(Holdings):
         joint: a name or a `Joint`.
         type: "motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle",
             "adhesion" or "general".
-        jointinparent, tendon, site and refsite, cranksite and slidersite, body: in place of the joint,
-            by name or as elements; see `Actuator`.
+        jointinparent, tendon, site and refsite, cranksite and slidersite, body: in place of the
+            joint, by name or as elements; see `Actuator`.
         fields: of `Actuator`: name, gear, kp, kv, dampratio, ctrlrange, forcerange [N or N·m], …
         """
         found: dict[str, Any] = {

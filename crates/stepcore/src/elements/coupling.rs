@@ -41,7 +41,7 @@ impl<R: Real> Rows<R> {
             let Poly { value, slope, bend } = poly(&tie.polycoef, gone(second, tie.rest[1]));
             second.arms(model, now.qpos, pulls, |dof, arm| self.scratch[dof] -= slope * arm);
             gap -= value;
-            let velocity = second.velocity(model, now.qvel, pulls);
+            let velocity = second.velocity(model, now.qpos, now.qvel, pulls);
             curving = -(bend * velocity * velocity);
         } else {
             gap -= R::of(tie.polycoef[0]);

@@ -2,8 +2,8 @@
 
 use super::slots::Slots;
 use super::{
-    apart, auto_spring, check, coupling, fluid, heap, inertia, invweight, linkages, meshes, pairs, pose,
-    tendons, ties, tree, Model, NONE,
+    apart, auto_spring, check, coupling, fluid, heap, inertia, invweight, linkages, meshes, pairs,
+    pose, tendons, ties, tree, Model, NONE,
 };
 use crate::error::Result;
 use crate::scene::Scene;

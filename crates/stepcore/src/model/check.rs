@@ -8,7 +8,8 @@ mod equality;
 use crate::elements::{text, Kind, Text};
 use crate::error::{Error, Result};
 use crate::scene::{
-    Actuator, ExplicitPair, Geom, GeomType, Inertial, Joint, JointType, Muscle, Scene, Softness, Target,
+    Actuator, ExplicitPair, Geom, GeomType, Inertial, Joint, JointType, Muscle, Scene, Softness,
+    Target,
 };
 use std::collections::HashSet;
 use std::fmt;

@@ -89,7 +89,7 @@ impl<R: Real> Placed<R> {
             let own = || contacts.iter().filter(|contact| bodies(contact).contains(&body));
             let (zero, one) = (R::zero(), R::one());
             let count = own().fold(zero, |n, c| n + R::select(near(c), one, zero));
-            let share = R::of(linkage.gear[0]) * count.recip_or_zero();
+            let share = count.recip_or_zero();
             for contact in own() {
                 let pull = contact.normal * R::select(near(contact), share, zero);
                 for (body, force) in bodies(contact).into_iter().zip([pull, -pull]) {

@@ -66,7 +66,8 @@ class ActuatorWatch:
         kinds = [model.jnt_type[j] if j >= 0 else "" for j in joints]
         own = (model.actuator_actadr < 0).tolist()
         hinged = np.array(
-            [kind in ("hinge", "slide") and bare for kind, bare in zip(kinds, own, strict=True)], bool
+            [kind in ("hinge", "slide") and bare for kind, bare in zip(kinds, own, strict=True)],
+            bool,
         )
         # Position feedback that pulls back, on a joint of one coordinate.
         self.servos = np.flatnonzero(hinged & (model.actuator_bias[:, 1] < 0))

@@ -112,10 +112,10 @@ def changed(
             softest = 2 * dt if model.settings.refsafe else 0.0
             values += _solref(model, layout, element, change.what, x, softest)
         elif change in (ARMATURE, DAMPING, CHAIN):
-            joint = _joint(layout, element)
-            if joint is None:
+            driven = _joint(layout, element)
+            if driven is None:
                 continue
-            own = layout.joints.index(joint)
+            own = layout.joints.index(driven)
             joints = _chain(model, layout, own) if change is CHAIN else [own]
             # A joint with a spring and a servo, or of a chain, is changed once.
             fresh = [joint for joint in joints if joint not in done]

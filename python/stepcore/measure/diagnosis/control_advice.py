@@ -209,7 +209,7 @@ class _ControlSearch:
             servo.kp, servo.kv = kp, max(kv, 0.0)
             angular = self._angular(element)
             units = unit_of("kp", angular), unit_of("kv", angular)
-            joint = self.here.model.element_name("joint", layout.joints.index(servo.joint))
+            joint = self.here.model.element_name("joint", layout.joints.index(servo.target[1]))
             name = self.here.model.element_name("actuator", element.index)
             texts.append(
                 f"a position servo on {joint} with kp {kp:.4g} {units[0]} and kv {kv:.4g} "

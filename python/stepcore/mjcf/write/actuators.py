@@ -31,7 +31,7 @@ def tags(scene: Contents, names: Names) -> list[Tag]:
 
 def _actuator(actuator: Actuator, names: Names) -> Tag:
     given = changed(actuator, "name", "type", "enabled")
-    first = {"name": actuator.name} if actuator.name else {}
+    first: dict[str, Any] = {"name": actuator.name} if actuator.name else {}
     for field in TARGET:
         element = given.pop(field, None)
         if element is not None:

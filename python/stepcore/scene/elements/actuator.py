@@ -25,9 +25,8 @@ from stepcore.scene.elements.joint import Joint
 from stepcore.scene.elements.site import Site
 from stepcore.scene.elements.tendon import Tendon
 
-ACTUATOR_TYPES = (
-    *("motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion", "general"),
-)
+_SERVOS = ("position", "velocity", "intvelocity")
+ACTUATOR_TYPES = ("motor", *_SERVOS, "damper", "cylinder", "muscle", "adhesion", "general")
 DYNAMICS = ("none", "integrator", "filter", "filterexact", "muscle")
 GAINS = ("fixed", "affine", "muscle")
 BIASES = ("none", "affine", "muscle")
@@ -82,8 +81,8 @@ class Actuator(Element):
         site; with a refsite in the axes of that, and the length is that of the offset from it.
     cranksite, slidersite, cranklength: in its place, a slider-crank: a rod of this length [m] from
         the cranksite to the slidersite, which slides along its own z axis.
-    body: in its place, a `Body` whose contacts are pulled at along their normals, each with the same
-        part of the force.
+    body: in its place, a `Body` whose contacts are pulled at along their normals, each with the
+        same part of the force.
     type: one of those above. A field of another type is refused.
     gear: shape (6,); a hinge, slide, tendon or slider-crank uses the first number, a ball 3, a free
         joint and a site 6: a direction and an axis.
@@ -94,15 +93,16 @@ class Actuator(Element):
     timeconst: time constant [s] of a filter between control and target of a position servo (None
         means 0, no filter), of a cylinder (None means 1), and two of a muscle, of activation and
         deactivation (None means 0.01 and 0.04).
-    gain: of an adhesion [N]; None means 1. area: of a cylinder [m²]; None means 1. bias: of a cylinder; None means zeros.
+    gain: of an adhesion [N]; None means 1.
+    area, bias: of a cylinder [m²]; None means 1 and zeros.
     range, force, scale, lmin, lmax, vmax, fpmax, fvmax, tausmooth: of a muscle, as in MJCF.
-    gaintype, gainprm: of a general actuator. "fixed" (None): gain = gainprm (None means 1); "affine":
-        gainprm · (1, length, velocity); "muscle": gainprm are range (2), force, scale, lmin, lmax,
-        vmax, fpmax, fvmax.
+    gaintype, gainprm: of a general actuator. "fixed" (None): gain = gainprm (None means 1);
+        "affine": gainprm · (1, length, velocity); "muscle": gainprm are range (2), force, scale,
+        lmin, lmax, vmax, fpmax, fvmax.
     biastype, biasprm: "none", "affine" (None, where there is a biasprm) or "muscle". If
         gainprm = −biasprm[1], a positive biasprm[2] is a damping ratio, as in MuJoCo.
-    dyntype: "none" (None); "integrator": dw/dt = control; "filter": dw/dt = (control − w)/dynprm[0];
-        "filterexact": the same with exact steps; "muscle".
+    dyntype: "none" (None); "integrator": dw/dt = control; "filter": dw/dt = (control −
+        w)/dynprm[0]; "filterexact": the same with exact steps; "muscle".
     dynprm: of a general actuator; None means 1 [s].
     ctrlrange, actrange, forcerange: (lower, upper) bounds to which control, activation and force
         are clamped, or None.

@@ -53,8 +53,8 @@ class Joint(Element):
     actuatorgravcomp: the gravity compensation of bodies counts on this joint as a force of its
         actuators.
     armature: inertia added to each of its dofs [kg·m² or kg], >= 0.
-    actuatorfrcrange: (lower, upper) bounds of the force of all actuators on a hinge or slide together
-        [N·m or N], or None.
+    actuatorfrcrange: (lower, upper) bounds of the force of all actuators on a hinge or slide
+        together [N·m or N], or None.
     frictionloss: dry friction [N·m or N], >= 0.
     solreflimit, solimplimit: softness of the limit.
     solreffriction, solimpfriction: softness of the dry friction.
