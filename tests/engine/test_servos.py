@@ -265,17 +265,6 @@ def test_bad_fields_are_refused(fields, says):
         scene.compile()
 
 
-def test_servos_on_balls_are_refused():
-    scene = servo()
-    body = scene.add_body("ball", mass=1, inertia=(1, 1, 1))
-    scene.add_joint(body, "ball", name="socket")
-    scene.add_actuator("socket", "general", gainprm=2, biasprm=(3,), gear=(1, 0, 0))
-    scene.compile()
-    scene.add_actuator("socket", "velocity", name="spin")
-    with pytest.raises(ValueError, match='actuator "spin": a servo on a ball joint is not built'):
-        scene.compile()
-
-
 def test_values_by_path_and_copies():
     """Gains are values of the scene: they can be swept, and travel with it."""
     model = servo(2.0).compile()

@@ -78,7 +78,7 @@ def test_fields_have_the_engines_names() -> None:
     assert set(plain["joints"][0]) == {
         *("name", "body", "kind", "pos", "axis", "range", "margin", "reference", "springref"),
         *("stiffness", "damping", "armature", "frictionloss", "limit", "friction"),
-        *("springdamper", "actuatorgravcomp"),
+        *("springdamper", "actuatorgravcomp", "actuatorfrcrange"),
     }
     assert set(plain["geoms"][0]) == {
         *("name", "body", "kind", "size", "pos", "quat", "mass", "density", "shell_inertia"),
@@ -106,13 +106,23 @@ def test_bodies_become_depth_first_and_indices_follow() -> None:
     assert plain["actuators"] == [
         {
             "name": "motor",
-            "joint": 3,
+            "target": {"joint": 3},
             "gear": [3, 0, 0, 0, 0, 0],
             "ctrlrange": [-1, 1],
+            "actrange": None,
             "forcerange": None,
-            "gain": 1,
+            "gain": [1, 0, 0],
             "bias": [0, 0, 0],
+            "muscle_gain": None,
+            "muscle_bias": None,
             "dampratio": 0,
+            "dynamics": "none",
+            "dynprm": [1, 0, 0],
+            "actearly": False,
+            "lengthrange": [0, 0],
+            "damping": [0, 0, 0],
+            "armature": 0,
+            "enabled": True,
         }
     ]
     assert (plain["equalities"][0]["first"], plain["equalities"][0]["second"]) == (2, 4)
