@@ -178,6 +178,11 @@ def _check_joints(layout: Layout, body: Body) -> None:
     joints = layout.joints_of.get(id(body), [])
     if sum(DOFS[joint.type] for joint in joints) > 6:
         raise checks.ElementError(body, "its joints have more than 6 dofs")
+    compensated = any(one.gravcomp for one in layout.bodies)
+    for joint in joints:
+        if compensated and joint.actuatorgravcomp and joint.actuatorfrcrange is not None:
+            text = "gravity compensation by actuators within an actuatorfrcrange is not built yet"
+            raise checks.ElementError(joint, text)
     turned_by_ball = False
     for joint in joints:
         if turned_by_ball and joint.type in ("ball", "hinge"):
