@@ -1,0 +1,52 @@
+//! Actuators: their numbers, and what they pull at.
+
+use super::Subject;
+use crate::error::Result;
+use crate::scene::{Actuator, Muscle, Scene, Target};
+
+pub(super) fn check(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
+    let (joints, sites) = (scene.joints.len(), scene.sites.len());
+    match a.target {
+        Target::Joint(joint) | Target::InParent(joint) => {
+            e.below("joint", joint, joints, "joint")?
+        }
+        Target::Tendon(tendon) => e.below("tendon", tendon, scene.tendons.len(), "tendon")?,
+        Target::Site { site, reference } => {
+            e.below("site", site, sites, "site")?;
+            e.below("refsite", reference.unwrap_or(site), sites, "site")?;
+        }
+        Target::Body(body) => {
+            e.below("body", body, scene.bodies.len(), "body")?;
+            if a.feeds_back() {
+                return Err(e.refuse("bias", format!("{:?}", a.bias), "constant at contacts"));
+            }
+        }
+        Target::Crank { crank, slider, rod } => {
+            e.below("cranksite", crank, sites, "site")?;
+            e.below("slidersite", slider, sites, "site")?;
+            e.not_negative("cranklength", rod)?;
+        }
+    }
+    e.finite("gear", &a.gear)?;
+    e.finite("gain", &a.gain)?;
+    e.finite("bias", &a.bias)?;
+    e.not_negative("dampratio", a.dampratio)?;
+    if a.dampratio != 0.0 && a.bias[1] > 0.0 {
+        return Err(e.refuse("bias[1]", a.bias[1], "<= 0 with a dampratio"));
+    }
+    e.finite("damping", &a.damping)?;
+    e.not_negative("armature", a.armature)?;
+    for muscle in [&a.muscle_gain, &a.muscle_bias].into_iter().flatten() {
+        let Muscle { force, scale, lmin, lmax, vmax, fpmax, fvmax, range } = *muscle;
+        e.finite("muscle", &[force, scale, lmin, lmax, vmax, fpmax, fvmax])?;
+        e.range("range", range)?;
+        e.range("lengthrange", a.lengthrange)?;
+    }
+    e.finite("dynprm", &a.dynprm)?;
+    let ranges =
+        [("ctrlrange", a.ctrlrange), ("actrange", a.actrange), ("forcerange", a.forcerange)];
+    for (field, range) in ranges {
+        range.map_or(Ok(()), |range| e.range(field, range))?;
+    }
+    Ok(())
+}
