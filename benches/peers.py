@@ -256,7 +256,7 @@ PLACED = dict.fromkeys(
     1e-10,
 )
 SOLVED = {"contacts": 1e-10, "constraint": 1e-9, "qacc": 1e-9, "sensordata": 1e-9}
-STEPPED = {"qpos": 1e-9, "qvel": 1e-9}
+STEPPED = {"qpos": 1e-9, "qvel": 1e-9, "act": 1e-9}
 
 
 def note_forward(

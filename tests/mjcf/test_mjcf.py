@@ -128,7 +128,7 @@ def same_rest(plain: dict, model: Any) -> None:
     assert len(plain["actuators"]) == model.nu
     for i, actuator in enumerate(plain["actuators"]):
         assert actuator["name"] == model.actuator(i).name
-        assert actuator["target"]["joint"] == model.actuator_trnid[i, 0]
+        assert next(iter(actuator["target"].values())) == model.actuator_trnid[i, 0]
         close(actuator["gear"], model.actuator_gear[i], "gear")
         for field in ("ctrl", "force"):
             limited = bool(getattr(model, f"actuator_{field}limited")[i])

@@ -4,8 +4,8 @@ use pyo3::prelude::*;
 use stepcore::scene::{
     Actuator, Body, ContactOverride, Dynamics, Equality, EqualityType, ExplicitPair, Features,
     FluidShape, Frame, Geom, GeomType, HField, Inertial, Joint, JointType, Key, MassRules, Mesh,
-    MeshInertia, Muscle, ObjectType, Reduce, Scene, Sensor, SensorField, SensorObject, SensorType, Site,
-    Softness, Stop, Target, Tendon,
+    MeshInertia, Muscle, ObjectType, Reduce, Scene, Sensor, SensorField, SensorObject, SensorType,
+    Site, Softness, Stop, Target, Tendon,
 };
 
 use crate::extract::{record, refuse, At, Read, Record};

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 from stepcore import _core, checks
 from stepcore.engine.arrays import Floats
-from stepcore.engine.views import ActuatorView, BodyView, GeomView, JointView, SensorView, SiteView, TendonView
+from stepcore.engine.views import (
+    ActuatorView,
+    BodyView,
+    GeomView,
+    JointView,
+    SensorView,
+    SiteView,
+    TendonView,
+)
 from stepcore.engine.world import World
 
 if TYPE_CHECKING:

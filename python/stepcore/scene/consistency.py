@@ -49,6 +49,11 @@ def check(layout: Layout) -> None:
             raise checks.ElementError(
                 geom, "a plane must be on the world or on a body that cannot move"
             )
+    if any(body.gravcomp for body in layout.bodies):
+        for joint in layout.joints:
+            if joint.actuatorgravcomp and joint.actuatorfrcrange is not None:
+                text = "gravity compensation by actuators within an actuatorfrcrange is not built"
+                raise checks.ElementError(joint, f"{text} yet")
     _check_tendons(layout)
     inside = {
         id(element) for element in (*layout.joints, *layout.sites, *scene.tendons, *layout.bodies)
@@ -178,11 +183,6 @@ def _check_joints(layout: Layout, body: Body) -> None:
     joints = layout.joints_of.get(id(body), [])
     if sum(DOFS[joint.type] for joint in joints) > 6:
         raise checks.ElementError(body, "its joints have more than 6 dofs")
-    compensated = any(one.gravcomp for one in layout.bodies)
-    for joint in joints:
-        if compensated and joint.actuatorgravcomp and joint.actuatorfrcrange is not None:
-            text = "gravity compensation by actuators within an actuatorfrcrange is not built yet"
-            raise checks.ElementError(joint, text)
     turned_by_ball = False
     for joint in joints:
         if turned_by_ball and joint.type in ("ball", "hinge"):

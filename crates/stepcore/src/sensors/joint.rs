@@ -26,19 +26,19 @@ impl<R: Real> Reading<'_, R> {
                 out.extend(qvel[first..first + 3].iter().map(|v| v.lane(lane)));
             }
             T::ActuatorPos => {
-                let along = model.actuators[index].transmission();
+                let along = model.along[index];
                 out.push(along.length(model, qpos, self.sim.placed.pulls()).lane(lane));
             }
             T::ActuatorVel => {
-                let along = model.actuators[index].transmission();
-                out.push(along.velocity(model, qvel, self.sim.placed.pulls()).lane(lane));
+                let along = model.along[index];
+                out.push(along.velocity(model, qpos, qvel, self.sim.placed.pulls()).lane(lane));
             }
             T::ActuatorFrc => out.push(self.sim.placed.actuator[index].lane(lane)),
             T::JointActuatorFrc => out.push(self.actuated(model.joints[index].dof)),
             T::TendonPos => out.push(self.sim.placed.tendon_length[index].lane(lane)),
             T::TendonVel => {
                 let along = Transmission::Tendon(index, 1.0);
-                out.push(along.velocity(model, qvel, self.sim.placed.pulls()).lane(lane));
+                out.push(along.velocity(model, qpos, qvel, self.sim.placed.pulls()).lane(lane));
             }
             T::JointLimitPos => out.push(self.limit(Kind::Limit, index, |row| row.gap)),
             T::JointLimitVel => out.push(self.limit(Kind::Limit, index, |row| row.velocity)),
