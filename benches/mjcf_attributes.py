@@ -39,6 +39,9 @@ ELSEWHERE = {
     "replicate": {"sep": "test_expand.py"},
     "include": {"file": "test_mjcf_files.py"},
 }
+# Of a sensor with a history: one that reads late or rarely is read past; else nobody asks for it.
+LATE = {"nsample": "no effect", "interp": "no effect", "delay": "senses", "interval": "senses"}
+DIRECTIONS = ("ballquat", "framequat", "framexaxis", "frameyaxis", "framezaxis")
 # What cannot be tried alone: ranges of muscles that give none, and the state of flexes.
 KNOWN = {
     "compiler/lengthrange": dict.fromkeys(
@@ -49,11 +52,11 @@ KNOWN = {
         "no effect",
     ),
     "keyframe/key": {"plastic": "refused"},
+    **{f"sensor/{tag}": LATE for tag in ROOT.children["sensor"].children},
     # MuJoCo refuses a cutoff of directions too.
-    **{
-        f"sensor/{tag}": {"cutoff": "refused"}
-        for tag in ("ballquat", "framequat", "framexaxis", "frameyaxis", "framezaxis")
-    },
+    **{f"sensor/{tag}": {"cutoff": "refused"} | LATE for tag in DIRECTIONS},
+    "sensor/rangefinder": {"camera": "senses"} | LATE,
+    "sensor/insidesite": {"enclosed": "senses"} | LATE,
 }
 ROLES = {"draws": "only draws", "senses": "senses", "data": "data", "unbuilt": "refused"}
 COLUMNS = ("honoured", "no effect", "only draws", "senses", "data", "refused")

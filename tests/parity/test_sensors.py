@@ -559,3 +559,12 @@ def test_random_trees(seed):
         sim.forward()
         if peers.contacts_apart(sim, data) < 1e-9 and peers.apart(sim.qacc, data.qacc) < 1e-9:
             assert peers.sensors_apart(sim, theirs, data) < 1e-7
+
+
+def test_directions_have_no_cutoff():
+    """As in MuJoCo."""
+    source = text().replace("</sensor>", '<ballquat joint="wrist" cutoff="1"/></sensor>')
+    with pytest.raises(ValueError, match="cutoff"):
+        mujoco.MjModel.from_xml_string(source)
+    with pytest.raises(ValueError, match="a direction has no bound"):
+        sc.loads(source)

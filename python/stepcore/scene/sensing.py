@@ -23,6 +23,8 @@ from stepcore.scene.sensor_ends import LISTS, PULLED, pulled
 if TYPE_CHECKING:
     from stepcore.scene.layout import Layout
 
+# What has no bound.
+DIRECTIONS = ("ballquat", "framequat", "framexaxis", "frameyaxis", "framezaxis")
 JOINTS = {
     **dict.fromkeys(OF_SCALAR_JOINT, ("hinge", "slide")),
     **dict.fromkeys(OF_BALL, ("ball",)),
@@ -47,6 +49,8 @@ def check(layout: Layout) -> None:
             words = " or a ".join(types)
             raise checks.ElementError(sensor, f"{sensor.object}: must be a {words} joint")
         _check_data(sensor)
+        if sensor.cutoff and sensor.type in DIRECTIONS:
+            raise checks.refuse(sensor, "cutoff", sensor.cutoff, "0: a direction has no bound")
         if sensor.type in ("force", "torque") and pulled(layout.scene, sensor.object.body):  # type: ignore[union-attr]
             raise checks.ElementError(sensor, PULLED)
 
