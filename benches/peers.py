@@ -178,7 +178,7 @@ def sensors_apart(sim: sc.Sim, model: mujoco.MjModel, data: mujoco.MjData) -> fl
     MuJoCo's that have no counterpart, because they are not computed here, are passed over.
     """
     worst, at = 0.0, 0
-    ours = np.split(sim.sensordata, np.cumsum(sim.model.sensor_dim)[:-1])
+    ours = np.split(sim.sensordata, np.cumsum(sim.model.sensor_dim))[:-1]
     for kind, name, mine in zip(sim.model.sensor_type, sim.model.sensor_names, ours, strict=True):
         while (_sensor_word(model, at), model.sensor(at).name) != (kind, name):
             at += 1
