@@ -31,7 +31,9 @@ fn the_first_point_of_the_surface_is_found() {
         let kind = kinds[round % kinds.len()];
         let size = [0; 3].map(|_| 0.4 + 0.3 * random.next());
         let mut vector = |k: f64| V::new(random.next(), random.next(), random.next()) * k;
-        let ray = Ray { from: vector(1.5), along: vector(1.0) };
+        let from = vector(1.5);
+        // Towards some point of the middle.
+        let ray = Ray { from, along: vector(0.8) - from };
         let start = inside(kind, &size, &ray.from);
         let end = match primitive(kind, &size, &ray) {
             Some(hit) => {
