@@ -8,8 +8,11 @@ accelerations and steps are compared for the scenes of the zoo in `test_parity_z
 from __future__ import annotations
 
 import copy
+import importlib.util
 import math
+import os
 import pickle
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -434,3 +437,34 @@ def test_a_copy_has_its_own_path():
         assert twin == scene
         own = {id(e) for e in (*twin.sites, *twin.geoms)}
         assert all(id(element) in own for element in twin.tendons[0].elements())
+
+
+# --- robots ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["ball_in_cup", "point_mass", "quadruped", "panda"])
+def test_robots(name):
+    """Lengths, arms and smooth forces of public models with tendons, at ten states."""
+    if name == "panda":
+        folder = os.environ.get("MENAGERIE", "/nowhere")
+        path = Path(folder) / "franka_emika_panda" / "panda.xml"
+        if not path.exists():
+            pytest.skip("the public models are not here: set MENAGERIE to their folder")
+    else:
+        suite = importlib.util.find_spec("dm_control")
+        assert suite is not None and suite.origin is not None
+        path = Path(suite.origin).parent / "suite" / f"{name}.xml"
+    theirs = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(theirs)
+    sim = sc.Sim(sc.load(path))
+    rng = np.random.default_rng(0)
+    for data.qpos[:], data.qvel[:] in states(theirs, 10):
+        data.ctrl[:] = sim.ctrl[:] = rng.normal(size=theirs.nu)
+        mujoco.mj_forward(theirs, data)
+        sim.qpos, sim.qvel = data.qpos, data.qvel
+        sim.forward()
+        assert sim.ten_length == pytest.approx(data.ten_length, abs=1e-12)
+        assert sim.ten_J == pytest.approx(arms(theirs, data), abs=1e-12)
+        size = 1 + np.abs(data.qfrc_smooth).max()
+        assert np.abs(sim.passive - data.qfrc_passive).max() < 1e-9 * size
+        assert sim.actuator_force == pytest.approx(data.actuator_force, abs=1e-9 * size)

@@ -161,7 +161,7 @@ impl<R: Real> Sim<R> {
         self.effort.note(&report, self.rows.rows.len());
         let sweeps = self.settings.noslip_iterations;
         if sweeps > 0 && self.settings.law == Law::SolRef {
-            self.rows.noslip(&model.dof_lists, inv_d, sweeps);
+            self.rows.noslip(dof_lists, inv_d, sweeps);
         }
         Ok(())
     }
