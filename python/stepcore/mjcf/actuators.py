@@ -137,6 +137,9 @@ def _ranges(
     target: dict[str, Any],
 ) -> tuple[Bounds, Bounds]:
     """The bounds of control and activation, one of which may be that of the joint or tendon."""
+    if gains.tag == "intvelocity":
+        # MuJoCo limits it whatever actlimited says.
+        values = {name: value for name, value in values.items() if name != "actlimited"}
     actrange = _actrange(world, node, values, gains)
     integrates = gains.dyntype == "integrator"
     if gains.inheritrange <= 0 or not gains.is_position:
