@@ -19,7 +19,7 @@ LAYERS = (
     ("report",),
     ("executors",),
     ("scene", "reference"),
-    ("mjcf",),
+    ("mjcf", "urdf"),
     ("engine",),
     # The class Scene reads, writes and compiles itself, so it stands on all three.
     ("scene.scene",),

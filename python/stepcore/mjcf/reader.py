@@ -1,4 +1,4 @@
-"""The MJCF reader: fills an empty `Scene` from a file or a text.
+"""The MJCF reader: fills an empty `Scene` from a file or a text; a URDF is translated first.
 
 The reader is strict. An element, attribute, keyword or reference that does not exist is an error
 with file, line and the nearest name. A feature that would change the motion and is not built yet
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,6 +42,7 @@ from stepcore.mjcf.visual_geoms import leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.consistency import check
 from stepcore.scene.layout import Layout
+from stepcore.urdf import translate as urdf
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
@@ -85,6 +87,12 @@ def read_text(
 
 def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -> None:
     """Fills the scene from a whole model whose includes are expanded."""
+    if root.tag == "robot":
+        root, ignored, notes = urdf.to_mjcf(root, source.directory)
+        scene.ignored += ignored
+        scene.notes += notes
+        # The text is no MJCF that could be kept when the scene is saved.
+        source = replace(source, data=b"")
     scene.name = root.attrs.get("model", "")
     refusals, left_out = Refusals(), LeftOut(without)
     models = Models(scene, refusals, left_out)

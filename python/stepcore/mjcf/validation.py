@@ -36,7 +36,7 @@ def validate(root: Node, refusals: Refusals, left_out: LeftOut) -> list[str]:
     # A schema location is advice to text editors.
     root.attrs = {k: v for k, v in root.attrs.items() if not k.startswith(("xmlns", "xsi:"))}
     ignored: list[str] = []
-    root.values = _values(root, ROOT)
+    root.values = values_of(root, ROOT)
     left_out.begin(root)
     pending: list[tuple[Node, Spec, str]] = [(root, ROOT, "")]
     while pending:
@@ -70,7 +70,7 @@ def validate(root: Node, refusals: Refusals, left_out: LeftOut) -> list[str]:
 
 
 def _read(node: Node, spec: Spec, parent: Node, above: str, ignored: list[str]) -> None:
-    node.values = _values(node, spec)
+    node.values = values_of(node, spec)
     _check_once(node, spec)
     if spec.role == "unbuilt":
         raise node.unbuilt(f"<{node.tag}> in <{parent.tag}>")
@@ -85,7 +85,8 @@ def _check_once(node: Node, spec: Spec) -> None:
             raise same[1].error(f"a second <{tag}> in the same <{node.tag}>")
 
 
-def _values(node: Node, spec: Spec) -> dict[str, object]:
+def values_of(node: Node, spec: Spec) -> dict[str, object]:
+    """The attributes of an element as numbers and words; MJCFError for one that is none of its."""
     result: dict[str, object] = {}
     for name, text in node.attrs.items():
         kind = spec.attrs.get(name)

@@ -1,0 +1,54 @@
+"""The elements of URDF that say how a robot moves; others are listed as ignored.
+
+Format documentation: wiki.ros.org/urdf/XML. The notation is that of `mjcf.schema.notation`.
+"""
+
+from __future__ import annotations
+
+from stepcore.mjcf.schema.notation import spec
+
+ORIGIN = spec("xyz:3 rpy:3")
+GEOMETRY = spec(
+    "",
+    {
+        "box": spec("size!:3"),
+        "sphere": spec("radius!:1"),
+        "cylinder": spec("radius!:1 length!:1"),
+        "capsule": spec("radius!:1 length!:1"),
+        "mesh": spec("filename! scale:3"),
+    },
+)
+INERTIAL = spec(
+    "",
+    {
+        "origin": ORIGIN,
+        "mass": spec("value!:1"),
+        "inertia": spec("ixx!:1 iyy!:1 izz!:1 ixy:1 ixz:1 iyz:1"),
+    },
+    once=("origin", "mass", "inertia"),
+)
+COLLISION = spec(
+    "name group", {"origin": ORIGIN, "geometry": GEOMETRY}, once=("origin", "geometry")
+)
+LINK = spec("name! type", {"inertial": INERTIAL, "collision": COLLISION}, once=("inertial",))
+TYPES = "revolute|continuous|prismatic|fixed|floating|planar"
+JOINT = spec(
+    f"name! type!:{TYPES}",
+    {
+        "origin": ORIGIN,
+        "parent": spec("link!"),
+        "child": spec("link!"),
+        "axis": spec("xyz:3"),
+        "limit": spec("lower:1 upper:1 effort:1 velocity:1"),
+        "dynamics": spec("damping:1 friction:1"),
+        "mimic": spec("joint! multiplier:1 offset:1"),
+    },
+    once=("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
+)
+ROBOT = spec("name version", {"link": LINK, "joint": JOINT})
+
+# Inside which elements only what the schema has may stand; elsewhere URDF is extended freely, and
+# what the schema does not have is listed as ignored.
+CLOSED = ("geometry", "inertial", "limit", "dynamics", "mimic", "origin")
+# What only draws.
+DRAWS = ("visual", "material")

@@ -1,0 +1,379 @@
+"""A URDF as the MJCF that means the same, element by element, each with its line in the URDF.
+
+A link is a body, a joint the joint of its child, a collision a geom, an inertial an inertial. What
+MuJoCo makes of a URDF is made here: `effort` clamps what actuators put on a joint
+(actuatorfrcrange), `mimic` is a joint equality, a planar joint is two slides and a hinge (named
+_TX, _TY, _RZ), and the root link stands on the world. Other than in MuJoCo, links joined by fixed
+joints stay bodies of their own (as with fusestatic="false"), and what a planar joint moves in is
+the plane of its axis, as URDF says.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+
+from stepcore.checks import cut, nearest
+from stepcore.mjcf.nodes import MJCFError, Node
+from stepcore.mjcf.refusals import Refusals
+from stepcore.mjcf.schema.notation import Spec
+from stepcore.mjcf.validation import bad, values_of
+from stepcore.scene import frames
+from stepcore.urdf.mesh_paths import mesh_path
+from stepcore.urdf.schema import CLOSED, DRAWS, ROBOT
+
+# The first axis of a joint, and the z axis, along which a planar joint's own hinge turns.
+X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+MOVES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
+
+
+def to_mjcf(root: Node, directory: str | None) -> tuple[Node, list[str], list[str]]:
+    """The MJCF tree of a URDF, the lines for `Scene.ignored`, and those for `Scene.notes`.
+
+    directory: the folder of the file, from which meshes are found; None for a text without one.
+
+    Raises MJCFError with all errors of the file: what is unknown, links in a circle, several roots.
+    """
+    refusals = Refusals()
+    # Names of namespaces say nothing.
+    root.attrs = {name: text for name, text in root.attrs.items() if not name.startswith("xmlns")}
+    extension = [child for child in root.children if child.tag == "mujoco"]
+    root.children = [child for child in root.children if child.tag != "mujoco"]
+    ignored = _validate(root, refusals)
+    refusals.raise_all()
+    robot = Robot(root, directory, extension)
+    try:
+        tree = robot.tree()
+    except MJCFError as error:
+        refusals.add(error)
+    refusals.raise_all()
+    return tree, ignored, robot.notes()
+
+
+def _validate(root: Node, refusals: Refusals) -> list[str]:
+    """Sets `values`, drops what is not read, and returns the lines for `Scene.ignored`."""
+    ignored: list[str] = []
+    pending: list[tuple[Node, Spec]] = [(root, ROBOT)]
+    while pending:
+        node, spec = pending.pop()
+        try:
+            node.values = values_of(node, spec)
+        except MJCFError as error:
+            refusals.add(error, node)
+            continue
+        kept = []
+        for child in node.children:
+            inner = spec.children.get(child.tag)
+            if child.tag.startswith("xacro:"):
+                text = f"<{child.tag}>: this is xacro, from which the program xacro makes URDF"
+                refusals.add(child.error(text))
+            elif inner is None and node.tag in CLOSED:
+                near = nearest(child.tag, spec.children)
+                refusals.add(child.error(f"unknown element <{child.tag}> in <{node.tag}>{near}"))
+            elif inner is None:
+                why = "only draws" if child.tag in DRAWS else "says nothing about the motion"
+                ignored.append(child.listed(why))
+            else:
+                kept.append(child)
+                pending.append((child, inner))
+        for tag in spec.once:
+            same = [child for child in kept if child.tag == tag]
+            if len(same) > 1:
+                refusals.add(same[1].error(f"a second <{tag}> in the same <{node.tag}>"))
+        node.children = kept
+    return ignored
+
+
+class Robot:
+    """The links and joints of a URDF, and the tree that they make.
+
+    extension: elements of MJCF in the file, `<mujoco><compiler …/></mujoco>`: MuJoCo's extension.
+    """
+
+    def __init__(self, root: Node, directory: str | None, extension: list[Node]) -> None:
+        self.root, self.directory, self.extension = root, directory, extension
+        self.links = _by_name(child for child in root.children if child.tag == "link")
+        self.joints = _by_name(child for child in root.children if child.tag == "joint")
+        if not self.links:
+            raise root.error("a robot needs a link")
+        # By link: the joint that moves it, and those that it carries.
+        self.above: dict[str, Node] = {}
+        self.below: dict[str, list[Node]] = {name: [] for name in self.links}
+        for joint in self.joints.values():
+            self._place(joint)
+        self.meshes: dict[tuple[str, tuple[float, ...]], Node] = {}
+        # What is noted: limits of velocity, and joints whose range is empty.
+        self.with_velocity = 0
+        self.unlimited: list[str] = []
+
+    def _place(self, joint: Node) -> None:
+        for end in ("parent", "child"):
+            link = _inside(joint, end)
+            if link is None:
+                raise joint.error(f"<joint> needs a <{end}>")
+            name = link.values["link"]
+            if name not in self.links:
+                near = nearest(name, sorted(self.links))
+                raise link.error(f'<{end} link="{cut(name, 80)}">: no such link{near}')
+        child = _text(joint, "child", "link")
+        if child in self.above:
+            raise joint.error(f'link "{cut(child, 80)}" has two joints to a parent')
+        self.above[child] = joint
+        self.below[_text(joint, "parent", "link")].append(joint)
+
+    def tree(self) -> Node:
+        """The whole model as MJCF."""
+        roots = [name for name in self.links if name not in self.above]
+        if not roots:
+            raise self.root.error("the links make a circle: no link is the root")
+        if len(roots) > 1:
+            second = self.links[roots[1]]
+            text = f'links "{cut(roots[0], 80)}" and "{cut(roots[1], 80)}" both have no parent'
+            raise second.error(f"{text}: a robot has one root")
+        world = _node("worldbody", self.root)
+        equality = _node("equality", self.root)
+        placed = self._bodies(roots[0], world, equality)
+        lost = next((name for name in self.links if name not in placed), None)
+        if lost is not None:
+            raise self.links[lost].error(f'link "{cut(lost, 80)}" is in a circle of links')
+        model = _node("mujoco", self.root, model=self.root.attrs.get("name", ""))
+        compiler = _node("compiler", self.root, angle="radian")
+        asset = _node("asset", self.root)
+        asset.children = list(self.meshes.values())
+        own = [child for node in self.extension for child in node.children]
+        model.children = [compiler, *own, asset, world, equality]
+        return model
+
+    def _bodies(self, root: str, world: Node, equality: Node) -> set[str]:
+        """Adds the bodies, parents first, and returns the names of their links."""
+        placed: set[str] = set()
+        pending: list[tuple[str, Node]] = [(root, world)]
+        while pending:
+            name, parent = pending.pop()
+            placed.add(name)
+            joint = self.above.get(name)
+            if joint is not None and joint.values["type"] == "floating":
+                if _text(joint, "parent", "link") != root:
+                    raise joint.error("a floating joint needs the root link as its parent")
+                # The root stands still at the world's origin.
+                parent = world
+            body = self._body(self.links[name], joint, equality)
+            if name == root == "world":
+                # It is the world, which has no mass.
+                parent.children += [child for child in body.children if child.tag == "geom"]
+                body = world
+            else:
+                parent.children.append(body)
+            below = [(_text(joint, "child", "link"), body) for joint in self.below[name]]
+            pending += reversed(below)
+        return placed
+
+    def _body(self, link: Node, joint: Node | None, equality: Node) -> Node:
+        pose = {} if joint is None else _pose(joint)
+        body = _node("body", link, name=link.values["name"], **pose)
+        if joint is not None:
+            body.children += self._joints(joint)
+            equality.children += self._mimic(joint)
+        inertial = _inside(link, "inertial")
+        if inertial is not None:
+            body.children.append(_inertial(inertial))
+        body.children += [self._geom(node) for node in link.children if node.tag == "collision"]
+        return body
+
+    def _joints(self, joint: Node) -> list[Node]:
+        kind, name = joint.values["type"], joint.values["name"]
+        axis = _numbers(joint, "axis", "xyz", X)
+        common = _dynamics(joint)
+        if kind == "fixed":
+            return []
+        if kind == "floating":
+            return [_node("joint", joint, name=name, type="free")]
+        if not any(axis):
+            raise bad(_inside(joint, "axis") or joint, "xyz", axis, "an axis that is not zero")
+        if kind == "planar":
+            turn = frames.from_z_axis(axis)
+            along = {"_TX": X, "_TY": (0.0, 1.0, 0.0), "_RZ": Z}
+            kinds = {"_TX": "slide", "_TY": "slide", "_RZ": "hinge"}
+            return [
+                _node(
+                    *("joint", joint),
+                    name=name + end,
+                    type=kinds[end],
+                    axis=_words(frames.rotated(turn, own)),
+                    **common,
+                )
+                for end, own in along.items()
+            ]
+        common |= self._limits(joint, kind)
+        return [_node("joint", joint, name=name, type=MOVES[kind], axis=_words(axis), **common)]
+
+    def _limits(self, joint: Node, kind: str) -> dict[str, str]:
+        limit = _inside(joint, "limit")
+        if limit is None:
+            return {}
+        values, found = limit.values, {}
+        self.with_velocity += "velocity" in values
+        low, high = values.get("lower", 0.0), values.get("upper", 0.0)
+        if kind != "continuous" and low > high:
+            raise bad(limit, "lower, upper", (low, high), "two numbers, the first not larger")
+        if kind != "continuous" and low < high:
+            found["range"] = _words((low, high))
+        elif kind != "continuous":
+            self.unlimited.append(joint.values["name"])
+        effort = values.get("effort", 0.0)
+        if effort < 0:
+            raise bad(limit, "effort", effort, ">= 0")
+        if effort > 0:
+            found["actuatorfrcrange"] = _words((-effort, effort))
+        return found
+
+    def _mimic(self, joint: Node) -> list[Node]:
+        mimic = _inside(joint, "mimic")
+        if mimic is None:
+            return []
+        other = mimic.values["joint"]
+        if other not in self.joints:
+            near = nearest(other, sorted(self.joints))
+            raise mimic.error(f'<mimic joint="{cut(other, 80)}">: no such joint{near}')
+        for node in (joint, self.joints[other]):
+            if MOVES.get(node.values["type"]) not in ("hinge", "slide"):
+                text = f'joint "{cut(node.values["name"], 80)}" is {node.values["type"]}'
+                raise mimic.error(f"<mimic>: {text}: must be one that turns or slides")
+        line = (mimic.values.get("offset", 0.0), mimic.values.get("multiplier", 1.0), 0.0, 0.0, 0.0)
+        ends = {"joint1": joint.values["name"], "joint2": other}
+        return [_node("joint", mimic, **ends, polycoef=_words(line))]
+
+    def _geom(self, collision: Node) -> Node:
+        geometry = _inside(collision, "geometry")
+        if geometry is None or len(geometry.children) != 1:
+            raise collision.error("<collision> needs a <geometry> with one shape")
+        shape = geometry.children[0]
+        values = shape.values
+        size: tuple[float, ...]
+        more: dict[str, str] = {}
+        if shape.tag == "box":
+            size = tuple(side / 2 for side in values["size"])
+        elif shape.tag == "sphere":
+            size = (values["radius"],)
+        elif shape.tag == "mesh":
+            size, more = (), {"mesh": self._mesh(shape)}
+        else:
+            size = (values["radius"], values["length"] / 2)
+        if any(number <= 0 for number in size):
+            raise shape.error(f"<{shape.tag}> = {size}: sizes must be > 0")
+        if size:
+            more["size"] = _words(size)
+        if collision.values.get("name"):
+            more["name"] = collision.values["name"]
+        return _node("geom", collision, type=shape.tag, **more, **_pose(collision))
+
+    def _mesh(self, node: Node) -> str:
+        """The name of the asset of a mesh, one for each file and scale."""
+        scale = node.values.get("scale", (1.0, 1.0, 1.0))
+        path = mesh_path(node, self.directory, bool(self.extension))
+        if (path, scale) not in self.meshes:
+            stem = os.path.splitext(os.path.basename(path))[0] or "mesh"
+            taken = {one.attrs["name"] for one in self.meshes.values()}
+            name, count = stem, 1
+            while name in taken:
+                count += 1
+                name = f"{stem}_{count}"
+            own = {"name": name, "file": path, "scale": _words(scale)}
+            self.meshes[path, scale] = _node("mesh", node, **own)
+        return self.meshes[path, scale].attrs["name"]
+
+    def notes(self) -> list[str]:
+        """What else a user should know of the translation."""
+        place = f"{self.root.file}:{self.root.line}"
+        found = []
+        if self.with_velocity:
+            found.append(
+                f"{place}: velocity limits of {self.with_velocity} joints are not modelled"
+            )
+        if self.unlimited:
+            names = cut(", ".join(self.unlimited), 200)
+            found.append(
+                f"{place}: joints whose lower and upper limit are equal have none: {names}"
+            )
+        if not any(joint.values["type"] == "floating" for joint in self.joints.values()):
+            found.append(
+                f"{place}: the root link is fixed to the world; "
+                'scene.add_joint(scene.bodies[1], "free") sets it free'
+            )
+        return found
+
+
+def _by_name(nodes: Iterable[Node]) -> dict[str, Node]:
+    found: dict[str, Node] = {}
+    for node in nodes:
+        name = node.values["name"]
+        if name in found:
+            raise node.error(f'{node.tag} "{cut(name, 80)}": the name is used twice')
+        found[name] = node
+    return found
+
+
+def _inside(node: Node, tag: str) -> Node | None:
+    return next((child for child in node.children if child.tag == tag), None)
+
+
+def _text(node: Node, tag: str, attribute: str) -> str:
+    inner = _inside(node, tag)
+    assert inner is not None
+    text: str = inner.values[attribute]
+    return text
+
+
+def _numbers(node: Node, tag: str, attribute: str, default: frames.Vec) -> frames.Vec:
+    inner = _inside(node, tag)
+    numbers: frames.Vec = default if inner is None else inner.values.get(attribute, default)
+    return numbers
+
+
+def _words(numbers: Iterable[float]) -> str:
+    return " ".join(map(repr, numbers))
+
+
+def _node(tag: str, of: Node, **attrs: str) -> Node:
+    """An element of MJCF that stands where an element of the URDF stands."""
+    return Node(tag, attrs, of.file, of.line)
+
+
+def _turn(node: Node) -> frames.Vec:
+    """Fixed axes: about x, then y, then z of the parent."""
+    return frames.from_euler(_numbers(node, "origin", "rpy", frames.ORIGIN), "XYZ")
+
+
+def _pose(node: Node) -> dict[str, str]:
+    pos = _numbers(node, "origin", "xyz", frames.ORIGIN)
+    return {"pos": _words(pos), "quat": _words(_turn(node))}
+
+
+def _inertial(node: Node) -> Node:
+    """Mass, centre and inertia, in the axes of the link."""
+    mass, inertia = _inside(node, "mass"), _inside(node, "inertia")
+    if mass is None:
+        raise node.error("<inertial> needs a <mass>")
+    six = (0.0,) * 6
+    if inertia is not None:
+        words = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        six = tuple(inertia.values.get(word, 0.0) for word in words)
+    own = {
+        "pos": _words(_numbers(node, "origin", "xyz", frames.ORIGIN)),
+        "mass": repr(mass.values["value"]),
+        "fullinertia": _words(frames.turned_inertia(_turn(node), six)),
+    }
+    return _node("inertial", node, **own)
+
+
+def _dynamics(joint: Node) -> dict[str, str]:
+    dynamics = _inside(joint, "dynamics")
+    if dynamics is None:
+        return {}
+    found = {}
+    for word, field in (("damping", "damping"), ("friction", "frictionloss")):
+        if dynamics.values.get(word, 0.0) < 0:
+            raise bad(dynamics, word, dynamics.values[word], ">= 0")
+        if word in dynamics.values:
+            found[field] = repr(dynamics.values[word])
+    return found

@@ -1,0 +1,232 @@
+"""URDF: the scene that it becomes, against MuJoCo's own reading and against its documentation."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+import stepcore as sc
+
+INERTIA = '<inertia ixx=".1" iyy=".2" izz=".25" ixy=".01" ixz=".02" iyz="-.03"/>'
+HEAVY = f'<inertial><origin xyz=".1 0 .2" rpy=".1 .2 .3"/><mass value="2"/>{INERTIA}</inertial>'
+
+
+def link(name: str, inside: str = HEAVY) -> str:
+    return f'<link name="{name}">{inside}</link>'
+
+
+def joint(name: str, kind: str, parent: str, child: str, inside: str = "") -> str:
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{inside}</joint>'
+
+
+def robot(*parts: str, extension: str = '<compiler fusestatic="false"/>') -> str:
+    return f'<robot name="arm"><mujoco>{extension}</mujoco>{"".join(parts)}</robot>'
+
+
+POSE = '<origin xyz="1 2 3" rpy=".4 -.5 .6"/>'
+LIMITED = '<limit lower="-1" upper="2" effort="30" velocity="3"/>'
+BALL = f'<collision>{POSE}<geometry><sphere radius=".1"/></geometry></collision>'
+ARM = (
+    link("base", '<collision><geometry><box size=".2 .4 .6"/></geometry></collision>'),
+    link(
+        "upper", HEAVY + f"<collision>{POSE}<geometry><sphere radius='.1'/></geometry></collision>"
+    ),
+    link("lower", HEAVY),
+    link("sled", HEAVY),
+    link(
+        "tool", '<visual><geometry><mesh filename="package://none/none.dae"/></geometry></visual>'
+    ),
+    joint(
+        *("shoulder", "revolute", "base", "upper"),
+        POSE + LIMITED + '<axis xyz="0 1 1"/><dynamics damping=".3" friction=".2"/>',
+    ),
+    joint("elbow", "continuous", "upper", "lower", POSE),
+    joint("drawer", "prismatic", "lower", "sled", LIMITED + '<axis xyz="0 0 1"/>'),
+    joint("flange", "fixed", "sled", "tool", POSE),
+)
+
+
+def compared(text: str) -> tuple[sc.Sim, mujoco.MjModel, mujoco.MjData]:
+    theirs = mujoco.MjModel.from_xml_string(text)
+    sim = sc.Sim(sc.loads(text), solver="newton", tolerance=0.0, sweeps=100)
+    theirs.opt.tolerance, theirs.opt.iterations = 0.0, 100
+    return sim, theirs, mujoco.MjData(theirs)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        ARM,
+        (link("base"), link("cart"), joint("way", "planar", "base", "cart", '<axis xyz="0 0 1"/>')),
+    ],
+    ids=["arm", "planar"],
+)
+def test_it_is_mujocos(parts):
+    """Poses, masses, mass matrix, forces and acceleration at random states."""
+    sim, theirs, data = compared(robot(*parts))
+    names = [theirs.body(i).name for i in range(1, theirs.nbody)]
+    assert list(sim.model.body_names[1:]) == names
+    assert [theirs.joint(i).name for i in range(theirs.njnt)] == list(sim.model.joint_names)
+    assert sim.model.body_mass == pytest.approx(theirs.body_mass)
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        mujoco.mj_resetData(theirs, data)
+        mujoco.mj_integratePos(theirs, data.qpos, rng.normal(size=theirs.nv), 1.0)
+        data.qvel[:] = rng.normal(size=theirs.nv)
+        sim.qpos[:], sim.qvel[:] = data.qpos, data.qvel
+        mujoco.mj_forward(theirs, data)
+        sim.forward()
+        mass = np.zeros((theirs.nv, theirs.nv))
+        mujoco.mj_fullM(theirs, data, mass)
+        assert sim.xpos == pytest.approx(data.xpos, abs=1e-12)
+        assert sim.mass_matrix() == pytest.approx(mass, abs=1e-10)
+        assert sim.bias == pytest.approx(data.qfrc_bias, abs=1e-9)
+        assert sim.qacc == pytest.approx(data.qacc, rel=1e-8, abs=1e-8)
+
+
+def test_limits_damping_and_effort():
+    scene = sc.loads(robot(*ARM))
+    shoulder = scene.joint("shoulder")
+    assert shoulder.range == (-1.0, 2.0) and shoulder.damping == 0.3
+    assert shoulder.frictionloss == 0.2 and shoulder.actuatorfrcrange == (-30.0, 30.0)
+    assert shoulder.axis == pytest.approx((0, math.sqrt(0.5), math.sqrt(0.5)))
+    assert scene.joint("elbow").range is None and scene.joint("elbow").axis == (1.0, 0.0, 0.0)
+    assert any("velocity limits of 2 joints" in note for note in scene.notes)
+    assert any("fixed to the world" in note for note in scene.notes)
+    assert any("<visual>" in line for line in scene.ignored)
+
+
+def test_a_mimic_joint_follows():
+    """x2 = offset + multiplier · x1, in MuJoCo's rows too."""
+    parts = (
+        *(link("base"), link("one"), link("two")),
+        joint("first", "revolute", "base", "one", LIMITED),
+        joint(
+            *("second", "revolute", "base", "two"),
+            LIMITED + '<mimic joint="first" multiplier="-2" offset=".1"/>',
+        ),
+    )
+    sim, theirs, data = compared(robot(*parts))
+    assert theirs.neq == len(sim.model.scene.equalities) == 1
+    sim.qpos[:] = data.qpos[:] = 0.3, 0.2
+    mujoco.mj_forward(theirs, data)
+    sim.forward()
+    assert sim.qacc == pytest.approx(data.qacc, rel=1e-9)
+
+
+def test_a_floating_link_falls():
+    text = robot(link("base"), link("body"), joint("root", "floating", "base", "body", POSE))
+    sim = sc.Sim(sc.loads(text))
+    assert sim.model.jnt_type == ("free",) and sim.qpos[:3] == pytest.approx((1, 2, 3))
+    sim.step(10)
+    assert sim.qvel[2] == pytest.approx(-9.81 * sim.time, rel=1e-2)
+
+
+def test_a_root_called_world_is_the_world():
+    box = '<collision><geometry><box size=".2 .4 .6"/></geometry></collision>'
+    scene = sc.loads(
+        robot(link("world", box), link("arm"), joint("j", "continuous", "world", "arm"))
+    )
+    assert [body.name for body in scene.bodies] == ["world", "arm"]
+    assert scene.geoms[0].body is scene.world
+
+
+def test_a_root_set_free_falls():
+    scene = sc.loads(robot(link("base"), extension=""))
+    scene.add_joint(scene.bodies[1], "free")
+    sim = sc.Sim(scene)
+    sim.step(10)
+    assert sim.qvel[2] == pytest.approx(-9.81 * 10 * sim.settings.dt, rel=1e-2)
+
+
+def test_meshes_are_found(tmp_path):
+    """By package, by path, and as MuJoCo's strippath and meshdir say; each file and scale once."""
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    place = tmp_path / "gripper" / "meshes"
+    place.mkdir(parents=True)
+    (place / "jaw.obj").write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners))
+    (tmp_path / "gripper" / "urdf").mkdir()
+    file = tmp_path / "gripper" / "urdf" / "jaw.urdf"
+
+    def shape(name: str, more: str = "") -> str:
+        mesh = f'<mesh filename="{name}" {more}/>'
+        return f"<collision><geometry>{mesh}</geometry></collision>"
+
+    for name in ("package://gripper/meshes/jaw.obj", "../meshes/jaw.obj"):
+        shapes = shape(name) + shape(name, 'scale="2 2 2"') + shape(name)
+        file.write_text(robot(link("jaw", HEAVY + shapes), extension=""))
+        scene = sc.load(file)
+        assert len(scene.meshes) == 2 and len(scene.geoms) == 3
+        scene.add_joint(scene.bodies[1], "free")
+        assert sc.Sim(scene).model.ngeom == 3
+        # It is saved as MJCF, and that is the same scene.
+        scene.save(tmp_path / "saved.xml")
+        assert (tmp_path / "saved.xml").read_text().startswith("<mujoco")
+        assert sc.load(tmp_path / "saved.xml") == scene
+
+
+ERRORS = {
+    "unknown link": (
+        (link("base"), joint("j", "fixed", "base", "bose")),
+        'no such link; nearest: "base"',
+    ),
+    "two parents": (
+        (link("a"), link("b"), joint("j", "fixed", "a", "b"), joint("k", "fixed", "a", "b")),
+        "two joints to a parent",
+    ),
+    "circle": (
+        (link("a"), link("b"), joint("j", "fixed", "a", "b"), joint("k", "fixed", "b", "a")),
+        "circle",
+    ),
+    "two roots": ((link("a"), link("b")), "both have no parent"),
+    "no link": ((), "needs a link"),
+    "twice": ((link("a"), link("a")), "used twice"),
+    "type": ((link("a"), link("b"), joint("j", "revolut", "a", "b")), 'nearest: "revolute"'),
+    "number": ((link("a", '<inertial><mass value="x"/></inertial>'),), "<mass> value"),
+    "shape": (
+        (link("a", "<collision><geometry><bax/></geometry></collision>"),),
+        'unknown element <bax> in <geometry>; nearest: "box"',
+    ),
+    "size": (
+        (link("a", '<collision><geometry><sphere radius="0"/></geometry></collision>'),),
+        "sizes must be > 0",
+    ),
+    "dae": (
+        (
+            link(
+                "a",
+                '<collision><geometry><mesh filename="package://x/y.dae"/></geometry></collision>',
+            ),
+        ),
+        "collision meshes are read from .stl",
+    ),
+    "xacro": (("<xacro:macro/>",), "this is xacro"),
+    "mimic": (
+        (
+            *(link("a"), link("b")),
+            joint("j", "prismatic", "a", "b", '<mimic joint="jj"/>'),
+        ),
+        'no such joint; nearest: "j"',
+    ),
+    "limit": (
+        (link("a"), link("b"), joint("j", "revolute", "a", "b", '<limit lower="2" upper="1"/>')),
+        "the first not larger",
+    ),
+    "axis": (
+        (link("a"), link("b"), joint("j", "revolute", "a", "b", '<axis xyz="0 0 0"/>')),
+        "not zero",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", ERRORS)
+def test_errors_say_where(case):
+    parts, said = ERRORS[case]
+    xmlns = ' xmlns:xacro="x"'
+    text = "<robot" + xmlns + ">\n" + "\n".join(parts) + "</robot>"
+    with pytest.raises(ValueError) as caught:
+        sc.loads(text, name="arm.urdf")
+    assert str(caught.value).startswith("arm.urdf:")
+    assert said in str(caught.value)
