@@ -109,6 +109,7 @@ def scaled(scene, length, mass, time):
         if joint.springdamper is not None:
             joint.springdamper = (joint.springdamper[0] * unit(0, 0, 1), joint.springdamper[1])
         by(joint, unit(2, 1, -2) if turns else unit(1, 1, -2), "frictionloss")
+        by(joint, unit(2, 1, -2) if turns else unit(1, 1, -2), "actuatorfrcrange")
         soften(joint, reach, "limit")
         soften(joint, 1.0, "friction")
     for geom in scene.geoms:
@@ -140,26 +141,11 @@ def scaled(scene, length, mass, time):
             setattr(tendon, field, (b * first, c * first * per / way))
         by(tendon, unit(0, 1) * arm, "armature")
         by(tendon, unit(1, 1, -2) * arm / (unit(1) if tendon.fixed else 1.0), "frictionloss")
+        by(tendon, unit(2, 1, -2) / way, "actuatorfrcrange")
         soften(tendon, way, "limit")
         soften(tendon, 1.0, "friction")
     for actuator in scene.actuators:
-        force, moment = unit(1, 1, -2), unit(2, 1, -2)
-        kind = actuator.joint.type
-        if actuator.type != "motor":
-            # A servo's length, or its rate, stays a number that a control can be compared with.
-            per = 1 / unit(1) if kind == "slide" else 1.0
-            per *= unit(0, 0, 1) if actuator.type == "velocity" else 1.0
-            actuator.gear = tuple(x * per for x in actuator.gear)
-            force = (force if kind == "slide" else moment) / per
-            by(actuator, force, "kp", "gainprm", "forcerange", "biasprm")
-            rate = force if actuator.type == "velocity" else force * unit(0, 0, 1)
-            by(actuator, rate, "kv")
-            if actuator.biasprm is not None:
-                zero, one, two = actuator.biasprm
-                actuator.biasprm = (zero, one, two * unit(0, 0, 1))
-            continue
-        parts = [moment] * 6 if kind in TURNS else [force] * 3 + [moment] * 3
-        actuator.gear = [x * y for x, y in zip(actuator.gear, parts, strict=True)]
+        _scale_actuator(actuator, unit, by)
     for pair in scene.pairs:
         by(pair, unit(1), "margin", "gap")
         sliding, turning = pair.friction[:2], pair.friction[2:]
@@ -221,6 +207,59 @@ def scaled(scene, length, mass, time):
     )
 
 
+def _scale_actuator(actuator, unit, by):
+    """Scales an actuator so that controls keep their numbers.
+
+    Its length, gear × that of its target, takes the unit `length`: none for a servo; that of the
+    activation, a time, where a control is a rate; one that leaves the force a number for a motor.
+    Force × length is an energy.
+    """
+    time, energy = unit(0, 0, 1), unit(2, 1, -2)
+    if actuator.body is not None:
+        by(actuator, unit(1, 1, -2), "gain", "gainprm", "forcerange")
+        return
+    rate = actuator.type == "intvelocity" or actuator.dyntype == "integrator"
+    length = time if rate or actuator.type == "velocity" else 1.0
+    length = energy if actuator.type == "motor" else length
+    force, speed = energy / length, length / time
+    ways = _ways(actuator, unit(1))
+    actuator.gear = tuple(x * length / way for x, way in zip(actuator.gear, ways, strict=True))
+    by(actuator, unit(1), "cranklength")
+    by(actuator, force, "forcerange", "force", "area")
+    by(actuator, force / length, "kp")
+    by(actuator, force / speed, "kv", "damping")
+    by(actuator, force / speed * time, "armature")
+    for field, of in (("actrange", length if rate else 1.0), ("lengthrange", length)):
+        by(actuator, of, field)
+    by(actuator, 1 / time, "vmax")
+    by(actuator, time, "timeconst")
+    # Of its target's velocity, as that one's own coefficients are.
+    powers = zip(actuator.dampingpoly, (1, 2), strict=True)
+    per = ways[0] / time
+    actuator.dampingpoly = tuple(x * force / speed / per**power for x, power in powers)
+    terms = (force, force / length, force / speed)
+    for field, per in (("bias", 1.0), ("biasprm", 1.0), ("gainprm", length if rate else 1.0)):
+        value = getattr(actuator, field)
+        if value is not None:
+            value = value if isinstance(value, tuple) else (value,)
+            scaled = tuple(x * term / per for x, term in zip(value, terms, strict=False))
+            setattr(actuator, field, (*scaled, *value[3:]))
+    if actuator.dyntype in ("filter", "filterexact"):
+        actuator.dynprm = (actuator.dynprm[0] * time, *actuator.dynprm[1:])
+
+
+def _ways(actuator, length):
+    """Of each number of its gear: `length` if it goes with a way, 1 if with an angle."""
+    field, target = actuator.target
+    if field in ("joint", "jointinparent"):
+        if target.type == "free":
+            return [length] * 3 + [1.0] * 3
+        return [length if target.type == "slide" else 1.0] * 6
+    if field == "site":
+        return [length] * 3 + [1.0] * 3
+    return [1.0 if field == "tendon" and target.fixed else length] * 6
+
+
 def _is_way(joint, tendon):
     """What an equality ties is a length, and not an angle."""
     if tendon is not None:
@@ -250,9 +289,11 @@ def mirrored(scene):
     for placed in (*scene.geoms, *scene.sites):
         placed.pos, placed.quat = placed.pos * MIRROR, placed.quat * TURNED
     for actuator in scene.actuators:
-        if actuator.joint.type == "free":
+        field, target = actuator.target
+        kind = target.type if field in ("joint", "jointinparent") else field
+        if kind in ("free", "site"):
             actuator.gear = actuator.gear * np.r_[MIRROR, AXIAL]
-        if actuator.joint.type == "ball":
+        if kind == "ball":
             actuator.gear = actuator.gear * np.r_[AXIAL, 1, 1, 1]
     for equality in scene.equalities:
         equality.anchor = equality.anchor * MIRROR
@@ -277,6 +318,7 @@ def reordered(scene):
     other.geoms.reverse()
     other.equalities.reverse()
     other.tendons.reverse()
+    other.actuators.reverse()
     other.pairs.reverse()
     after = layout(other.compile())
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 # The order in which they stand in the zoo.
 # isort: off
-from . import joints, equalities, tendons, passive, pairs, materials, heaps
+from . import joints, equalities, tendons, passive, actuators, pairs, materials, heaps
 
 # isort: on
 from .entry import CONTACT, EQUALITY, FRICTION, LIMIT, ZOO, Entry
@@ -25,6 +25,7 @@ __all__ = [
     "LIMIT",
     "ZOO",
     "Entry",
+    "actuators",
     "equalities",
     "heaps",
     "joints",
