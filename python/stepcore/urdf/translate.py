@@ -22,8 +22,8 @@ from stepcore.scene import frames
 from stepcore.urdf.mesh_paths import mesh_path
 from stepcore.urdf.schema import CLOSED, DRAWS, ROBOT
 
-# The first axis of a joint, and the z axis, along which a planar joint's own hinge turns.
-X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+# A joint without an axis turns or slides along the first.
+X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 MOVES = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free"}
 
 
@@ -191,19 +191,7 @@ class Robot:
         if not any(axis):
             raise bad(_inside(joint, "axis") or joint, "xyz", axis, "an axis that is not zero")
         if kind == "planar":
-            turn = frames.from_z_axis(axis)
-            along = {"_TX": X, "_TY": (0.0, 1.0, 0.0), "_RZ": Z}
-            kinds = {"_TX": "slide", "_TY": "slide", "_RZ": "hinge"}
-            return [
-                _node(
-                    *("joint", joint),
-                    name=name + end,
-                    type=kinds[end],
-                    axis=_words(frames.rotated(turn, own)),
-                    **common,
-                )
-                for end, own in along.items()
-            ]
+            return _planar(joint, axis, common)
         common |= self._limits(joint, kind)
         return [_node("joint", joint, name=name, type=MOVES[kind], axis=_words(axis), **common)]
 
@@ -364,6 +352,17 @@ def _inertial(node: Node) -> Node:
         "fullinertia": _words(frames.turned_inertia(_turn(node), six)),
     }
     return _node("inertial", node, **own)
+
+
+def _planar(joint: Node, axis: frames.Vec, common: dict[str, str]) -> list[Node]:
+    """Two slides across the axis and a hinge about it."""
+    turn = frames.from_z_axis(axis)
+    made = []
+    for end, kind, own in (("_TX", "slide", X), ("_TY", "slide", Y), ("_RZ", "hinge", Z)):
+        attrs = {"name": joint.values["name"] + end, "type": kind}
+        attrs["axis"] = _words(frames.rotated(turn, own))
+        made.append(_node("joint", joint, **attrs, **common))
+    return made
 
 
 def _dynamics(joint: Node) -> dict[str, str]:
