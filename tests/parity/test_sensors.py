@@ -5,13 +5,11 @@ where the contact sets are equal.
 """
 
 import functools
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import peers
 import pytest
-import robot_files
 
 import stepcore as sc
 from stepcore.scene.elements.sensor import OBJECTS
@@ -231,44 +229,6 @@ def test_against_mujoco(cone):
 def limit(line):
     # Principal axes of several geoms are found to 1e-6, as MuJoCo finds its own.
     return 1e-5 if ('"body" objname="arm"' in line and "quat" in line) or "axis" in line else EXACT
-
-
-# Robots beside the checkout, where somebody put them.
-PLACES = [parent / "shared" / "data" / "menagerie" for parent in Path(__file__).parents]
-SENSING = ("unitree_go2/", "unitree_g1/", "anybotics_anymal_c/", "shadow_hand/", "agility_cassie/")
-
-
-def robots():
-    found = [robot for robot in robot_files.wheels() if "<sensor>" in robot.path.read_text()]
-    for place in PLACES:
-        if place.is_dir():
-            every = robot_files.folder_of("menagerie", place)
-            found += [robot for robot in every if robot.name.startswith(SENSING)]
-    return found
-
-
-@pytest.mark.parametrize("robot", robots(), ids=lambda robot: f"{robot.collection}-{robot.name}")
-def test_public_robots(robot):
-    """Models that people use: those of dm_control, and of a folder of robots where there is one."""
-    try:
-        ours = sc.load(robot.path).compile()
-    except ValueError as error:
-        pytest.skip(f"not built: {error}")
-    theirs = peers.strict(mujoco.MjModel.from_xml_path(str(robot.path)))
-    if not len(ours.sensor_dim) or ours.ngeom != theirs.ngeom:
-        pytest.skip("no sensors, or other geoms")
-    data, sim = mujoco.MjData(theirs), sc.Sim(ours, **peers.EXACT)
-    alike = 0
-    for state in peers.fall_states(theirs, 12, seed=5):
-        state.to_mujoco(theirs, data)
-        state.to_stepcore(sim)
-        mujoco.mj_forward(theirs, data)
-        sim.forward()
-        same = peers.contacts_apart(sim, data) < 1e-9 and peers.apart(sim.qacc, data.qacc) < 1e-9
-        if same:
-            alike += 1
-            assert peers.sensors_apart(sim, theirs, data) < 1e-6
-    assert alike > 0
 
 
 @pytest.mark.parametrize("integrator", ["euler", "implicitfast", "rk4"])
