@@ -174,15 +174,9 @@ class Assets:
         """Where a file of this name lies; a note if that is outside the folder of the model."""
         if not name or "\0" in name:
             raise bad(node, "file", name, "the name of a file")
-        compiler = node.compiler or self.compiler
-        values, directory = compiler.values, compiler.directory
-        name = name.replace("\\", "/")
-        if values.get("strippath"):
-            name = name.rpartition("/")[2]
-        folder = values.get("meshdir", values.get("assetdir", ""))
-        if directory is None and not os.path.isabs(os.path.join(folder, name)):
+        path = self._place(node, name)
+        if path is None:
             raise node.error(f'<{node.tag} file="{name}"> in a text needs loads(text, base=folder)')
-        path = os.path.normpath(os.path.join(directory or "", folder, name))
         real, home = os.path.realpath(path), os.path.realpath(self.compiler.directory or os.sep)
         if os.path.commonpath([real, home]) != home:
             scene.notes.append(
@@ -192,6 +186,18 @@ class Assets:
         if not os.path.exists(path):
             raise FileNotFoundError(f"{node.file}:{node.line}: {path}: no such file")
         return path
+
+    def _place(self, node: Node, name: str) -> str | None:
+        """The path that a file's name means; None in a text without a folder."""
+        compiler = node.compiler or self.compiler
+        values, directory = compiler.values, compiler.directory
+        name = name.replace("\\", "/")
+        if values.get("strippath"):
+            name = name.rpartition("/")[2]
+        folder = values.get("meshdir", values.get("assetdir", ""))
+        if directory is None and not os.path.isabs(os.path.join(folder, name)):
+            return None
+        return os.path.normpath(os.path.join(directory or "", folder, name))
 
     def _count(self, node: Node, path: str) -> None:
         self.sizes[path] = os.path.getsize(path)
@@ -204,14 +210,29 @@ class Assets:
         ]
         if not files:
             return
-        size = sum(self.sizes.values()) / 1e6
+        size = sum(self.sizes.values())
         count = f"{len(self.sizes)} of {len(files)} files of meshes and height fields are read"
         only = "; the others only draw" if len(self.sizes) < len(files) else ""
         scene.notes.append(f"{files[0].file}:{files[0].line}: {count} ({size:.3g} MB){only}")
         source = scene._source
         if source is not None:
             unread = tuple(name for name in source.unread if name not in self.named)
-            scene._source = replace(source, files=(*source.files, *self.sizes), unread=unread)
+            scene._source = replace(
+                source,
+                files=(*source.files, *self.sizes),
+                unread=unread,
+                read_bytes=size,
+                asset_bytes=size + self._unread(files),
+            )
+
+    def _unread(self, files: list[Node]) -> int:
+        """How large the files are that only draw, as far as they are there [bytes]."""
+        places = {
+            self._place(node, node.attrs["file"])
+            for node in files
+            if node.attrs["file"] not in self.named
+        }
+        return sum(os.path.getsize(path) for path in places if path and os.path.isfile(path))
 
 
 def _faces(node: Node, face: tuple[int, ...]) -> Any:

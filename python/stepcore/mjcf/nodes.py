@@ -62,12 +62,16 @@ class Source:
     data: the text. directory: the folder of its includes.
     files: the files that were read, the main one first.
     unread: files that the text names but that only draw; they are never opened.
+    read_bytes: the size of the files of meshes and height fields that were read, and asset_bytes:
+        of all of them that are there.
     """
 
     data: bytes
     directory: str | None
     files: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
+    read_bytes: int = 0
+    asset_bytes: int = 0
 
     def of(self, root: Node) -> Source:
         """The same, with the files of a whole model whose includes are expanded."""

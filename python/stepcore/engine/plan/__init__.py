@@ -26,6 +26,7 @@ def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
     """The plan of a model; see `stepcore.plan`."""
     cost = StepCost(model, sim, time)
     listed = [cost.priced(*each) for each in entries(model, cost.settings, cost.rows())]
+    source = model.scene._source
     return Plan(
         name=model.scene.name or "scene",
         settings=cost.settings,
@@ -34,4 +35,6 @@ def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
         stages=cost.stages,
         micros=cost.micros,
         at=cost.at,
+        read_bytes=source.read_bytes if source else 0,
+        asset_bytes=source.asset_bytes if source else 0,
     )

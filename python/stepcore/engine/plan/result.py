@@ -74,6 +74,9 @@ class Plan(Result):
     micros: float | None = None
     at: str = "the initial pose"
     notes: list[str] = field(default_factory=list)
+    # Of files of meshes and height fields: of those that are read, and of all [bytes].
+    read_bytes: int = 0
+    asset_bytes: int = 0
 
     @property
     def title(self) -> str:
@@ -103,7 +106,7 @@ class Plan(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """What a step costs, which entries cost most, and how many pairs are tested."""
+        """What a step costs, what costs most, how many pairs are tested, how much was read."""
         time = "" if self.micros is None else f" and {self.micros:.3g} µs"
         sentences = [f"A step at {self.at} takes {self.flops:.0f} floating-point operations{time}."]
         costs = [(entry.flops, entry.name) for entry in self.used if entry.flops]
@@ -115,6 +118,11 @@ class Plan(Result):
             tested = sum(entry.count for entry in pairs if entry.used)
             every = sum(entry.count for entry in pairs)
             sentences.append(f"It tests {tested} of {every} pairs of geoms.")
+        if self.asset_bytes:
+            read, every = self.read_bytes / 1e6, self.asset_bytes / 1e6
+            sentences.append(
+                f"Of {every:.3g} MB of meshes and height fields it needs {read:.3g} MB."
+            )
         return sentences
 
     @property
