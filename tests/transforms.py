@@ -221,8 +221,11 @@ def _scale_actuator(actuator, unit, by):
     rate = actuator.type == "intvelocity" or actuator.dyntype == "integrator"
     length = time if rate or actuator.type == "velocity" else 1.0
     length = energy if actuator.type == "motor" else length
-    force, speed = energy / length, length / time
     ways = _ways(actuator, unit(1))
+    if actuator.tendon is not None and actuator.type == "general":
+        # Its gear stays: a tendon bounds the sum of forces before their gears.
+        length = ways[0]
+    force, speed = energy / length, length / time
     actuator.gear = tuple(x * length / way for x, way in zip(actuator.gear, ways, strict=True))
     by(actuator, unit(1), "cranklength")
     by(actuator, force, "forcerange", "force", "area")

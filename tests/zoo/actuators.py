@@ -1,4 +1,4 @@
-"""Actuators: every law, every transmission, muscles, adhesion."""
+"""Actuators: every law, every transmission, the bounds of joints and tendons, adhesion."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ add(
 )
 LIMBS = f"""
     <site name="wall" pos=".1 .2 1.4" euler="20 30 40"/>
-    <body pos="0 0 1"><joint name="a" axis="0 1 0" damping=".2"/>
+    <body pos="0 0 1"><joint name="a" axis="0 1 0" damping=".2" {{0}}/>
       <geom type="capsule" fromto="0 0 0 .4 0 0" size=".04" {INERT}/>
       <site name="u" pos=".2 .03 .04" euler="15 -20 70"/>
-      <body pos=".4 0 0"><joint name="b" axis="0 .3 1"/>
+      <body pos=".4 0 0" gravcomp=".8"><joint name="b" axis="0 .3 1" {{1}}/>
         <joint name="c" type="slide" axis="1 0 .2"/>
         <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" {INERT}/>
         <site name="l" pos=".1 .02 .03" euler="40 10 -30"/></body></body>
@@ -50,12 +50,12 @@ LIMBS = f"""
       <site name="f" pos=".02 .03 0" euler="-10 50 30"/></body>
 """
 TENDONS = """<tendon>
-      <fixed name="both"><joint joint="a" coef=".7"/><joint joint="c" coef="-1.2"/></fixed>
-      <spatial name="rope"><site site="wall"/><site site="l"/></spatial></tendon>"""
+      <fixed name="both" {0}><joint joint="a" coef=".7"/><joint joint="c" coef="-1.2"/></fixed>
+      <spatial name="rope" {0}><site site="wall"/><site site="l"/></spatial></tendon>"""
 add(
     "actuator_transmissions",
-    LIMBS,
-    extra=TENDONS
+    LIMBS.format("", ""),
+    extra=TENDONS.format("")
     + """<actuator>
       <motor tendon="both" gear="2"/><position tendon="rope" kp="20" kv="1"/>
       <motor joint="ball" gear="1 2 3"/><position joint="ball" gear="0 0 2" kp="3" kv=".4"/>
@@ -68,6 +68,19 @@ add(
       <motor site="s" refsite="l" gear="1 0 2 .3 .4 0"/>
       <motor cranksite="l" slidersite="wall" cranklength=".9" gear="1.5"/>
       <position cranksite="u" slidersite="wall" cranklength=".3" kp="6"/></actuator>""",
+)
+# The weight that drives hold counts within the bounds of its joints.
+add(
+    "actuator_bounds",
+    LIMBS.format(
+        'actuatorfrcrange="-6 1.5" actuatorgravcomp="true"',
+        'actuatorgravcomp="true"',
+    ),
+    extra=TENDONS.format('actuatorfrcrange="-1 1.5"')
+    + """<actuator>
+      <motor joint="a" gear="2"/><position joint="a" kp="9" kv=".5"/><motor joint="b"/>
+      <general tendon="both" gear="2" gainprm="3"/><general tendon="rope" gear="2" gainprm="2"/>
+      <general tendon="rope" gainprm="4" biastype="affine" biasprm="1 -9 -1"/></actuator>""",
 )
 add(
     "adhesion",

@@ -49,11 +49,6 @@ def check(layout: Layout) -> None:
             raise checks.ElementError(
                 geom, "a plane must be on the world or on a body that cannot move"
             )
-    if any(body.gravcomp for body in layout.bodies):
-        for joint in layout.joints:
-            if joint.actuatorgravcomp and joint.actuatorfrcrange is not None:
-                text = "gravity compensation by actuators within an actuatorfrcrange is not built"
-                raise checks.ElementError(joint, f"{text} yet")
     _check_tendons(layout)
     inside = {
         id(element) for element in (*layout.joints, *layout.sites, *scene.tendons, *layout.bodies)

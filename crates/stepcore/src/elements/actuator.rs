@@ -12,6 +12,7 @@
 
 use super::activation::{signal, Activations};
 use super::force::{Forces, Group, Moment};
+use super::gravcomp::asked_of_drives;
 use super::Kind;
 use crate::model::Model;
 use crate::place::Pulls;
@@ -162,7 +163,7 @@ pub(crate) fn clamp_tendons<R: Real>(model: &Model, tensions: &mut [R], shares: 
         let total = own().fold(R::zero(), |sum, index| sum + tensions[index]);
         shares[tendon] = share(total, range);
         for index in own() {
-            tensions[index] = tensions[index] * shares[tendon];
+            tensions[index] *= shares[tendon];
         }
     }
 }
@@ -175,18 +176,15 @@ fn share<R: Real>(total: R, [lo, hi]: [f64; 2]) -> R {
     R::select(beyond, total.clamp(R::of(lo), R::of(hi)) / whole, one)
 }
 
-/// What joints let through of the forces of their actuators, by dof.
-pub(crate) fn clamp_joints<R: Real>(
-    model: &Model,
-    qpos: &[R],
-    pulls: Pulls<R>,
-    tensions: &[R],
-    shares: &mut [R],
-) {
+/// What joints let through of the forces of their actuators, by dof. What holds up weight through
+/// them is one of these.
+pub(crate) fn clamp_joints<R: Real>(now: &Moment<R>, shares: &mut [R]) {
+    let (model, pulls) = (now.model, now.frames.pulls);
     shares.fill(R::zero());
-    for (index, along) in model.along.iter().enumerate() {
-        along.arms(model, qpos, pulls, |dof, arm: R| shares[dof] += arm * tensions[index]);
+    for (along, tension) in model.along.iter().zip(now.frames.tension) {
+        along.arms(model, now.qpos, pulls, |dof, arm: R| shares[dof] += arm * *tension);
     }
+    asked_of_drives(now, |dof, force| shares[dof] += force);
     let mut clamps = model.clamps.iter().peekable();
     for (dof, share_of) in shares.iter_mut().enumerate() {
         let own = |(joint, _): &&(usize, [f64; 2])| model.joints[*joint].dof == dof;

@@ -195,7 +195,8 @@ pub fn joint_forces(
         inputs.ctrl.copy_from_slice(&ctrl[n * nu..(n + 1) * nu]);
         let act = Activations { act: &act[n * model.na..(n + 1) * model.na], seconds: 0.0 };
         if kind == Kind::Actuator {
-            if !(model.tendons.is_empty() && model.linkages.is_empty()) {
+            let bounded = model.compensates && !model.clamps.is_empty();
+            if bounded || !(model.tendons.is_empty() && model.linkages.is_empty()) {
                 placed.positions(model, qpos);
             }
             placed.tensions(model, qpos, qvel, act, &inputs);

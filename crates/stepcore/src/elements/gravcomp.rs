@@ -1,7 +1,8 @@
 //! Gravity compensation: a force at a body's centre of mass that holds up a share of its weight.
 //!
-//! On joints with `actuatorgravcomp` it counts as their actuators' force: then a drive gives it, and
-//! it is no passive one. It stores energy all the same, as the weight does that it holds.
+//! On joints with `actuatorgravcomp` it counts as their actuators' force: then a drive gives it, within
+//! the joint's `actuatorfrcrange`, and none where there is no actuator, as in MuJoCo. It stores energy
+//! all the same, as the weight does that it holds; what a drive withholds counts as put in.
 
 use super::applied::on_dofs;
 use super::force::{Forces, Group, Moment, Sum};
@@ -27,7 +28,8 @@ fn share(model: &Model, body: usize) -> f64 {
     }
 }
 
-fn push<R: Real>(now: &Moment<R>, body: usize, driven: bool, add: &mut impl FnMut(usize, R)) {
+/// Calls `add(dof, force)` for what holds a body, whole, on dofs that drives hold or on the others.
+fn whole<R: Real>(now: &Moment<R>, body: usize, driven: bool, add: &mut impl FnMut(usize, R)) {
     let model = now.model;
     let share = share(model, body);
     if share != 0.0 {
@@ -40,12 +42,24 @@ fn push<R: Real>(now: &Moment<R>, body: usize, driven: bool, add: &mut impl FnMu
     }
 }
 
-fn push_all<R: Real>(now: &Moment<R>, driven: bool, sum: &mut Sum<R>) {
-    if now.model.compensates {
-        for body in 1..now.model.bodies.len() {
-            push(now, body, driven, &mut |dof, force| sum.force[dof] += force);
-        }
+/// Calls `add(dof, force)` for all of it that drives are asked for.
+pub(super) fn asked_of_drives<R: Real>(now: &Moment<R>, mut add: impl FnMut(usize, R)) {
+    for body in 1..DrivenCompensation::count(now.model) {
+        whole(now, body, true, &mut add);
     }
+}
+
+/// The part of it that drives give on a dof; None: all.
+fn given<R: Real>(now: &Moment<R>, dof: usize) -> Option<R> {
+    if !drives(now.model) {
+        return Some(R::zero());
+    }
+    now.frames.shares.get(dof).copied()
+}
+
+/// There is an actuator that can give it.
+fn drives(model: &Model) -> bool {
+    model.features.actuation && !model.actuators.is_empty()
 }
 
 impl Forces for Compensation {
@@ -53,12 +67,16 @@ impl Forces for Compensation {
     const GROUP: Group = Group::Passive;
 
     fn force<R: Real>(now: &Moment<R>, body: usize, add: &mut impl FnMut(usize, R)) {
-        push(now, body, false, add);
+        whole(now, body, false, add);
     }
 
     #[inline(always)]
     fn push<R: Real>(now: &Moment<R>, sum: &mut Sum<R>) {
-        push_all(now, false, sum);
+        if now.model.compensates {
+            for body in 1..now.model.bodies.len() {
+                whole(now, body, false, &mut |dof, force| sum.force[dof] += force);
+            }
+        }
     }
 }
 
@@ -67,7 +85,7 @@ impl Forces for DrivenCompensation {
     const GROUP: Group = Group::Driven;
 
     fn count(model: &Model) -> usize {
-        if model.joints.iter().any(|joint| joint.actuatorgravcomp) {
+        if model.compensates && model.joints.iter().any(|joint| joint.actuatorgravcomp) {
             model.bodies.len()
         } else {
             0
@@ -79,12 +97,27 @@ impl Forces for DrivenCompensation {
     }
 
     fn force<R: Real>(now: &Moment<R>, body: usize, add: &mut impl FnMut(usize, R)) {
-        push(now, body, true, add);
+        whole(now, body, true, &mut |dof, force| {
+            add(dof, given(now, dof).map_or(force, |part| force * part));
+        });
     }
 
     #[inline(always)]
-    fn push<R: Real>(now: &Moment<R>, sum: &mut Sum<R>) {
-        push_all(now, true, sum);
+    fn powers<R: Real>(now: &Moment<R>) -> bool {
+        !(drives(now.model) && now.frames.shares.is_empty())
+    }
+
+    fn power<R: Real>(
+        now: &Moment<R>,
+        body: usize,
+        velocity: &impl Fn(usize) -> R,
+        add: &mut impl FnMut(R),
+    ) {
+        whole(now, body, true, &mut |dof, force| {
+            if let Some(part) = given(now, dof) {
+                add((part - R::one()) * force * velocity(dof));
+            }
+        });
     }
 }
 

@@ -24,7 +24,10 @@ impl<R: Real> Placed<R> {
         if !self.shares.is_empty() {
             let (joints, tendons) = self.shares.split_at_mut(model.nv);
             clamp_tendons(model, &mut self.actuator, tendons);
-            clamp_joints(model, qpos, pulls, &self.actuator, joints);
+            let Self { xpos, xmat, origin, motion, actuator, .. } = self;
+            let frames =
+                Frames { xpos, xmat, origin, motion, tension: actuator, shares: &[], pulls };
+            clamp_joints(&Moment { model, frames, qpos, qvel, act, inputs }, joints);
         }
     }
 
