@@ -1,10 +1,11 @@
 //! `stepcore._core`: the engine as Python sees it. Thin shims; no physics here.
 //!
 //! `extract` and `scene` read what Python gives, `memory` holds the arrays that both
-//! sides see, `world` is one world of either precision and `worlds` many, `snapshot` a
-//! state as bytes, `gil` the one place where the GIL is released, `errors` the one map
-//! of errors.
+//! sides see, `arguments` and `tables` are what methods take and give, `world` is one
+//! world of either precision and `worlds` many, `snapshot` a state as bytes, `gil` the
+//! one place where the GIL is released, `errors` the one map of errors.
 
+mod arguments;
 mod batch;
 mod element;
 mod errors;
@@ -18,6 +19,7 @@ mod scene;
 mod settings;
 mod sim;
 mod snapshot;
+mod tables;
 mod world;
 mod worlds;
 

@@ -13,8 +13,8 @@ use stepcore::elements::Element;
 use stepcore::model::Model as EngineModel;
 use stepcore::real::Stage;
 use stepcore::sleep::Sleep;
-use stepcore::watch::RayFilter;
 
+use crate::arguments::{check_body, check_sensor, check_site, check_time, ray_filter};
 use crate::element::{id, Id};
 use crate::errors::{EnergyWarning, Raised};
 use crate::extract::{At, Read};
@@ -23,69 +23,12 @@ use crate::memory::Arrays;
 use crate::model::{result, shaped, Model};
 use crate::settings::Settings;
 use crate::snapshot::{decode, encode};
-use crate::world::{world, BodyForce, Contacts, Memo, Placed, Rows, Solved, World};
+use crate::tables::{contacts, rows, ContactTable, RayTable, RowTable};
+use crate::world::{world, BodyForce, Memo, Placed, Solved, World};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
-/// Elements, geoms; dist, pos, normal, force, torque.
-pub type ContactTable<'py> = (Vec<Id>, Vec<(usize, usize)>, Array<'py>);
-/// Elements, names, blocks; impulse, velocity, target, regulariser, residual, lo, hi.
-pub type RowTable<'py> = (Vec<Id>, Vec<String>, Vec<usize>, Array<'py>);
-
-/// Distances, geoms, normals.
-pub type RayTable<'py> = (Array<'py>, Vec<i64>, Array<'py>);
-
 /// Energy before and after, and gains by element.
 type TapedStep = (f64, f64, Vec<(Id, f64)>);
-
-pub fn contacts<'py>(py: Python<'py>, table: Contacts) -> PyResult<ContactTable<'py>> {
-    let count = table.geoms.len();
-    let elements = table.elements.into_iter().map(id).collect();
-    Ok((elements, table.geoms, shaped(py, table.numbers, &[count, 13])?))
-}
-
-pub fn rows<'py>(py: Python<'py>, table: Rows) -> PyResult<RowTable<'py>> {
-    let count = table.blocks.len();
-    let elements = table.elements.into_iter().map(id).collect();
-    Ok((elements, table.names, table.blocks, shaped(py, table.numbers, &[count, 7])?))
-}
-
-pub fn check_time(time: f64) -> PyResult<()> {
-    if time.is_finite() {
-        return Ok(());
-    }
-    Err(PyValueError::new_err(format!("time = {time}: must be finite")))
-}
-
-pub fn check_body(model: &EngineModel, body: usize) -> PyResult<()> {
-    let count = model.bodies.len();
-    if body < count {
-        return Ok(());
-    }
-    Err(PyValueError::new_err(format!("body = {body}: must be below {count}")))
-}
-
-pub fn check_site(model: &EngineModel, site: usize) -> PyResult<()> {
-    let count = model.sites.len();
-    if site < count {
-        return Ok(());
-    }
-    Err(PyValueError::new_err(format!("site = {site}: must be below {count}")))
-}
-
-pub fn check_sensor(model: &EngineModel, sensor: Option<usize>) -> PyResult<()> {
-    let count = model.sensors.len();
-    match sensor {
-        Some(index) if index >= count => {
-            Err(PyValueError::new_err(format!("sensor = {index}: must be below {count}")))
-        }
-        _ => Ok(()),
-    }
-}
-
-/// The arguments of `rays` beside the rays, as MuJoCo has them.
-pub fn ray_filter(excluded: Option<usize>, groups: Option<[bool; 6]>, moving: bool) -> RayFilter {
-    RayFilter { excluded, groups, moving }
-}
 
 /// Says what there is to say of a world's energies.
 fn warn(py: Python<'_>, world: &mut dyn World) -> PyResult<()> {

@@ -1,27 +1,29 @@
-//! `Batch` as Python sees it: many worlds, their arrays, and rollouts.
+//! `Batch` as Python sees it: many worlds, their arrays, and what can be read of them.
 
-use std::sync::{Arc, Mutex, MutexGuard};
+mod each;
+mod rollout;
 
-use numpy::{PyArrayDyn, PyReadonlyArray3, PyUntypedArrayMethods};
+use std::sync::{Arc, Mutex};
+
+use numpy::{PyArrayDyn, PyReadonlyArray3};
 use pyo3::exceptions::{PyBaseException, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use stepcore::arrays::{self, Given};
-use stepcore::batch::Play;
+use stepcore::arrays;
 use stepcore::error::Error;
 use stepcore::model::Model as EngineModel;
 use stepcore::settings::Settings as EngineSettings;
 
+use crate::arguments::{check_body, check_sensor, check_site, check_time, ray_filter};
 use crate::errors::{raise, Raised};
 use crate::extract::{At, Read};
 use crate::gil;
 use crate::memory::Arrays;
-use crate::model::{result, shaped, Model};
+use crate::model::{result, Model};
 use crate::settings::Settings;
-use crate::sim::{check_body, check_sensor, check_site, check_time, contacts, ray_filter, rows};
-use crate::sim::{ContactTable, RayTable, RowTable};
 use crate::snapshot::{decode, encode, Snapshot};
-use crate::world::{world, BodyForce, Memo, Placed, Solved, World};
+use crate::tables::{contacts, rows, ContactTable, RayTable, RowTable};
+use crate::world::{world, BodyForce, Memo, Placed, Solved};
 use crate::worlds::{worlds, Worlds};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
@@ -33,112 +35,6 @@ pub struct Batch {
     settings: EngineSettings,
     arrays: Arrays,
     worlds: Mutex<Box<dyn Worlds>>,
-}
-
-impl Batch {
-    fn lock(&self) -> PyResult<MutexGuard<'_, Box<dyn Worlds>>> {
-        gil::lock(&self.worlds, "Batch")
-    }
-
-    /// Lets `each(world, given)` see every world's arrays in turn.
-    fn read(
-        &self,
-        py: Python<'_>,
-        mut each: impl FnMut(usize, &Given) -> Result<(), Error> + Send,
-    ) -> PyResult<()> {
-        let mut worlds = 0..self.arrays.worlds;
-        worlds.try_for_each(|world| {
-            self.arrays.read(py, world, |given| each(world, given)).raised(py)
-        })
-    }
-
-    fn check(&self, py: Python<'_>, worlds: &dyn Worlds) -> PyResult<()> {
-        self.read(py, |world, given| worlds.check(world, given))
-    }
-
-    /// Checks all arrays, then copies them into the engine.
-    fn load(&self, py: Python<'_>, worlds: &mut dyn Worlds) -> PyResult<()> {
-        self.check(py, worlds)?;
-        self.read(py, |world, given| {
-            worlds.put(world, given);
-            Ok(())
-        })
-    }
-
-    fn store(&self, py: Python<'_>, worlds: &dyn Worlds) {
-        self.arrays.store(py, |world, array, out| worlds.take(world, array, out));
-    }
-
-    fn view<'py>(&self, py: Python<'py>, array: arrays::Array) -> PyResult<Array<'py>> {
-        self.arrays.view(py, array, &[self.arrays.worlds])
-    }
-
-    /// Reads every world's present state in turn.
-    fn placed<'py>(&self, py: Python<'py>, what: Placed, shape: &[usize]) -> PyResult<Array<'py>> {
-        let guard = self.lock()?;
-        let worlds = &**guard;
-        let mut all = Vec::new();
-        let mut reader = world(self.model.clone(), &self.settings).raised(py)?;
-        self.read(py, |world, given| {
-            worlds.check(world, given)?;
-            all.extend(reader.placed(given, what)?);
-            Ok(())
-        })?;
-        result(py, all, &[&[self.arrays.worlds], shape].concat())
-    }
-
-    /// Does every world's last solve again, to read what a batch does not keep of it.
-    fn again<T: Send>(
-        &self,
-        py: Python<'_>,
-        read: impl Fn(&mut dyn World) -> T + Sync,
-    ) -> PyResult<Vec<T>> {
-        let guard = self.lock()?;
-        let (worlds, model, settings) = (&**guard, self.model.clone(), &self.settings);
-        let n = self.arrays.worlds;
-        gil::release(py, || {
-            let mut reader = world(model, settings)?;
-            let each = (0..n).map(|world| {
-                worlds.again(world, &mut *reader)?;
-                Ok(read(&mut *reader))
-            });
-            each.collect()
-        })
-    }
-
-    fn solved<'py>(&self, py: Python<'py>, what: Solved, count: usize) -> PyResult<Array<'py>> {
-        let all = self.again(py, |world| world.solved(what))?;
-        result(py, all.concat(), &[self.arrays.worlds, count])
-    }
-
-    fn body_force<'py>(&self, py: Python<'py>, what: BodyForce) -> PyResult<Array<'py>> {
-        let all = self.again(py, |world| world.body_force(what))?;
-        let all: Result<Vec<Vec<f64>>, Error> = all.into_iter().collect();
-        let shape = [self.arrays.worlds, self.model.bodies.len(), 6];
-        result(py, all.raised(py)?.concat(), &shape)
-    }
-
-    /// The controls of a play, checked.
-    fn controls(&self, ctrl: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<f64>> {
-        let (n, nu) = (self.arrays.worlds, self.arrays.lengths[arrays::Array::Ctrl as usize]);
-        let shape = ctrl.shape();
-        if shape[0] != n || shape[2] != nu {
-            let text = format!("ctrl has shape {shape:?}: must be [{n}, steps, {nu}]");
-            return Err(PyValueError::new_err(text));
-        }
-        let single = self.settings.precision == stepcore::settings::Precision::F32;
-        let mut all = Vec::with_capacity(ctrl.len());
-        for ((world, step, k), x) in ctrl.as_array().indexed_iter() {
-            if !x.is_finite() || single && !(*x as f32).is_finite() {
-                let text = format!(
-                    "ctrl[{world}, {step}, {k}] = {x}: must be finite; nothing was stepped"
-                );
-                return Err(PyValueError::new_err(text));
-            }
-            all.push(*x);
-        }
-        Ok(all)
-    }
 }
 
 #[pymethods]
@@ -228,39 +124,7 @@ impl Batch {
         py: Python<'py>,
         ctrl: PyReadonlyArray3<'py, f64>,
     ) -> PyResult<Vec<Array<'py>>> {
-        let mut guard = self.lock()?;
-        let worlds = &mut **guard;
-        let lengths = self.arrays.lengths;
-        let nu = lengths[arrays::Array::Ctrl as usize];
-        let (n, steps) = (self.arrays.worlds, ctrl.shape()[1]);
-        let controls = self.controls(&ctrl)?;
-        let mut states: [Vec<f64>; arrays::Array::CHANGED] = Default::default();
-        for (list, entries) in states.iter_mut().zip(lengths) {
-            *list = room(n, steps, entries)?;
-        }
-        if steps > 0 {
-            self.load(py, worlds)?;
-        } else {
-            self.check(py, worlds)?;
-        }
-        let mut play =
-            Play { steps, ctrl: &controls, states: states.each_mut().map(|list| &mut list[..]) };
-        let mut from = 0;
-        let outcome = gil::steps(py, steps as u64, |count| {
-            worlds.play(&mut play, from, count as usize)?;
-            from += count as usize;
-            Ok(())
-        });
-        self.store(py, worlds);
-        if from > 0 {
-            for world in 0..n {
-                let last = &controls[(world * steps + from - 1) * nu..][..nu];
-                self.arrays.write(py, arrays::Array::Ctrl, world, last);
-            }
-        }
-        outcome?;
-        let states = states.into_iter().zip(lengths);
-        states.map(|(list, entries)| shaped(py, list, &[n, steps, entries])).collect()
+        self.play(py, &ctrl)
     }
 
     /// The errors of the worlds that failed while the others went on; `known` are left out.
@@ -547,16 +411,4 @@ impl Batch {
         let all = self.again(py, |world| world.unrecovered())?;
         result(py, all, &[self.arrays.worlds])
     }
-}
-
-/// Zeros for every world, step and entry, if the memory can hold them.
-fn room(n: usize, steps: usize, entries: usize) -> PyResult<Vec<f64>> {
-    let mut room = Vec::new();
-    let count = n.checked_mul(steps).and_then(|count| count.checked_mul(entries));
-    if count.is_none_or(|count| room.try_reserve_exact(count).is_err()) {
-        let text = format!("{n} worlds of {steps} steps: their states do not fit into memory");
-        return Err(PyValueError::new_err(text));
-    }
-    room.resize(n * steps * entries, 0.0);
-    Ok(room)
 }

@@ -1,0 +1,88 @@
+//! Rollouts: controls in, the states after every step out.
+
+use numpy::{PyReadonlyArray3, PyUntypedArrayMethods};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use stepcore::arrays;
+use stepcore::batch::Play;
+
+use super::{Array, Batch};
+use crate::gil;
+use crate::model::shaped;
+
+impl Batch {
+    /// Steps with controls (n, steps, nu); returns qpos, qvel and act after every step.
+    pub(super) fn play<'py>(
+        &self,
+        py: Python<'py>,
+        ctrl: &PyReadonlyArray3<'py, f64>,
+    ) -> PyResult<Vec<Array<'py>>> {
+        let mut guard = self.lock()?;
+        let worlds = &mut **guard;
+        let lengths = self.arrays.lengths;
+        let nu = lengths[arrays::Array::Ctrl as usize];
+        let (n, steps) = (self.arrays.worlds, ctrl.shape()[1]);
+        let controls = self.controls(ctrl)?;
+        let mut states: [Vec<f64>; arrays::Array::CHANGED] = Default::default();
+        for (list, entries) in states.iter_mut().zip(lengths) {
+            *list = room(n, steps, entries)?;
+        }
+        if steps > 0 {
+            self.load(py, worlds)?;
+        } else {
+            self.check(py, worlds)?;
+        }
+        let mut play =
+            Play { steps, ctrl: &controls, states: states.each_mut().map(|list| &mut list[..]) };
+        let mut from = 0;
+        let outcome = gil::steps(py, steps as u64, |count| {
+            worlds.play(&mut play, from, count as usize)?;
+            from += count as usize;
+            Ok(())
+        });
+        self.store(py, worlds);
+        if from > 0 {
+            for world in 0..n {
+                let last = &controls[(world * steps + from - 1) * nu..][..nu];
+                self.arrays.write(py, arrays::Array::Ctrl, world, last);
+            }
+        }
+        outcome?;
+        let states = states.into_iter().zip(lengths);
+        states.map(|(list, entries)| shaped(py, list, &[n, steps, entries])).collect()
+    }
+
+    /// The controls of a play, checked.
+    fn controls(&self, ctrl: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<f64>> {
+        let (n, nu) = (self.arrays.worlds, self.arrays.lengths[arrays::Array::Ctrl as usize]);
+        let shape = ctrl.shape();
+        if shape[0] != n || shape[2] != nu {
+            let text = format!("ctrl has shape {shape:?}: must be [{n}, steps, {nu}]");
+            return Err(PyValueError::new_err(text));
+        }
+        let single = self.settings.precision == stepcore::settings::Precision::F32;
+        let mut all = Vec::with_capacity(ctrl.len());
+        for ((world, step, k), x) in ctrl.as_array().indexed_iter() {
+            if !x.is_finite() || single && !(*x as f32).is_finite() {
+                let text = format!(
+                    "ctrl[{world}, {step}, {k}] = {x}: must be finite; nothing was stepped"
+                );
+                return Err(PyValueError::new_err(text));
+            }
+            all.push(*x);
+        }
+        Ok(all)
+    }
+}
+
+/// Zeros for every world, step and entry, if the memory can hold them.
+fn room(n: usize, steps: usize, entries: usize) -> PyResult<Vec<f64>> {
+    let mut room = Vec::new();
+    let count = n.checked_mul(steps).and_then(|count| count.checked_mul(entries));
+    if count.is_none_or(|count| room.try_reserve_exact(count).is_err()) {
+        let text = format!("{n} worlds of {steps} steps: their states do not fit into memory");
+        return Err(PyValueError::new_err(text));
+    }
+    room.resize(n * steps * entries, 0.0);
+    Ok(room)
+}
