@@ -196,6 +196,7 @@ def _sensor_word(model: mujoco.MjModel, index: int) -> str:
     word = mujoco.mjtSensor(model.sensor_type[index]).name.removeprefix("mjSENS_").lower()
     renamed = {
         "jointactfrc": "jointactuatorfrc",
+        "tendonactfrc": "tendonactuatorfrc",
         "geomdist": "distance",
         "geomnormal": "normal",
         "geomfromto": "fromto",

@@ -53,7 +53,7 @@ _TENDONS = TENDONS.replace(
 )
 _ACTUATORS = (
     '<actuator><motor name="m" joint="j"/><motor name="n" joint="k"/>'
-    '<motor joint="j" name="o" gear="2"/></actuator>'
+    '<motor tendon="tl" name="o" gear="2"/></actuator>'
 )
 _SCENE = robot(world=_WORLD, after=_TENDONS + _ACTUATORS + "<sensor><TAG @/></sensor>").replace(
     '<site name="s3"/>', '<site name="s3"/><site name="s4" size=".2"/>'

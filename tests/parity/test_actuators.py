@@ -29,6 +29,8 @@ TREE = """
   <tendon><fixed name="both"><joint joint="a" coef=".7"/><joint joint="c" coef="-1.2"/></fixed>
     <spatial name="rope" {rope}><site site="wall"/><site site="l"/></spatial></tendon>
   <actuator>{actuators}</actuator>
+  <sensor><tendonactuatorfrc tendon="both"/><tendonactuatorfrc tendon="rope"/>
+    <jointactuatorfrc joint="a"/></sensor>
 </mujoco>
 """
 
@@ -153,12 +155,103 @@ def test_joints_and_tendons_bound_the_force_of_all_their_actuators():
             mujoco.mj_forward(model, data)
             sim.forward()
             np.testing.assert_allclose(sim.actuator_force, data.actuator_force, atol=1e-12)
+            np.testing.assert_allclose(sim.sensordata, data.sensordata, atol=1e-12)
             np.testing.assert_allclose(generalised(sim), data.qfrc_actuator, atol=1e-12)
             beyond += abs(data.qfrc_actuator[0]) in (1.0, 1.5)
             mujoco.mj_step(model, data)
             sim.step()
             assert peers.apart(sim.qvel, data.qvel) < 1e-9, integrator
     assert beyond > 10
+
+
+HELD = """
+<mujoco><option timestep="0.004"><flag actuation="{flag}"/></option>
+  <worldbody>
+    <body pos="0 0 1"><joint name="a" axis="0 1 .1" {driven} actuatorfrcrange="-3 2"/>
+      <geom type="capsule" fromto="0 0 0 .4 0 0" size=".03" contype="0" conaffinity="0"/>
+      <body pos=".4 0 0" gravcomp=".9"><joint name="b" type="ball" {driven}/>
+        <geom type="box" size=".1 .05 .03" pos=".1 0 0" contype="0" conaffinity="0"/>
+        <body pos=".2 0 0" gravcomp="1.2"><joint name="c" type="slide" {driven}
+          actuatorfrcrange="-2 4"/><joint name="d" axis="1 0 0"/>
+          <geom size=".05" pos="0 .1 0" contype="0" conaffinity="0"/></body></body></body>
+  </worldbody>
+  <actuator>{actuators}</actuator>
+  <sensor><jointactuatorfrc joint="a"/><jointactuatorfrc joint="c"/><jointactuatorfrc joint="d"/>
+  </sensor>
+</mujoco>
+"""
+DRIVEN = 'actuatorgravcomp="true"'
+MOTORS = '<motor joint="a" gear="2"/><position joint="c" kp="9" kv="1"/><motor joint="d"/>'
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize(
+    ("driven", "actuators", "flag"),
+    [
+        (DRIVEN, MOTORS, "enable"),
+        (DRIVEN, MOTORS, "disable"),
+        (DRIVEN, "", "enable"),
+        ("", MOTORS, "enable"),
+    ],
+)
+def test_joints_bound_the_weight_that_their_actuators_hold(integrator, driven, actuators, flag):
+    """Gravity compensation by actuators counts within actuatorfrcrange, and needs an actuator.
+
+    Forces on the dofs, sensors, acceleration and a step are MuJoCo's; a world in lanes has the
+    same bits.
+    """
+    text = HELD.format(driven=driven, actuators=actuators, flag=flag)
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.integrator = peers.INTEGRATORS[integrator]
+    data, sim = mujoco.MjData(model), sc.Sim(sc.loads(text), integrator=integrator)
+    batch = sc.Batch(sim.model, 3, integrator=integrator)
+    rng, beyond, within = np.random.default_rng(6), 0, 0
+    for _ in range(40):
+        draw(model, data, sim, rng)
+        for name in ("qpos", "qvel", "ctrl"):
+            getattr(batch, name)[:] = getattr(sim, name)
+        mujoco.mj_forward(model, data)
+        sim.forward()
+        np.testing.assert_allclose(sim.sensordata, data.sensordata, atol=1e-11)
+        if driven:
+            held = sum(
+                f for key, f in sim.element_forces().items() if key[0] == "gravity compensation"
+            )
+            held[-1] = 0.0  # joint d has it as a passive force
+            np.testing.assert_allclose(generalised(sim) + held, data.qfrc_actuator, atol=1e-11)
+        assert peers.apart(sim.qacc, data.qacc) < 1e-9
+        beyond += data.qfrc_actuator[0] in (-3, 2)
+        within += data.qfrc_actuator[0] not in (-3, 2, 0)
+        mujoco.mj_step(model, data)
+        sim.step()
+        batch.step()
+        assert peers.apart(sim.qvel, data.qvel) < 1e-9
+        assert np.array_equal(batch.qvel[1], sim.qvel)
+    assert not (driven and actuators and flag == "enable") or min(beyond, within) > 4
+
+
+@pytest.mark.parametrize("bound", [0.5, 4.0])
+def test_what_a_drive_withholds_of_a_weight_is_in_the_ledger(bound):
+    """A pendulum whose drive holds up its weight within bounds: the energy is accounted for."""
+    scene = sc.Scene()
+    arm = scene.add_body(
+        "arm", mass=1.0, inertia=(0.01, 0.01, 0.01), ipos=(0.3, 0, 0), gravcomp=1.0
+    )
+    fields = {"actuatorgravcomp": True, "actuatorfrcrange": (-bound, bound)}
+    scene.add_joint(arm, "hinge", name="j", axis=(0, 1, 0), **fields)
+    scene.add_actuator("j", "motor", ctrlrange=(-1, 1))
+    sim = sc.Sim(scene, integrator="rk4", dt=0.001, ledger=True)
+    sim.forward()
+    weight = 9.81 * 0.3
+    assert sim.element_forces()["gravity compensation", 1] == pytest.approx([-min(weight, bound)])
+    sim.step(200)
+    angle, speed = sim.qpos[0], sim.qvel[0]
+    if bound > weight:
+        assert (angle, speed) == (0, 0)
+        return
+    work = weight * np.sin(angle) - bound * angle
+    assert weight * np.cos(angle) > bound, "still beyond it"
+    assert 0.5 * (0.01 + 0.09) * speed**2 == pytest.approx(work, rel=1e-9)
 
 
 def test_groups_of_actuators_are_left_out():

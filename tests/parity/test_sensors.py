@@ -87,6 +87,7 @@ def all_sensors():
     yield from ('<ballquat joint="wrist"/>', '<ballangvel joint="wrist"/>')
     for kind in ["tendonpos", "tendonvel", "tendonlimitpos", "tendonlimitvel", "tendonlimitfrc"]:
         yield f'<{kind} tendon="rope"/>'
+    yield '<tendonactuatorfrc tendon="chain"/>'
     for actuator in ("lift", "slide"):
         for kind in ["actuatorpos", "actuatorvel", "actuatorfrc"]:
             yield f'<{kind} actuator="{actuator}"/>'
@@ -146,9 +147,10 @@ TEXT = """
   </worldbody>
   <tendon>
     <spatial name="rope" range="0 .75"><site site="eye"/><site site="hook"/></spatial>
+    <fixed name="chain"><joint joint="shoulder" coef="1"/></fixed>
   </tendon>
   <actuator>
-    <motor name="lift" joint="shoulder" gear="3"/>
+    <motor name="lift" tendon="chain" gear="3"/>
     <position name="slide" joint="slider" kp="30" kv="1"/>
   </actuator>
   <sensor>{sensors}</sensor>

@@ -33,6 +33,7 @@ sensor_types! {
     "jointvel" => JointVel,
     "tendonpos" => TendonPos,
     "tendonvel" => TendonVel,
+    "tendonactuatorfrc" => TendonActuatorFrc,
     "tendonlimitpos" => TendonLimitPos,
     "tendonlimitvel" => TendonLimitVel,
     "tendonlimitfrc" => TendonLimitFrc,

@@ -67,9 +67,12 @@ fn fits(scene: &Scene, sensor: &Sensor) -> std::result::Result<(), &'static str>
             "a hinge, a slide or a ball joint",
             is(one, &[ObjectType::Joint]) && !joint(&[JointType::Free]),
         ),
-        T::TendonPos | T::TendonVel | T::TendonLimitPos | T::TendonLimitVel | T::TendonLimitFrc => {
-            ("a tendon", is(one, &[ObjectType::Tendon]))
-        }
+        T::TendonPos
+        | T::TendonVel
+        | T::TendonActuatorFrc
+        | T::TendonLimitPos
+        | T::TendonLimitVel
+        | T::TendonLimitFrc => ("a tendon", is(one, &[ObjectType::Tendon])),
         T::ActuatorPos | T::ActuatorVel | T::ActuatorFrc => {
             ("an actuator", is(one, &[ObjectType::Actuator]))
         }

@@ -3,7 +3,7 @@
 use super::{index, Reading};
 use crate::elements::Kind;
 use crate::real::{Mask, Real};
-use crate::scene::{Sensor, SensorType};
+use crate::scene::{Sensor, SensorType, Target};
 use crate::solve::Row;
 use crate::transmission::Transmission;
 use crate::watch::element_forces;
@@ -35,6 +35,11 @@ impl<R: Real> Reading<'_, R> {
             }
             T::ActuatorFrc => out.push(self.sim.placed.actuator[index].lane(lane)),
             T::JointActuatorFrc => out.push(self.actuated(model.joints[index].dof)),
+            T::TendonActuatorFrc => {
+                let pulls = |k: &usize| model.actuators[*k].target == Target::Tendon(index);
+                let own = (0..model.actuators.len()).filter(pulls);
+                out.push(own.fold(0.0, |sum, k| sum + self.sim.placed.actuator[k].lane(lane)));
+            }
             T::TendonPos => out.push(self.sim.placed.tendon_length[index].lane(lane)),
             T::TendonVel => {
                 let along = Transmission::Tendon(index, 1.0);
@@ -55,10 +60,14 @@ impl<R: Real> Reading<'_, R> {
         }
     }
 
-    /// Force of all actuators on a dof.
+    /// Force of all actuators on a dof, with what holds up weight through them.
     fn actuated(&self, dof: usize) -> f64 {
-        let forces = element_forces(self.sim, self.lane);
-        let forces = forces.iter().filter(|(element, _)| element.kind == Kind::Actuator);
+        let (forces, model) = (element_forces(self.sim, self.lane), &self.sim.model);
+        let holds = model.joints[model.dofs[dof].joint].actuatorgravcomp;
+        let forces = forces.iter().filter(|(element, _)| match element.kind {
+            Kind::GravityCompensation => holds,
+            kind => kind == Kind::Actuator,
+        });
         forces.map(|(_, force)| force[dof]).sum()
     }
 

@@ -48,7 +48,7 @@ impl Sensor {
             T::Touch | T::JointPos | T::JointVel => 1,
             T::ActuatorPos | T::ActuatorVel | T::ActuatorFrc | T::JointActuatorFrc => 1,
             T::JointLimitPos | T::JointLimitVel | T::JointLimitFrc => 1,
-            T::TendonPos | T::TendonVel => 1,
+            T::TendonPos | T::TendonVel | T::TendonActuatorFrc => 1,
             T::TendonLimitPos | T::TendonLimitVel | T::TendonLimitFrc => 1,
             T::InsideSite | T::Distance => 1,
             T::PotentialEnergy | T::KineticEnergy | T::Clock => 1,
@@ -70,6 +70,7 @@ impl Sensor {
                 | T::JointLimitPos
                 | T::JointLimitVel
                 | T::JointLimitFrc
+                | T::TendonActuatorFrc
                 | T::TendonLimitPos
                 | T::TendonLimitVel
                 | T::TendonLimitFrc

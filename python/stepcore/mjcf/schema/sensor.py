@@ -21,8 +21,7 @@ SENSOR = spec(
         **_sensors("rangefinder", "site camera data"),
         **_sensors("jointpos jointvel jointactuatorfrc ballquat ballangvel", "joint!"),
         **_sensors("jointlimitpos jointlimitvel jointlimitfrc", "joint!"),
-        **_sensors("tendonpos tendonvel", "tendon!"),
-        **_sensors("tendonactuatorfrc", "tendon!", "senses"),
+        **_sensors("tendonpos tendonvel tendonactuatorfrc", "tendon!"),
         **_sensors("tendonlimitpos tendonlimitvel tendonlimitfrc", "tendon!"),
         **_sensors("actuatorpos actuatorvel actuatorfrc", "actuator!"),
         **_sensors(

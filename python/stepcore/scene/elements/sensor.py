@@ -18,7 +18,10 @@ AT_SITE = (
 OF_SCALAR_JOINT = ("jointpos", "jointvel", "jointactuatorfrc")
 OF_BALL = ("ballquat", "ballangvel")
 OF_LIMIT = ("jointlimitpos", "jointlimitvel", "jointlimitfrc")
-OF_TENDON = ("tendonpos", "tendonvel", "tendonlimitpos", "tendonlimitvel", "tendonlimitfrc")
+OF_TENDON = (
+    *("tendonpos", "tendonvel", "tendonactuatorfrc"),
+    *("tendonlimitpos", "tendonlimitvel", "tendonlimitfrc"),
+)
 OF_ACTUATOR = ("actuatorpos", "actuatorvel", "actuatorfrc")
 OF_FRAME = (
     *("framepos", "framequat", "framexaxis", "frameyaxis", "framezaxis"),
