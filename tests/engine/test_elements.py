@@ -101,8 +101,9 @@ def test_forces_of_a_kind_at_many_states_are_those_of_a_step(sim):
     rng = np.random.default_rng(2)
     qpos = sim.qpos + 0.01 * rng.normal(size=(2, 3, model.nq))
     qvel, ctrl = rng.normal(size=(2, 3, model.nv)), rng.normal(size=(2, 3, model.nu))
+    act = np.zeros((2, 3, model.na))
     forces = {
-        kind: model.element_force(kind, ctrl, qpos, qvel)
+        kind: model.element_force(kind, ctrl, act, qpos, qvel)
         for kind in ("spring", "damper", "actuator")
     }
     for at in np.ndindex(2, 3):
@@ -112,7 +113,7 @@ def test_forces_of_a_kind_at_many_states_are_those_of_a_step(sim):
         driven = (sim.actuator_force[:, None] * model.actuator_gear[:, :1]).sum()
         assert forces["actuator"][at] == pytest.approx([driven] + [0.0] * 6)
     with pytest.raises(ValueError, match="'limit': must be 'spring', 'damper' or 'actuator'"):
-        model.element_force("limit", ctrl, qpos, qvel)
+        model.element_force("limit", ctrl, act, qpos, qvel)
 
 
 def test_a_penalty_contact_tells_its_force():

@@ -171,7 +171,9 @@ def test_a_ball_creeps_out_of_a_gripper(cone):
     """Faster and faster, as the pads come onto its upper half, until it falls."""
     watch, findings = watched(sc.loads(GRIPPER.format(cone=cone, solref="0.02 1")))
     one = the(findings, "creep")
-    assert one.element == "contact `ball`/`left`" and 5e-3 < one.value < 5e-2
+    # Both pads hold it alike.
+    assert one.element in ("contact `ball`/`left`", "contact `ball`/`right`")
+    assert 5e-3 < one.value < 5e-2
     impratio = float(re.search(r'impratio="(\S+)"', one.text)[1])
     still = GRIPPER.format(cone="elliptic", solref="0.02 1")
     watch, findings = watched(sc.loads(still), impratio=impratio)

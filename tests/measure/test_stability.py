@@ -259,10 +259,10 @@ def test_text_data_and_picture(tmp_path):
     figure = found.plot(tmp_path / "map.png")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
     titles = [axes.get_title(loc="left") for axes in figure.axes]
-    assert titles[0] == "explicit (theory: grows at any dt)" and len(titles) == 6
+    assert titles[0] == "explicit (theory: grows at any dt)" and len(titles) == 9
     page = found.to_html(tmp_path / "map.html")
     assert page.count("<img") == 1 and "stiffness" in page
-    assert repr(found) == "<StabilityMap of spring: 36 cells in 6 panels>"
+    assert repr(found) == "<StabilityMap of spring: 48 cells in 8 panels>"
 
 
 def test_fills_are_told_apart_without_colour():

@@ -152,7 +152,7 @@ def test_a_horizon_that_cannot_end_is_refused_up_front():
     for measured in (sc.trade, sc.predictability):
         with pytest.raises(ValueError, match=said):
             measured(spring, horizon=1e9, progress=False)
-    with pytest.raises(ValueError, match=r"in 6 cells .* that is 1.2e\+12 steps"):
+    with pytest.raises(ValueError, match=r"in 8 cells .* that is 1.6e\+12 steps"):
         sc.stability_map(values=[10], dts=[0.01], horizon=2e9, progress=False)
 
 

@@ -11,6 +11,9 @@ from stepcore import loads
 from stepcore.mjcf.nodes import MJCFError
 from stepcore.mjcf.schema import ROOT
 
+# Values that matter are stiff ones too.
+pytestmark = pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
+
 
 def test_every_attribute_is_what_the_page_says() -> None:
     """After a change: python benches/mjcf_attributes.py."""

@@ -207,7 +207,7 @@ MISTAKES = {
     "bad eulerseq": ('<mujoco><compiler eulerseq="xyq"/></mujoco>', 1, "three letters"),
     "negative bound": ('<mujoco><compiler boundmass="-1"/></mujoco>', 1, ">= 0"),
     "too many keys": ('<mujoco><size nkey="999999999"/></mujoco>', 1, "nkey"),
-    "another root": ("<robot/>", 1, "not <mujoco>"),
+    "another root": ("<robt/>", 1, "not <mujoco>"),
     "not closed": ("<mujoco>\n<worldbody>", 2, "not well-formed"),
     "closed wrongly": ("<mujoco>\n<worldbody></mujoco>", 2, "mismatched tag"),
     "an attribute twice": (world('<geom size="1" size="2"/>'), 2, "duplicate attribute"),

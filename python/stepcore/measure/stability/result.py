@@ -70,7 +70,7 @@ class StabilityMap(Result):
 
     >>> from stepcore import stability_map
     >>> stability_map(values=[100.0], dts=[0.001, 0.5], progress=False)
-    <StabilityMap of spring: 12 cells in 6 panels>
+    <StabilityMap of spring: 16 cells in 8 panels>
     """
 
     kind = "stability"
