@@ -192,7 +192,12 @@ impl Broad {
                     for x in (if line { cell[0] } else { low[0] })..=high[0] {
                         let home = line && x == cell[0];
                         self.compare_with_cell(&bounds, self.hash(size, [x, y, z]), |other| {
-                            !home || other > at
+                            // Another cell of the same number holds this one too.
+                            if home {
+                                other > at
+                            } else {
+                                other != at
+                            }
                         });
                     }
                 }

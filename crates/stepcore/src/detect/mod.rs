@@ -2,10 +2,11 @@
 //!
 //! Candidate pairs were chosen when the model was compiled, or in a heap are found by a broad phase
 //! (`near.rs`, `broad.rs`); here each is tested
-//! by its bounding spheres, which a law on the guess fattens by the way of the step
-//! (`swept.rs`), and then exactly. Contacts come out in pair order,
+//! by its bounding spheres and boxes (`apart.rs`), which a law on the guess fattens by the way of the
+//! step (`swept.rs`), and then exactly. Contacts come out in pair order,
 //! whatever the lanes hold, so that row order never depends on anything else.
 
+mod apart;
 mod broad;
 pub(crate) mod frame;
 mod near;
@@ -25,10 +26,10 @@ use crate::model::{Model, Pair, NONE};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::room::room;
-use crate::scene::GeomType;
 use crate::settings::Settings;
 use crate::shapes::{self, Touch};
 use crate::spatial::{Pose, V3};
+use apart::far;
 use broad::Broad;
 pub(crate) use near::Lists;
 use swept::Swept;
@@ -192,33 +193,6 @@ pub(crate) fn distance(model: &Model, placed: &Placed<f64>, pair: &Pair) -> f64 
         }
     });
     least
-}
-
-/// No lane can have a contact: the bounding spheres are apart, by `more` than that where the law
-/// looks at the guess, and else by more than the distance at which contacts are listed.
-#[inline(always)]
-fn far<R: Real>(model: &Model, placed: &Placed<R>, pair: &Pair, more: Option<R>) -> bool {
-    let (g1, g2) = (&model.geoms[pair.geom1], &model.geoms[pair.geom2]);
-    let (p1, p2) = (&placed.geom[pair.geom1], &placed.geom[pair.geom2]);
-    let listed = || {
-        let material = model.material(pair);
-        material.margin + material.gap
-    };
-    let between = p2.pos - p1.pos;
-    if g1.kind == GeomType::Plane {
-        let height = between.x * p1.rot.m13 + between.y * p1.rot.m23 + between.z * p1.rot.m33;
-        let reach = more.map_or_else(|| R::of(g2.reach + listed()), |more| R::of(g2.reach) + more);
-        return height.gt(reach).all();
-    }
-    let reach = g1.reach + g2.reach;
-    let reach = match more {
-        None => R::of((reach + listed()) * (reach + listed())),
-        Some(more) => {
-            let reach = R::of(reach) + more;
-            reach * reach
-        }
-    };
-    between.dot(&between).gt(reach).all()
 }
 
 /// The exact test of one pair: `take(part, touch)` gets what is in each of its slots, if nearer than

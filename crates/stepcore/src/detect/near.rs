@@ -1,7 +1,8 @@
 //! The pairs of a heap: found where the boxes of two geoms overlap, in every detection anew.
 
+use super::apart::far;
 use super::broad::Bounds;
-use super::{far, meet, Detected};
+use super::{meet, Detected};
 use crate::model::{Heap, Model, Pair, Span};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
@@ -79,7 +80,7 @@ impl<R: Real> Detected<R> {
         broad.find(heap.solid.iter().map(|&geom| {
             let more = if on_guess { self.swept.geom(geom).lane(0) } else { heap.listed[geom] };
             let fixed = self.rests(model, geom);
-            Bounds { fixed, ..bounds(model, heap, placed, geom, more) }
+            Bounds { fixed, ..bounds(model, placed, geom, more) }
         }));
         self.broad = broad;
         self.near.clear();
@@ -120,20 +121,13 @@ impl<R: Real> Detected<R> {
 }
 
 /// The box that a geom stays in: its own, and `more` on each side.
-fn bounds<R: Real>(
-    model: &Model,
-    heap: &Heap,
-    placed: &Placed<R>,
-    index: usize,
-    more: f64,
-) -> Bounds {
+fn bounds<R: Real>(model: &Model, placed: &Placed<R>, index: usize, more: f64) -> Bounds {
     let (geom, pose) = (&model.geoms[index], &placed.geom[index]);
-    let half = heap.half[index];
     let centre = [pose.pos.x, pose.pos.y, pose.pos.z].map(|x| x.lane(0));
     let far = centre.iter().fold(geom.reach, |far, x| far.max(x.abs()));
     let more = more + ROUNDING * geom.reach + UNITS * R::EPSILON * far;
     let size: [f64; 3] = std::array::from_fn(|i| {
-        let along = |j: usize| pose.rot[(i, j)].lane(0).abs() * half[j];
+        let along = |j: usize| pose.rot[(i, j)].lane(0).abs() * geom.half[j];
         (along(0) + along(1) + along(2)).min(geom.reach) + more
     });
     Bounds {

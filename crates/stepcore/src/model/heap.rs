@@ -33,8 +33,6 @@ const KINDS: usize = 8;
 pub struct Heap {
     /// Geoms that may meet some other, ascending.
     pub solid: Vec<usize>,
-    /// By geom: half sizes of a box about its frame [m].
-    pub half: Vec<[f64; 3]>,
     /// By geom: its part of the distance below which contacts are listed [m].
     pub listed: Vec<f64>,
     /// By geom: its class; and by two classes their material.
@@ -80,7 +78,6 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose]) -> Result<()> {
     let tests = kinds.map(|one| kinds.map(|two| ShapeTest::of(one, two)));
     let mut heap = Heap {
         solid: vec![],
-        half: model.geoms.iter().map(half).collect(),
         listed: scene.geoms.iter().map(|geom| listed(scene, geom)).collect(),
         class,
         classes: heads.len(),
@@ -138,17 +135,6 @@ const KIND: [GeomType; KINDS] = [
 /// A geom's part of the distance below which contacts are listed [m].
 fn listed(scene: &Scene, geom: &Geom) -> f64 {
     geom.gap + scene.contact_override.as_ref().map_or(geom.margin, |by| 0.5 * by.margin)
-}
-
-fn half(geom: &super::Geom) -> [f64; 3] {
-    let [a, b, c] = geom.size;
-    match geom.kind {
-        GeomType::Sphere => [a; 3],
-        GeomType::Capsule => [a, a, a + b],
-        GeomType::Cylinder => [a, a, b],
-        GeomType::Ellipsoid | GeomType::Box => [a, b, c],
-        GeomType::Plane | GeomType::HField | GeomType::Mesh => [geom.reach; 3],
-    }
 }
 
 /// Geoms that share a bit with a geom of another body; every two kinds that can meet have a test.

@@ -192,6 +192,8 @@ pub struct Geom {
     pub quat: [f64; 4],
     /// Radius of the sphere about `pos` that holds the shape; infinite for a plane.
     pub reach: f64,
+    /// Half sizes of the box about its frame that holds it [m]; infinite for a plane.
+    pub half: [f64; 3],
     /// As in the scene.
     pub contype: u32,
     pub conaffinity: u32,

@@ -245,6 +245,7 @@ fn geom(source: &crate::scene::Geom, asset: &Asset) -> Geom {
         pos: Vector3::from(source.pos),
         quat: unit_quat(source.quat),
         reach: asset.hull.as_ref().map_or(reach, |hull| hull.reach()),
+        half: half(source, asset, reach),
         hull: asset.hull.clone(),
         field: asset.field.clone(),
         surface: asset.surface.clone(),
@@ -253,6 +254,19 @@ fn geom(source: &crate::scene::Geom, asset: &Asset) -> Geom {
         contype: source.contype,
         conaffinity: source.conaffinity,
         collides: false,
+    }
+}
+
+/// Half sizes of the box about a geom's frame that holds it [m].
+fn half(source: &crate::scene::Geom, asset: &Asset, reach: f64) -> [f64; 3] {
+    let [a, b, c] = source.size;
+    match (source.kind, &asset.hull) {
+        (_, Some(hull)) => hull.half(),
+        (GeomType::Sphere, _) => [a; 3],
+        (GeomType::Capsule, _) => [a, a, a + b],
+        (GeomType::Cylinder, _) => [a, a, b],
+        (GeomType::Ellipsoid | GeomType::Box, _) => [a, b, c],
+        (GeomType::Plane | GeomType::HField | GeomType::Mesh, _) => [reach; 3],
     }
 }
 

@@ -14,25 +14,29 @@ use crate::scene::GeomType;
 pub struct Convex {
     pub one: GeomType,
     pub two: GeomType,
+    /// Shapes that are this far apart [m] have no contact.
+    pub within: f64,
 }
 
-impl Convex {
-    /// The most contacts: a round shape touches at one place, a capsule along its side at two.
-    pub fn most(self) -> usize {
-        let either = |kind| self.one == kind || self.two == kind;
-        if either(GeomType::Sphere) || either(GeomType::Ellipsoid) {
-            1
-        } else if either(GeomType::Capsule) {
-            2
-        } else {
-            MOST
-        }
+/// The most contacts: a round shape touches at one place, a capsule along its side at two.
+pub fn most(one: GeomType, two: GeomType) -> usize {
+    let either = |kind| one == kind || two == kind;
+    if either(GeomType::Sphere) || either(GeomType::Ellipsoid) {
+        1
+    } else if either(GeomType::Capsule) {
+        2
+    } else {
+        MOST
     }
 }
 
 impl<const N: usize> OneWorld<N> for Convex {
     fn touches<R: Real>(&self, one: &Shape<R>, two: &Shape<R>) -> Touches<R, N> {
-        touches(&solid(self.one, one), &solid(self.two, two))
+        let (one, two) = (solid(self.one, one), solid(self.two, two));
+        match meeting(&one, &two, self.within) {
+            Some(found) => contacts(&one, &two, &found),
+            None => [empty(); N],
+        }
     }
 }
 
@@ -53,21 +57,17 @@ pub fn solid<'a, R: Real>(kind: GeomType, shape: &Shape<'a, R>) -> Solid<'a, R> 
 /// Operations of one support function, for numbers that count.
 const SUPPORT: u64 = 40;
 
-/// How far two convex shapes are apart, and along which direction.
-pub fn meeting<R: Real>(one: &Solid<R>, two: &Solid<R>) -> Separation {
+/// How far two convex shapes are apart, and along which direction; None if they are proven `within`
+/// [m] apart.
+pub fn meeting<R: Real>(one: &Solid<R>, two: &Solid<R>, within: f64) -> Option<Separation> {
     let (p, q) = (plain(one.pose), plain(two.pose));
     let pairing = Pairing::new(
         Solid { core: one.core, radius: one.radius, pose: &p },
         Solid { core: two.core, radius: two.radius, pose: &q },
     );
-    let separation = pairing.separation();
+    let separation = pairing.separation(within);
     spend::<R>(pairing.asked() * SUPPORT);
     separation
-}
-
-/// The contacts of two convex shapes.
-pub fn touches<R: Real, const N: usize>(one: &Solid<R>, two: &Solid<R>) -> Touches<R, N> {
-    contacts(one, two, &meeting(one, two))
 }
 
 /// The contacts of two convex shapes along a direction.

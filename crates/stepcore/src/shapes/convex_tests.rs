@@ -54,7 +54,16 @@ impl Random {
 }
 
 fn touch<R: Real>(kinds: (GeomType, GeomType), one: &Shape<R>, two: &Shape<R>) -> Touches<R, 8> {
-    by_lane(&Convex { one: kinds.0, two: kinds.1 }, one, two)
+    touch_within(kinds, f64::INFINITY, one, two)
+}
+
+fn touch_within<R: Real>(
+    (a, b): (GeomType, GeomType),
+    within: f64,
+    one: &Shape<R>,
+    two: &Shape<R>,
+) -> Touches<R, 8> {
+    by_lane(&Convex { one: a, two: b, within }, one, two)
 }
 
 fn deepest(touches: &[Touch<f64>]) -> Touch<f64> {
@@ -230,6 +239,33 @@ fn the_other_order_and_a_shift_show_the_same() {
         }
         assert!((ours.dist - deepest(&case.touches()).dist).abs() < 1e-13);
     }
+}
+
+#[test]
+fn looking_for_near_contacts_alone_finds_the_same_ones() {
+    let (mut near, mut none) = (0, 0);
+    for case in cases(2.0, 100) {
+        let all = case.touches();
+        let [p, q] = &case.poses;
+        for within in [-0.1, 0.0, 0.2] {
+            let (one, two) = (case.shape(0, p), case.shape(1, q));
+            let found = touch_within(case.kinds, within, &one, &two);
+            if !found[0].exists {
+                none += 1;
+                assert!(all.iter().all(|t| !t.exists || t.dist >= within), "{:?}", case.kinds);
+                continue;
+            }
+            near += 1;
+            for (t, u) in found.iter().zip(&all) {
+                assert_eq!(t.exists, u.exists);
+                assert_eq!(
+                    (t.dist, t.pos, t.normal, t.feature),
+                    (u.dist, u.pos, u.normal, u.feature)
+                );
+            }
+        }
+    }
+    assert!(near > 500 && none > 1000, "{near} {none}");
 }
 
 #[test]

@@ -2,7 +2,8 @@
 //!
 //! The set is known by its support function. A simplex of at most four of its points walks towards
 //! the origin: its nearest point v is found, what is not needed for v is dropped, and the set's
-//! furthest point along −v joins. |v| is never less than the distance, v·w/|v| never more.
+//! furthest point along −v joins. |v| is never less than the distance, v·w/|v| never more: once that
+//! is as much as a caller wants to know, the walk ends.
 
 use crate::spatial::V3;
 
@@ -15,6 +16,8 @@ pub struct Nearest {
     pub count: usize,
     /// The origin is inside or so near that the direction means nothing.
     pub inside: bool,
+    /// The distance is more than was `enough`; nothing else of it is known.
+    pub beyond: bool,
     /// How often the support function was asked.
     pub asked: usize,
 }
@@ -23,16 +26,26 @@ const MOST: usize = 64;
 /// Squared distance over squared size below which a direction means nothing.
 const TOUCHING: f64 = 1e-20;
 
-/// `gap`: the relative error of the distance at which the walk may end.
-pub fn gjk(support: impl Fn(&V3<f64>) -> V3<f64>, toward: V3<f64>, gap: f64) -> Nearest {
+/// `gap`: the relative error of the distance at which the walk may end. `enough`: a distance (not
+/// negative) beyond which it may end too.
+pub fn gjk(
+    support: impl Fn(&V3<f64>) -> V3<f64>,
+    toward: V3<f64>,
+    gap: f64,
+    enough: f64,
+) -> Nearest {
     let first = support(&-toward);
     let mut at = Nearest {
         point: first,
         simplex: [first, V3::zeros(), V3::zeros(), V3::zeros()],
         count: 1,
         inside: false,
+        beyond: beyond(&first, &toward, enough),
         asked: 1,
     };
+    if at.beyond {
+        return at;
+    }
     let mut size = first.dot(&first);
     let mut length = size;
     while at.asked < MOST {
@@ -42,6 +55,10 @@ pub fn gjk(support: impl Fn(&V3<f64>) -> V3<f64>, toward: V3<f64>, gap: f64) -> 
         }
         let w = support(&-at.point);
         at.asked += 1;
+        if beyond(&w, &at.point, enough) {
+            at.beyond = true;
+            return at;
+        }
         size = size.max(w.dot(&w));
         let known = at.simplex[..at.count].contains(&w);
         if known || length - at.point.dot(&w) <= gap * length {
@@ -62,6 +79,13 @@ pub fn gjk(support: impl Fn(&V3<f64>) -> V3<f64>, toward: V3<f64>, gap: f64) -> 
         (at.point, at.simplex, at.count, length) = (point, simplex, count, shorter);
     }
     at
+}
+
+/// The plane across a direction through the set's furthest point w against it is further than
+/// `enough` from the origin.
+fn beyond(w: &V3<f64>, along: &V3<f64>, enough: f64) -> bool {
+    let reach = w.dot(along);
+    reach > 0.0 && reach * reach > enough * enough * along.dot(along)
 }
 
 type Reduced = (V3<f64>, [V3<f64>; 4], usize);

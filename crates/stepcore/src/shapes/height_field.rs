@@ -222,7 +222,8 @@ fn on_prism<R: Real>(
     list: &mut List<R>,
 ) {
     let ground = Solid { core: Core::Prism(&prism.corners), radius: 0.0, pose };
-    let separation = meeting(&ground, shape);
+    // Which contacts of a field are kept depends on all of them, near or far.
+    let Some(separation) = meeting(&ground, shape, f64::INFINITY) else { return };
     let way = plain(pose).to_local(&separation.normal);
     let tolerance = SAME * (shape.extent() + prism_size(prism));
     let found = if field.leads_out(prism, &way, centre, tolerance) {

@@ -159,6 +159,12 @@ impl Hull {
         self
     }
 
+    /// Half sizes of the box about the origin that holds it [m].
+    pub fn half(&self) -> [f64; 3] {
+        let most = |k: usize| self.vertices.iter().fold(0.0, |most: f64, v| most.max(v[k].abs()));
+        [0, 1, 2].map(most)
+    }
+
     /// Distance of the furthest vertex from the origin [m].
     pub fn reach(&self) -> f64 {
         self.reach

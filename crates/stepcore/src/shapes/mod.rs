@@ -95,7 +95,8 @@ pub fn meet<R: Real>(
         ShapeTest::PlaneCylinder => all(&plane::plane_cylinder(p1, p2, s2.x, s2.y)),
         ShapeTest::PlaneBox => all(&plane::plane_box(p1, p2, s2)),
         ShapeTest::PlaneMesh => {
-            all(&by_lane::<R, _, { plane_mesh::MOST }>(&plane_mesh::PlaneMesh, one, two));
+            let test = plane_mesh::PlaneMesh { within };
+            all(&by_lane::<R, _, { plane_mesh::MOST }>(&test, one, two));
         }
         ShapeTest::SphereSphere => all(&sphere::sphere_sphere(p1, s1.x, p2, s2.x)),
         ShapeTest::SphereCapsule => all(&sphere::sphere_capsule(p1, s1.x, p2, s2.x, s2.y)),
@@ -109,8 +110,8 @@ pub fn meet<R: Real>(
         ShapeTest::CapsuleBox => all(&by_lane(&capsule_box::CapsuleBox, one, two)),
         ShapeTest::BoxBox => all(&by_lane(&boxes::Boxes { within }, one, two)),
         ShapeTest::Convex(a, b) => {
-            let test = Convex { one: a, two: b };
-            match test.most() {
+            let test = Convex { one: a, two: b, within };
+            match convex::most(a, b) {
                 1 => all(&by_lane::<R, _, 1>(&test, one, two)),
                 2 => all(&by_lane::<R, _, 2>(&test, one, two)),
                 _ => all(&by_lane::<R, _, 8>(&test, one, two)),

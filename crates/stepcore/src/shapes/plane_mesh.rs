@@ -19,8 +19,14 @@ const ROOM: usize = 256;
 /// Over the hull's size: vertices no higher than this above the lowest lie on its base.
 const LEVEL: f64 = 1e-5;
 
-/// The test of a plane (`one`) and a mesh.
-pub struct PlaneMesh;
+/// Over the hull's size: by how much more than a distance a hull is apart for sure, whatever rounding
+/// does to its contacts.
+const SURE: f64 = 1e-6;
+
+/// The test of a plane (`one`) and a mesh; contacts at this distance or farther [m] need not be told.
+pub struct PlaneMesh {
+    pub within: f64,
+}
 
 impl OneWorld<MOST> for PlaneMesh {
     fn touches<R: Real>(&self, one: &Shape<R>, two: &Shape<R>) -> Touches<R, MOST> {
@@ -31,8 +37,13 @@ impl OneWorld<MOST> for PlaneMesh {
         let own = mesh.rot.transpose() * normal;
         let up = V3::new(own.x.lane(0), own.y.lane(0), own.z.lane(0));
         let size = two.size.iter().fold(0.0, |a: f64, b| a.max(*b));
-        let (chosen, count) = polygon(hull, &up, centre.lane(0), LEVEL * size);
         let mut touches = [empty(); MOST];
+        let lowest = hull.support(&-up);
+        let least = centre.lane(0) + up.dot(&hull.vertices[lowest]);
+        if least > self.within + SURE * hull.reach() {
+            return touches;
+        }
+        let (chosen, count) = polygon(hull, lowest, &up, centre.lane(0), LEVEL * size);
         for (touch, &vertex) in touches.iter_mut().zip(&chosen[..count]) {
             let at = mesh.rot * hull.vertices[vertex].map(R::of);
             let dist = centre + normal.dot(&at);
@@ -50,9 +61,14 @@ impl OneWorld<MOST> for PlaneMesh {
 
 /// The vertices that are contacts, ascending, and how many: `up` is the plane's normal in the
 /// hull's frame, `centre` the height of that frame.
-fn polygon(hull: &Hull, up: &V3<f64>, centre: f64, level: f64) -> ([usize; MOST], usize) {
+fn polygon(
+    hull: &Hull,
+    lowest: usize,
+    up: &V3<f64>,
+    centre: f64,
+    level: f64,
+) -> ([usize; MOST], usize) {
     let height = |vertex: usize| centre + up.dot(&hull.vertices[vertex]);
-    let lowest = hull.support(&-up);
     let limit = (height(lowest) + level).max(0.0);
     let mut list = List { vertices: [lowest; ROOM], count: 1 };
     let below = || (0..hull.vertices.len()).filter(|vertex| height(*vertex) <= limit);
@@ -134,7 +150,11 @@ mod tests {
         let shape = |pose, size, hull| Shape { pose, size, hull, field: None };
         let one = shape(&plane, &[0.0; 3], None);
         let two = shape(mesh, &[0.5, 0.5, 0.5], Some(hull));
-        PlaneMesh.touches(&one, &two).into_iter().filter(|touch| touch.exists).collect()
+        PlaneMesh { within: f64::INFINITY }
+            .touches(&one, &two)
+            .into_iter()
+            .filter(|touch| touch.exists)
+            .collect()
     }
 
     fn prism(n: usize) -> Hull {
@@ -174,6 +194,18 @@ mod tests {
                 let (x, y) = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)][quarter];
                 assert!(touches.iter().any(|t| t.pos.x * x > -0.1 && t.pos.y * y > -0.1));
             }
+        }
+    }
+
+    #[test]
+    fn a_mesh_that_is_far_tells_nothing() {
+        let (hull, plane) = (prism(60), crate::shapes::trial::at(0.0, 0.0, 0.0));
+        for (height, there) in [(0.5, true), (0.61, false)] {
+            let mesh = crate::shapes::trial::at(0.0, 0.0, height);
+            let shape = |pose, hull| Shape { pose, size: &[0.5; 3], hull, field: None };
+            let (one, two) = (shape(&plane, None), shape(&mesh, Some(&hull)));
+            let touches = PlaneMesh { within: 0.4 }.touches(&one, &two);
+            assert_eq!(touches.iter().any(|touch| touch.exists), there);
         }
     }
 

@@ -59,6 +59,9 @@ const NEAR_ROUGH: f64 = 0.3;
 const NEAR_AGAIN: f64 = 0.1;
 /// Over the size of the pair: a gain that is only rounding.
 const ROUNDING: f64 = 1e-14;
+/// Over the size of the pair: by how much more than a distance shapes are apart for sure, whatever
+/// rounding does to their contacts.
+const SURE: f64 = 1e-6;
 /// Rounds of the search, and of Newton's method.
 const ROUNDS: usize = 90;
 const STEPS: usize = 30;
@@ -95,26 +98,36 @@ impl<'a> Pairing<'a> {
         normal.dot(&self.furthest(&-normal))
     }
 
-    pub fn separation(&self) -> Separation {
+    /// None of shapes that are proven `within` [m] apart: no contact of theirs is nearer.
+    pub fn separation(&self, within: f64) -> Option<Separation> {
+        let enough = within + self.one.radius + self.two.radius + SURE * self.size;
+        self.search(enough.max(0.0))
+    }
+
+    /// None of cores that are proven `enough` apart.
+    fn search(&self, enough: f64) -> Option<Separation> {
         let some = self.between.dot(&self.between) > 0.0;
         let toward = if some { self.between } else { V3::x() };
         let support = |way: &V3<f64>| self.furthest(way);
         let gaps: &[f64] = if self.smooth { &[1e-5, 1e-12] } else { &[1e-15] };
         for gap in gaps {
-            let nearest = gjk(support, toward, *gap);
+            let nearest = gjk(support, toward, *gap, enough);
+            if nearest.beyond {
+                return None;
+            }
             if nearest.inside {
-                return self.overlap(&nearest.simplex[..nearest.count]);
+                return Some(self.overlap(&nearest.simplex[..nearest.count]));
             }
             let length = nearest.point.dot(&nearest.point).sqrt();
             let found = self.refine(&(nearest.point * (1.0 / length)));
             if found.apart >= length * (1.0 - 1e-4) {
-                return found;
+                return Some(found);
             }
             if found.apart <= 0.0 {
-                return self.overlap(&nearest.simplex[..nearest.count]);
+                return Some(self.overlap(&nearest.simplex[..nearest.count]));
             }
         }
-        self.overlap(&[])
+        Some(self.overlap(&[]))
     }
 
     /// The shortest way out, from a simplex that may hold the origin.

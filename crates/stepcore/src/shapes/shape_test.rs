@@ -1,7 +1,7 @@
 //! Which exact test a pair of shapes has, chosen when a model is compiled.
 
 use super::boxes;
-use super::convex::Convex;
+use super::convex;
 use super::{height_field, plane_mesh};
 use crate::scene::GeomType;
 
@@ -95,7 +95,7 @@ impl ShapeTest {
             | Self::SphereCylinder => 1,
             Self::PlaneCapsule | Self::CapsuleCapsule | Self::CapsuleBox => 2,
             Self::PlaneMesh => plane_mesh::MOST,
-            Self::Convex(one, two) => Convex { one, two }.most(),
+            Self::Convex(one, two) => convex::most(one, two),
             Self::PlaneCylinder | Self::PlaneBox => 4,
             Self::BoxBox => boxes::MOST,
             Self::OnField(_) => height_field::MOST,
