@@ -4,9 +4,10 @@
 //! D is joint damping, and under `implicitfast` that of every element: the velocity feedback of
 //! servos too, but for those whose force is at its bound. Of what an element couples, D has the
 //! entries that M has, a dof and its ancestors, and is made symmetric, (D + Dᵀ)/2: MuJoCo's. What a
-//! length couples across branches or trees stays explicit. `implicitfast` re-solves the 6×6 block of a free body on its
-//! own with the derivative B of its bias force: with body axes, R the rotation,
-//! m the mass, c the centre, I the inertia about the joint and w the angular velocity,
+//! length couples across branches or trees stays explicit. `implicitfast` re-solves the 6×6 block of
+//! a free body on its own with its D as it is, and with the derivative B of its bias force: with body
+//! axes, R the rotation, m the mass, c the centre, I the inertia about the joint and w the angular
+//! velocity,
 //!
 //! ```text
 //! B[lin, ang] = −m R ([w×c]× + [w]×[c]×)      B[ang, ang] = [w]× I − [I w]×
@@ -37,11 +38,13 @@ pub struct Damped<R: Real> {
     late: Vec<[bool; 2]>,
     /// Single free bodies whose bias has a derivative.
     gyroscopic: Vec<usize>,
+    /// M + dt·D of each of them.
+    blocks: Vec<[[R; 6]; 6]>,
     /// Those of them that no element couples to another tree.
     gyroscopic_alone: Vec<usize>,
 }
 
-room!(Damped<R>: places, impulse, change, slopes, damped, damped_fast, late, gyroscopic, gyroscopic_alone; metric);
+room!(Damped<R>: places, impulse, change, slopes, damped, damped_fast, late, gyroscopic, blocks, gyroscopic_alone; metric);
 
 impl<R: Real> Damped<R> {
     pub fn new(model: &Model, integrator: Integrator) -> Self {
@@ -66,6 +69,7 @@ impl<R: Real> Damped<R> {
             slopes: vec![[R::zero(); 2]; model.nv],
             damped: has(&|tree| damped[tree]),
             damped_fast: has(&|tree| by_any[tree] && !spins[tree]),
+            blocks: vec![[[R::zero(); 6]; 6]; has(&|tree| spins[tree]).len()],
             gyroscopic: has(&|tree| spins[tree]),
             gyroscopic_alone: has(&|tree| spins[tree] && !coupled[tree]),
         }
@@ -108,15 +112,27 @@ impl<R: Real> Damped<R> {
         }
         solved.impulse(&mut self.impulse);
         self.change.copy_from_slice(&self.impulse);
-        for &tree in trees.iter().chain(gyroscopic) {
+        for &tree in trees {
             for k in model.trees[tree].dofs.range() {
                 let row = model.dofs[k].row;
                 self.metric.l[row.range()].copy_from_slice(&placed.mass[row.range()]);
             }
         }
-        let (late, l) = (&self.late, &mut self.metric.l);
+        let mass = |i, j| model.entry(i, j).map_or(R::zero(), |at| placed.mass[at]);
+        for (block, &tree) in self.blocks.iter_mut().zip(gyroscopic) {
+            *block = free_block(model.trees[tree].dofs.start, mass);
+        }
+        let (late, l, blocks) = (&self.late, &mut self.metric.l, &mut self.blocks);
         damping(now, if fast { Late::All } else { Late::Joints }, |i, j, damping| {
-            if !late[model.dofs[i].tree][usize::from(fast)] {
+            let tree = model.dofs[i].tree;
+            if !late[tree][usize::from(fast)] {
+                return;
+            }
+            if let Ok(at) = gyroscopic.binary_search(&tree) {
+                let first = model.trees[tree].dofs.start;
+                if model.dofs[j].tree == tree {
+                    blocks[at][i - first][j - first] += dt * damping;
+                }
                 return;
             }
             if i == j {
@@ -133,9 +149,8 @@ impl<R: Real> Damped<R> {
                 out[k] = qvel[k] + self.change[k];
             }
         }
-        for &tree in gyroscopic {
-            let l = &self.metric.l;
-            self.spin(solved, tree, |i, j| model.entry(i, j).map_or(R::zero(), |at| l[at]), out);
+        for (block, &tree) in self.blocks.iter().zip(gyroscopic) {
+            self.spin(solved, tree, *block, out);
         }
     }
 
@@ -147,21 +162,17 @@ impl<R: Real> Damped<R> {
             solved.impulse(&mut self.impulse);
         }
         for &tree in &self.gyroscopic_alone {
-            self.spin(solved, tree, |i, j| effective.entry(&solved.placed.metric, i, j), out);
+            let first = solved.now.model.trees[tree].dofs.start;
+            let entry = |i, j| effective.entry(&solved.placed.metric, i, j);
+            self.spin(solved, tree, free_block(first, entry), out);
         }
     }
 
-    /// v⁺ = v + (A + dt·B)⁻¹ P of one free body, A given by its entries.
-    fn spin(
-        &self,
-        solved: &Solved<R>,
-        tree: usize,
-        entry: impl Fn(usize, usize) -> R,
-        out: &mut [R],
-    ) {
+    /// v⁺ = v + (A + dt·B)⁻¹ P of one free body.
+    fn spin(&self, solved: &Solved<R>, tree: usize, mut matrix: [[R; 6]; 6], out: &mut [R]) {
         let &Solved { ref now, placed, dt, .. } = solved;
         let first = now.model.trees[tree].dofs.start;
-        let mut matrix = placed.free_body_matrix(now.model, tree, now.qvel, entry, dt);
+        placed.add_gyroscopic(now.model, tree, now.qvel, dt, &mut matrix);
         let mut x = [R::zero(); 6];
         x.copy_from_slice(&self.impulse[first..first + 6]);
         solve_six(&mut matrix, &mut x);
@@ -172,24 +183,16 @@ impl<R: Real> Damped<R> {
 }
 
 impl<R: Real> Placed<R> {
-    /// A + dt·B of a single free body, A given by its entries.
-    fn free_body_matrix(
+    /// Adds dt·B of a single free body.
+    fn add_gyroscopic(
         &self,
         model: &Model,
         tree: usize,
         qvel: &[R],
-        entry: impl Fn(usize, usize) -> R,
         dt: R,
-    ) -> [[R; 6]; 6] {
+        matrix: &mut [[R; 6]; 6],
+    ) {
         let (first, root) = (model.trees[tree].dofs.start, model.trees[tree].bodies.start);
-        let mut matrix = [[R::zero(); 6]; 6];
-        for i in 0..6 {
-            for j in 0..=i {
-                let entry = entry(first + i, first + j);
-                matrix[i][j] = entry;
-                matrix[j][i] = entry;
-            }
-        }
         let turn = &self.xmat[root];
         let whole = &self.composite[root];
         let w = V3::new(qvel[first + 3], qvel[first + 4], qvel[first + 5]);
@@ -207,8 +210,20 @@ impl<R: Real> Placed<R> {
                 matrix[3 + i][3 + j] += dt * angular[(i, j)];
             }
         }
-        matrix
     }
+}
+
+/// The block of a free body in a symmetric matrix, given by its entries (i, j ≤ i).
+fn free_block<R: Real>(first: usize, entry: impl Fn(usize, usize) -> R) -> [[R; 6]; 6] {
+    let mut block = [[R::zero(); 6]; 6];
+    for i in 0..6 {
+        for j in 0..=i {
+            let entry = entry(first + i, first + j);
+            block[i][j] = entry;
+            block[j][i] = entry;
+        }
+    }
+    block
 }
 
 /// The matrix of v × ·.

@@ -5,7 +5,7 @@ use super::Model;
 use crate::scene::Scene;
 
 /// With the inertia m = 1/invweight that a joint moves at the initial configuration (the mean of a free
-/// joint's six), stiffness m/(τ ζ)² and damping 2 m/τ in place of those given.
+/// joint's six), stiffness m/(τ ζ)² and damping 2 m/τ in place of its own.
 pub fn fill(scene: &Scene, model: &mut Model) {
     for (index, source) in scene.joints.iter().enumerate() {
         let [constant, ratio] = source.springdamper;
@@ -20,7 +20,9 @@ pub fn fill(scene: &Scene, model: &mut Model) {
             joint.stiffness[0] = inertia / (constant * constant * ratio * ratio);
         }
         if scene.features.damper {
-            joint.damping[0] = 2.0 * inertia / constant;
+            // That of actuators on it, which is in the sum already, stays.
+            let of_actuators = joint.damping[0] - source.damping[0];
+            joint.damping[0] = of_actuators + 2.0 * inertia / constant;
         }
     }
 }

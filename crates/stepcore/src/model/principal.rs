@@ -5,9 +5,6 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Relative to the trace: an element that is rounding, moments that are the same.
 const ROUNDING: f64 = 1e-12;
-/// One minus the cosine of a turn that is none: the axes are right to 1.4e-6 rad, the moments to
-/// 1e-12. It stops where MuJoCo stops, so that frames agree.
-const NO_TURN: f64 = 1e-12;
 /// Turns after which the iteration ends in any case; three or four sweeps of three are enough.
 const MOST: usize = 500;
 
@@ -37,10 +34,8 @@ pub fn axes(matrix: &Matrix3<f64>) -> [f64; 4] {
         let tau = (own[(j, j)] - own[(i, i)]) / (2.0 * own[(i, j)]);
         let root = 1.0 / (tau.abs() + (1.0 + tau * tau).sqrt());
         let cos = 1.0 / (1.0 + root * root).sqrt();
-        if 1.0 - cos < NO_TURN {
-            break;
-        }
-        let half = (0.5 - 0.5 * cos).sqrt();
+        // sin of half the angle; 1 − cos would lose the digits of a small one.
+        let half = root * cos / (2.0 * (0.5 + 0.5 * cos).sqrt());
         // A positive turn about y takes z to x, not x to z.
         let positive = (tau < 0.0) != (k == 1);
         let mut turn = [(1.0 - half * half).sqrt(), 0.0, 0.0, 0.0];
@@ -97,7 +92,7 @@ mod tests {
             let own = seen_from(axes(&matrix), &matrix);
             let trace = matrix.trace();
             for (i, j) in [(0, 1), (0, 2), (1, 2)] {
-                assert!(own[(i, j)].abs() < 2e-6 * trace);
+                assert!(own[(i, j)].abs() < 2e-12 * trace);
             }
             assert!(own[(0, 0)] >= own[(1, 1)] - 1e-11 * trace);
             assert!(own[(1, 1)] >= own[(2, 2)] - 1e-11 * trace);

@@ -7,7 +7,7 @@
 use super::wrap::{wrap, Obstacle};
 use super::Placed;
 use crate::model::{Course, Model, Point, Round, Stretch, Tendon};
-use crate::real::Real;
+use crate::real::{Mask, Real};
 use crate::spatial::{rotate, splat, Force, Pose, Quat, V3};
 
 /// Points of bodies at which a stretch pulls: at both ends, and where it comes to its geom and
@@ -16,6 +16,8 @@ struct Pull<R: Real> {
     ends: [(V3<R>, V3<R>); 2],
     geom: [(V3<R>, V3<R>); 2],
     length: R,
+    /// It lies on its geom.
+    bent: R::Mask,
 }
 
 impl<R: Real> Placed<R> {
@@ -91,6 +93,11 @@ impl<R: Real> Placed<R> {
             if second {
                 feel(&pull.ends[1]);
             }
+            if first && second {
+                // Both ends of a straight line move as one: what is left are roundings, and a row
+                // of roundings alone has any force.
+                arm = R::select(pull.bent, arm, R::zero());
+            }
             self.tendon_arms[tendon.arms.start + mover.at] += share * arm;
         }
         share * pull.length
@@ -116,6 +123,7 @@ impl<R: Real> Placed<R> {
             ],
             geom: [(one, pick(&before.ends[1].1, &zero)), (two, pick(&after.ends[0].1, &zero))],
             length: R::select(on, whole, free.length),
+            bent: on,
         }
     }
 
@@ -133,5 +141,6 @@ fn straight<R: Real>([a, b]: [V3<R>; 2]) -> Pull<R> {
     let length = apart.dot(&apart).sqrt();
     let along = apart * length.recip_or_zero();
     let none = (V3::zeros(), V3::zeros());
-    Pull { ends: [(a, -along), (b, along)], geom: [none, none], length }
+    let bent = R::Mask::of(false);
+    Pull { ends: [(a, -along), (b, along)], geom: [none, none], length, bent }
 }

@@ -155,7 +155,10 @@ impl<'a, R: Real> Reading<'a, R> {
                 out.extend(self.bodies.subtree_momentum(self.model(), sensor).0.iter())
             }
             T::Clock => out.push(self.sim.time()),
-            T::PotentialEnergy => out.push(self.sim.energy().potential.lane(self.lane)),
+            T::PotentialEnergy => {
+                let potential = self.sim.potential_of_springs_and_weight();
+                out.push(potential.lane(self.lane));
+            }
             T::KineticEnergy => out.push(self.sim.energy().kinetic.lane(self.lane)),
             _ => self.of_joint(sensor, out),
         }

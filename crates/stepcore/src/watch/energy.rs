@@ -3,6 +3,7 @@
 use crate::detect::Contact;
 use crate::elements::force::Group;
 use crate::elements::forces::stored;
+use crate::elements::{Element, Kind};
 use crate::real::Real;
 use crate::sim::{At, Sim};
 use crate::spatial::{Force, V3};
@@ -25,6 +26,22 @@ impl<R: Real> Sim<R> {
         stored(&now, Group::Passive, |_, energy| potential += energy);
         stored(&now, Group::Weight, |_, energy| potential += energy);
         Energy { kinetic, potential }
+    }
+
+    /// What springs and weight hold [J]: the potential without that of gravity compensation, which
+    /// MuJoCo's sensor leaves out.
+    pub(crate) fn potential_of_springs_and_weight(&mut self) -> R {
+        self.refresh();
+        let now = self.moment(At::State);
+        let mut potential = R::zero();
+        let mut add = |element: Element, energy| {
+            if element.kind != Kind::GravityCompensation {
+                potential += energy;
+            }
+        };
+        stored(&now, Group::Passive, &mut add);
+        stored(&now, Group::Weight, &mut add);
+        potential
     }
 
     /// ½ vᵀMv, M the one at hand [J].

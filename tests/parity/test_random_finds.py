@@ -1,0 +1,89 @@
+"""What random models found: each is a scene in which the engine once differed from MuJoCo."""
+
+import mujoco
+import numpy as np
+import peers
+import pytest
+
+import stepcore as sc
+
+INERT = 'contype="0" conaffinity="0"'
+
+
+def pair(text: str) -> tuple[mujoco.MjModel, mujoco.MjData, sc.Sim]:
+    model = peers.strict(mujoco.MjModel.from_xml_string(text))
+    return model, mujoco.MjData(model), sc.Sim(sc.loads(text), **peers.EXACT)
+
+
+@pytest.mark.parametrize("shape", ['size=".2"', 'type="ellipsoid" size=".2 .1 .15"'])
+def test_implicitfast_takes_the_drag_of_a_free_body_as_implicit_does(shape):
+    """The derivative of its drag is not symmetric, and is not made so: to 1e-12."""
+    geoms = f'<geom {shape} fluidshape="ellipsoid"/><geom pos=".2 .1 0" size=".05"/>'
+    text = """<mujoco><option integrator="{}" density="500" viscosity=".3"/>
+      <worldbody><body><freejoint/>{}</body></worldbody></mujoco>"""
+    ends = []
+    for integrator in ("implicitfast", "implicit"):
+        model, data, sim = pair(text.format(integrator, geoms))
+        sim.qvel[:] = data.qvel[:] = [1, 2, 3, 4, 5, 6]
+        mujoco.mj_step(model, data)
+        sim.step(1)
+        assert peers.apart(sim.qvel, data.qvel) < 1e-12
+        ends.append(sim.qvel.copy())
+    assert peers.apart(*ends) < 1e-12
+
+
+def test_the_axes_of_an_inertia_are_right_to_rounding():
+    """No products of inertia are left in them, to 1e-11 of the greatest moment."""
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        geoms = "".join(
+            f'<geom type="box" size=".1 .2 .15" pos="{x} {y} {z}" euler="{a} {b} {c}"/>'
+            for x, y, z, a, b, c in rng.normal(size=(2, 6)) * [0.2, 0.2, 0.2, 50, 50, 50]
+        )
+        _, _, sim = pair(
+            f"""<mujoco><worldbody><body name="b"><freejoint/>{geoms}</body></worldbody>
+            <sensor><framequat objtype="body" objname="b"/></sensor></mujoco>"""
+        )
+        sim.forward()
+        mass, centre = sim.model.body_mass[1], sim.subtree_com[1]
+        about = mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, sim.sensordata)
+        own = turn.reshape(3, 3).T @ (sim.mass_matrix()[3:, 3:] - about) @ turn.reshape(3, 3)
+        assert np.abs(own - np.diag(np.diag(own))).max() < 1e-11 * own.max()
+
+
+def test_a_tendon_between_points_of_one_body_has_no_arms():
+    """Past a geom that it does not touch too: the force of a row of roundings has no bound."""
+    text = f"""<mujoco><worldbody><geom name="drum" pos="0 0 2" size=".1" {INERT}/>
+      <body><joint name="j" axis=".3 .5 .1" pos=".1 .2 .3"/><geom size=".1"/>
+        <site name="a" pos=".11 .23 .05"/><site name="b" pos="-.31 .17 .23"/></body></worldbody>
+      <tendon><spatial name="t" range=".1 .2" frictionloss=".3"><site site="a"/>
+        <geom geom="drum"/><site site="b"/></spatial></tendon></mujoco>"""
+    _, _, sim = pair(text)
+    sim.qpos[:], sim.qvel[:] = 0.3, 0.7
+    sim.forward()
+    assert not sim.ten_J.any() and not sim.constraint_force.any()
+    sim.step(100)
+    assert np.isfinite(sim.qpos).all()
+
+
+def test_the_sensor_of_potential_energy_leaves_out_gravity_compensation():
+    text = """<mujoco><worldbody><body pos="0 0 1" gravcomp=".7"><joint axis="0 1 0"/>
+      <geom size=".1" pos=".2 0 0"/></body></worldbody><sensor><e_potential/></sensor></mujoco>"""
+    model, data, sim = pair(text)
+    sim.qpos[:] = data.qpos[:] = 0.4
+    mujoco.mj_forward(model, data)
+    sim.forward()
+    assert sim.sensordata == pytest.approx(data.sensordata, rel=1e-12)
+
+
+def test_an_automatic_damper_leaves_that_of_actuators():
+    text = """<mujoco><worldbody><body><joint name="j" springdamper=".3 .8" damping=".6"/>
+      <geom size=".1" pos=".2 0 0"/></body></worldbody>
+      <actuator><motor joint="j" gear="1.5" damping=".2 .1"/></actuator></mujoco>"""
+    model, data, sim = pair(text)
+    sim.qvel[:] = data.qvel[:] = 0.8
+    mujoco.mj_forward(model, data)
+    sim.forward()
+    assert sim.passive == pytest.approx(data.qfrc_passive, rel=1e-12)
