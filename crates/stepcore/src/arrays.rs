@@ -163,7 +163,8 @@ impl<'a> Given<'a> {
         &self.0
     }
 
-    /// Refuses what is not finite in the engine's number, and quaternions of no length.
+    /// Refuses what is not finite in the engine's number, truths that are neither 0 nor 1, and
+    /// quaternions of no length.
     /// `world`: its index in a batch, for the error text.
     pub fn check<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
         for array in Array::ALL {
@@ -179,7 +180,18 @@ impl<'a> Given<'a> {
             let field = format!("{}[{place}]", array.name());
             return Err(refuse::<R>(field, values[k], &owner, world));
         }
+        self.check_truths(model, world)?;
         self.check_quaternions::<R>(model, world)
+    }
+
+    fn check_truths(&self, model: &Model, world: Option<usize>) -> Result<()> {
+        let values = &self[Array::EqActive];
+        let Some(k) = values.iter().position(|x| *x != 0.0 && *x != 1.0) else {
+            return Ok(());
+        };
+        let whose = whose(&model.element_name(Array::EqActive.owner(model, k)), world);
+        let limit = format!("0 or 1 ({whose}); nothing was stepped");
+        Err(Error::value(format!("eq_active[{k}]"), values[k], limit))
     }
 
     fn check_quaternions<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {

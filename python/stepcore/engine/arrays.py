@@ -16,8 +16,9 @@ Floats = NDArray[np.float64]
 class StateArray:
     """An array of a `Sim` or a `Batch` that can be written, in place or by assignment."""
 
-    def __init__(self, doc: str) -> None:
+    def __init__(self, doc: str, *, truths: bool = False) -> None:
         self.__doc__ = doc
+        self.truths = truths
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
@@ -29,6 +30,8 @@ class StateArray:
         return array
 
     def __set__(self, sim: Any, value: ArrayLike) -> None:
+        if self.truths and np.asarray(value).dtype.kind == "b":
+            value = np.asarray(value, dtype=np.float64)
         fill(sim._arrays[self.name], self.name, value)
 
 

@@ -38,7 +38,8 @@ class World(checks.KnownNames, ABC):
     )
     eq_active = StateArray(
         "Whether each equality acts, shape (neq,): 1 or True, or 0 where it is left out. Constant "
-        "during a step; initially as `Equality.active`."
+        "during a step; initially as `Equality.active`.",
+        truths=True,
     )
     mocap_pos = StateArray("Positions of mocap bodies [m], shape (nmocap, 3).")
     mocap_quat = StateArray("Orientations of mocap bodies, quaternions w x y z, shape (nmocap, 4).")

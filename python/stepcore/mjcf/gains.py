@@ -90,8 +90,9 @@ def _cylinder(base: ActuatorGains, node: Node) -> ActuatorGains:
     values = node.values
     area = values.get("area", base.gainprm[0])
     if values.get("diameter", -1.0) >= 0:
-        area = math.pi / 4 * values["diameter"] ** 2
-    bias = (*values.get("bias", ()), *base.biasprm[len(values.get("bias", ())) :])
+        # A product, which is infinite where a power raises: the element then names the value.
+        area = math.pi / 4 * values["diameter"] * values["diameter"]
+    bias = values.get("bias", base.biasprm[:3])
     times = (values.get("timeconst", base.dynprm[0]), 0.0, 0.0)
     return ActuatorGains("cylinder", (area,), bias, "filter", "fixed", "affine", 0.0, times)
 
@@ -114,19 +115,23 @@ def _muscle(base: ActuatorGains, node: Node) -> ActuatorGains:
         default if kept == unset else kept
         for kept, unset, default in zip(old, fresh, defaults, strict=True)
     ]
-    for index, word in enumerate(MUSCLE):
-        if word == "range" and word in values:
-            numbers[:2] = values[word]
-        elif word in values:
-            numbers[index + 1] = values[word]
+    given = [*values.get("range", (-1.0, -1.0)), *(values.get(word, -1.0) for word in MUSCLE)]
+    del given[2]
+    numbers = [_unless_negative(new, old) for new, old in zip(given, numbers, strict=True)]
     rise, fall, smooth = base.dynprm[:3]
     times = (0.01 if rise == 1 else rise, 0.04 if fall == 0 else fall)
-    times = values.get("timeconst", times)
+    new = values.get("timeconst", times)
+    times = (_unless_negative(new[0], times[0]), _unless_negative(new[1], times[1]))
     dynamics = (*times, values.get("tausmooth", smooth))
     if dynamics[2] < 0:
         raise bad(node, "tausmooth", dynamics[2], ">= 0")
     own = tuple(numbers)
     return ActuatorGains("muscle", own, own, "muscle", "muscle", "muscle", 0.0, dynamics)
+
+
+def _unless_negative(new: float, old: float) -> float:
+    """A muscle keeps a number in place of a negative one."""
+    return old if new < 0 else new
 
 
 _SHORTCUTS = {"velocity": _velocity, "damper": _damper, "cylinder": _cylinder, "muscle": _muscle}

@@ -12,7 +12,7 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.elements import Element
 from stepcore.scene.elements.sensor import OBJECTS as TYPES
-from stepcore.scene.sensor_ends import PULLED, pulled
+from stepcore.scene.sensor_ends import ADHERES, PULLED, pulled
 
 # Attributes that name the object, or the reference, with what they name and as what.
 NAMED = {
@@ -38,7 +38,7 @@ def read(world: WorldReader, node: Node) -> None:
         world.scene.ignored.append(node.listed(f"only senses; {why}"))
         return
     given: dict[str, Any] = {f: values[f] for f in ("name", "noise", "reduce") if f in values}
-    if values.get("cutoff", 0.0) > 0 or node.tag in ("distance", "normal", "fromto"):
+    if values.get("cutoff", 0.0) != 0 or node.tag in ("distance", "normal", "fromto"):
         given["cutoff"] = values.get("cutoff", 0.0)
     given |= {f: values[f] for f in ("data", "num") if f in values}
     ends = _ends(world, node)
@@ -63,6 +63,8 @@ def _not_computed(world: WorldReader, node: Node) -> str:
                 return "the axes of a body's own inertial frame are not kept"
     if node.tag in ("force", "torque") and pulled(world.scene, world.scene.site(site).body):
         return PULLED
+    if node.tag == "actuatorvel" and world.scene.actuator(values["actuator"]).body is not None:
+        return ADHERES
     if values.get("enclosed"):
         return "how far an object juts out of a site (enclosed) is not computed"
     if node.tag in ("touch", "contact", "insidesite") and site in world.mesh_sites:

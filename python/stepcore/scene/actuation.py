@@ -192,9 +192,29 @@ def check(actuator: Actuator) -> None:
     if muscle and actuator.lengthrange is None:
         limit = "given for a muscle: finding it by simulation, as MuJoCo does, is not built"
         raise checks.refuse(actuator, "lengthrange", None, limit)
+    _check_curves(actuator, own_law)
     if own_law.dampratio and own_law.gain[0] < 0:
         word = "gainprm" if actuator.type == "general" else "kp"
         raise checks.refuse(actuator, word, own_law.gain[0], ">= 0 with a damping ratio")
+
+
+def _check_curves(actuator: Actuator, own: Law) -> None:
+    """A muscle's curves divide by these; MuJoCo's limits."""
+    named = (("gainprm", own.muscle_gain), ("biasprm", own.muscle_bias))
+    for field, words in named:
+        if words is None:
+            continue
+        low, high = words["range"]
+        limits = {
+            "range": (low < high, "in ascending order"),
+            **{word: (words[word] > 0, "> 0") for word in ("scale", "vmax", "fpmax", "fvmax")},
+            "lmin": (words["lmin"] < 1, "below 1"),
+            "lmax": (words["lmax"] > 1, "above 1"),
+        }
+        for word, (holds, limit) in limits.items():
+            if not holds:
+                where = word if actuator.type == "muscle" else field
+                raise checks.refuse(actuator, where, words[word], f"{limit} ({word} of a muscle)")
 
 
 def _check_target(actuator: Actuator) -> None:

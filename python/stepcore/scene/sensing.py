@@ -18,7 +18,7 @@ from stepcore.scene.elements.sensor import (
     RAY_DATA,
     REFERENCE,
 )
-from stepcore.scene.sensor_ends import LISTS, PULLED, pulled
+from stepcore.scene.sensor_ends import ADHERES, LISTS, PULLED, pulled
 
 if TYPE_CHECKING:
     from stepcore.scene.layout import Layout
@@ -53,6 +53,8 @@ def check(layout: Layout) -> None:
             raise checks.refuse(sensor, "cutoff", sensor.cutoff, "0: a direction has no bound")
         if sensor.type in ("force", "torque") and pulled(layout.scene, sensor.object.body):  # type: ignore[union-attr]
             raise checks.ElementError(sensor, PULLED)
+        if sensor.type == "actuatorvel" and sensor.object.body is not None:  # type: ignore[union-attr]
+            raise checks.ElementError(sensor, ADHERES)
 
 
 def _check_end(

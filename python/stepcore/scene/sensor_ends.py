@@ -21,6 +21,7 @@ LISTS = {
 }
 
 PULLED = "the force of a spatial tendon on its body is not counted yet"
+ADHERES = "the speed along the contacts of an adhesion is not computed"
 
 
 def find(scene: Holdings, kinds: Sequence[str], what: str, name: object) -> Element | None:

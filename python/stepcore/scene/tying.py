@@ -57,7 +57,8 @@ def check(layout: Layout, equality: Equality) -> None:
         if id(site) not in listed:
             raise checks.ElementError(equality, f"refers to {site}, which is not in this scene")
     if one == two:
-        raise checks.ElementError(equality, f"connects {ends[0]} to itself")
+        what = f"{ends[0]} to {ends[1]}, of the same body" if by_site else f"{ends[0]} to itself"
+        raise checks.ElementError(equality, f"connects {what}")
 
 
 def _check_lengths(layout: Layout, equality: Equality) -> None:

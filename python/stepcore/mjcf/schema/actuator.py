@@ -16,8 +16,8 @@ _BUILT = {
     "intvelocity": f"actlimited:{AUTO} actrange:2 inheritrange:1 kp:1 kv:1 dampratio:1",
     "damper": "kv:1",
     "adhesion": "body! gain:1",
-    "cylinder": "timeconst:1 area:1 diameter:1 bias:1-3",
-    "muscle": "timeconst:1-2 tausmooth:1 range:2 force:1 scale:1 lmin:1 lmax:1 vmax:1 fpmax:1 "
+    "cylinder": "timeconst:1 area:1 diameter:1 bias:3",
+    "muscle": "timeconst:2 tausmooth:1 range:2 force:1 scale:1 lmin:1 lmax:1 vmax:1 fpmax:1 "
     "fvmax:1",
     "general": f"actlimited:{AUTO} actrange:2 body actdim:int input velrange:2 ffrange:2 "
     "inheritrange:1 dyntype:none|integrator|filter|filterexact|pid|dcmotor|muscle|user "

@@ -2,7 +2,7 @@
 
 use super::Subject;
 use crate::error::Result;
-use crate::scene::{Actuator, Muscle, Scene, Target};
+use crate::scene::{Actuator, Muscle, Scene, Stop, Target};
 
 pub(super) fn check(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
     let (joints, sites) = (scene.joints.len(), scene.sites.len());
@@ -36,6 +36,12 @@ pub(super) fn check(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
     }
     e.finite("damping", &a.damping)?;
     e.not_negative("armature", a.armature)?;
+    if let (true, Target::Tendon(tendon)) = (a.armature > 0.0, a.target) {
+        if scene.tendons[tendon].path.iter().any(|stop| matches!(stop, Stop::Geom { .. })) {
+            let limit = "0 for an actuator on a tendon that goes round a geom";
+            return Err(e.refuse("armature", a.armature, limit));
+        }
+    }
     for muscle in [&a.muscle_gain, &a.muscle_bias].into_iter().flatten() {
         let Muscle { force, scale, lmin, lmax, vmax, fpmax, fvmax, range } = *muscle;
         e.finite("muscle", &[force, scale, lmin, lmax, vmax, fpmax, fvmax])?;
