@@ -392,7 +392,6 @@ class Maker:
             "frictionloss",
             "gravity",
             "clampctrl",
-            "actuation",
         )
         flags += ("spring", "damper", "eulerdamp", "refsafe", "filterparent")
         flag = self.some(f'<flag {self.chance.choice(flags)}="disable"/>', 0.2)
