@@ -1,4 +1,4 @@
-"""`load` and `loads`: scenes from MJCF, with a warning if their own time step is hardly stable."""
+"""`load` and `loads`: scenes from MJCF or URDF; a warning where their own step is hardly stable."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from stepcore.scene.scene import Scene
 
 
 def load(path: str | os.PathLike[str], *, without: Iterable[str] = ()) -> Scene:
-    """Reads a scene from an MJCF file.
+    """Reads a scene from an MJCF or a URDF file.
+
+    A URDF becomes the scene that MuJoCo makes of it: its root link stands on the world, efforts
+    clamp what actuators put on joints, mimic joints are joint equalities, visuals are never read.
+    Links joined by fixed joints stay bodies of their own.
 
     path: the path of a file, "package:name" for a model among the files of an installed package
         (such as "gymnasium:ant"), or "lesson:name" for a scene of the lesson. The file's
@@ -48,7 +52,7 @@ def loads(
     name: str = "<string>",
     without: Iterable[str] = (),
 ) -> Scene:
-    """Reads a scene from an MJCF text.
+    """Reads a scene from a text in MJCF or URDF.
 
     text: the XML. base: the folder in which its includes are looked for. name: what error
         messages call the text. without: see `load`.
