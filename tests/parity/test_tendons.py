@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 import importlib.util
 import math
-import os
 import pickle
 from pathlib import Path
 
@@ -442,14 +441,15 @@ def test_a_copy_has_its_own_path():
 # --- robots ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["ball_in_cup", "point_mass", "quadruped", "panda"])
+@pytest.mark.parametrize("name", ["ball_in_cup", "point_mass", "quadruped", "dog", "panda"])
 def test_robots(name):
     """Lengths, arms and smooth forces of public models with tendons, at ten states."""
     if name == "panda":
-        folder = os.environ.get("MENAGERIE", "/nowhere")
-        path = Path(folder) / "franka_emika_panda" / "panda.xml"
-        if not path.exists():
-            pytest.skip("the public models are not here: set MENAGERIE to their folder")
+        places = [parent / "shared" / "data" / "menagerie" for parent in Path(__file__).parents]
+        folder = next((place for place in places if place.is_dir()), None)
+        if folder is None:
+            pytest.skip("no shared/data/menagerie")
+        path = folder / "franka_emika_panda" / "panda.xml"
     else:
         suite = importlib.util.find_spec("dm_control")
         assert suite is not None and suite.origin is not None
