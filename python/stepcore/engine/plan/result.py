@@ -119,9 +119,9 @@ class Plan(Result):
             every = sum(entry.count for entry in pairs)
             sentences.append(f"It tests {tested} of {every} pairs of geoms.")
         if self.asset_bytes:
-            read, every = self.read_bytes / 1e6, self.asset_bytes / 1e6
+            read, whole = self.read_bytes / 1e6, self.asset_bytes / 1e6
             sentences.append(
-                f"Of {every:.3g} MB of meshes and height fields it needs {read:.3g} MB."
+                f"Of {whole:.3g} MB of meshes and height fields it needs {read:.3g} MB."
             )
         return sentences
 
