@@ -123,7 +123,7 @@ fn a_play_in_portions_is_steps_with_its_controls() {
     let (mut qpos, mut qvel) =
         (vec![0.0; worlds.len() * steps * nq], vec![0.0; worlds.len() * steps * nv]);
     let mut pack = batch_of::<Lanes>(&scene, &Settings::default(), &worlds, 2);
-    let mut act = vec![];
+    let mut act = [];
     let kept = [&mut qpos[..], &mut qvel[..], &mut act[..]];
     let mut play = Play { steps, ctrl: &ctrl, states: kept };
     pack.play(&mut play, 0, 13).unwrap();
