@@ -146,8 +146,11 @@ class StepStability:
         if self._on_velocities(state) and abs(cmath.phase(growth.value)) < SLOW_TURN:
             # What the motion does along its rows is not known from the motion without them.
             return replace(growth, excess=-math.inf)
-        if self._opens(integrator, dt, state):
-            return replace(growth, excess=-math.inf)
+        opened = self._opened(integrator, dt, state)
+        if opened is not None:
+            # What grows where the row has ended to act too is not of the switch.
+            after = self._growth_at(integrator, dt, opened)
+            return replace(growth, excess=-math.inf) if after.stable else after
         # Where the state itself moves within the step, or a row begins or ends to act, the rates
         # at its start do not decide: the same time in shorter steps does.
         shorter = step_maps(model, state, integrator, dt, SHORTER)
@@ -155,22 +158,23 @@ class StepStability:
             growth if shorter is None else growth_beyond_motion(growth, shorter, dt, self.horizon)
         )
 
-    def _opens(self, integrator: str, dt: float, state: State) -> bool:
-        """Whether a row ends to act within the time of the step, in shorter steps too.
+    def _opened(self, integrator: str, dt: float, state: State) -> State | None:
+        """The state in which a row has ended to act within the time of the step, if one does.
 
-        A map from one side of a switch to the other is no step that could be repeated.
+        In shorter steps too: a map from one side of a switch to the other is no step that could
+        be repeated.
         """
         if not state.rows or self._softened(state, dt):
-            return False
+            return None
         here = state
         for _ in range(SHORTER):
             after = state_after(self.model, here, integrator, dt / SHORTER, 1)
             if after is None:
-                return False
+                return None
             here = after[0]
             if not set(state.rows) <= set(here.rows):
-                return True
-        return False
+                return here
+        return None
 
     def model_at(self, state: State) -> Model:
         """The model, without its rows where none acts.
