@@ -203,10 +203,7 @@ def test_robots_hold_their_pose_at_20_ms(robot, file, key):
     path = MENAGERIE / robot / file
     if not path.is_file():
         pytest.skip(f"no {path.name}")
-    try:
-        scene = sc.load(str(path))
-    except ValueError as error:
-        pytest.skip(f"{file} does not load: {error}"[:200])
+    scene = sc.load(str(path))
     ends = []
     for dt in (0.02, 0.001):
         sim = sc.Sim(scene.with_settings(integrator="discrete", dt=dt))
@@ -216,4 +213,6 @@ def test_robots_hold_their_pose_at_20_ms(robot, file, key):
         sim.step(round(10 / dt))
         assert np.abs(sim.qvel).max() < 1e-6
         ends.append(np.array(sim.qpos))
-    assert np.abs(ends[0] - ends[1]).max() < 1e-6
+    # The Panda's fingers are tied by a soft equality, which `refsafe` makes softer at 20 ms.
+    limit = 1e-5 if scene.equalities else 1e-6
+    assert np.abs(ends[0] - ends[1]).max() < limit

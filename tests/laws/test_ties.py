@@ -119,7 +119,7 @@ def test_what_a_scene_refuses():
             {"type": "weld", "site1": "here", "site2": "there", "body1": "arm"},
             "left out beside site1",
         ),
-        ({"type": "weld", "site1": "here", "site2": "here"}, "to itself"),
+        ({"type": "weld", "site1": "here", "site2": "here"}, "of the same body"),
     ]
     for fields, says in cases:
         equality = scene.add_equality(**fields)
