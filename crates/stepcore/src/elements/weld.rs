@@ -4,7 +4,9 @@
 //! With A and B the orientations of frame 1 and 2, the turn is s · vec Q, Q = B* A, half the rotation
 //! vector where it is small; s is `torquescale`. As Ȧ = ½ ω₁ A and Ḃ = ½ ω₂ B (quaternion products),
 //!
-//!     Q̇ = ½ B* ω A,  Q̈ = ½ B* (ω̇ + ω₁ × ω₂ − ½ |ω|²) A,  ω = ω₁ − ω₂
+//! ```text
+//! Q̇ = ½ B* ω A,  Q̈ = ½ B* (ω̇ + ω₁ × ω₂ − ½ |ω|²) A,  ω = ω₁ − ω₂
+//! ```
 //!
 //! so that row k turns along d = ½ s R_B (Q_w e_k + Q_v × e_k), and its J̇ v is
 //! d · (ω̇ + ω₁ × ω₂) − ¼ s |ω|² Q_k, ω̇ being what no dof's acceleration adds to.
