@@ -6,10 +6,10 @@ leaves tendons and actuators out of the metric under PGS. Without rows both are 
 
 import mujoco
 import numpy as np
+import peers
 import pytest
 
 import stepcore as sc
-from benches import peers
 
 ARM = """<mujoco><option timestep="{dt}" integrator="{integrator}">
  <flag constraint="disable"/></option>
