@@ -3,7 +3,8 @@
 //! `extract` and `scene` read what Python gives, `memory` holds the arrays that both
 //! sides see, `arguments` and `tables` are what methods take and give, `world` is one
 //! world of either precision and `worlds` many, `snapshot` a state as bytes, `gil` the
-//! one place where the GIL is released, `errors` the one map of errors.
+//! one place where the GIL is released, `errors` the one map of errors, `readout` the one table
+//! of what is read by name.
 
 mod arguments;
 mod batch;
@@ -15,6 +16,7 @@ mod memory;
 mod model;
 mod nearest;
 mod readings;
+mod readout;
 mod scene;
 mod settings;
 mod sim;

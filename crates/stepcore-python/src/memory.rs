@@ -13,6 +13,9 @@ use pyo3::prelude::*;
 use stepcore::arrays::{Array, Given};
 use stepcore::model::Model;
 
+/// A numpy view with its name.
+pub type Named<'py> = (&'static str, Bound<'py, PyArrayDyn<f64>>);
+
 /// The arrays of `worlds` worlds: all worlds' qpos, then all worlds' qvel, and so on.
 pub struct Arrays {
     /// Numbers a world has in each of `Array::ALL`, and their shape there.
@@ -84,15 +87,14 @@ impl Arrays {
         }
     }
 
-    /// A numpy view of all worlds' part of one array; `before`: axes before those of a world.
-    pub fn view<'py>(
-        &self,
-        py: Python<'py>,
-        array: Array,
-        before: &[usize],
-    ) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
-        let shape = [before, &self.shapes[array as usize]].concat();
-        Memory::view(self.memory.bind(py), self.range(array), &shape)
+    /// Numpy views of all worlds' part of each array; `before`: axes before those of a world.
+    pub fn views<'py>(&self, py: Python<'py>, before: &[usize]) -> PyResult<Vec<Named<'py>>> {
+        let view = |array: Array| {
+            let shape = [before, &self.shapes[array as usize]].concat();
+            let view = Memory::view(self.memory.bind(py), self.range(array), &shape)?;
+            Ok((array.name(), view))
+        };
+        Array::ALL.into_iter().map(view).collect()
     }
 }
 

@@ -8,7 +8,6 @@ use numpy::PyArrayDyn;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use stepcore::arrays;
 use stepcore::elements::Element;
 use stepcore::model::Model as EngineModel;
 use stepcore::real::Stage;
@@ -19,12 +18,13 @@ use crate::element::{id, Id};
 use crate::errors::{EnergyWarning, Raised};
 use crate::extract::{At, Read};
 use crate::gil;
-use crate::memory::Arrays;
+use crate::memory::{Arrays, Named};
 use crate::model::{result, shaped, Model};
+use crate::readout::Readout;
 use crate::settings::Settings;
 use crate::snapshot::{decode, encode};
 use crate::tables::{contacts, rows, ContactTable, RayTable, RowTable};
-use crate::world::{world, BodyForce, Memo, Placed, Solved, World};
+use crate::world::{world, Memo, Placed, World};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
 /// Energy before and after, and gains by element.
@@ -66,24 +66,11 @@ impl Sim {
         self.arrays.store(py, move |_, array, out| world.take(array, out));
     }
 
-    fn placed<'py>(&self, py: Python<'py>, what: Placed, shape: &[usize]) -> PyResult<Array<'py>> {
+    fn placed<'py>(&self, py: Python<'py>, what: Placed) -> PyResult<Array<'py>> {
         let mut guard = self.lock()?;
         let world = &mut **guard;
         let numbers = self.arrays.read(py, 0, |given| world.placed(given, what)).raised(py)?;
-        result(py, numbers, shape)
-    }
-
-    fn body_force<'py>(&self, py: Python<'py>, what: BodyForce) -> PyResult<Array<'py>> {
-        let mut guard = self.lock()?;
-        let world = &mut **guard;
-        let numbers = gil::release(py, || world.body_force(what))?;
-        result(py, numbers, &[self.model.bodies.len(), 6])
-    }
-
-    fn solved<'py>(&self, py: Python<'py>, what: Solved) -> PyResult<Array<'py>> {
-        let numbers = self.lock()?.solved(what);
-        let count = numbers.len();
-        result(py, numbers, &[count])
+        result(py, numbers, &what.shape(&self.model))
     }
 }
 
@@ -97,41 +84,24 @@ impl Sim {
         Ok(Self { model, arrays, world: Mutex::new(world) })
     }
 
-    #[getter]
-    fn qpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, arrays::Array::Qpos, &[])
+    /// The arrays that are the user's to write, each with its name.
+    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<Named<'py>>> {
+        self.arrays.views(py, &[])
     }
-    #[getter]
-    fn qvel<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, arrays::Array::Qvel, &[])
-    }
-    #[getter]
-    fn act<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, arrays::Array::Act, &[])
-    }
-    #[getter]
-    fn ctrl<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, arrays::Array::Ctrl, &[])
-    }
-    #[getter]
-    fn qfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, arrays::Array::QfrcApplied, &[])
-    }
-    #[getter]
-    fn xfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, arrays::Array::XfrcApplied, &[])
-    }
-    #[getter]
-    fn eq_active<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, arrays::Array::EqActive, &[])
-    }
-    #[getter]
-    fn mocap_pos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, arrays::Array::MocapPos, &[])
-    }
-    #[getter]
-    fn mocap_quat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.arrays.view(py, arrays::Array::MocapQuat, &[])
+
+    /// What has this name; see `Readout::named`.
+    fn readout<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Array<'py>> {
+        let what = Readout::named(name)?;
+        let mut guard = self.lock()?;
+        let world = &mut **guard;
+        let numbers = match what {
+            Readout::Placed(what) => {
+                self.arrays.read(py, 0, |given| world.placed(given, what)).raised(py)?
+            }
+            Readout::Solved(what) => world.solved(what),
+            Readout::BodyForce(what) => gil::release(py, || world.body_force(what))?,
+        };
+        result(py, numbers, &what.shape(&self.model))
     }
 
     /// Advances by n steps.
@@ -265,106 +235,13 @@ impl Sim {
         Ok(())
     }
 
-    // At the present state.
-
-    #[getter]
-    fn xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::BodyPos, &[self.model.bodies.len(), 3])
-    }
-    #[getter]
-    fn xquat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::BodyQuat, &[self.model.bodies.len(), 4])
-    }
-    #[getter]
-    fn xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::BodyMat, &[self.model.bodies.len(), 3, 3])
-    }
-    #[getter]
-    fn geom_xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::GeomPos, &[self.model.geoms.len(), 3])
-    }
-    #[getter]
-    fn geom_xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::GeomMat, &[self.model.geoms.len(), 3, 3])
-    }
-    #[getter]
-    fn actuator_length<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::ActuatorLength, &[self.model.actuators.len()])
-    }
-    #[getter]
-    fn actuator_velocity<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::ActuatorVelocity, &[self.model.actuators.len()])
-    }
-    #[getter]
-    fn ten_length<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::TendonLength, &[self.model.tendons.len()])
-    }
-    #[getter]
-    fn ten_velocity<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::TendonVelocity, &[self.model.tendons.len()])
-    }
-    #[getter]
-    #[pyo3(name = "ten_J")]
-    fn ten_jacobian<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::TendonJacobian, &[self.model.tendons.len(), self.model.nv])
-    }
-    #[getter]
-    fn ten_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::TendonForce, &[self.model.tendons.len()])
-    }
-    #[getter]
-    fn site_xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::SitePos, &[self.model.sites.len(), 3])
-    }
-    #[getter]
-    fn site_xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::SiteMat, &[self.model.sites.len(), 3, 3])
-    }
-    #[getter]
-    fn subtree_com<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::SubtreeCom, &[self.model.bodies.len(), 3])
-    }
-    #[getter]
-    fn cinert<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Inertias, &[self.model.bodies.len(), 10])
-    }
-    #[getter]
-    fn cvel<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Velocities, &[self.model.bodies.len(), 6])
-    }
-    fn mass_matrix<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::MassMatrix, &[self.model.nv, self.model.nv])
-    }
-    #[getter]
-    fn bias<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Bias, &[self.model.nv])
-    }
-    #[getter]
-    fn passive<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Passive, &[self.model.nv])
-    }
-    /// Kinetic, potential.
-    #[getter]
-    fn energy<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Energy, &[2])
-    }
-    /// Linear, angular about the world's origin.
-    #[getter]
-    fn momentum<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Momentum, &[2, 3])
-    }
-    /// The deepest.
-    #[getter]
-    fn overlap<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Overlap, &[])
-    }
     fn jacobian<'py>(&self, py: Python<'py>, body: usize) -> PyResult<Array<'py>> {
         check_body(&self.model, body)?;
-        self.placed(py, Placed::Jacobian(body), &[6, self.model.nv])
+        self.placed(py, Placed::Jacobian(body))
     }
     fn site_jacobian<'py>(&self, py: Python<'py>, site: usize) -> PyResult<Array<'py>> {
         check_site(&self.model, site)?;
-        self.placed(py, Placed::SiteJacobian(site), &[6, self.model.nv])
+        self.placed(py, Placed::SiteJacobian(site))
     }
     fn point_jacobian<'py>(
         &self,
@@ -373,35 +250,9 @@ impl Sim {
         point: [f64; 3],
     ) -> PyResult<Array<'py>> {
         check_body(&self.model, body)?;
-        self.placed(py, Placed::PointJacobian(body, point), &[6, self.model.nv])
+        self.placed(py, Placed::PointJacobian(body, point))
     }
 
-    // Of the last solve.
-
-    #[getter]
-    fn qacc<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.solved(py, Solved::Acceleration)
-    }
-    #[getter]
-    fn constraint_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.solved(py, Solved::ConstraintForce)
-    }
-    #[getter]
-    fn actuator_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.solved(py, Solved::ActuatorForce)
-    }
-    #[getter]
-    fn cfrc_ext<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.body_force(py, BodyForce::External)
-    }
-    #[getter]
-    fn cfrc_int<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.body_force(py, BodyForce::Internal)
-    }
-    #[getter]
-    fn cacc<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.body_force(py, BodyForce::Acceleration)
-    }
     /// A sensor's values, or all sensors'.
     #[pyo3(signature = (sensor = None))]
     fn sensordata<'py>(&self, py: Python<'py>, sensor: Option<usize>) -> PyResult<Array<'py>> {

@@ -54,7 +54,7 @@ class Readout(ReadOnlyArray):
     def __get__(self, sim: Any, owner: type | None = None) -> Floats:
         if sim is None:
             return self  # type: ignore[return-value]
-        array: Floats = getattr(sim._core, self.name)
+        array: Floats = sim._core.readout(self.name)
         return array
 
 

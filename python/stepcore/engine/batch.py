@@ -184,7 +184,7 @@ class Batch(Stepped):
     @property
     def momentum(self) -> Momentum:
         """Linear [kg·m/s] and angular [kg·m²/s] momentum of each world, shape (n, 3) each."""
-        both = self._core.momentum
+        both = self._core.readout("momentum")
         return Momentum(both[:, 0], both[:, 1])
 
     # The last step or forward().
@@ -223,12 +223,12 @@ class Batch(Stepped):
     @property
     def energy(self) -> Floats:
         """Kinetic and potential energy [J], shape (n, 2); see `Sim.energy`."""
-        return self._core.energy
+        return self._core.readout("energy")
 
     @property
     def overlap(self) -> Floats:
         """The deepest overlap of two geoms that can collide [m], shape (n,)."""
-        return self._core.overlap
+        return self._core.readout("overlap")
 
     def __reduce__(self) -> tuple[Any, ...]:
         how = (self._threads, self._lanes, self._on_failure)

@@ -149,20 +149,21 @@ def run_again(failure: Replay) -> PostMortem:
     sim = _core.Sim(model, settings)
     sim.unwatch()
     sim.restore(failure.state)
+    own = dict(sim.arrays())
     changes = {step: arrays for step, *arrays in failure.inputs}
     time, energy, steps = [], [], []
     for step in range(failure.steps):
-        _put(sim, changes.get(step))
+        _put(own, changes.get(step))
         before, after, injected = sim.taped_step()
         energy += [before, after] if step == 0 else [after]
         time.append(sim.time)
         steps.append(dict(injected))
-    _put(sim, changes.get(failure.steps))
+    _put(own, changes.get(failure.steps))
     elements = sorted({element for injected in steps for element in injected})
     return PostMortem(
         name=failure.name or "scene",
         replay=failure,
-        same=_fails(failure, sim),
+        same=_fails(failure, sim, own),
         time=np.array(time),
         energy=np.array(energy),
         work={
@@ -172,18 +173,20 @@ def run_again(failure: Replay) -> PostMortem:
     )
 
 
-def _put(sim: _core.Sim, arrays: list[list[float]] | None) -> None:
-    if arrays is not None:
-        sim.ctrl[:], sim.qfrc_applied[:] = arrays[0], arrays[1]
-        sim.xfrc_applied.reshape(-1)[:] = arrays[2]
-        sim.eq_active[:] = arrays[3]
-        sim.mocap_pos.reshape(-1)[:], sim.mocap_quat.reshape(-1)[:] = arrays[4], arrays[5]
+# What a step reads, in the order of `Replay.inputs`.
+INPUTS = ("ctrl", "qfrc_applied", "xfrc_applied", "eq_active", "mocap_pos", "mocap_quat")
 
 
-def _fails(failure: Replay, sim: _core.Sim) -> bool:
+def _put(own: dict[str, Floats], inputs: list[list[float]] | None) -> None:
+    if inputs is not None:
+        for name, values in zip(INPUTS, inputs, strict=True):
+            own[name].reshape(-1)[:] = values
+
+
+def _fails(failure: Replay, sim: _core.Sim, own: dict[str, Floats]) -> bool:
     """Whether the state at hand is the one that was kept, and fails as it did."""
     happened = failure.happened
-    if digest(sim.qpos, sim.qvel) != happened["state"]:
+    if digest(own["qpos"], own["qvel"]) != happened["state"]:
         return False
     if happened["gained"]:
         return True

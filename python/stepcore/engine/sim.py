@@ -234,19 +234,19 @@ class Sim(Stepped):
     @property
     def energy(self) -> Energy:
         """Kinetic and potential energy [J]; gravity and joint springs, but no servos, store it."""
-        kinetic, potential = self._core.energy
+        kinetic, potential = self._core.readout("energy")
         return Energy(float(kinetic), float(potential))
 
     @property
     def momentum(self) -> Momentum:
         """Linear [kg·m/s] and angular [kg·m²/s] momentum of all bodies, without armature."""
-        linear, angular = self._core.momentum
+        linear, angular = self._core.readout("momentum")
         return Momentum(linear, angular)
 
     @property
     def overlap(self) -> float:
         """The deepest overlap of two geoms that can collide [m], 0 if none overlap."""
-        return float(self._core.overlap)
+        return float(self._core.readout("overlap"))
 
     # The last step or forward().
 

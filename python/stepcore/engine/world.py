@@ -110,17 +110,7 @@ class World(checks.KnownNames, ABC):
     def _own(self, core: Any) -> None:
         """Takes over a `_core.Sim` or `_core.Batch`; its state arrays are views of its memory."""
         self._core = core
-        self._arrays = {
-            "qpos": core.qpos,
-            "qvel": core.qvel,
-            "act": core.act,
-            "ctrl": core.ctrl,
-            "qfrc_applied": core.qfrc_applied,
-            "xfrc_applied": core.xfrc_applied,
-            "eq_active": core.eq_active,
-            "mocap_pos": core.mocap_pos,
-            "mocap_quat": core.mocap_quat,
-        }
+        self._arrays: dict[str, Floats] = dict(core.arrays())
 
     @property
     @abstractmethod
@@ -148,7 +138,7 @@ class World(checks.KnownNames, ABC):
 
     def mass_matrix(self) -> Floats:
         """Returns the mass matrix of the present state, armature included, shape (nv, nv)."""
-        matrix: Floats = self._core.mass_matrix()
+        matrix: Floats = self._core.readout("mass_matrix")
         return matrix
 
     def jacobian(self, body: str | int, point: ArrayLike | None = None) -> Floats:

@@ -3,14 +3,14 @@
 use std::sync::MutexGuard;
 
 use pyo3::prelude::*;
-use stepcore::arrays::{self, Given};
+use stepcore::arrays::Given;
 use stepcore::error::Error;
 
 use super::{Array, Batch};
 use crate::errors::Raised;
 use crate::gil;
 use crate::model::result;
-use crate::world::{world, BodyForce, Placed, Solved, World};
+use crate::world::{world, Placed, World};
 use crate::worlds::Worlds;
 
 impl Batch {
@@ -47,17 +47,8 @@ impl Batch {
         self.arrays.store(py, |world, array, out| worlds.take(world, array, out));
     }
 
-    pub(super) fn view<'py>(&self, py: Python<'py>, array: arrays::Array) -> PyResult<Array<'py>> {
-        self.arrays.view(py, array, &[self.arrays.worlds])
-    }
-
     /// Reads every world's present state in turn.
-    pub(super) fn placed<'py>(
-        &self,
-        py: Python<'py>,
-        what: Placed,
-        shape: &[usize],
-    ) -> PyResult<Array<'py>> {
+    pub(super) fn placed<'py>(&self, py: Python<'py>, what: Placed) -> PyResult<Array<'py>> {
         let guard = self.lock()?;
         let worlds = &**guard;
         let mut all = Vec::new();
@@ -67,7 +58,7 @@ impl Batch {
             all.extend(reader.placed(given, what)?);
             Ok(())
         })?;
-        result(py, all, &[&[self.arrays.worlds], shape].concat())
+        result(py, all, &self.shape(&what.shape(&self.model)))
     }
 
     /// Does every world's last solve again, to read what a batch does not keep of it.
@@ -89,20 +80,19 @@ impl Batch {
         })
     }
 
+    /// Reads every world's last solve in turn; `shape`: that of one world's numbers.
     pub(super) fn solved<'py>(
         &self,
         py: Python<'py>,
-        what: Solved,
-        count: usize,
+        shape: &[usize],
+        read: impl Fn(&mut dyn World) -> Result<Vec<f64>, Error> + Sync,
     ) -> PyResult<Array<'py>> {
-        let all = self.again(py, |world| world.solved(what))?;
-        result(py, all.concat(), &[self.arrays.worlds, count])
+        let all: Result<Vec<Vec<f64>>, Error> = self.again(py, read)?.into_iter().collect();
+        result(py, all.raised(py)?.concat(), &self.shape(shape))
     }
 
-    pub(super) fn body_force<'py>(&self, py: Python<'py>, what: BodyForce) -> PyResult<Array<'py>> {
-        let all = self.again(py, |world| world.body_force(what))?;
-        let all: Result<Vec<Vec<f64>>, Error> = all.into_iter().collect();
-        let shape = [self.arrays.worlds, self.model.bodies.len(), 6];
-        result(py, all.raised(py)?.concat(), &shape)
+    /// Of all worlds, given that of one.
+    fn shape(&self, one: &[usize]) -> Vec<usize> {
+        [&[self.arrays.worlds], one].concat()
     }
 }

@@ -9,7 +9,6 @@ use numpy::{PyArrayDyn, PyReadonlyArray3};
 use pyo3::exceptions::{PyBaseException, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use stepcore::arrays;
 use stepcore::error::Error;
 use stepcore::model::Model as EngineModel;
 use stepcore::settings::Settings as EngineSettings;
@@ -18,12 +17,13 @@ use crate::arguments::{check_body, check_sensor, check_site, check_time, ray_fil
 use crate::errors::{raise, Raised};
 use crate::extract::{At, Read};
 use crate::gil;
-use crate::memory::Arrays;
+use crate::memory::{Arrays, Named};
 use crate::model::{result, Model};
+use crate::readout::Readout;
 use crate::settings::Settings;
 use crate::snapshot::{decode, encode, Snapshot};
 use crate::tables::{contacts, rows, ContactTable, RayTable, RowTable};
-use crate::world::{world, BodyForce, Memo, Placed, Solved};
+use crate::world::{world, Memo, Placed, Solved};
 use crate::worlds::{worlds, Worlds};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
@@ -58,41 +58,23 @@ impl Batch {
         Ok(Self { model, settings, arrays, worlds: Mutex::new(worlds) })
     }
 
-    #[getter]
-    fn qpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, arrays::Array::Qpos)
+    /// The arrays that are the user's to write, each with its name.
+    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<Named<'py>>> {
+        self.arrays.views(py, &[self.arrays.worlds])
     }
-    #[getter]
-    fn qvel<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, arrays::Array::Qvel)
-    }
-    #[getter]
-    fn act<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, arrays::Array::Act)
-    }
-    #[getter]
-    fn ctrl<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, arrays::Array::Ctrl)
-    }
-    #[getter]
-    fn qfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, arrays::Array::QfrcApplied)
-    }
-    #[getter]
-    fn xfrc_applied<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, arrays::Array::XfrcApplied)
-    }
-    #[getter]
-    fn eq_active<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, arrays::Array::EqActive)
-    }
-    #[getter]
-    fn mocap_pos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, arrays::Array::MocapPos)
-    }
-    #[getter]
-    fn mocap_quat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.view(py, arrays::Array::MocapQuat)
+
+    /// What has this name; see `Readout::named`.
+    fn readout<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Array<'py>> {
+        let what = Readout::named(name)?;
+        let shape = what.shape(&self.model);
+        match what {
+            Readout::Placed(what) => self.placed(py, what),
+            Readout::Solved(Solved::Acceleration) => {
+                result(py, self.lock()?.qacc(), &[self.arrays.worlds, self.model.nv])
+            }
+            Readout::Solved(what) => self.solved(py, &shape, |world| Ok(world.solved(what))),
+            Readout::BodyForce(what) => self.solved(py, &shape, |world| world.body_force(what)),
+        }
     }
 
     /// Advances every world by n steps.
@@ -199,108 +181,13 @@ impl Batch {
         Ok(())
     }
 
-    #[getter]
-    fn qacc<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        result(py, self.lock()?.qacc(), &[self.arrays.worlds, self.model.nv])
-    }
-    #[getter]
-    fn xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::BodyPos, &[self.model.bodies.len(), 3])
-    }
-    #[getter]
-    fn xquat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::BodyQuat, &[self.model.bodies.len(), 4])
-    }
-    #[getter]
-    fn actuator_length<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::ActuatorLength, &[self.model.actuators.len()])
-    }
-    #[getter]
-    fn actuator_velocity<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::ActuatorVelocity, &[self.model.actuators.len()])
-    }
-    #[getter]
-    fn ten_length<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::TendonLength, &[self.model.tendons.len()])
-    }
-    #[getter]
-    fn ten_velocity<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::TendonVelocity, &[self.model.tendons.len()])
-    }
-    #[getter]
-    #[pyo3(name = "ten_J")]
-    fn ten_jacobian<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::TendonJacobian, &[self.model.tendons.len(), self.model.nv])
-    }
-    #[getter]
-    fn ten_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::TendonForce, &[self.model.tendons.len()])
-    }
-    #[getter]
-    fn site_xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::SitePos, &[self.model.sites.len(), 3])
-    }
-    #[getter]
-    fn geom_xpos<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::GeomPos, &[self.model.geoms.len(), 3])
-    }
-    #[getter]
-    fn xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::BodyMat, &[self.model.bodies.len(), 3, 3])
-    }
-    #[getter]
-    fn geom_xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::GeomMat, &[self.model.geoms.len(), 3, 3])
-    }
-    #[getter]
-    fn site_xmat<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::SiteMat, &[self.model.sites.len(), 3, 3])
-    }
-    #[getter]
-    fn subtree_com<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::SubtreeCom, &[self.model.bodies.len(), 3])
-    }
-    #[getter]
-    fn cinert<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Inertias, &[self.model.bodies.len(), 10])
-    }
-    #[getter]
-    fn cvel<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Velocities, &[self.model.bodies.len(), 6])
-    }
-    fn mass_matrix<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::MassMatrix, &[self.model.nv, self.model.nv])
-    }
-    #[getter]
-    fn bias<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Bias, &[self.model.nv])
-    }
-    #[getter]
-    fn passive<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Passive, &[self.model.nv])
-    }
-    /// Kinetic, potential.
-    #[getter]
-    fn energy<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Energy, &[2])
-    }
-    /// Linear, angular about the world's origin.
-    #[getter]
-    fn momentum<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Momentum, &[2, 3])
-    }
-    /// The deepest.
-    #[getter]
-    fn overlap<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.placed(py, Placed::Overlap, &[])
-    }
     fn jacobian<'py>(&self, py: Python<'py>, body: usize) -> PyResult<Array<'py>> {
         check_body(&self.model, body)?;
-        self.placed(py, Placed::Jacobian(body), &[6, self.model.nv])
+        self.placed(py, Placed::Jacobian(body))
     }
     fn site_jacobian<'py>(&self, py: Python<'py>, site: usize) -> PyResult<Array<'py>> {
         check_site(&self.model, site)?;
-        self.placed(py, Placed::SiteJacobian(site), &[6, self.model.nv])
+        self.placed(py, Placed::SiteJacobian(site))
     }
     fn point_jacobian<'py>(
         &self,
@@ -309,31 +196,9 @@ impl Batch {
         point: [f64; 3],
     ) -> PyResult<Array<'py>> {
         check_body(&self.model, body)?;
-        self.placed(py, Placed::PointJacobian(body, point), &[6, self.model.nv])
+        self.placed(py, Placed::PointJacobian(body, point))
     }
 
-    // Of the last solve, which is done again for them.
-
-    #[getter]
-    fn constraint_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.solved(py, Solved::ConstraintForce, self.model.nv)
-    }
-    #[getter]
-    fn actuator_force<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.solved(py, Solved::ActuatorForce, self.model.actuators.len())
-    }
-    #[getter]
-    fn cfrc_ext<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.body_force(py, BodyForce::External)
-    }
-    #[getter]
-    fn cfrc_int<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.body_force(py, BodyForce::Internal)
-    }
-    #[getter]
-    fn cacc<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        self.body_force(py, BodyForce::Acceleration)
-    }
     /// A sensor's values, or all sensors'.
     #[pyo3(signature = (sensor = None))]
     fn sensordata<'py>(&self, py: Python<'py>, sensor: Option<usize>) -> PyResult<Array<'py>> {
