@@ -2,15 +2,12 @@
 
 import itertools
 import math
-from pathlib import Path
 
+import menagerie
 import numpy as np
 import pytest
 
 import stepcore as sc
-
-_PLACES = [parent / "shared" / "data" / "menagerie" for parent in Path(__file__).parents]
-MENAGERIE = next((place for place in _PLACES if place.is_dir()), None)
 
 SERVO = """<mujoco><option timestep="{dt}" integrator="{integrator}" gravity="0 0 0"/><worldbody>
  <body><joint name="rail" type="slide" damping="{damping}"/><geom size=".1" mass="2"/></body>
@@ -189,21 +186,15 @@ def test_the_ledger_balances_and_the_limit_is_infinite():
     assert diagnosis.limit("implicitfast") < 0.02
 
 
-@pytest.mark.skipif(MENAGERIE is None, reason="no shared/data/menagerie")
+@menagerie.needed
 @pytest.mark.parametrize(
-    ("robot", "file", "key"),
-    (
-        ("robotstudio_so101", "so101.xml", None),
-        ("universal_robots_ur5e", "ur5e.xml", "home"),
-        ("franka_emika_panda", "panda.xml", "home"),
-    ),
+    ("path", "key"),
+    ((menagerie.SO101, None), (menagerie.UR5E, "home"), (menagerie.PANDA, "home")),
+    ids=("so101", "ur5e", "panda"),
 )
-def test_robots_hold_their_pose_at_20_ms(robot, file, key):
+def test_robots_hold_their_pose_at_20_ms(path, key):
     """Law: position servos of a real arm hold it for 10 s at dt 20 ms, near where 1 ms holds it."""
-    path = MENAGERIE / robot / file
-    if not path.is_file():
-        pytest.skip(f"no {path.name}")
-    scene = sc.load(str(path))
+    scene = sc.load(path)
     ends = []
     for dt in (0.02, 0.001):
         sim = sc.Sim(scene.with_settings(integrator="discrete", dt=dt))

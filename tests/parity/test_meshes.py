@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import menagerie
 import mujoco
 import numpy as np
 import pytest
 
 import stepcore as sc
 
-# Robots beside the checkout, where somebody put them.
-_PLACES = [parent / "shared" / "data" / "menagerie" for parent in Path(__file__).parents]
-MENAGERIE = next((place for place in _PLACES if place.is_dir()), None)
 MODES = ("convex", "exact", "legacy", "shell")
 
 
@@ -266,8 +264,7 @@ def mesh_files() -> list[str]:
         suite / "third_party" / "kinova" / "meshes_decimated",
         suite / "suite" / "dog_assets",
     ]
-    if MENAGERIE is not None:
-        folders += sorted(MENAGERIE.glob("*/assets"))
+    folders += sorted(menagerie.FOLDER.glob("*/assets"))
     files = []
     for folder in folders:
         found = [path for path in sorted(folder.iterdir()) if path.suffix in (".stl", ".obj")]

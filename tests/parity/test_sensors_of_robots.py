@@ -1,7 +1,6 @@
 """Sensors of models that people use, against MuJoCo at states on the way of random falls."""
 
-from pathlib import Path
-
+import menagerie
 import mujoco
 import peers
 import pytest
@@ -9,17 +8,14 @@ import robot_files
 
 import stepcore as sc
 
-# Robots beside the checkout, where somebody put them.
-PLACES = [parent / "shared" / "data" / "menagerie" for parent in Path(__file__).parents]
 SENSING = ("unitree_go2/", "unitree_g1/", "anybotics_anymal_c/", "shadow_hand/", "agility_cassie/")
 
 
 def robots():
     found = [robot for robot in robot_files.wheels() if "<sensor>" in robot.path.read_text()]
-    for place in PLACES:
-        if place.is_dir():
-            every = robot_files.folder_of("menagerie", place)
-            found += [robot for robot in every if robot.name.startswith(SENSING)]
+    if menagerie.FOLDER.is_dir():
+        every = robot_files.folder_of("menagerie", menagerie.FOLDER)
+        found += [robot for robot in every if robot.name.startswith(SENSING)]
     return found
 
 

@@ -13,6 +13,7 @@ import math
 import pickle
 from pathlib import Path
 
+import menagerie
 import mujoco
 import numpy as np
 import peers
@@ -441,19 +442,23 @@ def test_a_copy_has_its_own_path():
 # --- robots ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["ball_in_cup", "point_mass", "quadruped", "dog", "panda"])
-def test_robots(name):
+def of_suite(name):
+    """A model of dm_control's suite."""
+    suite = importlib.util.find_spec("dm_control")
+    assert suite is not None and suite.origin is not None
+    return Path(suite.origin).parent / "suite" / f"{name}.xml"
+
+
+@pytest.mark.parametrize(
+    "path",
+    (
+        *map(of_suite, ("ball_in_cup", "point_mass", "quadruped", "dog")),
+        pytest.param(menagerie.PANDA, marks=menagerie.needed),
+    ),
+    ids=lambda path: path.stem,
+)
+def test_robots(path):
     """Lengths, arms and smooth forces of public models with tendons, at ten states."""
-    if name == "panda":
-        places = [parent / "shared" / "data" / "menagerie" for parent in Path(__file__).parents]
-        folder = next((place for place in places if place.is_dir()), None)
-        if folder is None:
-            pytest.skip("no shared/data/menagerie")
-        path = folder / "franka_emika_panda" / "panda.xml"
-    else:
-        suite = importlib.util.find_spec("dm_control")
-        assert suite is not None and suite.origin is not None
-        path = Path(suite.origin).parent / "suite" / f"{name}.xml"
     theirs = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(theirs)
     sim = sc.Sim(sc.load(path))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 
+import menagerie
 import numpy as np
 import pytest
-from places import SO101_CUBE, needs_robots
 
 import stepcore as sc
 
-pytestmark = needs_robots
+pytestmark = menagerie.needed
 
 HALF = 0.02  # of the cube's height as it lies [m]
 SHOULDER_LIFT, GRIPPER = 1, 5
@@ -19,7 +19,7 @@ STEPS = (0.001, 0.002, 0.005, 0.01)
 
 @functools.cache
 def model() -> sc.Model:
-    return sc.load(SO101_CUBE).compile()
+    return sc.load(menagerie.SO101_CUBE).compile()
 
 
 def at_pickup(**settings) -> sc.Sim:

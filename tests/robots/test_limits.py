@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import menagerie
 import mujoco
 import numpy as np
 import pytest
-from places import PANDA, SO101, UR5E, needs_robots
 
 import stepcore as sc
 
-pytestmark = needs_robots
+pytestmark = menagerie.needed
 
 INTEGRATORS = {
     "euler": mujoco.mjtIntegrator.mjINT_EULER,
@@ -20,8 +22,8 @@ INTEGRATORS = {
 class Linearised:
     """MuJoCo's step at the start of a file, without rows, as a function of dt and integrator."""
 
-    def __init__(self, path: str):
-        self.model = mujoco.MjModel.from_xml_path(path)
+    def __init__(self, path: Path):
+        self.model = mujoco.MjModel.from_xml_path(str(path))
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
         self.data = mujoco.MjData(self.model)
 
@@ -54,10 +56,10 @@ class Linearised:
 
 def test_so101_by_its_gripper():
     """8.67 ms under euler, 14.45 ms under implicitfast."""
-    diagnosis = sc.diagnose(SO101, horizon=0.02)
+    diagnosis = sc.diagnose(menagerie.SO101, horizon=0.02)
     row = min(diagnosis.rows, key=lambda row: row.limits["euler"])
     assert row.element.name == "servo `gripper`"
-    peer = Linearised(SO101)
+    peer = Linearised(menagerie.SO101)
     for integrator, known in (("euler", 8.67e-3), ("implicitfast", 14.45e-3)):
         theirs, joint = peer.limit(integrator)
         assert (joint, theirs) == ("gripper", pytest.approx(known, abs=6e-6))
@@ -66,8 +68,8 @@ def test_so101_by_its_gripper():
 
 def test_ur5e_by_its_servos():
     """1.89 ms under euler, of the wrist's servos together; 402 ms under implicitfast, of each."""
-    diagnosis = sc.diagnose(UR5E, horizon=0.02)
-    peer = Linearised(UR5E)
+    diagnosis = sc.diagnose(menagerie.UR5E, horizon=0.02)
+    peer = Linearised(menagerie.UR5E)
     theirs, joint = peer.limit("euler")
     assert (joint, theirs) == ("wrist_1_joint", pytest.approx(1.89e-3, abs=5e-6))
     assert diagnosis.limit("euler") == pytest.approx(theirs, rel=2e-3)
@@ -80,14 +82,16 @@ def test_ur5e_by_its_servos():
 
 def test_panda_by_its_first_and_third_servo():
     """0.59 ms under euler, though the fingers leave their limits at the start."""
-    diagnosis = sc.diagnose(PANDA, horizon=0.02, dt=5e-4)
-    theirs, joint = Linearised(PANDA).limit("euler")
+    diagnosis = sc.diagnose(menagerie.PANDA, horizon=0.02, dt=5e-4)
+    theirs, joint = Linearised(menagerie.PANDA).limit("euler")
     assert (joint, theirs) == ("joint3", pytest.approx(0.593e-3, abs=1e-6))
     assert diagnosis.limit("euler") == pytest.approx(theirs, rel=1e-3)
     assert diagnosis.stiffest("euler") in ("servo `actuator1`", "servo `actuator3`")
 
 
-@pytest.mark.parametrize("path", [SO101, UR5E, PANDA], ids=["so101", "ur5e", "panda"])
+@pytest.mark.parametrize(
+    "path", [menagerie.SO101, menagerie.UR5E, menagerie.PANDA], ids=["so101", "ur5e", "panda"]
+)
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_the_linearised_step_is_mujocos(path, integrator):
     """Every entry, to what MuJoCo's central differences leave, below and at the limit."""
