@@ -21,8 +21,8 @@ from random_model import Maker
 import stepcore as sc
 from stepcore.mjcf.nodes import MJCFError
 
-# Equalities between what cannot move, or of two sites of one body, have no rows in MuJoCo.
-REFUSED_HERE = ("connects two bodies that cannot move", "of the same body")
+# Equalities of two sites of one body have no rows in MuJoCo.
+REFUSED_HERE = ("of the same body",)
 REFUSED_BY_BOTH = ("mass and inertia of moving bodies", "geom wrapping not supported")
 ROUNDING = 1e-20
 LIMITS = dict.fromkeys((peers.PLACED | peers.SOLVED | peers.STEPPED), 1e-8)

@@ -99,7 +99,9 @@ impl Sim {
                 self.arrays.read(py, 0, |given| world.placed(given, what)).raised(py)?
             }
             Readout::Solved(what) => world.solved(what),
-            Readout::BodyForce(what) => gil::release(py, || world.body_force(what))?,
+            Readout::BodyForce(what) => {
+                self.arrays.read(py, 0, |given| world.body_force(given, what)).raised(py)?
+            }
         };
         result(py, numbers, &what.shape(&self.model))
     }
@@ -180,6 +182,7 @@ impl Sim {
         let mut world = self.lock()?;
         let memo = Memo { warm: Vec::new(), sleep: Sleep::new(), ..world.memo() };
         world.set_memo(&memo);
+        world.unsolved();
         Ok(())
     }
 
@@ -231,6 +234,7 @@ impl Sim {
         let mut snapshot = decode(state, self.arrays.lengths).map_err(PyValueError::new_err)?;
         snapshot.count_in(world.dt());
         world.set_memo(&snapshot.memo);
+        world.unsolved();
         self.arrays.restore(py, 0, &snapshot.numbers);
         Ok(())
     }
@@ -259,7 +263,8 @@ impl Sim {
         check_sensor(&self.model, sensor)?;
         let mut guard = self.lock()?;
         let world = &mut **guard;
-        let numbers = gil::release(py, || world.sensordata(sensor))?;
+        let numbers =
+            self.arrays.read(py, 0, |given| world.sensordata(given, sensor)).raised(py)?;
         let count = numbers.len();
         result(py, numbers, &[count])
     }

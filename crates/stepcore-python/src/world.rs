@@ -141,10 +141,12 @@ pub trait World: Send {
     fn set_memo(&mut self, memo: &Memo);
     fn placed(&mut self, given: &Given, what: Placed) -> Result<Vec<f64>>;
     fn solved(&self, what: Solved) -> Vec<f64>;
-    /// By body, 6 numbers each; zero before anything was solved.
-    fn body_force(&mut self, what: BodyForce) -> Result<Vec<f64>>;
-    /// A sensor's values, or all sensors', at the last solve; zero before anything was solved.
-    fn sensordata(&mut self, sensor: Option<usize>) -> Result<Vec<f64>>;
+    /// The state at hand did not come from a solve: what is read of the last one is read there.
+    fn unsolved(&mut self);
+    /// By body, 6 numbers each, at the last solve or, before there was one, at the present state.
+    fn body_force(&mut self, given: &Given, what: BodyForce) -> Result<Vec<f64>>;
+    /// A sensor's values, or all sensors', at the same state.
+    fn sensordata(&mut self, given: &Given, sensor: Option<usize>) -> Result<Vec<f64>>;
     /// Inverse dynamics at the present state; the acceleration is that of the last solve if none
     /// is given.
     fn inverse(&mut self, given: &Given, qacc: Option<&[f64]>) -> Result<Vec<f64>>;
@@ -290,26 +292,27 @@ impl<R: Real> World for One<R> {
         }
     }
 
-    fn body_force(&mut self, what: BodyForce) -> Result<Vec<f64>> {
-        let Some(sim) = self.last.again(&self.watched.sim, true)? else {
-            return Ok(vec![0.0; 6 * self.sim().model().bodies.len()]);
-        };
+    fn unsolved(&mut self) {
+        self.last.forget();
+    }
+
+    fn body_force(&mut self, given: &Given, what: BodyForce) -> Result<Vec<f64>> {
+        let sim = self.last.again(&self.watched.sim, given, true)?;
         let bodies = sim.bodies(0);
         Ok(readings::body_force(&sim.body_forces(&bodies, 0), what))
     }
 
-    fn sensordata(&mut self, sensor: Option<usize>) -> Result<Vec<f64>> {
+    fn sensordata(&mut self, given: &Given, sensor: Option<usize>) -> Result<Vec<f64>> {
         let model = self.sim().model().clone();
         let sensors = sensor.map_or(&*model.sensors, |index| &model.sensors[index..=index]);
         let solve = sensors.iter().any(Sensor::needs_solve);
         let mut values = Vec::new();
-        match self.last.again(&self.watched.sim, solve)? {
-            Some(sim) if model.features.sensor && !sensors.is_empty() => {
-                let mut reading = Reading::new(sim, 0);
-                sensors.iter().for_each(|sensor| reading.read(sensor, &mut values));
-            }
-            _ => values.resize(sensors.iter().map(Sensor::size).sum(), 0.0),
+        if !model.features.sensor || sensors.is_empty() {
+            values.resize(sensors.iter().map(Sensor::size).sum(), 0.0);
+            return Ok(values);
         }
+        let mut reading = Reading::new(self.last.again(&self.watched.sim, given, solve)?, 0);
+        sensors.iter().for_each(|sensor| reading.read(sensor, &mut values));
         Ok(values)
     }
 
@@ -430,8 +433,10 @@ fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
             .iter()
             .flat_map(|s| flat(&sim.attached(s.body, &s.pos, &s.quat).0))
             .collect(),
-        Placed::ActuatorLength => sim.actuator_motion(0).0,
-        Placed::ActuatorVelocity => sim.actuator_motion(0).1,
+        Placed::ActuatorLength => sim.actuator_length(0),
+        Placed::ActuatorVelocity => {
+            (0..model.actuators.len()).map(|index| sim.actuator_velocity(index, 0)).collect()
+        }
         Placed::TendonLength => numbers(&sim.placed.tendon_length[..model.tendons.len()]),
         Placed::TendonVelocity => numbers(&sim.tendon_velocity()),
         Placed::TendonJacobian => sim.tendon_jacobian(0),

@@ -31,6 +31,8 @@ pub trait Worlds: Send + Sync {
     fn set_memos(&mut self, memos: &[Memo]);
     /// Time and steps of all worlds; impulses forgotten.
     fn restart(&mut self, start: f64);
+    /// The states at hand did not come from a solve.
+    fn unsolved(&mut self);
 }
 
 /// `n` worlds in the precision that the settings ask for; in lanes where it can be.
@@ -106,7 +108,10 @@ impl<R: Real> Worlds for Batch<R> {
         into.put(&Given::new(|array| &lists[array as usize]));
         into.set_memo(&Memo::of(state, lane));
         match last {
-            Last::Nothing => Ok(()),
+            Last::Nothing => {
+                into.unsolved();
+                Ok(())
+            }
             Last::Forward => into.forward(),
             Last::Step => into.step(1),
         }
@@ -149,6 +154,10 @@ impl<R: Real> Worlds for Batch<R> {
                 state.warm.push(warm);
             }
         }
+    }
+
+    fn unsolved(&mut self) {
+        Batch::unsolved(self);
     }
 
     fn restart(&mut self, start: f64) {

@@ -108,7 +108,8 @@ class Stepped(World):
 
         They belong to the last `step` or `forward`: to the state from which it started, before the
         step moved anything, as MuJoCo's do after mj_step. They are computed when they are read,
-        those that tell of forces by solving once more. Zero before the first step or forward.
+        those that tell of forces by solving once more. Before the first of these, and after
+        `restore` and `reset`, they are those of the present state.
         """
         values: Floats = self._core.sensordata()
         return values

@@ -95,9 +95,11 @@ class World(checks.KnownNames, ABC):
         "linear part is the rate of `cvel`, not of a point that moves along: a sensor gives that."
     )
     cfrc_ext = Readout(
-        "Applied forces, contacts and body equalities on each body in the last solve: moment about "
-        "c (see `cinert`) [N·m], then force [N], in world axes; shape (nbody, 6). The forces of "
-        "tendons count as the joints' own, those of spatial tendons too."
+        "Applied forces, contacts, body equalities and all that acts along spatial tendons, on "
+        "each body in the last solve: moment about c (see `cinert`) [N·m], then force [N], in "
+        "world axes; shape (nbody, 6). Forces of fixed tendons and of other actuators count as "
+        "the joints' own. Before there was a solve, and after `restore` and `reset`, of one at "
+        "the present state."
     )
     cfrc_int = Readout(
         "What each body's parent exerts on it in the last solve, written as `cfrc_ext` is, shape "

@@ -12,7 +12,7 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.elements import Element
 from stepcore.scene.elements.sensor import OBJECTS as TYPES
-from stepcore.scene.sensor_ends import ADHERES, PULLED, pulled
+from stepcore.scene.sensor_ends import ADHERES
 
 # Attributes that name the object, or the reference, with what they name and as what.
 NAMED = {
@@ -61,8 +61,6 @@ def _not_computed(world: WorldReader, node: Node) -> str:
             body = world.scene.body(values.get(f"{prefix}name", ""))
             if body.mass is not None:
                 return "the axes of a body's own inertial frame are not kept"
-    if node.tag in ("force", "torque") and pulled(world.scene, world.scene.site(site).body):
-        return PULLED
     if node.tag == "actuatorvel" and world.scene.actuator(values["actuator"]).body is not None:
         return ADHERES
     if values.get("enclosed"):

@@ -18,7 +18,7 @@ from stepcore.scene.elements.sensor import (
     RAY_DATA,
     REFERENCE,
 )
-from stepcore.scene.sensor_ends import ADHERES, LISTS, PULLED, pulled
+from stepcore.scene.sensor_ends import ADHERES, LISTS
 
 if TYPE_CHECKING:
     from stepcore.scene.layout import Layout
@@ -51,8 +51,6 @@ def check(layout: Layout) -> None:
         _check_data(sensor)
         if sensor.cutoff and sensor.type in DIRECTIONS:
             raise checks.refuse(sensor, "cutoff", sensor.cutoff, "0: a direction has no bound")
-        if sensor.type in ("force", "torque") and pulled(layout.scene, sensor.object.body):  # type: ignore[union-attr]
-            raise checks.ElementError(sensor, PULLED)
         if sensor.type == "actuatorvel" and sensor.object.body is not None:  # type: ignore[union-attr]
             raise checks.ElementError(sensor, ADHERES)
 

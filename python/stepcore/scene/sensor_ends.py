@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from stepcore import checks
-from stepcore.scene.elements import Body, Element
+from stepcore.scene.elements import Element
 
 if TYPE_CHECKING:
     from stepcore.scene.holdings import Holdings
@@ -20,7 +20,6 @@ LISTS = {
     "actuator": "actuators",
 }
 
-PULLED = "the force of a spatial tendon on its body is not counted yet"
 ADHERES = "the speed along the contacts of an adhesion is not computed"
 
 
@@ -47,15 +46,3 @@ def find(scene: Holdings, kinds: Sequence[str], what: str, name: object) -> Elem
         raise ValueError(f"{what} = {checks.shown(name)}: must be the name of a {words}, or one")
     near = checks.nearest(name, [element.name for element in every])
     raise ValueError(f"no {words} is named {checks.quoted(name)}{near}")
-
-
-def pulled(scene: Holdings, body: Body | None) -> bool:
-    """Whether a spatial tendon pulls at a body, or at one that hangs on it."""
-    for tendon in scene.tendons:
-        for part in () if tendon.fixed else tendon.elements():
-            other: Body | None = getattr(part, "body", None)
-            while other is not None:
-                if other is body:
-                    return True
-                other = other.parent
-    return False

@@ -80,15 +80,32 @@ impl Batch {
         })
     }
 
+    /// The same of what needs the arrays too, where nothing was solved yet.
+    pub(super) fn again_given(
+        &self,
+        py: Python<'_>,
+        mut read: impl FnMut(&mut dyn World, &Given) -> Result<Vec<f64>, Error> + Send,
+    ) -> PyResult<Vec<Vec<f64>>> {
+        let guard = self.lock()?;
+        let worlds = &**guard;
+        let mut all = Vec::new();
+        let mut reader = world(self.model.clone(), &self.settings).raised(py)?;
+        self.read(py, |world, given| {
+            worlds.again(world, &mut *reader)?;
+            all.push(read(&mut *reader, given)?);
+            Ok(())
+        })?;
+        Ok(all)
+    }
+
     /// Reads every world's last solve in turn; `shape`: that of one world's numbers.
     pub(super) fn solved<'py>(
         &self,
         py: Python<'py>,
         shape: &[usize],
-        read: impl Fn(&mut dyn World) -> Result<Vec<f64>, Error> + Sync,
+        read: impl FnMut(&mut dyn World, &Given) -> Result<Vec<f64>, Error> + Send,
     ) -> PyResult<Array<'py>> {
-        let all: Result<Vec<Vec<f64>>, Error> = self.again(py, read)?.into_iter().collect();
-        result(py, all.raised(py)?.concat(), &self.shape(shape))
+        result(py, self.again_given(py, read)?.concat(), &self.shape(shape))
     }
 
     /// Of all worlds, given that of one.

@@ -9,7 +9,6 @@ use numpy::{PyArrayDyn, PyReadonlyArray3};
 use pyo3::exceptions::{PyBaseException, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use stepcore::error::Error;
 use stepcore::model::Model as EngineModel;
 use stepcore::settings::Settings as EngineSettings;
 
@@ -72,8 +71,10 @@ impl Batch {
             Readout::Solved(Solved::Acceleration) => {
                 result(py, self.lock()?.qacc(), &[self.arrays.worlds, self.model.nv])
             }
-            Readout::Solved(what) => self.solved(py, &shape, |world| Ok(world.solved(what))),
-            Readout::BodyForce(what) => self.solved(py, &shape, |world| world.body_force(what)),
+            Readout::Solved(what) => self.solved(py, &shape, |world, _| Ok(world.solved(what))),
+            Readout::BodyForce(what) => {
+                self.solved(py, &shape, |world, given| world.body_force(given, what))
+            }
         }
     }
 
@@ -144,7 +145,9 @@ impl Batch {
 
     /// Sets the time [s] of all worlds and forgets the impulses of the last step.
     fn restart(&self, time: f64) -> PyResult<()> {
-        self.lock()?.restart(time);
+        let mut worlds = self.lock()?;
+        worlds.restart(time);
+        worlds.unsolved();
         Ok(())
     }
 
@@ -175,6 +178,7 @@ impl Batch {
         }
         let memos: Vec<_> = snapshots.iter().map(|snapshot| snapshot.memo.clone()).collect();
         worlds.set_memos(&memos);
+        worlds.unsolved();
         for (world, snapshot) in snapshots.iter().enumerate() {
             self.arrays.restore(py, world, &snapshot.numbers);
         }
@@ -203,9 +207,7 @@ impl Batch {
     #[pyo3(signature = (sensor = None))]
     fn sensordata<'py>(&self, py: Python<'py>, sensor: Option<usize>) -> PyResult<Array<'py>> {
         check_sensor(&self.model, sensor)?;
-        let all = self.again(py, |world| world.sensordata(sensor))?;
-        let all: Result<Vec<Vec<f64>>, Error> = all.into_iter().collect();
-        let all = all.raised(py)?;
+        let all = self.again_given(py, |world, given| world.sensordata(given, sensor))?;
         let shape = [self.arrays.worlds, all.first().map_or(0, Vec::len)];
         result(py, all.concat(), &shape)
     }

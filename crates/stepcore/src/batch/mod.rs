@@ -128,6 +128,14 @@ impl<R: Real> Batch<R> {
         self.groups[world / R::LANES].standing.lanes[world % R::LANES].as_ref()
     }
 
+    /// The states at hand did not come from a solve.
+    pub fn unsolved(&mut self) {
+        for group in &mut self.groups {
+            group.state.copy_to(&mut group.before);
+            group.last = Last::Nothing;
+        }
+    }
+
     /// A world's acceleration in its last solve.
     pub fn qacc(&self, world: usize) -> impl Iterator<Item = f64> + '_ {
         self.groups[world / R::LANES].qacc.iter().map(move |a| a.lane(world % R::LANES))

@@ -3,7 +3,8 @@
 //! J̇ v leaves out.
 
 use super::equality::Held;
-use crate::model::Coupling;
+use crate::model::{Coupling, Model};
+use crate::place::Pulls;
 use crate::real::Real;
 use crate::settings::Law;
 use crate::solve::{Rows, Situation};
@@ -26,6 +27,16 @@ fn poly<R: Real>(coefficients: &[f64; 5], x: R) -> Poly<R> {
         at.value = at.value * x + R::of(*c);
     }
     at
+}
+
+impl Coupling {
+    /// ∂L₁/∂L₂ where they agree.
+    pub(crate) fn slope<R: Real>(&self, model: &Model, qpos: &[R], pulls: Pulls<R>) -> R {
+        self.second.map_or(R::zero(), |second| {
+            let gone = second.length(model, qpos, pulls) - R::of(self.rest[1]);
+            poly(&self.polycoef, gone).slope
+        })
+    }
 }
 
 impl<R: Real> Rows<R> {

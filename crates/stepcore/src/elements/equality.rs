@@ -27,7 +27,7 @@ impl Constraint for Equalities {
             let dofs = equality.dofs.of(now.dof_lists);
             let rests = || dofs.iter().all(|k| now.rests(now.model.dofs[*k].tree));
             let active = now.inputs.eq_active(index);
-            if active.none() || (!now.asleep.is_empty() && rests()) {
+            if active.none() || dofs.is_empty() || (!now.asleep.is_empty() && rests()) {
                 continue;
             }
             match &equality.tie {

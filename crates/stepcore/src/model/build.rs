@@ -34,7 +34,7 @@ impl Model {
         if !pairs::fill(scene, &mut model, &poses, &mut unions, most_fixed)? {
             heap::fill(scene, &mut model, &poses)?;
         }
-        ties::fill(scene, &mut model, &poses, &mut unions)?;
+        ties::fill(scene, &mut model, &poses, &mut unions);
         let tied: Vec<usize> = model.equalities.iter().flat_map(|e| e.placed()).collect();
         let met = model.geoms.iter().filter(|g| g.collides).map(|g| g.body);
         let (met, passed) = (trees_of(&model, met), model.passed_by_tendons());

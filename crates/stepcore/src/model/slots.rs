@@ -2,7 +2,7 @@
 //! in the order in which their rows are made.
 
 use super::heap::MOST_TOUCHES;
-use super::{Model, Pair, Tendon, NONE};
+use super::{Model, Pair, Span, NONE};
 use crate::elements::{Element, Kind};
 use std::ops::Range;
 
@@ -66,14 +66,13 @@ impl Model {
     pub fn ranks(&self, islands: &[usize]) -> Vec<u32> {
         let tree = |body: usize| self.bodies[body].tree;
         let either = |a: usize, b: usize| tree(if tree(a) == NONE { b } else { a });
-        let ties = self.equalities.iter().map(|e| self.dofs[e.dofs.of(&self.dof_lists)[0]].tree);
         let losses = self.dofs.iter().map(|dof| dof.tree);
         let limits = self.joints.iter().flat_map(|joint| [tree(joint.body); SIDES]);
-        let moved = |tendon: &Tendon| {
-            tendon.dofs.of(&self.dof_lists).first().map_or(NONE, |dof| self.dofs[*dof].tree)
-        };
-        let tendon_losses = self.tendons.iter().map(moved);
-        let tendon_limits = self.tendons.iter().flat_map(|tendon| [moved(tendon); SIDES]);
+        let moved =
+            |dofs: Span| dofs.of(&self.dof_lists).first().map_or(NONE, |dof| self.dofs[*dof].tree);
+        let ties = self.equalities.iter().map(|equality| moved(equality.dofs));
+        let tendon_losses = self.tendons.iter().map(|tendon| moved(tendon.dofs));
+        let tendon_limits = self.tendons.iter().flat_map(|t| [moved(t.dofs); SIDES]);
         let contacts = self.pairs.iter().flat_map(|p| {
             let tree = either(self.geoms[p.geom1].body, self.geoms[p.geom2].body);
             std::iter::repeat_n(tree, p.test.most_touches())

@@ -3,8 +3,7 @@
 use super::pose::{unit_quat, Pose};
 use super::tree::Unions;
 use super::{Model, Span};
-use crate::elements::{text, Kind, Text};
-use crate::error::{Error, Result};
+use crate::elements::Kind;
 use crate::scene::{self, EqualityType, Scene, Softness};
 use crate::spatial::Quat;
 use crate::transmission::Transmission;
@@ -17,7 +16,7 @@ pub struct Equality {
     pub tie: Tie,
     pub active: bool,
     pub soft: Softness,
-    /// As those of a `Pair`.
+    /// As those of a `Pair`. Empty: nothing that it ties can move, and it has no rows.
     pub dofs: Span,
     pub mass: f64,
 }
@@ -87,8 +86,8 @@ impl Equality {
 }
 
 /// Compiles the equalities; bodies and dofs have their inverse weights.
-pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Unions) -> Result<()> {
-    for (index, q) in scene.equalities.iter().enumerate() {
+pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Unions) {
+    for q in &scene.equalities {
         let tie = match q.kind {
             EqualityType::Connect => Tie::Connect(ends(model, poses, q)),
             EqualityType::Weld => {
@@ -108,10 +107,6 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Union
             }
         };
         let dofs = unions.of_spans(model, chains[0], chains[1]);
-        if dofs.len == 0 {
-            let name = Text::label(Kind::Equality, &q.name, index);
-            return Err(Error::Scene(text![name, " connects two bodies that cannot move"]));
-        }
         model.equalities.push(Equality {
             name: q.name.clone(),
             tie,
@@ -121,7 +116,6 @@ pub fn fill(scene: &Scene, model: &mut Model, poses: &[Pose], unions: &mut Union
             mass: mass_of(model, dofs),
         });
     }
-    Ok(())
 }
 
 /// Mass of the trees of some dofs, each once.

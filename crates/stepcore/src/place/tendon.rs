@@ -68,11 +68,7 @@ impl<R: Real> Placed<R> {
 
     /// Adds the arms of a stretch; returns its share of the length.
     fn place_stretch(&mut self, model: &Model, tendon: &Tendon, stretch: &Stretch) -> R {
-        let ends = [self.point(&stretch.ends[0]), self.point(&stretch.ends[1])];
-        let pull = match &stretch.round {
-            None => straight(ends),
-            Some(round) => self.around(model, ends, round),
-        };
+        let pull = self.pull_of(model, stretch);
         let share = R::of(stretch.share);
         let geom = stretch.round.map(|round| model.geoms[round.geom].body);
         for mover in &stretch.movers {
@@ -101,6 +97,35 @@ impl<R: Real> Placed<R> {
             self.tendon_arms[tendon.arms.start + mover.at] += share * arm;
         }
         share * pull.length
+    }
+
+    fn pull_of(&self, model: &Model, stretch: &Stretch) -> Pull<R> {
+        let ends = [self.point(&stretch.ends[0]), self.point(&stretch.ends[1])];
+        match &stretch.round {
+            None => straight(ends),
+            Some(round) => self.around(model, ends, round),
+        }
+    }
+
+    /// Calls `each(body, point, direction)` for every point of a body at which a spatial tendon
+    /// pulls: a force that lengthens it by 1 N pushes the body there by this direction [N].
+    pub(crate) fn tendon_pulls(
+        &self,
+        model: &Model,
+        index: usize,
+        mut each: impl FnMut(usize, V3<R>, V3<R>),
+    ) {
+        let Course::Spatial(stretches) = &model.tendons[index].course else { return };
+        for stretch in stretches {
+            let (pull, share) = (self.pull_of(model, stretch), R::of(stretch.share));
+            for (end, (at, along)) in stretch.ends.iter().zip(&pull.ends) {
+                each(end.body, *at, *along * share);
+            }
+            if let Some(round) = &stretch.round {
+                let body = model.geoms[round.geom].body;
+                pull.geom.iter().for_each(|(at, along)| each(body, *at, *along * share));
+            }
+        }
     }
 
     fn around(&self, model: &Model, ends: [V3<R>; 2], round: &Round) -> Pull<R> {

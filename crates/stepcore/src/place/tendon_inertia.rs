@@ -5,7 +5,7 @@
 //! neither moves the other are left out (the plan says where), and so is armature round geoms.
 
 use super::Placed;
-use crate::model::{Course, Model, Stretch, Tree, NONE};
+use crate::model::{Course, Model, Stretch, Tendon, Tree, NONE};
 use crate::real::Real;
 use crate::spatial::V3;
 
@@ -32,17 +32,24 @@ impl<R: Real> Placed<R> {
             return;
         }
         for tendon in model.tendons.iter().filter(|tendon| tendon.armature > 0.0) {
-            let Course::Spatial(stretches) = &tendon.course else { continue };
-            let mut own = R::zero();
-            for stretch in stretches {
-                own += R::of(stretch.share) * self.acceleration_of(model, stretch);
-            }
-            let pull = R::of(tendon.armature) * own;
+            let Course::Spatial(_) = &tendon.course else { continue };
+            let pull = R::of(tendon.armature) * self.free_acceleration_along(model, tendon);
             let arms = tendon.arms.of(&self.tendon_arms);
             for (dof, arm) in tendon.dofs.of(&model.dof_lists).iter().zip(arms) {
                 self.bias[*dof] += *arm * pull;
             }
         }
+    }
+
+    /// d²L/dt² of a spatial tendon while no dof accelerates.
+    pub(crate) fn free_acceleration_along(&self, model: &Model, tendon: &Tendon) -> R {
+        let mut sum = R::zero();
+        if let Course::Spatial(stretches) = &tendon.course {
+            for stretch in stretches {
+                sum += R::of(stretch.share) * self.acceleration_of(model, stretch);
+            }
+        }
+        sum
     }
 
     /// d²/dt² |b − a| while no dof accelerates: along the line the difference of what both ends do,

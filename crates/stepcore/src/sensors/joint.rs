@@ -30,8 +30,7 @@ impl<R: Real> Reading<'_, R> {
                 out.push(along.length(model, qpos, self.sim.placed.pulls()).lane(lane));
             }
             T::ActuatorVel => {
-                let along = model.along[index];
-                out.push(along.velocity(model, qpos, qvel, self.sim.placed.pulls()).lane(lane));
+                out.push(self.sim.actuator_velocity(index, lane));
             }
             T::ActuatorFrc => out.push(self.sim.placed.actuator[index].lane(lane)),
             T::JointActuatorFrc => out.push(self.actuated(model.joints[index].dof)),

@@ -13,7 +13,7 @@ use crate::spatial::{splat, Force, Motion, Quat, V3};
 pub struct BodyForces {
     /// Acceleration of the body's point there, gravity counted as an upward acceleration.
     pub cacc: Vec<Motion<f64>>,
-    /// Applied forces, contacts and connections. Nothing of the world's is counted.
+    /// Applied forces, contacts, connections and spatial tendons. Nothing of the world's is counted.
     pub external: Vec<Force<f64>>,
     /// What the parent exerts on the body, of everything that hangs on it.
     pub internal: Vec<Force<f64>>,
@@ -104,6 +104,14 @@ impl<R: Real> Sim<R> {
                 let body = ends.bodies[k];
                 let point = bodies.xpos[body] + bodies.xmat[body] * ends.pos[k];
                 push(body, &point, &(force * sign), &(moment * sign));
+            }
+        }
+        for (tendon, force) in self.tension_of_tendons(lane).into_iter().enumerate() {
+            if force != 0.0 {
+                self.placed.tendon_pulls(model, tendon, |body, at, along| {
+                    let pull = lane_of(&along, lane) * force;
+                    push(body, &lane_of(&at, lane), &pull, &V3::zeros());
+                });
             }
         }
         forces

@@ -5,6 +5,7 @@
 //! integrates. They are computed when they are read, by solving there again; that is the same
 //! solve bit for bit but under `midpoint` and `rk4`, whose steps have several.
 
+use crate::arrays::Given;
 use crate::error::Result;
 use crate::model::Model;
 use crate::real::Real;
@@ -61,11 +62,20 @@ impl<R: Real> LastSolve<R> {
         (self.any, self.placed, self.solved) = (true, false, false);
     }
 
-    /// A copy of `sim` at the state of the last solve, where it has solved once more if `solve`;
-    /// None if nothing was solved yet.
-    pub fn again(&mut self, sim: &Sim<R>, solve: bool) -> Result<Option<&mut Sim<R>>> {
+    /// The state at hand came from elsewhere.
+    pub fn forget(&mut self) {
+        self.any = false;
+    }
+
+    /// A copy of `sim` at the state of the last solve, where it has solved once more if `solve`.
+    /// While there was none, at the state and inputs that are given.
+    pub fn again(&mut self, sim: &Sim<R>, given: &Given, solve: bool) -> Result<&mut Sim<R>> {
         if !self.any {
-            return Ok(None);
+            given.check::<R>(&sim.model, None)?;
+            sim.state.copy_to(&mut self.start);
+            self.start.put(0, given);
+            self.inputs.put(0, given);
+            (self.placed, self.solved) = (false, false);
         }
         let again = match &mut self.again {
             Some(again) => again,
@@ -80,6 +90,6 @@ impl<R: Real> LastSolve<R> {
             again.forward()?;
             self.solved = true;
         }
-        Ok(Some(again))
+        Ok(again)
     }
 }

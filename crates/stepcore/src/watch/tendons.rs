@@ -1,7 +1,10 @@
 //! What can be read of tendons, at the positions that were last placed.
 
 use crate::elements::tendon_spring::tendon_force;
-use crate::real::Real;
+use crate::elements::Kind;
+use crate::model::Tie;
+use crate::real::{Mask, Real};
+use crate::scene::Target;
 use crate::sim::{At, Sim};
 use crate::transmission::Transmission;
 
@@ -31,5 +34,60 @@ impl<R: Real> Sim<R> {
     pub fn tendon_force(&self) -> Vec<R> {
         let now = self.moment(At::State);
         (0..self.model.tendons.len()).map(|index| tendon_force(&now, index)).collect()
+    }
+
+    /// All forces along each spatial tendon in the last solve, in a lane, positive where they lengthen
+    /// it [N]: of its spring and damper, actuators, limit, friction loss, equalities and armature. 0 of
+    /// fixed tendons, which pull at no point.
+    pub(crate) fn tension_of_tendons(&self, lane: usize) -> Vec<f64> {
+        let (model, placed) = (&*self.model, &self.placed);
+        let now = self.moment(At::State);
+        let own = |index: usize| {
+            let tendon = &model.tendons[index];
+            let mut sum = tendon_force(&now, index);
+            if tendon.armature > 0.0 {
+                let dofs = tendon.dofs.of(&model.dof_lists).iter();
+                let arms = dofs.zip(tendon.arms.of(&placed.tendon_arms));
+                let free = placed.free_acceleration_along(model, tendon);
+                let all = arms.fold(free, |sum, (dof, arm)| sum + *arm * self.qacc[*dof]);
+                sum -= R::of(tendon.armature) * all;
+            }
+            sum.lane(lane)
+        };
+        let spatial = |index: usize| model.tendons[index].spatial();
+        let each = 0..model.tendons.len();
+        let mut sums: Vec<f64> = each.map(|at| if spatial(at) { own(at) } else { 0.0 }).collect();
+        for (actuator, force) in model.actuators.iter().zip(&placed.actuator) {
+            if let Target::Tendon(tendon) = actuator.target {
+                sums[tendon] += actuator.gear[0] * force.lane(lane);
+            }
+        }
+        self.tension_of_rows(lane, |tendon, force| sums[tendon] += force);
+        (0..sums.len()).filter(|at| !spatial(*at)).for_each(|at| sums[at] = 0.0);
+        sums
+    }
+
+    /// Calls `add(tendon, force)` for what the rows of tendons exert along them.
+    fn tension_of_rows(&self, lane: usize, mut add: impl FnMut(usize, f64)) {
+        let model = &*self.model;
+        for block in self.rows.blocks.iter().filter(|block| block.mask.lane(lane)) {
+            let (element, index) = (block.element, block.element.index as usize);
+            let force = || self.rows.rows[block.rows.start].total().lane(lane) / self.clock.seconds;
+            match element.kind {
+                Kind::TendonLimit => add(index, if element.part == 1 { -force() } else { force() }),
+                Kind::TendonFriction => add(index, force()),
+                Kind::TendonEquality => {
+                    let Tie::Lengths(tie) = &model.equalities[index].tie else { continue };
+                    let slope: R = tie.slope(model, &self.state.qpos, self.placed.pulls());
+                    let ends = [(Some(tie.first), 1.0), (tie.second, -slope.lane(lane))];
+                    for (end, share) in ends {
+                        if let Some(Transmission::Tendon(tendon, _)) = end {
+                            add(tendon, share * force());
+                        }
+                    }
+                }
+                _ => {}
+            }
+        }
     }
 }
