@@ -5,9 +5,10 @@
 Every model of gymnasium's and dm-control's wheels, and every MJCF file below --folder. At each of
 100 states (random falls: contacts, limits and pushes are active; half of them with forces applied)
 both engines place, detect and solve from scratch, MuJoCo at its most accurate, and everything that
-they compute is compared, relative to the largest entry. Where the two find other contacts, what
-follows from them is not compared: the state counts as one whose contacts differ, and the pairs of
-geoms are named. Then one step of every integrator that both have.
+they compute is compared, relative to the largest entry. Where the two find other contacts, or as
+many at other places, what follows from them is not compared: the state counts as one whose contacts
+differ, and an independent oracle says of each such pair of geoms who is right (`verdict.py`). Then
+one step of every integrator that both have.
 
 Times: MuJoCo in a C loop with its timers off, stepcore by `sim.step(n)`, both from the same starts,
 in turn. "equal": Newton, to the residual that MuJoCo reaches. "shipped": what the file asks for, on
@@ -27,6 +28,7 @@ import numpy as np
 import peers
 import record
 import robot_files
+import verdict
 from robot_times import Times, times
 
 import stepcore as sc
@@ -53,7 +55,8 @@ class Row:
     nu: int = 0
     states: int = 0
     other_contacts: int = 0
-    other_pairs: list[str] = field(default_factory=list)
+    # By kinds of geoms: who is right where their contacts differ.
+    verdicts: dict[str, verdict.Verdicts] = field(default_factory=dict)
     errors: dict[str, float] = field(default_factory=dict)
     times: Times | None = None
 
@@ -83,62 +86,63 @@ def examine(robot: robot_files.Robot, count: int) -> Row:
     row.nv, row.nu = model.nv, model.nu
     states = peers.fall_states(theirs, count, seed=7)
     row.states = len(states)
-    compare_forward(row, model, theirs, states)
+    states = compare_forward(row, model, theirs, states)
     for integrator in peers.INTEGRATORS:
         compare_steps(row, model, theirs, states, integrator)
     return row
 
 
-def compare_forward(row: Row, model: sc.Model, theirs: mujoco.MjModel, states: list) -> None:
-    """Everything that a forward pass computes."""
+def compare_forward(row: Row, model: sc.Model, theirs: mujoco.MjModel, states: list) -> list:
+    """Everything that a forward pass computes; the states in which both find the same contacts."""
     sim, data = sc.Sim(model, **peers.EXACT), mujoco.MjData(theirs)
-    every, same = peers.Worst(), peers.Worst()
+    every, same, alike = peers.Worst(), peers.Worst(), []
+    judge = verdict.Judge(sim, theirs, data, peers.kept_geoms(sim, theirs))
     for index, state in enumerate(states):
         one = peers.Worst()
         peers.note_forward(one, index, sim, theirs, data, state)
-        differs = not np.isfinite(one.seen["contacts"][0])
-        if differs:
-            row.other_contacts += 1
-            note_pairs(row, sim, theirs, data)
+        differs = note_pairs(judge, row)
+        row.other_contacts += differs
+        if not differs:
+            alike.append(state)
         for name, (value, _) in one.seen.items():
             if name not in ("constraint", "qacc", "contacts", "sensordata"):
                 every.note(name, value, index)
             elif not differs:
                 same.note(name, value, index)
     row.errors = {name: value for name, (value, _) in (every.seen | same.seen).items()}
+    return alike
 
 
-def note_pairs(row: Row, sim: sc.Sim, theirs: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Which pairs of geoms have other contacts."""
-
-    def counts(pairs) -> dict[tuple[int, int], int]:
-        found: dict[tuple[int, int], int] = {}
-        for a, b in pairs:
-            found[int(a), int(b)] = found.get((int(a), int(b)), 0) + 1
-        return found
-
-    index = peers.kept_geoms(sim, theirs)
-    ours = counts((index[c["geom1"]], index[c["geom2"]]) for c in sim.contacts)
-    peer = counts(c.geom for c in data.contact[: data.ncon])
+def note_pairs(judge: verdict.Judge, row: Row | None = None) -> bool:
+    """Whether any pair of geoms has other contacts; with a row, who is right about it."""
+    ours = verdict.listed(judge.sim, judge.geoms)
+    peer = verdict.listed_by_mujoco(judge.data)
+    differs = False
     for pair in sorted(ours.keys() | peer.keys()):
-        if ours.get(pair) != peer.get(pair):
-            kinds = "–".join(mujoco.mjtGeom(theirs.geom_type[g]).name[7:].lower() for g in pair)
-            if kinds not in row.other_pairs:
-                row.other_pairs.append(kinds)
+        own, other = ours.get(pair), peer.get(pair)
+        if not verdict.elsewhere(own, other, judge.size(pair)):
+            continue
+        differs = True
+        if row is not None:
+            kinds = "–".join(judge.kind(geom) for geom in pair)
+            row.verdicts.setdefault(kinds, verdict.Verdicts()).add(*judge.pair(pair, own, other))
+    return differs
 
 
 def compare_steps(
     row: Row, model: sc.Model, theirs: mujoco.MjModel, states: list, integrator: str
 ) -> None:
-    """One step of an integrator, from states in which both find the same contacts."""
+    """One step of an integrator, from states in which both find the same contacts, and find them
+    again when they last place: at the step's end, or in the last stage of `rk4`."""
     kept = theirs.opt.integrator
     theirs.opt.integrator = peers.INTEGRATORS[integrator]
     sim = sc.Sim(model, **peers.EXACT, integrator=integrator)
     data, worst = mujoco.MjData(theirs), peers.Worst()
+    judge = verdict.Judge(sim, theirs, data, peers.kept_geoms(sim, theirs))
     for index, state in enumerate(states):
         one = peers.Worst()
         peers.note_step(one, index, sim, theirs, data, state)
-        if len(sim.contacts) == data.ncon:
+        if not note_pairs(judge):
             worst.note(f"step {integrator}", max(v for v, _ in one.seen.values()), index)
     row.errors |= {name: value for name, (value, _) in worst.seen.items()}
     theirs.opt.integrator = kept
@@ -150,22 +154,22 @@ def cells(row: Row) -> list[str]:
     if row.refused:
         reason = row.refused if len(row.refused) < 160 else row.refused[:157] + "…"
         both = " (MuJoCo refuses it too)" if row.peer_refused else ""
-        return [name, "no" + both, "", "", "", "", "", reason]
+        return [name, "no" + both, "", "", "", "", "", "", reason]
     if not row.states:
-        return [name, "yes", str(row.nv), "", "", "", "", row.peer_refused or "nothing moves"]
+        return [name, "yes", str(row.nv), "", "", "", "", "", row.peer_refused or "nothing moves"]
     contacts = "" if not row.other_contacts else f"{row.other_contacts} of {row.states}"
-    if row.other_pairs:
-        contacts += f" ({', '.join(row.other_pairs[:3])})"
+    who = "; ".join(f"{kinds}: {found}" for kinds, found in sorted(row.verdicts.items()))
     steps = tuple(name for name in row.errors if name.startswith("step"))
     columns = [f"{row.worst(names):.0e}" for names in (*GROUPS.values(), ("sensordata",), steps)]
     placed, forces, solved, _, stepped = columns
-    own = [name, "yes", str(row.nv), f"{placed}, {forces}", solved, stepped, contacts]
+    own = [name, "yes", str(row.nv), f"{placed}, {forces}", solved, stepped, contacts, who]
     return [*own, row.times.cell() if row.times else ""]
 
 
 HEAD = (
     *("model", "loads", "dofs", "placed, forces", "solved", "one step"),
-    *("other contacts", "µs a step: ours, MuJoCo's (equal; shipped)"),
+    *("other contacts", "pairs that differ: who is right"),
+    "µs a step: ours, MuJoCo's (equal; shipped)",
 )
 
 
