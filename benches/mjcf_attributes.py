@@ -38,19 +38,19 @@ ELSEWHERE = {
     "attach": dict.fromkeys(("model", "body", "frame", "prefix"), "test_expand.py"),
     "replicate": {"sep": "test_expand.py"},
     "include": {"file": "test_mjcf_files.py"},
-}
-# Of a sensor with a history: one that reads late or rarely is read past; else nobody asks for it.
-LATE = {"nsample": "no effect", "interp": "no effect", "delay": "senses", "interval": "senses"}
-DIRECTIONS = ("ballquat", "framequat", "framexaxis", "frameyaxis", "framezaxis")
-# What cannot be tried alone: ranges of muscles that give none, and the state of flexes.
-KNOWN = {
     "compiler/lengthrange": dict.fromkeys(
         [
             *("mode", "useexisting", "uselimit", "accel", "maxforce", "timeconst", "timestep"),
             *("inttotal", "interval", "tolrange"),
         ],
-        "no effect",
+        "test_length_ranges.py",
     ),
+}
+# Of a sensor with a history: one that reads late or rarely is read past; else nobody asks for it.
+LATE = {"nsample": "no effect", "interp": "no effect", "delay": "senses", "interval": "senses"}
+DIRECTIONS = ("ballquat", "framequat", "framexaxis", "frameyaxis", "framezaxis")
+# What cannot be tried alone: the state of flexes.
+KNOWN = {
     "keyframe/key": {"plastic": "refused"},
     **{f"sensor/{tag}": LATE for tag in ROOT.children["sensor"].children},
     # MuJoCo refuses a cutoff of directions too.

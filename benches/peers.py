@@ -81,6 +81,7 @@ class State:
             getattr(data, name)[:] = value
 
     def to_stepcore(self, sim: sc.Sim) -> None:
+        sim.ctrl_history[:] = 0
         for name, value in vars(self).items():
             getattr(sim, name)[:] = value
 

@@ -235,7 +235,7 @@ def _scale_actuator(actuator, unit, by):
     for field, of in (("actrange", length if rate else 1.0), ("lengthrange", length)):
         by(actuator, of, field)
     by(actuator, 1 / time, "vmax")
-    by(actuator, time, "timeconst")
+    by(actuator, time, "timeconst", "delay")
     # Of its target's velocity, as that one's own coefficients are.
     powers = zip(actuator.dampingpoly, (1, 2), strict=True)
     per = ways[0] / time

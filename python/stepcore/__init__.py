@@ -88,6 +88,7 @@ if TYPE_CHECKING:
     from stepcore.scene.elements import HField as HField
     from stepcore.scene.elements import Joint as Joint
     from stepcore.scene.elements import Key as Key
+    from stepcore.scene.elements import LengthRange as LengthRange
     from stepcore.scene.elements import MassRules as MassRules
     from stepcore.scene.elements import Mesh as Mesh
     from stepcore.scene.elements import Pair as Pair
@@ -185,7 +186,8 @@ _MODULES = {
     "stepcore.report.table": ("Table",),
     "stepcore.scene.elements": (
         *("Actuator", "Body", "ContactOverride", "Equality", "Features", "Geom", "HField"),
-        *("Joint", "Key", "MassRules", "Mesh", "Pair", "Pulley", "Sensor", "Site", "Tendon"),
+        *("Joint", "Key", "LengthRange", "MassRules", "Mesh", "Pair", "Pulley", "Sensor", "Site"),
+        "Tendon",
     ),
     "stepcore.scene.scene": ("Scene",),
 }

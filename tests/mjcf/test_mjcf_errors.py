@@ -127,11 +127,6 @@ MISTAKES = {
     "no transmission": (motor('name="m"'), 3, "needs joint"),
     "an unknown site": (motor('site="t" refsite="s"'), 3, 'no site is named "t"'),
     "a crank without a pin": (motor('slidersite="s"'), 3, "cranksite"),
-    "a muscle without its lengths": (
-        motor('joint="j"').replace("<motor", "<muscle"),
-        3,
-        "lengthrange",
-    ),
     "a damper that pushes": (motor('joint="j"').replace("<motor", "<damper"), 3, "ctrlrange"),
     "two transmissions": (motor('joint="j" site="s"'), 3, "two transmissions"),
     "reversed clamp": (motor('joint="j" forcelimited="true" forcerange="1 0"'), 3, "forcerange"),
@@ -246,10 +241,6 @@ UNBUILT = {
     "dim 2": (
         '<geom type="mesh" mesh="m"/>',
         '<asset><mesh name="m" builtin="box" params="2 2 2 1 1 1 2"/></asset>',
-    ),
-    "delay": (
-        '<joint name="j"/>',
-        '<actuator><motor joint="j" nsample="3" delay=".1"/></actuator>',
     ),
     **{
         f'flag "{flag}"': ("", f'<option><flag {flag}="enable"/></option>')

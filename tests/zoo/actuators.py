@@ -25,6 +25,16 @@ add(
         biasprm=".1 -4 -.6" dyntype="filter" dynprm=".03" actearly="true"/></actuator>""",
 )
 add(
+    "late_controls",
+    ARM,
+    extra="""<actuator>
+      <position joint="a" kp="30" kv="2" nsample="3" delay=".006" timeconst=".03"/>
+      <motor joint="a" nsample="4" delay=".005" interp="linear" gear="2"/>
+      <position joint="b" kp="20" kv=".7" nsample="5" delay=".007" interp="cubic"/>
+      <intvelocity joint="c" kp="40" kv="3" actrange="-.1 .3" nsample="2" delay=".05"/>
+      <motor joint="b" nsample="6"/></actuator>""",
+)
+add(
     "muscles",
     ARM,
     extra="""<actuator>

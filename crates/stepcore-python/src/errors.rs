@@ -117,6 +117,7 @@ fn attach_post_mortem(error: &Bound<'_, PyBaseException>, post: &PostMortem) -> 
         Array::Qpos => &start.qpos,
         Array::Qvel => &start.qvel,
         Array::Act => &start.act,
+        Array::CtrlHistory => &start.ctrl_history,
         Array::Ctrl => &inputs.ctrl,
         Array::QfrcApplied => &inputs.qfrc_applied,
         Array::XfrcApplied => &inputs.xfrc_applied,

@@ -3,9 +3,9 @@
 use pyo3::prelude::*;
 use stepcore::scene::{
     Actuator, Body, ContactOverride, Dynamics, Equality, EqualityType, ExplicitPair, Features,
-    FluidShape, Frame, Geom, GeomType, HField, Inertial, Joint, JointType, Key, MassRules, Mesh,
-    MeshInertia, Muscle, ObjectType, Reduce, Scene, Sensor, SensorField, SensorObject, SensorType,
-    Site, Softness, Stop, Target, Tendon,
+    FluidShape, Frame, Geom, GeomType, HField, Inertial, Interp, Joint, JointType, Key, MassRules,
+    Mesh, MeshInertia, Muscle, ObjectType, Reduce, Scene, Sensor, SensorField, SensorObject,
+    SensorType, Site, Softness, Stop, Target, Tendon,
 };
 
 use crate::extract::{record, refuse, At, Read, Record};
@@ -67,6 +67,7 @@ named!(SensorField {
     "origin" => Origin, "point" => Point, "pos" => Pos, "normal" => Normal,
     "tangent" => Tangent, "depth" => Depth, "linvel" => LinVel, "angvel" => AngVel,
 });
+named!(Interp { "zoh" => Hold, "linear" => Linear, "cubic" => Cubic });
 named!(Reduce {
     "none" => None, "mindist" => MinDist, "maxforce" => MaxForce, "netforce" => NetForce,
 });
@@ -199,6 +200,9 @@ record!(Actuator {
     lengthrange,
     damping,
     armature,
+    delay,
+    nsample,
+    interp,
     enabled,
 });
 record!(Frame { pos, quat });

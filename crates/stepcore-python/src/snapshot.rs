@@ -8,7 +8,7 @@ use stepcore::state::{Warm, WARM_ROWS};
 use crate::world::Memo;
 
 /// First bytes of a snapshot; the number goes up when the layout changes.
-const HEAD: &[u8; 16] = b"stepcore state 7";
+const HEAD: &[u8; 16] = b"stepcore state 8";
 
 /// Steps are counted in numbers that hold every one of them.
 const MOST_STEPS: u64 = 1 << 53;

@@ -25,6 +25,7 @@ pub enum Array {
     Qpos,
     Qvel,
     Act,
+    CtrlHistory,
     // What it reads.
     Ctrl,
     QfrcApplied,
@@ -37,11 +38,12 @@ pub enum Array {
 }
 
 impl Array {
-    pub const COUNT: usize = 9;
+    pub const COUNT: usize = 10;
     pub const ALL: [Self; Self::COUNT] = [
         Self::Qpos,
         Self::Qvel,
         Self::Act,
+        Self::CtrlHistory,
         Self::Ctrl,
         Self::QfrcApplied,
         Self::XfrcApplied,
@@ -50,13 +52,14 @@ impl Array {
         Self::MocapQuat,
     ];
     /// How many of them a step changes: the first ones.
-    pub const CHANGED: usize = 3;
+    pub const CHANGED: usize = 4;
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Qpos => "qpos",
             Self::Qvel => "qvel",
             Self::Act => "act",
+            Self::CtrlHistory => "ctrl_history",
             Self::Ctrl => "ctrl",
             Self::QfrcApplied => "qfrc_applied",
             Self::XfrcApplied => "xfrc_applied",
@@ -72,6 +75,7 @@ impl Array {
             Self::Qpos => vec![model.nq],
             Self::Qvel | Self::QfrcApplied => vec![model.nv],
             Self::Act => vec![model.na],
+            Self::CtrlHistory => vec![model.nhistory],
             Self::Ctrl => vec![model.actuators.len()],
             Self::XfrcApplied => vec![model.bodies.len(), 6],
             Self::EqActive => vec![model.equalities.len()],
@@ -86,6 +90,7 @@ impl Array {
             Self::Qpos => "nq",
             Self::Qvel | Self::QfrcApplied => "nv",
             Self::Act => "na",
+            Self::CtrlHistory => "nhistory",
             Self::Ctrl => "nu",
             Self::XfrcApplied => "6 nbody",
             Self::EqActive => "neq",
@@ -126,10 +131,11 @@ impl Array {
         match self {
             Self::Qpos => joint(model.joints.iter().rposition(|j| j.qpos <= k).unwrap_or(0)),
             Self::Qvel | Self::QfrcApplied => joint(model.dofs[k].joint),
-            Self::Act => {
+            Self::Act | Self::CtrlHistory => {
                 let own = |span: &crate::model::Span| span.range().contains(&k);
-                let index = model.activations.iter().position(own).unwrap_or(0);
-                Element::whole(Kind::Actuator, index)
+                let acts = self == Self::Act;
+                let spans = if acts { &model.activations } else { &model.histories };
+                Element::whole(Kind::Actuator, spans.iter().position(own).unwrap_or(0))
             }
             Self::Ctrl => Element::whole(Kind::Actuator, k),
             Self::XfrcApplied => Element::whole(Kind::Body, k / 6),

@@ -31,6 +31,7 @@ pub struct Start {
     pub qpos: Vec<f64>,
     pub qvel: Vec<f64>,
     pub act: Vec<f64>,
+    pub ctrl_history: Vec<f64>,
     /// Impulses of the last solve, by slot.
     pub warm: Vec<Warm<f64>>,
     /// Who slept.

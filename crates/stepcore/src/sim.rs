@@ -90,8 +90,14 @@ impl At {
         next: &'a Next<R>,
         clock: Clock<R>,
     ) -> Activations<'a, R> {
-        let act = if self == Self::Trial { &next.trial.act } else { &state.act };
-        Activations { act, seconds: clock.seconds }
+        if self == Self::Trial {
+            return Activations {
+                act: &next.trial.act,
+                ahead: next.ahead,
+                ..state.activations(clock)
+            };
+        }
+        state.activations(clock)
     }
 }
 

@@ -55,12 +55,14 @@ pub struct State<R: Real> {
     pub qvel: Vec<R>,
     /// Activations of actuators, in MuJoCo's order; na entries.
     pub act: Vec<R>,
+    /// Past controls of the actuators whose controls are late, each actuator's newest first.
+    pub ctrl_history: Vec<R>,
     pub warm: Vec<Warm<R>>,
     /// Who sleeps.
     pub sleep: Sleep<R>,
 }
 
-room!(State<R>: qpos, qvel, act, warm; sleep);
+room!(State<R>: qpos, qvel, act, ctrl_history, warm; sleep);
 
 impl<R: Real> State<R> {
     /// At qpos0 and at rest.
@@ -71,6 +73,7 @@ impl<R: Real> State<R> {
             qpos: model.qpos0.iter().map(|q| R::of(*q)).collect(),
             qvel: vec![R::zero(); model.nv],
             act: vec![R::zero(); model.na],
+            ctrl_history: vec![R::zero(); model.nhistory],
             warm: Vec::new(),
             sleep: Sleep::new(),
         }
@@ -78,16 +81,17 @@ impl<R: Real> State<R> {
 
     /// Its activations, in steps of `clock`.
     pub(crate) fn activations(&self, clock: Clock<R>) -> Activations<'_, R> {
-        Activations { act: &self.act, seconds: clock.seconds }
+        let Self { act, ctrl_history: history, .. } = self;
+        Activations { act, history, seconds: clock.seconds, ahead: 0.0 }
     }
 
     /// What of it the user holds, in the order of `arrays::Array`.
     pub(crate) fn lists(&self) -> [&Vec<R>; Array::CHANGED] {
-        [&self.qpos, &self.qvel, &self.act]
+        [&self.qpos, &self.qvel, &self.act, &self.ctrl_history]
     }
 
     pub(crate) fn lists_mut(&mut self) -> [&mut Vec<R>; Array::CHANGED] {
-        [&mut self.qpos, &mut self.qvel, &mut self.act]
+        [&mut self.qpos, &mut self.qvel, &mut self.act, &mut self.ctrl_history]
     }
 
     /// Copies into a state of the same model, whose room is used again.

@@ -5,6 +5,7 @@
 
 use crate::commit::Next;
 use crate::detect::Detected;
+use crate::elements::activation::remember;
 use crate::elements::force::Moment;
 use crate::error::Result;
 use crate::observer::Observer;
@@ -25,6 +26,8 @@ impl<R: Real> Sim<R> {
         for _ in 0..n {
             R::enter(Stage::Commit);
             self.integrate(observer)?;
+            let (history, next) = (&self.state.ctrl_history, &mut self.next.ctrl_history);
+            remember(&self.model, history, &self.inputs.ctrl, next);
             if self.settings.sleep {
                 self.settle();
             }
@@ -33,6 +36,7 @@ impl<R: Real> Sim<R> {
             std::mem::swap(&mut self.state.qpos, &mut self.next.qpos);
             std::mem::swap(&mut self.state.qvel, &mut self.next.qvel);
             std::mem::swap(&mut self.state.act, &mut self.next.act);
+            std::mem::swap(&mut self.state.ctrl_history, &mut self.next.ctrl_history);
             std::mem::swap(&mut self.state.warm, &mut self.next.warm);
             std::mem::swap(&mut self.state.sleep, &mut self.next.sleep);
             self.state.steps += 1;

@@ -48,7 +48,7 @@ impl World {
             Array::QfrcApplied => &self.applied,
             Array::XfrcApplied => &self.wrenches,
             Array::EqActive => &self.active,
-            Array::MocapPos | Array::MocapQuat => &[],
+            Array::CtrlHistory | Array::MocapPos | Array::MocapQuat => &[],
         })
     }
 }
@@ -123,8 +123,7 @@ fn a_play_in_portions_is_steps_with_its_controls() {
     let (mut qpos, mut qvel) =
         (vec![0.0; worlds.len() * steps * nq], vec![0.0; worlds.len() * steps * nv]);
     let mut pack = batch_of::<Lanes>(&scene, &Settings::default(), &worlds, 2);
-    let mut act = [];
-    let kept = [&mut qpos[..], &mut qvel[..], &mut act[..]];
+    let kept = [&mut qpos[..], &mut qvel[..], &mut [], &mut []];
     let mut play = Play { steps, ctrl: &ctrl, states: kept };
     pack.play(&mut play, 0, 13).unwrap();
     pack.play(&mut play, 13, steps - 13).unwrap();
@@ -187,7 +186,7 @@ fn after_a_panic_the_worlds_are_still_there() {
     let mut batch = batch_of::<Lanes>(&scene, &settings, &worlds, 1);
     let (mut qpos, mut qvel) = (vec![0.0; n * nq], vec![0.0; n * nv]);
     batch.step(70).unwrap();
-    let mut play = Play { steps: 1, ctrl: &[], states: [&mut qpos, &mut qvel, &mut []] };
+    let mut play = Play { steps: 1, ctrl: &[], states: [&mut qpos, &mut qvel, &mut [], &mut []] };
     let outcome = catch_unwind(AssertUnwindSafe(|| batch.play(&mut play, 0, 1)));
     assert!(outcome.is_err(), "a play without its controls must not pass");
     batch.step(70).unwrap();

@@ -134,7 +134,7 @@ class Batch(Stepped):
         with self._explained():
             states = self._core.rollout(table)
         self._told(table.shape[1])
-        return Rollout(*states)
+        return Rollout(*states[:3])
 
     def _told(self, steps: int) -> None:
         """Warns of rows that stay unsolved."""

@@ -22,7 +22,7 @@ SomeWorld = TypeVar("SomeWorld", bound="World")
 Control = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
 RECORDED = (
-    *("qpos", "qvel", "act", "ctrl", "qfrc_applied", "xfrc_applied"),
+    *("qpos", "qvel", "act", "ctrl_history", "ctrl", "qfrc_applied", "xfrc_applied"),
     *("eq_active", "mocap_pos", "mocap_quat"),
     *("xpos", "xquat", "xmat", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat"),
     *("ten_length", "ten_velocity"),

@@ -28,6 +28,10 @@ class World(checks.KnownNames, ABC):
     qpos = StateArray("Positions [m or rad], shape (nq,); quaternions w x y z.")
     qvel = StateArray("Velocities [m/s or rad/s], shape (nv,).")
     act = StateArray("Activations of actuators, shape (na,): states of filters and integrators.")
+    ctrl_history = StateArray(
+        "Past controls of the actuators with a delay, shape (nhistory,): each one's `nsample` last "
+        "controls, the newest first. A step puts the present one in front; initially 0."
+    )
     ctrl = StateArray("Controls, shape (nu,), constant during a step.")
     qfrc_applied = StateArray(
         "Applied forces on the dofs [N or N·m], shape (nv,), constant during a step."

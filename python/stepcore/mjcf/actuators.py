@@ -29,6 +29,9 @@ def read(world: WorldReader, node: Node) -> None:
         **target,
         **polynomial(values, "damping"),
         **{name: values[name] for name in ("armature",) if name in values},
+        **{name: values[name] for name in ("interp",) if name in values},
+        "delay": max(values.get("delay", 0.0), 0.0),
+        "nsample": max(values.get("nsample", 0), 0),
         **_words(gains),
     }
     if given.get("damping") == 0.0:
@@ -76,8 +79,8 @@ def _target(world: WorldReader, node: Node, values: dict[str, Any]) -> dict[str,
 
 
 def _refuse(node: Node, values: dict[str, Any]) -> None:
-    if values.get("delay", 0) != 0:
-        raise node.unbuilt("a delay between control and force (delay)", "delay")
+    if values.get("delay", 0.0) > 0 and values.get("nsample", 0) <= 0:
+        raise bad(node, "nsample", values.get("nsample", 0), "> 0 with a delay")
     if node.values.get("input", "") not in ("", "pos", "vel", "pressure"):
         raise bad(node, "input", node.values["input"], "pos, vel or pressure")
 

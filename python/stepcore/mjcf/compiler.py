@@ -10,7 +10,7 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.schema.notation import ORIENTATION
 from stepcore.mjcf.validation import bad
 from stepcore.scene import frames
-from stepcore.scene.elements import MassRules, fields_of
+from stepcore.scene.elements import LengthRange, MassRules, fields_of
 from stepcore.scene.frames import Vec
 
 
@@ -23,9 +23,12 @@ class Compiler:
     def __init__(self, sections: Iterable[Node], directory: str | None = None) -> None:
         self.directory = directory
         self.values: dict[str, Any] = {}
+        self.ranges: dict[str, Any] = {}
         for node in sections:
             self.values |= node.values
             self._check(node)
+            for child in node.children:
+                self.ranges |= child.values
         self.degrees = self.values.get("angle", "degree") == "degree"
         self.autolimits: bool = self.values.get("autolimits", True)
         self.eulerseq: str = self.values.get("eulerseq", "xyz")
@@ -44,6 +47,10 @@ class Compiler:
         if fields.get("inertiafromgeom") == "auto":
             fields["inertiafromgeom"] = None
         return MassRules(**fields)
+
+    def lengthrange(self) -> LengthRange:
+        """How ranges of muscles' lengths are found."""
+        return LengthRange(**self.ranges)
 
     def radians(self, angle: float) -> float:
         """An angle of the file in radians."""

@@ -132,6 +132,7 @@ def _read(scene: Contents, model: Model, refusals: Refusals) -> WorldReader:
         if pair.tag == "pair"
     }
     scene.mass_rules = compiler.mass_rules()
+    scene.lengthrange = compiler.lengthrange()
     for node in sections(root, "option"):
         refusals.at(node, lambda node: option.read(scene, node))
         world.disabled_groups = frozenset(

@@ -132,6 +132,9 @@ def plain(actuator: Actuator) -> dict[str, Any]:
     """The law as the engine's fields."""
     own = law(actuator)
     kind, parameters = own.dynamics
+    # What a muscle leaves to be found stands in its place: `length_ranges.fill`.
+    muscle = own.muscle_gain is not None or own.muscle_bias is not None
+    lengthrange = actuator.lengthrange or (0.0, 1.0 if muscle else 0.0)
     return {
         "gain": list(own.gain),
         "bias": list(own.bias),
@@ -140,7 +143,7 @@ def plain(actuator: Actuator) -> dict[str, Any]:
         "dynprm": list(parameters),
         "muscle_gain": _listed(own.muscle_gain),
         "muscle_bias": _listed(own.muscle_bias),
-        "lengthrange": list(actuator.lengthrange or (0.0, 0.0)),
+        "lengthrange": list(lengthrange),
         "damping": [actuator.damping, *actuator.dampingpoly],
     }
 
@@ -171,6 +174,8 @@ def check(actuator: Actuator) -> None:
             limit = f"None for type {actuator.type!r}, which has {has}"
             raise checks.refuse(actuator, word, getattr(actuator, word), limit)
     _check_target(actuator)
+    if actuator.delay > 0 and actuator.nsample == 0:
+        raise checks.refuse(actuator, "nsample", 0, ">= 1 with a delay")
     pair, timeconst = isinstance(actuator.timeconst, tuple), actuator.timeconst
     if timeconst is not None and pair != (actuator.type == "muscle"):
         limit = "two numbers for a muscle, one for others"
@@ -188,10 +193,6 @@ def check(actuator: Actuator) -> None:
     own_law = law(actuator)
     if own_law.dynamics[0] == "none" and actuator.actrange is not None:
         raise checks.refuse(actuator, "actrange", actuator.actrange, "None without an activation")
-    muscle = own_law.muscle_gain is not None or own_law.muscle_bias is not None
-    if muscle and actuator.lengthrange is None:
-        limit = "given for a muscle: finding it by simulation, as MuJoCo does, is not built"
-        raise checks.refuse(actuator, "lengthrange", None, limit)
     _check_curves(actuator, own_law)
     if own_law.dampratio and own_law.gain[0] < 0:
         word = "gainprm" if actuator.type == "general" else "kp"

@@ -153,6 +153,9 @@ class ActuatorFields(TypedDict, total=False):
     damping: float
     dampingpoly: Vector
     armature: float
+    delay: float
+    nsample: int
+    interp: str
     enabled: bool
     ctrlrange: Vector | None
     forcerange: Vector | None

@@ -20,6 +20,7 @@ from stepcore.scene.elements import (
     HField,
     Joint,
     Key,
+    LengthRange,
     MassRules,
     Mesh,
     Pair,
@@ -50,7 +51,7 @@ class Holdings(checks.KnownNames):
     _attributes = (
         *("name", "bodies", "joints", "geoms", "sites", "tendons", "actuators", "equalities"),
         *("sensors", "keys", "meshes", "hfields", "excludes", "pairs", "contact_override"),
-        *("mass_rules", "features", "density", "viscosity", "wind", "magnetic"),
+        *("mass_rules", "lengthrange", "features", "density", "viscosity", "wind", "magnetic"),
         *("options", "ignored", "notes", "without"),
     )
 
@@ -76,6 +77,7 @@ class Holdings(checks.KnownNames):
         self.pairs: list[Pair] = []
         self.contact_override = ContactOverride()
         self.mass_rules = MassRules()
+        self.lengthrange = LengthRange()
         self.features = Features()
         self.options: dict[str, Any] = {}
         self.ignored: list[str] = []

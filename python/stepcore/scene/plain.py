@@ -106,6 +106,7 @@ def essence(layout: Layout) -> dict[str, Any]:
     at which a plane is drawn. Scenes with the same essence are equal.
     """
     scene = plain(layout)
+    scene["lengthrange"] = layout.scene.lengthrange.record()
     for joint in scene["joints"]:
         if joint["kind"] not in ("hinge", "slide"):
             joint |= {"axis": [0.0, 0.0, 1.0], "reference": 0.0, "springref": 0.0}

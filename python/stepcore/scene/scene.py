@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from stepcore.scene import length_ranges
 from stepcore.scene.consistency import check
 from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Element
@@ -36,6 +37,8 @@ class Scene(Contents):
     excludes: pairs of bodies that do not collide, but for geoms in `pairs`.
     contact_override: contact parameters that replace those of every contact (`ContactOverride`).
     mass_rules: how masses are made from geoms (`MassRules`: MJCF's ``<compiler>``).
+    lengthrange: how ranges of lengths are found for muscles that give none (`LengthRange`: MJCF's
+        ``<lengthrange>``); the simulation that finds them is a part of `compile`.
     features: what the model takes into account (`Features`: MJCF's ``<flag>``).
     options: the fields of `Settings` that the scene sets; see `settings`.
     ignored: elements of the file that cannot change the motion, one line each.
@@ -66,7 +69,9 @@ class Scene(Contents):
         """
         layout = Layout(self)
         check(layout)
-        return plain(layout)
+        data = plain(layout)
+        length_ranges.fill(self, data)
+        return data
 
     def to_mjcf(self) -> str:
         """Returns the scene, with its settings, as an MJCF text.

@@ -138,7 +138,11 @@ impl<R: Real> Sim<R> {
             frames: self.placed.frames(),
             qpos: &self.next.trial.qpos,
             qvel: &self.next.trial.qvel,
-            act: Activations { act: &self.next.trial.act, seconds: self.clock.seconds },
+            act: Activations {
+                act: &self.next.trial.act,
+                ahead: self.next.ahead,
+                ..self.state.activations(self.clock)
+            },
             inputs: &self.inputs,
         };
         let half = R::of(0.5 * self.clock.seconds);

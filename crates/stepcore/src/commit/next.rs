@@ -14,6 +14,7 @@ pub struct Next<R: Real> {
     pub qpos: Vec<R>,
     pub qvel: Vec<R>,
     pub act: Vec<R>,
+    pub ctrl_history: Vec<R>,
     /// The velocities of the state, made to keep the equalities where these act within the step.
     pub start: Vec<R>,
     /// What the equalities gave in the stages, by row.
@@ -31,14 +32,15 @@ pub struct Next<R: Real> {
     pub woken: Vec<Warm<R>>,
     /// Which stage of `rk4` runs: after the first, rows start from the stage before.
     pub stage: usize,
-    /// Where `rk4` and `midpoint` run the stages within the step.
+    /// Where `rk4` and `midpoint` run the stages within the step, and how far in it that is.
     pub(crate) trial: Trial<R>,
+    pub(crate) ahead: f64,
     pub(super) damped: Damped<R>,
     pub(super) implicit: Option<Implicit<R>>,
     pub(super) sums: Sums<R>,
 }
 
-room!(Next<R>: qpos, qvel, act, start, held, change, gained, mean, warm, woken; sleep, trial, damped, implicit, sums);
+room!(Next<R>: qpos, qvel, act, ctrl_history, start, held, change, gained, mean, warm, woken; sleep, trial, damped, implicit, sums);
 
 /// Positions and velocities within a step.
 pub(crate) struct Trial<R: Real> {
@@ -70,6 +72,7 @@ impl<R: Real> Next<R> {
             qpos: zeros(nq),
             qvel: zeros(nv),
             act: zeros(model.na),
+            ctrl_history: zeros(model.nhistory),
             start: zeros(nv),
             held: zeros(model.equalities.iter().map(|e| e.rows()).sum()),
             change: zeros(nv),
@@ -80,6 +83,7 @@ impl<R: Real> Next<R> {
             woken: Vec::new(),
             stage: 0,
             trial: Trial { qpos: zeros(nq), qvel: zeros(nv), act: zeros(model.na) },
+            ahead: 0.5,
             damped: Damped::new(model, integrator),
             implicit: (integrator == Integrator::Implicit).then(|| Implicit::new(model)),
             sums: Sums {

@@ -34,7 +34,7 @@ impl<R: Real> Sim<R> {
         self.next.sums.gained.fill(zero);
         self.next.sums.act_rate.fill(zero);
         for stage in 0..4 {
-            self.next.stage = stage;
+            (self.next.stage, self.next.ahead) = (stage, A[stage]);
             let at = if stage == 0 { At::Start } else { At::Trial };
             if stage > 0 {
                 let Next { start, sums, trial, .. } = &mut self.next;

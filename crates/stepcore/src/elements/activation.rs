@@ -5,7 +5,7 @@
 //! A step takes w + dt·ẇ, and of `filterexact` what the filter does in dt under a control that is
 //! held, w + (1 − exp(−dt/τ)) τ ẇ; then bounds.
 
-use super::muscle;
+use super::{delay, muscle};
 use crate::model::{Model, Span};
 use crate::real::Real;
 use crate::scene::{self, Dynamics};
@@ -14,12 +14,39 @@ use crate::state::Inputs;
 /// The shortest time constant that counts [s]: MuJoCo's `mjMINVAL`.
 const SHORTEST: f64 = 1e-15;
 
-/// Activations at hand, and the step that they are advanced by.
+/// What actuators remember: activations and past controls, and the step that they are advanced by.
 #[derive(Clone, Copy)]
 pub(crate) struct Activations<'a, R: Real> {
     pub act: &'a [R],
+    /// `State::ctrl_history`; empty: controls are not late.
+    pub history: &'a [R],
     /// Time step [s].
     pub seconds: f64,
+    /// How far in the step this is, of the step.
+    pub ahead: f64,
+}
+
+impl<R: Real> Activations<'_, R> {
+    /// The control that an actuator has: the present one, or that of its delay ago.
+    #[inline(always)]
+    pub fn ctrl(&self, model: &Model, index: usize, inputs: &Inputs<R>) -> R {
+        let span = model.histories[index];
+        if span.len == 0 || self.history.is_empty() {
+            return inputs.ctrl[index];
+        }
+        let actuator = &model.actuators[index];
+        let steps = actuator.delay / self.seconds - self.ahead;
+        delay::read(&self.history[span.range()], steps, actuator.interp)
+    }
+}
+
+/// The past controls after a step with the present ones.
+pub(crate) fn remember<R: Real>(model: &Model, history: &[R], ctrl: &[R], out: &mut [R]) {
+    for (span, ctrl) in model.histories.iter().zip(ctrl).filter(|(span, _)| span.len > 0) {
+        let (first, last) = (span.start, span.start + span.len - 1);
+        out[first] = *ctrl;
+        out[first + 1..=last].copy_from_slice(&history[first..last]);
+    }
 }
 
 impl scene::Actuator {
@@ -78,13 +105,19 @@ pub(crate) fn signal<R: Real>(
 }
 
 /// The rates of all activations.
-pub(crate) fn rates<R: Real>(model: &Model, act: &[R], inputs: &Inputs<R>, rates: &mut [R]) {
+pub(crate) fn rates<R: Real>(
+    model: &Model,
+    now: Activations<R>,
+    inputs: &Inputs<R>,
+    rates: &mut [R],
+) {
     if !model.features.actuation {
         return;
     }
     for (index, k) in model.active() {
         let actuator = &model.actuators[index];
-        rates[k] = actuator.rate(act[k], actuator.held(model, inputs.ctrl[index]));
+        let ctrl = actuator.held(model, now.ctrl(model, index, inputs));
+        rates[k] = actuator.rate(now.act[k], ctrl);
     }
 }
 
@@ -114,7 +147,8 @@ pub(crate) fn middle<R: Real>(
     }
     for (index, k) in model.active() {
         let actuator = &model.actuators[index];
-        let rate = actuator.rate(now.act[k], actuator.held(model, inputs.ctrl[index]));
+        let ctrl = actuator.held(model, now.ctrl(model, index, inputs));
+        let rate = actuator.rate(now.act[k], ctrl);
         let span = match actuator.dynamics {
             Dynamics::Filter => half / (1.0 + half / actuator.time_constant()),
             _ => actuator.span(half),
@@ -138,7 +172,8 @@ pub(crate) fn through_middle<R: Real>(
     for (index, k) in model.active() {
         let actuator = &model.actuators[index];
         if actuator.dynamics == Dynamics::FilterExact {
-            let rate = actuator.rate(now.act[k], actuator.held(model, inputs.ctrl[index]));
+            let ctrl = actuator.held(model, now.ctrl(model, index, inputs));
+            let rate = actuator.rate(now.act[k], ctrl);
             out[k] = actuator.next(now.act[k], rate, now.seconds);
         }
     }

@@ -143,7 +143,7 @@ pub(crate) fn tensions<R: Real>(
     }
     for (index, actuator) in model.actuators.iter().enumerate().filter(|(_, a)| a.enabled) {
         let at = Along::of(model, index, qpos, qvel, pulls);
-        let u = input(model, index, act, inputs.ctrl[index], at.length);
+        let u = input(model, index, act, act.ctrl(model, index, inputs), at.length);
         let mut force = asked(model, index, at, u);
         if actuator.bias != [0.0; 3] || actuator.muscle_bias.is_some() {
             force += bias(actuator, at);
@@ -298,7 +298,8 @@ impl Forces for Actuator {
         let mut by = [R::of(actuator.bias[1]), R::of(actuator.bias[2])];
         if actuator.gain_varies() {
             let at = Along::of(model, index, now.qpos, now.qvel, pulls);
-            let u = input(model, index, now.act, now.inputs.ctrl[index], at.length);
+            let ctrl = now.act.ctrl(model, index, now.inputs);
+            let u = input(model, index, now.act, ctrl, at.length);
             let own = actuator.muscle_gain.map_or_else(
                 || [R::of(actuator.gain[1]), R::of(actuator.gain[2])],
                 |muscle| [R::zero(), muscle.gain(at.length, at.velocity, actuator.lengthrange)[1]],
@@ -330,7 +331,7 @@ impl Forces for Actuator {
     }
 
     fn stored<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(R)) {
-        let (ctrl, pulls) = (now.inputs.ctrl[index], now.frames.pulls);
+        let (ctrl, pulls) = (now.act.ctrl(now.model, index, now.inputs), now.frames.pulls);
         add(stored_under(now.model, index, now.qpos, pulls, now.act, ctrl));
     }
 
@@ -347,7 +348,8 @@ impl Forces for Actuator {
             Drive::Motor => now.frames.tension[index],
             Drive::Damped => {
                 let none = Along { length: R::zero(), velocity: R::zero() };
-                let u = input(model, index, now.act, now.inputs.ctrl[index], R::zero());
+                let ctrl = now.act.ctrl(model, index, now.inputs);
+                let u = input(model, index, now.act, ctrl, R::zero());
                 actuator.bounded(asked(model, index, none, u) + R::of(actuator.bias[0]))
             }
         };

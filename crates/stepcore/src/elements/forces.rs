@@ -193,7 +193,8 @@ pub fn joint_forces(
     let mut all = Vec::with_capacity(qvel.len());
     for (n, (qpos, qvel)) in qpos.chunks(model.nq).zip(qvel.chunks(model.nv)).enumerate() {
         inputs.ctrl.copy_from_slice(&ctrl[n * nu..(n + 1) * nu]);
-        let act = Activations { act: &act[n * model.na..(n + 1) * model.na], seconds: 0.0 };
+        let act = &act[n * model.na..(n + 1) * model.na];
+        let act = Activations { act, history: &[], seconds: 0.0, ahead: 0.0 };
         if kind == Kind::Actuator {
             let bounded = model.compensates && !model.clamps.is_empty();
             if bounded || !(model.tendons.is_empty() && model.linkages.is_empty()) {

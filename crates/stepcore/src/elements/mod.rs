@@ -15,6 +15,7 @@ mod constraints;
 mod contact;
 mod coupling;
 mod damper;
+mod delay;
 mod equality;
 mod fluid;
 pub(crate) mod force;

@@ -34,6 +34,9 @@ pub fn fill(scene: &Scene, model: &mut Model) {
         let len = actuator.dynamics.count();
         model.activations.push(Span { start: model.na, len });
         model.na += len;
+        let len = actuator.history();
+        model.histories.push(Span { start: model.nhistory, len });
+        model.nhistory += len;
         let along = transmission(model, actuator);
         model.along.push(along);
         model.circles.push(circle(model, actuator));

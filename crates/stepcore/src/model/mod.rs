@@ -276,6 +276,9 @@ pub struct Model {
     /// Entries of act, and by actuator those that are its own.
     pub na: usize,
     pub activations: Vec<Span>,
+    /// Past controls that are kept, and by actuator those that are its own.
+    pub nhistory: usize,
+    pub histories: Vec<Span>,
     /// By actuator: along what it pulls, and after which length the target of its servo is the same
     /// again (0: never).
     pub along: Vec<Transmission>,

@@ -18,6 +18,8 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         nv: 0,
         na: 0,
         activations: vec![],
+        nhistory: 0,
+        histories: vec![],
         along: vec![],
         circles: vec![],
         linkages: vec![],

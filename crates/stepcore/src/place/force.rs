@@ -39,7 +39,7 @@ impl<R: Real> Placed<R> {
         act: Activations<R>,
         inputs: &Inputs<R>,
     ) {
-        rates(model, act.act, inputs, &mut self.act_rate);
+        rates(model, act, inputs, &mut self.act_rate);
         self.tensions(model, qpos, qvel, act, inputs);
         let Self { xpos, xmat, origin, motion, actuator, passive, bias, force, wrench, .. } = self;
         let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };

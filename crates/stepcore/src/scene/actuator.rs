@@ -38,6 +38,10 @@ pub struct Actuator {
     /// Given, times gear², to the joint or tendon that it pulls at.
     pub damping: Coefficients,
     pub armature: f64,
+    /// Its control is that of so long ago [s], kept in so many samples; 0: the present one.
+    pub delay: f64,
+    pub nsample: usize,
+    pub interp: Interp,
     /// False: it is left out (MJCF's `actuatorgroupdisable`).
     pub enabled: bool,
 }
@@ -79,6 +83,17 @@ pub enum Dynamics {
     FilterExact,
     /// A filter whose time constant depends on w, and on whether it grows.
     Muscle,
+}
+
+/// What a control is between two samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Interp {
+    /// The earlier one.
+    #[default]
+    Hold,
+    Linear,
+    /// Catmull-Rom.
+    Cubic,
 }
 
 /// A muscle as MuJoCo describes it (documentation, "Muscle actuators").
@@ -126,12 +141,24 @@ impl Default for Actuator {
             lengthrange: [0.0; 2],
             damping: NONE,
             armature: 0.0,
+            delay: 0.0,
+            nsample: 0,
+            interp: Interp::Hold,
             enabled: true,
         }
     }
 }
 
 impl Actuator {
+    /// How many past controls it keeps: those that it reads.
+    pub fn history(&self) -> usize {
+        if self.delay > 0.0 {
+            self.nsample
+        } else {
+            0
+        }
+    }
+
     /// Its force depends on a length, or how fast that changes.
     pub fn feeds_back(&self) -> bool {
         let depends = |term: &[f64; 3]| term[1] != 0.0 || term[2] != 0.0;

@@ -45,6 +45,7 @@ impl<R: Real> LastSolve<R> {
         start.qpos.copy_from_slice(&before.qpos);
         start.qvel.copy_from_slice(&before.qvel);
         start.act.copy_from_slice(&before.act);
+        start.ctrl_history.copy_from_slice(&before.ctrl_history);
         start.warm.clone_from(&before.warm);
         before.sleep.copy_to(&mut start.sleep);
         (start.start, start.steps) = (sim.state.start, sim.state.steps - 1);

@@ -11,7 +11,8 @@ COMPILER = spec(
     "passthrough:none|textures",
     {
         "lengthrange": spec(
-            "mode useexisting uselimit accel maxforce timeconst timestep inttotal interval tolrange"
+            f"mode:none|muscle|muscleuser|all useexisting:{BOOL} uselimit:{BOOL} accel:1 "
+            "maxforce:1 timeconst:1 timestep:1 inttotal:1 interval:1 tolrange:1"
         )
     },
 )

@@ -46,7 +46,7 @@ def written(scene: Contents) -> str:
     sections = [section for section in SECTIONS.values() if hasattr(section, "referred")]
     names = Names(layout, [element for section in sections for element in section.referred(scene)])
     root = Tag("mujoco", **({"model": scene.name} if scene.name else {}))
-    add_compiler(root, scene.mass_rules)
+    add_compiler(root, scene)
     words = add_option(root, scene)
     _add_section(root, "asset", assets.tags(scene, names))
     add_tree(root, layout, names)

@@ -9,7 +9,7 @@ from stepcore.mjcf import custom
 from stepcore.mjcf.option import said
 from stepcore.mjcf.write import actuators
 from stepcore.mjcf.write.tags import Tag, changed, text
-from stepcore.scene.elements import GRAVITY, MassRules
+from stepcore.scene.elements import GRAVITY
 from stepcore.scene.frames import ORIGIN
 from stepcore.scene.holdings import MAGNETIC
 
@@ -19,12 +19,14 @@ if TYPE_CHECKING:
 INERTIA_FROM = {None: "auto", True: "true", False: "false"}
 
 
-def add_compiler(root: Tag, rules: MassRules) -> None:
+def add_compiler(root: Tag, scene: Contents) -> None:
     """Adds the compiler section."""
-    given = changed(rules)
+    given = changed(scene.mass_rules)
     if "inertiafromgeom" in given:
         given["inertiafromgeom"] = INERTIA_FROM[given["inertiafromgeom"]]
-    root.add(Tag("compiler", angle="radian", **given))
+    compiler = root.add(Tag("compiler", angle="radian", **given))
+    if ranges := changed(scene.lengthrange):
+        compiler.add(Tag("lengthrange", **ranges))
 
 
 def add_option(root: Tag, scene: Contents) -> dict[str, Any]:

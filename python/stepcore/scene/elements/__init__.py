@@ -24,6 +24,7 @@ from stepcore.scene.elements.tendon import Pulley as Pulley
 from stepcore.scene.elements.tendon import Tendon as Tendon
 from stepcore.scene.elements.world import Features as Features
 from stepcore.scene.elements.world import Key as Key
+from stepcore.scene.elements.world import LengthRange as LengthRange
 from stepcore.scene.elements.world import MassRules as MassRules
 from stepcore.scene.surfaces import HField as HField
 from stepcore.scene.surfaces import Mesh as Mesh

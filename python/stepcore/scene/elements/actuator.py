@@ -30,6 +30,9 @@ ACTUATOR_TYPES = ("motor", *_SERVOS, "damper", "cylinder", "muscle", "adhesion",
 DYNAMICS = ("none", "integrator", "filter", "filterexact", "muscle")
 GAINS = ("fixed", "affine", "muscle")
 BIASES = ("none", "affine", "muscle")
+# What a control is between two samples of its past.
+INTERPS = ("zoh", "linear", "cubic")
+MOST_SAMPLES = 10**6
 # What an actuator can pull at: exactly one of these, and what else goes with it.
 TARGETS = ("joint", "jointinparent", "tendon", "site", "cranksite", "body")
 SECOND = {"refsite": "site", "slidersite": "cranksite"}
@@ -107,9 +110,16 @@ class Actuator(Element):
     ctrlrange, actrange, forcerange: (lower, upper) bounds to which control, activation and force
         are clamped, or None.
     actearly: True takes the force from the activation at the end of the step.
-    lengthrange: least and greatest length, which a muscle needs.
+    lengthrange: least and greatest length, which muscles refer to; None: found when the scene is
+        compiled (`Scene.lengthrange`).
     damping, dampingpoly, armature: of the actuator itself; gear² times these are added to those of
         the joint or tendon that it drives.
+    delay: the control is that of so long ago [s]; 0: the present one. Steps are counted back from
+        the present, and a delay shorter than a step is one step.
+    nsample: how many past controls are kept (`Sim.ctrl_history`), at least 1 with a delay; a delay
+        of more steps reads the oldest.
+    interp: between samples, "zoh" takes the earlier one, "linear" a line, "cubic" a Catmull-Rom
+        spline.
     enabled: False leaves it out.
     """
 
@@ -155,6 +165,9 @@ class Actuator(Element):
     damping: Real = 0.0
     dampingpoly: Poly = (0.0, 0.0)
     armature: NonNegative = 0.0
+    delay: NonNegative = 0.0
+    nsample: Annotated[int, checks.whole(0, MOST_SAMPLES)] = 0
+    interp: Annotated[str, checks.one_of(*INTERPS)] = "zoh"
     enabled: Flag = True
 
     @property

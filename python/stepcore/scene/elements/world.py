@@ -1,4 +1,4 @@
-"""`Key`, `MassRules` and `Features`: what concerns the whole scene."""
+"""`Key`, `MassRules`, `LengthRange` and `Features`: what concerns the whole scene."""
 
 from __future__ import annotations
 
@@ -54,6 +54,41 @@ class MassRules(Element):
 
     def __str__(self) -> str:
         return "mass_rules"
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class LengthRange(Element):
+    """How the least and greatest length of a muscle that gives none is found, as MuJoCo does.
+
+    When the scene is compiled the actuator is pulled both ways from the initial pose, without
+    gravity, contacts, friction, passive forces and other actuators, until limits or geometry hold
+    it.
+
+    mode: "none" refuses such muscles; the others, which MuJoCo tells apart, find their ranges.
+    useexisting: False finds the ranges of all muscles.
+    uselimit: True takes the range of the joint or tendon, where it has one.
+    accel: norm of the acceleration of all dofs under the pull [m/s² and rad/s²].
+    maxforce: norm of the pull that is not exceeded [N or N·m]; 0: none.
+    timeconst: time constant with which velocities decay [s].
+    timestep: its step [s]; 0: the scene's.
+    inttotal: for how long it pulls [s].
+    interval: the last part of that, in which it must rest [s].
+    tolrange: how far it may move there, of the whole range.
+    """
+
+    mode: Annotated[str, checks.one_of("none", "muscle", "muscleuser", "all")] = "muscle"
+    useexisting: Flag = True
+    uselimit: Flag = False
+    accel: NonNegative = 20.0
+    maxforce: NonNegative = 0.0
+    timeconst: NonNegative = 1.0
+    timestep: NonNegative = 0.01
+    inttotal: NonNegative = 10.0
+    interval: NonNegative = 2.0
+    tolrange: NonNegative = 0.05
+
+    def __str__(self) -> str:
+        return "lengthrange"
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

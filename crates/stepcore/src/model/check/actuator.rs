@@ -4,6 +4,9 @@ use super::Subject;
 use crate::error::Result;
 use crate::scene::{Actuator, Muscle, Scene, Stop, Target};
 
+/// The most past controls of an actuator.
+const MOST_SAMPLES: usize = 1_000_000;
+
 pub(super) fn check(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
     let (joints, sites) = (scene.joints.len(), scene.sites.len());
     match a.target {
@@ -49,6 +52,11 @@ pub(super) fn check(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
         e.range("lengthrange", a.lengthrange)?;
     }
     e.finite("dynprm", &a.dynprm)?;
+    e.not_negative("delay", a.delay)?;
+    if a.delay > 0.0 && !(1..=MOST_SAMPLES).contains(&a.nsample) {
+        let limit = format!("1 to {MOST_SAMPLES} with a delay");
+        return Err(e.refuse("nsample", a.nsample, &limit));
+    }
     let ranges =
         [("ctrlrange", a.ctrlrange), ("actrange", a.actrange), ("forcerange", a.forcerange)];
     for (field, range) in ranges {

@@ -67,18 +67,20 @@ impl<R: Real> Sim<R> {
         self.clock.dt * power + self.driven_by_activations(&now)
     }
 
-    /// What activations put into the springs of their servos as they moved.
+    /// What activations and late controls put into the springs of their servos as they moved.
     fn driven_by_activations(&self, now: &Moment<R>) -> R {
         let mut sum = R::zero();
-        if self.model.na == 0 {
+        if self.model.na == 0 && self.model.nhistory == 0 {
             return sum;
         }
-        let after = Activations { act: &self.next.act, ..now.act };
-        for (index, span) in self.model.activations.iter().enumerate() {
-            if span.len > 0 {
-                let stored = |act| {
-                    let (pulls, ctrl) = (now.frames.pulls, now.inputs.ctrl[index]);
-                    stored_under(&self.model, index, now.qpos, pulls, act, ctrl)
+        let (act, history) = (&self.next.act, &self.next.ctrl_history);
+        let after = Activations { act, history, ..now.act };
+        let memories = self.model.activations.iter().zip(&self.model.histories);
+        for (index, (span, history)) in memories.enumerate() {
+            if span.len + history.len > 0 {
+                let stored = |act: Activations<R>| {
+                    let ctrl = act.ctrl(&self.model, index, now.inputs);
+                    stored_under(&self.model, index, now.qpos, now.frames.pulls, act, ctrl)
                 };
                 sum += stored(after) + -stored(now.act);
             }

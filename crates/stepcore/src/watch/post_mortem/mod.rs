@@ -248,6 +248,7 @@ fn start<R: Real>(state: &State<R>, lane: usize) -> Start {
         qpos: numbers(&state.qpos, lane),
         qvel: numbers(&state.qvel, lane),
         act: numbers(&state.act, lane),
+        ctrl_history: numbers(&state.ctrl_history, lane),
         // An impulse of zero is as good as none, and a lane has zeros for its neighbours' contacts.
         warm: warm.filter(Warm::acts).collect(),
         sleep: state.sleep.cast(),

@@ -1,0 +1,162 @@
+"""The least and greatest length of muscles that give none, found by simulation as MuJoCo does.
+
+MuJoCo documentation, "Length range": each actuator is pulled both ways along its transmission, by a
+force that accelerates the joints by `accel` in all, without gravity, contacts, friction, passive
+forces and other actuators, and with velocities that decay by themselves, until limits or geometry
+hold it. All actuators are worlds of one batch here, two each.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import pickle
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stepcore import _core, checks
+from stepcore.scene import actuation
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from stepcore.scene.contents import Contents
+    from stepcore.scene.elements import Actuator
+    from stepcore.scene.elements.world import LengthRange
+
+# What MuJoCo leaves out of the simulation.
+OFF = ("contact", "spring", "damper", "gravity", "frictionloss", "sensor")
+# The shortest time constant with which velocities decay [s], and the least norm: MuJoCo's.
+SHORTEST, LEAST = 0.01, 1e-15
+# Ranges that were found, by the scene that they were found in.
+_found: dict[bytes, list[list[float]]] = {}
+MOST_KEPT = 64
+
+
+def fill(scene: Contents, data: dict[str, Any]) -> None:
+    """Puts the ranges that the scene leaves to be found into its plain data.
+
+    Raises ValueError, naming the actuator, where the simulation does not come to rest.
+    """
+    rules = scene.lengthrange
+    asked = [index for index, each in enumerate(scene.actuators) if _asks(each, rules)]
+    if not asked:
+        return
+    limits = {index: _limits(scene.actuators[index]) if rules.uselimit else None for index in asked}
+    free = [index for index in asked if limits[index] is None]
+    if free:
+        limits |= dict(zip(free, _simulated(scene, data, free), strict=True))
+    for index in asked:
+        data["actuators"][index]["lengthrange"] = list(limits[index] or ())
+
+
+def _asks(actuator: Actuator, rules: LengthRange) -> bool:
+    own = actuation.law(actuator)
+    if own.muscle_gain is None and own.muscle_bias is None:
+        return False
+    if rules.mode != "none":
+        return actuator.lengthrange is None or not rules.useexisting
+    if actuator.lengthrange is None:
+        limit = 'given for a muscle where Scene.lengthrange has mode="none"'
+        raise checks.refuse(actuator, "lengthrange", None, limit)
+    return False
+
+
+def _limits(actuator: Actuator) -> Sequence[float] | None:
+    """The range of its joint or tendon, which MuJoCo takes without the gear."""
+    field, target = actuator.target
+    if field not in ("joint", "jointinparent", "tendon") or getattr(target, "type", "") == "free":
+        return None
+    bounds: Sequence[float] | None = target.range
+    return bounds
+
+
+def _simulated(scene: Contents, data: dict[str, Any], asked: list[int]) -> list[list[float]]:
+    rules = scene.lengthrange
+    bare = _bare(data)
+    timestep = rules.timestep or scene.settings.dt
+    key = hashlib.sha256(pickle.dumps((bare, rules.record(), timestep, asked))).digest()
+    if key not in _found:
+        lengths = _extremes(bare, rules, timestep, asked)
+        ranges = [
+            _settled(scene.actuators[index], rules, *each)
+            for index, each in zip(asked, lengths, strict=True)
+        ]
+        if len(_found) >= MOST_KEPT:
+            _found.pop(next(iter(_found)))
+        _found[key] = ranges
+    return _found[key]
+
+
+def _bare(data: dict[str, Any]) -> dict[str, Any]:
+    """The scene of the simulation; its actuators pull with what they are told, none being told."""
+    motor = {
+        **{"gain": [1.0, 0.0, 0.0], "bias": [0.0, 0.0, 0.0], "dampratio": 0.0},
+        **{"muscle_gain": None, "muscle_bias": None, "dynamics": "none", "delay": 0.0},
+        **dict.fromkeys(("ctrlrange", "actrange", "forcerange")),
+        **{"damping": [0.0, 0.0, 0.0], "actearly": False, "enabled": True},
+    }
+    free = {"actuatorfrcrange": None}
+    return data | {
+        "features": dict.fromkeys(data["features"], True) | dict.fromkeys(OFF, False),
+        **{"density": 0.0, "viscosity": 0.0, "keys": [], "sensors": []},
+        "bodies": [body | {"gravcomp": 0.0} for body in data["bodies"]],
+        "joints": [joint | free for joint in data["joints"]],
+        "tendons": [tendon | free for tendon in data["tendons"]],
+        "actuators": [actuator | motor for actuator in data["actuators"]],
+    }
+
+
+Lengths = list[tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]]
+
+
+def _extremes(
+    bare: dict[str, Any], rules: LengthRange, timestep: float, asked: list[int]
+) -> Lengths:
+    """By actuator: its least and greatest length at the end, of each when pulled either way."""
+    model = _core.compile(bare)
+    settings = _core.Settings(dt=timestep, integrator="euler")
+    twice = 2 * len(asked)
+    batch = _core.Batch(model, settings, twice, 1, True, False)
+    arrays = dict(batch.arrays())
+    pulled, world = np.repeat(asked, 2), np.arange(twice)
+    way = np.tile([-rules.accel, rules.accel], len(asked))[:, None]
+    ctrl, act = np.zeros((twice, arrays["ctrl"].shape[1])), np.zeros((twice, 0))
+    ctrl[world, pulled] = 1.0
+    decay = math.exp(-timestep / max(SHORTEST, rules.timeconst))
+    least, greatest = np.full(twice, math.inf), np.full(twice, -math.inf)
+    time = 0.0
+    while time < rules.inttotal:
+        arrays["qvel"][...] *= decay
+        length = batch.readout("actuator_length")[world, pulled]
+        arms = model.element_force("actuator", ctrl, act, arrays["qpos"], arrays["qvel"])
+        gained = np.linalg.solve(batch.readout("mass_matrix"), arms[..., None])[..., 0]
+        force = arms * (way / np.maximum(LEAST, np.linalg.norm(gained, axis=1, keepdims=True)))
+        if rules.maxforce > 0:
+            size = np.linalg.norm(force, axis=1, keepdims=True)
+            force *= np.minimum(1.0, rules.maxforce / np.maximum(LEAST, size))
+        arrays["qfrc_applied"][...] = force
+        batch.step(1)
+        time += timestep
+        if time > rules.inttotal - rules.interval:
+            least, greatest = np.minimum(least, length), np.maximum(greatest, length)
+    return list(zip(least.reshape(-1, 2), greatest.reshape(-1, 2), strict=True))
+
+
+def _settled(
+    actuator: Actuator,
+    rules: LengthRange,
+    least: np.ndarray[Any, Any],
+    greatest: np.ndarray[Any, Any],
+) -> list[float]:
+    low, high = float(least[0]), float(greatest[1])
+    for one, other in zip(least, greatest, strict=True):
+        if not (low < high and other - one <= rules.tolrange * (high - low)):
+            text = (
+                f"its range of lengths was not found: after {rules.inttotal:g} s of pulling it "
+                f"went from {one:g} to {other:g}, of {low:g} to {high:g}. Give its lengthrange, "
+                "limit what it moves, or change Scene.lengthrange"
+            )
+            raise checks.ElementError(actuator, text)
+    return [low, high]
