@@ -20,6 +20,7 @@ LAYERS = (
     ("executors",),
     ("scene", "reference"),
     ("mjcf", "urdf"),
+    ("viewing",),
     ("engine",),
     # The class Scene reads, writes and compiles itself, so it stands on all three.
     ("scene.scene",),
@@ -35,6 +36,7 @@ HANDED = (
     "executors",
     "scene.contents",
     "scene.holdings",
+    "viewing",
     "engine",
     "experiment",
     "_core",

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
 from stepcore.engine.arrays import numbers
+from stepcore.engine.snapshots import Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
 
 if TYPE_CHECKING:
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 SomeWorld = TypeVar("SomeWorld", bound="World")
 Control = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
+
+# Of more snapshots than this a notebook shows no page: 20 s.
+INLINE = 1200
 
 RECORDED = (
     *("qpos", "qvel", "act", "ctrl_history", "ctrl", "qfrc_applied", "xfrc_applied"),
@@ -42,11 +46,13 @@ class Trajectory:
     time: [s], shape (steps + 1,).
     data: recorded arrays by name, shape (steps + 1, …); the first entry is the initial state.
     unsolved: the text of the `UnsolvedWarning` of this run, "" if there was none.
+    snapshots: whole states of the run, at most 60 a second, from which it is looked at.
     """
 
     time: NDArray[np.float64]
     data: dict[str, NDArray[Any]] = field(default_factory=dict)
     unsolved: str = ""
+    snapshots: Snapshots | None = None
 
     def __getattr__(self, name: str) -> NDArray[Any]:
         # Looked up only when there is no such attribute; `data` is not there in a copy's making.
@@ -80,6 +86,38 @@ class Trajectory:
 
         return plot("trajectory", self, path)
 
+    def save_html(self, path: str | os.PathLike[str]) -> None:
+        """Writes a page that replays the run, which anybody opens without Python or a network.
+
+        It can be paused, turned and moved through in time, at any speed; contacts are points,
+        their forces arrows to scale; energy and the residual stand beside. The run is solved again
+        from its snapshots, at most 60 for each second. Needs the extra "view". See docs/view.md.
+
+        Raises OSError.
+
+        >>> from stepcore import Sim, lesson
+        >>> sim = Sim(lesson.drop())
+        >>> sim.reset(key="start")
+        >>> sim.run(0.5).save_html("drop.html")
+        """
+        from stepcore.viewing.frames import replayed
+        from stepcore.viewing.page import save_page
+
+        save_page([replayed(self)], path)
+
+    def _repr_html_(self) -> str | None:
+        """The run as a notebook shows it: the page of `save_html`, if it is short."""
+        if self.snapshots is None or len(self.snapshots.states) > INLINE:
+            return None
+        from stepcore.viewing.frames import replayed
+        from stepcore.viewing.page import framed, page
+
+        try:
+            text = page([replayed(self)])
+        except ImportError:
+            return None
+        return framed(text)
+
 
 def record_run(
     sim: SomeWorld,
@@ -104,6 +142,7 @@ def record_run(
         what = f"duration = {duration:g}: {steps} steps of {', '.join(names)} exceed the memory"
         raise ValueError(f"{what}; run shorter pieces, or record less") from None
     residuals, stride = Residuals(sim), max(1, steps // LOOKS)
+    snapshots = Taking(sim, steps)
     for step in range(steps + 1):
         time[step] = sim.time
         if step > 0 and step % stride == 0:
@@ -113,8 +152,10 @@ def record_run(
         if step < steps:
             if controls is not None and step % period == 0:
                 sim.ctrl = _finite(sim, controls(step // period), f"at time {sim.time:g} s")
+            snapshots.look(step)
             sim.step()
-    return Trajectory(time, data, residuals.sentence(sim.settings))
+    snapshots.look(steps)
+    return Trajectory(time, data, residuals.sentence(sim.settings), snapshots.kept())
 
 
 def whole_steps(name: str, value: float, dt: float, least: int = 0) -> int:

@@ -42,6 +42,9 @@ def discard_visual(world: WorldReader, root: Node) -> None:
         x, y, z = map(float, weight.ipos)
         body.mass, body.ipos, body.inertia = weight.mass, (x, y, z), six(weight.inertia)
     removed = {id(shape.geom) for shape in gone}
+    if world.assets.drawn:
+        world.only_drawn |= removed
+        return
     scene.geoms = [geom for geom in scene.geoms if id(geom) not in removed]
     used = {id(asset) for geom in scene.geoms for asset in (geom.mesh, geom.hfield)}
     scene.meshes = [mesh for mesh in scene.meshes if id(mesh) in used]

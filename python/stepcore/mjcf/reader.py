@@ -98,7 +98,7 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
     models = Models(scene, refusals, left_out)
     try:
         model = models.prepared(root, source.directory)
-        world = _read(scene, model, refusals)
+        world = read_sections(scene, model, refusals)
     except ValueError as error:
         refusals.add(error if isinstance(error, MJCFError) else root.error(str(error)))
         world = None
@@ -106,7 +106,7 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
     assert world is not None
     scene._source = source.of(root)
     try:
-        _finish(world, root)
+        finish(world, root)
     except ElementError as error:
         # The check of the whole scene names an element, whose line is known.
         node = world.nodes.get(id(error.owner), root)
@@ -120,10 +120,12 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
     scene.without = left_out.said()
 
 
-def _read(scene: Contents, model: Model, refusals: Refusals) -> WorldReader:
+def read_sections(
+    scene: Contents, model: Model, refusals: Refusals, kind: type[Assets] = Assets
+) -> WorldReader:
     """Reads what can be read without the files of assets; errors are added to `refusals`."""
     root, compiler, defaults = model.root, model.compiler, model.defaults
-    assets = Assets(sections(root, "asset"), compiler, defaults)
+    assets = kind(sections(root, "asset"), compiler, defaults)
     world = WorldReader(scene, compiler, defaults, assets, refusals)
     world.paired = {
         pair.attrs.get(end, "")
@@ -146,7 +148,7 @@ def _read(scene: Contents, model: Model, refusals: Refusals) -> WorldReader:
     return world
 
 
-def _finish(world: WorldReader, root: Node) -> None:
+def finish(world: WorldReader, root: Node) -> None:
     """Reads what needs the whole scene: keyframes, and the files of assets that are used."""
     scene = world.scene
     layout = Layout(scene)

@@ -25,6 +25,9 @@ def leave_out_visual_geoms(world: WorldReader, layout: Layout) -> None:
         scene.ignored.append(shape.node.listed("only draws: no collisions, no mass"))
         if shape.geom.mesh is not None or shape.geom.hfield is not None:
             gone.add(id(shape.geom))
+    if world.assets.drawn:
+        world.only_drawn |= gone
+        return
     scene.geoms = [geom for geom in scene.geoms if id(geom) not in gone]
 
 

@@ -42,6 +42,7 @@ class Shape:
     """A geom of the file.
 
     heavy: nothing but its body's own mass keeps it from giving mass. fluid: a fluid sees its shape.
+    values: its attributes, those of its class included.
     """
 
     node: Node
@@ -49,6 +50,7 @@ class Shape:
     collides: bool
     heavy: bool
     fluid: bool
+    values: dict[str, Any]
 
 
 class WorldReader:
@@ -81,6 +83,8 @@ class WorldReader:
         self.shapes: list[Shape] = []
         # Sites whose volume is that of a mesh.
         self.mesh_sites: set[str] = set()
+        # Geoms that only draw, where they are kept to be drawn (`Assets.drawn`).
+        self.only_drawn: set[int] = set()
         self.with_inertial: set[int] = set()
         # The axes of inertias that are given by moments about them, by body; free joints whose
         # bodies are to be aligned with their inertia.
@@ -303,7 +307,7 @@ class WorldReader:
         )
         self.keep(node, geom)
         fluid = values.get("fluidshape", "none") != "none"
-        self.shapes.append(Shape(node, geom, collides, heavy, fluid))
+        self.shapes.append(Shape(node, geom, collides, heavy, fluid, values))
 
     def _shape(
         self, node: Node, values: dict[str, Any], kind: str, place: Place

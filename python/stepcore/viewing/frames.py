@@ -1,0 +1,116 @@
+"""What is seen of a run at each of its instants: poses, contacts, energy and the residual."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore.viewing.drawing import Drawing, drawing_of
+
+if TYPE_CHECKING:
+    from stepcore.engine.sim import Sim
+    from stepcore.engine.snapshots import Snapshots
+    from stepcore.engine.trajectory import Trajectory
+
+UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run` returns have"
+
+
+@dataclass(frozen=True)
+class Instant:
+    """One instant.
+
+    time: [s]. xpos, xquat: of the bodies, shapes (nbody, 3) and (nbody, 4). places, forces: of the
+    contacts that bear, in world axes [m] and [N], shape (n, 3). energy: kinetic and potential [J].
+    residual: of the solve [m/s].
+    """
+
+    time: float
+    xpos: NDArray[Any]
+    xquat: NDArray[Any]
+    places: NDArray[Any]
+    forces: NDArray[Any]
+    energy: tuple[float, float]
+    residual: float
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """A run as it is seen: its drawing, and its instants in the order of time."""
+
+    drawing: Drawing
+    instants: list[Instant]
+    label: str = ""
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Of each instant [s]."""
+        return np.array([instant.time for instant in self.instants])
+
+    @property
+    def xpos(self) -> NDArray[Any]:
+        """Positions of the bodies [m], shape (instants, nbody, 3)."""
+        return np.array([instant.xpos for instant in self.instants])
+
+    @property
+    def strongest(self) -> float:
+        """The largest contact force of the run [N]."""
+        sizes = [np.linalg.norm(i.forces, axis=1).max() for i in self.instants if len(i.forces)]
+        return float(max(sizes, default=0.0))
+
+
+def instant_of(sim: Sim, solved: bool = False) -> Instant:
+    """The present instant; solved: the last solve is of this state, else one is made."""
+    if not solved:
+        sim.forward()
+    contacts = sim.contacts
+    bearing = np.linalg.norm(contacts["force"], axis=1) > 0
+    return Instant(
+        time=sim.time,
+        xpos=np.array(sim.xpos),
+        xquat=np.array(sim.xquat),
+        places=np.array(contacts["pos"][bearing]),
+        forces=np.array(contacts["force"][bearing]),
+        energy=(float(sim.energy.kinetic), float(sim.energy.potential)),
+        residual=float(sim.residual),
+    )
+
+
+def replayed(trajectory: Trajectory, label: str = "") -> Replayed:
+    """A recorded run as it is seen. Its solves are made again, from the snapshots of the run.
+
+    Raises ValueError for a trajectory without snapshots.
+    """
+    snapshots: Snapshots | None = trajectory.snapshots
+    if snapshots is None or not snapshots.states:
+        raise ValueError(UNKEPT)
+    sim: Sim = snapshots.sim()
+    instants = []
+    for state in snapshots.states:
+        sim.restore(state)
+        instants.append(instant_of(sim))
+    return Replayed(drawing_of(snapshots.model, sim), instants, label)
+
+
+def distance(one: Replayed, other: Replayed) -> NDArray[np.float64]:
+    """RMS distance of the bodies that move of two runs, at the instants of the first [m].
+
+    Raises ValueError where the two have not the same bodies.
+    """
+    if one.drawing.bodies != other.drawing.bodies:
+        counts = f"{len(one.drawing.bodies)} and {len(other.drawing.bodies)}"
+        raise ValueError(f"runs to compare must be of the same bodies; these have {counts}")
+    moving = np.flatnonzero(one.drawing.moving)
+    there, time = other.xpos, other.time
+    # Between two instants a body goes straight on.
+    at = np.clip(np.searchsorted(time, one.time, side="right") - 1, 0, max(0, len(time) - 2))
+    after = np.minimum(at + 1, len(time) - 1)
+    span = np.where(after > at, time[after] - time[at], 1.0)
+    share = np.clip((one.time - time[at]) / span, 0.0, 1.0)[:, None, None]
+    gap = one.xpos - (there[at] * (1 - share) + there[after] * share)
+    if not len(moving):
+        return np.zeros(len(one.instants))
+    squares = np.sum(gap[:, moving] ** 2, axis=-1)
+    return np.sqrt(np.mean(squares, axis=-1))

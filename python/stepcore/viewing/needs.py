@@ -1,0 +1,17 @@
+"""Packages that only viewing needs, with what to install where one is missing."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+
+def need(package: str, what: str) -> Any:
+    """The package; ImportError, which says what to install, without it."""
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        if error.name is not None and error.name.partition(".")[0] != package.partition(".")[0]:
+            raise
+        text = f"{what} needs {package.partition('.')[0]}: pip install 'stepcore[view]'"
+        raise ImportError(text, name=package) from None

@@ -1,0 +1,519 @@
+// Replays runs of stepcore with three.js, which stands before this script in the page.
+"use strict";
+(async () => {
+  const byId = (id) => document.getElementById(id);
+  const fail = (text) => {
+    byId("failed").textContent = text;
+    byId("failed").hidden = false;
+  };
+
+  // The data: JSON, deflated, in base64; arrays in it are base64 again.
+  const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const floats = (text) => new Float32Array(bytes(text).buffer);
+  if (typeof DecompressionStream === "undefined") {
+    fail("This browser is too old for this page: it needs DecompressionStream.");
+    return;
+  }
+  const packed = new Blob([bytes(byId("data").textContent)]).stream();
+  const inflated = packed.pipeThrough(new DecompressionStream("deflate"));
+  const data = JSON.parse(await new Response(inflated).text());
+
+  let renderer;
+  const screen = byId("scene");
+  try {
+    renderer = new THREE.WebGLRenderer({
+      canvas: screen, antialias: true, preserveDrawingBuffer: true,
+    });
+  } catch {
+    fail("This browser shows no WebGL, with which this page draws.");
+    return;
+  }
+  const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+  const scene = new THREE.Scene();
+  scene.background = new THREE.Color(dark ? 0x23272e : 0xe9eef4);
+  scene.add(new THREE.HemisphereLight(0xffffff, 0x8d8d99, 0.75));
+  const sun = new THREE.DirectionalLight(0xffffff, 0.55);
+  scene.add(sun, sun.target);
+  const extent = data.extent;
+  const camera = new THREE.PerspectiveCamera(40, 1, extent / 200, extent * 200);
+  camera.up.set(0, 0, 1);
+
+  // Shapes.
+
+  function surfaceOf(packedSurface) {
+    const grid = new Uint16Array(bytes(packedSurface.places).buffer);
+    const places = new Float32Array(grid.length);
+    for (let i = 0; i < grid.length; i++) {
+      places[i] = packedSurface.low[i % 3] + (grid[i] / 65535) * packedSurface.span[i % 3];
+    }
+    const Indices = packedSurface.small ? Uint16Array : Uint32Array;
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(places, 3));
+    const faces = new Indices(bytes(packedSurface.faces).buffer);
+    geometry.setIndex(new THREE.BufferAttribute(faces, 1));
+    return geometry;
+  }
+
+  function capsule(radius, half) {
+    const profile = [];
+    for (let k = 0; k <= 24; k++) {
+      const angle = (k / 24 - 0.5) * Math.PI;
+      const end = k < 12 ? -half : half;
+      if (k === 12) profile.push(new THREE.Vector2(radius, -half));
+      profile.push(new THREE.Vector2(radius * Math.cos(angle), end + radius * Math.sin(angle)));
+    }
+    return new THREE.LatheGeometry(profile, 32).rotateX(Math.PI / 2);
+  }
+
+  function plane(size) {
+    const width = 2 * (size[0] || 20 * extent);
+    const depth = 2 * (size[1] || 20 * extent);
+    return new THREE.PlaneGeometry(width, depth);
+  }
+
+  const makers = {
+    plane,
+    sphere: (size) => new THREE.SphereGeometry(size[0], 32, 20),
+    ellipsoid: (size) => new THREE.SphereGeometry(1, 32, 20).scale(...size),
+    capsule: (size) => capsule(size[0], size[1]),
+    cylinder: (size) =>
+      new THREE.CylinderGeometry(size[0], size[0], 2 * size[1], 40).rotateX(Math.PI / 2),
+    box: (size) => new THREE.BoxGeometry(2 * size[0], 2 * size[1], 2 * size[2]),
+  };
+
+  // A board of squares, which shows how fast something goes over it.
+  function squares(rgba) {
+    const tile = document.createElement("canvas");
+    tile.width = tile.height = 256;
+    const paint = tile.getContext("2d");
+    for (const [x, y, share] of [[0, 0, 1], [1, 1, 1], [0, 1, 0.86], [1, 0, 0.86]]) {
+      paint.fillStyle = `rgb(${rgba.slice(0, 3).map((c) => Math.round(255 * c * share)).join()})`;
+      paint.fillRect(128 * x, 128 * y, 128, 128);
+    }
+    const texture = new THREE.CanvasTexture(tile);
+    texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
+    texture.anisotropy = renderer.capabilities.getMaxAnisotropy();
+    return texture;
+  }
+
+  function materialOf(shape, run) {
+    let [r, g, b, opacity] = shape.rgba;
+    if (run.tint && shape.kind !== "plane") {
+      [r, g, b] = run.tint;
+      opacity = Math.min(opacity, 0.5);
+    }
+    const material = new THREE.MeshStandardMaterial({
+      color: new THREE.Color(r, g, b), roughness: 0.75, metalness: 0.05,
+      transparent: opacity < 1, opacity, depthWrite: opacity >= 1,
+      flatShading: shape.kind === "triangles", side: THREE.DoubleSide,
+    });
+    if (shape.kind === "plane") {
+      material.map = squares([r, g, b]);
+      material.color.set(0xffffff);
+      const tile = 2 ** Math.round(Math.log2(extent / 2));
+      material.map.repeat.set(
+        (shape.size[0] || 20 * extent) / tile, (shape.size[1] || 20 * extent) / tile,
+      );
+    }
+    return material;
+  }
+
+  const quaternion = (q) => new THREE.Quaternion(q[1], q[2], q[3], q[0]);
+  const extras = [];
+
+  function build(run, number) {
+    const drawing = run.drawing;
+    const surfaces = drawing.surfaces.map(surfaceOf);
+    run.bodies = drawing.bodies.map(() => new THREE.Group());
+    for (const body of run.bodies) scene.add(body);
+    for (const shape of drawing.shapes) {
+      // The ground is drawn once.
+      if (number > 0 && !drawing.moving[shape.body]) continue;
+      const made = shape.kind === "triangles"
+        ? surfaces[shape.surface] : makers[shape.kind](shape.size);
+      const mesh = new THREE.Mesh(made, materialOf(shape, run));
+      mesh.position.set(...shape.pos);
+      mesh.quaternion.copy(quaternion(shape.quat));
+      if (!shape.shown) extras.push(mesh);
+      mesh.visible = shape.shown;
+      run.bodies[shape.body].add(mesh);
+    }
+    run.tendons = drawing.tendons.map((points) => {
+      const line = new THREE.Line(
+        new THREE.BufferGeometry().setFromPoints(points.map(() => new THREE.Vector3())),
+        new THREE.LineBasicMaterial({ color: 0xc0392b }),
+      );
+      line.frustumCulled = false;
+      scene.add(line);
+      return { line, points };
+    });
+    for (const name of ["time", "poses", "contacts", "energy", "residual"]) {
+      run[name] = floats(run[name]);
+    }
+    run.starts = new Uint32Array(bytes(run.starts).buffer);
+    run.marks = [];
+  }
+  data.runs.forEach(build);
+  const runs = data.runs;
+  const gaps = (data.distance || []).map(floats);
+
+  // Lines between the bodies of the first run and those of the others.
+  const links = runs.slice(1).map(() => {
+    const line = new THREE.LineSegments(
+      new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: 0xd1495b }),
+    );
+    line.frustumCulled = false;
+    scene.add(line);
+    return line;
+  });
+
+  // Contacts: a point, and an arrow as long as the force is large.
+  const dot = new THREE.SphereGeometry(0.008 * extent, 12, 8);
+  const shaft = new THREE.CylinderGeometry(1, 1, 1, 10).translate(0, 0.5, 0);
+  const tip = new THREE.ConeGeometry(1, 1, 14).translate(0, 0.5, 0);
+  const amber = new THREE.MeshBasicMaterial({ color: 0xf4a300, depthTest: false });
+  const red = new THREE.MeshBasicMaterial({ color: 0xd7263d, depthTest: false });
+  const up = new THREE.Vector3(0, 1, 0);
+
+  function mark(run, k) {
+    if (!run.marks[k]) {
+      const group = new THREE.Group();
+      const point = new THREE.Mesh(dot, amber);
+      const arrow = new THREE.Group();
+      arrow.add(new THREE.Mesh(shaft, red), new THREE.Mesh(tip, red));
+      for (const part of [point, ...arrow.children]) part.renderOrder = 2;
+      group.add(arrow, point);
+      scene.add(group);
+      run.marks[k] = { group, point, arrow };
+    }
+    return run.marks[k];
+  }
+
+  function showContacts(run, frame) {
+    const first = run.starts[frame];
+    const count = run.starts[frame + 1] - first;
+    for (let k = 0; k < Math.max(count, run.marks.length); k++) {
+      const made = mark(run, k);
+      made.group.visible = k < count;
+      if (k >= count) continue;
+      const at = 6 * (first + k);
+      made.group.position.set(...run.contacts.subarray(at, at + 3));
+      const force = new THREE.Vector3(...run.contacts.subarray(at + 3, at + 6));
+      const length = (force.length() / data.newtons) * data.arrow;
+      made.point.visible = byId("contacts").checked;
+      made.arrow.visible = byId("forces").checked && length > 0.004 * extent;
+      made.arrow.quaternion.setFromUnitVectors(up, force.normalize());
+      const thick = 0.006 * extent;
+      const head = Math.min(0.5 * length, 5 * thick);
+      made.arrow.children[0].scale.set(thick, length - head, thick);
+      made.arrow.children[1].position.set(0, length - head, 0);
+      made.arrow.children[1].scale.set(2.2 * thick, head, 2.2 * thick);
+    }
+  }
+
+  // Time.
+
+  const end = Math.max(...runs.map((run) => run.time[run.time.length - 1]));
+  const begin = Math.min(...runs.map((run) => run.time[0]));
+  let now = begin;
+  let playing = true;
+
+  function frameAt(run, time) {
+    let low = 0;
+    let high = run.time.length - 1;
+    while (high - low > 1) {
+      const middle = (low + high) >> 1;
+      if (run.time[middle] <= time) low = middle;
+      else high = middle;
+    }
+    if (high === 0) return { frame: 0, next: 0, share: 0 };
+    const span = run.time[high] - run.time[low];
+    const share = Math.min(1, Math.max(0, (time - run.time[low]) / (span || 1)));
+    return share >= 1 ? { frame: high, next: high, share: 0 } : { frame: low, next: high, share };
+  }
+
+  const here = new THREE.Vector3();
+  const turn = new THREE.Quaternion();
+  function pose(run, { frame, next, share }) {
+    const count = run.bodies.length;
+    run.bodies.forEach((body, b) => {
+      const a = 7 * (frame * count + b);
+      const z = 7 * (next * count + b);
+      const p = run.poses;
+      body.position.set(p[a], p[a + 1], p[a + 2]);
+      body.position.lerp(here.set(p[z], p[z + 1], p[z + 2]), share);
+      body.quaternion.set(p[a + 4], p[a + 5], p[a + 6], p[a + 3]);
+      body.quaternion.slerp(turn.set(p[z + 4], p[z + 5], p[z + 6], p[z + 3]), share);
+      body.updateMatrixWorld();
+    });
+    for (const { line, points } of run.tendons) {
+      line.geometry.setFromPoints(
+        points.map(([body, place]) => run.bodies[body].localToWorld(new THREE.Vector3(...place))),
+      );
+    }
+  }
+
+  function show(time) {
+    time = Math.min(end, Math.max(begin, time));
+    now = time;
+    const at = runs.map((run) => frameAt(run, time));
+    runs.forEach((run, k) => {
+      pose(run, at[k]);
+      showContacts(run, at[k].frame);
+    });
+    links.forEach((line, k) => {
+      const points = [];
+      runs[0].bodies.forEach((body, b) => {
+        if (!runs[0].drawing.moving[b] || !runs[k + 1].bodies[b]) return;
+        points.push(body.position.clone(), runs[k + 1].bodies[b].position.clone());
+      });
+      line.geometry.setFromPoints(points);
+    });
+    byId("slider").value = (time - begin) / (end - begin || 1);
+    byId("clock").textContent = `${time.toFixed(3)} of ${end.toFixed(3)} s`;
+    figures(at);
+    plot();
+  }
+
+  // Figures and their curves.
+
+  const number = (x) => (Math.abs(x) >= 1e4 || (x !== 0 && Math.abs(x) < 1e-3)
+    ? x.toExponential(2) : x.toPrecision(4));
+
+  function figures(at) {
+    const rows = [];
+    const run = runs[0];
+    const { frame } = at[0];
+    const [kinetic, potential] = run.energy.subarray(2 * frame, 2 * frame + 2);
+    rows.push(["kinetic energy", `${number(kinetic)} J`]);
+    rows.push(["potential energy", `${number(potential)} J`]);
+    rows.push(["total", `${number(kinetic + potential)} J`]);
+    rows.push(["contacts that bear", run.starts[frame + 1] - run.starts[frame]]);
+    rows.push(["residual", `${run.residual[frame].toExponential(1)} m/s`]);
+    gaps.forEach((gap) => rows.push(["distance (rms)", `${number(1000 * gap[frame])} mm`]));
+    byId("figures").innerHTML = rows
+      .map(([name, value]) => `<tr><td>${name}</td><td>${value}</td></tr>`).join("");
+  }
+
+  const ENERGY = [["kinetic", "#e07a1f"], ["potential", "#2a7de1"], ["total", "#7a7f87"]];
+  function curves() {
+    if (gaps.length) {
+      return gaps.map((gap, k) => ({ values: Array.from(gap, (x) => 1000 * x), name:
+        `distance ${k + 1} [mm]`, colour: "#d1495b" }));
+    }
+    const energy = Array.from(runs[0].energy);
+    const lists = [energy.filter((_, i) => i % 2 === 0), energy.filter((_, i) => i % 2 === 1)];
+    lists.push(lists[0].map((x, i) => x + lists[1][i]));
+    // Potential energy has no zero of its own: all begin at theirs.
+    return lists.map((values, k) => ({
+      values: k === 0 ? values : values.map((x) => x - values[0]),
+      name: k === 0 ? "kinetic" : `Δ ${ENERGY[k][0]}`, colour: ENERGY[k][1],
+    }));
+  }
+  const drawn = curves();
+  byId("legend").innerHTML = drawn
+    .map((c) => `<span><i class="key" style="background:${c.colour}"></i>${c.name}</span>`)
+    .join("");
+  const least = Math.min(0, ...drawn.map((c) => c.values.reduce((a, b) => Math.min(a, b), 0)));
+  const most = Math.max(...drawn.map((c) => c.values.reduce((a, b) => Math.max(a, b), 0)), 1e-12);
+
+  function plot() {
+    const sheet = byId("plot");
+    const pen = sheet.getContext("2d");
+    const { width, height } = sheet;
+    pen.clearRect(0, 0, width, height);
+    const x = (time) => ((time - begin) / (end - begin || 1)) * (width - 4) + 2;
+    const y = (value) => height - 6 - ((value - least) / (most - least || 1)) * (height - 12);
+    pen.strokeStyle = "#8886";
+    pen.lineWidth = 1;
+    pen.beginPath();
+    pen.moveTo(0, y(0));
+    pen.lineTo(width, y(0));
+    pen.stroke();
+    pen.lineWidth = 3;
+    for (const { values, colour } of drawn) {
+      pen.strokeStyle = colour;
+      pen.beginPath();
+      values.forEach((value, i) => pen.lineTo(x(runs[0].time[i]), y(value)));
+      pen.stroke();
+    }
+    pen.strokeStyle = "#d7263d";
+    pen.lineWidth = 2;
+    pen.beginPath();
+    pen.moveTo(x(now), 0);
+    pen.lineTo(x(now), height);
+    pen.stroke();
+  }
+
+  // The camera goes round a point; z is up.
+
+  const target = new THREE.Vector3();
+  const view = { turn: -0.9, lift: 0.35, far: 1.7 * extent };
+
+  function middle() {
+    const box = new THREE.Box3();
+    runs[0].bodies.forEach((body, b) => {
+      if (!runs[0].drawing.moving[b]) return;
+      body.children.forEach((mesh) => mesh.visible && box.expandByObject(mesh));
+    });
+    if (box.isEmpty()) box.expandByObject(scene.children.find((c) => c.isGroup) || scene);
+    return box.isEmpty() ? new THREE.Vector3() : box.getCenter(new THREE.Vector3());
+  }
+
+  function place() {
+    const flat = view.far * Math.cos(view.lift);
+    camera.position.set(
+      target.x + flat * Math.cos(view.turn), target.y + flat * Math.sin(view.turn),
+      target.z + view.far * Math.sin(view.lift),
+    );
+    camera.lookAt(target);
+    sun.position.copy(camera.position).add(new THREE.Vector3(0, 0, 2 * extent));
+    sun.target.position.copy(target);
+  }
+
+  const held = new Map();
+  const spread = () => {
+    const [a, b] = [...held.values()];
+    return Math.hypot(a.x - b.x, a.y - b.y);
+  };
+  screen.addEventListener("contextmenu", (event) => event.preventDefault());
+  screen.addEventListener("pointerdown", (event) => {
+    held.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    screen.setPointerCapture(event.pointerId);
+  });
+  for (const name of ["pointerup", "pointercancel"]) {
+    screen.addEventListener(name, (event) => held.delete(event.pointerId));
+  }
+  screen.addEventListener("pointermove", (event) => {
+    const old = held.get(event.pointerId);
+    if (!old) return;
+    const before = held.size === 2 ? spread() : 0;
+    const dx = event.clientX - old.x;
+    const dy = event.clientY - old.y;
+    held.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    if (held.size === 2) {
+      view.far *= before / (spread() || 1);
+    } else if (event.buttons & 2 || event.shiftKey) {
+      const size = view.far / screen.clientHeight;
+      const side = new THREE.Vector3().setFromMatrixColumn(camera.matrix, 0);
+      const top = new THREE.Vector3().setFromMatrixColumn(camera.matrix, 1);
+      target.addScaledVector(side, -dx * size).addScaledVector(top, dy * size);
+    } else {
+      view.turn -= 0.006 * dx;
+      view.lift = Math.min(1.55, Math.max(-1.55, view.lift + 0.006 * dy));
+    }
+    place();
+  });
+  screen.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    view.far *= Math.exp(0.0012 * event.deltaY);
+    place();
+  }, { passive: false });
+
+  // What can be pressed.
+
+  function play(on) {
+    playing = on;
+    byId("play").textContent = on ? "pause" : "play";
+  }
+  function step(by) {
+    play(false);
+    const time = runs[0].time;
+    const { frame, share } = frameAt(runs[0], now);
+    const nearest = frame + Math.round(share);
+    show(time[Math.min(time.length - 1, Math.max(0, nearest + by))]);
+  }
+  byId("play").onclick = () => {
+    if (!playing && now >= end) show(begin);
+    play(!playing);
+  };
+  byId("back").onclick = () => step(-1);
+  byId("on").onclick = () => step(1);
+  byId("slider").oninput = (event) => {
+    play(false);
+    show(begin + event.target.value * (end - begin));
+  };
+  byId("contacts").onchange = byId("forces").onchange = () => show(now);
+  byId("all").onchange = (event) => {
+    for (const mesh of extras) mesh.visible = event.target.checked;
+  };
+  byId("all").parentElement.hidden = !extras.length;
+  document.addEventListener("keydown", (event) => {
+    if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName)) return;
+    if (event.key === " ") byId("play").onclick();
+    else if (event.key === "ArrowRight") step(1);
+    else if (event.key === "ArrowLeft") step(-1);
+    else return;
+    event.preventDefault();
+  });
+  byId("scale").textContent =
+    `The arrow of ${number(data.newtons)} N is ${number(data.arrow)} m long. ` +
+    "Drag to turn, shift-drag to move, wheel to zoom, space to pause.";
+  if (runs.length > 1) {
+    byId("runs").innerHTML = runs.map((run, k) => {
+      const colour = run.tint
+        ? `rgb(${run.tint.map((c) => Math.round(255 * c)).join()})` : "#8b929c";
+      return `<span><i class="key" style="background:${colour}"></i></span>`;
+    }).join("");
+    runs.forEach((run, k) => byId("runs").children[k].append(run.label || `run ${k + 1}`));
+  }
+
+  function resize() {
+    renderer.setPixelRatio(window.devicePixelRatio);
+    renderer.setSize(window.innerWidth, window.innerHeight, false);
+    camera.aspect = window.innerWidth / window.innerHeight;
+    camera.updateProjectionMatrix();
+  }
+  window.addEventListener("resize", resize);
+  resize();
+  show(begin);
+  target.copy(middle());
+  place();
+
+  // Following keeps the view as it is, and moves it with the mean of the bodies.
+  function mean() {
+    const moving = runs[0].bodies.filter((_, b) => runs[0].drawing.moving[b]);
+    const sum = new THREE.Vector3();
+    for (const body of moving) sum.add(body.position);
+    return sum.divideScalar(moving.length || 1);
+  }
+  let last = performance.now();
+  let followed = mean();
+  function tick(clock) {
+    const passed = Math.min(0.1, (clock - last) / 1000);
+    last = clock;
+    if (playing && end > begin) {
+      const time = now + passed * byId("speed").value;
+      // It waits a second at the end, and begins again.
+      if (time > end + 1) show(begin);
+      else if (time > end) {
+        show(end);
+        now = time;
+      } else show(time);
+    }
+    const there = mean();
+    if (byId("track").checked) {
+      target.add(there).sub(followed);
+      place();
+    }
+    followed = there;
+    renderer.render(scene, camera);
+    requestAnimationFrame(tick);
+  }
+  requestAnimationFrame(tick);
+  // For those who drive the page from outside, such as tests.
+  window.replay = {
+    begin, end,
+    seek: (time) => {
+      play(false);
+      show(time);
+      renderer.render(scene, camera);
+    },
+    place: (turnBy, lift, far) => {
+      Object.assign(view, { turn: turnBy, lift, far: far * extent });
+      place();
+      renderer.render(scene, camera);
+    },
+    bodies: (run = 0) => runs[run].bodies.map((body) => body.position.toArray()),
+  };
+})();

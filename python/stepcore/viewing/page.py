@@ -1,0 +1,174 @@
+"""Pages that replay runs: one file each, which needs neither Python nor a network.
+
+The renderer is three.js, which is read from the installed package trimesh when a page is written:
+its wheel carries it whole (release 140, MIT licence, 0.6 MB), as one script without modules, which
+is what a page that is opened from a disk can run. plotly's script is seven times as large and has
+no shapes but meshes; k3d's four times.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore.viewing.drawing import Drawing, Shape
+from stepcore.viewing.frames import Replayed, distance
+from stepcore.viewing.needs import need
+
+# Colours of runs that are shown over each other; the first keeps its own.
+TINTS = (None, (0.95, 0.45, 0.1), (0.2, 0.55, 0.95), (0.6, 0.3, 0.8))
+# How long the arrow of a force is that bears all the weight, of the extent of the scene.
+ARROW = 0.35
+
+
+def page(runs: Sequence[Replayed], title: str = "") -> str:
+    """The page that replays these runs, laid over each other."""
+    title = title or runs[0].drawing.name or "stepcore"
+    data = {
+        "title": title,
+        "extent": runs[0].drawing.extent,
+        "runs": [_run(run, tint) for run, tint in zip(runs, _tints(len(runs)), strict=True)],
+        "newtons": _newtons(runs),
+        "arrow": ARROW * runs[0].drawing.extent,
+    }
+    if len(runs) > 1:
+        data["distance"] = [_packed(distance(runs[0], run)) for run in runs[1:]]
+    coded = base64.b64encode(zlib.compress(json.dumps(data).encode(), 9)).decode()
+    parts = {
+        "TITLE": html.escape(title),
+        "STYLE": _own("page.css"),
+        "THREE": three(),
+        "DATA": coded,
+        "SCRIPT": _own("page.js"),
+    }
+    text = _own("page.html")
+    for name, part in parts.items():
+        text = text.replace(f"${name}$", part)
+    return text
+
+
+def save_page(runs: Sequence[Replayed], path: str | os.PathLike[str]) -> None:
+    """Writes the page to a file."""
+    Path(path).write_text(page(runs), encoding="utf-8")
+
+
+def framed(text: str, height: int = 480) -> str:
+    """The page as a notebook shows it, apart from the notebook's own scripts."""
+    inner = html.escape(text)
+    style = f"width:100%;height:{height}px;border:1px solid #8884;border-radius:6px"
+    return f'<iframe srcdoc="{inner}" style="{style}" sandbox="allow-scripts"></iframe>'
+
+
+def three() -> str:
+    """The script of three.js from the installed package trimesh."""
+    trimesh = need("trimesh", "a page that replays a run")
+    archive = resources.files(trimesh).joinpath("resources/templates/viewer.zip")
+    try:
+        with zipfile.ZipFile(io.BytesIO(archive.read_bytes())) as unzipped:
+            template = unzipped.read("viewer.html.template").decode()
+        script = template[template.index("<script>") + 8 : template.rindex("</script>")]
+        # What follows the library is trimesh's own page.
+        library = script[: script.index("var camera,controls,scene,renderer")]
+    except (OSError, KeyError, ValueError):
+        version = getattr(trimesh, "__version__", "")
+        raise RuntimeError(f"trimesh {version} carries no three.js that is known here") from None
+    return library.replace("</script", "<\\/script")
+
+
+def _own(name: str) -> str:
+    return resources.files("stepcore.viewing").joinpath(name).read_text(encoding="utf-8")
+
+
+def _tints(count: int) -> list[Any]:
+    return [TINTS[k % len(TINTS)] if k else None for k in range(count)]
+
+
+def _newtons(runs: Sequence[Replayed]) -> float:
+    """The force whose arrow is `ARROW` long: the weight, or the largest force without gravity."""
+    weight = max(run.drawing.weight for run in runs)
+    return weight or max(run.strongest for run in runs) or 1.0
+
+
+def _run(run: Replayed, tint: Any) -> dict[str, Any]:
+    instants = run.instants
+    poses = [np.concatenate([i.xpos, i.xquat], axis=1) for i in instants]
+    contacts = [np.concatenate([i.places, i.forces], axis=1) for i in instants]
+    starts = np.cumsum([0, *(len(each) for each in contacts)])
+    return {
+        "label": run.label,
+        "tint": tint,
+        "drawing": _drawing(run.drawing),
+        "time": _packed(run.time),
+        "poses": _packed(np.array(poses)),
+        "contacts": _packed(np.concatenate(contacts)),
+        "starts": _packed(starts, "<u4"),
+        "energy": _packed([i.energy for i in instants]),
+        "residual": _packed([i.residual for i in instants]),
+    }
+
+
+def _drawing(drawing: Drawing) -> dict[str, Any]:
+    surfaces: dict[bytes, int] = {}
+    packed: list[dict[str, Any]] = []
+    shapes = []
+    for shape in drawing.shapes:
+        entry = _shape(shape)
+        if shape.surface is not None:
+            vertices, faces = shape.surface
+            key = np.asarray(vertices, "<f4").tobytes() + np.asarray(faces, "<u4").tobytes()
+            if key not in surfaces:
+                surfaces[key] = len(packed)
+                packed.append(_surface(vertices, faces))
+            entry["surface"] = surfaces[key]
+        shapes.append(entry)
+    return {
+        "shapes": shapes,
+        "surfaces": packed,
+        "bodies": list(drawing.bodies),
+        "moving": [bool(moves) for moves in drawing.moving],
+        "tendons": drawing.tendons,
+    }
+
+
+def _shape(shape: Shape) -> dict[str, Any]:
+    return {
+        "body": shape.body,
+        "kind": shape.kind,
+        "size": shape.size,
+        "pos": shape.pos,
+        "quat": shape.quat,
+        "rgba": shape.rgba,
+        "shown": shape.shown,
+    }
+
+
+def _surface(vertices: NDArray[Any], faces: NDArray[Any]) -> dict[str, Any]:
+    """A surface with its places in 16 bits each: a part in 65,000 of its size."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    span = np.where(high > low, high - low, 1.0)
+    grid = np.round((vertices - low) / span * 65535)
+    small = len(vertices) <= 65535
+    return {
+        "low": low.tolist(),
+        "span": span.tolist(),
+        "places": _packed(grid, "<u2"),
+        "faces": _packed(faces, "<u2" if small else "<u4"),
+        "small": small,
+    }
+
+
+def _packed(numbers: Any, kind: str = "<f4") -> str:
+    """Numbers as the page reads them: little-endian, in base64."""
+    return base64.b64encode(np.ascontiguousarray(numbers, kind).tobytes()).decode()
