@@ -7,7 +7,7 @@
 
 use super::{delay, muscle};
 use crate::model::{Model, Span};
-use crate::real::Real;
+use crate::real::{elementary, Real};
 use crate::scene::{self, Dynamics};
 use crate::state::Inputs;
 
@@ -71,7 +71,7 @@ impl scene::Actuator {
             return seconds;
         }
         let tau = self.time_constant();
-        -tau * (-seconds / tau).exp_m1()
+        -tau * elementary::exp_m1(-seconds / tau)
     }
 
     /// An activation after a step in which it changes at a rate.

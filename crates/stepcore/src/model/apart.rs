@@ -15,6 +15,7 @@
 use super::{Guard, Model, NONE};
 use crate::detect;
 use crate::place::Placed;
+use crate::real::elementary::sin_cos;
 use crate::scene::JointType;
 use std::f64::consts::PI;
 
@@ -43,7 +44,7 @@ impl Between {
     /// The most that a change of half the width moves any point.
     fn moves(&self, width: f64) -> f64 {
         if self.turns {
-            2.0 * (0.25 * width).min(0.5 * PI).sin() * self.lever
+            2.0 * sin_cos((0.25 * width).min(0.5 * PI)).0 * self.lever
         } else {
             0.5 * width
         }

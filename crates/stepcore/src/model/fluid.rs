@@ -5,6 +5,7 @@ use super::inertia::Axes;
 use super::pose::rotation;
 use super::principal::seen_from;
 use super::{Model, Span, NONE};
+use crate::real::elementary::pow;
 use crate::scene::{FluidShape, Geom, GeomType, Scene};
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::PI;
@@ -191,7 +192,7 @@ const WEIGHTS: [f64; 8] = [
 /// κ = ∫₀^∞ x y z dλ / √((x² + λ)³ (y² + λ) (z² + λ)), with λ = s t³/(1 − t)² and
 /// s = (x³ y z)^(2/5).
 fn kappa(x: f64, y: f64, z: f64) -> f64 {
-    let scale = (x * x * x * y * z).powf(0.4);
+    let scale = pow(x * x * x * y * z, 0.4);
     let at = |t: f64, weight: f64| {
         let left = 1.0 - t;
         let lambda = scale * (t * t * t / (left * left));

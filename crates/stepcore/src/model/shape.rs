@@ -1,5 +1,6 @@
 //! Volume, surface and inertia of the shapes, solid or as a thin shell.
 
+use crate::real::elementary::pow;
 use crate::scene::{Geom, GeomType};
 use nalgebra::Vector3;
 use std::f64::consts::PI;
@@ -22,8 +23,8 @@ pub fn measure(g: &Geom) -> f64 {
         // Thomsen's approximation, within 1.1 % of the elliptic integral.
         (GeomType::Ellipsoid, true) => {
             const P: f64 = 1.6075;
-            let mean = ((a * b).powf(P) + (b * c).powf(P) + (c * a).powf(P)) / 3.0;
-            4.0 * PI * mean.powf(1.0 / P)
+            let mean = (pow(a * b, P) + pow(b * c, P) + pow(c * a, P)) / 3.0;
+            4.0 * PI * pow(mean, 1.0 / P)
         }
     }
 }

@@ -134,16 +134,16 @@ impl Real for Counted {
     }
     fn sin_cos(self) -> (Self, Self) {
         note(FUNCTION);
-        let (sin, cos) = self.0.sin_cos();
+        let (sin, cos) = Real::sin_cos(self.0);
         (Self(sin), Self(cos))
     }
     fn atan2(self, x: Self) -> Self {
         note(FUNCTION);
-        Self(self.0.atan2(x.0))
+        Self(Real::atan2(self.0, x.0))
     }
     fn powf(self, power: Self) -> Self {
         note(FUNCTION);
-        Self(self.0.powf(power.0))
+        Self(Real::powf(self.0, power.0))
     }
     fn enter(stage: Stage) {
         TALLY.with(|tally| tally.at.set(stage as usize));

@@ -9,7 +9,7 @@
 use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 use num_traits::{One, Zero};
 
-use super::Real;
+use super::{elementary, Real};
 
 /// Directions that travel together.
 pub const WAYS: usize = 4;
@@ -150,7 +150,7 @@ impl Real for Dual {
         self.chain(root, if root > 0.0 { 0.5 / root } else { 0.0 })
     }
     fn sin_cos(self) -> (Self, Self) {
-        let (sin, cos) = self.value.sin_cos();
+        let (sin, cos) = elementary::sin_cos(self.value);
         (self.chain(sin, cos), self.chain(cos, -sin))
     }
     /// d atan2(y, x) = (x dy − y dx)/(x² + y²).
@@ -158,11 +158,14 @@ impl Real for Dual {
         let square = self.value * self.value + x.value * x.value;
         let inverse = if square > 0.0 { 1.0 / square } else { 0.0 };
         let (along, across) = (x.value * inverse, self.value * inverse);
-        Self::with(self.value.atan2(x.value), |i| along * self.slopes[i] - across * x.slopes[i])
+        Self::with(elementary::atan2(self.value, x.value), |i| {
+            along * self.slopes[i] - across * x.slopes[i]
+        })
     }
     fn powf(self, power: Self) -> Self {
-        let value = self.value.powf(power.value);
-        let (base, rise) = (power.value * self.value.powf(power.value - 1.0), self.value.ln());
+        let value = elementary::pow(self.value, power.value);
+        let base = power.value * elementary::pow(self.value, power.value - 1.0);
+        let rise = elementary::ln(self.value);
         // 0 · ∞ is 0 here: what does not change adds nothing.
         let part = |rate: f64, slope: f64| if slope == 0.0 { 0.0 } else { rate * slope };
         let power = |i| if value == 0.0 { 0.0 } else { part(value * rise, power.slopes[i]) };
@@ -208,10 +211,10 @@ mod tests {
             (|x, y| x - y, |x, y| x - y),
             (|x, y| x / y, |x, y| x / y),
             (|x, y| (x * y).sqrt(), |x, y| (x * y).sqrt()),
-            (|x, y| (x * y).sin_cos().0, |x, y| (x * y).sin()),
-            (|x, y| (x * y).sin_cos().1, |x, y| (x * y).cos()),
-            (|x, y| (-x).atan2(-y), |x, y| (-x).atan2(-y)),
-            (|x, y| x.powf(y), |x, y| x.powf(y)),
+            (|x, y| (x * y).sin_cos().0, |x, y| elementary::sin_cos(x * y).0),
+            (|x, y| (x * y).sin_cos().1, |x, y| elementary::sin_cos(x * y).1),
+            (|x, y| (-x).atan2(-y), |x, y| elementary::atan2(-x, -y)),
+            (|x, y| x.powf(y), elementary::pow),
             (|x, y| (x - y).abs().max(y), |x, y| (x - y).abs().max(y)),
             (|x, y| (x - y).recip_or_zero().clamp(-x, x), |x, y| (1.0 / (x - y)).min(x)),
         ];

@@ -3,7 +3,7 @@
 use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 use num_traits::{One, Zero};
 
-use super::{Mask, Real};
+use super::{elementary, Mask, Real};
 
 /// How many worlds a lane register holds.
 pub const WIDTH: usize = 8;
@@ -151,14 +151,14 @@ impl Real for Lanes {
         Self(self.0.map(f64::sqrt))
     }
     fn sin_cos(self) -> (Self, Self) {
-        let both = self.0.map(f64::sin_cos);
-        (Self(both.map(|p| p.0)), Self(both.map(|p| p.1)))
+        let (sin, cos) = elementary::sin_cos_each(&self.0);
+        (Self(sin), Self(cos))
     }
     fn atan2(self, x: Self) -> Self {
-        self.zip(x, f64::atan2)
+        Self(elementary::atan2_each(&self.0, &x.0))
     }
     fn powf(self, power: Self) -> Self {
-        self.zip(power, f64::powf)
+        Self(elementary::pow_each(&self.0, &power.0))
     }
 }
 
@@ -176,7 +176,7 @@ mod tests {
         let y = Lanes::select(x.lt(Lanes::zero()), s * c, x.abs().sqrt());
         for i in 0..WIDTH {
             let a = 0.3 * i as f64 - 1.0;
-            let one = if a < 0.0 { a.sin() * a.cos() } else { a.sqrt() };
+            let one = if a < 0.0 { Real::sin_cos(a).0 * Real::sin_cos(a).1 } else { a.sqrt() };
             assert_eq!(y.lane(i).to_bits(), one.to_bits());
         }
     }

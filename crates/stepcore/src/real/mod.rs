@@ -18,6 +18,7 @@ use num_traits::{One, Zero};
 mod count;
 mod counted;
 mod dual;
+pub mod elementary;
 mod lanes;
 mod stage;
 
@@ -222,15 +223,16 @@ macro_rules! scalar_real {
             }
             #[inline(always)]
             fn sin_cos(self) -> (Self, Self) {
-                <$t>::sin_cos(self)
+                let (sin, cos) = elementary::sin_cos(f64::from(self));
+                (sin as $t, cos as $t)
             }
             #[inline(always)]
             fn atan2(self, x: Self) -> Self {
-                <$t>::atan2(self, x)
+                elementary::atan2(f64::from(self), f64::from(x)) as $t
             }
             #[inline(always)]
             fn powf(self, power: Self) -> Self {
-                <$t>::powf(self, power)
+                elementary::pow(f64::from(self), f64::from(power)) as $t
             }
         }
     };

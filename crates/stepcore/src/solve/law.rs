@@ -6,7 +6,7 @@
 //! Baumgarte (1972) and Stewart & Trinkle (1996).
 
 use super::rows::{Row, Situation};
-use crate::real::{Mask, Real};
+use crate::real::{elementary, Mask, Real};
 use crate::scene::Softness;
 use crate::settings::{Law, Settings};
 
@@ -132,7 +132,8 @@ fn impedance_at<R: Real>(soft: &Softness, d0: f64, dw: f64, r: R) -> R {
             x.powf(R::of(power))
         }
     };
-    let slope = |mid: f64| if power == 2.0 { 1.0 / mid } else { 1.0 / mid.powf(power - 1.0) };
+    let slope =
+        |mid: f64| if power == 2.0 { 1.0 / mid } else { 1.0 / elementary::pow(mid, power - 1.0) };
     let below = raise(x) * R::of(slope(mid));
     let above = one - raise(one - x) * R::of(slope(1.0 - mid));
     let y = R::select(x.le(R::of(mid)), below, above);

@@ -1,0 +1,109 @@
+//! Sine and cosine together: an angle less quarter turns, and a polynomial each.
+//!
+//! The reduction in three parts of π/2 and the polynomials are those of fdlibm (Sun
+//! Microsystems 1993, `e_rem_pio2.c`, `k_sin.c`, `k_cos.c`), without its branches: every
+//! angle takes all three parts.
+
+use super::reduce::quarters;
+use super::INTEGER;
+
+/// Up to here the three parts of π/2 are enough: 2²⁰ quarter turns.
+const NEAR: f64 = 1_647_099.0;
+/// Below, sin x is x.
+const TINY: f64 = 7.450_580_596_923_828e-9; // 2⁻²⁷
+const QUARTERS: f64 = core::f64::consts::FRAC_2_PI;
+/// π/2 in parts of 33 bits, and what is missing after the third.
+const PARTS: [f64; 3] =
+    [1.570_796_326_734_125_6, 6.077_100_506_303_966e-11, 2.022_266_248_711_166_5e-21];
+const REST: f64 = 8.478_427_660_368_9e-32;
+const SIN: [f64; 6] = [
+    -1.666_666_666_666_663_2e-1,
+    8.333_333_333_322_49e-3,
+    -1.984_126_982_985_795e-4,
+    2.755_731_370_707_006_8e-6,
+    -2.505_076_025_340_686_3e-8,
+    1.589_690_995_211_550_1e-10,
+];
+const COS: [f64; 6] = [
+    4.166_666_666_666_66e-2,
+    -1.388_888_888_887_411e-3,
+    2.480_158_728_947_673e-5,
+    -2.755_731_435_139_066_3e-7,
+    2.087_572_321_298_175e-9,
+    -1.135_964_755_778_819_5e-11,
+];
+
+/// Whether `near` holds for this angle.
+#[inline(always)]
+pub fn is_near(x: f64) -> bool {
+    x.abs() <= NEAR
+}
+
+/// Sine and cosine of an angle that is near.
+#[inline(always)]
+pub fn near(x: f64) -> (f64, f64) {
+    let shifted = x * QUARTERS + INTEGER;
+    let n = shifted - INTEGER;
+    // Each product is exact; after each the error of the difference is in hand.
+    let first = x - n * PARTS[0];
+    let second = n * PARTS[1];
+    let left = first - second;
+    let error = (first - left) - second;
+    let third = n * PARTS[2];
+    let rest = left - third;
+    let tail = n * REST - ((left - rest) - third) - error;
+    let angle = rest - tail;
+    let (sin, cos) = turned(angle, (rest - angle) - tail, shifted.to_bits());
+    // Its own sign if it is a zero.
+    (if x.abs() < TINY { x } else { sin }, cos)
+}
+
+/// Sine and cosine of any angle; of what is not finite they are not numbers.
+#[inline]
+pub fn sin_cos(x: f64) -> (f64, f64) {
+    if is_near(x) {
+        near(x)
+    } else {
+        far(x)
+    }
+}
+
+#[cold]
+pub fn far(x: f64) -> (f64, f64) {
+    if !x.is_finite() {
+        return (f64::NAN, f64::NAN);
+    }
+    let (n, angle, tail) = quarters(x.abs());
+    let (sin, cos) = turned(angle, tail, n);
+    (if x < 0.0 { -sin } else { sin }, cos)
+}
+
+/// Of an angle + tail within ±π/4, after n quarter turns.
+#[inline(always)]
+fn turned(angle: f64, tail: f64, n: u64) -> (f64, f64) {
+    let (sin, cos) = (sine(angle, tail), cosine(angle, tail));
+    let odd = n & 1 != 0;
+    let (s, c) = if odd { (cos, sin) } else { (sin, cos) };
+    let negative = |n: u64| (n & 2) << 62;
+    let sign = |x: f64, bit: u64| f64::from_bits(x.to_bits() ^ bit);
+    (sign(s, negative(n)), sign(c, negative(n.wrapping_add(1))))
+}
+
+#[inline(always)]
+fn sine(x: f64, tail: f64) -> f64 {
+    let z = x * x;
+    let w = z * z;
+    let r = SIN[1] + z * (SIN[2] + z * SIN[3]) + z * w * (SIN[4] + z * SIN[5]);
+    let v = z * x;
+    x - ((z * (0.5 * tail - v * r) - tail) - v * SIN[0])
+}
+
+#[inline(always)]
+fn cosine(x: f64, tail: f64) -> f64 {
+    let z = x * x;
+    let w = z * z;
+    let r = z * (COS[0] + z * (COS[1] + z * COS[2])) + w * w * (COS[3] + z * (COS[4] + z * COS[5]));
+    let half = 0.5 * z;
+    let head = 1.0 - half;
+    head + (((1.0 - head) - half) + (z * r - x * tail))
+}
