@@ -18,10 +18,12 @@ from stepcore.engine.unsolved import LOOKS, Residuals
 
 if TYPE_CHECKING:
     from stepcore.engine.world import World
+    from stepcore.viewing.frames import Replayed
 
 SomeWorld = TypeVar("SomeWorld", bound="World")
 Control = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
 
+UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run` returns have"
 # Of more snapshots than this a notebook shows no page: 20 s.
 INLINE = 1200
 
@@ -100,20 +102,29 @@ class Trajectory:
         >>> sim.reset(key="start")
         >>> sim.run(0.5).save_html("drop.html")
         """
-        from stepcore.viewing.frames import replayed
         from stepcore.viewing.page import save_page
 
-        save_page([replayed(self)], path)
+        save_page([self.replayed()], path)
+
+    def replayed(self, label: str = "") -> Replayed:
+        """The run as it is drawn, solved again from its snapshots; for use within stepcore.
+
+        Raises ValueError for a trajectory without snapshots.
+        """
+        from stepcore.viewing.frames import replayed
+
+        if self.snapshots is None or not self.snapshots.states:
+            raise ValueError(UNKEPT)
+        return replayed(self.snapshots, label)
 
     def _repr_html_(self) -> str | None:
         """The run as a notebook shows it: the page of `save_html`, if it is short."""
         if self.snapshots is None or len(self.snapshots.states) > INLINE:
             return None
-        from stepcore.viewing.frames import replayed
         from stepcore.viewing.page import framed, page
 
         try:
-            text = page([replayed(self)])
+            text = page([self.replayed()])
         except ImportError:
             return None
         return framed(text)

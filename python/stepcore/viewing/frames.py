@@ -11,11 +11,7 @@ from numpy.typing import NDArray
 from stepcore.viewing.drawing import Drawing, drawing_of
 
 if TYPE_CHECKING:
-    from stepcore.engine.sim import Sim
     from stepcore.engine.snapshots import Snapshots
-    from stepcore.engine.trajectory import Trajectory
-
-UNKEPT = "this trajectory has no snapshots to look at: only those that `Sim.run` returns have"
 
 
 @dataclass(frozen=True)
@@ -61,10 +57,9 @@ class Replayed:
         return float(max(sizes, default=0.0))
 
 
-def instant_of(sim: Sim, solved: bool = False) -> Instant:
-    """The present instant; solved: the last solve is of this state, else one is made."""
-    if not solved:
-        sim.forward()
+def instant_of(sim: Any) -> Instant:
+    """The present instant of a Sim, which solves it."""
+    sim.forward()
     contacts = sim.contacts
     bearing = np.linalg.norm(contacts["force"], axis=1) > 0
     return Instant(
@@ -78,15 +73,9 @@ def instant_of(sim: Sim, solved: bool = False) -> Instant:
     )
 
 
-def replayed(trajectory: Trajectory, label: str = "") -> Replayed:
-    """A recorded run as it is seen. Its solves are made again, from the snapshots of the run.
-
-    Raises ValueError for a trajectory without snapshots.
-    """
-    snapshots: Snapshots | None = trajectory.snapshots
-    if snapshots is None or not snapshots.states:
-        raise ValueError(UNKEPT)
-    sim: Sim = snapshots.sim()
+def replayed(snapshots: Snapshots, label: str = "") -> Replayed:
+    """A run as it is seen; its solves are made again."""
+    sim = snapshots.sim()
     instants = []
     for state in snapshots.states:
         sim.restore(state)
