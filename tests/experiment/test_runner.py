@@ -10,10 +10,10 @@ import stepcore as sc
 from stepcore import lesson
 from stepcore.experiment import cost
 from stepcore.experiment.converged import converged_settings
-from stepcore.experiment.cost import Counter, TimedRun, costs
+from stepcore.experiment.cost import USUAL, Counter, TimedRun, costs, heaviness
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.probe import Probe
-from stepcore.experiment.recorder import Positions
+from stepcore.experiment.recorder import Means, Positions
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import scheduled
 from stepcore.report.progress import Progress
@@ -168,3 +168,28 @@ def test_converged_settings_solve_to_rounding_as_the_law_allows():
     other = converged_settings(sc.Settings(law="rigid", solver="pgs"), refsafe=False, pgs=99)
     assert (other.solver, other.sweeps, other.acceleration) == ("pgs", 99, "none")
     assert other.refsafe == sc.Settings().refsafe
+
+
+def test_means_are_recorded_as_in_a_full_record():
+    model = sc.load("gymnasium:hopper").compile()
+    runner = Runner(model, scheduled(Motion(horizon=0.4, starts=2), model, 0.008))
+    full, few = (runner.run(model.settings, 1, p) for p in (None, [Means(runner.bodies)]))
+    assert full.touching.any()
+    for name in ("height", "kinetic", "touching"):
+        np.testing.assert_allclose(getattr(few, name), getattr(full, name), rtol=1e-13)
+
+
+def test_a_step_weighs_what_it_counts_and_at_least_a_usual_one():
+    runner = driven()
+    assert heaviness(runner, runner.model.settings) == 1.0
+    feet = "".join(f'<geom size=".1" pos="{i // 4} {i % 4} 0"/>' for i in range(16))
+    stack = f"""<mujoco><worldbody><geom type="plane" size="5 5 .1"/><body pos="0 0 .0999">
+    <freejoint/>{feet}</body></worldbody></mujoco>"""
+    model = sc.loads(stack).compile()
+    runner = Runner(model, scheduled(Motion(horizon=0.1, starts=1), model, 0.01))
+    counter = Counter(runner)
+    runner.run(model.settings, 0, [counter])
+    weight = heaviness(runner, model.settings)
+    # 16 contacts, each of four edges of the pyramid, on one body.
+    assert weight > 1.5
+    assert weight == counter.work.flops * model.settings.dt / (USUAL * (6 + 2))

@@ -174,6 +174,40 @@ def test_what_other_starts_need_is_restored() -> None:
     assert (removed, restored, outcome.worst) == ([a], [b], 0.5)
 
 
+def test_features_of_a_kind_are_removed_together_and_the_one_that_is_too_much_is_found() -> None:
+    """Of n limits one is needed: about log n tries leave it, and only it."""
+    limits = [Removal("limit", str(i), ()) for i in range(64)]
+    needed, tries = limits[37], []
+
+    def measure(removals):
+        tries.append(len(removals))
+        # Alone it adds little, and with others too much.
+        bad = needed in removals and len(removals) > 1
+        return VariantOutcome(added=(2.0 if bad else 0.0,), flops=100.0 - len(removals))
+
+    alone = [VariantOutcome(added=(0.1,), flops=99.0) for _ in limits]
+    whole = VariantOutcome(added=(0.0,), flops=100.0)
+    removed, best = greedy(limits, alone, whole, 1.0, measure)
+    assert set(removed) == set(limits) - {needed} and best.flops == 37.0
+    assert len(tries) == 1 + 2 * 6
+
+
+def test_as_few_features_as_will_do_are_restored() -> None:
+    removals = [Removal("limit", str(i), ()) for i in range(20)]
+    errors = {removal: VariantOutcome(added=(float(i),)) for i, removal in enumerate(removals)}
+    tries = []
+
+    def measure(chosen):
+        tries.append(len(chosen))
+        return VariantOutcome(added=(max((errors[r].worst for r in chosen), default=0.0),))
+
+    kept, outcome, restored = confirmed(removals, errors.__getitem__, 6.5, measure, lambda r: r)
+    assert kept == removals[:7] and outcome.worst == 6.0
+    assert restored == removals[:6:-1] and len(tries) <= 1 + 5
+    nothing = confirmed(removals[:1], errors.__getitem__, -1.0, measure, lambda r: r)
+    assert nothing[0] == [] and nothing[2] == removals[:1]
+
+
 def test_of_a_group_only_what_other_starts_use_is_restored() -> None:
     model = sc.loads(EVERYTHING).compile()
     features = RemovableFeatures(model)

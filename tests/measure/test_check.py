@@ -365,3 +365,59 @@ def test_bad_arguments(options, said):
 def test_nothing_moves():
     with pytest.raises(ValueError, match="nothing in it can move"):
         sc.check(sc.loads('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>'))
+
+
+# Tendons.
+
+
+def strung(tendon, rest="", key=""):
+    """A slide of 0.1 m, and a tendon from the world to it."""
+    return f"""<mujoco><option gravity="0 0 0"/><worldbody><site name="a"/><body pos=".5 0 0">
+    <joint name="rail" type="slide" axis="1 0 0" armature="1"/><geom size=".05"/><site name="b"/>
+    </body></worldbody><tendon><spatial name="cord" {tendon}><site site="a"/><site site="b"/>
+    </spatial></tendon>{rest}{key}</mujoco>"""
+
+
+def test_a_tendon_whose_start_is_beyond_its_range():
+    found = the(strung('range="0 .4"'), "outside a limit")
+    assert found.severity == "warning" and found.element == "tendon `cord`"
+    assert found.value == pytest.approx(0.5) and found.unit == "m"
+    assert "500 mm, outside of its range of 0 m to 400 mm" in found.text
+    assert kinds(strung('range="0 .6"')) == []
+
+
+def test_a_tendon_whose_keyframe_is_beyond_its_range():
+    home = '<keyframe><key name="home" qpos="-.2"/></keyframe>'
+    found = the(strung('range=".4 .6"', key=home), "outside a limit")
+    assert found.severity == "error" and found.text.startswith("Keyframe `home`")
+    assert found.value == pytest.approx(0.3)
+
+
+def test_a_fixed_tendon_s_length_has_no_unit():
+    text = strung('range="0 .6"').replace(
+        "</tendon>",
+        '<fixed name="sum" range=".1 .3"><joint joint="rail" coef="2"/></fixed></tendon>',
+    )
+    found = the(text, "outside a limit")
+    assert found.unit == "" and "a length of 0, outside of its range of 0.1 to 0.3" in found.text
+
+
+def test_a_tendon_s_spring_at_rest_beyond_its_limit():
+    found = checked(strung('range=".4 .6" stiffness="10" springlength=".2"')).findings[0]
+    assert found.kind == "spring beyond a limit" and found.value == pytest.approx(0.2)
+    right = kinds(strung('range=".4 .6" stiffness="10" springlength=".5"'))
+    assert "spring beyond a limit" not in right
+    # From 0.2 to 0.45 it is slack: it rests on no limit.
+    slack = kinds(strung('range=".4 .6" stiffness="10" springlength=".2 .45"'))
+    assert "spring beyond a limit" not in slack
+
+
+def test_a_tendon_that_nothing_uses():
+    found = the(strung(""), "unused tendon")
+    assert found.severity == "remark" and found.text.startswith("Tendon `cord` does nothing:")
+    for uses in (
+        '<actuator><motor tendon="cord"/></actuator>',
+        '<sensor><tendonpos tendon="cord"/></sensor>',
+        '<equality><tendon tendon1="cord"/></equality>',
+    ):
+        assert "unused tendon" not in kinds(strung("", uses))

@@ -306,3 +306,16 @@ def test_what_holds_on_nearly_all_starts_is_said_to_do_so(ball):
     assert answer.startswith(said)
     assert "The RMS position error is 150 µm in the worst start" in answer
     assert answer.endswith("The error stayed within it on 31 of 32 further starts.")
+
+
+def test_time_steps_that_the_reference_cannot_judge_are_not_searched_and_that_is_said():
+    text = BALL.replace('timestep="0.004"', 'timestep="0.004" density="1.2"')
+    dear, cheap = (
+        sc.trade(sc.loads(text), starts=2, effort=effort, **COUNTED) for effort in (6e6, 0.0)
+    )
+    assert not [note for note in dear.notes if "was searched" in note]
+    (note,) = [note for note in cheap.notes if "was searched" in note]
+    shortest = 2 * cheap.reference.settings.dt
+    assert note.startswith("no time step below 2 ms was searched") and shortest == 0.002
+    tried = [row.settings.dt for row in cheap.rows if not row.failure]
+    assert min(tried) >= shortest * (1 - 1e-9)

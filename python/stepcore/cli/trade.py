@@ -12,7 +12,7 @@ import argparse
 from stepcore.cli.motion import add_file, add_motion, model_of, motion_of
 from stepcore.cli.output import add_output
 from stepcore.experiment.schedule import HORIZON, STARTS
-from stepcore.measure.trade import trade
+from stepcore.measure.trade import EFFORT, trade
 from stepcore.report.result import Result
 
 
@@ -47,6 +47,14 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--grid", action="store_true", help="try a full grid of settings instead of a search"
     )
+    command.add_argument(
+        "--effort",
+        type=float,
+        default=EFFORT,
+        metavar="STEPS",
+        help="the most that the converged motion may cost, in steps × (dofs + 2); a larger one "
+        "knows errors better and judges shorter time steps (default: %(default)g)",
+    )
     command.add_argument("--mujoco", action="store_true", help="run MuJoCo on the same motion too")
     add_motion(command, horizon=HORIZON, starts=STARTS)
     add_output(command, full="print every setting")
@@ -62,5 +70,6 @@ def call(args: argparse.Namespace) -> Result:
         by=args.by,
         search="grid" if args.grid else None,
         mujoco=args.mujoco,
+        effort=args.effort,
         **motion_of(args, model),
     )

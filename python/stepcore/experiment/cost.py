@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stepcore._core import SimulationError
+from stepcore._core import Settings, SimulationError
 from stepcore.engine.sim import Sim
 from stepcore.experiment.path import Path
 from stepcore.experiment.probe import Probe
@@ -20,6 +20,8 @@ from stepcore.report.progress import Progress
 ROUNDS, MOST, LONG = 3, 9, 4.0
 # Shorter than this a run says little about its cost: it is repeated [s].
 SHORT = 1e-3
+# What a step of a robot in few contacts takes: operations over (dofs + 2).
+USUAL = 1500.0
 # A clock of this thread's own computing, where the system has a fine one.
 OWN_CLOCK = get_clock_info("thread_time").resolution < 1e-5
 
@@ -138,3 +140,15 @@ class Counter(Probe):
 
     def end(self, sim: Sim, path: Path) -> None:
         self.work = Work(self._sum / self.schedule.horizon, sim.nbytes)
+
+
+def heaviness(runner: Runner, settings: Settings) -> float:
+    """How many times the work of a usual step a step of this motion takes; at least 1.
+
+    Counted in the run from the first start. Budgets of steps × (dofs + 2) are of usual steps; many
+    contacts make a step dearer than its degrees of freedom tell.
+    """
+    counter = Counter(runner)
+    if runner.run(settings, 0, [counter]).failure:
+        return 1.0
+    return max(1.0, counter.work.flops * settings.dt / (USUAL * (runner.model.nv + 2)))

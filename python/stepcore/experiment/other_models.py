@@ -198,7 +198,7 @@ class ErrorSplit:
             name = "semi-implicit"
         solver = "newton" if soft else "pgs"
         shipped = settings.replace(integrator=name, solver=solver, acceleration="none")
-        other = ReferenceRuns(runner, shipped, runs.finest, 0.0, runs.workers)
+        other = ReferenceRuns(runner, shipped, runs.finest, 0.0, runs.workers, runs.weight)
         level = other.level(name, like.dt, Progress("", 1, False))
         runs.spent += other.spent
         return level

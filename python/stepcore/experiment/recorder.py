@@ -1,4 +1,4 @@
-"""The two probes that make a path: `Recorder` measures all of it, `Positions` only positions.
+"""The probes that make a path: `Recorder` measures all of it, `Positions` and `Means` a part.
 
 A search records hundreds of runs with `Positions`; the errors in a table come from `Recorder`.
 """
@@ -38,6 +38,27 @@ class Positions(Probe):
         path.quat, path.gyration = np.array(self.xquat), self.bodies.gyration
         with np.errstate(over="ignore", invalid="ignore"):
             path.com = self.bodies.centres(np.array(self.xpos), path.quat)
+
+
+class Means(Probe):
+    """Heights, kinetic energies and contacts at the samples, as `Recorder` has them."""
+
+    def __init__(self, bodies: Bodies) -> None:
+        self.bodies, self.meets = bodies, bodies.model.npair > 0
+        self.qpos: list[np.ndarray] = []
+        self.qvel: list[np.ndarray] = []
+        self.touching: list[int] = []
+
+    def sample(self, sim: Sim) -> None:
+        self.qpos.append(np.array(sim.qpos))
+        self.qvel.append(np.array(sim.qvel))
+        self.touching.append(_touching(sim.contacts) if self.meets else 0)
+
+    def end(self, sim: Sim, path: Path) -> None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            seen = self.bodies.states(np.array(self.qpos), np.array(self.qvel))
+            path.height = self.bodies.height(seen.com)
+        path.com, path.kinetic, path.touching = seen.com, seen.kinetic, np.array(self.touching)
 
 
 class Recorder(Probe):
@@ -85,7 +106,7 @@ class Recorder(Probe):
     def sample(self, sim: Sim) -> None:
         self.samples.append(len(self.qpos) - 1)
         contacts = sim.contacts if self.meets else None
-        self.touching.append(0 if contacts is None else int((contacts["dist"] <= 0).sum()))
+        self.touching.append(0 if contacts is None else _touching(contacts))
         self.slips.append({} if contacts is None else self.bodies.friction.slips(sim, contacts))
 
     def _state(self, sim: Sim) -> None:
@@ -139,3 +160,7 @@ class Recorder(Probe):
         after = model.element_force("actuator", ctrl, act[1:], qpos[1:], qvel[1:])
         work: np.ndarray = np.sum(((before + after) / 2 + damped) * change, axis=-1)
         return work
+
+
+def _touching(contacts: np.ndarray) -> int:
+    return int((contacts["dist"] <= 0).sum())

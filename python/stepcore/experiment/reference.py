@@ -164,7 +164,8 @@ class ReferenceRuns:
     """Makes the runs that a reference needs; counts what they cost in steps × (dofs + 2).
 
     shipped: settings of the scene. finest: the shortest time step that is to be judged [s].
-    budget: what all runs may cost. chains: the halvings of each integrator, coarsest first.
+    budget: what all runs may cost. weight: of a step (`cost.heaviness`).
+    chains: the halvings of each integrator, coarsest first.
     size: of the scene [m], once runs were made.
     """
 
@@ -175,8 +176,10 @@ class ReferenceRuns:
         finest: float,
         budget: float,
         workers: Workers,
+        weight: float = 1.0,
     ):
         self.runner, self.shipped, self.budget, self.workers = runner, shipped, budget, workers
+        self.weight = weight
         self.finest, self.spent = finest, 0.0
         self.chains: dict[str, list[Level]] = {}
         self.size = 1.0
@@ -203,10 +206,12 @@ class ReferenceRuns:
         )
 
     def cost(self, integrator: str, dt: float) -> float:
-        """Of all starts at one step, in steps of rk4, which solves four times, × (dofs + 2)."""
+        """Of all starts at one step, in steps of rk4, which solves four times, × (dofs + 2), of the
+        usual weight."""
         schedule = self.runner.schedule
         steps = schedule.periods * schedule.steps(dt) * self.starts
-        return steps * (self.runner.model.nv + 2) * (1.0 if integrator == "rk4" else 0.25)
+        solves = 1.0 if integrator == "rk4" else 0.25
+        return steps * (self.runner.model.nv + 2) * solves * self.weight
 
     def level(self, integrator: str, dt: float, bar: Progress, bare: bool = False) -> Level:
         """All starts at one step; bare: only positions are recorded."""

@@ -1,5 +1,6 @@
 //! Geoms of meshes: each in the frame of its mesh's principal axes, or as the primitive that fits.
 
+use super::kept;
 use super::pose::{rotation, unit_quat};
 use super::principal::product;
 use super::solid::{Solid, Unsolid};
@@ -13,10 +14,11 @@ use nalgebra::Vector3;
 use std::sync::Arc;
 
 /// A mesh once measured. Its hull is in the mesh's own coordinates.
-struct Measured {
+#[derive(Clone)]
+pub struct Measured {
     solid: Arc<Solid>,
     surface: Arc<Surface>,
-    hull: Option<Hull>,
+    hull: Option<Arc<Hull>>,
     /// The hull in the frame of the principal axes.
     aligned: Option<Arc<Hull>>,
 }
@@ -32,7 +34,8 @@ pub struct Asset {
 }
 
 /// The geoms of a scene, those of meshes in the frames of their meshes or fitted to them, with
-/// their assets. Each mesh that a geom uses is measured once; unused ones are not looked at.
+/// their assets. Each mesh that a geom uses is measured once, or recalled from an earlier scene;
+/// unused ones are not looked at.
 pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
     let mut measured: Vec<Option<Measured>> = scene.meshes.iter().map(|_| None).collect();
     let mut fields: Vec<Option<Arc<HeightField>>> = vec![None; scene.hfields.len()];
@@ -51,18 +54,21 @@ pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
         let mesh = &scene.meshes[index];
         let known = match &mut measured[index] {
             Some(known) => known,
-            empty => empty.insert(measure(mesh, index).map_err(named)?),
+            empty => empty.insert(match kept::recalled(mesh) {
+                Some(known) => known,
+                None => measure(mesh, index).map_err(named)?,
+            }),
         };
         let paired = scene.pairs.iter().any(|pair| [pair.geom1, pair.geom2].contains(&i));
         let collides = geom.kind == GeomType::Mesh && (paired || may_collide(geom));
         if collides && known.aligned.is_none() {
             let hull = match known.hull.take() {
                 Some(hull) => hull,
-                None => hull_of(mesh, index).map_err(named)?,
+                None => Arc::new(hull_of(mesh, index).map_err(named)?),
             };
             let back = rotation(known.solid.quat).transpose();
             let shift = -(back * known.solid.centre);
-            known.aligned = Some(Arc::new(hull.moved(&back, &shift)));
+            known.aligned = Some(Arc::new(Arc::unwrap_or_clone(hull).moved(&back, &shift)));
         }
         place(geom, &known.solid, scene.mass_rules.fit_aabb);
         if geom.kind == GeomType::Mesh {
@@ -70,6 +76,9 @@ pub fn placed(scene: &Scene) -> Result<(Vec<Geom>, Vec<Asset>)> {
             asset.surface = Some(known.surface.clone());
             asset.hull = known.aligned.clone().filter(|_| collides);
         }
+    }
+    for (mesh, known) in scene.meshes.iter().zip(&measured) {
+        known.iter().for_each(|known| kept::keep(mesh, known));
     }
     Ok((geoms, assets))
 }
@@ -151,6 +160,7 @@ fn measure(mesh: &Mesh, index: usize) -> Result<Measured> {
         low: solid.low,
         high: solid.high,
     };
+    let hull = hull.map(Arc::new);
     Ok(Measured { solid: Arc::new(solid), surface: Arc::new(surface), hull, aligned: None })
 }
 

@@ -12,6 +12,7 @@ pub(crate) mod fluid;
 mod heap;
 mod inertia;
 mod invweight;
+mod kept;
 mod linkages;
 mod material;
 mod meshes;

@@ -13,6 +13,7 @@ import numpy as np
 from stepcore import checks
 from stepcore.engine.features import RemovableFeatures, Removal, without
 from stepcore.engine.model import Model
+from stepcore.experiment.cost import heaviness
 from stepcore.experiment.errors import extent, far_off
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import motion_in_words
@@ -21,11 +22,12 @@ from stepcore.experiment.runaway import runaway
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import HORIZON, STARTS, Schedule, scheduled, time_steps
 from stepcore.experiment.setup import Source, set_up
+from stepcore.experiment.workers import Workers
 from stepcore.measure.ablation.result import Ablation, FeatureEffect
 from stepcore.measure.ablation.selection import Selection
 from stepcore.measure.ablation.variants import Baseline, outcome_of, times_of, usage_of
 from stepcore.report import units
-from stepcore.report.progress import Choice
+from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import metres, seconds
 
 __all__ = ["Ablation", "FeatureEffect", "ablate"]
@@ -92,22 +94,25 @@ def ablate(
     starts, dt = motion.starts or STARTS, model.settings.dt
     _, period = time_steps(dt, None, motion.period(dt), motion.horizon or HORIZON)
     # Starts to choose on, and sets to confirm on what is left each time.
-    more = _more(model, motion.horizon or HORIZON, starts)
+    one = Runner(model, scheduled(motion, model, period, starts=1))
+    one.check_repeatable()
+    weight = heaviness(one, model.settings)
+    more = _more(model, motion.horizon or HORIZON, starts, weight)
     schedule = scheduled(motion, model, period, starts=starts + SETS * more)
     runner = Runner(model, schedule.part(0, starts))
-    runner.check_repeatable()
-    reference, notes = _reference(ReferenceRuns(runner, model.settings, dt, BUDGET, workers))
-    baseline = _baseline(runner, reference)
+    runs = ReferenceRuns(runner, model.settings, dt, BUDGET, workers, weight)
+    reference, notes = _reference(runs)
+    baseline = _baseline(runner, reference, workers)
     tolerance = units.length("ablate", "error", error, extent(baseline.paths, model.scene))
-    usage = usage_of(runner, model.settings)
-    selection = Selection(baseline, RemovableFeatures(model), tolerance)
+    usage = usage_of(runner, model.settings, workers)
+    selection = Selection(baseline, RemovableFeatures(model), tolerance, workers)
     removals = selection.features.removals(usage, model.settings)
     points = [(), *((removal,) for removal in removals)]
     whole, *alone = workers.each(partial(outcome_of, baseline), points, "features")
     selection.known = dict(zip(removals, alone, strict=True))
     with workers.bar("smallest", len(removals)) as bar:
         selection.choose(removals, whole, bar)
-    selection.confirm(_others(model, schedule, starts, more))
+    selection.confirm(_others(model, schedule, starts, more, workers))
     removed = selection.removed
     removals += [removal for removal in removed if removal not in removals]
     times = times_of(baseline, [(), *((removal,) for removal in removals), removed])
@@ -135,19 +140,19 @@ def ablate(
     )
 
 
-def _more(model: Model, horizon: float, starts: int) -> int:
-    """How many starts a set to confirm on has."""
-    cost = horizon / model.settings.dt * (model.nv + 2)
+def _more(model: Model, horizon: float, starts: int, weight: float) -> int:
+    """How many starts a set to confirm on has; weight: of a step (`heaviness`)."""
+    cost = horizon / model.settings.dt * (model.nv + 2) * weight
     return max(starts, min(CONFIRMED_ON, int(SETS_BUDGET / (2 * SETS * cost))))
 
 
 def _others(
-    model: Model, schedule: Schedule, starts: int, more: int
+    model: Model, schedule: Schedule, starts: int, more: int, workers: Workers
 ) -> Iterator[tuple[Runner, Baseline]]:
     """The sets of starts on which nothing was chosen."""
     for first in range(starts, starts + SETS * more, more):
         runner = Runner(model, schedule.part(first, first + more))
-        yield runner, _baseline(runner, None)
+        yield runner, _baseline(runner, None, workers)
 
 
 def _reference(runs: ReferenceRuns) -> tuple[Reference | None, list[str]]:
@@ -159,12 +164,14 @@ def _reference(runs: ReferenceRuns) -> tuple[Reference | None, list[str]]:
         return None, [f"no converged motion to compare with: {checks.one_line(error)}"]
 
 
-def _baseline(runner: Runner, reference: Reference | None) -> Baseline:
+def _baseline(runner: Runner, reference: Reference | None, workers: Workers) -> Baseline:
     """The whole model's own motion at its settings; ValueError if it fails."""
-    paths = runner.runs(runner.model.settings)
-    if paths[-1].failure:
-        start = len(paths) - 1
-        raise ValueError(f"the whole model fails from start {start}: {paths[-1].failure}")
+    starts = range(len(runner.schedule.starts))
+    job = partial(runner.run, runner.model.settings)
+    paths = workers.each(job, starts, Progress("", len(starts), False))
+    for start, path in enumerate(paths):
+        if path.failure:
+            raise ValueError(f"the whole model fails from start {start}: {path.failure}")
     explodes = runaway(runner, paths)
     if explodes:
         raise ValueError(explodes)

@@ -9,6 +9,7 @@ from functools import partial
 
 from stepcore.engine.features import MotionUsage, RemovableFeatures, Removal
 from stepcore.experiment.runner import Runner
+from stepcore.experiment.workers import Workers
 from stepcore.measure.ablation.variants import Baseline, VariantOutcome, outcome_of, usage_of
 from stepcore.report.progress import Progress
 
@@ -23,8 +24,11 @@ class Selection:
     what had to be restored because of those.
     """
 
-    def __init__(self, baseline: Baseline, features: RemovableFeatures, error: float) -> None:
+    def __init__(
+        self, baseline: Baseline, features: RemovableFeatures, error: float, workers: Workers
+    ) -> None:
         self.baseline, self.features, self.error = baseline, features, error
+        self.workers = workers
         self.known: dict[Removal, VariantOutcome] = {}
         self.removed: list[Removal] = []
         self.restored: list[Removal] = []
@@ -33,7 +37,7 @@ class Selection:
     def alone(self, removal: Removal) -> VariantOutcome:
         """One feature removed, on the starts that are chosen on."""
         if removal not in self.known:
-            self.known[removal] = outcome_of(self.baseline, [removal])
+            self.known[removal] = outcome_of(self.baseline, [removal], self.workers)
         return self.known[removal]
 
     def choose(self, removals: Sequence[Removal], whole: VariantOutcome, bar: Progress) -> None:
@@ -41,7 +45,7 @@ class Selection:
 
         def measure(chosen: Sequence[Removal]) -> VariantOutcome:
             bar.advance()
-            return outcome_of(self.baseline, chosen)
+            return outcome_of(self.baseline, chosen, self.workers)
 
         alone = [self.alone(removal) for removal in removals]
         self.removed, self.chosen_on = greedy(removals, alone, whole, self.error, measure)
@@ -50,19 +54,19 @@ class Selection:
         """Tries the smallest model on other starts, until a set of them needs nothing restored."""
         for runner, baseline in others:
             # Run only where something has to be restored.
-            usage = functools.cache(partial(usage_of, runner, runner.model.settings))
+            usage = functools.cache(partial(usage_of, runner, runner.model.settings, self.workers))
             self.removed, self.confirmed_on, restored = confirmed(
                 self.removed,
                 self.alone,
                 self.error,
-                partial(outcome_of, baseline),
+                partial(outcome_of, baseline, workers=self.workers),
                 partial(_reduced, self.features, usage),
             )
             self.restored += restored
             if not restored:
                 break
         if self.restored:
-            self.chosen_on = outcome_of(self.baseline, self.removed)
+            self.chosen_on = outcome_of(self.baseline, self.removed, self.workers)
 
 
 def _reduced(
@@ -91,21 +95,33 @@ def greedy(
 ) -> tuple[list[Removal], VariantOutcome]:
     """What can be removed together for at most `error` [m] in the worst start.
 
-    One feature after the other, the largest saving first. Each stays removed that still saves work
-    and leaves the error within the tolerance, and each that changes no bit of the motion and costs
-    no work. Of two that exclude each other (a cone, and no friction at all) the one that saves more
-    is tried first.
+    The largest saving first. Each stays removed that still saves work and leaves the error within
+    the tolerance, and each that changes no bit of the motion and costs no work. Of two that exclude
+    each other (a cone, and no friction at all) the one that saves more is tried first. Features of
+    one kind, such as the limits of joints, exclude none of each other: they are tried all at once,
+    and where that is too much in halves, down to single ones.
     """
     order = sorted(range(len(removals)), key=lambda i: work(alone[i]))
     chosen: list[Removal] = []
     best = whole
-    for i in order:
-        unused = alone[i].worst == 0.0
-        if alone[i].worst > error or not _saves(alone[i], whole, unused):
-            continue
-        tried = measure([*chosen, removals[i]])
+
+    def remove(group: Sequence[int]) -> None:
+        nonlocal chosen, best
+        more = [*chosen, *(removals[i] for i in group)]
+        tried = measure(more)
+        unused = all(alone[i].worst == 0.0 for i in group)
         if tried.worst <= error and _saves(tried, best, unused):
-            chosen, best = [*chosen, removals[i]], tried
+            chosen, best = more, tried
+        elif len(group) > 1:
+            remove(group[: len(group) // 2])
+            remove(group[len(group) // 2 :])
+
+    kinds: dict[str, list[int]] = {}
+    for i in order:
+        if alone[i].worst <= error and _saves(alone[i], whole, alone[i].worst == 0.0):
+            kinds.setdefault(removals[i].kind, []).append(i)
+    for group in kinds.values():
+        remove(group)
     return chosen, best
 
 
@@ -124,8 +140,8 @@ def confirmed(
     """What may stay removed on other starts, the outcome there, and what had to be restored.
 
     `measure` runs those starts. Where the error is beyond the tolerance, the groups lose what those
-    starts use (`reduced`); then, as long as that is not enough, the feature that adds the largest
-    error is restored.
+    starts use (`reduced`). Where that is not enough, features are restored, those that add the
+    largest errors first: as few as will do, which bisection finds.
     """
     removed: list[Removal] = list(chosen)
     outcome = measure(removed)
@@ -135,9 +151,19 @@ def confirmed(
         restored = [removal for removal, smaller in fewer if smaller != removal]
         removed = [smaller for _, smaller in fewer if smaller is not None]
         outcome = measure(removed) if restored else outcome
-    while outcome.worst > error and removed:
-        worst = max(removed, key=lambda removal: alone(removal).worst)
-        removed.remove(worst)
-        restored.append(worst)
-        outcome = measure(removed)
+    if outcome.worst > error:
+        order = sorted(removed, key=lambda removal: -alone(removal).worst)
+        # With none restored the error is too large, with all of them there is none.
+        few, enough = 0, len(order)
+        fewest: VariantOutcome | None = None
+        while enough - few > 1:
+            middle = (few + enough) // 2
+            tried = measure([removal for removal in removed if removal in order[middle:]])
+            if tried.worst <= error:
+                enough, fewest = middle, tried
+            else:
+                few = middle
+        restored += order[:enough]
+        removed = [removal for removal in removed if removal in order[enough:]]
+        outcome = measure([]) if fewest is None else fewest
     return removed, outcome, restored

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -18,12 +19,15 @@ from stepcore.experiment.path import Path
 from stepcore.experiment.probe import Probe
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
 # Steps of the first start whose operations are counted, spread over the motion.
 COUNTED = 40
 # Contacts and limits of a start are read this often, at most.
 READINGS = 500
+# Runs that are themselves made at the same time as others.
+ALONE = Workers()
 
 
 @dataclass(frozen=True)
@@ -82,22 +86,41 @@ def variant(baseline: Baseline, removals: Sequence[Removal]) -> Runner:
     return Runner(model, baseline.schedule)
 
 
-def outcome_of(baseline: Baseline, removals: Sequence[Removal]) -> VariantOutcome:
-    """The motion without some features."""
+def outcome_of(
+    baseline: Baseline, removals: Sequence[Removal], workers: Workers = ALONE
+) -> VariantOutcome:
+    """The motion without some features. workers: its starts run there."""
     try:
         runner = variant(baseline, removals)
     except ValueError as error:
         return VariantOutcome(failure=one_line(error))
     settings = runner.model.settings
-    paths = runner.runs(settings)
-    if paths[-1].failure:
-        return VariantOutcome(failure=f"start {len(paths) - 1}: {paths[-1].failure}")
+    paths = positions(runner, settings, workers)
+    failure = next(
+        (f"start {i}: {path.failure}" for i, path in enumerate(paths) if path.failure), None
+    )
+    if failure is not None:
+        return VariantOutcome(failure=failure)
     added = errors(paths, baseline.paths, baseline.scored)
     truth = baseline.truth
     off = () if truth is None else errors(paths, truth, baseline.scored).each
     rows = float(np.mean([path.row_updates for path in paths])) / baseline.schedule.horizon
     flops = flops_per_second(runner, settings)
     return VariantOutcome(added.each, added.position_max, off, flops, rows)
+
+
+def positions(runner: Runner, settings: Settings, workers: Workers) -> list[Path]:
+    """The positions of the runs from all starts; on one thread only until one fails."""
+    starts = range(len(runner.schedule.starts))
+    if workers.threads > 1 or workers.executor is not None:
+        job = partial(runner.screen, settings)
+        return workers.each(job, starts, Progress("", len(starts), False))
+    paths: list[Path] = []
+    for start in starts:
+        paths.append(runner.screen(settings, start))
+        if paths[-1].failure:
+            break
+    return paths
 
 
 class WorkCount(Probe):
@@ -147,11 +170,19 @@ class UsageProbe(Probe):
         self.limited.update(rows["index"][rows["kind"] == "limit"].tolist())
 
 
-def usage_of(runner: Runner, settings: Settings) -> MotionUsage:
+def usage_of(runner: Runner, settings: Settings, workers: Workers = ALONE) -> MotionUsage:
     """Which pairs of bodies touch and which joints reach a limit in any start."""
+    starts = range(len(runner.schedule.starts))
+    job = partial(_usage_from, runner, settings)
+    parts = workers.each(job, starts, Progress("", len(starts), False))
+    touched = frozenset(pair for part in parts for pair in part.touched)
+    return MotionUsage(touched, frozenset(joint for part in parts for joint in part.limited))
+
+
+def _usage_from(runner: Runner, settings: Settings, start: int) -> MotionUsage:
+    """The same of one start."""
     usage = UsageProbe(runner)
-    for start in range(len(runner.schedule.starts)):
-        runner.follow(runner.sim(settings), start, [usage])
+    runner.follow(runner.sim(settings), start, [usage])
     return MotionUsage(frozenset(usage.touched), frozenset(usage.limited))
 
 

@@ -27,6 +27,7 @@ from stepcore.measure.check.masses import about_masses
 from stepcore.measure.check.ranges import about_ranges
 from stepcore.measure.check.result import Check
 from stepcore.measure.check.servos import about_servos
+from stepcore.measure.check.tendons import about_tendons
 from stepcore.measure.check.units import about_units
 from stepcore.measure.diagnosis import Diagnosis, diagnose
 from stepcore.measure.findings import Finding, findings_of, ordered
@@ -159,6 +160,7 @@ def _read(model: Model, start: Start, held: np.ndarray, key: int | None) -> Iter
     sizes = Sizes(model)
     yield from about_units(model, sizes)
     yield from about_ranges(model, start, key)
+    yield from about_tendons(model, start, key)
     yield from about_servos(model, start, held)
     yield from about_limits(model)
     yield from about_masses(model, sizes)

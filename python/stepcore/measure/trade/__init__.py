@@ -9,7 +9,7 @@ from typing import Any, Unpack
 
 from stepcore import checks
 from stepcore._core import Settings
-from stepcore.experiment.cost import TimedRun
+from stepcore.experiment.cost import TimedRun, heaviness
 from stepcore.experiment.errors import errors, extent
 from stepcore.experiment.motion import Motion, MotionFields
 from stepcore.experiment.motion_words import motion_in_words
@@ -93,7 +93,9 @@ def trade(
         operations. With "flops" nothing is timed, and the same seed gives the same result on any
         machine.
     mujoco: whether to run MuJoCo on the scene too (needs the package mujoco); see `Trade.mujoco`.
-    effort: the most that the reference may cost, in steps × (dofs + 2).
+    effort: the most that the reference may cost, in steps × (dofs + 2); a step that takes more
+        operations than 1500 × (dofs + 2), as with many contacts, counts as so many times more. Time
+        steps that the reference cannot judge are not searched, and a note says which.
     threads: the number of runs at the same time (default: one per core).
     executor: any concurrent.futures executor, used in place of threads. Costs are timed afterwards,
         on one thread.
@@ -140,19 +142,22 @@ def trade(
         period = longest(period, length)
     runner = Runner(model, scheduled(motion, model, period))
     runner.check_repeatable()
-    runs = ReferenceRuns(runner, shipped, min(steps), effort, workers)
+    weight = heaviness(runner, shipped)
+    runs = ReferenceRuns(runner, shipped, min(steps), effort, workers, weight)
     with workers.bar("reference", runs.least) as bar:
         reference = runs.reference(bar)
     size = extent(reference.paths, model.scene)
     target = None if error is None else units.length("trade", "error", error, size)
     trials = Trials(runner, reference, size, workers)
     counts, rows = Steps(period, shipped.dt), max(path.rows for path in reference.paths)
+    limits: list[str] = []
     if full:
         tried = grid(shipped, steps, rows=rows, stiff=is_stiff(model), **axes)
         trials.run(tried)
     else:
         wanted = frugal.Wanted(target, limit is not None, mujoco)
         tried = frugal.searched(runs, trials, counts, rows, slides(model.scene), wanted)
+        limits = list(notes.about_search(trials.reference, counts, min(steps)))
     _refine(runs, trials, tried)
     softens = rows > 0 and shipped.law == "solref" and shipped.refsafe
     tau = clamping(model.scene) if softens else None
@@ -190,6 +195,7 @@ def trade(
             *model.scene.notes,
             *notes.about_run(schedule, rows, forces, tau, motion.horizon),
             *notes.about_reference(reference, frontier.rows, size),
+            *limits,
             *notes.observed(reference, schedule.horizon, observed_orders(frontier.rows, reference)),
             *notes.failed(frontier.rows),
         ],
@@ -259,7 +265,10 @@ def _with_statistics(
     after = AfterPrediction(runs, reference, longer)
     best = [row for row in frontier.rows if row.errors and row.best]
     some = best[:: 1 + (len(best) - 1) // MOST] if best else []
-    wanted = [row for row in frontier.rows if row.errors and (row.shipped or row in some)]
+    some = [
+        row for row in frontier.rows if row.shipped or (row in some and after.affords(row.settings))
+    ]
+    wanted = [row for row in some if row.errors]
     with workers.bar("statistics", (1 + len(wanted)) * many) as bar:
         for row in wanted:
             measured = dataclasses.replace(row, after=after.measure(row.settings, bar))

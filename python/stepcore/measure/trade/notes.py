@@ -11,6 +11,7 @@ import numpy as np
 from stepcore.experiment.growth import GROWTH, NEARBY
 from stepcore.experiment.reference import FINER, Gap, Reference, smallest
 from stepcore.experiment.schedule import Schedule
+from stepcore.measure.trade.moves import Steps
 from stepcore.measure.trade.row import TradeRow
 from stepcore.report.units import compact, metres, seconds, times
 
@@ -76,7 +77,7 @@ def about_reference(reference: Reference, rows: Sequence[TradeRow], size: float)
             "errors are measured from a converged motion, which is itself only known to "
             f"{metres(reference.high)}: errors up to {FINER:.0f} times that are uncertain by so "
             f"much, and smaller ones are printed as <{compact(reference.high)}; a larger `effort` "
-            "converges it further"
+            "(--effort) converges it further"
         )
     marked = sum(row.best and row.below_max and not row.below for row in rows)
     if marked:
@@ -98,6 +99,19 @@ def about_reference(reference: Reference, rows: Sequence[TradeRow], size: float)
             f"{reference.other} moved by only {metres(reference.other_error)} when its step was "
             f"halved, and does not come nearer to {reference.level.integrator}; take errors below "
             "that distance as unknown"
+        )
+
+
+def about_search(reference: Reference, steps: Steps, finest: float) -> Iterator[str]:
+    """What a search left out: time steps shorter than the reference can judge.
+
+    finest: the shortest step [s] that it begins with where the reference is fine enough.
+    """
+    shortest = 2 * reference.settings.dt
+    if shortest > min(finest, steps.shipped) * (1 + 1e-9):
+        yield (
+            f"no time step below {seconds(shortest)} was searched: the converged motion, at dt "
+            f"{seconds(reference.settings.dt)} within its `effort` (--effort), cannot judge them"
         )
 
 

@@ -59,7 +59,9 @@ class Confirmation:
     def __init__(self, trials: Trials, runs: ReferenceRuns, others: Schedule) -> None:
         self.trials, self.workers = trials, runs.workers
         self.runner = Runner(runs.runner.model, others)
-        own = ReferenceRuns(self.runner, runs.shipped, runs.finest, math.inf, runs.workers)
+        own = ReferenceRuns(
+            self.runner, runs.shipped, runs.finest, math.inf, runs.workers, runs.weight
+        )
         self.hard: list[int] = []
         self.ends = np.full(len(others.starts), np.inf)
         self.scored: np.ndarray | None = None

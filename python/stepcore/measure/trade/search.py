@@ -120,11 +120,15 @@ class SettingsSearch:
         return max(1, int(self.steps.period / self.trials.reference.settings.dt / 2 + 1e-9))
 
     def overview(self) -> list[Settings]:
-        """Runs every family at a few time steps from few starts, around the shipped settings."""
+        """Runs every family at a few time steps from few starts, around the shipped settings.
+
+        None but the shipped one is shorter than the reference can judge.
+        """
         some = families(self.shipped, self.rows, self.stiff)
         own = self.steps.own
         counts = {max(1, own // 4), max(1, own // 2), own, 2 * own, 4 * own, 8 * own, 1}
-        tried = [self.steps.at(base, n) for base in some for n in sorted(counts)]
+        judged = sorted(n for n in counts if n <= max(own, self.finest))
+        tried = [self.steps.at(base, n) for base in some for n in judged]
         self.trials.screen([self.shipped, *tried], self.few, "overview")
         return tried
 

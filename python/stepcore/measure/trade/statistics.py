@@ -17,13 +17,15 @@ from numpy.typing import ArrayLike
 
 from stepcore._core import Settings
 from stepcore.experiment.path import Path
+from stepcore.experiment.recorder import Means
 from stepcore.experiment.reference import Reference, ReferenceRuns
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
 from stepcore.report.progress import Progress
 
 LEAST = 32
-# Best rows that are measured: all, or about so many along the front.
+# Best rows that are measured: all, or about so many along the front, as far as half the
+# reference's budget goes.
 MOST = 10
 # Names of `Statistics`, and of `Path`, with their units.
 QUANTITIES = {"height": "m", "kinetic": "J", "touching": "1"}
@@ -75,10 +77,34 @@ class AfterPrediction:
 
     def __init__(self, runs: ReferenceRuns, reference: Reference, many: Schedule) -> None:
         self.workers, self.since = runs.workers, reference.growth.overall
+        self.runs, self.spent = runs, 0.0
         self.runner = Runner(runs.runner.model, many)
         self.window = many.times > self.since
-        self.settings = runs.settings(reference.level.integrator, runs.finest / 2)
+        self.settings = self._truth(reference)
         self.truth: np.ndarray | None = None
+
+    def _truth(self, reference: Reference) -> Settings:
+        """Converged settings: the finest step that takes half the budget at most.
+
+        None is finer than the reference's last or than needed, nor coarser than its first.
+        """
+        dts = [reference.level.dt, *(level.dt for level in reference.levels[::-1])]
+        name = reference.level.integrator
+        useful = [max(dt, self.runs.finest / 2) for dt in dts]
+        cheap = [dt for dt in useful if 2 * self.cost(name, dt) <= self.runs.budget]
+        return self.runs.settings(name, cheap[0] if cheap else useful[-1])
+
+    def cost(self, integrator: str, dt: float) -> float:
+        """Of a setting's runs, in the unit of the reference's budget."""
+        return self.runs.cost(integrator, dt) * len(self.runner.schedule.starts) / self.runs.starts
+
+    def affords(self, settings: Settings) -> bool:
+        """Whether the budget has room for a setting's runs; if so, they count as made."""
+        more = self.cost(settings.integrator, settings.dt)
+        if self.spent + more > self.runs.budget / 2:
+            return False
+        self.spent += more
+        return True
 
     def measure(self, settings: Settings, bar: Progress) -> Statistics | None:
         """The differences of one setting; None where a run under it or the reference fails."""
@@ -92,7 +118,7 @@ class AfterPrediction:
 
     def _means(self, settings: Settings, bar: Progress) -> np.ndarray | None:
         """Means over the window of every start, (starts, 3)."""
-        job = partial(self.runner.run, settings)
+        job = partial(means_of, self.runner, settings)
         paths = self.workers.each(job, range(len(self.runner.schedule.starts)), bar)
         if any(path.failure for path in paths):
             return None
@@ -100,6 +126,11 @@ class AfterPrediction:
 
     def _mean(self, path: Path) -> list[float]:
         return [float(np.mean(getattr(path, name)[self.window])) for name in QUANTITIES]
+
+
+def means_of(runner: Runner, settings: Settings, start: int) -> Path:
+    """A run of which only what means are taken of is recorded."""
+    return runner.run(settings, start, [Means(runner.bodies)])
 
 
 def difference(mine: ArrayLike, true: ArrayLike) -> Difference:
