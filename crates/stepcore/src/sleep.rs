@@ -16,7 +16,7 @@ use crate::model::{Model, Union, NONE};
 use crate::real::{Mask, Real};
 use crate::room::{listed, room, Room};
 use crate::scene::JointType;
-use crate::sim::Sim;
+use crate::sim::{At, Sim};
 use crate::state::{State, Warm};
 
 /// Who sleeps; a part of the state. Empty lists: nobody ever was slow.
@@ -224,6 +224,17 @@ impl<R: Real> Sim<R> {
                 next.sleep.wake(tree, &mut next.woken);
             }
         }
+    }
+
+    /// Trees that sleep where they slept when they were placed last need not be placed again.
+    pub(crate) fn rest_asleep(&mut self, at: At) {
+        let Self { model, state, next, placed, sleeper, .. } = self;
+        let (qpos, qvel) = at.of(state, next);
+        let trees = sleeper.qpos.iter().enumerate().map(|(tree, own)| {
+            let mut qvel = qvel[model.trees[tree].dofs.range()].iter();
+            (next.sleep.has(tree) && qvel.all(|v| v.is_zero()), *own)
+        });
+        placed.rest(model, qpos, trees);
     }
 
     /// Sleeping trees do not move, whatever pulls at them.

@@ -80,6 +80,9 @@ impl<R: Real> Sim<R> {
     }
 
     fn place_and_make_rows(&mut self, at: At) {
+        if self.settings.sleep {
+            self.rest_asleep(at);
+        }
         let (qpos, qvel) = at.of(&self.state, &self.next);
         let act = at.activations(&self.state, &self.next, self.clock);
         self.placed.place(&self.model, qpos, qvel, act, &self.inputs, self.clock.dt);
@@ -198,6 +201,7 @@ impl<R: Real> Sim<R> {
     pub(crate) fn smooth(&mut self, at: At) {
         self.effort.evaluations += 1;
         let (qpos, qvel) = at.of(&self.state, &self.next);
+        self.placed.place_all();
         self.placed.carry(&self.inputs);
         self.placed.positions_in_step(&self.model, qpos);
         let act = at.activations(&self.state, &self.next, self.clock);

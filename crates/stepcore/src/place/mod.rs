@@ -12,6 +12,7 @@ mod force;
 mod inertia;
 mod kinematics;
 mod linkage;
+mod resting;
 mod tendon;
 mod tendon_inertia;
 mod wrap;
@@ -25,6 +26,7 @@ use crate::real::{Real, Stage};
 use crate::room::room;
 use crate::spatial::{rotate, splat, Force, Inertia, Motion, Pose, Quat, M3, V3};
 use crate::state::Inputs;
+use resting::Resting;
 
 /// What this stage writes. Lists are by body, dof, geom, tree as named.
 pub struct Placed<R: Real> {
@@ -38,6 +40,8 @@ pub struct Placed<R: Real> {
     pub(crate) mocap: Vec<(V3<R>, Quat<R>)>,
     /// Everything was placed once, so that constants stand.
     placed: bool,
+    /// Trees that sleep, and need not be placed again.
+    resting: Resting<R>,
     /// Pose of each geom that collides, by geom.
     pub geom: Vec<Pose<R>>,
     /// The point about which a tree's spatial quantities are written, by tree.
@@ -110,7 +114,7 @@ pub struct Pulls<'a, R: Real> {
 
 room!(Placed<R>: mocap, xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, mass,
     velocity, acceleration, wrench, bias, passive, tendon_length, tendon_arms, actuator, act_rate, shares, force,
-    u, guess; metric, effective);
+    u, guess; metric, effective, resting);
 
 impl<R: Real> Placed<R> {
     /// effective: the step in whose metric rows are solved, if not in M [s].
@@ -129,6 +133,7 @@ impl<R: Real> Placed<R> {
             offset: vec![V3::zeros(); nbody],
             mocap: model.mocaps.iter().map(|body| pose_of(&model.bodies[*body])).collect(),
             placed: false,
+            resting: Resting::new(),
             geom: vec![Pose { pos: V3::zeros(), rot: identity.matrix() }; model.geoms.len()],
             origin: vec![V3::zeros(); model.trees.len()],
             motion: vec![Motion::zero(); nv],
@@ -180,6 +185,7 @@ impl<R: Real> Placed<R> {
 
     /// Positions only: bodies, geoms and the motion of every dof.
     pub fn positions(&mut self, model: &Model, qpos: &[R]) {
+        self.resting.forget();
         self.place_trees(model, qpos, |_| true);
         self.place_tendons(model, qpos, |_| true);
         self.place_linkages(model);
@@ -197,14 +203,18 @@ impl<R: Real> Placed<R> {
         for body in &model.carried {
             self.place_body(model, qpos, *body);
         }
-        for tree in model.trees.iter().filter(|tree| needed(tree)) {
+        for (index, tree) in model.trees.iter().enumerate() {
+            if !needed(tree) || self.resting.skips(index) {
+                continue;
+            }
             for body in tree.bodies.range() {
                 self.place_body(model, qpos, body);
             }
         }
         for (index, geom) in model.geoms.iter().enumerate() {
             let body = &model.bodies[geom.body];
-            if geom.collides && (body.tree != crate::model::NONE || body.carried) {
+            let moves = body.tree != crate::model::NONE || body.carried;
+            if geom.collides && moves && !self.resting.skips(body.tree) {
                 self.place_colliding(model, index);
             }
         }
@@ -218,12 +228,18 @@ impl<R: Real> Placed<R> {
         bodies: &[usize],
         geoms: &[usize],
     ) {
+        self.resting.forget();
         for body in bodies {
             self.place_body(model, qpos, *body);
         }
         for geom in geoms {
             self.place_geom(model, *geom);
         }
+    }
+
+    /// What follows places every tree.
+    pub(crate) fn place_all(&mut self) {
+        self.resting.forget();
     }
 
     /// What forces read of it.
@@ -256,7 +272,7 @@ impl<R: Real> Placed<R> {
         inputs: &Inputs<R>,
     ) {
         for (index, tree) in model.trees.iter().enumerate() {
-            if !tree.constant {
+            if !tree.constant && !self.resting.skips(index) {
                 R::enter(Stage::Inertia);
                 self.weigh(model, tree);
                 R::enter(Stage::Factor);
@@ -277,6 +293,7 @@ impl<R: Real> Placed<R> {
     /// Inertia and velocity of every body about its tree's origin; `dynamics` skips trees
     /// whose dynamics are constant, and whose bodies move all the same.
     pub fn all_bodies(&mut self, model: &Model, qvel: &[R]) {
+        self.resting.forget();
         for tree in &model.trees {
             self.weigh(model, tree);
             self.velocities(model, qvel, tree);
@@ -300,12 +317,14 @@ impl<R: Real> Placed<R> {
         inputs: &Inputs<R>,
         dt: R,
     ) {
+        self.resting.begin();
         self.carry(inputs);
         self.positions_in_step(model, qpos);
         self.dynamics(model, qpos, qvel, act, inputs);
         R::enter(Stage::Guess);
         self.metric.to_factored(qvel, &mut self.u);
         self.make_guess(model, dt);
+        self.resting.end();
     }
 
     /// û of the smooth force at hand.
