@@ -74,7 +74,6 @@ def test_shapes_follow_those_of_qpos(capsules, qpos):
         ({"qpos": np.zeros(13)}, r"qpos has shape \(13,\): must be \(…, 14\)"),
         ({"qpos": np.full(14, np.nan)}, "qpos has entries that are not finite"),
         ({"precision": "f16"}, "precision = 'f16': must be 'f64' or 'f32'"),
-        ({"precision": "f32", "lanes": True}, "lanes = True: must be False"),
     ],
 )
 def test_bad_input_is_refused(capsules, given, text):

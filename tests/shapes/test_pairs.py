@@ -58,12 +58,13 @@ def _check(verdict, style):
     assert np.nanmax([0, *verdict.unproven]) < 1e-3
 
 
+@pytest.mark.parametrize("precision", ["f64", "f32"])
 @pytest.mark.parametrize("pair", BUILT + FACES_FIRST, ids="-".join)
-def test_lanes_are_scalars_bit_for_bit(pair):
+def test_lanes_are_scalars_bit_for_bit(pair, precision):
     rng = np.random.default_rng(17)
     for style in STYLES:
         one = trial(rng, pair, style, 61)
-        alone, lanes = touched(one), touched(one, lanes=True)
+        alone, lanes = (touched(one, precision=precision, lanes=lanes) for lanes in (False, True))
         there = alone.exists
         assert np.array_equal(there, lanes.exists)
         for name in ("dist", "pos", "normal", "feature"):

@@ -9,7 +9,7 @@ use pyo3::types::PyDict;
 use stepcore::arrays::Array;
 use stepcore::elements::{joint_forces, Kind};
 use stepcore::model::Model as Engine;
-use stepcore::real::Lanes;
+use stepcore::real::{Lanes, LanesF32};
 use stepcore::scene::{JointType, Scene, Target};
 
 use crate::element::read;
@@ -134,7 +134,8 @@ impl Model {
         result(py, forces, &[n, m.nv])
     }
 
-    /// Contacts of two geoms at positions qpos (n, nq), in numbers of type "f64", "f32" or "lanes":
+    /// Contacts of two geoms at positions qpos (n, nq), in numbers of type "f64" or "f32", in
+    /// lanes if the name ends so ("f32 lanes"):
     /// exists and feature (n, slots), dist (n, slots), pos and normal (n, slots, 3).
     fn touches<'py>(
         &self,
@@ -153,6 +154,7 @@ impl Model {
         let found = crate::gil::release(py, || match numbers {
             "f64" => m.touches::<f64>(geom1, geom2, n, &qpos),
             "f32" => m.touches::<f32>(geom1, geom2, n, &qpos),
+            "f32 lanes" => m.touches::<LanesF32>(geom1, geom2, n, &qpos),
             _ => m.touches::<Lanes>(geom1, geom2, n, &qpos),
         })?;
         let shape = [n, found.slots];

@@ -4,10 +4,10 @@
 use std::sync::Arc;
 
 use stepcore::arrays::{lists, Array, Given};
-use stepcore::batch::{Batch, Last, Play};
+use stepcore::batch::{gains_by_lanes, Batch, Last, Play};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
-use stepcore::real::{Lanes, Real};
+use stepcore::real::{Lanes, LanesF32, Real};
 use stepcore::settings::{Precision, Settings};
 use stepcore::sleep::Sleep;
 use stepcore::state::{Warm, WARM_ROWS};
@@ -44,12 +44,12 @@ pub fn worlds(
     lanes: bool,
     goes_on: bool,
 ) -> Result<Box<dyn Worlds>> {
-    // The pairs of a heap are found one world at a time, and so are those who sleep.
-    let lanes = lanes && model.heap.is_none() && !settings.sleep;
+    let lanes = lanes && gains_by_lanes(&model, settings);
     Ok(match (settings.precision, lanes) {
         (Precision::F64, true) => made::<Lanes>(model, settings, n, threads, goes_on)?,
         (Precision::F64, false) => made::<f64>(model, settings, n, threads, goes_on)?,
-        (Precision::F32, _) => made::<f32>(model, settings, n, threads, goes_on)?,
+        (Precision::F32, true) => made::<LanesF32>(model, settings, n, threads, goes_on)?,
+        (Precision::F32, false) => made::<f32>(model, settings, n, threads, goes_on)?,
     })
 }
 

@@ -57,8 +57,8 @@ class Batch(Stepped):
     n: the number of worlds.
     threads: how many threads step them; by default one a core, or one in all for a batch so small
         that waking threads costs more than it gains.
-    lanes: True steps eight worlds at a time in the processor's vector registers, False one by one.
-        (Single precision always runs one by one.)
+    lanes: True steps eight worlds at a time in the processor's vector registers (16 in single
+        precision), False one by one.
     on_failure: what happens if a world fails as in `Sim.step`. With "stop", SimulationError names
         it and all worlds are left before the first step in which one failed. With "go on", the
         others continue with the same bits; the failed world stays in its last finite state, its

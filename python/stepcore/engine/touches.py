@@ -49,11 +49,9 @@ def touches(
         raise ValueError("qpos has entries that are not finite: every entry must be")
     if precision not in ("f64", "f32"):
         raise ValueError(f"precision = {checks.shown(precision)}: must be 'f64' or 'f32'")
-    if lanes and precision == "f32":
-        raise ValueError("lanes = True: must be False with precision 'f32', which has no lanes")
     leading = positions.shape[:-1]
     flat = np.ascontiguousarray(positions.reshape(int(np.prod(leading, dtype=int)), model.nq))
-    found = model.core.touches(first, second, flat, "lanes" if lanes else precision)
+    found = model.core.touches(first, second, flat, precision + " lanes" * lanes)
     return Touches(*(array.reshape(leading + array.shape[1:]) for array in found))  # type: ignore[arg-type]
 
 

@@ -22,7 +22,8 @@ use crate::arrays::{Array, Given};
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::Real;
-use crate::settings::Settings;
+use crate::settings::{Settings, Solver};
+use crate::solve::rows::any_heap;
 use crate::state::{Inputs, State};
 use crate::watch::Watched;
 
@@ -38,6 +39,13 @@ pub struct Batch<R: Real> {
     workers: Vec<Watched<R>>,
     /// A world that fails stands still, and the others go on; else all stop with it.
     pub goes_on: bool,
+}
+
+/// Whether worlds of a model can be stepped side by side, and gain by it. The pairs of a heap are
+/// found one world at a time, so are those who sleep; and Newton's method solves a heap so too.
+pub fn gains_by_lanes(model: &Model, settings: &Settings) -> bool {
+    let by_lane = settings.solver == Solver::Newton && any_heap(&model.islands());
+    model.heap.is_none() && !settings.sleep && !by_lane
 }
 
 impl<R: Real> Batch<R> {

@@ -1,13 +1,14 @@
 //! `Count`: a whole number for each lane.
 
-use super::{Mask, WIDTH};
+use super::lanes::MOST;
+use super::Mask;
 
 /// A count for each lane; a scalar uses the first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Count([u64; WIDTH]);
+pub struct Count([u64; MOST]);
 
 impl Count {
-    pub const ZERO: Self = Self([0; WIDTH]);
+    pub const ZERO: Self = Self([0; MOST]);
 
     #[inline(always)]
     pub fn lane(&self, lane: usize) -> u64 {

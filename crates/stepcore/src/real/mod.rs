@@ -25,7 +25,7 @@ mod stage;
 pub use count::Count;
 pub use counted::{Counted, FUNCTION};
 pub use dual::{Dual, WAYS};
-pub use lanes::{LaneMask, Lanes, WIDTH};
+pub use lanes::{LaneMask, Lanes, LanesF32, WIDTH};
 pub use stage::Stage;
 
 /// One truth value a lane.

@@ -98,7 +98,7 @@ mod tests {
         let size = [1.0; 3];
         let shape = |pose| Shape { pose, size: &size, hull: None, field: None };
         let [first, second] = by_lane(&Both, &shape(&one), &shape(&two));
-        for lane in 0..Lanes::LANES {
+        for lane in 0..<Lanes>::LANES {
             assert_eq!(first.dist.lane(lane), 1.5 * lane as f64);
             assert_eq!(second.pos.x.lane(lane), lane as f64);
             assert_eq!(second.feature.lane(lane), 7.0);

@@ -274,7 +274,7 @@ fn lanes_are_scalars_bit_for_bit() {
     for kinds in PAIRS {
         let mut case = Case::random(&mut random, kinds, 0.8);
         let worlds: Vec<[Pose<f64>; 2]> =
-            (0..Lanes::LANES).map(|_| [random.pose(0.8), random.pose(0.8)]).collect();
+            (0..<Lanes>::LANES).map(|_| [random.pose(0.8), random.pose(0.8)]).collect();
         let wide = |i: usize| {
             let mut pose: Pose<Lanes> = Pose { pos: V3::zeros(), rot: M3::zeros() };
             for (lane, world) in worlds.iter().enumerate() {

@@ -93,7 +93,7 @@ fn lanes_are_scalars_bit_for_bit() {
     for pair in PAIRS {
         for round in 0..200 {
             let scenes: Vec<_> = (0..WIDTH).map(|i| random.scene(i * (round % 3))).collect();
-            let gather = |f: &dyn Fn(usize) -> f64| Lanes(core::array::from_fn(f));
+            let gather = |f: &dyn Fn(usize) -> f64| -> Lanes { Lanes(core::array::from_fn(f)) };
             let pose = |of: &dyn Fn(usize) -> Pose<f64>| Pose {
                 pos: Vector3::from_fn(|r, _| gather(&|i| of(i).pos[r])),
                 rot: Matrix3::from_fn(|r, c| gather(&|i| of(i).rot[(r, c)])),

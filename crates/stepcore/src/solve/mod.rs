@@ -21,7 +21,7 @@ mod noslip;
 mod pgs;
 mod relative;
 mod residual;
-mod rows;
+pub(crate) mod rows;
 mod solver;
 mod square;
 #[cfg(test)]

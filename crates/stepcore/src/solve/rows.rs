@@ -211,7 +211,7 @@ const HEAP: usize = 8;
 
 /// Whether some island of these, by tree, is a heap. It follows from the model alone, so that a
 /// lane equals its world.
-fn any_heap(islands: &[usize]) -> bool {
+pub(crate) fn any_heap(islands: &[usize]) -> bool {
     let mut trees = vec![0; islands.len()];
     islands.iter().any(|island| {
         trees[*island] += 1;

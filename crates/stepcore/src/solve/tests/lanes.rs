@@ -5,7 +5,7 @@ use super::newton::mixed;
 use super::wide_cones::wide_contacts;
 use super::{contacts, pack, Problem, Random, INF};
 use crate::model::Span;
-use crate::real::{Lanes, Real, WIDTH};
+use crate::real::{Lanes, Mask, Real, WIDTH};
 use crate::solve::limits::{Limits, Report};
 use crate::solve::newton::Newton;
 use crate::solve::pgs::Pgs;
@@ -79,7 +79,7 @@ fn compare_as(
     packed.heap = heap;
     let lists = thin(&mut packed, &base.inv_d, keep);
     for (b, block) in packed.blocks.iter_mut().enumerate() {
-        (0..WIDTH).for_each(|lane| block.mask.0[lane] = has(b, lane));
+        block.mask = Mask::from_lanes(|lane| has(b, lane));
     }
     let report = solve(by, &lists, &base.inv_d, &mut packed);
     for (lane, world) in worlds.iter().enumerate() {
