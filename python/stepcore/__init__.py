@@ -97,6 +97,8 @@ if TYPE_CHECKING:
     from stepcore.scene.elements import Site as Site
     from stepcore.scene.elements import Tendon as Tendon
     from stepcore.scene.scene import Scene as Scene
+    from stepcore.viewing.live import View as View
+    from stepcore.viewing.live import view as view
 
 # Where each public name comes from. A module is imported when one of its names is first used, so
 # that a script that steps a scene does not wait for the measurements. Type checkers read the
@@ -190,6 +192,7 @@ _MODULES = {
         "Tendon",
     ),
     "stepcore.scene.scene": ("Scene",),
+    "stepcore.viewing.live": ("View", "view"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 _SUBMODULES = ("lesson", "reference")

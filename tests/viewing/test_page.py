@@ -41,7 +41,7 @@ def picture(chrome):
 def test_the_snapshots_solve_what_the_run_solved():
     """Contacts, forces and energy that are seen are those of the run, bit for bit."""
     run, sim = drop(dt=0.01).run(0.6, record=("energy",)), drop(dt=0.01)
-    again = run.replayed()
+    again = run._replayed()
     for step, instant in zip(range(0, 61, 2), again.instants, strict=True):
         assert instant.time == pytest.approx(0.01 * step)
         assert instant.energy == tuple(run.energy[step])
@@ -130,16 +130,16 @@ def test_the_distance_of_two_runs():
     low, high = drop(dt=0.01), drop(dt=0.01)
     high.qpos[0] += 0.1
     runs = [sim.run(0.4, record=("xpos",)) for sim in (low, high)]
-    gap = distance(*(run.replayed() for run in runs))
+    gap = distance(*(run._replayed() for run in runs))
     expected = np.linalg.norm(runs[0].xpos - runs[1].xpos, axis=-1)[::2, 1]
     assert gap == pytest.approx(expected, abs=1e-12)
     assert gap[0] == pytest.approx(0.1) and gap.min() < 0.09
     # Of a run with other instants it is where its bodies were between them.
     other = drop(dt=0.005).run(0.2, record=("xpos",))
-    gap = distance(runs[0].replayed(), other.replayed())
+    gap = distance(runs[0]._replayed(), other._replayed())
     assert gap[:5].max() < 0.02
     with pytest.raises(ValueError, match="same bodies"):
-        distance(low.run(0.1).replayed(), cheetah(0.1).replayed())
+        distance(low.run(0.1)._replayed(), cheetah(0.1)._replayed())
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch):

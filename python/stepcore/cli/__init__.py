@@ -21,6 +21,7 @@ COMMANDS = {
     "lesson": "check the engine on four small scenes whose results are known",
     "check": "look for what makes a model misbehave: the first command to run",
     "run": "simulate a model and print its final state",
+    "view": "watch a model move, in a browser; or write a page that replays a run",
     "replay": "run a failed simulation again and show which elements injected its energy",
     "trade": "measure what speed costs in accuracy, and recommend settings",
     "predict": "measure how long a model's motion can be predicted",

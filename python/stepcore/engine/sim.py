@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.engine.settings_fields import SettingsFields
     from stepcore.scene.scene import Scene
+    from stepcore.viewing.live import View
 
 
 class Energy(NamedTuple):
@@ -228,6 +229,18 @@ class Sim(Stepped):
         if trajectory.unsolved:
             warnings.warn(UnsolvedWarning(trajectory.unsolved), stacklevel=2)
         return trajectory
+
+    def view(self, *, host: str = "localhost", port: int = 8080, wait: bool | None = None) -> View:
+        """Opens a live view of a copy of this Sim, which goes on from the present state.
+
+        It can be paused, stepped, reset, put to keyframes and taken back in time; controls are
+        sliders; contacts, forces, energy and the residual are shown. This Sim stays as it is.
+
+        host, port, wait: see `stepcore.view`. Needs the extra "view".
+        """
+        from stepcore.viewing.live import opened, view_sim
+
+        return opened(view_sim(self, host, port), wait)
 
     # The present state.
 

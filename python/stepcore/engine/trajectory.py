@@ -19,6 +19,7 @@ from stepcore.engine.unsolved import LOOKS, Residuals
 if TYPE_CHECKING:
     from stepcore.engine.world import World
     from stepcore.viewing.frames import Replayed
+    from stepcore.viewing.live import View
 
 SomeWorld = TypeVar("SomeWorld", bound="World")
 Control = Callable[[float, SomeWorld], ArrayLike] | ArrayLike | None
@@ -88,26 +89,41 @@ class Trajectory:
 
         return plot("trajectory", self, path)
 
-    def save_html(self, path: str | os.PathLike[str]) -> None:
+    def view(self, *, host: str = "localhost", port: int = 8080, wait: bool | None = None) -> View:
+        """Opens a page that replays the run, with a slider for time; see `stepcore.view`."""
+        from stepcore.viewing.live import opened, view_runs
+
+        return opened(view_runs([self._replayed()], host, port), wait)
+
+    def save_html(
+        self,
+        path: str | os.PathLike[str],
+        over: Sequence[Trajectory] = (),
+        labels: Sequence[str] = (),
+    ) -> None:
         """Writes a page that replays the run, which anybody opens without Python or a network.
 
         It can be paused, turned and moved through in time, at any speed; contacts are points,
         their forces arrows to scale; energy and the residual stand beside. The run is solved again
         from its snapshots, at most 60 for each second. Needs the extra "view". See docs/view.md.
 
-        Raises OSError.
+        over: other runs of the same bodies, which are laid over this one, with their distance.
+        labels: what this run and those are called.
+
+        Raises ValueError for runs of other bodies, and OSError.
 
         >>> from stepcore import Sim, lesson
         >>> sim = Sim(lesson.drop())
         >>> sim.reset(key="start")
         >>> sim.run(0.5).save_html("drop.html")
         """
+        from stepcore.viewing.live import several
         from stepcore.viewing.page import save_page
 
-        save_page([self.replayed()], path)
+        save_page(several([self, *over], labels), path)
 
-    def replayed(self, label: str = "") -> Replayed:
-        """The run as it is drawn, solved again from its snapshots; for use within stepcore.
+    def _replayed(self, label: str = "") -> Replayed:
+        """The run as it is drawn, solved again from its snapshots.
 
         Raises ValueError for a trajectory without snapshots.
         """
@@ -124,7 +140,7 @@ class Trajectory:
         from stepcore.viewing.page import framed, page
 
         try:
-            text = page([self.replayed()])
+            text = page([self._replayed()])
         except ImportError:
             return None
         return framed(text)

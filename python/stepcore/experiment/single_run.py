@@ -9,6 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from stepcore.engine.sim import Sim
+from stepcore.engine.snapshots import Taking
 from stepcore.engine.trajectory import Trajectory, whole_steps
 from stepcore.experiment.control import Control, controls
 from stepcore.experiment.probe import Probe
@@ -64,11 +65,33 @@ class SingleRun:
         stride = 1 if self.record else max(1, steps // LOOKS)
         applied = np.array(sim.xfrc_applied)
         spans = [(push, push.span(dt)) for push in self.pushes]
-        edges = sorted({edge for _, span in spans for edge in (span.start, span.stop)})
         data: dict[str, list[np.ndarray]] = {name: [] for name in ("time", *self.record)}
         for probe in self.probes:
             probe.begin(sim)
         self._note(data)
+        taking = Taking(sim, steps) if self.record else None
+        try:
+            self._steps(steps, period, stride, spans, applied, data, taking)
+        finally:
+            # Of a run that fails there is what it did until then.
+            sim.xfrc_applied[:] = applied
+            if taking is not None:
+                arrays = {name: np.array(values) for name, values in data.items()}
+                kept = taking.kept()
+                self.trajectory = Trajectory(arrays.pop("time"), arrays, snapshots=kept)
+
+    def _steps(
+        self,
+        steps: int,
+        period: int,
+        stride: int,
+        spans: list[tuple[Push, range]],
+        applied: np.ndarray,
+        data: dict[str, list[np.ndarray]],
+        taking: Taking | None,
+    ) -> None:
+        sim = self.sim
+        edges = sorted({edge for _, span in spans for edge in (span.start, span.stop)})
         done = 0
         while done < steps:
             if self.control is not None and done % period == 0:
@@ -84,6 +107,8 @@ class SingleRun:
             if self.probes or self.record:
                 upto.append((done // stride + 1) * stride)
             count = min(upto) - done
+            if taking is not None:
+                taking.look(done)
             begin = perf_counter()
             sim.step(count)
             self.spent += perf_counter() - begin
@@ -92,10 +117,8 @@ class SingleRun:
                 for probe in self.probes:
                     probe.step(sim)
                 self._note(data)
-        sim.xfrc_applied[:] = applied
-        if self.record:
-            arrays = {name: np.array(values) for name, values in data.items()}
-            self.trajectory = Trajectory(arrays.pop("time"), arrays)
+        if taking is not None:
+            taking.look(steps)
 
     def _note(self, data: dict[str, list[np.ndarray]]) -> None:
         if self.record:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import os
 
     from stepcore.engine.model import Model
+    from stepcore.viewing.live import View
 
 
 class Scene(Contents):
@@ -60,6 +61,18 @@ class Scene(Contents):
         from stepcore.engine.model import Model
 
         return Model(self)
+
+    def view(self, *, host: str = "localhost", port: int = 8080, wait: bool | None = None) -> View:
+        """Opens a live view of the scene, from its first keyframe; see `Sim.view`.
+
+        Raises what `compile` raises.
+        """
+        from stepcore.engine.sim import Sim
+
+        sim = Sim(self)
+        if sim.model.keys:
+            sim.reset(key=0)
+        return sim.view(host=host, port=port, wait=wait)
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the scene as the engine reads it: plain data, with indices for references.

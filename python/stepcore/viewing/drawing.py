@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 SHOWN_GROUPS = (0, 1, 2)
 # Bodies of a scene without colours, by their index; fixed ones are grey.
 PALETTE = ((0.27, 0.51, 0.71), (0.93, 0.60, 0.24), (0.35, 0.63, 0.40), (0.72, 0.36, 0.50))
+# Colours of runs that are laid over another, which keeps its own.
+TINTS = ((0.95, 0.45, 0.1), (0.2, 0.55, 0.95), (0.6, 0.3, 0.8))
+# How long the arrow of a force is that bears all the weight, of the extent of the scene.
+ARROW = 0.35
 GROUND = (0.62, 0.66, 0.70, 1.0)
 
 

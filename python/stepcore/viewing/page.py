@@ -23,14 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore.viewing.drawing import Drawing, Shape
+from stepcore.viewing.drawing import ARROW, TINTS, Drawing, Shape
 from stepcore.viewing.frames import Replayed, distance
 from stepcore.viewing.needs import need
-
-# Colours of runs that are shown over each other; the first keeps its own.
-TINTS = (None, (0.95, 0.45, 0.1), (0.2, 0.55, 0.95), (0.6, 0.3, 0.8))
-# How long the arrow of a force is that bears all the weight, of the extent of the scene.
-ARROW = 0.35
 
 
 def page(runs: Sequence[Replayed], title: str = "") -> str:
@@ -92,7 +87,7 @@ def _own(name: str) -> str:
 
 
 def _tints(count: int) -> list[Any]:
-    return [TINTS[k % len(TINTS)] if k else None for k in range(count)]
+    return [TINTS[(k - 1) % len(TINTS)] if k else None for k in range(count)]
 
 
 def _newtons(runs: Sequence[Replayed]) -> float:

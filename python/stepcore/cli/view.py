@@ -1,0 +1,81 @@
+"""Watch a model move, in a browser: paused, stepped, taken back in time, with sliders for its
+controls, contact forces, energy and the residual. It prints the address of the page, which a
+browser on another machine can open too (--host 0.0.0.0). With --html it runs the model and writes
+a page that replays the run, which anybody opens without Python.
+
+Example:
+  stepcore view gymnasium:half_cheetah --ctrl bthigh=1,fthigh=-1 --html run.html
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from stepcore.cli.inputs import add_inputs, control_of, pushes_of
+from stepcore.cli.motion import add_file, add_key, key_of, model_of
+from stepcore.cli.output import check_path
+from stepcore.cli.usage import Usage
+from stepcore.engine.sim import Sim
+from stepcore.experiment.single_run import SingleRun
+
+# How long the run of a page is [s].
+DURATION = 5.0
+
+
+def add(command: argparse.ArgumentParser) -> None:
+    add_file(command)
+    add_key(command)
+    command.add_argument(
+        "--dt", type=float, metavar="S", help="time step [s] (default: the model's)"
+    )
+    live = command.add_argument_group("live view")
+    live.add_argument("--host", default="localhost", help="who may look (default: this machine)")
+    live.add_argument("--port", type=int, default=8080, help="of the page (default: 8080)")
+    page = command.add_argument_group("page")
+    page.add_argument("--html", dest="page", metavar="OUT", help="write a page that replays a run")
+    page.add_argument(
+        "--duration", type=float, metavar="S", help=f"of that run [s] (default: {DURATION:g})"
+    )
+    add_inputs(command)
+
+
+def call(args: argparse.Namespace) -> None:
+    if args.page is not None:
+        check_path(args.page, "--html")
+    elif args.duration is not None:
+        raise Usage("--duration is of the run that --html writes; a live view has no end")
+    duration = DURATION if args.duration is None else args.duration
+    if not 0 < duration < float("inf"):
+        raise Usage(f"--duration {duration:g}: must be finite and > 0 s")
+    model = model_of(args)
+    sim = Sim(model, **({} if args.dt is None else {"dt": args.dt}))
+    key = key_of(args, model)
+    sim.reset(key=0 if key is None and model.keys else key)
+    if args.page is None:
+        _live(args, sim)
+        return
+    single = SingleRun(
+        sim,
+        control=control_of(args, sim),
+        control_dt=args.control_dt,
+        pushes=pushes_of(args, model),
+        record=("qpos",),
+    )
+    try:
+        single.run(max(1, round(duration / sim.settings.dt)))
+    finally:
+        # Of a run that fails its motion until then is seen.
+        seen = single.trajectory
+        if seen is not None:
+            seen.save_html(args.page)
+            print(f"{args.page}: {seen.time[-1] - seen.time[0]:g} s of motion")
+
+
+def _live(args: Any, sim: Sim) -> None:
+    if any(getattr(args, name) is not None for name in ("control", "control_dt")) or args.push:
+        raise Usage("--control, --control-dt and --push drive the run that --html writes")
+    control = control_of(args, sim)
+    if control is not None:
+        sim.ctrl = control(sim.time, sim) if callable(control) else control
+    sim.view(host=args.host, port=args.port, wait=True)

@@ -1,0 +1,147 @@
+"""The live view: a page in which a Sim runs, or recorded runs are gone through.
+
+It is made with viser (the extra "view"): a server on this machine, and a page in any browser that
+can reach it.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Sequence
+from time import monotonic
+from typing import Any
+
+from stepcore import checks
+from stepcore.viewing.frames import Replayed, distance
+from stepcore.viewing.needs import need
+from stepcore.viewing.panel import Panel, RunPanel, SimPanel
+
+# Pictures a second.
+RATE = 30.0
+PORT = 8080
+
+
+class View:
+    """A view that is open.
+
+    url: its address. It stays open until `close`, or the end of the program.
+    """
+
+    def __init__(self, server: Any, panel: Panel) -> None:
+        self._server, self._panel = server, panel
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._turn, name="stepcore view", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Its address in a browser of this machine."""
+        return f"http://localhost:{self._server.get_port()}"
+
+    def close(self) -> None:
+        """Ends the view."""
+        self._stop.set()
+        if self._thread is not threading.current_thread():
+            self._thread.join(timeout=5)
+        self._server.stop()
+
+    def wait(self) -> None:
+        """Waits until someone closes the view or presses Ctrl-C, which closes it."""
+        try:
+            while not self._stop.wait(0.2):
+                pass
+        except KeyboardInterrupt:
+            self.close()
+
+    def _turn(self) -> None:
+        last = monotonic()
+        while not self._stop.is_set():
+            now = monotonic()
+            self._panel.pass_time(min(now - last, 0.2))
+            last = now
+            self._stop.wait(max(0.0, 1 / RATE - (monotonic() - now)))
+
+    def __enter__(self) -> View:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<View: {self.url}>"
+
+    def _repr_html_(self) -> str:
+        style = "width:100%;height:520px;border:1px solid #8884;border-radius:6px"
+        return f'<iframe src="{self.url}" style="{style}"></iframe>'
+
+
+def view_sim(sim: Any, host: str = "localhost", port: int = PORT) -> View:
+    """A live view of a copy of a Sim; see `Sim.view`."""
+    server = _server(host, port)
+    return View(server, SimPanel(server, sim))
+
+
+def view_runs(runs: Sequence[Replayed], host: str = "localhost", port: int = PORT) -> View:
+    """A view of recorded runs, laid over each other; see `Trajectory.view`."""
+    server = _server(host, port)
+    return View(server, RunPanel(server, runs))
+
+
+def view(
+    runs: Any,
+    *,
+    labels: Sequence[str] = (),
+    host: str = "localhost",
+    port: int = PORT,
+    wait: bool | None = None,
+) -> View:
+    """Opens a view of a Sim, a scene or a recorded run, or of several runs laid over each other.
+
+    runs: a `Sim`, a `Scene` or a `Trajectory`; or a list of trajectories with the same bodies.
+        The first keeps its colours; lines join the bodies of the others with its own, and their
+        RMS distance stands beside.
+    labels: what the runs are called.
+    host, port: where the page is served; "0.0.0.0" lets other machines see it. The next free port
+        is taken.
+    wait: returns only when the view is closed, by Ctrl-C; by default so except at a prompt and in
+        a notebook.
+
+    Prints the address of the page, which works without a browser on this machine. Needs the extra
+    "view". Raises ValueError for runs of other bodies.
+    """
+    if isinstance(runs, (list, tuple)):
+        seen = several(runs, labels)
+        return opened(view_runs(seen, host, port), wait)
+    if not hasattr(runs, "view"):
+        what = "a Sim, a Scene, a Trajectory or a list of trajectories"
+        raise ValueError(f"runs = {checks.shown(runs)}: must be {what}")
+    shown: View = runs.view(host=host, port=port, wait=wait)
+    return shown
+
+
+def several(runs: Sequence[Any], labels: Sequence[str] = ()) -> list[Replayed]:
+    """Trajectories as they are seen together, with their labels."""
+    if not runs or not all(hasattr(run, "_replayed") for run in runs):
+        raise ValueError(f"runs = {checks.shown(runs)}: must be a list of trajectories")
+    names = [*labels, *(f"run {k + 1}" for k in range(len(labels), len(runs)))]
+    seen = [run._replayed(name) for run, name in zip(runs, names, strict=False)]
+    for other in seen[1:]:
+        distance(seen[0], other)
+    return seen
+
+
+def opened(view: View, wait: bool | None) -> View:
+    """The view, whose address is printed; waits for its end where nobody sits at a prompt."""
+    print(f"stepcore view: {view.url}", flush=True)
+    prompt = hasattr(sys, "ps1") or "ipykernel" in sys.modules
+    if wait or (wait is None and not prompt):
+        view.wait()
+    return view
+
+
+def _server(host: str, port: int) -> Any:
+    viser = need("viser", "a view")
+    server = viser.ViserServer(host=host, port=port, label="stepcore", verbose=False)
+    server.scene.set_up_direction("+z")
+    return server

@@ -1,0 +1,288 @@
+"""What can be pressed and read in a live view: `SimPanel` of a Sim, `RunPanel` of recorded runs."""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from stepcore.viewing.drawing import ARROW, drawing_of
+from stepcore.viewing.frames import Instant, Replayed, distance, instant_of
+from stepcore.viewing.stage import Stage
+
+SPEEDS = {"1/20 ×": 0.05, "1/10 ×": 0.1, "1/4 ×": 0.25, "1/2 ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
+# The states that a live view can go back to, so many a second of motion.
+KEPT, RATE = 3000, 60.0
+# How long steps may keep the page waiting [s].
+LONGEST = 0.2
+# A model of more actuators has no slider for the others.
+SLIDERS = 40
+
+
+class Panel(ABC):
+    """What all views have: pause, speed, time, what is shown, and figures."""
+
+    def __init__(self, server: Any, stage: Stage) -> None:
+        self.server, self.stage, self.gui = server, stage, server.gui
+        # What is pressed comes from other threads than time.
+        self.lock = threading.RLock()
+        self.playing = True
+        self.pause = self.gui.add_button("Pause")
+        self.on = self.gui.add_button("Step")
+        self.speed = self.gui.add_dropdown("Speed", tuple(SPEEDS), initial_value="1 ×")
+        self.figures = self.gui.add_html("")
+        self.pause.on_click(self._locked(lambda _: self.play(not self.playing)))
+        self.on.on_click(self._locked(lambda _: self._step()))
+
+    def _locked(self, call: Any) -> Any:
+        def locked(event: Any) -> None:
+            with self.lock:
+                call(event)
+
+        return locked
+
+    def _shown(self) -> None:
+        """The boxes that say what is drawn."""
+        with self.gui.add_folder("Shown"):
+            for name in ("contacts", "forces"):
+                box = self.gui.add_checkbox(name.capitalize(), True)
+                box.on_update(self._locked(self._switch(name, box)))
+            if self.stage.hidden:
+                box = self.gui.add_checkbox("All geoms", False)
+                box.on_update(lambda _: self.stage.show_hidden(box.value))
+
+    def _switch(self, name: str, box: Any) -> Any:
+        def switch(_: Any) -> None:
+            setattr(self.stage, name, box.value)
+            self.draw()
+
+        return switch
+
+    def play(self, on: bool) -> None:
+        """Goes on or pauses."""
+        self.playing = on
+        self.pause.label = "Pause" if on else "Play"
+
+    def _step(self) -> None:
+        self.play(False)
+        self.step()
+        self.draw()
+
+    def pass_time(self, seconds: float) -> None:
+        """Lets so much time of the clock pass, and draws."""
+        with self.lock:
+            if self.playing:
+                self.advance(seconds * SPEEDS[self.speed.value])
+                self.draw()
+
+    def say(self, rows: Sequence[tuple[str, str]]) -> None:
+        """Shows figures."""
+        newtons, length = self.stage.newtons, ARROW * self.stage.extent
+        rows = [*rows, ("arrow of " + f"{newtons:.3g} N", f"{length:.3g} m")]
+        lines = "".join(
+            f'<tr><td>{name}</td><td style="text-align:right">{value}</td></tr>'
+            for name, value in rows
+        )
+        style = "width:100%;font-size:0.8em;font-variant-numeric:tabular-nums"
+        self.figures.content = f'<table style="{style}">{lines}</table>'
+
+    @abstractmethod
+    def advance(self, seconds: float) -> None:
+        """Goes on by so much of the motion's time."""
+
+    @abstractmethod
+    def step(self) -> None:
+        """Goes on by one step."""
+
+    @abstractmethod
+    def draw(self) -> None:
+        """Draws the present instant."""
+
+
+def figures_of(instant: Instant) -> list[tuple[str, str]]:
+    """Time, energy, contacts and residual, as they are read."""
+    kinetic, potential = instant.energy
+    return [
+        ("time", f"{instant.time:.3f} s"),
+        ("kinetic energy", f"{kinetic:.4g} J"),
+        ("potential energy", f"{potential:.4g} J"),
+        ("total", f"{kinetic + potential:.4g} J"),
+        ("contacts that bear", f"{len(instant.places)}"),
+        ("residual", f"{instant.residual:.1e} m/s"),
+    ]
+
+
+class SimPanel(Panel):
+    """Runs a copy of a Sim, with its controls as sliders, and goes back in its time."""
+
+    def __init__(self, server: Any, sim: Any) -> None:
+        self.sim = type(sim)(sim.model)
+        self.begin = sim.state()
+        self.sim.restore(self.begin)
+        super().__init__(server, Stage(server, [drawing_of(sim.model, self.sim)]))
+        self.failed = ""
+        self.owed = 0.0
+        self.states = [self.begin]
+        self.times = [self.sim.time]
+        reset = self.gui.add_button("Reset")
+        reset.on_click(self._locked(lambda _: self.restart(None)))
+        if keys := self._keys():
+            key = self.gui.add_dropdown("Keyframe", ("(start)", *keys))
+            key.on_update(self._locked(lambda _: self.restart(keys.get(key.value))))
+        self.back = self.gui.add_slider(
+            "Back in time", 0.0, 1.0, 0.001, 1.0, hint="drag to go back"
+        )
+        self.back.on_update(self._locked(self._go_back))
+        self._shown()
+        self.sliders = self._controls()
+        self.draw()
+        self.stage.look([self.instant])
+
+    def _keys(self) -> dict[str, int]:
+        return {name or f"#{k}": k for k, name in enumerate(self.sim.model.key_names)}
+
+    def _controls(self) -> list[Any]:
+        model, sliders = self.sim.model, []
+        if not model.nu:
+            return []
+        with self.gui.add_folder("Controls"):
+            for k in range(min(model.nu, SLIDERS)):
+                low, high = model.actuator_ctrlrange[k].tolist()
+                now = float(self.sim.ctrl[k])
+                low = low if np.isfinite(low) else min(-1.0, 2 * now)
+                high = high if np.isfinite(high) else max(1.0, 2 * now)
+                name = model.actuator_names[k] or f"#{k}"
+                start = min(max(now, low), high)
+                slider = self.gui.add_slider(name, low, high, (high - low) / 1000, start)
+                slider.on_update(self._locked(self._set(k, slider)))
+                sliders.append(slider)
+        return sliders
+
+    def _set(self, k: int, slider: Any) -> Any:
+        def put(event: Any) -> None:
+            # Only a person's hand has a client; values that the view sets have none.
+            if getattr(event, "client_id", None) is not None:
+                self.sim.ctrl[k] = slider.value
+
+        return put
+
+    def restart(self, key: int | None) -> None:
+        """Begins again, where the view began or at a keyframe."""
+        if key is None:
+            self.sim.restore(self.begin)
+        else:
+            self.sim.reset(key=key)
+        self.failed = ""
+        self.states, self.times = [self.sim.state()], [self.sim.time]
+        for k, slider in enumerate(self.sliders):
+            slider.value = min(max(float(self.sim.ctrl[k]), slider.min), slider.max)
+        self.draw()
+
+    def _go_back(self, event: Any) -> None:
+        if getattr(event, "client_id", None) is None:
+            return
+        self.play(False)
+        k = round(self.back.value * (len(self.states) - 1))
+        ctrl = np.array(self.sim.ctrl)
+        self.sim.restore(self.states[k])
+        self.sim.ctrl[:] = ctrl
+        self.failed = ""
+        self.draw()
+
+    def _forget_what_comes(self) -> None:
+        """A motion that goes on from an earlier time is another one."""
+        while len(self.times) > 1 and self.times[-1] > self.sim.time:
+            self.times.pop()
+            self.states.pop()
+
+    def advance(self, seconds: float) -> None:
+        dt = self.sim.settings.dt
+        self._forget_what_comes()
+        self.owed += seconds
+        count = int(self.owed / dt + 1e-9)
+        self.owed -= count * dt
+        begin = monotonic()
+        for _ in range(count):
+            self.step()
+            # A scene that is slower than its time still answers.
+            if self.failed or monotonic() - begin > LONGEST:
+                self.owed = 0.0
+                return
+
+    def step(self) -> None:
+        if self.failed:
+            return
+        try:
+            self.sim.step()
+        except (RuntimeError, ValueError) as error:
+            self.failed = str(error)
+            self.play(False)
+            return
+        if self.sim.time - self.times[-1] >= 1 / RATE - 1e-9:
+            self.states.append(self.sim.state())
+            self.times.append(self.sim.time)
+            del self.states[:-KEPT], self.times[:-KEPT]
+
+    def draw(self) -> None:
+        try:
+            self.instant = instant_of(self.sim)
+        except (RuntimeError, ValueError) as error:
+            self.failed = str(error)
+            self.play(False)
+        self.stage.show([self.instant])
+        rows = figures_of(self.instant)
+        if self.failed:
+            rows.append(("failed", self.failed))
+        self.say(rows)
+        if self.playing:
+            self.back.value = 1.0
+
+
+class RunPanel(Panel):
+    """Goes through recorded runs, which are laid over each other."""
+
+    def __init__(self, server: Any, runs: Sequence[Replayed]) -> None:
+        super().__init__(server, Stage(server, [run.drawing for run in runs]))
+        self.runs = runs
+        self.gaps = [distance(runs[0], run) for run in runs[1:]]
+        self.times = [run.time for run in runs]
+        self.begin, self.end = float(self.times[0][0]), max(float(t[-1]) for t in self.times)
+        self.now = self.begin
+        span = max(self.end - self.begin, 1e-9)
+        self.slider = self.gui.add_slider("Time", 0.0, span, span / 5000, 0.0)
+        self.slider.on_update(self._locked(self._go))
+        self._shown()
+        self.stage.look([run.instants[0] for run in runs])
+        self.draw()
+
+    def _go(self, event: Any) -> None:
+        if getattr(event, "client_id", None) is not None:
+            self.play(False)
+            self.now = self.begin + self.slider.value
+            self.draw()
+
+    def advance(self, seconds: float) -> None:
+        self.now += seconds
+        # It waits a second at the end, and begins again.
+        if self.now > self.end + 1.0:
+            self.now = self.begin
+
+    def step(self) -> None:
+        time = self.times[0]
+        after = np.searchsorted(time, self.now + 1e-9, side="right")
+        self.now = float(time[min(int(after), len(time) - 1)])
+
+    def draw(self) -> None:
+        now = min(self.now, self.end)
+        at = [max(0, int(np.searchsorted(t, now + 1e-9, side="right")) - 1) for t in self.times]
+        instants = [run.instants[k] for run, k in zip(self.runs, at, strict=True)]
+        self.stage.show(instants)
+        rows = figures_of(instants[0])
+        for run, gap in zip(self.runs[1:], self.gaps, strict=True):
+            rows.append((f"distance of {run.label or 'the other'}", f"{1000 * gap[at[0]]:.3g} mm"))
+        self.say(rows)
+        self.slider.value = min(max(0.0, now - self.begin), self.end - self.begin)

@@ -1,0 +1,154 @@
+"""`Stage`: drawings in a page of viser, moved from instant to instant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore.viewing.drawing import ARROW, TINTS, Drawing
+from stepcore.viewing.frames import Instant
+from stepcore.viewing.primitives import surface_of
+
+AMBER, RED, LINK = (244, 163, 0), (215, 38, 61), (209, 73, 91)
+
+
+class Stage:
+    """Drawings that share one scene of a page; the first keeps its colours.
+
+    server: viser's. show_all: whether geoms are shown that most often are hidden.
+    """
+
+    def __init__(self, server: Any, drawings: Sequence[Drawing]) -> None:
+        self.server, self.drawings = server, drawings
+        self.extent = drawings[0].extent
+        self.contacts = self.forces = True
+        self.hidden: list[Any] = []
+        self.bodies = [self._bodies(number, each) for number, each in enumerate(drawings)]
+        self.marks: dict[str, tuple[tuple[int, ...], Any]] = {}
+        self.newtons = drawings[0].weight
+
+    def _bodies(self, number: int, drawing: Drawing) -> list[Any]:
+        scene = self.server.scene
+        frames = []
+        for index in range(len(drawing.bodies)):
+            name = f"/run{number}/body{index}"
+            frames.append(scene.add_frame(name, show_axes=False))
+        for k, shape in enumerate(drawing.shapes):
+            if number and not drawing.moving[shape.body]:
+                # The ground is drawn once.
+                continue
+            vertices, faces = surface_of(shape, 20 * self.extent)
+            rgba = shape.rgba if not number else (*TINTS[(number - 1) % len(TINTS)], 0.5)
+            name = f"/run{number}/body{shape.body}/shape{k}"
+            mesh = scene.add_mesh_simple(
+                name,
+                np.asarray(vertices, np.float32),
+                np.asarray(faces, np.uint32),
+                color=tuple(round(255 * min(1.0, c)) for c in rgba[:3]),
+                opacity=None if rgba[3] >= 1 else rgba[3],
+                flat_shading=shape.kind in ("triangles", "box"),
+                side="double",
+                wxyz=shape.quat,
+                position=shape.pos,
+                visible=shape.shown,
+                cast_shadow=shape.kind != "plane",
+            )
+            if not shape.shown:
+                self.hidden.append(mesh)
+            if shape.kind == "plane":
+                self._grid(name, shape.size)
+        return frames
+
+    def _grid(self, name: str, size: Sequence[float]) -> None:
+        """Lines on a plane, by which motion over it is seen."""
+        cell = float(2.0 ** np.round(np.log2(self.extent / 2)))
+        width, height = (2 * (half or 20 * self.extent) for half in size[:2])
+        grey = (130, 138, 148)
+        self.server.scene.add_grid(
+            f"{name}/grid",
+            width=width,
+            height=height,
+            cell_size=cell,
+            section_size=4 * cell,
+            cell_color=grey,
+            section_color=grey,
+            fade_distance=30 * self.extent,
+            position=(0, 0, 1e-3 * self.extent),
+        )
+
+    def show_hidden(self, on: bool) -> None:
+        """Shows or hides the geoms that most often are hidden."""
+        for mesh in self.hidden:
+            mesh.visible = on
+
+    def look(self, instants: Sequence[Instant]) -> None:
+        """Where a new client looks from: from the front and above, at what moves."""
+        moving = self.drawings[0].moving
+        places = instants[0].xpos[moving] if moving.any() else instants[0].xpos
+        at = places.mean(axis=0)
+        self.server.initial_camera.position = tuple(at + self.extent * np.array([1.0, -1.3, 0.6]))
+        self.server.initial_camera.look_at = tuple(at)
+
+    def show(self, instants: Sequence[Instant]) -> None:
+        """Moves everything to these instants, one of each run."""
+        with self.server.atomic():
+            for frames, instant in zip(self.bodies, instants, strict=True):
+                for frame, pos, quat in zip(frames, instant.xpos, instant.xquat, strict=True):
+                    frame.position, frame.wxyz = pos, quat
+            for number, (drawing, instant) in enumerate(zip(self.drawings, instants, strict=True)):
+                self._contacts(number, instant)
+                self._tendons(number, drawing, instant)
+            for number, other in enumerate(instants[1:], 1):
+                moving = self.drawings[0].moving
+                ends = np.stack([instants[0].xpos[moving], other.xpos[moving]], axis=1)
+                self._lines(f"/links{number}", ends, LINK)
+
+    def _contacts(self, number: int, instant: Instant) -> None:
+        scene, extent = self.server.scene, self.extent
+        places = instant.places if self.contacts else instant.places[:0]
+        name = f"/run{number}/contacts"
+        if len(places):
+            colours = np.tile(np.array(AMBER, np.uint8), (len(places), 1))
+            points = places.astype(np.float32)
+            scene.add_point_cloud(name, points, colours, point_size=0.012 * extent)
+        else:
+            scene.remove_by_name(name)
+        self.newtons = self.newtons or float(np.abs(instant.forces).max(initial=0.0))
+        scale = ARROW * extent / (self.newtons or 1.0)
+        ends = np.stack([instant.places, instant.places + scale * instant.forces], axis=1)
+        long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 0.01 * extent
+        ends = ends[long] if self.forces else ends[:0]
+        name = f"/run{number}/forces"
+        if len(ends):
+            scene.add_arrows(
+                name,
+                ends.astype(np.float32),
+                RED,
+                shaft_radius=0.006 * extent,
+                head_radius=0.014 * extent,
+                head_length=0.03 * extent,
+            )
+        else:
+            scene.remove_by_name(name)
+
+    def _tendons(self, number: int, drawing: Drawing, instant: Instant) -> None:
+        for k, branch in enumerate(drawing.tendons):
+            points = np.array([_place(instant, body, at) for body, at in branch])
+            ends = np.stack([points[:-1], points[1:]], axis=1)
+            self._lines(f"/run{number}/tendon{k}", ends, (192, 57, 43))
+
+    def _lines(self, name: str, ends: NDArray[Any], colour: tuple[int, int, int]) -> None:
+        self.server.scene.add_line_segments(
+            name, ends.astype(np.float32), colour, thickness=0.004 * self.extent
+        )
+
+
+def _place(instant: Instant, body: int, at: Sequence[float]) -> NDArray[Any]:
+    """A place in a body's frame, in the world."""
+    w, *axis = instant.xquat[body]
+    turn = 2 * np.cross(axis, at)
+    place: NDArray[Any] = instant.xpos[body] + at + w * turn + np.cross(axis, turn)
+    return place

@@ -1,0 +1,168 @@
+"""The live view: what its panel does, and its page in a headless Chromium."""
+
+import io
+import re
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from viewing_browser import complaints, opened, wait_for
+
+import stepcore as sc
+from stepcore import cli, lesson
+from stepcore.viewing import live
+
+PORT = 8460
+BY_HAND = SimpleNamespace(client_id=1)
+
+
+def cheetah():
+    return sc.Sim(sc.load("gymnasium:half_cheetah"))
+
+
+@pytest.fixture
+def panel():
+    """A panel whose time stands still unless a test lets it pass."""
+    sim = cheetah()
+    view = live.view_sim(sim, port=PORT)
+    with view._panel.lock:
+        view._panel.play(False)
+        view._panel.restart(None)
+        yield view._panel
+    view.close()
+
+
+def test_it_runs_a_copy(panel):
+    original = cheetah()
+    panel.play(True)
+    panel.pass_time(0.1)
+    assert panel.sim.time == pytest.approx(0.1)
+    original.step(10)
+    assert np.array_equal(panel.sim.qpos, original.qpos)
+
+
+def test_step_reset_and_back(panel):
+    panel._step()
+    assert panel.sim.time == pytest.approx(0.01) and not panel.playing
+    panel.advance(0.3)
+    end = panel.sim.time
+    panel.back.value = 0.5
+    panel._go_back(BY_HAND)
+    assert 0.3 * end < panel.sim.time < 0.7 * end, panel.times
+    # What goes on from there is the same motion again, bit for bit.
+    again = cheetah()
+    again.step(round(panel.sim.time / 0.01))
+    assert np.array_equal(panel.sim.qpos, again.qpos)
+    panel.advance(0.1)
+    again.step(10)
+    assert np.array_equal(panel.sim.qpos, again.qpos)
+    assert np.all(np.diff(panel.times) > 0)
+    panel.restart(None)
+    assert panel.sim.time == 0.0
+
+
+def test_sliders_set_controls(panel):
+    slider = panel.sliders[2]
+    slider.value = 0.75
+    panel._set(2, slider)(BY_HAND)
+    assert panel.sim.ctrl.tolist() == [0, 0, 0.75, 0, 0, 0]
+
+
+def test_a_keyframe_is_a_start():
+    scene = lesson.drop()
+    with live.view_sim(sc.Sim(scene), port=PORT) as view, view._panel.lock:
+        view._panel.restart(view._panel._keys()["start"])
+        sim = sc.Sim(scene)
+        sim.reset(key="start")
+        assert np.array_equal(view._panel.sim.qpos, sim.qpos)
+
+
+def test_a_failure_is_shown_and_does_not_end_the_view():
+    scene = sc.Scene()
+    body = scene.add_body()
+    scene.add_joint(body, "slide", stiffness=1e8)
+    scene.add_geom(body, "sphere", 0.1, mass=1.0)
+    sim = sc.Sim(scene, dt=0.01, integrator="euler")
+    sim.qvel[:] = 1.0
+    with live.view_sim(sim, port=PORT) as view, view._panel.lock:
+        view._panel.play(True)
+        for _ in range(50):
+            view._panel.advance(0.5)
+        view._panel.draw()
+        assert view._panel.failed and not view._panel.playing
+        assert "failed" in view._panel.figures.content
+        view._panel.restart(None)
+        assert not view._panel.failed
+
+
+def test_runs_are_gone_through_together():
+    one, other = cheetah(), cheetah()
+    other.qpos[0] += 0.3
+    runs = live.several([one.run(0.5), other.run(0.5)], ["first", "second"])
+    with live.view_runs(runs, port=PORT) as view, view._panel.lock:
+        panel = view._panel
+        panel.play(False)
+        panel.now = 0.0
+        panel.step()
+        assert panel.now == pytest.approx(runs[0].time[1])
+        panel.draw()
+        assert re.search(r"distance of second</td>[^>]*>300 mm", panel.figures.content)
+
+
+def test_what_cannot_be_viewed_is_refused():
+    with pytest.raises(ValueError, match=r"must be a Sim, a Scene, a Trajectory or a list"):
+        sc.view(3)
+    with pytest.raises(ValueError, match="must be a list of trajectories"):
+        sc.view([])
+    drop = sc.Sim(lesson.drop())
+    with pytest.raises(ValueError, match="same bodies"):
+        sc.view([cheetah().run(0.1), drop.run(0.1)])
+
+
+def test_the_page_moves(capsys):
+    chrome = opened()
+    view = cheetah().view(port=PORT, wait=False)
+    try:
+        assert capsys.readouterr().out.strip().endswith(view.url)
+        chrome.get(view.url)
+        wait_for(chrome, "return document.body.innerText.includes('kinetic energy')")
+        time.sleep(3)
+        shots = []
+        with view._panel.lock:
+            view._panel.play(False)
+        for advance in (0.0, 0.4):
+            with view._panel.lock:
+                view._panel.restart(None)
+                view._panel.advance(advance)
+                view._panel.draw()
+            time.sleep(2)
+            shots.append(picture(chrome))
+        changed = np.abs(shots[1] - shots[0])[:, :580].max(axis=-1) > 30
+        assert changed.mean() > 0.002
+        assert complaints(chrome) == []
+    finally:
+        view.close()
+        chrome.quit()
+
+
+def picture(chrome):
+    from PIL import Image
+
+    return np.asarray(Image.open(io.BytesIO(chrome.get_screenshot_as_png())).convert("RGB"), float)
+
+
+def test_the_command_writes_a_page(tmp_path, capsys):
+    out = tmp_path / "run.html"
+    assert cli.main(["view", "lesson:drop", "--duration", "0.4", "--html", str(out)]) == 0
+    assert capsys.readouterr().out == f"{out}: 0.4 s of motion\n"
+    assert "<canvas" in out.read_text()
+    assert cli.main(["view", "lesson:drop", "--duration", "1"]) == 2
+    assert "--html" in capsys.readouterr().err
+
+
+def test_the_command_opens_a_view(monkeypatch, capsys):
+    monkeypatch.setattr(live.View, "wait", live.View.close)
+    arguments = ["view", "gymnasium:half_cheetah", "--ctrl", "bthigh=1", "--port", str(PORT)]
+    assert cli.main(arguments) == 0
+    assert re.search(r"stepcore view: http://localhost:\d+", capsys.readouterr().out)
