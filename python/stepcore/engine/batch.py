@@ -164,6 +164,84 @@ class Batch(Stepped):
     def _restart(self, time: float) -> None:
         self._core.restart(time)
 
+    def reset(
+        self,
+        key: str | int | None = None,
+        *,
+        worlds: ArrayLike | None = None,
+        qpos: ArrayLike | None = None,
+        qvel: ArrayLike | None = None,
+    ) -> None:
+        """Resets all worlds, or some of them; see `Sim.reset`.
+
+        worlds: which are reset, as a mask of shape (n,) or as indices; None for all. Reset worlds
+            go on with the bits of a new `Sim`, the others with theirs. Time is that of all worlds,
+            so it goes on unless all are reset by None. Worlds that failed and are not reset try
+            again from where they stand.
+        qpos, qvel: what the reset worlds have instead of the initial or the keyframe's, shape (nq,)
+            or (k, nq) and (nv,) or (k, nv) for k worlds.
+
+        Raises ValueError for an unknown keyframe, for worlds that do not exist or are named twice
+        and for arrays of another shape; nothing changes then.
+
+        >>> from stepcore import Batch, lesson
+        >>> batch = Batch(lesson.drop(), 3, dt=0.01)
+        >>> batch.step(10)
+        >>> batch.reset(worlds=[1], qvel=[2.0])
+        >>> batch.qvel[:, 0].round(3).tolist()
+        [-0.007, 2.0, -0.007]
+        """
+        chosen = self._chosen(worlds)
+        values, time = self._initial(key)
+        for name, given in (("qpos", qpos), ("qvel", qvel)):
+            if given is not None:
+                values[name] = self._rows(name, given, len(chosen))
+        if worlds is None:
+            self._restart(time)
+        else:
+            self._forget(chosen)
+        own = {name: values.pop(name) for name in ("qpos", "qvel") if np.ndim(values[name]) > 1}
+        self._write(values, chosen)
+        for name, rows in own.items():
+            self._arrays[name][chosen] = rows
+
+    def _chosen(self, worlds: ArrayLike | None) -> NDArray[np.intp]:
+        """The indices of worlds."""
+        n = len(self)
+        if worlds is None:
+            return np.arange(n)
+        given = np.asarray(worlds)
+        if given.dtype == bool and given.shape == (n,):
+            return np.flatnonzero(given)
+        whole = given.ndim == 1 and (given.dtype.kind in "iu" or not given.size)
+        if whole and np.all((given >= 0) & (given < n)) and len(set(given.tolist())) == len(given):
+            return given.astype(np.intp)
+        limit = f"a mask of shape ({n},), or different indices from 0 to {n - 1}"
+        raise ValueError(f"worlds = {checks.shown(worlds)}: must be {limit}")
+
+    def _rows(self, name: str, given: ArrayLike, k: int) -> Floats:
+        """One row for each of k worlds, finite and of the array's width."""
+        table, width = numbers(name, given), self._arrays[name].shape[1]
+        if table.shape not in ((width,), (k, width)):
+            limit = f"({width},) or ({k}, {width})"
+            raise ValueError(f"{name} has shape {table.shape}: must be {limit}")
+        if not np.isfinite(table).all():
+            raise ValueError(f"{name}: must be finite")
+        return np.broadcast_to(table, (k, width))
+
+    def _forget(self, worlds: NDArray[np.intp]) -> None:
+        """Forgets the impulses of some worlds' last step."""
+        if len(worlds) == len(self):
+            self._core.restart(self._core.time)
+        elif len(worlds):
+            states = self._core.state()
+            one = _core.Sim(self._model.core, self._model.settings)
+            for world in worlds.tolist():
+                one.restore(states[world])
+                one.forget()
+                states[world] = one.state()
+            self._core.restore(states)
+
     def state(self) -> tuple[bytes, ...]:
         """Returns a complete snapshot of every world; each is also one of a `Sim`."""
         return tuple(self._core.state())

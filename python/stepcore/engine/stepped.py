@@ -127,11 +127,22 @@ class Stepped(World):
 
         Raises ValueError, with the nearest names, for an unknown keyframe.
         """
+        values, time = self._initial(key)
+        self._write(values)
+        self._restart(time)
+
+    def _initial(self, key: str | int | None) -> tuple[dict[str, Sequence[float] | Floats], float]:
+        """The arrays of one world after a reset, and its time."""
         state = None if key is None else self._model.keys[self._model.index("key", key)]
         given: dict[str, Sequence[float] | Floats] = dict(self._model.core.initial())
         if state is not None:
             given |= zip(OF_KEYS, state[2:], strict=True)
-        for name, values in given.items():
-            if len(values):
-                self._arrays[name].reshape(-1, len(values))[...] = values
-        self._restart(0.0 if state is None else state.time)
+        return given, 0.0 if state is None else state.time
+
+    def _write(
+        self, values: dict[str, Sequence[float] | Floats], worlds: Any = slice(None)
+    ) -> None:
+        """Writes one world's arrays into all worlds, or into some of them."""
+        for name, numbers in values.items():
+            if len(numbers):
+                self._arrays[name].reshape(-1, len(numbers))[worlds] = numbers
