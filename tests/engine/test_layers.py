@@ -28,6 +28,7 @@ LAYERS = (
     ("experiment",),
     ("measure",),
     ("lesson", "reading"),
+    ("gymnasium",),
     ("cli", "__main__"),
 )
 # Layers in whose files TYPE_CHECKING may name types of layers above: what they are handed.

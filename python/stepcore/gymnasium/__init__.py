@@ -1,0 +1,24 @@
+"""Environments of gymnasium: its MuJoCo tasks as stepcore runs them, and one's own models.
+
+Importing this registers them:
+
+>>> import gymnasium, stepcore.gymnasium
+>>> env = gymnasium.make("stepcore/HalfCheetah-v0")
+>>> env.reset(seed=0)[0].shape
+(17,)
+>>> envs = gymnasium.make_vec("stepcore/HalfCheetah-v0", num_envs=16)
+>>> envs.reset(seed=0)[0].shape
+(16, 17)
+
+The extra "gymnasium" installs what this needs; see docs/gymnasium.md.
+"""
+
+from stepcore.gymnasium.env import Env
+from stepcore.gymnasium.moment import Moment
+from stepcore.gymnasium.registration import register_envs
+from stepcore.gymnasium.task import Task
+from stepcore.gymnasium.vector_env import VectorEnv
+
+__all__ = ["Env", "Moment", "Task", "VectorEnv", "register_envs"]
+
+register_envs()

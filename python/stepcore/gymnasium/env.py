@@ -1,0 +1,155 @@
+"""`Env`: one world as an environment of gymnasium."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from stepcore import checks
+from stepcore._core import Settings
+from stepcore.engine.arrays import Floats
+from stepcore.engine.sim import Sim
+from stepcore.gymnasium.drive import Drive
+from stepcore.gymnasium.moment import owned
+from stepcore.gymnasium.spaces import Spaces
+from stepcore.gymnasium.task import Function, Source, Task, task_of
+
+
+class Env(gymnasium.Env[Floats, NDArray[Any]]):
+    """One world of a model as an environment of gymnasium.
+
+    model: a `Model`, a `Scene`, the path of an MJCF file, or a `Task`, which has functions of its
+        own.
+    observe: a function of a `Moment` that returns the observation, shape (k,); by default qpos and
+        qvel.
+    reward: of a `Moment`, a number; by default 0.
+    terminated: of a `Moment`, whether the episode is over; by default never.
+    info: of a `Moment`, a dict of what else is told after an action.
+    reset: a function of the model and a `numpy.random.Generator` that returns the first qpos and
+        qvel; by default the model's initial pose at rest.
+    frame_skip: steps of the engine for each action.
+    action_space, observation_space: a `gymnasium.spaces.Box`; by default the actuators' control
+        ranges, in float32, and any numbers in float64. Actions beyond the space are not clipped:
+        the actuators clamp their controls.
+    settings: a `Settings`, or a dict of some of its fields, instead of the model's own.
+
+    The same functions make a `VectorEnv`, if they are written so that the worlds may come first:
+    ``now.qpos[..., 0]``, not ``now.qpos[0]``.
+
+    An action after which the motion is not finite ends the episode: the world stands in its last
+    finite state, `terminated` is True, and ``info["failure"]`` is the post-mortem.
+
+    Raises ValueError for what cannot be compiled and for functions that return another shape.
+
+    >>> import numpy as np
+    >>> import stepcore as sc
+    >>> import stepcore.gymnasium
+    >>> def height(now):
+    ...     return now.qpos[..., 0]
+    >>> env = sc.gymnasium.Env(sc.lesson.drop(), reward=height, frame_skip=5)
+    >>> observation, info = env.reset(seed=0)
+    >>> observation.shape, env.action_space.shape
+    ((2,), (0,))
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+
+    def __init__(
+        self,
+        model: Source | Task,
+        *,
+        observe: Function | None = None,
+        reward: Function | None = None,
+        terminated: Function | None = None,
+        info: Function | None = None,
+        reset: Any = None,
+        frame_skip: int = 1,
+        action_space: Box | None = None,
+        observation_space: Box | None = None,
+        settings: Settings | Mapping[str, Any] | None = None,
+        render_mode: None = None,
+    ) -> None:
+        no_rendering(render_mode)
+        self._task = task_of(
+            model,
+            frame_skip,
+            observing=observe,
+            rewarding=reward,
+            terminating=terminated,
+            informing=info,
+            starting=reset,
+            actions=action_space,
+            observations=observation_space,
+        )
+        self._drive = Drive(self._task, settings)
+        spaces = Spaces(self._task, self._drive)
+        self.action_space = spaces.action
+        self.observation_space = spaces.observation  # type: ignore[assignment]
+        self._begun = False
+
+    @property
+    def sim(self) -> Sim:
+        """The world, for whatever an environment does not tell of it."""
+        world = self._drive.world
+        assert isinstance(world, Sim)
+        return world
+
+    @property
+    def dt(self) -> float:
+        """Time between two actions [s]."""
+        return self._drive.dt
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Floats, dict[str, Any]]:
+        """Begins an episode; see `gymnasium.Env.reset`. There are no options."""
+        super().reset(seed=seed)
+        no_options(options)
+        qpos, qvel = self._drive.starts([self.np_random])
+        self.sim.reset()
+        self.sim.qpos, self.sim.qvel = qpos[0], qvel[0]
+        first = self._drive.first(qpos, qvel)
+        self._drive.keep_only(first)
+        self._begun = True
+        info = self._task.reset_info(first)
+        return owned(self._task.observe(first)[0]), {k: owned(v[0]) for k, v in info.items()}
+
+    def step(self, action: NDArray[Any]) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
+        """Takes an action, shape (nu,); see `gymnasium.Env.step`. It is never truncated."""
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("Env.step: call reset first")
+        now, errors = self._drive.act(checked(action, self.action_space.shape))
+        reward, terminated, info = self._task.outcome(now)
+        info = {name: owned(value) for name, value in info.items()}
+        if errors:
+            terminated, info["failure"] = np.array(True), str(errors[0])
+        observation = owned(self._task.observe(now))
+        self._drive.keep(now)
+        return observation, float(reward), bool(terminated), False, info
+
+
+def checked(action: Any, shape: tuple[int, ...] | None) -> NDArray[Any]:
+    """The action as an array of its space's shape."""
+    array = np.asarray(action)
+    if array.shape != shape:
+        raise ValueError(f"action has shape {array.shape}: must be {shape}")
+    return array
+
+
+def no_rendering(render_mode: Any) -> None:
+    """Refuses any mode of rendering."""
+    if render_mode is not None:
+        raise ValueError(
+            f"render_mode = {checks.shown(render_mode)}: must be None, nothing is drawn"
+        )
+
+
+def no_options(options: dict[str, Any] | None) -> None:
+    """Refuses any option of a reset."""
+    if options:
+        raise ValueError(f"options = {checks.shown(options)}: must be empty, a reset has none")

@@ -1,0 +1,102 @@
+"""Where a step of rk4 last evaluates its forces: its fourth stage.
+
+After mj_step MuJoCo's poses and forces are of that place, while qpos and qvel have moved on; a
+step of one stage has it where the step began. The stages are those of the engine's rk4
+(commit/rk4.rs): rotations on the group, by Munthe-Kaas.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stepcore.engine.arrays import Floats
+from stepcore.engine.batch import Batch
+from stepcore.engine.model import Model
+from stepcore.engine.sim import Sim
+from stepcore.reference.rotation import cross
+from stepcore.scene.layout import DOFS, QPOS
+
+# Where the second, third and fourth stage stand within a step.
+REACHES = (0.5, 0.5, 1.0)
+
+
+def go_to_last_stage(scratch: Sim | Batch, qpos: Floats, qvel: Floats) -> None:
+    """Puts `scratch` where the step from these states has its last stage, and evaluates it there.
+
+    A step of one stage has it where it begins.
+
+    scratch: a world, or as many as there are states, with the controls of the step.
+    """
+    settings = scratch.settings
+    dt, turns = settings.dt, _turns(scratch.model)
+    scratch.qpos[...], scratch.qvel[...] = qpos, qvel
+    rate = np.array(qvel)
+    for reach in REACHES if settings.integrator == "rk4" else ():
+        scratch.forward()
+        # A world whose speeds overflow fails in its step; what is read of it here is not told.
+        with np.errstate(over="ignore", invalid="ignore"):
+            place = _advanced(turns, qpos, dt * reach * rate)
+            speed = qvel + dt * reach * scratch.qacc
+            scratch.qpos[...], scratch.qvel[...] = _finite(place, qpos), _finite(speed, qvel)
+            turned, rate = dt * reach * rate, np.array(scratch.qvel)
+            for _, dofs in turns:
+                rate[..., dofs] = _dexp_inverse(turned[..., dofs], rate[..., dofs])
+    scratch.forward()
+
+
+def _finite(values: Floats, otherwise: Floats) -> Floats:
+    """Worlds whose values are not all finite have others instead."""
+    return np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, otherwise)
+
+
+def _turns(model: Model) -> list[tuple[slice, slice]]:
+    """Where each quaternion is in qpos, and its rate in qvel."""
+    ends = [
+        (int(q) + QPOS[kind], int(v) + DOFS[kind])
+        for kind, q, v in zip(model.jnt_type, model.jnt_qposadr, model.jnt_dofadr, strict=True)
+        if kind in ("ball", "free")
+    ]
+    return [(slice(q - 4, q), slice(v - 3, v)) for q, v in ends]
+
+
+def _advanced(turns: list[tuple[slice, slice]], qpos: Floats, move: Floats) -> Floats:
+    """qpos ⊕ move: positions are shifted, quaternions turned about the body's own axes."""
+    out = np.empty_like(qpos)
+    at_qpos, at_move = 0, 0
+    for quat, dofs in turns:
+        out[..., at_qpos : quat.start] = (
+            qpos[..., at_qpos : quat.start] + move[..., at_move : dofs.start]
+        )
+        turned = _multiplied(qpos[..., quat], _exp(move[..., dofs]))
+        out[..., quat] = turned / np.sqrt(np.sum(turned * turned, axis=-1, keepdims=True))
+        at_qpos, at_move = quat.stop, dofs.stop
+    out[..., at_qpos:] = qpos[..., at_qpos:] + move[..., at_move:]
+    return out
+
+
+def _exp(vector: Floats) -> Floats:
+    """Quaternions w x y z of rotation vectors."""
+    angle = np.sqrt(np.sum(vector * vector, axis=-1, keepdims=True))
+    return np.concatenate([np.cos(angle / 2), np.sinc(angle / (2 * np.pi)) / 2 * vector], axis=-1)
+
+
+def _multiplied(p: Floats, q: Floats) -> Floats:
+    w, u, a, v = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
+    scalar = w * a - np.sum(u * v, axis=-1, keepdims=True)
+    return np.concatenate([scalar, w * v + a * u + cross(u, v)], axis=-1)
+
+
+def _dexp_inverse(turned: Floats, rate: Floats) -> Floats:
+    """dexp⁻¹(u) ω = ω + ½ u×ω + g u×(u×ω), g = (1 − (θ/2) cot(θ/2))/θ², θ = |u| ≤ π."""
+    whole = np.sqrt(np.sum(turned * turned, axis=-1, keepdims=True))
+    angle = np.abs(np.remainder(whole + np.pi, 2 * np.pi) - np.pi)
+    back = np.remainder(whole, 2 * np.pi) > np.pi
+    safe = np.where(whole == 0, 1.0, whole)
+    u = turned * (np.where(back, -angle, angle) / safe)
+    small = angle < 1e-2
+    theta = np.where(small, 1.0, angle)
+    square = angle * angle
+    closed = (1 - theta / 2 / np.tan(theta / 2)) / (theta * theta)
+    g = np.where(small, 1 / 12 + square / 720 + square * square / 30240, closed)
+    first = cross(u, rate)
+    return rate + first / 2 + g * cross(u, first)

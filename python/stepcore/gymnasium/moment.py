@@ -1,0 +1,73 @@
+"""`Moment`: what a task's functions are given of one world, or of many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore.engine.arrays import Floats
+from stepcore.engine.model import Model
+
+
+class Readings:
+    """Arrays of a world by name, each read when it is first asked for and then kept."""
+
+    def __init__(
+        self, read: Callable[[str], Any], asked: set[str], kept: dict[str, Any] | None = None
+    ) -> None:
+        self._read = read
+        self._asked = asked
+        self._kept = {} if kept is None else kept
+
+    def __getattr__(self, name: str) -> Any:
+        # An attribute of its own is missing only while it is being unpickled.
+        if name.startswith("_"):
+            raise AttributeError(name)
+        self._asked.add(name)
+        if name not in self._kept:
+            self._kept[name] = self._read(name)
+        return self._kept[name]
+
+
+class Moment(Readings):
+    """A world after an action, or after a reset; or many worlds.
+
+    Every array of a `Sim` is an attribute: ``now.qpos``, ``now.xpos``, ``now.sensordata``. In a
+    vector environment each has the worlds as its first axis, and in a single one no such axis, so
+    that ``now.qpos[..., 0]`` and ``np.sum(…, axis=-1)`` mean the same in both.
+
+    action: what was asked for, as it was given, shape (nu,); zeros after a reset.
+    before: the same arrays after the action before, or after the reset.
+    dt: time between two actions [s]. model: the `Model`. shape: () or (n,).
+    """
+
+    def __init__(
+        self,
+        read: Callable[[str], Any],
+        asked: set[str],
+        kept: dict[str, Any],
+        *,
+        action: NDArray[Any],
+        before: Readings,
+        dt: float,
+        model: Model,
+    ) -> None:
+        super().__init__(read, asked, kept)
+        self.action = action
+        self.before = before
+        self.dt = dt
+        self.model = model
+        self.shape = action.shape[:-1]
+
+
+def owned(value: Any) -> Any:
+    """A copy that stays as it is when the world moves on; a number where there is no axis."""
+    return np.array(value)[()]
+
+
+def state_vector(now: Moment) -> Floats:
+    """qpos and qvel one after the other, shape (nq + nv,)."""
+    return np.concatenate([now.qpos, now.qvel], axis=-1)

@@ -1,0 +1,59 @@
+"""`Spaces`: a task's functions tried once, and the spaces that follow."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from stepcore import checks
+from stepcore.gymnasium.drive import Drive
+from stepcore.gymnasium.task import Task
+
+
+class Spaces:
+    """The spaces of one world's actions and observations.
+
+    Raises ValueError if a function of the task returns something of another shape.
+    """
+
+    def __init__(self, task: Task, drive: Drive) -> None:
+        now = drive.trial()
+        shape = now.shape
+        observation = _array("observe", task.observe(now), "fiub")
+        if observation.ndim != len(shape) + 1 or observation.shape[:-1] != shape:
+            limit = f"{(*shape, 'k')}".replace("'", "")
+            raise ValueError(_text("observe", observation, limit))
+        reward, terminated, info = task.outcome(now)
+        for name, value in (("reward", reward), ("terminated", terminated)):
+            array = _array(name, value, "fiub")
+            if array.shape != shape:
+                raise ValueError(_text(name, array, str(shape)))
+        for what, infos in (("info", info), ("info after a reset", task.reset_info(now))):
+            for key, value in infos.items():
+                if np.shape(value)[: len(shape)] != shape:
+                    text = _text(f'{what}["{key}"]', np.asarray(value), f"{shape} first")
+                    raise ValueError(text)
+        self.action = task.action_space(drive.model)
+        nu = len(drive.model.names["actuator"])
+        if self.action.shape != (nu,):
+            raise ValueError(f"action_space has shape {self.action.shape}: must be ({nu},)")
+        self.observation: Box = task.observation_space(observation.shape[-1])
+        if self.observation.shape != observation.shape[-1:]:
+            limit = str(observation.shape[-1:])
+            raise ValueError(
+                f"observation_space has shape {self.observation.shape}: must be {limit}"
+            )
+
+
+def _array(name: str, value: Any, kinds: str) -> Any:
+    array = np.asarray(value)
+    if array.dtype.kind not in kinds:
+        raise ValueError(f"{name} returned {checks.shown(value)}: must be numbers")
+    return array
+
+
+def _text(name: str, array: Any, limit: str) -> str:
+    hint = "; write now.qpos[..., i] and axis=-1, which serve one world and many"
+    return f"{name} returned shape {array.shape}: must be {limit}{hint}"

@@ -1,0 +1,154 @@
+"""`Task`: what is observed of a model, what is rewarded, how an episode begins and ends."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import ArrayLike, NDArray
+
+from stepcore import checks
+from stepcore.engine.arrays import Floats
+from stepcore.engine.model import Model
+from stepcore.engine.stepped import compiled
+from stepcore.gymnasium.moment import Moment, state_vector
+from stepcore.reading import load
+from stepcore.scene.scene import Scene
+
+Source = Model | Scene | str | os.PathLike[str]
+Outcome = tuple[Floats, NDArray[np.bool_], dict[str, Any]]
+
+
+class Task:
+    """What an environment asks of its worlds. To be subclassed.
+
+    Each function takes a `Moment` and serves one world and many: its arrays have the worlds, if
+    there are many, as their first axis, and what it returns has them too.
+    """
+
+    # Steps of the engine for each action.
+    frame_skip: int = 1
+    # Arrays that are read as MuJoCo has them after mj_step: of where the step last evaluated forces
+    # and not of where it arrived.
+    late: tuple[str, ...] = ()
+
+    def model(self) -> Model:
+        """The compiled model."""
+        raise NotImplementedError
+
+    def observe(self, now: Moment) -> Floats:
+        """The observation, shape (k,); qpos and qvel unless a task says otherwise."""
+        return state_vector(now)
+
+    def reward(self, now: Moment) -> Floats:
+        """The reward, shape ()."""
+        return np.zeros(now.shape)
+
+    def terminated(self, now: Moment) -> NDArray[np.bool_]:
+        """Whether the episode is over, shape ()."""
+        return np.zeros(now.shape, dtype=bool)
+
+    def info(self, now: Moment) -> dict[str, Any]:
+        """What else is told after an action, by name."""
+        return {}
+
+    def reset_info(self, now: Moment) -> dict[str, Any]:
+        """What else is told after a reset, by name."""
+        return {}
+
+    def outcome(self, now: Moment) -> Outcome:
+        """Reward, termination and information after an action."""
+        return self.reward(now), self.terminated(now), self.info(now)
+
+    def start(self, model: Model, rng: np.random.Generator) -> tuple[ArrayLike, ArrayLike]:
+        """qpos and qvel of one world's first state, drawn with its own generator."""
+        return model.qpos0, np.zeros(model.nv)
+
+    def action_space(self, model: Model) -> Box:
+        """The actions: controls within the actuators' ranges."""
+        low, high = model.actuator_ctrlrange.astype(np.float32).T
+        return Box(low, high, dtype=np.float32)
+
+    def observation_space(self, size: int) -> Box:
+        """The observations: any numbers, as many as `observe` gives."""
+        return Box(-np.inf, np.inf, (size,), dtype=np.float64)
+
+
+Function = Callable[[Moment], Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FunctionTask(Task):
+    """A task of one's own model and functions; what is None is as `Task` has it."""
+
+    source: Source
+    observing: Function | None = None
+    rewarding: Function | None = None
+    terminating: Function | None = None
+    informing: Function | None = None
+    starting: Callable[[Model, np.random.Generator], tuple[ArrayLike, ArrayLike]] | None = None
+    actions: Box | None = None
+    observations: Box | None = None
+    frame_skip: int = 1
+
+    def model(self) -> Model:
+        source = self.source
+        return compiled(load(source) if isinstance(source, (str, os.PathLike)) else source)
+
+    def observe(self, now: Moment) -> Floats:
+        return self.observing(now) if self.observing else super().observe(now)
+
+    def reward(self, now: Moment) -> Floats:
+        return self.rewarding(now) if self.rewarding else super().reward(now)
+
+    def terminated(self, now: Moment) -> NDArray[np.bool_]:
+        return self.terminating(now) if self.terminating else super().terminated(now)
+
+    def info(self, now: Moment) -> dict[str, Any]:
+        return self.informing(now) if self.informing else super().info(now)
+
+    def start(self, model: Model, rng: np.random.Generator) -> tuple[ArrayLike, ArrayLike]:
+        return self.starting(model, rng) if self.starting else super().start(model, rng)
+
+    def action_space(self, model: Model) -> Box:
+        return self.actions or super().action_space(model)
+
+    def observation_space(self, size: int) -> Box:
+        return self.observations or super().observation_space(size)
+
+
+def task_of(model: Source | Task, frame_skip: int, **functions: Any) -> Task:
+    """A `Task` as it is, or the task of a model with these functions.
+
+    Raises ValueError for functions beside a `Task`, which has its own, and for a function that
+    cannot be called.
+    """
+    given = {name: value for name, value in functions.items() if value is not None}
+    if isinstance(model, Task):
+        if given or frame_skip != 1:
+            name = NAMES.get(next(iter(given), ""), "frame_skip")
+            raise ValueError(f"{name}: must be the task's own, not given beside a Task")
+        return model
+    for name, value in given.items():
+        space = name in ("actions", "observations")
+        if not (isinstance(value, Box) if space else callable(value)):
+            limit = "a gymnasium.spaces.Box" if space else "a function"
+            raise ValueError(f"{NAMES[name]} = {checks.shown(value)}: must be {limit}")
+    skip = checks.count("frame_skip", frame_skip)
+    return FunctionTask(source=model, frame_skip=skip, **given)
+
+
+# What a user calls the fields of a FunctionTask.
+NAMES = {
+    "observing": "observe",
+    "rewarding": "reward",
+    "terminating": "terminated",
+    "informing": "info",
+    "starting": "reset",
+    "actions": "action_space",
+    "observations": "observation_space",
+}

@@ -1,0 +1,75 @@
+"""gymnasium's MuJoCo tasks, one in a file, and their table."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any, NamedTuple
+
+from stepcore.gymnasium.env import Env
+from stepcore.gymnasium.task import Task
+from stepcore.gymnasium.vector_env import VectorEnv
+
+
+class Entry(NamedTuple):
+    """module: where the class of this name is. The others are gymnasium's registered limits."""
+
+    module: str
+    max_episode_steps: int
+    reward_threshold: float | None
+
+
+TASKS = {
+    "Ant": Entry("ant", 1000, 6000.0),
+    "HalfCheetah": Entry("half_cheetah", 1000, 4800.0),
+    "Hopper": Entry("hopper", 1000, 3800.0),
+    "Humanoid": Entry("humanoid", 1000, None),
+    "HumanoidStandup": Entry("humanoid_standup", 1000, None),
+    "InvertedDoublePendulum": Entry("inverted_double_pendulum", 1000, 9100.0),
+    "InvertedPendulum": Entry("inverted_pendulum", 1000, 950.0),
+    "Pusher": Entry("pusher", 100, 0.0),
+    "Reacher": Entry("reacher", 50, -3.75),
+    "Swimmer": Entry("swimmer", 1000, 360.0),
+    "Walker2d": Entry("walker2d", 1000, None),
+}
+
+
+def named(name: str, **options: Any) -> Task:
+    """The task of this name with these options."""
+    module = import_module(f"stepcore.gymnasium.tasks.{TASKS[name].module}")
+    task: Task = getattr(module, name)(**options)
+    return task
+
+
+def make(task: str, settings: Any = None, render_mode: None = None, **options: Any) -> Env:
+    """One world of a task; what `gymnasium.make` calls.
+
+    settings, render_mode: as for `Env`. options: those of the task.
+    """
+    return Env(named(task, **options), settings=settings, render_mode=render_mode)
+
+
+def make_vec(
+    task: str,
+    num_envs: int,
+    settings: Any = None,
+    render_mode: None = None,
+    max_episode_steps: int | None = None,
+    autoreset_mode: Any = "NextStep",
+    threads: int | None = None,
+    lanes: bool = True,
+    **options: Any,
+) -> VectorEnv:
+    """Many worlds of a task; what `gymnasium.make_vec` calls.
+
+    All but `task` and the options of the task are as for `VectorEnv`.
+    """
+    return VectorEnv(
+        named(task, **options),
+        num_envs,
+        settings=settings,
+        render_mode=render_mode,
+        max_episode_steps=max_episode_steps,
+        autoreset_mode=autoreset_mode,
+        threads=threads,
+        lanes=lanes,
+    )

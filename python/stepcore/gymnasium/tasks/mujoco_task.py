@@ -1,0 +1,95 @@
+"""`MujocoTask`: what gymnasium's MuJoCo tasks have in common, as they are in their version 5."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore import checks
+from stepcore.engine.arrays import Floats
+from stepcore.engine.model import Model
+from stepcore.gymnasium.moment import Moment
+from stepcore.gymnasium.task import Outcome, Task
+from stepcore.loading import find_asset, find_scene
+
+# Each file of gymnasium stands in the folder of this one.
+KNOWN_FILE = "mujoco/assets/half_cheetah"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MujocoTask(Task):
+    """One of gymnasium's MuJoCo tasks. Its fields are what `gymnasium.make` takes.
+
+    xml_file: a file among gymnasium's own models, or a path that begins with ".", "~" or "/".
+    """
+
+    xml_file: str = ""
+    frame_skip: int = 5
+
+    def model(self) -> Model:
+        return find_scene(model_path(self.xml_file)).compile()
+
+    def parts(self, now: Moment) -> dict[str, Floats]:
+        """The terms of the reward by name, which info tells."""
+        raise NotImplementedError
+
+    def total(self, parts: dict[str, Floats]) -> Floats:
+        """The reward."""
+        return np.sum(list(parts.values()), axis=0)
+
+    def outcome(self, now: Moment) -> Outcome:
+        parts = self.parts(now)
+        return self.total(parts), self.terminated(now), {**self.info(now), **parts}
+
+
+def model_path(xml_file: str) -> str:
+    """The path of a model, by gymnasium's rule."""
+    if not isinstance(xml_file, str):
+        raise ValueError(f"xml_file = {checks.shown(xml_file)}: must be a text")
+    path = Path(os.path.expanduser(xml_file))
+    if not xml_file.startswith((".", "~", "/")):
+        path = find_asset("gymnasium", KNOWN_FILE).parent / xml_file
+    if not path.exists():
+        known = sorted(file.name for file in path.parent.glob("*.xml"))
+        near = checks.nearest(path.name, known)
+        raise ValueError(f"xml_file = {checks.shown(xml_file)}: there is no such file{near}")
+    return str(path)
+
+
+def squares(values: NDArray[Any]) -> Any:
+    """Sum of squares over the last axis."""
+    return np.sum(np.square(values), axis=-1)
+
+
+def distance(x: Floats) -> Floats:
+    """Length of vectors, shape (…, k)."""
+    return np.sqrt(squares(x))
+
+
+def velocity(now: Moment, name: str, index: Any) -> Floats:
+    """Mean rate of entries of an array since the action before."""
+    after, before = getattr(now, name)[index], getattr(now.before, name)[index]
+    return (after - before) / now.dt
+
+
+def observed(now: Moment, excluded: int, qvel: Floats) -> Floats:
+    """qpos without its first entries, and velocities."""
+    return np.concatenate([now.qpos[..., excluded:], qvel], axis=-1)
+
+
+def uniform(
+    model: Model, rng: np.random.Generator, scale: float, *, qvel: bool = True
+) -> tuple[Floats, Floats]:
+    """The model's first state with uniform noise; without `qvel`, that of the velocities is normal.
+
+    The draws are gymnasium's, in their order.
+    """
+    qpos = model.qpos0 + rng.uniform(low=-scale, high=scale, size=model.nq)
+    if qvel:
+        return qpos, rng.uniform(low=-scale, high=scale, size=model.nv)
+    return qpos, scale * rng.standard_normal(model.nv)

@@ -1,0 +1,64 @@
+"""Pusher: to push a cylinder to a place with an arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from stepcore.engine.arrays import Floats
+from stepcore.engine.model import Model
+from stepcore.gymnasium.moment import Moment
+from stepcore.gymnasium.tasks.mujoco_task import MujocoTask, distance, squares
+
+# The cylinder begins at least so far from its goal [m].
+NEAREST = 0.17
+# Joints of the arm.
+ARM = 7
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pusher(MujocoTask):
+    """Options as those of gymnasium's Pusher-v5."""
+
+    late: ClassVar[tuple[str, ...]] = ("xpos",)  # type: ignore[misc]
+
+    xml_file: str = "pusher_v5.xml"
+    reward_near_weight: float = 0.5
+    reward_dist_weight: float = 1.0
+    reward_control_weight: float = 0.1
+
+    def observe(self, now: Moment) -> Floats:
+        bodies = [_body(now, name) for name in ("tips_arm", "object", "goal")]
+        return np.concatenate([now.qpos[..., :ARM], now.qvel[..., :ARM], *bodies], axis=-1)
+
+    def parts(self, now: Moment) -> dict[str, Floats]:
+        thing = _body(now, "object")
+        far, near = (thing - _body(now, name) for name in ("goal", "tips_arm"))
+        return {
+            "reward_dist": -distance(far) * self.reward_dist_weight,
+            "reward_ctrl": -squares(now.action) * self.reward_control_weight,
+            "reward_near": -distance(near) * self.reward_near_weight,
+        }
+
+    def start(self, model: Model, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        place = _place(rng)
+        while not np.linalg.norm(place) > NEAREST:
+            place = _place(rng)
+        qpos = np.array(model.qpos0)
+        qpos[-4:-2], qpos[-2:] = place, 0
+        qvel = rng.uniform(low=-0.005, high=0.005, size=model.nv)
+        qvel[-4:] = 0
+        return qpos, qvel
+
+
+def _place(rng: np.random.Generator) -> Floats:
+    """Where the cylinder may begin, from its goal [m], shape (2,)."""
+    x = rng.uniform(low=-0.3, high=0, size=1)
+    return np.concatenate([x, rng.uniform(low=-0.2, high=0.2, size=1)])
+
+
+def _body(now: Moment, name: str) -> Floats:
+    """Position of a body [m], shape (3,)."""
+    return now.xpos[..., now.model.index("body", name), :]

@@ -1,0 +1,55 @@
+"""Reacher: to reach a place with the tip of an arm in a plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from stepcore.engine.arrays import Floats
+from stepcore.engine.model import Model
+from stepcore.gymnasium.moment import Moment
+from stepcore.gymnasium.tasks.mujoco_task import MujocoTask, distance, squares
+
+# The place is within a disc of this radius [m].
+FARTHEST = 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reacher(MujocoTask):
+    """Options as those of gymnasium's Reacher-v5."""
+
+    late: ClassVar[tuple[str, ...]] = ("xpos",)  # type: ignore[misc]
+
+    xml_file: str = "reacher.xml"
+    frame_skip: int = 2
+    reward_dist_weight: float = 1.0
+    reward_control_weight: float = 1.0
+
+    def observe(self, now: Moment) -> Floats:
+        angles, rest = now.qpos[..., :2], now.qpos[..., 2:]
+        parts = [np.cos(angles), np.sin(angles), rest, now.qvel[..., :2], _way(now)[..., :2]]
+        return np.concatenate(parts, axis=-1)
+
+    def parts(self, now: Moment) -> dict[str, Floats]:
+        return {
+            "reward_dist": -distance(_way(now)) * self.reward_dist_weight,
+            "reward_ctrl": -squares(now.action) * self.reward_control_weight,
+        }
+
+    def start(self, model: Model, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        qpos = rng.uniform(low=-0.1, high=0.1, size=model.nq) + model.qpos0
+        goal = rng.uniform(low=-FARTHEST, high=FARTHEST, size=2)
+        while not np.linalg.norm(goal) < FARTHEST:
+            goal = rng.uniform(low=-FARTHEST, high=FARTHEST, size=2)
+        qpos[-2:] = goal
+        qvel = rng.uniform(low=-0.005, high=0.005, size=model.nv)
+        qvel[-2:] = 0
+        return qpos, qvel
+
+
+def _way(now: Moment) -> Floats:
+    """From the target to the finger's tip [m], shape (3,)."""
+    tip, target = (now.model.index("body", name) for name in ("fingertip", "target"))
+    return now.xpos[..., tip, :] - now.xpos[..., target, :]

@@ -1,0 +1,237 @@
+"""`VectorEnv`: many worlds as one vector environment of gymnasium."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from stepcore import checks
+from stepcore._core import Settings
+from stepcore.engine.arrays import Floats
+from stepcore.engine.batch import Batch
+from stepcore.gymnasium.drive import Drive
+from stepcore.gymnasium.env import checked, no_options, no_rendering
+from stepcore.gymnasium.infos import failures, final_infos, masked
+from stepcore.gymnasium.moment import owned
+from stepcore.gymnasium.spaces import Spaces
+from stepcore.gymnasium.task import Function, Source, Task, task_of
+
+Mask = NDArray[np.bool_]
+Step = tuple[Floats, Floats, Mask, Mask, dict[str, Any]]
+
+
+class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
+    """Many worlds of a model as one vector environment, which steps them in one `Batch`.
+
+    model, observe, reward, terminated, info, reset, frame_skip, action_space, observation_space,
+    settings: as for `Env`; the spaces are those of one world.
+    num_envs: the number of worlds.
+    max_episode_steps: after how many actions an episode is truncated; None for never.
+    autoreset_mode: what happens to a world whose episode is over, as gymnasium's `AutoresetMode` or
+        its value. "NextStep": the next call of `step` resets it, whatever its action. "SameStep":
+        it is reset at once, and ``infos["final_obs"]`` and ``infos["final_info"]`` tell how it
+        ended. "Disabled": `reset` with ``options={"reset_mask": …}`` is to be called for it.
+    threads, lanes: as for a `Batch`.
+
+    A world is, bit for bit, an `Env` that was seeded alike; `reset(seed=s)` seeds world i with
+    s + i. A world whose motion is not finite ends its own episode and no other: see `Env`;
+    ``infos["failure"]`` has its post-mortem.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+
+    def __init__(
+        self,
+        model: Source | Task,
+        num_envs: int,
+        *,
+        observe: Function | None = None,
+        reward: Function | None = None,
+        terminated: Function | None = None,
+        info: Function | None = None,
+        reset: Any = None,
+        frame_skip: int = 1,
+        action_space: Box | None = None,
+        observation_space: Box | None = None,
+        settings: Settings | Mapping[str, Any] | None = None,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        lanes: bool = True,
+        render_mode: None = None,
+    ) -> None:
+        no_rendering(render_mode)
+        self.num_envs = checks.count("num_envs", num_envs)
+        if max_episode_steps is not None:
+            checks.count("max_episode_steps", max_episode_steps)
+        self._most = np.inf if max_episode_steps is None else max_episode_steps
+        self._task = task_of(
+            model,
+            frame_skip,
+            observing=observe,
+            rewarding=reward,
+            terminating=terminated,
+            informing=info,
+            starting=reset,
+            actions=action_space,
+            observations=observation_space,
+        )
+        self._drive = Drive(self._task, settings, self.num_envs, threads=threads, lanes=lanes)
+        spaces = Spaces(self._task, self._drive)
+        self.single_action_space = spaces.action
+        self.single_observation_space = spaces.observation
+        self.action_space = batch_space(spaces.action, self.num_envs)
+        self.observation_space = batch_space(spaces.observation, self.num_envs)
+        self.autoreset_mode = _mode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
+        self._rngs: list[np.random.Generator] = []
+        self._seeds: list[int] = []
+        self._observations = np.zeros((0, 0))
+        self._elapsed = np.zeros(self.num_envs, dtype=np.int64)
+        self._over = np.zeros(self.num_envs, dtype=bool)
+
+    @property
+    def batch(self) -> Batch:
+        """The worlds, for whatever an environment does not tell of them."""
+        world = self._drive.world
+        assert isinstance(world, Batch)
+        return world
+
+    @property
+    def dt(self) -> float:
+        """Time between two actions [s]."""
+        return self._drive.dt
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """The generator of each world."""
+        self._seed([None] * self.num_envs)
+        return tuple(self._rngs)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """The seed of each world's generator."""
+        self._seed([None] * self.num_envs)
+        return tuple(self._seeds)
+
+    # Resets.
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Floats, dict[str, Any]]:
+        """Begins an episode in every world, or in those of options["reset_mask"].
+
+        seed: world i is seeded with seed + i, or with seed[i]; None goes on with its generator.
+        options: "reset_mask" alone, which worlds to reset, shape (n,). The observations of the
+            others are those that they had.
+
+        Raises ValueError for a mask or seeds of another length.
+        """
+        options = dict(options or {})
+        mask = self._mask(options.pop("reset_mask", None))
+        no_options(options)
+        seeds: Sequence[int | None]
+        if seed is None or isinstance(seed, (int, np.integer)):
+            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed has {len(seeds)} entries: must be {self.num_envs}")
+        self._seed([seed if own else None for seed, own in zip(seeds, mask, strict=True)])
+        if not len(self._observations):
+            if not mask.all():
+                raise ValueError("reset_mask: must be True everywhere in the first reset")
+            size = self.single_observation_space.shape
+            self._observations = np.zeros((self.num_envs, *(size or ())))
+        self._observations, infos = self._begun(mask, self._observations, {})
+        return self._observations.copy(), infos
+
+    def _mask(self, mask: Any) -> Mask:
+        if mask is None:
+            return np.ones(self.num_envs, dtype=bool)
+        given = np.asarray(mask)
+        if given.dtype != bool or given.shape != (self.num_envs,) or not given.any():
+            limit = f"{self.num_envs} truth values, one of them True"
+            raise ValueError(f"reset_mask = {checks.shown(mask)}: must be {limit}")
+        return given
+
+    def _seed(self, seeds: Sequence[int | None]) -> None:
+        """Gives a generator to worlds with a seed, and to those that have none yet."""
+        if not self._rngs:
+            made = [seeding.np_random(seed) for seed in seeds]
+            self._rngs, self._seeds = [rng for rng, _ in made], [own for _, own in made]
+            return
+        for world, seed in enumerate(seeds):
+            if seed is not None:
+                self._rngs[world], self._seeds[world] = seeding.np_random(seed)
+
+    def _begun(
+        self, mask: Mask, observations: Floats, infos: dict[str, Any]
+    ) -> tuple[Floats, dict[str, Any]]:
+        """Resets worlds; the observations and the information with theirs."""
+        worlds = np.flatnonzero(mask)
+        qpos, qvel = self._drive.starts([self._rngs[world] for world in worlds])
+        self.batch.reset(worlds=worlds, qpos=qpos, qvel=qvel)
+        first = self._drive.first(qpos, qvel)
+        self._drive.keep_first(worlds, first)
+        observations = observations.copy()
+        observations[worlds] = self._task.observe(first)
+        self._elapsed[worlds], self._over[worlds] = 0, False
+        return observations, masked(infos, self._task.reset_info(first), mask)
+
+    # Actions.
+
+    def step(self, actions: NDArray[Any]) -> Step:
+        """Takes an action in every world, shape (n, nu); see `gymnasium.vector.VectorEnv.step`."""
+        if not len(self._observations):
+            raise gymnasium.error.ResetNeeded("VectorEnv.step: call reset first")
+        over = self._over.copy()
+        if self.autoreset_mode is AutoresetMode.DISABLED and over.any():
+            listed = checks.shown(np.flatnonzero(over).tolist())
+            raise gymnasium.error.ResetNeeded(
+                f'worlds {listed} are over: reset them with options={{"reset_mask": …}}'
+            )
+        now, errors = self._drive.act(checked(actions, self.action_space.shape))
+        rewards, terminated, info = self._task.outcome(now)
+        rewards = np.array(rewards, dtype=np.float64)
+        terminated = np.array(terminated, dtype=bool)
+        if errors:
+            terminated[list(errors)] = True
+            info = {**info, "failure": failures(errors, self.num_envs)}
+        observations = owned(self._task.observe(now))
+        self._drive.keep(now)
+        self._elapsed += 1
+        truncated = self._elapsed >= self._most
+        if over.any():
+            # Their episodes had ended: what they just did is no part of one.
+            rewards[over], terminated[over], truncated[over] = 0.0, False, False
+            observations, infos = self._begun(over, observations, masked({}, info, ~over))
+        elif self.autoreset_mode is AutoresetMode.SAME_STEP and (terminated | truncated).any():
+            ended = terminated | truncated
+            infos = masked(final_infos(info, observations, ended), info, ~ended)
+            observations, infos = self._begun(ended, observations, infos)
+        else:
+            infos = masked({}, info, np.ones(self.num_envs, dtype=bool))
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
+            self._over = terminated | truncated
+        self._observations = observations
+        return observations.copy(), rewards, terminated, truncated, infos
+
+
+def _mode(mode: AutoresetMode | str) -> AutoresetMode:
+    values = [known.value for known in AutoresetMode]
+    if not isinstance(mode, AutoresetMode) and mode not in values:
+        limit = "one of " + ", ".join(values)
+        raise ValueError(f"autoreset_mode = {checks.shown(mode)}: must be {limit}")
+    return AutoresetMode(mode)

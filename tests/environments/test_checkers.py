@@ -1,0 +1,40 @@
+"""gymnasium's own checker, its warnings as errors."""
+
+import warnings
+
+import gymnasium
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import stepcore.gymnasium
+from stepcore.gymnasium.tasks import TASKS
+
+
+def check(env):
+    with warnings.catch_warnings():
+        # The spaces are those of gymnasium's own tasks, of which it says the same.
+        warnings.filterwarnings("ignore", ".*recommend using a symmetric and normalized space")
+        warnings.filterwarnings("ignore", ".*A Box observation space m.*infinit?y")
+        check_env(env)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_gymnasiums_checker_finds_nothing(name):
+    check(gymnasium.make(f"stepcore/{name}-v0").unwrapped)
+
+
+def test_gymnasiums_checker_finds_nothing_in_an_environment_of_ones_own():
+    env = stepcore.gymnasium.Env(
+        CART,
+        reward=lambda now: -abs(now.qpos[..., 0]),
+        reset=lambda model, rng: (rng.normal(size=model.nq), rng.normal(size=model.nv)),
+    )
+    with pytest.warns(UserWarning, match="does not have a spec|having a spec"):
+        check(env)
+
+
+CART = stepcore.loads(
+    """<mujoco><worldbody><body name="cart"><joint name="x" type="slide" axis="1 0 0"/>
+    <geom size="0.1" mass="1"/></body></worldbody>
+    <actuator><motor joint="x" ctrlrange="-1 1"/></actuator></mujoco>"""
+)
