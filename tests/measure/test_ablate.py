@@ -344,3 +344,18 @@ def test_a_scene_without_motion_is_refused(tmp_path: Path, capsys) -> None:
         sc.ablate(sc.Scene())
     assert main(["ablate", "lesson:stack", "--save", str(tmp_path / "no/where.xml")]) == 2
     assert "no such folder" in capsys.readouterr().err
+
+
+def test_what_few_starts_refute_is_not_run_from_all_and_that_is_said(monkeypatch) -> None:
+    """The same smallest model, and a note on the features that ran from two starts."""
+    options = {"horizon": 0.2, "starts": 4, "threads": 1, "progress": False, "error": 1e-4}
+    whole = sc.ablate(sc.loads(EVERYTHING), **options)
+    monkeypatch.setattr("stepcore.measure.ablation.FEATURES_BUDGET", 0.0)
+    few = sc.ablate(sc.loads(EVERYTHING), **options)
+    assert few.removed == whole.removed and few.best.outcome == whole.best.outcome
+    short = [row for row in few.rows if len(row.outcome.added) == 2]
+    assert short and all(row.outcome.worst > few.error for row in short)
+    for row, other in zip(few.rows, whole.rows, strict=True):
+        assert row.outcome.added == other.outcome.added[: len(row.outcome.added)]
+    (note,) = [note for note in few.notes if "not run from the others" in note]
+    assert note.startswith(f"{len(short)} feature") and "in the first 2 of 4 starts" in note

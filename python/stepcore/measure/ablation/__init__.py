@@ -25,7 +25,13 @@ from stepcore.experiment.setup import Source, set_up
 from stepcore.experiment.workers import Workers
 from stepcore.measure.ablation.result import Ablation, FeatureEffect
 from stepcore.measure.ablation.selection import Selection
-from stepcore.measure.ablation.variants import Baseline, outcome_of, times_of, usage_of
+from stepcore.measure.ablation.variants import (
+    Baseline,
+    VariantOutcome,
+    outcome_of,
+    times_of,
+    usage_of,
+)
 from stepcore.report import units
 from stepcore.report.progress import Choice, Progress
 from stepcore.report.units import metres, seconds
@@ -38,6 +44,9 @@ __all__ = ["Ablation", "FeatureEffect", "ablate"]
 SETS, CONFIRMED_ON = 4, 32
 # What all runs of the sets may cost, in steps × (dofs + 2).
 SETS_BUDGET = 6e6
+# Where all features alone, from all starts, cost more than this, each first runs from a few starts,
+# and only what keeps to the tolerance there from the others.
+FEATURES_BUDGET, SCREENED = 1.2e7, 2
 # What the reference may cost, in steps × (dofs + 2).
 BUDGET = 3e6
 
@@ -107,8 +116,9 @@ def ablate(
     usage = usage_of(runner, model.settings, workers)
     selection = Selection(baseline, RemovableFeatures(model), tolerance, workers)
     removals = selection.features.removals(usage, model.settings)
-    points = [(), *((removal,) for removal in removals)]
-    whole, *alone = workers.each(partial(outcome_of, baseline), points, "features")
+    dear = (1 + len(removals)) * starts * _work(model, schedule.horizon, weight) > FEATURES_BUDGET
+    few = SCREENED if dear and starts > SCREENED else starts
+    whole, alone, cut = _alone(baseline, removals, few, tolerance, workers)
     selection.known = dict(zip(removals, alone, strict=True))
     with workers.bar("smallest", len(removals)) as bar:
         selection.choose(removals, whole, bar)
@@ -135,15 +145,52 @@ def ablate(
         restored=selection.restored,
         smallest=without(model.scene.with_settings(model.settings), removed),
         reference=reference.error if reference else None,
-        notes=[*notes, *_notes(reference, baseline, tolerance)],
+        notes=[*notes, *_notes(reference, baseline, tolerance), *_screened(cut, few, starts)],
         ran=motion_in_words(model, motion, schedule.part(0, starts)),
     )
 
 
 def _more(model: Model, horizon: float, starts: int, weight: float) -> int:
     """How many starts a set to confirm on has; weight: of a step (`heaviness`)."""
-    cost = horizon / model.settings.dt * (model.nv + 2) * weight
+    cost = _work(model, horizon, weight)
     return max(starts, min(CONFIRMED_ON, int(SETS_BUDGET / (2 * SETS * cost))))
+
+
+def _work(model: Model, horizon: float, weight: float) -> float:
+    """What one run costs, in steps × (dofs + 2)."""
+    return horizon / model.settings.dt * (model.nv + 2) * weight
+
+
+def _alone(
+    baseline: Baseline, removals: list[Removal], few: int, error: float, workers: Workers
+) -> tuple[VariantOutcome, list[VariantOutcome], int]:
+    """The whole model, every feature removed alone, and how many of these ran from few starts only.
+
+    few: the starts that all run from; what adds more than `error` [m] there is not run from more.
+    """
+    points = [(), *((removal,) for removal in removals)]
+    job = partial(outcome_of, baseline.first(few))
+    outcomes = workers.each(job, points, "features")
+    if few == len(baseline.paths):
+        return outcomes[0], outcomes[1:], 0
+    again = [i for i, outcome in enumerate(outcomes) if outcome.worst <= error]
+    job = partial(outcome_of, baseline)
+    full = workers.each(job, [points[i] for i in again], "features from all starts")
+    for i, outcome in zip(again, full, strict=True):
+        outcomes[i] = outcome
+    return outcomes[0], outcomes[1:], len(points) - len(again)
+
+
+def _screened(cut: int, few: int, starts: int) -> list[str]:
+    """A note on features that ran from few starts."""
+    if not cut:
+        return []
+    one = cut == 1
+    return [
+        f"{cut} feature{' exceeds' if one else 's exceed'} the tolerance in the first {few} of "
+        f"{starts} starts, and {'was' if one else 'were'} not run from the others: "
+        f"{'its error is that' if one else 'their errors are those'} of {few} starts"
+    ]
 
 
 def _others(

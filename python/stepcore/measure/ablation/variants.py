@@ -78,6 +78,16 @@ class Baseline:
         """The model's own."""
         return self.model.settings
 
+    def first(self, starts: int) -> Baseline:
+        """The same from the first so many starts alone."""
+        return Baseline(
+            self.model,
+            self.schedule.part(0, starts),
+            self.paths[:starts],
+            None if self.truth is None else self.truth[:starts],
+            self.scored[:starts],
+        )
+
 
 def variant(baseline: Baseline, removals: Sequence[Removal]) -> Runner:
     """The motion's runner for the model without some features."""
