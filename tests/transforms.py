@@ -219,8 +219,9 @@ def _scale_actuator(actuator, unit, by):
         by(actuator, unit(1, 1, -2), "gain", "gainprm", "forcerange")
         return
     rate = actuator.type == "intvelocity" or actuator.dyntype == "integrator"
-    length = time if rate or actuator.type == "velocity" else 1.0
-    length = energy if actuator.type == "motor" else length
+    length = time if rate or "vel" in (actuator.input, actuator.type[:3]) else 1.0
+    forces = actuator.type == "motor" or actuator.input == "ff"
+    length = energy if forces else length
     ways = _ways(actuator, unit(1))
     if actuator.tendon is not None and actuator.type == "general":
         # Its gear stays: a tendon bounds the sum of forces before their gears.
@@ -236,6 +237,8 @@ def _scale_actuator(actuator, unit, by):
         by(actuator, of, field)
     by(actuator, 1 / time, "vmax")
     by(actuator, time, "timeconst", "delay")
+    by(actuator, 1 / speed, "motorconst")
+    by(actuator, 1 / (speed * force), "resistance")
     # Of its target's velocity, as that one's own coefficients are.
     powers = zip(actuator.dampingpoly, (1, 2), strict=True)
     per = ways[0] / time

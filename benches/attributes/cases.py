@@ -121,7 +121,7 @@ _ACTUATOR_OWN: dict[str, dict[str, Case]] = {
         "saturation": ".01",
         "inductance": ".05",
         "cogging": ".5 4 .1",
-        "controller": ("1 .1 .2", 'input="pos"'),
+        "controller": ("1 0 .2", 'input="pos"'),
         "thermal": "10 1 25",
         "lugre": "10 1 .1 .2 .01",
         "input": "pos",

@@ -46,7 +46,7 @@ ACTUATORS = {
     "cylinder": 'joint="j" timeconst=".1"',
     "muscle": 'joint="j" lengthrange="-.5 1"',
     "dcmotor": 'joint="j" motorconst=".5" resistance="1"',
-    "pid": 'joint="j" kp="5"',
+    "pid": 'joint="j" kp="5" input="pos"',
     "adhesion": 'body="ball" ctrlrange="0 1"',
     "orientation": 'joint="bl" kp="3"',
 }

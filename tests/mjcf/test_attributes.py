@@ -32,6 +32,8 @@ CLASSES = {
     **{path: path.partition("/")[2] for path in SCENES if path.startswith("actuator/")},
 }
 # What a class does to other attributes of its actuator: gains.py.
+# What a class of motors needs, in MuJoCo too.
+MOTOR = {"motorconst": ".5", "resistance": "1"}
 GAINS = {"inheritrange"}
 
 
@@ -50,7 +52,9 @@ def test_an_attribute_of_a_class_is_that_of_the_element(path: str) -> None:
             continue
         base, tried = models(path, attribute, case)
         value = case if isinstance(case, str) else case[0]
-        own = f'<{CLASSES[path]} {attribute}="{value}"/>'
+        motor = MOTOR if path == "actuator/dcmotor" else {}
+        more = " ".join(f'{name}="{x}"' for name, x in motor.items() if name != attribute)
+        own = f'<{CLASSES[path]} {attribute}="{value}" {more}/>'
         classes = f'<default><default class="own">{own}</default></default>'
         # The element is where the two texts part.
         start = next(i for i, (a, b) in enumerate(zip(base, tried, strict=False)) if a != b)

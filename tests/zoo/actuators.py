@@ -25,6 +25,17 @@ add(
         biasprm=".1 -4 -.6" dyntype="filter" dynprm=".03" actearly="true"/></actuator>""",
 )
 add(
+    "controllers",
+    ARM,
+    extra="""<actuator>
+      <pid joint="a" input="pos" kp="30" kv="2" forcerange="-9 9"/>
+      <pid joint="b" input="vel" kp="3" kv=".7" gear="1.5"/>
+      <pid joint="c" input="ff" kp="40" kv="3"/>
+      <dcmotor joint="a" nominal="12 3 20" saturation="2"/>
+      <dcmotor joint="b" motorconst=".3" resistance="2" gear="3" input="pos" controller="4 0 .2"/>
+    </actuator>""",
+)
+add(
     "late_controls",
     ARM,
     extra="""<actuator>

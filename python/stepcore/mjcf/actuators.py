@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from stepcore.mjcf.gains import ActuatorGains
+from stepcore.mjcf.controllers import INPUTS
+from stepcore.mjcf.gains import ActuatorGains, saturated
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader, polynomial
@@ -23,6 +24,7 @@ def read(world: WorldReader, node: Node) -> None:
     target = _target(world, node, values)
     _refuse(node, values)
     gains = world.defaults.gains(node)
+    values = saturated(values, gains, node)
     _refuse_gains(node, gains)
     ctrlrange, actrange = _ranges(world, node, values, gains, target)
     given: dict[str, Any] = {
@@ -81,7 +83,8 @@ def _target(world: WorldReader, node: Node, values: dict[str, Any]) -> dict[str,
 def _refuse(node: Node, values: dict[str, Any]) -> None:
     if values.get("delay", 0.0) > 0 and values.get("nsample", 0) <= 0:
         raise bad(node, "nsample", values.get("nsample", 0), "> 0 with a delay")
-    if node.values.get("input", "") not in ("", "pos", "vel", "pressure"):
+    known = node.tag in INPUTS or node.values.get("input", "") in ("", "pos", "vel", "pressure")
+    if not known:
         raise bad(node, "input", node.values["input"], "pos, vel or pressure")
 
 
@@ -89,6 +92,12 @@ def _refuse_gains(node: Node, gains: ActuatorGains) -> None:
     for name, built in (("dyntype", DYNAMICS), ("gaintype", GAINS), ("biastype", BIASES)):
         if getattr(gains, name) not in built:
             raise node.unbuilt(f'<general> {name}="{getattr(gains, name)}"')
+    if node.tag in INPUTS and gains.input not in INPUTS[node.tag]:
+        count = "no input" if gains.input == "none" else "several inputs"
+        raise node.unbuilt(f'a <{node.tag}> of {count} (input="{gains.input}")', "input")
+    if node.tag == "dcmotor" and gains.input == "voltage" and any(gains.biasprm):
+        given = node.values.get("controller", gains.biasprm)
+        raise bad(node, "controller", given, "0 without one of the inputs pos, vel and ff")
 
 
 def _words(gains: ActuatorGains) -> dict[str, Any]:
@@ -100,6 +109,15 @@ def _words(gains: ActuatorGains) -> dict[str, Any]:
         if gains.tag == "position" and filtered:
             words["timeconst"] = gains.dynprm[0]
         return {"kp": gain, **words}
+    if gains.tag == "pid":
+        words = {"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping}
+        return {"kp": gain, "input": gains.input, **words}
+    if gains.tag == "dcmotor":
+        constant, resistance = gains.motor
+        words = {"motorconst": constant, "resistance": resistance, "input": gains.input}
+        if gains.input != "voltage":
+            words |= {"kp": 0.0 - gains.biasprm[1], "kv": 0.0 - damping}
+        return words
     if gains.tag == "velocity":
         return {"kv": gain}
     if gains.tag == "adhesion":
@@ -132,6 +150,27 @@ def _general(gains: ActuatorGains) -> dict[str, Any]:
 Bounds = tuple[float, ...] | None
 
 
+def _ctrlrange(
+    world: WorldReader, node: Node, values: dict[str, Any], gains: ActuatorGains
+) -> Bounds:
+    """That of the one input; MuJoCo names it by the input of a <pid>."""
+    if gains.tag != "pid":
+        return world.limits(node, values, "ctrllimited", "ctrlrange")
+    if gains.input == "pos":
+        name = next(
+            (
+                name
+                for where in (node.values, values)
+                for name in ("posrange", "ctrlrange")
+                if name in where
+            ),
+            "posrange",
+        )
+        return world.limits(node, values, "ctrllimited", name)
+    bounds: Bounds = values.get(f"{gains.input}range")
+    return bounds if bounds and bounds[0] < bounds[1] else None
+
+
 def _ranges(
     world: WorldReader,
     node: Node,
@@ -146,7 +185,7 @@ def _ranges(
     actrange = _actrange(world, node, values, gains)
     integrates = gains.dyntype == "integrator"
     if gains.inheritrange <= 0 or not gains.is_position:
-        return world.limits(node, values, "ctrllimited", "ctrlrange"), actrange
+        return _ctrlrange(world, node, values, gains), actrange
     found = _inherited(world, node, values, gains, target)
     if integrates:
         limited = values.get("actlimited", "auto") is not False

@@ -63,7 +63,9 @@ class Defaults:
                     if tag == "actuator":
                         own[tag] = gains.without_range(own[tag], child)
                         chain = self.chains[name]
-                        self.chains[name] = (*chain[:-1], gains.inherited(chain, child))
+                        made = gains.inherited(chain, child)
+                        self.chains[name] = (*chain[:-1], made)
+                        own[tag] = gains.saturated(own[tag], made, child)
             inner = [child for child in node.children if child.tag == "default"]
             for child in inner:
                 inner_name = child.attrs.get("class", "")

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+from stepcore.mjcf import controllers
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.scene.actuation import MUSCLE
@@ -26,6 +27,8 @@ BUILT = (
         "cylinder",
         "muscle",
         "adhesion",
+        "pid",
+        "dcmotor",
         "general",
     ),
 )
@@ -36,6 +39,8 @@ class ActuatorGains:
     """The force law of an actuator or a default class.
 
     tag: the element that gave it. inheritrange: the scale of an inherited range, or 0.
+    input, motor, torque: of a controller, what its control is; of a motor its constant and
+        resistance, and the bound of its torque, 0 without one, None where nothing is said.
     """
 
     tag: str = "general"
@@ -46,10 +51,15 @@ class ActuatorGains:
     biastype: str = "none"
     inheritrange: float = 0.0
     dynprm: Vec = (1.0, 0.0, 0.0)
+    input: str = ""
+    motor: Vec = (0.0, 0.0)
+    torque: float | None = None
 
     @property
     def is_position(self) -> bool:
         """Whether it controls a length; only then can it inherit its joint's range."""
+        if self.input not in ("", "pos"):
+            return False
         fixed = self.gaintype == "fixed" and self.biastype == "affine"
         return fixed and self.gainprm[0] == -self.biasprm[1]
 
@@ -67,6 +77,11 @@ def inherited(chain: Chain, node: Node) -> ActuatorGains:
         return ActuatorGains("motor", inheritrange=kept)
     if node.tag == "general":
         return _general(chain[-1], node)
+    if start := controllers.START.get(node.tag):
+        own = next((g for g in reversed(chain) if g.tag == node.tag), None)
+        own = own or ActuatorGains(node.tag, **start)
+        scale = _inheritrange(own, node) if node.tag == "pid" else 0.0
+        return replace(own, inheritrange=scale, **controllers.law(node.tag, own, node))
     base = next((g for g in reversed(chain) if g.tag in (node.tag, "general")), ActuatorGains())
     if node.tag in ("position", "intvelocity"):
         return _position(base, node)
@@ -139,7 +154,7 @@ _SHORTCUTS["adhesion"] = _adhesion
 
 
 def _general(base: ActuatorGains, node: Node) -> ActuatorGains:
-    if base.tag not in BUILT:
+    if base.tag not in BUILT or base.tag in controllers.START:
         raise node.unbuilt(f"<general> in a class whose default is <{base.tag}>")
     values = node.values
     given: dict[str, Any] = {
@@ -178,12 +193,20 @@ def _position(base: ActuatorGains, node: Node) -> ActuatorGains:
 def _inheritrange(base: ActuatorGains, node: Node) -> float:
     """The scale from the joint's range to the control's; 0 if a control range is given."""
     given: float = node.values.get("inheritrange", base.inheritrange)
-    own = "actrange" if node.tag == "intvelocity" else "ctrlrange"
+    own = {"intvelocity": "actrange", "pid": "posrange"}.get(node.tag, "ctrlrange")
     if own not in node.values:
         return given
     if node.values.get("inheritrange", 0.0) > 0:
         raise node.error(f"<{node.tag}> has both {own} and inheritrange")
     return 0.0
+
+
+def saturated(values: dict[str, Any], made: ActuatorGains, node: Node) -> dict[str, Any]:
+    """The values of a motor or its class, the bounds being those of its saturation."""
+    if made.torque is None or "saturation" not in node.values:
+        return values
+    rest = {name: v for name, v in values.items() if name not in ("forcerange", "forcelimited")}
+    return rest | ({"forcerange": (-made.torque, made.torque)} if made.torque > 0 else {})
 
 
 def without_range(values: dict[str, Any], node: Node) -> dict[str, Any]:

@@ -36,6 +36,8 @@ WORDS = {
     "position": (*SERVO, "timeconst"),
     "velocity": ("kv",),
     "intvelocity": SERVO,
+    "pid": (*SERVO, "input"),
+    "dcmotor": ("motorconst", "resistance", "kp", "kv", "input"),
     "damper": ("kv",),
     "cylinder": ("timeconst", "area", "bias"),
     "adhesion": ("gain",),
@@ -78,6 +80,8 @@ def law(actuator: Actuator) -> Law:
         filtered = ("filterexact", (timeconst, 0.0, 0.0)) if timeconst > 0 else NO_DYNAMICS
         dynamics = filtered if kind == "position" else ("integrator", (1.0, 0.0, 0.0))
         return Law((kp, 0.0, 0.0), bias, _or(actuator.dampratio, 0.0), dynamics)
+    if kind in ("pid", "dcmotor"):
+        return _controlled(actuator)
     if kind == "velocity":
         kv = _or(actuator.kv, 1.0)
         return Law((kv, 0.0, 0.0), (0.0, 0.0, -kv))
@@ -94,6 +98,18 @@ def law(actuator: Actuator) -> Law:
         parameters = (*times, _or(actuator.tausmooth, 0.0))
         return Law((0.0, 0.0, 0.0), ORIGIN, 0.0, ("muscle", parameters), words, words)
     return _general(actuator) if kind == "general" else Law()
+
+
+def _controlled(actuator: Actuator) -> Law:
+    """Of one input: a voltage, or a setpoint or a force of a controller."""
+    kp = _or(actuator.kp, 1.0 if actuator.type == "pid" else 0.0)
+    kv, own = _or(actuator.kv, 0.0), _or(actuator.input, "voltage")
+    if own == "voltage":
+        constant, resistance = _or(actuator.motorconst, 0.0), _or(actuator.resistance, 1.0)
+        conducted = constant / resistance
+        return Law((conducted, 0.0, 0.0), (0.0, 0.0, 0.0 - conducted * constant))
+    gain = {"pos": kp, "vel": kv, "ff": 1.0}[own]
+    return Law((gain, 0.0, 0.0), (0.0, 0.0 - kp, 0.0 - kv), _or(actuator.dampratio, 0.0))
 
 
 def _general(actuator: Actuator) -> Law:
@@ -180,7 +196,9 @@ def check(actuator: Actuator) -> None:
     if timeconst is not None and pair != (actuator.type == "muscle"):
         limit = "two numbers for a muscle, one for others"
         raise checks.refuse(actuator, "timeconst", timeconst, limit)
-    if actuator.type in ("position", "intvelocity", "damper"):
+    if actuator.type in ("pid", "dcmotor"):
+        _check_controller(actuator)
+    if actuator.type in ("position", "intvelocity", "damper", "pid"):
         for word in ("kv", "dampratio", "timeconst"):
             if _or(getattr(actuator, word), 0.0) < 0:
                 raise checks.refuse(actuator, word, getattr(actuator, word), ">= 0")
@@ -197,6 +215,27 @@ def check(actuator: Actuator) -> None:
     if own_law.dampratio and own_law.gain[0] < 0:
         word = "gainprm" if actuator.type == "general" else "kp"
         raise checks.refuse(actuator, word, own_law.gain[0], ">= 0 with a damping ratio")
+
+
+def _check_controller(actuator: Actuator) -> None:
+    if actuator.type == "dcmotor":
+        for word in ("motorconst", "resistance"):
+            if _or(getattr(actuator, word), 0.0) <= 0:
+                raise checks.refuse(actuator, word, getattr(actuator, word), "> 0")
+        own = actuator.input in ("pos", "vel", "ff")
+        if not own and (actuator.kp or actuator.kv):
+            word = "kp" if actuator.kp else "kv"
+            limit = "None or 0 without an input pos, vel or ff"
+            raise checks.refuse(actuator, word, getattr(actuator, word), limit)
+    elif actuator.input in (None, "voltage"):
+        raise checks.refuse(actuator, "input", actuator.input, "one of pos, vel, ff for a pid")
+    if actuator.dampratio and actuator.input == "vel":
+        raise checks.refuse(actuator, "dampratio", actuator.dampratio, "None with the input vel")
+    round_ = actuator.refsite is not None or getattr(actuator.target[1], "type", "") == "ball"
+    turns = actuator.input == "pos" and actuator.type == "pid"
+    if round_ and actuator.kp and not turns:
+        limit = "0 on a ball or a refsite, but for a pid with the input pos"
+        raise checks.refuse(actuator, "kp", actuator.kp, limit)
 
 
 def _check_curves(actuator: Actuator, own: Law) -> None:

@@ -129,6 +129,9 @@ class ActuatorFields(TypedDict, total=False):
     kv: float | None
     dampratio: float | None
     timeconst: Numbers | None
+    input: str | None
+    motorconst: float | None
+    resistance: float | None
     gain: float | None
     area: float | None
     bias: Numbers | None

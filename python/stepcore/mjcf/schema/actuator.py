@@ -1,6 +1,6 @@
 """The section `<actuator>`."""
 
-from stepcore.mjcf.schema.notation import AUTO, BOOL, default_of, spec
+from stepcore.mjcf.schema.notation import AUTO, BOOL, default_of, spec, without
 from stepcore.mjcf.schema.plugin import plugin
 
 _ALL = (
@@ -16,6 +16,10 @@ _BUILT = {
     "intvelocity": f"actlimited:{AUTO} actrange:2 inheritrange:1 kp:1 kv:1 dampratio:1",
     "damper": "kv:1",
     "adhesion": "body! gain:1",
+    "pid": "posrange:2 velrange:2 ffrange:2 inheritrange:1 kp:1 kv:1 dampratio:1 ki:1 imax:1 "
+    "slewmax:1 input",
+    "dcmotor": "motorconst:1-2 resistance:1 nominal:1-3 saturation:1-3 inductance:1-2 cogging:1-3 "
+    "controller:1-6 thermal:1-6 lugre:1-5 input",
     "cylinder": "timeconst:1 area:1 diameter:1 bias:3",
     "muscle": "timeconst:2 tausmooth:1 range:2 force:1 scale:1 lmin:1 lmax:1 vmax:1 fpmax:1 "
     "fvmax:1",
@@ -26,19 +30,23 @@ _BUILT = {
 }
 # And those that are not; only the names of these attributes are checked.
 _UNBUILT = {
-    "pid": "posrange velrange ffrange inheritrange kp kv dampratio ki imax slewmax input",
-    "dcmotor": "motorconst resistance nominal saturation inductance cogging controller thermal "
-    "lugre input",
     "orientation": "kp kv dampratio input",
 }
+
+
+def _common(tag: str) -> str:
+    """A motor's bounds are its saturation."""
+    return without(_ALL, "forcelimited forcerange") if tag == "dcmotor" else _ALL
+
+
 _PLUGIN = "plugin instance actlimited actrange actdim dyntype dynprm actearly"
 ACTUATOR = spec(
     "",
     {
-        **{tag: spec(f"{_ALL} {more}") for tag, more in _BUILT.items()},
+        **{tag: spec(f"{_common(tag)} {more}") for tag, more in _BUILT.items()},
         **{tag: spec(f"{_ALL} {more}", role="unbuilt") for tag, more in _UNBUILT.items()},
         "plugin": plugin(f"{_ALL} {_PLUGIN}"),
     },
 )
 # The defaults of what is not built may stand in a file: they act only where they are used.
-DEFAULTS = {tag: default_of(f"{_ALL} {more}") for tag, more in (_BUILT | _UNBUILT).items()}
+DEFAULTS = {tag: default_of(f"{_common(tag)} {more}") for tag, more in (_BUILT | _UNBUILT).items()}

@@ -41,12 +41,27 @@ def _actuator(actuator: Actuator, names: Names) -> Tag:
     kind = actuator.type
     if any(field in given and kind not in also for field, also in GENERAL.items()):
         kind = "general"
+    low, high = actuator.forcerange or (-1.0, 1.0)
+    if kind == "dcmotor" and low != -high:
+        kind = "general"
     if kind != actuator.type:
         given = {field: value for field, value in given.items() if field not in LAW}
         return Tag(kind, **first, **_as_general(actuator), **given)
+    if kind == "pid" and "ctrlrange" in given:
+        first[f"{actuator.input}range"] = given.pop("ctrlrange")
+    if kind == "dcmotor":
+        given |= _motor(given)
     if actuator.biasprm is not None and actuator.biastype is None:
         first["biastype"] = "affine"
     return Tag(kind, **first, **given)
+
+
+def _motor(given: dict[str, Any]) -> dict[str, Any]:
+    """What a motor's words are in MJCF; those that it has in place of others leave `given`."""
+    kp, kv = given.pop("kp", None) or 0.0, given.pop("kv", None) or 0.0
+    bounds = given.pop("forcerange", None)
+    words: dict[str, Any] = {"controller": (kp, 0.0, kv)} if kp or kv else {}
+    return words | ({"saturation": (bounds[1], 0.0, 0.0)} if bounds else {})
 
 
 def _as_general(actuator: Actuator) -> dict[str, Any]:

@@ -26,7 +26,11 @@ from stepcore.scene.elements.site import Site
 from stepcore.scene.elements.tendon import Tendon
 
 _SERVOS = ("position", "velocity", "intvelocity")
-ACTUATOR_TYPES = ("motor", *_SERVOS, "damper", "cylinder", "muscle", "adhesion", "general")
+ACTUATOR_TYPES = (
+    *("motor", *_SERVOS, "pid", "dcmotor", "damper", "cylinder", "muscle", "adhesion"),
+    "general",
+)
+INPUTS = ("pos", "vel", "ff", "voltage")
 DYNAMICS = ("none", "integrator", "filter", "filterexact", "muscle")
 GAINS = ("fixed", "affine", "muscle")
 BIASES = ("none", "affine", "muscle")
@@ -65,6 +69,10 @@ class Actuator(Element):
     - for a "position" servo, kp × (control − length) − kv × velocity;
     - for a "velocity" servo, kv × (control − velocity);
     - for an "intvelocity" servo, kp × (w − length) − kv × velocity, where dw/dt = control;
+    - for a "pid", kp × (p − length) + kv × (v − velocity) + f, where the control is one of these
+      by its `input`, and the others are 0;
+    - for a "dcmotor" of constant K = motorconst and resistance R, K/R × (control − K × velocity);
+      with the input "pos", "vel" or "ff" its controller asks for the force of a pid, and gets it;
     - for a "damper", −kv × velocity × control;
     - for a "cylinder", area × w + bias · (1, length, velocity), where w is the pressure, which
       follows the control with the time constant timeconst;
@@ -89,13 +97,16 @@ class Actuator(Element):
     type: one of those above. A field of another type is refused.
     gear: shape (6,); a hinge, slide, tendon or slider-crank uses the first number, a ball 3, a free
         joint and a site 6: a direction and an axis.
-    kp: stiffness of a position or intvelocity servo; None means 1.
+    kp: stiffness of a position or intvelocity servo or a pid; None means 1; of a dcmotor's
+        controller, where None means 0.
     kv: damping of these (None means 0), gain of a velocity servo or a damper (None means 1).
-    dampratio: damping ratio of a position or intvelocity servo, in place of kv:
+    dampratio: damping ratio of a position or intvelocity servo or a pid, in place of kv:
         kv = 2 × dampratio × √(kp × m), where m is the inertia that it moves in the initial pose.
     timeconst: time constant [s] of a filter between control and target of a position servo (None
         means 0, no filter), of a cylinder (None means 1), and two of a muscle, of activation and
         deactivation (None means 0.01 and 0.04).
+    input: what the control of a pid is, "pos", "vel" or "ff"; of a dcmotor also "voltage" (None).
+    motorconst, resistance: of a dcmotor [N·m/A, Ω], > 0.
     gain: of an adhesion [N]; None means 1.
     area, bias: of a cylinder [m²]; None means 1 and zeros.
     range, force, scale, lmin, lmax, vmax, fpmax, fvmax, tausmooth: of a muscle, as in MJCF.
@@ -139,6 +150,9 @@ class Actuator(Element):
     kv: Gain = None
     dampratio: Gain = None
     timeconst: Times = None
+    input: Annotated[str | None, checks.optional(checks.one_of(*INPUTS))] = None
+    motorconst: Gain = None
+    resistance: Gain = None
     gain: Gain = None
     area: Gain = None
     bias: Bias = None
