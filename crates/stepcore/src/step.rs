@@ -91,7 +91,9 @@ impl<R: Real> Sim<R> {
         }
         self.detect(at);
         if self.model.adheres {
-            self.placed.place_adhesion(&self.model, &self.detected.contacts);
+            let act = at.activations(&self.state, &self.next, self.clock);
+            let (at, contacts) = (at.of(&self.state, &self.next), &self.detected.contacts);
+            self.placed.place_adhesion(&self.model, at, act, &self.inputs, contacts);
             self.placed.make_guess(&self.model, self.clock.dt);
         }
         self.make_rows(at, Part::Whole);

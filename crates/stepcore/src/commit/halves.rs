@@ -75,7 +75,9 @@ impl<R: Real> Sim<R> {
     fn adhere(&mut self, dt: R) {
         let model = self.model.clone();
         self.next.change.copy_from_slice(&self.placed.force);
-        self.placed.place_adhesion(&model, &self.detected.contacts);
+        let at = At::Start.of(&self.state, &self.next);
+        let act = self.state.activations(self.clock);
+        self.placed.place_adhesion(&model, at, act, &self.inputs, &self.detected.contacts);
         for k in 0..model.nv {
             self.next.change[k] = dt * (self.placed.force[k] - self.next.change[k]);
         }

@@ -169,25 +169,30 @@ pub(crate) fn clamp_tendons<R: Real>(model: &Model, tensions: &mut [R], shares: 
 }
 
 /// The part of a sum that its bounds let through.
-fn share<R: Real>(total: R, [lo, hi]: [f64; 2]) -> R {
+pub(crate) fn share<R: Real>(total: R, [lo, hi]: [f64; 2]) -> R {
     let one = R::one();
     let beyond = total.lt(R::of(lo)).or(total.gt(R::of(hi)));
     let whole = R::select(beyond.and(total.abs().gt(R::zero())), total, one);
     R::select(beyond, total.clamp(R::of(lo), R::of(hi)) / whole, one)
 }
 
+/// The force of all actuators together, by dof, before joints bound it.
+pub(crate) fn ask_of_joints<R: Real>(now: &Moment<R>, sums: &mut [R]) {
+    sums.fill(R::zero());
+    for (along, tension) in now.model.along.iter().zip(now.frames.tension) {
+        let pulls = now.frames.pulls;
+        along.arms(now.model, now.qpos, pulls, |dof, arm: R| sums[dof] += arm * *tension);
+    }
+    asked_of_drives(now, |dof, force| sums[dof] += force);
+}
+
 /// What joints let through of the forces of their actuators, by dof. What holds up weight through
 /// them is one of these.
 pub(crate) fn clamp_joints<R: Real>(now: &Moment<R>, shares: &mut [R]) {
-    let (model, pulls) = (now.model, now.frames.pulls);
-    shares.fill(R::zero());
-    for (along, tension) in model.along.iter().zip(now.frames.tension) {
-        along.arms(model, now.qpos, pulls, |dof, arm: R| shares[dof] += arm * *tension);
-    }
-    asked_of_drives(now, |dof, force| shares[dof] += force);
-    let mut clamps = model.clamps.iter().peekable();
+    ask_of_joints(now, shares);
+    let mut clamps = now.model.clamps.iter().peekable();
     for (dof, share_of) in shares.iter_mut().enumerate() {
-        let own = |(joint, _): &&(usize, [f64; 2])| model.joints[*joint].dof == dof;
+        let own = |(joint, _): &&(usize, [f64; 2])| now.model.joints[*joint].dof == dof;
         *share_of = match clamps.next_if(own) {
             Some((_, range)) => share(*share_of, *range),
             None => R::one(),

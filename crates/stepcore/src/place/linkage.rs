@@ -13,10 +13,14 @@
 
 use super::Placed;
 use crate::detect::Contact;
+use crate::elements::activation::Activations;
+use crate::elements::actuator::{ask_of_joints, share};
+use crate::elements::force::Moment;
 use crate::model::{Linkage, Model};
 use crate::real::{Mask, Real};
 use crate::scene::Target;
 use crate::spatial::{rotate, rotate_back, splat, Force, Quat, M3, V3};
+use crate::state::Inputs;
 use crate::transmission::Transmission;
 
 /// What an end of a linkage is pulled by: a force and a moment at a point.
@@ -73,37 +77,88 @@ impl<R: Real> Placed<R> {
     }
 
     /// The arms at contacts, each in some lanes: an equal share of each, along its normal and pulling
-    /// its bodies together; and what they add to the smooth force.
-    pub(crate) fn place_adhesion(&mut self, model: &Model, contacts: &[Contact<R>]) {
-        let near = |contact: &Contact<R>| {
-            let material = model.material(&contact.pair);
-            contact.mask.and(contact.dist.lt(R::of(material.margin + material.gap)))
-        };
+    /// its bodies together; and what they add to the smooth force, within the bounds that joints have
+    /// for all of their actuators together. `guess` is overwritten.
+    pub(crate) fn place_adhesion(
+        &mut self,
+        model: &Model,
+        (qpos, qvel): (&[R], &[R]),
+        act: Activations<R>,
+        inputs: &Inputs<R>,
+        contacts: &[Contact<R>],
+    ) {
+        if !model.clamps.is_empty() {
+            self.ask_of_joints(model, (qpos, qvel), act, inputs);
+            self.driven_by_bounded_joints(model, -R::one());
+        }
         for (index, along) in model.along.iter().enumerate() {
             let Transmission::Linkage(linkage) = *along else { continue };
             let linkage = &model.linkages[linkage];
             let Target::Body(body) = linkage.course else { continue };
-            let bodies = |contact: &Contact<R>| {
-                [contact.pair.geom1, contact.pair.geom2].map(|geom| model.geoms[geom].body)
-            };
-            let own = || contacts.iter().filter(|contact| bodies(contact).contains(&body));
-            let (zero, one) = (R::zero(), R::one());
-            let count = own().fold(zero, |n, c| n + R::select(near(c), one, zero));
-            let share = count.recip_or_zero();
-            for contact in own() {
-                let pull = contact.normal * R::select(near(contact), share, zero);
-                for (body, force) in bodies(contact).into_iter().zip([pull, -pull]) {
-                    for dof in model.bodies[body].chain.of(&model.dof_lists) {
-                        let origin = &self.origin[model.dofs[*dof].tree];
-                        let ang = (contact.pos - origin).cross(&force);
-                        let arm = self.motion[*dof].dot(&Force { ang, lin: force });
-                        self.tendon_arms[linkage.arms.start + *dof] += arm;
-                    }
-                }
-            }
+            self.grip_contacts(model, linkage, body, contacts);
             let tension = self.actuator[index];
             for (dof, arm) in self.tendon_arms[linkage.arms.range()].iter().enumerate() {
-                self.force[dof] += *arm * tension;
+                let bounded = model.clamps.iter().any(|(joint, _)| model.joints[*joint].dof == dof);
+                let sum = if bounded { &mut self.guess } else { &mut self.force };
+                sum[dof] += *arm * tension;
+            }
+        }
+        for (joint, range) in &model.clamps {
+            let dof = model.joints[*joint].dof;
+            self.shares[dof] = share(self.guess[dof], *range);
+        }
+        self.driven_by_bounded_joints(model, R::one());
+    }
+
+    /// What actuators ask of each dof, into `guess`.
+    fn ask_of_joints(
+        &mut self,
+        model: &Model,
+        (qpos, qvel): (&[R], &[R]),
+        act: Activations<R>,
+        inputs: &Inputs<R>,
+    ) {
+        let mut sums = std::mem::take(&mut self.guess);
+        let now = Moment { model, frames: self.frames(), qpos, qvel, act, inputs };
+        ask_of_joints(&now, &mut sums);
+        self.guess = sums;
+    }
+
+    /// Adds what bounded joints let through of what is asked of them, so many times.
+    fn driven_by_bounded_joints(&mut self, model: &Model, times: R) {
+        for (joint, _) in &model.clamps {
+            let dof = model.joints[*joint].dof;
+            self.force[dof] += times * self.shares[dof] * self.guess[dof];
+        }
+    }
+
+    fn grip_contacts(
+        &mut self,
+        model: &Model,
+        linkage: &Linkage,
+        body: usize,
+        contacts: &[Contact<R>],
+    ) {
+        let near = |contact: &Contact<R>| {
+            let material = model.material(&contact.pair);
+            contact.mask.and(contact.dist.lt(R::of(material.margin + material.gap)))
+        };
+        let bodies = |contact: &Contact<R>| {
+            [contact.pair.geom1, contact.pair.geom2].map(|geom| model.geoms[geom].body)
+        };
+        let own = || contacts.iter().filter(|contact| bodies(contact).contains(&body));
+        let (zero, one) = (R::zero(), R::one());
+        let count = own().fold(zero, |n, c| n + R::select(near(c), one, zero));
+        let share = count.recip_or_zero();
+        for contact in own() {
+            let pull = contact.normal * R::select(near(contact), share, zero);
+            for (body, force) in bodies(contact).into_iter().zip([pull, -pull]) {
+                for dof in model.bodies[body].chain.of(&model.dof_lists) {
+                    let origin = &self.origin[model.dofs[*dof].tree];
+                    let ang = (contact.pos - origin).cross(&force);
+                    let arm = self.motion[*dof].dot(&Force { ang, lin: force });
+                    self.tendon_arms[linkage.arms.start + *dof] += arm;
+                }
             }
         }
     }
