@@ -31,10 +31,10 @@ CLASSES = {
     **{f"tendon/{tag}": "tendon" for tag in ("fixed", "spatial")},
     **{path: path.partition("/")[2] for path in SCENES if path.startswith("actuator/")},
 }
-# What a class does to other attributes of its actuator: gains.py.
 # What a class of motors needs, in MuJoCo too.
 MOTOR = {"motorconst": ".5", "resistance": "1"}
-GAINS = {"inheritrange"}
+# What a class does to other attributes of its actuator: gains.py, controllers.py.
+GAINS = {"inheritrange", "nominal"}
 
 
 def held(text: str, place: int) -> set[str]:
