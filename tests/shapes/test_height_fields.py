@@ -93,3 +93,48 @@ def test_a_flat_field_is_a_plane(kind):
     found = compiled(heights, one).touches("a", "b", np.concatenate([pos, turn], axis=1))
     assert np.abs(deepest(found) + overlap).max() < 1e-9
     assert np.abs(found.normal[found.exists] - (0, 0, 1)).max() < 1e-7
+
+
+CUBE = " ".join(f"{x} {y} {z}" for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1))
+RESTS = {"box": 'type="box" size=".1 .1 .1"', "mesh": 'type="mesh" mesh="cube"'}
+RESTS["cylinder"] = 'type="cylinder" size=".1 .1"'
+
+
+def on_flat_cells(geom, cell, pos, quat):
+    """A free body over a flat field of cells of this size [m]."""
+    nodes = int(3 / cell) + 2
+    half = cell * (nodes - 1) / 2
+    return sc.Sim(
+        sc.loads(
+            f'<mujoco><asset><hfield name="f" nrow="{nodes}" ncol="{nodes}" '
+            f'size="{half} {half} 1 .2" elevation="{"0 " * nodes**2}"/>'
+            f'<mesh name="cube" vertex="{CUBE}"/></asset><worldbody>'
+            f'<geom type="hfield" hfield="f"/><body pos="{pos}" quat="{quat}"><freejoint/>'
+            f'<geom {geom} density="500"/></body></worldbody></mujoco>'
+        )
+    )
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.1, 0.25, 0.7])
+@pytest.mark.parametrize("kind", RESTS)
+def test_a_body_comes_to_rest_on_many_cells(kind, cell):
+    """Its base lies on several prisms, each of which holds it where it is over it."""
+    for quat in ("1 0 0 0", "1 0.3 0.2 0.1"):
+        sim = on_flat_cells(RESTS[kind], cell, "0.03 0.04 0.15", quat)
+        sim.step(2000)
+        assert sim.qpos[2] == pytest.approx(0.1, abs=1e-3)
+        for _ in range(20):
+            sim.step(25)
+            assert np.abs(sim.qvel).max() < 2e-3
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.1, 0.25])
+def test_a_box_hardly_tilted_touches_with_every_corner(cell):
+    sim = on_flat_cells(RESTS["box"], cell, "0.03 0.04 0.0999", "1 1e-5 -2e-5 0.1")
+    sim.forward()
+    corners = np.array([[x, y, -0.1] for x in (-0.1, 0.1) for y in (-0.1, 0.1)])
+    corners = corners @ sim.geom_xmat[1].T + sim.geom_xpos[1]
+    for corner in corners:
+        apart = np.linalg.norm(sim.contacts["pos"][:, :2] - corner[:2], axis=1)
+        assert apart.min() < 1e-6
+        assert sim.contacts["dist"][apart.argmin()] == pytest.approx(corner[2], abs=1e-12)

@@ -5,11 +5,12 @@
 //! their bottoms lie `base` below height 0. Each prism that the shape's box meets is a convex
 //! shape of its own. But a prism knows nothing of its neighbours: the shortest way out of it may
 //! lead into the next one, over an edge that is none of the field's. Such an answer is dropped for
-//! the top's own normal, where that is over the prism: on a flat field every shape then touches
-//! as on a plane.
+//! the top's own normal, where the shape's lowest place is over the prism, or is over a part of the
+//! field that goes on as the prism's top does: on a flat field every shape then touches as on a plane.
 //!
-//! Points in one place count once. Of more than `MOST` the deepest stays, and then each time the
-//! one furthest from those that stay.
+//! Points in one place count once. Of more than `MOST` those stay that lie furthest out along eight
+//! directions of the field, so a base is held by its corners; then each time the one furthest from
+//! those that stay, and last the deepest. So a body that rests keeps its contacts.
 
 use super::by_lane::{empty, OneWorld};
 use super::convex::{contacts, meeting, solid};
@@ -23,8 +24,22 @@ use crate::spatial::{Pose, V3};
 
 /// The most contacts of a height field and one shape.
 pub const MOST: usize = 16;
-/// Contacts that are looked at, at most.
+/// Contacts that are looked at at once; of more, `KEPT` that are far from each other go on.
 const ROOM: usize = 256;
+const KEPT: usize = 64;
+/// Slopes from a corner of a prism's top to a triangle's up to which that goes on in its plane.
+const ONWARD: f64 = 1e-3;
+/// Directions in the field's plane, none of them along a side or a diagonal of its cells.
+const AROUND: [(f64, f64); 8] = [
+    (0.92, 0.38),
+    (0.38, 0.92),
+    (-0.38, 0.92),
+    (-0.92, 0.38),
+    (-0.92, -0.38),
+    (-0.38, -0.92),
+    (0.38, -0.92),
+    (0.92, -0.38),
+];
 /// Over the pair's size: what is in one place, and what lies as far along a direction.
 const SAME: f64 = 1e-9;
 
@@ -48,6 +63,27 @@ struct Prism {
     /// Row and column of the nodes of its top.
     nodes: [(usize, usize); 3],
     number: usize,
+}
+
+impl Prism {
+    /// Of its top: unit, upward.
+    fn normal(&self) -> V3<f64> {
+        let [a, b, c, ..] = self.corners;
+        let cross = (b - a).cross(&(c - a));
+        let cross = if cross.z < 0.0 { -cross } else { cross };
+        cross * (1.0 / cross.dot(&cross).sqrt())
+    }
+
+    /// A line along the top's normal through a point meets the top, or passes it by `beside` [m].
+    fn holds(&self, point: &V3<f64>, beside: f64) -> bool {
+        let ([a, b, c, ..], up) = (self.corners, self.normal());
+        let side = |p: V3<f64>, q: V3<f64>| {
+            let slack = beside * (q - p).dot(&(q - p)).sqrt();
+            ((q - p).cross(&(point - p)).dot(&up), slack)
+        };
+        let sides = [side(a, b), side(b, c), side(c, a)];
+        sides.iter().all(|(s, slack)| *s >= -slack) || sides.iter().all(|(s, slack)| *s <= *slack)
+    }
 }
 
 impl HeightField {
@@ -91,6 +127,16 @@ impl HeightField {
             (place.floor().max(0.0) as usize).min(n - 2)
         };
         Some((cell(low), cell(high)))
+    }
+
+    /// The triangle of the surface over or under a place of the field; None beside it.
+    fn surface(&self, place: &V3<f64>) -> Option<[V3<f64>; 3]> {
+        let columns = Self::cells(place.x, place.x, self.ncol, self.half[0])?;
+        let rows = Self::cells(place.y, place.y, self.nrow, self.half[1])?;
+        let [low, _, high] = self.top(rows.0, columns.0, false);
+        let (along, across) = (high.x - low.x, high.y - low.y);
+        let upper = (place.y - low.y) * along > (place.x - low.x) * across;
+        Some(self.top(rows.0, columns.0, upper))
     }
 
     /// Nodes that share a triangle's side with a node.
@@ -177,6 +223,8 @@ impl OneWorld<MOST> for OnField {
 struct List<R: Real> {
     touches: [Touch<R>; ROOM],
     count: usize,
+    /// The field's x and y axes.
+    axes: [V3<f64>; 2],
 }
 
 fn on_field<R: Real>(field: &HeightField, pose: &Pose<R>, shape: &Solid<R>) -> Touches<R, MOST> {
@@ -193,7 +241,8 @@ fn on_field<R: Real>(field: &HeightField, pose: &Pose<R>, shape: &Solid<R>) -> T
         low[i] = centre[i] + axis.dot(&body.support(&-axis).0) - shape.radius;
     }
     let grown = 0.25 * (high - low).iter().fold(0.0_f64, |most, x| most.max(*x));
-    let mut list = List { touches: [empty(); ROOM], count: 0 };
+    let axes = [plain_pose.axis(0), plain_pose.axis(1)];
+    let mut list = List { touches: [empty(); ROOM], count: 0, axes };
     let columns = HeightField::cells(low.x - grown, high.x + grown, field.ncol, field.half[0]);
     let rows = HeightField::cells(low.y - grown, high.y + grown, field.nrow, field.half[1]);
     if let (Some(columns), Some(rows)) = (columns, rows) {
@@ -226,20 +275,26 @@ fn on_prism<R: Real>(
     let Some(separation) = meeting(&ground, shape, f64::INFINITY) else { return };
     let way = plain(pose).to_local(&separation.normal);
     let tolerance = SAME * (shape.extent() + prism_size(prism));
-    let found = if field.leads_out(prism, &way, centre, tolerance) {
-        Some(separation)
+    let (found, own) = if field.leads_out(prism, &way, centre, tolerance) {
+        (separation, true)
+    } else if let Some(found) = over_top(field, prism, pose, shape) {
+        found
     } else {
-        over_top(prism, pose, shape)
+        return;
     };
-    if let Some(found) = found {
-        let touches: Touches<R, 8> = contacts(&ground, shape, &found);
-        for touch in touches {
-            if touch.exists.any() {
-                let name =
-                    touch.feature.lane(0) as u32 ^ (prism.number as u32).wrapping_mul(0x9E37_79B1);
-                let feature = R::of(f64::from(name & 0x00FF_FFFF));
-                list.add(Touch { feature, ..touch });
-            }
+    let touches: Touches<R, 8> = contacts(&ground, shape, &found);
+    let there = || touches.iter().filter(|touch| touch.exists.any());
+    if !own && there().count() == 1 {
+        // Nothing lies flat on this top: the one place is another prism's.
+        return;
+    }
+    for touch in there() {
+        let at = plain(pose).to_local(&(touch.pos.map(|x| x.lane(0)) - plain(pose).pos));
+        if own || prism.holds(&at, tolerance) {
+            let name =
+                touch.feature.lane(0) as u32 ^ (prism.number as u32).wrapping_mul(0x9E37_79B1);
+            let feature = R::of(f64::from(name & 0x00FF_FFFF));
+            list.add(Touch { feature, ..*touch }, tolerance);
         }
     }
 }
@@ -250,68 +305,104 @@ fn prism_size(prism: &Prism) -> f64 {
     way.dot(&way).sqrt()
 }
 
-/// The separation along the top's own normal, if the shape's deepest point is over the top.
-fn over_top<R: Real>(prism: &Prism, pose: &Pose<R>, shape: &Solid<R>) -> Option<Separation> {
+/// The separation along the top's own normal, if the shape's deepest point is over the top (true)
+/// or over ground that goes on in its plane (false).
+fn over_top<R: Real>(
+    field: &HeightField,
+    prism: &Prism,
+    pose: &Pose<R>,
+    shape: &Solid<R>,
+) -> Option<(Separation, bool)> {
     let (pose, other) = (plain(pose), plain(shape.pose));
-    let [a, b, c, ..] = prism.corners;
-    let cross = (b - a).cross(&(c - a));
-    let cross = if cross.z < 0.0 { -cross } else { cross };
-    let local = cross * (1.0 / cross.dot(&cross).sqrt());
+    let (a, local) = (prism.corners[0], prism.normal());
     let normal = pose.to_world(&local);
     let body = Solid { core: shape.core, radius: shape.radius, pose: &other };
     let point = pose.to_local(&(other.pos - pose.pos + body.support(&-normal).0));
-    let side = |p: V3<f64>, q: V3<f64>| (q - p).cross(&(point - p)).dot(&local);
-    let sides = [side(a, b), side(b, c), side(c, a)];
-    let over = sides.iter().all(|s| *s >= 0.0) || sides.iter().all(|s| *s <= 0.0);
+    let over = prism.holds(&point, 0.0);
+    let onward = || {
+        let Some(ground) = field.surface(&point) else { return false };
+        // Over its own top, but beside it along the normal: an edge or a corner is nearer.
+        let own = ground.iter().all(|corner| prism.corners[..3].contains(corner));
+        !own && ground.iter().all(|corner| {
+            let (way, height) = (corner - a, local.dot(&(corner - a)));
+            height * height <= ONWARD * ONWARD * way.dot(&way)
+        })
+    };
     let apart = local.dot(&(point - a));
-    over.then_some(Separation { normal, apart, cause: Cause::FaceOne(local) })
+    let found = Separation { normal, apart, cause: Cause::FaceOne(local) };
+    (over || onward()).then_some((found, over))
 }
 
 impl<R: Real> List<R> {
-    fn add(&mut self, touch: Touch<R>) {
-        if self.count < ROOM {
-            self.touches[self.count] = touch;
-            self.count += 1;
+    fn add(&mut self, touch: Touch<R>, same: f64) {
+        if self.count == ROOM {
+            self.thin(same);
         }
+        self.touches[self.count] = touch;
+        self.count += 1;
+    }
+
+    /// Makes room: `KEPT` of the contacts stay.
+    fn thin(&mut self, same: f64) {
+        let picked = self.spread(KEPT, same);
+        let mut kept = 0;
+        for i in 0..self.count {
+            if picked[i] {
+                self.touches[kept] = self.touches[i];
+                kept += 1;
+            }
+        }
+        self.count = kept;
     }
 
     /// `MOST` of them: see the top of the file.
     fn chosen(&self, same: f64) -> Touches<R, MOST> {
-        let all = &self.touches[..self.count];
-        let square = |p: &Touch<R>, q: &Touch<R>| {
-            let way = p.pos - q.pos;
-            way.dot(&way).lane(0)
-        };
         let mut out = [empty(); MOST];
-        let mut nearest = [f64::INFINITY; ROOM];
-        let depth = |touch: &Touch<R>| touch.dist.lane(0);
-        let deeper =
-            |best: usize, i: usize| if depth(&all[i]) < depth(&all[best]) { i } else { best };
-        if all.is_empty() {
-            return out;
-        }
-        let mut last = (1..all.len()).fold(0, deeper);
-        let mut picked = [false; ROOM];
-        picked[last] = true;
-        for _ in 1..MOST {
-            let mut best = (same * same, None);
-            for i in 0..all.len() {
-                nearest[i] = nearest[i].min(square(&all[i], &all[last]));
-                if !picked[i] && nearest[i] > best.0 {
-                    best = (nearest[i], Some(i));
-                }
-            }
-            let Some(next) = best.1 else { break };
-            picked[next] = true;
-            last = next;
-        }
-        let mut count = 0;
-        for (touch, picked) in all.iter().zip(picked) {
-            if picked {
-                out[count] = *touch;
-                count += 1;
-            }
+        let picked = self.spread(MOST, same);
+        let listed = self.touches[..self.count].iter().zip(picked).filter(|(_, picked)| *picked);
+        for (to, (touch, _)) in out.iter_mut().zip(listed) {
+            *to = *touch;
         }
         out
+    }
+
+    /// Which of the contacts stay, at most `most`.
+    fn spread(&self, most: usize, same: f64) -> [bool; ROOM] {
+        let all = &self.touches[..self.count];
+        let mut picked = [false; ROOM];
+        let depth = |i: usize| all[i].dist.lane(0);
+        let Some(deepest) = (0..all.len()).min_by(|i, j| depth(*i).total_cmp(&depth(*j))) else {
+            return picked;
+        };
+        let mut nearest = [f64::INFINITY; ROOM];
+        let mut pick = |next: usize, nearest: &mut [f64; ROOM]| {
+            picked[next] = true;
+            for (i, touch) in all.iter().enumerate() {
+                let way = touch.pos - all[next].pos;
+                nearest[i] = nearest[i].min(way.dot(&way).lane(0));
+            }
+        };
+        let mut kept = 0;
+        for (x, y) in AROUND {
+            let way = self.axes[0] * x + self.axes[1] * y;
+            let out = |i: usize| way.dot(&all[i].pos.map(|x| x.lane(0)));
+            let next = (1..all.len()).fold(0, |far, i| if out(i) > out(far) { i } else { far });
+            if nearest[next] > same * same {
+                pick(next, &mut nearest);
+                kept += 1;
+            }
+        }
+        while kept < most {
+            let far = |best: usize, i: usize| if nearest[i] > nearest[best] { i } else { best };
+            // The last place is the deepest one's, if no other has been given to it.
+            let missing = kept + 1 == most && nearest[deepest] > same * same;
+            let next = if missing { deepest } else { (1..all.len()).fold(0, far) };
+            if nearest[next] <= same * same {
+                break;
+            }
+            pick(next, &mut nearest);
+            kept += 1;
+        }
+        picked
     }
 }
