@@ -105,9 +105,12 @@ def test_own_spaces_and_settings():
     action, seen = Box(-1, 1, (1,), np.float64), Box(-9, 9, (4,), np.float64)
     env = Env(sc.loads(CART), action_space=action, observation_space=seen, settings={"dt": 0.02})
     assert (env.action_space, env.observation_space, env.dt) == (action, seen, 0.02)
-    many = VectorEnv(sc.loads(CART), 3, settings=sc.Settings(dt=0.005), observation_space=seen)
+    single = Box(-9, 9, (4,), np.float32)
+    many = VectorEnv(sc.loads(CART), 3, settings=sc.Settings(dt=0.005), observation_space=single)
     assert many.dt == 0.005
     assert many.observation_space.shape == (3, 4)
+    assert many.reset(seed=0)[0].dtype == np.float32
+    assert many.step(np.zeros((3, 1)))[0].dtype == np.float32
 
 
 class Leaning(Task):

@@ -117,7 +117,8 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         self._drive.keep_only(first)
         self._begun = True
         info = self._task.reset_info(first)
-        return owned(self._task.observe(first)[0]), {k: owned(v[0]) for k, v in info.items()}
+        observation = owned(self._task.observe(first)[0], self.observation_space.dtype)
+        return observation, {name: owned(value[0]) for name, value in info.items()}
 
     def step(self, action: NDArray[Any]) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Takes an action, shape (nu,); see `gymnasium.Env.step`. It is never truncated."""
@@ -128,7 +129,7 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         info = {name: owned(value) for name, value in info.items()}
         if errors:
             terminated, info["failure"] = np.array(True), str(errors[0])
-        observation = owned(self._task.observe(now))
+        observation = owned(self._task.observe(now), self.observation_space.dtype)
         self._drive.keep(now)
         return observation, float(reward), bool(terminated), False, info
 

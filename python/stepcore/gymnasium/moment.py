@@ -63,9 +63,9 @@ class Moment(Readings):
         self.shape = action.shape[:-1]
 
 
-def owned(value: Any) -> Any:
+def owned(value: Any, dtype: Any = None) -> Any:
     """A copy that stays as it is when the world moves on; a number where there is no axis."""
-    return np.array(value)[()]
+    return np.array(value, dtype=dtype)[()]
 
 
 def state_vector(now: Moment) -> Floats:

@@ -152,8 +152,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         if not len(self._observations):
             if not mask.all():
                 raise ValueError("reset_mask: must be True everywhere in the first reset")
-            size = self.single_observation_space.shape
-            self._observations = np.zeros((self.num_envs, *(size or ())))
+            space = self.observation_space
+            self._observations = np.zeros(space.shape or (), dtype=space.dtype)
         self._observations, infos = self._begun(mask, self._observations, {})
         return self._observations.copy(), infos
 
@@ -209,7 +209,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         if errors:
             terminated[list(errors)] = True
             info = {**info, "failure": failures(errors, self.num_envs)}
-        observations = owned(self._task.observe(now))
+        observations = owned(self._task.observe(now), self.observation_space.dtype)
         self._drive.keep(now)
         self._elapsed += 1
         truncated = self._elapsed >= self._most
