@@ -1,5 +1,7 @@
 """gymnasium's own checker, its warnings as errors."""
 
+import subprocess
+import sys
 import warnings
 
 import gymnasium
@@ -38,3 +40,11 @@ CART = stepcore.loads(
     <geom size="0.1" mass="1"/></body></worldbody>
     <actuator><motor joint="x" ctrlrange="-1 1"/></actuator></mujoco>"""
 )
+
+
+def test_without_gymnasium_it_says_what_to_install():
+    code = "import sys; sys.modules['gymnasium'] = None; import stepcore.gymnasium"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.stderr.splitlines()[-1] == (
+        "ImportError: stepcore.gymnasium needs gymnasium: pip install 'stepcore[gymnasium]'"
+    )

@@ -13,6 +13,15 @@ Importing this registers them:
 The extra "gymnasium" installs what this needs; see docs/gymnasium.md.
 """
 
+try:
+    import gymnasium as _gymnasium  # noqa: F401
+except ModuleNotFoundError as error:
+    if error.name != "gymnasium":
+        raise
+    raise ImportError(
+        "stepcore.gymnasium needs gymnasium: pip install 'stepcore[gymnasium]'"
+    ) from None
+
 from stepcore.gymnasium.env import Env
 from stepcore.gymnasium.moment import Moment
 from stepcore.gymnasium.registration import register_envs
