@@ -99,6 +99,7 @@ if TYPE_CHECKING:
     from stepcore.scene.scene import Scene as Scene
     from stepcore.viewing.live import View as View
     from stepcore.viewing.live import view as view
+    from stepcore.viewing.picture import picture as picture
 
 # Where each public name comes from. A module is imported when one of its names is first used, so
 # that a script that steps a scene does not wait for the measurements. Type checkers read the
@@ -193,6 +194,7 @@ _MODULES = {
     ),
     "stepcore.scene.scene": ("Scene",),
     "stepcore.viewing.live": ("View", "view"),
+    "stepcore.viewing.picture": ("picture",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 _SUBMODULES = ("lesson", "reference")

@@ -122,6 +122,30 @@ class Trajectory:
 
         save_page(several([self, *over], labels), path)
 
+    def save_video(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        fps: float = 30.0,
+        speed: float = 1.0,
+        width: int = 640,
+        height: int = 480,
+        renderer: str | None = None,
+    ) -> None:
+        """Writes a video of the run, without a window or a graphics card.
+
+        path: such as "run.mp4"; its ending says the format.
+        fps: pictures per second of the video, 1 to 240. speed: how much faster than the motion.
+        width, height: in points, even numbers.
+        renderer: see `stepcore.picture`.
+
+        The camera goes along with what moves. Needs the extra "video". Raises ValueError for
+        values outside their limits.
+        """
+        from stepcore.viewing.picture import save_video
+
+        save_video(self._replayed(), path, fps, speed, (width, height), renderer)
+
     def _replayed(self, label: str = "") -> Replayed:
         """The run as it is drawn, solved again from its snapshots.
 

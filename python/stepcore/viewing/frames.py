@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stepcore.scene import frames
 from stepcore.viewing.drawing import Drawing, drawing_of
 
 if TYPE_CHECKING:
@@ -30,6 +31,12 @@ class Instant:
     forces: NDArray[Any]
     energy: tuple[float, float]
     residual: float
+
+    def placed(self, body: int, points: Any) -> NDArray[Any]:
+        """Points of a body's frame in the world [m], shape (n, 3)."""
+        turn = np.array(frames.matrix(self.xquat[body].tolist()))
+        places: NDArray[Any] = np.reshape(points, (-1, 3)) @ turn.T + self.xpos[body]
+        return places
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ import importlib
 from typing import Any
 
 
-def need(package: str, what: str) -> Any:
+def need(package: str, what: str, extra: str = "view") -> Any:
     """The package; ImportError, which says what to install, without it."""
     try:
         return importlib.import_module(package)
     except ImportError as error:
         if error.name is not None and error.name.partition(".")[0] != package.partition(".")[0]:
             raise
-        text = f"{what} needs {package.partition('.')[0]}: pip install 'stepcore[view]'"
+        text = f"{what} needs {package.partition('.')[0]}: pip install 'stepcore[{extra}]'"
         raise ImportError(text, name=package) from None

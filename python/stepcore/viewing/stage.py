@@ -136,7 +136,7 @@ class Stage:
 
     def _tendons(self, number: int, drawing: Drawing, instant: Instant) -> None:
         for k, branch in enumerate(drawing.tendons):
-            points = np.array([_place(instant, body, at) for body, at in branch])
+            points = np.concatenate([instant.placed(body, at) for body, at in branch])
             ends = np.stack([points[:-1], points[1:]], axis=1)
             self._lines(f"/run{number}/tendon{k}", ends, (192, 57, 43))
 
@@ -144,11 +144,3 @@ class Stage:
         self.server.scene.add_line_segments(
             name, ends.astype(np.float32), colour, thickness=0.004 * self.extent
         )
-
-
-def _place(instant: Instant, body: int, at: Sequence[float]) -> NDArray[Any]:
-    """A place in a body's frame, in the world."""
-    w, *axis = instant.xquat[body]
-    turn = 2 * np.cross(axis, at)
-    place: NDArray[Any] = instant.xpos[body] + at + w * turn + np.cross(axis, turn)
-    return place

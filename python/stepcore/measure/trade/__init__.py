@@ -207,6 +207,7 @@ def trade(
         runs=trials.runs,
         chosen=chosen,
         findings=watched(runner, shipped),
+        runner=runner,
     )
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from stepcore._core import Settings
 from stepcore.experiment.motion import Motion
 from stepcore.experiment.reference import Reference
+from stepcore.experiment.runner import Runner
 from stepcore.measure.findings import Finding
 from stepcore.measure.trade.frontier import MARGIN, Frontier
 from stepcore.measure.trade.mujoco import Point
@@ -43,6 +44,8 @@ class TradeFindings:
     chosen: TradeRow | None = None
     ran: str = ""
     findings: Sequence[Finding] = ()
+    # The runs of the trade, which can be made again to be seen.
+    runner: Runner | None = None
 
     @property
     def rows(self) -> list[TradeRow]:

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from stepcore.measure.trade.findings import TradeFindings
-from stepcore.measure.trade.row import UNITS
+from stepcore.measure.trade.row import UNITS, TradeRow
+from stepcore.measure.trade.seen import seen_runs
 from stepcore.measure.trade.sentences import sentences
 from stepcore.measure.trade.tables import settings_table, statistics_tables
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, metres, seconds
+
+if TYPE_CHECKING:
+    from stepcore.engine.trajectory import Trajectory
+    from stepcore.viewing.live import View
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,6 +115,36 @@ class Trade(TradeFindings, Result):
             "gained": max(float(path.balance.max()) for path in truth),
             "lost": max(-float(path.balance.min()) for path in truth),
         }
+
+    def seen(self, row: TradeRow | None = None) -> list[Trajectory]:
+        """The converged motion and that of a row, from the start where the row is worst.
+
+        row: by default the recommended one, else the shipped settings.
+
+        The runs are made again; what fails ends where it failed.
+        """
+        chosen = row or self.recommended or self.shipped
+        start = 0 if chosen.errors is None else chosen.errors.worst
+        return seen_runs(self.runner, [self.reference.settings, chosen.settings], start)
+
+    def view(
+        self,
+        row: TradeRow | None = None,
+        *,
+        host: str = "localhost",
+        port: int = 8080,
+        wait: bool | None = None,
+    ) -> View:
+        """Opens a page with the motion of a row over the converged one, and their distance.
+
+        row: by default the recommended one, else the shipped settings; from its worst start.
+        host, port, wait: see `stepcore.view`. Needs the extra "view".
+        """
+        from stepcore.viewing.live import view
+
+        chosen = row or self.recommended or self.shipped
+        named = f"dt {seconds(chosen.settings.dt)}, {chosen.settings.integrator}"
+        return view(self.seen(row), labels=["converged", named], host=host, port=port, wait=wait)
 
     def to_pandas(self) -> Any:
         """The table as a pandas DataFrame."""

@@ -1,0 +1,39 @@
+"""What is drawn besides shapes: contacts as balls, forces as arrows, tendons as rods."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stepcore.viewing.drawing import ARROW, Drawing
+from stepcore.viewing.frames import Instant
+
+AMBER, RED, BRICK = (0.96, 0.64, 0.0), (0.84, 0.15, 0.24), (0.75, 0.22, 0.17)
+
+
+class Mark(NamedTuple):
+    """kind: "ball" (start = end), "arrow" or "rod" from start to end [m]. width: radius [m]."""
+
+    kind: str
+    start: Any
+    end: Any
+    width: float
+    colour: tuple[float, float, float]
+
+
+def marks(drawing: Drawing, instant: Instant, newtons: float) -> list[Mark]:
+    """The marks of an instant; newtons: the force whose arrow is `ARROW` of the extent long."""
+    extent, result = drawing.extent, []
+    scale = ARROW * extent / (newtons or 1.0)
+    for place, force in zip(instant.places, instant.forces, strict=True):
+        result.append(Mark("ball", place, place, 0.009 * extent, AMBER))
+        end = place + scale * force
+        if np.linalg.norm(end - place) > 0.01 * extent:
+            result.append(Mark("arrow", place, end, 0.007 * extent, RED))
+    for branch in drawing.tendons:
+        points = np.concatenate([instant.placed(body, at) for body, at in branch])
+        for start, end in itertools.pairwise(points):
+            result.append(Mark("rod", start, end, 0.004 * extent, BRICK))
+    return result

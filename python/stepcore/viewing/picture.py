@@ -1,0 +1,114 @@
+"""Pictures and videos without a window or a graphics card."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore import checks
+from stepcore.viewing.camera import Camera, camera_of
+from stepcore.viewing.drawing import Drawing, drawing_of
+from stepcore.viewing.frames import Replayed, instant_of
+from stepcore.viewing.marks import marks
+from stepcore.viewing.mitsuba_picture import MitsubaPicture
+from stepcore.viewing.mujoco_picture import MujocoPicture
+from stepcore.viewing.needs import need
+
+RENDERERS = {"mujoco": MujocoPicture, "mitsuba": MitsubaPicture}
+# The largest picture, and frames a second of a video.
+LARGEST, RATES = 8192, (1.0, 240.0)
+
+
+def picture(
+    sim: Any,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    width: int = 640,
+    height: int = 480,
+    turn: float = -52.0,
+    lift: float = 20.0,
+    far: float = 1.7,
+    forces: bool = True,
+    renderer: str | None = None,
+) -> NDArray[np.uint8]:
+    """Draws the present state of a Sim, without a window or a graphics card.
+
+    path: where the picture is written, in the format of its extension.
+    width, height: in points.
+    turn, lift: where the camera stands about z, and how far above the horizon [degrees].
+    far: how far it is, of the size of what moves.
+    forces: whether contacts and their forces are drawn.
+    renderer: "mujoco" (OpenGL) or "mitsuba" (rays on the processor alone); by default MuJoCo's
+        where it works, else Mitsuba's.
+
+    Returns the picture, shape (height, width, 3). The Sim stays as it is. Needs mujoco or the
+    extra "video". Raises ValueError for sizes and names outside their limits, RuntimeError where
+    the renderer that is asked for does not work.
+    """
+    if not hasattr(sim, "forward"):
+        raise ValueError(f"sim = {checks.shown(sim)}: must be a stepcore.Sim")
+    own = type(sim)(sim.model)
+    own.restore(sim.state())
+    instant, drawing = instant_of(own), drawing_of(own.model, own)
+    camera = camera_of(drawing, instant, np.deg2rad(turn), np.deg2rad(lift), far)
+    made = _renderer(drawing, width, height, renderer)
+    try:
+        newtons = drawing.weight or float(np.abs(instant.forces).max(initial=0.0))
+        drawn: NDArray[np.uint8] = made.draw(
+            instant, camera, marks(drawing, instant, newtons) if forces else []
+        )
+    finally:
+        made.close()
+    if path is not None:
+        need("PIL.Image", "writing a picture", "video").fromarray(drawn).save(path)
+    return drawn
+
+
+def save_video(
+    run: Replayed,
+    path: str | os.PathLike[str],
+    fps: float,
+    speed: float,
+    size: tuple[int, int],
+    renderer: str | None,
+) -> None:
+    """See `Trajectory.save_video`."""
+    checks.real(*RATES[:1], high=RATES[1])("save_video", "fps", fps)
+    checks.real(above=0)("save_video", "speed", speed)
+    ffmpeg = need("imageio_ffmpeg", "a video", "video")
+    drawing, time = run.drawing, run.time
+    made = _renderer(drawing, *size, renderer)
+    first = camera_of(drawing, run.instants[0], -0.9, 0.35, 1.7)
+    newtons = drawing.weight or run.strongest
+    moving = drawing.moving if drawing.moving.any() else np.ones(len(drawing.bodies), bool)
+    start = run.instants[0].xpos[moving].mean(axis=0)
+    count = max(1, round((time[-1] - time[0]) / speed * fps) + 1)
+    writer = ffmpeg.write_frames(os.fspath(path), size, fps=fps, macro_block_size=2)
+    writer.send(None)
+    try:
+        for k in range(count):
+            now = time[0] + k * speed / fps
+            instant = run.instants[int(np.argmin(np.abs(time - now)))]
+            target = first.target + instant.xpos[moving].mean(axis=0) - start
+            camera = Camera(target, first.turn, first.lift, first.far)
+            drawn = made.draw(instant, camera, marks(drawing, instant, newtons))
+            writer.send(np.ascontiguousarray(drawn))
+    finally:
+        writer.close()
+        made.close()
+
+
+def _renderer(drawing: Drawing, width: int, height: int, name: str | None) -> Any:
+    """The renderer of this name, or the first that works."""
+    for field, value in (("width", width), ("height", height)):
+        checks.whole(2, LARGEST)("picture", field, value)
+    checks.one_of(None, *RENDERERS)("picture", "renderer", name)
+    if name is not None:
+        return RENDERERS[name](drawing, width, height)
+    try:
+        return MujocoPicture(drawing, width, height)
+    except (ImportError, RuntimeError, ValueError):
+        return MitsubaPicture(drawing, width, height)
