@@ -83,11 +83,12 @@ def instant_of(sim: Any) -> Instant:
 def replayed(snapshots: Snapshots, label: str = "") -> Replayed:
     """A run as it is seen; its solves are made again."""
     sim = snapshots.sim()
-    instants = []
+    sim.restore(snapshots.states[0])
+    drawing, instants = drawing_of(snapshots.model, sim), []
     for state in snapshots.states:
         sim.restore(state)
         instants.append(instant_of(sim))
-    return Replayed(drawing_of(snapshots.model, sim), instants, label)
+    return Replayed(drawing, instants, label)
 
 
 def distance(one: Replayed, other: Replayed) -> NDArray[np.float64]:

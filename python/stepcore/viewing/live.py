@@ -109,6 +109,11 @@ def view(
 
     Prints the address of the page, which works without a browser on this machine. Needs the extra
     "view". Raises ValueError for runs of other bodies.
+
+    >>> from stepcore import Sim, lesson, view
+    >>> opened = view(Sim(lesson.stack()), wait=False)  # doctest: +SKIP
+    stepcore view: http://localhost:8080
+    >>> opened.close()  # doctest: +SKIP
     """
     if isinstance(runs, (list, tuple)):
         seen = several(runs, labels)

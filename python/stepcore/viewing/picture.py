@@ -47,6 +47,10 @@ def picture(
     Returns the picture, shape (height, width, 3). The Sim stays as it is. Needs mujoco or the
     extra "video". Raises ValueError for sizes and names outside their limits, RuntimeError where
     the renderer that is asked for does not work.
+
+    >>> from stepcore import Sim, lesson, picture
+    >>> picture(Sim(lesson.stack()), "stack.png", width=160, height=120).shape
+    (120, 160, 3)
     """
     if not hasattr(sim, "forward"):
         raise ValueError(f"sim = {checks.shown(sim)}: must be a stepcore.Sim")
