@@ -20,7 +20,7 @@ from stepcore.mjcf.nodes import Node, parse
 from stepcore.mjcf.reader import finish, read_sections
 from stepcore.mjcf.refusals import Refusals
 from stepcore.scene.contents import Contents
-from stepcore.scene.elements import Geom
+from stepcore.scene.elements import Geom, Mesh
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 
@@ -57,6 +57,9 @@ class _DrawnAssets(Assets):
             super()._fill(scene, node, asset)
         except (ValueError, OSError) as error:
             self.unread[id(asset)] = str(error)
+            # It stays empty, so that the geoms that refer to it can be told apart.
+            held: list[Any] = scene.meshes if isinstance(asset, Mesh) else scene.hfields
+            held.append(asset)
 
 
 def read_looks(scene: Contents) -> Looks | None:

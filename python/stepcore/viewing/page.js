@@ -448,7 +448,7 @@
   });
   byId("scale").textContent =
     `The arrow of ${number(data.newtons)} N is ${number(data.arrow)} m long. ` +
-    "Drag to turn, shift-drag to move, wheel to zoom, space to pause.";
+    ["Drag to turn, shift-drag to move, wheel to zoom, space to pause.", ...data.notes].join(" ");
   if (runs.length > 1) {
     byId("runs").innerHTML = runs.map((run, k) => {
       const colour = run.tint

@@ -36,6 +36,7 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
         "extent": runs[0].drawing.extent,
         "runs": [_run(run, tint) for run, tint in zip(runs, _tints(len(runs)), strict=True)],
         "newtons": _newtons(runs),
+        "notes": [f"Not drawn: {note}" for note in runs[0].drawing.notes],
         "arrow": ARROW * runs[0].drawing.extent,
     }
     if len(runs) > 1:
