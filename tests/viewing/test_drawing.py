@@ -43,6 +43,15 @@ def test_colours_are_those_of_the_file():
     assert [shape.name for shape in drawing.shapes if not shape.shown] == ["wooden"]
 
 
+def test_a_body_with_hidden_geoms_alone_shows_them():
+    text = MODEL.replace(
+        "</body></worldbody>",
+        '<body><geom name="paw" size=".1" group="3"/></body></body></worldbody>',
+    )
+    _, _, drawing = drawn(text)
+    assert {shape.name for shape in drawing.shapes if not shape.shown} == {"wooden"}
+
+
 def test_what_only_draws_is_drawn_and_not_in_the_physics():
     scene, sim, drawing = drawn(MODEL)
     assert "seen" not in sim.model.geom_names

@@ -96,8 +96,9 @@ def drawing_of(model: ModelData, world: World) -> Drawing:
             pos = tuple(geom.pos)
             shapes.append(Shape(body, "triangles", (), pos, quat, rgba, shown, surface, geom.name))
     shapes = [shape for shape in shapes if shape.rgba[3] > 0]
-    if not any(shape.shown and moving[shape.body] for shape in shapes):
-        shapes = [replace(shape, shown=True) for shape in shapes]
+    # A body of which nothing would be seen (it has a skin, or only what collides) is shown whole.
+    seen = {shape.body for shape in shapes if shape.shown}
+    shapes = [shape if shape.body in seen else replace(shape, shown=True) for shape in shapes]
     heavy = float(np.sum(model.body_mass[moving]))
     weight = heavy * float(np.linalg.norm(scene.gravity)) if scene.features.gravity else 0.0
     extent = _extent(shapes, world, moving)
