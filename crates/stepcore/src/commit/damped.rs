@@ -113,10 +113,7 @@ impl<R: Real> Damped<R> {
         solved.impulse(&mut self.impulse);
         self.change.copy_from_slice(&self.impulse);
         for &tree in trees {
-            for k in model.trees[tree].dofs.range() {
-                let row = model.dofs[k].row;
-                self.metric.l[row.range()].copy_from_slice(&placed.mass[row.range()]);
-            }
+            self.metric.refill(model.trees[tree].dofs.range(), &placed.mass);
         }
         let mass = |i, j| model.entry(i, j).map_or(R::zero(), |at| placed.mass[at]);
         for (block, &tree) in self.blocks.iter_mut().zip(gyroscopic) {

@@ -103,28 +103,45 @@ impl<R: Real> Detected<R> {
         if let Some(heap) = &model.heap {
             return self.detect_near(model, heap, placed, settings);
         }
-        let skips = !on_guess && !beyond(model, qpos);
+        let inside = !beyond(model, qpos);
         let sleeps = self.asleep.contains(&true);
-        for pair in &model.pairs {
-            if sleeps && self.rests(model, pair.geom1) && self.rests(model, pair.geom2) {
+        let asks = !on_guess;
+        #[cfg(test)]
+        let asks = asks && !self.exhaustive;
+        for meeting in &model.meetings {
+            if asks && meeting.spheres.far(placed, inside) {
                 continue;
             }
-            let more = on_guess.then(|| self.swept.of(pair));
-            let far = skips && pair.apart || far(model, placed, pair, more);
-            #[cfg(test)]
-            let far = far && !self.exhaustive;
-            if far {
-                continue;
-            }
-            let material = model.material(pair);
-            let listed = if on_guess { f64::INFINITY } else { material.margin + material.gap };
-            meet(model, placed, pair, listed, |part, touch| {
-                let mask = touch.exists.and(touch.dist.lt(R::of(listed)));
-                if mask.any() {
-                    self.push(pair, part, touch, mask);
+            let own = meeting.pairs;
+            for (pair, spheres) in own.of(&model.pairs).iter().zip(own.of(&model.spheres)) {
+                if asks && spheres.far(placed, inside) {
+                    continue;
                 }
-            });
+                if sleeps && self.rests(model, pair.geom1) && self.rests(model, pair.geom2) {
+                    continue;
+                }
+                self.meet_fixed(model, placed, pair, on_guess);
+            }
         }
+    }
+
+    /// The contacts of a pair that its spheres do not keep apart.
+    fn meet_fixed(&mut self, model: &Model, placed: &Placed<R>, pair: &Pair, on_guess: bool) {
+        let more = on_guess.then(|| self.swept.of(pair));
+        let far = far(model, placed, pair, more);
+        #[cfg(test)]
+        let far = far && !self.exhaustive;
+        if far {
+            return;
+        }
+        let material = model.material(pair);
+        let listed = if on_guess { f64::INFINITY } else { material.margin + material.gap };
+        meet(model, placed, pair, listed, |part, touch| {
+            let mask = touch.exists.and(touch.dist.lt(R::of(listed)));
+            if mask.any() {
+                self.push(pair, part, touch, mask);
+            }
+        });
     }
 
     /// What the spans of rows point into: see `Situation::dof_lists`.

@@ -24,6 +24,7 @@ impl Constraint for Limit {
         if !now.model.features.limit {
             return;
         }
+        let by_position = !now.settings.law.on_guess();
         for &index in &now.model.limited {
             let joint = &now.model.joints[index];
             let Some([lo, hi]) = joint.range else { continue };
@@ -31,6 +32,11 @@ impl Constraint for Limit {
                 continue;
             }
             let reach = Reach::of(now.model, index, now.qpos);
+            let [below, above] = [reach.length - R::of(lo), R::of(hi) - reach.length];
+            let margin = R::of(joint.margin);
+            if by_position && below.lt(margin).none() && above.lt(margin).none() {
+                continue;
+            }
             let bound = |side: usize, phi: R| Bound {
                 element: Element::part(Kind::Limit, index, side),
                 phi,
@@ -43,10 +49,10 @@ impl Constraint for Limit {
             };
             // The angle of a ball has no lower bound but zero.
             if joint.kind != JointType::Ball {
-                let lower = bound(0, reach.length - R::of(lo));
+                let lower = bound(0, below);
                 rows.limit(now, &lower, |rows| rows.joint_arms(&reach, false));
             }
-            let upper = bound(1, R::of(hi) - reach.length);
+            let upper = bound(1, above);
             rows.limit(now, &upper, |rows| rows.joint_arms(&reach, true));
         }
     }

@@ -2,8 +2,8 @@
 
 use super::slots::Slots;
 use super::{
-    apart, auto_spring, check, coupling, fluid, heap, inertia, invweight, linkages, meshes, pairs,
-    pose, tendons, ties, tree, Model, NONE,
+    apart, auto_spring, check, coupling, fluid, heap, inertia, invweight, linkages, meetings,
+    meshes, pairs, pose, tendons, ties, tree, Model, NONE,
 };
 use crate::error::Result;
 use crate::scene::Scene;
@@ -11,11 +11,15 @@ use crate::scene::Scene;
 impl Model {
     /// Compiles a scene, or says which element cannot be compiled and why.
     pub fn compile(scene: &Scene) -> Result<Self> {
-        Self::compile_with(scene, heap::MOST_FIXED)
+        Self::compiled(scene, heap::most_fixed)
     }
 
     /// The same, where up to so many pairs are listed: see `heap.rs`.
     pub fn compile_with(scene: &Scene, most_fixed: usize) -> Result<Self> {
+        Self::compiled(scene, |_| most_fixed)
+    }
+
+    fn compiled(scene: &Scene, most_fixed: impl Fn(&Self) -> usize) -> Result<Self> {
         check::scene(scene)?;
         crate::sensors::check::sensors(scene)?;
         let (geoms, assets) = meshes::placed(scene)?;
@@ -31,7 +35,8 @@ impl Model {
         auto_spring::fill(scene, &mut model);
         fluid::fill(scene, &axes, &mut model);
         let mut unions = tree::Unions::default();
-        if !pairs::fill(scene, &mut model, &poses, &mut unions, most_fixed)? {
+        let most = most_fixed(&model);
+        if !pairs::fill(scene, &mut model, &poses, &mut unions, most)? {
             heap::fill(scene, &mut model, &poses)?;
         }
         ties::fill(scene, &mut model, &poses, &mut unions);
@@ -52,6 +57,7 @@ impl Model {
         coupling::fill(&mut model);
         model.slots = Slots::of(&model);
         apart::fill(&mut model);
+        meetings::fill(&mut model);
         Ok(model)
     }
 }

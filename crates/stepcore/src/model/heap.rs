@@ -1,6 +1,7 @@
 //! Models of so many geoms that a list of the pairs that could meet would be most of their memory.
 //!
-//! Up to `MOST_FIXED` such pairs are listed when a model is compiled (`pairs.rs`): each has its dofs,
+//! Up to `MOST_FIXED` such pairs are listed when a model is compiled (`pairs.rs`), of a model of few
+//! trees up to `MOST_OF_FEW`: each has its dofs,
 //! its slots and its island for good, which is quick for few, and what worlds in lanes need. Above
 //! that a model is a heap: `detect/near.rs` finds in every step the pairs whose boxes overlap, and
 //! makes them as they would stand in the list. What pairs share is kept by geom, and their materials
@@ -17,7 +18,12 @@ use crate::shapes::{height_field, ShapeTest};
 use std::collections::{HashMap, HashSet};
 
 /// Pairs up to which all are listed.
-pub const MOST_FIXED: usize = 2000;
+const MOST_FIXED: usize = 2000;
+/// The same where fewer than `MANY` trees move: a body of theirs is near few others, and most pairs
+/// are passed over by twos of bodies (`meetings.rs`).
+const MOST_OF_FEW: usize = 20_000;
+/// So many trees that the contacts between them decide what is solved together.
+pub const MANY: usize = 8;
 /// Slots of a pair of a heap, whatever its test.
 pub const MOST_TOUCHES: usize = 64;
 const _: () = assert!(height_field::MOST <= MOST_TOUCHES);
@@ -48,6 +54,15 @@ pub struct Heap {
     still: HashMap<(usize, usize), [bool; 2]>,
     /// Materials of explicit pairs, by their geoms, the smaller index first.
     explicit: HashMap<(usize, usize), usize>,
+}
+
+/// Pairs up to which all of a model are listed.
+pub fn most_fixed(model: &Model) -> usize {
+    if model.trees.len() < MANY {
+        MOST_OF_FEW
+    } else {
+        MOST_FIXED
+    }
 }
 
 /// What a material is mixed from, bit by bit.

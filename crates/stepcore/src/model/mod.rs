@@ -15,6 +15,7 @@ mod invweight;
 mod kept;
 mod linkages;
 mod material;
+mod meetings;
 mod meshes;
 mod pairs;
 mod plan;
@@ -33,8 +34,10 @@ mod tree;
 mod union;
 
 pub use heap::Heap;
+pub(crate) use heap::MANY as MANY_TREES;
 pub use linkages::{Linkage, Moved};
 pub use material::Material;
+pub use meetings::{Meeting, Spheres};
 pub use pairs::Never;
 pub use plan::Unmet;
 pub use tally::Tally;
@@ -309,6 +312,9 @@ pub struct Model {
     pub sensors: Vec<Sensor>,
     /// Empty in a heap.
     pub pairs: Vec<Pair>,
+    /// By pair, and by two bodies: what a step asks of them first.
+    pub spheres: Vec<Spheres>,
+    pub meetings: Vec<Meeting>,
     /// There are too many pairs that could meet for a list of them.
     pub heap: Option<Heap>,
     pub materials: Vec<Material>,

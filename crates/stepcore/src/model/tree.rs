@@ -50,6 +50,8 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
             .collect(),
         excludes: scene.excludes.iter().map(|[a, b]| (*a.min(b), *a.max(b))).collect(),
         guards: vec![],
+        spheres: vec![],
+        meetings: vec![],
         equalities: vec![],
         actuators: scene.actuators.clone(),
         keys: scene.keys.clone(),

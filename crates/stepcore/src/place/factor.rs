@@ -10,6 +10,7 @@ use std::ops::Range;
 
 use crate::model::{Model, Span, Tree};
 use crate::real::Real;
+use crate::spatial::subtract_scaled;
 
 /// The factors of one symmetric matrix with the pattern of the mass matrix, or with that which the
 /// metric of `discrete` has (`model/coupling.rs`).
@@ -92,11 +93,10 @@ impl<R: Real> Metric<R> {
     }
 
     /// Copies rows of a matrix of the same layout.
-    pub(super) fn refill(&mut self, dofs: Range<usize>, matrix: &[R]) {
-        for k in dofs {
-            let row = self.rows[k].range();
-            self.l[row.clone()].copy_from_slice(&matrix[row]);
-        }
+    pub(crate) fn refill(&mut self, dofs: Range<usize>, matrix: &[R]) {
+        let Some(last) = dofs.clone().next_back() else { return };
+        let own = self.rows[dofs.start].start..self.rows[last].range().end;
+        self.l[own.clone()].copy_from_slice(&matrix[own]);
     }
 
     /// Adds to an entry on the diagonal of a matrix that was copied into `l`.
@@ -115,18 +115,17 @@ impl<R: Real> Metric<R> {
 
     /// Factors the rows `dofs` of a matrix that was copied into `l`.
     pub fn factor(&mut self, dofs: Range<usize>) {
+        let Self { l, inv_d, rows, above, .. } = self;
         for k in dofs.rev() {
-            let Span { start, len } = self.rows[k];
-            let (before, own) = self.l.split_at_mut(start);
+            let Span { start, len } = rows[k];
+            let (before, own) = l.split_at_mut(start);
             let own = &mut own[..len];
             let inv = R::one() / own[0];
-            self.inv_d[k] = inv;
+            inv_d[k] = inv;
+            let above = &above[start..start + len];
             for at in 1..len {
                 let a = own[at] * inv;
-                let above = &mut before[self.above[start + at]..][..len - at];
-                for (entry, own) in above.iter_mut().zip(&own[at..]) {
-                    *entry -= a * *own;
-                }
+                subtract_scaled(&mut before[above[at]..][..len - at], a, &own[at..]);
                 own[at] = a;
             }
         }
@@ -220,14 +219,11 @@ impl<R: Real> Metric<R> {
 }
 
 impl<R: Real> Placed<R> {
-    pub(super) fn factor_mass(&mut self, model: &Model, tree: &Tree) {
+    pub(super) fn factor_mass(&mut self, tree: &Tree) {
         if self.effective.is_some() {
             return;
         }
-        for k in tree.dofs.range() {
-            let row = model.dofs[k].row.range();
-            self.metric.l[row.clone()].copy_from_slice(&self.mass[row]);
-        }
+        self.metric.refill(tree.dofs.range(), &self.mass);
         self.metric.factor(tree.dofs.range());
     }
 

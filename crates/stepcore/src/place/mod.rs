@@ -174,7 +174,7 @@ impl<R: Real> Placed<R> {
         }
         for (index, tree) in model.trees.iter().enumerate() {
             self.weigh(model, tree);
-            self.factor_mass(model, tree);
+            self.factor_mass(tree);
             self.velocities(model, &still, tree);
             self.bias_of_tree(model, index);
         }
@@ -276,7 +276,7 @@ impl<R: Real> Placed<R> {
                 R::enter(Stage::Inertia);
                 self.weigh(model, tree);
                 R::enter(Stage::Factor);
-                self.factor_mass(model, tree);
+                self.factor_mass(tree);
                 R::enter(Stage::Bias);
                 if model.features.coriolis || !model.equalities.is_empty() {
                     self.velocities(model, qvel, tree);

@@ -8,20 +8,26 @@
 //! Guesses can go round in a circle: lanes that a few did not solve are left to the
 //! primal method, whose line search cannot.
 
-use super::dot::dot;
+use super::dot::{dot, dots};
 use super::islands::row_count;
 use super::limits::Report;
 use super::rows::{Rows, Set};
 use crate::real::{Count, Mask, Real};
 use crate::room::room;
+use crate::spatial::subtract_scaled;
 
-/// An island of more rows is not few.
-const MOST: u64 = 16;
+/// An island of so many rows has few, and one of up to `SHARE` a dof of the model.
+const MOST: usize = 16;
+const SHARE: f64 = 0.5;
 /// A pivot this small beside its diagonal would cost too many digits: rows that are nearly
 /// copies with a tiny regulariser go to the primal method, which sees each by itself.
 const PIVOT: f64 = 1e-5;
 /// Guesses after which the island is left to the primal method.
-const GUESSES: u32 = 6;
+const GUESSES: u32 = 10;
+/// Rows of a block whose products are taken side by side.
+const WIDE: usize = 4;
+/// From so many free rows on, vectors pay in their elimination.
+const LONG: usize = 12;
 
 /// The method's memory. Lists are by row of the island, matrices row by row.
 pub(super) struct Few<R: Real> {
@@ -35,15 +41,20 @@ pub(super) struct Few<R: Real> {
     /// Free rows, and rows at their upper bound; the others are at their lower one.
     free: Vec<R::Mask>,
     high: Vec<R::Mask>,
-    /// The system of the free rows, then its factors.
+    /// What the free rows are to reach with the others at their bounds.
+    rest: Vec<R>,
+    /// Rows that are free in some lane, and their system: its upper half, then DLᵀ.
+    some: Vec<usize>,
     m: Vec<R>,
     inv: Vec<R>,
     x: Vec<R>,
+    /// One row of Lᵀ.
+    l: Vec<R>,
     /// D⁻¹ y of one row, by dof.
     z: Vec<R>,
 }
 
-room!(Few<R>: rows, masks, a, b, impulse, w, free, high, m, inv, x, z;);
+room!(Few<R>: rows, masks, a, b, impulse, w, free, high, rest, some, m, inv, x, l, z;);
 
 /// What one solve reads.
 #[derive(Clone, Copy)]
@@ -66,9 +77,12 @@ impl<R: Real> Few<R> {
             w: Vec::new(),
             free: Vec::new(),
             high: Vec::new(),
+            rest: Vec::new(),
+            some: Vec::new(),
             m: Vec::new(),
             inv: Vec::new(),
             x: Vec::new(),
+            l: Vec::new(),
             z: Vec::new(),
         }
     }
@@ -76,13 +90,16 @@ impl<R: Real> Few<R> {
     /// Lanes in which all rows of these blocks are intervals, and few. A lane's own rows
     /// decide, whatever its neighbours have.
     pub fn fits(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
+        // A heap's dofs say nothing of one of its islands.
+        let share = if rows.heap { 0.0 } else { SHARE * rows.u.len() as f64 };
+        let most = MOST.max(share as usize) as u64;
         let mut fits = R::Mask::of(true);
         for block in blocks.iter().map(|b| &rows.blocks[*b]) {
             if block.set != Set::Interval {
                 fits = fits.and(block.mask.not());
             }
         }
-        fits.and(row_count(rows, blocks).at_most(MOST))
+        fits.and(row_count(rows, blocks).at_most(most))
     }
 
     /// Solves an island in the lanes `mine`; `rows.u` and the impulses as for the other
@@ -137,12 +154,16 @@ impl<R: Real> Few<R> {
             (&mut self.a, n * n),
             (&mut self.m, n * n),
             (&mut self.w, n),
+            (&mut self.rest, n),
             (&mut self.inv, n),
             (&mut self.x, n),
+            (&mut self.l, n),
         ] {
             list.resize(len, zero);
         }
         self.z.resize(inv_d.len(), zero);
+        self.some.clear();
+        self.some.reserve(n);
         self.free.clear();
         self.free.resize(n, R::Mask::of(false));
         self.high.clear();
@@ -156,13 +177,7 @@ impl<R: Real> Few<R> {
             for (k, y) in own.iter().zip(y) {
                 self.z[*k] = inv_d[*k] * *y;
             }
-            for j in 0..i {
-                let other = &rows.rows[self.rows[j]];
-                let list = other.dofs.of(dof_lists);
-                let sum = dot(list, &rows.y[other.y..other.y + list.len()], &self.z);
-                self.a[i * n + j] = sum;
-                self.a[j * n + i] = sum;
-            }
+            self.products(dof_lists, rows, i);
             self.a[i * n + i] = row.a + row.c;
             for k in own {
                 self.z[*k] = zero;
@@ -172,16 +187,46 @@ impl<R: Real> Few<R> {
         }
     }
 
+    /// A of row i, whose D⁻¹ y is in `z`, and the rows before it.
+    fn products(&mut self, dof_lists: &[usize], rows: &Rows<R>, i: usize) {
+        let (n, mut j) = (self.rows.len(), 0);
+        while j < i {
+            let first = &rows.rows[self.rows[j]];
+            let list = first.dofs.of(dof_lists);
+            let wide = j + WIDE <= i && {
+                let last = &rows.rows[self.rows[j + WIDE - 1]];
+                last.dofs == first.dofs && last.y == first.y + (WIDE - 1) * list.len()
+            };
+            if wide {
+                let sums = dots::<R, WIDE>(list, &rows.y[first.y..], &self.z);
+                self.a[i * n + j..i * n + j + WIDE].copy_from_slice(&sums);
+            } else {
+                let y = &rows.y[first.y..first.y + list.len()];
+                self.a[i * n + j] = dot(list, y, &self.z);
+            }
+            j += if wide { WIDE } else { 1 };
+        }
+        for j in 0..i {
+            self.a[j * n + i] = self.a[i * n + j];
+        }
+    }
+
     /// w = (A + C)λ − b.
     fn slacks(&mut self) {
-        let n = self.rows.len();
-        for i in 0..n {
-            let row = &self.a[i * n..(i + 1) * n];
-            let mut sum = -self.b[i];
-            for ((a, x), mask) in row.iter().zip(&self.impulse).zip(&self.masks) {
-                sum = R::select(*mask, sum + *a * *x, sum);
+        let Self { a, b, w, impulse, masks, .. } = self;
+        for (w, b) in w.iter_mut().zip(&*b) {
+            *w = -*b;
+        }
+        for ((column, x), mask) in a.chunks_exact(b.len().max(1)).zip(&*impulse).zip(&*masks) {
+            if mask.all() {
+                for (w, a) in w.iter_mut().zip(column) {
+                    *w += *a * *x;
+                }
+            } else {
+                for (w, a) in w.iter_mut().zip(column) {
+                    *w = R::select(*mask, *w + *a * *x, *w);
+                }
             }
-            self.w[i] = sum;
         }
     }
 
@@ -208,78 +253,94 @@ impl<R: Real> Few<R> {
     /// Solves for the free rows, the others at their bounds; lanes in which λ moved
     /// by more than rounding, and lanes in which the system was too poor to solve.
     fn step(&mut self, rows: &Rows<R>, live: R::Mask) -> (R::Mask, R::Mask) {
-        let n = self.rows.len();
+        let poor = self.pose(rows).eliminate().and(live);
         let zero = R::zero();
+        let (mut most, mut moved) = (zero, zero);
+        let mut some = self.some.iter().enumerate().peekable();
         for (i, r) in self.rows.iter().enumerate() {
             let row = &rows.rows[*r];
             let bound = R::select(self.high[i], row.hi, row.lo);
-            self.x[i] = R::select(self.free[i].or(self.masks[i].not()), zero, bound);
-        }
-        for i in 0..n {
-            if self.free[i].none() {
-                continue;
+            let mut x = R::select(self.free[i].or(self.masks[i].not()), zero, bound);
+            if let Some((at, _)) = some.next_if(|(_, some)| **some == i) {
+                x = R::select(self.free[i], self.x[at], x);
             }
-            let row = &self.a[i * n..(i + 1) * n];
-            let mut sum = self.b[i];
-            for j in 0..n {
-                let taken = sum - row[j] * self.x[j];
-                sum = R::select(self.free[j].or(self.masks[j].not()), sum, taken);
-            }
-            self.m[i * n..=i * n + i].copy_from_slice(&row[..=i]);
-            self.inv[i] = sum;
-        }
-        for i in 0..n {
-            self.x[i] = R::select(self.free[i], self.inv[i], self.x[i]);
-        }
-        let poor = self.eliminate().and(live);
-        let (mut most, mut moved) = (zero, zero);
-        for i in 0..n {
             let mask = live.and(self.masks[i]).and(poor.not());
-            let change = (self.x[i] - self.impulse[i]).abs();
+            let change = (x - self.impulse[i]).abs();
             moved = R::select(mask, moved.max(change), moved);
-            most = R::select(mask, most.max(self.x[i].abs()), most);
-            self.impulse[i] = R::select(mask, self.x[i], self.impulse[i]);
+            most = R::select(mask, most.max(x.abs()), most);
+            self.impulse[i] = R::select(mask, x, self.impulse[i]);
         }
         (moved.gt(R::of(8.0 * R::EPSILON) * most), poor)
     }
 
-    /// x ← M⁻¹ x on the free rows, M = LDLᵀ; lanes with a pivot that is too small.
-    fn eliminate(&mut self) -> R::Mask {
-        let n = self.rows.len();
-        let mut poor = R::Mask::of(false);
-        let Self { m, x, inv, free, a, .. } = self;
-        for k in 0..n {
-            if free[k].none() {
+    /// The system of the free rows.
+    fn pose(&mut self, rows: &Rows<R>) -> &mut Self {
+        let Self { a, b, free, high, masks, rest, some, m, x, .. } = self;
+        let n = b.len();
+        some.clear();
+        some.extend((0..n).filter(|i| free[*i].any()));
+        rest.copy_from_slice(b);
+        for (j, r) in self.rows.iter().enumerate() {
+            let held = free[j].or(masks[j].not()).not();
+            if held.none() {
                 continue;
             }
-            let small = m[k * n + k].gt(R::of(PIVOT) * a[k * n + k]).not();
-            poor = poor.or(free[k].and(small));
-            let pivot = R::one() / m[k * n + k];
-            inv[k] = pivot;
-            for i in k + 1..n {
-                let both = free[k].and(free[i]);
-                if both.none() {
-                    continue;
-                }
-                let own = m[i * n + k];
-                let l = own * pivot;
-                for j in k + 1..=i {
-                    let new = m[i * n + j] - l * m[j * n + k];
-                    m[i * n + j] = R::select(both.and(free[j]), new, m[i * n + j]);
-                }
-                x[i] = R::select(both, x[i] - l * x[k], x[i]);
+            let bound = R::select(high[j], rows.rows[*r].hi, rows.rows[*r].lo);
+            for (rest, a) in rest.iter_mut().zip(&a[j * n..(j + 1) * n]) {
+                *rest = R::select(held, *rest - *a * bound, *rest);
             }
         }
-        for k in (0..n).rev() {
-            if free[k].none() {
-                continue;
+        let size = some.len();
+        for (at, i) in some.iter().enumerate() {
+            x[at] = rest[*i];
+            let own = &a[i * n..(i + 1) * n];
+            for (m, j) in m[at * size + at..(at + 1) * size].iter_mut().zip(&some[at..]) {
+                *m = own[*j];
             }
+        }
+        self
+    }
+
+    /// x ← M⁻¹ x on the free rows, M = LDLᵀ; lanes with a pivot that is too small.
+    fn eliminate(&mut self) -> R::Mask {
+        let Self { m, x, inv, l, free, a, some, .. } = self;
+        let (size, n) = (some.len(), free.len());
+        let whole = some.iter().all(|i| free[*i].all());
+        let mut poor = R::Mask::of(false);
+        for k in 0..size {
+            let (own, later) = m.split_at_mut((k + 1) * size);
+            let own = &own[k * size..];
+            let mine = free[some[k]];
+            let small = own[k].gt(R::of(PIVOT) * a[some[k] * n + some[k]]).not();
+            poor = poor.or(mine.and(small));
+            let pivot = R::one() / own[k];
+            inv[k] = pivot;
+            for (l, own) in l[k + 1..size].iter_mut().zip(&own[k + 1..]) {
+                *l = *own * pivot;
+            }
+            for (i, row) in (k + 1..size).zip(later.chunks_exact_mut(size)) {
+                let both = mine.and(free[some[i]]);
+                if whole && size < LONG {
+                    subtract_scaled(&mut row[i..], own[i], &l[i..size]);
+                } else if whole {
+                    for (m, l) in row[i..].iter_mut().zip(&l[i..size]) {
+                        *m -= own[i] * *l;
+                    }
+                } else {
+                    for ((m, l), j) in row[i..].iter_mut().zip(&l[i..size]).zip(&some[i..]) {
+                        *m = R::select(both.and(free[*j]), *m - *l * own[i], *m);
+                    }
+                }
+                x[i] = R::select(both, x[i] - l[i] * x[k], x[i]);
+            }
+        }
+        for k in (0..size).rev() {
+            let own = &m[k * size..(k + 1) * size];
             let mut sum = x[k];
-            for i in k + 1..n {
-                let both = free[k].and(free[i]);
-                sum = R::select(both, sum - m[i * n + k] * x[i], sum);
+            for i in k + 1..size {
+                sum = R::select(free[some[i]], sum - own[i] * x[i], sum);
             }
-            x[k] = R::select(free[k], sum * inv[k], x[k]);
+            x[k] = sum * inv[k];
         }
         poor
     }

@@ -12,7 +12,7 @@ use super::live::Live;
 use super::relative::WIDE;
 use crate::clock::Clock;
 use crate::elements::{Anchor, Element};
-use crate::model::{Model, Span, NONE};
+use crate::model::{Model, Span, MANY_TREES, NONE};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
 use crate::room::room;
@@ -206,16 +206,13 @@ pub struct Rows<R: Real> {
 room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, guess, islands, ranks;
     direct, first, live);
 
-/// From so many trees on an island is a heap to Newton's method.
-const HEAP: usize = 8;
-
-/// Whether some island of these, by tree, is a heap. It follows from the model alone, so that a
+/// Whether some island of these, by tree, is a heap to Newton's method. It follows from the model alone, so that a
 /// lane equals its world.
 pub(crate) fn any_heap(islands: &[usize]) -> bool {
     let mut trees = vec![0; islands.len()];
     islands.iter().any(|island| {
         trees[*island] += 1;
-        trees[*island] >= HEAP
+        trees[*island] >= MANY_TREES
     })
 }
 

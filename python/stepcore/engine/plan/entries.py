@@ -195,7 +195,7 @@ class _Listing:
         """Pairs of geoms, by the two shapes, and which of the two ways finds near ones."""
         for (one, two), count in self.model.heap.items():
             name = f"{one}-{two} pairs, found as they come near"
-            why = "a heap: more than 2000 pairs could meet"
+            why = "a heap: too many pairs could meet for a list of them"
             yield _used("detect", name, [], kind="pair", count=count, why=why)
         by_shapes: dict[str, list[int]] = {}
         skips = self.settings.law in ("solref", "penalty")

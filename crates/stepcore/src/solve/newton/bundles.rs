@@ -6,6 +6,7 @@ use super::penalty::Cone;
 use crate::model::Span;
 use crate::real::{Mask, Real};
 use crate::room::room;
+use crate::solve::dot::dots;
 use crate::solve::rows::{Rows, Set};
 
 /// Rows on the same dofs. Rows and their curvature are counted within the island.
@@ -230,21 +231,6 @@ impl<'a, R: Real> Problem<'a, R> {
 
 /// Rows that are multiplied side by side.
 const WIDE: usize = 4;
-
-/// y·x of N rows.
-#[inline(always)]
-fn dots<R: Real, const N: usize>(list: &[usize], y: &[R], x: &[R]) -> [R; N] {
-    let len = list.len();
-    let y = &y[..N * len];
-    let mut sums = [R::zero(); N];
-    for (at, k) in list.iter().enumerate() {
-        let x = x[*k];
-        for i in 0..N {
-            sums[i] += y[i * len + at] * x;
-        }
-    }
-    sums
-}
 
 /// out += Σ y x of N rows, each dof's sum in the order of the rows.
 #[inline(always)]

@@ -12,6 +12,7 @@ use crate::model::Span;
 use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::solve::free::Free;
+use crate::solve::rows::NARROW;
 
 const NOWHERE: usize = usize::MAX;
 
@@ -235,6 +236,11 @@ impl<R: Real> Hessian<R> {
     pub fn make(&mut self, problem: Problem<R>, d: &[R], curve: &[R]) {
         self.reset(problem.pattern, d);
         for (b, bundle) in problem.bundles.list.iter().enumerate() {
+            // Rows at a bound, and cones that are open, have none.
+            let bends = |curve: &R| curve.abs().gt(R::zero()).any();
+            if !bundle.curve.of(curve).iter().any(bends) {
+                continue;
+            }
             self.open(problem.pattern, b);
             for run in problem.bundles.runs_of(bundle) {
                 let len = bundle.dofs.len;
@@ -261,6 +267,9 @@ impl<R: Real> Hessian<R> {
 
     /// A cone's rows, by its curvature row by row.
     fn add_cone(&mut self, len: usize, y: &[R], curve: &[R], mask: R::Mask) {
+        if curve.len() == NARROW * NARROW {
+            return self.add_narrow(len, y, curve, mask);
+        }
         let y = || y.chunks_exact(len.max(1));
         let rows = y().len();
         for (left, curve) in y().zip(curve.chunks_exact(rows)) {
@@ -272,6 +281,32 @@ impl<R: Real> Hessian<R> {
                 }
             }
             self.add(left, mask);
+        }
+    }
+
+    /// The same of a normal and two tangents, in one go.
+    fn add_narrow(&mut self, len: usize, y: &[R], curve: &[R], mask: R::Mask) {
+        let (a, rest) = y.split_at(len);
+        let (b, c) = rest.split_at(len);
+        self.bent.clear();
+        for curve in curve.chunks_exact(NARROW) {
+            let along = a.iter().zip(b).zip(c);
+            let bent = |((a, b), c): ((&R, &R), &R)| {
+                R::zero() + curve[0] * *a + curve[1] * *b + curve[2] * *c
+            };
+            self.bent.extend(along.map(bent));
+        }
+        let (x, rest) = self.bent.split_at(len);
+        let (y, z) = rest.split_at(len);
+        let (whole, mut part) = (mask.all(), self.part.as_mut_slice());
+        for at in 0..len {
+            let (own, later) = part.split_at_mut(at + 1);
+            part = later;
+            let (a, b, c) = (a[at], b[at], c[at]);
+            for (((own, x), y), z) in own.iter_mut().zip(x).zip(y).zip(z) {
+                let new = *own + a * *x + b * *y + c * *z;
+                *own = if whole { new } else { R::select(mask, new, *own) };
+            }
         }
     }
 
@@ -289,12 +324,15 @@ impl<R: Real> Hessian<R> {
 
     /// What a bundle's dofs have so far, side by side in `part`.
     fn open(&mut self, pattern: &Pattern, bundle: usize) {
+        let Self { part, entries, diagonal, .. } = self;
         let (list, first) = pattern.bundles[bundle];
-        let mut places = pattern.places[first..].iter();
-        self.part.clear();
+        let mut places = &pattern.places[first..];
+        part.clear();
         for (at, i) in list.of(&pattern.lists).iter().enumerate() {
-            self.part.extend(places.by_ref().take(at).map(|place| self.entries[*place]));
-            self.part.push(self.diagonal[*i]);
+            let (own, later) = places.split_at(at);
+            places = later;
+            part.extend(own.iter().map(|place| entries[*place]));
+            part.push(diagonal[*i]);
         }
     }
 
@@ -305,6 +343,12 @@ impl<R: Real> Hessian<R> {
         for (at, left) in left.iter().enumerate() {
             let (own, later) = rest.split_at_mut(at + 1);
             rest = later;
+            if mask.all() {
+                for (x, bent) in own.iter_mut().zip(&self.bent) {
+                    *x += *left * *bent;
+                }
+                continue;
+            }
             for (x, bent) in own.iter_mut().zip(&self.bent) {
                 *x = R::select(mask, *x + *left * *bent, *x);
             }
@@ -313,16 +357,17 @@ impl<R: Real> Hessian<R> {
 
     /// Puts `part` back.
     fn close(&mut self, pattern: &Pattern, bundle: usize) {
+        let Self { part, entries, diagonal, .. } = self;
         let (list, first) = pattern.bundles[bundle];
-        let mut places = pattern.places[first..].iter();
-        let mut part = self.part.iter();
+        let (mut places, mut part) = (&pattern.places[first..], part.as_slice());
         for (at, i) in list.of(&pattern.lists).iter().enumerate() {
-            for (place, x) in places.by_ref().take(at).zip(part.by_ref()) {
-                self.entries[*place] = *x;
+            let (own, later) = places.split_at(at);
+            let (new, rest) = part.split_at(at + 1);
+            (places, part) = (later, rest);
+            for (place, x) in own.iter().zip(new) {
+                entries[*place] = *x;
             }
-            if let Some(x) = part.next() {
-                self.diagonal[*i] = *x;
-            }
+            diagonal[*i] = new[at];
         }
     }
 
