@@ -70,7 +70,7 @@ pub fn atan2(y: f64, x: f64) -> f64 {
     let error = if steep | back { (turn[0] - head) + sign * start[0] } else { 0.0 };
     let angle = head + (error + (turn[1] + sign * start[1]) + sign * beyond);
     let angle = f64::from_bits(angle.to_bits() | y.to_bits() & 1 << 63);
-    if (x != x) | (y != y) {
+    if x.is_nan() | y.is_nan() {
         f64::NAN
     } else {
         angle

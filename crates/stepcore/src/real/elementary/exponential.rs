@@ -30,7 +30,7 @@ const LN: [f64; 7] = [
 /// Of the logarithm in a power.
 const LOG: [f64; 6] = [
     5.999_999_999_999_946e-1,
-    4.285_714_285_785_501_8e-1,
+    4.285_714_285_785_502e-1,
     3.333_333_298_183_774_3e-1,
     2.727_281_238_085_34e-1,
     2.306_607_457_755_617_5e-1,
@@ -85,7 +85,7 @@ pub fn ln(x: f64) -> f64 {
     let inside = n * LN_2[0] - ((half - (s * (half + odd + even) + n * LN_2[1])) - f);
     let inside = if x == 0.0 { f64::NEG_INFINITY } else { inside };
     let inside = if x == f64::INFINITY { x } else { inside };
-    if (x < 0.0) | (x != x) {
+    if (x < 0.0) | x.is_nan() {
         f64::NAN
     } else {
         inside
