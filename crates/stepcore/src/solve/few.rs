@@ -16,7 +16,7 @@ use crate::real::{Count, Mask, Real};
 use crate::room::room;
 use crate::spatial::subtract_scaled;
 
-/// An island of so many rows has few, and one of up to `SHARE` a dof of the model.
+/// An island of so many rows has few, and one of up to `SHARE` a dof of its own.
 const MOST: usize = 16;
 const SHARE: f64 = 0.5;
 /// A pivot this small beside its diagonal would cost too many digits: rows that are nearly
@@ -90,8 +90,9 @@ impl<R: Real> Few<R> {
     /// Lanes in which all rows of these blocks are intervals, and few. A lane's own rows
     /// decide, whatever its neighbours have.
     pub fn fits(rows: &Rows<R>, blocks: &[usize]) -> R::Mask {
-        // A heap's dofs say nothing of one of its islands.
-        let share = if rows.heap { 0.0 } else { SHARE * rows.u.len() as f64 };
+        let island = blocks.first().map(|block| rows.blocks[*block].island);
+        let dofs = island.and_then(|island| rows.island_dofs.get(island));
+        let share = SHARE * dofs.copied().unwrap_or(0) as f64;
         let most = MOST.max(share as usize) as u64;
         let mut fits = R::Mask::of(true);
         for block in blocks.iter().map(|b| &rows.blocks[*b]) {
@@ -193,10 +194,11 @@ impl<R: Real> Few<R> {
         while j < i {
             let first = &rows.rows[self.rows[j]];
             let list = first.dofs.of(dof_lists);
-            let wide = j + WIDE <= i && {
-                let last = &rows.rows[self.rows[j + WIDE - 1]];
-                last.dofs == first.dofs && last.y == first.y + (WIDE - 1) * list.len()
+            let beside = |(at, r): (usize, &usize)| {
+                let row = &rows.rows[*r];
+                row.dofs == first.dofs && row.y == first.y + at * list.len()
             };
+            let wide = j + WIDE <= i && self.rows[j..j + WIDE].iter().enumerate().all(beside);
             if wide {
                 let sums = dots::<R, WIDE>(list, &rows.y[first.y..], &self.z);
                 self.a[i * n + j..i * n + j + WIDE].copy_from_slice(&sums);

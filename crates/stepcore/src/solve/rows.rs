@@ -197,17 +197,29 @@ pub struct Rows<R: Real> {
     pub(super) heap: bool,
     /// By tree: see `Model::islands`.
     islands: Vec<usize>,
+    /// By island; none in a heap, where they say nothing of the islands of a step.
+    pub(super) island_dofs: Vec<usize>,
     /// By slot: see `Model::ranks`.
     ranks: Vec<u32>,
     /// Islands of the rows at hand take the place of both.
     pub(crate) live: Option<Live>,
 }
 
-room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, guess, islands, ranks;
+room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, guess, islands, island_dofs,
+    ranks;
     direct, first, live);
 
-/// Whether some island of these, by tree, is a heap to Newton's method. It follows from the model alone, so that a
-/// lane equals its world.
+/// Dofs of each island, given that of each tree.
+fn island_dofs(model: &Model, islands: &[usize]) -> Vec<usize> {
+    let mut dofs = vec![0; islands.len()];
+    for (tree, island) in model.trees.iter().zip(islands) {
+        dofs[*island] += tree.dofs.len;
+    }
+    dofs
+}
+
+/// Whether some island of these, by tree, is a heap to Newton's method. It follows from the model
+/// alone, so that a lane equals its world.
 pub(crate) fn any_heap(islands: &[usize]) -> bool {
     let mut trees = vec![0; islands.len()];
     islands.iter().any(|island| {
@@ -259,6 +271,7 @@ impl<R: Real> Situation<'_, R> {
 impl<R: Real> Rows<R> {
     pub fn new(model: &Model) -> Self {
         let islands = model.islands();
+        let heap = model.heap.is_some() || any_heap(&islands);
         Self {
             rows: Vec::new(),
             blocks: Vec::new(),
@@ -273,8 +286,9 @@ impl<R: Real> Rows<R> {
             direct: Direct::new(model.nv),
             first: First::new(model.nv),
             ranks: model.ranks(&islands),
-            heap: model.heap.is_some() || any_heap(&islands),
+            heap,
             live: model.heap.is_some().then(Live::default),
+            island_dofs: if heap { Vec::new() } else { island_dofs(model, &islands) },
             islands,
         }
     }
@@ -297,6 +311,7 @@ impl<R: Real> Rows<R> {
             heap: false,
             u,
             islands: Vec::new(),
+            island_dofs: Vec::new(),
             ranks: Vec::new(),
             live: None,
         }
