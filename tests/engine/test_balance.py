@@ -84,7 +84,7 @@ def test_the_element_is_the_one_that_gave_most(ledger):
     """Many feed: none of them a third, and what is named is still what the shares begin with."""
     model = sc.load(gym_path("half_cheetah")).compile()
     for seed in range(4):
-        sim = sc.Sim(model, dt=0.04, integrator="semi-implicit", ledger=ledger)
+        sim = sc.Sim(model, dt=0.05, integrator="semi-implicit", ledger=ledger)
         sim.ctrl[:] = np.random.default_rng(seed).uniform(-1, 1, model.nu)
         with pytest.raises(sc.SimulationError) as caught:
             sim.step(2000)
