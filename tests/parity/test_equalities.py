@@ -90,6 +90,16 @@ def test_steps(integrator):
     worst.check(peers.STEPPED, integrator)
 
 
+def test_two_joints_of_one_body_are_each_tied():
+    """Their chains of dofs start alike, and are two lists all the same."""
+    ties = "".join(f'<joint joint1="j0" joint2="j{second}"/>' for second in (2, 3))
+    sim, theirs = both(ties)
+    data, worst = mujoco.MjData(theirs), peers.Worst()
+    for index, state in enumerate(peers.fall_states(theirs, 10, 4, 0.1)):
+        peers.note_forward(worst, index, sim, theirs, data, state)
+    worst.check(peers.PLACED | peers.SOLVED, ties)
+
+
 numbers = st.floats(-0.5, 0.5).map(lambda x: round(x, 3))
 softness = st.sampled_from(
     ["", 'solref=".05 .8"', 'solref="-300 -20"', 'solimp=".6 .95 .1 .3 2"', 'solimp=".9 .9"']

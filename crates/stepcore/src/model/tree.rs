@@ -276,7 +276,7 @@ fn half(source: &crate::scene::Geom, asset: &Asset, reach: f64) -> [f64; 3] {
 
 /// Unions of two bodies' chains, each stored once.
 #[derive(Default)]
-pub struct Unions(HashMap<(usize, usize), Span>);
+pub struct Unions(HashMap<[(usize, usize); 2], Span>);
 
 impl Unions {
     /// Every dof that moves either body, ascending.
@@ -297,9 +297,11 @@ impl Unions {
         let mut union = [one, two].concat();
         union.sort_unstable();
         union.dedup();
-        // One list for all with these two, in either order.
+        // One list for all with these two, in either order. Joints of one body start alike.
+        let mut two = [a, b].map(|span| (span.start, span.len));
+        two.sort_unstable();
         let lists = &mut model.dof_lists;
-        *self.0.entry((a.start.min(b.start), a.start.max(b.start))).or_insert_with(|| {
+        *self.0.entry(two).or_insert_with(|| {
             let span = Span { start: lists.len(), len: union.len() };
             lists.extend(union);
             span
