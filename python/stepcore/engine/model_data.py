@@ -127,8 +127,8 @@ class ModelData(ABC):
     def is_heap(self) -> bool:
         """Whether pairs of geoms are found as they come near, because too many could meet.
 
-        Up to 2000 pairs are listed when a scene is compiled: `pairs`; up to 20,000 where fewer than eight
-        trees move. Above that a model is a heap.
+        Up to 2000 pairs are listed when a scene is compiled: `pairs`; up to 20,000 where fewer than
+        eight trees move. Above that a model is a heap.
         """
         return self._core.heap() is not None
 

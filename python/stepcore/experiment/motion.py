@@ -28,12 +28,14 @@ class LostControl:
         )
 
 
-def _pickles(function: Control) -> bool:
+def picklable(control: Control) -> Control:
+    """The function itself, or what stands for one that cannot be pickled: results still can that
+    were made with a lambda or a function of a notebook."""
     try:
-        pickle.dumps(function)
+        pickle.dumps(control)
     except Exception:  # what a function's own pickling raises is of any type
-        return False
-    return True
+        return LostControl(getattr(control, "__qualname__", "control"))
+    return control
 
 
 def _changes(ctrl: ArrayLike | None) -> bool:
@@ -152,9 +154,8 @@ class Motion:
 
     def __getstate__(self) -> dict[str, Any]:
         state = dict(self.__dict__)
-        if self.control is not None and not _pickles(self.control):
-            # A result still pickles that was made with a lambda or a function of a notebook.
-            state["control"] = LostControl(getattr(self.control, "__qualname__", "control"))
+        if self.control is not None:
+            state["control"] = picklable(self.control)
         return state
 
     def __repr__(self) -> str:

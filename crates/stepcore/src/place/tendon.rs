@@ -10,6 +10,9 @@ use crate::model::{Course, Model, Point, Round, Stretch, Tendon};
 use crate::real::{Mask, Real};
 use crate::spatial::{rotate, splat, Force, Pose, Quat, V3};
 
+/// An arm of so many roundings of what it is the sum of is none.
+const ROUNDING: f64 = 16.0;
+
 /// Points of bodies at which a stretch pulls: at both ends, and where it comes to its geom and
 /// leaves it. Directions are of unit length, from the other end of a straight part to this one.
 struct Pull<R: Real> {
@@ -74,10 +77,11 @@ impl<R: Real> Placed<R> {
         for mover in &stretch.movers {
             let dof = &model.dofs[mover.dof];
             let (motion, origin) = (&self.motion[mover.dof], &self.origin[dof.tree]);
-            let mut arm = R::zero();
+            let (mut arm, mut size) = (R::zero(), R::zero());
             let mut feel = |(at, along): &(V3<R>, V3<R>)| {
                 let wrench = Force { ang: (at - origin).cross(along), lin: *along };
                 arm += motion.dot(&wrench);
+                size += span(&motion.ang) * (span(at) + span(origin)) + span(&motion.lin);
             };
             let [first, middle, second] = mover.moves;
             if first {
@@ -89,11 +93,13 @@ impl<R: Real> Placed<R> {
             if second {
                 feel(&pull.ends[1]);
             }
+            // What is left are roundings where both ends of a straight line move as one, and where a
+            // sphere turns about its centre; and a row of roundings alone has any force.
             if first && second {
-                // Both ends of a straight line move as one: what is left are roundings, and a row
-                // of roundings alone has any force.
                 arm = R::select(pull.bent, arm, R::zero());
             }
+            let rounding = arm.abs().le(R::of(ROUNDING * R::EPSILON) * size);
+            arm = R::select(rounding, R::zero(), arm);
             self.tendon_arms[tendon.arms.start + mover.at] += share * arm;
         }
         share * pull.length
@@ -158,6 +164,11 @@ impl<R: Real> Placed<R> {
         let pos = self.xpos[geom.body] + rotate(&self.xmat[geom.body], &splat(&geom.pos));
         Pose { pos, rot: self.xquat[geom.body].mul(&Quat::splat(&geom.quat)).matrix() }
     }
+}
+
+/// The sum of the sizes of its entries.
+fn span<R: Real>(v: &V3<R>) -> R {
+    v.x.abs() + v.y.abs() + v.z.abs()
 }
 
 /// The straight line between two points; one of no length pulls nowhere.

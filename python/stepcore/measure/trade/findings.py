@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from stepcore._core import Settings
-from stepcore.experiment.motion import Motion
+from stepcore.experiment.motion import Motion, picklable
 from stepcore.experiment.reference import Reference
 from stepcore.experiment.runner import Runner
 from stepcore.measure.findings import Finding
@@ -46,6 +47,13 @@ class TradeFindings:
     findings: Sequence[Finding] = ()
     # The runs of the trade, which can be made again to be seen.
     runner: Runner | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = dict(self.__dict__)
+        if (runner := self.runner) is not None and (control := runner.schedule.control) is not None:
+            schedule = replace(runner.schedule, control=picklable(control))
+            state["runner"] = Runner(runner.model, schedule)
+        return state
 
     @property
     def rows(self) -> list[TradeRow]:
