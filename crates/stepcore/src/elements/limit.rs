@@ -114,6 +114,8 @@ impl<R: Real> Rows<R> {
             let [lo, hi] = bound.range;
             closing.or(phi.le(R::of(NEAR * (hi - lo))))
         };
+        // A length that no joint changes has no row, as in MuJoCo: any impulse would do nothing.
+        let mask = mask.and(self.rows[first].a.gt(R::zero()));
         if mask.none() {
             self.pop_row();
             return;
