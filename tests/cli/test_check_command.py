@@ -36,8 +36,9 @@ def test_it_prints_findings_the_diagnosis_and_commands(capsys, scene):
     status, out, err = call(capsys, file, "--horizon", 0.2)
     assert status == 0 and not err
     out = " ".join(out.split())
-    assert out.startswith("arm: check The motion: 200 ms from keyframe `home`; servos hold the")
-    assert "Found 1 thing: - error: Keyframe `home` has joint `knee` at 2 rad" in out
+    found = "Found 1 thing: - error: Keyframe `home` has joint `knee` at 2 rad"
+    assert out.startswith(f"arm: check {found}")
+    assert "The motion: 200 ms from keyframe `home`; servos hold the" in out
     assert "A step of 2 ms is stable" in out or "No element limits dt" in out
     # A long path is cut where the line ends.
     assert f"stepcoretrade{file}--error1mm" in out.replace(" ", "")

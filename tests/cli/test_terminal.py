@@ -18,7 +18,7 @@ def output(*args, encoding="utf-8", columns=100):
 def test_a_result_is_printed_on_an_ascii_terminal():
     done = output("run", "lesson:stack", encoding="ascii")
     assert done.returncode == 0
-    assert b" us per step" in done.stdout
+    assert b" us a step" in done.stdout
     assert output("run", "lesson:stack", encoding="utf-8").stdout.decode().count("µs") == 1
 
 

@@ -76,6 +76,18 @@ def test_a_step_that_explodes_is_not_nothing():
 # Units.
 
 
+@pytest.mark.parametrize(("mass", "found"), [(0.5, []), (30, ["density"])])
+def test_the_density_of_a_mesh_is_that_of_its_hull(mass, found):
+    """A cube of 10 cm, with a dent that only its surface has."""
+    corners = " ".join(f"{x} {y} {z}" for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1))
+    asset = f'<asset><mesh name="cube" vertex="{corners} .05 .05 .05"/></asset>'
+    text = arm(geom=f'type="mesh" mesh="cube" mass="{mass}"', rest=asset)
+    result = checked(text)
+    assert [one.kind for one in result.findings] == found
+    if found:
+        assert result.findings[0].value == pytest.approx(30 / 1e-3, rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("scale", "gravity", "found"), [(1, G, []), (500, G, ["units"]), (500, 9810, [])]
 )

@@ -7,6 +7,7 @@ A row of solref at rest under a force f yields by r with R f = k r (MuJoCo's doc
 import math
 import re
 
+import numpy as np
 import pytest
 
 import stepcore as sc
@@ -352,6 +353,36 @@ def test_a_servo_that_its_joint_s_limit_stops_is_not_too_weak():
     watch, findings = watched(scene, time=3.0)
     assert next(watch.actuators.at_rest()).error > 0.3
     assert not [one for one in findings if one.kind.startswith("servo")]
+
+
+def driven(count, force):
+    """Servos that are too stiff for their forces, each on a flywheel of its own."""
+    wheel = (
+        """<body pos="{k} 0 0"><joint name="j{k}" axis="0 0 1"/><geom size=".1" mass="1"/></body>"""
+    )
+    motor = """<position name="s{k}" joint="j{k}" kp="1000" forcerange="-{force} {force}"/>"""
+    wheels = "".join(wheel.format(k=k) for k in range(count))
+    motors = "".join(motor.format(k=k, force=force * (1 + k // 2)) for k in range(count))
+    return sc.loads(
+        f"<mujoco><worldbody>{wheels}</worldbody><actuator>{motors}</actuator></mujoco>"
+    )
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_saturated_servos_are_named_in_one_sentence(count):
+    def sines(time, sim):
+        return np.full(count, np.sin(9 * time))
+
+    one = the(watched(driven(count, 0.1), control=sines)[1], "saturation")
+    assert one.value > 0.9
+    if count == 1:
+        assert one.text.startswith("Servo `s0` is at the end of its forcerange (100 mN·m) for ")
+        return
+    names = "`s0` and `s1`" if count == 2 else "`s0`, `s1` and `s2`"
+    assert f"Servos {names} are" in one.text or count == 3
+    force = "(100 mN·m)" if count == 2 else "(up to 200 mN·m)"
+    assert f"are at the ends of their forceranges {force} for " in one.text
+    assert "where they have no damping: wider forceranges" in one.text
 
 
 @pytest.mark.parametrize("force", [5, 100])

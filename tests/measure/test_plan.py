@@ -191,6 +191,7 @@ def test_the_command_prints_and_writes(tmp_path: Path, capsys) -> None:
     args = ["--json", out["json"], "--plot", out["png"], "--html", out["html"]]
     assert main(["plan", "gymnasium:ant", *args]) == 0
     printed = capsys.readouterr().out
+    assert len(printed.splitlines()) <= 40 and "smaller ones (--all" in printed
     assert "Computed in a step\n" in printed and "Left out of a step\n" in printed
     assert "It tests " in printed and " pairs of geoms." in printed
     assert max(map(len, printed.splitlines())) <= WIDTH

@@ -8,7 +8,7 @@ import pytest
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.report.report import Report
+from stepcore.report.report import SCREEN, Report
 from stepcore.report.table import Table, jsonable
 
 LONG = "The answer is a sentence that no narrow window shows in one line, so it goes on."
@@ -23,10 +23,25 @@ REPORT = Report(
 
 def test_the_text_says_the_answer_first_then_tables_then_notes():
     text = REPORT.text(100)
-    places = [text.index(part) for part in ("arm:", "1 s from", "The answer", "  - do", "Limits")]
+    places = [text.index(part) for part in ("arm:", "The answer", "  - do", "1 s from", "Limits")]
     places += [text.index(part) for part in ("knee & co", "dt: time step.", "Note: one start.")]
     assert places == sorted(places)
     assert "stop.." not in text
+
+
+def test_notes_beyond_a_screen_are_counted():
+    notes = [f"a remark of one line, number {k}" for k in range(50)]
+    report = Report("arm: an answer", ["It moves."], [], notes)
+    lines = report.text(100, full=False).splitlines()
+    assert len(lines) == SCREEN
+    shown = sum(line.startswith("Note: ") for line in lines)
+    assert lines[-1] == f"Not shown: {50 - shown} more notes (--all, or text(full=True))."
+    assert report.text(100).count("Note: ") == 50 and "Not shown" not in report.text(100)
+    few = Report("arm: an answer", ["It moves."], [], notes[:30])
+    assert few.text(100, full=False) == few.text(100)
+    table = Table([{"a": k} for k in range(SCREEN)])
+    text = Report("arm: an answer", [], [table], notes[:1]).text(100, full=False)
+    assert text.endswith("Not shown: 1 note (--all, or text(full=True)).")
 
 
 @pytest.mark.parametrize("width", [20, 33, 80])

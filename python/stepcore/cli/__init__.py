@@ -7,6 +7,7 @@ the module of the command that was asked for is imported.
 from __future__ import annotations
 
 import argparse
+import difflib
 import importlib
 import inspect
 import os
@@ -34,6 +35,12 @@ COMMANDS = {
 }
 DESCRIPTION = "Rigid-body physics that measures what speed costs in accuracy."
 EPILOG = """\
+examples:
+  stepcore check gymnasium:half_cheetah             what is wrong with a model
+  stepcore run gymnasium:hopper --plot run.png      simulate it
+  stepcore trade robot.xml --error 1mm              the cheapest settings within 1 mm
+  stepcore COMMAND --help                           what a command takes, with an example
+
 FILE is the path of an MJCF file; or "package:name", a model among the files of an installed package
 (gymnasium:half_cheetah; the package is not imported); or "lesson:name", one of four small scenes
 that come with stepcore (spring, drop, stack, grasp).
@@ -54,6 +61,16 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message}\n")
 
+    def refuse(self, unknown: Sequence[str]) -> NoReturn:
+        """Says which arguments the command does not take, and what the first may have meant."""
+        option = next((arg.partition("=")[0] for arg in unknown if arg.startswith("-")), None)
+        if option is None:
+            self.error(f"unexpected argument '{unknown[0]}'")
+        known = {name.strip("-"): name for name in self._option_string_actions}
+        near = difflib.get_close_matches(option.strip("-"), known, n=1, cutoff=0.5)
+        better = f"nearest: {known[near[0]]}" if near else f"{self.prog} --help lists them"
+        self.error(f"no option {option}; {better}")
+
 
 class _Version(argparse.Action):
     """Looks the version up only when it is asked for."""
@@ -70,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = False
     print_what_can_be_printed()
     try:
-        args = parser(sys.argv[1:] if argv is None else argv).parse_args(argv)
+        args = _parsed(sys.argv[1:] if argv is None else list(argv))
         debug = args.debug
         return _run(args)
     except SystemExit as stop:
@@ -85,6 +102,28 @@ def main(argv: Sequence[str] | None = None) -> int:
         if debug:
             raise
         return _failed(error)
+
+
+def _parsed(argv: Sequence[str]) -> argparse.Namespace:
+    """The arguments, or an error that names what is nearest to one that is not known."""
+    top = parser(argv)
+    if not argv:
+        top.print_help()
+        top.exit(0)
+    asked = _asked(argv)
+    if asked is not None and asked not in COMMANDS:
+        from stepcore.checks import nearest
+
+        top.error(f"no command '{asked}'{nearest(asked, COMMANDS, listed=len(COMMANDS))}")
+    args, unknown = top.parse_known_args(argv)
+    if unknown:
+        args.parser.refuse(unknown)
+    return args
+
+
+def _asked(argv: Sequence[str]) -> str | None:
+    """The command: the first argument that is no option."""
+    return next((arg for arg in argv if not arg.startswith("-")), None)
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -140,7 +179,7 @@ def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     top.add_argument("--debug", action="store_true", help="show the traceback of an error")
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = top.add_subparsers(metavar="COMMAND", required=True)
-    asked = next((arg for arg in argv if not arg.startswith("-")), None)
+    asked = _asked(argv)
     for name, summary in COMMANDS.items():
         if name != asked:
             commands.add_parser(name, help=summary)
@@ -151,5 +190,5 @@ def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
             name, help=summary, description=text, epilog=f"example{example}" if example else None
         )
         module.add(command)
-        command.set_defaults(call=module.call)
+        command.set_defaults(call=module.call, parser=command)
     return top

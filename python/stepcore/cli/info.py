@@ -1,4 +1,8 @@
-"""Print the versions of stepcore and of the packages it works with, and the machine."""
+"""Print the versions of stepcore and of the packages it works with, and the machine.
+
+Example:
+  stepcore info --json
+"""
 
 from __future__ import annotations
 

@@ -12,7 +12,9 @@ from stepcore.report.result import Result
 from stepcore.report.table import jsonable
 
 
-def add_output(command: argparse.ArgumentParser, *, full: str | None = None) -> None:
+def add_output(
+    command: argparse.ArgumentParser, *, full: str = "print every row of the tables"
+) -> None:
     """Options of a command whose result is a `Result`; full: what --all prints."""
     output = command.add_argument_group("output")
     output.add_argument("--plot", metavar="OUT", help="write the plot (.png, .svg, .pdf)")
@@ -20,8 +22,7 @@ def add_output(command: argparse.ArgumentParser, *, full: str | None = None) -> 
     output.add_argument(
         "--json", nargs="?", const="-", metavar="OUT", help="print JSON, or write it to a file"
     )
-    if full is not None:
-        output.add_argument("--all", action="store_true", help=full)
+    output.add_argument("--all", action="store_true", help=f"{full}, and every note")
 
 
 def add_json(command: argparse.ArgumentParser) -> None:
@@ -61,7 +62,7 @@ def deliver(result: Result, args: argparse.Namespace) -> None:
         return
     if args.json is not None:
         Path(args.json).write_text(result.to_json() + "\n", encoding="utf-8")
-    print(result.text(full=getattr(args, "all", False)))
+    print(result.text(full=args.all))
 
 
 def print_json(data: Any) -> None:

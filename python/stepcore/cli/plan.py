@@ -20,7 +20,7 @@ def add(command: argparse.ArgumentParser) -> None:
     add_file(command)
     add_key(command)
     command.add_argument("--time", action="store_true", help="also measure times [µs]")
-    add_output(command, full="print the names of all elements of each entry")
+    add_output(command, full="print every entry, the names of all its elements")
 
 
 def call(args: argparse.Namespace) -> Result:

@@ -23,12 +23,15 @@ from stepcore.experiment.watch import Watch
 from stepcore.measure.findings import Finding, findings_of
 from stepcore.report.report import NARROWEST, wrapped
 from stepcore.report.table import window
+from stepcore.report.units import computing, counted, seconds, times
 
 # The counter of steps has 64 bits.
 MOST_STEPS = 2.0**64
 DURATION = 1.0
 # Where the values of the report begin.
 LABEL = 11
+# Of a state so many numbers are printed.
+NUMBERS = 36
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -134,21 +137,27 @@ def _report(
         print_json(data)
         return
     model = sim.model
-    _say(f"{model.scene.name or 'scene'}: nq {model.nq}, nv {model.nv}, nu {model.nu}")
+    name = model.scene.name or "scene"
+    if cost is None:
+        _say(f"{name}: no step was made.")
+    else:
+        dt = sim.settings.dt
+        pace = f"{computing(cost)} a step, {times(1e6 * dt / cost)} real time"
+        _say(f"{name}: {seconds(steps * dt)} in {counted(steps, 'step')} of {seconds(dt)}; {pace}.")
+    for finding in found:
+        _say(f"{finding.severity}: {finding.text}")
+    if steps and not found:
+        _say("Nothing found: no contact creeps or sinks in, and limits and servos hold.")
     _say(f"The motion: {ran}.")
     _say(f"{sim.settings!r}")
     print()
-    _say(f"time       {sim.time:g} s, {steps} steps", LABEL)
+    _say(f"time       {sim.time:g} s", LABEL)
     _say(f"qpos       {_numbers(sim.qpos)}", LABEL)
     _say(f"qvel       {_numbers(sim.qvel)}", LABEL)
     _say(f"energy     {kinetic:.6g} J kinetic, {potential:.6g} J potential", LABEL)
     _say(f"contacts   {len(sim.contacts)}, residual {sim.residual:.2g} m/s", LABEL)
-    if cost is not None:
-        _say(f"computing  {cost:.3g} µs per step", LABEL)
     for note in notes:
         _say(f"note: {note}")
-    for finding in found:
-        _say(f"{finding.severity}: {finding.text}")
 
 
 def _say(text: str, indent: int = 2) -> None:
@@ -174,7 +183,8 @@ def _written(error: SimulationError, path: str | None) -> str:
 
 
 def _numbers(values: Any) -> str:
-    return " ".join(f"{value:.6g}" for value in values)
+    more = f" … and {len(values) - NUMBERS} more (--json)" if len(values) > NUMBERS else ""
+    return " ".join(f"{value:.6g}" for value in values[:NUMBERS]) + more
 
 
 def _setting(text: str) -> tuple[str, Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import html
+import math
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -15,10 +16,12 @@ from dataclasses import dataclass
 
 from stepcore import checks
 from stepcore.report.table import Table, window
-from stepcore.report.units import NAMES
+from stepcore.report.units import NAMES, counted
 
 # A narrower line is of no use, and sentences in wider lines are hard to read.
 NARROWEST, PROSE = 20, 100
+# A report fills at most so many lines; notes beyond are counted.
+SCREEN = 40
 # How a sentence begins that is an item of the list under the sentence before it.
 ITEM = "- "
 # The blank between a number and its unit, where no line ends.
@@ -28,7 +31,7 @@ BEFORE_UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(map(re.escape, NAMES))})(?!\
 
 @dataclass(frozen=True)
 class Report:
-    """A title, lines on what was measured and how, sentences, tables and notes.
+    """A title, sentences, lines on what was measured and how, tables and notes.
 
     sentences: the answer first. One that begins with "- " is an item of a list under the
     sentence before it.
@@ -52,15 +55,18 @@ class Report:
     notes: Sequence[str] = ()
     setup: str = ""
 
-    def text(self, width: int | None = None) -> str:
-        """The report in lines of at most `width` characters (default: the terminal's)."""
+    def text(self, width: int | None = None, full: bool = True) -> str:
+        """The report in lines of at most `width` characters (default: the terminal's).
+
+        full: every note; else those that fit on a screen, and how many there are beyond.
+        """
         size = window() if width is None else checks.count("width", width, NARROWEST)
-        head = [*_wrapped(self.title, size)]
-        head += [line for text in self.setup.splitlines() for line in _wrapped(text, size)]
         said = [line for sentence in self.sentences for line in _wrapped(sentence, size)]
+        setup = [line for text in self.setup.splitlines() for line in _wrapped(text, size)]
         tables = [[*_table(table, size)] for table in self.tables]
-        notes = [line for note in self.notes for line in _wrapped(_note(note), size)]
-        blocks = [head, said, *tables, notes]
+        blocks = [block for block in (_wrapped(self.title, size), said, setup, *tables) if block]
+        room = math.inf if full else SCREEN - sum(len(block) + 1 for block in blocks)
+        blocks.append([*_notes(self.notes, size, room)])
         return "\n\n".join("\n".join(block) for block in blocks if block)
 
     def html(self) -> str:
@@ -74,7 +80,7 @@ class Report:
             ),
             *(_small(_note(note)) for note in self.notes),
         ]
-        return "\n".join([setup, *_prose(self.sentences), *tables])
+        return "\n".join([*_prose(self.sentences), setup, *tables])
 
     def page(self, plot: bytes) -> str:
         """The report and its plot (SVG) as one page that needs no other file."""
@@ -83,6 +89,21 @@ class Report:
             plot=base64.b64encode(plot).decode("ascii"),
             body=self.html(),
         )
+
+
+def _notes(notes: Sequence[str], size: int, room: float) -> Iterator[str]:
+    """The notes that fill at most `room` lines, with a line on how many more there are."""
+    left = len(notes)
+    for note in notes:
+        lines = _wrapped(_note(note), size)
+        # A line stays for what is not shown.
+        if len(lines) + (left > 1) > room:
+            break
+        yield from lines
+        room, left = room - len(lines), left - 1
+    if left:
+        more = "more note" if left < len(notes) else "note"
+        yield from _wrapped(f"Not shown: {counted(left, more)} (--all, or text(full=True)).", size)
 
 
 def _note(note: str) -> str:

@@ -72,7 +72,7 @@ class Result(ABC):
 
     @property
     def head(self) -> str:
-        """The lines above the answer: what motion was run, and how it was measured."""
+        """The lines below the answer: what motion was run, and how it was measured."""
         ran = f"The motion: {self.ran}." if self.ran else ""
         return "\n".join(filter(None, (ran, self.setup)))
 
@@ -81,8 +81,11 @@ class Result(ABC):
         return Report(self.title, self.sentences, self.tables(full), self.notes, self.head)
 
     def text(self, width: int | None = None, full: bool = False) -> str:
-        """The report in lines of at most `width` >= 20 characters (default: the terminal's)."""
-        return self.report(full).text(width)
+        """The report in lines of at most `width` >= 20 characters (default: the terminal's).
+
+        full: every row and every note; else about a screen.
+        """
+        return self.report(full).text(width, full)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data; what is not finite is None.

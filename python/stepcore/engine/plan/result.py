@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -14,12 +14,13 @@ from stepcore.report.units import seconds
 
 # The printed plan names this many elements of an entry.
 NAMES = 4
-# The entries that are named for their cost.
-COSTLY = 3
+# The entries that are named for their cost, and those that a table prints unless all are asked for.
+COSTLY, PRINTED = 3, 9
 LEGEND = (
     "flops: floating-point operations of the entry's own stage, or those saved by removing the "
-    "entry. They do not add up, because some work serves several entries"
+    "entry. They do not add up, because some work serves several entries."
 )
+LESS = " A negative number: without the entry the solver takes more iterations."
 
 
 @dataclass(frozen=True)
@@ -131,10 +132,17 @@ class Plan(Result):
         return Table(map(vars, self.entries))
 
     def tables(self, full: bool) -> list[Table]:
-        """What the step does, and what it leaves out; `full`: and every element of an entry."""
-        does = _table(self.used, "Computed in a step")
-        does.legend = LEGEND
-        tables = [does, _table(self.left_out, "Left out of a step")]
+        """What a step does, and what it leaves out; `full`: all of it, and every element."""
+        used, left_out = self.used, self.left_out
+        if not full:
+            used, left_out = (
+                _most(used, lambda e: e.flops or 0.0),
+                _most(left_out, lambda e: e.count),
+            )
+        does = _table(used, "Computed in a step", len(self.used))
+        less = LESS * any((entry.flops or 0) < 0 for entry in used)
+        does.legend = f"{does.legend} {LEGEND}{less}".strip()
+        tables = [does, _table(left_out, "Left out of a step", len(self.left_out))]
         if full:
             elements = [
                 {"used": "yes" if entry.used else "no", "what": entry.name, "element": name}
@@ -152,12 +160,23 @@ class Plan(Result):
         return f"<Plan of {self.name}: {len(self.used)} used, {len(self.left_out)} left out>"
 
 
-def _table(entries: Iterable[PlanEntry], heading: str) -> Table:
+def _most(entries: list[PlanEntry], size: Callable[[PlanEntry], float]) -> list[PlanEntry]:
+    """The largest entries, by stage; all where few more are left."""
+    if len(entries) <= PRINTED + 1:
+        return entries
+    largest = sorted(entries, key=size, reverse=True)[:PRINTED]
+    return [entry for entry in entries if any(entry is one for one in largest)]
+
+
+def _table(entries: list[PlanEntry], heading: str, every: int) -> Table:
+    """Some entries; every: how many there are."""
     numbers = ("n", "rows", "flops", "µs")
     rows = [_cells(entry) for entry in entries]
     columns = list(rows[0]) if rows else []
     columns = [c for c in columns if c not in numbers or any(row[c] for row in rows)]
-    return Table(rows, columns, dict.fromkeys(numbers, ""), heading=heading)
+    left = every - len(entries)
+    legend = f"Not shown: {left} smaller ones (--all, or text(full=True))." if left else ""
+    return Table(rows, columns, dict.fromkeys(numbers, ""), heading=heading, legend=legend)
 
 
 def _cells(entry: PlanEntry) -> dict[str, str]:

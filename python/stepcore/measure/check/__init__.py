@@ -118,7 +118,7 @@ def check(
         diagnosis=diagnosis,
         ran=_ran(compiled, motion, schedule, held),
         commands=next_commands(_file(model, compiled), compiled, findings, diagnosis),
-        notes=[*(n for n in compiled.scene.notes if not n.endswith(EMPTY)), *notes],
+        notes=[*notes, *(n for n in compiled.scene.notes if not n.endswith(EMPTY))],
     )
 
 
@@ -173,8 +173,12 @@ def _merged(read: list[Finding], seen: list[Finding]) -> Iterator[Finding]:
         read = [one for one in read if one.kind != "limit"]
     known = {(one.kind, one.element) for one in read if one.kind != "limit"}
     seen = [one for one in seen if (one.kind, one.element) not in known]
-    limits = {one.element for one in seen if one.kind == "limit"}
-    yield from (one for one in read if one.kind != "limit" or one.element not in limits)
+    limits = " ".join(one.text for one in seen if one.kind == "limit")
+    yield from (
+        one
+        for one in read
+        if one.kind != "limit" or one.element.removeprefix("limit of ") not in limits
+    )
     yield from seen
 
 

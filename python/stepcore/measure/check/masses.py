@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stepcore.engine.model import Model
 from stepcore.experiment.coordinates import Coordinates
@@ -34,8 +35,12 @@ def about_masses(model: Model, sizes: Sizes) -> Iterator[Finding]:
     yield from _ratios(model)
 
 
-def volume(geom: Geom) -> float:
-    """The volume of a geom [m³]; inf of a plane."""
+def volume(model: Model, geom: Geom, index: int) -> float:
+    """The volume of a geom [m³]; of a mesh that of its hull, inf of planes and height fields."""
+    if geom.type == "mesh":
+        return _hull_volume(*model.geom_hull(index))
+    if geom.type == "hfield":
+        return math.inf
     a, b, c = geom.size
     ball = 4 / 3 * math.pi
     return {
@@ -46,6 +51,14 @@ def volume(geom: Geom) -> float:
         "cylinder": 2 * b * math.pi * a**2,
         "box": 8 * a * b * c,
     }[geom.type]
+
+
+def _hull_volume(vertices: NDArray[np.float64], triangles: NDArray[np.int_]) -> float:
+    """Of a closed surface, by tetrahedra from one of its points; inf where there is none."""
+    if not len(triangles):
+        return math.inf
+    a, b, c = np.moveaxis(vertices[triangles] - vertices[0], 1, 0)
+    return float(np.sum(a * np.cross(b, c))) / 6
 
 
 def _geoms(layout: Layout, body: int, heavy: bool) -> list[Geom]:
@@ -62,12 +75,13 @@ def _geoms(layout: Layout, body: int, heavy: bool) -> list[Geom]:
 def _densities(model: Model, layout: Layout, moving: list[int]) -> Iterator[Finding]:
     """Bodies whose mass comes from geoms, against their volume."""
     rules = model.scene.mass_rules
+    index = {id(geom): k for k, geom in enumerate(layout.geoms)}
     dense, light = [], []
     for body in moving:
         if layout.bodies[body].mass is not None and not rules.inertiafromgeom:
             continue
         geoms = _geoms(layout, body, heavy=True)
-        filled = sum(volume(geom) for geom in geoms)
+        filled = sum(volume(model, geom, index[id(geom)]) for geom in geoms)
         mass = float(model.body_mass[body])
         if not filled or not math.isfinite(filled) or any(geom.shellinertia for geom in geoms):
             continue

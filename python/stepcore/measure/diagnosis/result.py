@@ -116,14 +116,14 @@ class Diagnosis(DiagnosisFindings, Result):
 
         width: as in `Result.text`.
         """
-        return dataclasses.replace(self.report(full), title="").text(width)
+        return dataclasses.replace(self.report(full), title="").text(width, full)
 
     def tables(self, full: bool) -> list[Table]:
         """All elements together by integrator, and the stiffest on their own (`full`: each)."""
         own = self.settings.integrator
         together = Table(
             (self._limit_record(name, limit) for name, limit in self.limits.items()),
-            formats={"share": ".2f", "by": "", DT: ".3g"},
+            formats={"share": ".2f", DT: ".3g"},
             heading=f"All elements together (* the scene's integrator, at dt {self.wanted:g} s)",
             legend=self._zero(limit.dt for limit in self.limits.values()),
         )

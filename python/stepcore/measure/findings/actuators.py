@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from stepcore.engine.model import Model
 from stepcore.experiment.watch import Watch
-from stepcore.experiment.watch.actuators import Servo
+from stepcore.experiment.watch.actuators import Saturated, Servo
 from stepcore.measure.findings.finding import Finding
 from stepcore.report.units import FORCES, metres, percent, quantity, radians
 
@@ -44,21 +44,53 @@ def about_actuators(model: Model, watch: Watch) -> Iterator[Finding]:
             clamped.share,
             "1",
         )
-    servos = set(watch.actuators.servos.tolist())
-    for one in watch.actuators.saturated():
-        if one.share < SATURATED or one.actuator in told or one.actuator not in servos:
-            continue
-        name = model.element_name("actuator", one.actuator)
-        yield Finding(
-            "saturation",
-            "warning",
-            name,
-            f"{_capital(name)} is at the end of its forcerange ({force_text(model, one)}) for "
-            f"{percent(one.share)} of the run, where it has no damping: a wider forcerange or a "
-            "lower kp keeps it within.",
-            one.share,
-            "1",
-        )
+    servos = set(watch.actuators.servos.tolist()) - told
+    saturated = [one for one in watch.actuators.saturated() if one.share >= SATURATED]
+    yield from _saturated(model, [one for one in saturated if one.actuator in servos])
+
+
+def _saturated(model: Model, found: list[Saturated]) -> Iterator[Finding]:
+    """Servos at the ends of their force ranges, in one sentence."""
+    if not found:
+        return
+    found = sorted(found, key=lambda one: -one.share)
+    names = [model.element_name("actuator", one.actuator) for one in found]
+    ends = list(dict.fromkeys(force_text(model, one).removeprefix("-") for one in found))
+    shares = list(dict.fromkeys(percent(one.share) for one in reversed(found)))
+    share = " to ".join(dict.fromkeys((shares[0].removesuffix(" %"), shares[-1])))
+    if len(shares) == 1:
+        share = shares[0]
+    force = ends[0] if len(ends) == 1 else f"up to {_largest(model, found)}"
+    if len(found) == 1:
+        said = f"is at the end of its forcerange ({force}) for {share} of the run, where it has"
+        cure = "a wider forcerange or a lower kp keeps it within"
+    else:
+        said = f"are at the ends of their forceranges ({force}) for {share} of the run, where they "
+        said += "have"
+        cure = "wider forceranges or a lower kp keep them within"
+    yield Finding(
+        "saturation",
+        "warning",
+        names[0],
+        f"{_all(names)} {said} no damping: {cure}.",
+        found[0].share,
+        "1",
+    )
+
+
+def _all(names: list[str]) -> str:
+    """All of some actuators by name: "Servos `a`, `b` and `c`"."""
+    kinds = {name.partition(" ")[0] for name in names}
+    if len(names) == 1:
+        return _capital(names[0])
+    if len(kinds) > 1:
+        return _capital(", ".join(names[:-1])) + f" and {names[-1]}"
+    own = [name.partition(" ")[2] for name in names]
+    return f"{_capital(kinds.pop())}s {', '.join(own[:-1])} and {own[-1]}"
+
+
+def _largest(model: Model, found: list[Saturated]) -> str:
+    return force_text(model, max(found, key=lambda one: abs(one.end))).removeprefix("-")
 
 
 def _sags(model: Model, servo: Servo) -> Finding | None:

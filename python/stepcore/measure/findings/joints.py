@@ -9,7 +9,7 @@ from stepcore.engine.model import Model
 from stepcore.experiment.sizes import Sizes
 from stepcore.experiment.watch import Watch
 from stepcore.experiment.watch.joints import Beyond, Gape
-from stepcore.measure.findings.finding import Finding, others
+from stepcore.measure.findings.finding import NAMES, Finding, others
 from stepcore.measure.findings.softness import advised
 from stepcore.report.units import FORCES, metres, percent, quantity, radians
 from stepcore.scene.layout import Layout
@@ -73,6 +73,8 @@ def _name(model: Model, equality: int) -> str:
 
 
 def _limits(model: Model, watch: Watch) -> Iterator[Finding]:
+    """Limits that a force pushes beyond: the worst with its cure, the others by name."""
+    beyond: list[tuple[float, Beyond, float, bool]] = []
     for one in watch.joints.overshoots():
         low, high = (float(bound) for bound in model.jnt_range[one.joint])
         angular = model.jnt_type[one.joint] != "slide"
@@ -85,7 +87,21 @@ def _limits(model: Model, watch: Watch) -> Iterator[Finding]:
         overpowers = pushing and pushing[0][1] > OVERPOWERS * one.limit
         if one.kept <= BEYOND * width or not overpowers:
             continue
-        yield _overpowered(model, one, width, angular)
+        beyond.append((one.kept / width, one, width, angular))
+    if not beyond:
+        return
+    (_, one, width, angular), *rest = sorted(beyond, key=lambda some: -some[0])
+    finding = _overpowered(model, one, width, angular)
+    if rest:
+        names = [
+            f"{model.element_name('joint', one.joint)} by "
+            f"{(radians if angular else metres)(one.kept)}"
+            for _, one, _, angular in rest
+        ]
+        more = f" and {len(names) - NAMES} more" if len(names) > NAMES else ""
+        also = f" Also beyond: {', '.join(names[:NAMES])}{more}."
+        finding = replace(finding, text=finding.text + also)
+    yield finding
 
 
 def _overpowered(model: Model, one: Beyond, width: float, angular: bool) -> Finding:

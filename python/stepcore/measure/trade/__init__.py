@@ -192,12 +192,12 @@ def trade(
         ran=motion_in_words(model, motion, schedule),
         horizon=schedule.horizon,
         notes=[
-            *model.scene.notes,
             *notes.about_run(schedule, rows, forces, tau, motion.horizon),
             *notes.about_reference(reference, frontier.rows, size),
             *limits,
             *notes.observed(reference, schedule.horizon, observed_orders(frontier.rows, reference)),
             *notes.failed(frontier.rows),
+            *model.scene.notes,
         ],
         target=target,
         budget=limit,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -13,7 +12,7 @@ from stepcore.experiment.reference import FINER, Gap, Reference, smallest
 from stepcore.experiment.schedule import Schedule
 from stepcore.measure.trade.moves import Steps
 from stepcore.measure.trade.row import TradeRow
-from stepcore.report.units import compact, metres, seconds, times
+from stepcore.report.units import compact, counted, metres, seconds, times
 
 # A residual of the reference that is worth saying [m/s].
 UNSOLVED = 1e-9
@@ -132,19 +131,24 @@ def observed(reference: Reference, horizon: float, orders: Mapping[str, float]) 
 
 
 def failed(rows: Sequence[TradeRow]) -> Iterator[str]:
-    """One note on the failures of each integrator and solver."""
-    failures = [row for row in rows if row.failure]
-    kinds = [(row.settings.integrator, row.settings.solver) for row in failures]
-    for kind, count in Counter(kinds).items():
-        # Rows stand coarsest first: the last of a kind is the finest step that fails.
-        some = [row for row, own in zip(failures, kinds, strict=True) if own == kind]
-        first, last = some[0], some[-1]
-        finest = "" if last is first else f", the last at dt {seconds(last.settings.dt)}"
-        settings = "setting fails" if count == 1 else "settings fail"
-        yield (
-            f"{count} {settings} with {', '.join(kind)}: the first at dt "
-            f"{seconds(first.settings.dt)} ({short(first.failure or '')}){finest}"
-        )
+    """One note on all failures, by integrator and solver."""
+    failures: dict[tuple[str, str], list[TradeRow]] = {}
+    for row in rows:
+        if row.failure:
+            failures.setdefault((row.settings.integrator, row.settings.solver), []).append(row)
+    if not failures:
+        return
+    count = sum(map(len, failures.values()))
+    steps = [f"{', '.join(kind)} at {_steps(some)}" for kind, some in failures.items()]
+    first = next(iter(failures.values()))[0]
+    steps[0] += f" ({short(first.failure or '')})"
+    yield f"{counted(count, 'setting')} fail{'s' * (count == 1)}: {'; '.join(steps)}"
+
+
+def _steps(some: Sequence[TradeRow]) -> str:
+    """The time steps of rows that stand coarsest first."""
+    coarsest, finest = (seconds(row.settings.dt) for row in (some[0], some[-1]))
+    return f"dt {coarsest}" if coarsest == finest else f"dt {finest} to {coarsest}"
 
 
 def short(failure: str) -> str:

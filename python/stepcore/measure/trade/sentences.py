@@ -178,12 +178,13 @@ def _improvements(trade: TradeFindings) -> Iterator[str]:
             yield f"The cheapest setting that runs is {named}, with an error of {least_error}."
         return
     error = trade.error(row)
-    try:
-        yield f"Half that error or less {_offer(trade, trade.cheapest(error / 2))}"
-    except ValueError:
+    half = trade.next_better(error)
+    if half is None:
         yield "No setting tried halves that error."
+    else:
+        yield f"Half that error or less {_offer(trade, half)}"
     same = trade.cheapest(error)
-    if trade.price(same) < NOTABLE * trade.price(row):
+    if same is not half and trade.price(same) < NOTABLE * trade.price(row):
         yield f"The same error or less {_offer(trade, same)}"
 
 

@@ -15,13 +15,17 @@ from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, seconds
 
 # A printed trade shows so many rows at most: those that matter, thinned out along the front.
-SHOWN = 16
-LEGEND = """\
-*: no other setting is cheaper and at least as accurate; s: shipped; r: recommended; c: refsafe \
-softens contacts at this dt; ref: the converged motion that errors are measured from. dt in ms; \
-cost in µs and flops per simulated second. error: RMS position error of the worst start [m] \
-(<: not known any better, because the converged motion is not); median: the same of the median \
-start; max: largest error of a centre of mass."""
+SHOWN = 10
+MARKS = {
+    "*": "no other setting is cheaper and at least as accurate",
+    "s": "shipped",
+    "r": "recommended",
+    "c": "refsafe softens contacts at this dt",
+}
+LEGEND = """ref: the converged motion that errors are measured from. dt [ms]; cost [µs] and flops \
+per simulated second; error: RMS position error of the worst start [m]{below}; median: of the \
+median start; max: largest error of a centre of mass."""
+BELOW = " (<: below what the converged motion can tell)"
 FULL_LEGEND = """ error counts centres of mass and rotation times radius of gyration. rows: row \
 updates per simulated second. numeric, model: numerical and modelling part of the error, for \
 settings that change the model. angle: RMS rotation error [rad]. gained, lost: energy beyond the \
@@ -50,7 +54,11 @@ def settings_table(trade: TradeFindings, full: bool) -> Table:
     records += [_mujoco_cells(point) for point in trade.mujoco if point.best]
     some = [n for n in NAMES if full or n not in DETAILS]
     columns = [n for n in some if n in HEADS or any(r.get(n) not in BLANK for r in records)]
-    legend = LEGEND + ALSO * ("also" in columns) + FULL_LEGEND * full + MUJOCO * bool(trade.mujoco)
+    used = "".join(str(record[""]) for record in records)
+    marks = [f"{mark}: {words}" for mark, words in MARKS.items() if mark in used.replace("ref", "")]
+    below = any(str(record.get(name)).startswith("<") for record in records for name in ERRORS)
+    legend = "; ".join([*marks, LEGEND.format(below=BELOW * below)])
+    legend += ALSO * ("also" in columns) + FULL_LEGEND * full + MUJOCO * bool(trade.mujoco)
     left = len(trade.rows) - len(shown)
     more = f"{counted(left, 'more setting')} and " if left else ""
     if not full:
