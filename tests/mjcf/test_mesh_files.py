@@ -8,6 +8,7 @@ import re
 import struct
 import zlib
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -79,11 +80,37 @@ def test_each_format_holds_the_mesh(name, tmp_path):
 def test_faces_of_four_corners_and_none_at_all(tmp_path):
     path = tmp_path / "a.obj"
     path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
+    # Along the shorter diagonal, the second one where both are as long.
+    assert mesh_files.read(path)[1].tolist() == [[0, 1, 3], [1, 2, 3]]
+    path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 1 .9 0\nv -.1 1 0\nf 1 2 3 4\n")
     assert mesh_files.read(path)[1].tolist() == [[0, 1, 2], [0, 2, 3]]
     path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\n")
     assert mesh_files.read(path)[1] is None
     (tmp_path / "b.msh").write_bytes(struct.pack("<4i", 4, 0, 0, 0) + bytes(48))
     assert mesh_files.read(tmp_path / "b.msh")[1] is None
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_larger_faces_are_split_as_mujoco_splits_them(seed, tmp_path):
+    chance = np.random.default_rng(seed)
+    count = int(chance.integers(4, 12))
+    angles, radii = np.sort(chance.uniform(0, 2 * np.pi, count)), chance.uniform(0.2, 1, count)
+    bent = 0.05 * (seed % 2) * chance.normal(size=count)
+    ring = np.stack([radii * np.cos(angles), radii * np.sin(angles), bent], axis=1)
+    turned = ring[:: 1 if seed % 3 else -1] @ np.linalg.qr(chance.normal(size=(3, 3)))[0].T
+    tetrahedron = [[0, 0, 3], [0, 0, -3], [2, 2, 2], [-2, 2, 1]]
+    places = np.concatenate([turned + 0.1 * chance.normal(size=3), tetrahedron])
+    lines = ["v {:.9g} {:.9g} {:.9g}".format(*place) for place in places]
+    lines.append("f " + " ".join(str(corner + 1) for corner in range(count)))
+    closed = ((1, 2, 3), (1, 3, 4), (2, 4, 3), (1, 4, 2))
+    lines += ["f " + " ".join(str(count + corner) for corner in face) for face in closed]
+    path = tmp_path / f"{seed}.obj"
+    path.write_text("\n".join(lines) + "\n")
+    mesh = f'<asset><mesh name="m" file="{path}" inertia="shell"/></asset>'
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco>{mesh}<worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>'
+    )
+    assert mesh_files.read(path)[1].tolist() == model.mesh_face.tolist()
 
 
 def head(count: int) -> bytes:
@@ -101,7 +128,6 @@ DAMAGED = {
     "a.obj": (obj().replace(b"v 1", b"v one"), "not a number"),
     "b.obj": (obj().replace(b"f 2 3 4", b"f 2 3 5"), "vertex 4, of 4"),
     "c.obj": (obj().replace(b"f 2 3 4", b"f 2 3 0"), "indices start at 1"),
-    "d.obj": (obj().replace(b"f 2 3 4", b"f 1 2 3 4 1"), "more than 4 corners"),
     "e.obj": (obj().replace(b"f 2 3 4", b"f 2 -9 4"), "vertex -"),
     "f.obj": (b"v 1 2\n", "fewer than 3"),
     "a.msh": (msh()[:-4], "it has"),

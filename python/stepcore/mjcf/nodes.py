@@ -8,6 +8,7 @@ from xml.parsers import expat
 
 from stepcore.checks import cut
 from stepcore.mjcf.effects import effect
+from stepcore.mjcf.mended import mended
 
 # MuJoCo's own parser stops at this depth too.
 DEPTH = 500
@@ -132,7 +133,20 @@ class Node:
 
 
 def parse(data: str | bytes, file: str) -> Node:
-    """Returns the root of an XML document; MJCFError if it is not well-formed."""
+    """Returns the root of an XML document; MJCFError if it is not well-formed.
+
+    What MuJoCo's parser lets pass in a comment, in a text or before the document is read too.
+    """
+    try:
+        return _parse(data, file)
+    except MJCFError:
+        plain = mended(data)
+        if plain == data:
+            raise
+        return _parse(plain, file)
+
+
+def _parse(data: str | bytes, file: str) -> Node:
     parser = expat.ParserCreate()
     parser.ordered_attributes = False
     parser.buffer_text = True

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import checks
+from stepcore.scene.polygons import triangles
 
 Surface = tuple[NDArray[Any], NDArray[Any] | None]
 
@@ -55,9 +56,12 @@ def _check(vertices: NDArray[Any], faces: NDArray[Any] | None) -> None:
         return
     if not len(faces):
         raise ValueError("it has no faces")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        worst = faces.min() if faces.min() < 0 else faces.max()
-        raise ValueError(f"a face has the vertex {worst}, of {len(vertices)}")
+    _check_corners(faces.min(), faces.max(), len(vertices))
+
+
+def _check_corners(least: int, largest: int, count: int) -> None:
+    if least < 0 or largest >= count:
+        raise ValueError(f"a face has the vertex {least if least < 0 else largest}, of {count}")
 
 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
@@ -122,7 +126,7 @@ def _joined(corners: NDArray[Any]) -> Surface:
 
 
 def obj(data: bytes) -> Surface:
-    """An OBJ file: its ``v`` and ``f`` lines; faces of four corners become two triangles."""
+    """An OBJ file: its ``v`` and ``f`` lines; faces of more corners than three are split."""
     text = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
     places: list[bytes] = []
     polygons: list[list[bytes]] = []
@@ -137,20 +141,18 @@ def obj(data: bytes) -> Surface:
         if words[0] == b"v":
             places += words[1:4]
         else:
-            if len(words) > 5:
-                raise ValueError(f"line {number}: a face of more than 4 corners is not supported")
             polygons.append([word.partition(b"/")[0] for word in words[1:]])
             before.append(len(places) // 3)
     vertices = _numbers(b" ".join(places), 3)
     if not polygons:
         return vertices, None
-    triangles = []
-    for corners, count in zip(polygons, before, strict=True):
-        places_of = [_corner(word, count) for word in corners]
-        triangles.append(places_of[:3])
-        if len(places_of) == 4:
-            triangles.append([places_of[0], places_of[2], places_of[3]])
-    return vertices, np.array(triangles, np.int64)
+    corners = [
+        [_corner(word, count) for word in words]
+        for words, count in zip(polygons, before, strict=True)
+    ]
+    for face in corners:
+        _check_corners(min(face), max(face), len(vertices))
+    return vertices, triangles(corners, vertices)
 
 
 def _corner(word: bytes, count: int) -> int:

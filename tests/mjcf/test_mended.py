@@ -1,0 +1,44 @@
+"""Texts that are not well-formed XML, but that MuJoCo reads, are read too, as MuJoCo reads them."""
+
+import mujoco
+import pytest
+
+import stepcore as sc
+from stepcore.mjcf.nodes import MJCFError
+
+BODY = '<worldbody><body name="a &amp; b"><joint/>\n<geom{} size=".1"/></body></worldbody>'
+GROUP = ' group="1"condim="4"'
+# What MuJoCo lets pass.
+TEXTS = {
+    "dashes in a comment": f"<mujoco><!-- one -- two -->{BODY.format('')}</mujoco>",
+    "a rule": f"<mujoco><!---------\n rule ---->{BODY.format('')}</mujoco>",
+    "blanks first": f'\n\n <?xml version="1.0" encoding="utf-8"?><mujoco>{BODY.format("")}</mujoco>',
+    "an ampersand": f'<mujoco model="a & b &amp; c">{BODY.format("")}</mujoco>',
+    "attributes side by side": f"<mujoco>{BODY.format(GROUP)}</mujoco>",
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_what_mujocos_parser_lets_pass_is_read(name):
+    text = TEXTS[name]
+    theirs = mujoco.MjModel.from_xml_string(text)
+    for given in (text, text.encode()):
+        scene = sc.loads(given)
+        assert scene.bodies[1].name == theirs.body(1).name == "a & b"
+        assert scene.geoms[0].condim == theirs.geom_condim[0]
+        assert scene.compile().nv == 1
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_lines_keep_their_numbers(name):
+    text = TEXTS[name].replace("<geom", "<gem")
+    line = 1 + text[: text.index("<gem")].count("\n")
+    with pytest.raises(MJCFError, match="unknown element <gem>") as caught:
+        sc.loads(text)
+    assert caught.value.line == line
+
+
+@pytest.mark.parametrize("text", ["<mujoco><!-- a --", "<mujoco", "<mujoco>&</mujoco", "& <a", "<?xml"])
+def test_what_is_no_xml_is_still_an_error(text):
+    with pytest.raises(MJCFError, match="not well-formed XML"):
+        sc.loads(text)
