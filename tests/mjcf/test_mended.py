@@ -12,7 +12,7 @@ GROUP = ' group="1"condim="4"'
 TEXTS = {
     "dashes in a comment": f"<mujoco><!-- one -- two -->{BODY.format('')}</mujoco>",
     "a rule": f"<mujoco><!---------\n rule ---->{BODY.format('')}</mujoco>",
-    "blanks first": f'\n\n <?xml version="1.0" encoding="utf-8"?><mujoco>{BODY.format("")}</mujoco>',
+    "blanks first": f'\n\n <?xml version="1.0"?><mujoco>{BODY.format("")}</mujoco>',
     "an ampersand": f'<mujoco model="a & b &amp; c">{BODY.format("")}</mujoco>',
     "attributes side by side": f"<mujoco>{BODY.format(GROUP)}</mujoco>",
 }
@@ -38,7 +38,23 @@ def test_lines_keep_their_numbers(name):
     assert caught.value.line == line
 
 
-@pytest.mark.parametrize("text", ["<mujoco><!-- a --", "<mujoco", "<mujoco>&</mujoco", "& <a", "<?xml"])
+@pytest.mark.parametrize(
+    "text", ["<mujoco><!-- a --", "<mujoco", "<mujoco>&</mujoco", "& <a", "<?xml"]
+)
 def test_what_is_no_xml_is_still_an_error(text):
     with pytest.raises(MJCFError, match="not well-formed XML"):
         sc.loads(text)
+
+
+EMPTY = {
+    "geom": ("condim", "friction", "margin", "material", "mass", "pos", "group", "rgba"),
+    "joint": ("range", "damping", "armature", "axis", "ref"),
+}
+
+
+@pytest.mark.parametrize(("tag", "name"), [(t, n) for t, names in EMPTY.items() for n in names])
+def test_empty_numbers_and_names_say_nothing(tag, name):
+    text = f"<mujoco>{BODY.format('')}</mujoco>"
+    given = text.replace(f"<{tag}", f'<{tag} {name}=" "')
+    mujoco.MjModel.from_xml_string(given.replace('" "', '""'))
+    assert sc.loads(given) == sc.loads(given.replace('" "', '""')) == sc.loads(text)

@@ -17,6 +17,8 @@ from stepcore.mjcf.schema.notation import Spec
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _INT = re.compile(r"[+-]?\d+", re.ASCII)
 
+# Names that cannot be empty.
+KEPT_EMPTY = ("class", "childclass", "file")
 WHY = {
     "draws": "only draws",
     "senses": "only senses",
@@ -86,14 +88,18 @@ def _check_once(node: Node, spec: Spec) -> None:
 
 
 def values_of(node: Node, spec: Spec) -> dict[str, object]:
-    """The attributes of an element as numbers and words; MJCFError for one that is none of its."""
+    """The attributes of an element as numbers and words; MJCFError for one that is none of its.
+
+    Numbers and names that are empty say nothing, as in MuJoCo.
+    """
     result: dict[str, object] = {}
     for name, text in node.attrs.items():
         kind = spec.attrs.get(name)
         if kind is None:
             near = nearest(name, spec.attrs)
             raise node.error(f'unknown attribute "{name}" of <{node.tag}>{near}')
-        result[name] = _value(node, name, text, kind)
+        if text.strip() or "|" in kind or name in spec.required or name in KEPT_EMPTY:
+            result[name] = _value(node, name, text, kind)
     for name in spec.required:
         if name not in result:
             raise node.error(f'<{node.tag}> lacks the required attribute "{name}"')

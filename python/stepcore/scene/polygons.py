@@ -19,8 +19,8 @@ def triangles(polygons: list[Polygon], vertices: NDArray[Any]) -> NDArray[Any]:
     """The triangles of polygons, shape (n, 3); a polygon: indices of its vertices in turn.
 
     Quadrilaterals are split along the shorter diagonal, the second where both are as long; of
-    larger ones ears are cut off, in the plane of two axes that they face most, in the single precision
-    of MuJoCo's reader.
+    larger ones ears are cut off, in the plane of two axes that they face most, in the single
+    precision of MuJoCo's reader.
     """
     found: list[Polygon] = []
     for polygon in polygons:
@@ -92,7 +92,7 @@ def _points_in(a: Place, b: Place, c: Place) -> bool:
 
 
 def _inside(point: Place, corners: list[Place]) -> bool:
-    """Whether a point lies in a triangle: a ray from it crosses the edges an odd number of times."""
+    """Whether a point lies in a triangle: of its edges a ray crosses an odd number."""
     x, y = point
     inside = False
     for (ax, ay), (bx, by) in zip(corners, corners[-1:] + corners[:-1], strict=True):
