@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import commands as commands_on_pages
 import pytest
 
 from stepcore.cli import COMMANDS, parser
@@ -67,7 +68,7 @@ def test_the_python_of_a_page_runs(page, tmp_path):
 def commands():
     """Every `stepcore ...` of the pages, in blocks of commands and in the text."""
     for page in PAGES:
-        lines = [line for block in blocks(page, "", "sh") for line in block.splitlines()]
+        lines = [line for block in blocks(page, "", "sh", "console") for line in block.splitlines()]
         lines += re.findall(r"`(stepcore [^`]*)`", BLOCK.sub("", page.read_text(encoding="utf-8")))
         for line in lines:
             for part in line.removeprefix("$ ").split("&&"):
@@ -81,6 +82,20 @@ def test_a_command_of_a_page_is_one_we_take(page, command):
     assert argv[0] in COMMANDS
     if len(argv) > 1:
         parser(argv).parse_args(argv)
+
+
+SHOWN = [
+    (page.name, command, shown)
+    for page in PAGES
+    for command, shown in commands_on_pages.shown_in(page.read_text(encoding="utf-8"))
+]
+
+
+@pytest.mark.parametrize(("page", "command", "shown"), SHOWN)
+def test_a_page_shows_what_its_command_prints(page, command, shown):
+    """Where it no longer does: python docs_build/commands.py."""
+    printed = commands_on_pages.printed(command, ROOT)
+    assert commands_on_pages.as_shown(printed, shown) == shown
 
 
 def test_the_files_that_the_pages_name_are_there():

@@ -1,0 +1,61 @@
+"""What `mkdocs build` makes besides the pages in docs/: pages from other files, outputs, pictures.
+
+mkdocs calls the functions `on_...`, see https://www.mkdocs.org/dev-guide/plugins/#events.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import benchmarks
+import commands
+import links
+from mkdocs.structure.files import File
+
+ROOT = Path(__file__).parents[1]
+
+
+def on_config(config):
+    """The repository's address is the one in pyproject.toml."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    addresses = project.get("urls", {})
+    config.repo_url = addresses.get("Repository") or addresses.get("Source")
+    config.repo_name = "Repository"
+    return config
+
+
+def on_files(files, config):
+    """Adds the pages that have their text elsewhere, and draws the pictures anew."""
+    for path, text in _pages().items():
+        files.append(File.generated(config, path, content=text))
+    for path, drawn in commands.pictures(ROOT).items():
+        files.remove(files.get_file_from_path(path))
+        files.append(File.generated(config, path, content=drawn))
+    return files
+
+
+def _pages() -> dict[str, str]:
+    """The generated pages by their path in docs/."""
+    contributing = _text("CONTRIBUTING.md")
+    before, adding, after = links.split_at_section(contributing, "How to add …")
+    return {
+        "index.md": links.as_in_docs(_text("README.md")),
+        "contributing.md": links.as_in_docs(
+            f"{before}## How to add …\n\nIt has [its own page](docs/adding.md).\n\n{after}"
+        ),
+        "adding.md": links.as_in_docs("# How to add an element" + adding),
+        "changelog.md": links.as_in_docs(_text("CHANGELOG.md")),
+        "benchmarks.md": benchmarks.page(ROOT / "benches"),
+    }
+
+
+def _text(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def on_page_markdown(markdown, page, config, files):
+    """Runs the commands that a page shows, and makes links to the repository's files absolute."""
+    del files
+    shown = commands.with_outputs(markdown, ROOT)
+    return links.to_repository(shown, page.file.src_uri, config.repo_url)

@@ -1,0 +1,54 @@
+"""The documentation site: every public name has its place, every page stands in its order.
+
+That it builds without a warning is a step of .ci/run.
+"""
+
+import re
+from pathlib import Path
+
+import benchmarks
+import links
+
+import stepcore as sc
+from stepcore import gymnasium
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+API = "\n".join(path.read_text(encoding="utf-8") for path in (DOCS / "api").glob("*.md"))
+DOCUMENTED = re.findall(r"^::: stepcore\.([\w.]+)$", API, re.MULTILINE)
+# Pages that the build makes.
+MADE = {"index.md", "adding.md", "benchmarks.md", "changelog.md", "contributing.md"}
+
+
+def test_every_public_name_is_in_the_reference_once():
+    public = set(sc.__all__) - {"__version__", "lesson", "reference"}
+    public |= {f"gymnasium.{name}" for name in gymnasium.__all__}
+    assert sorted(DOCUMENTED) == sorted(public | {"lesson"})
+
+
+def test_every_page_is_in_the_navigation():
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[2]
+    listed = re.findall(r"[\w/]+\.(?:md|py)\b", text)
+    pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
+    pages |= {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.py")}
+    assert sorted(listed) == sorted(pages | MADE)
+
+
+def test_the_benchmarks_page_has_every_kept_result():
+    page = benchmarks.page(ROOT / "benches")
+    for bench, path in benchmarks.last_results(ROOT / "benches" / "results").items():
+        last = path.read_text(encoding="utf-8").rstrip("\n").split("\n")[-1]
+        assert last in page, bench
+
+
+def test_links_lead_to_pages_and_else_to_the_repository():
+    text = (
+        "[a](docs/trade.md#errors) [b](benches/README.md) ![c](https://x.org/raw/main/docs/c.png)"
+    )
+    moved = links.as_in_docs(text)
+    assert moved == "[a](trade.md#errors) [b](../benches/README.md) ![c](c.png)"
+    led = links.to_repository(moved, "index.md", "https://x.org")
+    assert led == "[a](trade.md#errors) [b](https://x.org/blob/main/benches/README.md) ![c](c.png)"
+    assert links.to_repository("[m](../method.md)", "api/a.md", None) == "[m](../method.md)"
+    assert links.to_repository("[home](../README.md)", "a.md", None) == "[home](index.md)"
+    assert links.to_repository("[b](../benches/README.md)", "a.md", None) == "b"
