@@ -34,7 +34,7 @@ DRAWN = {
 def printed(command: str, root: Path) -> str:
     """What a command prints, in lines of 100 characters."""
     arguments = [sys.executable, "-m", *shlex.split(command)]
-    environment = os.environ | {"COLUMNS": "100"}
+    environment = os.environ | {"COLUMNS": "100", "MPLBACKEND": "Agg"}
     done = subprocess.run(
         arguments, cwd=root, env=environment, capture_output=True, text=True, check=False
     )

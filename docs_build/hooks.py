@@ -5,6 +5,7 @@ mkdocs calls the functions `on_...`, see https://www.mkdocs.org/dev-guide/plugin
 
 from __future__ import annotations
 
+import os
 import tomllib
 from pathlib import Path
 
@@ -17,7 +18,8 @@ ROOT = Path(__file__).parents[1]
 
 
 def on_config(config):
-    """The repository's address is the one in pyproject.toml."""
+    """The repository's address is the one in pyproject.toml. Notebooks show their figures."""
+    os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     addresses = project.get("urls", {})
     config.repo_url = addresses.get("Repository") or addresses.get("Source")

@@ -1,10 +1,11 @@
 # %% [markdown]
 # # The lesson
 #
-# **Four small scenes show what goes wrong in a simulation, each with a number that can be worked
-# out on paper.** An integrator can create energy. A contact that is a spring sinks in or explodes.
-# A contact that is a constraint does neither, but rests too deep where the time step is large.
-# Contacts that rest on each other need more than one sweep of the solver.
+# **Four small scenes show what goes wrong in a simulation, each with a number that
+# can be worked out on paper.** An integrator can create energy. A contact that is a
+# spring sinks in or explodes. A contact that is a constraint does neither, but
+# rests too deep where the time step is large. Contacts that rest on each other need
+# more than one sweep of the solver.
 
 # %%
 import warnings
@@ -25,9 +26,10 @@ def started(scene, **settings):
 # %% [markdown]
 # ## An integrator can create energy
 #
-# A mass of 1 kg swings on a spring of 100 N/m: 2000 steps of 0.01 s. Its energy should stay what
-# it was. `explicit` multiplies it by 1 + (ω dt)² = 1.01 in every step, by 4.39e+08 in all.
-# `semi-implicit` costs the same, and ends at 1.05 of what it was.
+# A mass of 1 kg swings on a spring of 100 N/m: 2000 steps of 0.01 s. Its energy
+# should stay what it was. `explicit` multiplies it by 1 + (ω dt)² = 1.01 in every
+# step, by 4.39e+08 in all. `semi-implicit` costs the same, and ends at 1.05 of what
+# it was.
 
 # %%
 growth = {}
@@ -50,8 +52,9 @@ print(warned[0].message)
 # %% [markdown]
 # ## A contact that is a spring
 #
-# A ball of 1 kg falls 0.30 m onto a floor (law `penalty`, 2 ms). With 1e4 N/m it sinks in by 21.8
-# mm. With 1e6 N/m it is thrown 2.32 m high, because the step is too large for such a spring.
+# A ball of 1 kg falls 0.30 m onto a floor (law `penalty`, 2 ms). With 1e4 N/m it
+# sinks in by 21.8 mm. With 1e6 N/m it is thrown 2.32 m high, because the step is
+# too large for such a spring.
 
 # %%
 fig, ax = plt.subplots(figsize=(7, 3))
@@ -61,7 +64,9 @@ for stiffness in (1e3, 1e4, 1e5, 1e6):
         warnings.simplefilter("ignore")
         run = started(scene, dt=0.002).run(2.0)
     height = run.qpos[:, 0]
-    print(f"{stiffness:.0e} N/m: {-1e3 * height.min():.1f} mm deep, {height.max():.2f} m high")
+    print(
+        f"{stiffness:.0e} N/m: {-1e3 * height.min():.1f} mm deep, {height.max():.2f} m high"
+    )
     ax.plot(run.time, height, label=f"{stiffness:.0e} N/m")
 ax.set(xlabel="time [s]", ylabel="height [m]", title="a ball on a spring, dt 2 ms")
 ax.legend()
@@ -70,9 +75,10 @@ fig.tight_layout()
 # %% [markdown]
 # ## A contact that is a constraint
 #
-# Under the law `lesson` the solver finds the impulse for which the ball does not sink in any
-# further. It comes to rest whatever the step. How deep it rests can be written down: s m g dt²/β,
-# with the softness s = 0.5 and β = 0.2: 98.1 µm at 2 ms, and a hundred times that at 20 ms.
+# Under the law `lesson` the solver finds the impulse for which the ball does not
+# sink in any further. It comes to rest whatever the step. How deep it rests can be
+# written down: s m g dt²/β, with the softness s = 0.5 and β = 0.2: 98.1 µm at 2 ms,
+# and a hundred times that at 20 ms.
 
 # %%
 for dt in (0.002, 0.01, 0.02):
@@ -85,9 +91,10 @@ for dt in (0.002, 0.01, 0.02):
 # %% [markdown]
 # ## Two contacts, and sweeps
 #
-# One ball on another: the solver goes over the rows one by one, and each sweep undoes a part of
-# what the one before had reached. With equal balls and rigid rows a sweep leaves 50% of the error:
-# the lower contact is 196 µm deep with 1 sweep a step, and 0.000187 µm with 20.
+# One ball on another: the solver goes over the rows one by one, and each sweep
+# undoes a part of what the one before had reached. With equal balls and rigid rows
+# a sweep leaves 50% of the error: the lower contact is 196 µm deep with 1 sweep a
+# step, and 0.000187 µm with 20.
 
 # %%
 for sweeps in (1, 2, 5, 10, 20):
@@ -101,8 +108,11 @@ print(f"a sweep leaves {result.theory.radius:.0%}")
 # %% [markdown]
 # ## All of it
 #
-# The whole lesson has 74 figures, each beside its reference. `stepcore lesson` prints them.
+# The whole lesson has 74 figures, each beside its reference. `stepcore lesson`
+# prints them.
 
 # %%
 rows = [row for row in lesson.run() if row.reference is not None]
-print(f"{sum(row.ok for row in rows)} of {len(rows)} figures agree with the reference")
+print(
+    f"{sum(row.ok for row in rows)} of {len(rows)} figures agree with the reference"
+)
