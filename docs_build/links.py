@@ -5,10 +5,11 @@ from __future__ import annotations
 import posixpath
 import re
 
-# [text](target) and ![text](target), with relative targets.
+# [text](target) and ![text](target); and [name]: target, where a text lists its targets.
 LINK = re.compile(r"(!?\[[^\]]*\])\(([^)\s]+)\)")
+LISTED = re.compile(r"^(\[[^\]]+\]: )(\S+)$", re.MULTILINE)
 # A file of the repository under its address on a host: …/blob/main/docs/trade.md, …/raw/main/….
-HOSTED = re.compile(r"https://[^\s)]+?/(?:blob/|raw/)?(?:refs/heads/)?main/(docs/[\w./-]+)")
+HOSTED = re.compile(r"https://[^\s)]+?/(?:blob/|raw/)?(?:refs/heads/)?main/docs/([\w./-]+)")
 # Texts of the repository that are pages of the site.
 PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md"}
 PAGES |= {"CHANGELOG.md": "changelog.md"}
@@ -19,14 +20,15 @@ def as_in_docs(text: str) -> str:
 
     def moved(link: re.Match[str]) -> str:
         shown, target = link.groups()
-        target = HOSTED.sub(r"\1", target)
+        target = HOSTED.sub(r"docs/\1", target)
         if "://" in target or target.startswith("#"):
             return link[0]
         if target.startswith("docs/"):
             return f"{shown}({target.removeprefix('docs/')})"
         return f"{shown}(../{target})"
 
-    return LINK.sub(moved, text)
+    listed = LISTED.sub(lambda found: found[1] + HOSTED.sub(r"\1", found[2]), text)
+    return LINK.sub(moved, listed)
 
 
 def to_repository(text: str, page: str, address: str | None) -> str:

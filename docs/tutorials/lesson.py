@@ -64,9 +64,8 @@ for stiffness in (1e3, 1e4, 1e5, 1e6):
         warnings.simplefilter("ignore")
         run = started(scene, dt=0.002).run(2.0)
     height = run.qpos[:, 0]
-    print(
-        f"{stiffness:.0e} N/m: {-1e3 * height.min():.1f} mm deep, {height.max():.2f} m high"
-    )
+    deep, high = -1e3 * height.min(), height.max()
+    print(f"{stiffness:.0e} N/m: {deep:.1f} mm deep, {high:.2f} m high")
     ax.plot(run.time, height, label=f"{stiffness:.0e} N/m")
 ax.set(xlabel="time [s]", ylabel="height [m]", title="a ball on a spring, dt 2 ms")
 ax.legend()
@@ -84,9 +83,8 @@ fig.tight_layout()
 for dt in (0.002, 0.01, 0.02):
     sim = started(lesson.drop("lesson"), dt=dt)
     sim.step(round(2.0 / dt))
-    print(
-        f"dt {1e3 * dt:2g} ms: {-1e6 * sim.qpos[0]:.1f} µm deep, {0.5 * 9.81 * dt**2 / 0.2:.3g} m"
-    )
+    deep, theory = -1e6 * sim.qpos[0], 1e6 * 0.5 * 9.81 * dt**2 / 0.2
+    print(f"dt {1e3 * dt:2g} ms: {deep:.1f} µm deep, by theory {theory:.1f} µm")
 
 # %% [markdown]
 # ## Two contacts, and sweeps

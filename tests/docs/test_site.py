@@ -47,6 +47,7 @@ def test_links_lead_to_pages_and_else_to_the_repository():
     )
     moved = links.as_in_docs(text)
     assert moved == "[a](trade.md#errors) [b](../benches/README.md) ![c](c.png)"
+    assert links.as_in_docs("[c]: https://x.org/blob/main/docs/c.md") == "[c]: c.md"
     led = links.to_repository(moved, "index.md", "https://x.org")
     assert led == "[a](trade.md#errors) [b](https://x.org/blob/main/benches/README.md) ![c](c.png)"
     assert links.to_repository("[m](../method.md)", "api/a.md", None) == "[m](../method.md)"
