@@ -211,8 +211,8 @@ ERRORS = {
         'no such joint; nearest: "j"',
     ),
     "limit": (
-        (link("a"), link("b"), joint("j", "revolute", "a", "b", '<limit lower="2" upper="1"/>')),
-        "the first not larger",
+        (link("a"), link("b"), joint("j", "revolute", "a", "b", '<limit lower="2" uper="1"/>')),
+        'unknown attribute "uper" of <limit>; nearest: "upper"',
     ),
     "axis": (
         (link("a"), link("b"), joint("j", "revolute", "a", "b", '<axis xyz="0 0 0"/>')),
@@ -230,3 +230,30 @@ def test_errors_say_where(case):
         sc.loads(text, name="arm.urdf")
     assert str(caught.value).startswith("arm.urdf:")
     assert said in str(caught.value)
+
+
+HINGED = """<robot name="r" {robot}><link name="a"/><link name="b"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+<limit {limit}/><dynamics damping=".5" {dynamics}/></joint>{end}</robot>"""
+NO_LIMIT = ("lower='2.9' upper='-2.9'", "lower='-inf' upper='inf'", "lower='0' upper='0'")
+
+
+@pytest.mark.parametrize("limit", [*NO_LIMIT, 'effort="inf" lower="-1" upper="2"'])
+def test_limits_that_bound_nothing_are_none_as_in_mujoco(limit):
+    text = HINGED.format(robot="", limit=limit, dynamics="", end="")
+    theirs, scene = mujoco.MjModel.from_xml_string(text), sc.loads(text)
+    bounded = bool(theirs.jnt_limited[0]) and bool(np.isfinite(theirs.jnt_range[0]).all())
+    assert (scene.joints[0].range is not None) == bounded
+    assert scene.joints[0].actuatorfrcrange is None
+
+
+def test_what_extends_urdf_is_listed():
+    given = {"robot": 'foo="1" xmlns:xacro="x"', "limit": 'lower="-1" upper="1" acceleration="3"'}
+    end = '<xacro:property name="a" value="1"/>'
+    text = HINGED.format(**given, dynamics='spring_stiffness="2"', end=end)
+    mujoco.MjModel.from_xml_string(text)
+    ignored = "\n".join(sc.loads(text).ignored)
+    assert "spring_stiffness is no attribute of URDF" in ignored
+    assert "acceleration is no attribute of URDF" in ignored
+    assert "<xacro:property>" in ignored

@@ -52,3 +52,5 @@ ROBOT = spec("name version", {"link": LINK, "joint": JOINT})
 CLOSED = ("geometry", "inertial", "limit", "dynamics", "mimic", "origin")
 # What only draws.
 DRAWS = ("visual", "material")
+# What the program xacro may leave in the URDF that it makes: nothing depends on it any more.
+XACRO_ONLY = ("xacro:property", "xacro:arg")

@@ -20,7 +20,7 @@ from stepcore.mjcf.schema.notation import Spec
 from stepcore.mjcf.validation import bad, values_of
 from stepcore.scene import frames
 from stepcore.urdf.mesh_paths import mesh_path
-from stepcore.urdf.schema import CLOSED, DRAWS, ROBOT
+from stepcore.urdf.schema import CLOSED, DRAWS, ROBOT, XACRO_ONLY
 
 # A joint without an axis turns or slides along the first.
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -56,6 +56,7 @@ def _validate(root: Node, refusals: Refusals) -> list[str]:
     pending: list[tuple[Node, Spec]] = [(root, ROBOT)]
     while pending:
         node, spec = pending.pop()
+        ignored += _strip(node, spec)
         try:
             node.values = values_of(node, spec)
         except MJCFError as error:
@@ -64,7 +65,9 @@ def _validate(root: Node, refusals: Refusals) -> list[str]:
         kept = []
         for child in node.children:
             inner = spec.children.get(child.tag)
-            if child.tag.startswith("xacro:"):
+            if child.tag in XACRO_ONLY:
+                ignored.append(child.listed("says nothing about the motion"))
+            elif child.tag.startswith("xacro:"):
                 text = f"<{child.tag}>: this is xacro, from which the program xacro makes URDF"
                 refusals.add(child.error(text))
             elif inner is None and node.tag in CLOSED:
@@ -82,6 +85,25 @@ def _validate(root: Node, refusals: Refusals) -> list[str]:
                 refusals.add(same[1].error(f"a second <{tag}> in the same <{node.tag}>"))
         node.children = kept
     return ignored
+
+
+def _strip(node: Node, spec: Spec) -> list[str]:
+    """Drops what extends URDF, and limits that are infinite; returns the lines about the former."""
+    if node.tag == "limit":
+        pair = [node.attrs.get(name, "").strip().lower() for name in ("lower", "upper")]
+        none = ("effort", "velocity") + (("lower", "upper") if _all_infinite(pair) else ())
+        for name in none:
+            if _all_infinite([node.attrs.get(name, "").strip().lower()]):
+                del node.attrs[name]
+    extra = [name for name in node.attrs if name not in spec.attrs]
+    foreign = [name for name in extra if "nearest" not in nearest(name, spec.attrs)]
+    for name in foreign:
+        del node.attrs[name]
+    return [node.listed(f"{name} is no attribute of URDF") for name in foreign]
+
+
+def _all_infinite(words: list[str]) -> bool:
+    return all(word.lstrip("+-") in ("inf", "infinity") for word in words)
 
 
 class Robot:
@@ -202,8 +224,6 @@ class Robot:
         values, found = limit.values, {}
         self.with_velocity += "velocity" in values
         low, high = values.get("lower", 0.0), values.get("upper", 0.0)
-        if kind != "continuous" and low > high:
-            raise bad(limit, "lower, upper", (low, high), "two numbers, the first not larger")
         if kind != "continuous" and low < high:
             found["range"] = _words((low, high))
         elif kind != "continuous":
@@ -281,7 +301,7 @@ class Robot:
         if self.unlimited:
             names = cut(", ".join(self.unlimited), 200)
             found.append(
-                f"{place}: joints whose lower and upper limit are equal have none: {names}"
+                f"{place}: joints whose lower limit is not below the upper have none: {names}"
             )
         if not any(joint.values["type"] == "floating" for joint in self.joints.values()):
             found.append(
