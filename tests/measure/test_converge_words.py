@@ -31,16 +31,16 @@ def failing(result, fails):
 
 
 def work(result):
-    return next(s for s in sentences.of(result) if s.startswith("At equal row updates"))
+    return next(s for s in sentences.of(result) if s.startswith("At equal work"))
 
 
 def test_no_verdict_stands_over_a_row_of_failures(heavy):
     said = work(failing(heavy, lambda split: True))
-    assert said.startswith("At equal row updates neither smaller steps nor more sweeps give a mot")
+    assert said.startswith("At equal work (row updates) neither smaller steps nor more sweeps")
     said = work(failing(heavy, lambda split: split.sweeps > split.steps))
-    assert said.startswith("At equal row updates only smaller steps give a motion")
+    assert said.startswith("At equal work (row updates) only smaller steps give a motion")
     said = work(failing(heavy, lambda split: split.sweeps < split.steps))
-    assert said.startswith("At equal row updates only more sweeps give a motion")
+    assert said.startswith("At equal work (row updates) only more sweeps give a motion")
     assert "fails" in said
 
 

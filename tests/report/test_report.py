@@ -1,6 +1,7 @@
 """`Report` and `Table`: the same blocks as text, as HTML and as data."""
 
 import json
+import re
 from xml.etree import ElementTree
 
 import numpy as np
@@ -76,6 +77,20 @@ def test_the_html_has_a_real_table_and_escapes_names():
 def test_the_page_holds_its_picture():
     page = REPORT.page(b"<svg/>")
     assert "data:image/svg+xml;base64,PHN2Zy8+" in page and "<title>arm: an answer</title>" in page
+
+
+def test_the_page_has_the_answer_on_top_and_needs_nothing_else():
+    page = REPORT.page(b"<svg/>")
+    places = [page.index(part) for part in ('id="answer"', "The answer", "<img", "1 s from")]
+    places += [page.index(part) for part in ("<table", "dt: time step.", "one start")]
+    assert places == sorted(places)
+    assert not re.search(r"https?://|href=|import\(|fetch\(", page)
+    assert "prefers-color-scheme: dark" in page
+
+
+def test_names_in_backticks_are_code():
+    page = Report("arm", ["Joint `a<b` is stiff."]).html()
+    assert page == "<p>Joint <code>a&lt;b</code> is stiff.</p>"
 
 
 def test_a_part_of_a_table_is_a_table():

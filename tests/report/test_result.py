@@ -1,6 +1,7 @@
 """What is the same of every result: its text, its data, its page."""
 
 import dataclasses
+import html
 import json
 
 import pytest
@@ -57,4 +58,20 @@ def test_the_text_says_its_title_and_its_sentences_first(result):
 def test_a_notebook_shows_tables(result):
     shown = result._repr_html_()
     assert "<table" in shown and "<pre" not in shown
+    assert shown.index(html.escape(result.sentences[0]).split("`")[0]) < shown.index("<img")
     assert repr(result).startswith(f"<{type(result).__name__}")
+
+
+def test_about_a_screen_is_printed(result):
+    """A trade of many settings is cut; these small results have no need to be."""
+    assert len(result.text(100).splitlines()) <= 40
+    assert len(result.text(100, full=True)) >= len(result.text(100))
+
+
+def test_a_notebook_without_matplotlib_shows_no_picture(result, monkeypatch):
+    def missing(path=None):
+        raise ImportError("a plot needs matplotlib")
+
+    monkeypatch.setattr(type(result), "plot", lambda self, path=None: missing())
+    shown = result._repr_html_()
+    assert "<table" in shown and "<img" not in shown

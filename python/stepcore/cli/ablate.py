@@ -26,7 +26,7 @@ def add(command: argparse.ArgumentParser) -> None:
         "scene's size (default: %(default)s)",
     )
     add_motion(command, horizon=HORIZON, starts=STARTS)
-    add_output(command)
+    add_output(command, full="print every feature")
     command.add_argument("--save", metavar="OUT.xml", help="write the smallest model as MJCF")
 
 

@@ -27,7 +27,7 @@ def add(command: argparse.ArgumentParser) -> None:
         help="number of states at which sweeps are measured (default: %(default)s)",
     )
     add_motion(command, horizon=HORIZON, starts=STARTS)
-    add_output(command)
+    add_output(command, full="print every row, all runs of equal work, the residual by sweeps")
 
 
 def call(args: argparse.Namespace) -> Result:

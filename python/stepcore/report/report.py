@@ -6,7 +6,6 @@ them as JSON.
 
 from __future__ import annotations
 
-import base64
 import html
 import math
 import re
@@ -15,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from stepcore import checks
+from stepcore.report import page as pages
 from stepcore.report.table import Table, window
 from stepcore.report.units import NAMES, counted
 
@@ -26,6 +26,7 @@ SCREEN = 40
 ITEM = "- "
 # The blank between a number and its unit, where no line ends.
 FIXED = "\N{NO-BREAK SPACE}"
+CODE = re.compile(r"`([^`]+)`")
 BEFORE_UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(map(re.escape, NAMES))})(?!\w))")
 
 
@@ -69,26 +70,24 @@ class Report:
         blocks.append([*_notes(self.notes, size, room)])
         return "\n\n".join("\n".join(block) for block in blocks if block)
 
-    def html(self) -> str:
-        """The report as a fragment of HTML."""
-        setup = "\n".join(f"<p>{html.escape(text)}</p>" for text in self.setup.splitlines())
-        tables = [
-            *(
-                part
-                for table in self.tables
-                for part in (table.html(), _small(_stopped(table.legend)))
-            ),
-            *(_small(_note(note)) for note in self.notes),
-        ]
-        return "\n".join([*_prose(self.sentences), setup, *tables])
+    def html(self, picture: str = "") -> str:
+        """The report as a fragment of HTML; picture: an image, which stands below the answer."""
+        return "\n".join(filter(None, [*_prose(self.sentences), picture, self._details()]))
 
     def page(self, plot: bytes) -> str:
         """The report and its plot (SVG) as one page that needs no other file."""
-        return PAGE.format(
-            title=html.escape(self.title),
-            plot=base64.b64encode(plot).decode("ascii"),
-            body=self.html(),
-        )
+        answer = "\n".join(_prose(self.sentences))
+        drawn = pages.picture(plot, self.title)
+        return pages.page(self.title, answer, drawn, self._details())
+
+    def _details(self) -> str:
+        """What is below the answer: how it was measured, tables and notes."""
+        setup = [f"<p>{_marked(text)}</p>" for text in self.setup.splitlines()]
+        tables = [
+            part for t in self.tables for part in (t.html(), _small(_stopped(t.legend))) if part
+        ]
+        notes = [_small(_note(note)) for note in self.notes]
+        return "\n".join([*setup, *tables, *notes])
 
 
 def _notes(notes: Sequence[str], size: int, room: float) -> Iterator[str]:
@@ -154,23 +153,16 @@ def _prose(sentences: Sequence[str]) -> Iterator[str]:
         if item != listing:
             yield "<ul>" if item else "</ul>"
         listing = item
-        text = html.escape(sentence.removeprefix(ITEM))
+        text = _marked(sentence.removeprefix(ITEM))
         yield f"<li>{text}</li>" if item else f"<p>{text}</p>"
     if listing:
         yield "</ul>"
 
 
 def _small(text: str) -> str:
-    return f"<p><small>{html.escape(text)}</small></p>" if text else ""
+    return f"<p><small>{_marked(text)}</small></p>" if text else ""
 
 
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style>body {{ font: 16px/1.5 sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem }}
-img {{ max-width: 100%; height: auto }}</style></head>
-<body><h1>{title}</h1>
-<img alt="{title}" src="data:image/svg+xml;base64,{plot}">
-{body}
-</body></html>
-"""
+def _marked(text: str) -> str:
+    """A text as HTML, with the names in backticks marked as code."""
+    return CODE.sub(r"<code>\1</code>", html.escape(text))

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+from stepcore.report.page import picture
 from stepcore.report.report import Report
 from stepcore.report.table import Table, jsonable
 
@@ -118,9 +119,7 @@ class Result(ABC):
 
         Written to `path` if given.
         """
-        drawn = io.BytesIO()
-        self.plot().savefig(drawn, format="svg")
-        page = self.report(full=True).page(drawn.getvalue())
+        page = self.report(full=True).page(self._drawn())
         if path is not None:
             Path(path).write_text(page, encoding="utf-8")
         return page
@@ -132,5 +131,15 @@ class Result(ABC):
         return f"<{type(self).__name__}: {self.title}>"
 
     def _repr_html_(self) -> str:
-        """The report as a notebook shows it."""
-        return self.report().html()
+        """The report as a notebook shows it, with its plot where matplotlib is installed."""
+        try:
+            drawn = picture(self._drawn(), self.title)
+        except ImportError:
+            drawn = ""
+        return self.report().html(drawn)
+
+    def _drawn(self) -> bytes:
+        """The plot as SVG."""
+        drawn = io.BytesIO()
+        self.plot().savefig(drawn, format="svg")
+        return drawn.getvalue()

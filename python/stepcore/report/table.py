@@ -115,7 +115,9 @@ class Table:
     def html(self) -> str:
         """The table as HTML: every column, whole texts."""
         grid, left = self._cells()
-        style = {name: ' style="text-align: left"' if name in left else "" for name in grid}
+        style = {
+            name: ' class="text" style="text-align: left"' if name in left else "" for name in grid
+        }
         lines = [TABLE.format(caption=escape(self.heading))]
         lines += [f"<th{style[name]}>{escape(name)}</th>" for name in grid]
         lines.append("</tr></thead><tbody>")
@@ -143,8 +145,8 @@ class Table:
 
 
 # Numbers stand at the right, in digits of one width; a narrow window scrolls.
-TABLE = """<div style="overflow-x: auto"><table style="text-align: right; white-space: pre;\
- font-variant-numeric: tabular-nums; border-spacing: 1em 0">
+TABLE = """<div class="table" style="overflow-x: auto"><table style="text-align: right;\
+ font-variant-numeric: tabular-nums">
 <caption style="text-align: left">{caption}</caption><thead><tr>"""
 
 

@@ -17,6 +17,8 @@ from stepcore.report.table import Table
 from stepcore.report.units import compact, counted, metres, percent
 from stepcore.scene.scene import Scene
 
+# The features that are printed unless all are asked for.
+PRINTED = 10
 LEGEND = (
     "saved: share of the work per simulated second ({work}), negative if the variant costs more; "
     "µs: computing time saved per simulated second; added: RMS position error added to the motion "
@@ -162,10 +164,21 @@ class Ablation(Result):
         }
 
     def tables(self, full: bool) -> list[Table]:
-        """The whole model, its features, the largest saving first, and the smallest model."""
-        rows = [self.whole, *self.sorted(), self.best]
+        """The whole model, its features, the largest saving first, and the smallest model.
+
+        `full`: every feature; else those that are left out, and the largest savings.
+        """
+        features = self.sorted()
+        if not full and len(features) > PRINTED + 1:
+            first = [row.removal in self.removed for row in features]
+            order = sorted(range(len(features)), key=lambda k: (not first[k], k))
+            features = [features[k] for k in sorted(order[:PRINTED])]
+        rows = [self.whole, *features, self.best]
         formats = dict.fromkeys(("saved", "µs", "added", "max", "error"), "")
         legend = LEGEND.format(work="floating-point operations" if self.by_flops else "row updates")
+        left = len(self.rows) - len(features)
+        if left:
+            legend += f". Not shown: {counted(left, 'feature')} (--all, or text(full=True))"
         return [Table([self._cells(row) for row in rows], formats=formats, legend=legend)]
 
     def _cells(self, row: FeatureEffect) -> dict[str, Any]:
@@ -177,7 +190,7 @@ class Ablation(Result):
             cells |= {"without": "nothing (the whole model)", "saved": "", "µs": ""}
         else:
             if row is self.best:
-                cells["without"] = f"all {len(self.removed)} marked *"
+                cells["without"] = "all marked *"
             cells["saved"] = "failed" if math.isnan(share) else percent(share)
             gain = self.whole.cost - row.cost
             cells["µs"] = "" if math.isnan(gain) else f"{gain:.0f}"
@@ -226,10 +239,8 @@ class Ablation(Result):
             f"The smallest model within {within} saves {percent(self.saved(self.best))} of the "
             f"work{faster}.",
             f"It leaves out {_listed(self.removed)}.",
-            f"It adds {_error(self.best.outcome.worst)} in the worst start, and "
-            f"{_error(self.confirmed.worst)} in the worst of {len(self.confirmed.added)} other "
-            f"starts, so at least {percent(self.kept)} of such starts keep to the tolerance "
-            "(95 % confidence).",
+            f"It adds {self._added()}, so at least {percent(self.kept)} of such starts keep to the "
+            "tolerance (95 % confidence).",
         ]
         if self.restored:
             sentences.append(
@@ -237,6 +248,14 @@ class Ablation(Result):
                 f"{_listed(self.restored)}."
             )
         return sentences
+
+    def _added(self) -> str:
+        """The error of the smallest model in the starts, and in others."""
+        here, there = self.best.outcome.worst, self.confirmed.worst
+        others = counted(len(self.confirmed.added), "other start")
+        if not (here or there):
+            return f"no error at all, neither in these starts nor in {others}"
+        return f"{_error(here)} in the worst start, and {_error(there)} in the worst of {others}"
 
     def __repr__(self) -> str:
         return (

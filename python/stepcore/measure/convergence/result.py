@@ -13,12 +13,12 @@ from stepcore.measure.convergence.findings import ConvergenceFindings
 from stepcore.report.result import Result
 from stepcore.report.settings import label
 from stepcore.report.table import Table
-from stepcore.report.units import metres, seconds
+from stepcore.report.units import counted, metres, seconds
 
 # Residuals below this share of the largest are rounding.
 ROUNDING = 1e-13
 # The rows that are printed.
-PRINTED = 10
+PRINTED = 5
 
 
 @dataclass(eq=False, repr=False)
@@ -162,19 +162,22 @@ class Convergence(ConvergenceFindings, Result):
         return _numbers(records, heading)
 
     def tables(self, full: bool) -> list[Table]:
-        """Residuals by sweeps, rows, time steps, equal work."""
+        """Rows and time steps; `full`: every row, equal work and residuals by sweeps too."""
         if not self.histories:
             return [self.steps]
         rows, sweeps = self.table, self.sweeps
         if not full and len(rows) > PRINTED:
-            legend = f"{rows.legend}; {len(rows) - PRINTED} more rows are not shown"
+            left = len(rows) - PRINTED
+            legend = f"{rows.legend}. Not shown: {counted(left, 'row')} (--all, or text(full=True))"
             rows = rows[:PRINTED]
             rows.legend = legend
+        if not full:
+            return [rows, self.steps]
         # Up to where the residual is rounding.
         worst = [max(r["cold worst"], r["warm worst"]) for r in sweeps]
         done = [k for k, value in enumerate(worst) if value <= ROUNDING * max(worst)]
-        sweeps = sweeps[: done[0] + 1] if done and not full else sweeps
-        return [sweeps, rows, self.steps, self.work]
+        sweeps = sweeps[: done[0] + 1] if done else sweeps
+        return [rows, self.steps, self.work, sweeps]
 
     def details(self) -> dict[str, Any]:
         """The verdict, the contraction beside its theory, and the other tables."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from stepcore.measure.convergence.findings import NOTABLE, ConvergenceFindings, Ending
-from stepcore.report.units import metres, seconds, speed
+from stepcore.report.units import counted, metres, seconds, speed
 
 # A body that moves less than this share of the distance in the whole motion rests.
 STILL = 0.1
@@ -102,18 +102,18 @@ def _contraction(result: ConvergenceFindings) -> str:
         return "No two rows act at once, so one sweep solves them."
     if rate >= 1 - 1e-9:
         return f"Sweeps do not converge: each leaves {rate:.6g} of the error."
-    said = f"A sweep leaves {_share(rate)} of the error"
+    said = f"A sweep leaves {_share(rate)} of the solver's error"
     if rate > NOTHING:
-        said += f" ({math.log(10) / -math.log(rate):.3g} sweeps per decimal)"
+        said += f" ({math.log(10) / -math.log(rate):.3g} sweeps for a tenth of it)"
     theory = result.theory
     parts = []
     if theory.radius is not None:
-        parts.append(f"{_share(theory.radius)} from the matrix of the rows")
+        parts.append(f"the matrix of the rows predicts {_share(theory.radius)}")
     elif theory.why:
-        parts.append(f"none from the matrix of the rows ({theory.why})")
+        parts.append(f"the matrix of the rows predicts nothing, because {theory.why}")
     if theory.closed is not None:
-        parts.append(f"{_share(theory.closed)} for rigid rows, {theory.formula}")
-    return f"{said}; theory: {'; '.join(parts)}." if parts else f"{said}."
+        parts.append(f"theory for rigid rows is {_share(theory.closed)}, {theory.formula}")
+    return f"{'; '.join([said, *parts])}."
 
 
 def _share(value: float) -> str:
@@ -131,7 +131,8 @@ def _work(result: ConvergenceFindings) -> str:
     for split in result.candidates.splits:
         run = result.runs[split.settings]
         error = "fails" if run.failure else metres(run.error)
-        errors.append(f"{split.steps}x{split.sweeps} {error}")
+        step, sweep = counted(split.steps, "step"), counted(split.sweeps, "sweep")
+        errors.append(f"{step} of {sweep} {error}")
     steps, sweeps = result.at_equal_work
     if not (steps or sweeps):
         answer = "neither smaller steps nor more sweeps give a motion"
@@ -143,7 +144,7 @@ def _work(result: ConvergenceFindings) -> str:
             "more sweeps": "more sweeps are more accurate than smaller steps",
             "neither": "smaller steps and more sweeps are equally accurate",
         }[result.better]
-    return f"At equal row updates {answer} (steps x sweeps): {', '.join(errors)}."
+    return f"At equal work (row updates) {answer}: {', '.join(errors)}."
 
 
 def _four_times(result: ConvergenceFindings) -> str:

@@ -64,7 +64,7 @@ def theory(solved: Sim) -> SweepTheory:
     """At the state of a Sim whose last solve has converged."""
     rows = solved.rows
     if not len(rows):
-        return SweepTheory(why="no rows")
+        return SweepTheory(why="there are no rows")
     if len(rows) > MOST_ROWS:
         return SweepTheory(why=f"{len(rows)} rows are too many for a matrix (most: {MOST_ROWS})")
     coupling, own = solved._core.coupling()
