@@ -301,7 +301,7 @@ class _World:
 @final
 class Sim(_World):
     """One world. Its arrays are views of memory that belongs to it."""
-    def __new__(cls, model: Model, settings: Settings) -> Sim: ...
+    def __new__(cls, model: Model, settings: Settings, threads: int | None = None) -> Sim: ...
     def balance(self) -> None:
         """Balances the ledger at the present state."""
     def unwatch(self) -> None:

@@ -77,9 +77,21 @@ impl Sim {
 #[pymethods]
 impl Sim {
     #[new]
-    fn new(py: Python<'_>, model: &Model, settings: &Settings) -> PyResult<Self> {
+    #[pyo3(signature = (model, settings, threads = None))]
+    fn new(
+        py: Python<'_>,
+        model: &Model,
+        settings: &Settings,
+        threads: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
+        let read = |threads| usize::read(threads, &At::Root.field("threads"));
+        let threads = threads.map_or(Ok(1), read)?;
         let model = model.0.clone();
-        let world = gil::release(py, || world(model.clone(), &settings.0))?;
+        let world = gil::release(py, || {
+            let mut world = world(model.clone(), &settings.0)?;
+            world.use_threads(threads)?;
+            Ok(world)
+        })?;
         let arrays = Arrays::new(py, &model, 1)?;
         Ok(Self { model, arrays, world: Mutex::new(world) })
     }

@@ -124,6 +124,8 @@ pub trait World: Send {
     fn check(&self, given: &Given) -> Result<()>;
     fn put(&mut self, given: &Given);
     fn take(&self, array: Array, out: &mut [f64]);
+    /// Lets so many threads share the work of each step.
+    fn use_threads(&mut self, threads: usize) -> Result<()>;
     fn step(&mut self, n: u64) -> Result<()>;
     /// A call of so many steps ends: balances the ledger if they are enough.
     fn balance_at_end(&mut self, n: u64) -> Result<()>;
@@ -230,6 +232,9 @@ impl<R: Real> World for One<R> {
     }
     fn take(&self, array: Array, out: &mut [f64]) {
         self.sim().state.take(0, array, out);
+    }
+    fn use_threads(&mut self, threads: usize) -> Result<()> {
+        self.watched.sim.use_threads(threads)
     }
     fn step(&mut self, n: u64) -> Result<()> {
         let outcome = self.watched.step(n);

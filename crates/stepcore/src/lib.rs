@@ -58,6 +58,7 @@ pub mod error;
 pub mod model;
 pub mod observer;
 pub mod place;
+mod pool;
 pub mod post_mortem;
 pub mod real;
 mod room;

@@ -14,6 +14,7 @@ use crate::elements::{Element, Kind};
 use crate::error::{Divergence, Error, Fault, Result};
 use crate::model::Model;
 use crate::place::Placed;
+use crate::pool::Pool;
 use crate::real::{Mask, Real};
 use crate::settings::{Integrator, Law, Settings, Solver};
 use crate::sleep::{last_impulses, Sleeper};
@@ -133,6 +134,14 @@ impl<R: Real> Sim<R> {
             model,
             settings,
         })
+    }
+
+    /// Lets so many threads share the work of each step. The motion is the same bits with any number.
+    pub fn use_threads(&mut self, threads: usize) -> Result<()> {
+        let pool = Pool::new(threads)?;
+        self.detected.pool.clone_from(&pool);
+        self.rows.pool = pool;
+        Ok(())
     }
 
     pub fn model(&self) -> &Arc<Model> {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stepcore import _core
+from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, snapshot
 from stepcore.engine.linearization import Linearization, linearized
@@ -61,6 +61,9 @@ class Sim(Stepped):
     model: a `Model`, a `Scene`, which is compiled, or what `stepcore.load` takes, such as the path
         of an MJCF file.
     settings: a `Settings` that replaces the model's own.
+    threads: how many threads share the work of each step, from 1 to 1024. Every number of threads
+        gives the same bits. More than one pay in heaps of hundreds of bodies and more
+        (`Model.is_heap`); all else one thread does, whatever the number.
     fields: single fields of `Settings` to change, such as ``dt=0.005, solver="pgs"``.
 
     The state arrays (qpos, qvel, ctrl, qfrc_applied, xfrc_applied) can be written, in place or by
@@ -71,7 +74,8 @@ class Sim(Stepped):
     and follow when it is written. ``qacc``, ``contacts``, ``rows``, ``residual`` and the forces
     belong to the last `step` or `forward`.
 
-    Raises ValueError for a scene that cannot be compiled and for settings outside their limits.
+    Raises ValueError for a scene that cannot be compiled, and for settings or threads outside
+    their limits.
 
     >>> from stepcore import Scene, Sim
     >>> scene = Scene()
@@ -88,10 +92,13 @@ class Sim(Stepped):
         self,
         model: Model | Scene | str | os.PathLike[str],
         settings: Settings | None = None,
+        *,
+        threads: int = 1,
         **fields: Unpack[SettingsFields],
     ) -> None:
         self._model = compiled(model).with_settings(settings, **fields)
-        self._own(_core.Sim(self._model.core, self._model.settings))
+        self._threads = checks.count("threads", threads)
+        self._own(_core.Sim(self._model.core, self._model.settings, self._threads))
 
     # Stepping.
 
@@ -378,7 +385,7 @@ class Sim(Stepped):
         return self._core.contacts_grown
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (self._model, self.state())
+        return _restored, (self._model, self._threads, self.state())
 
     def __repr__(self) -> str:
         scene = self._model.scene.name
@@ -392,7 +399,7 @@ def unwatched(sim: Sim) -> Sim:
     return sim
 
 
-def _restored(model: Model, state: bytes) -> Sim:
-    sim = Sim(model)
+def _restored(model: Model, threads: int, state: bytes) -> Sim:
+    sim = Sim(model, threads=threads)
     sim.restore(state)
     return sim

@@ -21,14 +21,12 @@ use play::Part;
 use crate::arrays::{Array, Given};
 use crate::error::{Error, Result};
 use crate::model::Model;
+use crate::pool::check_threads;
 use crate::real::Real;
 use crate::settings::{Settings, Solver};
 use crate::solve::rows::any_heap;
 use crate::state::{Inputs, State};
 use crate::watch::Watched;
-
-/// The most threads that a batch may ask for.
-const MOST_THREADS: usize = 1024;
 
 pub struct Batch<R: Real> {
     pub worlds: usize,
@@ -59,9 +57,7 @@ impl<R: Real> Batch<R> {
         if worlds == 0 {
             return Err(Error::value("n", worlds, "at least 1 world"));
         }
-        if !(1..=MOST_THREADS).contains(&threads) {
-            return Err(Error::value("threads", threads, format!("from 1 to {MOST_THREADS}")));
-        }
+        check_threads(threads)?;
         let count = worlds.div_ceil(R::LANES);
         let bytes = worlds.checked_mul(Self::bytes_a_world(&model));
         if bytes.is_none_or(|bytes| Vec::<u8>::new().try_reserve_exact(bytes).is_err()) {

@@ -24,6 +24,7 @@ use frame::hint;
 use crate::elements::{Element, Kind};
 use crate::model::{Model, Pair, NONE};
 use crate::place::Placed;
+use crate::pool::Pool;
 use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::settings::Settings;
@@ -31,7 +32,9 @@ use crate::shapes::{self, Touch};
 use crate::spatial::{Pose, V3};
 use apart::far;
 use broad::Broad;
+use near::Found;
 pub(crate) use near::Lists;
+use std::sync::{Arc, Mutex};
 use swept::Swept;
 
 /// One contact between the two geoms of a pair.
@@ -66,12 +69,15 @@ pub struct Detected<R: Real> {
     pub(crate) asleep: Vec<bool>,
     /// Numbers and geoms of the pairs whose boxes overlap.
     near: Vec<(u64, u32, u32)>,
+    /// By part of these, where threads share the work.
+    found: Vec<Mutex<Found<R>>>,
+    pub(crate) pool: Option<Arc<Pool>>,
     /// Every pair is tested exactly, however far apart.
     #[cfg(test)]
     pub(crate) exhaustive: bool,
 }
 
-room!(Detected<R>: contacts, near, asleep; swept, lists, broad);
+room!(Detected<R>: contacts, near, asleep; swept, lists, broad, found);
 
 impl<R: Real> Detected<R> {
     pub fn new(model: &Model, max_contacts: usize) -> Self {
@@ -82,6 +88,8 @@ impl<R: Real> Detected<R> {
             lists: Lists::new(model),
             broad: Broad::new(),
             near: vec![],
+            found: vec![],
+            pool: None,
             asleep: vec![],
             #[cfg(test)]
             exhaustive: false,
@@ -139,7 +147,7 @@ impl<R: Real> Detected<R> {
         meet(model, placed, pair, listed, |part, touch| {
             let mask = touch.exists.and(touch.dist.lt(R::of(listed)));
             if mask.any() {
-                self.push(pair, part, touch, mask);
+                push(&mut self.contacts, &mut self.grown, Contact::of(pair, part, touch, mask));
             }
         });
     }
@@ -154,12 +162,19 @@ impl<R: Real> Detected<R> {
         let tree = model.bodies[model.geoms[geom].body].tree;
         tree == NONE || self.asleep.get(tree).is_some_and(|asleep| *asleep)
     }
+}
 
-    fn push(&mut self, pair: &Pair, part: usize, touch: &Touch<R>, mask: R::Mask) {
-        if self.contacts.len() == self.contacts.capacity() {
-            self.grown += 1;
-        }
-        self.contacts.push(Contact {
+/// Lists a contact.
+fn push<R: Real>(contacts: &mut Vec<Contact<R>>, grown: &mut u64, contact: Contact<R>) {
+    if contacts.len() == contacts.capacity() {
+        *grown += 1;
+    }
+    contacts.push(contact);
+}
+
+impl<R: Real> Contact<R> {
+    fn of(pair: &Pair, part: usize, touch: &Touch<R>, mask: R::Mask) -> Self {
+        Self {
             pair: *pair,
             part,
             feature: touch.feature,
@@ -168,11 +183,9 @@ impl<R: Real> Detected<R> {
             pos: touch.pos,
             normal: touch.normal,
             ahead: V3::zeros(),
-        });
+        }
     }
-}
 
-impl<R: Real> Contact<R> {
     /// Where the two geoms touch, each on its own body: see `ahead`.
     pub fn points(&self) -> [V3<R>; 2] {
         [self.pos, self.pos - self.ahead]

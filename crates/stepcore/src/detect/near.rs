@@ -2,12 +2,15 @@
 
 use super::apart::far;
 use super::broad::Bounds;
-use super::{meet, Detected};
-use crate::model::{Heap, Model, Pair, Span};
+use super::swept::Swept;
+use super::{meet, push, Contact, Detected};
+use crate::model::{Heap, Model, Span};
 use crate::place::Placed;
+use crate::pool::{inside, lock, Pool, WORTH_SHARING};
 use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::settings::Settings;
+use std::sync::Mutex;
 
 /// Of a geom's reach, and of roundings of its place: what boxes are larger by.
 const ROUNDING: f64 = 1e-6;
@@ -40,6 +43,13 @@ impl Lists {
 
     fn clear(&mut self) {
         self.own.truncate(self.fixed);
+    }
+
+    /// Takes in what another list has beside the model's; how much further on it stands here.
+    fn append(&mut self, other: &Self) -> usize {
+        let more = self.own.len() - self.fixed;
+        self.own.extend_from_slice(&other.own[other.fixed..]);
+        more
     }
 
     /// The dofs that move either body, ascending.
@@ -92,29 +102,105 @@ impl<R: Real> Detected<R> {
         }
         self.near.sort_unstable();
         self.near.dedup();
+        let shared = self.near.len() >= WORTH_SHARING;
+        if let Some(pool) = self.pool.clone().filter(|_| shared) {
+            return self.meet_shared(model, heap, placed, on_guess, &pool);
+        }
         for at in 0..self.near.len() {
-            let (number, a, b) = self.near[at];
-            let pair = model.near_pair(heap, number, a as usize, b as usize);
-            self.meet_near(model, placed, pair, on_guess);
+            let near = Near { model, heap, placed, swept: on_guess.then_some(&self.swept) };
+            let Self { near: list, lists, contacts, grown, .. } = self;
+            near.meet(list[at], lists, |contact| push(contacts, grown, contact));
         }
     }
 
-    fn meet_near(&mut self, model: &Model, placed: &Placed<R>, mut pair: Pair, on_guess: bool) {
-        let more = on_guess.then(|| self.swept.of(&pair));
-        if far(model, placed, &pair, more) {
+    /// The same over the threads of a pool. What the parts find is put together in their order.
+    fn meet_shared(
+        &mut self,
+        model: &Model,
+        heap: &Heap,
+        placed: &Placed<R>,
+        on_guess: bool,
+        pool: &Pool,
+    ) {
+        let parts = PARTS * pool.threads();
+        self.found.resize_with(parts, || Mutex::new(Found::new(model)));
+        let Self { near: list, swept, found, lists, contacts, grown, .. } = self;
+        let near = Near { model, heap, placed, swept: on_guess.then_some(&*swept) };
+        let (list, len) = (&*list, list.len().div_ceil(parts));
+        let places = &*found;
+        pool.share(parts, &|part| {
+            let mut found = lock(&places[part]);
+            let Found { lists, contacts } = &mut *found;
+            lists.clear();
+            contacts.clear();
+            for pair in list.iter().skip(part * len).take(len) {
+                near.meet(*pair, lists, |contact| contacts.push(contact));
+            }
+        });
+        for found in found {
+            let found = inside(found);
+            let more = lists.append(&found.lists);
+            for mut contact in found.contacts.drain(..) {
+                if contact.pair.dofs.start >= lists.fixed {
+                    contact.pair.dofs.start += more;
+                }
+                push(contacts, grown, contact);
+            }
+        }
+    }
+}
+
+/// Parts of the work for each thread: some are done sooner than others.
+const PARTS: usize = 4;
+
+/// What one part of the near pairs has.
+pub(super) struct Found<R: Real> {
+    lists: Lists,
+    contacts: Vec<Contact<R>>,
+}
+
+room!(Found<R>: contacts; lists);
+
+impl<R: Real> Found<R> {
+    fn new(model: &Model) -> Self {
+        Self { lists: Lists::new(model), contacts: vec![] }
+    }
+}
+
+/// What the exact test of a near pair reads.
+struct Near<'a, R: Real> {
+    model: &'a Model,
+    heap: &'a Heap,
+    placed: &'a Placed<R>,
+    /// Of laws that look at the guess.
+    swept: Option<&'a Swept<R>>,
+}
+
+impl<R: Real> Near<'_, R> {
+    /// Gives the contacts of a pair to `take`, its dofs to `lists`.
+    fn meet(
+        &self,
+        (number, a, b): (u64, u32, u32),
+        lists: &mut Lists,
+        mut take: impl FnMut(Contact<R>),
+    ) {
+        let Self { model, heap, placed, swept } = *self;
+        let mut pair = model.near_pair(heap, number, a as usize, b as usize);
+        if far(model, placed, &pair, swept.map(|swept| swept.of(&pair))) {
             return;
         }
         let material = model.material(&pair);
-        let listed = if on_guess { f64::INFINITY } else { material.margin + material.gap };
+        let listed = material.margin + material.gap;
+        let listed = if swept.is_some() { f64::INFINITY } else { listed };
         let bodies = [model.geoms[pair.geom1].body, model.geoms[pair.geom2].body];
-        let before = self.contacts.len();
+        let mut first = true;
         meet(model, placed, &{ pair }, listed, |part, touch| {
             let mask = touch.exists.and(touch.dist.lt(R::of(listed)));
             if mask.any() {
-                if self.contacts.len() == before {
-                    pair.dofs = self.lists.union(model, bodies);
+                if std::mem::take(&mut first) {
+                    pair.dofs = lists.union(model, bodies);
                 }
-                self.push(&pair, part, touch, mask);
+                take(Contact::of(&pair, part, touch, mask));
             }
         });
     }

@@ -32,6 +32,9 @@ impl Constraint for Contacts {
 
     fn make<R: Real>(makings: &mut Makings<R>, rows: &mut Rows<R>) {
         let now = makings.now;
+        if rows.shares(now, makings.contacts.len()) {
+            return rows.share_contacts(now, makings.contacts);
+        }
         for contact in &mut *makings.contacts {
             let pair = &{ contact.pair };
             match now.settings.law {
@@ -169,7 +172,7 @@ impl<R: Real> Rows<R> {
     }
 
     /// MuJoCo's contact: soft normal, convex friction.
-    fn soft_contact(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
+    pub(super) fn soft_contact(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
         let (settings, dt) = (now.settings, R::of(now.settings.dt));
         let material = now.model.material(pair);
         let mask = contact.mask.and(contact.dist.lt(R::of(material.margin)));

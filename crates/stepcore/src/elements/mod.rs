@@ -28,6 +28,7 @@ mod limit;
 mod muscle;
 mod name;
 pub(crate) mod penalty;
+mod shared_contacts;
 mod spring;
 mod tendon_friction;
 mod tendon_limit;

@@ -54,6 +54,14 @@ impl<R: Real> Report<R> {
             open: R::Mask::of(false),
         }
     }
+
+    /// With what was done on other islands.
+    pub fn join(&mut self, other: &Self) {
+        self.sweeps.raise(&other.sweeps);
+        self.updates.add_each(R::Mask::of(true), &other.updates);
+        self.decrement = self.decrement.max(other.decrement);
+        self.open = self.open.or(other.open);
+    }
 }
 
 impl Report<f64> {

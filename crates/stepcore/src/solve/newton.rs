@@ -19,38 +19,38 @@ mod refine;
 mod system;
 #[cfg(test)]
 mod tests;
+mod worker;
 
 use super::few::{Few, Island};
-use super::islands::{alive, row_count, Islands};
+use super::islands::{alive, Islands};
 use super::limits::{Limits, Report};
 use super::rows::{Rows, Set};
 use super::solver::Unconstrained;
 use crate::error::{Error, Result};
+use crate::pool::{inside, WORTH_SHARING};
 use crate::real::{Count, Mask, Real};
 use crate::room::room;
-use bundles::{Bundles, Problem};
 use by_lane::ByLane;
 use hessian::Pattern;
-use nodes::NOWHERE;
-use system::System;
+use std::sync::Mutex;
+use worker::{share, Task, Worker};
 
 /// The method's memory; one a world or pack of lanes.
 pub struct Newton<R: Real> {
     islands: Islands,
     /// By island.
-    patterns: Vec<Pattern>,
-    present: Vec<usize>,
-    /// Scratch of patterns, by dof.
-    class: Vec<usize>,
-    /// Of the island at hand.
-    bundles: Bundles<R>,
-    system: System<R>,
+    patterns: Vec<Mutex<Pattern>>,
+    /// Of the caller's thread, and of each where they share the islands.
+    own: Worker<R>,
+    workers: Vec<Mutex<Worker<R>>>,
+    /// Islands that threads are to share.
+    queue: Vec<usize>,
     few: Few<R>,
     /// Of heaps in lanes.
     by_lane: Option<Box<ByLane>>,
 }
 
-room!(Newton<R>: present, class; islands, patterns, bundles, system, few, by_lane);
+room!(Newton<R>: queue; islands, patterns, own, workers, few, by_lane);
 
 impl<R: Real> Default for Newton<R> {
     fn default() -> Self {
@@ -63,10 +63,9 @@ impl<R: Real> Newton<R> {
         Self {
             islands: Islands::default(),
             patterns: Vec::new(),
-            present: Vec::new(),
-            class: Vec::new(),
-            bundles: Bundles::new(),
-            system: System::new(),
+            own: Worker::new(),
+            workers: Vec::new(),
+            queue: Vec::new(),
             few: Few::new(),
             by_lane: None,
         }
@@ -91,24 +90,23 @@ impl<R: Real> Newton<R> {
         }
         let mut report: Report<R> = Report::new();
         self.islands.sort(&rows.blocks);
-        self.class.resize(rows.u.len(), NOWHERE);
         if self.patterns.len() < self.islands.count() {
-            self.patterns.resize_with(self.islands.count(), Pattern::default);
+            self.patterns.resize_with(self.islands.count(), Mutex::default);
         }
-        for island in 0..self.islands.count() {
-            self.present.clear();
-            let blocks = self.islands.of(island).iter();
-            self.present.extend(blocks.copied().filter(|b| {
-                let block = &rows.blocks[*b];
-                block.rows.len > 0 && block.mask.any()
-            }));
-            if self.present.is_empty() {
+        let shared = R::LANES == 1 && rows.rows.len() >= WORTH_SHARING;
+        let pool = rows.pool.clone().filter(|_| shared && self.islands.count() > 1);
+        let Self { islands, patterns, own, workers, queue, few: some, .. } = self;
+        let task = Task { free, limits, islands };
+        queue.clear();
+        for island in 0..islands.count() {
+            own.take(islands.of(island), rows);
+            if own.present.is_empty() {
                 continue;
             }
-            let present = alive(rows, &self.present);
-            let alone = rows.alone(&self.present);
+            let present = alive(rows, &own.present);
+            let alone = rows.alone(&own.present);
             if alone.any() {
-                rows.solve_alone(dof_lists, inv_d, &self.present, alone);
+                rows.solve_alone(dof_lists, inv_d, &own.present, alone);
                 let mine = alone.and(present);
                 let mut once = Count::ZERO;
                 once.add(mine, 1);
@@ -118,63 +116,29 @@ impl<R: Real> Newton<R> {
                     continue;
                 }
             }
-            let few = Few::fits(rows, &self.present).and(alone.not());
+            let few = Few::fits(rows, &own.present).and(alone.not());
             let mut poor = R::Mask::of(false);
             if few.any() {
-                let island = Island { dof_lists, inv_d, guess, blocks: &self.present };
-                poor = self.few.solve(island, rows, few, &mut report);
+                let island = Island { dof_lists, inv_d, guess, blocks: &own.present };
+                poor = some.solve(island, rows, few, &mut report);
             }
             let live = present.and(alone.not()).and(few.not().or(poor));
             if live.none() {
                 continue;
             }
-            let open = self.solve_island(island, free, rows, live, limits, &mut report);
-            report.open = report.open.or(open);
-            report.decrement =
-                report.decrement.max(R::select(live, self.system.decrement, R::zero()));
+            if pool.is_some() {
+                queue.push(island);
+                continue;
+            }
+            let pattern = inside(&mut patterns[island]);
+            own.solve(task, pattern, rows, live, &mut report);
+            own.write(pattern, rows, live);
+        }
+        if let Some(pool) = pool {
+            share(&pool, task, (queue, patterns), workers, rows, &mut report);
         }
         Ok(report)
     }
-
-    /// The primal method on the blocks `present`; lanes that it left unfinished.
-    fn solve_island(
-        &mut self,
-        island: usize,
-        free: Unconstrained<R>,
-        rows: &mut Rows<R>,
-        live: R::Mask,
-        limits: Limits,
-        report: &mut Report<R>,
-    ) -> R::Mask {
-        let Self { patterns, present, class, bundles, system, .. } = self;
-        let pattern = &mut patterns[island];
-        bundles.take(present, rows);
-        pattern.fit(free.dof_lists, rows.heap, &bundles.list, class);
-        let problem = Problem { pattern, bundles, y: &rows.y };
-        system.start(problem, free.inv_d, free.guess, &rows.u);
-        let scale = (lightest(present, rows), row_count(rows, present));
-        let open = system.minimise(problem, live, limits, scale, report);
-        system.settle(problem, limits);
-        let mut impulses = system.impulse.iter();
-        for block in present.iter().map(|b| &rows.blocks[*b]) {
-            for (row, new) in rows.rows[block.rows.range()].iter_mut().zip(impulses.by_ref()) {
-                row.impulse = R::select(block.mask.and(live), *new, row.impulse);
-            }
-        }
-        for (k, u) in pattern.dofs().iter().zip(&system.u) {
-            rows.u[*k] = R::select(live, *u, rows.u[*k]);
-        }
-        open
-    }
-}
-
-/// The least mass of a block.
-fn lightest<R: Real>(blocks: &[usize], rows: &Rows<R>) -> R {
-    let mut mass = R::of(f64::INFINITY);
-    for block in blocks.iter().map(|b| &rows.blocks[*b]) {
-        mass = R::select(block.mask, mass.min(R::of(block.mass)), mass);
-    }
-    mass
 }
 
 /// Every block has a penalty: it is convex, and what can move it has a regulariser.

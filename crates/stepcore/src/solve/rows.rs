@@ -14,10 +14,12 @@ use crate::clock::Clock;
 use crate::elements::{Anchor, Element};
 use crate::model::{Model, Span, MANY_TREES, NONE};
 use crate::place::Placed;
+use crate::pool::Pool;
 use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::state::{Inputs, Warm};
 use std::ops::Range;
+use std::sync::{Arc, Mutex};
 
 /// One row. Impulses in N·s or N·m·s.
 #[derive(Clone, Debug, PartialEq)]
@@ -203,11 +205,14 @@ pub struct Rows<R: Real> {
     ranks: Vec<u32>,
     /// Islands of the rows at hand take the place of both.
     pub(crate) live: Option<Live>,
+    /// Rows of parts of the contacts, where threads share the work.
+    pub(crate) parts: Vec<Mutex<Rows<R>>>,
+    pub(crate) pool: Option<Arc<Pool>>,
 }
 
 room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, guess, islands, island_dofs,
     ranks;
-    direct, first, live);
+    direct, first, live, parts);
 
 /// Dofs of each island, given that of each tree.
 fn island_dofs(model: &Model, islands: &[usize]) -> Vec<usize> {
@@ -290,6 +295,8 @@ impl<R: Real> Rows<R> {
             live: model.heap.is_some().then(Live::default),
             island_dofs: if heap { Vec::new() } else { island_dofs(model, &islands) },
             islands,
+            parts: Vec::new(),
+            pool: None,
         }
     }
 
@@ -314,6 +321,8 @@ impl<R: Real> Rows<R> {
             island_dofs: Vec::new(),
             ranks: Vec::new(),
             live: None,
+            parts: Vec::new(),
+            pool: None,
         }
     }
 

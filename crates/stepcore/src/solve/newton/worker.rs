@@ -1,0 +1,181 @@
+//! What solves one island after another by the primal method, and how threads share the islands.
+
+use super::bundles::{Bundles, Problem};
+use super::hessian::Pattern;
+use super::nodes::NOWHERE;
+use super::system::System;
+use crate::pool::{inside, lock, Pool};
+use crate::real::{Mask, Real};
+use crate::room::{listed, room};
+use crate::solve::islands::{row_count, Islands};
+use crate::solve::limits::{Limits, Report};
+use crate::solve::rows::Rows;
+use crate::solve::solver::Unconstrained;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::Mutex;
+
+/// The memory of one thread.
+pub(super) struct Worker<R: Real> {
+    /// Blocks of the island at hand that exist in some lane.
+    pub present: Vec<usize>,
+    /// Scratch of patterns, by dof.
+    class: Vec<usize>,
+    bundles: Bundles<R>,
+    pub system: System<R>,
+    solved: Solved<R>,
+}
+
+room!(Worker<R>: present, class; bundles, system, solved);
+
+/// Results of islands, one after another, that wait for the rows to be free.
+struct Solved<R: Real> {
+    blocks: Vec<usize>,
+    impulses: Vec<R>,
+    dofs: Vec<usize>,
+    u: Vec<R>,
+    report: Report<R>,
+}
+
+impl<R: Real> crate::room::Room for Solved<R> {
+    fn room(&self) -> usize {
+        let results = listed(&self.impulses) + listed(&self.u);
+        listed(&self.blocks) + listed(&self.dofs) + results
+    }
+}
+
+/// What is solved, and how long.
+#[derive(Clone, Copy)]
+pub(super) struct Task<'a, R: Real> {
+    pub free: Unconstrained<'a, R>,
+    pub limits: Limits,
+    pub islands: &'a Islands,
+}
+
+impl<R: Real> Worker<R> {
+    pub fn new() -> Self {
+        Self {
+            present: Vec::new(),
+            class: Vec::new(),
+            bundles: Bundles::new(),
+            system: System::new(),
+            solved: Solved {
+                blocks: Vec::new(),
+                impulses: Vec::new(),
+                dofs: Vec::new(),
+                u: Vec::new(),
+                report: Report::new(),
+            },
+        }
+    }
+
+    /// Takes an island's blocks.
+    pub fn take(&mut self, blocks: &[usize], rows: &Rows<R>) {
+        self.present.clear();
+        self.present.extend(blocks.iter().copied().filter(|b| {
+            let block = &rows.blocks[*b];
+            block.rows.len > 0 && block.mask.any()
+        }));
+    }
+
+    /// Solves the island whose blocks were taken; lanes that it left unfinished.
+    pub fn solve(
+        &mut self,
+        task: Task<R>,
+        pattern: &mut Pattern,
+        rows: &Rows<R>,
+        live: R::Mask,
+        report: &mut Report<R>,
+    ) -> R::Mask {
+        let Task { free, limits, .. } = task;
+        let Self { present, class, bundles, system, .. } = self;
+        class.resize(rows.u.len(), NOWHERE);
+        bundles.take(present, rows);
+        pattern.fit(free.dof_lists, rows.heap, &bundles.list, class);
+        let problem = Problem { pattern, bundles, y: &rows.y };
+        system.start(problem, free.inv_d, free.guess, &rows.u);
+        let scale = (lightest(present, rows), row_count(rows, present));
+        let open = system.minimise(problem, live, limits, scale, report);
+        system.settle(problem, limits);
+        report.open = report.open.or(open);
+        report.decrement = report.decrement.max(R::select(live, system.decrement, R::zero()));
+        open
+    }
+
+    /// Writes the island's impulses and velocities down.
+    pub fn write(&self, pattern: &Pattern, rows: &mut Rows<R>, live: R::Mask) {
+        write(rows, live, (&self.present, &self.system.impulse), (pattern.dofs(), &self.system.u));
+    }
+
+    /// Keeps them for later.
+    fn keep(&mut self, pattern: &Pattern) {
+        self.solved.blocks.extend_from_slice(&self.present);
+        self.solved.impulses.extend_from_slice(&self.system.impulse);
+        self.solved.dofs.extend_from_slice(pattern.dofs());
+        self.solved.u.extend_from_slice(&self.system.u);
+    }
+}
+
+fn write<R: Real>(
+    rows: &mut Rows<R>,
+    live: R::Mask,
+    (blocks, impulses): (&[usize], &[R]),
+    (dofs, u): (&[usize], &[R]),
+) {
+    let mut impulses = impulses.iter();
+    for block in blocks.iter().map(|b| &rows.blocks[*b]) {
+        for (row, new) in rows.rows[block.rows.range()].iter_mut().zip(impulses.by_ref()) {
+            row.impulse = R::select(block.mask.and(live), *new, row.impulse);
+        }
+    }
+    for (k, u) in dofs.iter().zip(u) {
+        rows.u[*k] = R::select(live, *u, rows.u[*k]);
+    }
+}
+
+/// The least mass of a block.
+fn lightest<R: Real>(blocks: &[usize], rows: &Rows<R>) -> R {
+    let mut mass = R::of(f64::INFINITY);
+    for block in blocks.iter().map(|b| &rows.blocks[*b]) {
+        mass = R::select(block.mask, mass.min(R::of(block.mass)), mass);
+    }
+    mass
+}
+
+/// Solves the islands of `queue`, in all of which a scalar world lives. An island reads and changes
+/// nothing of another, and what is reported of all is sums of whole numbers and extremes: whoever
+/// solves which, the result is the same.
+pub(super) fn share<R: Real>(
+    pool: &Pool,
+    task: Task<R>,
+    (queue, patterns): (&[usize], &[Mutex<Pattern>]),
+    workers: &mut Vec<Mutex<Worker<R>>>,
+    rows: &mut Rows<R>,
+    report: &mut Report<R>,
+) {
+    let live = R::Mask::of(true);
+    workers.resize_with(pool.threads(), || Mutex::new(Worker::new()));
+    let next = AtomicUsize::new(0);
+    let (shared, places) = (&*rows, &*workers);
+    pool.share(places.len(), &|part| {
+        let worker = &mut *lock(&places[part]);
+        let mut own = Report::new();
+        loop {
+            let at = next.fetch_add(1, Ordering::Relaxed);
+            let Some(island) = queue.get(at) else { break };
+            let pattern = &mut *lock(&patterns[*island]);
+            worker.take(task.islands.of(*island), shared);
+            worker.solve(task, pattern, shared, live, &mut own);
+            worker.keep(pattern);
+        }
+        worker.solved.report = own;
+    });
+    for worker in workers {
+        let Solved { blocks, impulses, dofs, u, report: own } = &mut inside(worker).solved;
+        write(rows, live, (blocks, impulses), (dofs, u));
+        report.join(own);
+        blocks.clear();
+        impulses.clear();
+        dofs.clear();
+        u.clear();
+    }
+}
