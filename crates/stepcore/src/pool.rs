@@ -1,5 +1,6 @@
 //! Threads that share the work of one world. They wait, and allocate nothing, between one piece of
-//! work and the next.
+//! work and the next: for a moment awake, as the stages of a step follow one another closely and
+//! waking costs as long as hundreds of rows, then asleep.
 //!
 //! Work is cut into parts that depend on the world alone, and what they make is put together in the
 //! order of the parts: which thread did which, and how many there are, shows in no bit.
@@ -7,14 +8,20 @@
 use crate::error::{Error, Result};
 use crate::room::Room;
 use std::any::Any;
+use std::hint::spin_loop;
 use std::panic::{catch_unwind, resume_unwind, AssertUnwindSafe};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 /// The most threads that may be asked for.
 pub(crate) const MOST_THREADS: usize = 1024;
-/// Contacts, pairs or rows below which waking threads costs more than they would save.
-pub(crate) const WORTH_SHARING: usize = 256;
+/// Contacts or near pairs below which waking threads costs more than they would save.
+pub(crate) const WORTH_SHARING: usize = 1024;
+/// The same of rows that are solved.
+pub(crate) const ROWS_WORTH_SHARING: usize = 4 * WORTH_SHARING;
+/// How long a thread waits awake for more work, or for the others to end theirs.
+const AWAKE: Duration = Duration::from_micros(50);
 
 /// Refuses a number of threads.
 pub(crate) fn check_threads(threads: usize) -> Result<()> {
@@ -30,6 +37,9 @@ type Work<'a> = &'a (dyn Fn(usize) + Sync);
 /// Threads beside the one that owns it.
 pub(crate) struct Pool {
     threads: usize,
+    /// The process that has the threads: one that was forked from it has none, and maybe a lock
+    /// that nobody opens.
+    process: u32,
     shared: Arc<Shared>,
 }
 
@@ -40,15 +50,18 @@ struct Shared {
     end: Condvar,
     /// The next part that nobody has begun.
     next: AtomicUsize,
+    /// Counts the pieces of work, and the end of all; each has its parts.
+    round: AtomicU64,
+    /// Threads that have begun the work at hand.
+    busy: AtomicUsize,
 }
 
+/// Changes of `round` and `busy` are made while it is locked: who sleeps misses none.
 #[derive(Default)]
 struct State {
-    /// Counts the pieces of work; each has its parts.
-    round: u64,
     work: Option<(Work<'static>, usize)>,
-    /// Threads that have begun the work at hand.
-    busy: usize,
+    /// Threads that sleep.
+    asleep: usize,
     stop: bool,
     panic: Option<Box<dyn Any + Send>>,
 }
@@ -81,9 +94,11 @@ impl Pool {
             begin: Condvar::new(),
             end: Condvar::new(),
             next: AtomicUsize::new(0),
+            round: AtomicU64::new(0),
+            busy: AtomicUsize::new(0),
         });
         // Those that have started stop when it is dropped.
-        let pool = Self { threads, shared };
+        let pool = Self { threads, process: std::process::id(), shared };
         for _ in 1..threads {
             let shared = pool.shared.clone();
             let started = std::thread::Builder::new().spawn(move || shared.serve());
@@ -103,6 +118,9 @@ impl Pool {
     /// Does the work on every part from 0 to `parts`, and returns when all are done. One caller at a
     /// time.
     pub fn share(&self, parts: usize, work: Work) {
+        if self.process != std::process::id() {
+            return (0..parts).for_each(work);
+        }
         // SAFETY: threads use the reference only between counting themselves among the busy, while
         // `state.work` holds it, and leaving these; and this function returns, or goes on with a
         // panic, only after it has taken the work back and nobody is busy any more.
@@ -111,15 +129,19 @@ impl Pool {
         let mut state = lock(&shared.state);
         assert!(state.work.is_none(), "a pool has one caller at a time");
         shared.next.store(0, Ordering::Relaxed);
-        state.round += 1;
         state.work = Some((work, parts));
+        shared.round.fetch_add(1, Ordering::Release);
+        let asleep = state.asleep > 0;
         drop(state);
-        shared.begin.notify_all();
+        if asleep {
+            shared.begin.notify_all();
+        }
         let own = catch_unwind(AssertUnwindSafe(|| shared.take_parts(work, parts)));
+        // Whoever comes from now on finds nothing to do.
+        lock(&shared.state).work = None;
+        awake_until(|| shared.busy.load(Ordering::Acquire) == 0);
         let mut state = lock(&shared.state);
-        // Whoever wakes from now on finds nothing to do.
-        state.work = None;
-        while state.busy > 0 {
+        while shared.busy.load(Ordering::Acquire) > 0 {
             state = shared.end.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
         let other = state.panic.take();
@@ -132,8 +154,12 @@ impl Pool {
 
 impl Drop for Pool {
     fn drop(&mut self) {
-        // Nobody is busy, and nobody waits for the threads: in a forked process there are none.
+        if self.process != std::process::id() {
+            return;
+        }
+        // Nobody is busy, and nobody waits for the threads.
         lock(&self.shared.state).stop = true;
+        self.shared.round.fetch_add(1, Ordering::Release);
         self.shared.begin.notify_all();
     }
 }
@@ -152,24 +178,46 @@ impl Shared {
     /// A thread's life.
     fn serve(&self) {
         let mut seen = 0;
-        let mut state = lock(&self.state);
-        while !state.stop {
-            let fresh = std::mem::replace(&mut seen, state.round) != state.round;
-            let Some((work, parts)) = state.work.filter(|_| fresh) else {
+        loop {
+            let fresh = || self.round.load(Ordering::Acquire) != seen;
+            awake_until(fresh);
+            let mut state = lock(&self.state);
+            while !fresh() {
+                state.asleep += 1;
                 state = self.begin.wait(state).unwrap_or_else(PoisonError::into_inner);
-                continue;
-            };
-            state.busy += 1;
+                state.asleep -= 1;
+            }
+            seen = self.round.load(Ordering::Acquire);
+            if state.stop {
+                return;
+            }
+            let Some((work, parts)) = state.work else { continue };
+            self.busy.fetch_add(1, Ordering::Release);
             drop(state);
             let done = catch_unwind(AssertUnwindSafe(|| self.take_parts(work, parts)));
-            state = lock(&self.state);
-            state.busy -= 1;
+            let mut state = lock(&self.state);
             if let Err(panic) = done {
                 state.panic.get_or_insert(panic);
             }
-            if state.busy == 0 {
+            if self.busy.fetch_sub(1, Ordering::Release) == 1 {
                 self.end.notify_one();
             }
+        }
+    }
+}
+
+/// Waits awake, for no longer than `AWAKE`.
+fn awake_until(holds: impl Fn() -> bool) {
+    if holds() {
+        return;
+    }
+    let start = Instant::now();
+    while start.elapsed() < AWAKE {
+        for _ in 0..16 {
+            if holds() {
+                return;
+            }
+            spin_loop();
         }
     }
 }

@@ -11,8 +11,8 @@ use stepcore::sim::Sim;
 /// Columns of bodies side by side, islands of their own at first; more pairs than are listed.
 fn columns() -> Scene {
     let mut scene = scenes::floor();
-    for i in 0..98 {
-        let (x, y, z) = (i % 7, i / 7 % 7, i / 49);
+    for i in 0..648 {
+        let (x, y, z) = (i % 9, i / 9 % 9, i / 81);
         let off = 0.004 * ((3 * i) % 5) as f64;
         let pos = [0.25 * x as f64 + off, 0.25 * y as f64 - off, 0.1 + 0.2 * z as f64];
         let part = scenes::body(&mut scene, 0, pos);
@@ -35,7 +35,7 @@ fn run(model: &Arc<Model>, settings: &Settings, threads: usize) -> (Vec<u64>, us
         sim.state.qvel[k] = 0.3 * ((k % 11) as f64 - 5.0);
     }
     let mut bits = vec![];
-    for _ in 0..60 {
+    for _ in 0..40 {
         sim.step(1).unwrap();
         bits.extend(sim.rows.rows.iter().map(|row| row.impulse.to_bits()));
         bits.extend(sim.detected.contacts.iter().map(|contact| contact.dist.to_bits()));
@@ -50,7 +50,7 @@ fn same_bits(settings: Settings) {
     let model = Arc::new(Model::compile(&columns()).unwrap());
     assert!(model.heap.is_some());
     let (alone, rows, contacts) = run(&model, &settings, 1);
-    assert!(rows >= 256 && contacts >= 256, "{rows} rows, {contacts} contacts: nothing to share");
+    assert!(rows >= 4096 && contacts >= 1024, "{rows} rows, {contacts} contacts: nothing to share");
     for threads in [2, 3, 5] {
         assert!(run(&model, &settings, threads).0 == alone, "{threads} threads, {settings:?}");
     }

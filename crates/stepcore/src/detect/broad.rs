@@ -36,6 +36,18 @@ impl Bounds {
         !(still || apart(0) || apart(1) || apart(2))
     }
 
+    /// It lies in another, and nothing moves it if nothing moves the other: what this one overlaps
+    /// that one does.
+    pub(super) fn within(&self, other: &Self) -> bool {
+        let inside = |k: usize| other.low[k] <= self.low[k] && self.high[k] <= other.high[k];
+        self.fixed == other.fixed && inside(0) && inside(1) && inside(2)
+    }
+
+    /// The same, larger on each side.
+    pub(super) fn widened(&self, more: f64) -> Self {
+        Self { low: self.low.map(|x| x - more), high: self.high.map(|x| x + more), ..*self }
+    }
+
     /// The exponent of its longest edge; None where that is no number, or none that a cell can have.
     fn size(&self) -> Option<usize> {
         let edge = |k: usize| self.high[k] - self.low[k];
@@ -67,19 +79,6 @@ pub struct Broad {
 room!(Broad: boxes, sizes, grids, size, cells, inside, listed, found);
 
 impl Broad {
-    pub fn new() -> Self {
-        Self {
-            boxes: vec![],
-            sizes: vec![],
-            grids: vec![],
-            size: vec![],
-            cells: vec![],
-            inside: vec![],
-            listed: vec![],
-            found: vec![],
-        }
-    }
-
     /// Finds all pairs of `boxes` that overlap.
     pub fn find(&mut self, boxes: impl Iterator<Item = Bounds>) {
         self.boxes.clear();

@@ -1,7 +1,7 @@
 //! Stage 2, detect: every place where shapes touch or are about to.
 //!
 //! Candidate pairs were chosen when the model was compiled, or in a heap are found by a broad phase
-//! (`near.rs`, `broad.rs`); here each is tested
+//! (`near.rs`, `kept.rs`, `broad.rs`); here each is tested
 //! by its bounding spheres and boxes (`apart.rs`), which a law on the guess fattens by the way of the
 //! step (`swept.rs`), and then exactly. Contacts come out in pair order,
 //! whatever the lanes hold, so that row order never depends on anything else.
@@ -9,6 +9,7 @@
 mod apart;
 mod broad;
 pub(crate) mod frame;
+mod kept;
 mod near;
 pub(crate) mod path;
 mod swept;
@@ -31,9 +32,9 @@ use crate::settings::Settings;
 use crate::shapes::{self, Touch};
 use crate::spatial::{Pose, V3};
 use apart::far;
-use broad::Broad;
+use kept::Kept;
+pub(crate) use kept::Lists;
 use near::Found;
-pub(crate) use near::Lists;
 use std::sync::{Arc, Mutex};
 use swept::Swept;
 
@@ -64,12 +65,11 @@ pub struct Detected<R: Real> {
     pub grown: u64,
     swept: Swept<R>,
     pub(crate) lists: Lists,
-    broad: Broad,
     /// By tree: it sleeps, and is not tested against what does not move; empty where nobody does.
     pub(crate) asleep: Vec<bool>,
-    /// Numbers and geoms of the pairs whose boxes overlap.
-    near: Vec<(u64, u32, u32)>,
-    /// By part of these, where threads share the work.
+    /// Of a heap.
+    kept: Kept,
+    /// By part of the near pairs, where threads share the work.
     found: Vec<Mutex<Found<R>>>,
     pub(crate) pool: Option<Arc<Pool>>,
     /// Every pair is tested exactly, however far apart.
@@ -77,7 +77,7 @@ pub struct Detected<R: Real> {
     pub(crate) exhaustive: bool,
 }
 
-room!(Detected<R>: contacts, near, asleep; swept, lists, broad, found);
+room!(Detected<R>: contacts, asleep; swept, lists, kept, found);
 
 impl<R: Real> Detected<R> {
     pub fn new(model: &Model, max_contacts: usize) -> Self {
@@ -86,8 +86,7 @@ impl<R: Real> Detected<R> {
             grown: 0,
             swept: Swept::new(),
             lists: Lists::new(model),
-            broad: Broad::new(),
-            near: vec![],
+            kept: Kept::default(),
             found: vec![],
             pool: None,
             asleep: vec![],
@@ -125,7 +124,8 @@ impl<R: Real> Detected<R> {
                 if asks && spheres.far(placed, inside) {
                     continue;
                 }
-                if sleeps && self.rests(model, pair.geom1) && self.rests(model, pair.geom2) {
+                let rests = |geom| rests(model, &self.asleep, geom);
+                if sleeps && rests(pair.geom1) && rests(pair.geom2) {
                     continue;
                 }
                 self.meet_fixed(model, placed, pair, on_guess);
@@ -156,12 +156,12 @@ impl<R: Real> Detected<R> {
     pub fn dof_lists<'a>(&'a self, model: &'a Model) -> &'a [usize] {
         self.lists.of(model)
     }
+}
 
-    /// A geom that nothing moves, or whose tree sleeps.
-    fn rests(&self, model: &Model, geom: usize) -> bool {
-        let tree = model.bodies[model.geoms[geom].body].tree;
-        tree == NONE || self.asleep.get(tree).is_some_and(|asleep| *asleep)
-    }
+/// A geom that nothing moves, or whose tree sleeps.
+fn rests(model: &Model, asleep: &[bool], geom: usize) -> bool {
+    let tree = model.bodies[model.geoms[geom].body].tree;
+    tree == NONE || asleep.get(tree).is_some_and(|asleep| *asleep)
 }
 
 /// Lists a contact.

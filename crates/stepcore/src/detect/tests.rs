@@ -106,7 +106,7 @@ fn pairs_that_the_guess_keeps_apart_have_no_rows() {
 #[test]
 fn the_broad_phase_finds_what_comparing_all_boxes_finds() {
     let mut random = Random(11);
-    let mut broad = Broad::new();
+    let mut broad = Broad::default();
     for case in 0..60 {
         let count = 1 + (random.next() * 400.0) as usize;
         let room = random.between(0.5, 20.0);

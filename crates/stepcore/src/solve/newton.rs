@@ -27,7 +27,7 @@ use super::limits::{Limits, Report};
 use super::rows::{Rows, Set};
 use super::solver::Unconstrained;
 use crate::error::{Error, Result};
-use crate::pool::{inside, WORTH_SHARING};
+use crate::pool::{inside, ROWS_WORTH_SHARING};
 use crate::real::{Count, Mask, Real};
 use crate::room::room;
 use by_lane::ByLane;
@@ -93,7 +93,7 @@ impl<R: Real> Newton<R> {
         if self.patterns.len() < self.islands.count() {
             self.patterns.resize_with(self.islands.count(), Mutex::default);
         }
-        let shared = R::LANES == 1 && rows.rows.len() >= WORTH_SHARING;
+        let shared = R::LANES == 1 && rows.rows.len() >= ROWS_WORTH_SHARING;
         let pool = rows.pool.clone().filter(|_| shared && self.islands.count() > 1);
         let Self { islands, patterns, own, workers, queue, few: some, .. } = self;
         let task = Task { free, limits, islands };
