@@ -361,6 +361,10 @@ class Batch(_World):
         """The worlds that failed while the others went on; errors of those that are not known."""
     def restart(self, time: float) -> None:
         """Sets the time of all worlds and forgets the impulses of the last step."""
+    def forget(self, worlds: list[int]) -> None:
+        """Forgets the impulses, the failures and the last solves of some worlds."""
+    def set_models(self, models: list[Model], model_of: list[int]) -> None:
+        """Gives the worlds models that differ in numbers only; `model_of`: the index of each."""
     @property
     def asleep(self) -> list[list[bool]]: ...
     def state(self) -> list[bytes]: ...

@@ -52,12 +52,12 @@ impl Arrays {
         world: usize,
         read: impl FnOnce(&Given) -> T + Send,
     ) -> T {
-        self.memory.get().read(py, |numbers| {
-            read(&Given::new(|array| {
-                let length = self.lengths[array as usize];
-                &numbers[self.range(array).start + world * length..][..length]
-            }))
-        })
+        self.read_all(py, |all| read(&all.given(world)))
+    }
+
+    /// Lets `read` see all worlds' arrays, from as many threads as it likes.
+    pub fn read_all<T>(&self, py: Python<'_>, read: impl FnOnce(&All) -> T + Send) -> T {
+        self.memory.get().read(py, |numbers| read(&All { arrays: self, numbers }))
     }
 
     /// Lets `take(world, array, numbers)` overwrite every world's part of what a step changes.
@@ -95,6 +95,22 @@ impl Arrays {
             Ok((array.name(), view))
         };
         Array::ALL.into_iter().map(view).collect()
+    }
+}
+
+/// All worlds' arrays, while they are read.
+pub struct All<'a> {
+    arrays: &'a Arrays,
+    numbers: &'a [f64],
+}
+
+impl<'a> All<'a> {
+    /// One world's.
+    pub fn given(&self, world: usize) -> Given<'a> {
+        Given::new(|array| {
+            let length = self.arrays.lengths[array as usize];
+            &self.numbers[self.arrays.range(array).start + world * length..][..length]
+        })
     }
 }
 

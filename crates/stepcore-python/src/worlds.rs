@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use stepcore::arrays::{lists, Array, Given};
-use stepcore::batch::{gains_by_lanes, Batch, Last, Play};
+use stepcore::batch::{fills_lanes, gains_by_lanes, Batch, Last, Play};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::real::{Lanes, LanesF32, Real};
@@ -33,36 +33,47 @@ pub trait Worlds: Send + Sync {
     fn restart(&mut self, start: f64);
     /// The states at hand did not come from a solve.
     fn unsolved(&mut self);
+    /// Some worlds begin anew; see `Batch::forget`.
+    fn forget(&mut self, worlds: &[usize]);
+    fn model(&self, world: usize) -> &Arc<Model>;
+    /// All worlds, those of one model beside each other.
+    fn by_model(&self) -> &[usize];
 }
 
-/// `n` worlds in the precision that the settings ask for; in lanes where it can be.
-pub fn worlds(
-    model: Arc<Model>,
-    settings: &Settings,
-    n: usize,
-    threads: usize,
-    lanes: bool,
-    goes_on: bool,
-) -> Result<Box<dyn Worlds>> {
-    let lanes = lanes && gains_by_lanes(&model, settings);
-    Ok(match (settings.precision, lanes) {
-        (Precision::F64, true) => made::<Lanes>(model, settings, n, threads, goes_on)?,
-        (Precision::F64, false) => made::<f64>(model, settings, n, threads, goes_on)?,
-        (Precision::F32, true) => made::<LanesF32>(model, settings, n, threads, goes_on)?,
-        (Precision::F32, false) => made::<f32>(model, settings, n, threads, goes_on)?,
-    })
+/// How worlds are stepped.
+pub struct How<'a> {
+    pub settings: &'a Settings,
+    pub threads: usize,
+    /// In lanes where it can be.
+    pub lanes: bool,
+    /// A world that fails stands still, and the others go on.
+    pub goes_on: bool,
 }
 
-fn made<R: Real>(
-    model: Arc<Model>,
-    settings: &Settings,
-    n: usize,
-    threads: usize,
-    goes_on: bool,
-) -> Result<Box<dyn Worlds>> {
-    let mut batch = Batch::<R>::new(model, settings, n, threads)?;
-    batch.goes_on = goes_on;
-    Ok(Box::new(batch))
+impl How<'_> {
+    /// Worlds in the precision that the settings ask for; `model_of`: the model of each.
+    pub fn worlds(&self, models: Vec<Arc<Model>>, model_of: &[usize]) -> Result<Box<dyn Worlds>> {
+        let single = self.settings.precision == Precision::F32;
+        let width = if single { <LanesF32>::LANES } else { <Lanes>::LANES };
+        let gains = models.iter().all(|model| gains_by_lanes(model, self.settings));
+        let lanes = self.lanes && gains && fills_lanes(model_of, width);
+        match (single, lanes) {
+            (false, true) => self.made::<Lanes>(models, model_of),
+            (false, false) => self.made::<f64>(models, model_of),
+            (true, true) => self.made::<LanesF32>(models, model_of),
+            (true, false) => self.made::<f32>(models, model_of),
+        }
+    }
+
+    fn made<R: Real>(
+        &self,
+        models: Vec<Arc<Model>>,
+        model_of: &[usize],
+    ) -> Result<Box<dyn Worlds>> {
+        let mut batch = Batch::<R>::of_models(models, model_of, self.settings, self.threads)?;
+        batch.goes_on = self.goes_on;
+        Ok(Box::new(batch))
+    }
 }
 
 impl<R: Real> Worlds for Batch<R> {
@@ -95,8 +106,7 @@ impl<R: Real> Worlds for Batch<R> {
     }
 
     fn again(&self, world: usize, into: &mut dyn World) -> Result<()> {
-        let (state, inputs, last) = self.last(world);
-        let lane = world % R::LANES;
+        let (state, inputs, lane, last) = self.last(world);
         let mut lists = lists(state, inputs, lane);
         if let Some(failed) = Batch::failed(self, world) {
             // Its last solve led nowhere: what is read is that of the state it stands in.
@@ -118,9 +128,11 @@ impl<R: Real> Worlds for Batch<R> {
     }
 
     fn memos(&self) -> Vec<Memo> {
-        let states = self.states().flat_map(|state| (0..R::LANES).map(move |lane| (state, lane)));
-        let mut memos: Vec<Memo> =
-            states.take(self.worlds).map(|(state, lane)| Memo::of(state, lane)).collect();
+        let memo = |world| {
+            let (state, lane) = self.state(world);
+            Memo::of(state, lane)
+        };
+        let mut memos: Vec<Memo> = (0..self.worlds).map(memo).collect();
         for (world, memo) in memos.iter_mut().enumerate() {
             // A failed world's lane holds another's impulses.
             if Batch::failed(self, world).is_some() {
@@ -132,7 +144,8 @@ impl<R: Real> Worlds for Batch<R> {
     }
 
     fn set_memos(&mut self, memos: &[Memo]) {
-        for (state, memos) in self.states_mut().zip(memos.chunks(R::LANES)) {
+        for (state, worlds) in self.states_mut() {
+            let memos: Vec<&Memo> = worlds.iter().map(|world| &memos[*world]).collect();
             (state.start, state.steps) = (memos[0].start, memos[0].steps);
             state.sleep = memos[0].sleep.cast();
             let mut slots: Vec<u64> =
@@ -144,7 +157,7 @@ impl<R: Real> Worlds for Batch<R> {
                 let mut warm = Warm { slot, feature: -R::one(), impulse: [R::zero(); WARM_ROWS] };
                 for lane in 0..R::LANES {
                     // Lanes without a world repeat the last one.
-                    let memo = &memos[lane.min(memos.len() - 1)];
+                    let memo = memos[lane.min(memos.len() - 1)];
                     let Some(kept) = memo.warm.iter().find(|w| w.slot == slot) else { continue };
                     warm.feature.set_lane(lane, kept.feature);
                     for (x, kept) in warm.impulse.iter_mut().zip(kept.impulse) {
@@ -159,9 +172,18 @@ impl<R: Real> Worlds for Batch<R> {
     fn unsolved(&mut self) {
         Batch::unsolved(self);
     }
+    fn forget(&mut self, worlds: &[usize]) {
+        Batch::forget(self, worlds);
+    }
+    fn model(&self, world: usize) -> &Arc<Model> {
+        Batch::model(self, world)
+    }
+    fn by_model(&self) -> &[usize] {
+        Batch::by_model(self)
+    }
 
     fn restart(&mut self, start: f64) {
-        for state in self.states_mut() {
+        for (state, _) in self.states_mut() {
             (state.start, state.steps) = (start, 0);
             state.warm.clear();
             state.sleep = Sleep::new();

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, numbers, snapshot
+from stepcore.engine.parameters import Parameters
 from stepcore.engine.sim import Momentum
 from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
@@ -67,9 +68,9 @@ class Batch(Stepped):
     settings, fields: as for a `Sim`.
 
     The results are the same bits with any number of threads, with and without lanes, and in a
-    `Sim`. All worlds share one time. Of the last solve a batch keeps only `qacc`: reading
-    `contacts`, `rows`, `residual`, `constraint_force` or `actuator_force` computes it again, at the
-    cost of a step in one thread without lanes.
+    `Sim`. All worlds share one time, and one model but for what `param` gives each. Of the last
+    solve a batch keeps only `qacc`: reading `contacts`, `rows`, `residual`, `constraint_force` or
+    `actuator_force` computes it again, over the batch's threads.
 
     >>> from stepcore import Batch, Scene
     >>> scene = Scene()
@@ -102,10 +103,32 @@ class Batch(Stepped):
         self._residuals = BatchResiduals()
         own, goes_on = self._model.settings, self._on_failure == "go on"
         self._own(_core.Batch(self._model.core, own, n, self._threads, self._lanes, goes_on))
+        self._param = Parameters(self._model, self._core, len(self))
 
     def __len__(self) -> int:
         """The number of worlds."""
         return len(self.qpos)
+
+    @property
+    def param(self) -> Parameters:
+        """Values of the model that differ from world to world, by path: masses, friction, gains.
+
+        >>> from stepcore import Batch, lesson
+        >>> batch = Batch(lesson.spring(), 2)
+        >>> batch.param["joint/spring/stiffness"] = [10.0, 20.0]
+        >>> batch.model_of(1).scene.joint("spring").stiffness[0]
+        20.0
+        """
+        return self._param
+
+    def model_of(self, world: int) -> Model:
+        """Returns the model of a world: `model` with the values of `param` there."""
+        if not 0 <= checks.count("world", world, 0) < len(self):
+            raise ValueError(f"world = {world}: must be below {len(self)}")
+        return self._model_of(world)
+
+    def _model_of(self, world: int) -> Model:
+        return self._param.model_of(world)
 
     def step(self, n: int = 1) -> None:
         """Takes n steps in every world, with the GIL released; raises what `Sim.step` raises.
@@ -199,11 +222,18 @@ class Batch(Stepped):
         if worlds is None:
             self._restart(time)
         else:
-            self._forget(chosen)
+            self._core.forget(chosen.tolist())
         own = {name: values.pop(name) for name in ("qpos", "qvel") if np.ndim(values[name]) > 1}
         self._write(values, chosen)
+        if key is None:
+            self._write_own_initial(chosen)
         for name, rows in own.items():
             self._arrays[name][chosen] = rows
+
+    def _write_own_initial(self, chosen: NDArray[np.intp]) -> None:
+        """What parameters change of the initial arrays of chosen worlds."""
+        for worlds, values in self._param.initial():
+            self._write(values, np.intersect1d(worlds, chosen))
 
     def _chosen(self, worlds: ArrayLike | None) -> NDArray[np.intp]:
         """The indices of worlds."""
@@ -228,19 +258,6 @@ class Batch(Stepped):
         if not np.isfinite(table).all():
             raise ValueError(f"{name}: must be finite")
         return np.broadcast_to(table, (k, width))
-
-    def _forget(self, worlds: NDArray[np.intp]) -> None:
-        """Forgets the impulses of some worlds' last step."""
-        if len(worlds) == len(self):
-            self._core.restart(self._core.time)
-        elif len(worlds):
-            states = self._core.state()
-            one = _core.Sim(self._model.core, self._model.settings)
-            for world in worlds.tolist():
-                one.restore(states[world])
-                one.forget()
-                states[world] = one.state()
-            self._core.restore(states)
 
     def state(self) -> tuple[bytes, ...]:
         """Returns a complete snapshot of every world; each is also one of a `Sim`."""
@@ -310,7 +327,7 @@ class Batch(Stepped):
 
     def __reduce__(self) -> tuple[Any, ...]:
         how = (self._threads, self._lanes, self._on_failure)
-        return _restored, (self._model, len(self), *how, self.state())
+        return _restored, (self._model, len(self), *how, self._param.columns(), self.state())
 
     def __repr__(self) -> str:
         scene = self._model.scene.name
@@ -326,8 +343,16 @@ def _threads(threads: int | None, n: int, nv: int) -> int:
 
 
 def _restored(
-    model: Model, n: int, threads: int, lanes: bool, on_failure: str, state: tuple[bytes, ...]
+    model: Model,
+    n: int,
+    threads: int,
+    lanes: bool,
+    on_failure: str,
+    param: dict[str, Floats],
+    state: tuple[bytes, ...],
 ) -> Batch:
     batch = Batch(model, n, threads, lanes=lanes, on_failure=on_failure)
+    if param:
+        batch.param.update(param)
     batch.restore(state)
     return batch

@@ -9,7 +9,7 @@ import pickle
 import threading
 import zlib
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
@@ -21,6 +21,7 @@ from stepcore.engine.model_data import ModelData
 from stepcore.engine.touches import Touches, touches
 from stepcore.scene.layout import Layout
 from stepcore.scene.value_paths import changed
+from stepcore.scene.variation import Variation
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from stepcore.engine.plan.result import Plan
     from stepcore.engine.settings_fields import SettingsFields
     from stepcore.engine.sim import Sim
+    from stepcore.scene.contents import Contents
     from stepcore.scene.scene import Scene
 
 # Compiled scenes that a process keeps for the models sent to it.
@@ -125,8 +127,16 @@ class Model(ModelData):
         Raises ValueError, with the nearest names, for an unknown kind, name or field, and for a bad
         value.
         """
-        mass = dict(zip(self.body_names, self.body_mass.tolist(), strict=True))
-        return Model(changed(self._scene, values, mass), self._settings)
+        return Model(changed(self._scene, values, self.masses()), self._settings)
+
+    def variation(self, paths: Iterable[str]) -> Callable[[Mapping[str, Any]], _core.Model]:
+        """What makes the engine's part of `with_values`, for values of the same paths again."""
+        variation = Variation(self._scene, paths, self.masses())
+        return lambda values: _compiled(variation.scene, lambda: variation.data(values))
+
+    def masses(self) -> dict[str, float]:
+        """The mass of each body [kg], by name."""
+        return dict(zip(self.body_names, self.body_mass.tolist(), strict=True))
 
     def with_settings(
         self, settings: Settings | None = None, **fields: Unpack[SettingsFields]
@@ -207,9 +217,14 @@ def _unpickled(pickled: bytes, settings: Settings) -> Model:
 
 
 def _engine(scene: Scene) -> _core.Model:
+    """The engine's model of a scene."""
+    return _compiled(scene, scene.to_dict)
+
+
+def _compiled(scene: Contents, data: Callable[[], dict[str, Any]]) -> _core.Model:
     """The engine's model; an error about an element of a file gets its file and line."""
     try:
-        return _core.compile(scene.to_dict())
+        return _core.compile(data())
     except checks.ElementError as error:
         place = getattr(error.owner, "place", "")
         if not place:

@@ -70,7 +70,11 @@ class Stepped(World):
         qpos, qvel = self._arrays["qpos"], self._arrays["qvel"]
         if qpos.ndim > 1:
             qpos, qvel = qpos[error.world], qvel[error.world]
-        attach(error, self._model, qpos, qvel)
+        attach(error, self._model_of(error.world), qpos, qvel)
+
+    def _model_of(self, world: int) -> Model:
+        """The model of one of the worlds."""
+        return self._model
 
     @property
     def model(self) -> Model:

@@ -40,15 +40,21 @@ def fill(scene: Contents, data: dict[str, Any]) -> None:
     Raises ValueError, naming the actuator, where the simulation does not come to rest.
     """
     rules = scene.lengthrange
-    asked = [index for index, each in enumerate(scene.actuators) if _asks(each, rules)]
-    if not asked:
+    left = asked(scene)
+    if not left:
         return
-    limits = {index: _limits(scene.actuators[index]) if rules.uselimit else None for index in asked}
-    free = [index for index in asked if limits[index] is None]
+    limits = {index: _limits(scene.actuators[index]) if rules.uselimit else None for index in left}
+    free = [index for index in left if limits[index] is None]
     if free:
         limits |= dict(zip(free, _simulated(scene, data, free), strict=True))
-    for index in asked:
+    for index in left:
         data["actuators"][index]["lengthrange"] = list(limits[index] or ())
+
+
+def asked(scene: Contents) -> list[int]:
+    """The actuators whose ranges are to be found."""
+    rules = scene.lengthrange
+    return [index for index, each in enumerate(scene.actuators) if _asks(each, rules)]
 
 
 def _asks(actuator: Actuator, rules: LengthRange) -> bool:

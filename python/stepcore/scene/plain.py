@@ -11,7 +11,9 @@ from stepcore.scene.frames import ORIGIN
 from stepcore.scene.layout import SIZES, Layout
 
 if TYPE_CHECKING:
-    pass
+    from collections.abc import Callable
+
+    from stepcore.scene.elements import Actuator, Key
 
 # Fields whose name in the engine is not MuJoCo's word.
 RENAMED = {"type": "kind", "ref": "reference", "shellinertia": "shell_inertia"}
@@ -41,64 +43,91 @@ MASS_RULES = {
 
 def plain(layout: Layout) -> dict[str, Any]:
     """The whole scene as dicts, lists and numbers, with the names of the engine's fields."""
-    scene = layout.scene
-    body_of = {id(body): i for i, body in enumerate(layout.bodies)}
-    geom_of = {id(geom): i for i, geom in enumerate(layout.geoms)}
+    scene, records = layout.scene, Records(layout)
     override = scene.contact_override
-    joint_of = {id(joint): i for i, joint in enumerate(layout.joints)}
-
-    mesh_of = {id(mesh): i for i, mesh in enumerate(scene.meshes)}
-    hfield_of = {id(hfield): i for i, hfield in enumerate(scene.hfields)}
-
-    index = geom_of | joint_of | {id(site): i for i, site in enumerate(layout.sites)}
-    index |= {id(tendon): i for i, tendon in enumerate(scene.tendons)} | body_of
-
-    def attached(element: Any, *skip: str) -> dict[str, Any]:
-        return _record(element, "body", *skip) | {"body": body_of[id(element.body)]}
-
+    lists = {
+        kind: [record(element) for element in elements]
+        for kind, (elements, record) in records.kinds().items()
+    }
     return {
         "name": scene.name,
-        "gravity": list(scene.gravity),
-        "density": scene.density,
-        "viscosity": scene.viscosity,
-        "wind": list(scene.wind),
-        "magnetic": list(scene.magnetic),
-        "bodies": [_body(body, body_of) for body in layout.bodies],
-        "joints": [attached(joint) for joint in layout.joints],
-        "geoms": [
-            attached(geom, "mesh", "hfield")
-            | {"mesh": mesh_of.get(id(geom.mesh)), "hfield": hfield_of.get(id(geom.hfield))}
-            for geom in layout.geoms
-        ],
+        **records.whole(),
+        **lists,
         "meshes": [assets.plain_mesh(mesh) for mesh in scene.meshes],
         "hfields": [assets.plain_hfield(hfield) for hfield in scene.hfields],
-        "sites": [attached(site) for site in layout.sites],
-        "tendons": [
-            _record(tendon, "path") | {"path": [_stop(stop, index) for stop in tendon.path]}
-            for tendon in scene.tendons
-        ],
         "sensors": [sensing.plain(layout, sensor) for sensor in scene.sensors],
-        "actuators": [
-            _record(actuator, "type", "dampingpoly", *actuation.LAW, *actuation.TARGET)
-            | {"target": actuation.target(actuator, index)}
-            | actuation.plain(actuator)
-            for actuator in scene.actuators
-        ],
-        "equalities": [tying.plain(layout, equality) for equality in scene.equalities],
-        "keys": [
-            _record(key) | {"qpos": key.qpos and layout.unit_quaternions(key.qpos)}
-            for key in scene.keys
-        ],
         "excludes": [[layout.body("exclude", b) for b in pair] for pair in scene.excludes],
-        "pairs": [
-            _record(pair, "geom1", "geom2")
-            | {end: geom_of.get(id(getattr(pair, end)), -1) for end in ("geom1", "geom2")}
-            for pair in scene.pairs
-        ],
         "contact_override": _record(override, "enable") if override.enable else None,
         "mass_rules": {MASS_RULES[f]: value for f, value in scene.mass_rules.record().items()},
         "features": _record(scene.features),
     }
+
+
+class Records:
+    """The plain data of single elements of a scene; references become indices."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout, scene = layout, layout.scene
+        self.body_of = {id(body): i for i, body in enumerate(layout.bodies)}
+        self.geom_of = {id(geom): i for i, geom in enumerate(layout.geoms)}
+        self.mesh_of = {id(mesh): i for i, mesh in enumerate(scene.meshes)}
+        self.hfield_of = {id(hfield): i for i, hfield in enumerate(scene.hfields)}
+        self.index = self.geom_of | {id(joint): i for i, joint in enumerate(layout.joints)}
+        self.index |= {id(site): i for i, site in enumerate(layout.sites)}
+        self.index |= {id(tendon): i for i, tendon in enumerate(scene.tendons)} | self.body_of
+
+    def whole(self) -> dict[str, Any]:
+        """The values of the whole scene."""
+        scene = self.layout.scene
+        return {
+            "gravity": list(scene.gravity),
+            "density": scene.density,
+            "viscosity": scene.viscosity,
+            "wind": list(scene.wind),
+            "magnetic": list(scene.magnetic),
+        }
+
+    def kinds(self) -> dict[str, tuple[list[Any], Callable[[Any], dict[str, Any]]]]:
+        """The lists of elements whose values can be varied, and what makes an element a record."""
+        layout, scene = self.layout, self.layout.scene
+        return {
+            "bodies": (layout.bodies, lambda body: _body(body, self.body_of)),
+            "joints": (layout.joints, self._attached),
+            "geoms": (layout.geoms, self._geom),
+            "sites": (layout.sites, self._attached),
+            "tendons": (scene.tendons, self._tendon),
+            "actuators": (scene.actuators, self._actuator),
+            "equalities": (scene.equalities, lambda equality: tying.plain(layout, equality)),
+            "keys": (scene.keys, self._key),
+            "pairs": (scene.pairs, self._pair),
+        }
+
+    def _attached(self, element: Any, *skip: str) -> dict[str, Any]:
+        return _record(element, "body", *skip) | {"body": self.body_of[id(element.body)]}
+
+    def _geom(self, geom: Geom) -> dict[str, Any]:
+        ends = {
+            "mesh": self.mesh_of.get(id(geom.mesh)),
+            "hfield": self.hfield_of.get(id(geom.hfield)),
+        }
+        return self._attached(geom, "mesh", "hfield") | ends
+
+    def _tendon(self, tendon: Tendon) -> dict[str, Any]:
+        return _record(tendon, "path") | {"path": [_stop(stop, self.index) for stop in tendon.path]}
+
+    def _actuator(self, actuator: Actuator) -> dict[str, Any]:
+        return (
+            _record(actuator, "type", "dampingpoly", *actuation.LAW, *actuation.TARGET)
+            | {"target": actuation.target(actuator, self.index)}
+            | actuation.plain(actuator)
+        )
+
+    def _key(self, key: Key) -> dict[str, Any]:
+        return _record(key) | {"qpos": key.qpos and self.layout.unit_quaternions(key.qpos)}
+
+    def _pair(self, pair: Pair) -> dict[str, Any]:
+        ends = {end: self.geom_of.get(id(getattr(pair, end)), -1) for end in ("geom1", "geom2")}
+        return _record(pair, "geom1", "geom2") | ends
 
 
 def essence(layout: Layout) -> dict[str, Any]:

@@ -35,6 +35,12 @@ def changed(
     if not isinstance(values, Mapping):
         raise ValueError(f"values = {checks.shown(values)}: must be a dict of paths and values")
     scene = copy.deepcopy(scene)
+    assign(scene, values, body_mass)
+    return scene
+
+
+def assign(scene: Contents, values: Mapping[str, Any], body_mass: Mapping[str, float]) -> None:
+    """Gives `scene` these values; see `changed`."""
     for path, value in values.items():
         if path in WHOLE:
             setattr(scene, path, value)
@@ -44,7 +50,6 @@ def changed(
             _scale_geoms(scene, element, body_mass[element.name], value)
         else:
             _set(element, field, value)
-    return scene
 
 
 def find(scene: Contents, path: object) -> tuple[Element, str]:

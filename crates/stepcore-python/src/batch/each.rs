@@ -1,115 +1,160 @@
 //! What a batch does with each of its worlds: its arrays in and out, and readings of one at a time.
 
-use std::sync::MutexGuard;
+use std::panic::resume_unwind;
+use std::sync::{Arc, MutexGuard};
 
 use pyo3::prelude::*;
 use stepcore::arrays::Given;
 use stepcore::error::Error;
+use stepcore::model::Model;
+use stepcore::settings::Settings;
 
 use super::{Array, Batch};
 use crate::errors::Raised;
 use crate::gil;
+use crate::memory::All;
 use crate::model::result;
 use crate::world::{world, Placed, World};
 use crate::worlds::Worlds;
+
+/// Worlds that are worth a thread to read them.
+const WORTH_A_THREAD: usize = 16;
 
 impl Batch {
     pub(super) fn lock(&self) -> PyResult<MutexGuard<'_, Box<dyn Worlds>>> {
         gil::lock(&self.worlds, "Batch")
     }
 
-    /// Lets `each(world, given)` see every world's arrays in turn.
-    pub(super) fn read(
-        &self,
-        py: Python<'_>,
-        mut each: impl FnMut(usize, &Given) -> Result<(), Error> + Send,
-    ) -> PyResult<()> {
-        let mut worlds = 0..self.arrays.worlds;
-        worlds.try_for_each(|world| {
-            self.arrays.read(py, world, |given| each(world, given)).raised(py)
-        })
-    }
-
+    /// Refuses arrays with which a world cannot be stepped; of all worlds the first.
     pub(super) fn check(&self, py: Python<'_>, worlds: &dyn Worlds) -> PyResult<()> {
-        self.read(py, |world, given| worlds.check(world, given))
+        let n = self.arrays.worlds;
+        self.arrays
+            .read_all(py, |all| (0..n).try_for_each(|world| worlds.check(world, &all.given(world))))
+            .raised(py)
     }
 
     /// Checks all arrays, then copies them into the engine.
     pub(super) fn load(&self, py: Python<'_>, worlds: &mut dyn Worlds) -> PyResult<()> {
         self.check(py, worlds)?;
-        self.read(py, |world, given| {
-            worlds.put(world, given);
-            Ok(())
-        })
+        let n = self.arrays.worlds;
+        self.arrays.read_all(py, |all| {
+            (0..n).for_each(|world| worlds.put(world, &all.given(world)));
+        });
+        Ok(())
     }
 
     pub(super) fn store(&self, py: Python<'_>, worlds: &dyn Worlds) {
         self.arrays.store(py, |world, array, out| worlds.take(world, array, out));
     }
 
-    /// Reads every world's present state in turn.
-    pub(super) fn placed<'py>(&self, py: Python<'py>, what: Placed) -> PyResult<Array<'py>> {
-        let guard = self.lock()?;
-        let worlds = &**guard;
-        let mut all = Vec::new();
-        let mut reader = world(self.model.clone(), &self.settings).raised(py)?;
-        self.read(py, |world, given| {
-            worlds.check(world, given)?;
-            all.extend(reader.placed(given, what)?);
-            Ok(())
-        })?;
-        result(py, all, &self.shape(&what.shape(&self.model)))
-    }
-
-    /// Does every world's last solve again, to read what a batch does not keep of it.
-    pub(super) fn again<T: Send>(
+    /// Reads each world's present state, which is checked.
+    pub(super) fn present<T: Send>(
         &self,
         py: Python<'_>,
-        read: impl Fn(&mut dyn World) -> T + Sync,
+        read: impl Fn(&mut dyn World, usize, &Given) -> Result<T, Error> + Sync,
     ) -> PyResult<Vec<T>> {
         let guard = self.lock()?;
-        let (worlds, model, settings) = (&**guard, self.model.clone(), &self.settings);
-        let n = self.arrays.worlds;
-        gil::release(py, || {
-            let mut reader = world(model, settings)?;
-            let each = (0..n).map(|world| {
-                worlds.again(world, &mut *reader)?;
-                Ok(read(&mut *reader))
-            });
-            each.collect()
+        let worlds = &**guard;
+        self.readings(py, worlds, |reader, world, given| {
+            worlds.check(world, given)?;
+            read(reader, world, given)
         })
     }
 
-    /// The same of what needs the arrays too, where nothing was solved yet.
-    pub(super) fn again_given(
-        &self,
-        py: Python<'_>,
-        mut read: impl FnMut(&mut dyn World, &Given) -> Result<Vec<f64>, Error> + Send,
-    ) -> PyResult<Vec<Vec<f64>>> {
-        let guard = self.lock()?;
-        let worlds = &**guard;
-        let mut all = Vec::new();
-        let mut reader = world(self.model.clone(), &self.settings).raised(py)?;
-        self.read(py, |world, given| {
-            worlds.again(world, &mut *reader)?;
-            all.push(read(&mut *reader, given)?);
-            Ok(())
-        })?;
-        Ok(all)
+    /// The same of what is read of positions, velocities and inputs alone.
+    pub(super) fn placed<'py>(&self, py: Python<'py>, what: Placed) -> PyResult<Array<'py>> {
+        let all = self.present(py, |reader, _, given| reader.placed(given, what))?;
+        result(py, all.concat(), &self.shape(&what.shape(&self.model)))
     }
 
-    /// Reads every world's last solve in turn; `shape`: that of one world's numbers.
+    /// Does each world's last solve again, to read what a batch does not keep of it; and sees its
+    /// arrays, for where nothing was solved yet.
+    pub(super) fn again<T: Send>(
+        &self,
+        py: Python<'_>,
+        read: impl Fn(&mut dyn World, &Given) -> Result<T, Error> + Sync,
+    ) -> PyResult<Vec<T>> {
+        let guard = self.lock()?;
+        let worlds = &**guard;
+        self.readings(py, worlds, |reader, world, given| {
+            worlds.again(world, reader)?;
+            read(reader, given)
+        })
+    }
+
+    /// Numbers of each world's last solve; `shape`: that of one world's.
     pub(super) fn solved<'py>(
         &self,
         py: Python<'py>,
         shape: &[usize],
-        read: impl FnMut(&mut dyn World, &Given) -> Result<Vec<f64>, Error> + Send,
+        read: impl Fn(&mut dyn World, &Given) -> Result<Vec<f64>, Error> + Sync,
     ) -> PyResult<Array<'py>> {
-        result(py, self.again_given(py, read)?.concat(), &self.shape(shape))
+        result(py, self.again(py, read)?.concat(), &self.shape(shape))
+    }
+
+    /// Reads each world by itself, over the batch's threads.
+    fn readings<T: Send>(
+        &self,
+        py: Python<'_>,
+        worlds: &dyn Worlds,
+        read: impl Fn(&mut dyn World, usize, &Given) -> Result<T, Error> + Sync,
+    ) -> PyResult<Vec<T>> {
+        let order = worlds.by_model();
+        let threads = self.threads.min(order.len() / WORTH_A_THREAD).max(1);
+        let some = |own: &[usize], all: &All| {
+            let mut reader = Reader { settings: &self.settings, held: None };
+            let one = |world: &usize| {
+                let reader = reader.of(worlds.model(*world))?;
+                Ok((*world, read(reader, *world, &all.given(*world))?))
+            };
+            own.iter().map(one).collect::<Result<Vec<_>, Error>>()
+        };
+        let found = self.arrays.read_all(py, |all| shared(order, threads, |own| some(own, all)));
+        let mut found = found.raised(py)?;
+        found.sort_by_key(|(world, _)| *world);
+        Ok(found.into_iter().map(|(_, value)| value).collect())
     }
 
     /// Of all worlds, given that of one.
     fn shape(&self, one: &[usize]) -> Vec<usize> {
         [&[self.arrays.worlds], one].concat()
     }
+}
+
+/// Where worlds are read, as long as they have one model.
+struct Reader<'a> {
+    settings: &'a Settings,
+    held: Option<(Arc<Model>, Box<dyn World>)>,
+}
+
+impl Reader<'_> {
+    fn of(&mut self, model: &Arc<Model>) -> Result<&mut dyn World, Error> {
+        let held = self.held.take().filter(|(held, _)| Arc::ptr_eq(held, model));
+        let held = match held {
+            Some(held) => held,
+            None => (model.clone(), world(model.clone(), self.settings)?),
+        };
+        Ok(&mut *self.held.insert(held).1)
+    }
+}
+
+/// Does `work` on equal shares of a list, over threads; the first error in the order of the shares.
+fn shared<T: Send>(
+    list: &[usize],
+    threads: usize,
+    work: impl Fn(&[usize]) -> Result<Vec<T>, Error> + Sync,
+) -> Result<Vec<T>, Error> {
+    if threads == 1 {
+        return work(list);
+    }
+    let work = &work;
+    std::thread::scope(|scope| {
+        let shares = list.chunks(list.len().div_ceil(threads));
+        let started: Vec<_> = shares.map(|share| scope.spawn(move || work(share))).collect();
+        let mut all = Vec::with_capacity(list.len());
+        for thread in started {
+            all.extend(thread.join().unwrap_or_else(|panic| resume_unwind(panic))?);
+        }
+        Ok(all)
+    })
 }

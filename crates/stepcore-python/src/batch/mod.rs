@@ -9,11 +9,13 @@ use numpy::{PyArrayDyn, PyReadonlyArray3};
 use pyo3::exceptions::{PyBaseException, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
+use stepcore::arrays::Array as EngineArray;
+use stepcore::batch::of_one_model;
 use stepcore::model::Model as EngineModel;
 use stepcore::settings::Settings as EngineSettings;
 
 use crate::arguments::{check_body, check_sensor, check_site, check_time, ray_filter};
-use crate::errors::{raise, Raised};
+use crate::errors::raise;
 use crate::extract::{At, Read};
 use crate::gil;
 use crate::memory::{Arrays, Named};
@@ -22,8 +24,8 @@ use crate::readout::Readout;
 use crate::settings::Settings;
 use crate::snapshot::{decode, encode, Snapshot};
 use crate::tables::{contacts, rows, ContactTable, RayTable, RowTable};
-use crate::world::{world, Memo, Placed, Solved};
-use crate::worlds::{worlds, Worlds};
+use crate::world::{Memo, Placed, Solved};
+use crate::worlds::{How, Worlds};
 
 type Array<'py> = Bound<'py, PyArrayDyn<f64>>;
 
@@ -33,6 +35,9 @@ pub struct Batch {
     model: Arc<EngineModel>,
     settings: EngineSettings,
     arrays: Arrays,
+    threads: usize,
+    lanes: bool,
+    goes_on: bool,
     worlds: Mutex<Box<dyn Worlds>>,
 }
 
@@ -51,10 +56,12 @@ impl Batch {
         let n = usize::read(n, &At::Root.field("n"))?;
         let threads = usize::read(threads, &At::Root.field("threads"))?;
         let (model, settings) = (model.0.clone(), settings.0.clone());
+        let how = How { settings: &settings, threads, lanes, goes_on };
         let worlds =
-            gil::release(py, || worlds(model.clone(), &settings, n, threads, lanes, goes_on))?;
+            gil::release(py, || how.worlds(vec![model.clone()], &of_one_model(&model, n)?))?;
         let arrays = Arrays::new(py, &model, n)?;
-        Ok(Self { model, settings, arrays, worlds: Mutex::new(worlds) })
+        let worlds = Mutex::new(worlds);
+        Ok(Self { model, settings, arrays, threads, lanes, goes_on, worlds })
     }
 
     /// The arrays that are the user's to write, each with its name.
@@ -143,6 +150,48 @@ impl Batch {
         Ok(())
     }
 
+    /// Gives the worlds models that differ from this one's in numbers only: `model_of` has the index
+    /// of each world's. States, time and impulses stay; nothing was solved yet.
+    fn set_models(
+        &self,
+        py: Python<'_>,
+        models: Vec<PyRef<'_, Model>>,
+        model_of: Vec<usize>,
+    ) -> PyResult<()> {
+        let models: Vec<_> = models.iter().map(|model| model.0.clone()).collect();
+        if model_of.len() != self.arrays.worlds || model_of.iter().any(|k| *k >= models.len()) {
+            let text = "model_of: must be the index of a model for every world";
+            return Err(PyValueError::new_err(text));
+        }
+        for (index, model) in models.iter().enumerate() {
+            if EngineArray::counts(model) != self.arrays.lengths {
+                let world = model_of.iter().position(|k| *k == index).unwrap_or(0);
+                let text =
+                    format!("world {world}: its model has other joints, bodies or actuators");
+                return Err(PyValueError::new_err(text));
+            }
+        }
+        let mut guard = self.lock()?;
+        let Self { settings, threads, lanes, goes_on, .. } = self;
+        let how = How { settings, threads: *threads, lanes: *lanes, goes_on: *goes_on };
+        let memos = guard.memos();
+        let mut worlds = gil::release(py, || how.worlds(models, &model_of))?;
+        worlds.set_memos(&memos);
+        worlds.unsolved();
+        *guard = worlds;
+        Ok(())
+    }
+
+    /// Forgets the impulses, the failures and the last solves of some worlds.
+    fn forget(&self, worlds: Vec<usize>) -> PyResult<()> {
+        if let Some(world) = worlds.iter().find(|world| **world >= self.arrays.worlds) {
+            let text = format!("worlds: {world} must be below {}", self.arrays.worlds);
+            return Err(PyValueError::new_err(text));
+        }
+        self.lock()?.forget(&worlds);
+        Ok(())
+    }
+
     /// Sets the time [s] of all worlds and forgets the impulses of the last step.
     fn restart(&self, time: f64) -> PyResult<()> {
         let mut worlds = self.lock()?;
@@ -207,24 +256,22 @@ impl Batch {
     #[pyo3(signature = (sensor = None))]
     fn sensordata<'py>(&self, py: Python<'py>, sensor: Option<usize>) -> PyResult<Array<'py>> {
         check_sensor(&self.model, sensor)?;
-        let all = self.again_given(py, |world, given| world.sensordata(given, sensor))?;
+        let all = self.again(py, |world, given| world.sensordata(given, sensor))?;
         let shape = [self.arrays.worlds, all.first().map_or(0, Vec::len)];
         result(py, all.concat(), &shape)
     }
     /// The forces that give accelerations (n, nv), by default those of the last solves.
     #[pyo3(signature = (qacc = None))]
     fn inverse<'py>(&self, py: Python<'py>, qacc: Option<Vec<f64>>) -> PyResult<Array<'py>> {
-        let (guard, nv) = (self.lock()?, self.model.nv);
-        let worlds = &**guard;
-        let qacc = qacc.unwrap_or_else(|| worlds.qacc());
-        let mut all = Vec::new();
-        let mut reader = world(self.model.clone(), &self.settings).raised(py)?;
-        self.read(py, |world, given| {
-            worlds.check(world, given)?;
-            all.extend(reader.inverse(given, Some(&qacc[world * nv..][..nv]))?);
-            Ok(())
+        let nv = self.model.nv;
+        let qacc = match qacc {
+            Some(qacc) => qacc,
+            None => self.lock()?.qacc(),
+        };
+        let all = self.present(py, |reader, world, given| {
+            reader.inverse(given, Some(&qacc[world * nv..][..nv]))
         })?;
-        result(py, all, &[self.arrays.worlds, nv])
+        result(py, all.concat(), &[self.arrays.worlds, nv])
     }
     /// Distances, geoms and normals of as many rays (n, rays, 6) in each world.
     #[pyo3(signature = (rays, excluded = None, groups = None, moving = false))]
@@ -236,30 +283,28 @@ impl Batch {
         groups: Option<[bool; 6]>,
         moving: bool,
     ) -> PyResult<RayTable<'py>> {
-        let (guard, n) = (self.lock()?, self.arrays.worlds);
-        let (worlds, filter) = (&**guard, ray_filter(excluded, groups, moving));
-        let each = rays.len() / n;
+        let filter = ray_filter(excluded, groups, moving);
+        let each = rays.len() / self.arrays.worlds;
         let (mut dist, mut geom, mut normal) = (Vec::new(), Vec::new(), Vec::new());
-        let mut reader = world(self.model.clone(), &self.settings).raised(py)?;
-        self.read(py, |world, given| {
-            worlds.check(world, given)?;
-            let found = reader.rays(given, &rays[world * each..][..each], &filter)?;
+        let all = self.present(py, |reader, world, given| {
+            reader.rays(given, &rays[world * each..][..each], &filter)
+        })?;
+        for found in all {
             dist.extend(found.dist);
             geom.extend(found.geom);
             normal.extend(found.normal);
-            Ok(())
-        })?;
+        }
         let count = dist.len();
         Ok((result(py, dist, &[count])?, geom, result(py, normal, &[count, 3])?))
     }
     /// One of `Sim.contacts` a world.
     fn contacts<'py>(&self, py: Python<'py>) -> PyResult<Vec<ContactTable<'py>>> {
-        let tables = self.again(py, |world| world.contacts())?;
+        let tables = self.again(py, |world, _| Ok(world.contacts()))?;
         tables.into_iter().map(|table| contacts(py, table)).collect()
     }
     /// One of `Sim.rows` a world.
     fn rows<'py>(&self, py: Python<'py>) -> PyResult<Vec<RowTable<'py>>> {
-        let tables = self.again(py, |world| world.rows())?;
+        let tables = self.again(py, |world, _| Ok(world.rows()))?;
         tables.into_iter().map(|table| rows(py, table)).collect()
     }
     /// `Sim.asleep` of each world.
@@ -270,12 +315,12 @@ impl Batch {
     }
     #[getter]
     fn residual<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        let all = self.again(py, |world| world.residual())?;
+        let all = self.again(py, |world, _| Ok(world.residual()))?;
         result(py, all, &[self.arrays.worlds])
     }
     #[getter]
     fn unrecovered<'py>(&self, py: Python<'py>) -> PyResult<Array<'py>> {
-        let all = self.again(py, |world| world.unrecovered())?;
+        let all = self.again(py, |world, _| Ok(world.unrecovered()))?;
         result(py, all, &[self.arrays.worlds])
     }
 }

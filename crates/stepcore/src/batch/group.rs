@@ -26,7 +26,8 @@ pub(super) struct Group<R: Real> {
     /// The state when the last solve began, from which it can be done again: its rows
     /// are in the working space of a thread, and gone with the next group.
     pub before: State<R>,
-    pub last: Last,
+    /// By lane.
+    pub last: Vec<Last>,
     /// Steps done in this call before one failed, and why it did.
     pub failed: Option<(u64, Error)>,
     /// Worlds that failed while the others went on.
@@ -37,6 +38,18 @@ pub(super) struct Group<R: Real> {
 }
 
 impl<R: Real> Group<R> {
+    /// A lane's next step starts without impulses, and nothing is known of its last solve; a world
+    /// that failed tries again.
+    pub fn forget(&mut self, lane: usize) {
+        self.state.forget_impulses(lane);
+        self.before.forget_impulses(lane);
+        // A lane to spare repeats a world, and has no place of its own here.
+        self.standing.lanes.get_mut(lane).iter_mut().for_each(|place| **place = None);
+        self.ended[lane] = false;
+        self.last[lane] = Last::Nothing;
+        self.ledger.iter_mut().for_each(|ledger| ledger.forget());
+    }
+
     /// `worlds` of a model, at qpos0 and at rest.
     pub fn new(model: &Model, worlds: usize, ledger: bool) -> Self {
         Self {
@@ -45,7 +58,7 @@ impl<R: Real> Group<R> {
             qacc: vec![R::zero(); model.nv],
             start: State::new(model),
             before: State::new(model),
-            last: Last::Nothing,
+            last: vec![Last::Nothing; R::LANES],
             failed: None,
             standing: Standing::new(worlds),
             ended: vec![false; R::LANES],
@@ -53,15 +66,16 @@ impl<R: Real> Group<R> {
         }
     }
 
-    /// Runs `one` up to `n` times on this group's state in a thread's working space.
+    /// Runs `one` up to `n` times on this group's state in a thread's working space; `worlds`: whose
+    /// the lanes are.
     pub fn run(
         &mut self,
         watched: &mut Watched<R>,
-        index: usize,
+        worlds: &[usize],
         n: u64,
         last: Last,
         goes_on: bool,
-        one: &impl Fn(usize, u64, &mut Watched<R>) -> Result<()>,
+        one: impl Fn(u64, &mut Watched<R>) -> Result<()>,
     ) {
         let Self { state, inputs, ledger, standing, before, qacc, .. } = self;
         standing.lanes.iter_mut().flatten().for_each(|failed| failed.done = 0);
@@ -77,8 +91,8 @@ impl<R: Real> Group<R> {
                 guest.watched.sim.state.copy_to(before);
             }
             loop {
-                let error = one(index, k, guest.watched).err()?;
-                if !(goes_on && set_aside(standing, guest.watched, index, k, &error)) {
+                let error = one(k, guest.watched).err()?;
+                if !(goes_on && set_aside(standing, guest.watched, worlds, k, &error)) {
                     return Some((k, error));
                 }
                 if standing.healthy().is_none() {
@@ -89,7 +103,7 @@ impl<R: Real> Group<R> {
         });
         self.failed = self.failed.take().filter(|(k, _)| *k != u64::MAX);
         if n > 0 {
-            self.last = last;
+            self.last.fill(last);
             qacc.copy_from_slice(&guest.watched.sim.qacc);
         }
     }
@@ -134,22 +148,22 @@ impl<R: Real> Drop for Guest<'_, R> {
 fn set_aside<R: Real>(
     standing: &mut Standing,
     watched: &mut Watched<R>,
-    index: usize,
+    worlds: &[usize],
     done: u64,
     error: &Error,
 ) -> bool {
     let Error::Diverged(divergence) = error else { return false };
     let (lane, mut error) = (divergence.world, error.clone());
-    in_batch::<R>(&mut error, index);
+    in_batch(&mut error, worlds);
     standing.take(&watched.sim.state, lane, done, error);
     standing.mirror_in(watched);
     true
 }
 
 /// A lane's failure becomes that of a world of the batch.
-pub(super) fn in_batch<R: Real>(error: &mut Error, index: usize) {
+pub(super) fn in_batch(error: &mut Error, worlds: &[usize]) {
     if let Error::Diverged(divergence) = error {
-        divergence.world += index * R::LANES;
+        divergence.world = worlds[divergence.world.min(worlds.len() - 1)];
         divergence.batch = true;
     }
 }

@@ -5,23 +5,27 @@
 //! computes depends on nothing else, so results are the same bits at any number of
 //! threads, and, because a lane is a world, in lanes or one by one.
 
+mod crew;
 mod failed;
 mod group;
 mod play;
+mod seats;
 
 pub use failed::Failed;
 pub use group::Last;
 pub use play::Play;
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
+use crew::Crew;
 use group::{in_batch, Group};
 use play::Part;
+use seats::{registers, Seats};
 
 use crate::arrays::{Array, Given};
 use crate::error::{Error, Result};
 use crate::model::Model;
-use crate::pool::check_threads;
+use crate::pool::{check_threads, lock};
 use crate::real::Real;
 use crate::settings::{Settings, Solver};
 use crate::solve::rows::any_heap;
@@ -30,11 +34,12 @@ use crate::watch::Watched;
 
 pub struct Batch<R: Real> {
     pub worlds: usize,
-    model: Arc<Model>,
+    /// Each different one of the worlds' models.
+    models: Vec<Arc<Model>>,
     dt: f64,
+    seats: Seats,
     groups: Vec<Group<R>>,
-    /// One a thread.
-    workers: Vec<Watched<R>>,
+    crew: Crew<R>,
     /// A world that fails stands still, and the others go on; else all stop with it.
     pub goes_on: bool,
 }
@@ -46,43 +51,68 @@ pub fn gains_by_lanes(model: &Model, settings: &Settings) -> bool {
     model.heap.is_none() && !settings.sleep && !by_lane
 }
 
+/// Whether worlds of several models fill lanes well enough: those of a model share a register, and
+/// a register costs about as much as three worlds alone.
+pub fn fills_lanes(model_of: &[usize], lanes: usize) -> bool {
+    3 * registers(lanes, model_of) <= model_of.len() || model_of.iter().all(|model| *model == 0)
+}
+
+/// The index of the model of each world, if there is but one; refuses more worlds than the memory
+/// can hold.
+pub fn of_one_model(model: &Model, worlds: usize) -> Result<Vec<usize>> {
+    let bytes = worlds.checked_mul(bytes_a_world(model));
+    if bytes.is_none_or(|bytes| Vec::<u8>::new().try_reserve_exact(bytes).is_err()) {
+        return Err(Error::value("n", worlds, "a number of worlds that the memory can hold"));
+    }
+    Ok(vec![0; worlds])
+}
+
+/// A little more than a world's numbers take here and in its user's arrays.
+fn bytes_a_world(model: &Model) -> usize {
+    let counts = Array::counts(model);
+    let all = counts.iter().sum::<usize>() + 2 * counts[..Array::CHANGED].iter().sum::<usize>();
+    1024 + 8 * (2 * all + model.nv)
+}
+
 impl<R: Real> Batch<R> {
+    /// Worlds of one model.
     pub fn new(
         model: Arc<Model>,
         settings: &Settings,
         worlds: usize,
         threads: usize,
     ) -> Result<Self> {
+        let model_of = of_one_model(&model, worlds)?;
+        Self::of_models(vec![model], &model_of, settings, threads)
+    }
+
+    /// Worlds of models that differ in numbers: `model_of` has the index of each world's.
+    pub fn of_models(
+        models: Vec<Arc<Model>>,
+        model_of: &[usize],
+        settings: &Settings,
+        threads: usize,
+    ) -> Result<Self> {
         settings.check()?;
+        let worlds = model_of.len();
         if worlds == 0 {
             return Err(Error::value("n", worlds, "at least 1 world"));
         }
         check_threads(threads)?;
-        let count = worlds.div_ceil(R::LANES);
-        let bytes = worlds.checked_mul(Self::bytes_a_world(&model));
-        if bytes.is_none_or(|bytes| Vec::<u8>::new().try_reserve_exact(bytes).is_err()) {
-            return Err(Error::value("n", worlds, "a number of worlds that the memory can hold"));
-        }
+        let seats = Seats::new(R::LANES, model_of);
         let group = |index: usize| {
-            let own = (worlds - index * R::LANES).min(R::LANES);
-            Group::new(&model, own, settings.ledger)
+            let model = &models[seats.model(index)];
+            Group::new(model, seats.worlds(index).len(), settings.ledger)
         };
-        let worker = |_| Ok(Watched::new(model.clone(), settings.clone())?.among(worlds));
         Ok(Self {
             worlds,
             dt: settings.dt,
-            groups: (0..count).map(group).collect(),
-            workers: (0..threads.min(count)).map(worker).collect::<Result<_>>()?,
+            groups: (0..seats.groups()).map(group).collect(),
+            crew: Crew::new(&models, settings, &seats, worlds, threads)?,
             goes_on: false,
-            model,
+            models,
+            seats,
         })
-    }
-
-    /// A little more than a world's numbers take here and in its user's arrays.
-    fn bytes_a_world(model: &Model) -> usize {
-        let counts = Array::counts(model);
-        let all = counts.iter().sum::<usize>() + 2 * counts[..Array::CHANGED].iter().sum::<usize>();
-        1024 + 8 * (2 * all + model.nv)
     }
 
     pub fn time(&self) -> f64 {
@@ -91,23 +121,34 @@ impl<R: Real> Batch<R> {
 
     /// Refuses arrays of a world that cannot be stepped.
     pub fn check(&self, world: usize, given: &Given) -> Result<()> {
-        given.check::<R>(&self.model, Some(world))
+        given.check::<R>(self.model(world), Some(world))
+    }
+
+    /// The model of a world.
+    pub fn model(&self, world: usize) -> &Arc<Model> {
+        &self.models[self.seats.model(self.seats.of(world).0)]
+    }
+
+    /// All worlds, those of one model beside each other.
+    pub fn by_model(&self) -> &[usize] {
+        self.seats.all()
     }
 
     /// Takes a world's arrays, which were checked. Worlds come in order; lanes without a
     /// world of their own repeat the last one.
     pub fn put(&mut self, world: usize, given: &Given) {
-        let group = &mut self.groups[world / R::LANES];
-        if let Some(failed) = &group.standing.lanes[world % R::LANES] {
+        let (index, own) = self.seats.of(world);
+        let group = &mut self.groups[index];
+        if let Some(failed) = &group.standing.lanes[own] {
             if failed.stands(given) {
                 return;
             }
-            group.standing.lanes[world % R::LANES] = None;
+            group.standing.lanes[own] = None;
             // Its lane repeated another, whose impulses are none of its own.
-            group.state.forget_impulses(world % R::LANES);
+            group.state.forget_impulses(own);
         }
-        let last = if world + 1 == self.worlds { R::LANES } else { world % R::LANES + 1 };
-        for lane in world % R::LANES..last {
+        let last = if own + 1 == self.seats.worlds(index).len() { R::LANES } else { own + 1 };
+        for lane in own..last {
             if group.state.put(lane, given) {
                 if std::mem::take(&mut group.ended[lane]) {
                     group.state.forget_impulses(lane);
@@ -120,50 +161,67 @@ impl<R: Real> Batch<R> {
 
     /// Gives a world's part of an array that a step changes.
     pub fn take(&self, world: usize, array: Array, out: &mut [f64]) {
-        let group = &self.groups[world / R::LANES];
-        match &group.standing.lanes[world % R::LANES] {
-            None => group.state.take(world % R::LANES, array, out),
+        let (index, lane) = self.seats.of(world);
+        let group = &self.groups[index];
+        match &group.standing.lanes[lane] {
+            None => group.state.take(lane, array, out),
             Some(failed) => out.copy_from_slice(&failed.state[array as usize]),
         }
     }
 
     /// A world that failed while the others went on.
     pub fn failed(&self, world: usize) -> Option<&Failed> {
-        self.groups[world / R::LANES].standing.lanes[world % R::LANES].as_ref()
+        let (group, lane) = self.seats.of(world);
+        self.groups[group].standing.lanes[lane].as_ref()
+    }
+
+    /// Some worlds begin anew, wherever their arrays put them: they have no impulses to start from,
+    /// have not failed, and nothing was solved there yet. The others are as they were.
+    pub fn forget(&mut self, worlds: &[usize]) {
+        for world in worlds {
+            let (index, own) = self.seats.of(*world);
+            let last = if own + 1 == self.seats.worlds(index).len() { R::LANES } else { own + 1 };
+            (own..last).for_each(|lane| self.groups[index].forget(lane));
+        }
     }
 
     /// The states at hand did not come from a solve.
     pub fn unsolved(&mut self) {
         for group in &mut self.groups {
             group.state.copy_to(&mut group.before);
-            group.last = Last::Nothing;
+            group.last.fill(Last::Nothing);
         }
     }
 
     /// A world's acceleration in its last solve.
     pub fn qacc(&self, world: usize) -> impl Iterator<Item = f64> + '_ {
-        self.groups[world / R::LANES].qacc.iter().map(move |a| a.lane(world % R::LANES))
+        let (group, lane) = self.seats.of(world);
+        self.groups[group].qacc.iter().map(move |a| a.lane(lane))
     }
 
-    /// The group of a world: the state in which its last solve began, the inputs, and what
-    /// it belonged to.
-    pub fn last(&self, world: usize) -> (&State<R>, &Inputs<R>, Last) {
-        let group = &self.groups[world / R::LANES];
-        (&group.before, &group.inputs, group.last)
+    /// Of a world: the state in which its last solve began, its inputs, the lane where it is in
+    /// these, and what the solve belonged to.
+    pub fn last(&self, world: usize) -> (&State<R>, &Inputs<R>, usize, Last) {
+        let (index, lane) = self.seats.of(world);
+        let group = &self.groups[index];
+        (&group.before, &group.inputs, lane, group.last[lane])
     }
 
-    /// The states of all groups, `R::LANES` worlds each.
-    pub fn states(&self) -> impl Iterator<Item = &State<R>> {
-        self.groups.iter().map(|group| &group.state)
+    /// The state that holds a world, and the lane where it is.
+    pub fn state(&self, world: usize) -> (&State<R>, usize) {
+        let (group, lane) = self.seats.of(world);
+        (&self.groups[group].state, lane)
     }
 
-    pub fn states_mut(&mut self) -> impl Iterator<Item = &mut State<R>> {
-        self.groups.iter_mut().map(|group| {
+    /// The states of all groups, with the worlds in their lanes.
+    pub fn states_mut(&mut self) -> impl Iterator<Item = (&mut State<R>, &[usize])> {
+        let Self { groups, seats, .. } = self;
+        groups.iter_mut().enumerate().map(|(index, group)| {
             // Whoever writes a state starts anew.
             group.ledger.iter_mut().for_each(|ledger| ledger.forget());
             group.standing.lanes.fill(None);
             group.ended.fill(false);
-            &mut group.state
+            (&mut group.state, seats.worlds(index))
         })
     }
 
@@ -175,20 +233,20 @@ impl<R: Real> Batch<R> {
 
     /// Place, detect and solve in every world. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
-        let forward = |_, _, watched: &mut Watched<R>| watched.forward();
-        let goes_on = self.goes_on;
-        share(&mut self.workers, &mut self.groups, |watched, index, group| {
-            group.run(watched, index, 1, Last::Forward, goes_on, &forward)
+        let Self { crew, groups, seats, goes_on, .. } = self;
+        crew.share(groups, seats, 1, |watched, index, group| {
+            let forward = |_, watched: &mut Watched<R>| watched.forward();
+            group.run(watched, seats.worlds(index), 1, Last::Forward, *goes_on, forward)
         });
-        self.first_failure().map_or(Ok(()), |(_, error)| Err(error))
+        first_failure(groups, seats).map_or(Ok(()), |(_, error)| Err(error))
     }
 
     /// Steps `from..from + n` of a play.
     pub fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()> {
-        let parts = play.parts(self.worlds, R::LANES, Array::counts(&self.model));
+        let parts = play.parts(&self.seats, Array::counts(&self.models[0]));
         let parts: Vec<Mutex<Part>> = parts.into_iter().map(Mutex::new).collect();
         self.advance(n as u64, |index, k, watched| {
-            let mut part = parts[index].lock().unwrap_or_else(PoisonError::into_inner);
+            let mut part = lock(&parts[index]);
             let step = from + k as usize;
             part.control(step, watched);
             watched.step(1)?;
@@ -219,57 +277,42 @@ impl<R: Real> Batch<R> {
         n: u64,
         one: impl Fn(usize, u64, &mut Watched<R>) -> Result<()> + Sync,
     ) -> Result<()> {
-        let goes_on = self.goes_on;
-        share(&mut self.workers, &mut self.groups, |watched, index, group| {
+        let Self { crew, groups, seats, goes_on, .. } = self;
+        let run = |watched: &mut Watched<R>, index, group: &mut Group<R>, n| {
+            let one = |k, watched: &mut Watched<R>| one(index, k, watched);
+            group.run(watched, seats.worlds(index), n, Last::Step, *goes_on, one);
+        };
+        crew.share(groups, seats, n, |watched, index, group| {
             group.state.copy_to(&mut group.start);
-            group.run(watched, index, n, Last::Step, goes_on, &one);
+            run(watched, index, group, n);
         });
-        let Some((done, error)) = self.first_failure() else { return Ok(()) };
+        let Some((done, error)) = first_failure(groups, seats) else { return Ok(()) };
         // All worlds go back, and then on to where this one was still well.
-        share(&mut self.workers, &mut self.groups, |watched, index, group| {
+        crew.share(groups, seats, done, |watched, index, group| {
             group.start.copy_to(&mut group.state);
             group.start.copy_to(&mut group.before);
-            group.last = Last::Forward;
+            group.last.fill(Last::Forward);
             group.ledger.iter_mut().for_each(|ledger| ledger.forget());
-            group.run(watched, index, done, Last::Step, goes_on, &one);
+            run(watched, index, group, done);
         });
         if let Error::Diverged(divergence) = &error {
-            let (group, lane) = (divergence.world / R::LANES, divergence.world % R::LANES);
+            let (group, lane) = self.seats.of(divergence.world);
             self.groups[group].ended[lane] = true;
         }
         Err(error)
     }
-
-    /// The failure after the fewest steps, with its world's place in the batch.
-    fn first_failure(&mut self) -> Option<(u64, Error)> {
-        let failures = self.groups.iter_mut().enumerate().filter_map(|(index, group)| {
-            let (done, mut error) = group.failed.take()?;
-            in_batch::<R>(&mut error, index);
-            Some((done, error))
-        });
-        failures.min_by_key(|(done, _)| *done)
-    }
 }
 
-/// Lets every worker take the next group until none is left.
-fn share<R: Real>(
-    workers: &mut [Watched<R>],
-    groups: &mut [Group<R>],
-    work: impl Fn(&mut Watched<R>, usize, &mut Group<R>) + Sync,
-) {
-    if let [only] = workers {
-        return groups.iter_mut().enumerate().for_each(|(index, group)| work(only, index, group));
-    }
-    let left = Mutex::new(groups.iter_mut().enumerate());
-    let next = || left.lock().unwrap_or_else(PoisonError::into_inner).next();
-    let (next, work) = (&next, &work);
-    std::thread::scope(|scope| {
-        for watched in workers {
-            scope.spawn(move || {
-                while let Some((index, group)) = next() {
-                    work(watched, index, group);
-                }
-            });
-        }
+/// The failure after the fewest steps, with its world's place in the batch.
+fn first_failure<R: Real>(groups: &mut [Group<R>], seats: &Seats) -> Option<(u64, Error)> {
+    let failures = groups.iter_mut().enumerate().filter_map(|(index, group)| {
+        let (done, mut error) = group.failed.take()?;
+        in_batch(&mut error, seats.worlds(index));
+        Some((done, error))
     });
+    let world = |error: &Error| match error {
+        Error::Diverged(divergence) => divergence.world,
+        _ => 0,
+    };
+    failures.min_by_key(|(done, error)| (*done, world(error)))
 }

@@ -1,0 +1,119 @@
+//! The threads of a batch, which live as long as it does, and the working spaces of its models.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+use super::group::Group;
+use super::seats::Seats;
+use crate::error::Result;
+use crate::model::Model;
+use crate::pool::{lock, Pool};
+use crate::real::Real;
+use crate::settings::Settings;
+use crate::watch::Watched;
+
+/// Work of a call below which waking threads costs more than they save [ns].
+const WORTH_WAKING: u64 = 60_000;
+/// Groups are handed out in portions, so many a thread, so that all end together.
+const PORTIONS: usize = 16;
+
+pub(super) struct Crew<R: Real> {
+    pool: Option<Arc<Pool>>,
+    threads: usize,
+    /// By model: the spaces that no thread is using.
+    spaces: Vec<Mutex<Vec<Watched<R>>>>,
+    /// What a step of all groups took when it was last measured [ns].
+    cost: AtomicU64,
+}
+
+impl<R: Real> Crew<R> {
+    pub fn new(
+        models: &[Arc<Model>],
+        settings: &Settings,
+        seats: &Seats,
+        worlds: usize,
+        threads: usize,
+    ) -> Result<Self> {
+        let threads = threads.min(seats.groups());
+        let mut groups = vec![0; models.len()];
+        (0..seats.groups()).for_each(|group| groups[seats.model(group)] += 1);
+        let space =
+            |model: &Arc<Model>| Ok(Watched::new(model.clone(), settings.clone())?.among(worlds));
+        let spaces = models.iter().zip(groups).map(|(model, groups)| {
+            let own = (0..threads.min(groups)).map(|_| space(model));
+            Ok(Mutex::new(own.collect::<Result<Vec<_>>>()?))
+        });
+        let spaces = spaces.collect::<Result<Vec<_>>>()?;
+        Ok(Self { pool: Pool::new(threads)?, threads, spaces, cost: AtomicU64::new(u64::MAX) })
+    }
+
+    /// Does the work on every group, in the space of its model; `steps` says how much it is.
+    /// What a group computes depends on nothing else, so it shows in no bit who does it.
+    pub fn share(
+        &self,
+        groups: &mut [Group<R>],
+        seats: &Seats,
+        steps: u64,
+        work: impl Fn(&mut Watched<R>, usize, &mut Group<R>) + Sync,
+    ) {
+        let started = Instant::now();
+        let portion = groups.len().div_ceil(self.threads * PORTIONS).max(1);
+        let left = Mutex::new(groups.chunks_mut(portion).enumerate());
+        let take_all = |_: usize| {
+            let mut desk = Desk { crew: self, held: None };
+            loop {
+                // The lock is open again before the work begins.
+                let next = lock(&left).next();
+                let Some((index, portion_of_groups)) = next else { return };
+                for (k, group) in portion_of_groups.iter_mut().enumerate() {
+                    let index = index * portion + k;
+                    work(desk.space(seats.model(index)), index, group);
+                }
+            }
+        };
+        let expected = self.cost.load(Ordering::Relaxed).saturating_mul(steps);
+        match &self.pool {
+            Some(pool) if expected > WORTH_WAKING => pool.share(self.threads, &take_all),
+            _ => take_all(0),
+        }
+        if steps > 0 {
+            let took = started.elapsed().as_nanos() as u64 / steps;
+            let threads = if expected > WORTH_WAKING { self.threads as u64 } else { 1 };
+            self.cost.store(took.saturating_mul(threads), Ordering::Relaxed);
+        }
+    }
+}
+
+/// Where a thread works: the space of one model at a time, which goes back to the others when it is
+/// done with it.
+struct Desk<'a, R: Real> {
+    crew: &'a Crew<R>,
+    held: Option<(usize, Watched<R>)>,
+}
+
+impl<R: Real> Desk<'_, R> {
+    fn space(&mut self, model: usize) -> &mut Watched<R> {
+        if self.held.as_ref().is_none_or(|(held, _)| *held != model) {
+            self.put_back();
+            // There is one for every thread, or for every group of the model.
+            self.held = lock(&self.crew.spaces[model]).pop().map(|space| (model, space));
+        }
+        match &mut self.held {
+            Some((_, space)) => space,
+            None => unreachable!("a space for every thread"),
+        }
+    }
+
+    fn put_back(&mut self) {
+        if let Some((model, space)) = self.held.take() {
+            lock(&self.crew.spaces[model]).push(space);
+        }
+    }
+}
+
+impl<R: Real> Drop for Desk<'_, R> {
+    fn drop(&mut self) {
+        self.put_back();
+    }
+}

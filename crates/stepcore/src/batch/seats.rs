@@ -1,0 +1,89 @@
+//! Which world sits in which lane of which group.
+
+/// Worlds of one model sit beside each other, in their own order; the last group of a model may
+/// have lanes to spare.
+pub(super) struct Seats {
+    lanes: usize,
+    /// By world: group · lanes + lane.
+    seat: Vec<usize>,
+    /// All worlds in the order of their seats.
+    worlds: Vec<usize>,
+    /// By group: its model, and its worlds' range in `worlds`.
+    groups: Vec<(usize, std::ops::Range<usize>)>,
+}
+
+impl Seats {
+    /// `model_of`: the model of each world.
+    pub fn new(lanes: usize, model_of: &[usize]) -> Self {
+        let mut worlds: Vec<usize> = (0..model_of.len()).collect();
+        worlds.sort_by_key(|world| model_of[*world]);
+        let (mut seat, mut groups) = (vec![0; worlds.len()], Vec::new());
+        for same in worlds.chunk_by(|a, b| model_of[*a] == model_of[*b]) {
+            for together in same.chunks(lanes) {
+                for (lane, world) in together.iter().enumerate() {
+                    seat[*world] = groups.len() * lanes + lane;
+                }
+                let start = groups.last().map_or(0, |(_, range): &(usize, _)| end(range));
+                groups.push((model_of[together[0]], start..start + together.len()));
+            }
+        }
+        Self { lanes, seat, worlds, groups }
+    }
+
+    /// The group and the lane of a world.
+    #[inline(always)]
+    pub fn of(&self, world: usize) -> (usize, usize) {
+        (self.seat[world] / self.lanes, self.seat[world] % self.lanes)
+    }
+
+    /// The worlds of a group, by lane.
+    pub fn worlds(&self, group: usize) -> &[usize] {
+        &self.worlds[self.groups[group].1.clone()]
+    }
+
+    /// All worlds in the order of their seats.
+    pub fn all(&self) -> &[usize] {
+        &self.worlds
+    }
+
+    /// The model of a group.
+    pub fn model(&self, group: usize) -> usize {
+        self.groups[group].0
+    }
+
+    /// How many groups there are.
+    pub fn groups(&self) -> usize {
+        self.groups.len()
+    }
+}
+
+fn end(range: &std::ops::Range<usize>) -> usize {
+    range.end
+}
+
+/// How many registers of so many lanes the worlds fill, if those of a model share them.
+pub(super) fn registers(lanes: usize, model_of: &[usize]) -> usize {
+    let mut counts = vec![0_usize; model_of.iter().max().map_or(0, |most| most + 1)];
+    model_of.iter().for_each(|model| counts[*model] += 1);
+    counts.into_iter().map(|count| count.div_ceil(lanes)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn worlds_of_a_model_sit_together() {
+        let seats = Seats::new(2, &[0, 1, 0, 1, 0]);
+        assert_eq!(seats.groups(), 3);
+        assert_eq!(seats.worlds(0), [0, 2]);
+        assert_eq!(seats.worlds(1), [4]);
+        assert_eq!(seats.worlds(2), [1, 3]);
+        assert_eq!((0..3).map(|group| seats.model(group)).collect::<Vec<_>>(), [0, 0, 1]);
+        for world in 0..5 {
+            let (group, lane) = seats.of(world);
+            assert_eq!(seats.worlds(group)[lane], world);
+        }
+        assert_eq!(registers(2, &[0, 1, 0, 1, 0]), 3);
+    }
+}
