@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from stepcore.engine.batch import Rollout as Rollout
     from stepcore.engine.linearization import Linearization as Linearization
     from stepcore.engine.model import Model as Model
+    from stepcore.engine.parameters import Parameters as Parameters
     from stepcore.engine.model_data import ContactPair as ContactPair
     from stepcore.engine.model_data import Keyframe as Keyframe
     from stepcore.engine.plan import Plan as Plan
@@ -116,6 +117,7 @@ _MODULES = {
     ),
     "stepcore.engine.linearization": ("Linearization",),
     "stepcore.engine.model": ("Model",),
+    "stepcore.engine.parameters": ("Parameters",),
     "stepcore.engine.model_data": ("ContactPair", "Keyframe"),
     "stepcore.engine.plan": (
         "Plan",
