@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from stepcore.engine.batch import Rollout as Rollout
     from stepcore.engine.linearization import Linearization as Linearization
     from stepcore.engine.model import Model as Model
-    from stepcore.engine.parameters import Parameters as Parameters
     from stepcore.engine.model_data import ContactPair as ContactPair
     from stepcore.engine.model_data import Keyframe as Keyframe
+    from stepcore.engine.parameters import Parameters as Parameters
     from stepcore.engine.plan import Plan as Plan
     from stepcore.engine.plan import PlanEntry as PlanEntry
     from stepcore.engine.postmortem import PostMortem as PostMortem

@@ -116,7 +116,7 @@ class Batch(Stepped):
         >>> from stepcore import Batch, lesson
         >>> batch = Batch(lesson.spring(), 2)
         >>> batch.param["joint/spring/stiffness"] = [10.0, 20.0]
-        >>> batch.model_of(1).scene.joint("spring").stiffness[0]
+        >>> batch.model_of(1).scene.joint("spring").stiffness
         20.0
         """
         return self._param

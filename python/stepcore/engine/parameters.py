@@ -44,6 +44,7 @@ class Parameters(Mapping[str, Floats]):
     >>> import stepcore as sc
     >>> batch = sc.Batch(sc.lesson.drop(), 3)
     >>> batch.param["gravity"] = [[0, 0, -1.0], [0, 0, -2.0], [0, 0, -3.0]]
+    >>> batch.reset("start")
     >>> batch.step()
     >>> (batch.qvel[:, 0] / batch.settings.dt).round(9).tolist()
     [-1.0, -2.0, -3.0]
