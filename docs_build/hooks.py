@@ -18,12 +18,14 @@ ROOT = Path(__file__).parents[1]
 
 
 def on_config(config):
-    """The repository's address is the one in pyproject.toml. Notebooks show their figures."""
+    """Notebooks show their figures; below every page stands the repository's address.
+
+    It is not mkdocs' `repo_url`, for which the theme's scripts would ask the host on every page.
+    """
     os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    addresses = project.get("urls", {})
-    config.repo_url = addresses.get("Repository") or addresses.get("Source")
-    config.repo_name = "Repository"
+    project = tomllib.loads(_text("pyproject.toml"))["project"]
+    config.extra["repository"] = address = project["urls"]["Repository"]
+    config.copyright = f'<a href="{address}">{address}</a>'
     return config
 
 
@@ -60,4 +62,4 @@ def on_page_markdown(markdown, page, config, files):
     """Runs the commands that a page shows, and makes links to the repository's files absolute."""
     del files
     shown = commands.with_outputs(markdown, ROOT)
-    return links.to_repository(shown, page.file.src_uri, config.repo_url)
+    return links.to_repository(shown, page.file.src_uri, config.extra["repository"])

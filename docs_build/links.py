@@ -31,10 +31,10 @@ def as_in_docs(text: str) -> str:
     return LINK.sub(moved, listed)
 
 
-def to_repository(text: str, page: str, address: str | None) -> str:
+def to_repository(text: str, page: str, address: str) -> str:
     """A page whose links to files outside of docs/ lead to the repository's address.
 
-    page: its path in docs/. Where the address is not known only the words stay.
+    page: its path in docs/.
     """
     folder = posixpath.dirname(page)
 
@@ -46,7 +46,7 @@ def to_repository(text: str, page: str, address: str | None) -> str:
         path = path.removeprefix("../")
         if path in PAGES:
             return f"{shown}({posixpath.relpath(PAGES[path], folder or '.')})"
-        return f"{shown}({address}/blob/main/{path})" if address else shown[1:-1]
+        return f"{shown}({address}/blob/main/{path})"
 
     return LINK.sub(led, text)
 

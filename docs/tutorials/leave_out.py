@@ -33,7 +33,7 @@ result = sc.ablate(
 print("\n".join(result.sentences[:5]))
 
 # %%
-figure = result.plot()
+result.plot()
 
 # %% [markdown]
 # ## The smallest model

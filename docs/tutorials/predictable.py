@@ -43,7 +43,7 @@ print(result.sentences[0])
 print(f"predictable for {result.time:.1f} s")
 
 # %%
-figure = result.plot()
+result.plot()
 
 # %% [markdown]
 # ## The same by hand

@@ -68,7 +68,7 @@ print("\n".join(diagnosis.sentences))
 # changed. Or the gain of the servo could be lowered, to 118 N·m/rad.
 
 # %%
-figure = diagnosis.plot()
+diagnosis.plot()
 
 # %% [markdown]
 # ## What does it cost in accuracy?

@@ -50,6 +50,5 @@ def test_links_lead_to_pages_and_else_to_the_repository():
     assert links.as_in_docs("[c]: https://x.org/blob/main/docs/c.md") == "[c]: c.md"
     led = links.to_repository(moved, "index.md", "https://x.org")
     assert led == "[a](trade.md#errors) [b](https://x.org/blob/main/benches/README.md) ![c](c.png)"
-    assert links.to_repository("[m](../method.md)", "api/a.md", None) == "[m](../method.md)"
-    assert links.to_repository("[home](../README.md)", "a.md", None) == "[home](index.md)"
-    assert links.to_repository("[b](../benches/README.md)", "a.md", None) == "b"
+    assert links.to_repository("[m](../method.md)", "api/a.md", "") == "[m](../method.md)"
+    assert links.to_repository("[home](../README.md)", "a.md", "") == "[home](index.md)"
