@@ -212,3 +212,8 @@ def test_a_diagnosis_says_how_many_of_its_elements_are_drawn(results):
     title = many.plot().axes[0].get_title(loc="left")
     assert title.endswith("(10 stiffest of 24 elements)")
     assert "elements)" not in result.plot().axes[0].get_title(loc="left")
+
+
+def test_a_notebook_shows_a_plot():
+    figure = sc.plan(lesson.drop()).plot()
+    assert figure._repr_svg_().startswith("<?xml") and "</svg>" in figure._repr_svg_()

@@ -30,10 +30,10 @@ SHORT, NARROW = 2.0, 0.5
 def new_figure(width: float = 8.0, height: float = 4.8) -> Any:
     """An empty figure [inches]; an ImportError that says what to install without matplotlib."""
     try:
-        from matplotlib.figure import Figure
+        from stepcore.report.plot.notebook_figure import NotebookFigure
     except ImportError:
         raise ImportError("a plot needs matplotlib: pip install 'stepcore[plot]'") from None
-    return Figure(figsize=(width, height), dpi=150, layout="constrained")
+    return NotebookFigure(figsize=(width, height), dpi=150, layout="constrained")
 
 
 def frame(axes: Any, title: str = "") -> None:
