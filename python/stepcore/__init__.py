@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from stepcore._core import EnergyWarning as EnergyWarning
     from stepcore._core import Settings as Settings
     from stepcore._core import SimulationError as SimulationError
+    from stepcore.engine.axes import Axis as Axis
     from stepcore.engine.batch import Batch as Batch
     from stepcore.engine.batch import Rollout as Rollout
     from stepcore.engine.linearization import Linearization as Linearization
@@ -111,6 +112,7 @@ _MODULES = {
         "Settings",
         "SimulationError",
     ),
+    "stepcore.engine.axes": ("Axis",),
     "stepcore.engine.batch": (
         "Batch",
         "Rollout",

@@ -35,7 +35,7 @@ def test_a_step_loads_the_scene_and_the_engine():
     )
     loaded = fresh(code)
     assert "stepcore.engine.batch" in loaded
-    allowed = ("_core", "checks", "engine", "scene", "mjcf.nodes", "mjcf.effects")
+    allowed = ("_core", "checks", "engine", "scene", "mjcf.nodes", "mjcf.mended", "mjcf.effects")
     rest = [name.removeprefix("stepcore.") for name in loaded if name.startswith("stepcore.")]
     assert [name for name in rest if not name.startswith(allowed)] == ["mjcf"]
 

@@ -1,10 +1,13 @@
 """Runs over time: overlap as a recordable number, and the picture."""
 
+import sys
+
 import numpy as np
 import pytest
 
 import stepcore as sc
 from stepcore import lesson
+from stepcore.engine.trajectory import RECORDED
 
 
 def drop():
@@ -68,3 +71,110 @@ def test_the_picture(tmp_path, record, labels):
 def test_nothing_recorded_cannot_be_drawn():
     with pytest.raises(ValueError, match="recorded nothing"):
         drop().run(0.1, record=()).plot()
+
+
+EVERYTHING = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+<body name="box" pos="0 0 1"><freejoint name="root"/><geom name="g" size=".1"/><site name="s"/>
+<body name="arm"><joint name="knee"/><geom size=".1"/>
+<body><joint type="ball"/><geom size=".1"/></body></body></body></worldbody>
+<actuator><motor name="m" joint="knee"/></actuator>
+<sensor><jointpos name="angle" joint="knee"/><gyro name="imu" site="s"/></sensor></mujoco>"""
+NAMED = {
+    "qpos": [("knee",)],
+    "sensordata": [("angle", "imu.0", "imu.1", "imu.2")],
+    "xpos": [("world", "box", "arm", "#3"), ("x", "y", "z")],
+    "energy": [("kinetic", "potential")],
+    "actuator_force": [("m",)],
+}
+
+
+def recorded(names=RECORDED):
+    return sc.Sim(sc.loads(EVERYTHING)).run(0.02, record=names)
+
+
+def test_arrays_by_their_names():
+    run = recorded(("qpos", "energy"))
+    assert run["qpos"] is run.qpos and run["time"] is run.time
+    assert "qpos" in run and "time" in run and "qvel" not in run and 0 not in run
+    with pytest.raises(KeyError, match='nearest: "qpos"'):
+        run["qpso"]
+    with pytest.raises(KeyError, match="0 was not recorded"):
+        run[0]
+    with pytest.raises(TypeError):
+        list(run)
+
+
+def test_the_axes_are_named_as_the_model_s_parts():
+    run = recorded()
+    free, ball = "xyz", ("qw", "qx", "qy", "qz")
+    root = [f"root.{part}" for part in (*free, *ball)]
+    for name, entries in (NAMED | {"qpos": [(*root, "knee", *(f"#2.{p}" for p in ball))]}).items():
+        assert [axis.entries for axis in run.axes(name)] == entries, name
+    assert [axis.name for axis in run.axes("xpos")] == ["body", "xyz"]
+    assert run.axes("qvel")[0].entries[3:8] == ("root.wx", "root.wy", "root.wz", "knee", "#2.wx")
+    assert [axis.name for axis in run.axes("xmat")] == ["body", "xmat_1", "xmat_2"]
+    # Everything that can be recorded has as many entries as it has numbers.
+    for name, values in run.data.items():
+        assert tuple(len(axis.entries) for axis in run.axes(name)) == values.shape[1:]
+    plain = sc.Trajectory(run.time, run.data)
+    assert plain.axes("qpos")[0].entries[:2] == ("0", "1")
+
+
+def test_a_file_keeps_every_array_and_its_names(tmp_path):
+    run = recorded()
+    run.save(tmp_path / "run.data")
+    again = sc.Trajectory.load(tmp_path / "run.data")
+    assert np.array_equal(again.time, run.time) and list(again.data) == list(run.data)
+    for name, values in run.data.items():
+        assert again[name].dtype == values.dtype and np.array_equal(again[name], values)
+        assert again.axes(name) == run.axes(name), name
+    again.save(tmp_path / "again.npz")
+    assert sc.Trajectory.load(tmp_path / "again.npz").axes("xpos") == run.axes("xpos")
+    with pytest.raises(ValueError, match="has no snapshots"):
+        again.save_html(tmp_path / "run.html")
+
+
+def test_what_is_no_trajectory_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"none\.npz: no such file"):
+        sc.Trajectory.load(tmp_path / "none.npz")
+    with pytest.raises(IsADirectoryError, match="is a folder"):
+        sc.Trajectory.load(tmp_path)
+    (tmp_path / "text.npz").write_text("text")
+    (tmp_path / "empty.npz").touch()
+    np.savez(tmp_path / "other.npz", a=np.arange(3))
+    np.save(tmp_path / "array.npy", np.arange(3))
+    recorded(("qpos",)).save(tmp_path / "run.npz")
+    (tmp_path / "half.npz").write_bytes((tmp_path / "run.npz").read_bytes()[:200])
+    for name in ("text.npz", "empty.npz", "other.npz", "array.npy", "half.npz"):
+        with pytest.raises(ValueError, match=rf"{name}: is no trajectory"):
+            sc.Trajectory.load(tmp_path / name)
+    arrays = dict(np.load(tmp_path / "run.npz"))
+    np.savez(tmp_path / "new.npz", **(arrays | {"version": np.array(99)}))
+    with pytest.raises(ValueError, match=r"version 99 .*; this stepcore reads version 1"):
+        sc.Trajectory.load(tmp_path / "new.npz")
+
+
+def test_frames_of_pandas_and_xarray():
+    run = recorded(("qpos", "xpos", "overlap"))
+    frame = run.to_pandas()
+    assert frame.index.name == "time [s]" and np.array_equal(frame.index, run.time)
+    assert np.array_equal(frame["qpos[knee]"], run.qpos[:, 7])
+    assert np.array_equal(frame["xpos[arm, z]"], run.xpos[:, 2, 2])
+    assert np.array_equal(frame["overlap"], run.overlap)
+    assert frame.shape == (len(run), 12 + 12 + 1)
+    dataset = run.to_xarray()
+    assert np.array_equal(dataset.xpos.sel(body="arm", xyz="z"), run.xpos[:, 2, 2])
+    assert dataset.overlap.attrs["units"] == "m" and dataset.time.attrs["units"] == "s"
+    assert dataset.qpos.dims == ("time", "coordinate")
+    everything = recorded()
+    assert set(everything.to_xarray().data_vars) == set(everything.data)
+    assert len(everything.to_pandas().columns) == sum(
+        values[0].size for values in everything.data.values()
+    )
+
+
+@pytest.mark.parametrize(("method", "package"), [("to_pandas", "pandas"), ("to_xarray", "xarray")])
+def test_a_missing_package_is_named_with_its_extra(monkeypatch, method, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ImportError, match=rf"needs {package}: pip install 'stepcore\[data\]'"):
+        getattr(recorded(("qpos",)), method)()

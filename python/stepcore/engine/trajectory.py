@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
+from stepcore.engine import trajectory_file
 from stepcore.engine.arrays import numbers
+from stepcore.engine.axes import Axis, axes_of
 from stepcore.engine.snapshots import Snapshots, Taking
 from stepcore.engine.unsolved import LOOKS, Residuals
 
@@ -44,18 +46,57 @@ RECORDED = (
 
 @dataclass(repr=False)
 class Trajectory:
-    """A recorded run: ``trajectory.qpos`` and so on, with time as the first axis.
+    """A recorded run: ``trajectory["qpos"]`` or ``trajectory.qpos``, with time as the first axis.
 
     time: [s], shape (steps + 1,).
     data: recorded arrays by name, shape (steps + 1, …); the first entry is the initial state.
     unsolved: the text of the `UnsolvedWarning` of this run, "" if there was none.
     snapshots: whole states of the run, at most 60 a second, from which it is looked at.
+
+    >>> from stepcore import Sim, lesson
+    >>> run = Sim(lesson.drop()).run(0.5)
+    >>> run["qpos"].shape, [axis.entries for axis in run.axes("qpos")]
+    ((251, 1), [('height0',)])
     """
 
     time: NDArray[np.float64]
     data: dict[str, NDArray[Any]] = field(default_factory=dict)
     unsolved: str = ""
     snapshots: Snapshots | None = None
+    # Of a run that was read from a file, where no model names them.
+    _axes: dict[str, tuple[Axis, ...]] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """A recorded array by its name, or "time".
+
+        Raises KeyError, which names the nearest, for what was not recorded.
+        """
+        if name == "time":
+            return self.time
+        if name not in self.data:
+            known = checks.nearest(name, self.data) if isinstance(name, str) else ""
+            raise KeyError(f"{checks.shown(name)} was not recorded{known}")
+        return self.data[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name == "time" or name in self.data
+
+    # A run has both instants and arrays: it is not gone through as a list of either.
+    __iter__ = None
+
+    def axes(self, name: str) -> tuple[Axis, ...]:
+        """The axes of a recorded array after time, with what they are named in the model.
+
+        The axes of "xpos" are "body", with the names of the bodies, and "xyz". Where nothing names
+        an axis its entries are numbered.
+        """
+        if name in self._axes:
+            return self._axes[name]
+        model = None if self.snapshots is None else self.snapshots.model
+        return axes_of(model, name, self[name].shape[1:])
+
+    def _every_axis(self) -> dict[str, tuple[Axis, ...]]:
+        return {name: self.axes(name) for name in self.data}
 
     def __getattr__(self, name: str) -> NDArray[Any]:
         # Looked up only when there is no such attribute; `data` is not there in a copy's making.
@@ -88,6 +129,57 @@ class Trajectory:
         from stepcore.report.plot import plot
 
         return plot("trajectory", self, path)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the recorded arrays and the names of their axes to a file of numpy's (.npz).
+
+        `Trajectory.load` reads it. It has no snapshots: what is to be looked at later is written
+        by `save_html`, `save_video` or `save_mcap`.
+
+        >>> from stepcore import Sim, Trajectory, lesson
+        >>> Sim(lesson.drop()).run(0.5).save("drop.npz")
+        >>> Trajectory.load("drop.npz")["qpos"].shape
+        (251, 1)
+        """
+        trajectory_file.write(path, self.time, self.data, self._every_axis(), self.unsolved)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Trajectory:
+        """Reads what `save` wrote.
+
+        Raises ValueError for another file or a damaged one, FileNotFoundError, IsADirectoryError.
+        """
+        time, data, unsolved, axes = trajectory_file.read(path)
+        return cls(time, data, unsolved, _axes=axes)
+
+    def to_pandas(self) -> Any:
+        """The run as a pandas DataFrame: a row for each instant, columns such as "qpos[knee]".
+
+        Needs pandas (the extra "data").
+        """
+        return trajectory_file.to_pandas(self.time, self.data, self._every_axis())
+
+    def to_xarray(self) -> Any:
+        """The run as an xarray Dataset: ``dataset.xpos.sel(body="torso", xyz="z")``.
+
+        Needs xarray (the extra "data").
+        """
+        return trajectory_file.to_xarray(self.time, self.data, self._every_axis())
+
+    def save_mcap(self, path: str | os.PathLike[str]) -> None:
+        """Writes the run as a log that Foxglove opens (MCAP, JSON with schemas).
+
+        Topics: ``/tf``, where the bodies are (foxglove.FrameTransforms); ``/scene``, what they look
+        like, and ``/contacts``, the forces as arrows (foxglove.SceneUpdate), both at the snapshots;
+        ``/state``, energy, residual and contacts; ``/recorded``, the recorded arrays at every
+        step. Times count from the beginning of simulated time. Needs the extra "mcap". See
+        docs/view.md.
+
+        Raises ValueError for a trajectory without snapshots, and OSError.
+        """
+        from stepcore.viewing.mcap_log import write
+
+        write(self._replayed(), self.time, self.data, path)
 
     def view(self, *, host: str = "localhost", port: int = 8080, wait: bool | None = None) -> View:
         """Opens a page that replays the run, with a slider for time; see `stepcore.view`."""

@@ -84,7 +84,9 @@ class Table:
         try:
             import pandas  # type: ignore[import-untyped,unused-ignore]
         except ImportError:
-            raise ImportError("Table.to_pandas needs pandas: pip install pandas") from None
+            raise ImportError(
+                "Table.to_pandas needs pandas: pip install 'stepcore[data]'"
+            ) from None
         return pandas.DataFrame(self.records, columns=self.columns)
 
     def text(self, width: int | None = None) -> str:

@@ -1,0 +1,97 @@
+"""What the entries of a recorded array belong to: its axes after time, with their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from stepcore.engine.model_data import ModelData
+
+UNITS = {
+    "time": "s",
+    "energy": "J",
+    **dict.fromkeys(("overlap", "unrecovered_overlap"), "m"),
+    **dict.fromkeys(("xpos", "geom_xpos", "site_xpos", "subtree_com", "mocap_pos"), "m"),
+    **dict.fromkeys(("residual",), "m/s"),
+}
+XYZ, WXYZ = ("x", "y", "z"), ("w", "x", "y", "z")
+FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
+QUATERNION, TURNING = ("qw", "qx", "qy", "qz"), ("wx", "wy", "wz")
+# Of joints with several coordinates or dofs.
+COORDINATES = {"free": (*XYZ, *QUATERNION), "ball": QUATERNION}
+DOFS = {"free": ("vx", "vy", "vz", *TURNING), "ball": TURNING}
+# The axes of each array; where an array has more, the rest are numbered.
+AXES = {
+    **dict.fromkeys(("qvel", "qacc", "qfrc_applied", "bias", "passive"), ("dof",)),
+    **dict.fromkeys(("constraint_force",), ("dof",)),
+    **dict.fromkeys(("ctrl", "actuator_length", "actuator_velocity"), ("actuator",)),
+    **dict.fromkeys(("actuator_force",), ("actuator",)),
+    **dict.fromkeys(("xpos", "subtree_com"), ("body", "xyz")),
+    **dict.fromkeys(("xmat", "cinert", "cvel", "cacc", "cfrc_ext", "cfrc_int"), ("body",)),
+    **dict.fromkeys(("ten_length", "ten_velocity"), ("tendon",)),
+    "qpos": ("coordinate",),
+    "xfrc_applied": ("body", "force"),
+    "xquat": ("body", "wxyz"),
+    "geom_xpos": ("geom", "xyz"),
+    "geom_xmat": ("geom",),
+    "site_xpos": ("site", "xyz"),
+    "site_xmat": ("site",),
+    "mocap_pos": ("mocap", "xyz"),
+    "mocap_quat": ("mocap", "wxyz"),
+    "energy": ("part",),
+    "sensordata": ("reading",),
+}
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis of a recorded array. name: such as "body"; entries: what it has, by name."""
+
+    name: str
+    entries: tuple[str, ...]
+
+
+def axes_of(model: ModelData | None, array: str, shape: Sequence[int]) -> tuple[Axis, ...]:
+    """The axes of an array after time; without a model, or a name for them, they are numbered."""
+    known = AXES.get(array, ()) if model is not None else ()
+    axes = []
+    for k, length in enumerate(shape):
+        name = known[k] if k < len(known) else ""
+        entries = _entries(model, name) if model is not None and name else ()
+        if len(entries) != length:
+            name, entries = f"{array}_{k}", tuple(map(str, range(length)))
+        axes.append(Axis(name, tuple(entries)))
+    return tuple(axes)
+
+
+def _entries(model: ModelData, axis: str) -> Sequence[str]:
+    fixed = {"xyz": XYZ, "wxyz": WXYZ, "force": FORCE, "part": ("kinetic", "potential")}
+    if axis in fixed:
+        return fixed[axis]
+    if axis in model.names:
+        return [name or f"#{k}" for k, name in enumerate(model.names[axis])]
+    lists: dict[str, Callable[[], Sequence[str]]] = {
+        "dof": lambda: _of_joints(model, DOFS),
+        "coordinate": lambda: _of_joints(model, COORDINATES),
+        "reading": lambda: _readings(model),
+    }
+    return lists[axis]() if axis in lists else ()
+
+
+def _of_joints(model: ModelData, parts: Mapping[str, Sequence[str]]) -> list[str]:
+    """The entries of joints: "knee", or "root.x" and so on of a joint of several."""
+    entries: list[str] = []
+    for k, name in enumerate(model.joint_names):
+        own = parts.get(model.jnt_type[k], ())
+        entries += [f"{name or f'#{k}'}.{part}" for part in own] or [name or f"#{k}"]
+    return entries
+
+
+def _readings(model: ModelData) -> list[str]:
+    entries: list[str] = []
+    for k, name in enumerate(model.sensor_names):
+        count, name = int(model.sensor_dim[k]), name or f"#{k}"
+        entries += [name] if count == 1 else [f"{name}.{part}" for part in range(count)]
+    return entries

@@ -1,0 +1,94 @@
+"""A recorded run as a file of numpy's (.npz), and as frames of pandas and xarray."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import zipfile
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore.engine.axes import UNITS, Axis
+
+Data = Mapping[str, NDArray[Any]]
+Axes = Mapping[str, tuple[Axis, ...]]
+
+# Goes up when the layout of the file changes.
+KIND, VERSION = "stepcore trajectory", 1
+
+
+def write(
+    path: str | os.PathLike[str], time: NDArray[Any], data: Data, axes: Axes, unsolved: str
+) -> None:
+    """See `Trajectory.save`."""
+    arrays = {"kind": np.array(KIND), "version": np.array(VERSION), "time": time}
+    arrays["unsolved"] = np.array(unsolved)
+    for name, values in data.items():
+        arrays[f"data/{name}"] = values
+        for k, axis in enumerate(axes[name]):
+            arrays[f"axis/{name}/{k}/{axis.name}"] = np.array(axis.entries, dtype=np.str_)
+    with open(path, "wb") as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+
+
+def read(
+    path: str | os.PathLike[str],
+) -> tuple[NDArray[Any], dict[str, NDArray[Any]], str, dict[str, tuple[Axis, ...]]]:
+    """Time, data, what was not solved, and axes; see `Trajectory.load`."""
+    shown = os.fsdecode(path)
+    if os.path.isdir(shown):
+        raise IsADirectoryError(f"{shown}: is a folder, not a trajectory")
+    try:
+        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+            arrays: Mapping[str, NDArray[Any]] = {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{shown}: no such file") from None
+    except (ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile):
+        raise ValueError(f"{shown}: is no trajectory, or was damaged") from None
+    if "kind" not in arrays or str(arrays["kind"]) != KIND:
+        raise ValueError(f"{shown}: is no trajectory; `Trajectory.save` writes them")
+    if int(arrays["version"]) != VERSION:
+        what = f"version {int(arrays['version'])} of a trajectory"
+        raise ValueError(f"{shown}: {what}; this stepcore reads version {VERSION}")
+    data = {n.removeprefix("data/"): arrays[n] for n in arrays if n.startswith("data/")}
+    axes: dict[str, tuple[Axis, ...]] = dict.fromkeys(data, ())
+    for name, entries in arrays.items():
+        if name.startswith("axis/"):
+            _, array, _, axis = name.split("/")
+            axes[array] += (Axis(axis, tuple(map(str, entries))),)
+    return arrays["time"], data, str(arrays["unsolved"]), axes
+
+
+def to_pandas(time: NDArray[Any], data: Data, axes: Axes) -> Any:
+    """See `Trajectory.to_pandas`."""
+    pandas = _needed("pandas", "Trajectory.to_pandas")
+    columns: dict[str, NDArray[Any]] = {}
+    for name, values in data.items():
+        entries = [axis.entries for axis in axes[name]]
+        for index in np.ndindex(*values.shape[1:]):
+            of = ", ".join(names[k] for names, k in zip(entries, index, strict=True))
+            columns[f"{name}[{of}]" if of else name] = values[(slice(None), *index)]
+    return pandas.DataFrame(columns, index=pandas.Index(time, name="time [s]"))
+
+
+def to_xarray(time: NDArray[Any], data: Data, axes: Axes) -> Any:
+    """See `Trajectory.to_xarray`."""
+    xarray = _needed("xarray", "Trajectory.to_xarray")
+    coordinates: dict[str, Any] = {"time": ("time", time, {"units": UNITS["time"]})}
+    variables = {}
+    for name, values in data.items():
+        own = axes[name]
+        units = {"units": UNITS[name]} if name in UNITS else {}
+        variables[name] = (("time", *(axis.name for axis in own)), values, units)
+        coordinates |= {a.name: (a.name, np.array(a.entries, dtype=np.str_)) for a in own}
+    return xarray.Dataset(variables, coordinates)
+
+
+def _needed(package: str, what: str) -> Any:
+    try:
+        return importlib.import_module(package)
+    except ImportError:
+        raise ImportError(f"{what} needs {package}: pip install 'stepcore[data]'") from None
