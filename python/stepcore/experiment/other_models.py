@@ -14,6 +14,7 @@ import copy
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from stepcore._core import Settings
@@ -206,9 +207,10 @@ class ErrorSplit:
     def _double(self, settings: Settings) -> list[Path] | None:
         """The same runs in double precision, None if they fail."""
         if settings not in self.doubles:
-            starts = range(len(self.runs.runner.schedule.starts))
-            paths = [self.runs.runner.run(settings, start) for start in starts]
-            if any(path.failure for path in paths):
+            runs, bar = self.runs, Progress("", self.runs.starts, False)
+            job = partial(runs.runner.run, settings)
+            paths = runs.workers.until(lambda path: path.failure, job, range(runs.starts), bar)
+            if paths[-1].failure:
                 return None
             self.doubles[settings] = paths
         return self.doubles[settings]

@@ -214,20 +214,19 @@ class ReferenceRuns:
         return steps * (self.runner.model.nv + 2) * solves * self.weight
 
     def level(self, integrator: str, dt: float, bar: Progress, bare: bool = False) -> Level:
-        """All starts at one step; bare: only positions are recorded."""
-        self.spent += self.cost(integrator, dt)
+        """All starts at one step, until one fails; bare: only positions are recorded."""
         run = self.runner.screen if bare else self.runner.run
         job = partial(run, self.settings(integrator, dt))
-        return Level(dt, integrator, self.workers.each(job, range(self.starts), bar))
+        paths = self.workers.until(lambda path: path.failure, job, range(self.starts), bar)
+        self.spent += self.cost(integrator, dt) * len(paths) / self.starts
+        return Level(dt, integrator, paths)
 
     def reference(self, bar: Progress) -> Reference:
         """Two integrators at three halvings each, and perturbed runs; the better known one."""
         steps, failed = self._steps(), None
         for integrator in (self.second, "rk4"):
-            levels = [self.level(integrator, dt, bar) for dt in steps]
-            failed = next((level.failed for level in levels[::-1] if level.failed), failed)
-            whole = [i for i, level in enumerate(levels) if level.failed]
-            levels = levels[whole[-1] + 1 :] if whole else levels
+            levels, fails = self._levels(integrator, steps, bar)
+            failed = fails or failed
             if len(levels) > 1:
                 self.chains[integrator] = levels
         if not self.chains:
@@ -251,6 +250,22 @@ class ReferenceRuns:
             self._catch_up(reference, bar)
             reference = self._better_known(growth, reference.level.integrator)
         return dataclasses.replace(reference, exact=self._exact(reference))
+
+    def _levels(
+        self, integrator: str, steps: Sequence[float], bar: Progress
+    ) -> tuple[list[Level], str | None]:
+        """Levels at steps, which are given coarsest first, and why the next coarser one failed.
+
+        The finest is run first: what is coarser than one that fails is of no use, and a run that
+        explodes can cost more than all that do not.
+        """
+        levels: list[Level] = []
+        for dt in reversed(steps):
+            level = self.level(integrator, dt, bar)
+            if level.failed:
+                return levels, level.failed
+            levels.insert(0, level)
+        return levels, None
 
     def _exact(self, reference: Reference) -> Exact | None:
         """The closed form, unless the converged run says that something was met on the way."""

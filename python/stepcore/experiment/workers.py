@@ -42,3 +42,18 @@ class Workers:
             with self.bar(bar, len(points)) as own:
                 return self.each(job, points, own)
         return each(job, points, bar=bar, threads=self.threads, executor=self.executor)
+
+    def until(
+        self, ends: Callable[[R], object], job: Callable[[T], R], points: Sequence[T], bar: Progress
+    ) -> list[R]:
+        """The results up to the first that `ends` is true of, and that one: on any number of
+        threads the same. What would come after it is not begun, or its result is dropped.
+        """
+        together = len(points) if self.executor is not None else self.threads
+        done: list[R] = []
+        for first in range(0, len(points), max(1, together)):
+            for result in self.each(job, points[first : first + together], bar):
+                done.append(result)
+                if ends(result):
+                    return done
+        return done

@@ -240,7 +240,7 @@ def _again(
 
 def _refine(runs: ReferenceRuns, trials: Trials, tried: Sequence[Settings]) -> None:
     """Halves the reference's step until its error is a tenth of the smallest in the table."""
-    whole = [trials.paths[setting] for setting in tried if not trials.paths[setting][-1].failure]
+    whole = [trials.paths[setting] for setting in tried if not trials.failure(setting)]
     while whole and runs.can_refine(trials.reference):
         ref = trials.reference
         least = smallest([errors(p, ref.paths, ref.scored).high for p in whole], runs.size)

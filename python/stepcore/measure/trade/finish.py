@@ -28,11 +28,15 @@ class Finisher:
 
     def rows(self, settings: Sequence[Settings], others: Sequence[TimedRun] = ()) -> list[TradeRow]:
         """Rows of settings that have been run, timed in turn with one another and with others."""
+        failed = {setting for setting in settings if self.trials.failure(setting)}
         for setting in settings:
-            self.split.keep(setting, self.trials.paths[setting])
+            if setting not in failed:
+                self.split.keep(setting, self.trials.paths[setting])
         times = [math.nan] * len(settings)
         if self.by == "time":
-            runs = [*(TimedRun(self.trials.runner, setting) for setting in settings), *others]
+            runner = self.trials.runner
+            own = [TimedRun(runner, setting, setting in failed) for setting in settings]
+            runs = [*own, *others]
             with self.trials.workers.bar("costs", len(runs)) as bar:
                 times = costs(runs, bar)[: len(settings)]
         return [self._row(setting, cost) for setting, cost in zip(settings, times, strict=True)]

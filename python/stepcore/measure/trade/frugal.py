@@ -61,7 +61,9 @@ def searched(
             some = search.meeting(error, climb)
         chosen += some + [setting.replace(precision="f32") for setting in some[:SINGLE]]
     least = 0.0 if wanted.whole else min((error for error, _ in targets), default=0.0) / USELESS
-    chosen += _fronts(search, least)
+    # What is nearer to the reference than it is known is not known to be better.
+    known = 0.0 if runs.can_refine(trials.reference) else trials.reference.high
+    chosen += _fronts(search, least, known)
     chosen.append(runs.shipped)
     failed = [
         setting
@@ -104,19 +106,26 @@ def _targets(search: SettingsSearch, wanted: Wanted) -> list[tuple[float, bool]]
     return [(own * share, climb) for share, climb in shares if own > 0]
 
 
-def _fronts(search: SettingsSearch, least: float) -> list[Settings]:
-    """The front of every integrator by its scores from few starts, thinned out."""
+def _fronts(search: SettingsSearch, least: float, known: float) -> list[Settings]:
+    """The front of every integrator by its scores from few starts, thinned out.
+
+    least: smaller errors are not wanted [m]. known: of errors up to it the cheapest is wanted.
+    """
     by_name: dict[str, list[Settings]] = {}
     for setting in search.trials.screened:
         by_name.setdefault(setting.integrator, []).append(setting)
-    return [s for some in by_name.values() for s in _thin(search, some, least)]
+    return [s for some in by_name.values() for s in _thin(search, some, least, known)]
 
 
-def _thin(search: SettingsSearch, some: Sequence[Settings], least: float) -> list[Settings]:
+def _thin(
+    search: SettingsSearch, some: Sequence[Settings], least: float, known: float
+) -> list[Settings]:
     scores = [(search.trials.score(setting, search.few), i) for i, setting in enumerate(some)]
     kept, best, last = [], math.inf, 0.0
     for score, i in sorted(scores, key=lambda pair: (pair[0].price, pair[0].error, pair[1])):
         if score.error < best and score.price > SPARSE * last and score.error >= least:
             kept.append(some[i])
             best, last = score.error, score.price
+            if best <= known:
+                break
     return kept

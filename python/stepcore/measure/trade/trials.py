@@ -23,6 +23,8 @@ from stepcore.experiment.workers import Workers
 T = TypeVar("T")
 # Runs of a setting, and the work of the first.
 Ran = tuple[list[Path], Work]
+# A setting, the first start of its runs and the one after the last.
+Screened = tuple[Settings, int, int]
 
 
 @dataclass(frozen=True)
@@ -59,18 +61,40 @@ class Trials:
             done = self.screened.get(setting, [])
             if len(done) < starts and not (done and done[-1].failure):
                 jobs.append((setting, len(done), starts))
-        ran = self._each(partial(screen_starts, self.runner), jobs, label)
-        for (setting, first, _), (paths, work) in zip(jobs, ran, strict=True):
+        for (setting, first, _), (paths, work) in zip(
+            jobs, self._screened(jobs, label), strict=True
+        ):
             self.screened.setdefault(setting, []).extend(paths)
             if first == 0:
                 self.work[setting] = work
 
     def run(self, settings: Sequence[Settings], label: str = "errors") -> None:
-        """Runs settings from every start, fully recorded; what has been run is not run again."""
+        """Runs settings from every start, fully recorded; what has been run is not run again, and
+        what failed in the search is not run to fail again."""
+        for setting in settings:
+            done = self.screened.get(setting)
+            if done and setting not in self.paths and (done[-1].failure or self.far(done)):
+                self.paths[setting] = done
         missing = [setting for setting in dict.fromkeys(settings) if setting not in self.paths]
+        # The dearest first, so that all threads end together.
+        missing.sort(key=lambda setting: setting.dt)
         ran = self._each(partial(all_starts, self.runner), missing, label)
         for setting, (paths, work) in zip(missing, ran, strict=True):
             self.paths[setting], self.work[setting] = paths, work
+
+    def _screened(self, jobs: Sequence[Screened], label: str) -> list[Ran]:
+        """The runs of jobs; of fewer jobs than threads the starts run at the same time."""
+        job = partial(screen_starts, self.runner)
+        if self.workers.executor is not None or len(jobs) >= self.workers.threads:
+            return self._each(job, jobs, label)
+        ran = []
+        for setting, first, last in jobs:
+            starts = [(setting, start, start + 1) for start in range(first, last)]
+            with self.workers.bar(label, len(starts)) as bar:
+                parts = self.workers.until(lambda part: part[0][-1].failure, job, starts, bar)
+            self.runs += len(parts)
+            ran.append(([path for paths, _ in parts for path in paths], parts[0][1]))
+        return ran
 
     def _each(self, job: Callable[[T], Ran], points: Sequence[T], label: str) -> list[Ran]:
         ran = self.workers.each(job, points, label)
@@ -103,7 +127,7 @@ def priced(runner: Runner, settings: Settings) -> tuple[Path, Work]:
     return runner.run(settings, 0, [Positions(runner.bodies), counter]), counter.work
 
 
-def screen_starts(runner: Runner, job: tuple[Settings, int, int]) -> Ran:
+def screen_starts(runner: Runner, job: Screened) -> Ran:
     """Positions under one setting from start `first` to before `last`, until one fails."""
     settings, first, last = job
     paths, work = [], UNKNOWN
