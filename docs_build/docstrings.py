@@ -65,7 +65,9 @@ def _explain_array(attribute: griffe.Attribute) -> None:
 def _add_defaults(holder: griffe.Class) -> None:
     """Says at each property of a compiled class which value its argument has by default."""
     made = holder.members.get("__new__")
-    for parameter in made.parameters if made else []:
+    if not isinstance(made, griffe.Function):
+        return
+    for parameter in made.parameters:
         field = holder.members.get(parameter.name)
         if field and field.docstring and parameter.default is not None:
             default = str(parameter.default).replace("'", '"')
@@ -77,21 +79,28 @@ def _explain_fields(holder: griffe.Class) -> None:
     if not holder.docstring:
         return
     kept: list[str] = []
-    fields: list[griffe.Attribute] = []
+    explained: list[griffe.Docstring] = []
     for line in holder.docstring.value.split("\n"):
         entry = ENTRY.fullmatch(line)
-        named = [holder.members.get(UNIT.sub("", name)) for name in _names(entry)]
-        if named and all(field and field.is_attribute for field in named):
-            fields = named
-            for field in fields:
-                field.docstring = griffe.Docstring(_capital(entry[2]), parent=field)
-        elif fields and line.startswith("    "):
-            for field in fields:
-                field.docstring.value += "\n" + line.strip()
+        fields = _attributes(holder, _names(entry))
+        if entry and fields:
+            explained = [griffe.Docstring(_capital(entry[2]), parent=field) for field in fields]
+            for field, text in zip(fields, explained, strict=True):
+                field.docstring = text
+        elif explained and line.startswith("    "):
+            for text in explained:
+                text.value += "\n" + line.strip()
         else:
-            fields = []
+            explained = []
             kept.append(line)
     holder.docstring.value = "\n".join(kept)
+
+
+def _attributes(holder: griffe.Class, names: list[str]) -> list[griffe.Attribute]:
+    """The attributes of these names; none of them where one is no attribute."""
+    members = [holder.members.get(UNIT.sub("", name)) for name in names]
+    found = [member for member in members if isinstance(member, griffe.Attribute)]
+    return found if len(found) == len(names) else []
 
 
 def _names(entry: re.Match[str] | None) -> list[str]:

@@ -12,12 +12,14 @@ from pathlib import Path
 import benchmarks
 import commands
 import links
-from mkdocs.structure.files import File
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[1]
 
 
-def on_config(config):
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Notebooks show their figures; below every page stands the repository's address.
 
     It is not mkdocs' `repo_url`, for which the theme's scripts would ask the host on every page.
@@ -29,12 +31,13 @@ def on_config(config):
     return config
 
 
-def on_files(files, config):
+def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Adds the pages that have their text elsewhere, and draws the pictures anew."""
     for path, text in _pages().items():
         files.append(File.generated(config, path, content=text))
     for path, drawn in commands.pictures(ROOT).items():
-        files.remove(files.get_file_from_path(path))
+        if kept := files.get_file_from_path(path):
+            files.remove(kept)
         files.append(File.generated(config, path, content=drawn))
     return files
 
@@ -58,7 +61,7 @@ def _text(name: str) -> str:
     return (ROOT / name).read_text(encoding="utf-8")
 
 
-def on_page_markdown(markdown, page, config, files):
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Runs the commands that a page shows, and makes links to the repository's files absolute."""
     del files
     shown = commands.with_outputs(markdown, ROOT)

@@ -3,6 +3,7 @@
 That it builds without a warning is a step of .ci/run.
 """
 
+import ast
 import re
 from pathlib import Path
 
@@ -24,6 +25,17 @@ def test_every_public_name_is_in_the_reference_once():
     public = set(sc.__all__) - {"__version__", "lesson", "reference"}
     public |= {f"gymnasium.{name}" for name in gymnasium.__all__}
     assert sorted(DOCUMENTED) == sorted(public | {"lesson"})
+
+
+def test_every_setting_is_explained_in_the_stubs_that_the_reference_is_made_from():
+    stubs = ast.parse((ROOT / "python/stepcore/_core.pyi").read_text(encoding="utf-8"))
+    settings = next(node for node in stubs.body if getattr(node, "name", "") == "Settings")
+    explained = {
+        member.name
+        for member in settings.body
+        if isinstance(member, ast.FunctionDef) and ast.get_docstring(member)
+    }
+    assert set(sc.Settings().as_dict()) <= explained
 
 
 def test_every_page_is_in_the_navigation():
