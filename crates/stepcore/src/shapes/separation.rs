@@ -139,8 +139,9 @@ impl<'a> Pairing<'a> {
             return self.refine(&n);
         };
         let faceted = |solid: &Solid<f64>| matches!(solid.core, Core::Hull(_) | Core::Prism(_));
-        // Within this cosine a refined direction is the best one.
-        let own = if faceted(&self.one) || faceted(&self.two) { 1.0 - 1e-6 } else { 0.98 };
+        // Within this cosine a refined direction is the best one: facets of a mesh may be as near to
+        // one another as this.
+        let own = if faceted(&self.one) || faceted(&self.two) { 1.0 - 1e-9 } else { 1.0 - 1e-3 };
         let mut best: Option<Separation> = None;
         for _ in 0..ROUNDS {
             let skip = |normal: &V3<f64>, height: f64| {
