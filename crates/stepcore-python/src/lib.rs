@@ -27,7 +27,8 @@ mod worlds;
 
 use pyo3::prelude::*;
 
-#[pymodule]
+// Objects lock what they hold (`gil::lock`, `memory`): no GIL is needed.
+#[pymodule(gil_used = false)]
 mod _core {
     #[pymodule_export]
     use super::batch::Batch;

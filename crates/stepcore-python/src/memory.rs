@@ -5,6 +5,7 @@
 
 use std::cell::UnsafeCell;
 use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
 
 use numpy::ndarray::{ArrayViewMut, IxDyn};
 use numpy::{PyArray, PyArrayDyn};
@@ -117,19 +118,24 @@ impl<'a> All<'a> {
 #[pyclass(module = "stepcore._core", frozen)]
 pub struct Memory {
     numbers: Box<[UnsafeCell<f64>]>,
+    /// Held while there is a slice of the numbers: a Python without the GIL has several threads
+    /// in here at once. With the GIL nobody ever waits for it.
+    sliced: Mutex<()>,
 }
 
-// SAFETY: the numbers are reached through numpy views, and through `read` and `edit`, all of
-// which need the GIL: never by two threads at once, except from native code that writes to a
-// numpy array without the GIL, which is a race for every numpy array.
+// SAFETY: the numbers are reached through `read` and `edit`, of which one runs at a time, and
+// through numpy views. Those need the GIL, where there is one; without it, to write to a view
+// while another thread steps is a race as it is for every numpy array. What it can spoil is
+// numbers, and no index into the engine's memory goes unchecked because of one.
 unsafe impl Sync for Memory {}
 
 /// Slices of the numbers exist only while a closure of `read` or `edit` runs. The closure is
-/// `Send`, so it cannot hold what Python code is run by (`Python`, `Bound`): while there is a
-/// slice, nothing else reaches the numbers.
+/// `Send`, so it cannot hold what Python code is run by (`Python`, `Bound`): with the GIL nothing
+/// else reaches the numbers while there is a slice, and whoever holds `sliced` waits for no one.
 impl Memory {
     fn new(count: usize) -> Self {
-        Self { numbers: (0..count).map(|_| UnsafeCell::new(0.0)).collect() }
+        let numbers = (0..count).map(|_| UnsafeCell::new(0.0)).collect();
+        Self { numbers, sliced: Mutex::new(()) }
     }
 
     /// Where a range starts. The pointer may be written through: it comes from the cells, not
@@ -141,14 +147,15 @@ impl Memory {
     /// Lets `read` see all numbers.
     fn read<T>(&self, _py: Python<'_>, read: impl FnOnce(&[f64]) -> T + Send) -> T {
         let count = self.numbers.len();
-        // SAFETY: the cells are `count` numbers in a row; the GIL is held, and no Python code
-        // runs until the slice is gone, so nobody writes.
+        let _alone = self.sliced.lock().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: the cells are `count` numbers in a row, and nobody writes: see `Sync`.
         read(unsafe { std::slice::from_raw_parts(self.start(&(0..count)), count) })
     }
 
     /// Lets `write` overwrite the numbers of a range.
     fn edit(&self, _py: Python<'_>, range: Range<usize>, write: impl FnOnce(&mut [f64]) + Send) {
         let start = self.start(&range);
+        let _alone = self.sliced.lock().unwrap_or_else(PoisonError::into_inner);
         // SAFETY: as for `read`; nobody else reads or writes.
         write(unsafe { std::slice::from_raw_parts_mut(start, range.len()) });
     }

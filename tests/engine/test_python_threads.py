@@ -1,0 +1,82 @@
+"""Python's threads, with and without the GIL: what is shared holds, and a run has its bits."""
+
+import subprocess
+import sys
+import sysconfig
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from small import ball, pendulum
+
+import stepcore as sc
+
+FREE_THREADED = bool(sysconfig.get_config_var("Py_GIL_DISABLED"))
+THREADS = 8
+
+
+@pytest.mark.skipif(not FREE_THREADED, reason="this Python has the GIL")
+def test_a_free_threaded_python_stays_without_the_gil():
+    code = "import sys, stepcore; stepcore.Sim; print(sys._is_gil_enabled())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n" and not done.stderr
+
+
+def run(model, seed):
+    sim = sc.Sim(model, solver="newton")
+    sim.qvel[:] = np.random.default_rng(seed).normal(size=len(sim.qvel))
+    for _ in range(200):
+        sim.step()
+        sim.ctrl[:] = np.tanh(sim.qvel[: len(sim.ctrl)])
+    return sim.state(), sim.contacts["force"].tobytes()
+
+
+@pytest.mark.parametrize("scene", [pendulum, ball])
+def test_runs_of_one_model_in_threads_are_those_one_after_the_other(scene):
+    model = scene().compile()
+    with ThreadPoolExecutor(THREADS) as pool:
+        together = list(pool.map(lambda seed: run(model, seed), range(3 * THREADS)))
+    assert together == [run(model, seed) for seed in range(3 * THREADS)]
+
+
+def test_scenes_are_built_and_compiled_in_threads():
+    with ThreadPoolExecutor(THREADS) as pool:
+        states = list(pool.map(lambda _: run(pendulum().compile(), 3), range(2 * THREADS)))
+    assert set(states) == {run(pendulum().compile(), 3)}
+
+
+def work_on(kind, model):
+    """One object that every thread of a test reads, writes, steps and restores."""
+    return sc.Sim(model) if kind == "Sim" else sc.Batch(model, 9)
+
+
+@pytest.mark.parametrize("kind", ["Sim", "Batch"])
+def test_one_object_in_many_threads_is_busy_or_does_what_it_is_asked(kind):
+    """Steps are counted, none is lost and none is half done; the rest reads whole states."""
+    world = work_on(kind, pendulum().compile())
+    start = world.state()
+    done, wrong, ready = [0] * THREADS, [], threading.Barrier(THREADS)
+
+    def step(thread):
+        ready.wait()
+        for _ in range(300):
+            try:
+                world.step()
+                done[thread] += 1
+                world.state()
+                _ = world.xpos, world.qacc, world.energy
+            except RuntimeError as error:
+                if "is busy in another thread" not in str(error):
+                    wrong.append(error)
+
+    threads = [threading.Thread(target=step, args=(thread,)) for thread in range(THREADS)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+    assert world.time == pytest.approx(sum(done) * world.settings.dt)
+    assert np.isfinite(world.qpos).all() and np.isfinite(world.qvel).all()
+    world.restore(start)
+    assert world.state() == start
