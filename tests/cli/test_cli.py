@@ -110,7 +110,8 @@ def test_a_package_s_tests_come_last(tmp_path, monkeypatch):
 
 def test_info(capsys):
     status, out, _ = call(capsys, "info", "--json")
-    assert status == 0 and {"stepcore", "numpy", "python", "cores"} <= json.loads(out).keys()
+    assert status == 0
+    assert {"stepcore", "numpy", "module", "python", "cores"} <= json.loads(out).keys()
     assert call(capsys, "info")[0] == 0
 
 

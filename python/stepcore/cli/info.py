@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import platform
+import sysconfig
 from importlib import metadata
 
 from stepcore.cli.output import add_json, print_json
@@ -21,8 +22,12 @@ def add(command: argparse.ArgumentParser) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
+    from stepcore import _core
+
     facts = {package: _version(package) for package in PACKAGES} | {
-        "python": platform.python_version(),
+        # Its name tells the stable ABI from a build for one free-threaded Python.
+        "module": os.path.basename(_core.__file__),
+        "python": platform.python_version() + (" free-threaded" if _free_threaded() else ""),
         "machine": f"{platform.system()} {platform.machine()}",
         "cores": os.cpu_count(),
     }
@@ -31,6 +36,10 @@ def call(args: argparse.Namespace) -> None:
     else:
         for name, fact in facts.items():
             print(f"{name:<12}{fact}")
+
+
+def _free_threaded() -> bool:
+    return bool(sysconfig.get_config_var("Py_GIL_DISABLED"))
 
 
 def _version(package: str) -> str:
