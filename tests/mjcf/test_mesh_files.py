@@ -14,6 +14,7 @@ import pytest
 
 import stepcore as sc
 from stepcore.scene import hfield_files, mesh_files
+from stepcore.scene.png_files import ADAM7, CHANNELS
 
 CORNERS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3.5)])
 FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
@@ -218,6 +219,58 @@ def png(pixels, *, depth=8, colour=0, filters=None) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + ihdr + data + chunk(b"IEND", b"")
 
 
+def packed(rows, depth: int) -> bytes:
+    """Rows of numbers of so many bits, each beginning with a filter."""
+    lines, before = b"", b""
+    for row in rows:
+        bits = "".join(format(int(value), f"0{depth}b") for value in row.ravel())
+        bits += "0" * (-len(bits) % 8)
+        line = bytes(int(bits[at : at + 8], 2) for at in range(0, len(bits), 8))
+        # Every second line is told from the one above, as the filter "up" does.
+        up = len(lines) // (len(line) + 1) % 2 == 1
+        told = bytes((a - b) % 256 for a, b in zip(line, before, strict=True)) if up else line
+        lines += bytes([2 * up]) + told
+        before = line
+    return lines
+
+
+KINDS = {
+    **{f"grey{depth}": (0, depth) for depth in (1, 2, 4, 8, 16)},
+    **{f"rgb{depth}": (2, depth) for depth in (8, 16)},
+    **{f"palette{depth}": (3, depth) for depth in (2, 8)},
+    **{f"alpha{depth}": (4, depth) for depth in (8, 16)},
+    **{f"rgba{depth}": (6, depth) for depth in (8, 16)},
+}
+
+
+@pytest.mark.parametrize("interlaced", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+def test_heights_of_coloured_images_are_mujocos(kind, interlaced, tmp_path):
+    colour, depth = KINDS[kind]
+    channels = CHANNELS[colour]
+    most = 4 if colour == 3 else 2**depth
+    pixels = np.random.default_rng(depth).integers(0, most, (11, 9, channels))
+    pixels[0, 0], pixels[0, 1] = 0, most - 1
+    passes = ADAM7 if interlaced else ((0, 0, 1, 1),)
+    body = b"".join(packed(pixels[y::dy, x::dx], depth) for x, y, dx, dy in passes)
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        )
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 9, 11, depth, colour, 0, 0, interlaced))
+    palette = chunk(b"PLTE", bytes([10, 20, 30, 50, 40, 30, 100, 0, 0, 200, 250, 1]))
+    path = tmp_path / "image.png"
+    data = head + palette * (colour == 3) + chunk(b"IDAT", zlib.compress(body))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + data + chunk(b"IEND", b""))
+    text = f"""<mujoco><asset><hfield name="h" file="{path}" size="1 1 1 1"/></asset>
+      <worldbody><geom type="hfield" hfield="h"/></worldbody></mujoco>"""
+    theirs = mujoco.MjModel.from_xml_string(text).hfield_data.reshape(11, 9)[::-1]
+    ours = hfield_files.read(path)
+    assert np.abs((ours - ours.min()) / np.ptp(ours) - theirs).max() < 1e-6
+
+
 def test_images_and_binary_height_fields(tmp_path):
     pixels = np.random.default_rng(0).integers(0, 256, (9, 6))
     for filters in (None, [1], [2], [3], [4], [4, 3, 2, 1, 0]):
@@ -227,8 +280,9 @@ def test_images_and_binary_height_fields(tmp_path):
     (tmp_path / "h.bin").write_bytes(data)
     assert (hfield_files.read(tmp_path / "h.bin") == pixels[::-1]).all()
     broken = {
-        "b.png": (png(pixels, colour=2), "RGB of 8 bits"),
-        "c.png": (png(pixels, depth=16), "grey of 16 bits"),
+        "b.png": (png(pixels, colour=5), "colour type 5, 8 bits"),
+        "c.png": (png(pixels, depth=16), "take 117 bytes; it has 63"),
+        "f.png": (png(pixels, colour=3), "a pixel has the colour"),
         "d.png": (png(pixels)[:-20], "cut off"),
         "e.png": (b"GIF89a", "does not begin"),
         "a.bin": (data[:-1], "it has 223"),
