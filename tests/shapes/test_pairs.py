@@ -34,7 +34,9 @@ def test_faces_before_edges(pair):
         assert verdict.manifold.max() < 1e-9 and verdict.unit.max() < 1e-14, style
 
 
-@pytest.mark.parametrize("pair", [("ellipsoid", "mesh"), ("cylinder", "mesh"), ("ellipsoid", "box")])
+@pytest.mark.parametrize(
+    "pair", [("ellipsoid", "mesh"), ("cylinder", "mesh"), ("ellipsoid", "box")]
+)
 def test_no_direction_of_mujoco_shows_a_shorter_way_out(pair):
     """Each direction bounds the distance from below, whoever found it."""
     rng = np.random.default_rng(41)
