@@ -50,7 +50,7 @@ def test_it_writes_data_and_a_page(capsys, scene, tmp_path):
     page, data = tmp_path / "check.html", tmp_path / "check.json"
     args = ["--horizon", 0.2, "--html", page, "--json", data]
     assert call(capsys, scene(2.0), *args)[0] == 0
-    assert "Keyframe `home` has joint `knee`" in page.read_text()
+    assert "Keyframe <code>home</code> has joint <code>knee</code>" in page.read_text()
     (row,) = json.loads(data.read_text())["rows"]
     assert row["kind"] == "outside a limit" and row["severity"] == "error"
     assert row["value"] == 2.0 and row["unit"] == "rad" and row["element"] == "joint `knee`"

@@ -6,7 +6,9 @@ import sys
 import numpy as np
 import pytest
 
+import stepcore as sc
 from stepcore.cli import main
+from stepcore.experiment.schedule import scheduled
 
 # Two carts of 2 and 4 kg, each with a motor, nothing else: a step of semi-implicit Euler changes a
 # velocity by F dt / m exactly, whatever the position.
@@ -100,6 +102,10 @@ def test_a_push_and_a_plot_leave_the_steps_as_they_are(capsys, carts, tmp_path):
         (["--control", "none.py:f"], "none.py: no such file"),
         (["--control", "none"], "FILE.py:FUNCTION"),
         (["--control-dt", "0.015"], "whole number of steps"),
+        (["--save", "run.txt"], "must end in .npz, .mcap, .html"),
+        (["--save", "no/such/run.npz"], "no such folder"),
+        (["--record", "qpos"], "--record is what --plot and --save have"),
+        (["--plot", "p.png", "--record", "qpso"], 'nearest: "qpos"'),
         (["--push", "light:1,2@0"], "BODY:FX,FY,FZ@T"),
         (["--push", "light:1,2,3"], "BODY:FX,FY,FZ@T"),
         (["--push", "world:1,2,3@0"], "no body is named 'world'"),
@@ -159,6 +165,46 @@ def test_a_run_says_what_was_run(capsys, carts, tmp_path, args, said):
     file.write_text("def ramp(time, sim):\n    return [time, 0.0]\n")
     assert main(["run", carts, *(arg.replace("FILE", str(file)) for arg in args)]) == 0
     assert said in " ".join(capsys.readouterr().out.split())
+
+
+def test_sines_are_the_controls_of_a_measurement(capsys, carts, tmp_path):
+    """Those that a measurement of one start with seed 0 and this period runs; 0 without a range."""
+    model = sc.load(carts).compile()
+    motion = sc.Motion(horizon=0.2, starts=1)
+    (rows,) = scheduled(motion, model, 0.02).ctrl
+    assert rows[:, 0] == pytest.approx(0) and np.ptp(rows[:, 1]) > 1
+    # An impulse each period: m Δv = Σ F Δt.
+    expected = 0.02 * rows.sum(axis=0) / (2, 4)
+    options = ("--ctrl", "sines", "--control-dt", 0.02, "--duration", 0.2)
+    assert velocities(capsys, carts, *options) == pytest.approx(expected, abs=1e-12)
+    assert main(["run", carts, "--ctrl", "sines"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "motors follow seeded sines within 0.4 of their range; a without a range held" in said
+
+
+def test_a_run_is_saved(capsys, carts, tmp_path):
+    run = tmp_path / "run.npz"
+    assert main(["run", carts, "--duration", "0.5", "--ctrl", "3,-8", "--save", str(run)]) == 0
+    saved = sc.Trajectory.load(run)
+    assert list(saved.data) == ["qpos", "qvel", "ctrl", "energy", "overlap"]
+    assert saved.qvel[-1] == pytest.approx([0.75, -1.0], abs=1e-12) and len(saved) == 51
+    assert saved.axes("ctrl")[0].entries == ("a", "b")
+    options = ["--duration", "0.1", "--record", "qpos, ctrl", "--save"]
+    assert main(["run", carts, *options, str(run)]) == 0
+    assert list(sc.Trajectory.load(run).data) == ["qpos", "ctrl"]
+    for name in ("run.mcap", "run.html"):
+        assert main(["run", carts, *options, str(tmp_path / name)]) == 0
+        assert (tmp_path / name).stat().st_size > 1000
+    capsys.readouterr()
+
+
+def test_a_run_that_fails_is_saved_until_then(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    options = ["--duration", "10000", "--dt", "0.205", "--set", "integrator=semi-implicit"]
+    assert main(["run", "lesson:spring", *options, "--save", "run.npz"]) == 1
+    assert "stepcore replay " in capsys.readouterr().err
+    saved = sc.Trajectory.load("run.npz")
+    assert 10 < len(saved) < 1000 and np.isfinite(saved.qpos).all()
 
 
 def test_a_control_of_the_wrong_length_is_named(capsys, carts, tmp_path):

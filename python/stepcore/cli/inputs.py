@@ -21,10 +21,13 @@ from stepcore.experiment.motion_words import (
     start_in_words,
 )
 from stepcore.experiment.single_run import Push
+from stepcore.experiment.starts import smooth, undriven
 from stepcore.report.units import seconds
 
 # How long a push lasts where nobody says it [s].
 PUSH = 0.1
+# What --ctrl calls the controls of measurements.
+SINES = "sines"
 PUSH_FORM = "BODY:FX,FY,FZ@T or BODY:FX,FY,FZ@T+DURATION, in N and s"
 
 
@@ -34,8 +37,8 @@ def add_inputs(command: argparse.ArgumentParser) -> None:
     inputs.add_argument(
         "--ctrl",
         metavar="VALUES",
-        help='constant controls, "1,0,-1" or "hip=1,knee=-1"; or a file (.npy or .csv) with one '
-        "row for each control period",
+        help='constant controls, "1,0,-1" or "hip=1,knee=-1"; a file (.npy or .csv) with one row '
+        'for each control period; or "sines", the seeded sines that measurements run',
     )
     inputs.add_argument(
         "--control",
@@ -66,6 +69,8 @@ def control_of(args: argparse.Namespace, sim: Sim) -> Control | None:
         return control_function(args.control)
     if args.ctrl is None:
         return None
+    if args.ctrl == SINES:
+        return _sines(args, sim)
     if args.ctrl.endswith((".npy", ".csv")):
         return _table(args.ctrl, args.control_dt, sim)
     for index, value in _values(args.ctrl, model).items():
@@ -79,7 +84,11 @@ def in_words(
     """What is run, in words, before it is run; key: the start, time: how long [s]."""
     model, period = sim.model, seconds(args.control_dt or sim.settings.dt)
     drive = held_in_words(model, sim.ctrl)
-    if control is not None and model.nu:
+    if args.ctrl == SINES and model.nu:
+        drive = f"{actuators_in_words(model)} follow seeded sines within 0.4 of their range"
+        still = undriven(model, np.array(sim.ctrl))
+        drive += f"; {', '.join(still)} without a range held at zero" if still else ""
+    elif control is not None and model.nu:
         by = control_name(control) if args.control is not None else args.ctrl
         drive = f"{actuators_in_words(model)} driven by {by}, sampled every {period}"
     elif args.ctrl is not None and model.nu:
@@ -89,6 +98,17 @@ def in_words(
     return f"{seconds(time)} from {begin}; {drive}{pushes}; {scene_in_words(model)}"
 
 
+def _sines(args: argparse.Namespace, sim: Sim) -> Control:
+    """What drives the actuators of a measurement: a few sines in the range of each, with seed 0."""
+    period = args.control_dt or sim.settings.dt
+    duration = 1.0 if args.duration is None else args.duration
+    periods = math.ceil(duration / period) + 1
+    held = np.array(sim.ctrl)
+    return _held_rows(
+        smooth(sim.model, held, periods, period, np.random.default_rng(0)), period, sim
+    )
+
+
 def _table(path: str, control_dt: float | None, sim: Sim) -> Control:
     """The rows of a file, one for each control period; the last is held."""
     rows = controls_of(path)
@@ -96,7 +116,12 @@ def _table(path: str, control_dt: float | None, sim: Sim) -> Control:
         raise Usage(f"--ctrl {path}: has shape {rows.shape}; must be (n, {sim.model.nu})")
     if not np.isfinite(rows).all():
         raise Usage(f"--ctrl {path}: its numbers must be finite")
-    period, begin = control_dt or sim.settings.dt, sim.time
+    return _held_rows(rows, control_dt or sim.settings.dt, sim)
+
+
+def _held_rows(rows: np.ndarray, period: float, sim: Sim) -> Control:
+    """A row each period [s], from now on; the last is held."""
+    begin = sim.time
 
     def control(time: float, sim: Sim) -> np.ndarray:
         row: np.ndarray = rows[min(round((time - begin) / period), len(rows) - 1)]

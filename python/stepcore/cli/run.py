@@ -18,6 +18,7 @@ from stepcore.cli.motion import add_file, add_key, key_of, model_of
 from stepcore.cli.output import add_json, print_json
 from stepcore.cli.usage import Usage
 from stepcore.engine.sim import Sim
+from stepcore.engine.trajectory import RECORDED, Trajectory
 from stepcore.experiment.single_run import SingleRun
 from stepcore.experiment.watch import Watch
 from stepcore.measure.findings import Finding, findings_of
@@ -28,6 +29,9 @@ from stepcore.report.units import computing, counted, seconds, times
 # The counter of steps has 64 bits.
 MOST_STEPS = 2.0**64
 DURATION = 1.0
+# Endings of --save, and what it has of every step where --record does not say.
+SAVED = (".npz", ".mcap", ".html")
+RECORD = ("qpos", "qvel", "ctrl", "energy", "overlap")
 # Where the values of the report begin.
 LABEL = 11
 # Of a state so many numbers are printed.
@@ -53,7 +57,23 @@ def add(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--replay", metavar="OUT", help="where to write the replay if the run fails"
     )
-    command.add_argument("--plot", metavar="OUT", help="write the plot of energy over time")
+    command.add_argument(
+        "--plot",
+        metavar="OUT",
+        help="write the plot of energy and overlap, or of --record",
+    )
+    command.add_argument(
+        "--save",
+        metavar="OUT",
+        help="write the run: .npz (arrays), .mcap (a log for Foxglove) or .html (a page that "
+        "replays it)",
+    )
+    command.add_argument(
+        "--record",
+        metavar="NAMES",
+        help="what --plot and --save have of every step, such as qpos,ctrl,actuator_force "
+        "(default: energy,overlap; --save: qpos,qvel,ctrl too)",
+    )
     add_inputs(command)
     add_json(command)
 
@@ -78,7 +98,7 @@ def call(args: argparse.Namespace) -> None:
             f"--duration {duration:g} s is not a whole number of steps of "
             f"{sim.settings.dt:g} s: the run is {run:g} s long"
         )
-    record = ("energy", "overlap") if args.plot is not None else ()
+    record = _recorded(args)
     watch, control = Watch(sim.model), control_of(args, sim)
     ran = in_words(args, sim, control, key, run)
     single = SingleRun(
@@ -88,6 +108,7 @@ def call(args: argparse.Namespace) -> None:
         pushes=pushes_of(args, model),
         probes=[watch] if steps else [],
         record=record,
+        progress=None,
     )
     try:
         single.run(steps)
@@ -96,11 +117,40 @@ def call(args: argparse.Namespace) -> None:
         said = [f"{one_line(error)}."]
         said += [finding.text for finding in findings_of(sim.model, watch, failed=True)]
         said.append(f"To see what failed: stepcore replay {_written(error, args.replay)}")
+        _save(args, single.trajectory)
         raise RuntimeError(" ".join(said)) from None
-    if single.trajectory is not None:
-        single.trajectory.plot(args.plot)
+    _save(args, single.trajectory)
     found = findings_of(sim.model, watch) if steps else []
     _report(sim, ran, steps, single.spent, notes, found, args.json)
+
+
+def _recorded(args: argparse.Namespace) -> tuple[str, ...]:
+    """What is recorded of every step, checked before the run."""
+    if args.plot is None and args.save is None:
+        if args.record is not None:
+            raise Usage("--record is what --plot and --save have: give one of them")
+        return ()
+    if args.save is not None and not args.save.endswith(SAVED):
+        raise Usage(f"--save {args.save}: must end in {', '.join(SAVED)}")
+    if args.record is not None:
+        names = tuple(name.strip() for name in args.record.split(","))
+        for name in names:
+            if name not in RECORDED:
+                near = nearest(name, RECORDED)
+                raise Usage(f"--record {args.record}: '{name}' cannot be recorded{near}")
+        return names
+    return ("energy", "overlap") if args.save is None else RECORD
+
+
+def _save(args: argparse.Namespace, run: Trajectory | None) -> None:
+    """Writes the plot and the run itself; of a run that fails, what it did until then."""
+    if run is None:
+        return
+    if args.plot is not None:
+        run.plot(args.plot)
+    if args.save is not None:
+        ending = SAVED.index(args.save[args.save.rindex(".") :])
+        (run.save, run.save_mcap, run.save_html)[ending](args.save)
 
 
 def _report(

@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from stepcore.cli.inputs import add_inputs, control_of, pushes_of
+from stepcore.cli.inputs import SINES, add_inputs, control_of, pushes_of
 from stepcore.cli.motion import add_file, add_key, key_of, model_of
 from stepcore.cli.output import check_path
 from stepcore.cli.usage import Usage
@@ -45,7 +45,7 @@ def call(args: argparse.Namespace) -> None:
         check_path(args.page, "--html")
     elif args.duration is not None:
         raise Usage("--duration is of the run that --html writes; a live view has no end")
-    duration = DURATION if args.duration is None else args.duration
+    duration = args.duration = DURATION if args.duration is None else args.duration
     if not 0 < duration < float("inf"):
         raise Usage(f"--duration {duration:g}: must be finite and > 0 s")
     model = model_of(args)
@@ -75,6 +75,8 @@ def call(args: argparse.Namespace) -> None:
 def _live(args: Any, sim: Sim) -> None:
     if any(getattr(args, name) is not None for name in ("control", "control_dt")) or args.push:
         raise Usage("--control, --control-dt and --push drive the run that --html writes")
+    if args.ctrl == SINES:
+        raise Usage("--ctrl sines drives the run that --html writes")
     control = control_of(args, sim)
     if control is not None:
         sim.ctrl = control(sim.time, sim) if callable(control) else control

@@ -13,9 +13,12 @@ from stepcore.engine.snapshots import Taking
 from stepcore.engine.trajectory import Trajectory, whole_steps
 from stepcore.experiment.control import Control, controls
 from stepcore.experiment.probe import Probe
+from stepcore.report.progress import Choice, Progress
 
 # About how often probes look at a run, unless they ask for more.
 LOOKS = 2000
+# How often a run says how far it is.
+TOLD = 100
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,8 @@ class SingleRun:
     applied already. probes: observe the run about `LOOKS` times. record: what the trajectory
     holds, at every step; without any there is none.
 
+    progress: who is told how far the run is; see `Progress`.
+
     spent: the time that steps took [s], without probes, controls and recording.
     """
 
@@ -55,6 +60,7 @@ class SingleRun:
     pushes: Sequence[Push] = ()
     probes: Sequence[Probe] = ()
     record: Sequence[str] = ()
+    progress: Choice = False
     spent: float = 0.0
     trajectory: Trajectory | None = field(default=None, init=False)
 
@@ -71,7 +77,8 @@ class SingleRun:
         self._note(data)
         taking = Taking(sim, steps) if self.record else None
         try:
-            self._steps(steps, period, stride, spans, applied, data, taking)
+            with Progress("steps", steps, self.progress) as bar:
+                self._steps(steps, period, stride, spans, applied, data, taking, bar)
         finally:
             # Of a run that fails there is what it did until then.
             sim.xfrc_applied[:] = applied
@@ -89,10 +96,11 @@ class SingleRun:
         applied: np.ndarray,
         data: dict[str, list[np.ndarray]],
         taking: Taking | None,
+        bar: Progress,
     ) -> None:
         sim = self.sim
         edges = sorted({edge for _, span in spans for edge in (span.start, span.stop)})
-        done = 0
+        done = told = 0
         while done < steps:
             if self.control is not None and done % period == 0:
                 sim.ctrl = controls(self.control, sim)
@@ -117,6 +125,9 @@ class SingleRun:
                 for probe in self.probes:
                     probe.step(sim)
                 self._note(data)
+            if done >= told or done == steps:
+                bar.advance(done - bar.done)
+                told = done + max(1, steps // TOLD)
         if taking is not None:
             taking.look(steps)
 

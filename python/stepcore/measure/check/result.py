@@ -47,8 +47,11 @@ class Check(Result):
 
     @property
     def setup(self) -> str:
-        """Under which settings."""
-        return f"Under {label(self.settings)}."
+        """Under which settings, and on what motion the time step was judged."""
+        said = f"Under {label(self.settings)}."
+        if self.diagnosis is not None and self.diagnosis.ran not in ("", self.ran):
+            said += f"\nThe time step was judged on another motion: {self.diagnosis.ran}."
+        return said
 
     @property
     def rows(self) -> list[Finding]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 
 from stepcore.measure.diagnosis.element_id import INERTIAL
@@ -15,6 +16,19 @@ def listed(names: Sequence[str]) -> str:
     """The first names, and how many more there are."""
     more = len(names) - NAMES
     return ", ".join(names[:NAMES]) + (f" and {more} more" if more > 0 else "")
+
+
+def acting_in_words(names: Sequence[str]) -> str:
+    """A few elements by name; more of them by how many there are of each kind.
+
+    >>> acting_in_words([f"friction loss of joint `j{i}`" for i in range(6)] + ["contact `a`/`b`"])
+    '6 friction losses and 1 contact'
+    """
+    if len(names) <= NAMES:
+        return listed(names)
+    kinds = Counter(re.split(r" of | `", name)[0] for name in names)
+    counts = [f"{n} {kind if n == 1 else _plural(kind)}" for kind, n in kinds.items()]
+    return " and ".join(filter(None, (", ".join(counts[:-1]), counts[-1])))
 
 
 def together(names: Sequence[str]) -> str:

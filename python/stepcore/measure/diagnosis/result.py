@@ -150,10 +150,19 @@ class Diagnosis(DiagnosisFindings, Result):
         return [together, alone]
 
     def _zero(self, limits: Iterable[float]) -> str:
-        """What a limit of 0 means, if there is one."""
+        """What limits of 0 and inf mean, if there are any."""
         shortest = self.limits[self.settings.integrator].shortest
-        said = f"0: every step tried is unstable, down to {seconds(shortest)}."
-        return said if any(limit <= 0 for limit in limits) else ""
+        known = list(limits)
+        unstable = f"0: every step tried is unstable, down to {seconds(shortest)}."
+        stable = "inf: nothing limits dt."
+        return " ".join(
+            said
+            for said, shown in (
+                (unstable, any(limit <= 0 for limit in known)),
+                (stable, any(math.isinf(limit) for limit in known)),
+            )
+            if shown
+        )
 
     def _limit_record(self, name: str, limit: Limit) -> dict[str, Any]:
         limited = math.isfinite(limit.dt)

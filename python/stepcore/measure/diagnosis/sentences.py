@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from stepcore.measure.diagnosis.advice import MARGIN
 from stepcore.measure.diagnosis.dt_limits import SHORTEST
 from stepcore.measure.diagnosis.element_limits import ElementLimits
-from stepcore.measure.diagnosis.element_names import are_several, listed
+from stepcore.measure.diagnosis.element_names import acting_in_words, are_several, listed
 from stepcore.measure.diagnosis.findings import DiagnosisFindings
 from stepcore.measure.diagnosis.linear_step import VELOCITY_LAWS
 from stepcore.measure.diagnosis.outcomes import blown_up, growth, observed
@@ -57,7 +57,7 @@ def sentences(d: DiagnosisFindings) -> Iterator[str]:
     limit = d.limits[own]
     if limit.state > 0:
         state = d.states[limit.state]
-        acting = listed([element.name for element in state.rows])
+        acting = acting_in_words([element.name for element in state.rows])
         verb = "acts" if len(state.rows) == 1 else "act"
         where = f", where {acting} {verb}" if acting else ""
         yield f"The limiting state is {state.label}{where}."
