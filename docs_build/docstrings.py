@@ -80,7 +80,7 @@ def _explain_fields(holder: griffe.Class) -> None:
         return
     kept: list[str] = []
     explained: list[griffe.Docstring] = []
-    for line in holder.docstring.value.split("\n"):
+    for line in _entries(holder.docstring.value, set(holder.members)):
         entry = ENTRY.fullmatch(line)
         fields = _attributes(holder, _names(entry))
         if entry and fields:
@@ -101,6 +101,23 @@ def _attributes(holder: griffe.Class, names: list[str]) -> list[griffe.Attribute
     members = [holder.members.get(UNIT.sub("", name)) for name in names]
     found = [member for member in members if isinstance(member, griffe.Attribute)]
     return found if len(found) == len(names) else []
+
+
+def _entries(text: str, known: set[str]) -> list[str]:
+    """The lines of a text; "name: … name: …" in one line are as many."""
+    lines: list[str] = []
+    for line in text.split("\n"):
+        if ENTRY.fullmatch(line):
+            parts = re.split(r"(?<=\.) (?=(\w+): )", line)
+            lines.append(parts[0])
+            for name, part in zip(parts[1::2], parts[2::2], strict=True):
+                if name in known:
+                    lines.append(part)
+                else:
+                    lines[-1] += f" {part}"
+        else:
+            lines.append(line)
+    return lines
 
 
 def _names(entry: re.Match[str] | None) -> list[str]:
@@ -134,7 +151,7 @@ def _block(block: str, known: set[str], public: set[str]) -> str:
     if block.lstrip().startswith(">>>"):
         return f"```pycon\n{block}\n```"
     lines: list[str] = []
-    for line in block.split("\n"):
+    for line in _entries(block, known):
         entry = ENTRY.fullmatch(line)
         if entry and {UNIT.sub("", name) for name in _names(entry)} <= known:
             if not lines or not lines[-1].startswith(("- ", "    ")):
