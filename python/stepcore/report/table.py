@@ -20,10 +20,11 @@ NARROW = 12
 class Table:
     """Records in a fixed order; a value that a record does not have is None.
 
-    records: one mapping a row. columns: their order; by default that of first appearance.
+    records: one mapping a row.
+    columns: their order; by default that of first appearance.
     formats: how columns of numbers are printed (default ".4g"); a column of texts that is named
-        here is aligned at the right and never cut. heading, legend: what a report says above and
-        below the table.
+        here is aligned at the right and never cut.
+    heading, legend: what a report says above and below the table.
 
     >>> print(Table([{"dt": 0.01, "error": 1.5e-3}, {"dt": 0.005, "error": 3.75e-4}]))
        dt     error

@@ -56,7 +56,8 @@ class Plan(Result):
     """What a step computes and what it leaves out; `stepcore.plan` returns it.
 
     entries: all entries.
-    flops: operations of a whole step at the state `at`; stages: the same by stage.
+    flops: operations of a whole step at the state `at`.
+    stages: the same by stage.
     micros: time of a whole step [µs]; None if it was not measured.
 
     >>> from stepcore import lesson, plan

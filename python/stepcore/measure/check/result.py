@@ -21,9 +21,11 @@ from stepcore.report.units import counted
 class Check(Result):
     """What is wrong with a scene, or may be; `stepcore.check` returns it.
 
-    name: of the scene. settings: as shipped. motion: what was run.
-    findings: the most severe first.
-    diagnosis: of the time step; None where it failed, and a note says why.
+    name: the name of the scene.
+    settings: its own settings, under which it ran.
+    motion: the motion that was run.
+    findings: what was found, the most severe first.
+    diagnosis: the `Diagnosis` of the time step; None where it failed, and a note says why.
     commands: what to run next, and why.
     ran: what motion was run, in words.
     """

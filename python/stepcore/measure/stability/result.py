@@ -62,7 +62,8 @@ class MapPanel:
 class StabilityMap(Result):
     """A map of stability and accuracy over dt and one value; `stepcore.stability_map` returns it.
 
-    path: the value that is varied; axis: how the plot names it, with its unit.
+    path: the value that is varied.
+    axis: how the plot names it, with its unit.
     values, dts [s]: the grid.
     tolerance: a run with a larger error is inaccurate.
     far: a run with an error above this many sizes of the motion has exploded.

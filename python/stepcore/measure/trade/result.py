@@ -24,7 +24,8 @@ class Trade(TradeFindings, Result):
     """What speed costs in accuracy for one scene; `stepcore.trade` returns it.
 
     motion: the motion that every setting ran.
-    ran: the same in words. horizon: the simulated time [s].
+    ran: that motion in words.
+    horizon: the simulated time [s].
     size: the size of the scene [m].
     frontier: every setting that ran from all starts, and every one that failed.
     reference: the converged motion, with its error.
@@ -32,7 +33,8 @@ class Trade(TradeFindings, Result):
     chosen: the row for `target` that further starts confirmed.
     findings: what the shipped settings show from the first start, such as creep; see `Finding`.
     mujoco: MuJoCo's points, if they were asked for.
-    screened: the number of settings that were tried at all; runs: the number of runs they took.
+    screened: the number of settings that were tried at all.
+    runs: the number of runs they took.
     notes: remarks on the reference, the motion and the failures.
     """
 
