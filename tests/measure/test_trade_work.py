@@ -17,7 +17,8 @@ from stepcore.report.progress import Progress
 STIFF = """<mujoco model="stiff"><option timestep="0.004" integrator="implicitfast"/><worldbody>
 <body><joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/>
 <body pos=".3 0 0"><joint axis="0 1 0" damping="3000"/>
-<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/></body></body></worldbody></mujoco>"""
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/></body></body>
+</worldbody></mujoco>"""
 QUICK = {"by": "flops", "progress": False, "horizon": 0.32, "starts": 4}
 
 
