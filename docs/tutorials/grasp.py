@@ -102,6 +102,6 @@ print(f"gripped with 0.7 N each: {100 * fallen:.1f} cm lower after 1 s")
 # it.
 
 # %%
-scene.with_settings(scene.settings.replace(stiction=True)).save("gripper.xml")
-again = sc.load("gripper.xml")
-print(again.settings.stiction)
+holds = scene.with_settings(scene.settings.replace(stiction=True))
+text = holds.to_mjcf()  # holds.save("gripper.xml") writes it to a file
+print(sc.loads(text).settings.stiction)

@@ -42,7 +42,6 @@ result.plot()
 # limits an arm that reaches further would turn on.
 
 # %%
-small = result.smallest
-small.save("small.xml")
+small = result.smallest  # small.save("small.xml") writes it to a file
 whole, less = sc.Sim(scene).count_flops(50), sc.Sim(small).count_flops(50)
 print(f"50 steps from rest: {less} operations in place of {whole}")

@@ -108,8 +108,8 @@ for row in sorted(trade.rows, key=lambda row: row.flops):
 
 # %%
 fast = scene.with_settings(scene.settings.replace(integrator="discrete", dt=0.002))
-fast.save("arm_fast.xml")
-sim = sc.Sim("arm_fast.xml")
+text = fast.to_mjcf()  # fast.save("arm_fast.xml") writes it to a file
+sim = sc.Sim(sc.loads(text))
 sim.ctrl[:] = (0.3, -0.3, 0.2)
 sim.step(500)
 print(sim.qpos.round(3))

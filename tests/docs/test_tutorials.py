@@ -51,6 +51,8 @@ def test_a_tutorial_runs_and_computes_the_numbers_of_its_text(path, tmp_path):
     # Not those of a link's address.
     written = numbers(re.sub(r"\]\([^)]*\)", "]", text))
     assert written - computed == set()
+    # The build runs it among the pages.
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("path", TUTORIALS, ids=lambda path: path.stem)
