@@ -353,9 +353,12 @@ class Batch(_World):
         settings: Settings,
         n: int,
         threads: int,
-        lanes: bool,
+        lanes: bool | None,
         goes_on: bool,
     ) -> Batch: ...
+    @property
+    def in_lanes(self) -> bool:
+        """Whether worlds are stepped in vector lanes now."""
     def rollout(self, ctrl: _Floats) -> list[_Floats]: ...
     def failures(self, known: list[int]) -> tuple[list[int], list[SimulationError]]:
         """The worlds that failed while the others went on; errors of those that are not known."""

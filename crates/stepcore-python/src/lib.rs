@@ -7,6 +7,7 @@
 //! of what is read by name.
 
 mod arguments;
+mod auto;
 mod batch;
 mod element;
 mod errors;

@@ -102,6 +102,12 @@ impl Memo {
         self.sleep = Sleep::new();
     }
 
+    /// Without impulses, and everybody awake.
+    pub fn forget(&mut self) {
+        self.warm.clear();
+        self.sleep = Sleep::new();
+    }
+
     /// One lane's part of a state. An impulse of zero is as good as none, and a lane has
     /// zeros for the contacts of its neighbours.
     pub fn of<R: Real>(state: &State<R>, lane: usize) -> Self {
@@ -145,6 +151,8 @@ pub trait World: Send {
     fn solved(&self, what: Solved) -> Vec<f64>;
     /// The state at hand did not come from a solve: what is read of the last one is read there.
     fn unsolved(&mut self);
+    /// The last solve is one at the state at hand, to be done when something of it is read.
+    fn stayed(&mut self);
     /// By body, 6 numbers each, at the last solve or, before there was one, at the present state.
     fn body_force(&mut self, given: &Given, what: BodyForce) -> Result<Vec<f64>>;
     /// A sensor's values, or all sensors', at the same state.
@@ -299,6 +307,9 @@ impl<R: Real> World for One<R> {
 
     fn unsolved(&mut self) {
         self.last.forget();
+    }
+    fn stayed(&mut self) {
+        self.note(false);
     }
 
     fn body_force(&mut self, given: &Given, what: BodyForce) -> Result<Vec<f64>> {

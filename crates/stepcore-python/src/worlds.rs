@@ -12,6 +12,7 @@ use stepcore::settings::{Precision, Settings};
 use stepcore::sleep::Sleep;
 use stepcore::state::{Warm, WARM_ROWS};
 
+use crate::auto::Auto;
 use crate::world::{impulse, Memo, World};
 
 pub trait Worlds: Send + Sync {
@@ -25,8 +26,12 @@ pub trait Worlds: Send + Sync {
     fn failed(&self, world: usize) -> Option<&Error>;
     fn time(&self) -> f64;
     fn qacc(&self) -> Vec<f64>;
+    /// A world's arrays as they are here.
+    fn lists(&self, world: usize) -> Lists;
     /// Does a world's last solve again in `into`, which then has its rows and contacts.
     fn again(&self, world: usize, into: &mut dyn World) -> Result<()>;
+    /// Puts `into` where a world's last solve began, for what `into` reads by solving there.
+    fn before(&self, world: usize, into: &mut dyn World) -> Result<()>;
     fn memos(&self) -> Vec<Memo>;
     fn set_memos(&mut self, memos: &[Memo]);
     /// Time and steps of all worlds; impulses forgotten.
@@ -35,42 +40,67 @@ pub trait Worlds: Send + Sync {
     fn unsolved(&mut self);
     /// Some worlds begin anew; see `Batch::forget`.
     fn forget(&mut self, worlds: &[usize]);
+    /// In lanes now.
+    fn in_lanes(&self) -> bool;
     fn model(&self, world: usize) -> &Arc<Model>;
     /// All worlds, those of one model beside each other.
     fn by_model(&self) -> &[usize];
 }
 
+/// One world's arrays, in the order of `Array::ALL`.
+pub type Lists = Vec<Vec<f64>>;
+
 /// How worlds are stepped.
-pub struct How<'a> {
-    pub settings: &'a Settings,
+#[derive(Clone)]
+pub struct How {
+    pub settings: Settings,
     pub threads: usize,
-    /// In lanes where it can be.
-    pub lanes: bool,
+    /// In lanes where it can be; None: where it takes less time.
+    pub lanes: Option<bool>,
     /// A world that fails stands still, and the others go on.
     pub goes_on: bool,
 }
 
-impl How<'_> {
+impl How {
     /// Worlds in the precision that the settings ask for; `model_of`: the model of each.
     pub fn worlds(&self, models: Vec<Arc<Model>>, model_of: &[usize]) -> Result<Box<dyn Worlds>> {
-        let single = self.settings.precision == Precision::F32;
-        let width = if single { <LanesF32>::LANES } else { <Lanes>::LANES };
-        let gains = models.iter().all(|model| gains_by_lanes(model, self.settings));
-        let lanes = self.lanes && gains && fills_lanes(model_of, width);
-        match (single, lanes) {
-            (false, true) => self.made::<Lanes>(models, model_of),
-            (false, false) => self.made::<f64>(models, model_of),
-            (true, true) => self.made::<LanesF32>(models, model_of),
-            (true, false) => self.made::<f32>(models, model_of),
+        let width = if self.single() { <LanesF32>::LANES } else { <Lanes>::LANES };
+        let gains = models.iter().all(|model| gains_by_lanes(model, &self.settings));
+        let can = gains && fills_lanes(model_of, width);
+        // An account of energies stays with those who began it, and one world has no neighbours.
+        if self.lanes.is_some() || !can || self.settings.ledger || model_of.len() == 1 {
+            let alone = self.lanes.is_none() && model_of.len() == 1;
+            return self.made(can && !alone && self.lanes != Some(false), models, model_of);
+        }
+        let (how, own) = (self.clone(), model_of.to_vec());
+        let make = move |lanes| how.made(lanes, models.clone(), &own);
+        Ok(Box::new(Auto::new(model_of.len(), make)?))
+    }
+
+    fn single(&self) -> bool {
+        self.settings.precision == Precision::F32
+    }
+
+    fn made(
+        &self,
+        lanes: bool,
+        models: Vec<Arc<Model>>,
+        model_of: &[usize],
+    ) -> Result<Box<dyn Worlds>> {
+        match (self.single(), lanes) {
+            (false, true) => self.made_of::<Lanes>(models, model_of),
+            (false, false) => self.made_of::<f64>(models, model_of),
+            (true, true) => self.made_of::<LanesF32>(models, model_of),
+            (true, false) => self.made_of::<f32>(models, model_of),
         }
     }
 
-    fn made<R: Real>(
+    fn made_of<R: Real>(
         &self,
         models: Vec<Arc<Model>>,
         model_of: &[usize],
     ) -> Result<Box<dyn Worlds>> {
-        let mut batch = Batch::<R>::of_models(models, model_of, self.settings, self.threads)?;
+        let mut batch = Batch::<R>::of_models(models, model_of, &self.settings, self.threads)?;
         batch.goes_on = self.goes_on;
         Ok(Box::new(batch))
     }
@@ -105,26 +135,44 @@ impl<R: Real> Worlds for Batch<R> {
         (0..self.worlds).flat_map(|world| Batch::qacc(self, world)).collect()
     }
 
+    fn lists(&self, world: usize) -> Lists {
+        let (state, lane) = self.state(world);
+        let (_, inputs, ..) = self.last(world);
+        lists(state, inputs, lane)
+    }
+
     fn again(&self, world: usize, into: &mut dyn World) -> Result<()> {
-        let (state, inputs, lane, last) = self.last(world);
-        let mut lists = lists(state, inputs, lane);
-        if let Some(failed) = Batch::failed(self, world) {
-            // Its last solve led nowhere: what is read is that of the state it stands in.
-            lists[..Array::CHANGED].clone_from_slice(&failed.state);
-            into.put(&Given::new(|array| &lists[array as usize]));
-            let _ = into.forward();
-            return Ok(());
-        }
-        into.put(&Given::new(|array| &lists[array as usize]));
-        into.set_memo(&Memo::of(state, lane));
+        self.before(world, into)?;
+        let (.., last) = self.last(world);
         match last {
-            Last::Nothing => {
-                into.unsolved();
+            _ if Batch::failed(self, world).is_some() => {
+                let _ = into.forward();
                 Ok(())
             }
+            Last::Nothing => Ok(()),
             Last::Forward => into.forward(),
             Last::Step => into.step(1),
         }
+    }
+
+    fn before(&self, world: usize, into: &mut dyn World) -> Result<()> {
+        let (state, inputs, lane, last) = self.last(world);
+        let (mut lists, mut memo) = (lists(state, inputs, lane), Memo::of(state, lane));
+        let failed = Batch::failed(self, world);
+        if let Some(failed) = failed {
+            // Its last solve led nowhere: what is read is that of the state it stands in. Its lane
+            // holds another's impulses.
+            lists[..Array::CHANGED].clone_from_slice(&failed.state);
+            memo.forget();
+        }
+        into.put(&Given::new(|array| &lists[array as usize]));
+        into.set_memo(&memo);
+        if last == Last::Nothing && failed.is_none() {
+            into.unsolved();
+        } else {
+            into.stayed();
+        }
+        Ok(())
     }
 
     fn memos(&self) -> Vec<Memo> {
@@ -136,8 +184,7 @@ impl<R: Real> Worlds for Batch<R> {
         for (world, memo) in memos.iter_mut().enumerate() {
             // A failed world's lane holds another's impulses.
             if Batch::failed(self, world).is_some() {
-                memo.warm.clear();
-                memo.sleep = Sleep::new();
+                memo.forget();
             }
         }
         memos
@@ -174,6 +221,9 @@ impl<R: Real> Worlds for Batch<R> {
     }
     fn forget(&mut self, worlds: &[usize]) {
         Batch::forget(self, worlds);
+    }
+    fn in_lanes(&self) -> bool {
+        R::LANES > 1
     }
     fn model(&self, world: usize) -> &Arc<Model> {
         Batch::model(self, world)

@@ -112,6 +112,36 @@ fn lanes_and_threads_change_no_bit() {
     assert!(seen.iter().all(|bits| *bits == seen[0]));
 }
 
+/// Worlds of several models, in any order, are those of a batch of each model.
+#[test]
+fn worlds_of_several_models_are_worlds_of_each() {
+    let heavy = |mass: f64| {
+        let mut scene = scenes::runner();
+        scene.geoms.iter_mut().skip(1).for_each(|geom| geom.mass = Some(mass));
+        Arc::new(Model::compile(&scene).unwrap())
+    };
+    let models = vec![heavy(1.0), heavy(1.5), heavy(0.7)];
+    let model_of = [0, 1, 0, 2, 1, 1, 0, 0, 2, 1, 0];
+    let settings = Settings::default();
+    for threads in [1, 3] {
+        let mut worlds = runners(&models[0]);
+        let mut batch =
+            Batch::<Lanes>::of_models(models.clone(), &model_of, &settings, threads).unwrap();
+        worlds.iter().enumerate().for_each(|(index, world)| batch.put(index, &world.given()));
+        batch.step(150).unwrap();
+        let bits = states(&batch, &mut worlds);
+        let mut worlds = runners(&models[0]);
+        for (world, model) in worlds.iter_mut().zip(model_of) {
+            let mut alone = Batch::<f64>::new(models[model].clone(), &settings, 1, 1).unwrap();
+            alone.put(0, &world.given());
+            alone.step(150).unwrap();
+            states(&alone, std::slice::from_mut(world));
+        }
+        let own = worlds.iter().flat_map(|w| w.qpos.iter().chain(&w.qvel)).map(|x| x.to_bits());
+        assert_eq!(bits, own.collect::<Vec<_>>());
+    }
+}
+
 #[test]
 fn a_play_in_portions_is_steps_with_its_controls() {
     let scene = scenes::runner();

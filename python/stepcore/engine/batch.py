@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,7 +59,9 @@ class Batch(Stepped):
     threads: how many threads step them; by default one a core, or one in all for a batch so small
         that waking threads costs more than it gains.
     lanes: True steps eight worlds at a time in the processor's vector registers (16 in single
-        precision), False one by one.
+        precision), False one by one. "auto" does what takes less time: now and then, more and more
+        rarely, it takes a step the other way and measures. Where worlds touch different things a
+        register does the work of all of them, so that walkers in contact may be quicker alone.
     on_failure: what happens if a world fails as in `Sim.step`. With "stop", SimulationError names
         it and all worlds are left before the first step in which one failed. With "go on", the
         others continue with the same bits; the failed world stays in its last finite state, its
@@ -90,19 +92,20 @@ class Batch(Stepped):
         n: int,
         threads: int | None = None,
         *,
-        lanes: bool = True,
+        lanes: bool | Literal["auto"] = "auto",
         on_failure: str = "stop",
         settings: Settings | None = None,
         **fields: Unpack[SettingsFields],
     ) -> None:
         self._model = compiled(model).with_settings(settings, **fields)
-        self._lanes = checks.flag("Batch", "lanes", lanes)
+        self._lanes = checks.one_of(True, False, "auto")("Batch", "lanes", lanes)
         self._threads = _threads(threads, n, self._model.nv)
         self._on_failure: str = checks.one_of(*ON_FAILURE)("Batch", "on_failure", on_failure)
         self._failures: dict[int, SimulationError] = {}
         self._residuals = BatchResiduals()
         own, goes_on = self._model.settings, self._on_failure == "go on"
-        self._own(_core.Batch(self._model.core, own, n, self._threads, self._lanes, goes_on))
+        how = (self._threads, None if self._lanes == "auto" else self._lanes, goes_on)
+        self._own(_core.Batch(self._model.core, own, n, *how))
         self._param = Parameters(self._model, self._core, len(self))
 
     def __len__(self) -> int:
@@ -335,6 +338,12 @@ class Batch(Stepped):
         return f"<Batch{name}: {len(self)} worlds, time {self.time:g} s; {self.settings!r}>"
 
 
+def unwatched(batch: Batch) -> Batch:
+    """The batch, which never warns of residuals: for those who judge its motion themselves."""
+    batch._residuals.told = True
+    return batch
+
+
 def _threads(threads: int | None, n: int, nv: int) -> int:
     """How many threads step a batch; None is one a core where the work is worth waking them."""
     if threads is None and checks.number(n) is not None and n * nv < WORTH_THREADS:
@@ -346,7 +355,7 @@ def _restored(
     model: Model,
     n: int,
     threads: int,
-    lanes: bool,
+    lanes: Any,
     on_failure: str,
     param: dict[str, Floats],
     state: tuple[bytes, ...],

@@ -9,7 +9,7 @@ import pickle
 import threading
 import zlib
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
@@ -129,11 +129,6 @@ class Model(ModelData):
         """
         return Model(changed(self._scene, values, self.masses()), self._settings)
 
-    def variation(self, paths: Iterable[str]) -> Callable[[Mapping[str, Any]], _core.Model]:
-        """What makes the engine's part of `with_values`, for values of the same paths again."""
-        variation = Variation(self._scene, paths, self.masses())
-        return lambda values: _compiled(variation.scene, lambda: variation.data(values))
-
     def masses(self) -> dict[str, float]:
         """The mass of each body [kg], by name."""
         return dict(zip(self.body_names, self.body_mass.tolist(), strict=True))
@@ -216,15 +211,35 @@ def _unpickled(pickled: bytes, settings: Settings) -> Model:
     return model
 
 
+class ModelVariation(Variation):
+    """A model compiled many times with other values of the same paths, as `with_values` does.
+
+    `data` makes a scene, `compiled` compiles it.
+    """
+
+    def __init__(self, model: Model, paths: Iterable[str]) -> None:
+        super().__init__(model.scene, paths, model.masses())
+
+    def compiled(self, data: dict[str, Any] | ValueError) -> _core.Model:
+        """The engine's model of `data`; raises the error if it is one. Any thread may ask."""
+        return _compiled(self.scene, data)
+
+
 def _engine(scene: Scene) -> _core.Model:
     """The engine's model of a scene."""
-    return _compiled(scene, scene.to_dict)
+    try:
+        data: dict[str, Any] | ValueError = scene.to_dict()
+    except ValueError as error:
+        data = error
+    return _compiled(scene, data)
 
 
-def _compiled(scene: Contents, data: Callable[[], dict[str, Any]]) -> _core.Model:
+def _compiled(scene: Contents, data: dict[str, Any] | ValueError) -> _core.Model:
     """The engine's model; an error about an element of a file gets its file and line."""
     try:
-        return _core.compile(data())
+        if isinstance(data, ValueError):
+            raise data
+        return _core.compile(data)
     except checks.ElementError as error:
         place = getattr(error.owner, "place", "")
         if not place:

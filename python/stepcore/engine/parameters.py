@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from stepcore import checks
 from stepcore.engine.arrays import Floats, numbers
-from stepcore.engine.model import Model
+from stepcore.engine.model import Model, ModelVariation
 from stepcore.scene.elements import Body
 from stepcore.scene.value_paths import WHOLE, find
 
@@ -119,7 +119,7 @@ class Parameters(Mapping[str, Floats]):
 
     def _take(self, columns: dict[str, Floats]) -> None:
         variants = Variants(self._base, columns, self._n)
-        for world, error in variants.refused.items():
+        for world, error in variants.errors().items():
             raise ValueError(f"param, world {world}: {checks.one_line(error)}") from None
         self._core.set_models(variants.models, variants.model_of)
         self._columns, self._variants = columns, variants
@@ -133,31 +133,57 @@ class Variants:
     """A model compiled with the values of each row of a table of parameters.
 
     models: the different ones, as the engine has them. model_of: the index of each world's.
-    refused: the error of the worlds whose values cannot be, the first of each row.
     """
 
     def __init__(self, model: Model, columns: Mapping[str, Floats], n: int) -> None:
         self._base, self._columns = model, columns
         self.models: list[_core.Model] = []
         self.model_of: list[int] = [0] * n
-        self.refused: dict[int, ValueError] = {}
+        self._refused: dict[int, ValueError] = {}
         self._made: dict[int, Model] = {}
         if not columns:
             self.models.append(model.core)
             return
         rows = np.concatenate([column.reshape(n, -1) for column in columns.values()], axis=1)
         known: dict[bytes, int] = {}
-        compiled = model.variation(columns)
+        first: list[int] = []
         for world in range(n):
             row = rows[world].tobytes()
             if row not in known:
-                known[row] = len(self.models)
-                try:
-                    self.models.append(compiled(self.values(world)))
-                except ValueError as error:
-                    self.refused[world] = error
-                    self.models.append(model.core)
+                known[row] = len(first)
+                first.append(world)
             self.model_of[world] = known[row]
+        self._compile(first)
+
+    def _compile(self, worlds: list[int]) -> None:
+        """Compiles the model of each of these worlds, several at a time."""
+        # Only parameters need threads of Python.
+        from concurrent.futures import ThreadPoolExecutor
+
+        variation = ModelVariation(self._base, self._columns)
+        with ThreadPoolExecutor(checks.threads(None)) as pool:
+            # A variation makes one scene after the other; the engine compiles them meanwhile.
+            compiled = [
+                pool.submit(variation.compiled, self._data(variation, world)) for world in worlds
+            ]
+            for index, result in enumerate(compiled):
+                try:
+                    self.models.append(result.result())
+                except ValueError as error:
+                    self._refused[index] = error
+                    self.models.append(self._base.core)
+
+    def _data(self, variation: Any, world: int) -> Any:
+        """The plain data of a world's scene, or why there is none."""
+        try:
+            return variation.data(self.values(world))
+        except ValueError as error:
+            return error
+
+    def errors(self) -> dict[int, ValueError]:
+        """By world: why its values cannot be."""
+        refused = self._refused
+        return {w: refused[index] for w, index in enumerate(self.model_of) if index in refused}
 
     def values(self, world: int) -> dict[str, Any]:
         """A world's row, as `Model.with_values` takes it."""

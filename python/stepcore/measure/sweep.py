@@ -16,10 +16,11 @@ from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.setup import Source
 from stepcore.experiment.workers import Workers
 from stepcore.loading import find_model
+from stepcore.measure.batch_sweep import measured_in_batches
 from stepcore.report.progress import Choice
 from stepcore.report.table import Table
 from stepcore.scene.scene import Scene
-from stepcore.scene.value_paths import find
+from stepcore.scene.value_paths import WHOLE, find, is_path
 
 
 def sweep(
@@ -27,6 +28,7 @@ def sweep(
     grid: Mapping[str, Sequence[Any]],
     measure: Callable[[Any], Any],
     *,
+    batch: bool = False,
     threads: int | None = None,
     executor: Executor | None = None,
     progress: Choice = None,
@@ -39,6 +41,11 @@ def sweep(
         and returns what is measured; a Scene or Model becomes a Sim first.
     grid: the values of each key; every combination is a point, and the last key varies fastest.
     measure: called with the Sim; returns a number (column "value") or a mapping of columns.
+    batch: True measures the points of equal settings together: `measure` is called with a `Batch`
+        that has a point in each world (its `param` holds their values), and returns an array with
+        an entry for each world, or a mapping of such. The numbers are those of single Sims to the
+        bit, and a world that fails does not stop the others. With an executor a batch has up to
+        256 points, else all of them; a model must be given, and no function that makes one.
     threads: how many measurements run at once (default: one per core). Python's lock is released
         while a Sim steps.
     executor: any `concurrent.futures` executor in place of threads. Where it uses processes,
@@ -49,7 +56,7 @@ def sweep(
     column "failure" says why. Any other exception is raised.
 
     Raises ValueError for an unknown setting in the grid, an axis that is not a list of at least
-    one value, and threads < 1.
+    one value, and threads < 1; TypeError for a measure of a batch that returns something else.
 
     >>> from stepcore import lesson
     >>> def height(sim):
@@ -62,11 +69,20 @@ def sweep(
     0.01       2  0.2853
     0.02       1  0.2411
     0.02       2  0.2411
+    >>> import numpy as np
+    >>> def pull(batch):
+    ...     batch.qpos[:] = 0.1
+    ...     batch.step(10)
+    ...     return np.abs(batch.qvel[:, 0])
+    >>> print(sweep(lesson.spring(), {"joint/spring/stiffness": [1.0, 4.0]}, pull, batch=True))
+    joint/spring/stiffness     value
+                       1.0  0.009984
+                       4.0   0.03976
     """
     if not isinstance(grid, Mapping):
         raise ValueError(f"grid = {checks.shown(grid)}: must be a dict of names and their values")
     axes = {str(name): checks.several(f"grid['{name}']", grid[name]) for name in grid}
-    checks.function("sim")("sweep", "measure", measure)
+    checks.function("batch" if batch is True else "sim")("sweep", "measure", measure)
     workers = Workers.checked("sweep", threads, executor, progress)
     if isinstance(make_or_model, (Model, Scene, str, os.PathLike)):
         make_or_model = find_model(make_or_model)
@@ -75,7 +91,14 @@ def sweep(
         limit = "a Model, a Scene, a path or a function"
         raise ValueError(f"make_or_model = {checks.shown(make_or_model)}: must be {limit}")
     points = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
-    results = workers.each(partial(at_point, make_or_model, measure), points, "sweep")
+    if checks.flag("sweep", "batch", batch):
+        if not isinstance(make_or_model, Model):
+            raise checks.refuse(
+                "sweep", "batch", batch, "False with a function that makes the model"
+            )
+        results = measured_in_batches(make_or_model, measure, points, workers)
+    else:
+        results = workers.each(partial(at_point, make_or_model, measure), points, "sweep")
     own = [name for result in results for name in result if name != "failure"]
     columns = list(dict.fromkeys([*axes, *own]))
     if any("failure" in result for result in results):
@@ -83,17 +106,12 @@ def sweep(
     return Table((p | r for p, r in zip(points, results, strict=True)), columns)
 
 
-def _is_value(name: str) -> bool:
-    """Whether a grid key is a path into the scene and not a setting."""
-    return "/" in name or name == "gravity"
-
-
 def _check_names(model: Model, axes: Mapping[str, Any]) -> None:
     """Raises ValueError for a misspelt name, once and not at every point."""
     fields = model.settings.as_dict()
     for name in axes:
-        if _is_value(name):
-            if name != "gravity":
+        if is_path(name):
+            if name not in WHOLE:
                 find(model.scene, name)
         elif name not in fields:
             raise ValueError(
@@ -114,8 +132,8 @@ def at_point(source: Any, measure: Callable[[Any], Any], point: dict[str, Any]) 
 def _made(source: Any, point: dict[str, Any]) -> Any:
     """What is measured at a point."""
     if isinstance(source, Model):
-        values = {name: value for name, value in point.items() if _is_value(name)}
-        settings = {name: value for name, value in point.items() if not _is_value(name)}
+        values = {name: value for name, value in point.items() if is_path(name)}
+        settings = {name: value for name, value in point.items() if not is_path(name)}
         return unwatched(Sim(source.with_values(values) if values else source, **settings))
     made = source(**point)
     return unwatched(Sim(made)) if isinstance(made, (Model, Scene)) else made

@@ -25,6 +25,11 @@ _NO_VALUES = (
 )
 
 
+def is_path(name: str) -> bool:
+    """Whether a name is that of a value of a scene, and not of a setting."""
+    return "/" in name or name in WHOLE
+
+
 def changed(
     scene: SomeScene, values: Mapping[str, Any], body_mass: Mapping[str, float]
 ) -> SomeScene:

@@ -82,6 +82,20 @@ impl Batch {
         })
     }
 
+    /// The same of what a world reads by solving there itself.
+    pub(super) fn before<T: Send>(
+        &self,
+        py: Python<'_>,
+        read: impl Fn(&mut dyn World, &Given) -> Result<T, Error> + Sync,
+    ) -> PyResult<Vec<T>> {
+        let guard = self.lock()?;
+        let worlds = &**guard;
+        self.readings(py, worlds, |reader, world, given| {
+            worlds.before(world, reader)?;
+            read(reader, given)
+        })
+    }
+
     /// Numbers of each world's last solve; `shape`: that of one world's.
     pub(super) fn solved<'py>(
         &self,
@@ -100,7 +114,7 @@ impl Batch {
         read: impl Fn(&mut dyn World, usize, &Given) -> Result<T, Error> + Sync,
     ) -> PyResult<Vec<T>> {
         let order = worlds.by_model();
-        let threads = self.threads.min(order.len() / WORTH_A_THREAD).max(1);
+        let threads = self.how.threads.min(order.len() / WORTH_A_THREAD).max(1);
         let some = |own: &[usize], all: &All| {
             let mut reader = Reader { settings: &self.settings, held: None };
             let one = |world: &usize| {
@@ -116,7 +130,7 @@ impl Batch {
     }
 
     /// Of all worlds, given that of one.
-    fn shape(&self, one: &[usize]) -> Vec<usize> {
+    pub(super) fn shape(&self, one: &[usize]) -> Vec<usize> {
         [&[self.arrays.worlds], one].concat()
     }
 }

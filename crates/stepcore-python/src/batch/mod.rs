@@ -35,9 +35,7 @@ pub struct Batch {
     model: Arc<EngineModel>,
     settings: EngineSettings,
     arrays: Arrays,
-    threads: usize,
-    lanes: bool,
-    goes_on: bool,
+    how: How,
     worlds: Mutex<Box<dyn Worlds>>,
 }
 
@@ -50,18 +48,18 @@ impl Batch {
         settings: &Settings,
         n: &Bound<'_, PyAny>,
         threads: &Bound<'_, PyAny>,
-        lanes: bool,
+        lanes: Option<bool>,
         goes_on: bool,
     ) -> PyResult<Self> {
         let n = usize::read(n, &At::Root.field("n"))?;
         let threads = usize::read(threads, &At::Root.field("threads"))?;
         let (model, settings) = (model.0.clone(), settings.0.clone());
-        let how = How { settings: &settings, threads, lanes, goes_on };
+        let how = How { settings: settings.clone(), threads, lanes, goes_on };
         let worlds =
             gil::release(py, || how.worlds(vec![model.clone()], &of_one_model(&model, n)?))?;
         let arrays = Arrays::new(py, &model, n)?;
         let worlds = Mutex::new(worlds);
-        Ok(Self { model, settings, arrays, threads, lanes, goes_on, worlds })
+        Ok(Self { model, settings, arrays, how, worlds })
     }
 
     /// The arrays that are the user's to write, each with its name.
@@ -80,7 +78,8 @@ impl Batch {
             }
             Readout::Solved(what) => self.solved(py, &shape, |world, _| Ok(world.solved(what))),
             Readout::BodyForce(what) => {
-                self.solved(py, &shape, |world, given| world.body_force(given, what))
+                let all = self.before(py, |world, given| world.body_force(given, what))?;
+                result(py, all.concat(), &self.shape(&shape))
             }
         }
     }
@@ -172,14 +171,18 @@ impl Batch {
             }
         }
         let mut guard = self.lock()?;
-        let Self { settings, threads, lanes, goes_on, .. } = self;
-        let how = How { settings, threads: *threads, lanes: *lanes, goes_on: *goes_on };
         let memos = guard.memos();
-        let mut worlds = gil::release(py, || how.worlds(models, &model_of))?;
+        let mut worlds = gil::release(py, || self.how.worlds(models, &model_of))?;
         worlds.set_memos(&memos);
         worlds.unsolved();
         *guard = worlds;
         Ok(())
+    }
+
+    /// The worlds are stepped in lanes now.
+    #[getter]
+    fn in_lanes(&self) -> PyResult<bool> {
+        Ok(self.lock()?.in_lanes())
     }
 
     /// Forgets the impulses, the failures and the last solves of some worlds.
@@ -256,7 +259,7 @@ impl Batch {
     #[pyo3(signature = (sensor = None))]
     fn sensordata<'py>(&self, py: Python<'py>, sensor: Option<usize>) -> PyResult<Array<'py>> {
         check_sensor(&self.model, sensor)?;
-        let all = self.again(py, |world, given| world.sensordata(given, sensor))?;
+        let all = self.before(py, |world, given| world.sensordata(given, sensor))?;
         let shape = [self.arrays.worlds, all.first().map_or(0, Vec::len)];
         result(py, all.concat(), &shape)
     }

@@ -77,8 +77,7 @@ impl<R: Real> Crew<R> {
             Some(pool) if expected > WORTH_WAKING => pool.share(self.threads, &take_all),
             _ => take_all(0),
         }
-        if steps > 0 {
-            let took = started.elapsed().as_nanos() as u64 / steps;
+        if let Some(took) = (started.elapsed().as_nanos() as u64).checked_div(steps) {
             let threads = if expected > WORTH_WAKING { self.threads as u64 } else { 1 };
             self.cost.store(took.saturating_mul(threads), Ordering::Relaxed);
         }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from stepcore.gymnasium.env import Env
 from stepcore.gymnasium.task import Task
@@ -56,7 +56,7 @@ def make_vec(
     max_episode_steps: int | None = None,
     autoreset_mode: Any = "NextStep",
     threads: int | None = None,
-    lanes: bool = True,
+    lanes: bool | Literal["auto"] = "auto",
     **options: Any,
 ) -> VectorEnv:
     """Many worlds of a task; what `gymnasium.make_vec` calls.

@@ -1,0 +1,200 @@
+//! Worlds in lanes or one by one, whichever takes less time: it is measured while they run.
+//!
+//! Where neighbours touch different things a register does the work of all of them, and can take
+//! longer than its worlds alone. Both ways give the same bits, so a batch may change between them
+//! at any step: now and then it takes one step the other way, and stays with the quicker.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use stepcore::arrays::{Array, Given};
+use stepcore::batch::Play;
+use stepcore::error::{Error, Result};
+use stepcore::model::Model;
+
+use crate::world::{Memo, World};
+use crate::worlds::{Lists, Worlds};
+
+/// The steps after which the other way is tried first; and from one trial to the next, at least and
+/// at most, doubling in between.
+const FIRST: u64 = 2;
+const LEAST: u64 = 8;
+const MOST: u64 = 512;
+/// What the other way must take of this one's time to be worth the change.
+const WORTH: f64 = 0.95;
+/// Up to so many worlds both ways are kept.
+const KEPT: usize = 1 << 16;
+
+pub struct Auto {
+    worlds: usize,
+    now: Box<dyn Worlds>,
+    /// The other way, once it was tried.
+    other: Option<Box<dyn Worlds>>,
+    make: Box<dyn Fn(bool) -> Result<Box<dyn Worlds>> + Send + Sync>,
+    in_lanes: bool,
+    /// What a step took, this way and the other, when it was last measured.
+    cost: [Duration; 2],
+    steps: u64,
+    next: u64,
+    gap: u64,
+    /// The next step is to be taken the other way.
+    change: bool,
+    /// A world failed: how it goes on is known here only.
+    fixed: bool,
+}
+
+impl Auto {
+    /// `make(lanes)`: the same worlds in lanes or one by one.
+    pub fn new(
+        worlds: usize,
+        make: impl Fn(bool) -> Result<Box<dyn Worlds>> + Send + Sync + 'static,
+    ) -> Result<Self> {
+        Ok(Self {
+            worlds,
+            now: make(true)?,
+            other: None,
+            make: Box::new(make),
+            in_lanes: true,
+            cost: [Duration::ZERO; 2],
+            steps: 0,
+            next: FIRST,
+            gap: LEAST,
+            change: false,
+            fixed: false,
+        })
+    }
+
+    /// Does `n` steps, in portions of one way each.
+    fn advance(
+        &mut self,
+        n: u64,
+        mut step: impl FnMut(&mut dyn Worlds, u64) -> Result<()>,
+    ) -> Result<()> {
+        let mut left = n;
+        while left > 0 {
+            let trial = self.steps >= self.next && self.may_change();
+            if trial || std::mem::take(&mut self.change) && self.may_change() {
+                self.turn()?;
+            }
+            let until = self.next.saturating_sub(self.steps);
+            let portion = match until {
+                _ if trial => 1,
+                0 => left,
+                until => left.min(until),
+            };
+            let started = Instant::now();
+            let outcome = step(&mut *self.now, portion);
+            self.cost[0] = started.elapsed() / portion.min(u32::MAX.into()) as u32;
+            if let Err(error) = outcome {
+                self.fixed = true;
+                return Err(error);
+            }
+            (self.steps, left) = (self.steps + portion, left - portion);
+            if trial {
+                (self.next, self.gap) = (self.steps + self.gap, (2 * self.gap).min(MOST));
+                self.change = self.cost[0].as_secs_f64() > WORTH * self.cost[1].as_secs_f64();
+            }
+        }
+        Ok(())
+    }
+
+    fn may_change(&mut self) -> bool {
+        self.fixed = self.fixed || (0..self.worlds).any(|world| self.now.failed(world).is_some());
+        !self.fixed
+    }
+
+    /// Goes on the other way.
+    fn turn(&mut self) -> Result<()> {
+        let mut other = match self.other.take() {
+            Some(other) => other,
+            None => (self.make)(!self.in_lanes)?,
+        };
+        other.set_memos(&self.now.memos());
+        for world in 0..self.worlds {
+            let lists = self.now.lists(world);
+            other.put(world, &Given::new(|array| &lists[array as usize]));
+        }
+        let before = std::mem::replace(&mut self.now, other);
+        self.other = (self.worlds <= KEPT).then_some(before);
+        self.in_lanes = !self.in_lanes;
+        self.cost.swap(0, 1);
+        Ok(())
+    }
+
+    /// Whatever happened, all worlds begin anew.
+    fn anew(&mut self) {
+        (self.fixed, self.change) = (false, false);
+    }
+}
+
+impl Worlds for Auto {
+    fn check(&self, world: usize, given: &Given) -> Result<()> {
+        self.now.check(world, given)
+    }
+    fn put(&mut self, world: usize, given: &Given) {
+        self.now.put(world, given);
+    }
+    fn take(&self, world: usize, array: Array, out: &mut [f64]) {
+        self.now.take(world, array, out);
+    }
+    fn step(&mut self, n: u64) -> Result<()> {
+        self.advance(n, |worlds, n| worlds.step(n))
+    }
+    fn forward(&mut self) -> Result<()> {
+        let outcome = self.now.forward();
+        self.fixed = self.fixed || outcome.is_err();
+        outcome
+    }
+    fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()> {
+        let mut from = from;
+        self.advance(n as u64, |worlds, n| {
+            worlds.play(play, from, n as usize)?;
+            from += n as usize;
+            Ok(())
+        })
+    }
+    fn failed(&self, world: usize) -> Option<&Error> {
+        self.now.failed(world)
+    }
+    fn time(&self) -> f64 {
+        self.now.time()
+    }
+    fn qacc(&self) -> Vec<f64> {
+        self.now.qacc()
+    }
+    fn lists(&self, world: usize) -> Lists {
+        self.now.lists(world)
+    }
+    fn again(&self, world: usize, into: &mut dyn World) -> Result<()> {
+        self.now.again(world, into)
+    }
+    fn before(&self, world: usize, into: &mut dyn World) -> Result<()> {
+        self.now.before(world, into)
+    }
+    fn memos(&self) -> Vec<Memo> {
+        self.now.memos()
+    }
+    fn set_memos(&mut self, memos: &[Memo]) {
+        self.anew();
+        self.now.set_memos(memos);
+    }
+    fn restart(&mut self, start: f64) {
+        self.anew();
+        self.now.restart(start);
+    }
+    fn unsolved(&mut self) {
+        self.now.unsolved();
+    }
+    fn forget(&mut self, worlds: &[usize]) {
+        self.now.forget(worlds);
+    }
+    fn in_lanes(&self) -> bool {
+        self.in_lanes
+    }
+    fn model(&self, world: usize) -> &Arc<Model> {
+        self.now.model(world)
+    }
+    fn by_model(&self) -> &[usize] {
+        self.now.by_model()
+    }
+}

@@ -1,0 +1,79 @@
+"""`Batch(lanes="auto")` changes between lanes and single worlds as it runs, and no bit changes."""
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+
+WALKER = """<mujoco><option timestep="0.004"/><worldbody><geom type="plane" size="5 5 1"/>
+<body pos="0 0 0.5"><freejoint/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.06"/>
+<body pos="0.3 0 0"><joint name="a" axis="0 1 0" range="-60 60"/>
+<geom type="capsule" fromto="0 0 0 0.2 0 -0.3" size="0.05"/></body>
+<body><joint name="b" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 -0.2 0 -0.3" size="0.05"/>
+</body></body></worldbody><actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
+
+
+def pair(n, **fields):
+    model = sc.loads(WALKER).compile()
+    batches = [sc.Batch(model, n, 1, lanes=lanes, **fields) for lanes in ("auto", False)]
+    for batch in batches:
+        random = np.random.default_rng(3)
+        batch.qvel[:] = random.normal(size=batch.qvel.shape)
+        batch.ctrl[:] = random.normal(size=batch.ctrl.shape)
+    return batches
+
+
+@pytest.mark.parametrize("solver", ["pgs", "newton"])
+@pytest.mark.parametrize("precision", ["f64", "f32"])
+@pytest.mark.parametrize("portion", [1, 7, 200])
+def test_no_bit_depends_on_the_way(solver, precision, portion):
+    auto, alone = pair(13, solver=solver, precision=precision)
+    for _ in range(0, 200, portion):
+        auto.step(portion)
+        alone.step(portion)
+        assert np.array_equal(auto.qpos, alone.qpos)
+        assert np.array_equal(auto.qvel, alone.qvel)
+        assert np.array_equal(auto.qacc, alone.qacc)
+    assert np.array_equal(auto.residual, alone.residual)
+    assert np.array_equal(auto.constraint_force, alone.constraint_force)
+    assert np.array_equal(auto.cfrc_ext, alone.cfrc_ext)
+    assert auto.state() == alone.state()
+    assert auto.time == alone.time
+
+
+def test_rollouts_resets_and_parameters_on_the_way():
+    auto, alone = pair(9)
+    controls = np.random.default_rng(5).normal(size=(9, 60, 2))
+    for batch in (auto, alone):
+        batch.param["joint/a/damping"] = np.repeat([0.1, 0.2, 0.3], 3)
+    one, other = auto.rollout(controls), alone.rollout(controls)
+    assert np.array_equal(one.qpos, other.qpos)
+    for batch in (auto, alone):
+        batch.reset(worlds=[1, 5])
+        batch.step(37)
+        del batch.param["joint/a/damping"]
+        batch.step(41)
+    assert np.array_equal(auto.qpos, alone.qpos)
+
+
+@pytest.mark.parametrize("on_failure", ["stop", "go on"])
+def test_failures_are_the_same(on_failure):
+    auto, alone = pair(10, on_failure=on_failure)
+    for batch in (auto, alone):
+        batch.step(30)
+        batch.qvel[4, 3] = 1e200
+        if on_failure == "stop":
+            with pytest.raises(sc.SimulationError, match="world 4"):
+                batch.step(100)
+            batch.qvel[4, 3] = 0
+        else:
+            batch.step(100)
+            assert list(batch.failures) == [4]
+        batch.step(50)
+    assert np.array_equal(auto.qpos, alone.qpos)
+    assert np.array_equal(auto.residual, alone.residual)
+
+
+def test_the_words_of_lanes():
+    with pytest.raises(ValueError, match="lanes = 'fast': must be one of True, False, 'auto'"):
+        sc.Batch(sc.loads(WALKER), 2, lanes="fast")
