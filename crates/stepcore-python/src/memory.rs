@@ -5,7 +5,7 @@
 
 use std::cell::UnsafeCell;
 use std::ops::Range;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use numpy::ndarray::{ArrayViewMut, IxDyn};
 use numpy::{PyArray, PyArrayDyn};
@@ -118,8 +118,6 @@ impl<'a> All<'a> {
 #[pyclass(module = "stepcore._core", frozen)]
 pub struct Memory {
     numbers: Box<[UnsafeCell<f64>]>,
-    /// Held while there is a slice of the numbers: a Python without the GIL has several threads
-    /// in here at once. With the GIL nobody ever waits for it.
     sliced: Mutex<()>,
 }
 
@@ -144,10 +142,16 @@ impl Memory {
         UnsafeCell::raw_get(self.numbers[range.clone()].as_ptr())
     }
 
+    /// Held while there is a slice of the numbers: a Python without the GIL has several threads
+    /// in here at once. Where there is a GIL, that is enough, and costs nothing.
+    fn alone(&self) -> Option<MutexGuard<'_, ()>> {
+        cfg!(Py_GIL_DISABLED).then(|| self.sliced.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
     /// Lets `read` see all numbers.
     fn read<T>(&self, _py: Python<'_>, read: impl FnOnce(&[f64]) -> T + Send) -> T {
         let count = self.numbers.len();
-        let _alone = self.sliced.lock().unwrap_or_else(PoisonError::into_inner);
+        let _alone = self.alone();
         // SAFETY: the cells are `count` numbers in a row, and nobody writes: see `Sync`.
         read(unsafe { std::slice::from_raw_parts(self.start(&(0..count)), count) })
     }
@@ -155,7 +159,7 @@ impl Memory {
     /// Lets `write` overwrite the numbers of a range.
     fn edit(&self, _py: Python<'_>, range: Range<usize>, write: impl FnOnce(&mut [f64]) + Send) {
         let start = self.start(&range);
-        let _alone = self.sliced.lock().unwrap_or_else(PoisonError::into_inner);
+        let _alone = self.alone();
         // SAFETY: as for `read`; nobody else reads or writes.
         write(unsafe { std::slice::from_raw_parts_mut(start, range.len()) });
     }
