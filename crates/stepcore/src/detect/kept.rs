@@ -78,7 +78,7 @@ pub(super) struct Kept {
     numbers: Vec<(u64, u32, u32)>,
     pub pairs: Vec<Pair>,
     /// The last search has served another detection since.
-    served: bool,
+    pub served: bool,
     /// So many searches to come keep to the boxes at hand.
     plain: u32,
 }

@@ -162,6 +162,30 @@ fn two_ways<R: Real>(scene: &Scene, settings: &Settings) -> [Sim<R>; 2] {
     })
 }
 
+/// Slow bodies are searched for now and then, quick ones in every step; what is found is the same.
+#[test]
+fn kept_pairs_are_those_of_a_new_search() {
+    for (speed, room, most) in [(0.05, 5.0, 20), (50.0, 0.9, 30)] {
+        let mut random = Random(5);
+        let mut scene = scattered(&mut random, 40, room);
+        scene.gravity = [0.0; 3];
+        let [_, mut sim] = two_ways::<f64>(&scene, &Settings::default());
+        thrown(&mut random, &mut sim, speed);
+        let mut searches = 0;
+        for _ in 0..30 {
+            sim.forward().unwrap();
+            searches += usize::from(!sim.detected.kept.served);
+            let found = |detected: &super::Detected<f64>| {
+                let contacts = detected.contacts.iter();
+                contacts.map(|c| (c.pair.index, c.part, c.dist.to_bits())).collect::<Vec<_>>()
+            };
+            assert_eq!(found(&sim.detected), found(&sim.detected_aside()), "{speed} m/s");
+            sim.step(1).unwrap();
+        }
+        assert!((1..=most).contains(&searches), "{speed} m/s: {searches} searches");
+    }
+}
+
 fn a_heap_is_its_list<R: Real>(settings: &Settings, speed: f64, steps: u64) {
     let mut random = Random(23);
     for count in [9, 40] {

@@ -16,7 +16,7 @@ use crate::settings::{Cone, Law};
 use crate::solve::law::{
     least_softness, target_at, weightless_softness, Near, OnGuess, SolRef, NEAR,
 };
-use crate::solve::{Guessed, Row, Rows, Set, Situation};
+use crate::solve::{Guessed, Rows, Set, Situation};
 use crate::spatial::{Motion, V3};
 
 pub(super) struct Contacts;
@@ -262,22 +262,19 @@ impl<R: Real> Rows<R> {
         if moving == 0 {
             return; // The normal row is the fold.
         }
-        let making = |row: &Row<R>| (row.y, row.velocity);
-        let normal = self.rows[first].clone();
-        let mut tangents = [(0, R::zero()); MOST_WAYS];
+        let normal = &self.rows[first];
+        let (dofs, a, velocity) = (normal.dofs, normal.a, normal.velocity);
+        let mut tangents = [R::zero(); MOST_WAYS];
         for (tangent, row) in tangents.iter_mut().zip(&self.rows[first + 1..]) {
-            *tangent = making(row);
+            *tangent = row.velocity;
         }
-        self.rows.truncate(first);
-        let end = self.y.len();
-        for tangent in &tangents[..moving] {
-            self.push_edges(now, normal.dofs, making(&normal), *tangent, R::of(ways.mu));
+        self.take_ways(first);
+        for (way, tangent) in (1..).zip(&tangents[..moving]) {
+            self.push_edges(now, dofs, way, (velocity, *tangent), R::of(ways.mu));
         }
         if ways.still > 0 {
-            self.push_again(&normal);
+            self.push_normal(dofs, a, velocity);
         }
-        // What they were made of goes: y stays packed.
-        self.pack(first, normal.y, end);
     }
 
     /// A contact under `lesson`, `relaxed` or `rigid`: a row where the guess overlaps, or where

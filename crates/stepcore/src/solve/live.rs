@@ -5,7 +5,7 @@
 //! lowest tree, so that it keeps its name while that stays.
 
 use super::rows::Rows;
-use crate::model::{Model, Union};
+use crate::model::{Model, Span, Union};
 use crate::real::Real;
 use crate::room::{listed, Room};
 
@@ -30,19 +30,28 @@ impl<R: Real> Rows<R> {
         union.reset(model.trees.len());
         counts.clear();
         counts.resize(model.trees.len(), 0);
-        let first = |rows: crate::model::Span| self.rows[rows.start].dofs.of(dof_lists);
+        // Blocks of two bodies stand together: their dofs are looked at once.
+        let mut last = Span::default();
         for block in &self.blocks {
-            let dofs = first(block.rows);
-            for two in dofs.windows(2) {
+            let span = self.rows[block.rows.start].dofs;
+            if std::mem::replace(&mut last, span) == span {
+                continue;
+            }
+            for two in span.of(dof_lists).windows(2) {
                 let [a, b] = [two[0], two[1]].map(|k| model.dofs[k].tree);
                 if a != b {
                     union.join(a, b);
                 }
             }
         }
+        let (mut last, mut island) = (Span::default(), 0);
         for block in &mut self.blocks {
-            let Some(dof) = first(block.rows).first() else { continue };
-            block.island = union.of(model.dofs[*dof].tree);
+            let span = self.rows[block.rows.start].dofs;
+            let Some(dof) = span.of(dof_lists).first() else { continue };
+            if std::mem::replace(&mut last, span) != span {
+                island = union.of(model.dofs[*dof].tree);
+            }
+            block.island = island;
             block.rank = counts[block.island];
             counts[block.island] += 1;
         }

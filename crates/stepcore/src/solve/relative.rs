@@ -4,10 +4,11 @@
 //! the factors and each place in a list is read once for all of them. The numbers are those of one
 //! row after another (`Rows::push_scratch`), bit for bit.
 
-use super::rows::{Row, Rows, Situation};
+use super::rows::{Rows, Situation};
 use crate::model::{Model, Span, NONE};
 use crate::place::Metric;
 use crate::real::Real;
+use crate::scene::JointType;
 use crate::spatial::{Force, V3};
 
 /// The most directions at a time.
@@ -42,6 +43,30 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
             *j += motion.dot(along);
         }
         j
+    }
+
+    /// The same of all dofs of a free joint, which moves along the world's axes and turns about the
+    /// body's. What is left out is products with 0, which are added to numbers that are no −0.
+    #[inline(always)]
+    fn of_free_joint(&self, now: &Situation<R>, first: usize) -> [[R; N]; SIX] {
+        let mut x = [[R::zero(); N]; SIX];
+        for (i, along) in self.along.iter().enumerate() {
+            for k in 0..3 {
+                x[k][i] += along.lin[k];
+                x[3 + k][i] += now.placed.motion[first + 3 + k].ang.dot(&along.ang);
+            }
+        }
+        x
+    }
+
+    /// The same of six dofs one after another.
+    #[inline(always)]
+    fn of_six(&self, now: &Situation<R>, first: usize) -> [[R; N]; SIX] {
+        let joint = now.model.dofs[first].joint;
+        if now.model.joints[joint].kind == JointType::Free {
+            return self.of_free_joint(now, first);
+        }
+        core::array::from_fn(|k| self.of_dof(now, first + k))
     }
 }
 
@@ -123,10 +148,7 @@ impl<R: Real> Rows<R> {
             let first = list[from];
             let mine = |side: &&Side<R, N>| side.chain[0] == first;
             let Some(side) = sides.iter().flatten().find(mine) else { continue };
-            let mut x = [[R::zero(); N]; SIX];
-            for (k, x) in x.iter_mut().enumerate() {
-                *x = side.of_dof(now, first + k);
-            }
+            let mut x = side.of_six(now, first);
             now.placed.metric.lift_six(first, &mut x);
             let inv_d = &now.placed.metric.inv_d[first..first + SIX];
             let u = &now.placed.u[first..first + SIX];
@@ -143,49 +165,49 @@ impl<R: Real> Rows<R> {
         sums
     }
 
-    /// Pushes two rows whose y are y(first) ± k · y(second): edges of a pyramid. Either is given by
-    /// where its y begins, and its J v.
+    /// Takes the rows from `first` on, which share their dofs and stand last, back; the edges that
+    /// are pushed next are made of their y.
+    pub(crate) fn take_ways(&mut self, first: usize) {
+        let start = self.rows[first].y;
+        self.ways.clear();
+        self.ways.extend_from_slice(&self.y[start..]);
+        self.y.truncate(start);
+        self.rows.truncate(first);
+    }
+
+    /// Pushes two rows whose y are y(0) ± k · y(way) of the rows that were taken back, whose J v
+    /// are `one` and `two`: edges of a pyramid.
     pub(crate) fn push_edges(
         &mut self,
         now: &Situation<R>,
         dofs: Span,
-        (first, one): (usize, R),
-        (second, two): (usize, R),
+        way: usize,
+        (one, two): (R, R),
         k: R,
     ) {
-        let len = dofs.len;
-        let start = self.y.len();
-        self.y.resize(start + 2 * len, R::zero());
-        let (from, to) = self.y.split_at_mut(start);
-        let (first, second) = (&from[first..first + len], &from[second..second + len]);
-        let (plus, minus) = to.split_at_mut(len);
+        let (list, start, len) = (dofs.of(now.dof_lists), self.y.len(), dofs.len);
+        let (normal, tangent) = self.ways.split_at_mut(way * len);
+        let (normal, tangent) = (&normal[..len], &mut tangent[..len]);
+        tangent.iter_mut().for_each(|y| *y = k * *y);
+        let along = || normal.iter().zip(&*tangent);
+        self.y.extend(along().map(|(normal, by)| *normal + *by));
+        self.y.extend(along().map(|(normal, by)| *normal - *by));
+        let (plus, minus) = self.y[start..].split_at(len);
         let (mut a, mut b) = (R::zero(), R::zero());
-        for (at, dof) in dofs.of(now.dof_lists).iter().enumerate() {
+        for ((up, down), dof) in plus.iter().zip(minus).zip(list) {
             let inv_d = now.placed.metric.inv_d[*dof];
-            let by = k * second[at];
-            let (up, down) = (first[at] + by, first[at] - by);
-            a += up * up * inv_d;
-            b += down * down * inv_d;
-            (plus[at], minus[at]) = (up, down);
+            a += *up * *up * inv_d;
+            b += *down * *down * inv_d;
         }
         self.push_row(dofs, start, a, one + k * two);
         self.push_row(dofs, start + len, b, one - k * two);
     }
 
-    /// Pushes a row with the y of another, which may be taken back already.
-    pub(crate) fn push_again(&mut self, row: &Row<R>) {
+    /// Pushes the first of the rows that were taken back again.
+    pub(crate) fn push_normal(&mut self, dofs: Span, a: R, velocity: R) {
         let start = self.y.len();
-        self.y.extend_from_within(row.y..row.y + row.dofs.len);
-        self.push_row(row.dofs, start, row.a, row.velocity);
-    }
-
-    /// Takes the y from `start` to `end` out, of which the rows from `first` on were made.
-    pub(crate) fn pack(&mut self, first: usize, start: usize, end: usize) {
-        self.y.copy_within(end.., start);
-        self.y.truncate(self.y.len() - (end - start));
-        for row in &mut self.rows[first..] {
-            row.y -= end - start;
-        }
+        self.y.extend_from_slice(&self.ways[..dofs.len]);
+        self.push_row(dofs, start, a, velocity);
     }
 }
 

@@ -191,6 +191,8 @@ pub struct Rows<R: Real> {
     /// The most of an overlap that `max_recovery_speed` kept from being undone in this step [m].
     pub unrecovered: R,
     pub(crate) scratch: Vec<R>,
+    /// y of a contact's normal and ways of friction, of which its edges are made.
+    pub(super) ways: Vec<R>,
     /// v̂, while rows are made.
     pub(crate) guess: Vec<R>,
     pub(crate) direct: Direct<R>,
@@ -210,7 +212,7 @@ pub struct Rows<R: Real> {
     pub(crate) pool: Option<Arc<Pool>>,
 }
 
-room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, guess, islands, island_dofs,
+room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, ways, guess, islands, island_dofs,
     ranks;
     direct, first, live, parts);
 
@@ -287,6 +289,7 @@ impl<R: Real> Rows<R> {
             u: vec![R::zero(); model.nv],
             unrecovered: R::zero(),
             scratch: vec![R::zero(); WIDE * model.nv],
+            ways: Vec::new(),
             guess: vec![R::zero(); model.nv],
             direct: Direct::new(model.nv),
             first: First::new(model.nv),
@@ -311,6 +314,7 @@ impl<R: Real> Rows<R> {
             anchors: Vec::new(),
             y: Vec::new(),
             scratch: u.clone(),
+            ways: Vec::new(),
             guess: u.clone(),
             unrecovered: R::zero(),
             direct: Direct::new(nv),
