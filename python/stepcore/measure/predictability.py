@@ -114,10 +114,11 @@ class Predictability(Result):
                 f"The motion can be predicted over all of {over}: perturbations grow at most "
                 f"{times(most)}."
             ]
-        lost = np.isfinite(self.growth.ends)
+        ends = np.isfinite(self.growth.ends)
+        lost, starts = int(ends.sum()), counted(len(ends), "start")
         said = [
-            f"The motion can be predicted for {seconds(self.time)}: {int(lost.sum())} of "
-            f"{counted(len(lost), 'start')} are lost within {over}."
+            f"The motion can be predicted for {seconds(self.time)}: {lost} of {starts} "
+            f"{'is' if lost == 1 else 'are'} lost within {over}."
         ]
         if self.horizon < 2 * self.time:
             said.append(
