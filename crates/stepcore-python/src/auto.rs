@@ -20,8 +20,8 @@ use crate::worlds::{Lists, Worlds};
 const FIRST: u64 = 2;
 const LEAST: u64 = 8;
 const MOST: u64 = 512;
-/// What the other way must take of this one's time to be worth the change.
-const WORTH: f64 = 0.95;
+/// The last trials decide by their median: a single one may have been disturbed.
+const VOTES: usize = 3;
 /// Up to so many worlds both ways are kept.
 const KEPT: usize = 1 << 16;
 
@@ -32,8 +32,10 @@ pub struct Auto {
     other: Option<Box<dyn Worlds>>,
     make: Box<dyn Fn(bool) -> Result<Box<dyn Worlds>> + Send + Sync>,
     in_lanes: bool,
-    /// What a step took, this way and the other, when it was last measured.
-    cost: [Duration; 2],
+    /// What the last portion of steps took a step.
+    cost: Duration,
+    /// Time of a step in lanes over that one by one, in the last trials.
+    ratios: Vec<f64>,
     steps: u64,
     next: u64,
     gap: u64,
@@ -55,7 +57,8 @@ impl Auto {
             other: None,
             make: Box::new(make),
             in_lanes: true,
-            cost: [Duration::ZERO; 2],
+            cost: Duration::ZERO,
+            ratios: Vec::with_capacity(VOTES + 1),
             steps: 0,
             next: FIRST,
             gap: LEAST,
@@ -77,14 +80,17 @@ impl Auto {
                 self.turn()?;
             }
             let until = self.next.saturating_sub(self.steps);
+            // A trial is of one step, as is the one before it, which it is compared with.
             let portion = match until {
                 _ if trial => 1,
                 0 => left,
-                until => left.min(until),
+                1 => 1,
+                until => left.min(until - 1),
             };
             let started = Instant::now();
             let outcome = step(&mut *self.now, portion);
-            self.cost[0] = started.elapsed() / portion.min(u32::MAX.into()) as u32;
+            let took = started.elapsed() / portion.min(u32::MAX.into()) as u32;
+            let before = std::mem::replace(&mut self.cost, took);
             if let Err(error) = outcome {
                 self.fixed = true;
                 return Err(error);
@@ -92,10 +98,22 @@ impl Auto {
             (self.steps, left) = (self.steps + portion, left - portion);
             if trial {
                 (self.next, self.gap) = (self.steps + self.gap, (2 * self.gap).min(MOST));
-                self.change = self.cost[0].as_secs_f64() > WORTH * self.cost[1].as_secs_f64();
+                self.change = self.lanes_win(took, before) != self.in_lanes;
             }
         }
         Ok(())
+    }
+
+    /// Whether lanes take less time, after a trial that took so long, and the step before it.
+    fn lanes_win(&mut self, took: Duration, before: Duration) -> bool {
+        let (lanes, alone) = if self.in_lanes { (took, before) } else { (before, took) };
+        self.ratios.push(lanes.as_secs_f64() / alone.as_secs_f64().max(1e-9));
+        if self.ratios.len() > VOTES {
+            self.ratios.remove(0);
+        }
+        let mut sorted = self.ratios.clone();
+        sorted.sort_by(f64::total_cmp);
+        sorted[sorted.len() / 2] < 1.0
     }
 
     fn may_change(&mut self) -> bool {
@@ -117,7 +135,6 @@ impl Auto {
         let before = std::mem::replace(&mut self.now, other);
         self.other = (self.worlds <= KEPT).then_some(before);
         self.in_lanes = !self.in_lanes;
-        self.cost.swap(0, 1);
         Ok(())
     }
 
