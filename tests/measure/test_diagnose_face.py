@@ -84,9 +84,13 @@ def test_softened_elements_are_named_whole():
     for joint in scene.joints:
         joint.range = (0.1, 1.0)
         joint.name = f"a rather long name of {joint.name}"
-    note = next(n for n in diagnosed(scene).notes if n.startswith("above dt 10 ms refsafe makes"))
+    note = next(
+        n
+        for n in diagnosed(scene).notes
+        if n.startswith("above dt 10 ms the setting refsafe softens")
+    )
     assert note.count("limit of joint `a rather long name of joint") == 4
-    assert note.count("`") == 8 and " and 2 more softer than" in note
+    assert note.count("`") == 8 and " and 2 more, so that" in note
 
 
 def test_it_prints_exports_and_plots(tmp_path):

@@ -54,11 +54,11 @@ def growth(rate: float, confirmed: bool) -> str:
             f"at some state the motion grows e-fold in less than {seconds(1 / FASTEST)}, faster "
             "than any step that is tried: look at its masses and gains"
         )
-    fold = f"the motion itself grows, up to e-fold in {seconds(1 / rate)}"
+    fold = f"small differences in the motion itself grow by a factor of e in {seconds(1 / rate)}"
     if confirmed:
         return (
-            f"{fold} (falling, balancing or driven); two fine steps agree on it: this growth is "
-            "physical, and no dt changes it"
+            f"{fold} at the fastest, as where a body falls, balances or is driven; two fine steps "
+            "agree, so this is physical, and no dt changes it"
         )
     return f"{fold} at some state; no finer step confirms that it is physical"
 

@@ -177,13 +177,13 @@ def notes(
         above = seconds(max(least, SHORTEST))
         names = listed([limits.name for limits in softened if limits.softened == least])
         yield (
-            f"above dt {above} refsafe makes {names} softer than the scene asks, so that "
-            "no dt is limited there; refsafe=False or a solref in direct form keeps the stiffness"
+            f"above dt {above} the setting refsafe softens {names}, so that these limit no dt; "
+            "refsafe=False, or a solref of negative numbers, keeps their stiffness"
         )
     if any(limits.element.kind in (*OPEN, "friction loss") for limits in elements):
         yield (
-            "rows are linearised as they act at each state; a contact or limit that opens on "
-            "rebound rattles beyond its largest stable dt, but stays finite"
+            "contacts, limits and friction losses are taken as they act at each state; one that "
+            "opens on rebound rattles beyond its largest stable dt, but does not explode"
         )
     if here.model.settings.law in VELOCITY_LAWS:
         yield (
