@@ -12,6 +12,7 @@
 //! both ends, and while a joint is beyond that all pairs are tested (`Model::guards`). What
 //! a step computes is the same, to the bit, with and without this test.
 
+use super::proofs::{self, Proof, Question};
 use super::{Guard, Model, NONE};
 use crate::detect;
 use crate::place::Placed;
@@ -53,8 +54,23 @@ impl Between {
 
 /// Sets `Pair::apart` and `Model::guards`.
 pub fn fill(model: &mut Model) {
+    let question = Question::of(model);
+    let proof = proofs::recalled(&question).unwrap_or_else(|| {
+        let made = proved(model);
+        proofs::keep(question, &made);
+        made
+    });
+    for (pair, apart) in model.pairs.iter_mut().zip(proof.apart) {
+        pair.apart = apart;
+    }
+    model.guards = proof.guards;
+}
+
+/// The search, pair by pair.
+fn proved(model: &Model) -> Proof {
     let mut placed = None;
     let mut left = ALL_BOXES;
+    let mut proof = Proof { apart: vec![false; model.pairs.len()], guards: vec![] };
     for index in 0..model.pairs.len() {
         let Some(between) = between(model, index) else { continue };
         let placed = placed.get_or_insert_with(|| Placed::<f64>::new(model, None));
@@ -62,15 +78,16 @@ pub fn fill(model: &mut Model) {
         let budget = boxes;
         let apart = Search::new(model, placed, index, &between).apart(&mut boxes);
         left -= budget - boxes;
-        model.pairs[index].apart = apart;
+        proof.apart[index] = apart;
         for joint in between.iter().filter(|joint| apart && joint.limited) {
             let at = model.joints[joint.joint].qpos;
             let guard = Guard { joint: joint.joint, at, low: joint.low, high: joint.high };
-            if !model.guards.contains(&guard) {
-                model.guards.push(guard);
+            if !proof.guards.contains(&guard) {
+                proof.guards.push(guard);
             }
         }
     }
+    proof
 }
 
 /// The joints between a pair's geoms; None where one of them reaches everywhere.
@@ -193,15 +210,12 @@ impl<'a> Search<'a> {
                 return false;
             }
             *boxes -= 1;
-            let distance = self.at_the_middle(&region) - self.least;
-            // What is no number is no proof.
-            if distance.is_nan() || distance <= 0.0 {
-                return false;
-            }
             let moves: Vec<f64> =
                 self.between.iter().zip(&region).map(|(j, [lo, hi])| j.moves(hi - lo)).collect();
-            if distance > moves.iter().sum() {
-                continue;
+            match self.at_the_middle(&region, moves.iter().sum()) {
+                Middle::Meets => return false,
+                Middle::Apart => continue,
+                Middle::Unknown => {}
             }
             let widest = (0..moves.len()).fold(0, |w, k| if moves[k] > moves[w] { k } else { w });
             let [low, high] = region[widest];
@@ -214,11 +228,43 @@ impl<'a> Search<'a> {
         true
     }
 
-    fn at_the_middle(&mut self, region: &[[f64; 2]]) -> f64 {
+    /// What the middle of a box tells of it, where the joints can move the geoms by `moves` [m].
+    /// The distance itself is dear: it is asked for only where boxes and centres do not tell.
+    fn at_the_middle(&mut self, region: &[[f64; 2]], moves: f64) -> Middle {
         for (joint, [low, high]) in self.between.iter().zip(region) {
             self.qpos[self.model.joints[joint.joint].qpos] = 0.5 * (low + high);
         }
         self.placed.place_some(self.model, &self.qpos, &self.bodies, &self.geoms);
-        detect::distance(self.model, self.placed, &self.model.pairs[self.pair])
+        let pair = &self.model.pairs[self.pair];
+        if detect::boxes_apart(self.model, self.placed, pair, self.least + moves) {
+            return Middle::Apart;
+        }
+        let [one, two] = self.geoms.map(|geom| self.placed.geom[geom].pos);
+        let hollow = |g: &usize| self.model.geoms[*g].reach.is_infinite();
+        let centres = (two - one).norm();
+        if centres <= self.least + moves
+            && !self.geoms.iter().any(hollow)
+            && detect::boxes_apart(self.model, self.placed, pair, self.least)
+        {
+            return Middle::Unknown;
+        }
+        let distance = detect::distance(self.model, self.placed, pair) - self.least;
+        // What is no number is no proof.
+        if distance.is_nan() || distance <= 0.0 {
+            Middle::Meets
+        } else if distance > moves {
+            Middle::Apart
+        } else {
+            Middle::Unknown
+        }
     }
+}
+
+/// What one configuration tells of all that are near it.
+enum Middle {
+    /// The pair meets there.
+    Meets,
+    /// It is so far apart that it is apart in all of them.
+    Apart,
+    Unknown,
 }

@@ -21,6 +21,7 @@ mod pairs;
 mod plan;
 mod pose;
 mod principal;
+mod proofs;
 mod shape;
 mod slots;
 mod solid;

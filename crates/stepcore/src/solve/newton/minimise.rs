@@ -46,6 +46,8 @@ impl<R: Real> System<R> {
                 break;
             }
             let (size, moved) = self.slope(problem);
+            // What is no number any more, as where a run explodes, no iteration makes one.
+            live = live.and(size.lt(R::of(f64::INFINITY)));
             // |g| in D⁻¹ bounds the residual's energy, and the step that is left.
             let floor = moved + self.scale(problem.bundles);
             let part = |x: R| (x * floor.recip_or_zero()).max(zero).sqrt();
