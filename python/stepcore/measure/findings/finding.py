@@ -37,10 +37,11 @@ def ordered(findings: Iterable[Finding]) -> list[Finding]:
 
 def others(names: Sequence[str], noun: str) -> str:
     """ " (and `a`, `b` and 3 more contacts)" after the first of some names; "" if it is alone.
+    A name that comes again, as of two contacts of one pair, is told once.
 
     noun: of more than one.
     """
-    rest = list(dict.fromkeys(names[1:]))
+    rest = list(dict.fromkeys(names))[1:]
     if not rest:
         return ""
     more = len(rest) - NAMES
