@@ -116,6 +116,11 @@ def scaled(scene, length, mass, time):
         by(geom, unit(1), "size", "pos", "margin", "gap")
         by(geom, unit(0, 1), "mass")
         by(geom, unit(-2 if geom.shellinertia else -3, 1), "density")
+        moves, turns = geom.surfacevel[:3], geom.surfacevel[3:]
+        geom.surfacevel = (
+            *(x * unit(1, 0, -1) for x in moves),
+            *(x * unit(0, 0, -1) for x in turns),
+        )
         slide, spin, roll = geom.friction
         geom.friction = (slide, spin * unit(1), roll * unit(1))
         soften(geom, unit(1))
@@ -294,6 +299,8 @@ def mirrored(scene):
         joint.axis = joint.axis * (MIRROR if joint.type == "slide" else AXIAL)
     for placed in (*scene.geoms, *scene.sites):
         placed.pos, placed.quat = placed.pos * MIRROR, placed.quat * TURNED
+    for geom in scene.geoms:
+        geom.surfacevel = geom.surfacevel * np.r_[MIRROR, AXIAL]
     for actuator in scene.actuators:
         field, target = actuator.target
         kind = target.type if field in ("joint", "jointinparent") else field

@@ -44,6 +44,7 @@ _ON = {
     **dict.fromkeys(("distance", "normal", "fromto"), 'geom1="bg" geom2="lower" cutoff="5"'),
     "contact": 'geom1="bg"',
     **dict.fromkeys(("e_potential", "e_kinetic", "clock"), ""),
+    "user": 'dim="3"',
 }
 BASE = {f"sensor/{tag}": words for tag, words in _ON.items()}
 _TENDONS = TENDONS.replace(
@@ -105,6 +106,13 @@ _OWN: dict[str, dict[str, str | tuple[str, str]]] = {
     },
     "rangefinder": {"camera": "cam", "data": "dist dir"},
     "touch": {"site": "s1"},
+    "user": {
+        "dim": "5",
+        "datatype": "positive",
+        "needstage": "acc",
+        "objtype": ("body", 'objname="fore"'),
+        "objname": ("fore", 'objtype="body"'),
+    },
 }
 
 

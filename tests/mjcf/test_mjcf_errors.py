@@ -241,7 +241,6 @@ UNBUILT = {
     "<composite> in <body>": ("<composite/>", ""),
     "scaling": ('<frame scale="2"/>', ""),
     "springyield": ('<joint springyield="1"/>', ""),
-    "surfacevel": ('<geom size="1" surfacevel="1 0 0 0 0 0"/>', ""),
     "adhesion": ('<geom size="1" adhesion="1"/>', ""),
     "type sdf": ('<geom type="sdf" mesh="m"/>', ""),
     "dim 2": (

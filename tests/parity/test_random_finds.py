@@ -87,3 +87,51 @@ def test_an_automatic_damper_leaves_that_of_actuators():
     mujoco.mj_forward(model, data)
     sim.forward()
     assert sim.passive == pytest.approx(data.qfrc_passive, rel=1e-12)
+
+
+def test_turns_of_a_weld_that_nothing_makes_carry_no_load_of_rounding():
+    """A body that only slides, welded to the world: torques in it to 1e-9 of the largest."""
+    text = """<mujoco><worldbody><body pos=".45 .33 .44" quat=".66 -.67 -.53 -.58">
+      <joint type="slide" axis=".75 .67 .84"/><geom size=".1" pos=".1 .2 .3"/>
+      <site name="s" pos=".1 0 -.2" euler="10 20 30"/><body pos=".1 .2 .3" euler="10 50 20">
+      <joint axis=".7 .1 .9" pos=".1 0 0"/><geom size=".1" pos=".2 .1 0"/></body></body></worldbody>
+      <equality><weld body1="{0}" anchor="-.2 -.1 -.1"/></equality>
+      <sensor><torque site="s"/><force site="s"/></sensor></mujoco>"""
+    text = text.replace("<body pos", '<body name="a" pos', 1).format("a")
+    model, data, sim = pair(text)
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        sim.qpos[:] = data.qpos[:] = 0.4 * rng.normal(size=2)
+        mujoco.mj_forward(model, data)
+        sim.forward()
+        assert peers.apart(sim.sensordata, data.sensordata) < 1e-9
+        assert peers.apart(sim.cfrc_int, data.cfrc_int) < 1e-9
+
+
+def test_the_bound_of_a_tendon_comes_before_those_of_its_actuators():
+    """Where both act, the tendon's share is that of the forces without bounds: to 1e-12."""
+    text = """<mujoco><worldbody><body><joint name="j" type="slide"/><geom size=".1"/></body>
+      </worldbody><tendon><fixed name="t" actuatorfrcrange="-3 4.5"><joint joint="j" coef="1"/>
+      </fixed></tendon><actuator><motor tendon="t" gear=".5" forcerange="-1 2.7"/>
+      <motor tendon="t" gear="2"/></actuator></mujoco>"""
+    model, data, sim = pair(text)
+    for ctrl in ((6, 1), (2, 1), (3, 3), (-5, 1), (-5, -5), (9, -5)):
+        data.ctrl[:] = sim.ctrl[:] = ctrl
+        mujoco.mj_forward(model, data)
+        sim.forward()
+        assert peers.apart(sim.actuator_force, data.actuator_force) < 1e-12
+        assert peers.apart(sim.qacc, data.qacc) < 1e-12
+
+
+def test_what_actuators_do_to_a_joint_counts_adhesion():
+    """jointactuatorfrc: to 1e-9."""
+    text = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body name="b" pos="0 0 .099">
+      <joint name="x" type="slide" axis="0 .6 .8"/><joint name="h" axis="1 .2 0" pos=".1 .3 0"/>
+      <geom size=".1"/></body></worldbody><actuator><adhesion body="b" ctrlrange="0 1" gain="5"/>
+      <motor joint="h"/></actuator><sensor><jointactuatorfrc joint="x"/>
+      <jointactuatorfrc joint="h"/></sensor></mujoco>"""
+    model, data, sim = pair(text)
+    data.ctrl[:] = sim.ctrl[:] = (0.7, 0.2)
+    mujoco.mj_forward(model, data)
+    sim.forward()
+    assert data.sensordata[0] and peers.apart(sim.sensordata, data.sensordata) < 1e-9

@@ -143,3 +143,15 @@ add(
     extra='<contact><exclude body1="f0" body2="l2"/></contact>',
     spread=0.05,
 )
+# A belt that turns, and balls with surfaces of their own, on what slides, rolls and does not rub.
+add(
+    "surfacevel",
+    FLOOR.replace("/>", ' surfacevel=".8 .3 2 .1 .2 1.5"/>')
+    + mover("0 0 .1", SPHERE + ' condim="4" friction="1 .02"')
+    + mover(".5 0 .1", SPHERE + ' condim="6" friction="1 .01 .002" surfacevel="0 0 0 1 2 3"')
+    + mover("1 0 .1", CAPSULE + ' condim="3" surfacevel="-1 .5 .2 0 0 1"')
+    + mover("1.5 0 .1", SPHERE + ' condim="1" surfacevel="2 0 0 0 0 0"')
+    + mover(".52 .05 .29", 'type="box" size=".1 .08 .06"'),
+    CONTACT,
+    spread=0.05,
+)

@@ -157,6 +157,7 @@ record!(Geom {
     friction,
     margin,
     gap,
+    surfacevel,
     solmix,
     soft,
     fluidshape,

@@ -239,6 +239,7 @@ class RemovableFeatures:
         removals += self.tendons()
         if scene.density > 0 or scene.viscosity > 0:
             removals.append(Removal("fluid", "", (("no fluid", None),)))
+        removals += self.belts()
         light = tuple(i for i, body in enumerate(scene.bodies) if body.gravcomp != 0)
         if light and features.gravity:
             edit = ("no gravcomp", light)
@@ -248,6 +249,17 @@ class RemovableFeatures:
             name = "Coriolis, gyroscopic"
             removals.append(Removal("velocity forces", name, (("feature", "coriolis"),)))
         return removals
+
+    def belts(self) -> list[Removal]:
+        """Surfaces that move, of all geoms that collide."""
+        geoms = enumerate(self.scene.geoms)
+        own = tuple(i for i, geom in geoms if any(geom.surfacevel) and i in self._solid())
+        edit = ("cleared", ("geoms", own, ("surfacevel",)))
+        return [Removal("moving surfaces", _count(own, "geom"), (edit,))] if own else []
+
+    def _solid(self) -> list[int]:
+        """The geoms that collide, by index in the scene."""
+        return [self.geom[i] for i, on in enumerate(self.plan["collides"]) if on]
 
     def _term(self, kind: str, feature: str) -> list[Removal]:
         """What joints have of a feature: switched off, or cleared where tendons have it too."""
@@ -355,7 +367,7 @@ class RemovableFeatures:
     def _groups(self) -> list[Removal]:
         """Each group of geoms, where several groups collide."""
         geoms = self.scene.geoms
-        solid = [self.geom[i] for i, on in enumerate(self.plan["collides"]) if on]
+        solid = self._solid()
         groups = sorted({geoms[i].group for i in solid})
         removals = []
         for group in groups if len(groups) > 1 else ():

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.elements import Element
 from stepcore.scene.elements.sensor import OBJECTS as TYPES
@@ -23,6 +24,8 @@ NAMED = {
 }
 REFERENCES = {"geom2": ("geom", ""), "body2": ("body", "body"), "subtree2": ("body", "subtree")}
 
+# The most numbers of a sensor of type "user".
+MOST_NUMBERS = 10_000
 # Types whose readings depend on the orientation of their object.
 TURNED = ("framequat", "framexaxis", "frameyaxis", "framezaxis")
 
@@ -41,6 +44,11 @@ def read(world: WorldReader, node: Node) -> None:
     if values.get("cutoff", 0.0) != 0 or node.tag in ("distance", "normal", "fromto"):
         given["cutoff"] = values.get("cutoff", 0.0)
     given |= {f: values[f] for f in ("data", "num") if f in values}
+    if node.tag == "user":
+        if not 0 < values["dim"] <= MOST_NUMBERS:
+            raise bad(node, "dim", values["dim"], f"1 to {MOST_NUMBERS}")
+        world.keep(node, world.scene.add_sensor("user", num=values["dim"], **given))
+        return
     ends = _ends(world, node)
     world.keep(node, world.scene.add_sensor(node.tag, **ends, **given))
 

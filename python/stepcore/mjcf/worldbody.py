@@ -266,8 +266,6 @@ class WorldReader:
         self.names["geom"].add(name)
         contype, conaffinity = values.get("contype", 1), values.get("conaffinity", 1)
         collides = contype != 0 or conaffinity != 0 or (name != "" and name in self.paired)
-        if collides and any(values.get("surfacevel", ())):
-            raise node.unbuilt("a moving surface (surfacevel)", "surfacevel")
         if collides and values.get("adhesion", 0) != 0:
             raise node.unbuilt("adhesion", "adhesion")
         if kind == "sdf":
@@ -364,7 +362,7 @@ def soft(values: dict[str, Any], solref: str, solimp: str) -> dict[str, Any]:
 # Fields of a geom whose values are those of the file.
 _OF_GEOM = (
     *("condim", "group", "priority", "friction", "mass", "density", "shellinertia"),
-    *("solmix", "margin", "gap", "fluidshape", "fluidcoef"),
+    *("solmix", "margin", "gap", "surfacevel", "fluidshape", "fluidcoef"),
 )
 # Fields of a joint whose values are those of the file.
 _COPIED = ("margin", "armature", "frictionloss", "actuatorgravcomp")

@@ -62,6 +62,7 @@ def compile_scene(scene: Any) -> Model:
             raise ValueError(f"tendon '{tendon['name']}': the reference has no tendons")
     lacks = {
         "fluid": scene["density"] > 0 or scene["viscosity"] > 0,
+        "surfacevel": any(any(geom["surfacevel"]) for geom in scene["geoms"]),
         "springdamper": any(all(joint["springdamper"]) for joint in scene["joints"]),
         "tendon": any(equality["kind"] == "tendon" for equality in scene["equalities"]),
     }

@@ -60,6 +60,7 @@ class GeomFields(TypedDict, total=False):
     friction: Numbers
     margin: float
     gap: float
+    surfacevel: Numbers
     solmix: float
     solref: Vector
     solimp: Numbers

@@ -128,7 +128,7 @@ fn bias<R: Real>(actuator: &scene::Actuator, at: Along<R>) -> R {
     constant + length * at.length + velocity * at.velocity
 }
 
-/// The force of every actuator before its gear, by actuator.
+/// The force of every actuator before its gear and its bounds, by actuator.
 pub(crate) fn tensions<R: Real>(
     model: &Model,
     qpos: &[R],
@@ -148,7 +148,18 @@ pub(crate) fn tensions<R: Real>(
         if actuator.bias != [0.0; 3] || actuator.muscle_bias.is_some() {
             force += bias(actuator, at);
         }
-        tensions[index] = actuator.bounded(force);
+        tensions[index] = force;
+    }
+}
+
+/// Every force within the bounds of its own actuator; those of a tendon come first.
+pub(crate) fn bound<R: Real>(model: &Model, tensions: &mut [R]) {
+    if !model.features.actuation {
+        return;
+    }
+    let own = tensions.iter_mut().zip(&model.actuators);
+    for (tension, actuator) in own.filter(|(_, actuator)| actuator.enabled) {
+        *tension = actuator.bounded(*tension);
     }
 }
 

@@ -15,6 +15,7 @@
 //! length, and turns about the normal with the flatter of the two geoms: a ball that spins on a table
 //! does not wind it up.
 
+use super::belt::Drift;
 use super::friction::{Axis, Way, Ways, MOST_WAYS};
 use crate::detect::Contact;
 use crate::model::{Pair, NONE};
@@ -62,6 +63,7 @@ impl<R: Real> Rows<R> {
         contact: &Contact<R>,
         pair: &Pair,
         ways: &Ways,
+        drift: Option<&Drift<R>>,
         (first, edges): (usize, bool),
     ) {
         if !now.settings.stiction || ways.list().is_empty() {
@@ -71,20 +73,12 @@ impl<R: Real> Rows<R> {
         let r = contact.dist - R::of(material.margin);
         let own = material.solreffriction.filter(|_| !edges);
         let pull = pull(own, &material.soft, r, now.settings);
-        let mut anchor = self.moved(now, contact, pair, ways, (first, edges));
+        let mut anchor = self.moved(now, contact, pair, ways, drift, (first, edges));
         anchor.pull = pull;
         let mu = R::of(ways.mu);
         for (k, slip) in anchor.along.iter().enumerate().take(ways.list().len()) {
-            if !edges {
-                self.rows[first + 1 + k].t -= pull * *slip;
-                continue;
-            }
-            let by = pull * (mu * *slip);
-            let [one, other] = &mut self.rows[first + 2 * k..first + 2 * k + 2] else { return };
-            // Unfolded: the first is the tangent, the second its load.
-            let alone = one.lo.lt(R::zero());
-            one.t -= by;
-            other.t = R::select(alone, other.t, other.t + by);
+            let by = if edges { pull * (mu * *slip) } else { pull * *slip };
+            self.lean(k, by, (first, edges));
         }
         self.anchors.push(anchor);
     }
@@ -96,6 +90,7 @@ impl<R: Real> Rows<R> {
         contact: &Contact<R>,
         pair: &Pair,
         ways: &Ways,
+        drift: Option<&Drift<R>>,
         (first, edges): (usize, bool),
     ) -> Anchor<R> {
         let tangents = contact.tangents(now.placed);
@@ -120,6 +115,7 @@ impl<R: Real> Rows<R> {
             } else {
                 self.rows[first + 1 + k].velocity
             };
+            let velocity = drift.map_or(velocity, |drift| velocity + drift[k]);
             let slip = if way.turns { &mut turn } else { &mut slide };
             if now.first_stage {
                 *slip += axis(way) * (velocity * R::of(now.settings.dt / way.scale));

@@ -6,6 +6,7 @@
 //! half the regulariser (all four, where neither tangent moves, into one with a quarter),
 //! never dropped, because they carry stiffness.
 
+use super::belt::drift;
 use super::constraint::{Constraint, Makings};
 use super::friction::{Axis, Way, Ways, MOST_WAYS};
 use crate::detect::path::meeting;
@@ -213,7 +214,9 @@ impl<R: Real> Rows<R> {
                 law.fill(row, R::zero(), weight, least, dt);
                 row.lo = R::of(f64::NEG_INFINITY);
             }
-            self.anchor(now, contact, pair, &ways, (first, false));
+            let drift = drift(now, contact, pair, &ways);
+            self.follow(drift.as_ref(), &ways, dt * law.b, (first, false));
+            self.anchor(now, contact, pair, &ways, drift.as_ref(), (first, false));
             return self.close(now, contact, pair, (first, Set::Convex, ways.mu), mask);
         }
         let edge = weight * 2.0 * mu * mu / impratio * (1.0 + mu * mu);
@@ -231,7 +234,9 @@ impl<R: Real> Rows<R> {
         if mask.and(unmoved).any() {
             self.unfold(law, first, edges - edges % 2, unmoved, dt);
         }
-        self.anchor(now, contact, pair, &ways, (first, true));
+        let drift = drift(now, contact, pair, &ways);
+        self.follow(drift.as_ref(), &ways, dt * law.b, (first, true));
+        self.anchor(now, contact, pair, &ways, drift.as_ref(), (first, true));
         self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
     }
 
@@ -331,6 +336,8 @@ impl<R: Real> Rows<R> {
             law.friction(row);
             row.lo = R::of(f64::NEG_INFINITY);
         }
+        let drift = drift(now, contact, pair, &ways);
+        self.follow(drift.as_ref(), &ways, R::one(), (first, false));
         let set = match now.settings.cone {
             Cone::Elliptic => Set::CoulombRound,
             Cone::Pyramidal => Set::CoulombBox,

@@ -9,6 +9,7 @@ pub(crate) mod activation;
 pub(crate) mod actuator;
 mod anchor;
 mod applied;
+mod belt;
 mod connect;
 mod constraint;
 mod constraints;

@@ -8,6 +8,7 @@
 //! velocities and forces of the same kind in their measure (`friction.rs`), so that one bound holds
 //! for all ways together, Σ (f_j/μ_j)² ≤ f_n²; each has the damper that ends it as fast, γ A_t/A_j.
 
+use super::belt::drift;
 use super::friction::{Way, Ways};
 use crate::detect::Contact;
 use crate::model::{Pair, Span};
@@ -52,6 +53,10 @@ impl<R: Real> Rows<R> {
     ) {
         let first = self.rows.len();
         self.friction_rows(now, contact, pair, ways);
+        if let Some(drift) = drift(now, contact, pair, ways) {
+            let rows = self.rows[first..].iter_mut().zip(drift);
+            rows.for_each(|(row, drift)| row.velocity += drift);
+        }
         let rows = self.rows[first..].iter().zip(ways.list());
         let slides = rows.clone().filter(|(_, way)| !way.turns);
         let most = |a: R, (row, _): (&Row<R>, &Way)| a.max(row.a);

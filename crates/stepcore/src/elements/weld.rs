@@ -14,9 +14,12 @@
 use super::connect::Apart;
 use super::equality::Held;
 use crate::model::{Ends, NONE};
-use crate::real::Real;
+use crate::real::{Mask, Real};
 use crate::solve::{Rows, Situation};
 use crate::spatial::{rotate, Motion, Quat, M3, V3};
+
+/// Of a product of unit quaternions.
+const ROUNDINGS: f64 = 8.0;
 
 impl<R: Real> Rows<R> {
     pub(super) fn weld(&mut self, now: &Situation<R>, index: usize, ends: &Ends, scale: f64) {
@@ -56,7 +59,12 @@ impl<R: Real> Rows<R> {
             self.drop_rounding(now, ends.bodies, &at, equality.mass, |motion: &Motion<R>, _| {
                 motion.ang.dot(&motion.ang) * R::of(0.25 * scale * scale)
             });
-            let gap = R::of(scale) * turn.v[k];
+            let mut gap = R::of(scale) * turn.v[k];
+            if let Some(row) = self.rows.last().filter(|row| row.a.le(R::zero()).any()) {
+                // What nothing turns has the load gap/R, and R is least: not of a rounding.
+                let rounding = turn.v[k].abs().le(R::of(ROUNDINGS * R::EPSILON));
+                gap = R::select(row.a.le(R::zero()).and(rounding), R::zero(), gap);
+            }
             let bent = R::of(0.25) * relative.dot(&relative) * gap;
             held[k] = Held { gap, curving: along.dot(&gains) - bent, invweight: ends.invweight[1] };
         }

@@ -350,6 +350,7 @@ fn geom(e: &Subject, g: &Geom) -> Result<()> {
     e.friction(&g.friction)?;
     e.finite("margin", &[g.margin])?;
     e.not_negative("gap", g.gap)?;
+    e.finite("surfacevel", &g.surfacevel)?;
     e.not_negative("solmix", g.solmix)?;
     e.finite("fluidcoef", &g.fluidcoef)?;
     e.softness("", &g.soft)

@@ -202,6 +202,14 @@ fn place(geom: &mut Geom, solid: &Solid, aabb: bool) {
         geom.mesh = None;
     }
     let quat = unit_quat(geom.quat);
+    if geom.surfacevel != [0.0; 6] {
+        // The same field in the new frame.
+        let [x, y, z, a, b, c] = geom.surfacevel;
+        let (slide, turn) = (Vector3::new(x, y, z), Vector3::new(a, b, c));
+        let back = rotation(solid.quat).transpose();
+        let (slide, turn) = (back * (slide + turn.cross(&centre)), back * turn);
+        geom.surfacevel = [slide.x, slide.y, slide.z, turn.x, turn.y, turn.z];
+    }
     geom.pos = (Vector3::from(geom.pos) + rotation(quat) * centre).into();
     geom.quat = unit_quat(product(quat, solid.quat));
 }

@@ -213,6 +213,8 @@ pub struct Geom {
     pub hidden: bool,
     /// Takes part in some pair, so that its pose is needed.
     pub collides: bool,
+    /// Its surface moves, by a velocity and an angular velocity in its frame.
+    pub belt: Option<[Vector3<f64>; 2]>,
 }
 
 impl Geom {

@@ -258,7 +258,13 @@ fn geom(source: &crate::scene::Geom, asset: &Asset) -> Geom {
         contype: source.contype,
         conaffinity: source.conaffinity,
         collides: false,
+        belt: belt(&source.surfacevel),
     }
+}
+
+fn belt(surfacevel: &[f64; 6]) -> Option<[Vector3<f64>; 2]> {
+    let &[x, y, z, a, b, c] = surfacevel;
+    surfacevel.iter().any(|v| *v != 0.0).then(|| [Vector3::new(x, y, z), Vector3::new(a, b, c)])
 }
 
 /// Half sizes of the box about a geom's frame that holds it [m].

@@ -2,7 +2,7 @@
 
 use super::{Frames, Placed, Pulls};
 use crate::elements::activation::{rates, Activations};
-use crate::elements::actuator::{clamp_joints, clamp_tendons, tensions};
+use crate::elements::actuator::{bound, clamp_joints, clamp_tendons, tensions};
 use crate::elements::force::{Group, Moment, Sum};
 use crate::elements::forces::push;
 use crate::model::Model;
@@ -21,9 +21,12 @@ impl<R: Real> Placed<R> {
     ) {
         let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };
         tensions(model, qpos, qvel, act, inputs, pulls, &mut self.actuator);
-        if !self.shares.is_empty() {
+        if self.shares.is_empty() {
+            bound(model, &mut self.actuator);
+        } else {
             let (joints, tendons) = self.shares.split_at_mut(model.nv);
             clamp_tendons(model, &mut self.actuator, tendons);
+            bound(model, &mut self.actuator);
             let Self { xpos, xmat, origin, motion, actuator, .. } = self;
             let frames =
                 Frames { xpos, xmat, origin, motion, tension: actuator, shares: &[], pulls };

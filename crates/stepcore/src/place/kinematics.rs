@@ -158,7 +158,8 @@ impl<R: Real> Placed<R> {
     /// As much of a colliding geom's pose as its contacts need.
     pub(super) fn place_colliding(&mut self, model: &Model, index: usize) {
         let geom = &model.geoms[index];
-        if geom.kind == GeomType::Sphere || !model.bodies[geom.body].turns {
+        let round = geom.kind == GeomType::Sphere && geom.belt.is_none();
+        if round || !model.bodies[geom.body].turns {
             self.place_geom_centre(model, index);
         } else {
             self.place_geom(model, index);

@@ -92,6 +92,9 @@ pub struct Geom {
     /// both gaps above that.
     pub margin: f64,
     pub gap: f64,
+    /// How its surface moves as contacts feel it, in the geom's frame: a velocity [m/s], and an
+    /// angular velocity about the frame's origin [rad/s].
+    pub surfacevel: [f64; 6],
     /// Weight of this geom's softness in the mixture of two.
     pub solmix: f64,
     pub soft: Softness,
@@ -125,6 +128,7 @@ impl Default for Geom {
             friction: [1.0, 0.005, 0.0001],
             margin: 0.0,
             gap: 0.0,
+            surfacevel: [0.0; 6],
             solmix: 1.0,
             soft: Softness::default(),
             fluidshape: FluidShape::None,

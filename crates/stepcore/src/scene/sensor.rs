@@ -66,6 +66,7 @@ sensor_types! {
     "e_potential" => PotentialEnergy,
     "e_kinetic" => KineticEnergy,
     "clock" => Clock,
+    "user" => User,
 }
 
 /// What a sensor looks at.
@@ -139,6 +140,6 @@ pub struct Sensor {
     /// Of a contact or a rangefinder, in the order of the data.
     pub data: Vec<SensorField>,
     pub reduce: Reduce,
-    /// Of a contact sensor: how many contacts.
+    /// Of a contact sensor: how many contacts; of a user's: how many numbers.
     pub num: usize,
 }

@@ -90,7 +90,7 @@ fn fits(scene: &Scene, sensor: &Sensor) -> std::result::Result<(), &'static str>
             (one.is_none() || is(one, &[met.as_slice(), &[ObjectType::Site]].concat()))
                 && (two.is_none() || is(two, &met)),
         ),
-        T::Clock | T::PotentialEnergy | T::KineticEnergy => {
+        T::Clock | T::PotentialEnergy | T::KineticEnergy | T::User => {
             ("nothing to look at", one.is_none() && two.is_none())
         }
         _ => ("an object with a frame", is(one, &frames) && (two.is_none() || is(two, &frames))),

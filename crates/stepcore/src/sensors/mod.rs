@@ -15,7 +15,7 @@ mod touch;
 use crate::model::Model;
 use crate::real::Real;
 use crate::scene::{ObjectType, Sensor, SensorObject, SensorType};
-use crate::sim::Sim;
+use crate::sim::{At, Sim};
 use crate::spatial::{Pose, Quat, V3};
 use crate::watch::{Bodies, BodyForces};
 
@@ -45,6 +45,7 @@ impl Sensor {
             T::Rangefinder => fields,
             T::FrameQuat | T::BallQuat => 4,
             T::FromTo => 6,
+            T::User => self.num,
             T::Touch | T::JointPos | T::JointVel => 1,
             T::ActuatorPos | T::ActuatorVel | T::ActuatorFrc | T::JointActuatorFrc => 1,
             T::JointLimitPos | T::JointLimitVel | T::JointLimitFrc => 1,
@@ -107,6 +108,9 @@ impl<'a, R: Real> Reading<'a, R> {
     /// Of one lane of a world, at its present state; if it has solved there, of that solve.
     pub fn new(sim: &'a mut Sim<R>, lane: usize) -> Self {
         sim.refresh();
+        if sim.model.adheres {
+            sim.place_adhesion(At::State);
+        }
         let bodies = sim.bodies(lane);
         Self { sim, lane, bodies, forces: None }
     }
@@ -155,6 +159,8 @@ impl<'a, R: Real> Reading<'a, R> {
                 out.extend(self.bodies.subtree_momentum(self.model(), sensor).0.iter())
             }
             T::Clock => out.push(self.sim.time()),
+            // Its user fills it in.
+            T::User => out.extend(std::iter::repeat_n(0.0, sensor.num)),
             T::PotentialEnergy => {
                 let potential = self.sim.potential_of_springs_and_weight();
                 out.push(potential.lane(self.lane));

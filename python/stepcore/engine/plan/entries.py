@@ -172,6 +172,10 @@ class _Listing:
         passive = on.spring or on.damper
         wet = [n for n, has in zip(self.body_names, self.plan["fluid"], strict=True) if has]
         yield _used("place", "fluid drag (by body)", wet, removal=removals.get("fluid"))
+        own = Layout(self.scene).geoms
+        moving = [n for n, g in zip(self.geom_names, own, strict=True) if any(g.surfacevel)]
+        removal = removals.get("moving surfaces")
+        yield _used("solve", "surfaces that move (by geom)", moving, removal=removal)
         bodies = Layout(self.scene).bodies
         light = [n for n, b in zip(self.body_names, bodies, strict=True) if b.gravcomp != 0]
         name = "gravity compensation (by body)"

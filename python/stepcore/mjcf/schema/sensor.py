@@ -39,7 +39,8 @@ SENSOR = spec(
         **_sensors("e_potential e_kinetic clock", ""),
         "tactile": spec("name geom mesh nsample interp delay interval cutoff user", role="senses"),
         "user": spec(
-            "name objtype objname datatype needstage dim cutoff noise user", role="senses"
+            "name objtype objname datatype:real|positive|axis|quaternion needstage:pos|vel|acc "
+            "dim!:int cutoff:1 noise:1 user:*"
         ),
         "plugin": spec(
             "name plugin instance cutoff objtype objname reftype refname user",

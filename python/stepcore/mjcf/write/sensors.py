@@ -33,7 +33,10 @@ def _sensor(sensor: Sensor, names: Names) -> Tag:
     given |= _end(sensor, names, sensor.reference, sensor.reftype, "2")
     if sensor.data:
         given["data"] = " ".join(sensor.data)
-    for field, default in (("num", 1), ("reduce", "none"), ("cutoff", 0.0), ("noise", 0.0)):
+    if sensor.type == "user":
+        given["dim"] = sensor.num
+    counted = () if sensor.type == "user" else (("num", 1),)
+    for field, default in (*counted, ("reduce", "none"), ("cutoff", 0.0), ("noise", 0.0)):
         value = getattr(sensor, field)
         if value != default:
             given[field] = value

@@ -12,6 +12,7 @@ SOLREF: Vec = (0.02, 1.0)
 SOLIMP: Vec = (0.9, 0.95, 0.001, 0.5, 2.0)
 FRICTION: Vec = (1.0, 0.005, 0.0001)
 PAIR_FRICTION: Vec = (1.0, 1.0, 0.005, 0.0001, 0.0001)
+STILL: Vec = (0.0,) * 6
 FLUIDCOEF: Vec = (0.5, 0.25, 1.5, 1.0, 1.0)
 POLYCOEF: Vec = (0.0, 1.0, 0.0, 0.0, 0.0)
 GEAR: Vec = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -31,6 +32,7 @@ Size = Annotated[Vec, checks.vector(3, low=0, fill=(0.0, 0.0, 0.0))]
 Friction = Annotated[Vec, checks.vector(3, low=0, fill=FRICTION)]
 PairFriction = Annotated[Vec, checks.vector(5, low=0, fill=PAIR_FRICTION)]
 Gear = Annotated[Vec, checks.vector(6, fill=GEAR)]
+SurfaceVel = Annotated[Vec, checks.vector(6, fill=STILL)]
 FluidCoef = Annotated[Vec, checks.vector(5, fill=FLUIDCOEF)]
 SpringDamper = Annotated[Vec | None, checks.optional(checks.vector(2, low=0))]
 PolyCoef = Annotated[Vec, checks.vector(5, fill=POLYCOEF)]

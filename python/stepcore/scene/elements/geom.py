@@ -13,6 +13,7 @@ from stepcore.scene.elements.field_types import (
     FRICTION,
     SOLIMP,
     SOLREF,
+    STILL,
     Flag,
     FluidCoef,
     Friction,
@@ -25,6 +26,7 @@ from stepcore.scene.elements.field_types import (
     Size,
     SolImp,
     SolRef,
+    SurfaceVel,
     Text,
     Vec3,
 )
@@ -65,6 +67,8 @@ class Geom(Element):
     fluidcoef: of an ellipsoid: blunt, slender and angular drag, Kutta and Magnus lift, shape (5,).
     hidden: True: rays and rangefinders pass through it, as through MJCF's geoms of opacity 0.
     margin: distance below which contacts act [m]. gap: contacts are listed from margin + gap [m].
+    surfacevel: how its surface moves as contacts feel it, in the geom's frame, shape (6,): a
+        velocity [m/s], and an angular velocity about the frame's origin [rad/s]: belts, turntables.
     """
 
     name: Text = ""
@@ -88,6 +92,7 @@ class Geom(Element):
     friction: Friction = FRICTION
     margin: Real = 0.0
     gap: NonNegative = 0.0
+    surfacevel: SurfaceVel = STILL
     solmix: NonNegative = 1.0
     solref: SolRef = SOLREF
     solimp: SolImp = SOLIMP

@@ -30,7 +30,7 @@ OF_FRAME = (
 OF_ACCELERATION = ("framelinacc", "frameangacc")
 OF_SUBTREE = ("subtreecom", "subtreelinvel", "subtreeangmom")
 OF_GAP = ("distance", "normal", "fromto")
-OF_WHOLE = ("e_potential", "e_kinetic", "clock")
+OF_WHOLE = ("e_potential", "e_kinetic", "clock", "user")
 OBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     **dict.fromkeys(AT_SITE, (("site",), ())),
     **dict.fromkeys((*OF_SCALAR_JOINT, *OF_BALL, *OF_LIMIT), (("joint",), ())),
@@ -87,7 +87,8 @@ class Sensor(Element):
         "found", "force", "torque", "dist", "pos", "normal", "tangent", "linvel", "angvel", or
         "dist", "dir", "origin", "point", "normal", "depth". Empty means "found", or "dist".
     reduce: which contacts a contact sensor gives first: "none", "mindist", "maxforce", "netforce".
-    num: how many contacts a contact sensor gives.
+    num: how many contacts a contact sensor gives; how many numbers a sensor of type "user", which
+        are 0: they are its user's to compute.
     """
 
     name: Text = ""

@@ -1,0 +1,80 @@
+//! Surfaces that move while their geoms do not: conveyor belts, treadmills, turntables.
+//!
+//! A surface moves as σ(x) = v + ω × (x − p), v and ω in the frame of its geom and p the origin of
+//! that. A contact's friction acts on J u + s: s is what the surface of geom 2 moves by beyond that
+//! of geom 1, along the way of friction, or for torsion turns about the normal. Rolling and the
+//! normal know nothing of it (MuJoCo documentation, XML reference, geom/surfacevel).
+
+use super::friction::{Axis, Way, Ways, MOST_WAYS};
+use crate::detect::Contact;
+use crate::model::Pair;
+use crate::real::Real;
+use crate::solve::{Rows, Situation};
+use crate::spatial::V3;
+
+/// s along each way of friction, in its measure [m/s].
+pub(super) type Drift<R> = [R; MOST_WAYS];
+
+/// None where no surface moves.
+pub(super) fn drift<R: Real>(
+    now: &Situation<R>,
+    contact: &Contact<R>,
+    pair: &Pair,
+    ways: &Ways,
+) -> Option<Drift<R>> {
+    let geoms = [pair.geom1, pair.geom2];
+    if geoms.iter().all(|geom| now.model.geoms[*geom].belt.is_none()) {
+        return None;
+    }
+    let [one, two] = geoms.map(|geom| surface(now, geom, &contact.pos));
+    let (slide, turn) = (two[0] - one[0], two[1] - one[1]);
+    let tangents = contact.tangents(now.placed);
+    let mut drift = [R::zero(); MOST_WAYS];
+    for (drift, way) in drift.iter_mut().zip(ways.list()) {
+        *drift = match way {
+            Way { axis: Axis::Tangent(at), turns: false, .. } => tangents[*at].dot(&slide),
+            Way { axis: Axis::Normal, .. } => contact.normal.dot(&turn),
+            _ => R::zero(),
+        } * R::of(way.scale);
+    }
+    Some(drift)
+}
+
+/// The velocity of a geom's surface at a point beyond that of its body, and its angular velocity.
+fn surface<R: Real>(now: &Situation<R>, geom: usize, at: &V3<R>) -> [V3<R>; 2] {
+    let Some([slide, turn]) = &now.model.geoms[geom].belt else { return [V3::zeros(); 2] };
+    let pose = &now.placed.geom[geom];
+    let [slide, turn] = [slide, turn].map(|v| pose.rot * v.map(R::of));
+    [slide + turn.cross(&(at - pose.pos)), turn]
+}
+
+impl<R: Real> Rows<R> {
+    /// Friction targets of the block that is next follow the surfaces: rate × drift less. Rows from
+    /// `first` on are edges in pairs, or else a normal and its ways.
+    pub(super) fn follow(
+        &mut self,
+        drift: Option<&Drift<R>>,
+        ways: &Ways,
+        rate: R,
+        (first, edges): (usize, bool),
+    ) {
+        let Some(drift) = drift else { return };
+        let measure = if edges { rate * R::of(ways.mu) } else { rate };
+        for (way, drift) in drift.iter().enumerate().take(ways.list().len()) {
+            self.lean(way, measure * *drift, (first, edges));
+        }
+    }
+
+    /// Takes `by` from the target of a way of friction: from its row, or from its two edges.
+    pub(super) fn lean(&mut self, way: usize, by: R, (first, edges): (usize, bool)) {
+        if !edges {
+            self.rows[first + 1 + way].t -= by;
+            return;
+        }
+        let [one, other] = &mut self.rows[first + 2 * way..first + 2 * way + 2] else { return };
+        // Unfolded: the first is the tangent, the second its load.
+        let alone = one.lo.lt(R::zero());
+        one.t -= by;
+        other.t = R::select(alone, other.t, other.t + by);
+    }
+}
