@@ -473,3 +473,21 @@ def test_directions_have_no_cutoff():
         mujoco.MjModel.from_xml_string(source)
     with pytest.raises(ValueError, match="a direction has no bound"):
         sc.loads(source)
+
+
+def test_a_sensor_of_its_user_has_its_place_and_zeros():
+    """As MuJoCo's without a callback, and it is written as it was read."""
+    text = """<mujoco><worldbody><body name="b"><joint name="j"/><geom size="1"/></body>
+      </worldbody><sensor><jointpos joint="j"/><user name="mine" dim="3" noise=".1"/>
+      <user dim="2" objtype="body" objname="b" needstage="acc" datatype="real"/><clock/></sensor>
+      </mujoco>"""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    scene = sc.loads(text)
+    sim = sc.Sim(scene)
+    data.qpos[:] = sim.qpos[:] = 0.3
+    mujoco.mj_step(model, data)
+    sim.step(1)
+    assert sim.sensordata.tolist() == data.sensordata.tolist()
+    assert sim.sensor("mine").data.tolist() == [0.0, 0.0, 0.0]
+    assert sc.loads(scene.to_mjcf()) == scene

@@ -29,8 +29,9 @@ def test_a_box_is_taken_to_the_speed_of_its_belt_by_friction(law, cone):
     own = {"law": law, "cone": cone, "solver": "newton" if law == "solref" else "pgs"}
     own |= {"penalty_stiffness": 2e4} if law == "penalty" else {}
     early, late = (run(text, time, **own).qvel[:3] for time in (0.1, 0.6))
-    spread = 1.0 if cone == "elliptic" else 1.45  # A pyramid holds more along its edges.
-    assert 0.45 <= early @ along <= 0.5 * spread + 0.02
+    # Askew to its edges a pyramid holds less under solref, and a box more under the others.
+    low, high = (0.45, 0.52) if cone == "elliptic" else (0.36, 0.74)
+    assert low <= early @ along <= high
     assert np.abs(late - along).max() < 0.02
 
 

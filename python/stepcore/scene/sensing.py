@@ -78,7 +78,8 @@ def _check_end(
 
 def _check_data(sensor: Sensor) -> None:
     if sensor.type not in ("contact", "rangefinder"):
-        if sensor.data or sensor.reduce != "none" or sensor.num != 1:
+        counted = sensor.num != 1 and sensor.type != "user"
+        if sensor.data or sensor.reduce != "none" or counted:
             raise checks.ElementError(sensor, "only contact sensors and rangefinders choose data")
         return
     order = CONTACT_DATA if sensor.type == "contact" else RAY_DATA
