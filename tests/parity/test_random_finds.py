@@ -121,17 +121,3 @@ def test_the_bound_of_a_tendon_comes_before_those_of_its_actuators():
         sim.forward()
         assert peers.apart(sim.actuator_force, data.actuator_force) < 1e-12
         assert peers.apart(sim.qacc, data.qacc) < 1e-12
-
-
-def test_what_actuators_do_to_a_joint_counts_adhesion():
-    """jointactuatorfrc: to 1e-9."""
-    text = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body name="b" pos="0 0 .099">
-      <joint name="x" type="slide" axis="0 .6 .8"/><joint name="h" axis="1 .2 0" pos=".1 .3 0"/>
-      <geom size=".1"/></body></worldbody><actuator><adhesion body="b" ctrlrange="0 1" gain="5"/>
-      <motor joint="h"/></actuator><sensor><jointactuatorfrc joint="x"/>
-      <jointactuatorfrc joint="h"/></sensor></mujoco>"""
-    model, data, sim = pair(text)
-    data.ctrl[:] = sim.ctrl[:] = (0.7, 0.2)
-    mujoco.mj_forward(model, data)
-    sim.forward()
-    assert data.sensordata[0] and peers.apart(sim.sensordata, data.sensordata) < 1e-9

@@ -354,7 +354,6 @@ def test_rangefinders_see_what_only_draws_but_not_what_is_clear():
         ('<camprojection site="eye" camera="cam"/>', "only senses"),
         ('<gyro site="eye" nsample="3" delay=".01"/>', "late or rare"),
         ('<gyro site="eye" nsample="3" interval=".1"/>', "late or rare"),
-        ('<user dim="3"/>', "only senses"),
         ('<insidesite objtype="geom" objname="box" site="zone" enclosed="true"/>', "enclosed"),
     ],
 )

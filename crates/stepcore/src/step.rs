@@ -91,17 +91,12 @@ impl<R: Real> Sim<R> {
         }
         self.detect(at);
         if self.model.adheres {
-            self.place_adhesion(at);
+            let act = at.activations(&self.state, &self.next, self.clock);
+            let (at, contacts) = (at.of(&self.state, &self.next), &self.detected.contacts);
+            self.placed.place_adhesion(&self.model, at, act, &self.inputs, contacts);
             self.placed.make_guess(&self.model, self.clock.dt);
         }
         self.make_rows(at, Part::Whole);
-    }
-
-    /// What adhesion does at the contacts at hand.
-    pub(crate) fn place_adhesion(&mut self, at: At) {
-        let act = at.activations(&self.state, &self.next, self.clock);
-        let (at, contacts) = (at.of(&self.state, &self.next), &self.detected.contacts);
-        self.placed.place_adhesion(&self.model, at, act, &self.inputs, contacts);
     }
 
     pub(crate) fn detect(&mut self, at: At) {

@@ -15,7 +15,7 @@ mod touch;
 use crate::model::Model;
 use crate::real::Real;
 use crate::scene::{ObjectType, Sensor, SensorObject, SensorType};
-use crate::sim::{At, Sim};
+use crate::sim::Sim;
 use crate::spatial::{Pose, Quat, V3};
 use crate::watch::{Bodies, BodyForces};
 
@@ -108,9 +108,6 @@ impl<'a, R: Real> Reading<'a, R> {
     /// Of one lane of a world, at its present state; if it has solved there, of that solve.
     pub fn new(sim: &'a mut Sim<R>, lane: usize) -> Self {
         sim.refresh();
-        if sim.model.adheres {
-            sim.place_adhesion(At::State);
-        }
         let bodies = sim.bodies(lane);
         Self { sim, lane, bodies, forces: None }
     }
