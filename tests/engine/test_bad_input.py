@@ -242,7 +242,7 @@ def test_a_batch_needs_a_number_of_threads(model, threads):
 
 
 def test_other_arguments_of_a_batch(model):
-    refuses("lanes = 1: must be True or False", sc.Batch, model, 2, lanes=1)
+    refuses("lanes = 1: must be one of True, False, 'auto'", sc.Batch, model, 2, lanes=1)
     refuses("precision = 'f8'", sc.Batch, model, 2, precision="f8")
     refuses("no 'thread'", sc.Batch, model, 2, thread=2)
 

@@ -90,7 +90,7 @@ def test_softened_elements_are_named_whole():
         if n.startswith("above dt 10 ms the setting refsafe softens")
     )
     assert note.count("limit of joint `a rather long name of joint") == 4
-    assert note.count("`") == 8 and " and 2 more, so that" in note
+    assert note.count("`") == 8 and " and 2 more as far as stability needs" in note
 
 
 def test_it_prints_exports_and_plots(tmp_path):

@@ -411,7 +411,7 @@ def test_measurements_speak_of_tendons():
     limit = sc.diagnose(scene, horizon=0.1)
     assert limit.stiffest("semi-implicit") == "tendon spring `rope`"
     assert limit.limit("semi-implicit") == pytest.approx(2 / math.sqrt(k / (m + 0.01)), rel=0.01)
-    plan = str(sc.Sim(scene).model.plan())
+    plan = sc.Sim(scene).model.plan().text(full=True)
     words = ("lengths of tendons", "tendon springs", "tendon damping", "tendon armature")
     for word in (*words, "tendon friction loss, one row each", "tendon limits"):
         assert word in plan

@@ -76,8 +76,8 @@ def sweep(
     ...     return np.abs(batch.qvel[:, 0])
     >>> print(sweep(lesson.spring(), {"joint/spring/stiffness": [1.0, 4.0]}, pull, batch=True))
     joint/spring/stiffness     value
-                       1.0  0.009984
-                       4.0   0.03976
+                         1  0.009984
+                         4   0.03974
     """
     if not isinstance(grid, Mapping):
         raise ValueError(f"grid = {checks.shown(grid)}: must be a dict of names and their values")

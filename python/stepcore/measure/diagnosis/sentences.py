@@ -177,8 +177,8 @@ def notes(
         above = seconds(max(least, SHORTEST))
         names = listed([limits.name for limits in softened if limits.softened == least])
         yield (
-            f"above dt {above} the setting refsafe softens {names}, so that these limit no dt; "
-            "refsafe=False, or a solref of negative numbers, keeps their stiffness"
+            f"above dt {above} the setting refsafe softens {names} as far as stability "
+            "needs; refsafe=False, or a solref of negative numbers, keeps the stiffness"
         )
     if any(limits.element.kind in (*OPEN, "friction loss") for limits in elements):
         yield (
