@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from stepcore._core import SimulationError as SimulationError
     from stepcore.engine.axes import Axis as Axis
     from stepcore.engine.batch import Batch as Batch
-    from stepcore.engine.batch import Rollout as Rollout
     from stepcore.engine.linearization import Linearization as Linearization
     from stepcore.engine.model import Model as Model
     from stepcore.engine.model_data import ContactPair as ContactPair
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from stepcore.engine.rays import RayHits as RayHits
     from stepcore.engine.replay import Replay as Replay
     from stepcore.engine.replay import replay as replay
+    from stepcore.engine.rollout import Rollout as Rollout
     from stepcore.engine.sim import Energy as Energy
     from stepcore.engine.sim import Momentum as Momentum
     from stepcore.engine.sim import Sim as Sim
@@ -113,10 +113,7 @@ _MODULES = {
         "SimulationError",
     ),
     "stepcore.engine.axes": ("Axis",),
-    "stepcore.engine.batch": (
-        "Batch",
-        "Rollout",
-    ),
+    "stepcore.engine.batch": ("Batch",),
     "stepcore.engine.linearization": ("Linearization",),
     "stepcore.engine.model": ("Model",),
     "stepcore.engine.parameters": ("Parameters",),
@@ -131,6 +128,7 @@ _MODULES = {
         "Replay",
         "replay",
     ),
+    "stepcore.engine.rollout": ("Rollout",),
     "stepcore.engine.sim": (
         "Energy",
         "Momentum",

@@ -103,6 +103,35 @@ def test_a_rollout_is_steps_with_those_controls(lanes):
     assert batch.rollout(np.zeros((11, 0, 1))).qpos.shape == (11, 0, 2)
 
 
+@pytest.mark.parametrize("precision", ["f64", "f32"])
+def test_a_rollout_records_what_is_asked_for(precision):
+    """The same bits as stepping and reading; refused before the first step."""
+    model = sc.load("gymnasium:hopper").compile()
+    ctrl = np.random.default_rng(7).uniform(-1, 1, size=(9, 20, 3))
+    batch, stepped, plain = (sc.Batch(model, 9, precision=precision) for _ in range(3))
+    run = batch.rollout(ctrl, record=("sensordata", "energy", "xpos"))
+    assert list(run.recorded) == ["sensordata", "energy", "xpos"]
+    assert (run.qpos == plain.rollout(ctrl).qpos).all()
+    for step in range(20):
+        stepped.ctrl[:] = ctrl[:, step]
+        stepped.step()
+        for name, values in run.recorded.items():
+            assert (values[:, step] == getattr(stepped, name)).all()
+    assert batch.state() == stepped.state()
+    empty = batch.rollout(ctrl[:, :0], record="energy")
+    assert empty.qpos.shape == (9, 0, 6) and empty.recorded["energy"].shape == (9, 0, 2)
+    before = batch.state()
+    ctrl[3, 19, 1] = np.nan
+    with pytest.raises(ValueError, match=r"ctrl\[3, 19, 1\] = NaN: must be finite"):
+        batch.rollout(ctrl, record="energy")
+    for bad in ("sensordatum", "momentum", "sweeps_done", 5):
+        with pytest.raises(ValueError, match="record"):
+            batch.rollout(ctrl, record=bad)
+    with pytest.raises(ValueError, match="ctrl has shape"):
+        batch.rollout(ctrl[:4], record="energy")
+    assert batch.state() == before
+
+
 def test_worlds_do_not_reach_each_other():
     batch = sc.Batch(ball(), 3)
     batch.xfrc_applied[1, 1] = [0, 0, 100, 0, 0, 0]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,9 +14,11 @@ from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
 from stepcore.engine.arrays import Floats, numbers, snapshot
 from stepcore.engine.parameters import Parameters
+from stepcore.engine.rollout import NAMES, Rollout, recorded_rollout
 from stepcore.engine.sim import Momentum
 from stepcore.engine.stepped import Stepped, compiled
 from stepcore.engine.tables import contact_table, contacts_of_body, row_table
+from stepcore.engine.trajectory import recordable
 from stepcore.engine.unsolved import BatchResiduals, UnsolvedWarning
 
 if TYPE_CHECKING:
@@ -26,17 +28,6 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model
     from stepcore.engine.settings_fields import SettingsFields
     from stepcore.scene.scene import Scene
-
-
-class Rollout(NamedTuple):
-    """States after every step.
-
-    qpos: shape (n, steps, nq). qvel: shape (n, steps, nv). act: shape (n, steps, na).
-    """
-
-    qpos: Floats
-    qvel: Floats
-    act: Floats
 
 
 # A batch of fewer worlds × dofs than this is stepped faster by one thread than by several, because
@@ -148,15 +139,30 @@ class Batch(Stepped):
         with self._explained():
             self._core.forward()
 
-    def rollout(self, ctrl: ArrayLike) -> Rollout:
+    def rollout(self, ctrl: ArrayLike, record: Sequence[str] = ()) -> Rollout:
         """Steps with given controls and returns every state.
 
         ctrl: shape (n, steps, nu), one row for each step; the last row stays in `ctrl`.
+        record: names of what else is kept of each state, such as "sensordata" or "energy": the
+            attributes that `Sim.run` records, but for counts of one world's solve and momentum.
+            Each is read after each step, which may solve that state's forces once more.
+
+        Raises ValueError for controls of another shape, numbers that are not finite and names that
+        cannot be recorded, all before the first step; and what `step` raises.
+
+        >>> from stepcore import Batch
+        >>> import numpy as np
+        >>> swings = Batch("gymnasium:inverted_pendulum", 2)
+        >>> run = swings.rollout(np.zeros((2, 5, 1)), record="energy")
+        >>> run.qpos.shape, run.recorded["energy"].shape
+        ((2, 5, 2), (2, 5, 2))
         """
         table = numbers("ctrl", ctrl)
         if table.ndim != 3:
             limit = f"({len(self)}, steps, {self._model.nu})"
             raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
+        if names := recordable(record, NAMES):
+            return recorded_rollout(self, table, names)
         with self._explained():
             states = self._core.rollout(table)
         self._told(table.shape[1])

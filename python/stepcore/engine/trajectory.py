@@ -274,7 +274,7 @@ def record_run(
     steps = whole_steps("duration", duration, dt)
     period = 1 if control_dt is None else whole_steps("control_dt", control_dt, dt, least=1)
     controls = _controls(sim, control)
-    names = _names(record)
+    names = recordable(record)
     data = {}
     try:
         time = np.empty(steps + 1)
@@ -349,12 +349,13 @@ def _finite(sim: World, ctrl: ArrayLike, where: str) -> NDArray[np.float64]:
     return table
 
 
-def _names(record: Sequence[str]) -> tuple[str, ...]:
+def recordable(record: Sequence[str], known: Sequence[str] = RECORDED) -> tuple[str, ...]:
+    """The names, checked against those that can be recorded."""
     names = [record] if isinstance(record, str) else checks.listed(record)
     if names is None or not all(isinstance(name, str) for name in names):
         raise ValueError(f'record = {checks.shown(record)}: must be names, such as ("qpos",)')
     for name in names:
-        if name not in RECORDED:
-            near = checks.nearest(name, RECORDED)
+        if name not in known:
+            near = checks.nearest(name, known)
             raise ValueError(f"record: {checks.quoted(name)} cannot be recorded{near}")
     return tuple(names)

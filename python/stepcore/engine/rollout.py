@@ -1,0 +1,58 @@
+"""`Rollout`: the states of a batch under given controls, and the loop that records more of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore import checks
+from stepcore.engine.arrays import Floats
+from stepcore.engine.trajectory import RECORDED
+
+if TYPE_CHECKING:
+    from stepcore.engine.batch import Batch
+
+# What a Sim counts in its own solve; and momentum, which is a pair of arrays.
+ONLY_OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum")
+NAMES = tuple(name for name in RECORDED if name not in ONLY_OF_ONE_WORLD)
+
+
+class Rollout(NamedTuple):
+    """States after every step.
+
+    qpos: shape (n, steps, nq).
+    qvel: shape (n, steps, nv).
+    act: shape (n, steps, na).
+    recorded: what else was asked for, by name, each of shape (n, steps, …).
+    """
+
+    qpos: Floats
+    qvel: Floats
+    act: Floats
+    recorded: Mapping[str, NDArray[Any]] = {}
+
+
+def recorded_rollout(batch: Batch, ctrl: Floats, names: Sequence[str]) -> Rollout:
+    """Takes the steps one by one and reads what is asked for after each."""
+    steps = ctrl.shape[1]
+    parts: dict[str, list[NDArray[Any]]] = {name: [] for name in ("qpos", "qvel", "act", *names)}
+    # Shapes and numbers are refused before the first step.
+    batch.rollout(ctrl[:, :0])
+    single = batch.settings.precision == "f32"
+    with np.errstate(over="ignore"):
+        finite = np.isfinite(ctrl.astype(np.float32) if single else ctrl)
+    if not finite.all():
+        world, step, actuator = np.argwhere(~finite)[0]
+        number = checks.shown(float(ctrl[world, step, actuator]))
+        where = f"ctrl[{world}, {step}, {actuator}]"
+        raise ValueError(f"{where} = {number}: must be finite; nothing was stepped")
+    for step in range(steps):
+        batch.rollout(ctrl[:, step : step + 1])
+        for name, values in parts.items():
+            values.append(np.array(getattr(batch, name)))
+    empty = {name: np.asarray(getattr(batch, name))[:, None][:, :0] for name in parts if not steps}
+    whole = {name: np.stack(values, axis=1) for name, values in parts.items() if steps} | empty
+    return Rollout(whole.pop("qpos"), whole.pop("qvel"), whole.pop("act"), whole)
