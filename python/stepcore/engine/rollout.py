@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore import checks
 from stepcore.engine.arrays import Floats
 from stepcore.engine.trajectory import RECORDED
 
@@ -46,9 +45,10 @@ def recorded_rollout(batch: Batch, ctrl: Floats, names: Sequence[str]) -> Rollou
         finite = np.isfinite(ctrl.astype(np.float32) if single else ctrl)
     if not finite.all():
         world, step, actuator = np.argwhere(~finite)[0]
-        number = checks.shown(float(ctrl[world, step, actuator]))
+        number = ctrl[world, step, actuator]
+        shown = "NaN" if np.isnan(number) else f"{number:g}"
         where = f"ctrl[{world}, {step}, {actuator}]"
-        raise ValueError(f"{where} = {number}: must be finite; nothing was stepped")
+        raise ValueError(f"{where} = {shown}: must be finite; nothing was stepped")
     for step in range(steps):
         batch.rollout(ctrl[:, step : step + 1])
         for name, values in parts.items():
