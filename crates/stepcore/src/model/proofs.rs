@@ -176,7 +176,8 @@ mod tests {
     fn any_other_bit_is_another_question() {
         let first = question(&arm());
         let next = |x: f64| f64::from_bits(x.to_bits() + 1);
-        let changes: [fn(&mut Scene, &dyn Fn(f64) -> f64); 6] = [
+        type Change = fn(&mut Scene, &dyn Fn(f64) -> f64);
+        let changes: [Change; 6] = [
             |s, next| s.joints[0].range = Some([-0.4, next(0.4)]),
             |s, next| s.joints[1].pos[2] = next(0.0),
             |s, next| s.bodies[2].pos[0] = next(0.5),
