@@ -1,7 +1,8 @@
 """The lesson's scenes by hand in numpy: one world at its plainest, many worlds at its best.
 
-All three laws are the lesson's: semi-implicit Euler, and rows that exist where the guess
-v̂ = v + dt a would overlap, solved by projected Gauss-Seidel sweep after sweep from zero.
+All laws are the engine's: semi-implicit Euler, and rows that exist where the guess v̂ = v + dt a
+would overlap or where bodies touch, solved by projected Gauss-Seidel sweep after sweep from zero.
+The target of a row that touches without closing is that no overlap is left: t = −dist/dt.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import numpy as np
 G, BETA, SOFTNESS, DT = 9.81, 0.2, 0.5, 0.002
 SPRING_DT, STIFFNESS = 0.01, 100.0
 SWEEPS = 20
+RADIUS = 0.1
+NEAR = RADIUS / 1024  # bodies touch, up to rounding
 
 
 class PlainSpring:
@@ -55,8 +58,11 @@ class PlainTower:
         for _ in range(n):
             v = self.qvel - DT * G
             dist = self.jacobian @ self.qpos
-            active = np.flatnonzero(dist + DT * (self.jacobian @ v) < 0.0)
-            target = -BETA * np.minimum(dist, 0.0) / DT
+            closing = dist + DT * (self.jacobian @ v) < 0.0
+            active = np.flatnonzero(closing | (dist <= NEAR))
+            target = (
+                -(BETA * np.minimum(dist, 0.0) + np.where(closing, 0.0, np.maximum(dist, 0.0))) / DT
+            )
             impulse = np.zeros(len(dist))
             for _ in range(self.sweeps):
                 for i in active:
@@ -93,7 +99,10 @@ class ManySprings:
 
 
 class ManyDrops:
-    """The ball drop in many worlds: one row, so one sweep solves it."""
+    """The ball drop in many worlds: one row, so one sweep solves it.
+
+    A row that touches without closing would do nothing.
+    """
 
     def __init__(self, start: np.ndarray) -> None:
         self.start = start[:, 0].copy()
@@ -135,7 +144,7 @@ class ManyStacks:
         self.x, self.v = np.empty_like(self.start), np.empty_like(self.start)
         self.t, self.impulse = np.empty_like(self.start), np.empty_like(self.start)
         self.dist, self.new = np.empty_like(self.start), np.empty_like(self.start[0])
-        self.hit = np.empty(self.start.shape, dtype=bool)
+        self.hit, self.apart = (np.empty(self.start.shape, dtype=bool) for _ in range(2))
         self.reset()
 
     def reset(self) -> None:
@@ -146,8 +155,8 @@ class ManyStacks:
         return self.x.T
 
     def step(self, n: int) -> None:
-        x, v, t, impulse, dist, new, hit = (
-            self.x, self.v, self.t, self.impulse, self.dist, self.new, self.hit
+        x, v, t, impulse, dist, new, hit, apart = (
+            self.x, self.v, self.t, self.impulse, self.dist, self.new, self.hit, self.apart
         )  # fmt: skip
         floor, ball = 1.0 / (1.0 + SOFTNESS), 1.0 / (2.0 + SOFTNESS)
         for _ in range(n):
@@ -158,9 +167,16 @@ class ManyStacks:
             np.multiply(v[0], DT, out=t[0])
             np.multiply(t[1], DT, out=t[1])
             np.add(t, dist, out=t)
-            np.less(t, 0.0, out=hit)
-            np.minimum(dist, 0.0, out=t)
-            np.multiply(t, -BETA / DT, out=t)
+            np.greater_equal(t, 0.0, out=apart)
+            np.maximum(dist, 0.0, out=t)
+            np.multiply(t, apart, out=t)
+            np.logical_not(apart, out=hit)
+            np.less_equal(dist, NEAR, out=apart)
+            np.logical_or(hit, apart, out=hit)
+            np.minimum(dist, 0.0, out=dist)
+            np.multiply(dist, BETA, out=dist)
+            np.add(t, dist, out=t)
+            np.multiply(t, -1.0 / DT, out=t)
             impulse[:] = 0.0
             for _ in range(SWEEPS):
                 np.subtract(t[0], v[0], out=new)
