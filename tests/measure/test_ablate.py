@@ -165,13 +165,22 @@ def test_what_is_too_much_together_is_not_removed_together() -> None:
 
 def test_what_other_starts_need_is_restored() -> None:
     a, b = Removal("a", "", ()), Removal("b", "", ())
-    alone = {a: VariantOutcome(added=(0.1,)), b: VariantOutcome(added=(0.2,))}.__getitem__
 
     def measure(removals):
         return VariantOutcome(added=(2.0 if b in removals else 0.5,))
 
-    removed, outcome, restored = confirmed([a, b], alone, 1.0, measure, lambda removal: removal)
-    assert (removed, restored, outcome.worst) == ([a], [b], 0.5)
+    for chosen in ([a, b], [b, a]):
+        removed, outcome, restored = confirmed(chosen, 1.0, measure, lambda removal: removal)
+        assert (removed, restored, outcome.worst) == ([a], [b], 0.5)
+
+
+def test_where_other_starts_need_all_of_it_the_answer_says_so() -> None:
+    result = sc.ablate(sc.lesson.drop(), horizon=0.2, starts=1, progress=False)
+    result.removed, result.restored = [], [Removal("friction", "condim 1", ())]
+    assert result.sentences[0] == (
+        "No feature can be removed within 1 mm: what could be in these starts exceeds it in "
+        "others, friction: condim 1."
+    )
 
 
 def test_features_of_a_kind_are_removed_together_and_the_one_that_is_too_much_is_found() -> None:
@@ -201,10 +210,11 @@ def test_as_few_features_as_will_do_are_restored() -> None:
         tries.append(len(chosen))
         return VariantOutcome(added=(max((errors[r].worst for r in chosen), default=0.0),))
 
-    kept, outcome, restored = confirmed(removals, errors.__getitem__, 6.5, measure, lambda r: r)
+    kept, outcome, restored = confirmed(removals, 6.5, measure, lambda r: r)
     assert kept == removals[:7] and outcome.worst == 6.0
-    assert restored == removals[:6:-1] and len(tries) <= 1 + 5
-    nothing = confirmed(removals[:1], errors.__getitem__, -1.0, measure, lambda r: r)
+    # All together, each alone, and a bisection.
+    assert restored == removals[:6:-1] and len(tries) <= 1 + 20 + 5
+    nothing = confirmed(removals[:1], -1.0, measure, lambda r: r)
     assert nothing[0] == [] and nothing[2] == removals[:1]
 
 

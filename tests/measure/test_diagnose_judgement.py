@@ -7,6 +7,8 @@ import pytest
 import stiff
 
 import stepcore as sc
+from stepcore.measure.diagnosis.judgement import first_failing
+from stepcore.measure.diagnosis.servo_range import crossing_dt
 
 # Steps beyond a limit are run on purpose.
 pytestmark = pytest.mark.filterwarnings("ignore::stepcore.EnergyWarning")
@@ -307,3 +309,31 @@ def test_an_absurd_stiffness_is_an_answer_and_no_exception(stiffness):
     text = d.text()
     assert "spring of joint `slide`" in d.sentences[0]
     assert not any(f"e-{n:02d} ns" in text for n in range(2, 40)) and "nan" not in text
+
+
+DRIVEN_AWAY = """<mujoco><option timestep="0.001"/><worldbody>
+  <body><joint name="a" axis="0 1 0" range="-20 20"/><geom size=".1" pos=".3 0 0"/>
+    <body pos=".5 0 0"><joint name="b" axis="0 1 0" range="-20 20"/><geom size=".1" pos=".3 0 0"/>
+    </body></body></worldbody>
+  <actuator><general joint="a" biastype="affine" biasprm="0 {} 0"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("gain", [1e6, 1e7])
+def test_a_motion_that_blows_up_is_diagnosed_where_accelerations_overflow(gain):
+    """Its last states are finite, their accelerations are not; nothing is stable over a second."""
+    found = diagnosed(sc.loads(DRIVEN_AWAY.format(gain)))
+    assert found.runaway is not None and found.runaway.alike
+    assert found.sentences[0].startswith("The motion itself blows up after ")
+    assert "over 1 s" not in found.sentences[1]
+
+
+def test_a_limit_is_found_where_nothing_says_from_where_on():
+    """An actuator without damping, or along a tendon, may cross its range at no known step."""
+    found = first_failing(lambda dt: dt < 0.01, math.inf, 0.02)
+    assert found == pytest.approx(0.01, rel=0.03)
+    model = sc.loads(
+        """<mujoco><worldbody><body><joint name="a"/><geom size=".1"/></body></worldbody>
+        <tendon><fixed name="t"><joint joint="a" coef="1"/></fixed></tendon>
+        <actuator><position tendon="t" kp="10" kv="1" forcerange="-1 1"/></actuator></mujoco>"""
+    ).compile()
+    assert crossing_dt(model, model.qpos0, 0) == math.inf

@@ -86,14 +86,17 @@ def test_it_keeps_to_the_error_and_says_what_less_would_cost(ball):
     good = [r for r in cheaper if ball.error(r) <= 0.9e-4]
     assert all(1.15 * r.flops >= row.flops and digits(r.settings.dt) > 3 for r in good)
     better = ball.next_better()
-    assert ball.error(better) <= ball.error(row) / 2 and better.flops >= row.flops
+    searched = ball.frontier.searched
+    assert searched(better) <= searched(row) / 2 and better.flops >= row.flops
     answer, *rest = ball.sentences
     assert answer.startswith("Recommended for an error of at most 100 µm: ")
     # 12 starts passed: of 13 alike the next is the worst once.
     share = "92.3 % of other starts are expected to stay within it."
     assert answer.endswith(f"Confirmed on 8 further starts; {share}")
     (next_better,) = [said for said in rest if said.startswith("Half")]
-    assert next_better.startswith("Half that error or less costs ")
+    there = ball.error(row) > searched(row)
+    begins = f"Half of its error in the {ball.starts} starts of the search, "
+    assert next_better.startswith(begins if there else "Half that error or less costs ")
 
 
 def test_the_next_better_is_better_than_what_was_found():
@@ -112,6 +115,16 @@ def test_the_next_better_is_better_than_what_was_found():
     assert better.settings.integrator == "rk4"
     assert better.flops == pytest.approx(2 * best.flops, rel=0.02)
     assert 12 < result.error(best) / result.error(better) < 20
+
+
+def test_half_of_an_error_is_compared_in_the_same_starts(ball):
+    """A row that ran from the search's starts alone does not halve what further starts showed."""
+    row = ball.recommended
+    harder = dataclasses.replace(row.further, high=10 * row.errors.high)
+    frontier = ball.frontier.updated(dataclasses.replace(row, further=harder))
+    (worse,) = [r for r in frontier.rows if r.settings == row.settings]
+    assert frontier.error(worse) == 10 * row.errors.high
+    assert frontier.halving(worse).settings == ball.next_better().settings
 
 
 def test_the_same_seed_finds_the_same_by_threads_and_by_an_executor(ball):

@@ -228,6 +228,11 @@ class Ablation(Result):
     def _smallest(self) -> list[str]:
         """What the smallest model leaves out, and the error that this adds."""
         within = metres(self.error)
+        if not self.removed and self.restored:
+            return [
+                f"No feature can be removed within {within}: what could be in these starts exceeds "
+                f"it in others, {_listed(self.restored)}."
+            ]
         if not self.removed:
             return [
                 f"No feature can be removed within {within}: removing any that costs work adds a "

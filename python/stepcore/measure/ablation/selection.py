@@ -57,7 +57,6 @@ class Selection:
             usage = functools.cache(partial(usage_of, runner, runner.model.settings, self.workers))
             self.removed, self.confirmed_on, restored = confirmed(
                 self.removed,
-                self.alone,
                 self.error,
                 partial(outcome_of, baseline, workers=self.workers),
                 partial(_reduced, self.features, usage),
@@ -132,7 +131,6 @@ def _saves(outcome: VariantOutcome, before: VariantOutcome, unused: bool) -> boo
 
 def confirmed(
     chosen: Sequence[Removal],
-    alone: Callable[[Removal], VariantOutcome],
     error: float,
     measure: Measure,
     reduced: Callable[[Removal], Removal | None],
@@ -140,8 +138,9 @@ def confirmed(
     """What may stay removed on other starts, the outcome there, and what had to be restored.
 
     `measure` runs those starts. Where the error is beyond the tolerance, the groups lose what those
-    starts use (`reduced`). Where that is not enough, features are restored, those that add the
-    largest errors first: as few as will do, which bisection finds.
+    starts use (`reduced`). Where that is not enough, features are restored, those first that add
+    the largest errors there by themselves: as few as will do, which bisection finds. (In the starts
+    that were chosen on what is unused adds no error, and would be restored in any order.)
     """
     removed: list[Removal] = list(chosen)
     outcome = measure(removed)
@@ -152,7 +151,8 @@ def confirmed(
         removed = [smaller for _, smaller in fewer if smaller is not None]
         outcome = measure(removed) if restored else outcome
     if outcome.worst > error:
-        order = sorted(removed, key=lambda removal: -alone(removal).worst)
+        alone = {removal: measure([removal]).worst for removal in removed}
+        order = sorted(removed, key=lambda removal: -alone[removal])
         # With none restored the error is too large, with all of them there is none.
         few, enough = 0, len(order)
         fewest: VariantOutcome | None = None

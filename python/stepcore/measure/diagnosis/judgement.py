@@ -259,8 +259,10 @@ def judged_limit(
 def first_failing(holds: Callable[[float], bool], low: float, high: float) -> float:
     """The step [s] up to which all hold; from `low` on they are tried, in small parts.
 
-    Chatter begins at a step and may rest at some longer ones, by luck. high [s]: fails.
+    Chatter begins at a step and may rest at some longer ones, by luck. low [s]: may be
+    inf, where nothing says from where on. high [s]: fails.
     """
+    low = min(low, high)
     good = low / NEXT
     while not holds(good) and good > low / 100:
         good /= 2

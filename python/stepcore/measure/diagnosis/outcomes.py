@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from stepcore.measure.diagnosis.element_names import are_several
 from stepcore.measure.diagnosis.findings import DiagnosisFindings
 from stepcore.measure.diagnosis.saturation import Saturation
 from stepcore.report.units import seconds
@@ -35,7 +36,10 @@ def blown_up(d: DiagnosisFindings) -> Iterator[str]:
     coarse, fine = (seconds(dt) for dt in runaway.dts)
     before, after = (seconds(time) for time in runaway.times)
     if runaway.alike:
-        grows = f": {runaway.element.name} makes it grow" if runaway.element else ""
+        grows = ""
+        if runaway.element:
+            name = runaway.element.name
+            grows = f": {name} {'make' if are_several(name) else 'makes'} it grow"
         yield (
             f"The motion itself blows up after {after}, at a step of {fine} as at {coarse}{grows}. "
             "No dt cures that."

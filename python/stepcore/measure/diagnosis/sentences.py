@@ -81,7 +81,8 @@ def _answer(d: DiagnosisFindings, own: str) -> str:
     if math.isinf(limit):
         fastest = f" The fastest element is {name}{traits}." if name else ""
         none = f"No element limits dt below {seconds(d.limits[own].longest)} under {own}"
-        return f"{none}, judged over {seconds(d.horizon)} of motion.{fastest}"
+        judged = "until then" if d.runaway else f"judged over {seconds(d.horizon)} of motion"
+        return f"{none}, {judged}.{fastest}"
     if limit <= 0:
         cause = no_stable_dt(name, d.limits[own].shortest, traits)
         return f"A step of {wanted} explodes under {own}: {cause}."
@@ -89,7 +90,7 @@ def _answer(d: DiagnosisFindings, own: str) -> str:
     if d.wanted > limit:
         return f"A step of {wanted} {_outcome(d, limiting)} under {own}: {cause}."
     margin = f"with a stability margin of {times(limit / d.wanted)}"
-    stable = f"is stable under {own} over {seconds(d.horizon)}"
+    stable = f"is stable under {own} {'until then' if d.runaway else f'over {seconds(d.horizon)}'}"
     return f"A step of {wanted} {stable}, {margin}: {cause}."
 
 

@@ -30,7 +30,12 @@ def reaching_speed(model: Model, actuator: int) -> float:
 
 
 def crossing_dt(model: Model, qpos: Floats, actuator: int) -> float:
-    """The step [s] from which an actuator may jump across its range; inf without damping."""
+    """The step [s] from which an actuator may jump across its range.
+
+    inf without damping, and for one that pulls along no single joint.
+    """
+    if model.actuator_joint[actuator] < 0:
+        return math.inf
     damping = -float(model.actuator_bias[actuator, 2])
     damping *= float(model.actuator_gear[actuator, 0]) ** 2
     if not damping > 0:

@@ -166,7 +166,11 @@ class _BriefStates(Probe):
         """The states, with the rows that act there."""
         for _, state in self.deepest.values():
             sim = sim_at(model, state)
-            sim.forward()
+            try:
+                sim.forward()
+            except SimulationError:
+                # A run that blew up kept a state whose accelerations overflow.
+                continue
             yield state_of(sim, state.label, state.time)
 
 

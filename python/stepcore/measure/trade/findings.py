@@ -178,10 +178,11 @@ class TradeFindings:
     def next_better(self, error: float | str | None = None) -> TradeRow | None:
         """The cheapest row with at most half of that error; None if there is none.
 
-        error: as in `best`; by default that of the recommended row.
+        error: as in `best`; by default that of the recommended row, which is compared in the starts
+        of the search, because no other row need have run from the further ones.
         """
         if error is None and self.recommended is not None:
-            error = self.error(self.recommended)
+            return self.frontier.halving(self.recommended)
         try:
             return self.frontier.cheapest(self._length(error) / 2)
         except ValueError:

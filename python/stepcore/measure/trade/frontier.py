@@ -62,6 +62,19 @@ class Frontier:
         further = 0.0 if row.further is None else row.further.high
         return max(row.errors.high, self.known, further)
 
+    def searched(self, row: TradeRow) -> float:
+        """The error of a row in the starts of the search, from which every row ran [m]."""
+        return math.inf if row.errors is None else max(row.errors.high, self.known)
+
+    def halving(self, row: TradeRow) -> TradeRow | None:
+        """The cheapest row with at most half the error of this one; None if there is none.
+
+        Both in the starts of the search: further ones, from which few rows ran, may be harder.
+        """
+        half = self.searched(row) / 2
+        good = [r for r in self.rows if self.searched(r) <= half and not math.isnan(self.price(r))]
+        return min(good, key=self._preferred, default=None)
+
     def price(self, row: TradeRow) -> float:
         """What a row costs per simulated second: µs, or operations if that is the metric."""
         return row.flops if self.by == "flops" else row.cost
@@ -75,9 +88,11 @@ class Frontier:
         if not good:
             least = min((self.error(row) for row in self.rows), default=math.inf)
             raise ValueError(f"error = {error:g} m: the smallest in this trade is {least:.3g} m")
+        return min(good, key=self._preferred)
+
+    def _preferred(self, row: TradeRow) -> tuple[float, bool, float]:
         # Single precision does the same operations: of two alike the double one.
-        single = {row.settings: row.settings.precision == "f32" for row in good}
-        return min(good, key=lambda r: (self.price(r), single[r.settings], self.error(r)))
+        return self.price(row), row.settings.precision == "f32", self.error(row)
 
     def most_accurate(self, budget: float) -> TradeRow:
         """The row with the smallest error whose price is at most `budget`.

@@ -137,13 +137,18 @@ def _passed_over(trade: TradeFindings, row: TradeRow, error: float) -> Iterator[
 
 def _next_better(trade: TradeFindings, row: TradeRow) -> str:
     """What at most half of the error costs."""
-    better = trade.next_better(trade.error(row))
+    better, searched = trade.frontier.halving(row), trade.frontier.searched
+    there = trade.error(row) > searched(row)
     if better is None:
-        return "No setting tried halves that error."
-    times = trade.price(better) / trade.price(row)
+        where = f" in the {counted(trade.starts, 'start')} of the search" if there else ""
+        return f"No setting tried halves that error{where}."
+    costs = f"costs {trade.price(better) / trade.price(row):.2f} times as much"
+    named = f"{_named(trade, better)}, with an error of {metres(searched(better))}"
+    if not there:
+        return f"Half that error or less {costs}: {named}."
     return (
-        f"Half that error or less costs {times:.2f} times as much: {_named(trade, better)}, with "
-        f"an error of {metres(trade.error(better))}."
+        f"Half of its error in the {counted(trade.starts, 'start')} of the search, "
+        f"{metres(searched(row))}, or less {costs}: {named} there."
     )
 
 
