@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from stepcore._core import Settings
 from stepcore.engine.arrays import Floats
 from stepcore.engine.trajectory import RECORDED
-
-if TYPE_CHECKING:
-    from stepcore.engine.batch import Batch
 
 # What a Sim counts in its own solve; and momentum, which is a pair of arrays.
 ONLY_OF_ONE_WORLD = ("sweeps_done", "row_updates", "momentum")
@@ -34,7 +32,16 @@ class Rollout(NamedTuple):
     recorded: Mapping[str, NDArray[Any]] = {}
 
 
-def recorded_rollout(batch: Batch, ctrl: Floats, names: Sequence[str]) -> Rollout:
+class Rolls(Protocol):
+    """What a `Batch` has of this."""
+
+    @property
+    def settings(self) -> Settings: ...
+
+    def rollout(self, ctrl: ArrayLike) -> Rollout: ...
+
+
+def recorded_rollout(batch: Rolls, ctrl: Floats, names: Sequence[str]) -> Rollout:
     """Takes the steps one by one and reads what is asked for after each."""
     steps = ctrl.shape[1]
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in ("qpos", "qvel", "act", *names)}

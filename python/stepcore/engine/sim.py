@@ -399,6 +399,12 @@ def unwatched(sim: Sim) -> Sim:
     return sim
 
 
+def touches(sim: Sim) -> tuple[list[tuple[int, int]], Floats]:
+    """The geoms and the distance [m] of each of `Sim.contacts`, without a table of the rest."""
+    _, pairs, numbers = sim._core.contacts()
+    return pairs, numbers[:, 0]
+
+
 def _restored(model: Model, threads: int, state: bytes) -> Sim:
     sim = Sim(model, threads=threads)
     sim.restore(state)

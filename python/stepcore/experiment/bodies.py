@@ -54,11 +54,11 @@ class Bodies:
         """What the bodies do at these states, in double precision."""
         sim = Sim(self.model, self.model.settings.replace(precision="f64"))
         moving = self.moving
-        com, quat, kinetic, energy, momenta, frames = [], [], [], [], [], []
+        xpos, quat, kinetic, energy, momenta, frames = [], [], [], [], [], []
         for q, v in zip(qpos, qvel, strict=True):
             sim.qpos, sim.qvel = q, v
             place, turn = sim.xpos, sim.xquat
-            com.append(self.centres(place[moving], turn[moving]))
+            xpos.append(place[moving])
             quat.append(turn[moving])
             both = sim.energy
             kinetic.append(both.kinetic)
@@ -67,7 +67,9 @@ class Bodies:
                 momenta.append(np.concatenate(sim.momentum))
             if self.joints.connected:
                 frames.append(np.concatenate([place, turn], axis=-1))
-        return States(*map(np.array, (com, quat, kinetic, energy, momenta, frames)))
+        turns = np.array(quat)
+        com = self.centres(np.array(xpos), turns)
+        return States(com, turns, *map(np.array, (kinetic, energy, momenta, frames)))
 
     def centres(self, xpos: np.ndarray, xquat: np.ndarray) -> np.ndarray:
         """Centres of mass [m] of the moving bodies, from their frames."""

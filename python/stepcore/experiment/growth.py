@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from stepcore.experiment.coordinates import Start
 from stepcore.experiment.path import Path, angle, distance
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.together import screened
 from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
@@ -69,9 +69,11 @@ def growth(
     A perturbed run that fails says nothing, and is left out.
     """
     schedule = perturbed(runner, size)
-    job = partial(Runner(runner.model, schedule).screen, settings)
-    runs = workers.each(job, range(len(schedule.starts)), bar)
     count = len(runner.schedule.starts)
+    # Those of one start beside each other: they do alike in a batch.
+    order = sorted(range(len(schedule.starts)), key=lambda k: (k % count, k))
+    made = screened(Runner(runner.model, schedule), settings, order, workers, bar)
+    runs = dict(zip(order, made, strict=True))
     factor = np.ones((count, len(schedule.times)))
     for k in range(count, len(runs)):
         start = k % count

@@ -200,7 +200,7 @@ class ErrorSplit:
         solver = "newton" if soft else "pgs"
         shipped = settings.replace(integrator=name, solver=solver, acceleration="none")
         other = ReferenceRuns(runner, shipped, runs.finest, 0.0, runs.workers, runs.weight)
-        level = other.level(name, like.dt, Progress("", 1, False))
+        level = other.level(name, like.dt, Progress("", 1, False), bare=True)
         runs.spent += other.spent
         return level
 

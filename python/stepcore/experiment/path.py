@@ -24,7 +24,7 @@ class Path:
     m]: see `stepcore.experiment.joints`. failure: why the run ended early; the arrays are then
     short.
 
-    A run that only `Positions` looked at has com, quat, gyration, row_updates and failure.
+    A run that only `Positions` looked at has com, quat, gyration and failure.
     """
 
     com: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3)))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stepcore.engine.sim import Sim
+from stepcore.engine.sim import Sim, touches
 from stepcore.experiment.bodies import Bodies
 from stepcore.experiment.path import Path
 from stepcore.experiment.probe import Probe
@@ -34,7 +34,6 @@ class Positions(Probe):
         self.xquat.append(sim.xquat[self.bodies.moving])
 
     def end(self, sim: Sim, path: Path) -> None:
-        path.row_updates = sim.row_updates
         path.quat, path.gyration = np.array(self.xquat), self.bodies.gyration
         with np.errstate(over="ignore", invalid="ignore"):
             path.com = self.bodies.centres(np.array(self.xpos), path.quat)
@@ -52,7 +51,7 @@ class Means(Probe):
     def sample(self, sim: Sim) -> None:
         self.qpos.append(np.array(sim.qpos))
         self.qvel.append(np.array(sim.qvel))
-        self.touching.append(_touching(sim.contacts) if self.meets else 0)
+        self.touching.append(_touching(touches(sim)[1]) if self.meets else 0)
 
     def end(self, sim: Sim, path: Path) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -106,7 +105,7 @@ class Recorder(Probe):
     def sample(self, sim: Sim) -> None:
         self.samples.append(len(self.qpos) - 1)
         contacts = sim.contacts if self.meets else None
-        self.touching.append(0 if contacts is None else _touching(contacts))
+        self.touching.append(0 if contacts is None else _touching(contacts["dist"]))
         self.slips.append({} if contacts is None else self.bodies.friction.slips(sim, contacts))
 
     def _state(self, sim: Sim) -> None:
@@ -121,9 +120,9 @@ class Recorder(Probe):
         self.updates = sim.row_updates
         self.residual = max(self.residual, sim.residual)
         if self.meets:
-            contacts = sim.contacts
-            self.overlap = max(self.overlap, -float(contacts["dist"].min(initial=0.0)))
-            self.grounded |= self.bodies.friction.grounded(contacts)
+            pairs, dist = touches(sim)
+            self.overlap = max(self.overlap, -float(dist.min(initial=0.0)))
+            self.grounded = self.grounded or self.bodies.friction.grounded(pairs)
 
     def end(self, sim: Sim, path: Path) -> None:
         """The poses and energies at the samples, in double precision whatever the run's."""
@@ -162,5 +161,5 @@ class Recorder(Probe):
         return work
 
 
-def _touching(contacts: np.ndarray) -> int:
-    return int((contacts["dist"] <= 0).sum())
+def _touching(dist: np.ndarray) -> int:
+    return int((dist <= 0).sum())

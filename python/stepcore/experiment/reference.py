@@ -27,6 +27,7 @@ from stepcore.experiment.order import Known, known, observed, shown
 from stepcore.experiment.path import Path
 from stepcore.experiment.runaway import driven, runaway
 from stepcore.experiment.runner import Runner
+from stepcore.experiment.together import screened
 from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
@@ -215,9 +216,14 @@ class ReferenceRuns:
 
     def level(self, integrator: str, dt: float, bar: Progress, bare: bool = False) -> Level:
         """All starts at one step, until one fails; bare: only positions are recorded."""
-        run = self.runner.screen if bare else self.runner.run
-        job = partial(run, self.settings(integrator, dt))
-        paths = self.workers.until(lambda path: path.failure, job, range(self.starts), bar)
+        settings = self.settings(integrator, dt)
+        if bare:
+            paths = screened(self.runner, settings, range(self.starts), self.workers, bar)
+            ends = next((k for k, path in enumerate(paths) if path.failure), len(paths))
+            paths = paths[: ends + 1]
+        else:
+            job = partial(self.runner.run, settings)
+            paths = self.workers.until(lambda path: path.failure, job, range(self.starts), bar)
         self.spent += self.cost(integrator, dt) * len(paths) / self.starts
         return Level(dt, integrator, paths)
 

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from stepcore.experiment.control import control_name
+from stepcore.experiment.explosion import build
 from stepcore.experiment.path import Path
 from stepcore.experiment.runner import Runner
 from stepcore.report.units import joules, seconds
-from stepcore.scene.assets import half_size
 
 # Kinetic energy over what gravity gives the scene over its own size (or a metre a second, if that
 # is more), and over the most in the first half of the motion: a constant torque gives four times.
@@ -28,8 +28,7 @@ def runaway(runner: Runner, paths: Sequence[Path]) -> str | None:
     if not runner.model.nu:
         return None
     scene = runner.model.scene
-    size = max(float(np.linalg.norm(body.pos)) for body in scene.bodies)
-    size += max((half_size(geom) for geom in scene.geoms), default=0.0)
+    size = build(scene)
     mass = float(np.sum(runner.model.body_mass))
     scale = mass * (float(np.linalg.norm(runner.bodies.gravity)) * size + 0.5)
     for path in paths:

@@ -16,6 +16,7 @@ from stepcore.executors import checkpoint
 from stepcore.experiment.bodies import Bodies
 from stepcore.experiment.control import Control, ControlError, control_name, controls, fresh
 from stepcore.experiment.coordinates import Coordinates
+from stepcore.experiment.explosion import Explosion
 from stepcore.experiment.path import Path
 from stepcore.experiment.probe import Probe
 from stepcore.experiment.recorder import Positions, Recorder
@@ -39,6 +40,7 @@ class Runner:
         self.model, self.schedule = model, schedule
         self.coordinates = Coordinates(model)
         self.bodies = Bodies(model, self.coordinates)
+        self.explosion = Explosion(model, self.coordinates)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # What is looked up by identity is made anew in another process.
@@ -126,6 +128,8 @@ class Runner:
             step = clock.timing(step)
             if not self.model.nu:
                 periods, count = 1, count * periods
+        elif self.explosion.watches and isinstance(sim, Sim):
+            step = self.explosion.guarded(sim)
         stride = min((n for probe in probes if (n := probe.stride(count))), default=count)
         for period in range(periods):
             checkpoint()

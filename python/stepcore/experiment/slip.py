@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim
+from stepcore.experiment.coordinates import cross
 
 # A slower slip than this share of the fastest seen says little about the direction of friction.
 SLOW = 1e-2
@@ -52,10 +54,9 @@ class Friction:
             mu = self._mu[index] = pair.friction if pair.condim > 1 else 0.0
         return mu
 
-    def grounded(self, contacts: np.ndarray) -> bool:
-        """Whether something touches what does not move."""
-        bodies = {self.body[g] for name in ("geom1", "geom2") for g in contacts[name].tolist()}
-        return not bodies <= self.moving
+    def grounded(self, pairs: Iterable[tuple[int, int]]) -> bool:
+        """Whether something touches what does not move; pairs: the geoms of each contact."""
+        return not {self.body[geom] for pair in pairs for geom in pair} <= self.moving
 
     def slips(self, sim: Sim, contacts: np.ndarray) -> Slips:
         """Every contact that friction acts in."""
@@ -110,7 +111,7 @@ class Friction:
             for body in set(bodies)
         }
         twist = np.array([twists[body] for body in bodies])
-        speed: np.ndarray = twist[:, :3] + np.cross(twist[:, 3:], points - place[bodies])
+        speed: np.ndarray = twist[:, :3] + cross(twist[:, 3:], points - place[bodies])
         return speed
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
-from typing import TypeVar
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 from stepcore import checks
 from stepcore.executors import check_executor, each
+from stepcore.experiment.saving import Saving
 from stepcore.report.progress import Choice, Progress
 
 T = TypeVar("T")
@@ -17,11 +18,20 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class Workers:
-    """threads: how many runs at once; executor: takes their place; progress: see `Progress`."""
+    """threads: how many runs at once; executor: takes their place; progress: see `Progress`.
+
+    saving: what batches have saved so far, of all runs made here.
+    """
 
     threads: int = 1
     executor: Executor | None = None
     progress: Choice = False
+    saving: Saving = field(default_factory=Saving, compare=False)
+
+    @property
+    def inside(self) -> Workers:
+        """Those of a job that itself runs at the same time as others."""
+        return Workers(saving=self.saving)
 
     @classmethod
     def checked(
@@ -31,6 +41,11 @@ class Workers:
         checks.progress(owner, progress)
         check_executor(owner, executor)
         return cls(checks.threads(threads), executor, progress)
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """What a measurement within another is called with."""
+        return {"threads": self.threads, "executor": self.executor, "progress": self.progress}
 
     def bar(self, label: str, total: int) -> Progress:
         """A progress bar, to be used in a `with`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Unpack
@@ -65,6 +66,7 @@ class Predictability(Result):
     growth: Growth
     notes: list[str] = field(default_factory=list)
     ran: str = ""
+    batches: Sequence[str] = field(default=(), compare=False)
 
     @property
     def time(self) -> float:
@@ -211,5 +213,6 @@ def predictability(
         dt=level.dt,
         integrator=level.integrator,
         growth=growth,
+        batches=workers.saving.sentences,
         ran=motion_in_words(model, motion, runner.schedule),
     )

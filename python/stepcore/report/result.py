@@ -6,7 +6,7 @@ import io
 import json
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,6 +21,8 @@ class Result(ABC):
     name: the name of the scene.
     ran: what motion was run, in words; "" where none was.
     notes: remarks on how the figures were obtained, and on their limits.
+    batches: what making runs as batches saved, as it was timed: no part of the data, which another
+        machine gives too.
 
     A subclass defines what it measured and how (`title`, `setup`), the answer (`sentences`), and
     the figures (`table`, and `tables` as they are printed); everything else is made from these.
@@ -32,6 +34,7 @@ class Result(ABC):
 
     name: str
     notes: list[str]
+    batches: Sequence[str] = ()
     ran: str = ""
 
     @property
@@ -79,7 +82,8 @@ class Result(ABC):
 
     def report(self, full: bool = False) -> Report:
         """The sentences, tables and notes; `full`: nothing is left out of the tables."""
-        return Report(self.title, self.sentences, self.tables(full), self.notes, self.head)
+        notes = [*self.notes, *self.batches]
+        return Report(self.title, self.sentences, self.tables(full), notes, self.head)
 
     def text(self, width: int | None = None, full: bool = False) -> str:
         """The report in lines of at most `width` >= 20 characters (default: the terminal's).

@@ -145,7 +145,12 @@ def ablate(
         restored=selection.restored,
         smallest=without(model.scene.with_settings(model.settings), removed),
         reference=reference.error if reference else None,
-        notes=[*notes, *_notes(reference, baseline, tolerance), *_screened(cut, few, starts)],
+        notes=[
+            *notes,
+            *_notes(reference, baseline, tolerance),
+            *_screened(cut, few, starts),
+        ],
+        batches=workers.saving.sentences,
         ran=motion_in_words(model, motion, schedule.part(0, starts)),
     )
 
@@ -169,12 +174,12 @@ def _alone(
     few: the starts that all run from; what adds more than `error` [m] there is not run from more.
     """
     points = [(), *((removal,) for removal in removals)]
-    job = partial(outcome_of, baseline.first(few))
+    job = partial(outcome_of, baseline.first(few), workers=workers.inside)
     outcomes = workers.each(job, points, "features")
     if few == len(baseline.paths):
         return outcomes[0], outcomes[1:], 0
     again = [i for i, outcome in enumerate(outcomes) if outcome.worst <= error]
-    job = partial(outcome_of, baseline)
+    job = partial(outcome_of, baseline, workers=workers.inside)
     full = workers.each(job, [points[i] for i in again], "features from all starts")
     for i, outcome in zip(again, full, strict=True):
         outcomes[i] = outcome

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -84,6 +85,7 @@ class Ablation(Result):
     reference: float | None
     notes: list[str] = field(default_factory=list)
     ran: str = ""
+    batches: Sequence[str] = ()
 
     @property
     def title(self) -> str:

@@ -19,6 +19,7 @@ from stepcore.experiment.path import Path
 from stepcore.experiment.probe import Probe
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.together import can, helps, screened
 from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
@@ -37,8 +38,8 @@ class VariantOutcome:
     added [m]: RMS distance from the whole model's motion at the same settings, in every start.
     added_max [m]: the largest such distance of any body, sample and start.
     error [m]: RMS distance from the converged motion of the whole model, in every start.
-    flops: floating-point operations per simulated second; None if they cannot be counted.
-    row_updates: updates of rows per simulated second.
+    flops: floating-point operations per simulated second of the first start; None if they cannot
+        be counted. row_updates: updates of rows, likewise.
     failure: why the run failed.
     """
 
@@ -114,17 +115,16 @@ def outcome_of(
     added = errors(paths, baseline.paths, baseline.scored)
     truth = baseline.truth
     off = () if truth is None else errors(paths, truth, baseline.scored).each
-    rows = float(np.mean([path.row_updates for path in paths])) / baseline.schedule.horizon
-    flops = flops_per_second(runner, settings)
+    flops, rows = work_per_second(runner, settings)
     return VariantOutcome(added.each, added.position_max, off, flops, rows)
 
 
 def positions(runner: Runner, settings: Settings, workers: Workers) -> list[Path]:
     """The positions of the runs from all starts; on one thread only until one fails."""
     starts = range(len(runner.schedule.starts))
-    if workers.threads > 1 or workers.executor is not None:
-        job = partial(runner.screen, settings)
-        return workers.each(job, starts, Progress("", len(starts), False))
+    many = can(runner) and helps(len(starts) - 1, settings, workers.threads, workers.saving)
+    if many or workers.threads > 1 or workers.executor is not None:
+        return screened(runner, settings, starts, workers, Progress("", len(starts), False))
     paths: list[Path] = []
     for start in starts:
         paths.append(runner.screen(settings, start))
@@ -146,17 +146,19 @@ class WorkCount(Probe):
             self.steps += 1
 
 
-def flops_per_second(runner: Runner, settings: Settings) -> float | None:
-    """Floating-point operations per simulated second of the first start's motion.
+def work_per_second(runner: Runner, settings: Settings) -> tuple[float | None, float]:
+    """Floating-point operations and updates of rows per simulated second of the first start's
+    motion; None and NaN where it fails.
 
-    Counted exactly in about `COUNTED` steps spread evenly over it.
+    Operations are counted exactly in about `COUNTED` steps spread evenly over it.
     """
-    count = WorkCount(runner.schedule.periods)
+    count, sim = WorkCount(runner.schedule.periods), runner.sim(settings)
     try:
-        runner.follow(runner.sim(settings), 0, [count])
+        runner.follow(sim, 0, [count])
     except SimulationError:
-        return None
-    return count.total / count.steps / settings.dt
+        return None, np.nan
+    flops = count.total / count.steps / settings.dt
+    return flops, sim.row_updates / runner.schedule.horizon
 
 
 class UsageProbe(Probe):

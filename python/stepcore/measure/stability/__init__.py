@@ -271,7 +271,7 @@ def _panel(
         truth, reference = converged[law], "converged run"
     grid = {case.path: case.values, "dt": case.dts}
     cells = []
-    for k, record in enumerate(sweep(model, grid, partial(run, motion), **vars(workers))):
+    for k, record in enumerate(sweep(model, grid, partial(run, motion), **workers.arguments)):
         if record.get("failure"):
             raise ValueError(f"{setting.label}: {record['failure']}")
         true = truth[k // len(case.dts)]

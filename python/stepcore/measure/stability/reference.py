@@ -106,7 +106,7 @@ def converged_runs(
     exact = model.with_settings(reference_settings(model))
     job = partial(converged_run, motion, dts, tolerance, size)
     runs = []
-    for record in sweep(exact, {path: values}, job, **vars(workers)):
+    for record in sweep(exact, {path: values}, job, **workers.arguments):
         if record.get("failure"):
             raise ValueError(f"{path} = {record[path]:g}: {record['failure']}")
         runs.append(record["run"])

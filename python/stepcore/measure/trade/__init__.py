@@ -203,6 +203,7 @@ def trade(
         budget=limit,
         size=size,
         mujoco=mujoco_points.timed(points, timed),
+        batches=workers.saving.sentences,
         screened=len({*trials.paths, *trials.screened}),
         runs=trials.runs,
         chosen=chosen,

@@ -44,6 +44,7 @@ class TradeFindings:
     runs: int = 0
     chosen: TradeRow | None = None
     ran: str = ""
+    batches: Sequence[str] = ()
     findings: Sequence[Finding] = ()
     # The runs of the trade, which can be made again to be seen.
     runner: Runner | None = None

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from stepcore.experiment.growth import DIRECTIONS, growth
 from stepcore.experiment.reference import ReferenceRuns
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
+from stepcore.experiment.together import screened
 from stepcore.measure.trade.frontier import MARGIN, Frontier
 from stepcore.measure.trade.moves import DENSER, Steps
 from stepcore.measure.trade.row import Further, TradeRow
@@ -132,8 +132,7 @@ class Confirmation:
         assert self.scored is not None
         known = self.ran.setdefault(settings, {})
         missing = [start for start in starts if start not in known]
-        job = partial(self.runner.screen, settings)
-        paths = self.workers.each(job, missing, "further starts")
+        paths = screened(self.runner, settings, missing, self.workers, "further starts")
         for start, path in zip(missing, paths, strict=True):
             truth = [self.truth.paths[start]]
             failure = path.failure or far_off([path], truth, self.trials.size)

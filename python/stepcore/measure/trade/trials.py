@@ -18,11 +18,15 @@ from stepcore.experiment.path import Path
 from stepcore.experiment.recorder import Positions
 from stepcore.experiment.reference import Reference
 from stepcore.experiment.runner import Runner
+from stepcore.experiment.saving import Timed
+from stepcore.experiment.together import can, helps, portions, timed
 from stepcore.experiment.workers import Workers
 
 T = TypeVar("T")
 # Runs of a setting, and the work of the first.
 Ran = tuple[list[Path], Work]
+# The same of which some were made alone and others in batches.
+Made = tuple[Ran, list[Timed]]
 # A setting, the first start of its runs and the one after the last.
 Screened = tuple[Settings, int, int]
 
@@ -84,9 +88,16 @@ class Trials:
 
     def _screened(self, jobs: Sequence[Screened], label: str) -> list[Ran]:
         """The runs of jobs; of fewer jobs than threads the starts run at the same time."""
-        job = partial(screen_starts, self.runner)
         if self.workers.executor is not None or len(jobs) >= self.workers.threads:
-            return self._each(job, jobs, label)
+            made = self.workers.each(
+                partial(several, self.runner, self.workers.inside), jobs, label
+            )
+            for (paths, _), parts in made:
+                self.runs += len(paths)
+                if parts:
+                    self.workers.saving.compare(parts[0], parts[1:])
+            return [ran for ran, _ in made]
+        job = partial(screen_starts, self.runner)
         ran = []
         for setting, first, last in jobs:
             starts = [(setting, start, start + 1) for start in range(first, last)]
@@ -140,6 +151,25 @@ def screen_starts(runner: Runner, job: Screened) -> Ran:
         if path.failure:
             break
     return paths, work
+
+
+def several(runner: Runner, workers: Workers, job: Screened) -> Made:
+    """The same; of many starts all but the first two in batches, with what each took."""
+    settings, first, last = job
+    singly = first + 2 if first == 0 else first + 1
+    left = last - singly
+    if not (can(runner) and helps(left, settings, 1, workers.saving)):
+        return screen_starts(runner, job), []
+    paths, work = screen_starts(runner, (settings, first, singly - 1))
+    if paths and paths[-1].failure:
+        return (paths, work), []
+    parts = [timed(runner, settings, [singly - 1])]
+    if not parts[0].paths[0].failure:
+        rest = range(singly, last)
+        parts += [timed(runner, settings, some) for some in portions(rest, settings)]
+    paths += [path for part in parts for path in part.paths]
+    ends = next((k for k, path in enumerate(paths) if path.failure), len(paths))
+    return (paths[: ends + 1], work), parts if len(parts) > 1 else []
 
 
 def all_starts(runner: Runner, settings: Settings) -> Ran:

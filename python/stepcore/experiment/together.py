@@ -1,0 +1,173 @@
+"""Runs of one setting from several starts as worlds of batches: the bits of single runs, sooner.
+
+One run is made alone, and timed; the others are worlds of batches as wide as the processor's vector
+registers. Both times together say what batches save. Where they save nothing, as where walkers
+touch the floor at different times, the runs that follow are made singly again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from time import thread_time
+
+import numpy as np
+
+from stepcore._core import Settings
+from stepcore.engine.batch import Batch, unwatched
+from stepcore.executors import checkpoint
+from stepcore.experiment.path import Path
+from stepcore.experiment.recorder import Positions
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.saving import Saving, Timed
+from stepcore.experiment.workers import Workers
+from stepcore.report.progress import Progress
+
+# Worlds of a batch: as many as a register holds numbers.
+WIDTH = {"f64": 8, "f32": 16}
+# Fewer runs than this fill too little of a register.
+LEAST = 5
+# A batch takes about so many times less time than its worlds alone, if it is worth making at all.
+GAIN = 1.75
+
+
+def can(runner: Runner) -> bool:
+    """Whether runs can be worlds of a batch: their controls are no function of Python's."""
+    return runner.schedule.control is None
+
+
+def helps(runs: int, settings: Settings, threads: int, saving: Saving) -> bool:
+    """Whether batches end sooner than single runs on so many threads."""
+    if runs < LEAST or not saving.worth:
+        return False
+    width = WIDTH[settings.precision]
+    batches = -(-runs // width)
+    return -(-batches // threads) * min(runs, width) <= GAIN * -(-runs // threads)
+
+
+def portions(starts: Sequence[int], settings: Settings) -> list[Sequence[int]]:
+    """The starts of each batch."""
+    width = WIDTH[settings.precision]
+    return [starts[first : first + width] for first in range(0, len(starts), width)]
+
+
+def timed(runner: Runner, settings: Settings, starts: Sequence[int]) -> Timed:
+    """Runs of which positions are recorded: one alone, several as a batch."""
+    begun = thread_time()
+    if len(starts) == 1:
+        paths = [runner.screen(settings, starts[0])]
+    else:
+        paths = batched(runner, settings, starts)
+    return Timed(paths, thread_time() - begun)
+
+
+def batched(runner: Runner, settings: Settings, starts: Sequence[int]) -> list[Path]:
+    """`Runner.screen` from each of the starts, as the worlds of one batch; the same bits."""
+    try:
+        run = _BatchRun(runner, settings, starts)
+    except ValueError:
+        # What a setting is refused for, each run says itself.
+        return [runner.screen(settings, start) for start in starts]
+    return run.paths()
+
+
+class _BatchRun:
+    """Worlds from several starts, and what was recorded of them."""
+
+    def __init__(self, runner: Runner, settings: Settings, starts: Sequence[int]) -> None:
+        self.runner, self.starts = runner, starts
+        batch = Batch(runner.model, len(starts), 1, on_failure="go on", settings=settings)
+        self.batch = unwatched(batch)
+        # Those that exploded, and why; those that failed otherwise.
+        self.ended: dict[int, str] = {}
+        self.failed: set[int] = set()
+        self.looks = [Positions(runner.bodies) for _ in starts]
+        self.place(range(len(starts)))
+
+    def place(self, worlds: Sequence[int]) -> None:
+        """Puts worlds at their starts."""
+        for world in worlds:
+            start = self.runner.schedule.starts[self.starts[world]]
+            self.batch.qpos[world], self.batch.qvel[world] = start.qpos, start.qvel
+            if start.act is not None:
+                self.batch.act[world] = start.act
+
+    def paths(self) -> list[Path]:
+        """Makes the runs."""
+        schedule, batch, bodies = self.runner.schedule, self.batch, self.runner.bodies
+        count = schedule.steps(batch.settings.dt)
+        for period in range(schedule.periods):
+            checkpoint()
+            if schedule.ctrl is not None:
+                batch.ctrl[:] = schedule.ctrl[list(self.starts), period]
+            self.step(count)
+            if (period + 1) % schedule.every == 0:
+                self.failed = set(batch.failures) - set(self.ended)
+                if len(self.ended) + len(self.failed) == len(self.starts):
+                    break
+                xpos, xquat = batch.xpos[:, bodies.moving], batch.xquat[:, bodies.moving]
+                for world, look in enumerate(self.looks):
+                    look.xpos.append(xpos[world])
+                    look.xquat.append(xquat[world])
+        return [self.path(world) for world in range(len(self.starts))]
+
+    def step(self, count: int) -> None:
+        """Steps all worlds; what explodes is ended, and stands at its start from then on."""
+        explosion, batch = self.runner.explosion, self.batch
+        if not explosion.watches:
+            batch.step(count)
+            return
+        dt = batch.settings.dt
+        for _ in range(count):
+            batch.step(1)
+            for world in np.flatnonzero(explosion.beyond(batch.qvel, dt).any(axis=1)).tolist():
+                if world not in self.ended:
+                    text = explosion.reason(batch.qvel[world], dt, batch.time)
+                    self.ended[world] = text or ""
+                batch.reset(worlds=[world])
+                self.place([world])
+
+    def path(self, world: int) -> Path:
+        """What was recorded of a world."""
+        if world in self.failed:
+            # A batch keeps no account of energies; alone the run says what its cause is.
+            return self.runner.screen(self.batch.settings, self.starts[world])
+        path = Path()
+        if world in self.ended:
+            path.failure = self.ended[world]
+            return path
+        self.looks[world].end(self.batch, path)
+        if not np.all(np.isfinite(path.com)):
+            path.failure = "positions overflow"
+        return path
+
+
+def screened(
+    runner: Runner,
+    settings: Settings,
+    starts: Sequence[int],
+    workers: Workers,
+    bar: Progress | str,
+) -> list[Path]:
+    """`Runner.screen` from each of the starts, in batches where those end sooner."""
+    if not (can(runner) and helps(len(starts) - 1, settings, workers.threads, workers.saving)):
+        return workers.each(partial(runner.screen, settings), starts, bar)
+    jobs = [starts[:1], *portions(starts[1:], settings)]
+    if isinstance(bar, str):
+        with workers.bar(bar, len(starts)) as own:
+            return _made(runner, settings, jobs, workers, own)
+    return _made(runner, settings, jobs, workers, bar)
+
+
+def _made(
+    runner: Runner,
+    settings: Settings,
+    jobs: Sequence[Sequence[int]],
+    workers: Workers,
+    bar: Progress,
+) -> list[Path]:
+    """The first job is one run; the others are batches."""
+    made = workers.each(partial(timed, runner, settings), jobs, bar)
+    bar.advance(sum(map(len, jobs)) - len(jobs))
+    workers.saving.compare(made[0], made[1:])
+    return [path for some in made for path in some.paths]
