@@ -14,6 +14,7 @@ BENCHES = {
     "vs_rapier": "A ball and piles of spheres against Rapier",
     "vs_numpy": "The lesson's scenes against numpy",
     "heap_scale": "What a heap costs as it grows",
+    "heap_threads": "One heap, stepped by several threads",
     "executors": "Runs in threads, processes and a Dask cluster",
     "trade_validation": "Do the trade's recommendations hold?",
 }

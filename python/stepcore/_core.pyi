@@ -337,6 +337,8 @@ class Sim(_World):
     def most_rows(self) -> int: ...
     @property
     def contacts_grown(self) -> int: ...
+    def tendon_path(self, tendon: int) -> list[list[float]]:
+        """The way of a tendon, by stretch: points (n, 3), flat."""
     def element_forces(self) -> tuple[list[_Element], _Floats]:
         """Elements that push, and the generalised force of each, shape (n, nv)."""
     def contacts(self) -> tuple[list[_Element], list[tuple[int, int]], _Floats]:

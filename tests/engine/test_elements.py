@@ -54,7 +54,7 @@ def test_every_kind_has_a_name(sim):
         ("connect", 0): "connect `tie`",
         ("xfrc_applied", 2): "force applied to body `free`",
         ("gravity", 0): "gravity",
-        ("joint", 1): "joint 1",
+        ("joint", 1): "joint 1 of body `free`",
     }
     assert {element: model.element_name(*element) for element in names} == names
     pairs = model._core.pairs()
@@ -127,3 +127,31 @@ def test_a_penalty_contact_tells_its_force():
     sim.forward()
     (contact,) = sim.contacts
     assert contact["force"] == pytest.approx([0, 0, 2e4 * 0.001]) and len(sim.rows) == 0
+
+
+NAMELESS = """
+<mujoco><worldbody><geom type="plane" size="1 1 1"/><site/>
+<body name="arm"><joint/><geom size=".1"/><site/>
+<body name="hand"><joint axis="0 1 0"/><geom size=".1" pos=".5 0 0"/></body></body></worldbody>
+<tendon><fixed><joint joint="elbow" coef="1"/></fixed></tendon>
+<equality><connect body1="hand" anchor="0 0 0"/></equality>
+<actuator><motor joint="elbow"/><position tendon="rope"/></actuator></mujoco>"""
+
+
+def test_what_has_no_name_is_called_by_what_it_belongs_to():
+    text = NAMELESS.replace("<joint axis", '<joint name="elbow" axis')
+    model = sc.loads(text.replace("<fixed>", '<fixed name="rope">')).compile()
+    names = {
+        ("geom", 0): "geom 0 of the world",
+        ("geom", 2): "geom 2 of body `hand`",
+        ("site", 1): "site 1 of body `arm`",
+        ("joint", 0): "joint 0 of body `arm`",
+        ("spring", 0): "spring of joint 0 of body `arm`",
+        ("joint", 1): "joint `elbow`",
+        ("connect", 0): "connect 0 of body `hand` and the world",
+        ("actuator", 0): "motor 0 at joint `elbow`",
+        ("actuator", 1): "servo 1 at tendon `rope`",
+    }
+    assert {element: model.element_name(*element) for element in names} == names
+    assert model.called("actuator") == ("motor 0 at joint `elbow`", "servo 1 at tendon `rope`")
+    assert model.called("body") == ("world", "arm", "hand")

@@ -164,6 +164,7 @@ def test_contacts_have_names_and_rows_have_forces(sim):
 
 
 def test_contacts_of_geoms_without_a_name():
+    """They are called by their body, which is found in the file."""
     scene = sc.Scene()
     body = scene.add_body(pos=(0, 0, 0.099))
     scene.add_joint(body, "free")
@@ -171,7 +172,13 @@ def test_contacts_of_geoms_without_a_name():
     scene.add_geom("world", "plane")
     sim = sc.Sim(scene)
     sim.step()
-    assert sim.contacts["name1"].tolist() == sim.contacts["name2"].tolist() == [""]
+    contacts, model = sim.contacts, sim.model
+    assert contacts["name1"].tolist() == ["geom 0 of the world"]
+    assert contacts["name2"].tolist() == ["geom 1 of body 1"]
+    name = "contact geom 0 of the world/geom 1 of body 1"
+    assert model.element_name("contact", 0) == name and sim.rows["name"][0] == name
+    assert model.called("geom") == ("geom 0 of the world", "geom 1 of body 1")
+    assert model.called("joint") == ("joint 0 of body 1",)
 
 
 RESULTS = (

@@ -200,7 +200,7 @@ ERRORS = {
                 '<collision><geometry><mesh filename="package://x/y.dae"/></geometry></collision>',
             ),
         ),
-        "collision meshes are read from .stl",
+        "meshes are read from .stl",
     ),
     "xacro": (("<xacro:macro/>",), "this is xacro"),
     "mimic": (

@@ -96,6 +96,22 @@ def test_a_failure_is_shown_and_does_not_end_the_view():
         assert not view._panel.failed
 
 
+def test_energy_and_residual_are_curves_beside(panel):
+    for _ in range(5):
+        panel.advance(0.05)
+        panel.draw()
+    time, kinetic, potential, total = panel.energy.plot.data
+    assert len(time) == 6 and time[-1] == pytest.approx(panel.sim.time)
+    assert kinetic[-1] == pytest.approx(panel.sim.energy.kinetic)
+    assert potential[0] == total[0] == 0
+    assert panel.residual.plot.data[1][-1] == max(panel.sim.residual, 1e-20)
+    # Curves of a motion that goes on from an earlier time are that motion's.
+    panel.back.value = 0.5
+    panel._go_back(BY_HAND)
+    time = panel.energy.plot.data[0]
+    assert time[-1] == pytest.approx(panel.sim.time) and np.all(np.diff(time) > 0)
+
+
 def test_runs_are_gone_through_together():
     one, other = cheetah(), cheetah()
     other.qpos[0] += 0.3
@@ -108,6 +124,8 @@ def test_runs_are_gone_through_together():
         assert panel.now == pytest.approx(runs[0].time[1])
         panel.draw()
         assert re.search(r"distance of second</td>[^>]*>300 mm", panel.figures.content)
+        assert panel.apart.plot.data[1] == pytest.approx([300, 300], abs=5)
+        assert panel.apart.plot.series[1]["label"] == "second"
 
 
 def test_what_cannot_be_viewed_is_refused():

@@ -3,7 +3,7 @@
 use stepcore::real::Real;
 use stepcore::sim::Sim;
 use stepcore::spatial::V3;
-use stepcore::watch::{first_hit, Bodies, BodyForces, RayFilter};
+use stepcore::watch::{first_hit, tendon_path as tendon_path_of, Bodies, BodyForces, RayFilter};
 
 use crate::world::{BodyForce, Placed};
 
@@ -38,6 +38,13 @@ pub fn body_force(forces: &BodyForces, what: BodyForce) -> Vec<f64> {
         BodyForce::External => forces.external.iter().flat_map(|f| six(&f.ang, &f.lin)).collect(),
         BodyForce::Internal => forces.internal.iter().flat_map(|f| six(&f.ang, &f.lin)).collect(),
     }
+}
+
+pub fn tendon_path<R: Real>(sim: &mut Sim<R>, tendon: usize) -> Vec<Vec<f64>> {
+    let model = sim.model().clone();
+    let Some(tendon) = model.tendons.get(tendon) else { return vec![] };
+    let ways = tendon_path_of(&model, &sim.bodies(0), tendon);
+    ways.iter().map(|way| way.iter().flat_map(|v| [v.x, v.y, v.z]).collect()).collect()
 }
 
 /// Each ray is 6 numbers: where it starts, and its direction.

@@ -305,6 +305,12 @@ impl Sim {
         let count = found.dist.len();
         Ok((result(py, found.dist, &[count])?, found.geom, result(py, found.normal, &[count, 3])?))
     }
+    /// The way of a tendon, by stretch: points (n, 3), flat.
+    fn tendon_path(&self, py: Python<'_>, tendon: usize) -> PyResult<Vec<Vec<f64>>> {
+        let mut guard = self.lock()?;
+        let world = &mut **guard;
+        self.arrays.read(py, 0, |given| world.tendon_path(given, tendon)).raised(py)
+    }
     /// Elements that push, and the generalised force of each.
     fn element_forces<'py>(&self, py: Python<'py>) -> PyResult<(Vec<Id>, Array<'py>)> {
         let forces = self.lock()?.element_forces();

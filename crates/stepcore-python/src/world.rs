@@ -162,6 +162,8 @@ pub trait World: Send {
     fn inverse(&mut self, given: &Given, qacc: Option<&[f64]>) -> Result<Vec<f64>>;
     /// Through the present state: origin and direction, 6 numbers a ray.
     fn rays(&mut self, given: &Given, rays: &[f64], filter: &RayFilter) -> Result<Rays>;
+    /// By stretch, the points of it one after the other.
+    fn tendon_path(&mut self, given: &Given, tendon: usize) -> Result<Vec<Vec<f64>>>;
     fn contacts(&self) -> Contacts;
     /// The generalised force of every element that pushes.
     fn element_forces(&self) -> BTreeMap<Element, Vec<f64>>;
@@ -341,6 +343,10 @@ impl<R: Real> World for One<R> {
 
     fn rays(&mut self, given: &Given, rays: &[f64], filter: &RayFilter) -> Result<Rays> {
         Ok(readings::rays(self.reader(given)?, rays, filter))
+    }
+
+    fn tendon_path(&mut self, given: &Given, tendon: usize) -> Result<Vec<Vec<f64>>> {
+        Ok(readings::tendon_path(self.reader(given)?, tendon))
     }
 
     fn element_forces(&self) -> BTreeMap<Element, Vec<f64>> {

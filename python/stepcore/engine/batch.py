@@ -296,7 +296,7 @@ class Batch(Stepped):
     @property
     def contacts(self) -> list[NDArray[Any]]:
         """Contacts of each world, a list of n structured arrays; see `Sim.contacts`."""
-        names = self._model.geom_names
+        names = self._model.called("geom")
         return [contact_table(names, *table) for table in self._core.contacts()]
 
     def contacts_of(self, body: str | int) -> list[NDArray[Any]]:

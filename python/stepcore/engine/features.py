@@ -291,7 +291,7 @@ class RemovableFeatures:
         for i, tendon in enumerate(tendons if features.limit and rows else ()):
             if tendon.range is not None:
                 edit = ("cleared", ("tendons", (i,), ("range",)))
-                name = tendon.name or f"tendon {i}"
+                name = self.model.called("tendon")[i]
                 found.append(Removal("tendon limit", name, (edit,)))
         return found
 
@@ -300,7 +300,7 @@ class RemovableFeatures:
         features = self.scene.features
         if not (features.limit and features.constraint):
             return []
-        names = self.model.joint_names
+        names = self.model.called("joint")
         ranged = [i for i, j in enumerate(self.joint) if self.scene.joints[j].range is not None]
         unused = tuple(self.joint[i] for i in ranged if i not in usage.limited)
         removals = []
@@ -308,8 +308,8 @@ class RemovableFeatures:
             removals.append(Removal("limits", _unreached(unused), (("no range", unused),)))
         for i in ranged:
             if i in usage.limited:
-                name = names[i] or f"joint {i}"
-                removals.append(Removal("limit", name, (("no range", (self.joint[i],)),)))
+                edit = ("no range", (self.joint[i],))
+                removals.append(Removal("limit", names[i], (edit,)))
         return removals
 
     def colliders(self, usage: MotionUsage) -> list[Removal]:
@@ -381,8 +381,9 @@ class RemovableFeatures:
         features = self.scene.features
         if not (features.equality and features.constraint):
             return []
+        names = self.model.called("equality")
         return [
-            Removal("equality", equality.name or f"equality {i}", (("inactive", (i,)),))
+            Removal("equality", names[i], (("inactive", (i,)),))
             for i, equality in enumerate(self.scene.equalities)
             if equality.active
         ]
@@ -394,7 +395,7 @@ class RemovableFeatures:
         return [Removal("warm start", "", (("settings", (("warm_start", False),)),))]
 
     def _body(self, index: int) -> str:
-        return self.model.body_names[index] or f"body {index}"
+        return self.model.called("body")[index]
 
     def _pair(self, pair: tuple[int, int]) -> str:
         return f"{self._body(pair[0])}/{self._body(pair[1])}"

@@ -112,7 +112,7 @@ def linearized(
         for index, (name, kind) in enumerate(zip(model.joint_names, model.jnt_type, strict=True))
         for axis in AXES[kind]
     )
-    controls = tuple(name or f"actuator {i}" for i, name in enumerate(model.actuator_names))
+    controls = model.called("actuator")
     return Linearization(
         numbers[:, :split],
         numbers[:, split:],

@@ -167,6 +167,21 @@ class ModelData(ABC):
         """
         return self._core.element_name(kind, index, part)
 
+    def called(self, kind: str) -> tuple[str, ...]:
+        """What the elements of a kind are called in lists, in their order.
+
+        Their names; "geom 15 of body `jaw`" for one without, where its body or joint says where it
+        stands in the file. kind: as in `names`. Raises KeyError for an unknown kind.
+        """
+        return self._called[kind]
+
+    @functools.cached_property
+    def _called(self) -> dict[str, tuple[str, ...]]:
+        return {
+            kind: tuple(name or self.element_name(kind, k) for k, name in enumerate(names))
+            for kind, names in self.names.items()
+        }
+
     def element_force(
         self, kind: str, ctrl: Floats, act: Floats, qpos: Floats, qvel: Floats
     ) -> Floats:

@@ -288,7 +288,7 @@ class Sim(Stepped):
 
         - kind ("contact"), index (as `Model.contact_pair` takes it), part (which of its
           contacts);
-        - geom1, geom2: indices; name1, name2: names, "" for a geom without one;
+        - geom1, geom2: indices; name1, name2: names, or "geom 15 of body `jaw`";
         - dist [m], negative for an overlap; pos [m]; normal, a unit vector from geom 1 to geom 2;
         - force: on geom 2, in world axes [N]; zero for a contact that has no row;
         - torque: of torsion (condim 4) and rolling (condim 6) on geom 2, in world axes [N·m].
@@ -296,7 +296,7 @@ class Sim(Stepped):
         In the frame of MuJoCo's `mj_contactForce` they are the force and the torque along the
         normal and the two tangents.
         """
-        return contact_table(self._model.geom_names, *self._core.contacts())
+        return contact_table(self._model.called("geom"), *self._core.contacts())
 
     def contacts_of(self, body: str | int) -> NDArray[Any]:
         """The entries of `contacts` in which a geom of this body takes part.
@@ -304,6 +304,17 @@ class Sim(Stepped):
         Bodies fixed to it are others. Raises ValueError for an unknown body.
         """
         return contacts_of_body(self.contacts, self._model, body)
+
+    def tendon_path(self, tendon: str | int) -> list[Floats]:
+        """The way of a spatial tendon in the world at the present state [m].
+
+        Returns a list with an array of shape (n, 3) for each stretch between two sites that follow
+        each other: the sites, and between them points of the way round a geom where it touches one.
+        The count n of a stretch never changes. Empty for a fixed tendon. Raises ValueError for an
+        unknown tendon.
+        """
+        index = self._model.index("tendon", tendon)
+        return [np.reshape(way, (-1, 3)) for way in self._core.tendon_path(index)]
 
     @property
     def rows(self) -> NDArray[Any]:

@@ -192,14 +192,17 @@ class Assets:
             raise FileNotFoundError(f"{node.file}:{node.line}: {path}: no such file")
         return path
 
-    def _place(self, node: Node, name: str) -> str | None:
-        """The path that a file's name means; None in a text without a folder."""
+    def _place(self, node: Node, name: str, own: str = "meshdir") -> str | None:
+        """The path that a file's name means; None in a text without a folder.
+
+        own: the attribute of the compiler that names the folder of such files.
+        """
         compiler = node.compiler or self.compiler
         values, directory = compiler.values, compiler.directory
         name = name.replace("\\", "/")
         if values.get("strippath"):
             name = name.rpartition("/")[2]
-        folder = values.get("meshdir", values.get("assetdir", ""))
+        folder = values.get(own, values.get("assetdir", ""))
         if directory is None and not os.path.isabs(os.path.join(folder, name)):
             return None
         return os.path.normpath(os.path.join(directory or "", folder, name))

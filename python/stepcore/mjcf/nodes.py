@@ -60,7 +60,8 @@ def _again(
 class Source:
     """The text that a scene was read from.
 
-    data: the text. directory: the folder of its includes.
+    data: the text. urdf: that of a URDF, which leaves `data` empty. directory: the folder of its
+    includes.
     files: the files that were read, the main one first.
     unread: files that the text names but that only draw; they are never opened.
     read_bytes: the size of the files of meshes and height fields that were read, and asset_bytes:
@@ -69,6 +70,7 @@ class Source:
 
     data: bytes
     directory: str | None
+    urdf: bytes = b""
     files: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
     read_bytes: int = 0

@@ -92,7 +92,7 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
         scene.ignored += ignored
         scene.notes += notes
         # The text is no MJCF that could be kept when the scene is saved.
-        source = replace(source, data=b"")
+        source = replace(source, data=b"", urdf=source.data)
     scene.name = root.attrs.get("model", "")
     refusals, left_out = Refusals(), LeftOut(without)
     models = Models(scene, refusals, left_out)

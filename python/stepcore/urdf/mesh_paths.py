@@ -20,9 +20,7 @@ def mesh_path(node: Node, directory: str | None, extended: bool) -> str:
     name = node.values["filename"].replace("\\", "/")
     if os.path.splitext(name)[1].lower() not in FORMATS:
         words = ", ".join(FORMATS)
-        raise node.error(
-            f'<mesh filename="{name}">: collision meshes are read from {words}; save it as one'
-        )
+        raise node.error(f'<mesh filename="{name}">: meshes are read from {words}; save it as one')
     scheme, found, rest = name.partition("://")
     if not found:
         scheme, rest = "", name

@@ -30,7 +30,17 @@ INERTIAL = spec(
 COLLISION = spec(
     "name group", {"origin": ORIGIN, "geometry": GEOMETRY}, once=("origin", "geometry")
 )
-LINK = spec("name! type", {"inertial": INERTIAL, "collision": COLLISION}, once=("inertial",))
+MATERIAL = spec(
+    "name", {"color": spec("rgba:4"), "texture": spec("filename")}, once=("color", "texture")
+)
+VISUAL = spec(
+    "name group",
+    {"origin": ORIGIN, "geometry": GEOMETRY, "material": MATERIAL},
+    once=("origin", "geometry", "material"),
+)
+INSIDE_LINK = {"inertial": INERTIAL, "collision": COLLISION}
+LINK = spec("name! type", INSIDE_LINK, once=("inertial",))
+DRAWN_LINK = spec("name! type", {**INSIDE_LINK, "visual": VISUAL}, once=("inertial",))
 TYPES = "revolute|continuous|prismatic|fixed|floating|planar"
 JOINT = spec(
     f"name! type!:{TYPES}",
@@ -46,6 +56,8 @@ JOINT = spec(
     once=("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
 )
 ROBOT = spec("name version", {"link": LINK, "joint": JOINT})
+# With what only draws.
+DRAWN_ROBOT = spec("name version", {"link": DRAWN_LINK, "joint": JOINT, "material": MATERIAL})
 
 # Inside which elements only what the schema has may stand; elsewhere URDF is extended freely, and
 # what the schema does not have is listed as ignored.

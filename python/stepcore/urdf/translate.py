@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from typing import TypeVar
 
 from stepcore.checks import cut, nearest
 from stepcore.mjcf.nodes import MJCFError, Node
@@ -20,7 +21,7 @@ from stepcore.mjcf.schema.notation import Spec
 from stepcore.mjcf.validation import bad, values_of
 from stepcore.scene import frames
 from stepcore.urdf.mesh_paths import mesh_path
-from stepcore.urdf.schema import CLOSED, DRAWS, ROBOT, XACRO_ONLY
+from stepcore.urdf.schema import CLOSED, DRAWN_ROBOT, DRAWS, ROBOT, XACRO_ONLY
 
 # A joint without an axis turns or slides along the first.
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -34,26 +35,39 @@ def to_mjcf(root: Node, directory: str | None) -> tuple[Node, list[str], list[st
 
     Raises MJCFError with all errors of the file: what is unknown, links in a circle, several roots.
     """
+    robot, tree, ignored = _translated(Robot, ROBOT, root, directory)
+    return tree, ignored, robot.notes()
+
+
+def to_drawn_mjcf(root: Node, directory: str | None) -> tuple[Node, list[Node], list[str]]:
+    """The MJCF tree of a URDF with what only draws; which of its geoms do; what is not drawn."""
+    robot, tree, _ = _translated(DrawnRobot, DRAWN_ROBOT, root, directory)
+    return tree, robot.drawn, robot.undrawn
+
+
+def _translated(
+    kind: type[RobotT], schema: Spec, root: Node, directory: str | None
+) -> tuple[RobotT, Node, list[str]]:
     refusals = Refusals()
     # Names of namespaces say nothing.
     root.attrs = {name: text for name, text in root.attrs.items() if not name.startswith("xmlns")}
     extension = [child for child in root.children if child.tag == "mujoco"]
     root.children = [child for child in root.children if child.tag != "mujoco"]
-    ignored = _validate(root, refusals)
+    ignored = _validate(root, schema, refusals)
     refusals.raise_all()
-    robot = Robot(root, directory, extension)
+    robot = kind(root, directory, extension)
     try:
         tree = robot.tree()
     except MJCFError as error:
         refusals.add(error)
     refusals.raise_all()
-    return tree, ignored, robot.notes()
+    return robot, tree, ignored
 
 
-def _validate(root: Node, refusals: Refusals) -> list[str]:
+def _validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
     """Sets `values`, drops what is not read, and returns the lines for `Scene.ignored`."""
     ignored: list[str] = []
-    pending: list[tuple[Node, Spec]] = [(root, ROBOT)]
+    pending: list[tuple[Node, Spec]] = [(root, schema)]
     while pending:
         node, spec = pending.pop()
         ignored += _strip(node, spec)
@@ -199,8 +213,11 @@ class Robot:
         inertial = _inside(link, "inertial")
         if inertial is not None:
             body.children.append(_inertial(inertial))
-        body.children += [self._geom(node) for node in link.children if node.tag == "collision"]
+        body.children += self._geoms(link)
         return body
+
+    def _geoms(self, link: Node) -> list[Node]:
+        return [self._geom(node) for node in link.children if node.tag == "collision"]
 
     def _joints(self, joint: Node) -> list[Node]:
         kind, name = joint.values["type"], joint.values["name"]
@@ -254,7 +271,7 @@ class Robot:
     def _geom(self, collision: Node) -> Node:
         geometry = _inside(collision, "geometry")
         if geometry is None or len(geometry.children) != 1:
-            raise collision.error("<collision> needs a <geometry> with one shape")
+            raise collision.error(f"<{collision.tag}> needs a <geometry> with one shape")
         shape = geometry.children[0]
         values = shape.values
         size: tuple[float, ...]
@@ -309,6 +326,55 @@ class Robot:
                 'scene.add_joint(scene.bodies[1], "free") sets it free'
             )
         return found
+
+
+class DrawnRobot(Robot):
+    """A robot with the `<visual>` geoms of its links, which neither collide nor weigh.
+
+    drawn: those. undrawn: what of them could not be read, one line each.
+    """
+
+    def __init__(self, root: Node, directory: str | None, extension: list[Node]) -> None:
+        super().__init__(root, directory, extension)
+        self.drawn: list[Node] = []
+        self.undrawn: list[str] = []
+        visuals = [n for link in self.links.values() for n in link.children if n.tag == "visual"]
+        # Any link may use what another, or the robot, names.
+        materials = [node for of in (*visuals, root) for node in of.children]
+        self.colours = {
+            node.values.get("name", ""): color.values.get("rgba", (0.5, 0.5, 0.5, 1.0))
+            for node in materials
+            if node.tag == "material" and (color := _inside(node, "color")) is not None
+        }
+
+    def _geoms(self, link: Node) -> list[Node]:
+        geoms = super()._geoms(link)
+        for visual in link.children:
+            if visual.tag != "visual":
+                continue
+            try:
+                geom = self._geom(visual)
+            except MJCFError as error:
+                self.undrawn.append(str(error))
+                continue
+            # The same name may be that of a collision geom.
+            geom.attrs.pop("name", None)
+            geom.attrs |= {"contype": "0", "conaffinity": "0", "mass": "0", **self._colour(visual)}
+            self.drawn.append(geom)
+            geoms.append(geom)
+        return geoms
+
+    def _colour(self, visual: Node) -> dict[str, str]:
+        material = _inside(visual, "material")
+        if material is None:
+            return {}
+        own = _inside(material, "color")
+        name = material.values.get("name", "")
+        rgba = self.colours.get(name) if own is None else own.values.get("rgba")
+        return {} if rgba is None else {"rgba": _words(rgba)}
+
+
+RobotT = TypeVar("RobotT", bound=Robot)
 
 
 def _by_name(nodes: Iterable[Node]) -> dict[str, Node]:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore.mjcf.looks import GREY, Looks, read_looks
+from stepcore.mjcf.lights import Headlight, Light
+from stepcore.mjcf.looks import Looks, read_looks
+from stepcore.mjcf.materials import GREY, Look
 from stepcore.scene import frames
-from stepcore.scene.elements import Geom, Site
-from stepcore.scene.elements.tendon import Pulley
+from stepcore.scene.elements import Geom
 from stepcore.scene.frames import Vec
 from stepcore.scene.layout import Layout
 from stepcore.viewing import surfaces
@@ -28,6 +29,8 @@ PALETTE = ((0.27, 0.51, 0.71), (0.93, 0.60, 0.24), (0.35, 0.63, 0.40), (0.72, 0.
 TINTS = ((0.95, 0.45, 0.1), (0.2, 0.55, 0.95), (0.6, 0.3, 0.8))
 # How long the arrow of a force is that bears all the weight, of the extent of the scene.
 ARROW = 0.35
+# Half the difference of the squares of a plane.
+CONTRAST = 0.07
 GROUND = (0.62, 0.66, 0.70, 1.0)
 
 
@@ -38,7 +41,7 @@ class Shape:
     body: the index of the body that carries it. kind: "plane", "sphere", "capsule", "ellipsoid",
     "cylinder", "box" or "triangles". size: as `Geom.size`. pos, quat: in the body's frame.
     rgba: its colour. shown: whether it is drawn unless someone asks for all. surface: of
-    "triangles". name: of the geom.
+    "triangles". name: of the geom. squares: the colours of the squares of a checked surface.
     """
 
     body: int
@@ -50,6 +53,20 @@ class Shape:
     shown: bool = True
     surface: surfaces.Surface | None = None
     name: str = ""
+    squares: tuple[Vec, Vec] | None = None
+
+    @property
+    def checks(self) -> tuple[Vec, Vec]:
+        """The colours of a plane's squares, by which motion over it is seen.
+
+        They differ by no more than leaves what stands on the plane the brighter.
+        """
+        if self.squares is None:
+            return self.rgba, (*(0.86 * c for c in self.rgba[:3]), self.rgba[3])
+        one, other = (np.array(rgba) for rgba in self.squares)
+        half = np.clip((one - other) / 2, -CONTRAST, CONTRAST)
+        mean = (one + other) / 2
+        return tuple((mean + half).tolist()), tuple((mean - half).tolist())
 
 
 @dataclass(frozen=True)
@@ -57,20 +74,22 @@ class Drawing:
     """What a model looks like.
 
     name: of the scene. shapes: of all its geoms. bodies: names of the bodies, the world first.
-    moving: whether each body can move. tendons: branches of spatial tendons as points, each an
-    index of a body and a place in its frame; where a tendon goes round a geom, the line goes
-    through it. extent: a length by which the bodies together are as large [m].
+    moving: whether each body can move. extent: a length by which the bodies together are as large
+    [m].
     weight: of all that moves [N]; 0 without gravity. notes: what is not drawn as the file says.
+    lights: those of the file, and headlight: the one at the camera; without any of them a view has
+    its own.
     """
 
     name: str
     shapes: list[Shape]
     bodies: tuple[str, ...]
     moving: NDArray[np.bool_]
-    tendons: list[list[tuple[int, Vec]]]
     extent: float
     weight: float
     notes: list[str] = field(default_factory=list)
+    lights: list[Light] = field(default_factory=list)
+    headlight: Headlight = field(default_factory=Headlight)
 
 
 def drawing_of(model: ModelData, world: World) -> Drawing:
@@ -88,13 +107,12 @@ def drawing_of(model: ModelData, world: World) -> Drawing:
         [bool(mocap) or bool(moves) for mocap, moves in zip(*_what_moves(model), strict=True)]
     )
     shapes = _colliding(model, world, looks, moving)
-    for body, geom, rgba in looks.geoms if looks is not None else ():
-        surface = _surface(geom)
-        if surface is not None and geom.type in ("mesh", "hfield"):
-            shown = geom.group in SHOWN_GROUPS
-            quat = tuple(geom.quat)
-            pos = tuple(geom.pos)
-            shapes.append(Shape(body, "triangles", (), pos, quat, rgba, shown, surface, geom.name))
+    if looks is not None:
+        visual = _visual(looks)
+        if looks.instead:
+            covered = {shape.body for shape in visual}
+            shapes = [replace(s, shown=s.shown and s.body not in covered) for s in shapes]
+        shapes += visual
     shapes = [shape for shape in shapes if shape.rgba[3] > 0]
     # A body of which nothing would be seen (it has a skin, or only what collides) is shown whole.
     seen = {shape.body for shape in shapes if shape.shown}
@@ -103,7 +121,10 @@ def drawing_of(model: ModelData, world: World) -> Drawing:
     weight = heavy * float(np.linalg.norm(scene.gravity)) if scene.features.gravity else 0.0
     extent = _extent(shapes, world, moving)
     names = model.body_names
-    return Drawing(scene.name, shapes, names, moving, _tendons(model), extent, weight, notes)
+    drawing = Drawing(scene.name, shapes, names, moving, extent, weight, notes)
+    if looks is None:
+        return drawing
+    return replace(drawing, lights=looks.lights, headlight=looks.headlight)
 
 
 def _what_moves(model: ModelData) -> tuple[list[bool], list[bool]]:
@@ -124,12 +145,13 @@ def _colliding(
 ) -> list[Shape]:
     """The geoms that the engine has, those that only draw and are primitives included."""
     shapes = []
-    colours = [GREY] * model.ngeom if looks is None else looks.colours
-    plain = all(rgba == GREY for rgba, body in zip(colours, model.geom_body, strict=True) if body)
+    colours = [Look(GREY)] * model.ngeom if looks is None else looks.colours
+    pairs = zip(colours, model.geom_body, strict=True)
+    plain = all(look.rgba == GREY for look, body in pairs if body)
     for index, geom in enumerate(Layout(model.scene).geoms):
         body = int(model.geom_body[index])
         kind, size = model.geom_type[index], tuple(model.geom_size[index].tolist())
-        rgba = colours[index]
+        rgba, squares = colours[index]
         if rgba == GREY and (plain or kind == "plane"):
             rgba = _own_colour(kind, body, moving)
         surface = _surface(geom) if kind in ("mesh", "hfield") else None
@@ -141,7 +163,21 @@ def _colliding(
             pos, quat = tuple(geom.pos), tuple(geom.quat)
         shown = geom.group in SHOWN_GROUPS
         drawn = "triangles" if surface is not None else kind
-        shapes.append(Shape(body, drawn, size, pos, quat, rgba, shown, surface, geom.name))
+        shapes.append(Shape(body, drawn, size, pos, quat, rgba, shown, surface, geom.name, squares))
+    return shapes
+
+
+def _visual(looks: Looks) -> list[Shape]:
+    """The geoms that only draw and that the engine has not."""
+    shapes = []
+    for body, geom, look in looks.geoms:
+        surface = _surface(geom)
+        if surface is None and (geom.type in ("mesh", "hfield") or geom.mesh is not None):
+            continue
+        kind = geom.type if surface is None else "triangles"
+        pos, quat, shown = tuple(geom.pos), tuple(geom.quat), geom.group in SHOWN_GROUPS
+        size = tuple(geom.size)
+        shapes.append(Shape(body, kind, size, pos, quat, look.rgba, shown, surface, geom.name))
     return shapes
 
 
@@ -179,21 +215,6 @@ def quat_of(matrix: NDArray[Any]) -> Vec:
     z = [w[3], x[3], y[3], squares[3]]
     quat = np.array((w, x, y, z)[k]) / (2 * np.sqrt(squares[k]))
     return tuple(float(entry) for entry in quat / np.linalg.norm(quat))
-
-
-def _tendons(model: ModelData) -> list[list[tuple[int, Vec]]]:
-    index = {id(body): i for i, body in enumerate(_in_order(model))}
-    branches: list[list[tuple[int, Vec]]] = []
-    for tendon in model.scene.tendons:
-        if tendon.fixed:
-            continue
-        branches.append([])
-        for stop in tendon.path:
-            if isinstance(stop, Pulley):
-                branches.append([])
-            elif isinstance(stop, Site):
-                branches[-1].append((index[id(stop.body)], tuple(stop.pos)))
-    return [branch for branch in branches if len(branch) > 1]
 
 
 def corners(shape: Shape) -> NDArray[Any]:

@@ -21,7 +21,8 @@ class Instant:
 
     time: [s]. xpos, xquat: of the bodies, shapes (nbody, 3) and (nbody, 4). places, forces: of the
     contacts that bear, in world axes [m] and [N], shape (n, 3). energy: kinetic and potential [J].
-    residual: of the solve [m/s].
+    residual: of the solve [m/s]. tendons: the ways of spatial tendons between their sites, each of
+    shape (points, 3) [m].
     """
 
     time: float
@@ -31,6 +32,7 @@ class Instant:
     forces: NDArray[Any]
     energy: tuple[float, float]
     residual: float
+    tendons: list[NDArray[Any]]
 
     def placed(self, body: int, points: Any) -> NDArray[Any]:
         """Points of a body's frame in the world [m], shape (n, 3)."""
@@ -77,6 +79,7 @@ def instant_of(sim: Any) -> Instant:
         forces=np.array(contacts["force"][bearing]),
         energy=(float(sim.energy.kinetic), float(sim.energy.potential)),
         residual=float(sim.residual),
+        tendons=[way for k in range(sim.model.ntendon) for way in sim.tendon_path(k)],
     )
 
 

@@ -32,8 +32,7 @@ def marks(drawing: Drawing, instant: Instant, newtons: float) -> list[Mark]:
         end = place + scale * force
         if np.linalg.norm(end - place) > 0.01 * extent:
             result.append(Mark("arrow", place, end, 0.007 * extent, RED))
-    for branch in drawing.tendons:
-        points = np.concatenate([instant.placed(body, at) for body, at in branch])
+    for points in instant.tendons:
         for start, end in itertools.pairwise(points):
             result.append(Mark("rod", start, end, 0.004 * extent, BRICK))
     return result

@@ -66,8 +66,8 @@ class MitsubaPicture:
         scene: dict[str, Any] = {
             "type": "scene",
             "integrator": {"type": "direct", "emitter_samples": LIT, "bsdf_samples": 0},
-            "sun": _light([0.3, 0.4, -1.0], 0.45),
             "lamp": _light((camera.target - camera.position).tolist(), 0.42),
+            **self._lights(instant),
             "camera": self._camera(camera),
         }
         for k, (shape, group) in enumerate(self.shapes):
@@ -85,6 +85,19 @@ class MitsubaPicture:
         # Where nothing is, the sky.
         clear = 1 - np.clip(np.array(image)[..., 3:4], 0, 1)
         return np.clip(drawn[..., :3] + clear * SKY, 0, 255).astype(np.uint8)
+
+    def _lights(self, instant: Instant) -> dict[str, Any]:
+        """The lights of the drawing, each as if it were far away; else a sun."""
+        lights = self.drawing.lights
+        if not lights:
+            return {"sun": _light([0.3, 0.4, -1.0], 0.45)}
+        brightest = max(1.0, sum(max(light.diffuse) for light in lights))
+        found = {}
+        for k, light in enumerate(lights):
+            turn = np.array(frames.matrix(instant.xquat[light.body].tolist()))
+            strength = 0.65 * max(light.diffuse) / brightest
+            found[f"light{k}"] = _light((turn @ light.dir).tolist(), strength)
+        return found
 
     def _camera(self, camera: Camera) -> dict[str, Any]:
         mi, (width, height) = self.mi, self.size

@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stepcore.mjcf.lights import Light
 from stepcore.viewing.camera import ANGLE, Camera
 from stepcore.viewing.drawing import Drawing, Shape
 from stepcore.viewing.frames import Instant
 from stepcore.viewing.marks import Mark
 from stepcore.viewing.needs import need
+
+# Of a drawing without lights.
+SUN = Light(0, (0.0, 0.0, 5.0), (0.3, 0.4, -1.0), (0.4, 0.4, 0.4), True, 45.0)
 
 
 class MujocoPicture:
@@ -44,6 +48,9 @@ class MujocoPicture:
         look.global_.offwidth, look.global_.offheight = width, height
         look.global_.fovy = float(np.rad2deg(ANGLE))
         look.headlight.ambient, look.headlight.diffuse = [0.35] * 3, [0.45] * 3
+        if self.drawing.lights:
+            look.headlight.diffuse = self.drawing.headlight.diffuse
+            look.headlight.ambient = np.maximum(self.drawing.headlight.ambient, 0.25)
         look.headlight.specular = [0.1] * 3
         spec.stat.extent, spec.stat.center = extent, [0, 0, 0]
         look.map.znear, look.map.zfar = 0.01, 100
@@ -56,17 +63,20 @@ class MujocoPicture:
             width=64,
             height=384,
         )
-        spec.worldbody.add_light(
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            pos=[0, 0, 5 * extent],
-            dir=[0.3, 0.4, -1],
-            diffuse=[0.4] * 3,
-            castshadow=False,
-        )
         bodies = [
             spec.worldbody.add_body(name=f"body{k}", mocap=True)
             for k in range(len(self.drawing.bodies))
         ]
+        for light in self.drawing.lights or [SUN]:
+            kind = "DIRECTIONAL" if light.directional else "SPOT"
+            bodies[light.body].add_light(
+                type=getattr(mujoco.mjtLightType, f"mjLIGHT_{kind}"),
+                pos=light.pos,
+                dir=light.dir,
+                diffuse=light.diffuse,
+                cutoff=light.cutoff,
+                castshadow=False,
+            )
         for k, shape in enumerate(self.drawing.shapes):
             if shape.shown:
                 self._add(spec, bodies[shape.body], shape, k)
@@ -100,13 +110,14 @@ class MujocoPicture:
 
     def _squares(self, spec: Any, shape: Shape, k: int) -> str:
         """A material of squares, by which motion over a plane is seen."""
-        mujoco, rgb = self.mujoco, np.array(shape.rgba[:3])
+        mujoco = self.mujoco
+        one, other = (rgba[:3] for rgba in shape.checks)
         texture = spec.add_texture(
             name=f"squares{k}",
             type=mujoco.mjtTexture.mjTEXTURE_2D,
             builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-            rgb1=rgb,
-            rgb2=0.86 * rgb,
+            rgb1=one,
+            rgb2=other,
             width=256,
             height=256,
         )

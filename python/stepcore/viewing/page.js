@@ -31,94 +31,18 @@
   const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
   const scene = new THREE.Scene();
   scene.background = new THREE.Color(dark ? 0x23272e : 0xe9eef4);
-  scene.add(new THREE.HemisphereLight(0xffffff, 0x8d8d99, 0.75));
-  const sun = new THREE.DirectionalLight(0xffffff, 0.55);
+  const lit = data.runs[0].drawing;
+  // Without lights of the file, a sky, and a sun behind the camera, which becomes its headlight.
+  const own = lit.lights.length === 0;
+  scene.add(new THREE.HemisphereLight(0xffffff, 0x8d8d99, own ? 0.75 : 0.45));
+  const sun = new THREE.DirectionalLight(0xffffff, own ? 0.55 : 1);
+  if (!own) sun.color.setRGB(...lit.headlight.diffuse);
   scene.add(sun, sun.target);
   const extent = data.extent;
   const camera = new THREE.PerspectiveCamera(40, 1, extent / 200, extent * 200);
   camera.up.set(0, 0, 1);
 
-  // Shapes.
-
-  function surfaceOf(packedSurface) {
-    const grid = new Uint16Array(bytes(packedSurface.places).buffer);
-    const places = new Float32Array(grid.length);
-    for (let i = 0; i < grid.length; i++) {
-      places[i] = packedSurface.low[i % 3] + (grid[i] / 65535) * packedSurface.span[i % 3];
-    }
-    const Indices = packedSurface.small ? Uint16Array : Uint32Array;
-    const geometry = new THREE.BufferGeometry();
-    geometry.setAttribute("position", new THREE.BufferAttribute(places, 3));
-    const faces = new Indices(bytes(packedSurface.faces).buffer);
-    geometry.setIndex(new THREE.BufferAttribute(faces, 1));
-    return geometry;
-  }
-
-  function capsule(radius, half) {
-    const profile = [];
-    for (let k = 0; k <= 24; k++) {
-      const angle = (k / 24 - 0.5) * Math.PI;
-      const end = k < 12 ? -half : half;
-      if (k === 12) profile.push(new THREE.Vector2(radius, -half));
-      profile.push(new THREE.Vector2(radius * Math.cos(angle), end + radius * Math.sin(angle)));
-    }
-    return new THREE.LatheGeometry(profile, 32).rotateX(Math.PI / 2);
-  }
-
-  function plane(size) {
-    const width = 2 * (size[0] || 20 * extent);
-    const depth = 2 * (size[1] || 20 * extent);
-    return new THREE.PlaneGeometry(width, depth);
-  }
-
-  const makers = {
-    plane,
-    sphere: (size) => new THREE.SphereGeometry(size[0], 32, 20),
-    ellipsoid: (size) => new THREE.SphereGeometry(1, 32, 20).scale(...size),
-    capsule: (size) => capsule(size[0], size[1]),
-    cylinder: (size) =>
-      new THREE.CylinderGeometry(size[0], size[0], 2 * size[1], 40).rotateX(Math.PI / 2),
-    box: (size) => new THREE.BoxGeometry(2 * size[0], 2 * size[1], 2 * size[2]),
-  };
-
-  // A board of squares, which shows how fast something goes over it.
-  function squares(rgba) {
-    const tile = document.createElement("canvas");
-    tile.width = tile.height = 256;
-    const paint = tile.getContext("2d");
-    for (const [x, y, share] of [[0, 0, 1], [1, 1, 1], [0, 1, 0.86], [1, 0, 0.86]]) {
-      paint.fillStyle = `rgb(${rgba.slice(0, 3).map((c) => Math.round(255 * c * share)).join()})`;
-      paint.fillRect(128 * x, 128 * y, 128, 128);
-    }
-    const texture = new THREE.CanvasTexture(tile);
-    texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
-    texture.anisotropy = renderer.capabilities.getMaxAnisotropy();
-    return texture;
-  }
-
-  function materialOf(shape, run) {
-    let [r, g, b, opacity] = shape.rgba;
-    if (run.tint && shape.kind !== "plane") {
-      [r, g, b] = run.tint;
-      opacity = Math.min(opacity, 0.5);
-    }
-    const material = new THREE.MeshStandardMaterial({
-      color: new THREE.Color(r, g, b), roughness: 0.75, metalness: 0.05,
-      transparent: opacity < 1, opacity, depthWrite: opacity >= 1,
-      flatShading: shape.kind === "triangles", side: THREE.DoubleSide,
-    });
-    if (shape.kind === "plane") {
-      material.map = squares([r, g, b]);
-      material.color.set(0xffffff);
-      const tile = 2 ** Math.round(Math.log2(extent / 2));
-      material.map.repeat.set(
-        (shape.size[0] || 20 * extent) / tile, (shape.size[1] || 20 * extent) / tile,
-      );
-    }
-    return material;
-  }
-
-  const quaternion = (q) => new THREE.Quaternion(q[1], q[2], q[3], q[0]);
+  const { lamp, meshOf, stretch, surfaceOf, tendon } = shapeMakers(renderer, extent, bytes);
   const extras = [];
 
   function build(run, number) {
@@ -126,31 +50,23 @@
     const surfaces = drawing.surfaces.map(surfaceOf);
     run.bodies = drawing.bodies.map(() => new THREE.Group());
     for (const body of run.bodies) scene.add(body);
+    for (const light of number === 0 ? drawing.lights : []) {
+      const made = lamp(light, drawing.lights);
+      run.bodies[light.body].add(made, made.target);
+    }
     for (const shape of drawing.shapes) {
       // The ground is drawn once.
       if (number > 0 && !drawing.moving[shape.body]) continue;
-      const made = shape.kind === "triangles"
-        ? surfaces[shape.surface] : makers[shape.kind](shape.size);
-      const mesh = new THREE.Mesh(made, materialOf(shape, run));
-      mesh.position.set(...shape.pos);
-      mesh.quaternion.copy(quaternion(shape.quat));
+      const mesh = meshOf(shape, run, surfaces);
       if (!shape.shown) extras.push(mesh);
-      mesh.visible = shape.shown;
       run.bodies[shape.body].add(mesh);
     }
-    run.tendons = drawing.tendons.map((points) => {
-      const line = new THREE.Line(
-        new THREE.BufferGeometry().setFromPoints(points.map(() => new THREE.Vector3())),
-        new THREE.LineBasicMaterial({ color: 0xc0392b }),
-      );
-      line.frustumCulled = false;
-      scene.add(line);
-      return { line, points };
-    });
     for (const name of ["time", "poses", "contacts", "energy", "residual"]) {
       run[name] = floats(run[name]);
     }
     run.starts = new Uint32Array(bytes(run.starts).buffer);
+    run.tendons = run.tendons.map((ways) => tendon(floats(ways), run.time.length));
+    for (const { rods } of run.tendons) scene.add(...rods);
     run.marks = [];
   }
   data.runs.forEach(build);
@@ -246,11 +162,7 @@
       body.quaternion.slerp(turn.set(p[z + 4], p[z + 5], p[z + 6], p[z + 3]), share);
       body.updateMatrixWorld();
     });
-    for (const { line, points } of run.tendons) {
-      line.geometry.setFromPoints(
-        points.map(([body, place]) => run.bodies[body].localToWorld(new THREE.Vector3(...place))),
-      );
-    }
+    for (const each of run.tendons) stretch(each, { frame, next, share });
   }
 
   function show(time) {
@@ -477,6 +389,8 @@
     for (const body of moving) sum.add(body.position);
     return sum.divideScalar(moving.length || 1);
   }
+  // A page that shows the same again need not draw it again.
+  let shown = "";
   let last = performance.now();
   let followed = mean();
   function tick(clock) {
@@ -497,7 +411,12 @@
       place();
     }
     followed = there;
-    renderer.render(scene, camera);
+    const boxes = ["contacts", "forces", "all"].map((name) => byId(name).checked);
+    const { clientWidth, clientHeight } = screen;
+    const eye = [...camera.position.toArray(), ...camera.quaternion.toArray()];
+    const state = [now, ...eye, ...boxes, clientWidth, clientHeight].join();
+    if (state !== shown) renderer.render(scene, camera);
+    shown = state;
     requestAnimationFrame(tick);
   }
   requestAnimationFrame(tick);

@@ -16,6 +16,7 @@ import os
 import zipfile
 import zlib
 from collections.abc import Sequence
+from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,7 @@ def page(runs: Sequence[Replayed], title: str = "") -> str:
         "STYLE": _own("page.css"),
         "THREE": three(),
         "DATA": coded,
+        "SHAPES": _own("page_shapes.js"),
         "SCRIPT": _own("page.js"),
     }
     text = _own("page.html")
@@ -112,6 +114,7 @@ def _run(run: Replayed, tint: Any) -> dict[str, Any]:
         "starts": _packed(starts, "<u4"),
         "energy": _packed([i.energy for i in instants]),
         "residual": _packed([i.residual for i in instants]),
+        "tendons": [_packed(ways) for ways in zip(*(i.tendons for i in instants), strict=True)],
     }
 
 
@@ -134,7 +137,8 @@ def _drawing(drawing: Drawing) -> dict[str, Any]:
         "surfaces": packed,
         "bodies": list(drawing.bodies),
         "moving": [bool(moves) for moves in drawing.moving],
-        "tendons": drawing.tendons,
+        "lights": [asdict(light) for light in drawing.lights],
+        "headlight": asdict(drawing.headlight),
     }
 
 
@@ -147,6 +151,7 @@ def _shape(shape: Shape) -> dict[str, Any]:
         "quat": shape.quat,
         "rgba": shape.rgba,
         "shown": shape.shown,
+        **({"squares": shape.checks} if shape.kind == "plane" else {}),
     }
 
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from stepcore.viewing.drawing import ARROW, drawing_of
+from stepcore.viewing.curves import ENERGY, RED, Curves, energies, residuals
+from stepcore.viewing.drawing import ARROW, TINTS, drawing_of
 from stepcore.viewing.frames import Instant, Replayed, distance, instant_of
 from stepcore.viewing.stage import Stage
 
@@ -54,6 +55,16 @@ class Panel(ABC):
             if self.stage.hidden:
                 box = self.gui.add_checkbox("All geoms", False)
                 box.on_update(lambda _: self.stage.show_hidden(box.value))
+
+    def _curves(self, span: tuple[float, float] | None = None) -> None:
+        """The plots of energy and residual."""
+        self.energy = Curves(self.gui, "energy [J]", ENERGY, span=span)
+        self.residual = Curves(self.gui, "residual [m/s]", (("residual", RED),), True, span)
+
+    def _draw_curves(self, instants: Sequence[Instant], now: bool) -> None:
+        time = np.array([instant.time for instant in instants])
+        self.energy.draw(time, energies(instants), now)
+        self.residual.draw(time, residuals(instants), now)
 
     def _switch(self, name: str, box: Any) -> Any:
         def switch(_: Any) -> None:
@@ -128,6 +139,7 @@ class SimPanel(Panel):
         self.owed = 0.0
         self.states = [self.begin]
         self.times = [self.sim.time]
+        self.past: list[Instant] = []
         reset = self.gui.add_button("Reset")
         reset.on_click(self._locked(lambda _: self.restart(None)))
         if keys := self._keys():
@@ -138,6 +150,7 @@ class SimPanel(Panel):
         )
         self.back.on_update(self._locked(self._go_back))
         self._shown()
+        self._curves()
         self.sliders = self._controls()
         self.draw()
         self.stage.look([self.instant])
@@ -238,8 +251,17 @@ class SimPanel(Panel):
         if self.failed:
             rows.append(("failed", self.failed))
         self.say(rows)
+        self._remember()
         if self.playing:
             self.back.value = 1.0
+
+    def _remember(self) -> None:
+        """Adds the instant to the curves; what came later in another motion is forgotten."""
+        while self.past and self.past[-1].time >= self.instant.time:
+            self.past.pop()
+        self.past.append(self.instant)
+        del self.past[:-KEPT]
+        self._draw_curves(self.past, not self.playing)
 
 
 class RunPanel(Panel):
@@ -256,8 +278,21 @@ class RunPanel(Panel):
         self.slider = self.gui.add_slider("Time", 0.0, span, span / 5000, 0.0)
         self.slider.on_update(self._locked(self._go))
         self._shown()
+        self.apart = self._distances()
+        self._curves((self.begin, self.end))
         self.stage.look([run.instants[0] for run in runs])
         self.draw()
+
+    def _distances(self) -> Curves | None:
+        """The plot of the distances of the others from the first run."""
+        if not self.gaps:
+            return None
+        colours = ["#" + "".join(f"{round(255 * c):02x}" for c in tint) for tint in TINTS]
+        names = [
+            (run.label or "the other", colours[k % len(colours)])
+            for k, run in enumerate(self.runs[1:])
+        ]
+        return Curves(self.gui, "distance [mm]", names, span=(self.begin, self.end))
 
     def _go(self, event: Any) -> None:
         if getattr(event, "client_id", None) is not None:
@@ -286,3 +321,10 @@ class RunPanel(Panel):
             rows.append((f"distance of {run.label or 'the other'}", f"{1000 * gap[at[0]]:.3g} mm"))
         self.say(rows)
         self.slider.value = min(max(0.0, now - self.begin), self.end - self.begin)
+        # Curves end where the motion is.
+        until = self.runs[0].instants[: at[0] + 1]
+        self._draw_curves(until, not self.playing)
+        if self.apart is not None:
+            time = self.times[0][: at[0] + 1]
+            gaps = 1000 * np.array([gap[: at[0] + 1] for gap in self.gaps])
+            self.apart.draw(time, gaps, not self.playing)

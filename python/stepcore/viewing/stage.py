@@ -12,6 +12,8 @@ from stepcore.viewing.drawing import ARROW, TINTS, Drawing
 from stepcore.viewing.frames import Instant
 from stepcore.viewing.primitives import surface_of
 
+# Strengths of lights in viser's units: the sky, and all lights of a file together.
+SKY, LAMP = 1.6, 3.0
 AMBER, RED, LINK = (244, 163, 0), (215, 38, 61), (209, 73, 91)
 
 
@@ -26,6 +28,8 @@ class Stage:
         self.extent = drawings[0].extent
         self.contacts = self.forces = True
         self.hidden: list[Any] = []
+        if drawings[0].lights:
+            self._lights(drawings[0])
         self.bodies = [self._bodies(number, each) for number, each in enumerate(drawings)]
         self.marks: dict[str, tuple[tuple[int, ...], Any]] = {}
         self.newtons = drawings[0].weight
@@ -61,6 +65,26 @@ class Stage:
             if shape.kind == "plane":
                 self._grid(name, shape.size)
         return frames
+
+    def _lights(self, drawing: Drawing) -> None:
+        """The lights of the file, and a weak sky; the camera has no headlight here."""
+        scene = self.server.scene
+        scene.configure_default_lights(enabled=False)
+        scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), intensity=SKY)
+        brightest = max(1.0, sum(max(light.diffuse) for light in drawing.lights))
+        for k, light in enumerate(drawing.lights):
+            wide = light.directional
+            scene.add_light_spot(
+                f"/run0/body{light.body}/light{k}",
+                color=tuple(round(255 * min(1.0, c)) for c in light.diffuse),
+                angle=np.pi / 2 if wide else min(np.pi / 2, np.deg2rad(light.cutoff)),
+                penumbra=1.0,
+                decay=0.0,
+                intensity=LAMP / brightest,
+                direction=light.dir,
+                # One that shines everywhere alike comes from far away.
+                position=tuple(-50 * self.extent * np.array(light.dir)) if wide else light.pos,
+            )
 
     def _grid(self, name: str, size: Sequence[float]) -> None:
         """Lines on a plane, by which motion over it is seen."""
@@ -98,9 +122,9 @@ class Stage:
             for frames, instant in zip(self.bodies, instants, strict=True):
                 for frame, pos, quat in zip(frames, instant.xpos, instant.xquat, strict=True):
                     frame.position, frame.wxyz = pos, quat
-            for number, (drawing, instant) in enumerate(zip(self.drawings, instants, strict=True)):
+            for number, instant in enumerate(instants):
                 self._contacts(number, instant)
-                self._tendons(number, drawing, instant)
+                self._tendons(number, instant)
             for number, other in enumerate(instants[1:], 1):
                 moving = self.drawings[0].moving
                 ends = np.stack([instants[0].xpos[moving], other.xpos[moving]], axis=1)
@@ -134,11 +158,10 @@ class Stage:
         else:
             scene.remove_by_name(name)
 
-    def _tendons(self, number: int, drawing: Drawing, instant: Instant) -> None:
-        for k, branch in enumerate(drawing.tendons):
-            points = np.concatenate([instant.placed(body, at) for body, at in branch])
-            ends = np.stack([points[:-1], points[1:]], axis=1)
-            self._lines(f"/run{number}/tendon{k}", ends, (192, 57, 43))
+    def _tendons(self, number: int, instant: Instant) -> None:
+        if instant.tendons:
+            ends = [np.stack([way[:-1], way[1:]], axis=1) for way in instant.tendons]
+            self._lines(f"/run{number}/tendons", np.concatenate(ends), (192, 57, 43))
 
     def _lines(self, name: str, ends: NDArray[Any], colour: tuple[int, int, int]) -> None:
         self.server.scene.add_line_segments(

@@ -1,7 +1,8 @@
 //! What an element is called: the one place where text about elements is made.
 
 use super::{Element, Kind, Named};
-use crate::model::Model;
+use crate::model::{Model, Tie};
+use crate::scene::Target;
 
 /// "joint `knee`", or "joint 3" where it has no name.
 fn quoted(words: &str, name: &str, index: usize) -> String {
@@ -12,28 +13,41 @@ fn quoted(words: &str, name: &str, index: usize) -> String {
     }
 }
 
+/// As `quoted`; what has no name is called by what it belongs to, which is found in the file.
+fn found(words: &str, name: &str, index: usize, whose: impl FnOnce() -> String) -> String {
+    let called = quoted(words, name, index);
+    if name.is_empty() {
+        called + &whose()
+    } else {
+        called
+    }
+}
+
 impl Model {
     /// What a user calls an element; it must be one of this model.
     pub fn element_name(&self, element: Element) -> String {
         let index = element.index as usize;
-        let joint = |words: &str| quoted(words, &self.joints[index].name, index);
+        let joint = |words: &str| self.joint_name(words, index);
         let tendon = |words: &str| quoted(words, &self.tendons[index].name, index);
         match element.kind {
             Kind::Body => quoted("body", &self.bodies[index].name, index),
             Kind::Joint => joint("joint"),
-            Kind::Geom => quoted("geom", &self.geoms[index].name, index),
-            Kind::Site => quoted("site", &self.sites[index].name, index),
+            Kind::Geom => self.geom_name(index),
+            Kind::Site => {
+                let site = &self.sites[index];
+                found("site", &site.name, index, || self.of_body(site.body))
+            }
             Kind::Tendon => tendon("tendon"),
             Kind::TendonSpring => tendon("tendon spring"),
             Kind::TendonDamper => tendon("tendon damper"),
             Kind::TendonFriction => tendon("friction loss of tendon"),
             Kind::TendonLimit => tendon("limit of tendon"),
-            Kind::Equality => quoted("equality", &self.equalities[index].name, index),
+            Kind::Equality => self.equality_name("equality", index),
             Kind::Key => quoted("key", &self.keys[index].name, index),
             Kind::Actuator => {
                 let actuator = &self.actuators[index];
                 let words = if actuator.feeds_back() { "servo" } else { "motor" };
-                quoted(words, &actuator.name, index)
+                found(words, &actuator.name, index, || self.at_target(&actuator.target))
             }
             Kind::Sensor => quoted("sensor", &self.sensors[index].name, index),
             Kind::Spring => joint("spring of joint"),
@@ -49,18 +63,63 @@ impl Model {
                 quoted("gravity compensation of body", &self.bodies[index].name, index)
             }
             Kind::Connect | Kind::Weld | Kind::JointEquality | Kind::TendonEquality => {
-                quoted(element.kind.word(), &self.equalities[index].name, index)
+                self.equality_name(element.kind.word(), index)
             }
             Kind::Contact => {
                 let Some((one, two)) = self.contact_geoms(index) else {
                     return format!("contact {index}");
                 };
                 let geom = |index: usize| match &*self.geoms[index].name {
-                    "" => format!("`{index}`"),
+                    "" => self.geom_name(index),
                     name => format!("`{name}`"),
                 };
                 format!("contact {}/{}", geom(one), geom(two))
             }
+        }
+    }
+
+    fn joint_name(&self, words: &str, index: usize) -> String {
+        let joint = &self.joints[index];
+        found(words, &joint.name, index, || self.of_body(joint.body))
+    }
+
+    fn geom_name(&self, index: usize) -> String {
+        let geom = &self.geoms[index];
+        found("geom", &geom.name, index, || self.of_body(geom.body))
+    }
+
+    fn equality_name(&self, words: &str, index: usize) -> String {
+        let equality = &self.equalities[index];
+        found(words, &equality.name, index, || match &equality.tie {
+            Tie::Connect(ends) | Tie::Weld { ends, .. } => {
+                let [one, two] = ends.bodies.map(|body| self.body_name(body));
+                format!(" of {one} and {two}")
+            }
+            Tie::Lengths(_) => String::new(),
+        })
+    }
+
+    /// What an actuator pulls at.
+    fn at_target(&self, target: &Target) -> String {
+        match *target {
+            Target::Joint(joint) | Target::InParent(joint) => {
+                format!(" at {}", self.joint_name("joint", joint))
+            }
+            Target::Tendon(tendon) => {
+                format!(" at {}", quoted("tendon", &self.tendons[tendon].name, tendon))
+            }
+            _ => String::new(),
+        }
+    }
+
+    fn of_body(&self, body: usize) -> String {
+        format!(" of {}", self.body_name(body))
+    }
+
+    fn body_name(&self, index: usize) -> String {
+        match index {
+            0 => "the world".into(),
+            _ => quoted("body", &self.bodies[index].name, index),
         }
     }
 

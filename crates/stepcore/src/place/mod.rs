@@ -19,6 +19,7 @@ mod wrap;
 
 pub use effective::Effective;
 pub use factor::Metric;
+pub(crate) use wrap::{wrap, Obstacle};
 
 use crate::elements::activation::Activations;
 use crate::model::{Body, Model, Tree};

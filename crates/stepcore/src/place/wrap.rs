@@ -16,7 +16,7 @@ use crate::real::{Mask, Real};
 use crate::spatial::{Pose, V3};
 
 /// Where a path touches: first and second point in the world, and its length between the two.
-pub(super) struct Wrap<R: Real> {
+pub struct Wrap<R: Real> {
     /// Lanes in which it touches at all.
     pub touches: R::Mask,
     pub points: [V3<R>; 2],
@@ -24,7 +24,7 @@ pub(super) struct Wrap<R: Real> {
 }
 
 /// Round what.
-pub(super) struct Obstacle<'a, R: Real> {
+pub struct Obstacle<'a, R: Real> {
     pub pose: &'a Pose<R>,
     pub sphere: bool,
     pub radius: R,
@@ -50,7 +50,7 @@ struct Touch<R: Real> {
     arc: R,
 }
 
-pub(super) fn wrap<R: Real>(ends: [V3<R>; 2], obstacle: &Obstacle<R>) -> Wrap<R> {
+pub fn wrap<R: Real>(ends: [V3<R>; 2], obstacle: &Obstacle<R>) -> Wrap<R> {
     let &Obstacle { pose, sphere, radius, side } = obstacle;
     let local = |p: V3<R>| pose.to_local(&(p - pose.pos));
     let [p, q] = ends.map(local);

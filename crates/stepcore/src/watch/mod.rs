@@ -18,6 +18,7 @@ mod post_mortem;
 mod rays;
 mod readout;
 mod tape;
+mod tendon_path;
 mod tendons;
 mod watched;
 
@@ -32,4 +33,5 @@ pub use rays::{first_hit, RayFilter};
 pub use readout::Coupling;
 pub(crate) use tape::element_forces;
 pub use tape::StepGains;
+pub use tendon_path::tendon_path;
 pub use watched::Watched;

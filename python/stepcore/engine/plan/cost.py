@@ -36,7 +36,8 @@ class StepCost:
             self.at = f"t = {sim.time:g} s"
         elif model.keys:
             self.whole.reset(key=0)
-            self.at = f'key "{model.key_names[0]}"' if model.key_names[0] else "the first key"
+            name = model.key_names[0]
+            self.at = f"keyframe `{name}`" if name else "the first keyframe"
         self.state = self.whole.state() if sim is None else sim.state()
         self.settings = self.whole.settings
         self.whole.restore(self.state)

@@ -50,10 +50,10 @@ class _Listing:
         self.model, self.scene, self.settings, self.row_count = model, model.scene, settings, rows
         self.features = RemovableFeatures(model)
         self.plan = self.features.plan
-        self.body_names = _named(model.body_names, "body")
-        self.geom_names = _named(model.geom_names, "geom")
-        self.tendon_names = _named(model.tendon_names, "tendon")
-        self.joint_names = _named(model.joint_names, "joint")
+        self.body_names = model.called("body")
+        self.geom_names = model.called("geom")
+        self.tendon_names = model.called("tendon")
+        self.joint_names = model.called("joint")
         # Joints and geoms in the model's order.
         self.joints = [model.scene.joints[i] for i in self.features.joint]
         self.geoms = [model.scene.geoms[i] for i in self.features.geom]
@@ -112,7 +112,7 @@ class _Listing:
         yield _out("place", name, [n for n, _, used in tendons if not used], why)
         passed = {id(e) for _, tendon, used in tendons if used for e in tendon.elements()}
         sites = Layout(self.scene).sites
-        names = list(zip(_named(self.model.site_names, "site"), sites, strict=True))
+        names = list(zip(self.model.called("site"), sites, strict=True))
         name = "poses of sites"
         yield _used("place", name, [n for n, site in names if id(site) in passed])
         left = [n for n, site in names if id(site) not in passed]
@@ -184,7 +184,7 @@ class _Listing:
             yield _used("place", name, light, removal=removal)
         else:
             yield _out("place", name, light, "switched off")
-        actuators = _named(self.model.actuator_names, "actuator")
+        actuators = self.model.called("actuator")
         if on.actuation:
             removal = Removal("actuators", "", (("feature", "actuation"),))
             yield _used("place", "actuators", actuators, removal=removal)
@@ -244,7 +244,7 @@ class _Listing:
     def rows(self) -> Iterator[Listed]:
         """Kinds of rows, and what makes none."""
         equalities, on = self.scene.equalities, self.scene.features
-        names = _named([e.name for e in equalities], "equality")
+        names = self.model.called("equality")
         for name, per, type in EQUALITIES:
             tied = [(n, e) for n, e in zip(names, equalities, strict=True) if e.type == type]
             active = [n for n, e in tied if e.active]
@@ -427,7 +427,7 @@ class _Listing:
             yield _out("commit", name, lack, "isotropic" if on.coriolis else "switched off")
 
     def sensors(self) -> Iterator[Listed]:
-        names = _named(self.model.sensor_names, "sensor")
+        names = self.model.called("sensor")
         yield _out("commit", "sensors", names, "computed when they are read, never in a step")
 
     def _split(self, test: Callable[[Any], object]) -> tuple[list[str], list[str]]:
@@ -477,8 +477,3 @@ def _out(
 
 def _pick(items: Sequence[Any], indices: Iterable[int]) -> list[Any]:
     return [items[i] for i in indices]
-
-
-def _named(names: Iterable[str], kind: str) -> list[str]:
-    """Names, or "kind 3" where there is none."""
-    return [name or f"{kind} {i}" for i, name in enumerate(names)]

@@ -1,0 +1,71 @@
+"""Curves over time in a live view, drawn by viser's plots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import monotonic
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore.viewing.frames import Instant
+from stepcore.viewing.needs import need
+
+ORANGE, BLUE, GREY, RED = "#e07a1f", "#2a7de1", "#7a7f87", "#d1495b"
+ENERGY = (("kinetic", ORANGE), ("Δ potential", BLUE), ("Δ total", GREY))
+# A residual of zero on a logarithmic axis [m/s].
+LEAST = 1e-20
+# How many points a curve keeps, and how often it is sent to the page [s].
+POINTS, PAUSE = 1000, 0.2
+
+
+class Curves:
+    """One plot: a few curves over time.
+
+    names: of the curves, each with its colour. logarithmic: the values are above zero. span: the
+    times of the ends of its axis [s]; by default those of what is drawn.
+    """
+
+    def __init__(
+        self,
+        gui: Any,
+        title: str,
+        names: Sequence[tuple[str, str]],
+        logarithmic: bool = False,
+        span: tuple[float, float] | None = None,
+    ) -> None:
+        uplot = need("viser.uplot", "a view")
+        series = [uplot.Series(label="time [s]")]
+        series += [uplot.Series(label=name, stroke=colour, width=2) for name, colour in names]
+        scales = {"x": uplot.Scale(time=False, auto=True)}
+        if span is not None:
+            scales["x"] = uplot.Scale(time=False, range=span)
+        if logarithmic:
+            scales["y"] = uplot.Scale(distr=3)
+        nothing = tuple(np.array([0.0]) for _ in series)
+        self.plot = gui.add_uplot(
+            nothing, tuple(series), title=title, scales=scales, aspect=2.0, height=150
+        )
+        self.sent = 0.0
+
+    def draw(self, time: NDArray[Any], values: NDArray[Any], now: bool = True) -> None:
+        """Draws curves, values of shape (names, times); not `now`: unless that was done lately."""
+        if not len(time) or not (now or monotonic() - self.sent > PAUSE):
+            return
+        self.sent = monotonic()
+        pick = np.unique(np.linspace(0, len(time) - 1, min(len(time), POINTS)).astype(int))
+        self.plot.data = tuple(np.ascontiguousarray(row[pick], float) for row in (time, *values))
+
+
+def energies(instants: Sequence[Instant]) -> NDArray[Any]:
+    """Kinetic energy, and changes of potential and total since the first instant, shape (3, n)."""
+    kinetic, potential = np.array([instant.energy for instant in instants]).T
+    total = kinetic + potential
+    # Potential energy has no zero of its own.
+    return np.array([kinetic, potential - potential[0], total - total[0]])
+
+
+def residuals(instants: Sequence[Instant]) -> NDArray[Any]:
+    """Of each instant, as a logarithmic axis shows them, shape (1, n)."""
+    return np.maximum([[instant.residual for instant in instants]], LEAST)

@@ -1,0 +1,107 @@
+"""How a file says that its scene looks: textures, lights, and the visual geoms of a URDF."""
+
+import numpy as np
+import pytest
+
+import stepcore as sc
+from stepcore.viewing.drawing import CONTRAST, drawing_of
+
+INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+ARM = f"""
+<robot name="arm">
+<material name="blue"><color rgba="0 0 1 1"/></material>
+<link name="base">{INERTIAL}
+  <visual name="seen"><origin xyz="1 2 3"/><geometry><box size="2 4 6"/></geometry>
+    <material name="red"><color rgba="1 0 0 0.5"/></material></visual>
+  <collision name="seen"><geometry><sphere radius="1"/></geometry></collision></link>
+<link name="upper">{INERTIAL}
+  <visual><geometry><mesh filename="package://none/none.dae"/></geometry></visual>
+  <visual><geometry><cylinder radius=".1" length="2"/></geometry>
+    <material name="blue"/></visual></link>
+<link name="tool">{INERTIAL}
+  <collision><geometry><sphere radius=".3"/></geometry></collision></link>
+<joint name="one" type="continuous"><parent link="base"/><child link="upper"/></joint>
+<joint name="two" type="continuous"><parent link="upper"/><child link="tool"/></joint>
+</robot>"""
+
+
+def drawn(text, **values):
+    scene = sc.loads(text, **values)
+    sim = sc.Sim(scene)
+    return sim, drawing_of(sim.model, sim)
+
+
+def test_the_visual_geoms_of_a_urdf_are_drawn_and_not_in_the_physics():
+    sim, drawing = drawn(ARM)
+    assert sim.model.ngeom == 2
+    shown = {
+        (drawing.bodies[shape.body], shape.kind): shape for shape in drawing.shapes if shape.shown
+    }
+    # What collides is hidden on links that have visual geoms.
+    assert set(shown) == {("base", "box"), ("upper", "cylinder"), ("tool", "sphere")}
+    box, rod = shown["base", "box"], shown["upper", "cylinder"]
+    assert (box.size, box.pos, box.rgba) == ((1, 2, 3), (1, 2, 3), (1, 0, 0, 0.5))
+    assert (rod.size[:2], rod.rgba) == ((0.1, 1), (0, 0, 1, 1))
+    assert [note for note in drawing.notes if "none.dae" in note and "saved" not in note]
+
+
+TEXTURED = """
+<mujoco><compiler texturedir="images"/><asset>
+<texture name="board" builtin="checker" type="2d" width="8" height="8" rgb1="1 1 1" rgb2="0 0 0"/>
+<texture type="2d" file="wood.png"/>
+<material name="floor" texture="board" rgba="1 0.5 1 1"/>
+<material name="wood" rgba="1 1 0.5 1"><layer texture="wood" role="rgb"/></material>
+</asset><worldbody>
+<light pos="0 0 3" dir="0 0 -2" diffuse="0.9 0.8 0.7"/>
+<geom name="floor" type="plane" size="1 1 1" material="floor"/>
+<body name="arm"><joint/><geom name="arm" size=".1" material="wood"/>
+<geom name="own" size=".1" pos="1 0 0" material="wood" rgba="0.5 1 1 1"/>
+<light type="directional" dir="1 0 0"/><light active="false"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.fixture
+def images(tmp_path):
+    from PIL import Image
+
+    (tmp_path / "images").mkdir()
+    wood = np.zeros((4, 4, 3), np.uint8)
+    # The mean is half of red, a quarter of green.
+    wood[:2, :, 0], wood[0, :, 1] = 255, 255
+    Image.fromarray(wood).save(tmp_path / "images" / "wood.png")
+    return tmp_path
+
+
+def test_a_texture_gives_its_mean_colour(images):
+    _, drawing = drawn(TEXTURED, base=images)
+    colours = {shape.name: shape.rgba for shape in drawing.shapes}
+    assert colours["floor"] == (0.5, 0.25, 0.5, 1)
+    assert colours["arm"] == pytest.approx((0.5, 0.25, 0, 1), abs=0.005)
+    # The colour of a geom stands for its material's, under the same texture.
+    assert colours["own"] == pytest.approx((0.25, 0.25, 0, 1), abs=0.005)
+    assert drawing.notes == []
+
+
+def test_the_squares_of_a_plane_stay_calm(images):
+    _, drawing = drawn(TEXTURED, base=images)
+    floor = next(shape for shape in drawing.shapes if shape.name == "floor")
+    one, other = (np.array(rgba) for rgba in floor.checks)
+    assert (one + other) / 2 == pytest.approx(floor.rgba)
+    assert np.abs(one - other).max() == pytest.approx(2 * CONTRAST)
+
+
+def test_an_image_that_is_not_there_is_a_note(tmp_path):
+    _, drawing = drawn(TEXTURED, base=tmp_path)
+    assert len(drawing.notes) == 1 and "wood.png" in drawing.notes[0]
+
+
+def test_lights_are_those_of_the_file(images):
+    _, drawing = drawn(TEXTURED, base=images)
+    lamp, sun = sorted(drawing.lights, key=lambda light: light.body)
+    assert (lamp.body, lamp.pos, lamp.dir) == (0, (0, 0, 3), (0, 0, -1))
+    assert lamp.diffuse == (0.9, 0.8, 0.7) and not lamp.directional
+    assert (drawing.bodies[sun.body], sun.dir, sun.directional) == ("arm", (1, 0, 0), True)
+    assert drawing.headlight.diffuse == (0.4, 0.4, 0.4)
+    dark = TEXTURED.replace("<asset>", '<visual><headlight active="0"/></visual><asset>', 1)
+    _, drawing = drawn(dark, base=images)
+    assert drawing.headlight.diffuse == (0, 0, 0)
