@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.expand.attach import Model
 from stepcore.mjcf.models import sections
@@ -107,10 +109,8 @@ def _mean(path: str) -> Vec:
     from PIL import Image
 
     with Image.open(path) as image:
-        red, green, blue = (
-            image.convert("RGB").resize((1, 1), Image.Resampling.BOX).getpixel((0, 0))
-        )
-    return red / 255, green / 255, blue / 255, 1.0
+        mean = np.asarray(image.convert("RGB"), float).mean(axis=(0, 1)) / 255
+    return (*mean.tolist(), 1.0)
 
 
 def _mixed(one: Vec, other: Vec) -> Vec:

@@ -14,7 +14,7 @@ from stepcore.viewing.needs import need
 
 ORANGE, BLUE, GREY, RED = "#e07a1f", "#2a7de1", "#7a7f87", "#d1495b"
 ENERGY = (("kinetic", ORANGE), ("Δ potential", BLUE), ("Δ total", GREY))
-# A residual of zero on a logarithmic axis [m/s].
+# A residual of zero, of which a logarithm is drawn [m/s].
 LEAST = 1e-20
 # How many points a curve keeps, and how often it is sent to the page [s].
 POINTS, PAUSE = 1000, 0.2
@@ -23,8 +23,8 @@ POINTS, PAUSE = 1000, 0.2
 class Curves:
     """One plot: a few curves over time.
 
-    names: of the curves, each with its colour. logarithmic: the values are above zero. span: the
-    times of the ends of its axis [s]; by default those of what is drawn.
+    names: of the curves, each with its colour. span: the times of the ends of its axis [s]; by
+    default those of what is drawn.
     """
 
     def __init__(
@@ -32,7 +32,6 @@ class Curves:
         gui: Any,
         title: str,
         names: Sequence[tuple[str, str]],
-        logarithmic: bool = False,
         span: tuple[float, float] | None = None,
     ) -> None:
         uplot = need("viser.uplot", "a view")
@@ -41,8 +40,6 @@ class Curves:
         scales = {"x": uplot.Scale(time=False, auto=True)}
         if span is not None:
             scales["x"] = uplot.Scale(time=False, range=span)
-        if logarithmic:
-            scales["y"] = uplot.Scale(distr=3)
         nothing = tuple(np.array([0.0]) for _ in series)
         self.plot = gui.add_uplot(
             nothing, tuple(series), title=title, scales=scales, aspect=2.0, height=150
@@ -67,5 +64,8 @@ def energies(instants: Sequence[Instant]) -> NDArray[Any]:
 
 
 def residuals(instants: Sequence[Instant]) -> NDArray[Any]:
-    """Of each instant, as a logarithmic axis shows them, shape (1, n)."""
-    return np.maximum([[instant.residual for instant in instants]], LEAST)
+    """The decimal logarithm of each instant's residual in m/s, shape (1, n)."""
+    logarithms: NDArray[Any] = np.log10(
+        np.maximum([[instant.residual for instant in instants]], LEAST)
+    )
+    return logarithms

@@ -59,7 +59,7 @@ class Panel(ABC):
     def _curves(self, span: tuple[float, float] | None = None) -> None:
         """The plots of energy and residual."""
         self.energy = Curves(self.gui, "energy [J]", ENERGY, span=span)
-        self.residual = Curves(self.gui, "residual [m/s]", (("residual", RED),), True, span)
+        self.residual = Curves(self.gui, "log10 of the residual in m/s", (("log10", RED),), span)
 
     def _draw_curves(self, instants: Sequence[Instant], now: bool) -> None:
         time = np.array([instant.time for instant in instants])
@@ -149,9 +149,9 @@ class SimPanel(Panel):
             "Back in time", 0.0, 1.0, 0.001, 1.0, hint="drag to go back"
         )
         self.back.on_update(self._locked(self._go_back))
-        self._shown()
         self._curves()
         self.sliders = self._controls()
+        self._shown()
         self.draw()
         self.stage.look([self.instant])
 
@@ -277,9 +277,9 @@ class RunPanel(Panel):
         span = max(self.end - self.begin, 1e-9)
         self.slider = self.gui.add_slider("Time", 0.0, span, span / 5000, 0.0)
         self.slider.on_update(self._locked(self._go))
-        self._shown()
         self.apart = self._distances()
         self._curves((self.begin, self.end))
+        self._shown()
         self.stage.look([run.instants[0] for run in runs])
         self.draw()
 

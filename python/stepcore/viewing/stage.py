@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stepcore.viewing.drawing import ARROW, TINTS, Drawing
+from stepcore.viewing.drawing import ARROW, TINTS, Drawing, Shape
 from stepcore.viewing.frames import Instant
 from stepcore.viewing.primitives import surface_of
 
 # Strengths of lights in viser's units: the sky, and all lights of a file together.
-SKY, LAMP = 1.6, 3.0
+SKY, LAMP = 0.9, 1.8
 AMBER, RED, LINK = (244, 163, 0), (215, 38, 61), (209, 73, 91)
 
 
@@ -63,7 +63,7 @@ class Stage:
             if not shape.shown:
                 self.hidden.append(mesh)
             if shape.kind == "plane":
-                self._grid(name, shape.size)
+                self._grid(name, shape)
         return frames
 
     def _lights(self, drawing: Drawing) -> None:
@@ -86,19 +86,19 @@ class Stage:
                 position=tuple(-50 * self.extent * np.array(light.dir)) if wide else light.pos,
             )
 
-    def _grid(self, name: str, size: Sequence[float]) -> None:
+    def _grid(self, name: str, shape: Shape) -> None:
         """Lines on a plane, by which motion over it is seen."""
         cell = float(2.0 ** np.round(np.log2(self.extent / 2)))
-        width, height = (2 * (half or 20 * self.extent) for half in size[:2])
-        grey = (130, 138, 148)
+        width, height = (2 * (half or 20 * self.extent) for half in shape.size[:2])
+        darker = tuple(round(170 * min(1.0, c)) for c in shape.rgba[:3])
         self.server.scene.add_grid(
             f"{name}/grid",
             width=width,
             height=height,
             cell_size=cell,
             section_size=4 * cell,
-            cell_color=grey,
-            section_color=grey,
+            cell_color=darker,
+            section_color=darker,
             fade_distance=30 * self.extent,
             position=(0, 0, 1e-3 * self.extent),
         )
