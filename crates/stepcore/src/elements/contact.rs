@@ -119,18 +119,7 @@ impl<R: Real> Rows<R> {
             }
             return;
         }
-        let tangents = contact.tangents(now.placed);
-        let axis = |way: &Way| {
-            let axis = match way.axis {
-                Axis::Normal => contact.normal,
-                Axis::Tangent(at) => tangents[at],
-            };
-            if way.scale == 1.0 {
-                axis
-            } else {
-                axis * R::of(way.scale)
-            }
-        };
+        let axis = axes_of(contact, now);
         let (mut along, mut scales) = ([contact.normal; 3], [1.0; 3]);
         let mut count = usize::from(normal);
         for way in ways.list().iter().filter(|way| !way.turns) {
@@ -141,6 +130,25 @@ impl<R: Real> Rows<R> {
         for way in ways.list().iter().filter(|way| way.turns) {
             self.turning_row(now, contact, pair, &axis(way), way.scale);
         }
+    }
+
+    /// The edges of a contact between free bodies that slides along two tangents and no more, made
+    /// at once; false: nothing is made.
+    fn edges_at_once(
+        &mut self,
+        now: &Situation<R>,
+        contact: &Contact<R>,
+        pair: &Pair,
+        ways: &Ways,
+    ) -> bool {
+        let [one, two] = ways.list() else { return false };
+        if one.turns || two.turns || ways.still > 0 {
+            return false;
+        }
+        let axis = axes_of(contact, now);
+        let along = [contact.normal, axis(one), axis(two)];
+        let bodies = bodies(now.model, pair);
+        self.push_pyramid(now, (bodies, pair), &contact.points(), &along, R::of(ways.mu))
     }
 
     fn least_softness(&self, first: usize, pair: &Pair) -> R {
@@ -185,8 +193,20 @@ impl<R: Real> Rows<R> {
         let ways = Ways::soft(pair.still, material);
         let (weight, mu, impratio) = (pair.invweight, ways.slide, settings.impratio);
         let first = self.rows.len();
+        let most = settings.max_recovery_speed.under(Law::SolRef);
+        let plain = settings.cone == Cone::Pyramidal && weight > 0.0 && most.is_none();
+        if plain && self.edges_at_once(now, contact, pair, &ways) {
+            return self.soften(
+                now,
+                contact,
+                pair,
+                (first, &ways),
+                (law, r, R::Mask::of(false)),
+                mask,
+            );
+        }
         self.rows_along(now, contact, pair, &ways, true);
-        if let Some(most) = settings.max_recovery_speed.under(Law::SolRef) {
+        if let Some(most) = most {
             // The normal of a pyramid is its edges side by side, four with condim 3.
             let edges = settings.cone == Cone::Pyramidal && material.condim > 1;
             let each = 1.0 / f64::from(material.condim.max(2) - 1);
@@ -219,10 +239,24 @@ impl<R: Real> Rows<R> {
             self.anchor(now, contact, pair, &ways, drift.as_ref(), (first, false));
             return self.close(now, contact, pair, (first, Set::Convex, ways.mu), mask);
         }
-        let edge = weight * 2.0 * mu * mu / impratio * (1.0 + mu * mu);
         let unmoved = R::Mask::of(weight == 0.0).and(self.rows[first].a.le(R::zero()));
         self.pyramid(now, &ways, first);
-        let still = ways.still;
+        self.soften(now, contact, pair, (first, &ways), (law, r, unmoved), mask);
+    }
+
+    /// Fills in the edges from `first` on, at the violation r. `unmoved`: nothing moves the normal,
+    /// and its load has no end.
+    fn soften(
+        &mut self,
+        now: &Situation<R>,
+        contact: &Contact<R>,
+        pair: &Pair,
+        (first, ways): (usize, &Ways),
+        (law, r, unmoved): (SolRef<R>, R, R::Mask),
+        mask: R::Mask,
+    ) {
+        let (dt, mu, still) = (R::of(now.settings.dt), ways.slide, ways.still);
+        let edge = pair.invweight * 2.0 * mu * mu / now.settings.impratio * (1.0 + mu * mu);
         let edges = self.rows.len() - first;
         let least = self.least_softness(first, pair);
         for (k, row) in self.rows[first..].iter_mut().enumerate() {
@@ -234,9 +268,9 @@ impl<R: Real> Rows<R> {
         if mask.and(unmoved).any() {
             self.unfold(law, first, edges - edges % 2, unmoved, dt);
         }
-        let drift = drift(now, contact, pair, &ways);
-        self.follow(drift.as_ref(), &ways, dt * law.b, (first, true));
-        self.anchor(now, contact, pair, &ways, drift.as_ref(), (first, true));
+        let drift = drift(now, contact, pair, ways);
+        self.follow(drift.as_ref(), ways, dt * law.b, (first, true));
+        self.anchor(now, contact, pair, ways, drift.as_ref(), (first, true));
         self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
     }
 
@@ -394,6 +428,22 @@ impl<R: Real> Rows<R> {
             motion.add_scaled(&now.placed.motion[k], self.guess[k]);
         }
         motion.at(&arm)
+    }
+}
+
+/// The axis of a way of friction, drawn out by its scale.
+fn axes_of<R: Real>(contact: &Contact<R>, now: &Situation<R>) -> impl Fn(&Way) -> V3<R> {
+    let (normal, tangents) = (contact.normal, contact.tangents(now.placed));
+    move |way| {
+        let axis = match way.axis {
+            Axis::Normal => normal,
+            Axis::Tangent(at) => tangents[at],
+        };
+        if way.scale == 1.0 {
+            axis
+        } else {
+            axis * R::of(way.scale)
+        }
     }
 }
 

@@ -84,25 +84,31 @@ pub fn plane_box<R: Real>(plane: &Pose<R>, cuboid: &Pose<R>, half: V3<R>) -> Tou
     let centre = normal.dot(&(cuboid.pos - plane.pos));
     let [x, y, z] = [0, 1, 2].map(|k| cuboid.axis(k) * half[k]);
     let [up_x, up_y, up_z] = [&x, &y, &z].map(|edge| normal.dot(edge));
-    let mut corners = [0, 1, 2, 3].map(|k| {
+    let blank = Corner { index: R::zero(), height: R::zero(), at: x };
+    let mut corners = [blank; 4];
+    for (k, corner) in corners.iter_mut().enumerate() {
         let sign = |bit: usize| if k & bit != 0 { R::one() } else { -R::one() };
         let height = up_x * sign(1) + up_y * sign(2) - up_z;
         let at = x * sign(1) + y * sign(2) - z;
         let one = Corner { index: R::of(k as f64), height, at };
         let opposite = Corner { index: R::of((7 - k) as f64), height: -height, at: -at };
-        one.or_else(height.le(R::zero()), &opposite)
-    });
+        *corner = one.or_else(height.le(R::zero()), &opposite);
+    }
     for (i, j) in ORDER {
         let (a, b) = (corners[i], corners[j]);
         let right = a.index.lt(b.index);
         corners[i] = a.or_else(right, &b);
         corners[j] = b.or_else(right, &a);
     }
-    corners.map(|corner| {
-        let dist = centre + corner.height;
-        let pos = cuboid.pos + corner.at - normal * (R::of(0.5) * dist);
-        Touch { dist, pos, normal, exists: R::Mask::of(true), feature: corner.index }
-    })
+    let none = R::zero();
+    let blank = Touch { dist: none, pos: normal, normal, exists: R::Mask::of(true), feature: none };
+    let mut touches = [blank; 4];
+    for (touch, corner) in touches.iter_mut().zip(&corners) {
+        touch.dist = centre + corner.height;
+        touch.pos = cuboid.pos + corner.at - normal * (R::of(0.5) * touch.dist);
+        touch.feature = corner.index;
+    }
+    touches
 }
 
 /// Sine of an angle that is only rounding.

@@ -10,7 +10,7 @@ use crate::real::Real;
 pub(super) const SIX: usize = 6;
 
 /// Where the dofs of a row's bodies begin.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Free {
     first: [u32; 2],
     two: bool,
@@ -28,6 +28,34 @@ impl Free {
             SIX => Some(Self { first: [run(0)?; 2], two: false }),
             12 => Some(Self { first: [run(0)?, run(SIX)?], two: true }),
             _ => None,
+        }
+    }
+
+    /// The same of an ascending list, whose ends tell.
+    pub fn ascending(list: &[usize]) -> Option<Self> {
+        let run = |from: usize| (list[from + SIX - 1] - list[from] == SIX - 1).then(|| list[from]);
+        let first = match list.len() {
+            SIX => [run(0)?; 2],
+            12 => [run(0)?, run(SIX)?],
+            _ => return None,
+        };
+        let [one, two] = first.map(u32::try_from);
+        Some(Self { first: [one.ok()?, two.ok()?], two: list.len() > SIX })
+    }
+
+    /// u += D⁻¹ Σ y x of four rows, each dof's sum in their order.
+    #[inline(always)]
+    pub fn kick_four<R: Real>(&self, y: [&[R]; 4], x: [R; 4], inv_d: &[R], u: &mut [R]) {
+        for which in 0..self.count() {
+            let own = self.body(which);
+            let (inv_d, mut new) = (six(&inv_d[own.clone()]), six(&u[own.clone()]));
+            for i in 0..4 {
+                let y = six(&y[i][which * SIX..]);
+                for a in 0..SIX {
+                    new[a] += inv_d[a] * y[a] * x[i];
+                }
+            }
+            u[own].copy_from_slice(&new);
         }
     }
 
@@ -137,6 +165,11 @@ mod tests {
         assert!(Free::of(&[list(12), vec![18]].concat()).is_none());
         assert!(Free::of(&[0, 1, 2, 3, 4, 6]).is_none());
         assert!(Free::of(&[]).is_none());
+        for known in [list(12), [list(12), list(30)].concat()] {
+            assert_eq!(Free::ascending(&known), Free::of(&known));
+        }
+        assert!(Free::ascending(&[0, 1, 2, 3, 4, 6]).is_none());
+        assert!(Free::ascending(&[list(12), vec![18]].concat()).is_none());
     }
 
     #[test]

@@ -6,6 +6,7 @@ mod cone;
 mod derivative;
 mod direct;
 mod dot;
+mod edges;
 mod exact;
 mod few;
 mod first;
@@ -46,6 +47,12 @@ use crate::state::{Warm, SLIP, WARM_ROWS};
 /// below this many.
 const SUSPECT: f64 = 1e8;
 const ROUNDED: f64 = 1024.0;
+
+/// A = J M⁻¹ Jᵀ of a row may be rounding.
+#[inline(always)]
+fn suspect<R: Real>(a: R, mass: f64) -> R::Mask {
+    (a * R::of(mass)).lt(R::of(SUSPECT * R::EPSILON * R::EPSILON))
+}
 
 impl<R: Real> Rows<R> {
     /// Sets `scratch` to the Jacobian of the angular velocity of body 2 relative to body 1, about
@@ -125,7 +132,7 @@ impl<R: Real> Rows<R> {
         size: impl Fn(&Motion<R>, &V3<R>) -> R,
     ) {
         let row = &self.rows[index];
-        let suspect = (row.a * R::of(mass)).lt(R::of(SUSPECT * R::EPSILON * R::EPSILON));
+        let suspect = suspect(row.a, mass);
         if suspect.none() {
             return;
         }

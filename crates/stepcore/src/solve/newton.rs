@@ -6,6 +6,7 @@
 //! line search is exact. Where no row changes its zone in a full step the problem
 //! was quadratic along it, and the step was the last.
 
+mod bent;
 mod bundles;
 mod by_lane;
 mod columns;

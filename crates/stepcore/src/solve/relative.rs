@@ -14,17 +14,17 @@ use crate::spatial::{Force, V3};
 /// The most directions at a time.
 pub(super) const WIDE: usize = 3;
 /// Dofs of a free body.
-const SIX: usize = 6;
+pub(super) const SIX: usize = 6;
 
 /// One of the two bodies: the forces whose power is its part of each row's velocity.
-struct Side<'a, R: Real, const N: usize> {
+pub(super) struct Side<'a, R: Real, const N: usize> {
     chain: &'a [usize],
     along: [Force<R>; N],
 }
 
 impl<'a, R: Real, const N: usize> Side<'a, R, N> {
     /// None: nothing moves the body.
-    fn of(now: &Situation<'a, R>, body: usize, at: &V3<R>, along: [V3<R>; N]) -> Option<Self> {
+    pub fn of(now: &Situation<'a, R>, body: usize, at: &V3<R>, along: [V3<R>; N]) -> Option<Self> {
         let body = &now.model.bodies[body];
         if body.tree == NONE {
             return None;
@@ -59,9 +59,14 @@ impl<'a, R: Real, const N: usize> Side<'a, R, N> {
         x
     }
 
+    /// The dofs that move the body begin with this one.
+    pub fn begins(&self, first: usize) -> bool {
+        self.chain.first() == Some(&first)
+    }
+
     /// The same of six dofs one after another.
     #[inline(always)]
-    fn of_six(&self, now: &Situation<R>, first: usize) -> [[R; N]; SIX] {
+    pub fn of_six(&self, now: &Situation<R>, first: usize) -> [[R; N]; SIX] {
         let joint = now.model.dofs[first].joint;
         if now.model.joints[joint].kind == JointType::Free {
             return self.of_free_joint(now, first);
@@ -88,9 +93,7 @@ impl<R: Real> Rows<R> {
         let start = self.y.len();
         self.y.resize(start + N * dofs.len, R::zero());
         let list = dofs.of(now.dof_lists);
-        let bodies = || sides.iter().flatten();
-        let apart = list.len() == bodies().count() * SIX && !now.model.couples;
-        let sums = if apart && bodies().all(|side| is_free(now.model, side.chain)) {
+        let sums = if all_free(now.model, list, &sides) {
             self.lift_free(now, list, &sides, start)
         } else {
             self.lift_any(now, list, &sides, start)
@@ -146,8 +149,8 @@ impl<R: Real> Rows<R> {
         let mut sums = [(R::zero(), R::zero()); N];
         for from in (0..list.len()).step_by(SIX) {
             let first = list[from];
-            let mine = |side: &&Side<R, N>| side.chain[0] == first;
-            let Some(side) = sides.iter().flatten().find(mine) else { continue };
+            let mine = sides.iter().flatten().find(|side| side.begins(first));
+            let Some(side) = mine else { continue };
             let mut x = side.of_six(now, first);
             now.placed.metric.lift_six(first, &mut x);
             let inv_d = &now.placed.metric.inv_d[first..first + SIX];
@@ -211,6 +214,17 @@ impl<R: Real> Rows<R> {
     }
 }
 
+/// The list is that of one or two free bodies, whose inertias nothing ties together.
+pub(super) fn all_free<R: Real, const N: usize>(
+    model: &Model,
+    list: &[usize],
+    sides: &[Option<Side<R, N>>; 2],
+) -> bool {
+    let bodies = || sides.iter().flatten();
+    let apart = list.len() == bodies().count() * SIX && !model.couples;
+    apart && bodies().all(|side| is_free(model, side.chain))
+}
+
 /// The dofs are those of one free body.
 fn is_free(model: &Model, chain: &[usize]) -> bool {
     let [first, .., last] = chain else { return false };
@@ -234,14 +248,14 @@ impl<R: Real> Metric<R> {
 
     /// The same on the six dofs of a free body.
     #[inline(always)]
-    fn lift_six<const N: usize>(&self, first: usize, x: &mut [[R; N]; SIX]) {
+    pub(super) fn lift_six<const N: usize>(&self, first: usize, x: &mut [[R; N]; SIX]) {
         for k in (1..SIX).rev() {
-            let l = self.left_of(first + k);
-            let l: &[R] = &l[..k];
-            for at in 0..k {
+            // Nearest ancestor first.
+            let (above, own) = x.split_at_mut(k);
+            for (l, x) in self.left_of(first + k).iter().zip(above.iter_mut().rev()) {
                 for i in 0..N {
-                    let taken = l[at] * x[k][i];
-                    x[k - 1 - at][i] -= taken;
+                    let taken = *l * own[0][i];
+                    x[i] -= taken;
                 }
             }
         }

@@ -8,6 +8,7 @@
 use super::direct::Direct;
 use super::dot::dot;
 use super::first::First;
+use super::free::Free;
 use super::live::Live;
 use super::relative::WIDE;
 use crate::clock::Clock;
@@ -449,6 +450,12 @@ impl<R: Real> Rows<R> {
                 let dofs = a.dofs.of(dof_lists);
                 let y = [a, b, c, d].map(|row| &self.y[row.y..row.y + dofs.len()]);
                 let change = [a, b, c, d].map(|row| row.impulse);
+                own = rest;
+                let free = if block.mask.all() { Free::ascending(dofs) } else { None };
+                if let Some(free) = free {
+                    free.kick_four(y, change, inv_d, &mut self.u);
+                    continue;
+                }
                 for (at, k) in dofs.iter().enumerate() {
                     let (mut new, inv_d) = (self.u[*k], inv_d[*k]);
                     for i in 0..4 {
@@ -456,7 +463,6 @@ impl<R: Real> Rows<R> {
                     }
                     self.u[*k] = R::select(block.mask, new, self.u[*k]);
                 }
-                own = rest;
             }
             for row in own {
                 let dofs = row.dofs.of(dof_lists);

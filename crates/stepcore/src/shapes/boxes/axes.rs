@@ -51,11 +51,17 @@ impl<R: Real> Axes<R> {
     /// Of equal axes the first counts: faces of the first box, of the second, then edges. None: some
     /// axis shows that the boxes are `within` [m] apart or more.
     pub fn of(a: &Block<R>, b: &Block<R>, within: f64) -> Option<Self> {
-        let cosines = a.axes.map(|x| b.axes.map(|y| x.dot(&y)));
-        let span = cosines.map(|row| row.map(R::abs));
+        let (mut cosines, mut span) = ([[R::zero(); 3]; 3], [[R::zero(); 3]; 3]);
         let between = b.centre - a.centre;
-        let ta = a.axes.map(|x| x.dot(&between));
-        let tb = b.axes.map(|y| y.dot(&between));
+        let (mut ta, mut tb) = ([R::zero(); 3], [R::zero(); 3]);
+        for i in 0..3 {
+            for j in 0..3 {
+                cosines[i][j] = a.axes[i].dot(&b.axes[j]);
+                span[i][j] = cosines[i][j].abs();
+            }
+            ta[i] = a.axes[i].dot(&between);
+            tb[i] = b.axes[i].dot(&between);
+        }
 
         let mut face = Face { side: Side::First, axis: 0, gap: R::zero(), positive: true };
         let mut best = f64::NEG_INFINITY;

@@ -84,10 +84,13 @@ impl<R: Real> Polygon<R> {
         kept.into_iter().take(count)
     }
 
-    /// What lies inside one side of the bed.
-    fn cut(&self, axis: usize, positive: bool, half: R) -> Self {
-        let mut inside = Self::empty();
+    /// Leaves what lies inside one side of the bed.
+    fn cut(&mut self, axis: usize, positive: bool, half: R) {
         let over = |v: &Vertex<R>| if positive { v.at[axis] - half } else { -v.at[axis] - half };
+        if self.vertices[..self.count].iter().all(|vertex| over(vertex).lane(0) <= 0.0) {
+            return;
+        }
+        let mut inside = Self::empty();
         let side = Bound::Bed { axis, positive };
         for k in 0..self.count {
             let (here, next) = (&self.vertices[k], &self.vertices[(k + 1) % self.count]);
@@ -110,7 +113,7 @@ impl<R: Real> Polygon<R> {
                 inside.push(Vertex { next: if leaves { side } else { here.next }, ..*here });
             }
         }
-        inside
+        *self = inside;
     }
 }
 
@@ -158,7 +161,7 @@ pub(super) fn contacts<R: Real>(
     }
     for axis in others(up) {
         for positive in [true, false] {
-            polygon = polygon.cut(axis, positive, bed.half[axis]);
+            polygon.cut(axis, positive, bed.half[axis]);
         }
     }
 

@@ -85,17 +85,15 @@ impl<R: Real> Bundles<R> {
             let Some(first) = own.first() else { continue };
             let (at, whole) = (self.t.len(), block.mask.all());
             let per_mass = R::of(1.0 / block.mass);
-            for row in own {
-                self.t.push(row.t);
-                self.c.push(row.c);
-                self.inv_c.push(row.c.recip_or_zero());
-                self.lo.push(row.lo);
-                self.hi.push(row.hi);
-                self.inv_s.push(row.inv_s);
-                self.a.push(row.a);
-                self.per_mass.push(row.a * per_mass);
-                self.mask.push(block.mask);
-            }
+            self.t.extend(own.iter().map(|row| row.t));
+            self.c.extend(own.iter().map(|row| row.c));
+            self.inv_c.extend(own.iter().map(|row| row.c.recip_or_zero()));
+            self.lo.extend(own.iter().map(|row| row.lo));
+            self.hi.extend(own.iter().map(|row| row.hi));
+            self.inv_s.extend(own.iter().map(|row| row.inv_s));
+            self.a.extend(own.iter().map(|row| row.a));
+            self.per_mass.extend(own.iter().map(|row| row.a * per_mass));
+            self.mask.extend(own.iter().map(|_| block.mask));
             let cone = (block.set != Set::Interval).then(|| {
                 self.cones.push(Cone::new(own, block.mu));
                 self.cones.len() - 1

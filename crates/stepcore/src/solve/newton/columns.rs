@@ -11,8 +11,9 @@
 //! loops have constant lengths; no sum is split, so the bits are the same however they are
 //! vectorised.
 
+use super::bent::Bent;
 use super::bundles::Bundles;
-use super::nodes::{Meeting, Nodes};
+use super::nodes::{Meeting, Member, Nodes};
 use crate::real::{Mask, Real};
 use crate::room::room;
 
@@ -130,6 +131,9 @@ impl<R: Real> Columns<R> {
 
     /// Adds y s″ yᵀ of one bundle to the column of one of its nodes.
     fn add(&mut self, nodes: &Nodes, meeting: Meeting, curved: &Curved<R>) {
+        if self.add_intervals(nodes, meeting, curved) {
+            return;
+        }
         self.bend(nodes, meeting, curved);
         if self.active.is_empty() {
             return;
@@ -162,6 +166,31 @@ impl<R: Real> Columns<R> {
                 }
             }
         }
+    }
+
+    /// The same of a bundle of free bodies and intervals alone, straight from its y; false: it is
+    /// another one.
+    fn add_intervals(&mut self, nodes: &Nodes, meeting: Meeting, curved: &Curved<R>) -> bool {
+        let bundle = &curved.bundles.list[meeting.bundle];
+        let [run] = curved.bundles.runs_of(bundle) else { return false };
+        let members = &nodes.members[meeting.member..meeting.end];
+        let free = |member: &Member| nodes.size(member.node) == FREE && member.run.is_some();
+        if run.cone.is_some() || !members.iter().all(free) {
+            return false;
+        }
+        let rows = Bent {
+            y: &curved.y[bundle.y..][..bundle.rows.len * bundle.dofs.len],
+            len: bundle.dofs.len,
+            curve: run.curve.of(curved.curve),
+        };
+        let mut starts = members.iter().map(|member| (member.node, member.run.unwrap_or(0)));
+        let Some((node, own)) = starts.next() else { return true };
+        let block = |node: usize| self.place[node]..self.place[node] + FREE * FREE;
+        rows.add_upper(&mut self.values[block(node)], own);
+        for (node, theirs) in starts {
+            rows.add_outer(&mut self.values[block(node)], [own, theirs]);
+        }
+        true
     }
 
     /// s″ y at a node of a bundle: `own`, row by row of `active`, which says where each row's y
@@ -243,20 +272,13 @@ impl<R: Real> Columns<R> {
     fn close(&mut self, nodes: &Nodes, j: usize) {
         let (size, start, first) = (nodes.size(j), nodes.places[j], nodes.first[j]);
         let (square, mut below) = self.values[start..].split_at_mut(size * size);
-        for m in 0..size {
-            let d = square[m * size + m];
-            let inverse = R::one() / d;
-            (self.d[first + m], self.inverse[first + m]) = (d, inverse);
-            for b in m + 1..size {
-                let factor = square[m * size + b] * inverse;
-                for a in b..size {
-                    let taken = factor * square[m * size + a];
-                    square[b * size + a] -= taken;
-                }
-            }
-            for a in m + 1..size {
-                square[m * size + a] *= inverse;
-            }
+        let d = &mut self.d[first..first + size];
+        let inverse = &mut self.inverse[first..first + size];
+        if size == FREE {
+            // The length is known.
+            factor_square(FREE, square, d, inverse);
+        } else {
+            factor_square(size, square, d, inverse);
         }
         let inverse = &self.inverse[first..first + size];
         for row in nodes.order.column(j) {
@@ -350,6 +372,28 @@ impl Columns<f64> {
         let same =
             |a: &[f64], b: &[f64]| a.iter().map(|x| x.to_bits()).eq(b.iter().map(|x| x.to_bits()));
         same(&self.values, &other.values) && same(&self.inverse, &other.inverse)
+    }
+}
+
+/// Factors a diagonal block.
+#[inline(always)]
+fn factor_square<R: Real>(size: usize, square: &mut [R], d: &mut [R], inverse: &mut [R]) {
+    let (square, d, inverse) = (&mut square[..size * size], &mut d[..size], &mut inverse[..size]);
+    for m in 0..size {
+        let (done, later) = square.split_at_mut((m + 1) * size);
+        let line = &mut done[m * size..];
+        d[m] = line[m];
+        inverse[m] = R::one() / line[m];
+        for (b, target) in (m + 1..size).zip(later.chunks_exact_mut(size)) {
+            let factor = line[b] * inverse[m];
+            for (x, l) in target[b..].iter_mut().zip(&line[b..]) {
+                let taken = factor * *l;
+                *x -= taken;
+            }
+        }
+        for x in &mut line[m + 1..] {
+            *x *= inverse[m];
+        }
     }
 }
 

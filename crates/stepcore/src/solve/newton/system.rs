@@ -198,18 +198,19 @@ fn slacks<R: Real>(problem: Problem<R>, u: &[R], out: &mut [R]) {
 fn penalties<R: Real>(bundles: &Bundles<R>, w: &[R], mut cost: R) -> R {
     for run in &bundles.runs {
         let own = run.rows.range();
-        let cone = run.cone.map(|cone| {
-            let w = &w[own.clone()];
-            bundles.cones[cone].law::<CONE>(padded(w)).0
-        });
-        for (i, at) in own.enumerate() {
-            let (lo, hi, inv_c) = (bundles.lo[at], bundles.hi[at], bundles.inv_c[at]);
-            let impulse = match &cone {
-                Some(impulse) => impulse[i],
-                None => interval([lo, hi], inv_c, w[at]).0,
-            };
-            let s = -impulse * (w[at] + R::of(0.5) * bundles.c[at] * impulse);
-            cost = R::select(bundles.mask[at], cost + s, cost);
+        let (c, mask, w) = (&bundles.c[own.clone()], &bundles.mask[own.clone()], &w[own.clone()]);
+        let mut add = |i: usize, impulse: R| {
+            let s = -impulse * (w[i] + R::of(0.5) * c[i] * impulse);
+            cost = R::select(mask[i], cost + s, cost);
+        };
+        if let Some(cone) = run.cone {
+            let impulse = bundles.cones[cone].law::<CONE>(padded(w)).0;
+            (0..run.rows.len).for_each(|i| add(i, impulse[i]));
+            continue;
+        }
+        let (lo, hi) = (&bundles.lo[own.clone()], &bundles.hi[own.clone()]);
+        for (i, inv_c) in bundles.inv_c[own].iter().enumerate() {
+            add(i, interval([lo[i], hi[i]], *inv_c, w[i]).0);
         }
     }
     cost
