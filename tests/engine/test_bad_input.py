@@ -154,6 +154,19 @@ def test_assignment_takes_every_layout_of_numbers(model):
     sim.step()
 
 
+def test_an_axis_of_one_entry_is_not_stretched(model):
+    """A number fills an array and a row serves every body; a list of one number is too short."""
+    sim = sc.Sim(model)
+    sim.qpos = 0.5
+    sim.xfrc_applied = np.arange(6.0)
+    assert sim.qpos.tolist() == [0.5, 0.5] and (sim.xfrc_applied == np.arange(6.0)).all()
+    refuses("^qpos has shape ", setattr, sim, "qpos", [0.1])
+    refuses("^xfrc_applied has shape ", setattr, sim, "xfrc_applied", np.ones((1, 6)))
+    # A model without activations: nothing would take the number.
+    refuses("^act has shape ", setattr, sim, "act", [1.0])
+    assert sim.qpos.tolist() == [0.5, 0.5]
+
+
 # Calls of a Sim.
 
 
@@ -206,6 +219,30 @@ def test_run_refuses(model, arguments, text):
     sim = sc.Sim(model)
     refuses(text, sim.run, **arguments)
     assert sim.time == 0.0
+
+
+@pytest.mark.parametrize("moves", [sc.Sim.step, sc.Sim.reset])
+def test_run_refuses_a_control_that_moves_its_sim(model, moves):
+    """What it records would be another motion, and time would not go on evenly."""
+
+    def control(time, sim):
+        moves(sim)
+        return [0.0]
+
+    sim = sc.Sim(model)
+    sim.step(3)
+    refuses("^control: the function took its argument from time ", sim.run, 0.1, control)
+
+
+def test_run_refuses_one_number_for_two_actuators():
+    scene = sc.Scene()
+    for name in "ab":
+        scene.add_body(name)
+        scene.add_joint(name, "slide", name=name)
+        scene.add_geom(name, "sphere", 0.1, mass=1.0)
+        scene.add_actuator(name)
+    sim = sc.Sim(scene)
+    refuses("^ctrl = 3: must be 2 numbers", sim.run, 0.1, lambda time, sim: 3.0)
 
 
 def test_restore_refuses_other_bytes_and_changes_nothing(model):

@@ -73,9 +73,16 @@ class ModelArray(ReadOnlyArray):
 
 
 def fill(array: Floats, name: str, value: ArrayLike) -> None:
-    """Overwrites an array; ValueError if `value` is not real numbers of its shape."""
+    """Overwrites an array; ValueError if `value` is not real numbers of its shape.
+
+    One number fills all of it, and what lacks the leading axes is the same along them. An axis of
+    one entry is not stretched: it would be a state of too few numbers, or vanish in an empty array.
+    """
     table = numbers(name, value)
+    own = array.shape[array.ndim - table.ndim :]
     try:
+        if np.ndim(value) and table.ndim <= array.ndim and table.shape != own:
+            raise ValueError
         array[...] = table
     except ValueError:
         limit = f"of shape {array.shape}"

@@ -294,7 +294,7 @@ def record_run(
             data[name][step] = getattr(sim, name)
         if step < steps:
             if controls is not None and step % period == 0:
-                sim.ctrl = _finite(sim, controls(step // period), f"at time {sim.time:g} s")
+                sim.ctrl = controls(step // period)
             snapshots.look(step)
             sim.step()
     snapshots.look(steps)
@@ -321,7 +321,7 @@ def _controls(sim: SomeWorld, control: Control[SomeWorld]) -> Callable[[int], Ar
     if control is None:
         return None
     if callable(control):
-        return lambda period: control(sim.time, sim)
+        return lambda period: _returned(sim, control)
     table = numbers("control", control)
     if table.ndim != 2 or table.shape[1] != sim.model.nu or not len(table):
         limit = f"of shape (n, {sim.model.nu}) with n > 0"
@@ -329,6 +329,23 @@ def _controls(sim: SomeWorld, control: Control[SomeWorld]) -> Callable[[int], Ar
     for row, ctrl in enumerate(table):
         _finite(sim, ctrl, f"in row {row} of control")
     return lambda period: table[min(period, len(table) - 1)]
+
+
+def _returned(sim: SomeWorld, control: Callable[[float, SomeWorld], ArrayLike]) -> ArrayLike:
+    """What a control function returns now; ValueError where that is no ctrl.
+
+    A function that steps or resets its Sim would leave a recording of something else.
+    """
+    now, nu = sim.time, sim.model.nu
+    table = _finite(sim, control(now, sim), f"at time {now:g} s")
+    if sim.time != now:
+        raise ValueError(
+            f"control: the function took its argument from time {now:g} s to {sim.time:g} s; it "
+            "may read it and apply forces, and must leave stepping, reset and restore to run"
+        )
+    if table.size == 1 < nu:
+        raise ValueError(f"ctrl = {table.item():g}: must be {nu} numbers, one for each actuator")
+    return table
 
 
 def _finite(sim: World, ctrl: ArrayLike, where: str) -> NDArray[np.float64]:
