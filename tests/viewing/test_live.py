@@ -164,6 +164,60 @@ def test_the_page_moves(capsys):
         chrome.quit()
 
 
+def press(chrome, name):
+    from selenium.webdriver.common.by import By
+
+    button = chrome.find_element(By.XPATH, f"//button[normalize-space()='{name}']")
+    chrome.execute_script("arguments[0].click()", button)
+
+
+def sliders(chrome):
+    """What can be dragged, in the order of the page: time, then the controls."""
+    from selenium.webdriver.common.by import By
+
+    return chrome.find_elements(By.XPATH, "//*[@role='slider']")
+
+
+def until(true, seconds=30.0):
+    """Waits for what a browser and a view do between them."""
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_what_is_pressed_and_dragged_in_the_page():
+    """A person's hands: pause, step, reset, a control, back in time."""
+    from selenium.webdriver.common.keys import Keys
+
+    chrome = opened()
+    view = cheetah().view(port=PORT, wait=False)
+    panel, sim = view._panel, view._panel.sim
+    try:
+        chrome.get(view.url)
+        wait_for(chrome, "return document.body.innerText.includes('kinetic energy')")
+        wait_for(chrome, "return document.querySelectorAll('[role=slider]').length === 7")
+        wait_for(chrome, "return document.querySelectorAll('.uplot canvas').length === 2")
+        until(lambda: sim.time > 0.1)
+        press(chrome, "Pause")
+        until(lambda: not panel.playing)
+        now = sim.time
+        press(chrome, "Step")
+        until(lambda: sim.time == pytest.approx(now + 0.01))
+        sliders(chrome)[0].send_keys(Keys.HOME)
+        until(lambda: sim.time == 0.0)
+        sliders(chrome)[1].send_keys(Keys.END)
+        until(lambda: sim.ctrl[0] == 1.0)
+        press(chrome, "Step")
+        until(lambda: sim.time == pytest.approx(0.01))
+        press(chrome, "Reset")
+        until(lambda: sim.time == 0.0 and sim.ctrl[0] == 0.0)
+        assert complaints(chrome) == []
+    finally:
+        view.close()
+        chrome.quit()
+
+
 def picture(chrome):
     from PIL import Image
 

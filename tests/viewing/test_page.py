@@ -119,6 +119,42 @@ def test_it_turns_pauses_and_steps(chrome, tmp_path):
     assert complaints(chrome) == []
 
 
+def test_what_is_drawn_over_time_is_chosen(chrome, tmp_path):
+    slow = sc.Sim(sc.load("gymnasium:half_cheetah"), dt=0.0025)
+    cheetah(0.3).save_html(tmp_path / "run.html", over=[slow.run(0.3)], labels=["a", "fine"])
+    chrome.get((tmp_path / "run.html").as_uri())
+    wait_for(chrome, "return !!window.replay")
+    legend = chrome.find_element("id", "legend")
+    assert legend.text == "distance of fine [mm]"
+    choose = "const c = document.getElementById('curve'); c.value = '{}'; c.onchange()"
+    for name, said in (("energy", "kinetic [J]"), ("residual", "log10 of the residual in m/s")):
+        chrome.execute_script(choose.format(name))
+        assert legend.text.startswith(said)
+    assert complaints(chrome) == []
+
+
+TENDON = """
+<mujoco><worldbody><site name="a" pos="-1 0 1"/><site name="s" pos="0 0 2"/>
+<geom name="wheel" type="cylinder" size=".3 .5" pos="0 0 1" euler="90 0 0" contype="0"
+  conaffinity="0"/>
+<body pos=".8 0 .5"><joint type="slide" axis="0 0 1"/><geom size=".1"/><site name="b"/></body>
+</worldbody><tendon><spatial stiffness="50" name="rope"><site site="a"/>
+<geom geom="wheel" sidesite="s"/><site site="b"/></spatial></tendon></mujoco>"""
+
+
+def test_a_tendon_goes_round_what_it_wraps(chrome, tmp_path):
+    sim = sc.Sim(sc.loads(TENDON))
+    run = sim.run(0.2)
+    (way,) = run._replayed().instants[-1].tendons
+    assert np.allclose(way, sim.tendon_path("rope")[0])
+    away = np.linalg.norm(way[1:-1, [0, 2]] - [0, 1], axis=1)
+    assert away == pytest.approx(0.3)
+    run.save_html(tmp_path / "run.html")
+    chrome.get((tmp_path / "run.html").as_uri())
+    wait_for(chrome, "return !!window.replay")
+    assert complaints(chrome) == []
+
+
 def test_a_notebook_shows_a_short_run():
     shown = drop().run(0.2)._repr_html_()
     assert shown.startswith("<iframe srcdoc=")

@@ -207,27 +207,51 @@
       .map(([name, value]) => `<tr><td>${name}</td><td>${value}</td></tr>`).join("");
   }
 
-  const ENERGY = [["kinetic", "#e07a1f"], ["potential", "#2a7de1"], ["total", "#7a7f87"]];
-  function curves() {
-    if (gaps.length) {
-      return gaps.map((gap, k) => ({ values: Array.from(gap, (x) => 1000 * x), name:
-        `distance ${k + 1} [mm]`, colour: "#d1495b" }));
-    }
-    const energy = Array.from(runs[0].energy);
-    const lists = [energy.filter((_, i) => i % 2 === 0), energy.filter((_, i) => i % 2 === 1)];
-    lists.push(lists[0].map((x, i) => x + lists[1][i]));
-    // Potential energy has no zero of its own: all begin at theirs.
-    return lists.map((values, k) => ({
-      values: k === 0 ? values : values.map((x) => x - values[0]),
-      name: k === 0 ? "kinetic" : `Δ ${ENERGY[k][0]}`, colour: ENERGY[k][1],
-    }));
+  // What can be chosen to be drawn over time.
+  const CURVES = {
+    distance: () => gaps.map((gap, k) => ({
+      values: Array.from(gap, (x) => 1000 * x), colour: cssOf(runs[k + 1].tint),
+      name: `distance of ${runs[k + 1].label || `run ${k + 2}`} [mm]`,
+    })),
+    energy: () => {
+      const energy = Array.from(runs[0].energy);
+      const kinetic = energy.filter((_, i) => i % 2 === 0);
+      const potential = energy.filter((_, i) => i % 2 === 1);
+      const total = kinetic.map((x, i) => x + potential[i]);
+      // Potential energy has no zero of its own.
+      const since = (values) => values.map((x) => x - values[0]);
+      return [
+        { name: "kinetic [J]", colour: "#e07a1f", values: kinetic },
+        { name: "Δ potential", colour: "#2a7de1", values: since(potential) },
+        { name: "Δ total", colour: "#7a7f87", values: since(total) },
+      ];
+    },
+    residual: () => [{
+      name: "log10 of the residual in m/s", colour: "#d1495b",
+      values: Array.from(runs[0].residual, (x) => Math.log10(Math.max(x, 1e-20))),
+    }],
+  };
+  const cssOf = (tint) => `rgb(${tint.map((c) => Math.round(255 * c)).join()})`;
+  let drawn = [];
+  let least = 0;
+  let most = 1;
+
+  function choose() {
+    drawn = CURVES[byId("curve").value]();
+    byId("legend").innerHTML = drawn
+      .map((c) => `<span><i class="key" style="background:${c.colour}"></i></span>`).join("");
+    drawn.forEach((c, k) => byId("legend").children[k].append(c.name));
+    least = Math.min(0, ...drawn.map((c) => c.values.reduce((a, b) => Math.min(a, b), 0)));
+    most = Math.max(...drawn.map((c) => c.values.reduce((a, b) => Math.max(a, b), -1e300)));
+    most = byId("curve").value === "residual" ? most : Math.max(most, 1e-12);
   }
-  const drawn = curves();
-  byId("legend").innerHTML = drawn
-    .map((c) => `<span><i class="key" style="background:${c.colour}"></i>${c.name}</span>`)
-    .join("");
-  const least = Math.min(0, ...drawn.map((c) => c.values.reduce((a, b) => Math.min(a, b), 0)));
-  const most = Math.max(...drawn.map((c) => c.values.reduce((a, b) => Math.max(a, b), 0)), 1e-12);
+  const names = Object.keys(CURVES).filter((name) => name !== "distance" || gaps.length);
+  byId("curve").innerHTML = names.map((name) => `<option>${name}</option>`).join("");
+  choose();
+  byId("curve").onchange = () => {
+    choose();
+    plot();
+  };
 
   function plot() {
     const sheet = byId("plot");
@@ -242,6 +266,11 @@
     pen.moveTo(0, y(0));
     pen.lineTo(width, y(0));
     pen.stroke();
+    pen.fillStyle = "#888d";
+    pen.font = "20px system-ui, sans-serif";
+    pen.textAlign = "right";
+    pen.fillText(number(most), width - 4, 20);
+    pen.fillText(number(least), width - 4, height - 8);
     pen.lineWidth = 3;
     for (const { values, colour } of drawn) {
       pen.strokeStyle = colour;
@@ -362,9 +391,8 @@
     `The arrow of ${number(data.newtons)} N is ${number(data.arrow)} m long. ` +
     ["Drag to turn, shift-drag to move, wheel to zoom, space to pause.", ...data.notes].join(" ");
   if (runs.length > 1) {
-    byId("runs").innerHTML = runs.map((run, k) => {
-      const colour = run.tint
-        ? `rgb(${run.tint.map((c) => Math.round(255 * c)).join()})` : "#8b929c";
+    byId("runs").innerHTML = runs.map((run) => {
+      const colour = run.tint ? cssOf(run.tint) : "#8b929c";
       return `<span><i class="key" style="background:${colour}"></i></span>`;
     }).join("");
     runs.forEach((run, k) => byId("runs").children[k].append(run.label || `run ${k + 1}`));

@@ -100,7 +100,7 @@ class Stage:
             cell_color=darker,
             section_color=darker,
             fade_distance=30 * self.extent,
-            position=(0, 0, 1e-3 * self.extent),
+            position=(0, 0, 3e-3 * self.extent),
         )
 
     def show_hidden(self, on: bool) -> None:
