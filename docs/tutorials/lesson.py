@@ -106,7 +106,7 @@ print(f"a sweep leaves {result.theory.radius:.0%}")
 # %% [markdown]
 # ## All of it
 #
-# The whole lesson has 74 figures, each beside its reference. `stepcore lesson`
+# The whole lesson has 74 figures, each beside its reference. `stepcore lesson --all`
 # prints them.
 
 # %%

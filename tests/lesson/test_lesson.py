@@ -233,10 +233,13 @@ def test_report_marks_what_is_off():
         Row("t", "bad", 1.0, 2.0, 0.5),
         Row("t", "new", 1, None, 0),
     ]
-    text = lesson.report(rows)
+    text = lesson.report(rows, full=True)
     assert [row.ok for row in rows] == [True, False, True]
-    assert "<-- off" in text.splitlines()[3]
-    assert "1 of 2" in text
+    assert text.startswith("1 of 2 figures agree") and "new" in text
+    assert "<-- off" in text.splitlines()[5]
+    short = lesson.report(rows)
+    assert short.startswith("1 of 2 figures agree") and "t: 1 of 2" in short
+    assert "bad" in short and "<-- off" in short and "new" not in short
     assert np.isclose(rows[0].to_dict()["value"], 1.0)
 
 

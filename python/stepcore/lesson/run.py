@@ -188,23 +188,37 @@ def grasp(make: Make) -> Iterator[Row]:
     yield Row(title, "5 sweeps, cold", held * 1e9, None, 0.0, "nm")
 
 
-def report(rows: Iterable[Row]) -> str:
-    """The figures as text, one table a section, with misses marked."""
+def report(rows: Iterable[Row], full: bool = False) -> str:
+    """The figures as text: how many agree first, then those that do not.
+
+    full: every figure beside its reference, one table a section.
+    """
     rows = list(rows)
-    lines: list[str] = []
-    title = None
-    for row in rows:
-        if row.section != title:
-            title = row.section
-            lines += ["", title, f"  {'':<38} {'value':>18} {'reference':>18}"]
-        mark = "" if row.ok else "   <-- off"
-        reference = "" if row.reference is None else _shown(row.reference)
-        value = f"{_shown(row.value):>18} {reference:>18}"
-        lines.append(f"  {row.name:<38} {value} {row.unit}{mark}".rstrip())
+    titles = list(dict.fromkeys(row.section for row in rows))
+    parts = {title: [row for row in rows if row.section == title] for title in titles}
+    lines = [f"{_agreeing(rows)} figures agree with the reference.", ""]
+    if not full:
+        lines += [f"{title}: {_agreeing(own)}" for title, own in parts.items()]
+    for title, own in parts.items():
+        chosen = [row for row in own if full or not row.ok]
+        if chosen:
+            title = title if full else f"{title}: what does not agree"
+            head = f"  {'':<38} {'value':>18} {'reference':>18}"
+            lines += [*([""] if lines[-1] else []), title, head, *map(_line, chosen)]
+    return "\n".join(lines) + ("" if full else "\n\n--all (report(rows, full=True)) prints them.")
+
+
+def _agreeing(rows: Iterable[Row]) -> str:
+    """How many of the figures that have a reference agree with it."""
     checked = [row for row in rows if row.reference is not None]
-    good = sum(row.ok for row in checked)
-    lines += ["", f"{good} of {len(checked)} figures agree with the reference."]
-    return "\n".join(lines[1:])
+    return f"{sum(row.ok for row in checked)} of {len(checked)}"
+
+
+def _line(row: Row) -> str:
+    mark = "" if row.ok else "   <-- off"
+    reference = "" if row.reference is None else _shown(row.reference)
+    value = f"{_shown(row.value):>18} {reference:>18}"
+    return f"  {row.name:<38} {value} {row.unit}{mark}".rstrip()
 
 
 def _shown(value: float | str) -> str:

@@ -112,20 +112,17 @@ def named_error(error: SimulationError, kind: str | None = None) -> Outcome:
     return Outcome(ok, f"error: {error.element.replace('`', '')}", "a named error", "error")
 
 
-def report(cells: Iterable[Cell]) -> str:
-    """The cells as text: their tables with misses marked, the count of laws, and the misses."""
+def report(cells: Iterable[Cell], full: bool = False) -> str:
+    """The cells as text: how many keep their law first, then those that do not.
+
+    full: every cell, in its table.
+    """
     cells = list(cells)
-    lines: list[str] = []
-    for table in dict.fromkeys(cell.table for cell in cells):
-        lines += ["", *table.splitlines()]
-        lines += _grid([cell for cell in cells if cell.table == table])
     by_law = sum(cell.kind == "law" and cell.law != "finite" for cell in cells)
     errors = sum(cell.kind == "error" for cell in cells)
     finite = sum(cell.law == "finite" for cell in cells)
     missed = [cell for cell in cells if not cell.ok]
-    lines += [
-        "",
-        "<ulp: the value that the law requires is below the rounding of the numbers, and stays so.",
+    lines = [
         f"{len(cells)} cells: {by_law} checked against a law, {errors} against an error that must "
         f"name an element, {finite} only for finite numbers; {len(missed)} missed.",
     ]
@@ -133,7 +130,22 @@ def report(cells: Iterable[Cell]) -> str:
         title = cell.table.splitlines()[0]
         place = f"{title}; {cell.row}, {cell.column}, {cell.precision}"
         lines.append(f"  missed: {place}: {cell.text} ({cell.law})")
-    return "\n".join(lines[1:])
+    tables = dict.fromkeys(cell.table for cell in cells)
+    if not full:
+        lines.append("")
+    for table in tables:
+        own = [cell for cell in cells if cell.table == table]
+        if full:
+            lines += ["", *table.splitlines(), *_grid(own)]
+        else:
+            kept = sum(cell.ok for cell in own)
+            lines.append(f"{table.splitlines()[0]}: {kept} of {len(own)}")
+    if full:
+        ulp = "the value that the law requires is below the rounding of the numbers, and stays so."
+        lines += ["", f"<ulp: {ulp}"]
+    else:
+        lines += ["", "--all (report(cells, full=True)) prints every cell."]
+    return "\n".join(lines)
 
 
 def _grid(cells: list[Cell]) -> list[str]:

@@ -104,7 +104,7 @@ def _contraction(result: ConvergenceFindings) -> str:
         return f"Sweeps do not converge: each leaves {rate:.6g} of the error."
     said = f"A sweep leaves {_share(rate)} of the solver's error"
     if rate > NOTHING:
-        said += f" ({math.log(10) / -math.log(rate):.3g} sweeps for a tenth of it)"
+        said += f" ({math.log(10) / -math.log(rate):.3g} sweeps reduce it tenfold)"
     theory = result.theory
     parts = []
     if theory.radius is not None:
