@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from stepcore.engine.model import Model as Model
     from stepcore.engine.model_data import ContactPair as ContactPair
     from stepcore.engine.model_data import Keyframe as Keyframe
+    from stepcore.engine.noise import Noise as Noise
     from stepcore.engine.parameters import Parameters as Parameters
     from stepcore.engine.plan import Plan as Plan
     from stepcore.engine.plan import PlanEntry as PlanEntry
@@ -116,6 +117,7 @@ _MODULES = {
     "stepcore.engine.batch": ("Batch",),
     "stepcore.engine.linearization": ("Linearization",),
     "stepcore.engine.model": ("Model",),
+    "stepcore.engine.noise": ("Noise",),
     "stepcore.engine.parameters": ("Parameters",),
     "stepcore.engine.model_data": ("ContactPair", "Keyframe"),
     "stepcore.engine.plan": (

@@ -89,6 +89,18 @@ def fill(array: Floats, name: str, value: ArrayLike) -> None:
         raise ValueError(f"{name} has shape {table.shape}: must be {limit}") from None
 
 
+def indices_of(worlds: ArrayLike, n: int) -> NDArray[np.intp]:
+    """The indices of some of n worlds, which are given as a mask or as indices."""
+    given = np.asarray(worlds)
+    if given.dtype == bool and given.shape == (n,):
+        return np.flatnonzero(given)
+    whole = given.ndim == 1 and (given.dtype.kind in "iu" or not given.size)
+    if whole and np.all((given >= 0) & (given < n)) and len(set(given.tolist())) == len(given):
+        return given.astype(np.intp)
+    limit = f"a mask of shape ({n},), or different indices from 0 to {n - 1}"
+    raise ValueError(f"worlds = {checks.shown(worlds)}: must be {limit}")
+
+
 def snapshot(value: object, part: Any) -> bytes:
     """`part` of the snapshot `value` as bytes; ValueError if it has no bytes."""
     try:

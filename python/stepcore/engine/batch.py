@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stepcore import _core, checks
 from stepcore._core import Settings, SimulationError
-from stepcore.engine.arrays import Floats, numbers, snapshot
+from stepcore.engine.arrays import Floats, indices_of, numbers, snapshot
 from stepcore.engine.parameters import Parameters
 from stepcore.engine.rollout import NAMES, Rollout, recorded_rollout
 from stepcore.engine.sim import Momentum
@@ -61,7 +61,7 @@ class Batch(Stepped):
     settings, fields: as for a `Sim`.
 
     The results are the same bits with any number of threads, with and without lanes, and in a
-    `Sim`. All worlds share one time, and one model but for what `param` gives each. Of the last
+    `Sim`. All worlds share one `time`, and one model but for what `param` gives each. Of the last
     solve a batch keeps only `qacc`: reading `contacts`, `rows`, `residual`, `constraint_force` or
     `actuator_force` computes it again, over the batch's threads.
 
@@ -98,6 +98,8 @@ class Batch(Stepped):
         how = (self._threads, None if self._lanes == "auto" else self._lanes, goes_on)
         self._own(_core.Batch(self._model.core, own, n, *how))
         self._param = Parameters(self._model, self._core, len(self))
+        # Of worlds that were reset by themselves: the batch's time then, and their own.
+        self._reset_at, self._reset_to = np.full((2, len(self)), np.nan)
 
     def __len__(self) -> int:
         """The number of worlds."""
@@ -183,6 +185,27 @@ class Batch(Stepped):
             raise
 
     @property
+    def time(self) -> float:
+        """Time [s] that all worlds share; see `Sim.time`, and `times` for that of each."""
+        time: float = self._core.time
+        return time
+
+    @time.setter
+    def time(self, value: float) -> None:
+        self._core.time = value
+        self._reset_at[:] = np.nan
+
+    @property
+    def times(self) -> Floats:
+        """Time of each world [s], shape (n,): that of a `Sim` which was reset when the world was.
+
+        It differs from `time` where `reset` was called with `worlds`; `restore` sets both alike.
+        """
+        dt = self.settings.dt
+        own = self._reset_to + np.rint((self.time - self._reset_at) / dt) * dt
+        return np.where(np.isnan(own), self.time, own)
+
+    @property
     def failures(self) -> dict[int, SimulationError]:
         """Errors of the worlds that failed under on_failure="go on", by index of the world."""
         known = self._failures
@@ -195,6 +218,7 @@ class Batch(Stepped):
 
     def _restart(self, time: float) -> None:
         self._core.restart(time)
+        self._reset_at[:] = np.nan
 
     def reset(
         self,
@@ -207,9 +231,9 @@ class Batch(Stepped):
         """Resets all worlds, or some of them; see `Sim.reset`.
 
         worlds: which are reset, as a mask of shape (n,) or as indices; None for all. Reset worlds
-            go on with the bits of a new `Sim`, the others with theirs. Time is that of all worlds,
-            so it goes on unless all are reset by None. Worlds that failed and are not reset try
-            again from where they stand.
+            go on with the bits of a new `Sim`, the others with theirs. `time` is that of all
+            worlds and goes on unless all are reset by None; `times` has each world's own. Worlds
+            that failed and are not reset try again from where they stand.
         qpos, qvel: what the reset worlds have instead of the initial or the keyframe's, shape (nq,)
             or (k, nq) and (nv,) or (k, nv) for k worlds.
 
@@ -223,7 +247,7 @@ class Batch(Stepped):
         >>> batch.qvel[:, 0].round(3).tolist()
         [-0.007, 2.0, -0.007]
         """
-        chosen = self._chosen(worlds)
+        chosen = np.arange(len(self)) if worlds is None else indices_of(worlds, len(self))
         values, time = self._initial(key)
         for name, given in (("qpos", qpos), ("qvel", qvel)):
             if given is not None:
@@ -232,6 +256,7 @@ class Batch(Stepped):
             self._restart(time)
         else:
             self._core.forget(chosen.tolist())
+            self._reset_at[chosen], self._reset_to[chosen] = self.time, time
         own = {name: values.pop(name) for name in ("qpos", "qvel") if np.ndim(values[name]) > 1}
         self._write(values, chosen)
         if key is None:
@@ -243,20 +268,6 @@ class Batch(Stepped):
         """What parameters change of the initial arrays of chosen worlds."""
         for worlds, values in self._param.initial():
             self._write(values, np.intersect1d(worlds, chosen))
-
-    def _chosen(self, worlds: ArrayLike | None) -> NDArray[np.intp]:
-        """The indices of worlds."""
-        n = len(self)
-        if worlds is None:
-            return np.arange(n)
-        given = np.asarray(worlds)
-        if given.dtype == bool and given.shape == (n,):
-            return np.flatnonzero(given)
-        whole = given.ndim == 1 and (given.dtype.kind in "iu" or not given.size)
-        if whole and np.all((given >= 0) & (given < n)) and len(set(given.tolist())) == len(given):
-            return given.astype(np.intp)
-        limit = f"a mask of shape ({n},), or different indices from 0 to {n - 1}"
-        raise ValueError(f"worlds = {checks.shown(worlds)}: must be {limit}")
 
     def _rows(self, name: str, given: ArrayLike, k: int) -> Floats:
         """One row for each of k worlds, finite and of the array's width."""
@@ -282,6 +293,7 @@ class Batch(Stepped):
         except TypeError:
             worlds = [state]  # type: ignore[list-item]
         self._core.restore([snapshot(state, world) for world in worlds])
+        self._reset_at[:] = np.nan
 
     # The present states.
 
@@ -336,7 +348,8 @@ class Batch(Stepped):
 
     def __reduce__(self) -> tuple[Any, ...]:
         how = (self._threads, self._lanes, self._on_failure)
-        return _restored, (self._model, len(self), *how, self._param.columns(), self.state())
+        own = (self._param.columns(), self.state(), self._reset_at, self._reset_to)
+        return _restored, (self._model, len(self), *how, *own)
 
     def __repr__(self) -> str:
         scene = self._model.scene.name
@@ -365,9 +378,12 @@ def _restored(
     on_failure: str,
     param: dict[str, Floats],
     state: tuple[bytes, ...],
+    reset_at: Floats,
+    reset_to: Floats,
 ) -> Batch:
     batch = Batch(model, n, threads, lanes=lanes, on_failure=on_failure)
     if param:
         batch.param.update(param)
     batch.restore(state)
+    batch._reset_at[:], batch._reset_to[:] = reset_at, reset_to
     return batch

@@ -34,6 +34,10 @@ class Positions(Probe):
         self.xquat.append(sim.xquat[self.bodies.moving])
 
     def end(self, sim: Sim, path: Path) -> None:
+        self.place(path)
+
+    def place(self, path: Path) -> None:
+        """Writes what was recorded."""
         path.quat, path.gyration = np.array(self.xquat), self.bodies.gyration
         with np.errstate(over="ignore", invalid="ignore"):
             path.com = self.bodies.centres(np.array(self.xpos), path.quat)

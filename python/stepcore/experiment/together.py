@@ -136,7 +136,7 @@ class _BatchRun:
         if world in self.ended:
             path.failure = self.ended[world]
             return path
-        self.looks[world].end(self.batch, path)
+        self.looks[world].place(path)
         if not np.all(np.isfinite(path.com)):
             path.failure = "positions overflow"
         return path

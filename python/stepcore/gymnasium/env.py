@@ -14,6 +14,7 @@ from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.arrays import Floats
 from stepcore.engine.sim import Sim
+from stepcore.gymnasium.camera import MODES, Picture, camera_for, metadata_of
 from stepcore.gymnasium.drive import Drive
 from stepcore.gymnasium.moment import owned
 from stepcore.gymnasium.spaces import Spaces
@@ -37,6 +38,8 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         ranges, in float32, and any numbers in float64. Actions beyond the space are not clipped:
         the actuators clamp their controls.
     settings: a `Settings`, or a dict of some of its fields, instead of the model's own.
+    render_mode: "rgb_array" to let `render` draw the world; needs what `stepcore.picture` needs.
+    width, height: of what is drawn, in points.
 
     The same functions make a `VectorEnv`, if they are written so that the worlds may come first:
     ``now.qpos[..., 0]``, not ``now.qpos[0]``.
@@ -57,7 +60,7 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
     ((2,), (0,))
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": MODES}  # type: ignore[misc]
 
     def __init__(
         self,
@@ -72,9 +75,12 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         action_space: Box | None = None,
         observation_space: Box | None = None,
         settings: Settings | Mapping[str, Any] | None = None,
-        render_mode: None = None,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 480,
     ) -> None:
-        no_rendering(render_mode)
+        self._camera = camera_for("Env", render_mode, width, height)
+        self.render_mode = render_mode
         self._task = task_of(
             model,
             frame_skip,
@@ -91,6 +97,7 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         self.action_space = spaces.action
         self.observation_space = spaces.observation  # type: ignore[assignment]
         self._begun = False
+        self.metadata = metadata_of(self.dt)  # type: ignore[misc]
 
     @property
     def sim(self) -> Sim:
@@ -133,6 +140,15 @@ class Env(gymnasium.Env[Floats, NDArray[Any]]):
         self._drive.keep(now)
         return observation, float(reward), bool(terminated), False, info
 
+    def render(self) -> Picture | None:
+        """Draws the world, shape (height, width, 3); None without a `render_mode`."""
+        return None if self._camera is None else self._camera.draw(self.sim)
+
+    def close(self) -> None:
+        """Frees what draws."""
+        if self._camera is not None:
+            self._camera.close()
+
 
 def checked(action: Any, shape: tuple[int, ...] | None) -> NDArray[Any]:
     """The action as an array of its space's shape."""
@@ -140,14 +156,6 @@ def checked(action: Any, shape: tuple[int, ...] | None) -> NDArray[Any]:
     if array.shape != shape:
         raise ValueError(f"action has shape {array.shape}: must be {shape}")
     return array
-
-
-def no_rendering(render_mode: Any) -> None:
-    """Refuses any mode of rendering."""
-    if render_mode is not None:
-        raise ValueError(
-            f"render_mode = {checks.shown(render_mode)}: must be None, nothing is drawn"
-        )
 
 
 def no_options(options: dict[str, Any] | None) -> None:

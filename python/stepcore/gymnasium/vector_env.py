@@ -17,8 +17,9 @@ from stepcore import checks
 from stepcore._core import Settings
 from stepcore.engine.arrays import Floats
 from stepcore.engine.batch import Batch
+from stepcore.gymnasium.camera import MODES, Picture, camera_for, metadata_of
 from stepcore.gymnasium.drive import Drive
-from stepcore.gymnasium.env import checked, no_options, no_rendering
+from stepcore.gymnasium.env import checked, no_options
 from stepcore.gymnasium.infos import failures, final_infos, masked
 from stepcore.gymnasium.moment import owned
 from stepcore.gymnasium.spaces import Spaces
@@ -40,13 +41,14 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         it is reset at once, and ``infos["final_obs"]`` and ``infos["final_info"]`` tell how it
         ended. "Disabled": `reset` with ``options={"reset_mask": …}`` is to be called for it.
     threads, lanes: as for a `Batch`.
+    render_mode, width, height: as for `Env`; `render` draws every world.
 
     A world is, bit for bit, an `Env` that was seeded alike; `reset(seed=s)` seeds world i with
     s + i. A world whose motion is not finite ends its own episode and no other: see `Env`;
     ``infos["failure"]`` has its post-mortem.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": MODES}  # type: ignore[misc]
 
     def __init__(
         self,
@@ -66,9 +68,12 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
         lanes: bool | Literal["auto"] = "auto",
-        render_mode: None = None,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 480,
     ) -> None:
-        no_rendering(render_mode)
+        self._camera = camera_for("VectorEnv", render_mode, width, height)
+        self.render_mode = render_mode
         self.num_envs = checks.count("num_envs", num_envs)
         if max_episode_steps is not None:
             checks.count("max_episode_steps", max_episode_steps)
@@ -91,7 +96,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
         self.action_space = batch_space(spaces.action, self.num_envs)
         self.observation_space = batch_space(spaces.observation, self.num_envs)
         self.autoreset_mode = _mode(autoreset_mode)
-        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
+        told = {**metadata_of(self.dt), "autoreset_mode": self.autoreset_mode}
+        self.metadata = told  # type: ignore[misc]
         self._rngs: list[np.random.Generator] = []
         self._seeds: list[int] = []
         self._observations = np.zeros((0, 0))
@@ -227,6 +233,17 @@ class VectorEnv(gymnasium.vector.VectorEnv[Floats, NDArray[Any], NDArray[Any]]):
             self._over = terminated | truncated
         self._observations = observations
         return observations.copy(), rewards, terminated, truncated, infos
+
+    def render(self) -> tuple[Picture, ...] | None:
+        """Draws every world, (height, width, 3) each; None without a `render_mode`."""
+        if self._camera is None:
+            return None
+        return tuple(self._camera.draw(self.batch, world) for world in range(self.num_envs))
+
+    def close_extras(self, **options: Any) -> None:
+        """Frees what draws."""
+        if self._camera is not None:
+            self._camera.close()
 
 
 def _mode(mode: AutoresetMode | str) -> AutoresetMode:

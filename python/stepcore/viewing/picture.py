@@ -58,7 +58,7 @@ def picture(
     own.restore(sim.state())
     instant, drawing = instant_of(own), drawing_of(own.model, own)
     camera = camera_of(drawing, instant, np.deg2rad(turn), np.deg2rad(lift), far)
-    made = _renderer(drawing, width, height, renderer)
+    made = renderer_of(drawing, width, height, renderer)
     try:
         newtons = drawing.weight or float(np.abs(instant.forces).max(initial=0.0))
         drawn: NDArray[np.uint8] = made.draw(
@@ -84,7 +84,7 @@ def save_video(
     checks.real(above=0)("save_video", "speed", speed)
     ffmpeg = need("imageio_ffmpeg", "a video", "video")
     drawing, time = run.drawing, run.time
-    made = _renderer(drawing, *size, renderer)
+    made = renderer_of(drawing, *size, renderer)
     first = camera_of(drawing, run.instants[0], -0.9, 0.35, 1.7)
     newtons = drawing.weight or run.strongest
     moving = drawing.moving if drawing.moving.any() else np.ones(len(drawing.bodies), bool)
@@ -105,7 +105,7 @@ def save_video(
         made.close()
 
 
-def _renderer(drawing: Drawing, width: int, height: int, name: str | None) -> Any:
+def renderer_of(drawing: Drawing, width: int, height: int, name: str | None = None) -> Any:
     """The renderer of this name, or the first that works."""
     for field, value in (("width", width), ("height", height)):
         checks.whole(2, LARGEST)("picture", field, value)

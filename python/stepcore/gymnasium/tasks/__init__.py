@@ -40,19 +40,33 @@ def named(name: str, **options: Any) -> Task:
     return task
 
 
-def make(task: str, settings: Any = None, render_mode: None = None, **options: Any) -> Env:
+def make(
+    task: str,
+    settings: Any = None,
+    render_mode: str | None = None,
+    width: int = 480,
+    height: int = 480,
+    **options: Any,
+) -> Env:
     """One world of a task; what `gymnasium.make` calls.
 
-    settings, render_mode: as for `Env`. options: those of the task.
+    settings, render_mode, width, height: as for `Env`. options: those of the task.
     """
-    return Env(named(task, **options), settings=settings, render_mode=render_mode)
+    picture = {"render_mode": render_mode, "width": width, "height": height}
+    return Env(named(task, **options), settings=settings, **picture)  # type: ignore[arg-type]
+
+
+# Here gymnasium looks for the modes, to which it adds lists of pictures.
+make.metadata = Env.metadata  # type: ignore[attr-defined]
 
 
 def make_vec(
     task: str,
     num_envs: int,
     settings: Any = None,
-    render_mode: None = None,
+    render_mode: str | None = None,
+    width: int = 480,
+    height: int = 480,
     max_episode_steps: int | None = None,
     autoreset_mode: Any = "NextStep",
     threads: int | None = None,
@@ -68,6 +82,8 @@ def make_vec(
         num_envs,
         settings=settings,
         render_mode=render_mode,
+        width=width,
+        height=height,
         max_episode_steps=max_episode_steps,
         autoreset_mode=autoreset_mode,
         threads=threads,

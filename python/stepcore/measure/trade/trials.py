@@ -89,13 +89,12 @@ class Trials:
     def _screened(self, jobs: Sequence[Screened], label: str) -> list[Ran]:
         """The runs of jobs; of fewer jobs than threads the starts run at the same time."""
         if self.workers.executor is not None or len(jobs) >= self.workers.threads:
-            made = self.workers.each(
-                partial(several, self.runner, self.workers.inside), jobs, label
-            )
-            for (paths, _), parts in made:
+            several_starts = partial(several, self.runner, self.workers.inside)
+            made = self.workers.each(several_starts, jobs, label)
+            for (paths, _), took in made:
                 self.runs += len(paths)
-                if parts:
-                    self.workers.saving.compare(parts[0], parts[1:])
+                if took:
+                    self.workers.saving.compare(took[0], took[1:])
             return [ran for ran, _ in made]
         job = partial(screen_starts, self.runner)
         ran = []

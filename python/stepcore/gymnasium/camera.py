@@ -1,0 +1,75 @@
+"""What an environment shows of itself: pictures of a world by `stepcore.viewing`, for `render`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stepcore import checks
+from stepcore.engine.sim import Sim
+
+# What `render_mode` may be, besides None.
+MODES = ["rgb_array"]
+Picture = NDArray[np.uint8]
+
+
+class WorldCamera:
+    """Draws worlds of a model, with a camera that goes along with what moves.
+
+    width, height: of a picture, in points.
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        self.width, self.height = width, height
+        self._sim: Sim | None = None
+        self._renderer: Any = None
+        self._drawing: Any = None
+        self._first: Any = None
+
+    def draw(self, world: Any, index: int | None = None) -> Picture:
+        """A picture of a Sim, or of a world of a Batch; shape (height, width, 3)."""
+        # Drawing takes as long to import as to draw, and few environments are drawn.
+        from stepcore.viewing.camera import Camera, camera_of
+        from stepcore.viewing.drawing import drawing_of
+        from stepcore.viewing.frames import instant_of
+        from stepcore.viewing.picture import renderer_of
+
+        if self._sim is None:
+            self._sim = Sim(world.model)
+            self._drawing = drawing_of(world.model, self._sim)
+            self._renderer = renderer_of(self._drawing, self.width, self.height)
+        for name in self._sim._arrays:
+            values = world._arrays[name]
+            self._sim._arrays[name][...] = values if index is None else values[index]
+        instant = instant_of(self._sim)
+        moving = self._drawing.moving
+        where = instant.xpos[moving if moving.any() else ~moving].mean(axis=0)
+        if self._first is None:
+            self._first = camera_of(self._drawing, instant, -0.9, 0.35, 1.7), where
+        first, begun = self._first
+        camera = Camera(first.target + where - begun, first.turn, first.lift, first.far)
+        picture: Picture = self._renderer.draw(instant, camera, [])
+        return picture
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self._renderer = self._sim = None
+
+
+def camera_for(owner: str, render_mode: Any, width: int, height: int) -> WorldCamera | None:
+    """The camera that a mode needs; ValueError for an unknown mode and sizes that cannot be."""
+    if render_mode is None:
+        return None
+    checks.one_of(*MODES)(owner, "render_mode", render_mode)
+    for name, size in (("width", width), ("height", height)):
+        checks.whole(2, 8192)(owner, name, size)
+    return WorldCamera(width, height)
+
+
+def metadata_of(dt: float) -> dict[str, Any]:
+    """What gymnasium is told: the modes, and how many actions a second of the world has."""
+    return {"render_modes": MODES, "render_fps": max(1, round(1 / dt))}
