@@ -361,6 +361,9 @@ class Batch(_World):
     @property
     def in_lanes(self) -> bool:
         """Whether worlds are stepped in vector lanes now."""
+    @property
+    def nbytes(self) -> int:
+        """Memory of all worlds, their arrays and working space [bytes]."""
     def rollout(self, ctrl: _Floats) -> list[_Floats]: ...
     def failures(self, known: list[int]) -> tuple[list[int], list[SimulationError]]:
         """The worlds that failed while the others went on; errors of those that are not known."""

@@ -1,4 +1,4 @@
-"""Time of each world of a batch."""
+"""Time of each world of a batch, and the memory of all."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
-from small import pendulum
+from small import ball, pendulum
 
 import stepcore as sc
 
@@ -44,3 +44,28 @@ def test_times_follow_what_all_worlds_are_set_to():
     batch.reset("later", worlds=[1])
     batch.reset()
     assert batch.times.tolist() == [0.0] * 3
+
+
+def test_memory_is_told():
+    few, many = (sc.Batch(ball(), n, 1, lanes=True).nbytes for n in (1024, 4096))
+    assert few > 1024 * 8 * 20
+    # What threads need is the same; worlds take the same each.
+    assert 3.5 < many / few <= 4.0
+    alone = sc.Batch(ball(), 4096, 1, lanes=False).nbytes
+    assert alone > many
+
+
+def test_so_many_worlds_that_a_sample_is_tried_have_the_bits_of_few():
+    """Above 65,536 worlds "auto" tries the other way aside."""
+    many = sc.Batch("gymnasium:inverted_pendulum", (1 << 16) + 8, 1)
+    few = sc.Batch("gymnasium:inverted_pendulum", 16, 1, lanes=False)
+    angles = np.linspace(-0.2, 0.2, 16)
+    many.qpos[:, 1] = np.resize(angles, len(many))
+    few.qpos[:, 1] = angles
+    before = many.nbytes
+    for steps in (1, 1, 1, 1, 8):
+        many.step(steps)
+        few.step(steps)
+    assert np.array_equal(many.qpos[:16], few.qpos)
+    assert np.array_equal(many.qpos[-8:], few.qpos[8:] if len(many) % 16 == 0 else few.qpos[:8])
+    assert many.nbytes < 2 * before

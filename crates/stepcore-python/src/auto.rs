@@ -22,15 +22,20 @@ const LEAST: u64 = 8;
 const MOST: u64 = 512;
 /// The last trials decide by their median: a single one may have been disturbed.
 const VOTES: usize = 3;
-/// Up to so many worlds both ways are kept.
+/// Up to so many worlds both ways are kept. Of more both would be too much memory: so many of them,
+/// evenly spread, are tried both ways instead.
 const KEPT: usize = 1 << 16;
+const SAMPLE: usize = 1 << 11;
+
+/// Worlds in lanes or one by one: all of them, or some.
+type Make = dyn Fn(bool, Option<&[usize]>) -> Result<Box<dyn Worlds>> + Send + Sync;
 
 pub struct Auto {
     worlds: usize,
     now: Box<dyn Worlds>,
     /// The other way, once it was tried.
     other: Option<Box<dyn Worlds>>,
-    make: Box<dyn Fn(bool) -> Result<Box<dyn Worlds>> + Send + Sync>,
+    make: Box<Make>,
     in_lanes: bool,
     /// What the last portion of steps took a step.
     cost: Duration,
@@ -46,14 +51,14 @@ pub struct Auto {
 }
 
 impl Auto {
-    /// `make(lanes)`: the same worlds in lanes or one by one.
+    /// `make(lanes, some)`: the same worlds, or some of them, in lanes or one by one.
     pub fn new(
         worlds: usize,
-        make: impl Fn(bool) -> Result<Box<dyn Worlds>> + Send + Sync + 'static,
+        make: impl Fn(bool, Option<&[usize]>) -> Result<Box<dyn Worlds>> + Send + Sync + 'static,
     ) -> Result<Self> {
         Ok(Self {
             worlds,
-            now: make(true)?,
+            now: make(true, None)?,
             other: None,
             make: Box::new(make),
             in_lanes: true,
@@ -75,7 +80,11 @@ impl Auto {
     ) -> Result<()> {
         let mut left = n;
         while left > 0 {
-            let trial = self.steps >= self.next && self.may_change();
+            let due = self.steps >= self.next && self.may_change();
+            let trial = due && self.worlds <= KEPT;
+            if due && !trial {
+                self.try_sample()?;
+            }
             if trial || std::mem::take(&mut self.change) && self.may_change() {
                 self.turn()?;
             }
@@ -97,16 +106,45 @@ impl Auto {
             }
             (self.steps, left) = (self.steps + portion, left - portion);
             if trial {
-                (self.next, self.gap) = (self.steps + self.gap, (2 * self.gap).min(MOST));
-                self.change = self.lanes_win(took, before) != self.in_lanes;
+                self.tried();
+                let (lanes, alone) = if self.in_lanes { (took, before) } else { (before, took) };
+                self.change = self.lanes_win(lanes, alone) != self.in_lanes;
             }
         }
         Ok(())
     }
 
-    /// Whether lanes take less time, after a trial that took so long, and the step before it.
-    fn lanes_win(&mut self, took: Duration, before: Duration) -> bool {
-        let (lanes, alone) = if self.in_lanes { (took, before) } else { (before, took) };
+    /// When the next trial is.
+    fn tried(&mut self) {
+        (self.next, self.gap) = (self.steps + self.gap, (2 * self.gap).min(MOST));
+    }
+
+    /// Steps some of the worlds both ways, aside; they all change if that is quicker.
+    fn try_sample(&mut self) -> Result<()> {
+        self.tried();
+        let some: Vec<usize> = (0..SAMPLE).map(|k| k * self.worlds / SAMPLE).collect();
+        let memos: Vec<Memo> = some.iter().map(|world| self.now.memo(*world)).collect();
+        let mut times = [Duration::ZERO; 2];
+        for (lanes, time) in [true, false].into_iter().zip(&mut times) {
+            let mut made = (self.make)(lanes, Some(&some))?;
+            made.set_memos(&memos);
+            for (place, world) in some.iter().enumerate() {
+                let lists = self.now.lists(*world);
+                made.put(place, &Given::new(|array| &lists[array as usize]));
+            }
+            // The first step makes room.
+            let started = if made.step(1).is_ok() { Instant::now() } else { return Ok(()) };
+            if made.step(1).is_err() {
+                return Ok(());
+            }
+            *time = started.elapsed();
+        }
+        self.change = self.lanes_win(times[0], times[1]) != self.in_lanes;
+        Ok(())
+    }
+
+    /// Whether lanes take less time than worlds alone, which took so long in a trial.
+    fn lanes_win(&mut self, lanes: Duration, alone: Duration) -> bool {
         self.ratios.push(lanes.as_secs_f64() / alone.as_secs_f64().max(1e-9));
         if self.ratios.len() > VOTES {
             self.ratios.remove(0);
@@ -125,7 +163,7 @@ impl Auto {
     fn turn(&mut self) -> Result<()> {
         let mut other = match self.other.take() {
             Some(other) => other,
-            None => (self.make)(!self.in_lanes)?,
+            None => (self.make)(!self.in_lanes, None)?,
         };
         other.set_memos(&self.now.memos());
         for world in 0..self.worlds {
@@ -188,8 +226,8 @@ impl Worlds for Auto {
     fn before(&self, world: usize, into: &mut dyn World) -> Result<()> {
         self.now.before(world, into)
     }
-    fn memos(&self) -> Vec<Memo> {
-        self.now.memos()
+    fn memo(&self, world: usize) -> Memo {
+        self.now.memo(world)
     }
     fn set_memos(&mut self, memos: &[Memo]) {
         self.anew();
@@ -207,6 +245,9 @@ impl Worlds for Auto {
     }
     fn in_lanes(&self) -> bool {
         self.in_lanes
+    }
+    fn bytes(&self) -> usize {
+        self.now.bytes() + self.other.as_ref().map_or(0, |other| other.bytes())
     }
     fn model(&self, world: usize) -> &Arc<Model> {
         self.now.model(world)

@@ -39,6 +39,11 @@ impl Arrays {
         Ok(arrays)
     }
 
+    /// Memory [bytes].
+    pub fn bytes(&self) -> usize {
+        size_of::<f64>() * self.worlds * self.lengths.iter().sum::<usize>()
+    }
+
     /// All worlds' part of one array.
     fn range(&self, array: Array) -> Range<usize> {
         let array = array as usize;

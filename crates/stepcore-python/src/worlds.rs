@@ -32,7 +32,10 @@ pub trait Worlds: Send + Sync {
     fn again(&self, world: usize, into: &mut dyn World) -> Result<()>;
     /// Puts `into` where a world's last solve began, for what `into` reads by solving there.
     fn before(&self, world: usize, into: &mut dyn World) -> Result<()>;
-    fn memos(&self) -> Vec<Memo>;
+    fn memo(&self, world: usize) -> Memo;
+    fn memos(&self) -> Vec<Memo> {
+        (0..self.by_model().len()).map(|world| self.memo(world)).collect()
+    }
     fn set_memos(&mut self, memos: &[Memo]);
     /// Time and steps of all worlds; impulses forgotten.
     fn restart(&mut self, start: f64);
@@ -42,6 +45,8 @@ pub trait Worlds: Send + Sync {
     fn forget(&mut self, worlds: &[usize]);
     /// In lanes now.
     fn in_lanes(&self) -> bool;
+    /// Memory [bytes]; models are not in it.
+    fn bytes(&self) -> usize;
     fn model(&self, world: usize) -> &Arc<Model>;
     /// All worlds, those of one model beside each other.
     fn by_model(&self) -> &[usize];
@@ -73,7 +78,13 @@ impl How {
             return self.made(can && !alone && self.lanes != Some(false), models, model_of);
         }
         let (how, own) = (self.clone(), model_of.to_vec());
-        let make = move |lanes| how.made(lanes, models.clone(), &own);
+        let make = move |lanes, some: Option<&[usize]>| match some {
+            None => how.made(lanes, models.clone(), &own),
+            Some(some) => {
+                let own: Vec<usize> = some.iter().map(|world| own[*world]).collect();
+                how.made(lanes, models.clone(), &own)
+            }
+        };
         Ok(Box::new(Auto::new(model_of.len(), make)?))
     }
 
@@ -175,19 +186,14 @@ impl<R: Real> Worlds for Batch<R> {
         Ok(())
     }
 
-    fn memos(&self) -> Vec<Memo> {
-        let memo = |world| {
-            let (state, lane) = self.state(world);
-            Memo::of(state, lane)
-        };
-        let mut memos: Vec<Memo> = (0..self.worlds).map(memo).collect();
-        for (world, memo) in memos.iter_mut().enumerate() {
-            // A failed world's lane holds another's impulses.
-            if Batch::failed(self, world).is_some() {
-                memo.forget();
-            }
+    fn memo(&self, world: usize) -> Memo {
+        let (state, lane) = self.state(world);
+        let mut memo = Memo::of(state, lane);
+        // A failed world's lane holds another's impulses.
+        if Batch::failed(self, world).is_some() {
+            memo.forget();
         }
-        memos
+        memo
     }
 
     fn set_memos(&mut self, memos: &[Memo]) {
@@ -224,6 +230,9 @@ impl<R: Real> Worlds for Batch<R> {
     }
     fn in_lanes(&self) -> bool {
         R::LANES > 1
+    }
+    fn bytes(&self) -> usize {
+        Batch::bytes(self)
     }
     fn model(&self, world: usize) -> &Arc<Model> {
         Batch::model(self, world)

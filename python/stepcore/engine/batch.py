@@ -206,6 +206,15 @@ class Batch(Stepped):
         return np.where(np.isnan(own), self.time, own)
 
     @property
+    def nbytes(self) -> int:
+        """Memory of all worlds, their arrays and the threads' working space [bytes].
+
+        The model, which they share, is not in it.
+        """
+        size: int = self._core.nbytes
+        return size
+
+    @property
     def failures(self) -> dict[int, SimulationError]:
         """Errors of the worlds that failed under on_failure="go on", by index of the world."""
         known = self._failures

@@ -132,6 +132,12 @@ impl Batch {
         Ok((failed, errors))
     }
 
+    /// Memory of all worlds here, with the arrays that are the user's.
+    #[getter]
+    fn nbytes(&self) -> PyResult<usize> {
+        Ok(self.lock()?.bytes() + self.arrays.bytes())
+    }
+
     #[getter]
     fn time(&self) -> PyResult<f64> {
         Ok(self.lock()?.time())

@@ -48,6 +48,15 @@ impl<R: Real> Crew<R> {
         Ok(Self { pool: Pool::new(threads)?, threads, spaces, cost: AtomicU64::new(u64::MAX) })
     }
 
+    /// Memory of the working spaces [bytes].
+    pub fn bytes(&self) -> usize {
+        let spaces = self.spaces.iter().flat_map(|own| {
+            let own = lock(own);
+            own.iter().map(Watched::bytes).collect::<Vec<_>>()
+        });
+        spaces.sum()
+    }
+
     /// Does the work on every group, in the space of its model; `steps` says how much it is.
     /// What a group computes depends on nothing else, so it shows in no bit who does it.
     pub fn share(

@@ -4,6 +4,7 @@ use super::failed::Standing;
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::real::Real;
+use crate::room::room;
 use crate::state::{Inputs, State};
 use crate::watch::{Care, Ledger, Watched};
 
@@ -36,6 +37,8 @@ pub(super) struct Group<R: Real> {
     pub ended: Vec<bool>,
     pub ledger: Option<Box<Ledger<R>>>,
 }
+
+room!(Group<R>: qacc, last, ended; state, inputs, start, before, ledger);
 
 impl<R: Real> Group<R> {
     /// A lane's next step starts without impulses, and nothing is known of its last solve; a world

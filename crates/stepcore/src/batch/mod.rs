@@ -27,6 +27,7 @@ use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::pool::{check_threads, lock};
 use crate::real::Real;
+use crate::room::Room;
 use crate::settings::{Settings, Solver};
 use crate::solve::rows::any_heap;
 use crate::state::{Inputs, State};
@@ -113,6 +114,11 @@ impl<R: Real> Batch<R> {
             models,
             seats,
         })
+    }
+
+    /// Memory of all worlds and of the threads' working spaces [bytes]; models are not in it.
+    pub fn bytes(&self) -> usize {
+        size_of::<Self>() + self.seats.bytes() + self.groups.room() + self.crew.bytes()
     }
 
     pub fn time(&self) -> f64 {

@@ -1,5 +1,7 @@
 //! Which world sits in which lane of which group.
 
+use crate::room::listed;
+
 /// Worlds of one model sit beside each other, in their own order; the last group of a model may
 /// have lanes to spare.
 pub(super) struct Seats {
@@ -28,6 +30,11 @@ impl Seats {
             }
         }
         Self { lanes, seat, worlds, groups }
+    }
+
+    /// Memory [bytes].
+    pub fn bytes(&self) -> usize {
+        listed(&self.seat) + listed(&self.worlds) + listed(&self.groups)
     }
 
     /// The group and the lane of a world.
