@@ -212,3 +212,8 @@ def test_a_control_of_the_wrong_length_is_named(capsys, carts, tmp_path):
     file.write_text("def short(time, sim):\n    return [time]\n")
     assert main(["run", carts, "--control", f"{file}:short"]) == 2
     assert "must return 2 finite numbers" in capsys.readouterr().err
+
+
+def test_actuators_without_names_are_given_as_numbers(capsys):
+    assert main(["run", "gymnasium:hopper", "--ctrl", "thigh=1"]) == 2
+    assert "the 3 actuators of this model have no names: give 3 numbers" in capsys.readouterr().err

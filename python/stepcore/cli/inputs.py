@@ -142,6 +142,9 @@ def _values(text: str, model: Model) -> dict[int, float]:
         name, equals, value = (word.strip() for word in part.partition("="))
         if not equals:
             raise Usage(f"--ctrl {text}: '{part}' must be NAME=VALUE, as the others are")
+        if not any(model.actuator_names):
+            many = f"{model.nu} actuators of this model have no names"
+            raise Usage(f"--ctrl {text}: the {many}: give {model.nu} numbers")
         if not name or name not in model.actuator_names:
             near = nearest(name, model.actuator_names)
             raise Usage(f"--ctrl {text}: no actuator is named '{name}'{near}")

@@ -96,8 +96,8 @@ def smooth(
 def undriven(model: Model, held: np.ndarray) -> list[str]:
     """Actuators that `smooth` holds still: nothing says how far they may go."""
     return [
-        name or f"actuator {k}"
-        for k, name in enumerate(model.actuator_names)
+        name
+        for k, name in enumerate(model.called("actuator"))
         if not _clamped(model, k) and held[k] == 0
     ]
 

@@ -34,7 +34,7 @@
   const lit = data.runs[0].drawing;
   // Without lights of the file, a sky, and a sun behind the camera, which becomes its headlight.
   const own = lit.lights.length === 0;
-  scene.add(new THREE.HemisphereLight(0xffffff, 0x8d8d99, own ? 0.75 : 0.45));
+  scene.add(new THREE.HemisphereLight(0xffffff, 0x8d8d99, own ? 0.75 : 0.5));
   const sun = new THREE.DirectionalLight(0xffffff, own ? 0.55 : 1);
   if (!own) sun.color.setRGB(...lit.headlight.diffuse);
   scene.add(sun, sun.target);

@@ -110,7 +110,7 @@ function shapeMakers(renderer, extent, bytes) {
   function lamp({ pos, dir, diffuse, directional, cutoff }, lights) {
     const brightest = lights.reduce((sum, light) => sum + Math.max(...light.diffuse), 0);
     const Kind = directional ? THREE.DirectionalLight : THREE.SpotLight;
-    const light = new Kind(0xffffff, 0.7 / Math.max(0.7, brightest));
+    const light = new Kind(0xffffff, 0.55 / Math.max(0.7, brightest));
     light.color.setRGB(...diffuse);
     light.position.set(...pos);
     light.target.position.set(...dir).add(light.position);

@@ -98,7 +98,8 @@ class Panel(ABC):
             f'<tr><td>{name}</td><td style="text-align:right">{value}</td></tr>'
             for name, value in rows
         )
-        style = "width:100%;font-size:0.8em;font-variant-numeric:tabular-nums"
+        style = "width:calc(100% - 1.3em);margin:0 0.65em;font-size:0.8em;"
+        style += "font-variant-numeric:tabular-nums"
         self.figures.content = f'<table style="{style}">{lines}</table>'
 
     @abstractmethod
@@ -168,7 +169,7 @@ class SimPanel(Panel):
                 now = float(self.sim.ctrl[k])
                 low = low if np.isfinite(low) else min(-1.0, 2 * now)
                 high = high if np.isfinite(high) else max(1.0, 2 * now)
-                name = model.actuator_names[k] or f"#{k}"
+                name = model.called("actuator")[k].replace("`", "")
                 start = min(max(now, low), high)
                 slider = self.gui.add_slider(name, low, high, (high - low) / 1000, start)
                 slider.on_update(self._locked(self._set(k, slider)))
