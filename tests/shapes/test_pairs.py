@@ -7,8 +7,9 @@ answer proves itself; where they overlap the oracle looks for a shorter way out.
 import missed
 import numpy as np
 import pytest
+from oracle.convex import Convex
 from oracle.judge import judge, touched
-from oracle.poses import STYLES, trial
+from oracle.poses import STYLES, Trial, trial
 from shape_pairs import BUILT, FACES_FIRST
 
 TOLERANCE = 1e-9
@@ -43,6 +44,25 @@ def test_no_direction_of_mujoco_shows_a_shorter_way_out(pair):
     for style in STYLES:
         better, _ = missed.off(trial(rng, pair, style, 1000))
         assert better.max() < (missed.FAR if style == "far" else missed.PRECISE), style
+
+
+def test_meshes_of_many_faces_deep_in_each_other():
+    """A needle on the axis of a prism of 64 sides: hundreds of ways out are nearly as short, and
+    no direction of MuJoCo's shows a shorter one."""
+    angle = 2 * np.pi * np.arange(64) / 64
+    ring = 0.3 * np.column_stack([np.cos(angle), np.sin(angle)])
+    ends = [np.column_stack([ring, np.full(64, z)]) for z in (0.2, -0.2)]
+    needle = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * (0.001, 0.001, 1.0)
+    shapes = [
+        Convex("mesh", vertices=np.float64(np.float32(vertices)))
+        for vertices in (np.concatenate(ends), needle)
+    ]
+    poses = np.tile([0.0, 0, 0, 1, 0, 0, 0], (40, 2))
+    poses[1:20, 9] = np.linspace(-0.4, 0.4, 19)
+    turn = np.random.default_rng(43).normal(size=(20, 4))
+    poses[20:, 10:] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+    better, _ = missed.off(Trial("generic", tuple(shapes), poses))
+    assert better.max() < missed.PRECISE
 
 
 @pytest.mark.long

@@ -6,19 +6,17 @@
 
 use crate::spatial::V3;
 
-const POINTS: usize = 72;
-const FACES: usize = 2 * POINTS;
 /// No place in a list: lists hold fewer.
-const NONE: u8 = u8::MAX;
+const NONE: u16 = u16::MAX;
 /// Height above a face, over the size, that is only rounding.
 const FLAT: f64 = 1e-13;
 
 /// One triangle, counter-clockwise from outside.
 #[derive(Clone, Copy)]
 struct Face {
-    corners: [u8; 3],
+    corners: [u16; 3],
     /// Across the edge from corner k to the next.
-    across: [u8; 3],
+    across: [u16; 3],
     normal: V3<f64>,
     /// From the origin along the normal; infinite where the triangle has no area.
     height: f64,
@@ -27,8 +25,8 @@ struct Face {
     done: bool,
 }
 
-/// The polytope as grown so far.
-pub struct Polytope {
+/// The polytope as grown so far, with room for so many points, and twice as many faces.
+pub struct Polytope<const POINTS: usize, const FACES: usize> {
     points: [V3<f64>; POINTS],
     npoint: usize,
     faces: [Face; FACES],
@@ -36,6 +34,8 @@ pub struct Polytope {
     size: f64,
     /// The last push found nothing more, or no room for it.
     pub stuck: bool,
+    /// A push found no room.
+    pub full: bool,
     /// The direction of the shortest way out that was seen.
     pub best: V3<f64>,
     least: f64,
@@ -50,7 +50,7 @@ pub struct Way {
     pub reach: f64,
 }
 
-impl Polytope {
+impl<const POINTS: usize, const FACES: usize> Polytope<POINTS, FACES> {
     /// A tetrahedron of points of the set, or None where the set is flat.
     pub fn new(support: &impl Fn(&V3<f64>) -> V3<f64>, simplex: &[V3<f64>]) -> Option<Self> {
         let mut seeds = [V3::zeros(); 10];
@@ -84,6 +84,7 @@ impl Polytope {
             nface: 4,
             size: 0.0,
             stuck: false,
+            full: false,
             best: V3::x(),
             least: f64::INFINITY,
         };
@@ -104,13 +105,13 @@ impl Polytope {
                 let edge = (lists[i][(k + 1) % 3], lists[i][k]);
                 let other =
                     |j: &usize| (0..3).any(|m| (lists[*j][m], lists[*j][(m + 1) % 3]) == edge);
-                new.faces[i].across[k] = (0..4).find(other)? as u8;
+                new.faces[i].across[k] = (0..4).find(other)? as u16;
             }
         }
         Some(new)
     }
 
-    fn face(&self, corners: [u8; 3]) -> Face {
+    fn face(&self, corners: [u16; 3]) -> Face {
         let [a, b, c] = corners.map(|i| self.points[usize::from(i)]);
         let (ab, ac, bc) = (b - a, c - a, c - b);
         let cross = ab.cross(&ac);
@@ -162,12 +163,12 @@ impl Polytope {
     /// Takes away what the new point sees and joins the rim to it.
     fn grow(&mut self, seed: usize, w: V3<f64>) -> bool {
         let mut seen = [false; FACES];
-        let mut stack = [0_u8; FACES];
+        let mut stack = [0_u16; FACES];
         let mut waiting = 1;
-        stack[0] = seed as u8;
+        stack[0] = seed as u16;
         seen[seed] = true;
         // Edges of the rim: the face outside, and which of its edges.
-        let mut rim = [(0_u8, 0_u8); FACES];
+        let mut rim = [(0_u16, 0_u16); FACES];
         let mut edges = 0;
         while waiting > 0 {
             waiting -= 1;
@@ -196,19 +197,21 @@ impl Polytope {
                     return false;
                 };
                 if edges == FACES {
+                    self.full = true;
                     return false;
                 }
-                rim[edges] = (across[k], back as u8);
+                rim[edges] = (across[k], back as u16);
                 edges += 1;
             }
         }
         if !self.room(edges) {
+            self.full = true;
             return false;
         }
         // The rim must be one closed loop: each corner leaves once and arrives once.
         let rim = &rim[..edges];
         // Seen from inside the rim an edge runs the other way.
-        let ends = |faces: &[Face; FACES], (face, k): (u8, u8)| {
+        let ends = |faces: &[Face; FACES], (face, k): (u16, u16)| {
             let corners = &faces[usize::from(face)].corners;
             (corners[(usize::from(k) + 1) % 3], corners[usize::from(k)])
         };
@@ -218,7 +221,7 @@ impl Polytope {
             if next[from] != NONE {
                 return false;
             }
-            next[from] = i as u8;
+            next[from] = i as u16;
         }
         if rim.iter().any(|edge| next[usize::from(ends(&self.faces, *edge).1)] == NONE) {
             return false;
@@ -230,14 +233,14 @@ impl Polytope {
         let first = self.nface;
         for (i, edge) in rim.iter().enumerate() {
             let (from, to) = ends(&self.faces, *edge);
-            let mut face = self.face([from, to, point as u8]);
-            face.across = [edge.0, first as u8 + next[usize::from(to)], 0];
+            let mut face = self.face([from, to, point as u16]);
+            face.across = [edge.0, first as u16 + next[usize::from(to)], 0];
             self.faces[first + i] = face;
         }
         for (i, edge) in rim.iter().enumerate() {
-            self.faces[usize::from(edge.0)].across[usize::from(edge.1)] = (first + i) as u8;
+            self.faces[usize::from(edge.0)].across[usize::from(edge.1)] = (first + i) as u16;
             let after = self.faces[first + i].across[1];
-            self.faces[usize::from(after)].across[2] = (first + i) as u8;
+            self.faces[usize::from(after)].across[2] = (first + i) as u16;
         }
         self.nface += edges;
         for here in 0..first {
@@ -255,7 +258,7 @@ impl Polytope {
         let mut kept = 0;
         for from in 0..self.nface {
             if self.faces[from].alive {
-                to[from] = kept as u8;
+                to[from] = kept as u16;
                 self.faces[kept] = self.faces[from];
                 kept += 1;
             }

@@ -64,6 +64,8 @@ const ROUNDING: f64 = 1e-14;
 const SURE: f64 = 1e-6;
 /// Rounds of the search, and of Newton's method.
 const ROUNDS: usize = 90;
+/// The same of meshes of many faces.
+const MANY: usize = 2000;
 const STEPS: usize = 30;
 const AGAIN: usize = 4;
 /// Cosine of the angle to a cap up to which its rim gets a start of its own.
@@ -130,26 +132,49 @@ impl<'a> Pairing<'a> {
         Some(self.overlap(&[]))
     }
 
-    /// The shortest way out, from a simplex that may hold the origin.
+    /// The shortest way out, from a simplex that may hold the origin. Meshes of many faces that lie
+    /// deep in others may need more room than is enough for all else.
     fn overlap(&self, simplex: &[V3<f64>]) -> Separation {
+        let (found, proven) = self.expand::<72, 144>(simplex, ROUNDS);
+        if proven || self.smooth {
+            return found;
+        }
+        let (again, _) = self.expand::<600, 1200>(simplex, MANY);
+        if again.apart > found.apart {
+            again
+        } else {
+            found
+        }
+    }
+
+    /// The same with this much room; false: room or rounds ended before all others were ruled out.
+    #[inline(never)]
+    fn expand<const POINTS: usize, const FACES: usize>(
+        &self,
+        simplex: &[V3<f64>],
+        rounds: usize,
+    ) -> (Separation, bool) {
         let support = |way: &V3<f64>| self.furthest(way);
-        let Some(mut polytope) = Polytope::new(&support, simplex) else {
+        let Some(mut polytope) = Polytope::<POINTS, FACES>::new(&support, simplex) else {
             let length = self.between.dot(&self.between).sqrt();
             let n = if length > 0.0 { self.between * (1.0 / length) } else { V3::x() };
-            return self.refine(&n);
+            return (self.refine(&n), true);
         };
         let faceted = |solid: &Solid<f64>| matches!(solid.core, Core::Hull(_) | Core::Prism(_));
         // Within this cosine a refined direction is the best one: facets of a mesh may be as near to
         // one another as this.
         let own = if faceted(&self.one) || faceted(&self.two) { 1.0 - 1e-9 } else { 1.0 - 1e-3 };
-        let mut best: Option<Separation> = None;
-        for _ in 0..ROUNDS {
+        let (mut best, mut proven): (Option<Separation>, _) = (None, false);
+        for _ in 0..rounds {
             let skip = |normal: &V3<f64>, height: f64| {
                 best.is_some_and(|best: Separation| {
                     height >= -best.apart - 1e-12 * self.size || -normal.dot(&best.normal) > own
                 })
             };
-            let Some(face) = polytope.lowest(skip) else { break };
+            let Some(face) = polytope.lowest(skip) else {
+                proven = !polytope.full;
+                break;
+            };
             let way = polytope.push(face, &support);
             let gap = way.reach - way.height;
             // With a first answer the rest of the search only has to rule out better ones.
@@ -165,7 +190,8 @@ impl<'a> Pairing<'a> {
                 }
             }
         }
-        best.map_or_else(|| self.refine(&-polytope.best), |best| self.settled(best))
+        let found = best.map_or_else(|| self.refine(&-polytope.best), |best| self.settled(best));
+        (found, proven)
     }
 
     /// The largest separation near a rough direction. What meets there may be other corners than
