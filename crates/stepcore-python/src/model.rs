@@ -9,12 +9,15 @@ use pyo3::types::PyDict;
 use stepcore::arrays::Array;
 use stepcore::elements::{joint_forces, Kind};
 use stepcore::model::Model as Engine;
+use stepcore::program::Program;
 use stepcore::real::{Lanes, LanesF32};
 use stepcore::scene::{JointType, Scene, Target};
+use stepcore::settings::Precision;
 
 use crate::element::read;
 use crate::extract::{At, Read};
 use crate::nearest::cut;
+use crate::settings::Settings;
 
 /// An array of this shape that owns its numbers.
 pub fn shaped<'py>(
@@ -317,6 +320,15 @@ impl Model {
         self.0.heap.as_ref()?;
         let meet = self.0.tally().meet;
         Some(meet.into_iter().map(|((a, b), count)| (a.word(), b.word(), count)).collect())
+    }
+
+    /// What the steps of small models execute, one line an operation; None: they run the stages.
+    fn program(&self, settings: &Settings) -> Option<Vec<String>> {
+        match settings.0.precision {
+            Precision::F64 => Program::of::<f64>(&self.0, &settings.0),
+            Precision::F32 => Program::of::<f32>(&self.0, &settings.0),
+        }
+        .map(|program| program.lines())
     }
 
     /// What compiling decided: by pair, by tree, by body and by geom, in the model's order.

@@ -201,7 +201,9 @@ struct One<R: Real> {
 impl<R: Real> One<R> {
     fn new(model: Arc<Model>, settings: &Settings) -> Result<Self> {
         let last = LastSolve::new(&model);
-        Ok(Self { watched: Watched::new(model, settings.clone())?, reader: None, last })
+        let mut watched = Watched::new(model, settings.clone())?;
+        watched.sim.use_list();
+        Ok(Self { watched, reader: None, last })
     }
 
     fn sim(&self) -> &Sim<R> {

@@ -7,6 +7,7 @@ use stepcore::arrays::{lists, Array, Given};
 use stepcore::batch::{fills_lanes, gains_by_lanes, Batch, Last, Play};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
+use stepcore::program::Program;
 use stepcore::real::{Lanes, LanesF32, Real};
 use stepcore::settings::{Precision, Settings};
 use stepcore::sleep::Sleep;
@@ -73,7 +74,12 @@ impl How {
         let gains = models.iter().all(|model| gains_by_lanes(model, &self.settings));
         let can = gains && fills_lanes(model_of, width);
         // An account of energies stays with those who began it, and one world has no neighbours.
-        if self.lanes.is_some() || !can || self.settings.ledger || model_of.len() == 1 {
+        if self.lanes.is_some()
+            || !can
+            || self.settings.ledger
+            || model_of.len() == 1
+            || self.listed(&models)
+        {
             let alone = self.lanes.is_none() && model_of.len() == 1;
             return self.made(can && !alone && self.lanes != Some(false), models, model_of);
         }
@@ -86,6 +92,16 @@ impl How {
             }
         };
         Ok(Box::new(Auto::new(model_of.len(), make)?))
+    }
+
+    /// Steps are made by a list, which takes as long in each world whatever its neighbours meet.
+    fn listed(&self, models: &[Arc<Model>]) -> bool {
+        let [model] = models else { return false };
+        if self.single() {
+            Program::of::<f32>(model, &self.settings).is_some()
+        } else {
+            Program::of::<f64>(model, &self.settings).is_some()
+        }
     }
 
     fn single(&self) -> bool {

@@ -30,7 +30,8 @@
 //! Everything is generic over [`real::Real`]: `f64`, `f32`, or [`real::Lanes`], eight
 //! worlds side by side that equal, bit for bit, the same worlds stepped alone. Two more
 //! accompany a world: [`real::Dual`] carries derivatives through the step
-//! ([`watch::Linearizer`]), [`real::Counted`] counts its operations ([`watch::Counter`]).
+//! ([`watch::Linearizer`]), [`real::Counted`] counts its operations ([`watch::Counter`]); and
+//! `real::traced` writes them down: of a small model that is the list that its steps execute (`program/`).
 //!
 //! ```
 //! use std::sync::Arc;
@@ -60,6 +61,7 @@ pub mod observer;
 pub mod place;
 mod pool;
 pub mod post_mortem;
+pub mod program;
 pub mod real;
 mod room;
 pub mod scene;

@@ -13,12 +13,21 @@ pub trait Observer<R: Real> {
     /// what was solved for them for `share` of the step.
     fn solved(&mut self, _sim: &Sim<R>, _at: At, _share: f64) {}
 
+    /// It reads more than the states of steps: what stages write.
+    fn looks_inside(&self) -> bool {
+        true
+    }
+
     /// `sim.next` is finite and is about to become the state.
     fn committing(&mut self, _sim: &Sim<R>) {}
 }
 
 /// Nobody watches.
-impl<R: Real> Observer<R> for () {}
+impl<R: Real> Observer<R> for () {
+    fn looks_inside(&self) -> bool {
+        false
+    }
+}
 
 /// Two watch.
 impl<R: Real, A: Observer<R>, B: Observer<R>> Observer<R> for (&mut A, &mut B) {
@@ -31,6 +40,10 @@ impl<R: Real, A: Observer<R>, B: Observer<R>> Observer<R> for (&mut A, &mut B) {
     fn solved(&mut self, sim: &Sim<R>, at: At, share: f64) {
         self.0.solved(sim, at, share);
         self.1.solved(sim, at, share);
+    }
+    #[inline]
+    fn looks_inside(&self) -> bool {
+        self.0.looks_inside() || self.1.looks_inside()
     }
     #[inline]
     fn committing(&mut self, sim: &Sim<R>) {

@@ -15,6 +15,7 @@ use crate::error::{Divergence, Error, Fault, Result};
 use crate::model::Model;
 use crate::place::Placed;
 use crate::pool::Pool;
+use crate::program::Listed;
 use crate::real::{Mask, Real};
 use crate::settings::{Integrator, Law, Settings, Solver};
 use crate::sleep::{last_impulses, Sleeper};
@@ -62,6 +63,8 @@ pub struct Sim<R: Real> {
     pub(crate) next: Next<R>,
     pub(crate) solver: Box<dyn Solve<R>>,
     pub(crate) sleeper: Sleeper,
+    /// What makes steps that nobody looks at.
+    pub(crate) list: Option<Box<Listed<R>>>,
 }
 
 /// The positions and velocities at which stages run.
@@ -102,11 +105,20 @@ impl At {
     }
 }
 
-room!(Sim<R>: velocity, qacc; state, inputs, placed, detected, rows, next, solver, sleeper);
+room!(Sim<R>: velocity, qacc; state, inputs, placed, detected, rows, next, solver, sleeper, list);
 
 impl<R: Real> Sim<R> {
     /// A world at qpos0 and at rest; refuses settings outside their limits.
     pub fn new(model: Arc<Model>, settings: Settings) -> Result<Self> {
+        Self::solved_by(Box::new(Solvers::new()), model, settings)
+    }
+
+    /// The same with a solver of one's own.
+    pub(crate) fn solved_by(
+        solver: Box<dyn Solve<R>>,
+        model: Arc<Model>,
+        settings: Settings,
+    ) -> Result<Self> {
         settings.check()?;
         check_masses::<R>(&model, settings.solver)?;
         if R::LANES > 1 && model.heap.is_some() {
@@ -128,9 +140,10 @@ impl<R: Real> Sim<R> {
             qacc: vec![R::zero(); model.nv],
             effort: Effort::default(),
             next: Next::new(&model, settings.integrator),
-            solver: Box::new(Solvers::new()),
+            solver,
             sleeper: if settings.sleep { Sleeper::new(&model) } else { Sleeper::default() },
             clock: Clock::new(settings.dt),
+            list: None,
             model,
             settings,
         })

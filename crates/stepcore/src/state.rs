@@ -79,6 +79,11 @@ impl<R: Real> State<R> {
         }
     }
 
+    /// It has more than numbers: impulses to start from, or who sleeps.
+    pub(crate) fn carries(&self) -> bool {
+        !(self.warm.is_empty() && self.sleep.slow.is_empty())
+    }
+
     /// Its activations, in steps of `clock`.
     pub(crate) fn activations(&self, clock: Clock<R>) -> Activations<'_, R> {
         let Self { act, ctrl_history: history, .. } = self;

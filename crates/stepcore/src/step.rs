@@ -23,7 +23,11 @@ impl<R: Real> Sim<R> {
     /// The same while `observer` watches.
     pub fn step_watched<O: Observer<R>>(&mut self, n: u64, observer: &mut O) -> Result<()> {
         self.wake_where_off();
-        for _ in 0..n {
+        for left in (0..n).rev() {
+            // The last step leaves all that can be read.
+            if left > 0 && self.step_by_list(observer) {
+                continue;
+            }
             R::enter(Stage::Commit);
             self.integrate(observer)?;
             let (history, next) = (&self.state.ctrl_history, &mut self.next.ctrl_history);

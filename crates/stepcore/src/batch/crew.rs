@@ -9,6 +9,7 @@ use super::seats::Seats;
 use crate::error::Result;
 use crate::model::Model;
 use crate::pool::{lock, Pool};
+use crate::program::Blocks;
 use crate::real::Real;
 use crate::settings::Settings;
 use crate::watch::Watched;
@@ -57,17 +58,33 @@ impl<R: Real> Crew<R> {
         spaces.sum()
     }
 
-    /// Does the work on every group, in the space of its model; `steps` says how much it is.
+    /// Does the work on every group; `steps` says how much it is.
     /// What a group computes depends on nothing else, so it shows in no bit who does it.
     pub fn share(
         &self,
         groups: &mut [Group<R>],
-        seats: &Seats,
         steps: u64,
-        work: impl Fn(&mut Watched<R>, usize, &mut Group<R>) + Sync,
+        work: impl Fn(&mut Desk<R>, usize, &mut Group<R>) + Sync,
+    ) {
+        self.share_portions(groups, steps, false, |desk, first, portion| {
+            for (k, group) in portion.iter_mut().enumerate() {
+                work(desk, first + k, group);
+            }
+        });
+    }
+
+    /// The same on some consecutive groups at a time, of which the first is given. blocks: as many as
+    /// a list takes side by side, or a multiple.
+    pub fn share_portions(
+        &self,
+        groups: &mut [Group<R>],
+        steps: u64,
+        blocks: bool,
+        work: impl Fn(&mut Desk<R>, usize, &mut [Group<R>]) + Sync,
     ) {
         let started = Instant::now();
         let portion = groups.len().div_ceil(self.threads * PORTIONS).max(1);
+        let portion = if blocks { portion.next_multiple_of(Blocks::<R>::MOST) } else { portion };
         let left = Mutex::new(groups.chunks_mut(portion).enumerate());
         let take_all = |_: usize| {
             let mut desk = Desk { crew: self, held: None };
@@ -75,10 +92,7 @@ impl<R: Real> Crew<R> {
                 // The lock is open again before the work begins.
                 let next = lock(&left).next();
                 let Some((index, portion_of_groups)) = next else { return };
-                for (k, group) in portion_of_groups.iter_mut().enumerate() {
-                    let index = index * portion + k;
-                    work(desk.space(seats.model(index)), index, group);
-                }
+                work(&mut desk, index * portion, portion_of_groups);
             }
         };
         let expected = self.cost.load(Ordering::Relaxed).saturating_mul(steps);
@@ -95,13 +109,14 @@ impl<R: Real> Crew<R> {
 
 /// Where a thread works: the space of one model at a time, which goes back to the others when it is
 /// done with it.
-struct Desk<'a, R: Real> {
+pub(super) struct Desk<'a, R: Real> {
     crew: &'a Crew<R>,
     held: Option<(usize, Watched<R>)>,
 }
 
 impl<R: Real> Desk<'_, R> {
-    fn space(&mut self, model: usize) -> &mut Watched<R> {
+    /// The space of a model.
+    pub fn space(&mut self, model: usize) -> &mut Watched<R> {
         if self.held.as_ref().is_none_or(|(held, _)| *held != model) {
             self.put_back();
             // There is one for every thread, or for every group of the model.

@@ -3,6 +3,7 @@
 use super::failed::Standing;
 use crate::error::{Error, Result};
 use crate::model::Model;
+use crate::program::{Holds, Place};
 use crate::real::Real;
 use crate::room::room;
 use crate::state::{Inputs, State};
@@ -69,6 +70,25 @@ impl<R: Real> Group<R> {
         }
     }
 
+    /// No list can step it as it is.
+    pub fn is_special(&self) -> bool {
+        self.ledger.is_some()
+            || self.standing.any()
+            || self.inputs.applied()
+            || self.state.carries()
+    }
+
+    /// Some world of it failed in this call.
+    pub fn has_failed(&self) -> bool {
+        self.failed.is_some() || self.standing.any()
+    }
+
+    /// As it was when the call began, when none had failed.
+    pub fn begin_again(&mut self) {
+        self.start.copy_to(&mut self.state);
+        self.standing.lanes.fill(None);
+    }
+
     /// Runs `one` up to `n` times on this group's state in a thread's working space; `worlds`: whose
     /// the lanes are.
     pub fn run(
@@ -109,6 +129,13 @@ impl<R: Real> Group<R> {
             self.last.fill(last);
             qacc.copy_from_slice(&guest.watched.sim.qacc);
         }
+    }
+}
+
+impl<R: Real> Holds<R> for Group<R> {
+    fn place(&mut self) -> Place<'_, R> {
+        let Self { state, before, qacc, .. } = self;
+        Place { state, before, qacc }
     }
 }
 

@@ -8,6 +8,7 @@
 mod crew;
 mod failed;
 mod group;
+mod listed;
 mod play;
 mod seats;
 
@@ -17,8 +18,9 @@ pub use play::Play;
 
 use std::sync::{Arc, Mutex};
 
-use crew::Crew;
+use crew::{Crew, Desk};
 use group::{in_batch, Group};
+use listed::{each, step_listed};
 use play::Part;
 use seats::{registers, Seats};
 
@@ -26,6 +28,7 @@ use crate::arrays::{Array, Given};
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::pool::{check_threads, lock};
+use crate::program::{Blocks, Program};
 use crate::real::Real;
 use crate::room::Room;
 use crate::settings::{Settings, Solver};
@@ -41,6 +44,8 @@ pub struct Batch<R: Real> {
     seats: Seats,
     groups: Vec<Group<R>>,
     crew: Crew<R>,
+    /// What makes the steps of small models.
+    list: Option<Blocks<R>>,
     /// A world that fails stands still, and the others go on; else all stop with it.
     pub goes_on: bool,
 }
@@ -105,8 +110,13 @@ impl<R: Real> Batch<R> {
             let model = &models[seats.model(index)];
             Group::new(model, seats.worlds(index).len(), settings.ledger)
         };
+        let list = match &models[..] {
+            [model] => Program::of::<R>(model, settings),
+            _ => None,
+        };
         Ok(Self {
             worlds,
+            list: list.map(|list| Blocks::new(Arc::new(list), threads)),
             dt: settings.dt,
             groups: (0..seats.groups()).map(group).collect(),
             crew: Crew::new(&models, settings, &seats, worlds, threads)?,
@@ -234,14 +244,15 @@ impl<R: Real> Batch<R> {
     /// Advances every world by `n` steps. If one leaves the finite numbers, all stand
     /// before the first step in which one did.
     pub fn step(&mut self, n: u64) -> Result<()> {
-        self.advance(n, |_, _, watched| watched.step(1))
+        self.advance(n, true, |_, _, watched| watched.step(1))
     }
 
     /// Place, detect and solve in every world. Nothing is committed.
     pub fn forward(&mut self) -> Result<()> {
         let Self { crew, groups, seats, goes_on, .. } = self;
-        crew.share(groups, seats, 1, |watched, index, group| {
+        crew.share(groups, 1, |desk, index, group| {
             let forward = |_, watched: &mut Watched<R>| watched.forward();
+            let watched = desk.space(seats.model(index));
             group.run(watched, seats.worlds(index), 1, Last::Forward, *goes_on, forward)
         });
         first_failure(groups, seats).map_or(Ok(()), |(_, error)| Err(error))
@@ -251,7 +262,7 @@ impl<R: Real> Batch<R> {
     pub fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()> {
         let parts = play.parts(&self.seats, Array::counts(&self.models[0]));
         let parts: Vec<Mutex<Part>> = parts.into_iter().map(Mutex::new).collect();
-        self.advance(n as u64, |index, k, watched| {
+        self.advance(n as u64, false, |index, k, watched| {
             let mut part = lock(&parts[index]);
             let step = from + k as usize;
             part.control(step, watched);
@@ -277,29 +288,37 @@ impl<R: Real> Batch<R> {
         }
     }
 
-    /// Does `n` times `one`, a step, in every world.
+    /// Does `n` times `one`, a step, in every world. plain: it is no more than that, so that a list
+    /// may do it.
     fn advance(
         &mut self,
         n: u64,
+        plain: bool,
         one: impl Fn(usize, u64, &mut Watched<R>) -> Result<()> + Sync,
     ) -> Result<()> {
-        let Self { crew, groups, seats, goes_on, .. } = self;
-        let run = |watched: &mut Watched<R>, index, group: &mut Group<R>, n| {
+        let Self { crew, groups, seats, goes_on, list, .. } = self;
+        let run = |desk: &mut Desk<R>, index, group: &mut Group<R>, n| {
             let one = |k, watched: &mut Watched<R>| one(index, k, watched);
+            let watched = desk.space(seats.model(index));
             group.run(watched, seats.worlds(index), n, Last::Step, *goes_on, one);
         };
-        crew.share(groups, seats, n, |watched, index, group| {
-            group.state.copy_to(&mut group.start);
-            run(watched, index, group, n);
+        let list = list.as_ref().filter(|_| plain && n > 0);
+        crew.share_portions(groups, n, list.is_some(), |desk, first, groups| {
+            groups.iter_mut().for_each(|group| group.state.copy_to(&mut group.start));
+            let run = |index, group: &mut Group<R>, n| run(desk, first + index, group, n);
+            match list {
+                Some(list) => step_listed(list, groups, n, run),
+                None => each(groups, n, run),
+            }
         });
         let Some((done, error)) = first_failure(groups, seats) else { return Ok(()) };
         // All worlds go back, and then on to where this one was still well.
-        crew.share(groups, seats, done, |watched, index, group| {
+        crew.share(groups, done, |desk, index, group| {
             group.start.copy_to(&mut group.state);
             group.start.copy_to(&mut group.before);
             group.last.fill(Last::Forward);
             group.ledger.iter_mut().for_each(|ledger| ledger.forget());
-            run(watched, index, group, done);
+            run(desk, index, group, done);
         });
         if let Error::Diverged(divergence) = &error {
             let (group, lane) = self.seats.of(divergence.world);

@@ -16,14 +16,17 @@ impl<R: Real> Sim<R> {
         match self.settings.integrator {
             Integrator::Rk4 => self.after_stages(Self::rk4, observer),
             Integrator::Midpoint => self.after_stages(Self::midpoint, observer),
-            _ => {
-                self.place_detect_solve(At::State)?;
-                observer.placed(self, At::State, 1.0);
-                observer.solved(self, At::State, 1.0);
-                self.commit();
-                Ok(())
-            }
+            _ => self.in_one_stage(observer),
         }
+    }
+
+    /// The same of integrators that evaluate forces once.
+    pub(crate) fn in_one_stage<O: Observer<R>>(&mut self, observer: &mut O) -> Result<()> {
+        self.place_detect_solve(At::State)?;
+        observer.placed(self, At::State, 1.0);
+        observer.solved(self, At::State, 1.0);
+        self.commit();
+        Ok(())
     }
 
     /// From u⁺ to the next state, for integrators of one stage.

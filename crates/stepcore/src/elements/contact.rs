@@ -329,7 +329,7 @@ impl<R: Real> Rows<R> {
         let mut mask = contact.mask.and(closing.or(touching));
         let mut arrives = R::Mask::of(true);
         let ahead = closing.and(touching.not());
-        if ahead.any() && pair.test.curved() {
+        if pair.test.curved() && ahead.seldom() {
             let found = self.met_ahead(now, contact, pair, size, ahead);
             mask = mask.and(ahead.not().or(found.met));
             arrives = found.turned.not();

@@ -2,7 +2,8 @@
 //!
 //! Every stage is written once against this trait. `f64` and `f32` are one
 //! world; `Lanes` is eight worlds side by side; `Dual` is one world whose numbers
-//! carry derivatives, `Counted` one that counts its operations. A comparison gives a mask and `select` chooses where lanes may
+//! carry derivatives, `Counted` one that counts its operations, `Traced` writes them down. A comparison
+//! gives a mask and `select` chooses where lanes may
 //! differ. With a scalar a mask is a `bool`, so `if mask.none() { continue }` is an
 //! ordinary branch.
 //!
@@ -21,10 +22,12 @@ mod dual;
 pub mod elementary;
 mod lanes;
 mod stage;
+pub(crate) mod traced;
 
 pub use count::Count;
 pub use counted::{Counted, FUNCTION};
 pub use dual::{Dual, WAYS};
+pub(crate) use lanes::Number;
 pub use lanes::{LaneMask, Lanes, LanesF32, WIDTH};
 pub use stage::Stage;
 
@@ -41,6 +44,12 @@ pub trait Mask: Copy + Debug + Send + Sync + 'static {
     #[inline(always)]
     fn none(self) -> bool {
         !self.any()
+    }
+    /// `any`, where that rarely is so and leads to much work: the list of a step (`program/`)
+    /// leaves it to the steps in which it is.
+    #[inline(always)]
+    fn seldom(self) -> bool {
+        self.any()
     }
     #[inline(always)]
     fn all(self) -> bool {

@@ -36,7 +36,7 @@ pub(crate) use limits::Report;
 pub(crate) use live::Live;
 pub use rows::{Block, Part, Push, Row, Rows, Set, Situation};
 pub(crate) use rows::{Guessed, CONE};
-pub(crate) use solver::{Solve, Solvers, Unconstrained};
+pub(crate) use solver::{Solve, Solvers, Sweeper, Unconstrained};
 
 use crate::model::Span;
 use crate::real::{Mask, Real};

@@ -69,13 +69,49 @@ impl<R: Real> Solve<R> for Solvers<R> {
         if settings.solver == Solver::Newton {
             return self.newton.solve(free, rows, limits);
         }
-        let Unconstrained { dof_lists, inv_d, .. } = free;
-        // One row on its own, and one update all that is asked or all that it takes.
-        if limits.sweeps == 1 || limits.exact {
-            if let Some(report) = rows.solve_single(dof_lists, inv_d, limits.exact) {
-                return Ok(report);
-            }
+        Ok(sweep(&mut self.pgs, limits, free, rows))
+    }
+}
+
+/// By projected Gauss-Seidel.
+fn sweep<R: Real>(
+    pgs: &mut Pgs<R>,
+    limits: Limits,
+    free: Unconstrained<R>,
+    rows: &mut Rows<R>,
+) -> Report<R> {
+    let Unconstrained { dof_lists, inv_d, .. } = free;
+    // One row on its own, and one update all that is asked or all that it takes.
+    if limits.sweeps == 1 || limits.exact {
+        if let Some(report) = rows.solve_single(dof_lists, inv_d, limits.exact) {
+            return report;
         }
-        Ok(self.pgs.solve(dof_lists, inv_d, rows, limits))
+    }
+    pgs.solve(dof_lists, inv_d, rows, limits)
+}
+
+/// Sweeps alone, whatever the settings say: where there is nothing else to solve.
+pub(crate) struct Sweeper<R: Real>(Pgs<R>);
+
+impl<R: Real> Sweeper<R> {
+    pub fn new() -> Self {
+        Self(Pgs::new())
+    }
+}
+
+impl<R: Real> Room for Sweeper<R> {
+    fn room(&self) -> usize {
+        self.0.room()
+    }
+}
+
+impl<R: Real> Solve<R> for Sweeper<R> {
+    fn solve(
+        &mut self,
+        settings: &Settings,
+        free: Unconstrained<R>,
+        rows: &mut Rows<R>,
+    ) -> Result<Report<R>> {
+        Ok(sweep(&mut self.0, Limits::of(settings), free, rows))
     }
 }

@@ -76,6 +76,10 @@ impl<R: Real> Past<R> {
 }
 
 impl<R: Real> Observer<R> for Past<R> {
+    fn looks_inside(&self) -> bool {
+        false
+    }
+
     fn committing(&mut self, sim: &Sim<R>) {
         if self.steps.is_multiple_of(STRIDE) {
             self.milestones.keep(&sim.state);

@@ -35,6 +35,7 @@ def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
         stages=cost.stages,
         micros=cost.micros,
         at=cost.at,
+        program=tuple(model.core.program(cost.settings) or ()),
         read_bytes=source.read_bytes if source else 0,
         asset_bytes=source.asset_bytes if source else 0,
     )

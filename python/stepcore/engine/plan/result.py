@@ -16,6 +16,8 @@ from stepcore.report.units import seconds
 NAMES = 4
 # The entries that are named for their cost, and those that a table prints unless all are asked for.
 COSTLY, PRINTED = 3, 9
+# Lines of a list that are printed.
+LINES = 30
 LEGEND = (
     "flops: floating-point operations of the entry's own stage, or those saved by removing the "
     "entry. They do not add up, because some work serves several entries."
@@ -59,6 +61,8 @@ class Plan(Result):
     flops: operations of a whole step at the state `at`.
     stages: the same by stage.
     micros: time of a whole step [µs]; None if it was not measured.
+    program: what a step executes, one line an operation, where the scene is so small that its
+        steps run by such a list instead of stage by stage; else empty.
 
     >>> from stepcore import lesson, plan
     >>> plan(lesson.drop())
@@ -79,6 +83,7 @@ class Plan(Result):
     # Of files of meshes and height fields: of those that are read, and of all [bytes].
     read_bytes: int = 0
     asset_bytes: int = 0
+    program: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -125,6 +130,11 @@ class Plan(Result):
             sentences.append(
                 f"Of {whole:.3g} MB of meshes and height fields it needs {read:.3g} MB."
             )
+        if self.program:
+            sentences.append(
+                f"Its steps are made by a list of {len(self.program)} operations on numbers, all "
+                "constants folded; the flops are those of the stages that they stand for."
+            )
         return sentences
 
     @property
@@ -144,6 +154,13 @@ class Plan(Result):
         less = LESS * any((entry.flops or 0) < 0 for entry in used)
         does.legend = f"{does.legend} {LEGEND}{less}".strip()
         tables = [does, _table(left_out, "Left out of a step", len(self.left_out))]
+        if self.program:
+            lines = self.program if full else self.program[:LINES]
+            left = len(self.program) - len(lines)
+            legend = f"Not shown: {left} more (--all, or text(full=True))." if left else ""
+            heading = "What a step executes"
+            rows = [{"operation": line} for line in lines]
+            tables.append(Table(rows, heading=heading, legend=legend))
         if full:
             elements = [
                 {"used": "yes" if entry.used else "no", "what": entry.name, "element": name}
@@ -155,7 +172,13 @@ class Plan(Result):
 
     def details(self) -> dict[str, Any]:
         """The whole step."""
-        return {"at": self.at, "flops": self.flops, "stages": self.stages, "micros": self.micros}
+        return {
+            "at": self.at,
+            "flops": self.flops,
+            "stages": self.stages,
+            "micros": self.micros,
+            "program": self.program,
+        }
 
     def __repr__(self) -> str:
         return f"<Plan of {self.name}: {len(self.used)} used, {len(self.left_out)} left out>"

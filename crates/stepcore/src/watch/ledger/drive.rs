@@ -35,6 +35,10 @@ impl<R: Real> Work<R> {
 }
 
 impl<R: Real> Observer<R> for Work<R> {
+    fn looks_inside(&self) -> bool {
+        self.counts
+    }
+
     fn committing(&mut self, sim: &Sim<R>) {
         if self.counts {
             self.done += sim.driven(&self.driving);

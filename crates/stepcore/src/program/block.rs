@@ -1,0 +1,119 @@
+//! Registers of worlds, stepped side by side by a list: one operation for all of them, then the next.
+
+use std::sync::{Arc, Mutex};
+
+use super::run::Space;
+use super::Program;
+use crate::pool::lock;
+use crate::real::Real;
+use crate::state::State;
+
+/// Registers of worlds in a block.
+const WIDE: usize = 8;
+
+/// A list with the registers of every thread.
+pub(crate) struct Blocks<R: Real> {
+    program: Arc<Program>,
+    free: Mutex<Vec<Desk<R>>>,
+}
+
+/// Where one thread works: for one register of worlds, and for as many as a block has.
+struct Desk<R: Real> {
+    one: Pair<R, 1>,
+    wide: Pair<R, WIDE>,
+}
+
+/// For all steps but the last, and for that.
+struct Pair<R: Real, const C: usize> {
+    steps: Space<R, C>,
+    last: Space<R, C>,
+}
+
+/// A register of worlds, and where the last of its steps began and what its accelerations were.
+pub(crate) struct Place<'a, R: Real> {
+    pub state: &'a mut State<R>,
+    pub before: &'a mut State<R>,
+    pub qacc: &'a mut [R],
+}
+
+/// Who holds a register of worlds.
+pub(crate) trait Holds<R: Real> {
+    fn place(&mut self) -> Place<'_, R>;
+}
+
+impl<R: Real> Blocks<R> {
+    /// Registers in a block, at most.
+    pub const MOST: usize = WIDE;
+
+    pub fn new(program: Arc<Program>, threads: usize) -> Self {
+        let desk = |_| Desk { one: Pair::new(&program), wide: Pair::new(&program) };
+        let free = Mutex::new((0..threads).map(desk).collect());
+        Self { program, free }
+    }
+
+    /// Takes `n` steps, one or more, of at most `MOST` registers. False: the list is not right for
+    /// them, and nothing has changed.
+    pub fn step(&self, n: u64, worlds: &mut [impl Holds<R>]) -> bool {
+        // There is one for every thread.
+        let Some(desk) = lock(&self.free).pop() else { return false };
+        let right = match worlds.len() {
+            1 => desk.one.step(&self.program, n, worlds),
+            _ => desk.wide.step(&self.program, n, worlds),
+        };
+        lock(&self.free).push(desk);
+        right
+    }
+}
+
+impl<R: Real, const C: usize> Pair<R, C> {
+    fn new(program: &Program) -> Self {
+        Self { steps: Space::new(&program.steps), last: Space::new(&program.last) }
+    }
+
+    fn step(&self, program: &Program, n: u64, worlds: &mut [impl Holds<R>]) -> bool {
+        let Program { limits, steps, last, .. } = program;
+        let [q, v] = [limits.qpos, limits.qvel].map(R::of);
+        let first = worlds[0].place();
+        let (nq, nv) = (first.state.qpos.len(), first.state.qvel.len());
+        let of_state = |at: usize| if at < nq { q } else { v };
+        self.steps.begin();
+        for part in 0..C {
+            // What has no worlds repeats the last one.
+            let state = worlds[part.min(worlds.len() - 1)].place().state;
+            let numbers = state.qpos.iter().chain(&state.qvel);
+            numbers.enumerate().for_each(|(at, x)| self.steps.set(at, part, *x));
+        }
+        let check = |space: &Space<R, C>| {
+            (0..nq + nv).for_each(|at| space.require(at, of_state(at)));
+        };
+        check(&self.steps);
+        for _ in 1..n {
+            self.steps.step(steps, q);
+        }
+        check(&self.steps);
+        self.last.begin();
+        for (at, part) in (0..nq + nv).flat_map(|at| (0..C).map(move |part| (at, part))) {
+            self.last.set(at, part, self.steps.get(at, part));
+        }
+        self.last.step(last, q);
+        check(&self.last);
+        if !(self.steps.was_right() && self.last.was_right()) {
+            return false;
+        }
+        for (part, place) in worlds.iter_mut().map(Holds::place).enumerate() {
+            (place.before.start, place.before.steps) =
+                (place.state.start, place.state.steps + n - 1);
+            place.state.steps += n;
+            for at in 0..nq {
+                place.before.qpos[at] = self.steps.get(at, part);
+                place.state.qpos[at] = self.last.get(at, part);
+            }
+            for at in 0..nv {
+                place.before.qvel[at] = self.steps.get(nq + at, part);
+                place.state.qvel[at] = self.last.get(nq + at, part);
+                place.qacc[at] = self.last.get(nq + nv + at, part);
+            }
+        }
+        true
+    }
+}

@@ -1,0 +1,78 @@
+//! The list of what a step executes, for models so small that asking costs more than computing.
+//!
+//! A step asks every element whether it is there, computes constants like everything else, and goes
+//! from stage to stage through lists. For a mass on a spring that is a hundred times the work of its
+//! two products and two sums. Here the step is written down once, as the operations on numbers that it
+//! is for a model and its settings (`trace.rs`, `real/traced/`): what is known is computed then, what
+//! the next state does not need is left out (`order.rs`), and the rest is executed for a block of
+//! worlds, operation by operation (`run.rs`). The formulas are those of the stages, written nowhere
+//! else, and so are the bits.
+//!
+//! A list is right where numbers stay below a limit and where what it assumes to be seldom does not
+//! happen; it says where it was not, and such a step is made by the stages. So is the last step of a
+//! call in a `Sim`, after which everything that a step leaves can be read.
+
+mod block;
+mod order;
+mod run;
+mod single;
+mod text;
+mod trace;
+
+use std::sync::Arc;
+
+use crate::model::Model;
+use crate::real::Real;
+use crate::settings::{Settings, Solver};
+use order::{order, Ordered};
+use trace::{trace, Trace};
+
+pub(crate) use block::{Blocks, Holds, Place};
+pub(crate) use single::Listed;
+
+/// A list: of steps alone, of one that leaves its acceleration, and of one that counts its rows.
+pub struct Program {
+    trace: Trace,
+    steps: Ordered,
+    last: Ordered,
+    counted: Ordered,
+    /// Row updates for each row.
+    sweeps: u64,
+    limits: Limits,
+}
+
+/// The sizes of positions and velocities [m or rad, 1/s] up to which a list is right.
+#[derive(Clone, Copy)]
+struct Limits {
+    qpos: f64,
+    qvel: f64,
+}
+
+impl Program {
+    /// That of a model in numbers of type R, if it has one.
+    pub fn of<R: Real>(model: &Arc<Model>, settings: &Settings) -> Option<Self> {
+        let trace = if R::EPSILON > f64::EPSILON {
+            trace::<f32>(model, settings)?
+        } else {
+            trace::<f64>(model, settings)?
+        };
+        let sweeps = match settings.solver {
+            Solver::Pgs => settings.sweeps.limit().into(),
+            Solver::Newton => 0,
+        };
+        let limits = Limits { qpos: trace.limit, qvel: trace.fastest };
+        Some(Self {
+            steps: order(&trace, &[]),
+            last: order(&trace, &trace.qacc),
+            counted: order(&trace, &[trace.rows]),
+            sweeps,
+            limits,
+            trace,
+        })
+    }
+
+    /// How many operations a step is.
+    pub fn operations(&self) -> usize {
+        self.steps.steps.len()
+    }
+}

@@ -1,0 +1,75 @@
+//! A world, or a register of worlds, stepped by a list.
+
+use std::sync::Arc;
+
+use super::run::Space;
+use super::Program;
+use crate::observer::Observer;
+use crate::real::Real;
+use crate::room::Room;
+use crate::sim::Sim;
+
+/// A list and its registers.
+pub(crate) struct Listed<R: Real> {
+    program: Program,
+    space: Space<R, 1>,
+}
+
+impl<R: Real> Room for Listed<R> {
+    fn room(&self) -> usize {
+        self.space.room()
+    }
+}
+
+impl<R: Real> Sim<R> {
+    /// Steps that nobody looks at are made by the list of this model, if it has one. The numbers are
+    /// the same.
+    pub fn use_list(&mut self) {
+        self.list = Program::of::<R>(&Arc::clone(&self.model), &self.settings).map(|program| {
+            let space = Space::new(&program.counted);
+            Box::new(Listed { program, space })
+        });
+    }
+
+    /// A step by the list; false: it is none that the list is right for, and nothing has changed.
+    #[inline]
+    pub(crate) fn step_by_list<O: Observer<R>>(&mut self, observer: &mut O) -> bool {
+        let Some(list) = &self.list else { return false };
+        if observer.looks_inside()
+            || self.inputs.applied()
+            || self.state.carries()
+            || !self.next.warm.is_empty()
+        {
+            return false;
+        }
+        let Listed { program, space } = &**list;
+        let (nq, nv) = (self.model.nq, self.model.nv);
+        let [q, v] = [program.limits.qpos, program.limits.qvel].map(R::of);
+        space.begin();
+        for (at, x) in self.state.qpos.iter().enumerate() {
+            space.set(at, 0, *x);
+            space.require(at, q);
+        }
+        for (at, x) in self.state.qvel.iter().enumerate() {
+            space.set(nq + at, 0, *x);
+            space.require(nq + at, v);
+        }
+        space.step(&program.counted, q);
+        (nq..nq + nv).for_each(|at| space.require(at, v));
+        if !space.was_right() {
+            return false;
+        }
+        (0..nq).for_each(|at| self.next.qpos[at] = space.get(at, 0));
+        (0..nv).for_each(|at| self.next.qvel[at] = space.get(nq + at, 0));
+        // Counts of a register are nobody's.
+        let rows = space.get(nq + nv, 0).lane(0) as usize;
+        self.effort.evaluations += 1;
+        self.effort.most_rows = self.effort.most_rows.max(rows);
+        self.effort.row_updates += rows as u64 * program.sweeps;
+        observer.committing(self);
+        std::mem::swap(&mut self.state.qpos, &mut self.next.qpos);
+        std::mem::swap(&mut self.state.qvel, &mut self.next.qvel);
+        self.state.steps += 1;
+        true
+    }
+}
