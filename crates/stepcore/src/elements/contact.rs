@@ -349,7 +349,7 @@ impl<R: Real> Rows<R> {
         let mut push = law.push(phi);
         if let Some(most) = now.settings.max_recovery_speed.under(now.settings.law) {
             let over = mask.and(push.gt(R::of(most)));
-            if over.any() {
+            if over.seldom() {
                 let row = &self.rows[first];
                 let guess = self.dot(now.dof_lists, row, &now.placed.guess);
                 let most = push.min(target_at(row, law.regulariser(), guess, most));

@@ -9,6 +9,9 @@ use crate::real::Real;
 use crate::room::Room;
 use crate::sim::Sim;
 
+/// Operations up to which a list is quicker than the stages, by measurement: each is asked what it is.
+const MOST: usize = 400;
+
 /// A list and its registers.
 pub(crate) struct Listed<R: Real> {
     program: Program,
@@ -25,7 +28,8 @@ impl<R: Real> Sim<R> {
     /// Steps that nobody looks at are made by the list of this model, if it has one. The numbers are
     /// the same.
     pub fn use_list(&mut self) {
-        self.list = Program::of::<R>(&Arc::clone(&self.model), &self.settings).map(|program| {
+        let program = Program::of::<R>(&Arc::clone(&self.model), &self.settings);
+        self.list = program.filter(|program| program.operations() <= MOST).map(|program| {
             let space = Space::new(&program.counted);
             Box::new(Listed { program, space })
         });

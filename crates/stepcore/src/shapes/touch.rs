@@ -79,9 +79,10 @@ pub fn balls<R: Real>(a: &Ball<R>, b: &Ball<R>) -> Touch<R> {
     let apart = b.centre - a.centre;
     let length = apart.dot(&apart).sqrt();
     let dist = length - a.radius - b.radius;
-    let mut normal = apart * (R::one() / length);
     let same = length.le(R::of(SAME_POINT) * (a.radius + b.radius));
-    if same.any() {
+    let some_are_same = same.seldom();
+    let mut normal = apart * (R::one() / length);
+    if some_are_same {
         let cross = a.axis.cross(&b.axis);
         let parallel = cross.dot(&cross).lt(R::of(NO_ANGLE * NO_ANGLE));
         let spare = select3(parallel, &V3::x(), &unit(&cross));

@@ -195,7 +195,12 @@ impl OnGuess {
             let wait = open.and(near.arrives).and(R::Mask::of(restitution == 0.0));
             R::select(wait, arrive, back)
         } else {
-            R::select(near.far.and(near.arrives), arrive, push)
+            let far = near.closing.and(near.far).and(near.arrives);
+            if far.seldom() {
+                R::select(far, arrive, push)
+            } else {
+                push
+            }
         };
         row.t = R::select(near.closing, closing, R::select(open, arrive, push));
         self.soften(row);

@@ -133,7 +133,7 @@ impl<R: Real> Rows<R> {
     ) {
         let row = &self.rows[index];
         let suspect = suspect(row.a, mass);
-        if suspect.none() {
+        if !suspect.seldom() {
             return;
         }
         // What A would be if no term cancelled another.

@@ -2,13 +2,14 @@
 
 use super::recorder::{Arg, Op, Recorder};
 
-/// More than what rounding adds to a bound.
-const SURE: f64 = 1.0 + 1e-6;
+/// By how much more than rounding bounds are widened.
+const SURE: f64 = 1e-6;
 
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Facts {
-    /// Its size is no more; infinite: it may be anything, and no number.
-    pub most: f64,
+    /// Between which numbers it is, if these are finite; else it may be anything, and no number.
+    pub low: f64,
+    pub high: f64,
     /// It is 0 or −0.
     pub zero: bool,
     /// It is not −0.
@@ -16,64 +17,112 @@ pub(crate) struct Facts {
 }
 
 impl Facts {
+    const NOTHING: Self =
+        Self { low: f64::NEG_INFINITY, high: f64::INFINITY, zero: false, plus: false };
+
     pub fn within(most: f64) -> Self {
-        Self { most, zero: false, plus: false }
+        Self { low: -most, high: most, ..Self::NOTHING }
     }
 
     pub fn exact(value: f64) -> Self {
-        let most = if value.is_nan() { f64::INFINITY } else { value.abs() };
+        if value.is_nan() {
+            return Self::NOTHING;
+        }
         let negative_zero = value == 0.0 && value.is_sign_negative();
-        Self { most, zero: value == 0.0, plus: !negative_zero }
+        Self { low: value, high: value, zero: value == 0.0, plus: !negative_zero }
+    }
+
+    fn between(bounds: [f64; 2]) -> Self {
+        let [low, high] = bounds;
+        if low.is_nan() || high.is_nan() {
+            return Self::NOTHING;
+        }
+        let [low, high] = [low - SURE * low.abs(), high + SURE * high.abs()];
+        Self { low, high, ..Self::NOTHING }
+    }
+
+    /// Between the least and the largest of these.
+    fn among(corners: [f64; 4]) -> Self {
+        if corners.iter().any(|x| x.is_nan()) {
+            return Self::NOTHING;
+        }
+        let fold = |f: fn(f64, f64) -> f64| corners.into_iter().fold(corners[0], f);
+        Self::between([fold(f64::min), fold(f64::max)])
     }
 
     /// Of what an operation computes.
     pub fn of(list: &Recorder, op: Op, args: &[Arg]) -> Self {
         let of = |at: usize| list.facts(args[at]);
         let finite = |at: usize| list.finite(args[at]);
-        let mut facts = Self::within(f64::INFINITY);
         match op {
-            Op::Add | Op::Sub => {
+            Op::Add | Op::Sub if finite(0) && finite(1) => {
                 let (a, b) = (of(0), of(1));
-                facts.most = (a.most + b.most) * SURE;
-                facts.zero = a.zero && b.zero;
-                // −0 + −0 and −0 − 0 alone are −0.
-                facts.plus = a.plus || (op == Op::Add && b.plus);
-                if let (Op::Sub, Arg::Known(value)) = (op, args[1]) {
-                    facts.plus |= value != 0.0;
-                }
-            }
-            Op::Mul => {
-                let (a, b) = (of(0), of(1));
-                facts.zero = (a.zero && finite(1)) || (b.zero && finite(0));
-                facts.most = if facts.zero { 0.0 } else { a.most * b.most * SURE };
-                facts.plus = args[0] == args[1];
-            }
-            Op::Div => {
-                if let Arg::Known(value) = args[1] {
-                    facts.most = of(0).most / value.abs() * SURE;
-                }
-            }
-            Op::Neg => facts = Self { plus: false, ..of(0) },
-            Op::Sin | Op::Cos => facts.most = SURE,
-            Op::Atan2 => facts.most = 4.0,
-            Op::Select => {
-                let (a, b) = (of(1), of(2));
-                facts = Self {
-                    most: a.most.max(b.most),
-                    zero: a.zero && b.zero,
-                    plus: a.plus && b.plus,
+                let bounds = match op {
+                    Op::Add => [a.low + b.low, a.high + b.high],
+                    _ => [a.low - b.high, a.high - b.low],
                 };
+                Self {
+                    zero: a.zero && b.zero,
+                    plus: sum_is_plus(op, a, b),
+                    ..Self::between(bounds)
+                }
             }
-            Op::Max | Op::Min => {
+            Op::Add | Op::Sub => Self { plus: sum_is_plus(op, of(0), of(1)), ..Self::NOTHING },
+            Op::Mul if finite(0) && finite(1) => {
                 let (a, b) = (of(0), of(1));
-                facts.most = a.most.max(b.most);
-                facts.plus = a.plus && b.plus;
+                if a.zero || b.zero {
+                    return Self { low: 0.0, high: 0.0, zero: true, plus: false };
+                }
+                let corners = [a.low * b.low, a.low * b.high, a.high * b.low, a.high * b.high];
+                let mut facts = Self::among(corners);
+                if args[0] == args[1] {
+                    (facts.low, facts.plus) = (0.0, true);
+                }
+                facts
             }
-            _ => {}
+            Op::Div if finite(0) && finite(1) && (of(1).low > 0.0 || of(1).high < 0.0) => {
+                let (a, b) = (of(0), of(1));
+                Self::among([a.low / b.low, a.low / b.high, a.high / b.low, a.high / b.high])
+            }
+            Op::Neg => {
+                let Self { low, high, zero, .. } = of(0);
+                Self { low: -high, high: -low, zero, plus: false }
+            }
+            Op::Sqrt if finite(0) && of(0).low >= 0.0 => {
+                Self::between([of(0).low.sqrt(), of(0).high.sqrt()])
+            }
+            Op::Sin | Op::Cos => Self::within(1.0 + SURE),
+            Op::Select => either(of(1), of(2)),
+            Op::Max | Op::Min if finite(0) && finite(1) => {
+                let (a, b) = (of(0), of(1));
+                let bounds = match op {
+                    Op::Max => [a.low.max(b.low), a.high.max(b.high)],
+                    _ => [a.low.min(b.low), a.high.min(b.high)],
+                };
+                let both = either(a, b);
+                Self { low: bounds[0], high: bounds[1], ..both }
+            }
+            _ => Self::NOTHING,
         }
-        if facts.most.is_nan() {
-            facts.most = f64::INFINITY;
-        }
-        facts
+    }
+
+    /// Where it is known to be above this.
+    pub fn above(self, value: f64) -> Self {
+        Self { low: self.low.max(value), ..self }
+    }
+}
+
+/// −0 + −0 and −0 − 0 alone are −0.
+fn sum_is_plus(op: Op, a: Facts, b: Facts) -> bool {
+    let other_is_no_zero = !(b.low <= 0.0 && b.high >= 0.0);
+    a.plus || (op == Op::Add && b.plus) || (op == Op::Sub && other_is_no_zero)
+}
+
+fn either(a: Facts, b: Facts) -> Facts {
+    Facts {
+        low: a.low.min(b.low),
+        high: a.high.max(b.high),
+        zero: a.zero && b.zero,
+        plus: a.plus && b.plus,
     }
 }

@@ -84,6 +84,9 @@ pub(crate) struct Node {
     pub facts: Facts,
 }
 
+/// How many operations choices are looked for below a choice.
+const DEEP: usize = 8;
+
 type Key = (Op, Vec<(bool, u64)>);
 
 /// A list under way.
@@ -128,8 +131,21 @@ impl Recorder {
         AT_HAND.with(|list| list.borrow_mut().given_up = true);
     }
 
+    /// The list holds only where this mask does not: what is not below a number is above it.
     pub fn assume_none(mask: u32) {
-        AT_HAND.with(|list| list.borrow_mut().assumed.push(mask));
+        AT_HAND.with(|list| {
+            let list = &mut *list.borrow_mut();
+            list.assumed.push(mask);
+            let Node { op, args, .. } = &list.nodes[mask as usize];
+            let (Op::Le | Op::Lt, &[Arg::Node(low), Arg::Known(value)]) = (*op, &args[..]) else {
+                return;
+            };
+            // Comparisons with what is no number do not hold either.
+            if list.finite(Arg::Node(low)) {
+                let facts = &mut list.nodes[low as usize].facts;
+                *facts = facts.above(value);
+            }
+        });
     }
 
     /// Writes an operation down, if nothing simpler gives the same number.
@@ -141,6 +157,12 @@ impl Recorder {
         if self.given_up || self.nodes.len() >= self.most {
             self.given_up = true;
             return Arg::Node(0);
+        }
+        if let (Op::Select, &[mask, yes, no]) = (op, args) {
+            let sides = [self.under(mask, true, yes, DEEP), self.under(mask, false, no, DEEP)];
+            if sides != [yes, no] {
+                return self.add(op, &[mask, sides[0], sides[1]]);
+            }
         }
         match simpler(self, op, args) {
             Simpler::Is(arg) => arg,
@@ -155,6 +177,28 @@ impl Recorder {
                 self.known.insert(key, node);
                 Arg::Node(node)
             }
+        }
+    }
+
+    /// The number that stands for this one where a mask holds, or where it does not: choices by the
+    /// same mask are made there.
+    fn under(&mut self, mask: Arg, holds: bool, arg: Arg, deep: usize) -> Arg {
+        let Some((op, args)) = self.made(arg) else { return arg };
+        match (op, args) {
+            (Op::Select, &[own, yes, no]) if own == mask => {
+                self.under(mask, holds, if holds { yes } else { no }, deep)
+            }
+            (Op::Add | Op::Sub | Op::Mul | Op::Neg | Op::Max | Op::Min, args) if deep > 0 => {
+                let old = args.to_vec();
+                let new: Vec<Arg> =
+                    old.iter().map(|arg| self.under(mask, holds, *arg, deep - 1)).collect();
+                if new == old {
+                    arg
+                } else {
+                    self.add(op, &new)
+                }
+            }
+            _ => arg,
         }
     }
 
@@ -179,6 +223,7 @@ impl Recorder {
 
     /// It is no infinity, and a number.
     pub fn finite(&self, arg: Arg) -> bool {
-        self.facts(arg).most <= self.largest
+        let Facts { low, high, .. } = self.facts(arg);
+        -self.largest <= low && high <= self.largest
     }
 }

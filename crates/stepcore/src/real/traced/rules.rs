@@ -147,8 +147,12 @@ fn choice(list: &Recorder, mask: Arg, yes: Arg, no: Arg) -> Simpler {
     }
     match list.made(mask) {
         Some((Op::Not, inner)) => By(Op::Select, vec![inner[0], no, yes]),
-        Some((Op::Lt, &[a, b])) if (a, b) == (no, yes) => By(Op::Max, vec![a, b]),
-        Some((Op::Lt, &[a, b])) if (a, b) == (yes, no) => By(Op::Min, vec![b, a]),
+        Some((Op::Lt, &[a, b])) if [a, b] == [no, yes].map(|x| without_sign(list, x)) => {
+            By(Op::Max, vec![no, yes])
+        }
+        Some((Op::Lt, &[a, b])) if [a, b] == [yes, no].map(|x| without_sign(list, x)) => {
+            By(Op::Min, vec![no, yes])
+        }
         _ => Not,
     }
 }
@@ -178,18 +182,11 @@ fn comparison(list: &Recorder, op: Op, a: Arg, b: Arg) -> Simpler {
     if !(list.finite(a) && list.finite(b) || within(list, a, b)) {
         return Not;
     }
-    // Between which bounds both lie.
-    let [low, high] = [a, b].map(|arg| match arg {
-        Arg::Known(value) => [value, value],
-        Arg::Node(_) => {
-            let most = list.facts(arg).most;
-            [-most, most]
-        }
-    });
-    if low[1] < high[0] {
+    let (left, right) = (list.facts(a), list.facts(b));
+    if left.high < right.low {
         return truth(true);
     }
-    if high[1] < low[0] {
+    if right.high < left.low || (op == Op::Lt && right.high <= left.low) {
         return truth(false);
     }
     Not
