@@ -3,7 +3,7 @@
 //! It steps, and knows nothing of who watches: see `observer.rs` and `watch/`.
 
 use crate::room::{room, Room};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use crate::arrays::Array;
 use crate::clock::Clock;
@@ -64,7 +64,7 @@ pub struct Sim<R: Real> {
     pub(crate) solver: Box<dyn Solve<R>>,
     pub(crate) sleeper: Sleeper,
     /// What makes steps that nobody looks at.
-    pub(crate) list: Option<Box<Listed<R>>>,
+    pub(crate) list: Option<Box<Mutex<Listed<R>>>>,
 }
 
 /// The positions and velocities at which stages run.

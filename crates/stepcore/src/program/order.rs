@@ -48,6 +48,8 @@ pub(super) enum Do {
     /// The list is right only where |a| is no more than the limit, and where mask a does not hold.
     Within,
     Never,
+    /// The same of masks a and b together.
+    NeverBoth,
 }
 
 /// An operation: into register d, from registers a, b and c. Masks have registers of their own; a
@@ -94,6 +96,7 @@ impl Registers {
 struct Work<'a> {
     nodes: &'a [Node],
     wanted: &'a [Arg],
+    assumed: &'a [u32],
     /// By entry: how often others read it, what is wanted counting twice; the last entry that does;
     /// whether it is a product that is made with the sum that reads it; where it is.
     uses: Vec<usize>,
@@ -111,12 +114,12 @@ struct Work<'a> {
 /// `beside` in the registers after these.
 pub(super) fn order(trace: &Trace, beside: &[Arg]) -> Ordered {
     let wanted: Vec<Arg> = trace.qpos.iter().chain(&trace.qvel).chain(beside).copied().collect();
-    let mut work = Work::new(&trace.nodes, &wanted);
-    work.mark(&trace.assumed);
+    let mut work = Work::new(&trace.nodes, &wanted, &trace.assumed);
+    work.mark();
     for at in 0..trace.nodes.len() {
         work.entry(at);
         let this = Arg::Node(at as u32);
-        if trace.assumed.contains(&(at as u32)) {
+        if trace.assumed.contains(&(at as u32)) && !work.guards(at) {
             let mask = work.placed(this);
             work.push(Do::Never, [0, mask, 0, 0]);
         }
@@ -133,11 +136,12 @@ pub(super) fn order(trace: &Trace, beside: &[Arg]) -> Ordered {
 }
 
 impl<'a> Work<'a> {
-    fn new(nodes: &'a [Node], wanted: &'a [Arg]) -> Self {
+    fn new(nodes: &'a [Node], wanted: &'a [Arg], assumed: &'a [u32]) -> Self {
         let n = nodes.len();
         Self {
             nodes,
             wanted,
+            assumed,
             uses: vec![0; n],
             last: vec![0; n],
             fused: vec![false; n],
@@ -151,8 +155,9 @@ impl<'a> Work<'a> {
     }
 
     /// Finds out who reads what.
-    fn mark(&mut self, assumed: &[u32]) {
+    fn mark(&mut self) {
         let end = self.nodes.len();
+        let assumed = self.assumed;
         for node in self.wanted.iter().filter_map(|arg| arg.node()).chain(assumed.iter().copied()) {
             self.uses[node as usize] += 2;
             self.last[node as usize] = end;
@@ -247,12 +252,21 @@ impl<'a> Work<'a> {
         registers.take()
     }
 
+    /// Two masks together, which nothing needs but that they do not hold.
+    fn guards(&self, at: usize) -> bool {
+        self.assumed.contains(&(at as u32)) && self.nodes[at].op == Op::And && self.uses[at] == 2
+    }
+
     /// Executes an entry.
     fn entry(&mut self, at: usize) {
         if self.uses[at] == 0 || self.fused[at] {
             return;
         }
         let node = &self.nodes[at];
+        if self.guards(at) {
+            let [a, b] = [node.args[0], node.args[1]].map(|mask| self.placed(mask));
+            return self.push(Do::NeverBoth, [0, a, b, 0]);
+        }
         if let Op::Input(place) = node.op {
             self.place[at] = Some(place as u16);
             return;

@@ -158,6 +158,12 @@ impl<R: Real, const C: usize> Space<R, C> {
                     numbers[d].iter().for_each(|to| to.set(k));
                 }
                 Do::Within => self.require(a, limit),
+                Do::NeverBoth => {
+                    let both = masks[a].iter().zip(&masks[b]);
+                    for (right, (one, other)) in self.right.iter().zip(both) {
+                        right.set(right.get().and(one.get().and(other.get()).not()));
+                    }
+                }
                 Do::Never => {
                     for (right, mask) in self.right.iter().zip(&masks[a]) {
                         right.set(right.get().and(mask.get().not()));

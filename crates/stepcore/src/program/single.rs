@@ -1,10 +1,11 @@
 //! A world, or a register of worlds, stepped by a list.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use super::run::Space;
 use super::Program;
 use crate::observer::Observer;
+use crate::pool::inside;
 use crate::real::Real;
 use crate::room::Room;
 use crate::sim::Sim;
@@ -31,30 +32,39 @@ impl<R: Real> Sim<R> {
         let program = Program::of::<R>(&Arc::clone(&self.model), &self.settings);
         self.list = program.filter(|program| program.operations() <= MOST).map(|program| {
             let space = Space::new(&program.counted);
-            Box::new(Listed { program, space })
+            Box::new(Mutex::new(Listed { program, space }))
         });
     }
 
     /// A step by the list; false: it is none that the list is right for, and nothing has changed.
     #[inline]
     pub(crate) fn step_by_list<O: Observer<R>>(&mut self, observer: &mut O) -> bool {
-        let Some(list) = &self.list else { return false };
-        if observer.looks_inside()
-            || self.inputs.applied()
-            || self.state.carries()
-            || !self.next.warm.is_empty()
-        {
+        if self.list.is_none() || observer.looks_inside() || self.inputs.applied() {
             return false;
         }
-        let Listed { program, space } = &**list;
-        let (nq, nv) = (self.model.nq, self.model.nv);
+        if self.state.carries() || !self.next.warm.is_empty() || !self.run_list() {
+            return false;
+        }
+        observer.committing(self);
+        std::mem::swap(&mut self.state.qpos, &mut self.next.qpos);
+        std::mem::swap(&mut self.state.qvel, &mut self.next.qvel);
+        self.state.steps += 1;
+        true
+    }
+
+    /// Runs the list on the state, into `next`; false: it is not right there.
+    #[inline]
+    fn run_list(&mut self) -> bool {
+        let Self { list: Some(list), state, next, effort, .. } = self else { return false };
+        let Listed { program, space } = inside(list);
+        let (nq, nv) = (state.qpos.len(), state.qvel.len());
         let [q, v] = [program.limits.qpos, program.limits.qvel].map(R::of);
         space.begin();
-        for (at, x) in self.state.qpos.iter().enumerate() {
+        for (at, x) in state.qpos.iter().enumerate() {
             space.set(at, 0, *x);
             space.require(at, q);
         }
-        for (at, x) in self.state.qvel.iter().enumerate() {
+        for (at, x) in state.qvel.iter().enumerate() {
             space.set(nq + at, 0, *x);
             space.require(nq + at, v);
         }
@@ -63,17 +73,13 @@ impl<R: Real> Sim<R> {
         if !space.was_right() {
             return false;
         }
-        (0..nq).for_each(|at| self.next.qpos[at] = space.get(at, 0));
-        (0..nv).for_each(|at| self.next.qvel[at] = space.get(nq + at, 0));
+        (0..nq).for_each(|at| next.qpos[at] = space.get(at, 0));
+        (0..nv).for_each(|at| next.qvel[at] = space.get(nq + at, 0));
         // Counts of a register are nobody's.
         let rows = space.get(nq + nv, 0).lane(0) as usize;
-        self.effort.evaluations += 1;
-        self.effort.most_rows = self.effort.most_rows.max(rows);
-        self.effort.row_updates += rows as u64 * program.sweeps;
-        observer.committing(self);
-        std::mem::swap(&mut self.state.qpos, &mut self.next.qpos);
-        std::mem::swap(&mut self.state.qvel, &mut self.next.qvel);
-        self.state.steps += 1;
+        effort.evaluations += 1;
+        effort.most_rows = effort.most_rows.max(rows);
+        effort.row_updates += rows as u64 * program.sweeps;
         true
     }
 }

@@ -63,6 +63,7 @@ impl Program {
             Do::Copy => self.number(a),
             Do::Known => self.known(b),
             Do::Within => return format!("require |{}| <= {:e}", self.number(a), self.limits.qpos),
+            Do::NeverBoth => return format!("require not ({} and {})", mask(a), mask(b)),
             Do::Never => return format!("require not {}", mask(a)),
         };
         let of_masks =

@@ -29,11 +29,23 @@ pub(super) fn simpler(list: &Recorder, op: Op, args: &[Arg]) -> Simpler {
         (Op::Lt | Op::Le, &[a, b]) => comparison(list, op, a, b),
         (Op::Finite, &[a]) if list.finite(a) => Is(Arg::truth(true)),
         (Op::And | Op::Or, &[a, b]) if a == b => Is(a),
+        (Op::And, &[a, b]) if follows(list, a, b) => Is(a),
+        (Op::And, &[a, b]) if follows(list, b, a) => Is(b),
         (Op::Not, &[a]) => match list.made(a) {
             Some((Op::Not, inner)) => Is(inner[0]),
             _ => Not,
         },
         _ => Not,
+    }
+}
+
+/// Where a mask holds the other does: it is one of those of which the other is made.
+fn follows(list: &Recorder, mask: Arg, other: Arg) -> bool {
+    match list.made(other) {
+        Some((Op::Or, &[a, b])) => {
+            [a, b].into_iter().any(|part| part == mask || follows(list, mask, part))
+        }
+        _ => false,
     }
 }
 
