@@ -52,6 +52,14 @@ print(f"weight {weight:.3f} N, friction up to {most:.2f} N: {weight / most:.0%}"
 print(sc.check(scene, progress=False).findings[0].text)
 
 # %% [markdown]
+# Two seconds of it; drag to turn, and watch the cube between the fingers:
+
+# %%
+sim = sc.Sim(scene)
+sim.reset("held")
+sim.run(2.0)
+
+# %% [markdown]
 # ## What helps
 #
 # We let it settle for a second, and measure how far the cube sinks in the next two.
