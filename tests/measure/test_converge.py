@@ -287,3 +287,17 @@ def test_the_page_says_what_is_so():
     blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     assert len(blocks) == 1
     exec(blocks[0], {})
+
+
+def test_bodies_that_just_touch_at_the_start_do_not_stop_sweeps_from_converging():
+    """Their impulses at the start are rounding, of which every sweep leaves all."""
+    scene = sc.loads(
+        """<mujoco><option timestep="0.005" solver="PGS" iterations="4"/><worldbody>
+        <geom type="plane" size="1 1 1"/>
+        <body pos="0 0 .1"><freejoint/><geom size=".1" mass="1"/></body>
+        <body pos="0 0 .3"><freejoint/><geom size=".1" mass="100"/></body>
+        </worldbody></mujoco>"""
+    )
+    result = sc.converge(scene, horizon=0.1, starts=1, progress=False)
+    assert not any("do not converge" in said for said in result.sentences)
+    assert result.contraction == pytest.approx(result.slowest.theory.radius, rel=0.02)

@@ -337,3 +337,30 @@ def test_a_limit_is_found_where_nothing_says_from_where_on():
         <actuator><position tendon="t" kp="10" kv="1" forcerange="-1 1"/></actuator></mujoco>"""
     ).compile()
     assert crossing_dt(model, model.qpos0, 0) == math.inf
+
+
+SLIPPING = """<mujoco><option timestep="0.005" gravity="0 0 0" integrator="implicitfast"/>
+  <worldbody>
+  <body><joint name="j" axis="0 1 0" armature="0.03" frictionloss="0.05" damping="3.5"/>
+    <geom size=".01" mass="1e-6"/></body></worldbody>
+  <actuator><position name="s" joint="j" kp="1040" ctrlrange="-2 2" forcerange="-3 3"/></actuator>
+  </mujoco>"""
+
+
+def test_a_servo_that_friction_would_hold_at_rest_limits_dt_where_it_moves():
+    """Beyond 10 ms refsafe softens the friction loss, which slips, with its force, however soft.
+
+    SO-101 by its shape: a step beyond the servo's limit chatters at the ends of the force range.
+    """
+    found = diagnosed(sc.loads(SLIPPING))
+    omega = math.sqrt(1040 / 0.03)
+    ratio = 3.5 / (2 * 0.03 * omega)
+    limit = (2 * ratio + 2 * math.sqrt(ratio**2 + 1)) / omega
+    assert found.limit() == pytest.approx(limit, rel=0.01) and limit > 0.01
+    speeds = {}
+    for part in (0.9, 1.3):
+        sim = sc.Sim(sc.loads(SLIPPING), dt=part * limit)
+        sim.qvel[:] = 1.0
+        sim.step(300)
+        speeds[part] = float(abs(sim.qvel[0]))
+    assert speeds[0.9] < 1e-6 and speeds[1.3] > 0.1

@@ -113,20 +113,24 @@ def _history(model: Model, settings: Settings, most: int, state: MotionState) ->
         sim.forward()
         return sim
 
+    def size(acceleration: np.ndarray) -> float:
+        change = acceleration * settings.dt
+        return math.sqrt(max(float(change @ mass @ change), 0.0))
+
     def distance(sim: Sim) -> float:
-        away = (np.array(sim.qacc) - target) * settings.dt
-        return math.sqrt(max(float(away @ mass @ away), 0.0))
+        return size(np.array(sim.qacc) - target)
 
     # Distances are of plain sweeps: accelerated ones do not shrink geometrically.
     unsolved = solution.residual > UNSOLVED * speed
     read = sorted({*(n for n in BETWEEN if n < most), *counts})
     sims = [swept(n, acceleration="none") for n in read]
     left = [sim.residual if unsolved else distance(sim) for sim in sims]
+    rounding = ROUNDING * (speed if unsolved else size(target))
     return replace(
         history,
         cold=tuple(swept(n).residual for n in counts),
         warm=tuple(swept(n, warm_start=True).residual for n in counts),
-        contraction=contraction(read, left) if len(own.rows) > 1 else None,
+        contraction=contraction(read, left, rounding) if len(own.rows) > 1 else None,
         theory=theory(solution),
         forces=row_forces(own, solution),
     )
@@ -156,19 +160,22 @@ def _force(rows: np.ndarray, cone: float) -> float:
     return float(rows["force"].sum() if cone == 0 else rows["force"][0])
 
 
-def contraction(sweeps: Sequence[int], left: Sequence[float]) -> float | None:
+def contraction(
+    sweeps: Sequence[int], left: Sequence[float], rounding: float = 0.0
+) -> float | None:
     """The share of the distance that a sweep leaves: the mean slope of the last readable ones.
 
-    left: the distance after each number of sweeps, the first of which is 0.
+    left: the distance after each number of sweeps, the first of which is 0. rounding: below it a
+    distance is none; where all are (rows that only just touch have impulses of rounding), None.
 
     >>> print(f"{contraction((0, 1, 2, 4, 8), [0.5**n for n in (0, 1, 2, 4, 8)]):.3f}")
     0.500
     """
     most = max(left, default=0.0)
-    if not most > 0 or not math.isfinite(most):
+    if not most > rounding or not math.isfinite(most):
         return None
     pairs = list(zip(sweeps, left, strict=True))
-    readable = [(n, e) for n, e in pairs if e >= READABLE * most]
+    readable = [(n, e) for n, e in pairs if e >= max(READABLE * most, rounding)]
     if readable[-1][0] == 0:
         # One sweep is all it takes.
         return left[1] / most

@@ -60,6 +60,15 @@ def acting_elements(sim: Sim) -> tuple[ElementId, ...]:
     return tuple(dict.fromkeys(e for e, pushes in rows if pushes or e.kind in always))
 
 
+def slipping_elements(sim: Sim) -> frozenset[ElementId]:
+    """The friction losses whose rows are at the ends of their range, where nothing is stiff."""
+    rows = sim.rows
+    ends = (rows["impulse"] <= rows["lo"]) | (rows["impulse"] >= rows["hi"])
+    losses = ("friction loss", "tendon friction loss")
+    both = zip(row_elements(sim), ends.tolist(), strict=True)
+    return frozenset(e for e, slips in both if slips and e.kind in losses)
+
+
 def penalised_contacts(sim: Sim) -> tuple[ElementId, ...]:
     """The contacts that overlap under the law `penalty`, where they have no rows."""
     if sim.settings.law != "penalty" or sim.overlap <= 0:

@@ -22,7 +22,12 @@ from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
 from stepcore.experiment.control import controls
 from stepcore.experiment.converged import converged_settings
-from stepcore.measure.diagnosis.element_id import ElementId, acting_elements, penalised_contacts
+from stepcore.measure.diagnosis.element_id import (
+    ElementId,
+    acting_elements,
+    penalised_contacts,
+    slipping_elements,
+)
 from stepcore.measure.diagnosis.feedback import Feedback
 from stepcore.measure.diagnosis.midpoint_map import midpoint_map
 
@@ -40,7 +45,8 @@ class State:
 
     label: where in the motion it is. time: of the motion [s]. qpos: shape (nq,); qvel: shape
     (nv,); ctrl: shape (nu,). rows: the elements whose rows act there. touching: the contacts that
-    overlap there and have no row, those of the law `penalty`. feedback: the user's control function
+    overlap there and have no row, those of the law `penalty`. slipping: the friction losses that
+    give all of their force there, which no softness changes. feedback: the user's control function
     at this state, if the controls depend on it. act: shape (na,), empty for zeros; activations are
     held.
     """
@@ -52,6 +58,7 @@ class State:
     ctrl: Floats
     rows: tuple[ElementId, ...] = ()
     touching: tuple[ElementId, ...] = ()
+    slipping: frozenset[ElementId] = frozenset()
     feedback: Feedback | None = None
     act: Floats = field(default_factory=lambda: np.zeros(0))
 
@@ -72,7 +79,7 @@ def with_converged_rows(model: Model) -> Model:
 def state_of(sim: Sim, label: str, time: float) -> State:
     """The present state of a Sim whose rows were solved there."""
     qpos, qvel, ctrl = (np.array(x) for x in (sim.qpos, sim.qvel, sim.ctrl))
-    met = acting_elements(sim), penalised_contacts(sim)
+    met = acting_elements(sim), penalised_contacts(sim), slipping_elements(sim)
     return State(label, time, qpos, qvel, ctrl, *met, act=np.array(sim.act))
 
 

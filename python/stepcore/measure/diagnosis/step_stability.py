@@ -193,7 +193,7 @@ class StepStability:
 
     def _softened(self, state: State, dt: float) -> bool:
         """Whether `refsafe` makes rows that act there softer than the scene asks."""
-        return dt > self.softened and bool(state.rows)
+        return dt > self.softened and not state.slipping.issuperset(state.rows)
 
     def shortest(self, state: int) -> float:
         """Where the search for a state's limit begins [s]."""
