@@ -10,11 +10,11 @@ sine is 20, a comparison 0), the mean of some worlds; so is its memory (`Batch.n
 step reads and writes once at least. One thread, computing time, medians; worlds are spread along a
 motion under random controls. The second line of a scene says where its operations are, by stage.
 
-Operations are those of the method in general form: what compiled code leaves out, such as products with
-the zeros of an axis, is counted, so that a share may even exceed 1 (the chain's does). A share far
-below 1 is no idle core: operations that wait for the last one's result, divisions and
-roots (which take ten times a product), comparisons and selects (which count as 0), and lanes whose
-world has no part in a row, all lower it. "gain" is how much less a world takes than alone: of 8, or
+Operations are those of the method in general form: what compiled code leaves out, such as products
+with the zeros of an axis, is counted, so that a share may even exceed 1 (the chain's does). A share
+far below 1 is no idle core: operations that wait for the last one's result, divisions and roots
+(which take ten times a product), comparisons and selects (which count as 0), and lanes whose world
+has no part in a row, all lower it. "gain" is how much less a world takes than alone: of 8, or
 16 in single precision, lanes.
 """
 
