@@ -263,7 +263,7 @@ class Model:
     def heap(self) -> list[tuple[str, str, int]] | None: ...
     def plan(self) -> dict[str, Any]: ...
     def program(self, settings: Settings) -> list[str] | None:
-        """What the steps of small models execute, one line an operation; None: they run the stages."""
+        """What the steps of small models execute, one line an operation; None: the stages."""
 
     def keys(self) -> list[tuple[float, list[list[float]]]]:
         """Time of every keyframe and its qpos, qvel, act, ctrl, mocap_pos and mocap_quat, defaults

@@ -128,7 +128,8 @@ impl<R: Real> Batch<R> {
 
     /// Memory of all worlds and of the threads' working spaces [bytes]; models are not in it.
     pub fn bytes(&self) -> usize {
-        size_of::<Self>() + self.seats.bytes() + self.groups.room() + self.crew.bytes()
+        let list = self.list.as_ref().map_or(0, Blocks::bytes);
+        size_of::<Self>() + self.seats.bytes() + self.groups.room() + self.crew.bytes() + list
     }
 
     pub fn time(&self) -> f64 {

@@ -6,6 +6,7 @@ use super::run::Space;
 use super::Program;
 use crate::pool::lock;
 use crate::real::Real;
+use crate::room::Room;
 use crate::state::State;
 
 /// Registers of worlds in a block.
@@ -51,6 +52,12 @@ impl<R: Real> Blocks<R> {
         Self { program, free }
     }
 
+    /// Memory of the registers [bytes].
+    pub fn bytes(&self) -> usize {
+        let of = |desk: &Desk<R>| desk.one.bytes() + desk.wide.bytes();
+        lock(&self.free).iter().map(of).sum()
+    }
+
     /// Takes `n` steps, one or more, of at most `MOST` registers. False: the list is not right for
     /// them, and nothing has changed.
     pub fn step(&self, n: u64, worlds: &mut [impl Holds<R>]) -> bool {
@@ -68,6 +75,10 @@ impl<R: Real> Blocks<R> {
 impl<R: Real, const C: usize> Pair<R, C> {
     fn new(program: &Program) -> Self {
         Self { steps: Space::new(&program.steps), last: Space::new(&program.last) }
+    }
+
+    fn bytes(&self) -> usize {
+        self.steps.room() + self.last.room()
     }
 
     fn step(&self, program: &Program, n: u64, worlds: &mut [impl Holds<R>]) -> bool {
