@@ -344,3 +344,25 @@ def test_a_large_batch_has_the_bits_of_one_thread():
         batch.qvel[:, 0] = np.linspace(-1, 1, len(batch))
         batch.step(5)
     assert (batches[0].qpos == batches[1].qpos).all()
+
+
+@pytest.mark.parametrize("lanes", [True, False])
+def test_arrays_go_in_and_out_over_threads(lanes):
+    """Of worlds that cannot be stepped the first is named, and none moves."""
+    batches = [sc.Batch(ball(), 1501, threads=threads, lanes=lanes) for threads in (1, 3)]
+    for batch in batches:
+        batch.qvel[:, 0] = np.linspace(-1, 1, len(batch))
+        batch.step(2)
+        batch.qpos[::7, 2] += 0.25
+        batch.step(2)
+    for name in ("qpos", "qvel"):
+        assert getattr(batches[0], name).tobytes() == getattr(batches[1], name).tobytes()
+    for batch in batches:
+        batch.qvel[[1400, 77, 800], 1] = np.nan
+        before = batch.qpos.copy()
+        with pytest.raises(ValueError, match=r"qvel\[1\] = NaN.*world 77\)"):
+            batch.step()
+        assert (batch.qpos == before).all()
+        batch.qvel[[1400, 77, 800], 1] = 0.0
+        batch.step()
+    assert batches[0].qpos.tobytes() == batches[1].qpos.tobytes()

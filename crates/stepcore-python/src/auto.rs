@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use stepcore::arrays::{Array, Given};
-use stepcore::batch::Play;
+use stepcore::batch::{Givens, Play};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 
@@ -189,8 +189,11 @@ impl Worlds for Auto {
     fn put(&mut self, world: usize, given: &Given) {
         self.now.put(world, given);
     }
-    fn take(&self, world: usize, array: Array, out: &mut [f64]) {
-        self.now.take(world, array, out);
+    fn load(&mut self, given: &Givens) -> Result<()> {
+        self.now.load(given)
+    }
+    fn store(&self, array: Array, numbers: &mut [f64]) {
+        self.now.store(array, numbers);
     }
     fn step(&mut self, n: u64) -> Result<()> {
         self.advance(n, |worlds, n| worlds.step(n))

@@ -66,15 +66,10 @@ impl Arrays {
         self.memory.get().read(py, |numbers| read(&All { arrays: self, numbers }))
     }
 
-    /// Lets `take(world, array, numbers)` overwrite every world's part of what a step changes.
-    pub fn store(&self, py: Python<'_>, mut take: impl FnMut(usize, Array, &mut [f64]) + Send) {
+    /// Lets `take(array, numbers)` overwrite what a step changes, an array of all worlds at a time.
+    pub fn store(&self, py: Python<'_>, mut take: impl FnMut(Array, &mut [f64]) + Send) {
         for array in &Array::ALL[..Array::CHANGED] {
-            let length = self.lengths[*array as usize];
-            self.memory.get().edit(py, self.range(*array), |numbers| {
-                for world in 0..self.worlds {
-                    take(world, *array, &mut numbers[world * length..][..length]);
-                }
-            });
+            self.memory.get().edit(py, self.range(*array), |numbers| take(*array, numbers));
         }
     }
 

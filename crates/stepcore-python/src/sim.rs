@@ -63,7 +63,7 @@ impl Sim {
     }
 
     fn store(&self, py: Python<'_>, world: &mut dyn World) {
-        self.arrays.store(py, move |_, array, out| world.take(array, out));
+        self.arrays.store(py, move |array, out| world.take(array, out));
     }
 
     fn placed<'py>(&self, py: Python<'py>, what: Placed) -> PyResult<Array<'py>> {

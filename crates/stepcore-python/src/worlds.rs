@@ -4,11 +4,11 @@
 use std::sync::Arc;
 
 use stepcore::arrays::{lists, Array, Given};
-use stepcore::batch::{fills_lanes, gains_by_lanes, Batch, Last, Play};
+use stepcore::batch::{fills_lanes, gains_by_lanes, Batch, Givens, Last, Play};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::program::Program;
-use stepcore::real::{Lanes, LanesF32, Real};
+use stepcore::real::Real;
 use stepcore::settings::{Precision, Settings};
 use stepcore::sleep::Sleep;
 use stepcore::state::{Warm, WARM_ROWS};
@@ -16,10 +16,21 @@ use stepcore::state::{Warm, WARM_ROWS};
 use crate::auto::Auto;
 use crate::world::{impulse, Memo, World};
 
+// Worlds side by side, where the module has lanes.
+#[cfg(not(feature = "single"))]
+use stepcore::real::{Lanes as Wide, LanesF32 as WideF32};
+#[cfg(feature = "single")]
+type Wide = f64;
+#[cfg(feature = "single")]
+type WideF32 = f32;
+
 pub trait Worlds: Send + Sync {
     fn check(&self, world: usize, given: &Given) -> Result<()>;
     fn put(&mut self, world: usize, given: &Given);
-    fn take(&self, world: usize, array: Array, out: &mut [f64]);
+    /// Checks the arrays of all worlds, then puts them.
+    fn load(&mut self, given: &Givens) -> Result<()>;
+    /// Gives an array that a step changes, of all worlds.
+    fn store(&self, array: Array, numbers: &mut [f64]);
     fn step(&mut self, n: u64) -> Result<()>;
     fn forward(&mut self) -> Result<()>;
     fn play(&mut self, play: &mut Play, from: usize, n: usize) -> Result<()>;
@@ -70,9 +81,9 @@ pub struct How {
 impl How {
     /// Worlds in the precision that the settings ask for; `model_of`: the model of each.
     pub fn worlds(&self, models: Vec<Arc<Model>>, model_of: &[usize]) -> Result<Box<dyn Worlds>> {
-        let width = if self.single() { <LanesF32>::LANES } else { <Lanes>::LANES };
+        let width = if self.single() { <WideF32>::LANES } else { <Wide>::LANES };
         let gains = models.iter().all(|model| gains_by_lanes(model, &self.settings));
-        let can = gains && fills_lanes(model_of, width);
+        let can = width > 1 && gains && fills_lanes(model_of, width);
         // An account of energies stays with those who began it, and one world has no neighbours.
         if self.lanes.is_some()
             || !can
@@ -115,9 +126,9 @@ impl How {
         model_of: &[usize],
     ) -> Result<Box<dyn Worlds>> {
         match (self.single(), lanes) {
-            (false, true) => self.made_of::<Lanes>(models, model_of),
+            (false, true) => self.made_of::<Wide>(models, model_of),
             (false, false) => self.made_of::<f64>(models, model_of),
-            (true, true) => self.made_of::<LanesF32>(models, model_of),
+            (true, true) => self.made_of::<WideF32>(models, model_of),
             (true, false) => self.made_of::<f32>(models, model_of),
         }
     }
@@ -140,8 +151,11 @@ impl<R: Real> Worlds for Batch<R> {
     fn put(&mut self, world: usize, given: &Given) {
         Batch::put(self, world, given);
     }
-    fn take(&self, world: usize, array: Array, out: &mut [f64]) {
-        Batch::take(self, world, array, out);
+    fn load(&mut self, given: &Givens) -> Result<()> {
+        Batch::load(self, given)
+    }
+    fn store(&self, array: Array, numbers: &mut [f64]) {
+        Batch::store(self, array, numbers);
     }
     fn step(&mut self, n: u64) -> Result<()> {
         Batch::step(self, n)

@@ -175,7 +175,7 @@ impl<'a> Given<'a> {
     pub fn check<R: Real>(&self, model: &Model, world: Option<usize>) -> Result<()> {
         for array in Array::ALL {
             let values = &self[array];
-            let Some(k) = values.iter().position(|x| !R::of(*x).is_finite().all()) else {
+            let Some(k) = values.iter().position(|x| !R::of(*x).lane(0).is_finite()) else {
                 continue;
             };
             let place = match array.shape(model)[..] {

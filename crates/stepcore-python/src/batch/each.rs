@@ -35,16 +35,11 @@ impl Batch {
 
     /// Checks all arrays, then copies them into the engine.
     pub(super) fn load(&self, py: Python<'_>, worlds: &mut dyn Worlds) -> PyResult<()> {
-        self.check(py, worlds)?;
-        let n = self.arrays.worlds;
-        self.arrays.read_all(py, |all| {
-            (0..n).for_each(|world| worlds.put(world, &all.given(world)));
-        });
-        Ok(())
+        self.arrays.read_all(py, |all| worlds.load(&|world| all.given(world))).raised(py)
     }
 
     pub(super) fn store(&self, py: Python<'_>, worlds: &dyn Worlds) {
-        self.arrays.store(py, |world, array, out| worlds.take(world, array, out));
+        self.arrays.store(py, |array, numbers| worlds.store(array, numbers));
     }
 
     /// Reads each world's present state, which is checked.

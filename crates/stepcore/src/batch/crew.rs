@@ -107,6 +107,37 @@ impl<R: Real> Crew<R> {
     }
 }
 
+/// Worlds below which it costs more to wake threads than to carry all arrays in one.
+const WORTH_CARRYING: usize = 1024;
+
+impl<R: Real> Crew<R> {
+    /// Lets `work` go through items, so many of them a unit, in portions: what takes little time a
+    /// world, and no working space. It is told the unit that each portion begins with.
+    pub fn carry<T: Send>(
+        &self,
+        worlds: usize,
+        items: &mut [T],
+        unit: usize,
+        work: impl Fn(usize, &mut [T]) + Sync,
+    ) {
+        if unit == 0 {
+            return;
+        }
+        let units = (items.len() / unit).div_ceil(self.threads * PORTIONS).max(1);
+        let left = Mutex::new(items.chunks_mut(units * unit).enumerate());
+        let take_all = |_: usize| loop {
+            // The lock is open again before the work begins.
+            let next = lock(&left).next();
+            let Some((portion, own)) = next else { return };
+            work(portion * units, own);
+        };
+        match &self.pool {
+            Some(pool) if worlds >= WORTH_CARRYING => pool.share(self.threads, &take_all),
+            _ => take_all(0),
+        }
+    }
+}
+
 /// Where a thread works: the space of one model at a time, which goes back to the others when it is
 /// done with it.
 pub(super) struct Desk<'a, R: Real> {

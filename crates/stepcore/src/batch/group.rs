@@ -1,6 +1,7 @@
 //! The worlds of one register of lanes, and their stay in the working space of a thread.
 
 use super::failed::Standing;
+use crate::arrays::Given;
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::program::{Holds, Place};
@@ -87,6 +88,28 @@ impl<R: Real> Group<R> {
     pub fn begin_again(&mut self) {
         self.start.copy_to(&mut self.state);
         self.standing.lanes.fill(None);
+    }
+
+    /// Takes the arrays of the world in lane `own`; `worlds`: how many worlds the group has.
+    pub fn put(&mut self, own: usize, worlds: usize, given: &Given) {
+        if let Some(failed) = &self.standing.lanes[own] {
+            if failed.stands(given) {
+                return;
+            }
+            self.standing.lanes[own] = None;
+            // Its lane repeated another, whose impulses are none of its own.
+            self.state.forget_impulses(own);
+        }
+        let last = if own + 1 == worlds { R::LANES } else { own + 1 };
+        for lane in own..last {
+            if self.state.put(lane, given) {
+                if std::mem::take(&mut self.ended[lane]) {
+                    self.state.forget_impulses(lane);
+                }
+                self.ledger.iter_mut().for_each(|ledger| ledger.forget());
+            }
+            self.inputs.put(lane, given);
+        }
     }
 
     /// Runs `one` up to `n` times on this group's state in a thread's working space; `worlds`: whose

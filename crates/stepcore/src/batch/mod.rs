@@ -5,6 +5,7 @@
 //! computes depends on nothing else, so results are the same bits at any number of
 //! threads, and, because a lane is a world, in lanes or one by one.
 
+mod carry;
 mod crew;
 mod failed;
 mod group;
@@ -12,6 +13,7 @@ mod listed;
 mod play;
 mod seats;
 
+pub use carry::Givens;
 pub use failed::Failed;
 pub use group::Last;
 pub use play::Play;
@@ -155,25 +157,7 @@ impl<R: Real> Batch<R> {
     /// world of their own repeat the last one.
     pub fn put(&mut self, world: usize, given: &Given) {
         let (index, own) = self.seats.of(world);
-        let group = &mut self.groups[index];
-        if let Some(failed) = &group.standing.lanes[own] {
-            if failed.stands(given) {
-                return;
-            }
-            group.standing.lanes[own] = None;
-            // Its lane repeated another, whose impulses are none of its own.
-            group.state.forget_impulses(own);
-        }
-        let last = if own + 1 == self.seats.worlds(index).len() { R::LANES } else { own + 1 };
-        for lane in own..last {
-            if group.state.put(lane, given) {
-                if std::mem::take(&mut group.ended[lane]) {
-                    group.state.forget_impulses(lane);
-                }
-                group.ledger.iter_mut().for_each(|ledger| ledger.forget());
-            }
-            group.inputs.put(lane, given);
-        }
+        self.groups[index].put(own, self.seats.worlds(index).len(), given);
     }
 
     /// Gives a world's part of an array that a step changes.
