@@ -27,7 +27,7 @@ def compare(case, options, report: record.Report) -> None:
     worlds, steps = (64, 20) if options.quick else (WORLDS, STEPS)
     motion = mujoco_side.record(model, worlds, 1, 5, case.settle)
     ctrl = np.repeat(motion.ctrl, steps, axis=1)
-    states = np.array([_physics(model, state) for state in motion.states])
+    states = np.array([physics(model, state) for state in motion.states])
     kept = np.empty((worlds, steps, states.shape[1]))
     for threads in (1, 2):
         batch = sc.Batch(compiled, worlds, threads=threads, solver="newton", integrator=integrator)
@@ -62,7 +62,7 @@ def compare(case, options, report: record.Report) -> None:
         report.add(**entry, integrator=integrator, solver="newton", **found.record())
 
 
-def _physics(model: mujoco.MjModel, state: np.ndarray) -> np.ndarray:
+def physics(model: mujoco.MjModel, state: np.ndarray) -> np.ndarray:
     """The part of an integration state that a rollout starts from."""
     out = np.empty(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_extractState(model, state, mujoco.mjtState.mjSTATE_INTEGRATION, out, STATE)

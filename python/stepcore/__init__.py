@@ -14,6 +14,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from stepcore import vectors
+
 if TYPE_CHECKING:
     from stepcore import lesson as lesson
     from stepcore import reference as reference
@@ -103,6 +105,8 @@ if TYPE_CHECKING:
     from stepcore.viewing.live import View as View
     from stepcore.viewing.live import view as view
     from stepcore.viewing.picture import picture as picture
+
+vectors.choose(__path__)
 
 # Where each public name comes from. A module is imported when one of its names is first used, so
 # that a script that steps a scene does not wait for the measurements. Type checkers read the

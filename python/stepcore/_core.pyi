@@ -12,6 +12,9 @@ from stepcore.engine.settings_fields import SettingsFields
 
 __all__ = ["Batch", "EnergyWarning", "Model", "Settings", "Sim", "SimulationError", "compile"]
 
+# The vector instructions that this module was compiled for.
+VECTORS: Literal["avx2", "sse2", "neon", "none"]
+
 _Floats = NDArray[np.float64]
 # Kind, index, part; part -1 is the whole element.
 _Element = tuple[str, int, int]

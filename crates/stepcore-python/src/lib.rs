@@ -31,6 +31,17 @@ use pyo3::prelude::*;
 // Objects lock what they hold (`gil::lock`, `memory`): no GIL is needed.
 #[pymodule(gil_used = false)]
 mod _core {
+    /// The vector instructions that this module was compiled for.
+    #[pymodule_export]
+    const VECTORS: &str = if cfg!(target_feature = "avx2") {
+        "avx2"
+    } else if cfg!(target_feature = "sse2") {
+        "sse2"
+    } else if cfg!(target_feature = "neon") {
+        "neon"
+    } else {
+        "none"
+    };
     #[pymodule_export]
     use super::batch::Batch;
     #[pymodule_export]

@@ -22,11 +22,14 @@ def add(command: argparse.ArgumentParser) -> None:
 
 
 def call(args: argparse.Namespace) -> None:
-    from stepcore import _core
+    from stepcore import _core, vectors
 
     facts = {package: _version(package) for package in PACKAGES} | {
         # Its name tells the stable ABI from a build for one free-threaded Python.
         "module": os.path.basename(_core.__file__),
+        "vectors": _core.VECTORS,
+        # What the variable STEPCORE_VECTORS could name here.
+        "levels": ", ".join(vectors.levels()),
         "python": platform.python_version() + (" free-threaded" if _free_threaded() else ""),
         "machine": f"{platform.system()} {platform.machine()}",
         "cores": os.cpu_count(),

@@ -1,0 +1,69 @@
+"""Which compiled module is loaded: that with the widest vector instructions of this processor.
+
+A wheel for x86-64 has the module twice: beside the other files for every processor, and in a
+folder of its own for those with AVX2. Both give the same bits. The environment variable
+`STEPCORE_VECTORS` forces one.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+
+VARIABLE = "STEPCORE_VECTORS"
+BASELINE = "baseline"
+
+
+def choose(path: list[str]) -> None:
+    """Lets `import stepcore._core` find the widest; `path` is the package's `__path__`.
+
+    Raises an ImportError if STEPCORE_VECTORS names none of `levels()`.
+    """
+    name = os.environ.get(VARIABLE) or next(iter(levels()))
+    if name not in levels():
+        known = "', '".join(levels())
+        limit = f"one of '{known}', which this installation has and this processor can run"
+        raise ImportError(f"{VARIABLE} = '{name}': must be {limit}")
+    if name != BASELINE:
+        path.insert(0, levels()[name])
+
+
+def levels() -> dict[str, str]:
+    """What this installation has and this processor can run, the widest first: names, and the
+    folder of each one's module."""
+    package = os.path.dirname(__file__)
+    wider = {name: os.path.join(package, f"_{name}") for name in _RUNS}
+    there = {name: own for name, own in wider.items() if os.path.isdir(own) and _RUNS[name]()}
+    return there | {BASELINE: package}
+
+
+def _has_avx2() -> bool:
+    """The processor has AVX2, and the operating system lets programs use it."""
+    if sys.platform == "linux":
+        return "avx2" in _flags()
+    import ctypes
+
+    if sys.platform == "win32":
+        avx2_instructions_available = 40
+        return bool(ctypes.windll.kernel32.IsProcessorFeaturePresent(avx2_instructions_available))
+    if sys.platform == "darwin":
+        value, size = ctypes.c_int(0), ctypes.c_size_t(ctypes.sizeof(ctypes.c_int))
+        answer = (ctypes.byref(value), ctypes.byref(size), None, 0)
+        failed = ctypes.CDLL(None).sysctlbyname(b"hw.optional.avx2_0", *answer)
+        return not failed and bool(value.value)
+    return False
+
+
+def _flags() -> list[str]:
+    """What Linux lets programs use of the processor."""
+    try:
+        # Written while it is read, and one processor is enough.
+        with open("/proc/cpuinfo", encoding="ascii", errors="replace") as facts:
+            return next((line for line in facts if line.startswith("flags")), "").split()
+    except OSError:
+        return []
+
+
+# The widest first; what is not here is the baseline.
+_RUNS: dict[str, Callable[[], bool]] = {"avx2": _has_avx2}
