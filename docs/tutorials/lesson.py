@@ -106,8 +106,8 @@ print(f"a sweep leaves {result.theory.radius:.0%}")
 # %% [markdown]
 # ## All of it
 #
-# The whole lesson has 74 figures, each beside its reference. `stepcore lesson --all`
-# prints them.
+# The whole lesson has 74 figures, each beside its reference.
+# `stepcore lesson --all` prints them.
 
 # %%
 rows = [row for row in lesson.run() if row.reference is not None]

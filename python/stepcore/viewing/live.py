@@ -72,7 +72,9 @@ class View:
         return f"<View: {self.url}>"
 
     def _repr_html_(self) -> str:
-        style = "width:100%;height:520px;border:1px solid #8884;border-radius:6px"
+        style = (
+            "box-sizing:border-box;width:100%;height:520px;border:1px solid #8884;border-radius:6px"
+        )
         return f'<iframe src="{self.url}" style="{style}"></iframe>'
 
 

@@ -400,9 +400,12 @@
 
   function resize() {
     renderer.setPixelRatio(window.devicePixelRatio);
-    renderer.setSize(window.innerWidth, window.innerHeight, false);
-    camera.aspect = window.innerWidth / window.innerHeight;
-    camera.updateProjectionMatrix();
+    const { innerWidth: width, innerHeight: height } = window;
+    renderer.setSize(width, height, false);
+    camera.aspect = width / height;
+    // What is looked at stands in the middle of what the panel leaves free.
+    const covered = document.querySelector("aside").offsetWidth;
+    camera.setViewOffset(width, height, width > 2 * covered ? -covered / 2 : 0, 0, width, height);
   }
   window.addEventListener("resize", resize);
   resize();

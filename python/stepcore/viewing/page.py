@@ -65,7 +65,8 @@ def save_page(runs: Sequence[Replayed], path: str | os.PathLike[str]) -> None:
 def framed(text: str, height: int = 480) -> str:
     """The page as a notebook shows it, apart from the notebook's own scripts."""
     inner = html.escape(text)
-    style = f"width:100%;height:{height}px;border:1px solid #8884;border-radius:6px"
+    style = f"box-sizing:border-box;width:100%;height:{height}px;"
+    style += "border:1px solid #8884;border-radius:6px"
     return f'<iframe srcdoc="{inner}" style="{style}" sandbox="allow-scripts"></iframe>'
 
 
