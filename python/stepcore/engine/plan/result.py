@@ -16,8 +16,8 @@ from stepcore.report.units import seconds
 NAMES = 4
 # The entries that are named for their cost, and those that a table prints unless all are asked for.
 COSTLY, PRINTED = 3, 9
-# Lines of a list that are printed.
-LINES = 30
+# A list of no more lines is always printed.
+LINES = 6
 LEGEND = (
     "flops: floating-point operations of the entry's own stage, or those saved by removing the "
     "entry. They do not add up, because some work serves several entries."
@@ -131,10 +131,7 @@ class Plan(Result):
                 f"Of {whole:.3g} MB of meshes and height fields it needs {read:.3g} MB."
             )
         if self.program:
-            sentences.append(
-                f"Its steps are made by a list of {len(self.program)} operations on numbers, all "
-                "constants folded; the flops are those of the stages that they stand for."
-            )
+            sentences.append(f"Its steps run by a list of {len(self.program)} operations (--all).")
         return sentences
 
     @property
@@ -154,13 +151,9 @@ class Plan(Result):
         less = LESS * any((entry.flops or 0) < 0 for entry in used)
         does.legend = f"{does.legend} {LEGEND}{less}".strip()
         tables = [does, _table(left_out, "Left out of a step", len(self.left_out))]
-        if self.program:
-            lines = self.program if full else self.program[:LINES]
-            left = len(self.program) - len(lines)
-            legend = f"Not shown: {left} more (--all, or text(full=True))." if left else ""
-            heading = "What a step executes"
-            rows = [{"operation": line} for line in lines]
-            tables.append(Table(rows, heading=heading, legend=legend))
+        if self.program and (full or len(self.program) <= LINES):
+            rows = [{"operation": line} for line in self.program]
+            tables.append(Table(rows, heading="What a step executes"))
         if full:
             elements = [
                 {"used": "yes" if entry.used else "no", "what": entry.name, "element": name}
