@@ -107,8 +107,8 @@ impl Model {
 impl<'a, R: Real> Reading<'a, R> {
     /// Of one lane of a world, at its present state; if it has solved there, of that solve.
     pub fn new(sim: &'a mut Sim<R>, lane: usize) -> Self {
-        sim.refresh();
         let bodies = sim.bodies(lane);
+        sim.refresh();
         Self { sim, lane, bodies, forces: None }
     }
 

@@ -99,5 +99,13 @@ impl<R: Real> Sim<R> {
         let (qpos, qvel) = At::State.of(&self.state, &self.next);
         let act = self.state.activations(self.clock);
         self.placed.dynamics(&model, qpos, qvel, act, &self.inputs);
+        if model.adheres {
+            // What is pulled at through contacts is known with them.
+            let detected = self.detected_aside();
+            let at = At::State.of(&self.state, &self.next);
+            let guess = self.placed.guess.clone();
+            self.placed.place_adhesion(&model, at, act, &self.inputs, &detected.contacts);
+            self.placed.guess = guess;
+        }
     }
 }
