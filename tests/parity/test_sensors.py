@@ -491,3 +491,32 @@ def test_a_sensor_of_its_user_has_its_place_and_zeros():
     assert sim.sensordata.tolist() == data.sensordata.tolist()
     assert sim.sensor("mine").data.tolist() == [0.0, 0.0, 0.0]
     assert sc.loads(scene.to_mjcf()) == scene
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        '<force site="mount"/>',
+        '<torque site="mount"/>',
+        '<subtreecom body="hand"/>',
+        '<subtreelinvel body="hand"/>',
+        '<subtreeangmom body="hand"/>',
+        "<e_potential/>",
+        '<framepos objtype="body" objname="palm"/>',
+        '<framepos objtype="site" objname="mount" reftype="body" refname="palm"/>',
+    ],
+)
+def test_what_only_draws_on_a_body_that_stands_still_weighs(sensor):
+    """A hand by itself: its palm is fixed, and has the mass of its visual mesh, as in MuJoCo."""
+    text = f"""<mujoco><asset><mesh name="m" builtin="sphere" params="2" scale=".1 .2 .1"/></asset>
+      <worldbody><body name="hand"><site name="mount"/><body name="palm" pos=".1 .2 .3">
+        <geom type="mesh" mesh="m" pos=".3 0 0" contype="0" conaffinity="0" group="1"/>
+        <body pos=".5 0 0"><joint axis="0 1 0"/><geom size=".1"/></body></body></body></worldbody>
+      <sensor>{sensor}</sensor></mujoco>"""
+    model = peers.strict(mujoco.MjModel.from_xml_string(text))
+    data, sim = mujoco.MjData(model), sc.Sim(sc.loads(text), **peers.EXACT)
+    data.qvel[:] = sim.qvel[:] = 0.7
+    mujoco.mj_forward(model, data)
+    sim.forward()
+    # MuJoCo keeps the vertices of meshes in single precision.
+    assert sim.sensordata == pytest.approx(data.sensordata, rel=1e-6, abs=1e-6)

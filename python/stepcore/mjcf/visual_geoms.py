@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from stepcore.mjcf.worldbody import Shape, WorldReader
+from stepcore.scene.contents import Contents
 from stepcore.scene.layout import Layout
+
+# Sensors that tell of the masses of bodies, of those that cannot move too.
+OF_MASS = ("force", "torque", "subtreecom", "subtreelinvel", "subtreeangmom", "e_potential")
 
 
 def leave_out_visual_geoms(world: WorldReader, layout: Layout) -> None:
@@ -40,6 +44,13 @@ def weighs(world: WorldReader, layout: Layout, shape: Shape) -> bool:
         return False
     if rules.inertiafromgeom is None and body.mass is not None:
         return False
-    # The mass of a body that cannot move matters only as a share of a prescribed total.
-    share = body is not world.scene.world and rules.settotalmass > 0
-    return layout.moving(body) or share
+    # The mass of a body that cannot move matters to sensors, and as a share of a prescribed total.
+    matters = rules.settotalmass > 0 or senses_mass(world.scene)
+    return layout.moving(body) or (matters and body is not world.scene.world)
+
+
+def senses_mass(scene: Contents) -> bool:
+    """Whether a sensor tells of the masses or the centres of mass of bodies that cannot move."""
+    kinds = {(sensor.type, sensor.objtype, sensor.reftype) for sensor in scene.sensors}
+    centred = any(kind != "contact" and "body" in ends for kind, *ends in kinds)
+    return centred or any(kind in OF_MASS for kind, *_ in kinds)
