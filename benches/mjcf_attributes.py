@@ -71,7 +71,7 @@ and in MuJoCo:
 - **only draws**, **senses**, **data**: the element is read past and listed in `Scene.ignored`; of a
   sensor, where this attribute is set.
 - **refused**: an error with file and line that says what the thing does to the motion. It can be
-  left out: `load(path, without=["geom/adhesion"])`, `--without geom/adhesion`
+  left out: `load(path, without=["joint/springyield"])`, `--without joint/springyield`
   ([refusals](#refusals)).
 
 An attribute of a default class is what the same attribute of the element is.
@@ -84,14 +84,24 @@ Of {count} attributes {counts}.
 All that is wrong with a file, or not built yet, is listed at once, a line for each:
 
     robot.xml:12: <flexcomp> in <body> is not built yet: its points move, … (also in line 15)
-    robot.xml:40: adhesion is not built yet: it pulls touching geoms together
-    without=["worldbody/flexcomp", "geom/adhesion"] leaves these things out
+    robot.xml:40: a spring that yields (springyield) is not built yet: the spring of the …
+    without=["worldbody/flexcomp", "joint/springyield"] leaves these things out
 
 `without` takes a section (`contact`, `tendon`, `equality`, `actuator`, `sensor`, `keyframe`), an
-element (`weld`, or `actuator/muscle` where a name is ambiguous), an attribute (`geom/adhesion`),
-`flex` or `plugin`. What refers to something that is left out is left out too, and a keyframe keeps
-the controls of the actuators that stay. `Scene.notes` says what that changes, and every result that
-says what motion it ran says so: "…; law solref; without flex (2)".
+element (`weld`, or `actuator/muscle` where a name is ambiguous), an attribute
+(`joint/springyield`), `flex` or `plugin`. What refers to something that is left out is left out
+too, and a keyframe keeps the controls of the actuators that stay. `Scene.notes` says what that
+changes, and every result that says what motion it ran says so: "…; law solref; without flex (2)".
+
+Why these are refused:
+
+- **flex, plugins, skins that move**: another kind of body, and code outside of the file.
+- **flags**: `sleep` is MuJoCo's rule of what rests; stepcore has its own (`Settings.sleep`). `ipc`
+  solves the contacts of flexes. `diagexact` gives rows another softness, and `speculative` adds
+  contacts before shapes meet: options that change MuJoCo's own motion.
+- **not built yet**: `orientation`; the states of `pid` and `dcmotor` (`ki`, `slewmax`,
+  `inductance`, `thermal`, `cogging`, `lugre`); springs that yield; scaled frames; sensors that
+  read late or rarely.
 """
 
 

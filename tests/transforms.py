@@ -115,6 +115,7 @@ def scaled(scene, length, mass, time):
     for geom in scene.geoms:
         by(geom, unit(1), "size", "pos", "margin", "gap")
         by(geom, unit(0, 1), "mass")
+        by(geom, unit(1, 1, -2), "adhesion")
         by(geom, unit(-2 if geom.shellinertia else -3, 1), "density")
         moves, turns = geom.surfacevel[:3], geom.surfacevel[3:]
         geom.surfacevel = (
@@ -153,6 +154,7 @@ def scaled(scene, length, mass, time):
         _scale_actuator(actuator, unit, by)
     for pair in scene.pairs:
         by(pair, unit(1), "margin", "gap")
+        by(pair, unit(1, 1, -2), "adhesion")
         sliding, turning = pair.friction[:2], pair.friction[2:]
         pair.friction = (*sliding, *(x * unit(1) for x in turning))
         soften(pair, unit(1))

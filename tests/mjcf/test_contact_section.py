@@ -115,7 +115,7 @@ MISTAKES = {
     '<pair geom1="ga" geom2="gb" solreffriction="1 1 1"/>': "must be 1 to 2 finite numbers",
     '<pair geom1="ga" geom2="gb" margin="x"/>': "must be 1 finite number",
     '<pair geom1="ga" geom2="gb" gap="-1"/>': "gap = -1.0: must be",
-    '<pair geom1="ga" geom2="gb" adhesion="1"/>': "adhesion is not built yet",
+    '<pair geom1="ga" geom2="gb" adhesion="-1"/>': "adhesion = -1.0: must be",
     '<pair geom1="ga" geom2="gb" frition="1"/>': 'unknown attribute "frition" of <pair>; nearest',
     '<pair name="x" geom1="ga" geom2="gb"/><pair name="x" geom1="ga" geom2="floor"/>': "used twice",
     '<exclude body1="a"/>': '<exclude> lacks the required attribute "body2"',

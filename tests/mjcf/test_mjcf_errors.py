@@ -87,7 +87,7 @@ MISTAKES = {
     "a mesh geom without mesh": (world('<geom type="mesh"/>'), 2, "names no mesh"),
     "fromto of a sphere": (world('<geom size="1" fromto="0 0 0 1 1 1"/>'), 2, "fromto"),
     "fromto and pos": (
-        world('<geom type="capsule" size="1" pos="0 0 0" fromto="0 0 0 1 1 1"/>'),
+        world('<geom type="capsule" size="1" pos="0 0 1" fromto="0 0 0 1 1 1"/>'),
         2,
         "both pos and fromto",
     ),
@@ -226,7 +226,7 @@ UNBUILT = {
     "<flex> in <equality>": ("", '<equality><flex flex="b"/></equality>'),
     "a <pid> of several inputs": (
         '<joint name="j"/>',
-        '<actuator><pid joint="j"/></actuator>',
+        '<actuator><pid joint="j" forcerange="-1 1"/></actuator>',
     ),
     "the inductance of a motor": (
         '<joint name="j"/>',
@@ -241,7 +241,6 @@ UNBUILT = {
     "<composite> in <body>": ("<composite/>", ""),
     "scaling": ('<frame scale="2"/>', ""),
     "springyield": ('<joint springyield="1"/>', ""),
-    "adhesion": ('<geom size="1" adhesion="1"/>', ""),
     "type sdf": ('<geom type="sdf" mesh="m"/>', ""),
     "dim 2": (
         '<geom type="mesh" mesh="m"/>',

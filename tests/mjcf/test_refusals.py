@@ -30,8 +30,8 @@ MIXED = """<mujoco model="mixed">
   <worldbody>
     <geom type="plane" size="1 1 1"/>
     <flexcomp name="f"/>
-    <body name="b" pos="0 0 2"><joint name="j"/><joint name="k" axis="1 0 0"/>
-      <geom size=".1" pos=".2 0 0" adhesion="1"/></body>
+    <body name="b" pos="0 0 2"><joint name="j" springyield="1"/><joint name="k" axis="1 0 0"/>
+      <geom size=".1" pos=".2 0 0"/></body>
   </worldbody>
   <actuator>
     <motor name="first" joint="j"/><plugin name="odd" joint="j" plugin="p"/>
@@ -41,7 +41,7 @@ MIXED = """<mujoco model="mixed">
   <keyframe><key name="home" ctrl="1 2 3"/></keyframe>
 </mujoco>
 """
-KINDS = ["flex", "plugin", "geom/adhesion"]
+KINDS = ["flex", "plugin", "joint/springyield"]
 
 
 def test_all_errors_are_listed_at_once_each_with_its_line() -> None:
@@ -86,14 +86,15 @@ def test_named_kinds_are_left_out_with_what_refers_to_them() -> None:
     scene = loads(MIXED, name="m.xml", without=KINDS)
     assert [actuator.name for actuator in scene.actuators] == ["first", "last"]
     assert scene.key("home").ctrl == (1.0, 3.0)
-    assert scene.without == ["flex (1)", "plugin (3)", "geom/adhesion (1)"]
+    assert scene.without == ["flex (1)", "plugin (3)", "joint/springyield (1)"]
     notes = [note for note in scene.notes if "without" in note]
     assert notes == [
         'm.xml:5: without flex: 1 left out (<flexcomp> "f"): its points move, collide, and pull '
         "on what they are pinned to",
         'm.xml:2: without plugin: 3 left out (<plugin> "odd"): it computes forces, shapes or '
         "sensors outside of the file",
-        "m.xml:7: without geom/adhesion: 1 left out: it pulls touching geoms together",
+        'm.xml:6: without joint/springyield: 1 left out (<joint> "j"): the spring of the joint '
+        "yields",
     ]
     for same in (copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
         assert same.without == scene.without
@@ -118,7 +119,7 @@ def test_an_element_named_without_its_section() -> None:
     ("without", "says"),
     [
         (["flx"], "without = 'flx': no such kind; nearest: \"flex\""),
-        (["geom/adhesin"], 'nearest: "geom/adhesion"'),
+        (["joint/springyeld"], 'nearest: "joint/springyield"'),
         (["body"], "no such kind"),
         (["geom"], "no such kind"),
         ("flex", 'must be a list of kinds, such as \\["flex"\\]'),
@@ -136,7 +137,7 @@ def test_every_result_says_what_was_left_out(
     file = tmp_path / "m.xml"
     file.write_text(MIXED)
     scene = load(file, without=KINDS)
-    said = "; without flex (1), plugin (3), geom/adhesion (1)"
+    said = "; without flex (1), plugin (3), joint/springyield (1)"
     assert said in sc.check(scene, horizon=0.01, progress=False).ran
     assert said in sc.converge(scene, horizon=0.01, progress=False).text(1000)
     options = [word for kind in KINDS for word in ("--without", kind)]
@@ -147,6 +148,6 @@ def test_every_result_says_what_was_left_out(
     assert said in result["ran"]
     assert " ".join(options) in str(result)
     assert main(["plan", str(file), "--all", *options]) == 0
-    assert "geom/adhesion (1)" in capsys.readouterr().out
+    assert "joint/springyield (1)" in capsys.readouterr().out
     assert main(["run", str(file), "--without", "flx"]) == 2
     assert "no such kind" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`<pid>` and `<dcmotor>` of one input, against MuJoCo.
+"""`<pid>` and `<dcmotor>`, against MuJoCo.
 
 Law: forces and steps are MuJoCo's to 1e-9 under every integrator that both have.
 """
@@ -49,6 +49,18 @@ MOTORS = [
     '<dcmotor joint="b" nominal="12 3 20" input="ff"/>',
     '<dcmotor joint="ball" nominal="12 3 20" gear="0 1 .5"/>',
 ]
+# Of several inputs, each of which is an actuator with a control of its own.
+SEVERAL = [
+    '<pid name="p" joint="a" kp="5" kv=".3"/>',
+    '<pid joint="b" input="pos vel ff" kp="2" kv=".3" gear="2" posrange="-.3 .4"/>',
+    '<pid tendon="t" input="vel ff" kv=".2" velrange="-.1 .1" ffrange="-.5 .4"/>',
+    '<pid joint="a" input="pos ff" dampratio=".7" inheritrange=".8"/>',
+    '<pid joint="ball" kp="3" kv=".1" gear="0 0 1" damping=".1"/>',
+    '<dcmotor joint="a" nominal="12 3 20" input="pos vel" controller="5 0 .2"/>',
+    '<dcmotor joint="b" nominal="12 3 20" input="pos vel ff voltage" controller="2 0 .2" '
+    'ctrlrange="-1 1"/>',
+    '<dcmotor joint="b" nominal="12 3 20" input="ff voltage" gear="2"/>',
+]
 CLASSES = {
     '<pid kp="7" kv="1" input="pos"/>': '<pid class="c" joint="a"/>'
     '<pid class="c" joint="b" kp="2"/>',
@@ -77,18 +89,29 @@ def check(text, steps=40):
             one.ctrl[:] = ctrl
         mujoco.mj_step(theirs, data)
         sim.step()
-        want = data.actuator_force
-        assert sim.actuator_force == pytest.approx(want, abs=1e-9 * max(1, abs(want).max()))
+        # MuJoCo's is one number for all inputs of an actuator.
+        inputs = np.repeat(np.arange(len(theirs.actuator_ctrlnum)), theirs.actuator_ctrlnum)
+        want, found = data.actuator_force, np.bincount(inputs, sim.actuator_force)
+        assert found == pytest.approx(want, abs=1e-9 * max(1, abs(want).max()))
         for field in ("qpos", "qvel"):
             assert getattr(sim, field) == pytest.approx(getattr(data, field), abs=1e-9)
     assert sc.loads(scene.to_mjcf()) == scene
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
-@pytest.mark.parametrize("actuators", [PIDS, MOTORS], ids=["pid", "dcmotor"])
+@pytest.mark.parametrize("actuators", [PIDS, MOTORS, SEVERAL], ids=["pid", "dcmotor", "several"])
 def test_runs(actuators, integrator):
     option = f'integrator="{integrator}"'
     check(TEXT.format(option=option, default="", actuators="".join(actuators)))
+
+
+def test_inputs_have_controls_in_mujocos_order_and_are_named():
+    text = TEXT.format(option="", default="", actuators="".join(SEVERAL[:2]))
+    sensors = '<sensor><actuatorfrc actuator="p"/><actuatorpos actuator="p"/></sensor></mujoco>'
+    scene = sc.loads(text.replace("</mujoco>", sensors))
+    assert [actuator.name for actuator in scene.actuators] == ["p", "p/vel", "", "", ""]
+    assert any('the input vel of actuator "p"' in note for note in scene.notes)
+    assert any("several actuators" in ignored for ignored in scene.ignored)
 
 
 @pytest.mark.parametrize("default", CLASSES)
@@ -99,7 +122,9 @@ def test_classes(default):
 @pytest.mark.parametrize(
     ("actuator", "words"),
     [
-        ('<pid joint="a"/>', 'several inputs (input="pos vel")'),
+        ('<pid joint="a" forcerange="-1 1"/>', "several inputs with forcerange"),
+        ('<pid joint="a" delay=".01" nsample="3"/>', "several inputs with delay"),
+        ('<pid joint="a" dampratio="1"/>', "several inputs with dampratio"),
         ('<pid joint="a" input="pos" ki="1"/>', "integral"),
         ('<pid joint="a" input="pos" slewmax="1"/>', "rate"),
         ('<dcmotor joint="a" nominal="12 3 20" input="none"/>', "no input"),

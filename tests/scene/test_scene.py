@@ -84,7 +84,7 @@ def test_fields_have_the_engines_names() -> None:
         *("name", "body", "kind", "size", "pos", "quat", "mass", "density", "shell_inertia"),
         *("group", "contype", "conaffinity", "condim", "priority", "friction", "margin", "gap"),
         *("solmix", "soft", "mesh", "fitscale", "hfield", "fluidshape", "fluidcoef"),
-        *("hidden", "surfacevel"),
+        *("hidden", "surfacevel", "adhesion"),
     }
     assert plain["geoms"][0]["soft"] == {
         "solref": [0.02, 1.0],

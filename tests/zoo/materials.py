@@ -155,3 +155,19 @@ add(
     CONTACT,
     spread=0.05,
 )
+# Geoms whose contacts pull, within their gap too: on the floor, on each other, and as a pair.
+STICKY = ' gap=".03" adhesion="4"'
+add(
+    "sticky",
+    FLOOR.replace("/>", ' adhesion="2" gap=".01"/>')
+    + mover("0 0 .11", SPHERE + ' condim="4" friction="1 .02"' + STICKY)
+    + mover(".5 0 .1", SPHERE + ' condim="6" friction="1 .01 .002" priority="1"' + STICKY)
+    + mover("1 0 .12", CAPSULE + ' condim="3"' + STICKY)
+    + mover("1.5 0 .1", SPHERE + ' condim="1"' + STICKY)
+    + mover(".52 .05 .29", 'type="box" size=".1 .08 .06"' + STICKY)
+    + mover("2 0 .1", SPHERE + ' name="paired"'),
+    CONTACT,
+    extra='<contact><pair geom1="floor" geom2="paired" condim="1" adhesion="9" gap=".05"/>'
+    "</contact>",
+    spread=0.05,
+)

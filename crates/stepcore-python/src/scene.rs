@@ -158,6 +158,7 @@ record!(Geom {
     margin,
     gap,
     surfacevel,
+    adhesion,
     solmix,
     soft,
     fluidshape,
@@ -219,7 +220,18 @@ record!(Equality {
     active,
     soft,
 });
-record!(ExplicitPair { name, geom1, geom2, condim, friction, margin, gap, soft, solreffriction });
+record!(ExplicitPair {
+    name,
+    geom1,
+    geom2,
+    condim,
+    friction,
+    margin,
+    gap,
+    soft,
+    solreffriction,
+    adhesion
+});
 record!(ContactOverride { margin, friction, soft });
 record!(Key { name, time, qpos, qvel, act, ctrl, mpos, mquat });
 record!(MassRules {

@@ -121,6 +121,11 @@ impl<R: Real> Sim<R> {
     ) -> Result<Self> {
         settings.check()?;
         check_masses::<R>(&model, settings.solver)?;
+        if model.sticks && settings.law.on_guess() {
+            let limit =
+                "solref or penalty: under the others contacts that adhere are not built yet";
+            return Err(Error::value("law", settings.law.name(), limit));
+        }
         if R::LANES > 1 && model.heap.is_some() {
             let limit = "1: the pairs of a heap are found one world at a time";
             return Err(Error::value("lanes", R::LANES, limit));

@@ -101,6 +101,10 @@ impl<R: Real> Sim<R> {
             self.placed.make_guess(&self.model, self.clock.dt);
         }
         self.make_rows(at, Part::Whole);
+        if self.model.sticks {
+            // What contacts pull beside their rows is part of what those start from.
+            self.placed.guess.copy_from_slice(&self.rows.u);
+        }
     }
 
     pub(crate) fn detect(&mut self, at: At) {

@@ -240,6 +240,7 @@ class RemovableFeatures:
         if scene.density > 0 or scene.viscosity > 0:
             removals.append(Removal("fluid", "", (("no fluid", None),)))
         removals += self.belts()
+        removals += self.adhesion()
         light = tuple(i for i, body in enumerate(scene.bodies) if body.gravcomp != 0)
         if light and features.gravity:
             edit = ("no gravcomp", light)
@@ -256,6 +257,16 @@ class RemovableFeatures:
         own = tuple(i for i, geom in geoms if any(geom.surfacevel) and i in self._solid())
         edit = ("cleared", ("geoms", own, ("surfacevel",)))
         return [Removal("moving surfaces", _count(own, "geom"), (edit,))] if own else []
+
+    def adhesion(self) -> list[Removal]:
+        """What geoms that collide and explicit pairs pull their contacts with."""
+        scene = self.scene
+        geoms = tuple(i for i in self._solid() if scene.geoms[i].adhesion > 0)
+        pairs = tuple(i for i, pair in enumerate(scene.pairs) if pair.adhesion > 0)
+        edits = [("geoms", geoms), ("pairs", pairs)]
+        made = tuple(("cleared", (held, own, ("adhesion",))) for held, own in edits if own)
+        words = [_count(own, word) for own, word in ((geoms, "geom"), (pairs, "pair")) if own]
+        return [Removal("adhesion", " and ".join(words), made)] if made else []
 
     def _solid(self) -> list[int]:
         """The geoms that collide, by index in the scene."""

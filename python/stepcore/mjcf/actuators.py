@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from stepcore.mjcf.controllers import INPUTS
+from stepcore.mjcf.controllers import INPUTS, first_of, others
 from stepcore.mjcf.gains import ActuatorGains, saturated
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader, polynomial
 from stepcore.scene.actuation import MUSCLE
-from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS
+from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS, Actuator
 
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")
 # The second site of a transmission between two sites.
@@ -52,6 +52,40 @@ def read(world: WorldReader, node: Node) -> None:
         **given,
     )
     world.keep(node, added)
+    for word, gain in others(gains).items():
+        _add_input(world, node, added, word, gain)
+        world.controllers.add(added.name)
+
+
+def _add_input(world: WorldReader, node: Node, first: Actuator, word: str, gain: float) -> None:
+    """Another input of a controller: a motor at the same place, whose control stands next to its.
+
+    The force is linear in the inputs: without a bound of their sum this is the same motion.
+    """
+    values = world.defaults.of(node, kind="actuator")
+    for name, value in (("forcerange", first.forcerange), ("delay", first.delay)):
+        if value:
+            raise node.unbuilt(f"a <{node.tag}> of several inputs with {name}", "input")
+    if first.dampratio and word == "vel":
+        raise node.unbuilt(f"a <{node.tag}> of several inputs with dampratio", "dampratio")
+    if node.tag == "pid":
+        bounds: Bounds = values.get(f"{word}range")
+        bounds = bounds if bounds and bounds[0] < bounds[1] else None
+    else:
+        bounds = first.ctrlrange
+    ends = (*TRANSMISSIONS, *WITH.values(), "cranklength")
+    target = {name: getattr(first, name) for name in ends}
+    world.scene.add_actuator(
+        type="general",
+        name=f"{first.name}/{word}" if first.name else "",
+        gear=first.gear,
+        ctrlrange=bounds,
+        gainprm=gain,
+        enabled=first.enabled,
+        **{name: value for name, value in target.items() if value is not None},
+    )
+    what = f"the input {word} of {first} is an actuator of its own, with a control of its own"
+    world.scene.notes.append(f"{node.file}:{node.line}: {what}")
 
 
 def _target(world: WorldReader, node: Node, values: dict[str, Any]) -> dict[str, Any]:
@@ -92,9 +126,8 @@ def _refuse_gains(node: Node, gains: ActuatorGains) -> None:
     for name, built in (("dyntype", DYNAMICS), ("gaintype", GAINS), ("biastype", BIASES)):
         if getattr(gains, name) not in built:
             raise node.unbuilt(f'<general> {name}="{getattr(gains, name)}"')
-    if node.tag in INPUTS and gains.input not in INPUTS[node.tag]:
-        count = "no input" if gains.input == "none" else "several inputs"
-        raise node.unbuilt(f'a <{node.tag}> of {count} (input="{gains.input}")', "input")
+    if node.tag in INPUTS and gains.input in ("none", ""):
+        raise node.unbuilt(f'a <{node.tag}> of no input (input="{gains.input}")', "input")
     if node.tag == "dcmotor" and gains.input == "voltage" and any(gains.biasprm):
         given = node.values.get("controller", gains.biasprm)
         raise bad(node, "controller", given, "0 without one of the inputs pos, vel and ff")
@@ -111,10 +144,10 @@ def _words(gains: ActuatorGains) -> dict[str, Any]:
         return {"kp": gain, **words}
     if gains.tag == "pid":
         words = {"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping}
-        return {"kp": gain, "input": gains.input, **words}
+        return {"kp": gain, "input": first_of(gains), **words}
     if gains.tag == "dcmotor":
         constant, resistance = gains.motor
-        words = {"motorconst": constant, "resistance": resistance, "input": gains.input}
+        words = {"motorconst": constant, "resistance": resistance, "input": first_of(gains)}
         if gains.input != "voltage":
             words |= {"kp": 0.0 - gains.biasprm[1], "kv": 0.0 - damping}
         return words
@@ -156,7 +189,7 @@ def _ctrlrange(
     """That of the one input; MuJoCo names it by the input of a <pid>."""
     if gains.tag != "pid":
         return world.limits(node, values, "ctrllimited", "ctrlrange")
-    if gains.input == "pos":
+    if first_of(gains) == "pos":
         name = next(
             (
                 name
@@ -167,7 +200,7 @@ def _ctrlrange(
             "posrange",
         )
         return world.limits(node, values, "ctrllimited", name)
-    bounds: Bounds = values.get(f"{gains.input}range")
+    bounds: Bounds = values.get(f"{first_of(gains)}range")
     return bounds if bounds and bounds[0] < bounds[1] else None
 
 

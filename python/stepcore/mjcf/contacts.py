@@ -17,9 +17,7 @@ def read(world: WorldReader, node: Node) -> None:
 
 def _pair(world: WorldReader, node: Node) -> None:
     values = world.defaults.of(node)
-    if values.get("adhesion", 0) != 0:
-        raise node.unbuilt("adhesion", "adhesion")
-    names = ("name", "condim", "friction", "margin", "gap")
+    names = ("name", "condim", "friction", "margin", "gap", "adhesion")
     given: dict[str, Any] = {name: values[name] for name in names if name in values}
     given |= soft(values, "solref", "solimp")
     friction = (*values.get("solreffriction", ()), 0.0, 0.0)[:2]

@@ -1,4 +1,4 @@
-"""`<pid>` and `<dcmotor>`: the law of a controller with one input and without a state of its own.
+"""`<pid>` and `<dcmotor>`: the law of a controller without a state of its own.
 
 A motor with the constant K and the resistance R pulls with K/R · (voltage − K · velocity); with an
 input of its controller, with the torque that this asks for (MuJoCo documentation, XML reference,
@@ -40,6 +40,23 @@ def law(tag: str, base: Any, node: Node) -> dict[str, Any]:
             raise node.unbuilt(f"{what} ({attribute})", attribute)
     own = {"input": _input(node, base.input)}
     return own | (_pid(base, node) if tag == "pid" else _motor(base, node))
+
+
+def first_of(gains: Any) -> str:
+    """The first input of a controller, which its `Actuator` has."""
+    words: str = gains.input
+    return words.split()[0]
+
+
+def others(gains: Any) -> dict[str, float]:
+    """Its other inputs, and the force that one unit of each adds."""
+    if gains.tag not in INPUTS:
+        return {}
+    constant, resistance = gains.motor
+    unit = {"vel": -gains.biasprm[2], "ff": 1.0}
+    if resistance > 0:
+        unit["voltage"] = constant / resistance
+    return {word: unit[word] for word in gains.input.split()[1:]}
 
 
 def _any(value: float | Vec) -> bool:

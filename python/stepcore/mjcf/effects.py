@@ -28,7 +28,6 @@ _EFFECTS = {
     "deformable": "its points move with bodies",
     "geom/surfacevel": "it drags along what touches the geom",
     "geom/adhesion": "it pulls touching geoms together",
-    "pair/adhesion": "it pulls touching geoms together",
     "geom/type": "the shape collides and has mass",
     "option/density": "the fluid slows bodies down",
     "option/viscosity": "the fluid slows bodies down",

@@ -58,7 +58,7 @@ class ActuatorGains:
     @property
     def is_position(self) -> bool:
         """Whether it controls a length; only then can it inherit its joint's range."""
-        if self.input not in ("", "pos"):
+        if self.input.split()[:1] not in ([], ["pos"]):
             return False
         fixed = self.gaintype == "fixed" and self.biastype == "affine"
         return fixed and self.gainprm[0] == -self.biasprm[1]

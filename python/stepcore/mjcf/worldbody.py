@@ -83,6 +83,8 @@ class WorldReader:
         self.shapes: list[Shape] = []
         # Sites whose volume is that of a mesh.
         self.mesh_sites: set[str] = set()
+        # Controllers of several inputs, each of which is an actuator.
+        self.controllers: set[str] = set()
         # Geoms that only draw, where they are kept to be drawn (`Assets.drawn`).
         self.only_drawn: set[int] = set()
         self.with_inertial: set[int] = set()
@@ -266,8 +268,6 @@ class WorldReader:
         self.names["geom"].add(name)
         contype, conaffinity = values.get("contype", 1), values.get("conaffinity", 1)
         collides = contype != 0 or conaffinity != 0 or (name != "" and name in self.paired)
-        if collides and values.get("adhesion", 0) != 0:
-            raise node.unbuilt("adhesion", "adhesion")
         if kind == "sdf":
             raise node.unbuilt("a geom of type sdf")
         if kind in ("mesh", "hfield") and kind not in values:
@@ -313,7 +313,7 @@ class WorldReader:
         """(size, pose) of a primitive geom; unused sizes are 0."""
         size = values.get("size", (0.0,))
         if "fromto" in values:
-            if "pos" in values:
+            if any(values.get("pos", ())):
                 raise node.error(f"<{node.tag}> has both pos and fromto")
             ends = values["fromto"]
             size, pos, quat = frames.from_to(kind, ends, size[0])
@@ -362,7 +362,7 @@ def soft(values: dict[str, Any], solref: str, solimp: str) -> dict[str, Any]:
 # Fields of a geom whose values are those of the file.
 _OF_GEOM = (
     *("condim", "group", "priority", "friction", "mass", "density", "shellinertia"),
-    *("solmix", "margin", "gap", "surfacevel", "fluidshape", "fluidcoef"),
+    *("solmix", "margin", "gap", "surfacevel", "adhesion", "fluidshape", "fluidcoef"),
 )
 # Fields of a joint whose values are those of the file.
 _COPIED = ("margin", "armature", "frictionloss", "actuatorgravcomp")

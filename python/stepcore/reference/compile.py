@@ -63,6 +63,7 @@ def compile_scene(scene: Any) -> Model:
     lacks = {
         "fluid": scene["density"] > 0 or scene["viscosity"] > 0,
         "surfacevel": any(any(geom["surfacevel"]) for geom in scene["geoms"]),
+        "adhesion": any(made["adhesion"] > 0 for made in (*scene["geoms"], *scene["pairs"])),
         "springdamper": any(all(joint["springdamper"]) for joint in scene["joints"]),
         "tendon": any(equality["kind"] == "tendon" for equality in scene["equalities"]),
     }

@@ -61,6 +61,7 @@ class GeomFields(TypedDict, total=False):
     margin: float
     gap: float
     surfacevel: Numbers
+    adhesion: float
     solmix: float
     solref: Vector
     solimp: Numbers
@@ -188,6 +189,7 @@ class PairFields(TypedDict, total=False):
     solreffriction: Vector | None
     margin: float
     gap: float
+    adhesion: float
 
 
 class KeyFields(TypedDict, total=False):

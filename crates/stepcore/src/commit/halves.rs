@@ -38,6 +38,11 @@ impl<R: Real> Sim<R> {
             self.adhere(dt);
         }
         self.make_rows(At::Start, Part::End);
+        if self.model.sticks {
+            self.changed();
+            self.add_change(1.0, 0.5);
+            self.placed.guess.copy_from_slice(&self.rows.u);
+        }
         R::enter(Stage::Impulses);
         // Equalities that the stages held have nothing to answer to but other rows.
         let answers = self.settings.connects_inside();

@@ -9,6 +9,7 @@
 use super::belt::drift;
 use super::constraint::{Constraint, Makings};
 use super::friction::{Axis, Way, Ways, MOST_WAYS};
+use super::sticky::Normal;
 use crate::detect::path::meeting;
 use crate::detect::Contact;
 use crate::model::{Model, Pair, NONE};
@@ -184,7 +185,7 @@ impl<R: Real> Rows<R> {
     pub(super) fn soft_contact(&mut self, now: &Situation<R>, contact: &Contact<R>, pair: &Pair) {
         let (settings, dt) = (now.settings, R::of(now.settings.dt));
         let material = now.model.material(pair);
-        let mask = contact.mask.and(contact.dist.lt(R::of(material.margin)));
+        let mask = contact.mask.and(contact.dist.lt(R::of(material.reach())));
         if mask.none() {
             return;
         }
@@ -194,14 +195,15 @@ impl<R: Real> Rows<R> {
         let (weight, mu, impratio) = (pair.invweight, ways.slide, settings.impratio);
         let first = self.rows.len();
         let most = settings.max_recovery_speed.under(Law::SolRef);
-        let plain = settings.cone == Cone::Pyramidal && weight > 0.0 && most.is_none();
+        let sticks = material.adhesion > 0.0;
+        let plain = settings.cone == Cone::Pyramidal && weight > 0.0 && most.is_none() && !sticks;
         if plain && self.edges_at_once(now, contact, pair, &ways) {
             return self.soften(
                 now,
                 contact,
                 pair,
                 (first, &ways),
-                (law, r, R::Mask::of(false)),
+                (law, r, R::Mask::of(false), [R::zero(); 2]),
                 mask,
             );
         }
@@ -219,40 +221,44 @@ impl<R: Real> Rows<R> {
             law = limited;
             self.leave(mask, left);
         }
+        let (a, velocity) = (self.rows[first].a, self.rows[first].velocity);
+        let normal = |least| Normal { law, weight: R::of(weight), least, a, velocity };
         if material.condim == 1 {
             let least = self.least_softness(first, pair);
             law.fill(&mut self.rows[first], r, R::of(weight), least, dt);
+            self.stick(now, contact, pair, (&ways, Set::Interval, first), normal(least));
             return self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
         }
         if settings.cone == Cone::Elliptic {
             let least = self.least_softness(first, pair);
             law.fill(&mut self.rows[first], r, R::of(weight), least, dt);
             // MuJoCo's R_j = R₁ μ₁²/μ_j², in the measure of the ways.
-            let weight = R::of(weight / impratio * (ways.share * ways.share));
-            let law = law.of_friction(material.solreffriction, &material.soft, now.settings);
+            let across_weight = R::of(weight / impratio * (ways.share * ways.share));
+            let across = law.of_friction(material.solreffriction, &material.soft, now.settings);
             for row in &mut self.rows[first + 1..] {
-                law.fill(row, R::zero(), weight, least, dt);
+                across.fill(row, R::zero(), across_weight, least, dt);
                 row.lo = R::of(f64::NEG_INFINITY);
             }
             let drift = drift(now, contact, pair, &ways);
-            self.follow(drift.as_ref(), &ways, dt * law.b, (first, false));
+            self.follow(drift.as_ref(), &ways, dt * across.b, (first, false));
             self.anchor(now, contact, pair, &ways, drift.as_ref(), (first, false));
+            self.stick(now, contact, pair, (&ways, Set::Convex, first), normal(least));
             return self.close(now, contact, pair, (first, Set::Convex, ways.mu), mask);
         }
         let unmoved = R::Mask::of(weight == 0.0).and(self.rows[first].a.le(R::zero()));
         self.pyramid(now, &ways, first);
-        self.soften(now, contact, pair, (first, &ways), (law, r, unmoved), mask);
+        self.soften(now, contact, pair, (first, &ways), (law, r, unmoved, [a, velocity]), mask);
     }
 
     /// Fills in the edges from `first` on, at the violation r. `unmoved`: nothing moves the normal,
-    /// and its load has no end.
+    /// and its load has no end; [a, velocity]: of the normal, where contacts adhere.
     fn soften(
         &mut self,
         now: &Situation<R>,
         contact: &Contact<R>,
         pair: &Pair,
         (first, ways): (usize, &Ways),
-        (law, r, unmoved): (SolRef<R>, R, R::Mask),
+        (law, r, unmoved, [a, velocity]): (SolRef<R>, R, R::Mask, [R; 2]),
         mask: R::Mask,
     ) {
         let (dt, mu, still) = (R::of(now.settings.dt), ways.slide, ways.still);
@@ -271,6 +277,8 @@ impl<R: Real> Rows<R> {
         let drift = drift(now, contact, pair, ways);
         self.follow(drift.as_ref(), ways, dt * law.b, (first, true));
         self.anchor(now, contact, pair, ways, drift.as_ref(), (first, true));
+        let normal = Normal { law, weight: R::of(pair.invweight), least, a, velocity };
+        self.stick(now, contact, pair, (ways, Set::Interval, first), normal);
         self.close(now, contact, pair, (first, Set::Interval, ways.mu), mask);
     }
 

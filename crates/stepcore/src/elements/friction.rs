@@ -137,6 +137,7 @@ mod tests {
             gap: 0.0,
             soft: Softness::default(),
             solreffriction: None,
+            adhesion: 0.0,
         }
     }
 

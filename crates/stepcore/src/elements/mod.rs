@@ -31,6 +31,7 @@ mod name;
 pub(crate) mod penalty;
 mod shared_contacts;
 mod spring;
+mod sticky;
 mod tendon_friction;
 mod tendon_limit;
 pub(crate) mod tendon_spring;

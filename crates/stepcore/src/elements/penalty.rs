@@ -32,8 +32,9 @@ impl<R: Real> Rows<R> {
         let k = R::of(settings.penalty_stiffness);
         let damping = R::of(2.0 * settings.penalty_damping_ratio) * (k * mass).sqrt();
         let force = -(k * contact.dist) - damping * row.velocity;
-        self.push_apart(now, contact, row.dofs, row.y, dt * force, mask);
         let material = now.model.material(pair);
+        let net = force - R::of(material.adhesion);
+        self.push_apart(now, contact, row.dofs, row.y, dt * net, mask);
         let ways = Ways::plain(pair.still, material);
         if material.condim > 1 && ways.mu > 0.0 && mask.any() {
             let bound = R::of(ways.mu) * force.max(R::zero());

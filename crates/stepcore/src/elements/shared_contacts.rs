@@ -11,10 +11,10 @@ use std::sync::Mutex;
 const PARTS: usize = 2;
 
 impl<R: Real> Rows<R> {
-    /// Threads share the rows of so many contacts. Under other laws a contact changes the list, or
-    /// what the next one reads.
+    /// Threads share the rows of so many contacts. Under other laws, and of geoms that adhere, a
+    /// contact changes a list, or what the next one reads.
     pub(super) fn shares(&self, now: &Situation<R>, contacts: usize) -> bool {
-        let heap = now.model.heap.is_some() && now.settings.law == Law::SolRef;
+        let heap = now.model.heap.is_some() && now.settings.law == Law::SolRef && !now.model.sticks;
         heap && self.pool.is_some() && contacts >= WORTH_SHARING
     }
 

@@ -351,6 +351,7 @@ fn geom(e: &Subject, g: &Geom) -> Result<()> {
     e.finite("margin", &[g.margin])?;
     e.not_negative("gap", g.gap)?;
     e.finite("surfacevel", &g.surfacevel)?;
+    e.not_negative("adhesion", g.adhesion)?;
     e.not_negative("solmix", g.solmix)?;
     e.finite("fluidcoef", &g.fluidcoef)?;
     e.softness("", &g.soft)
@@ -363,6 +364,7 @@ fn pair(e: &Subject, p: &ExplicitPair, ngeom: usize) -> Result<()> {
     e.friction(&p.friction)?;
     e.finite("margin", &[p.margin])?;
     e.not_negative("gap", p.gap)?;
+    e.not_negative("adhesion", p.adhesion)?;
     e.softness("", &p.soft)?;
     let Some([a, b]) = p.solreffriction else { return Ok(()) };
     e.finite("solreffriction", &[a, b])?;

@@ -68,7 +68,7 @@ pub fn most_fixed(model: &Model) -> usize {
 /// What a material is mixed from, bit by bit.
 fn key(geom: &Geom) -> Vec<u64> {
     let whole = [u64::from(geom.condim), geom.priority as u64];
-    let numbers = [geom.margin, geom.gap, geom.solmix];
+    let numbers = [geom.margin, geom.gap, geom.solmix, geom.adhesion];
     let lists = numbers.iter().chain(&geom.friction).chain(&geom.soft.solref);
     whole.into_iter().chain(lists.chain(&geom.soft.solimp).map(|x| x.to_bits())).collect()
 }
@@ -127,7 +127,7 @@ fn classes(scene: &Scene) -> Result<(Vec<u32>, Vec<usize>)> {
     if heads.len() > MOST_CLASSES {
         return Err(Error::Scene(text![format!(
             "{} geoms have {} different sets of contact parameters (condim, friction, solref, \
-             solimp, solmix, priority, margin, gap): a model whose pairs are found as they come \
+             solimp, solmix, priority, margin, gap, adhesion): a model whose pairs are found as they come \
              near can have {MOST_CLASSES}",
             scene.geoms.len(),
             heads.len(),

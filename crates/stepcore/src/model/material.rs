@@ -17,6 +17,8 @@ pub struct Material {
     pub soft: Softness,
     /// The solref of friction rows of a cone. None: that of `soft`.
     pub solreffriction: Option<[f64; 2]>,
+    /// With how much a contact can pull [N].
+    pub adhesion: f64,
 }
 
 impl Material {
@@ -26,23 +28,25 @@ impl Material {
     }
 
     /// The geom of higher priority decides; equals are mixed: the larger condim and friction,
-    /// softness by the share of solmix. Margins and gaps are distances, and add up.
+    /// softness by the share of solmix, and adhesion as the sum. Margins and gaps are distances, and
+    /// add up.
     fn mixed(x: &Geom, y: &Geom) -> Self {
         let (margin, gap) = (x.margin + y.margin, x.gap + y.gap);
-        let of = |condim, friction, soft| Self {
+        let of = |condim, friction, soft, adhesion| Self {
             condim,
             friction: by_direction(friction),
             margin,
             gap,
             soft,
             solreffriction: None,
+            adhesion,
         };
         if x.priority != y.priority {
             let g = if x.priority > y.priority { x } else { y };
-            return of(g.condim, g.friction, g.soft.clone());
+            return of(g.condim, g.friction, g.soft.clone(), g.adhesion);
         }
         let larger = std::array::from_fn(|i| f64::max(x.friction[i], y.friction[i]));
-        of(x.condim.max(y.condim), larger, mixed_softness(x, y))
+        of(x.condim.max(y.condim), larger, mixed_softness(x, y), x.adhesion + y.adhesion)
     }
 
     /// Of an explicit pair: the parameters of its geoms do not count.
@@ -54,11 +58,12 @@ impl Material {
             gap: pair.gap,
             soft: pair.soft.clone(),
             solreffriction: pair.solreffriction,
+            adhesion: pair.adhesion,
         };
         of.overridden(scene)
     }
 
-    /// With the parameters that replace those of every contact. Condim and gap stay.
+    /// With the parameters that replace those of every contact. Condim, gap and adhesion stay.
     fn overridden(self, scene: &Scene) -> Self {
         let Some(by) = &scene.contact_override else { return self };
         let (margin, friction, soft) = (by.margin, by.friction, by.soft.clone());

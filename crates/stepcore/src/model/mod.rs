@@ -293,6 +293,8 @@ pub struct Model {
     pub linkages: Vec<Linkage>,
     /// Some of them are those of contacts, which are found after the smooth forces.
     pub adheres: bool,
+    /// Some geoms or pairs adhere: their contacts can pull.
+    pub sticks: bool,
     /// Joints whose actuators together are bounded, and the bounds.
     pub clamps: Vec<(usize, [f64; 2])>,
     pub gravity: Vector3<f64>,

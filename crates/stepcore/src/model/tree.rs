@@ -24,6 +24,8 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         circles: vec![],
         linkages: vec![],
         adheres: false,
+        sticks: scene.geoms.iter().any(|geom| geom.adhesion > 0.0)
+            || scene.pairs.iter().any(|pair| pair.adhesion > 0.0),
         clamps: vec![],
         gravity: Vector3::from(scene.gravity),
         magnetic: Vector3::from(scene.magnetic),

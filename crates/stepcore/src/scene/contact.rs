@@ -18,6 +18,8 @@ pub struct ExplicitPair {
     pub soft: Softness,
     /// The solref of the friction rows of a cone; None: that of `soft`.
     pub solreffriction: Option<[f64; 2]>,
+    /// With how much its contacts can pull, each [N].
+    pub adhesion: f64,
 }
 
 impl Default for ExplicitPair {
@@ -32,6 +34,7 @@ impl Default for ExplicitPair {
             gap: 0.0,
             soft: Softness::default(),
             solreffriction: None,
+            adhesion: 0.0,
         }
     }
 }

@@ -95,6 +95,8 @@ pub struct Geom {
     /// How its surface moves as contacts feel it, in the geom's frame: a velocity [m/s], and an
     /// angular velocity about the frame's origin [rad/s].
     pub surfacevel: [f64; 6],
+    /// With how much its contacts can pull, each [N].
+    pub adhesion: f64,
     /// Weight of this geom's softness in the mixture of two.
     pub solmix: f64,
     pub soft: Softness,
@@ -129,6 +131,7 @@ impl Default for Geom {
             margin: 0.0,
             gap: 0.0,
             surfacevel: [0.0; 6],
+            adhesion: 0.0,
             solmix: 1.0,
             soft: Softness::default(),
             fluidshape: FluidShape::None,

@@ -193,7 +193,7 @@ pub struct Rows<R: Real> {
     pub unrecovered: R,
     pub(crate) scratch: Vec<R>,
     /// y of a contact's normal and ways of friction, of which its edges are made.
-    pub(super) ways: Vec<R>,
+    pub(crate) ways: Vec<R>,
     /// v̂, while rows are made.
     pub(crate) guess: Vec<R>,
     pub(crate) direct: Direct<R>,

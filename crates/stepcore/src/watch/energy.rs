@@ -5,6 +5,7 @@ use crate::elements::force::Group;
 use crate::elements::forces::stored;
 use crate::elements::{Element, Kind};
 use crate::real::Real;
+use crate::settings::Law;
 use crate::sim::{At, Sim};
 use crate::spatial::{Force, V3};
 
@@ -99,8 +100,13 @@ impl<R: Real> Sim<R> {
         let (qpos, qvel) = At::State.of(&self.state, &self.next);
         let act = self.state.activations(self.clock);
         self.placed.dynamics(&model, qpos, qvel, act, &self.inputs);
+        // What is pulled at through contacts is known with them.
+        let sticks = model.sticks && self.settings.law == Law::SolRef;
+        if sticks {
+            let detected = self.detected_aside();
+            self.placed.pull_contacts(&model, &detected.contacts);
+        }
         if model.adheres {
-            // What is pulled at through contacts is known with them.
             let detected = self.detected_aside();
             let at = At::State.of(&self.state, &self.next);
             let guess = self.placed.guess.clone();

@@ -34,6 +34,11 @@ impl<R: Real> Sim<R> {
                 }
             }
         }
+        for push in &self.rows.pushes {
+            for (k, y) in push.dofs.of(lists).iter().zip(&self.rows.y[push.y..]) {
+                held[*k] += *y * push.impulse;
+            }
+        }
         self.placed.metric.lower(&mut held);
         let mass = self.mass_matrix(lane);
         let force = |k: usize| {

@@ -5,9 +5,10 @@
 
 use crate::detect::Contact;
 use crate::elements::friction::{Axis, Ways, MOST_WAYS};
-use crate::elements::Kind;
+use crate::elements::{Element, Kind};
 use crate::model::NONE;
 use crate::real::{Mask, Real};
+use crate::settings::Law;
 use crate::sim::Sim;
 use crate::solve::{Block, Row, Set};
 use crate::spatial::{rotate, splat, Quat, M3, V3};
@@ -108,6 +109,14 @@ impl<R: Real> Sim<R> {
         let (slot, blocks) = (self.model.slot(element), &self.rows.blocks);
         if let Ok(at) = blocks.binary_search_by_key(&slot, |block| block.slot) {
             self.parts_of_block(&blocks[at], &ways, lane, &mut parts);
+            if law == Law::SolRef && self.model.sticks {
+                parts[0] += self.pull_of(element, lane);
+                let margin = self.model.material(pair).margin;
+                if contact.dist.lane(lane) >= margin {
+                    // Beyond it the normal alone pulls, with the first row.
+                    parts[1..].fill(0.0);
+                }
+            }
         } else {
             let pushes = self.rows.pushes.iter().filter(|push| push.element == element);
             for ((part, push), row) in parts.iter_mut().zip(pushes).zip(0..) {
@@ -131,6 +140,12 @@ impl<R: Real> Sim<R> {
             push(axis, size, if way.turns { 3 } else { 0 });
         }
         wrench
+    }
+
+    /// What the adhesion of a contact gave beside its rows, along the normal.
+    fn pull_of(&self, element: Element, lane: usize) -> f64 {
+        let own = self.rows.pushes.iter().filter(|push| push.element == element);
+        own.map(|push| push.impulse.lane(lane)).sum()
     }
 
     /// Impulse along the normal, then in each way, in its own unit.

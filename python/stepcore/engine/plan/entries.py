@@ -176,6 +176,10 @@ class _Listing:
         moving = [n for n, g in zip(self.geom_names, own, strict=True) if any(g.surfacevel)]
         removal = removals.get("moving surfaces")
         yield _used("solve", "surfaces that move (by geom)", moving, removal=removal)
+        stick = [n for n, g in zip(self.geom_names, own, strict=True) if g.adhesion > 0]
+        stick += [str(pair) for pair in self.scene.pairs if pair.adhesion > 0]
+        removal = removals.get("adhesion")
+        yield _used("solve", "adhesion (by geom)", stick, removal=removal)
         bodies = Layout(self.scene).bodies
         light = [n for n, b in zip(self.body_names, bodies, strict=True) if b.gravcomp != 0]
         name = "gravity compensation (by body)"

@@ -40,6 +40,7 @@ class Pair(Element):
     solreffriction: solref of the friction rows of an elliptic cone, where only the damping counts;
         None means that of the normal.
     margin: distance below which contacts act [m]. gap: contacts are listed from margin + gap [m].
+    adhesion: with how much each contact can pull [N].
     """
 
     name: Text = ""
@@ -52,6 +53,7 @@ class Pair(Element):
     solreffriction: SolRefFriction = None
     margin: Real = 0.0
     gap: NonNegative = 0.0
+    adhesion: NonNegative = 0.0
 
 
 @dataclass(eq=False, repr=False, kw_only=True)

@@ -69,6 +69,8 @@ class Geom(Element):
     margin: distance below which contacts act [m]. gap: contacts are listed from margin + gap [m].
     surfacevel: how its surface moves as contacts feel it, in the geom's frame, shape (6,): a
         velocity [m/s], and an angular velocity about the frame's origin [rad/s]: belts, turntables.
+    adhesion: with how much each of its contacts can pull [N]; of two geoms the sum, or that of the
+        one whose priority is higher. They pull as far as the gap reaches.
     """
 
     name: Text = ""
@@ -93,6 +95,7 @@ class Geom(Element):
     margin: Real = 0.0
     gap: NonNegative = 0.0
     surfacevel: SurfaceVel = STILL
+    adhesion: NonNegative = 0.0
     solmix: NonNegative = 1.0
     solref: SolRef = SOLREF
     solimp: SolImp = SOLIMP
