@@ -81,9 +81,9 @@ def _build(
 
 def _named(arguments: list[str]) -> str | None:
     """The target that the arguments name."""
-    for option, value in zip(arguments, [*arguments[1:], ""], strict=True):
+    for index, option in enumerate(arguments):
         if option == "--target":
-            return value
+            return "".join(arguments[index + 1 : index + 2])
         if option.startswith("--target="):
             return option.removeprefix("--target=")
     return None
