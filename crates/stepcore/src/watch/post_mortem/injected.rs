@@ -20,7 +20,7 @@ pub(super) fn feeding<'a>(
     scale: Option<f64>,
     gained: bool,
 ) -> (usize, &'a [StepGains]) {
-    let Some(scale) = scale else { return (0, entries) };
+    let Some(scale) = scale else { return (0, before_aftermath(entries)) };
     let last = entries.last().map_or(0.0, |entry| entry.after);
     // Or what drives from outside has fed all of it.
     for driven in [1.0, 0.0] {
@@ -37,6 +37,20 @@ pub(super) fn feeding<'a>(
     }
     // All was well until the step that failed.
     (0, &[])
+}
+
+/// Without a ledger: the steps up to the one that goes beyond `AFTERMATH` times the energy at their
+/// begin; all of them where none does, or where it happened between those that are known.
+fn before_aftermath(entries: &[StepGains]) -> &[StepGains] {
+    let Some(begin) = entries.iter().map(|entry| entry.before).find(|energy| *energy > 0.0) else {
+        return entries;
+    };
+    let far = |energy: f64| energy > AFTERMATH * begin || energy.is_nan();
+    let end = entries.iter().position(|entry| far(entry.before)).unwrap_or(entries.len());
+    match entries[..end].last() {
+        Some(last) if far(last.after) => &entries[..end],
+        _ => entries,
+    }
 }
 
 /// The most energy that there can be after each step: what circulated, what gravity gave, and,
