@@ -49,7 +49,17 @@ impl Error {
         value: impl fmt::Display,
         limit: impl Into<String>,
     ) -> Self {
-        Self::Value { field: field.into(), value: value.to_string(), limit: limit.into() }
+        Self::Value { field: field.into(), value: brief(value.to_string()), limit: limit.into() }
+    }
+}
+
+/// A value as a text shows it: a number of more digits than carry a meaning has an exponent.
+fn brief(value: String) -> String {
+    // More than an index has, and than a number near 1 with its sign and point.
+    const LONGEST: usize = 24;
+    match value.parse::<f64>() {
+        Ok(number) if value.len() > LONGEST => format!("{number:e}"),
+        _ => value,
     }
 }
 

@@ -74,3 +74,21 @@ fn what_is_refused_is_named() {
         assert!(text.contains(names), "case {i}: '{names}' is not in: {text}");
     }
 }
+
+/// Numbers of hundreds of digits are told by their exponent, and no others.
+#[test]
+fn a_value_is_shown_briefly() {
+    let cases = [
+        (-1e300, "= -1e300: must"),
+        (-1.5e-300, "= -1.5e-300: must"),
+        (-1234567.0, "= -1234567: must"),
+        (-0.1, "= -0.1: must"),
+        (f64::NAN, "= NaN: must"),
+    ];
+    for (mass, shown) in cases {
+        let mut b = Build::new().floor().body(0, &[free()], &[ball()]);
+        b.0.geoms[1].mass = Some(mass);
+        let text = b.error().to_string();
+        assert!(text.contains(shown), "'{shown}' is not in: {text}");
+    }
+}
