@@ -105,3 +105,30 @@ def test_lights_are_those_of_the_file(images):
     dark = TEXTURED.replace("<asset>", '<visual><headlight active="0"/></visual><asset>', 1)
     _, drawing = drawn(dark, base=images)
     assert drawing.headlight.diffuse == (0, 0, 0)
+
+
+FRAMED = """<mujoco><compiler angle="radian"/><default>
+<default class="lamp"><light diffuse=".1 .2 .3" pos="0 0 1"/></default></default><worldbody>
+<frame pos="1 2 3" euler="0 0 1.5707963267948966" childclass="lamp">
+  <light name="one" dir="1 0 -1"/>
+  <frame quat="0 1 0 0"><light name="two" pos="0 .5 0"/></frame>
+  <body name="arm" pos="0 1 0"><joint/><geom size=".1" mass="1"/><light name="three" dir="0 1 0"/>
+    <frame pos="0 0 2"><light name="four" class="main"/></frame></body></frame>
+<replicate count="2" offset="0 0 .5"><light name="many" pos="3 0 0"/></replicate>
+</worldbody></mujoco>"""
+
+
+def test_lights_in_frames_stand_where_mujoco_has_them():
+    """Against MuJoCo's compiled model: pose in the body, colour, in any order."""
+    mujoco = pytest.importorskip("mujoco")
+    _, drawing = drawn(FRAMED)
+    theirs = mujoco.MjModel.from_xml_string(FRAMED)
+    assert len(drawing.lights) == theirs.nlight == 6
+    columns = theirs.light_bodyid[:, None], theirs.light_pos, theirs.light_dir, theirs.light_diffuse
+    expected = np.hstack(columns)
+    own = [(light.body, *light.pos, *light.dir, *light.diffuse) for light in drawing.lights]
+
+    def ordered(rows):
+        return sorted((np.round(rows, 6) + 0.0).tolist())
+
+    assert np.allclose(ordered(own), ordered(expected), atol=1e-6)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.models import inside, sections
 from stepcore.mjcf.nodes import Node
@@ -39,31 +40,51 @@ class Headlight:
     diffuse: Vec = (0.4, 0.4, 0.4)
 
 
-def lights_of(root: Node, defaults: Defaults, bodies: Mapping[int, int]) -> list[Light]:
+@dataclass(frozen=True)
+class _Place:
+    """The body that holds an element, the pose of its frame there, and its childclass."""
+
+    body: int = 0
+    pose: tuple[Vec, Vec] = (frames.ORIGIN, frames.IDENTITY)
+    childclass: str | None = None
+
+
+def lights_of(
+    root: Node, compiler: Compiler, defaults: Defaults, bodies: Mapping[int, int]
+) -> list[Light]:
     """The lights that are on. bodies: the index of a body by the id of its node.
 
-    A light within a frame is left out, as is one whose pose follows something.
+    One that follows or looks at a body (`mode`) stands in the body that holds it.
     """
     found = []
-    pending = [(node, 0) for node in sections(root, "worldbody")]
+    pending = [(node, _Place()) for node in sections(root, "worldbody")]
     while pending:
-        node, body = pending.pop()
+        node, place = pending.pop()
         for child in node.children:
-            if child.tag == "body" and id(child) in bodies:
-                pending.append((child, bodies[id(child)]))
-            elif child.tag == "light":
-                values: dict[str, Any] = {**defaults.of(child, kind="light"), **child.attrs}
+            if child.tag == "light":
+                known = defaults.of(child, place.childclass, kind="light")
+                values: dict[str, Any] = {**known, **child.attrs}
                 if values.get("active", "true") in ("true", True):
-                    found.append(_light(values, body))
+                    found.append(_light(values, place))
+            elif child.tag == "frame" or id(child) in bodies:
+                held = _Place(bodies.get(id(child), place.body))
+                if child.tag == "frame":
+                    orientation = (child.compiler or compiler).orientation(child, child.values)
+                    pos = child.values.get("pos", frames.ORIGIN)
+                    held = replace(held, pose=frames.composed(place.pose, pos, orientation))
+                childclass = defaults.known(child, "childclass") or place.childclass
+                pending.append((child, replace(held, childclass=childclass)))
     return found
 
 
-def _light(values: Mapping[str, Any], body: int) -> Light:
+def _light(values: Mapping[str, Any], place: _Place) -> Light:
     kind = values.get("type", "directional" if _true(values.get("directional")) else "spot")
+    pos = _numbers(values.get("pos"), frames.ORIGIN)
+    direction = _numbers(values.get("dir"), DOWN)
     return Light(
-        body,
-        _numbers(values.get("pos"), (0.0, 0.0, 0.0)),
-        frames.normalised(_numbers(values.get("dir"), DOWN), "dir"),
+        place.body,
+        frames.composed(place.pose, pos, frames.IDENTITY)[0],
+        frames.normalised(frames.rotated(place.pose[1], direction), "dir"),
         _numbers(values.get("diffuse"), (0.7, 0.7, 0.7)),
         kind == "directional",
         _numbers(values.get("cutoff"), (45.0,))[0],
