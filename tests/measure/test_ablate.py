@@ -3,6 +3,7 @@
 import functools
 import json
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -181,6 +182,20 @@ def test_where_other_starts_need_all_of_it_the_answer_says_so() -> None:
         "No feature can be removed within 1 mm: what could be in these starts exceeds it in "
         "others, friction: condim 1."
     )
+
+
+def test_the_error_where_features_were_restored_is_said() -> None:
+    """The last starts may add nothing where those before them, which restored features, did."""
+    result = sc.ablate(sc.lesson.drop(), horizon=0.2, starts=1, progress=False)
+    result.removed = [Removal("friction", "condim 1", ())]
+    result.best = replace(result.best, outcome=VariantOutcome(added=(0.0,)))
+    result.confirmed = VariantOutcome(added=(0.0, 0.0))
+    result.restored_on = VariantOutcome(added=(1.37e-4, 0.0))
+    said = " ".join(result.sentences)
+    assert "in the worst of 2 other starts (an error of 137 µm in those for which" in said
+    assert "no error at all, neither" not in said
+    outcome = result.to_dict()["smallest"]
+    assert (outcome["confirmed"], outcome["restored_on"]) == (0.0, 1.37e-4)
 
 
 def test_features_of_a_kind_are_removed_together_and_the_one_that_is_too_much_is_found() -> None:

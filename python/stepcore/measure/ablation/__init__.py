@@ -143,6 +143,7 @@ def ablate(
         best=FeatureEffect(Removal("smallest model", "", ()), selection.chosen_on, times[-1]),
         confirmed=selection.confirmed_on,
         restored=selection.restored,
+        restored_on=selection.restored_on,
         smallest=without(model.scene.with_settings(model.settings), removed),
         reference=reference.error if reference else None,
         notes=[

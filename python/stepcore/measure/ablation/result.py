@@ -46,7 +46,8 @@ class Ablation(Result):
     removed: the features that the smallest model leaves out.
     best: the smallest model on the starts on which it was chosen.
     confirmed: the smallest model on other starts.
-    restored: features that had to be restored because of those other starts.
+    restored: features that had to be restored because of other starts.
+    restored_on: the smallest model on the last starts that had something restored; None for none.
     smallest: the smallest model as a Scene.
     error: the tolerance [m].
     reference: the error of the converged motion [m]; None if there is no converged motion.
@@ -83,6 +84,7 @@ class Ablation(Result):
     restored: list[Removal]
     smallest: Scene
     reference: float | None
+    restored_on: VariantOutcome | None = None
     notes: list[str] = field(default_factory=list)
     ran: str = ""
     batches: Sequence[str] = ()
@@ -160,6 +162,7 @@ class Ablation(Result):
                 "restored": [removal.label for removal in self.restored],
                 "confirmed": self.confirmed.worst,
                 "confirmed_starts": len(self.confirmed.added),
+                "restored_on": self.restored_on.worst if self.restored_on else None,
                 "kept": self.kept,
                 "mjcf": self.smallest.to_mjcf(),
             },
@@ -260,7 +263,10 @@ class Ablation(Result):
         """The error of the smallest model in the starts, and in others."""
         here, there = self.best.outcome.worst, self.confirmed.worst
         others = counted(len(self.confirmed.added), "other start")
-        if not (here or there):
+        before = self.restored_on.worst if self.restored_on else 0.0
+        if before > max(here, there):
+            others += f" ({_error(before)} in those for which features were restored)"
+        if not (here or there or before):
             return f"no error at all, neither in these starts nor in {others}"
         return f"{_error(here)} in the worst start, and {_error(there)} in the worst of {others}"
 

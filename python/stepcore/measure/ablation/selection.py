@@ -21,7 +21,7 @@ class Selection:
 
     removed: what the smallest model goes without; chosen_on: that model's outcome on the starts
     that it was chosen on; confirmed_on: on the last other starts that it was tried on; restored:
-    what had to be restored because of those.
+    what had to be restored because of other starts; restored_on: its outcome on the last of those.
     """
 
     def __init__(
@@ -33,6 +33,7 @@ class Selection:
         self.removed: list[Removal] = []
         self.restored: list[Removal] = []
         self.chosen_on = self.confirmed_on = VariantOutcome()
+        self.restored_on: VariantOutcome | None = None
 
     def alone(self, removal: Removal) -> VariantOutcome:
         """One feature removed, on the starts that are chosen on."""
@@ -64,6 +65,7 @@ class Selection:
             self.restored += restored
             if not restored:
                 break
+            self.restored_on = self.confirmed_on
         if self.restored:
             self.chosen_on = outcome_of(self.baseline, self.removed, self.workers)
 
