@@ -65,6 +65,14 @@ def test_an_index_that_is_none(model, index):
     assert "an index below" in text_of(lambda: model.index("body", index))
 
 
+def test_an_index_where_there_are_none(model):
+    bare = sc.Scene().compile()
+    assert text_of(lambda: sc.Sim(bare).reset(3)) == "key = 3: the model has no keyframes"
+    assert text_of(lambda: model.index("equality", 0)) == (
+        "equality = 0: the model has no equalities"
+    )
+
+
 @pytest.mark.parametrize(
     "call",
     [

@@ -82,7 +82,7 @@ EVERYTHING = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
 NAMED = {
     "qpos": [("knee",)],
     "sensordata": [("angle", "imu.0", "imu.1", "imu.2")],
-    "xpos": [("world", "box", "arm", "#3"), ("x", "y", "z")],
+    "xpos": [("world", "box", "arm", "body 3"), ("x", "y", "z")],
     "energy": [("kinetic", "potential")],
     "actuator_force": [("m",)],
 }
@@ -107,11 +107,13 @@ def test_arrays_by_their_names():
 def test_the_axes_are_named_as_the_model_s_parts():
     run = recorded()
     free, ball = "xyz", ("qw", "qx", "qy", "qz")
-    root = [f"root.{part}" for part in (*free, *ball)]
-    for name, entries in (NAMED | {"qpos": [(*root, "knee", *(f"#2.{p}" for p in ball))]}).items():
+    root, third = [f"root.{part}" for part in (*free, *ball)], "joint 2 of body 3"
+    coordinates = (*root, "knee", *(f"{third}.{part}" for part in ball))
+    for name, entries in (NAMED | {"qpos": [coordinates]}).items():
         assert [axis.entries for axis in run.axes(name)] == entries, name
     assert [axis.name for axis in run.axes("xpos")] == ["body", "xyz"]
-    assert run.axes("qvel")[0].entries[3:8] == ("root.wx", "root.wy", "root.wz", "knee", "#2.wx")
+    turning = ("root.wx", "root.wy", "root.wz")
+    assert run.axes("qvel")[0].entries[3:8] == (*turning, "knee", f"{third}.wx")
     assert [axis.name for axis in run.axes("xmat")] == ["body", "xmat_1", "xmat_2"]
     # Everything that can be recorded has as many entries as it has numbers.
     for name, values in run.data.items():

@@ -71,7 +71,7 @@ def _entries(model: ModelData, axis: str) -> Sequence[str]:
     if axis in fixed:
         return fixed[axis]
     if axis in model.names:
-        return [name or f"#{k}" for k, name in enumerate(model.names[axis])]
+        return model.called(axis)
     lists: dict[str, Callable[[], Sequence[str]]] = {
         "dof": lambda: _of_joints(model, DOFS),
         "coordinate": lambda: _of_joints(model, COORDINATES),
@@ -83,15 +83,15 @@ def _entries(model: ModelData, axis: str) -> Sequence[str]:
 def _of_joints(model: ModelData, parts: Mapping[str, Sequence[str]]) -> list[str]:
     """The entries of joints: "knee", or "root.x" and so on of a joint of several."""
     entries: list[str] = []
-    for k, name in enumerate(model.joint_names):
+    for k, name in enumerate(model.called("joint")):
         own = parts.get(model.jnt_type[k], ())
-        entries += [f"{name or f'#{k}'}.{part}" for part in own] or [name or f"#{k}"]
+        entries += [f"{name}.{part}" for part in own] or [name]
     return entries
 
 
 def _readings(model: ModelData) -> list[str]:
     entries: list[str] = []
-    for k, name in enumerate(model.sensor_names):
-        count, name = int(model.sensor_dim[k]), name or f"#{k}"
+    for k, name in enumerate(model.called("sensor")):
+        count = int(model.sensor_dim[k])
         entries += [name] if count == 1 else [f"{name}.{part}" for part in range(count)]
     return entries

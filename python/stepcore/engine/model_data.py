@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from stepcore._core import Settings
     from stepcore.scene.contents import Contents
 
+# The plurals of kinds of elements that are not theirs with an s.
+SEVERAL = {"body": "bodies", "equality": "equalities", "key": "keyframes"}
+
 
 class Keyframe(NamedTuple):
     """A named state, with defaults for what the scene leaves open.
@@ -261,6 +264,11 @@ class ModelData(ABC):
         try:
             index = range(len(names))[operator.index(name)]
         except (TypeError, IndexError):
+            if not names:
+                many = SEVERAL.get(kind, f"{kind}s")
+                raise ValueError(
+                    f"{kind} = {checks.shown(name)}: the model has no {many}"
+                ) from None
             limit = f"the name of a {kind} or an index below {len(names)}"
             raise ValueError(f"{kind} = {checks.shown(name)}: must be {limit}") from None
         return index
@@ -396,8 +404,8 @@ class ModelData(ABC):
 
     @functools.cached_property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of geoms that can ever collide, by name ("#index" for a geom without one)."""
-        names = [name or f"#{i}" for i, name in enumerate(self.geom_names)]
+        """Pairs of geoms that can ever collide, each by what it is called (`called`)."""
+        names = self.called("geom")
         return tuple((names[a], names[b]) for a, b in self.pair_geoms.tolist())
 
     @functools.cached_property
