@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 from stepcore.engine.replay import Replay
 from stepcore.engine.settings_fields import SettingsFields
 
-__all__ = ["Batch", "EnergyWarning", "Model", "Settings", "Sim", "SimulationError", "compile"]
+__all__ = [
+    "VECTORS",
+    "Batch",
+    "EnergyWarning",
+    "Model",
+    "Settings",
+    "Sim",
+    "SimulationError",
+    "compile",
+]
 
 # The vector instructions that this module was compiled for.
 VECTORS: Literal["avx2", "sse2", "neon", "none"]
