@@ -162,3 +162,43 @@ def test_a_weld_asks_in_vain_for_a_turn():
     mujoco.mj_forward(model, data)
     sim.forward()
     assert peers.apart(sim.qacc, data.qacc) < 1e-9
+
+
+@pytest.mark.parametrize("extra", ["", 'actearly="true"', 'ctrlrange="-3 3"', 'actrange="-4 4"'])
+@pytest.mark.parametrize("dyntype", ["filter", "filterexact", "integrator"])
+def test_the_filter_of_a_servo_on_a_circle_goes_the_shorter_way_round(dyntype, extra):
+    """Its control is the one of those a turn apart that is nearest to the activation: to 1e-9.
+
+    After a step the activation is the one of those that is nearest to the length, be it out of its
+    range. With controls and activations two turns either way; an integrator takes a rate, and a
+    general actuator that is not a servo is on no circle.
+    """
+    filtered = f'dyntype="{dyntype}" dynprm=".03" biastype="affine" {extra}'
+    servo = filtered + ' gainprm="8" biasprm="0 -8 -.5"'
+    text = f"""<mujoco><option gravity="0 0 0"/><worldbody><site name="world"/>
+      <body><joint name="j" type="ball"/><geom pos=".05 .02 .1" size=".1"/>
+        <site name="s" pos=".1 0 0"/></body></worldbody><actuator>
+      <general joint="j" gear="1 .3 0" {servo}/>
+      <general jointinparent="j" gear=".14 -.3 .12" {servo}/>
+      <general site="s" refsite="world" gear="0 0 0 0 .5 .2" {servo}/>
+      <general joint="j" {filtered} gainprm="8" biasprm="0 -5 0"/>
+      </actuator></mujoco>"""
+    model = peers.strict(mujoco.MjModel.from_xml_string(text))
+    data, compiled = mujoco.MjData(model), sc.loads(text).compile()
+    turn = 2 * np.pi * np.linalg.norm(model.actuator_gear, axis=1)
+    for name, integrator in peers.INTEGRATORS.items():
+        model.opt.integrator = integrator
+        sim, rng = sc.Sim(compiled, **peers.EXACT, integrator=name), np.random.default_rng(0)
+        for _ in range(20):
+            quat = rng.normal(size=4)
+            data.qpos[:] = sim.qpos[:] = quat / np.linalg.norm(quat)
+            data.qvel[:] = sim.qvel[:] = rng.normal(size=3)
+            data.act[:] = sim.act[:] = rng.uniform(-2, 2, 4) * turn
+            data.ctrl[:] = sim.ctrl[:] = rng.uniform(-2, 2, 4) * turn
+            mujoco.mj_forward(model, data)
+            sim.forward()
+            assert peers.apart(sim.actuator_force, data.actuator_force) < 1e-9
+            mujoco.mj_step(model, data)
+            sim.step(1)
+            assert peers.apart(sim.act, data.act) < 1e-9
+            assert peers.apart(sim.qvel, data.qvel) < 1e-9

@@ -47,6 +47,9 @@ impl<R: Real> Sim<R> {
         advance(&self.model, &self.state.qpos, moving, self.clock.dt, &mut self.next.qpos);
         let (rates, seconds) = (&self.placed.act_rate, self.clock.seconds);
         activation::advance(&self.model, &self.state.act, rates, seconds, &mut self.next.act);
+        let (pulls, centres) = (self.placed.pulls(), &mut self.next.centres);
+        activation::centres(&self.model, &self.state.qpos, pulls, centres);
+        activation::unwind(&self.model, centres, &mut self.next.act);
     }
 
     /// What is implicit beside the rows: see `damped.rs`, `implicit.rs`.

@@ -95,6 +95,9 @@ impl<R: Real> Sim<R> {
         let act = self.state.activations(self.clock);
         let rates = &self.placed.act_rate;
         activation::through_middle(&model, act, &self.inputs, rates, &mut self.next.act);
+        let Next { trial, centres, act, .. } = &mut self.next;
+        activation::centres(&model, &trial.qpos, self.placed.pulls(), centres);
+        activation::unwind(&model, centres, act);
         self.velocity.copy_from_slice(&self.next.qvel);
         Ok(())
     }

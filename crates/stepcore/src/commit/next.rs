@@ -14,6 +14,8 @@ pub struct Next<R: Real> {
     pub qpos: Vec<R>,
     pub qvel: Vec<R>,
     pub act: Vec<R>,
+    /// By activation, the length about which a servo on a circle keeps it.
+    pub(super) centres: Vec<R>,
     pub ctrl_history: Vec<R>,
     /// The velocities of the state, made to keep the equalities where these act within the step.
     pub start: Vec<R>,
@@ -40,7 +42,7 @@ pub struct Next<R: Real> {
     pub(super) sums: Sums<R>,
 }
 
-room!(Next<R>: qpos, qvel, act, ctrl_history, start, held, change, gained, mean, warm, woken; sleep, trial, damped, implicit, sums);
+room!(Next<R>: qpos, qvel, act, centres, ctrl_history, start, held, change, gained, mean, warm, woken; sleep, trial, damped, implicit, sums);
 
 /// Positions and velocities within a step.
 pub(crate) struct Trial<R: Real> {
@@ -72,6 +74,7 @@ impl<R: Real> Next<R> {
             qpos: zeros(nq),
             qvel: zeros(nv),
             act: zeros(model.na),
+            centres: zeros(model.na),
             ctrl_history: zeros(model.nhistory),
             start: zeros(nv),
             held: zeros(model.equalities.iter().map(|e| e.rows()).sum()),

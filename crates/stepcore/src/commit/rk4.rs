@@ -49,6 +49,10 @@ impl<R: Real> Sim<R> {
                 }
             }
             self.accelerate(at, inside, B[stage], Choice::Now)?;
+            if stage == 0 {
+                let (pulls, centres) = (self.placed.pulls(), &mut self.next.centres);
+                activation::centres(&model, &self.state.qpos, pulls, centres);
+            }
             observer.placed(self, at, B[stage]);
             if inside != Inside::Nothing {
                 observer.solved(self, at, B[stage]);
@@ -70,6 +74,7 @@ impl<R: Real> Sim<R> {
         advance(&model, &self.state.qpos, &sums.moved, dt, &mut self.next.qpos);
         let seconds = self.clock.seconds;
         activation::advance(&model, &self.state.act, &sums.act_rate, seconds, &mut self.next.act);
+        activation::unwind(&model, &self.next.centres, &mut self.next.act);
         for k in 0..model.nv {
             self.next.qvel[k] = self.next.start[k] + dt * sums.gained[k];
         }

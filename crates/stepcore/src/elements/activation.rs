@@ -4,9 +4,13 @@
 //! a muscle is in `muscle.rs`.
 //! A step takes w + dt·ẇ, and of `filterexact` what the filter does in dt under a control that is
 //! held, w + (1 − exp(−dt/τ)) τ ẇ; then bounds.
+//! Of a servo on a circle (`Model::circles`) a filter goes the shorter way round: u is the one of those
+//! that are the same which is nearest to w. At the end of a step w itself is the one which is nearest
+//! to the length at its start (`midpoint`: in its middle), be it out of bounds.
 
 use super::{delay, muscle};
 use crate::model::{Model, Span};
+use crate::place::Pulls;
 use crate::real::{elementary, Real};
 use crate::scene::{self, Dynamics};
 use crate::state::Inputs;
@@ -55,12 +59,14 @@ impl scene::Actuator {
         self.dynprm[0].max(SHORTEST)
     }
 
-    /// ẇ under a control.
-    fn rate<R: Real>(&self, act: R, ctrl: R) -> R {
+    /// ẇ under a control; with the length after which that is the same again (0: never).
+    fn rate<R: Real>(&self, act: R, ctrl: R, circle: f64) -> R {
         match self.dynamics {
             Dynamics::None => R::zero(),
             Dynamics::Integrator => ctrl,
-            Dynamics::Filter | Dynamics::FilterExact => (ctrl - act) / R::of(self.time_constant()),
+            Dynamics::Filter | Dynamics::FilterExact => {
+                (nearest(ctrl, act, circle) - act) / R::of(self.time_constant())
+            }
             Dynamics::Muscle => muscle::rate(act, ctrl, self.dynprm),
         }
     }
@@ -84,6 +90,19 @@ impl scene::Actuator {
     }
 }
 
+/// The one of those that are the same as a control which is nearest to a length or an activation:
+/// they lie a circle apart (0: there is only the control itself).
+#[inline(always)]
+pub(super) fn nearest<R: Real>(ctrl: R, about: R, circle: f64) -> R {
+    if circle == 0.0 {
+        return ctrl;
+    }
+    let scale = R::of(std::f64::consts::TAU / circle);
+    let far = (ctrl - about).abs().gt(R::of(0.5 * circle));
+    let (sin, cos) = ((ctrl - about) * scale).sin_cos();
+    R::select(far, about + sin.atan2(cos) / scale, ctrl)
+}
+
 /// What stands for the control of an actuator with an activation: that, or what it will be at the
 /// end of the step.
 #[inline(always)]
@@ -101,7 +120,7 @@ pub(crate) fn signal<R: Real>(
     if !actuator.actearly {
         return act;
     }
-    actuator.next(act, actuator.rate(act, ctrl()), now.seconds)
+    actuator.next(act, actuator.rate(act, ctrl(), model.circles[index]), now.seconds)
 }
 
 /// The rates of all activations.
@@ -117,7 +136,7 @@ pub(crate) fn rates<R: Real>(
     for (index, k) in model.active() {
         let actuator = &model.actuators[index];
         let ctrl = actuator.held(model, now.ctrl(model, index, inputs));
-        rates[k] = actuator.rate(now.act[k], ctrl);
+        rates[k] = actuator.rate(now.act[k], ctrl, model.circles[index]);
     }
 }
 
@@ -148,7 +167,7 @@ pub(crate) fn middle<R: Real>(
     for (index, k) in model.active() {
         let actuator = &model.actuators[index];
         let ctrl = actuator.held(model, now.ctrl(model, index, inputs));
-        let rate = actuator.rate(now.act[k], ctrl);
+        let rate = actuator.rate(now.act[k], ctrl, model.circles[index]);
         let span = match actuator.dynamics {
             Dynamics::Filter => half / (1.0 + half / actuator.time_constant()),
             _ => actuator.span(half),
@@ -173,13 +192,33 @@ pub(crate) fn through_middle<R: Real>(
         let actuator = &model.actuators[index];
         if actuator.dynamics == Dynamics::FilterExact {
             let ctrl = actuator.held(model, now.ctrl(model, index, inputs));
-            let rate = actuator.rate(now.act[k], ctrl);
+            let rate = actuator.rate(now.act[k], ctrl, model.circles[index]);
             out[k] = actuator.next(now.act[k], rate, now.seconds);
         }
     }
 }
 
+/// By activation, the length that a servo on a circle has; others are left alone.
+pub(crate) fn centres<R: Real>(model: &Model, qpos: &[R], pulls: Pulls<R>, out: &mut [R]) {
+    for (index, k) in model.on_circles() {
+        out[k] = model.along[index].length(model, qpos, pulls);
+    }
+}
+
+/// Takes whole turns off activations that are more than half a turn away from these lengths.
+pub(crate) fn unwind<R: Real>(model: &Model, centres: &[R], act: &mut [R]) {
+    for (index, k) in model.on_circles() {
+        act[k] = nearest(act[k], centres[k], model.circles[index]);
+    }
+}
+
 impl Model {
+    /// Those of servos on circles.
+    fn on_circles(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let active = self.active().filter(|_| self.features.actuation);
+        active.filter(|(index, _)| self.circles[*index] != 0.0)
+    }
+
     /// Actuators with an activation, and its place.
     fn active(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let all = self.activations.iter().enumerate();

@@ -10,7 +10,7 @@
 //! moves. A velocity servo is a motor of force gain·u + bias₀ and a damper. Everything else is a
 //! motor, and all of its work counts as put in.
 
-use super::activation::{signal, Activations};
+use super::activation::{nearest, signal, Activations};
 use super::force::{Forces, Group, Moment};
 use super::gravcomp::asked_of_drives;
 use super::Kind;
@@ -91,14 +91,7 @@ impl<R: Real> Along<R> {
 #[inline(always)]
 fn input<R: Real>(model: &Model, index: usize, act: Activations<R>, ctrl: R, length: R) -> R {
     let u = signal(model, index, act, || model.actuators[index].held(model, ctrl));
-    let circle = model.circles[index];
-    if circle == 0.0 {
-        return u;
-    }
-    let scale = R::of(std::f64::consts::TAU / circle);
-    let far = (u - length).abs().gt(R::of(0.5 * circle));
-    let (sin, cos) = ((u - length) * scale).sin_cos();
-    R::select(far, length + sin.atan2(cos) / scale, u)
+    nearest(u, length, model.circles[index])
 }
 
 /// gain·u.

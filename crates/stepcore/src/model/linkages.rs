@@ -3,7 +3,7 @@
 
 use super::{Model, Span};
 use crate::place::Placed;
-use crate::scene::{self, JointType, Scene, Target};
+use crate::scene::{self, Dynamics, JointType, Scene, Target};
 use crate::transmission::Transmission;
 
 /// The length of an actuator that is neither a joint's nor a tendon's.
@@ -146,7 +146,7 @@ fn circle(model: &Model, actuator: &scene::Actuator) -> f64 {
     let turn =
         |axis: [f64; 3]| std::f64::consts::TAU * axis.iter().map(|x| x * x).sum::<f64>().sqrt();
     match actuator.target {
-        _ if !actuator.holds_a_length() => 0.0,
+        _ if !actuator.holds_a_length() || actuator.dynamics == Dynamics::Muscle => 0.0,
         Target::Joint(joint) | Target::InParent(joint)
             if model.joints[joint].kind == JointType::Ball =>
         {
