@@ -111,6 +111,38 @@ def test_a_servo_without_force_range_or_with_inertia_does_not_chatter():
         assert d.limit() > 0.002
 
 
+def test_a_servo_that_friction_holds_still_is_kicked():
+    """At rest friction holds the joint, and the linearised step is stable to 132 ms. Law: while it
+    slips the step is stable for ω² h² − 2 c h < 4; beyond, any push ends between ±F for good."""
+    kp, inertia, damping, force = 1040.0, 0.03, 3.5, 3.0
+    scene = sc.loads(f"""<mujoco><option timestep="0.03" integrator="implicitfast" gravity="0 0 0"/>
+    <worldbody><body><joint name="j" axis="0 0 1" damping="{damping}" frictionloss="0.3"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="{inertia} {inertia} {inertia}"/></body>
+    </worldbody>
+    <actuator><position name="a" joint="j" kp="{kp}" forcerange="-{force} {force}"/></actuator>
+    </mujoco>""")
+    square, c = kp / inertia, damping / inertia
+    slips = (c + math.sqrt(c**2 + 4 * square)) / square
+    speed = force / math.sqrt(kp * inertia)
+    d = diagnosed(scene)
+    assert d.limit() == pytest.approx(slips, rel=1e-6)
+    assert d.limits["implicitfast"].outcome == "chatters" and d.stiffest() == "servo `a`"
+    assert d.limit("euler") == pytest.approx(slips, rel=1e-6)
+    saturation = d.saturations[0]
+    assert saturation.swinging and saturation.severe and not saturation.reached
+    assert saturation.speed == pytest.approx(speed)
+    assert "jumps from one end to the other, for good" in d.sentences[1]
+    # Stepped here: at the wanted dt no kick comes to rest, below the limit all do.
+    for kick in (0.3, 1.0, 3.0):
+        for dt, rests in ((0.03, False), (0.98 * slips, True)):
+            sim = sc.Sim(scene.compile(), dt=dt)
+            sim.qvel[0] = kick
+            sim.step(2000)
+            assert (abs(float(sim.actuator_force[0])) < 1e-6 * force) == rests
+    below = diagnosed(scene, dt=0.012)
+    assert not below.saturations and below.observed.holds
+
+
 def test_cures_of_chatter_are_tried_on_the_motion():
     """What is advised makes the real wrist come to rest at 2 ms."""
     scene = wrist(kick=2.0)

@@ -28,7 +28,7 @@ from stepcore.measure.diagnosis.held_control import held_for, sampled_often
 from stepcore.measure.diagnosis.judgement import Judge, Runaway, judge, judged_limit
 from stepcore.measure.diagnosis.limiters import limiters
 from stepcore.measure.diagnosis.linear_step import with_converged_rows
-from stepcore.measure.diagnosis.observation import look
+from stepcore.measure.diagnosis.observation import kicked, look
 from stepcore.measure.diagnosis.outcomes import gentle_chatter
 from stepcore.measure.diagnosis.real_step import RealStep
 from stepcore.measure.diagnosis.result import Diagnosis
@@ -144,6 +144,11 @@ def diagnose(
     own, advice = settings.integrator, []
     seen = look(found, limits[own], shares[own], wanted)
     limits[own], shares[own] = seen.limit, seen.shares
+    if by is not None and any(one.severe and not one.reached for one in seen.saturations):
+        # What a kick shows under one integrator is asked of those that stand beside it.
+        for name in limits:
+            if name != own and wanted <= limits[name].dt:
+                limits[name], shares[name], _ = kicked(by, limits[name], shares[name], wanted)
     if by is not None:
         here = dataclasses.replace(here, holds=partial(holds_when_kicked, by))
     limiting = {name: limiters(here, limits[name], shares[name]) for name in limits}

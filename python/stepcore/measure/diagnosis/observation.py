@@ -47,9 +47,17 @@ def look(judge: Judge | Runaway | None, limit: Limit, shares: Shares, wanted: fl
             element = max(shares, key=lambda element: shares[element])
             chatter = [saturation_of(judge, element, run, limit.dt)]
         return Observation(limit, shares, outcome, chatter)
+    limit, shares, chatter = kicked(judge, limit, shares, wanted)
+    lasting = judge.lasting(limit.integrator, wanted) if outcome.holds else None
+    return Observation(limit, shares, outcome, chatter, lasting)
+
+
+def kicked(
+    judge: Judge, limit: Limit, shares: Shares, wanted: float
+) -> tuple[Limit, Shares, list[Saturation]]:
+    """A limit and its shares after kicks of the servos, and those that chatter then."""
     chatter = saturations(judge, limit.integrator, wanted)
     if chatter and chatter[0].severe:
         limit = replace(limit, dt=chatter[0].dt, state=0, outcome="chatters")
         shares = {chatter[0].element: 1.0}
-    lasting = judge.lasting(limit.integrator, wanted) if outcome.holds else None
-    return Observation(limit, shares, outcome, chatter, lasting)
+    return limit, shares, chatter

@@ -85,7 +85,12 @@ def _chatter(d: DiagnosisFindings, one: Saturation) -> str:
     chatters = (
         "there its damping is gone, and its force jumps from one end to the other within a step"
     )
-    if one.thrown > THROWN * one.usual:
+    if one.swinging:
+        chatters = (
+            "its force jumps from one end to the other, for good. Where friction or the range "
+            "holds it, the linearised step does not show this"
+        )
+    elif one.thrown > THROWN * one.usual:
         chatters += f", which throws {one.joint} to {_speed(one, one.thrown)}"
     return f"{begins[0].upper()}{begins[1:]}: {chatters}. The motion stays finite."
 

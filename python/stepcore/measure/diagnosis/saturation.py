@@ -6,6 +6,9 @@ that treats the servo's damping implicitly takes an explicit step there. With ga
 F·dt/I: where that is more than 2F/kv, a step of dt > 2I/kv jumps from one end of the range to the
 other, and the servo chatters for good. Whether it does is looked at on the real step: in the motion
 itself, and after a kick beyond F/kv.
+
+A servo whose oscillation by itself is unstable at a step, and which friction or its range holds in
+every state that is linearised, goes from end to end too once it is pushed (`swinging_dt`).
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from stepcore.measure.diagnosis.servo_range import (
     driven_dof,
     largest_force,
     reaching_speed,
+    swinging_dt,
 )
 
 # The kick over the speed at which the range is reached; the most servos that are kicked.
@@ -42,7 +46,7 @@ class Saturation:
     largest speed of the joint at the wanted dt; usual: that of the motion at a fine step. dt: the
     largest step at which it comes to rest [s]. reached: whether the motion itself reaches the
     range, without a kick. severe: whether the chatter has more energy than the kick, by `EXPLODED`
-    times.
+    times, or is that of an oscillation which is unstable. swinging: whether it is that.
     """
 
     element: ElementId
@@ -55,15 +59,30 @@ class Saturation:
     dt: float
     reached: bool
     severe: bool
+    swinging: bool = False
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A servo that a step may throw across its range.
+
+    alone [s]: from which step on, by closed form. speed [rad/s or m/s]: at which the range is
+    reached. swinging: see `Saturation`.
+    """
+
+    servo: ElementId
+    alone: float
+    speed: float
+    swinging: bool
 
 
 def saturations(judge: Judge, integrator: str, wanted: float) -> list[Saturation]:
     """The servos that chatter at the wanted dt [s] once they are kicked, the worst first."""
     found = []
-    for servo, alone in _candidates(judge, wanted):
-        kicked = _Kicked(judge, integrator, servo)
+    for candidate in _candidates(judge, integrator, wanted):
+        kicked = _Kicked(judge, integrator, candidate)
         if not kicked.rests(kicked.run(wanted)):
-            found.append(kicked.saturation(wanted, alone))
+            found.append(kicked.saturation(wanted))
     return sorted(found, key=lambda one: (not one.severe, one.dt))
 
 
@@ -72,8 +91,8 @@ def holds_when_kicked(judge: Judge, model: Model, integrator: str, dt: float) ->
     if not judge.holds(model, integrator, dt):
         return False
     changed = replace(judge, real=judge.real.of(model))
-    for servo, _ in _candidates(changed, dt):
-        kicked = _Kicked(changed, integrator, servo)
+    for candidate in _candidates(changed, integrator, dt):
+        kicked = _Kicked(changed, integrator, candidate)
         run = kicked.run(dt)
         if not kicked.rests(run) and kicked.severe(run):
             return False
@@ -88,24 +107,27 @@ def saturation_of(judge: Judge, element: ElementId, run: RealRun, dt: float) -> 
     return _described(judge, element, run, dt, True, run.peak > judge.bound)
 
 
-def _candidates(judge: Judge, wanted: float) -> list[tuple[ElementId, float]]:
-    """Servos that a step of `wanted` [s] may throw across, and from which step on, worst first."""
-    model = judge.real.model
+def _candidates(judge: Judge, integrator: str, wanted: float) -> list[_Candidate]:
+    """Servos that a step of `wanted` [s] may throw across, worst first."""
+    model, qpos = judge.real.model, judge.real.start.qpos
     if not model.nu or not model.scene.features.actuation:
         return []
-    servos = []
+    found = []
     for i in range(model.nu):
         if model.actuator_joint[i] < 0:
             # Not along one joint, which alone could be kicked.
             continue
         turns = model.jnt_type[int(model.actuator_joint[i])] != "slide"
         usual = max(FASTEST if turns else FASTEST_SLIDE, judge.fine.speeds[driven_dof(model, i)])
-        if not KICK * reaching_speed(model, i) <= usual:
-            continue
-        alone = crossing_dt(model, judge.real.start.qpos, i)
-        if alone < wanted:
-            servos.append((ElementId.of(model, "actuator", i), alone))
-    return sorted(servos, key=lambda servo: servo[1])[:SERVOS]
+        servo, speed = ElementId.of(model, "actuator", i), reaching_speed(model, i)
+        limit, swing = swinging_dt(model, qpos, i, integrator)
+        ways = [
+            _Candidate(servo, crossing_dt(model, qpos, i), speed, False),
+            _Candidate(servo, limit, min(speed, swing), True),
+        ]
+        may = [way for way in ways if KICK * way.speed <= usual and way.alone < wanted]
+        found += may[:1]
+    return sorted(found, key=lambda candidate: candidate.alone)[:SERVOS]
 
 
 @dataclass(frozen=True)
@@ -114,31 +136,41 @@ class _Kicked:
 
     judge: Judge
     integrator: str
-    servo: ElementId
+    candidate: _Candidate
+
+    @property
+    def index(self) -> int:
+        """The servo's."""
+        return self.candidate.servo.index
 
     def run(self, dt: float) -> RealRun:
         """The kicked motion at a step."""
-        model, actuator = self.judge.real.model, self.servo.index
+        model = self.judge.real.model
         kick = np.zeros(model.nv)
-        kick[driven_dof(model, actuator)] = KICK * reaching_speed(model, actuator)
+        kick[driven_dof(model, self.index)] = KICK * self.candidate.speed
         horizon = min(STEPS * dt, self.judge.fine.reached)
         return self.judge.real.run(self.integrator, dt, horizon=horizon, kick=kick)
 
     def rests(self, run: RealRun) -> bool:
         """Whether the servo does not chatter in a run."""
-        return run.finite and float(run.swings[self.servo.index]) <= CHATTER
+        return run.finite and float(run.swings[self.index]) <= CHATTER
 
     def severe(self, run: RealRun) -> bool:
-        """Whether a run has much more energy than the kick and the motion."""
+        """Whether a run has much more energy than the kick and the motion, or swings for good."""
         begun = max(float(run.energies[0]), self.judge.fine.peak, self.judge.floor)
-        return not run.finite or run.peak > EXPLODED * begun
+        lasting = self.candidate.swinging and float(run.jumps[self.index]) > CHATTER
+        return not run.finite or run.peak > EXPLODED * begun or lasting
 
-    def saturation(self, wanted: float, alone: float) -> Saturation:
-        """What it does at the wanted step. alone [s]: where it does no more by the closed form."""
+    def saturation(self, wanted: float) -> Saturation:
+        """What it does at the wanted step."""
+        alone = self.candidate.alone
         limit = first_failing(lambda dt: self.rests(self.run(dt)), alone, wanted)
+        if self.candidate.swinging:
+            # At some longer steps friction catches this kick, and not another one.
+            limit = min(limit, alone)
         run = self.run(wanted)
-        severe = self.severe(run)
-        return _described(self.judge, self.servo, run, limit, False, severe)
+        found = _described(self.judge, self.candidate.servo, run, limit, False, self.severe(run))
+        return replace(found, speed=self.candidate.speed, swinging=self.candidate.swinging)
 
 
 def _described(

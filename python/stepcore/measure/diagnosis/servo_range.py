@@ -3,6 +3,10 @@
 With gain kv, gear g, force range ±F and inverse inertia w of its dof, the force is clamped beyond
 the speed F/(kv |g|); a step changes the speed by F |g| w dt there, and jumps from one end of the
 range to the other from dt = 2/(kv g² w) on.
+
+With gain kp it swings with ω = sqrt(kp g² w), and reaches the range from the speed F |g| w/ω on.
+Where friction holds the joint, or the force is clamped, no linearised step has this oscillation: it
+goes from end to end from the dt on at which the oscillator alone is unstable.
 """
 
 from __future__ import annotations
@@ -12,9 +16,11 @@ import math
 import numpy as np
 
 from stepcore.engine.arrays import Floats
+from stepcore.engine.linear_maps import STIFFNESS_IMPLICIT
 from stepcore.engine.model import Model
 from stepcore.engine.sim import Sim, unwatched
-from stepcore.experiment.joint_gains import joint_dofs
+from stepcore.experiment.joint_gains import implicit_kinds, joint_dofs, joint_gains
+from stepcore.measure.diagnosis.oscillator import oscillator_dt
 
 
 def largest_force(model: Model, actuator: int) -> float:
@@ -40,10 +46,41 @@ def crossing_dt(model: Model, qpos: Floats, actuator: int) -> float:
     damping *= float(model.actuator_gear[actuator, 0]) ** 2
     if not damping > 0:
         return math.inf
+    return 2 / (damping * inverse_inertia(model, qpos, driven_dof(model, actuator)))
+
+
+def swinging_dt(model: Model, qpos: Floats, actuator: int, integrator: str) -> tuple[float, float]:
+    """The largest stable dt [s] of a servo's oscillation by itself, and the speed of its range.
+
+    Its stiffness on its joint, with the dampers and servos at that joint. The speed [rad/s or m/s]
+    is that of the joint from which the oscillation reaches the force range. inf for both without
+    stiffness, and for one that pulls along no hinge or slide.
+    """
+    gains = list(joint_gains(model))
+    own = [gain for gain in gains if (gain.kind, gain.index) == ("actuator", actuator)]
+    if not own or not own[0].stiffness > 0:
+        return math.inf, math.inf
+    w = inverse_inertia(model, qpos, driven_dof(model, actuator))
+    omega = math.sqrt(own[0].stiffness * w)
+    implicit = explicit = 0.0
+    for gain in gains:
+        if gain.joint != own[0].joint:
+            continue
+        if gain.kind in implicit_kinds(model, integrator):
+            implicit += gain.damping * w
+        else:
+            explicit += gain.damping * w
+    end = largest_force(model, actuator) * abs(float(model.actuator_gear[actuator, 0]))
+    held = integrator in STIFFNESS_IMPLICIT
+    limit = math.inf if held else oscillator_dt(omega, explicit, implicit, integrator)
+    return limit, end * w / omega
+
+
+def inverse_inertia(model: Model, qpos: Floats, dof: int) -> float:
+    """The acceleration of a dof by a unit of force on it, the others free [1/kg or 1/(kg·m²)]."""
     sim = unwatched(Sim(model))
     sim.qpos[:] = qpos
-    dof = driven_dof(model, actuator)
-    return 2 / (damping * float(np.linalg.inv(np.array(sim.mass_matrix()))[dof, dof]))
+    return float(np.linalg.inv(np.array(sim.mass_matrix()))[dof, dof])
 
 
 def driven_dof(model: Model, actuator: int) -> int:
