@@ -178,10 +178,13 @@ def sliders(chrome):
     return chrome.find_elements(By.XPATH, "//*[@role='slider']")
 
 
-def until(true, seconds=30.0):
-    """Waits for what a browser and a view do between them."""
+def until(panel, true, seconds=60.0):
+    """Waits for what a browser and a view do between them; the view's thread steps the Sim."""
     end = time.monotonic() + seconds
-    while not true():
+    while True:
+        with panel.lock:
+            if true():
+                return
         assert time.monotonic() < end
         time.sleep(0.05)
 
@@ -198,20 +201,20 @@ def test_what_is_pressed_and_dragged_in_the_page():
         wait_for(chrome, "return document.body.innerText.includes('kinetic energy')")
         wait_for(chrome, "return document.querySelectorAll('[role=slider]').length === 7")
         wait_for(chrome, "return document.querySelectorAll('.uplot canvas').length === 2")
-        until(lambda: sim.time > 0.1)
+        until(panel, lambda: sim.time > 0.1)
         press(chrome, "Pause")
-        until(lambda: not panel.playing)
-        now = sim.time
+        until(panel, lambda: not panel.playing)
+        now = sim.time  # nobody steps it now
         press(chrome, "Step")
-        until(lambda: sim.time == pytest.approx(now + 0.01))
+        until(panel, lambda: sim.time == pytest.approx(now + 0.01))
         sliders(chrome)[0].send_keys(Keys.HOME)
-        until(lambda: sim.time == 0.0)
+        until(panel, lambda: sim.time == 0.0)
         sliders(chrome)[1].send_keys(Keys.END)
-        until(lambda: sim.ctrl[0] == 1.0)
+        until(panel, lambda: sim.ctrl[0] == 1.0)
         press(chrome, "Step")
-        until(lambda: sim.time == pytest.approx(0.01))
+        until(panel, lambda: sim.time == pytest.approx(0.01))
         press(chrome, "Reset")
-        until(lambda: sim.time == 0.0 and sim.ctrl[0] == 0.0)
+        until(panel, lambda: sim.time == 0.0 and sim.ctrl[0] == 0.0)
         assert complaints(chrome) == []
     finally:
         view.close()

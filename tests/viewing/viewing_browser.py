@@ -37,7 +37,10 @@ def opened():
         *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
     ):
         options.add_argument(argument)
-    return webdriver.Chrome(options=options, service=Service(driver))
+    chrome = webdriver.Chrome(options=options, service=Service(driver))
+    # A page that software draws on a busy machine takes its time.
+    chrome.set_script_timeout(120)
+    return chrome
 
 
 def wait_for(chrome, script, seconds=60.0):
