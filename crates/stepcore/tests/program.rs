@@ -174,3 +174,18 @@ fn a_step_is_what_the_scene_requires() {
     assert_eq!(of_drop.operations(), 25);
     assert!(of_stack.operations() <= 680, "{}", of_stack.operations());
 }
+
+/// A list that is of no use is given up, however many sweeps are asked for: looking for it takes no
+/// longer than its first entries.
+#[test]
+fn sweeps_without_end_are_not_written_down() {
+    let model = compiled(&tower(2));
+    for law in [Law::Lesson, Law::Relaxed, Law::Rigid, Law::SolRef] {
+        let endless = swept(law, u32::MAX);
+        assert!(Program::of::<f64>(&model, &endless).is_none(), "{law:?}");
+        let kept = Settings { warm_start: true, ..endless.clone() };
+        assert!(Program::of::<f64>(&model, &kept).is_none(), "{law:?}");
+        let within = Settings { tolerance: 1e-9, ..endless };
+        assert!(Program::of::<f64>(&model, &within).is_none(), "{law:?}");
+    }
+}

@@ -118,7 +118,7 @@ impl<R: Real> Batch<R> {
         };
         Ok(Self {
             worlds,
-            list: list.map(|list| Blocks::new(Arc::new(list), threads)),
+            list: list.map(|list| Blocks::new(&list, threads)),
             dt: settings.dt,
             groups: (0..seats.groups()).map(group).collect(),
             crew: Crew::new(&models, settings, &seats, worlds, threads)?,

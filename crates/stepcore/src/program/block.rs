@@ -1,9 +1,10 @@
 //! Registers of worlds, stepped side by side by a list: one operation for all of them, then the next.
 
-use std::sync::{Arc, Mutex};
+use std::sync::Mutex;
 
+use super::order::Ordered;
 use super::run::Space;
-use super::Program;
+use super::{Limits, Program};
 use crate::pool::lock;
 use crate::real::Real;
 use crate::room::Room;
@@ -12,10 +13,17 @@ use crate::state::State;
 /// Registers of worlds in a block.
 const WIDE: usize = 8;
 
-/// A list with the registers of every thread.
+/// The lists of a program with the registers of every thread.
 pub(crate) struct Blocks<R: Real> {
-    program: Arc<Program>,
+    lists: Lists,
     free: Mutex<Vec<Desk<R>>>,
+}
+
+/// Of all steps but the last, and of that.
+struct Lists {
+    steps: Ordered,
+    last: Ordered,
+    limits: Limits,
 }
 
 /// Where one thread works: for one register of worlds, and for as many as a block has.
@@ -24,7 +32,7 @@ struct Desk<R: Real> {
     wide: Pair<R, WIDE>,
 }
 
-/// For all steps but the last, and for that.
+/// The registers of both lists.
 struct Pair<R: Real, const C: usize> {
     steps: Space<R, C>,
     last: Space<R, C>,
@@ -46,10 +54,12 @@ impl<R: Real> Blocks<R> {
     /// Registers in a block, at most.
     pub const MOST: usize = WIDE;
 
-    pub fn new(program: Arc<Program>, threads: usize) -> Self {
-        let desk = |_| Desk { one: Pair::new(&program), wide: Pair::new(&program) };
+    pub fn new(program: &Program, threads: usize) -> Self {
+        let (steps, last, limits) = (program.steps(), program.last(), program.limits);
+        let lists = Lists { steps, last, limits };
+        let desk = |_| Desk { one: Pair::new(&lists), wide: Pair::new(&lists) };
         let free = Mutex::new((0..threads).map(desk).collect());
-        Self { program, free }
+        Self { lists, free }
     }
 
     /// Memory of the registers [bytes].
@@ -64,8 +74,8 @@ impl<R: Real> Blocks<R> {
         // There is one for every thread.
         let Some(desk) = lock(&self.free).pop() else { return false };
         let right = match worlds.len() {
-            1 => desk.one.step(&self.program, n, worlds),
-            _ => desk.wide.step(&self.program, n, worlds),
+            1 => desk.one.step(&self.lists, n, worlds),
+            _ => desk.wide.step(&self.lists, n, worlds),
         };
         lock(&self.free).push(desk);
         right
@@ -73,16 +83,16 @@ impl<R: Real> Blocks<R> {
 }
 
 impl<R: Real, const C: usize> Pair<R, C> {
-    fn new(program: &Program) -> Self {
-        Self { steps: Space::new(&program.steps), last: Space::new(&program.last) }
+    fn new(lists: &Lists) -> Self {
+        Self { steps: Space::new(&lists.steps), last: Space::new(&lists.last) }
     }
 
     fn bytes(&self) -> usize {
         self.steps.room() + self.last.room()
     }
 
-    fn step(&self, program: &Program, n: u64, worlds: &mut [impl Holds<R>]) -> bool {
-        let Program { limits, steps, last, .. } = program;
+    fn step(&self, lists: &Lists, n: u64, worlds: &mut [impl Holds<R>]) -> bool {
+        let Lists { limits, steps, last } = lists;
         let [q, v] = [limits.qpos, limits.qvel].map(R::of);
         let first = worlds[0].place();
         let (nq, nv) = (first.state.qpos.len(), first.state.qvel.len());

@@ -30,12 +30,12 @@ use trace::{trace, Trace};
 pub(crate) use block::{Blocks, Holds, Place};
 pub(crate) use single::Listed;
 
-/// A list: of steps alone, of one that leaves its acceleration, and of one that counts its rows.
+/// Entries of a list that is still of use: a longer one is no quicker than the step itself.
+const MOST: usize = 4096;
+
+/// What a step computes, for a model and its settings.
 pub struct Program {
     trace: Trace,
-    steps: Ordered,
-    last: Ordered,
-    counted: Ordered,
     /// Row updates for each row.
     sweeps: u64,
     limits: Limits,
@@ -51,28 +51,41 @@ struct Limits {
 impl Program {
     /// That of a model in numbers of type R, if it has one.
     pub fn of<R: Real>(model: &Arc<Model>, settings: &Settings) -> Option<Self> {
+        Self::within::<R>(model, settings, MOST)
+    }
+
+    /// The same, if it has one of at most so many entries.
+    fn within<R: Real>(model: &Arc<Model>, settings: &Settings, most: usize) -> Option<Self> {
         let trace = if R::EPSILON > f64::EPSILON {
-            trace::<f32>(model, settings)?
+            trace::<f32>(model, settings, most)?
         } else {
-            trace::<f64>(model, settings)?
+            trace::<f64>(model, settings, most)?
         };
         let sweeps = match settings.solver {
             Solver::Pgs => settings.sweeps.limit().into(),
             Solver::Newton => 0,
         };
         let limits = Limits { qpos: trace.limit, qvel: trace.fastest };
-        Some(Self {
-            steps: order(&trace, &[]),
-            last: order(&trace, &trace.qacc),
-            counted: order(&trace, &[trace.rows]),
-            sweeps,
-            limits,
-            trace,
-        })
+        Some(Self { sweeps, limits, trace })
+    }
+
+    /// The list of a step.
+    fn steps(&self) -> Ordered {
+        order(&self.trace, &[])
+    }
+
+    /// That of a step which leaves its acceleration.
+    fn last(&self) -> Ordered {
+        order(&self.trace, &self.trace.qacc)
+    }
+
+    /// That of a step which counts its rows.
+    fn counted(&self) -> Ordered {
+        order(&self.trace, &[self.trace.rows])
     }
 
     /// How many operations a step is.
     pub fn operations(&self) -> usize {
-        self.steps.steps.len()
+        self.steps().steps.len()
     }
 }

@@ -2,21 +2,28 @@
 
 use std::sync::{Arc, Mutex};
 
+use super::order::Ordered;
 use super::run::Space;
-use super::Program;
+use super::{Limits, Program};
+use crate::model::Model;
 use crate::observer::Observer;
 use crate::pool::inside;
 use crate::real::Real;
 use crate::room::Room;
+use crate::settings::Settings;
 use crate::sim::Sim;
 
 /// Operations up to which a list is quicker than the stages, by measurement: each is asked what it is.
 const MOST: usize = 400;
+/// Entries of which so few may be left: some are folded into others, and some nothing needs.
+const ENTRIES: usize = 3 * MOST;
 
 /// A list and its registers.
 pub(crate) struct Listed<R: Real> {
-    program: Program,
+    list: Ordered,
     space: Space<R, 1>,
+    limits: Limits,
+    sweeps: u64,
 }
 
 impl<R: Real> Room for Listed<R> {
@@ -25,15 +32,21 @@ impl<R: Real> Room for Listed<R> {
     }
 }
 
+impl<R: Real> Listed<R> {
+    /// That of a model, if it has one that is quicker than the stages.
+    fn of(model: &Arc<Model>, settings: &Settings) -> Option<Self> {
+        let program = Program::within::<R>(model, settings, ENTRIES)?;
+        let list = program.counted();
+        let Program { limits, sweeps, .. } = program;
+        (list.steps.len() <= MOST).then(|| Self { space: Space::new(&list), list, limits, sweeps })
+    }
+}
+
 impl<R: Real> Sim<R> {
     /// Steps that nobody looks at are made by the list of this model, if it has one. The numbers are
     /// the same.
     pub fn use_list(&mut self) {
-        let program = Program::of::<R>(&Arc::clone(&self.model), &self.settings);
-        self.list = program.filter(|program| program.operations() <= MOST).map(|program| {
-            let space = Space::new(&program.counted);
-            Box::new(Mutex::new(Listed { program, space }))
-        });
+        self.list = Listed::of(&self.model, &self.settings).map(|list| Box::new(Mutex::new(list)));
     }
 
     /// A step by the list; false: it is none that the list is right for, and nothing has changed.
@@ -56,9 +69,9 @@ impl<R: Real> Sim<R> {
     #[inline]
     fn run_list(&mut self) -> bool {
         let Self { list: Some(list), state, next, effort, .. } = self else { return false };
-        let Listed { program, space } = inside(list);
+        let Listed { list, space, limits, sweeps } = inside(list);
         let (nq, nv) = (state.qpos.len(), state.qvel.len());
-        let [q, v] = [program.limits.qpos, program.limits.qvel].map(R::of);
+        let [q, v] = [limits.qpos, limits.qvel].map(R::of);
         space.begin();
         for (at, x) in state.qpos.iter().enumerate() {
             space.set(at, 0, *x);
@@ -68,7 +81,7 @@ impl<R: Real> Sim<R> {
             space.set(nq + at, 0, *x);
             space.require(nq + at, v);
         }
-        space.step(&program.counted, q);
+        space.step(list, q);
         (nq..nq + nv).for_each(|at| space.require(at, v));
         if !space.was_right() {
             return false;
@@ -79,7 +92,7 @@ impl<R: Real> Sim<R> {
         let rows = space.get(nq + nv, 0).lane(0) as usize;
         effort.evaluations += 1;
         effort.most_rows = effort.most_rows.max(rows);
-        effort.row_updates += rows as u64 * program.sweeps;
+        effort.row_updates += rows as u64 * *sweeps;
         true
     }
 }

@@ -1,28 +1,40 @@
 //! A list as it is read: one line an operation, on the numbers of the state and on others.
 
-use super::order::{Do, Step};
+use super::order::{Do, Ordered, Step};
 use super::Program;
 
 impl Program {
     /// What a step executes, in order; what the state's numbers are after it stands in their place.
     pub fn lines(&self) -> Vec<String> {
-        self.steps.steps.iter().map(|step| self.line(step)).collect()
+        let (list, [nq, nv]) = (&self.steps(), [&self.trace.qpos, &self.trace.qvel].map(Vec::len));
+        let writer = Writer { list, nq, nv, limit: self.limits.qpos };
+        list.steps.iter().map(|step| writer.line(step)).collect()
     }
+}
 
+/// Of a list for states of so many numbers, and the size up to which it is right.
+struct Writer<'a> {
+    list: &'a Ordered,
+    nq: usize,
+    nv: usize,
+    limit: f64,
+}
+
+impl Writer<'_> {
     fn number(&self, register: u16) -> String {
-        let (at, nq, nv) = (usize::from(register), self.trace.qpos.len(), self.trace.qvel.len());
+        let (at, nq, nv) = (usize::from(register), self.nq, self.nv);
         if at < nq {
             return format!("qpos[{at}]");
         }
         if at < nq + nv {
             return format!("qvel[{}]", at - nq);
         }
-        let fixed = self.steps.fixed.iter().find(|(fixed, _)| *fixed == register);
+        let fixed = self.list.fixed.iter().find(|(fixed, _)| *fixed == register);
         fixed.map_or(format!("x{}", at - nq - nv), |(_, known)| self.known(*known))
     }
 
     fn known(&self, place: u16) -> String {
-        format!("{:?}", self.steps.known[usize::from(place)])
+        format!("{:?}", self.list.known[usize::from(place)])
     }
 
     fn line(&self, step: &Step) -> String {
@@ -62,7 +74,7 @@ impl Program {
             Do::Not => format!("not {}", mask(a)),
             Do::Copy => self.number(a),
             Do::Known => self.known(b),
-            Do::Within => return format!("require |{}| <= {:e}", self.number(a), self.limits.qpos),
+            Do::Within => return format!("require |{}| <= {:e}", self.number(a), self.limit),
             Do::NeverBoth => return format!("require not ({} and {})", mask(a), mask(b)),
             Do::Never => return format!("require not {}", mask(a)),
         };

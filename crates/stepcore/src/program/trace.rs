@@ -11,9 +11,7 @@ use crate::sim::Sim;
 use crate::solve::Sweeper;
 use num_traits::Zero;
 
-/// Entries of a list that is still of use: a longer one is no quicker than the step itself.
-const MOST: usize = 4096;
-/// More rows than these cannot stay below that.
+/// More rows than these leave no list of any use.
 const MOST_DOFS: usize = 16;
 const MOST_PAIRS: usize = 16;
 
@@ -32,11 +30,15 @@ pub(super) struct Trace {
     pub fastest: f64,
 }
 
-/// The list of a model's steps, if it has one.
+/// The list of a model's steps, if it has one of at most so many entries.
 ///
 /// Joints slide or turn about an axis, and nothing drives. Rows are swept over a fixed number of
 /// times; where none can ever be, the solver does not matter.
-pub(super) fn trace<T: Number>(model: &Arc<Model>, settings: &Settings) -> Option<Trace> {
+pub(super) fn trace<T: Number>(
+    model: &Arc<Model>,
+    settings: &Settings,
+    most: usize,
+) -> Option<Trace> {
     if !plain(model, settings) {
         return None;
     }
@@ -44,7 +46,12 @@ pub(super) fn trace<T: Number>(model: &Arc<Model>, settings: &Settings) -> Optio
     let (limit, largest) = if single { (1e9, 1e38) } else { (1e60, 1e300) };
     let solver = Box::new(Sweeper::new());
     let mut sim = Sim::<Traced<T>>::solved_by(solver, model.clone(), settings.clone()).ok()?;
-    Recorder::begin(largest, MOST);
+    let swept = settings.solver == Solver::Pgs && settings.tolerance == 0.0 && !settings.keeps();
+    if !swept {
+        // Such a list is of use only if there is nothing to sweep over.
+        sim.settings.sweeps = 1.into();
+    }
+    Recorder::begin(largest, most);
     for (at, q) in sim.state.qpos.iter_mut().enumerate() {
         *q = Traced::Node(Recorder::input(at, limit));
     }
@@ -59,8 +66,7 @@ pub(super) fn trace<T: Number>(model: &Arc<Model>, settings: &Settings) -> Optio
     if outcome.is_err() || list.given_up {
         return None;
     }
-    let swept = settings.solver == Solver::Pgs && settings.tolerance == 0.0;
-    if !(rows == Arg::Known(0.0) || swept && !settings.keeps()) {
+    if !(rows == Arg::Known(0.0) || swept) {
         return None;
     }
     let args = |list: &[Traced<T>]| list.iter().map(|x| x.arg()).collect();

@@ -9,7 +9,7 @@
 //! depend on its neighbours.
 //!
 //! What a list cannot hold, a choice that goes by one lane's number, makes the trace useless: it
-//! says so, and the step goes on with nonsense.
+//! says so, and the step goes on with nonsense; no mask holds any more then, so that sweeps end.
 
 mod facts;
 mod recorder;
@@ -128,7 +128,7 @@ impl Mask for TracedMask {
         }
     }
     fn any(self) -> bool {
-        self != Self::Known(false)
+        self != Self::Known(false) && !Recorder::has_given_up()
     }
     /// The list assumes that it does not, and its steps are taken only where that is so.
     fn seldom(self) -> bool {

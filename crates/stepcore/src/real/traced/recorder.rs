@@ -131,6 +131,10 @@ impl Recorder {
         AT_HAND.with(|list| list.borrow_mut().given_up = true);
     }
 
+    pub fn has_given_up() -> bool {
+        AT_HAND.with(|list| list.borrow().given_up)
+    }
+
     /// The list holds only where this mask does not: what is not below a number is above it.
     pub fn assume_none(mask: u32) {
         AT_HAND.with(|list| {
