@@ -33,7 +33,7 @@ ELSEWHERE = {
     "compiler": dict.fromkeys(("meshdir", "assetdir", "strippath"), "test_mesh_files.py")
     | {"conflict": "test_expand.py", "autolimits": "test_mjcf_errors.py"},
     "asset/mesh": dict.fromkeys(("file", "content_type"), "test_mesh_files.py"),
-    "asset/hfield": dict.fromkeys(("file", "content_type"), "test_mesh_files.py"),
+    "asset/hfield": dict.fromkeys(("file", "content_type"), "test_height_field_files.py"),
     "asset/model": dict.fromkeys(("file", "content_type"), "test_expand.py"),
     "attach": dict.fromkeys(("model", "body", "frame", "prefix"), "test_expand.py"),
     "replicate": {"sep": "test_expand.py"},

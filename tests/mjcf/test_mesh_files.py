@@ -1,4 +1,4 @@
-"""Files of meshes and height fields: the same mesh in every format; damage is refused."""
+"""Files of meshes: the same mesh in every format; damage is refused."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ import os
 import pickle
 import re
 import struct
-import zlib
 
 import mujoco
 import numpy as np
 import pytest
+from png_writer import grey
 
 import stepcore as sc
-from stepcore.scene import hfield_files, mesh_files
-from stepcore.scene.png_files import ADAM7, CHANNELS
+from stepcore.scene import mesh_files
 
 CORNERS = np.array([(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3.5)])
 FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
@@ -189,112 +188,6 @@ def test_bytes_changed_at_random_are_read_or_refused(name, tmp_path):
         except ValueError:
             continue
         assert np.isfinite(model.body_mass).all() and (model.body_mass[1:] > 0).all()
-
-
-def png(pixels, *, depth=8, colour=0, filters=None) -> bytes:
-    """A grey image whose lines have these filters."""
-
-    def chunk(kind: bytes, body: bytes) -> bytes:
-        return (
-            len(body).to_bytes(4, "big") + kind + body + zlib.crc32(kind + body).to_bytes(4, "big")
-        )
-
-    height, width = pixels.shape
-    lines = b""
-    above = np.zeros(width, int)
-    for row, line in enumerate(pixels.astype(int)):
-        kind = 0 if filters is None else filters[row % len(filters)]
-        left = np.concatenate([[0], line[:-1]])
-        corner = np.concatenate([[0], above[:-1]])
-        guess = left + above - corner
-        apart = np.abs([guess - left, guess - above, guess - corner])
-        paeth = np.choose(apart.argmin(axis=0), [left, above, corner])
-        minus = [0 * line, left, above, (left + above) // 2, paeth][kind]
-        lines += bytes([kind]) + ((line - minus) % 256).astype(np.uint8).tobytes()
-        above = line
-    size = width.to_bytes(4, "big") + height.to_bytes(4, "big")
-    ihdr = chunk(b"IHDR", size + bytes([depth, colour, 0, 0, 0]))
-    packed = zlib.compress(lines)
-    data = chunk(b"IDAT", packed[:7]) + chunk(b"IDAT", packed[7:])
-    return b"\x89PNG\r\n\x1a\n" + ihdr + data + chunk(b"IEND", b"")
-
-
-def packed(rows, depth: int) -> bytes:
-    """Rows of numbers of so many bits, each beginning with a filter."""
-    lines, before = b"", b""
-    for row in rows:
-        bits = "".join(format(int(value), f"0{depth}b") for value in row.ravel())
-        bits += "0" * (-len(bits) % 8)
-        line = bytes(int(bits[at : at + 8], 2) for at in range(0, len(bits), 8))
-        # Every second line is told from the one above, as the filter "up" does.
-        up = len(lines) // (len(line) + 1) % 2 == 1
-        told = bytes((a - b) % 256 for a, b in zip(line, before, strict=True)) if up else line
-        lines += bytes([2 * up]) + told
-        before = line
-    return lines
-
-
-KINDS = {
-    **{f"grey{depth}": (0, depth) for depth in (1, 2, 4, 8, 16)},
-    **{f"rgb{depth}": (2, depth) for depth in (8, 16)},
-    **{f"palette{depth}": (3, depth) for depth in (2, 8)},
-    **{f"alpha{depth}": (4, depth) for depth in (8, 16)},
-    **{f"rgba{depth}": (6, depth) for depth in (8, 16)},
-}
-
-
-@pytest.mark.parametrize("interlaced", [False, True])
-@pytest.mark.parametrize("kind", KINDS)
-def test_heights_of_coloured_images_are_mujocos(kind, interlaced, tmp_path):
-    colour, depth = KINDS[kind]
-    channels = CHANNELS[colour]
-    most = 4 if colour == 3 else 2**depth
-    pixels = np.random.default_rng(depth).integers(0, most, (11, 9, channels))
-    pixels[0, 0], pixels[0, 1] = 0, most - 1
-    passes = ADAM7 if interlaced else ((0, 0, 1, 1),)
-    body = b"".join(packed(pixels[y::dy, x::dx], depth) for x, y, dx, dy in passes)
-
-    def chunk(kind: bytes, body: bytes) -> bytes:
-        return (
-            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-        )
-
-    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 9, 11, depth, colour, 0, 0, interlaced))
-    palette = chunk(b"PLTE", bytes([10, 20, 30, 50, 40, 30, 100, 0, 0, 200, 250, 1]))
-    path = tmp_path / "image.png"
-    data = head + palette * (colour == 3) + chunk(b"IDAT", zlib.compress(body))
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + data + chunk(b"IEND", b""))
-    text = f"""<mujoco><asset><hfield name="h" file="{path}" size="1 1 1 1"/></asset>
-      <worldbody><geom type="hfield" hfield="h"/></worldbody></mujoco>"""
-    theirs = mujoco.MjModel.from_xml_string(text).hfield_data.reshape(11, 9)[::-1]
-    ours = hfield_files.read(path)
-    assert np.abs((ours - ours.min()) / np.ptp(ours) - theirs).max() < 1e-6
-
-
-def test_images_and_binary_height_fields(tmp_path):
-    pixels = np.random.default_rng(0).integers(0, 256, (9, 6))
-    for filters in (None, [1], [2], [3], [4], [4, 3, 2, 1, 0]):
-        (tmp_path / "a.png").write_bytes(png(pixels, filters=filters))
-        assert (hfield_files.read(tmp_path / "a.png") == pixels).all()
-    data = struct.pack("<2i", 9, 6) + pixels.astype("<f4").tobytes()
-    (tmp_path / "h.bin").write_bytes(data)
-    assert (hfield_files.read(tmp_path / "h.bin") == pixels[::-1]).all()
-    broken = {
-        "b.png": (png(pixels, colour=5), "colour type 5, 8 bits"),
-        "c.png": (png(pixels, depth=16), "take 117 bytes; it has 63"),
-        "f.png": (png(pixels, colour=3), "a pixel has the colour"),
-        "d.png": (png(pixels)[:-20], "cut off"),
-        "e.png": (b"GIF89a", "does not begin"),
-        "a.bin": (data[:-1], "it has 223"),
-        "b.bin": (struct.pack("<2i", 2**31 - 1, 2**31 - 1), "at most 16777216"),
-        "e.bin": (struct.pack("<2i", 4096, 4096), "asks for 67108872 bytes"),
-        "c.bin": (struct.pack("<2i", -1, 4), "-1 rows"),
-        "d.bin": (struct.pack("<2i2f", 1, 2, 0, np.nan), "not a finite"),
-    }
-    for name, (content, why) in broken.items():
-        (tmp_path / name).write_bytes(content)
-        with pytest.raises(ValueError, match=why):
-            hfield_files.read(tmp_path / name)
 
 
 ROBOT = """<mujoco><compiler {compiler}/>
@@ -494,7 +387,7 @@ def test_attributes_changed_at_random_are_read_or_refused(tmp_path):
     """One line with its place, or a model whose masses are numbers."""
     (tmp_path / "a.stl").write_bytes(binary_stl())
     (tmp_path / "not_there.stl").write_bytes(text_stl())
-    (tmp_path / "not_there.png").write_bytes(png(np.arange(12).reshape(3, 4)))
+    (tmp_path / "not_there.png").write_bytes(grey(np.arange(12).reshape(3, 4)))
     text = ROBOT.format(compiler='fitaabb="false"', file="a.stl")
     places = [match.span(1) for match in re.finditer(r'="([^"]*)"', text)]
     rng = np.random.default_rng(2)

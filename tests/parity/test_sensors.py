@@ -323,30 +323,6 @@ def test_the_flag_sensor_switches_them_off():
     assert not sim.sensordata.any()
 
 
-def test_rangefinders_see_what_only_draws_but_not_what_is_clear():
-    source = """
-    <mujoco>
-      <asset><material name="clear" rgba="1 1 1 0"/>
-        <mesh name="roof" vertex="-1 -1 0  1 -1 0  0 1 0  0 0 1"/></asset>
-      <worldbody>
-        <site name="eye"/>
-        <geom type="sphere" size=".1" pos="0 0 1" rgba="1 0 0 0"/>
-        <geom type="sphere" size=".1" pos="0 0 1.5" material="clear"/>
-        <geom type="mesh" mesh="roof" pos="0 0 3" contype="0" conaffinity="0"/>
-        <body><joint/><geom size=".1" pos="5 0 0"/></body>
-      </worldbody>
-      <sensor><rangefinder site="eye"/></sensor>
-    </mujoco>"""
-    theirs = mujoco.MjModel.from_xml_string(source)
-    data = mujoco.MjData(theirs)
-    mujoco.mj_forward(theirs, data)
-    scene = sc.loads(source)
-    sim = sc.Sim(scene)
-    sim.forward()
-    assert sim.sensordata == pytest.approx(data.sensordata, abs=1e-6)
-    assert sc.loads(scene.to_mjcf()) == scene
-
-
 @pytest.mark.parametrize(
     ("line", "why"),
     [
@@ -473,50 +449,3 @@ def test_directions_have_no_cutoff():
         mujoco.MjModel.from_xml_string(source)
     with pytest.raises(ValueError, match="a direction has no bound"):
         sc.loads(source)
-
-
-def test_a_sensor_of_its_user_has_its_place_and_zeros():
-    """As MuJoCo's without a callback, and it is written as it was read."""
-    text = """<mujoco><worldbody><body name="b"><joint name="j"/><geom size="1"/></body>
-      </worldbody><sensor><jointpos joint="j"/><user name="mine" dim="3" noise=".1"/>
-      <user dim="2" objtype="body" objname="b" needstage="acc" datatype="real"/><clock/></sensor>
-      </mujoco>"""
-    model = mujoco.MjModel.from_xml_string(text)
-    data = mujoco.MjData(model)
-    scene = sc.loads(text)
-    sim = sc.Sim(scene)
-    data.qpos[:] = sim.qpos[:] = 0.3
-    mujoco.mj_step(model, data)
-    sim.step(1)
-    assert sim.sensordata.tolist() == data.sensordata.tolist()
-    assert sim.sensor("mine").data.tolist() == [0.0, 0.0, 0.0]
-    assert sc.loads(scene.to_mjcf()) == scene
-
-
-@pytest.mark.parametrize(
-    "sensor",
-    [
-        '<force site="mount"/>',
-        '<torque site="mount"/>',
-        '<subtreecom body="hand"/>',
-        '<subtreelinvel body="hand"/>',
-        '<subtreeangmom body="hand"/>',
-        "<e_potential/>",
-        '<framepos objtype="body" objname="palm"/>',
-        '<framepos objtype="site" objname="mount" reftype="body" refname="palm"/>',
-    ],
-)
-def test_what_only_draws_on_a_body_that_stands_still_weighs(sensor):
-    """A hand by itself: its palm is fixed, and has the mass of its visual mesh, as in MuJoCo."""
-    text = f"""<mujoco><asset><mesh name="m" builtin="sphere" params="2" scale=".1 .2 .1"/></asset>
-      <worldbody><body name="hand"><site name="mount"/><body name="palm" pos=".1 .2 .3">
-        <geom type="mesh" mesh="m" pos=".3 0 0" contype="0" conaffinity="0" group="1"/>
-        <body pos=".5 0 0"><joint axis="0 1 0"/><geom size=".1"/></body></body></body></worldbody>
-      <sensor>{sensor}</sensor></mujoco>"""
-    model = peers.strict(mujoco.MjModel.from_xml_string(text))
-    data, sim = mujoco.MjData(model), sc.Sim(sc.loads(text), **peers.EXACT)
-    data.qvel[:] = sim.qvel[:] = 0.7
-    mujoco.mj_forward(model, data)
-    sim.forward()
-    # MuJoCo keeps the vertices of meshes in single precision.
-    assert sim.sensordata == pytest.approx(data.sensordata, rel=1e-6, abs=1e-6)
