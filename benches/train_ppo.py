@@ -79,10 +79,10 @@ def worlds(name: str, **options: Any) -> Any:
             return [None] * WORLDS
 
         def set_attr(self, name: str, value: Any, indices: Any = None) -> None:
-            raise NotImplementedError
+            raise AttributeError(f"{name}: these worlds have no attributes of their own")
 
         def env_method(self, name: str, *args: Any, **kwargs: Any) -> list[Any]:
-            raise NotImplementedError
+            raise AttributeError(f"{name}: these worlds have no methods of their own")
 
         def env_is_wrapped(self, wrapper: Any, indices: Any = None) -> list[bool]:
             return [False] * WORLDS

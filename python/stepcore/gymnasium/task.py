@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -23,7 +24,7 @@ Source = Model | Scene | str | os.PathLike[str]
 Outcome = tuple[Floats, NDArray[np.bool_], dict[str, Any]]
 
 
-class Task:
+class Task(ABC):
     """What an environment asks of its worlds. To be subclassed.
 
     Each function takes a `Moment` and serves one world and many: its arrays have the worlds, if
@@ -36,9 +37,9 @@ class Task:
     # and not of where it arrived.
     late: tuple[str, ...] = ()
 
+    @abstractmethod
     def model(self) -> Model:
         """The compiled model."""
-        raise NotImplementedError
 
     def observe(self, now: Moment) -> Floats:
         """The observation, shape (k,); qpos and qvel unless a task says otherwise."""

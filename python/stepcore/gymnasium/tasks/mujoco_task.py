@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from abc import abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,9 +35,9 @@ class MujocoTask(Task):
     def model(self) -> Model:
         return find_scene(model_path(self.xml_file)).compile()
 
+    @abstractmethod
     def parts(self, now: Moment) -> dict[str, Floats]:
         """The terms of the reward by name, which info tells."""
-        raise NotImplementedError
 
     def total(self, parts: dict[str, Floats]) -> Floats:
         """The reward."""
