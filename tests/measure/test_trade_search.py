@@ -19,6 +19,8 @@ from stepcore.measure.trade.hardest import HardestStarts
 from stepcore.measure.trade.moves import digits
 from stepcore.measure.trade.notes import failed
 from stepcore.measure.trade.row import Further
+from stepcore.measure.trade.tables import settings_table
+from stepcore.report.units import compact
 
 BALL = """<mujoco model="ball"><option timestep="0.004"/><worldbody>
 <geom type="plane" size="5 5 .1"/><body pos="0 0 .16"><joint type="slide" axis="0 0 1"/>
@@ -307,6 +309,17 @@ def test_a_print_is_a_screen_and_a_failure_is_a_line(ball):
     rows = [dataclasses.replace(ball.rows[0], failure=long, errors=None)]
     (note,) = failed(rows)
     assert note.endswith("(start 0: diverged at 0.1 s: it is not finite)")
+
+
+def test_a_printed_table_has_every_row_that_the_answer_names(ball):
+    for trade in (ball, dataclasses.replace(ball, target=None, chosen=None)):
+        named = [row for row in (trade.recommended, trade.shipped, *trade.offered) if row]
+        assert len(named) >= 2
+        printed = settings_table(trade, full=False).records
+        cells = [(record["dt"], record["integrator"], record["error"]) for record in printed]
+        for row in named:
+            s = row.settings
+            assert (f"{s.dt * 1e3:.4g}", s.integrator, compact(trade.error(row))) in cells
 
 
 def test_what_holds_on_nearly_all_starts_is_said_to_do_so(ball):

@@ -149,6 +149,18 @@ class TradeFindings:
         return min(near, key=lambda entry: entry[:3])[-1] if near else None
 
     @property
+    def offered(self) -> list[TradeRow]:
+        """The rows that the answer compares with: half the error, and the same one for less."""
+        if (chosen := self.recommended) is not None:
+            rows = [self.passed_over, self.frontier.halving(chosen)]
+        elif self.shipped.errors is not None and not math.isnan(self.price(self.shipped)):
+            error = self.error(self.shipped)
+            rows = [self.next_better(error), self.cheapest(error)]
+        else:
+            rows = []
+        return [row for row in rows if row is not None]
+
+    @property
     def kept(self) -> float:
         """The error that a recommendation keeps to on every start that ran [m]; NaN without one."""
         return math.nan if self.target is None else MARGIN * self.target

@@ -92,11 +92,10 @@ def statistics_tables(trade: TradeFindings) -> list[Table]:
 
 
 def _main_rows(trade: TradeFindings) -> Sequence[TradeRow]:
-    """The shipped and the recommended row, and best ones: along all of the front alike."""
-    own, chosen = trade.shipped.settings, trade.recommended
-    kept = {own} if chosen is None else {own, chosen.settings}
-    if trade.passed_over is not None:
-        kept.add(trade.passed_over.settings)
+    """What the answer names, and best rows: along all of the front alike."""
+    kept = {row.settings for row in (trade.shipped, *trade.offered)}
+    if trade.recommended is not None:
+        kept.add(trade.recommended.settings)
     best = [row for row in trade.rows if row.best and row.settings not in kept]
     best = sorted(best, key=trade.price)
     room = SHOWN - len(kept)
