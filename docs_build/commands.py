@@ -20,8 +20,10 @@ ROOT = Path(__file__).parents[1]
 SHOWN = re.compile(r"^```\w*\n\$ (stepcore [^\n]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 # Where a page shows the beginning of an output, its last line is this.
 CUT = "…"
+# Commands whose answer depends on times that they measure.
+TIMED = {"stepcore trade gymnasium:half_cheetah --error 10mm --mujoco"}
 # The pictures of docs/ that commands draw, in about a minute. half_cheetah.png is drawn from
-# measured times, as it stands in the README; view.png is a photograph of a browser.
+# measured times, as it stands in the README; view.png is a photograph: see `photograph.py`.
 DRAWN = {
     "arm.png": "stepcore diagnose docs/arm.xml",
     "half_cheetah.png": "stepcore trade gymnasium:half_cheetah --error 10mm --mujoco",

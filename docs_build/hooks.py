@@ -12,6 +12,7 @@ from pathlib import Path
 import benchmarks
 import commands
 import links
+import photograph
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -35,7 +36,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Adds the pages that have their text elsewhere, and draws the pictures anew."""
     for path, text in _pages().items():
         files.append(File.generated(config, path, content=text))
-    for path, drawn in commands.pictures(ROOT).items():
+    drawn_now = commands.pictures(ROOT)
+    if seen := photograph.view(ROOT):
+        drawn_now["view.png"] = seen
+    for path, drawn in drawn_now.items():
         if kept := files.get_file_from_path(path):
             files.remove(kept)
         files.append(File.generated(config, path, content=drawn))

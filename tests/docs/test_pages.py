@@ -95,7 +95,17 @@ SHOWN = [
 def test_a_page_shows_what_its_command_prints(page, command, shown):
     """Where it no longer does: python docs_build/commands.py."""
     printed = commands_on_pages.printed(command, ROOT)
-    assert commands_on_pages.as_shown(printed, shown) == shown
+    if command in commands_on_pages.TIMED:
+        # What costs least differs from run to run; the errors of the shipped settings do not.
+        printed, shown = (lengths(text[text.index("As shipped") :]) for text in (printed, shown))
+        assert len(shown) > 5 and printed[: len(shown)] == shown
+    else:
+        assert commands_on_pages.as_shown(printed, shown) == shown
+
+
+def lengths(text):
+    """Every length in a text, whose lines may be broken before its unit."""
+    return re.findall(r"[\d.]+\s[mµn]?m\b", text.replace("\n", " "))
 
 
 def test_the_files_that_the_pages_name_are_there():
