@@ -1,7 +1,7 @@
 """The engine as compiled. `stepcore.Model`, `Sim` and `Batch` are built on it; of its names
 only `Settings` and `SimulationError` are meant to be used directly (as `stepcore.Settings`)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, Unpack, final
 
 import numpy as np
@@ -379,7 +379,12 @@ class Batch(_World):
     @property
     def nbytes(self) -> int:
         """Memory of all worlds, their arrays and working space [bytes]."""
-    def rollout(self, ctrl: _Floats) -> list[_Floats]: ...
+    def step(self, n: int, told: Callable[[int], object] | None = None) -> None:
+        """Advances every world by n steps; `told` is called with the count of each portion."""
+
+    def rollout(
+        self, ctrl: _Floats, told: Callable[[int], object] | None = None
+    ) -> list[_Floats]: ...
     def failures(self, known: list[int]) -> tuple[list[int], list[SimulationError]]:
         """The worlds that failed while the others went on; errors of those that are not known."""
     def restart(self, time: float) -> None:

@@ -130,6 +130,13 @@ def test_a_rollout_records_what_is_asked_for(precision):
     with pytest.raises(ValueError, match="ctrl has shape"):
         batch.rollout(ctrl[:4], record="energy")
     assert batch.state() == before
+    # What is written before a rollout counts, in one of no step too.
+    batch.reset()
+    batch.rollout(ctrl[:, :0])
+    assert (batch.qpos == stepped.model.qpos0).all()
+    ctrl[3, 19, 1] = 0.0
+    stepped.reset()
+    assert (batch.rollout(ctrl, record="energy").qpos == stepped.rollout(ctrl).qpos).all()
 
 
 def test_worlds_do_not_reach_each_other():

@@ -66,3 +66,14 @@ def test_a_function_is_called_in_place_of_the_bar_from_several_threads():
     for thread in threads:
         thread.join()
     assert calls == [("runs", done, 100) for done in range(1, 101)]
+
+
+def test_short_work_has_no_bar(monkeypatch):
+    times = iter([0.0, 0.0, 1.9, 2.1, 2.1])
+    monkeypatch.setattr(progress, "monotonic", lambda: next(times))
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with Progress("steps", 4, after=2.0) as bar:
+        bar.advance()
+        assert sys.stderr.getvalue() == ""
+        bar.advance()
+    assert "2/4, 2 s left\r" in sys.stderr.getvalue()

@@ -46,9 +46,19 @@ pub fn lock<'a, T>(engine: &'a Mutex<T>, object: &str) -> PyResult<MutexGuard<'a
 pub fn steps(
     py: Python<'_>,
     n: u64,
+    advance: impl FnMut(u64) -> Result<(), Error> + Send,
+) -> PyResult<()> {
+    steps_told(py, n, None, advance)
+}
+
+/// The same; `told` is called with the count of each portion. What it raises ends the call.
+pub fn steps_told(
+    py: Python<'_>,
+    n: u64,
+    told: Option<&Bound<'_, PyAny>>,
     mut advance: impl FnMut(u64) -> Result<(), Error> + Send,
 ) -> PyResult<()> {
-    if n <= 1 {
+    if n <= 1 && told.is_none() {
         // One step is short: nothing to interrupt, nothing to measure.
         return release(py, || advance(n));
     }
@@ -65,6 +75,9 @@ pub fn steps(
             portion = (now / 2).max(1);
         }
         py.check_signals()?;
+        if let Some(told) = told {
+            told.call1((now,))?;
+        }
     }
     Ok(())
 }

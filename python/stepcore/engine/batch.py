@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from stepcore.engine.model import Model
     from stepcore.engine.settings_fields import SettingsFields
+    from stepcore.report.progress import Choice
     from stepcore.scene.scene import Scene
 
 
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 # 40 % on two cores).
 WORTH_THREADS = 2000
 
+# As many steps as the engine counts.
+MOST_STEPS = 2**64 - 1
 # What the other worlds do when one fails.
 ON_FAILURE = ("stop", "go on")
 
@@ -126,14 +129,19 @@ class Batch(Stepped):
     def _model_of(self, world: int) -> Model:
         return self._param.model_of(world)
 
-    def step(self, n: int = 1) -> None:
+    def step(self, n: int = 1, *, progress: Choice = None) -> None:
         """Takes n steps in every world, with the GIL released; raises what `Sim.step` raises.
 
+        progress: a function of (label, done, total), called some fifty times a second and at the
+            end; False for no bar. None is a bar where somebody watches, once the call has taken
+            two seconds.
+
+        Ctrl-C is noticed between steps, as is what `progress` raises; the steps until then count.
         Warns (`UnsolvedWarning`) once if a world's residual is more than gravity gives in a step at
         three looks in a row; it looks after 64, 128, 256, … steps.
         """
-        with self._explained():
-            self._core.step(n)
+        with self._long(n, progress) as told:
+            self._core.step(n, told)
         self._told(n)
 
     def forward(self) -> None:
@@ -141,13 +149,16 @@ class Batch(Stepped):
         with self._explained():
             self._core.forward()
 
-    def rollout(self, ctrl: ArrayLike, record: Sequence[str] = ()) -> Rollout:
+    def rollout(
+        self, ctrl: ArrayLike, record: Sequence[str] = (), *, progress: Choice = None
+    ) -> Rollout:
         """Steps with given controls and returns every state.
 
         ctrl: shape (n, steps, nu), one row for each step; the last row stays in `ctrl`.
         record: names of what else is kept of each state, such as "sensordata" or "energy": the
             attributes that `Sim.run` records, but for counts of one world's solve and momentum.
             Each is read after each step, which may solve that state's forces once more.
+        progress: as in `step`.
 
         Raises ValueError for controls of another shape, numbers that are not finite and names that
         cannot be recorded, all before the first step; and what `step` raises.
@@ -164,9 +175,10 @@ class Batch(Stepped):
             limit = f"({len(self)}, steps, {self._model.nu})"
             raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
         if names := recordable(record, NAMES):
-            return recorded_rollout(self, table, names)
-        with self._explained():
-            states = self._core.rollout(table)
+            with self._long(table.shape[1], progress) as told:
+                return recorded_rollout(self, table, names, told)
+        with self._long(table.shape[1], progress) as told:
+            states = self._core.rollout(table, told)
         self._told(table.shape[1])
         return Rollout(*states[:3])
 
@@ -174,6 +186,21 @@ class Batch(Stepped):
         """Warns of rows that stay unsolved."""
         if text := self._residuals.step(self, steps):
             warnings.warn(UnsolvedWarning(text), stacklevel=3)
+
+    @contextmanager
+    def _long(self, steps: int, progress: Choice) -> Iterator[Callable[[int], None] | None]:
+        """`_explained`, and how many steps are done is shown; a single step has nothing to show."""
+        checks.progress("Batch", progress)
+        with self._explained():
+            if progress is None and isinstance(steps, int) and steps <= 1:
+                yield None
+                return
+            # Only long calls need the bar.
+            from stepcore.report.progress import BEGUN, Progress
+
+            total = checks.count("n", steps, 0, MOST_STEPS)
+            with Progress("steps", total, progress, after=BEGUN) as bar:
+                yield bar.advance
 
     @contextmanager
     def _explained(self) -> Iterator[None]:

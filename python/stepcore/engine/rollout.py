@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -41,8 +41,10 @@ class Rolls(Protocol):
     def rollout(self, ctrl: ArrayLike) -> Rollout: ...
 
 
-def recorded_rollout(batch: Rolls, ctrl: Floats, names: Sequence[str]) -> Rollout:
-    """Takes the steps one by one and reads what is asked for after each."""
+def recorded_rollout(
+    batch: Rolls, ctrl: Floats, names: Sequence[str], told: Callable[[int], object] | None
+) -> Rollout:
+    """Takes the steps one by one, reads what is asked for after each, and tells of it."""
     steps = ctrl.shape[1]
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in ("qpos", "qvel", "act", *names)}
     # Shapes and numbers are refused before the first step.
@@ -60,6 +62,8 @@ def recorded_rollout(batch: Rolls, ctrl: Floats, names: Sequence[str]) -> Rollou
         batch.rollout(ctrl[:, step : step + 1])
         for name, values in parts.items():
             values.append(np.array(getattr(batch, name)))
+        if told is not None:
+            told(1)
     empty = {name: np.asarray(getattr(batch, name))[:, None][:, :0] for name in parts if not steps}
     whole = {name: np.stack(values, axis=1) for name, values in parts.items() if steps} | empty
     return Rollout(whole.pop("qpos"), whole.pop("qvel"), whole.pop("act"), whole)

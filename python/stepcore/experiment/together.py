@@ -115,7 +115,7 @@ class _BatchRun:
         """Steps all worlds; what explodes is ended, and stands at its start from then on."""
         explosion, batch = self.runner.explosion, self.batch
         if not explosion.watches:
-            batch.step(count)
+            batch.step(count, progress=False)
             return
         dt = batch.settings.dt
         for _ in range(count):

@@ -32,14 +32,17 @@ BEGUN = 2.0
 
 
 class Progress:
-    """Counts work done under a label; safe to advance from several threads."""
+    """Counts work done under a label; safe to advance from several threads.
 
-    def __init__(self, label: str, total: int, choice: Choice = None) -> None:
-        self.label, self.total, self.done = label, max(total, 1), 0
+    after: work that takes less time has no bar [s].
+    """
+
+    def __init__(self, label: str, total: int, choice: Choice = None, after: float = 0.0) -> None:
+        self.label, self.total, self.done, self.after = label, max(total, 1), 0, after
         self._lock = threading.Lock()
         self._call = choice if callable(choice) else None
-        bar = self._call is None and choice is not False and _watched()
-        self._stream: TextIO | None = sys.stderr if bar else None
+        self._shows = self._call is None and choice is not False
+        self._stream: TextIO | None = None
         self._drawn = ""
         self._begun = monotonic()
 
@@ -52,8 +55,13 @@ class Progress:
             self._draw()
 
     def _draw(self) -> None:
-        if self._stream is None:
+        if not self._shows or (self.after and monotonic() - self._begun < self.after):
             return
+        if self._stream is None:
+            if not _watched():
+                self._shows = False
+                return
+            self._stream = sys.stderr
         full = min(self.done, self.total) * BAR // self.total
         bar = f"[{'#' * full}{'.' * (BAR - full)}]"
         line = f"{self.label:<24} {bar} {self.done}/{self.total}{self._left()}"

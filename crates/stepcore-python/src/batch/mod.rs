@@ -84,8 +84,14 @@ impl Batch {
         }
     }
 
-    /// Advances every world by n steps.
-    fn step(&self, py: Python<'_>, n: &Bound<'_, PyAny>) -> PyResult<()> {
+    /// Advances every world by n steps; see `gil::steps_told`.
+    #[pyo3(signature = (n, told = None))]
+    fn step(
+        &self,
+        py: Python<'_>,
+        n: &Bound<'_, PyAny>,
+        told: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
         let n = u64::read(n, &At::Root.field("n"))?;
         let mut guard = self.lock()?;
         let worlds = &mut **guard;
@@ -94,7 +100,7 @@ impl Batch {
             return self.check(py, worlds);
         }
         self.load(py, worlds)?;
-        let outcome = gil::steps(py, n, |n| worlds.step(n));
+        let outcome = gil::steps_told(py, n, told, |n| worlds.step(n));
         self.store(py, worlds);
         outcome
     }
@@ -108,12 +114,14 @@ impl Batch {
     }
 
     /// Steps with controls (n, steps, nu); returns qpos, qvel and act after every step.
+    #[pyo3(signature = (ctrl, told = None))]
     fn rollout<'py>(
         &self,
         py: Python<'py>,
         ctrl: PyReadonlyArray3<'py, f64>,
+        told: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Vec<Array<'py>>> {
-        self.play(py, &ctrl)
+        self.play(py, &ctrl, told)
     }
 
     /// The errors of the worlds that failed while the others went on; `known` are left out.

@@ -9,6 +9,7 @@ use stepcore::batch::Play;
 use super::{Array, Batch};
 use crate::gil;
 use crate::model::shaped;
+use crate::worlds::Worlds;
 
 impl Batch {
     /// Steps with controls (n, steps, nu); returns qpos, qvel and act after every step.
@@ -16,40 +17,54 @@ impl Batch {
         &self,
         py: Python<'py>,
         ctrl: &PyReadonlyArray3<'py, f64>,
+        told: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Vec<Array<'py>>> {
         let mut guard = self.lock()?;
         let worlds = &mut **guard;
         let lengths = self.arrays.lengths;
-        let nu = lengths[arrays::Array::Ctrl as usize];
         let (n, steps) = (self.arrays.worlds, ctrl.shape()[1]);
         let controls = self.controls(ctrl)?;
         let mut states: [Vec<f64>; arrays::Array::CHANGED] = Default::default();
         for (list, entries) in states.iter_mut().zip(lengths) {
             *list = room(n, steps, entries)?;
         }
-        if steps > 0 {
-            self.load(py, worlds)?;
-        } else {
+        if steps == 0 {
             self.check(py, worlds)?;
+        } else {
+            self.load(py, worlds)?;
+            self.played(py, worlds, &controls, steps, &mut states, told)?;
         }
-        let mut play =
-            Play { steps, ctrl: &controls, states: states.each_mut().map(|list| &mut list[..]) };
+        let states = states.into_iter().zip(lengths);
+        states.map(|(list, entries)| shaped(py, list, &[n, steps, entries])).collect()
+    }
+
+    /// Steps the worlds, whose arrays are loaded, and stores what came of it.
+    fn played(
+        &self,
+        py: Python<'_>,
+        worlds: &mut dyn Worlds,
+        controls: &[f64],
+        steps: usize,
+        states: &mut [Vec<f64>; arrays::Array::CHANGED],
+        told: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let nu = self.arrays.lengths[arrays::Array::Ctrl as usize];
+        let states = states.each_mut().map(|list| &mut list[..]);
+        let mut play = Play { steps, ctrl: controls, states };
         let mut from = 0;
-        let outcome = gil::steps(py, steps as u64, |count| {
+        let outcome = gil::steps_told(py, steps as u64, told, |count| {
             worlds.play(&mut play, from, count as usize)?;
             from += count as usize;
             Ok(())
         });
         self.store(py, worlds);
         if from > 0 {
-            for world in 0..n {
+            for world in 0..self.arrays.worlds {
                 let last = &controls[(world * steps + from - 1) * nu..][..nu];
                 self.arrays.write(py, arrays::Array::Ctrl, world, last);
             }
         }
-        outcome?;
-        let states = states.into_iter().zip(lengths);
-        states.map(|(list, entries)| shaped(py, list, &[n, steps, entries])).collect()
+        outcome
     }
 
     /// The controls of a play, checked.
