@@ -242,6 +242,12 @@ class Batch(Stepped):
         return size
 
     @property
+    def in_lanes(self) -> bool:
+        """Whether worlds are stepped side by side in vector registers now; "auto" may change it."""
+        stepped: bool = self._core.in_lanes
+        return stepped
+
+    @property
     def failures(self) -> dict[int, SimulationError]:
         """Errors of the worlds that failed under on_failure="go on", by index of the world."""
         known = self._failures

@@ -7,7 +7,7 @@ touch the floor at different times, the runs that follow are made singly again.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from time import thread_time
 
@@ -18,7 +18,7 @@ from stepcore.engine.batch import Batch, unwatched
 from stepcore.executors import checkpoint
 from stepcore.experiment.path import Path
 from stepcore.experiment.recorder import Positions
-from stepcore.experiment.runner import Runner
+from stepcore.experiment.runner import Clock, Runner
 from stepcore.experiment.saving import Saving, Timed
 from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
@@ -64,19 +64,28 @@ def timed(runner: Runner, settings: Settings, starts: Sequence[int]) -> Timed:
 def batched(runner: Runner, settings: Settings, starts: Sequence[int]) -> list[Path]:
     """`Runner.screen` from each of the starts, as the worlds of one batch; the same bits."""
     try:
-        run = _BatchRun(runner, settings, starts)
+        run = BatchRun(runner, settings, starts)
     except ValueError:
         # What a setting is refused for, each run says itself.
         return [runner.screen(settings, start) for start in starts]
     return run.paths()
 
 
-class _BatchRun:
-    """Worlds from several starts, and what was recorded of them."""
+class BatchRun:
+    """Worlds from several starts, and what was recorded of them.
 
-    def __init__(self, runner: Runner, settings: Settings, starts: Sequence[int]) -> None:
+    on_failure: see `Batch`.
+    """
+
+    def __init__(
+        self,
+        runner: Runner,
+        settings: Settings,
+        starts: Sequence[int],
+        on_failure: str = "go on",
+    ) -> None:
         self.runner, self.starts = runner, starts
-        batch = Batch(runner.model, len(starts), 1, on_failure="go on", settings=settings)
+        batch = Batch(runner.model, len(starts), 1, on_failure=on_failure, settings=settings)
         self.batch = unwatched(batch)
         # Those that exploded, and why; those that failed otherwise.
         self.ended: dict[int, str] = {}
@@ -92,24 +101,42 @@ class _BatchRun:
             if start.act is not None:
                 self.batch.act[world] = start.act
 
+    def timed(self, clock: Clock) -> None:
+        """Makes the runs once more from their starts, timed and not looked at."""
+        self.batch.reset()
+        self.place(range(len(self.starts)))
+        self.follow(clock.timing(partial(self.batch.step, progress=False)))
+
     def paths(self) -> list[Path]:
         """Makes the runs."""
-        schedule, batch, bodies = self.runner.schedule, self.batch, self.runner.bodies
-        count = schedule.steps(batch.settings.dt)
-        for period in range(schedule.periods):
+        self.follow(self.step, self.look)
+        return [self.path(world) for world in range(len(self.starts))]
+
+    def follow(self, step: Callable[[int], None], look: Callable[[], bool] | None = None) -> None:
+        """Steps the worlds through the motion; looks at the samples whether all have ended."""
+        schedule, batch = self.runner.schedule, self.batch
+        periods, count = schedule.periods, schedule.steps(batch.settings.dt)
+        if look is None and not self.runner.model.nu:
+            periods, count = 1, count * periods
+        for period in range(periods):
             checkpoint()
             if schedule.ctrl is not None:
                 batch.ctrl[:] = schedule.ctrl[list(self.starts), period]
-            self.step(count)
-            if (period + 1) % schedule.every == 0:
-                self.failed = set(batch.failures) - set(self.ended)
-                if len(self.ended) + len(self.failed) == len(self.starts):
-                    break
-                xpos, xquat = batch.xpos[:, bodies.moving], batch.xquat[:, bodies.moving]
-                for world, look in enumerate(self.looks):
-                    look.xpos.append(xpos[world])
-                    look.xquat.append(xquat[world])
-        return [self.path(world) for world in range(len(self.starts))]
+            step(count)
+            if look is not None and (period + 1) % schedule.every == 0 and look():
+                break
+
+    def look(self) -> bool:
+        """Notes where the bodies are, unless all worlds have ended."""
+        batch, moving = self.batch, self.runner.bodies.moving
+        self.failed = set(batch.failures) - set(self.ended)
+        if len(self.ended) + len(self.failed) == len(self.starts):
+            return True
+        xpos, xquat = batch.xpos[:, moving], batch.xquat[:, moving]
+        for world, look in enumerate(self.looks):
+            look.xpos.append(xpos[world])
+            look.xquat.append(xquat[world])
+        return False
 
     def step(self, count: int) -> None:
         """Steps all worlds; what explodes is ended, and stands at its start from then on."""

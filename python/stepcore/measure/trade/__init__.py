@@ -25,6 +25,7 @@ from stepcore.measure.trade import mujoco as mujoco_points
 from stepcore.measure.trade.finish import Finisher
 from stepcore.measure.trade.frontier import Frontier
 from stepcore.measure.trade.hardest import HardestStarts
+from stepcore.measure.trade.in_batch import batch_points
 from stepcore.measure.trade.moves import Steps, longest, slides
 from stepcore.measure.trade.orders import observed_orders
 from stepcore.measure.trade.recommend import Again, Confirmation, within_budget, within_error
@@ -184,7 +185,7 @@ def trade(
             frontier = within_budget(frontier, limit, confirm, finisher.row, counts)
     schedule = runner.schedule
     forces = shipped.law == "penalty" and model.npair > 0
-    return Trade(
+    found = Trade(
         name=setup.name,
         motion=motion,
         frontier=frontier,
@@ -210,6 +211,9 @@ def trade(
         findings=watched(runner, shipped),
         runner=runner,
     )
+    answer = (found.recommended, found.shipped, *found.offered)
+    in_batch = batch_points(answer, frontier, finisher)
+    return dataclasses.replace(found, in_batch=in_batch, runs=trials.runs)
 
 
 def _full(search: str | None, axes: Mapping[str, Sequence[Any] | None]) -> bool:

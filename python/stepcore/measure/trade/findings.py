@@ -13,6 +13,7 @@ from stepcore.experiment.reference import Reference
 from stepcore.experiment.runner import Runner
 from stepcore.measure.findings import Finding
 from stepcore.measure.trade.frontier import MARGIN, Frontier
+from stepcore.measure.trade.in_batch import BatchPoint
 from stepcore.measure.trade.mujoco import Point
 from stepcore.measure.trade.orders import observed_orders
 from stepcore.measure.trade.row import TradeRow
@@ -40,6 +41,7 @@ class TradeFindings:
     budget: float | None = None
     size: float = math.nan
     mujoco: Sequence[Point] = ()
+    in_batch: Sequence[BatchPoint] = ()
     screened: int = 0
     runs: int = 0
     chosen: TradeRow | None = None

@@ -9,7 +9,7 @@ from stepcore.measure.trade.findings import TradeFindings
 from stepcore.measure.trade.row import UNITS, TradeRow
 from stepcore.measure.trade.seen import seen_runs
 from stepcore.measure.trade.sentences import sentences
-from stepcore.measure.trade.tables import settings_table, statistics_tables
+from stepcore.measure.trade.tables import batch_tables, settings_table, statistics_tables
 from stepcore.report.result import Result
 from stepcore.report.table import Table
 from stepcore.report.units import counted, metres, seconds
@@ -33,6 +33,8 @@ class Trade(TradeFindings, Result):
     chosen: the row for `target` that further starts confirmed.
     findings: what the shipped settings show from the first start, such as creep; see `Finding`.
     mujoco: MuJoCo's points, if they were asked for.
+    in_batch: what the settings that the answer names cost as worlds of a batch, in both precisions;
+        nothing where costs are counted or a Python function gives the controls.
     screened: the number of settings that were tried at all.
     runs: the number of runs they took.
     notes: remarks on the reference, the motion and the failures.
@@ -71,8 +73,12 @@ class Trade(TradeFindings, Result):
         return Table(row.record() for row in self.rows)
 
     def tables(self, full: bool) -> list[Table]:
-        """The settings that matter (`full`: all), and means after the motion is unpredictable."""
-        return [settings_table(self, full), *statistics_tables(self)]
+        """The settings that matter, and means after the motion is unpredictable.
+
+        `full`: all settings, and what those of the answer cost in a batch.
+        """
+        shared = batch_tables(self) if full else []
+        return [settings_table(self, full), *shared, *statistics_tables(self)]
 
     def details(self) -> dict[str, Any]:
         """The reference, what was asked for and is recommended, and MuJoCo's points."""
@@ -87,6 +93,7 @@ class Trade(TradeFindings, Result):
             "asked": {"error": self.target, "budget": self.budget, "by": self.by},
             "recommended": None if chosen is None else chosen.settings,
             "mujoco": [point.record() for point in self.mujoco],
+            "in_batch": [point.record() for point in self.in_batch],
             "screened": self.screened,
             "runs": self.runs,
             "findings": self.findings,

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 from stepcore.measure.trade.findings import NOTABLE, TradeFindings
+from stepcore.measure.trade.in_batch import BatchPoint
 from stepcore.measure.trade.mujoco import compared_with_mujoco
 from stepcore.measure.trade.notes import short
 from stepcore.measure.trade.row import TradeRow
@@ -27,6 +28,7 @@ def sentences(trade: TradeFindings) -> Iterator[str]:
         yield from _improvements(trade)
     if trade.mujoco:
         yield from compared_with_mujoco(trade.mujoco, trade.shipped)
+    yield from _in_a_batch(trade)
     yield from (finding.text for finding in trade.findings)
 
 
@@ -198,6 +200,35 @@ def _offer(trade: TradeFindings, row: TradeRow) -> str:
     return (
         f"costs {times:.2f} times as much: {_named(trade, row)}, with an error of "
         f"{metres(trade.error(row))}."
+    )
+
+
+def _in_a_batch(trade: TradeFindings) -> Iterator[str]:
+    """What a world of a batch costs under the recommended or the shipped settings."""
+    chosen = trade.recommended or trade.shipped
+    alike = chosen.settings.precision
+    points = [
+        point
+        for point in trade.in_batch
+        if point.row.settings.replace(precision=alike) == chosen.settings
+        and not math.isnan(point.cost)
+    ]
+    if points:
+        which = "recommended" if trade.recommended else "shipped"
+        costs = "; ".join(map(_shared, points))
+        yield (
+            f"Many worlds at once are another cost: under the {which} settings each of "
+            f"{points[0].worlds} worlds of a batch on one thread takes {costs}."
+        )
+
+
+def _shared(point: BatchPoint) -> str:
+    """What each world of a batch costs, and its error."""
+    way = "in vector lanes" if point.lanes else "one by one"
+    return (
+        f"{computing(point.cost)} per simulated second in {point.row.settings.precision}, {way} "
+        f"(alone {point.row.cost / point.cost:.2g} times as much; error {metres(point.error)} in "
+        "the starts of the search)"
     )
 
 

@@ -91,6 +91,32 @@ def statistics_tables(trade: TradeFindings) -> list[Table]:
     return [Table(records, heading=heading)]
 
 
+def batch_tables(trade: TradeFindings) -> list[Table]:
+    """What settings cost as worlds of a batch; none where that was not timed."""
+    if not trade.in_batch:
+        return []
+    records = []
+    for point in trade.in_batch:
+        cells = _cells(trade, point.row)
+        record = {name: cells[name] for name in (*HEADS, "also")}
+        record[""] = "*" * point.best + cells[""].replace("*", "")
+        record["error"] = compact(point.error) if point.row.errors else cells["error"]
+        record |= {"alone": cells["cost"], "in a batch": _cost(point.cost)}
+        records.append(record | {"lanes": "yes" if point.lanes else "no"})
+    columns = [name for name in records[0] if any(r[name] not in BLANK for r in records)]
+    worlds = trade.in_batch[0].worlds
+    heading = (
+        f"One world alone, and each of {worlds} worlds of a batch on one thread, timed in turn "
+        "[µs per simulated second]: another cost than above, for those who step many worlds at once"
+    )
+    legend = (
+        "error: in the starts of the search; lanes: side by side in vector registers, where the "
+        "batch found that quicker"
+    )
+    formats = dict.fromkeys(("dt", "error", "alone", "in a batch"), "")
+    return [Table(records, columns, formats, heading=heading, legend=legend)]
+
+
 def _main_rows(trade: TradeFindings) -> Sequence[TradeRow]:
     """What the answer names, and best rows: along all of the front alike."""
     kept = {row.settings for row in (trade.shipped, *trade.offered)}

@@ -1,0 +1,117 @@
+"""What settings cost as worlds of a batch, in double and in single precision.
+
+It is another cost than that of a world alone, and only those pay it who step many worlds at once:
+both are timed in turn, and kept apart in what is printed. The errors are the same: a world of a
+batch has the bits of a single run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from stepcore._core import Settings
+from stepcore.experiment.cost import Stopwatch, TimedRun
+from stepcore.experiment.errors import pareto
+from stepcore.experiment.runner import Runner
+from stepcore.experiment.together import WIDTH, BatchRun, can
+from stepcore.measure.trade.finish import Finisher
+from stepcore.measure.trade.frontier import Frontier
+from stepcore.measure.trade.row import TradeRow
+
+# They fill a vector register in either precision.
+WORLDS = max(WIDTH.values())
+# Of the settings that the answer names so many are timed.
+MOST = 3
+
+
+@dataclass(frozen=True)
+class BatchPoint:
+    """Settings as so many worlds of a `Batch` on one thread.
+
+    row: the same settings, with the errors of a world and what it costs alone.
+    cost: of each world of the batch [µs per simulated second].
+    lanes: whether the batch stepped its worlds in vector registers, or one by one.
+    error: RMS position error of the worst start of the search [m]; inf if it failed.
+    best: no other point is cheaper and at least as accurate.
+    """
+
+    row: TradeRow
+    cost: float
+    worlds: int
+    lanes: bool
+    error: float
+    best: bool = False
+
+    def record(self) -> dict[str, Any]:
+        """The point as plain data."""
+        s = self.row.settings
+        return {
+            "dt": s.dt,
+            "integrator": s.integrator,
+            "solver": s.solver,
+            "precision": s.precision,
+            "position_high": self.error if math.isfinite(self.error) else None,
+            "worlds": self.worlds,
+            "lanes": self.lanes,
+            "cost": None if math.isnan(self.cost) else self.cost,
+            "alone": None if math.isnan(self.row.cost) else self.row.cost,
+            "pareto": self.best,
+            "failure": self.row.failure,
+        }
+
+
+class TimedBatch(TimedRun):
+    """The motion from a runner's starts in turn, in so many worlds, timed again and again."""
+
+    def __init__(self, runner: Runner, settings: Settings, failed: bool, worlds: int) -> None:
+        super().__init__(runner, settings, failed)
+        self.worlds = worlds
+        self.run: BatchRun | None = None
+
+    @property
+    def cost(self) -> float:
+        """Computing time of one of the worlds [µs per simulated second]; NaN if one failed."""
+        return super().cost / self.worlds
+
+    @property
+    def lanes(self) -> bool:
+        """Whether the batch found vector registers quicker."""
+        return self.run is not None and self.run.batch.in_lanes
+
+    def once(self) -> float:
+        if self.run is None:
+            starts = len(self.runner.schedule.starts)
+            some = [world % starts for world in range(self.worlds)]
+            self.run = BatchRun(self.runner, self.settings, some, on_failure="stop")
+        watch = Stopwatch()
+        self.run.timed(watch)
+        return watch.total()
+
+
+def batch_points(
+    named: Sequence[TradeRow | None], frontier: Frontier, finisher: Finisher
+) -> list[BatchPoint]:
+    """The settings of some rows, in both precisions, as worlds of a batch.
+
+    None where nothing is timed, and where a Python function controls each world.
+    """
+    trials = finisher.trials
+    if finisher.by != "time" or not can(trials.runner):
+        return []
+    bases = dict.fromkeys(row.settings for row in named if row is not None and row.errors)
+    some = list(bases)[:MOST]
+    settings = list(dict.fromkeys(base.replace(precision=p) for base in some for p in WIDTH))
+    trials.run(settings, "single precision")
+    runs = [
+        TimedBatch(trials.runner, setting, trials.failure(setting) is not None, WORLDS)
+        for setting in settings
+    ]
+    rows = finisher.rows(settings, runs)
+    costs, errors = [run.cost for run in runs], [frontier.searched(row) for row in rows]
+    return [
+        BatchPoint(row, run.cost, run.worlds, run.lanes, error, best)
+        for row, run, error, best in zip(rows, runs, errors, pareto(costs, errors), strict=True)
+    ]
