@@ -10,7 +10,6 @@ use stepcore::arrays::Array;
 use stepcore::elements::{joint_forces, Kind};
 use stepcore::model::Model as Engine;
 use stepcore::program::Program;
-use stepcore::real::{Lanes, LanesF32};
 use stepcore::scene::{JointType, Scene, Target};
 use stepcore::settings::Precision;
 
@@ -18,6 +17,7 @@ use crate::element::read;
 use crate::extract::{At, Read};
 use crate::nearest::cut;
 use crate::settings::Settings;
+use crate::worlds::{Wide, WideF32};
 
 /// An array of this shape that owns its numbers.
 pub fn shaped<'py>(
@@ -138,7 +138,7 @@ impl Model {
     }
 
     /// Contacts of two geoms at positions qpos (n, nq), in numbers of type "f64" or "f32", in
-    /// lanes if the name ends so ("f32 lanes"):
+    /// lanes if the name ends so ("f32 lanes") and the module has them:
     /// exists and feature (n, slots), dist (n, slots), pos and normal (n, slots, 3).
     fn touches<'py>(
         &self,
@@ -157,8 +157,8 @@ impl Model {
         let found = crate::gil::release(py, || match numbers {
             "f64" => m.touches::<f64>(geom1, geom2, n, &qpos),
             "f32" => m.touches::<f32>(geom1, geom2, n, &qpos),
-            "f32 lanes" => m.touches::<LanesF32>(geom1, geom2, n, &qpos),
-            _ => m.touches::<Lanes>(geom1, geom2, n, &qpos),
+            "f32 lanes" => m.touches::<WideF32>(geom1, geom2, n, &qpos),
+            _ => m.touches::<Wide>(geom1, geom2, n, &qpos),
         })?;
         let shape = [n, found.slots];
         let wide = [n, found.slots, 3];

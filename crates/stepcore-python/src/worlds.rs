@@ -18,11 +18,11 @@ use crate::world::{impulse, Memo, World};
 
 // Worlds side by side, where the module has lanes.
 #[cfg(not(feature = "single"))]
-use stepcore::real::{Lanes as Wide, LanesF32 as WideF32};
+pub use stepcore::real::{Lanes as Wide, LanesF32 as WideF32};
 #[cfg(feature = "single")]
-type Wide = f64;
+pub type Wide = f64;
 #[cfg(feature = "single")]
-type WideF32 = f32;
+pub type WideF32 = f32;
 
 pub trait Worlds: Send + Sync {
     fn check(&self, world: usize, given: &Given) -> Result<()>;

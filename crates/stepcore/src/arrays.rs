@@ -231,7 +231,7 @@ impl<'a> Given<'a> {
 }
 
 fn refuse<R: Real>(field: String, value: f64, element: &str, world: Option<usize>) -> Error {
-    let kind = if R::EPSILON > f64::EPSILON { "finite in single precision" } else { "finite" };
+    let kind = if R::epsilon() > f64::EPSILON { "finite in single precision" } else { "finite" };
     Error::value(field, value, format!("{kind} ({}); nothing was stepped", whose(element, world)))
 }
 

@@ -172,9 +172,21 @@ impl Transmission {
         pulls: Pulls<R>,
         mut each: impl FnMut(usize, usize, R),
     ) {
-        self.arms(model, qpos, pulls, |i, a: R| {
-            self.arms(model, qpos, pulls, |j, b: R| each(i, j, a * b));
+        self.all_arms(model, qpos, pulls, &mut |i, a: R| {
+            self.all_arms(model, qpos, pulls, &mut |j, b: R| each(i, j, a * b));
         });
+    }
+
+    /// `arms`, as a call: every kind of arm inside every other is much machine code.
+    #[inline(never)]
+    fn all_arms<R: Real>(
+        self,
+        model: &Model,
+        qpos: &[R],
+        pulls: Pulls<R>,
+        each: &mut dyn FnMut(usize, R),
+    ) {
+        self.arms(model, qpos, pulls, each);
     }
 }
 

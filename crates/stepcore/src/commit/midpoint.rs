@@ -37,7 +37,7 @@ impl<R: Real> Sim<R> {
         self.next.qvel.copy_from_slice(&self.next.start);
         let mut open = R::Mask::of(true);
         let mut last = R::of(f64::INFINITY);
-        let (mut slope, coarse) = (f64::INFINITY, (1e4 * R::EPSILON).max(R::EPSILON.sqrt()));
+        let (mut slope, coarse) = (f64::INFINITY, (1e4 * R::epsilon()).max(R::epsilon().sqrt()));
         let hard = inside == Inside::Equalities && self.settings.law.on_guess();
         let patience = if hard { PATIENCE } else { MOST_ITERATIONS };
         for iteration in 0..MOST_ITERATIONS {
@@ -68,15 +68,15 @@ impl<R: Real> Sim<R> {
             self.accelerate(At::Trial, inside, 1.0, choice)?;
             let miss = self.correct_midpoint(&model, dt, open, inside == Inside::All);
             // Rounding: the correction is below it, or has stopped to shrink.
-            let small = miss.le(R::of(4.0 * R::EPSILON));
-            let rounding = if iteration < LONG { 1e4 * R::EPSILON } else { coarse };
+            let small = miss.le(R::of(4.0 * R::epsilon()));
+            let rounding = if iteration < LONG { 1e4 * R::epsilon() } else { coarse };
             let stalled = miss.le(R::of(rounding)).and(last.le(miss));
             let unmeasured = miss.is_finite().not();
             last = R::select(open, miss, last);
             open = open.and(small.or(stalled).or(unmeasured).not());
             if open.none() {
                 let before = std::mem::replace(&mut slope, self.last_slope());
-                if slope <= 16.0 * R::EPSILON || (slope <= coarse && before <= slope) {
+                if slope <= 16.0 * R::epsilon() || (slope <= coarse && before <= slope) {
                     break;
                 }
             }
@@ -153,7 +153,7 @@ impl<R: Real> Sim<R> {
         let quarter = R::of(0.25);
         let implicit =
             |[stiffness, damping]: [R; 2]| half * damping + quarter * dt * dt * stiffness;
-        slopes(&now, Group::Passive, |_, i, j, slopes| {
+        slopes(&now, Group::Passive, &mut |_, i, j, slopes| {
             if i != j {
                 return damped.metric.add_pair(i, j, implicit(slopes));
             }
@@ -169,7 +169,7 @@ impl<R: Real> Sim<R> {
         for (k, [stiffness, damping]) in damped.slopes.iter().enumerate() {
             damped.metric.add_own(k, half * *damping + *stiffness * half * half);
         }
-        slopes(&now, Group::Driven, |_, i, j, slopes| {
+        slopes(&now, Group::Driven, &mut |_, i, j, slopes| {
             if i == j {
                 damped.metric.add_own(i, implicit(slopes));
             } else {
@@ -188,7 +188,7 @@ impl<R: Real> Sim<R> {
             miss = R::select(change.is_finite(), miss.max(change.abs()), change);
         }
         // Below this, rounding is no longer in proportion.
-        let least = R::of(if R::EPSILON > f64::EPSILON { 1e-30 } else { 1e-290 });
+        let least = R::of(if R::epsilon() > f64::EPSILON { 1e-30 } else { 1e-290 });
         R::select(scale.gt(R::zero()), miss / scale.max(least), miss)
     }
 }

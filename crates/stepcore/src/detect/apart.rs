@@ -62,7 +62,7 @@ fn boxed(test: ShapeTest) -> bool {
 
 /// What is added to a distance for rounding [m].
 fn slack<R: Real>(reach: f64) -> R {
-    R::of((SURE + UNITS * R::EPSILON) * reach)
+    R::of((SURE + UNITS * R::epsilon()) * reach)
 }
 
 /// A geom's box is above a plane by `more` [m] in every lane: `height` is its centre's.

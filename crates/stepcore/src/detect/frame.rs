@@ -45,7 +45,7 @@ pub fn tangents<R: Real>(normal: &V3<R>, hint: Option<&V3<R>>) -> (V3<R>, V3<R>)
             // itself lean along the normal: measure it, then project once more.
             let once = unit(&raw);
             let twice = across(normal, &once);
-            let tiny = R::of(f64::max(NO_ANGLE, 4.0 * R::EPSILON));
+            let tiny = R::of(f64::max(NO_ANGLE, 4.0 * R::epsilon()));
             let clear = raw.dot(&raw).ge(tiny * tiny).and(twice.dot(&twice).ge(half));
             let guess = unit(&twice);
             if clear.all() {

@@ -110,7 +110,7 @@ fn bounds<R: Real>(model: &Model, placed: &Placed<R>, index: usize, more: f64) -
     let (geom, pose) = (&model.geoms[index], &placed.geom[index]);
     let centre = [pose.pos.x, pose.pos.y, pose.pos.z].map(|x| x.lane(0));
     let far = centre.iter().fold(geom.reach, |far, x| far.max(x.abs()));
-    let more = more + ROUNDING * geom.reach + UNITS * R::EPSILON * far;
+    let more = more + ROUNDING * geom.reach + UNITS * R::epsilon() * far;
     let size: [f64; 3] = std::array::from_fn(|i| {
         let along = |j: usize| pose.rot[(i, j)].lane(0).abs() * geom.half[j];
         (along(0) + along(1) + along(2)).min(geom.reach) + more

@@ -64,7 +64,7 @@ impl<R: Real> Swept<R> {
             let (speed, spin) = (centre.dot(&centre).sqrt(), motion.ang.dot(&motion.ang).sqrt());
             // What cancels in the centre's velocity leaves rounding.
             let terms = motion.lin.dot(&motion.lin).sqrt() + spin * arm.dot(&arm).sqrt();
-            let rounding = R::of(64.0 * R::EPSILON) * terms;
+            let rounding = R::of(64.0 * R::epsilon()) * terms;
             self.more[index] = dt * (speed + spin * R::of(geom.reach) + rounding);
             let turn = R::of(0.5) * dt * spin;
             self.turn[index] = turn;

@@ -29,12 +29,13 @@ macro_rules! forces {
         }
 
         /// Calls `add(element, i, j, [stiffness, damping])` for the elements of a group: see
-        /// `Forces::slopes`.
-        #[inline(always)]
+        /// `Forces::slopes`. Not inlined, as all that asks every element for numbers of two dofs:
+        /// so there is this machine code once, and not for everyone who asks.
+        #[inline(never)]
         pub(crate) fn slopes<R: Real>(
             now: &Moment<R>,
             group: Group,
-            mut add: impl FnMut(Element, usize, usize, [R; 2]),
+            add: &mut dyn FnMut(Element, usize, usize, [R; 2]),
         ) {
             $(if $kind::GROUP == group {
                 for index in 0..$kind::count(now.model) {
@@ -46,10 +47,10 @@ macro_rules! forces {
 
         /// Calls `add(element, i, j, [stiffness, damping])` for what `discrete` takes: see
         /// `Forces::holding`.
-        #[inline(always)]
+        #[inline(never)]
         pub(crate) fn holding<R: Real>(
             now: &Moment<R>,
-            mut add: impl FnMut(Element, usize, usize, [R; 2]),
+            add: &mut dyn FnMut(Element, usize, usize, [R; 2]),
         ) {
             $(for index in 0..$kind::count(now.model) {
                 let element = $kind::element(index);

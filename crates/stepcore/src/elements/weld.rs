@@ -62,7 +62,7 @@ impl<R: Real> Rows<R> {
             let mut gap = R::of(scale) * turn.v[k];
             if let Some(row) = self.rows.last().filter(|row| row.a.le(R::zero()).any()) {
                 // What nothing turns has the load gap/R, and R is least: not of a rounding.
-                let rounding = turn.v[k].abs().le(R::of(ROUNDINGS * R::EPSILON));
+                let rounding = turn.v[k].abs().le(R::of(ROUNDINGS * R::epsilon()));
                 gap = R::select(row.a.le(R::zero()).and(rounding), R::zero(), gap);
             }
             let bent = R::of(0.25) * relative.dot(&relative) * gap;

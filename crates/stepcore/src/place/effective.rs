@@ -66,7 +66,7 @@ impl<R: Real> Effective<R> {
         for (at, mass) in places.iter().zip(mass) {
             matrix[*at] = *mass;
         }
-        holding(now, |_, i, j, [stiffness, damping]| {
+        holding(now, &mut |_, i, j, [stiffness, damping]| {
             let Some(at) = metric.place(i, j) else { return };
             let extra = dt * (damping + dt * stiffness);
             // Each pair of dofs comes twice.

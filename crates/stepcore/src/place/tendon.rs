@@ -98,7 +98,7 @@ impl<R: Real> Placed<R> {
             if first && second {
                 arm = R::select(pull.bent, arm, R::zero());
             }
-            let rounding = arm.abs().le(R::of(ROUNDING * R::EPSILON) * size);
+            let rounding = arm.abs().le(R::of(ROUNDING * R::epsilon()) * size);
             arm = R::select(rounding, R::zero(), arm);
             self.tendon_arms[tendon.arms.start + mover.at] += share * arm;
         }

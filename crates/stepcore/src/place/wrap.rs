@@ -108,7 +108,7 @@ fn plane_of<R: Real>(p: &V3<R>, q: &V3<R>) -> [V3<R>; 2] {
     let along = *p * p.dot(p).sqrt().recip_or_zero();
     let across = p.cross(q);
     let square = across.dot(&across);
-    let least = R::of(R::EPSILON * R::EPSILON) * p.dot(p) * q.dot(q);
+    let least = R::of(R::epsilon() * R::epsilon()) * p.dot(p) * q.dot(q);
     let [x, y, z] = [along.x.abs(), along.y.abs(), along.z.abs()];
     let (second, third) = (y.gt(x).and(y.gt(z)), z.gt(x).and(z.gt(y)));
     let first = second.or(third).not();
@@ -206,7 +206,7 @@ impl<R: Real> Bend<R> {
         let mut high = sees(self.far[0]).min(self.whole);
         let mut x = half * (low + high);
         let mut open = mask;
-        let small = R::of(2.0 * R::EPSILON) * self.whole;
+        let small = R::of(2.0 * R::epsilon()) * self.whole;
         for _ in 0..STEPS {
             let [miss, slope] = self.miss(x);
             let above = miss.gt(zero);

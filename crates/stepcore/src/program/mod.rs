@@ -56,11 +56,7 @@ impl Program {
 
     /// The same, if it has one of at most so many entries.
     fn within<R: Real>(model: &Arc<Model>, settings: &Settings, most: usize) -> Option<Self> {
-        let trace = if R::EPSILON > f64::EPSILON {
-            trace::<f32>(model, settings, most)?
-        } else {
-            trace::<f64>(model, settings, most)?
-        };
+        let trace = trace(model, settings, R::epsilon(), most)?;
         let sweeps = match settings.solver {
             Solver::Pgs => settings.sweeps.limit().into(),
             Solver::Newton => 0,

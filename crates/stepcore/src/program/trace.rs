@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::model::Model;
 use crate::real::traced::{Arg, Node, Recorder, Traced};
-use crate::real::{Number, Real};
+use crate::real::Real;
 use crate::scene::JointType;
 use crate::settings::{Acceleration, Integrator, Settings, Solver};
 use crate::sim::Sim;
@@ -30,22 +30,25 @@ pub(super) struct Trace {
     pub fastest: f64,
 }
 
-/// The list of a model's steps, if it has one of at most so many entries.
+/// The list of a model's steps in numbers of this unit roundoff, if it has one of at most so many
+/// entries.
 ///
 /// Joints slide or turn about an axis, and nothing drives. Rows are swept over a fixed number of
 /// times; where none can ever be, the solver does not matter.
-pub(super) fn trace<T: Number>(
+pub(super) fn trace(
     model: &Arc<Model>,
     settings: &Settings,
+    epsilon: f64,
     most: usize,
 ) -> Option<Trace> {
     if !plain(model, settings) {
         return None;
     }
-    let single = T::EPSILON > f64::EPSILON;
+    Traced::round_as(epsilon);
+    let single = epsilon > f64::EPSILON;
     let (limit, largest) = if single { (1e9, 1e38) } else { (1e60, 1e300) };
     let solver = Box::new(Sweeper::new());
-    let mut sim = Sim::<Traced<T>>::solved_by(solver, model.clone(), settings.clone()).ok()?;
+    let mut sim = Sim::<Traced>::solved_by(solver, model.clone(), settings.clone()).ok()?;
     let swept = settings.solver == Solver::Pgs && settings.tolerance == 0.0 && !settings.keeps();
     if !swept {
         // Such a list is of use only if there is nothing to sweep over.
@@ -69,7 +72,7 @@ pub(super) fn trace<T: Number>(
     if !(rows == Arg::Known(0.0) || swept) {
         return None;
     }
-    let args = |list: &[Traced<T>]| list.iter().map(|x| x.arg()).collect();
+    let args = |list: &[Traced]| list.iter().map(|x| x.arg()).collect();
     Some(Trace {
         qpos: args(&sim.next.qpos),
         qvel: args(&sim.next.qvel),
@@ -98,8 +101,8 @@ fn plain(model: &Model, settings: &Settings) -> bool {
 }
 
 /// How many rows exist, once a step was written down.
-fn count<T: Number>(sim: &Sim<Traced<T>>) -> Arg {
-    let mut sum = Traced::<T>::zero();
+fn count(sim: &Sim<Traced>) -> Arg {
+    let mut sum = Traced::zero();
     for block in &sim.rows.blocks {
         sum += Traced::select(block.mask, Traced::of(block.rows.len as f64), Traced::zero());
     }

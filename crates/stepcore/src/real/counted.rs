@@ -3,7 +3,8 @@
 //! An operation +, −, ×, ÷ or √ counts 1; sine and cosine together, an arctangent and a
 //! power count `FUNCTION`. Comparisons, signs and copies do not count. What is counted is
 //! what the method does, and not what a compiler makes of it: the count is the same on
-//! every machine. Numbers are those of `f64`, bit for bit.
+//! every machine. Numbers are those of `f64`, bit for bit. Operations are calls: few steps are
+//! counted, and what they do in place would be much machine code.
 
 use core::cell::Cell;
 use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
@@ -47,7 +48,7 @@ macro_rules! operator {
     ($op:ident, $f:ident, $assign:ident, $g:ident, $sign:tt) => {
         impl $op for Counted {
             type Output = Self;
-            #[inline(always)]
+            #[inline(never)]
             fn $f(self, other: Self) -> Self {
                 note(1);
                 Self(self.0 $sign other.0)
@@ -94,8 +95,11 @@ impl One for Counted {
 impl Real for Counted {
     type Mask = bool;
     const LANES: usize = 1;
-    const EPSILON: f64 = f64::EPSILON;
 
+    #[inline(always)]
+    fn epsilon() -> f64 {
+        f64::EPSILON
+    }
     #[inline(always)]
     fn of(value: f64) -> Self {
         Self(value)

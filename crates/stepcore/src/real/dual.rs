@@ -110,8 +110,11 @@ impl One for Dual {
 impl Real for Dual {
     type Mask = bool;
     const LANES: usize = 1;
-    const EPSILON: f64 = f64::EPSILON;
 
+    #[inline(always)]
+    fn epsilon() -> f64 {
+        f64::EPSILON
+    }
     #[inline(always)]
     fn of(value: f64) -> Self {
         Self { value, slopes: [0.0; WAYS] }

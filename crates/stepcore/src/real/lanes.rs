@@ -15,7 +15,7 @@ use super::{elementary, Mask, Real};
 pub const WIDTH: usize = 8;
 
 /// How many worlds any kind of lanes holds at most.
-pub(super) const MOST: usize = 16;
+pub(crate) const MOST: usize = 16;
 
 /// Eight worlds of `f64`, if nothing else is said.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -186,8 +186,11 @@ impl<T: Number, const W: usize> One for Lanes<T, W> {
 impl<T: Number, const W: usize> Real for Lanes<T, W> {
     type Mask = LaneMask<T::Bits, W>;
     const LANES: usize = W;
-    const EPSILON: f64 = T::EPSILON;
 
+    #[inline(always)]
+    fn epsilon() -> f64 {
+        T::epsilon()
+    }
     #[inline(always)]
     fn of(value: f64) -> Self {
         Self([T::of(value); W])

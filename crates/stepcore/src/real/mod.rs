@@ -27,7 +27,7 @@ pub(crate) mod traced;
 pub use count::Count;
 pub use counted::{Counted, FUNCTION};
 pub use dual::{Dual, WAYS};
-pub(crate) use lanes::Number;
+pub(crate) use lanes::MOST as MOST_LANES;
 pub use lanes::{LaneMask, Lanes, LanesF32, WIDTH};
 pub use stage::Stage;
 
@@ -80,9 +80,9 @@ pub trait Real:
     type Mask: Mask;
     /// How many worlds one value holds.
     const LANES: usize;
-    /// Unit roundoff of one lane, as an `f64`.
-    const EPSILON: f64;
 
+    /// Unit roundoff of one lane, as an `f64`.
+    fn epsilon() -> f64;
     /// The same number in every lane.
     fn of(value: f64) -> Self;
     fn lane(self, lane: usize) -> f64;
@@ -192,8 +192,11 @@ macro_rules! scalar_real {
         impl Real for $t {
             type Mask = bool;
             const LANES: usize = 1;
-            const EPSILON: f64 = <$t>::EPSILON as f64;
 
+            #[inline(always)]
+            fn epsilon() -> f64 {
+                <$t>::EPSILON as f64
+            }
             #[inline(always)]
             fn of(value: f64) -> Self {
                 value as $t

@@ -7,7 +7,7 @@
 
 use super::touch::{Touch, Touches};
 use super::Shape;
-use crate::real::{Mask, Real};
+use crate::real::{Mask, Real, MOST_LANES};
 use crate::spatial::{Pose, M3, V3};
 
 /// A test of one pair of shapes in one world.
@@ -22,7 +22,7 @@ pub fn by_lane<R: Real, T: OneWorld<N>, const N: usize>(
     one: &Shape<R>,
     two: &Shape<R>,
 ) -> Touches<R, N> {
-    if R::LANES == 1 && R::EPSILON <= f64::EPSILON {
+    if R::LANES == 1 && R::epsilon() <= f64::EPSILON {
         return test.touches(one, two);
     }
     let mut out = [empty::<R>(); N];
@@ -46,9 +46,6 @@ pub fn by_lane<R: Real, T: OneWorld<N>, const N: usize>(
     }
     out
 }
-
-/// Room for the lanes of any number.
-const MOST_LANES: usize = 64;
 
 /// A slot without a contact. Its numbers are finite, so that they may be computed with.
 pub fn empty<R: Real>() -> Touch<R> {

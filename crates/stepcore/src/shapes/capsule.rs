@@ -64,7 +64,7 @@ pub fn capsule_capsule<R: Real>(
     let smallest = R::of(POINT) * size * size;
     let (p_long, q_long) = (pp.gt(smallest), qq.gt(smallest));
     // A coarse number cannot resolve so small an angle.
-    let small = R::of(PARALLEL.max(16.0 * R::EPSILON));
+    let small = R::of(PARALLEL.max(16.0 * R::epsilon()));
     let parallel = p_long.and(q_long).and(cross2.le(small * pp * qq));
 
     // From a place on p to q's nearest point; where that is an end of q, p's

@@ -148,7 +148,7 @@ fn downhill<R: Real>(cylinder: &Pose<R>, raw: &V3<R>) -> V3<R> {
     let axis = cylinder.axis(2);
     let once = unit(raw);
     let twice = once - axis * axis.dot(&once);
-    let tiny = R::of(f64::max(NO_ANGLE, 4.0 * R::EPSILON));
+    let tiny = R::of(f64::max(NO_ANGLE, 4.0 * R::epsilon()));
     let clear = raw.dot(raw).ge(tiny * tiny).and(twice.dot(&twice).ge(R::of(0.5)));
     select3(clear, &unit(&twice), &cylinder.axis(0))
 }

@@ -80,7 +80,7 @@ impl<R: Real> Rows<R> {
         l.clear();
         l.resize(n * n, R::zero());
         inv.clear();
-        let rounding = ROUNDINGS * R::EPSILON;
+        let rounding = ROUNDINGS * R::epsilon();
         let least = R::of(if choice == Choice::Now { rounding } else { rounding.max(ITERATED) });
         if choice != Choice::Kept {
             counts.clear();

@@ -24,7 +24,7 @@ impl<R: Real> Tangents<R> {
         let (c, s, t) = rotation(q11, q12, q22);
         let (d1, d2) = (q11 - t * q12, q22 + t * q12);
         // What rounding leaves of a zero eigenvalue is a direction that nothing moves.
-        let floor = R::of(4.0 * R::EPSILON) * d1.max(d2);
+        let floor = R::of(4.0 * R::epsilon()) * d1.max(d2);
         let clean = |d: R| R::select(d.gt(floor), d, R::zero());
         Self { q: [q11, q12, q22], cos: c, sin: s, d: [clean(d1), clean(d2)] }
     }
@@ -89,7 +89,7 @@ impl<R: Real> TangentBox<R> {
         let [q11, q12, q22] = q;
         let (i1, i2) = (q11.recip_or_zero(), q22.recip_or_zero());
         let schur = q11 - q12 * q12 * i2;
-        let schur = R::select(schur.gt(R::of(4.0 * R::EPSILON) * q11), schur, R::zero());
+        let schur = R::select(schur.gt(R::of(4.0 * R::epsilon()) * q11), schur, R::zero());
         Self { q, inv: [i1, i2, schur.recip_or_zero()] }
     }
 

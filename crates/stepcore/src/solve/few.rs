@@ -272,7 +272,7 @@ impl<R: Real> Few<R> {
             most = R::select(mask, most.max(x.abs()), most);
             self.impulse[i] = R::select(mask, x, self.impulse[i]);
         }
-        (moved.gt(R::of(8.0 * R::EPSILON) * most), poor)
+        (moved.gt(R::of(8.0 * R::epsilon()) * most), poor)
     }
 
     /// The system of the free rows.

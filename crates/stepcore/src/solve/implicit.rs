@@ -19,7 +19,7 @@ pub(super) fn on_cone<R: Real>(q: &[R; 6], mu: R, b: &[R; 3], x: [R; 3]) -> [R; 
     let length = norm(x[1], x[2]);
     let some = x[0].gt(zero);
     // The surface is met up to rounding.
-    let inside = length.lt(mu * x[0] * R::of(1.0 - 8.0 * R::EPSILON));
+    let inside = length.lt(mu * x[0] * R::of(1.0 - 8.0 * R::epsilon()));
     let free = minus_solved(&full, &w);
     let e = unit(x[1], x[2], length);
     let (out, round) = ([R::one(), mu * e[0], mu * e[1]], [zero, -mu * e[1], mu * e[0]]);
@@ -43,7 +43,7 @@ pub(super) fn in_disc<R: Real>(q: &[R; 3], bound: R, g: &[R; 2], x: [R; 2]) -> [
     let zero = R::zero();
     let w = [q[0] * x[0] + q[1] * x[1] + g[0], q[1] * x[0] + q[2] * x[1] + g[1]];
     let length = norm(x[0], x[1]);
-    let inside = length.lt(bound * R::of(1.0 - 8.0 * R::EPSILON));
+    let inside = length.lt(bound * R::of(1.0 - 8.0 * R::epsilon()));
     let free = solved_two(*q, [-w[0], -w[1]]);
     let e = unit(x[0], x[1], length);
     // On the rim x = bound · e: its own derivatives count in w.
@@ -77,7 +77,7 @@ fn solved_two<R: Real>(m: [R; 3], r: [R; 2]) -> [R; 2] {
     let (first, second) = (pick(r[1], r[0]), pick(r[0], r[1]));
     let inverse = large.recip_or_zero();
     let schur = small - m[1] * m[1] * inverse;
-    let moves = schur.gt(R::of(16.0 * R::EPSILON) * small);
+    let moves = schur.gt(R::of(16.0 * R::epsilon()) * small);
     let rest = (second - m[1] * first * inverse) * schur.recip_or_zero();
     let rest = R::select(moves, rest, R::zero());
     let first = (first - m[1] * rest) * inverse;

@@ -94,14 +94,14 @@ pub fn target_at<R: Real>(row: &Row<R>, c: R, guess: R, most: f64) -> R {
 /// numbers near 1. Where nothing moves any row, `mass` stands for 1/A.
 #[inline(always)]
 pub fn least_softness<R: Real>(rows: &[Row<R>], mass: f64) -> R {
-    R::of(LEAST_SOFTNESS * R::EPSILON) * most_moved(rows, mass)
+    R::of(LEAST_SOFTNESS * R::epsilon()) * most_moved(rows, mass)
 }
 
 /// The same for the rows of a contact without inverse weight. Only this stands between them and
 /// loads without end, whose rounding moves what they press on by ε/R: R is ε^⅔ of A, so that
 /// neither that nor R itself shows.
 pub fn weightless_softness<R: Real>(rows: &[Row<R>], mass: f64) -> R {
-    let share = if R::EPSILON < 1e-10 { WEIGHTLESS } else { WEIGHTLESS_F32 };
+    let share = if R::epsilon() < 1e-10 { WEIGHTLESS } else { WEIGHTLESS_F32 };
     R::of(share) * most_moved(rows, mass)
 }
 

@@ -51,7 +51,7 @@ const ROUNDED: f64 = 1024.0;
 /// A = J M⁻¹ Jᵀ of a row may be rounding.
 #[inline(always)]
 fn suspect<R: Real>(a: R, mass: f64) -> R::Mask {
-    (a * R::of(mass)).lt(R::of(SUSPECT * R::EPSILON * R::EPSILON))
+    (a * R::of(mass)).lt(R::of(SUSPECT * R::epsilon() * R::epsilon()))
 }
 
 impl<R: Real> Rows<R> {
@@ -148,7 +148,7 @@ impl<R: Real> Rows<R> {
                 terms += now.placed.metric.inv_d[k] * size(&now.placed.motion[k], &arm);
             }
         }
-        let none = suspect.and(row.a.le(R::of(ROUNDED * R::EPSILON * R::EPSILON) * terms));
+        let none = suspect.and(row.a.le(R::of(ROUNDED * R::epsilon() * R::epsilon()) * terms));
         for y in &mut self.y[y..y + list.len()] {
             *y = R::select(none, R::zero(), *y).with_slopes_of(none, || *y);
         }

@@ -294,7 +294,7 @@ impl<R: Real> Momentum<R> {
             *slope += product;
         }
         remember(&mut self.errors, R::one());
-        R::of((NOISE * R::EPSILON).powi(2)) * energy
+        R::of((NOISE * R::epsilon()).powi(2)) * energy
     }
 
     /// The τ that minimise f, by LDLᵀ; a move that depends on newer ones gets 0, and so

@@ -127,7 +127,7 @@ fn reachable<R: Real>(
             for (k, y) in dofs.iter().zip(&rows.y[row.y..]) {
                 terms += (*y * rows.u[*k]).abs();
             }
-            let least = R::of(UNITS * R::EPSILON) * terms * row.inv_s * weight[at];
+            let least = R::of(UNITS * R::epsilon()) * terms * row.inv_s * weight[at];
             tolerance = R::select(block.mask, tolerance.max(least), tolerance);
         }
     }

@@ -62,7 +62,7 @@ impl<R: Real> Square<'_, R> {
             for i in 1..CONE {
                 let (slope, terms) = self.slope(&x, i);
                 let towards = R::select(x[i].lt(zero), -slope, slope);
-                let real = towards.gt(R::of(ROUNDINGS * R::EPSILON) * terms);
+                let real = towards.gt(R::of(ROUNDINGS * R::epsilon()) * terms);
                 let per_root = self.q[i][i].recip_or_zero().sqrt();
                 inwards[i] = R::select(held[i].and(real), towards * per_root, zero);
                 worst = worst.max(inwards[i]);
@@ -103,7 +103,7 @@ impl<R: Real> Square<'_, R> {
         let mut inv = [zero; CONE];
         for k in 1..CONE {
             let own = self.q[k][k];
-            let good = held[k].not().and(m[k][k].gt(R::of(64.0 * R::EPSILON) * own));
+            let good = held[k].not().and(m[k][k].gt(R::of(64.0 * R::epsilon()) * own));
             inv[k] = R::select(good, m[k][k].recip_or_zero(), zero);
             for i in k + 1..CONE {
                 let l = m[i][k] * inv[k];

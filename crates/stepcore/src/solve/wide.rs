@@ -68,7 +68,7 @@ impl<R: Real> Wide<R> {
         let (v, mut d) = diagonal(q, 1);
         // What rounding leaves of a zero eigenvalue is a direction that nothing moves.
         let most = d[1..].iter().fold(R::zero(), |most, d| most.max(*d));
-        let floor = R::of(16.0 * R::EPSILON) * most;
+        let floor = R::of(16.0 * R::epsilon()) * most;
         d[0] = R::zero();
         d = d.map(|d| R::select(d.gt(floor), d, R::zero()));
         Self { q, mu, v, d }
@@ -152,7 +152,7 @@ impl<R: Real> Wide<R> {
         let per_mu = self.mu.recip_or_zero();
         let z: Vector<R> = core::array::from_fn(|i| if i == 0 { x[0] } else { x[i] * per_mu });
         let some = z[0].gt(zero);
-        let inside = across(&z).lt(z[0] * R::of(1.0 - 16.0 * R::EPSILON));
+        let inside = across(&z).lt(z[0] * R::of(1.0 - 16.0 * R::epsilon()));
         let signed = |x: &Vector<R>| -> Vector<R> {
             core::array::from_fn(|i| if i == 0 { x[0] } else { -x[i] })
         };
@@ -237,7 +237,7 @@ impl<R: Real> Wide<R> {
         let (zero, d) = (R::zero(), &self.d);
         let turned = times(&self.q, x);
         let w: Vector<R> = core::array::from_fn(|i| if i == 0 { zero } else { turned[i] + g[i] });
-        let inside = across(x).lt(bound * R::of(1.0 - 16.0 * R::EPSILON));
+        let inside = across(x).lt(bound * R::of(1.0 - 16.0 * R::epsilon()));
         let along = back(&self.v, &w);
         let y = back(&self.v, x);
         let (mut m, mut length2) = (zero, zero);
@@ -295,7 +295,7 @@ fn diagonal<R: Real>(mut q: Square6<R>, first: usize) -> (Square6<R>, Vector<R>)
 /// Takes q_ij away where it is more than rounding; whether that was so in some lane.
 fn turn<R: Real>(q: &mut Square6<R>, v: &mut Square6<R>, i: usize, j: usize) -> bool {
     let (a, b, o) = (q[i][i], q[j][j], q[i][j]);
-    let rounding = R::of(R::EPSILON * R::EPSILON);
+    let rounding = R::of(R::epsilon() * R::epsilon());
     let large = (o * o).gt(rounding * (a * b));
     if large.none() {
         return false;
@@ -329,7 +329,7 @@ fn boost<R: Real>(p: R, o: R, q: R) -> (R, R, R) {
     let zeta = (p + q) / (o + o);
     let size = zeta.abs();
     let t = one / (size + ((size - one) * (size + one)).max(zero).sqrt());
-    let t = t.min(R::of(1.0 - 4.0 * R::EPSILON));
+    let t = t.min(R::of(1.0 - 4.0 * R::epsilon()));
     let t = R::select(zeta.lt(zero), -t, t);
     let t = R::select(o.abs().gt(zero), t, zero);
     let c = one / ((one - t) * (one + t)).sqrt();

@@ -125,7 +125,7 @@ impl<R: Real> Sim<R> {
             Integrator::Euler if self.model.features.eulerdamp => Late::Joints,
             Integrator::ImplicitFast | Integrator::Implicit => Late::All,
             Integrator::Discrete => {
-                holding(&now, |element, i, j, slopes| {
+                holding(&now, &mut |element, i, j, slopes| {
                     list.push((element, [i, j], slopes.map(|slope| slope.lane(lane))));
                 });
                 return list;

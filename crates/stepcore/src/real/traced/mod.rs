@@ -8,6 +8,12 @@
 //! `select` between them. That is right wherever lanes are right, because a world in lanes does not
 //! depend on its neighbours.
 //!
+//! A known number is an `f64`, and where the list is one of `f32` it is rounded to that after every
+//! operation, which gives the bits of `f32`: sums, products, quotients and roots that were rounded to
+//! twice the digits round no differently (Figueroa, SIGNUM Newsletter 30, 1995), and functions of an
+//! `f32` are rounded from `f64` everywhere. So one copy of the stages writes both. It runs once for a
+//! model, and its operations are calls: what they do in place would be much machine code.
+//!
 //! What a list cannot hold, a choice that goes by one lane's number, makes the trace useless: it
 //! says so, and the step goes on with nonsense; no mask holds any more then, so that sweeps end.
 
@@ -17,17 +23,17 @@ mod rules;
 
 pub(crate) use recorder::{Arg, Node, Op, Recorder};
 
+use core::cell::Cell;
 use core::fmt::Debug;
 use core::ops::{Add, AddAssign, Div, DivAssign, Mul, MulAssign, Neg, Sub, SubAssign};
 use num_traits::{One, Zero};
 
-use super::lanes::Number;
 use super::{Mask, Real};
 
-/// A number of type `T`, or the entry of the list that computes one.
+/// A number, or the entry of the list that computes one.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Traced<T> {
-    Known(T),
+pub enum Traced {
+    Known(f64),
     Node(u32),
 }
 
@@ -38,38 +44,77 @@ pub enum TracedMask {
     Node(u32),
 }
 
-impl<T: Number> Traced<T> {
+thread_local! {
+    /// Unit roundoff of the numbers of this thread's list.
+    static EPSILON: Cell<f64> = const { Cell::new(f64::EPSILON) };
+}
+
+/// A known number in the precision of the list.
+fn rounded(value: f64) -> f64 {
+    if EPSILON.get() > f64::EPSILON {
+        f64::from(value as f32)
+    } else {
+        value
+    }
+}
+
+impl Traced {
+    /// From here on, lists of this thread are for numbers of this unit roundoff.
+    pub(crate) fn round_as(epsilon: f64) {
+        EPSILON.set(epsilon);
+    }
+
+    #[inline(always)]
     pub(crate) fn arg(self) -> Arg {
         match self {
-            Self::Known(value) => Arg::Known(value.into()),
+            Self::Known(value) => Arg::Known(value),
             Self::Node(node) => Arg::Node(node),
         }
     }
 
-    pub(crate) fn of_arg(arg: Arg) -> Self {
+    fn of_arg(arg: Arg) -> Self {
         match arg {
-            Arg::Known(value) => Self::Known(T::of(value)),
+            Arg::Known(value) => Self::Known(value),
             Arg::Node(node) => Self::Node(node),
         }
     }
 
-    fn one_of(self, op: Op, known: impl Fn(T) -> T) -> Self {
-        match self {
-            Self::Known(x) => Self::Known(known(x)),
-            Self::Node(_) => Self::of_arg(Recorder::note(op, &[self.arg()])),
-        }
+    #[inline(never)]
+    fn one_of(self, op: Op) -> Self {
+        let Self::Known(x) = self else {
+            return Self::of_arg(Recorder::note(op, &[self.arg()]));
+        };
+        Self::Known(rounded(match op {
+            Op::Neg => -x,
+            Op::Sqrt => x.sqrt(),
+            Op::Sin => Real::sin_cos(x).0,
+            Op::Cos => Real::sin_cos(x).1,
+            _ => unreachable!("{op:?} is not of one number"),
+        }))
     }
 
-    fn of_two(self, other: Self, op: Op, known: impl Fn(T, T) -> T) -> Self {
-        match (self, other) {
-            (Self::Known(a), Self::Known(b)) => Self::Known(known(a, b)),
-            _ => Self::of_arg(Recorder::note(op, &[self.arg(), other.arg()])),
-        }
+    #[inline(never)]
+    fn of_two(self, other: Self, op: Op) -> Self {
+        let (Self::Known(a), Self::Known(b)) = (self, other) else {
+            return Self::of_arg(Recorder::note(op, &[self.arg(), other.arg()]));
+        };
+        Self::Known(rounded(match op {
+            Op::Add => a + b,
+            Op::Sub => a - b,
+            Op::Mul => a * b,
+            Op::Div => a / b,
+            Op::Atan2 => Real::atan2(a, b),
+            Op::Pow => Real::powf(a, b),
+            _ => unreachable!("{op:?} is not of two numbers"),
+        }))
     }
 
-    fn compared(self, other: Self, op: Op, known: impl Fn(&T, &T) -> bool) -> TracedMask {
+    #[inline(never)]
+    fn compared(self, other: Self, op: Op) -> TracedMask {
         match (self, other) {
-            (Self::Known(a), Self::Known(b)) => TracedMask::Known(known(&a, &b)),
+            (Self::Known(a), Self::Known(b)) => {
+                TracedMask::Known(if op == Op::Lt { a < b } else { a <= b })
+            }
             _ => TracedMask::of_arg(Recorder::note(op, &[self.arg(), other.arg()])),
         }
     }
@@ -94,9 +139,11 @@ impl TracedMask {
 impl Mask for TracedMask {
     const LANES: usize = 2;
 
+    #[inline(always)]
     fn of(value: bool) -> Self {
         Self::Known(value)
     }
+    #[inline(never)]
     fn and(self, other: Self) -> Self {
         match (self, other) {
             (Self::Known(a), b) | (b, Self::Known(a)) => {
@@ -109,6 +156,7 @@ impl Mask for TracedMask {
             _ => Self::of_arg(Recorder::note(Op::And, &[self.arg(), other.arg()])),
         }
     }
+    #[inline(never)]
     fn or(self, other: Self) -> Self {
         match (self, other) {
             (Self::Known(a), b) | (b, Self::Known(a)) => {
@@ -121,16 +169,19 @@ impl Mask for TracedMask {
             _ => Self::of_arg(Recorder::note(Op::Or, &[self.arg(), other.arg()])),
         }
     }
+    #[inline(never)]
     fn not(self) -> Self {
         match self {
             Self::Known(value) => Self::Known(!value),
             Self::Node(_) => Self::of_arg(Recorder::note(Op::Not, &[self.arg()])),
         }
     }
+    #[inline(never)]
     fn any(self) -> bool {
         self != Self::Known(false) && !Recorder::has_given_up()
     }
     /// The list assumes that it does not, and its steps are taken only where that is so.
+    #[inline(never)]
     fn seldom(self) -> bool {
         match self {
             Self::Known(value) => value,
@@ -151,73 +202,78 @@ impl Mask for TracedMask {
 }
 
 macro_rules! operator {
-    ($op:ident, $f:ident, $assign:ident, $g:ident, $sign:tt) => {
-        impl<T: Number> $op for Traced<T> {
+    ($op:ident, $f:ident, $assign:ident, $g:ident) => {
+        impl $op for Traced {
             type Output = Self;
+            #[inline(always)]
             fn $f(self, other: Self) -> Self {
-                self.of_two(other, Op::$op, |a, b| a $sign b)
+                self.of_two(other, Op::$op)
             }
         }
-        impl<T: Number> $assign for Traced<T> {
+        impl $assign for Traced {
+            #[inline(always)]
             fn $g(&mut self, other: Self) {
-                *self = *self $sign other;
+                *self = self.of_two(other, Op::$op);
             }
         }
     };
 }
-operator!(Add, add, AddAssign, add_assign, +);
-operator!(Sub, sub, SubAssign, sub_assign, -);
-operator!(Mul, mul, MulAssign, mul_assign, *);
-operator!(Div, div, DivAssign, div_assign, /);
+operator!(Add, add, AddAssign, add_assign);
+operator!(Sub, sub, SubAssign, sub_assign);
+operator!(Mul, mul, MulAssign, mul_assign);
+operator!(Div, div, DivAssign, div_assign);
 
-impl<T: Number> Neg for Traced<T> {
+impl Neg for Traced {
     type Output = Self;
+    #[inline(always)]
     fn neg(self) -> Self {
-        self.one_of(Op::Neg, |x| -x)
+        self.one_of(Op::Neg)
     }
 }
 
-impl<T: Number> Zero for Traced<T> {
+impl Zero for Traced {
+    #[inline(always)]
     fn zero() -> Self {
-        Self::Known(T::zero())
+        Self::Known(0.0)
     }
     fn is_zero(&self) -> bool {
-        match self {
-            Self::Known(value) => value.is_zero(),
-            Self::Node(_) => {
-                Recorder::give_up();
-                false
-            }
-        }
+        self.lane(0) == 0.0
     }
 }
 
-impl<T: Number> One for Traced<T> {
+impl One for Traced {
+    #[inline(always)]
     fn one() -> Self {
-        Self::Known(T::one())
+        Self::Known(1.0)
     }
 }
 
-impl<T: Number> Real for Traced<T> {
+impl Real for Traced {
     type Mask = TracedMask;
     const LANES: usize = 2;
-    const EPSILON: f64 = T::EPSILON;
 
-    fn of(value: f64) -> Self {
-        Self::Known(T::of(value))
+    fn epsilon() -> f64 {
+        EPSILON.get()
     }
+    #[inline(never)]
+    fn of(value: f64) -> Self {
+        Self::Known(rounded(value))
+    }
+    #[inline(never)]
     fn lane(self, _: usize) -> f64 {
         match self {
-            Self::Known(value) => value.into(),
+            Self::Known(value) => value,
             Self::Node(_) => {
                 Recorder::give_up();
-                0.0
+                f64::NAN
             }
         }
     }
+    #[inline(never)]
     fn set_lane(&mut self, _: usize, value: f64) {
         *self = Self::of(value);
     }
+    #[inline(never)]
     fn select(mask: TracedMask, yes: Self, no: Self) -> Self {
         match mask {
             TracedMask::Known(true) => yes,
@@ -227,28 +283,105 @@ impl<T: Number> Real for Traced<T> {
             }
         }
     }
+    #[inline(always)]
     fn lt(self, other: Self) -> TracedMask {
-        self.compared(other, Op::Lt, |a, b| a < b)
+        self.compared(other, Op::Lt)
     }
+    #[inline(always)]
     fn le(self, other: Self) -> TracedMask {
-        self.compared(other, Op::Le, |a, b| a <= b)
+        self.compared(other, Op::Le)
     }
+    #[inline(never)]
     fn is_finite(self) -> TracedMask {
         match self {
             Self::Known(value) => TracedMask::Known(value.is_finite()),
             Self::Node(_) => TracedMask::of_arg(Recorder::note(Op::Finite, &[self.arg()])),
         }
     }
+    #[inline(always)]
     fn sqrt(self) -> Self {
-        self.one_of(Op::Sqrt, |x| x.sqrt())
+        self.one_of(Op::Sqrt)
     }
     fn sin_cos(self) -> (Self, Self) {
-        (self.one_of(Op::Sin, |x| x.sin_cos().0), self.one_of(Op::Cos, |x| x.sin_cos().1))
+        (self.one_of(Op::Sin), self.one_of(Op::Cos))
     }
+    #[inline(always)]
     fn atan2(self, x: Self) -> Self {
-        self.of_two(x, Op::Atan2, |y, x| y.atan2(x))
+        self.of_two(x, Op::Atan2)
     }
+    #[inline(always)]
     fn powf(self, power: Self) -> Self {
-        self.of_two(power, Op::Pow, |x, power| x.powf(power))
+        self.of_two(power, Op::Pow)
+    }
+    #[inline(never)]
+    fn abs(self) -> Self {
+        Self::select(self.lt(Self::zero()), -self, self)
+    }
+    #[inline(never)]
+    fn min(self, other: Self) -> Self {
+        Self::select(other.lt(self), other, self)
+    }
+    #[inline(never)]
+    fn max(self, other: Self) -> Self {
+        Self::select(self.lt(other), other, self)
+    }
+    #[inline(never)]
+    fn recip_or_zero(self) -> Self {
+        Self::select(self.gt(Self::zero()), Self::one() / self, Self::zero())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbers of all sizes, zeros, subnormal ones, infinities and no number.
+    fn numbers() -> Vec<f32> {
+        let mut bits = 0x2545_F491_u32;
+        let mut next = || {
+            bits ^= bits << 13;
+            bits ^= bits >> 17;
+            bits ^= bits << 5;
+            f32::from_bits(bits)
+        };
+        let corners = [0.0, -0.0, 1.0, f32::MIN_POSITIVE, 3e-45, f32::MAX, f32::INFINITY, f32::NAN];
+        corners.into_iter().chain((0..300).map(|_| next())).collect()
+    }
+
+    /// What is computed in doubles and rounded has the bits of single precision.
+    #[test]
+    fn known_numbers_are_those_of_f32() {
+        type Two = (fn(Traced, Traced) -> Traced, fn(f32, f32) -> f32);
+        type One = (fn(Traced) -> Traced, fn(f32) -> f32);
+        let two: [Two; 6] = [
+            (|a, b| a + b, |a, b| a + b),
+            (|a, b| a - b, |a, b| a - b),
+            (|a, b| a * b, |a, b| a * b),
+            (|a, b| a / b, |a, b| a / b),
+            (Real::atan2, Real::atan2),
+            (Real::powf, Real::powf),
+        ];
+        let one: [One; 4] = [
+            (|a| -a, |a| -a),
+            (Real::sqrt, Real::sqrt),
+            (|a| a.sin_cos().0, |a| Real::sin_cos(a).0),
+            (|a| a.sin_cos().1, |a| Real::sin_cos(a).1),
+        ];
+        let same = |got: Traced, want: f32, of: [f32; 2]| {
+            let got = got.lane(0);
+            let equal = got.to_bits() == f64::from(want).to_bits();
+            assert!(equal || got.is_nan() && want.is_nan(), "{got} {want} of {of:?}");
+        };
+        Traced::round_as(f32::EPSILON.into());
+        let numbers = numbers();
+        for a in &numbers {
+            let traced = Traced::of((*a).into());
+            one.iter().for_each(|(f, g)| same(f(traced), g(*a), [*a, 0.0]));
+            for b in &numbers {
+                let other = Traced::of((*b).into());
+                two.iter().for_each(|(f, g)| same(f(traced, other), g(*a, *b), [*a, *b]));
+            }
+        }
+        Traced::round_as(f64::EPSILON);
     }
 }

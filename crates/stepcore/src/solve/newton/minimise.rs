@@ -35,7 +35,7 @@ impl<R: Real> System<R> {
         let (mut done, mut last) = (Count::ZERO, R::of(f64::INFINITY));
         self.decrement = zero;
         self.fresh = full;
-        let tiny = |factor: f64| R::of(factor * factor * R::EPSILON * R::EPSILON);
+        let tiny = |factor: f64| R::of(factor * factor * R::epsilon() * R::epsilon());
         let bound = R::of(limits.tolerance * limits.tolerance) * lightest;
         for _ in 0..limits.sweeps {
             let changed = self.laws(problem.bundles, live);
@@ -64,7 +64,7 @@ impl<R: Real> System<R> {
                 length += *d * *p * *p;
             }
             // Among cones Newton may close in slowly: only what no longer falls is rounding.
-            let stuck = fall.ge(last).and(fall.lt(R::of(STAGNANT) * R::of(R::EPSILON) * floor));
+            let stuck = fall.ge(last).and(fall.lt(R::of(STAGNANT) * R::of(R::epsilon()) * floor));
             let small = length.le(tiny(ROUNDING) * floor);
             let end = small.or(stuck);
             problem.dots(&self.step, &mut self.rate);

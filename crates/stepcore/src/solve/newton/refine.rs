@@ -50,7 +50,7 @@ impl<R: Real> System<R> {
             self.decrement = R::select(self.fresh, left, self.decrement);
             self.refine(problem);
             self.follow(problem);
-            self.fresh = self.fresh.and(left.gt(R::of(R::EPSILON)));
+            self.fresh = self.fresh.and(left.gt(R::of(R::epsilon())));
         }
     }
 

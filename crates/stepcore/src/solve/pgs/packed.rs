@@ -307,7 +307,7 @@ fn of_edges<R: Real>(rows: &[Row<R>], y: &[R], len: usize) -> Option<Ways<R>> {
         let [p, q, r, s] = from_fn(|row| edge(row, k));
         let (n, rest) = (half * (p + q), half * (r + s));
         let size = p.abs().max(q.abs()).max(r.abs().max(s.abs()));
-        good = good.and((n - rest).abs().le(R::of(ROUNDINGS * R::EPSILON) * size));
+        good = good.and((n - rest).abs().le(R::of(ROUNDINGS * R::epsilon()) * size));
         let own = &mut ways[k / SIX];
         (own[0][k % SIX], own[1][k % SIX], own[2][k % SIX]) = (n, half * (p - q), half * (r - s));
     }

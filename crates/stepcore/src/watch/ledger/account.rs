@@ -82,7 +82,7 @@ impl Account {
         self.least = self.least.min(free + level.bent);
         // A world at rest has nothing that circulates, and rounding all the same; forces that
         // hold each other then move it by what the solver leaves.
-        let rounding = NEGLIGIBLE.max(1024.0 * R::EPSILON) * (level.size + self.throughput);
+        let rounding = NEGLIGIBLE.max(1024.0 * R::epsilon()) * (level.size + self.throughput);
         let unsure = rounding + self.unsolved;
         // An energy beyond all numbers is none that was rounded.
         let unsure = if unsure.is_finite() { unsure } else { 0.0 };

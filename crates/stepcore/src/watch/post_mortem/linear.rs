@@ -120,7 +120,7 @@ impl Slopes {
             }
         };
         for group in [Group::Passive, Group::Driven] {
-            slopes(&now, group, |_, i, j, [stiffness, damping]| {
+            slopes(&now, group, &mut |_, i, j, [stiffness, damping]| {
                 note(&mut all.stiffness, i, j, stiffness);
                 note(&mut all.damping, i, j, damping);
             });
