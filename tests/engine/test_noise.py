@@ -118,6 +118,7 @@ def test_noisy_worlds_are_the_same_in_any_batch():
         (lambda: sc.Noise(0, 1), "n = 0"),
         (lambda: sc.Noise(3, -1), "seed = -1"),
         (lambda: sc.Noise(3, 1 << 63), "seed = 9223372036854775808"),
+        (lambda: sc.Noise(3, True), "seed = True"),
         (lambda: sc.Noise(3, 1, 5), "name = 5"),
         (lambda: sc.Noise(3, 1).normal(-1), "k = -1"),
         (lambda: sc.Noise(3, 1).normal(1, worlds=[3]), r"worlds = \[3\]"),
@@ -127,3 +128,30 @@ def test_noisy_worlds_are_the_same_in_any_batch():
 def test_bad_arguments_are_refused(call, text):
     with pytest.raises(ValueError, match=text):
         call()
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda noise: noise.uniform(2, low=[0, 1, 2, 3]), r"low has shape \(4,\): .* \(3, 2\)"),
+        (lambda noise: noise.uniform(2, high=np.ones((5, 3, 2))), r"high has shape \(5, 3, 2\)"),
+        (lambda noise: noise.uniform(2, np.zeros((3, 1)), worlds=[0, 1]), r"low has .* \(2, 2\)"),
+        (lambda noise: noise.uniform(2, low=1, high=0), "low = 1: must be at most high = 0"),
+        (lambda noise: noise.uniform(2, low=[0, math.nan]), "low = .*: must be finite"),
+        (lambda noise: noise.uniform(2, high=math.inf), "high = inf: must be finite"),
+        (
+            lambda noise: noise.uniform(2, -1e308, 1e308),
+            r"high = 1e\+308: must be at most 1.8e\+308",
+        ),
+        (lambda noise: noise.uniform(2, low=[1j, 0]), "low = .*: must be real numbers"),
+        (lambda noise: noise.normal(2, scale=-1), "scale = -1: must be >= 0"),
+        (lambda noise: noise.normal(2, scale="x"), "scale = 'x': must be real numbers"),
+        (lambda noise: noise.normal(2, scale=[1, 2, 3]), r"scale has shape \(3,\)"),
+    ],
+)
+def test_nothing_is_drawn_where_a_bound_is_refused(call, text):
+    noise = sc.Noise(3, 1)
+    with pytest.raises(ValueError, match=text):
+        call(noise)
+    assert noise.state().tolist() == [0, 0, 0]
+    assert noise.uniform(2, np.zeros((3, 1)), [1.0, 2.0]).shape == (3, 2)

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stepcore import checks
-from stepcore.engine.arrays import Floats, indices_of
+from stepcore.engine.arrays import Floats, indices_of, numbers
 
 Words = NDArray[np.uint64]
+Chosen = slice | NDArray[np.intp]
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 # AS 241: numerators and denominators, highest power first, of the middle and of the two tails.
@@ -111,13 +112,13 @@ class Noise:
 
     def __init__(self, n: int, seed: int, name: str = "") -> None:
         count = checks.count("n", n)
-        if not isinstance(seed, (int, np.integer)) or not 0 <= seed < 1 << 63:
+        whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
+        if not whole or not 0 <= seed < 1 << 63:
             raise checks.refuse("Noise", "seed", seed, "a whole number from 0 to 2**63 - 1")
-        whole = int(seed)
         if not isinstance(name, str):
             raise checks.refuse("Noise", "name", name, "a text")
-        self.seed, self.name = whole, name
-        stream = np.array([whole, zlib.crc32(name.encode())], dtype=np.uint64)
+        self.seed, self.name = int(seed), name
+        stream = np.array([self.seed, zlib.crc32(name.encode())], dtype=np.uint64)
         key = _mixed(_mixed(stream[:1]) ^ stream[1:])
         self._keys = _mixed(key ^ np.arange(count, dtype=np.uint64))
         self._drawn = np.zeros(count, dtype=np.uint64)
@@ -131,28 +132,50 @@ class Noise:
     ) -> Floats:
         """Returns k numbers from [low, high) for each world, or for some; shape (n, k).
 
-        low, high: numbers, or arrays that broadcast with the result.
+        low, high: finite numbers, or arrays of them that broadcast to that shape; low <= high.
         worlds: a mask of shape (n,) or indices; the others draw nothing. None for all.
 
-        Raises ValueError for worlds that do not exist, and bounds of another shape.
+        Raises ValueError for worlds that do not exist and for other bounds; nothing is drawn then.
         """
-        low, high = np.asarray(low, float), np.asarray(high, float)
-        result: Floats = low + (high - low) * self._share(k, worlds)
+        chosen, shape = self._asked(k, worlds)
+        least, most = _spread("low", low, shape), _spread("high", high, shape)
+        with np.errstate(over="ignore"):
+            width = most - least
+        if not (width >= 0).all():
+            limit = f"at most high = {checks.shown(high)}"
+            raise ValueError(f"low = {checks.shown(low)}: must be {limit}")
+        if not np.isfinite(width).all():
+            limit = f"at most {np.finfo(float).max:.3g} above low = {checks.shown(low)}"
+            raise ValueError(f"high = {checks.shown(high)}: must be {limit}")
+        result: Floats = least + width * self._share(chosen, shape[1])
         return result
 
     def normal(self, k: int, scale: ArrayLike = 1.0, worlds: ArrayLike | None = None) -> Floats:
         """Returns k normal numbers with mean 0 for each world, or for some; shape (n, k).
 
-        scale: their standard deviation, a number or an array that broadcasts with the result.
+        scale: their standard deviation, a finite number >= 0 or an array of them that broadcasts to
+            that shape.
         worlds: see `uniform`.
+
+        Raises ValueError as `uniform` does.
         """
-        result: Floats = np.asarray(scale, float) * quantile(self._share(k, worlds))
+        chosen, shape = self._asked(k, worlds)
+        deviation = _spread("scale", scale, shape)
+        if (deviation < 0).any():
+            raise ValueError(f"scale = {checks.shown(scale)}: must be >= 0")
+        result: Floats = deviation * quantile(self._share(chosen, shape[1]))
         return result
 
-    def _share(self, k: int, worlds: ArrayLike | None) -> Floats:
-        """Numbers between 0 and 1, neither of them, from the next k draws."""
+    def _asked(self, k: int, worlds: ArrayLike | None) -> tuple[Chosen, tuple[int, int]]:
+        """The worlds that draw, and the shape of what they draw."""
         width = checks.count("k", k, 0)
-        chosen = slice(None) if worlds is None else indices_of(worlds, len(self))
+        if worlds is None:
+            return slice(None), (len(self), width)
+        chosen = indices_of(worlds, len(self))
+        return chosen, (len(chosen), width)
+
+    def _share(self, chosen: Chosen, width: int) -> Floats:
+        """Numbers between 0 and 1, neither of them, from the next draws of some worlds."""
         drawn = self._drawn[chosen]
         places: Words = np.add.outer(drawn, np.arange(width, dtype=np.uint64))
         self._drawn[chosen] = drawn + np.uint64(width)
@@ -175,6 +198,18 @@ class Noise:
     def __repr__(self) -> str:
         name = f", name={self.name!r}" if self.name else ""
         return f"Noise({len(self)}, seed={self.seed}{name})"
+
+
+def _spread(name: str, value: ArrayLike, shape: tuple[int, int]) -> Floats:
+    """An argument as finite numbers of this shape; ValueError if it does not broadcast to it."""
+    table = numbers(name, value)
+    if not np.isfinite(table).all():
+        raise ValueError(f"{name} = {checks.shown(value)}: must be finite")
+    try:
+        return np.broadcast_to(table, shape)
+    except ValueError:
+        limit = f"of a shape that broadcasts to {shape}"
+        raise ValueError(f"{name} has shape {table.shape}: must be {limit}") from None
 
 
 def _mixed(words: Words) -> Words:
