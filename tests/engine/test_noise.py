@@ -93,6 +93,13 @@ def test_a_stream_goes_on_from_its_state():
     assert np.array_equal(noise.normal(3), numbers)
 
 
+def test_streams_of_any_other_names_are_others():
+    """Also where the names' CRC-32 are equal, as those of the first two, or are no valid UTF-8."""
+    names = ["plumless", "buckeroo", "", "\ud800", "\udfff"]
+    rows = {sc.Noise(1, 0, name).uniform(3).tobytes() for name in names}
+    assert len(rows) == len(names)
+
+
 def test_noisy_worlds_are_the_same_in_any_batch():
     def moved(n: int, threads: int) -> np.ndarray:
         batch = sc.Batch("gymnasium:hopper", n, threads)

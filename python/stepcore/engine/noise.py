@@ -3,14 +3,14 @@
 A number is a hash of the seed, the stream's name, the world and how many numbers that world has
 drawn, so it does not depend on how many worlds there are, nor on what the others draw. The hash is
 SplitMix64's finaliser (Steele, Lea & Flood, "Fast splittable pseudorandom number generators", 2014)
-over each of these in turn. Normal numbers are the quantile of uniform ones by Wichura's algorithm
-AS 241 (1988), exact to 1e-15, with a logarithm made of +, −, ×, ÷ alone: the same bits on every
-machine.
+over each of these in turn; a name counts by its BLAKE2b hash (RFC 7693) of 64 bits. Normal numbers are the
+quantile of uniform ones by Wichura's algorithm AS 241 (1988), exact to 1e-15, with a logarithm made
+of +, −, ×, ÷ alone: the same bits on every machine.
 """
 
 from __future__ import annotations
 
-import zlib
+import hashlib
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -118,7 +118,9 @@ class Noise:
         if not isinstance(name, str):
             raise checks.refuse("Noise", "name", name, "a text")
         self.seed, self.name = int(seed), name
-        stream = np.array([self.seed, zlib.crc32(name.encode())], dtype=np.uint64)
+        # Surrogates, which file names may hold, count as any other letter.
+        text = hashlib.blake2b(name.encode("utf-8", "surrogatepass"), digest_size=8).digest()
+        stream = np.array([self.seed, int.from_bytes(text, "little")], dtype=np.uint64)
         key = _mixed(_mixed(stream[:1]) ^ stream[1:])
         self._keys = _mixed(key ^ np.arange(count, dtype=np.uint64))
         self._drawn = np.zeros(count, dtype=np.uint64)
