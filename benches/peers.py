@@ -261,6 +261,12 @@ SOLVED = {"contacts": 1e-10, "constraint": 1e-9, "qacc": 1e-9, "sensordata": 1e-
 STEPPED = {"qpos": 1e-9, "qvel": 1e-9, "act": 1e-9}
 
 
+def owned_forces(sim: sc.Sim, model: mujoco.MjModel) -> np.ndarray:
+    """The force of each of MuJoCo's actuators: ours that are further inputs of one have none."""
+    inputs = np.repeat(np.arange(len(model.actuator_ctrlnum)), model.actuator_ctrlnum)
+    return np.bincount(inputs, sim.actuator_force, len(model.actuator_ctrlnum))
+
+
 def note_forward(
     worst: Worst, index: int, sim: sc.Sim, model: mujoco.MjModel, data: mujoco.MjData, state: State
 ) -> None:
@@ -281,7 +287,7 @@ def note_forward(
         "mass": apart(sim.mass_matrix(), theirs_mass),
         "bias": apart(sim.bias, data.qfrc_bias, force),
         "passive": apart(sim.passive, data.qfrc_passive, force),
-        "actuator": apart(sim.actuator_force, data.actuator_force),
+        "actuator": apart(owned_forces(sim, model), data.actuator_force),
         "contacts": contacts_apart(sim, data, geoms),
         "constraint": apart(sim.constraint_force, data.qfrc_constraint, force),
         "qacc": apart(sim.qacc, data.qacc),

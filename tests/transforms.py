@@ -222,6 +222,8 @@ def _scale_actuator(actuator, unit, by):
     Force × length is an energy.
     """
     time, energy = unit(0, 0, 1), unit(2, 1, -2)
+    if actuator.feeds is not None:
+        return
     if actuator.body is not None:
         by(actuator, unit(1, 1, -2), "gain", "gainprm", "forcerange")
         return
@@ -242,7 +244,9 @@ def _scale_actuator(actuator, unit, by):
     by(actuator, force / speed * time, "armature")
     for field, of in (("actrange", length if rate else 1.0), ("lengthrange", length)):
         by(actuator, of, field)
-    by(actuator, 1 / time, "vmax")
+    if actuator.type != "dcmotor":
+        by(actuator, 1 / time, "vmax")
+    _scale_controller(actuator, (force, length, time), by)
     by(actuator, time, "timeconst", "delay")
     by(actuator, 1 / speed, "motorconst")
     by(actuator, 1 / (speed * force), "resistance")
@@ -259,6 +263,25 @@ def _scale_actuator(actuator, unit, by):
             setattr(actuator, field, (*scaled, *value[3:]))
     if actuator.dyntype in ("filter", "filterexact"):
         actuator.dynprm = (actuator.dynprm[0] * time, *actuator.dynprm[1:])
+
+
+def _scale_controller(actuator, units, by):
+    """Scales what a pid and a dcmotor have of their own; volts and degrees are numbers."""
+    force, length, time = units
+    speed, current = length / time, force * length / time
+    by(actuator, force / (length * time), "ki")
+    by(actuator, length * time, "imax")
+    by(actuator, 1 / time, "slewmax")
+    by(actuator, time / current, "inductance")
+    by(actuator, current / time, "current_rate")
+    for field, terms in {
+        "thermal": (1 / current, current * time, 1, 1, 1),
+        "cogging": (force, 1 / length, 1),
+        "lugre": (force / length, force / speed, force, force, speed),
+    }.items():
+        value = getattr(actuator, field)
+        if value is not None:
+            setattr(actuator, field, tuple(np.multiply(value, terms)))
 
 
 def _ways(actuator, length):

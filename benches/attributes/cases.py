@@ -122,7 +122,7 @@ _ACTUATOR_OWN: dict[str, dict[str, Case]] = {
         "inductance": ".05",
         "cogging": ".5 4 .1",
         "controller": ("1 0 .2", 'input="pos"'),
-        "thermal": "10 1 25",
+        "thermal": "10 1 0 .5 20 40",
         "lugre": "10 1 .1 .2 .01",
         "input": "pos",
     },

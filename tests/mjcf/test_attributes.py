@@ -33,8 +33,9 @@ CLASSES = {
 }
 # What a class of motors needs, in MuJoCo too.
 MOTOR = {"motorconst": ".5", "resistance": "1"}
-# What a class does to other attributes of its actuator: gains.py, controllers.py.
-GAINS = {"inheritrange", "nominal"}
+# What a class does to other attributes of its actuator, or hands down with them alone: gains.py,
+# controllers.py.
+GAINS = {"inheritrange", "nominal", "imax"}
 
 
 def held(text: str, place: int) -> set[str]:

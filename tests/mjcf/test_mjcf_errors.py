@@ -224,14 +224,6 @@ MISTAKES = {
 # What would change the motion; a value without effect is accepted.
 UNBUILT = {
     "<flex> in <equality>": ("", '<equality><flex flex="b"/></equality>'),
-    "a <pid> of several inputs": (
-        '<joint name="j"/>',
-        '<actuator><pid joint="j" forcerange="-1 1"/></actuator>',
-    ),
-    "the inductance of a motor": (
-        '<joint name="j"/>',
-        '<actuator><dcmotor joint="j" nominal="9 1 9" inductance="1"/></actuator>',
-    ),
     "<orientation> in <actuator>": ("", '<actuator><orientation joint="j"/></actuator>'),
     'gaintype="pid"': ('<joint name="j"/>', servo("general", 'gaintype="pid"')),
     'biastype="user"': ('<joint name="j"/>', servo("general", 'biastype="user"')),

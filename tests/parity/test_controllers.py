@@ -61,6 +61,24 @@ SEVERAL = [
     'ctrlrange="-1 1"/>',
     '<dcmotor joint="b" nominal="12 3 20" input="ff voltage" gear="2"/>',
 ]
+N = 'nominal="12 3 20"'
+# What remembers: integrals, targets that move, currents, temperatures, bristles.
+STATES = [
+    '<pid joint="a" input="pos" kp="5" kv=".3" ki="2" imax=".02"/>',
+    '<pid joint="b" kp="5" kv=".3" ki="2" slewmax="3" forcerange="-1 2" gear="2"/>',
+    '<pid tendon="t" input="pos vel ff" kp="2" dampratio=".7" slewmax="1" ffrange="-.5 .4"/>',
+    '<pid joint="a" delay=".01" nsample="3" kp="1" kv=".2" posrange="-.5 .5"/>',
+    f'<dcmotor joint="a" {N} inductance=".01" saturation="2 0 5"/>',
+    f'<dcmotor joint="b" {N} inductance="0 .02" input="pos vel" controller="2 1 .1 0 .01"/>',
+    f'<dcmotor joint="a" {N} thermal="2 30 0 .004 20 25" input="vel ff" controller="0 0 .2 9"/>',
+    f'<dcmotor joint="b" {N} lugre="10 .1 .2 .3 .1" cogging=".1 7 .3"/>',
+    f'<dcmotor tendon="t" {N} lugre="10 .1 .2 .3" saturation=".1"/>',
+    f'<dcmotor joint="b" {N} input="pos vel ff voltage" controller="5 2 .2 3 .5 9" '
+    'inductance=".01" thermal="2 30 0 .04 20 25" lugre="5 .1 .2 .3 .1" cogging=".1 7 .3" '
+    'saturation="20 0 90"/>',
+    '<pid joint="ball" kp="3" kv=".1" gear="0 0 1" forcerange="-1 1"/>',
+    f'<dcmotor joint="ball" {N} gear="0 1 .5" inductance=".01" cogging=".1 3 0"/>',
+]
 CLASSES = {
     '<pid kp="7" kv="1" input="pos"/>': '<pid class="c" joint="a"/>'
     '<pid class="c" joint="b" kp="2"/>',
@@ -73,9 +91,23 @@ CLASSES = {
     '<dcmotor class="c" joint="a" motorconst="1"/><dcmotor class="c" joint="a" nominal="24 3 20"/>'
     '<dcmotor class="c" joint="b" resistance="1" motorconst="0 2" saturation="0 2"/>'
     '<position class="c" joint="b" kp="3"/>',
+    '<pid kp="3" ki="2" imax=".1" slewmax="2" input="pos"/>': '<pid class="c" joint="a"/>'
+    '<pid class="c" joint="b" ki="0"/><pid class="c" joint="b" slewmax="0" imax="0"/>',
+    '<pid imax=".001" input="pos"/>': '<pid class="c" joint="a" ki="3"/>',
+    '<dcmotor nominal="12 3 20" inductance=".01" thermal="2 3 0 .04 20 25" lugre="9 .1 .2 .3 .1" '
+    'cogging=".1 3 0" controller="3 1 .2 2 .1 7" saturation="3 0 90" input="pos"/>': "".join(
+        f'<dcmotor class="c" joint="{joint}" {own}/>'
+        for joint, own in (
+            ("a", ""),
+            ("b", 'inductance="0 0" thermal="0 0 0" lugre="0" cogging="0" controller="1 0"'),
+            ("a", 'resistance="7" saturation="0 2" thermal="4"'),
+            ("b", 'inductance="0 .1" lugre="7 .2" cogging=".3"'),
+        )
+    ),
     '<dcmotor nominal="12 3 20" controller="5 0 .2" input="pos"/>': '<dcmotor class="c" joint="a"/>'
     '<dcmotor class="c" joint="b" controller="2"/>',
 }
+LISTS = {"pid": PIDS, "dcmotor": MOTORS, "several": SEVERAL, "states": STATES}
 INTEGRATORS = ("Euler", "implicitfast", "implicit", "RK4", "discrete")
 
 
@@ -89,17 +121,15 @@ def check(text, steps=40):
             one.ctrl[:] = ctrl
         mujoco.mj_step(theirs, data)
         sim.step()
-        # MuJoCo's is one number for all inputs of an actuator.
-        inputs = np.repeat(np.arange(len(theirs.actuator_ctrlnum)), theirs.actuator_ctrlnum)
-        want, found = data.actuator_force, np.bincount(inputs, sim.actuator_force)
+        want, found = data.actuator_force, peers.owned_forces(sim, theirs)
         assert found == pytest.approx(want, abs=1e-9 * max(1, abs(want).max()))
-        for field in ("qpos", "qvel"):
+        for field in ("qpos", "qvel", "act"):
             assert getattr(sim, field) == pytest.approx(getattr(data, field), abs=1e-9)
     assert sc.loads(scene.to_mjcf()) == scene
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
-@pytest.mark.parametrize("actuators", [PIDS, MOTORS, SEVERAL], ids=["pid", "dcmotor", "several"])
+@pytest.mark.parametrize("actuators", LISTS.values(), ids=LISTS)
 def test_runs(actuators, integrator):
     option = f'integrator="{integrator}"'
     check(TEXT.format(option=option, default="", actuators="".join(actuators)))
@@ -111,7 +141,11 @@ def test_inputs_have_controls_in_mujocos_order_and_are_named():
     scene = sc.loads(text.replace("</mujoco>", sensors))
     assert [actuator.name for actuator in scene.actuators] == ["p", "p/vel", "", "", ""]
     assert any('the input vel of actuator "p"' in note for note in scene.notes)
-    assert any("several actuators" in ignored for ignored in scene.ignored)
+    sim, theirs = sc.Sim(scene), mujoco.MjModel.from_xml_string(scene.to_mjcf())
+    data = mujoco.MjData(theirs)
+    data.ctrl[:] = sim.ctrl[:] = np.linspace(-1, 1, 5)
+    mujoco.mj_forward(theirs, data)
+    assert sim.sensordata == pytest.approx(data.sensordata, abs=1e-12)
 
 
 @pytest.mark.parametrize("default", CLASSES)
@@ -122,16 +156,7 @@ def test_classes(default):
 @pytest.mark.parametrize(
     ("actuator", "words"),
     [
-        ('<pid joint="a" forcerange="-1 1"/>', "several inputs with forcerange"),
-        ('<pid joint="a" delay=".01" nsample="3"/>', "several inputs with delay"),
-        ('<pid joint="a" dampratio="1"/>', "several inputs with dampratio"),
-        ('<pid joint="a" input="pos" ki="1"/>', "integral"),
-        ('<pid joint="a" input="pos" slewmax="1"/>', "rate"),
         ('<dcmotor joint="a" nominal="12 3 20" input="none"/>', "no input"),
-        ('<dcmotor joint="a" nominal="12 3 20" inductance=".1"/>', "inductance"),
-        ('<dcmotor joint="a" nominal="12 3 20" cogging=".1 3 0"/>', "cogging"),
-        ('<dcmotor joint="a" nominal="12 3 20" input="pos" controller="1 1"/>', "integral"),
-        ('<dcmotor joint="a" nominal="12 3 20" input="pos" controller="1 0 0 0 0 9"/>', "voltage"),
     ],
 )
 def test_what_is_not_built_is_refused_by_name(actuator, words):
@@ -155,6 +180,14 @@ def test_what_is_not_built_is_refused_by_name(actuator, words):
         '<dcmotor joint="a" nominal="12 0 20"/>',
         '<dcmotor joint="a" nominal="12 3 20" controller="2"/>',
         '<dcmotor joint="a" nominal="12 3 20" forcerange="-1 1"/>',
+        '<dcmotor joint="a" nominal="12 3 20" inductance="-1"/>',
+        '<dcmotor joint="a" nominal="12 3 20" thermal="2 0 0 .004"/>',
+        '<dcmotor joint="a" nominal="12 3 20" input="vel" controller="0 1"/>',
+        '<dcmotor joint="a" nominal="12 3 20" controller="0 0 0 1"/>',
+        '<pid joint="a" slewmax="-1"/>',
+        '<pid joint="a" imax="-1" ki="1"/>',
+        '<pid joint="a" input="vel" ki="1"/>',
+        '<pid joint="a" input="ff" slewmax="1"/>',
     ],
 )
 def test_what_mujoco_refuses_is_refused(actuator):
@@ -168,6 +201,16 @@ def test_what_mujoco_refuses_is_refused(actuator):
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
+        ({"type": "pid", "input": "vel pos"}, "in this order"),
+        ({"type": "pid", "input": "pos vel"}, "one actuator of type 'input' that feeds 'vel'"),
+        ({"type": "pid", "input": "vel", "ki": 2}, "ki = 2"),
+        ({"type": "pid", "input": "ff", "slewmax": 2}, "slewmax = 2"),
+        ({"type": "pid", "input": "pos", "imax": -1}, "imax = -1"),
+        ({"type": "motor", "ki": 1}, "ki = 1"),
+        ({"type": "dcmotor", "motorconst": 1, "resistance": 1, "ki": 2}, "ki = 2"),
+        ({"type": "dcmotor", "motorconst": 1, "resistance": 1, "inductance": -1}, "inductance"),
+        ({"type": "dcmotor", "motorconst": 1, "resistance": 1, "lugre": (1, -1)}, "lugre"),
+        ({"type": "dcmotor", "motorconst": 1, "resistance": 1, "thermal": (0,) * 5}, "thermal"),
         ({"type": "pid"}, "input = None"),
         ({"type": "pid", "input": "vel", "dampratio": 1}, "dampratio"),
         ({"type": "dcmotor", "resistance": 1}, "motorconst = None"),

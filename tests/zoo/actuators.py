@@ -36,6 +36,17 @@ add(
     </actuator>""",
 )
 add(
+    "controller_states",
+    ARM,
+    extra="""<actuator>
+      <pid joint="a" input="pos" kp="30" kv="2" ki="40" imax=".02" slewmax="3" forcerange="-9 9"/>
+      <pid joint="c" input="pos" kp="40" kv="3" slewmax="2"/>
+      <dcmotor joint="b" nominal="12 3 20" gear="2" input="pos voltage" controller="4 9 .2 5 .1 7"
+        inductance=".01" thermal="2 .03 0 .04 20 25" lugre="9 .2 .2 .3 .5" cogging=".2 7 .3"
+        saturation="2 0 90"/>
+      <dcmotor joint="a" nominal="12 3 20" lugre="20 .3 .2 .4 .3" saturation=".4"/></actuator>""",
+)
+add(
     "late_controls",
     ARM,
     extra="""<actuator>

@@ -2,10 +2,10 @@
 
 use pyo3::prelude::*;
 use stepcore::scene::{
-    Actuator, Body, ContactOverride, Dynamics, Equality, EqualityType, ExplicitPair, Features,
-    FluidShape, Frame, Geom, GeomType, HField, Inertial, Interp, Joint, JointType, Key, MassRules,
-    Mesh, MeshInertia, Muscle, ObjectType, Reduce, Scene, Sensor, SensorField, SensorObject,
-    SensorType, Site, Softness, Stop, Target, Tendon,
+    Actuator, Body, ContactOverride, Controller, Dynamics, Equality, EqualityType, ExplicitPair,
+    Features, FluidShape, Frame, Geom, GeomType, HField, Inertial, Input, Interp, Joint, JointType,
+    Key, MassRules, Mesh, MeshInertia, Motor, Muscle, ObjectType, Reduce, Scene, Sensor,
+    SensorField, SensorObject, SensorType, Site, Softness, Stop, Target, Tendon,
 };
 
 use crate::extract::{record, refuse, At, Read, Record};
@@ -67,6 +67,7 @@ named!(SensorField {
     "origin" => Origin, "point" => Point, "pos" => Pos, "normal" => Normal,
     "tangent" => Tangent, "depth" => Depth, "linvel" => LinVel, "angvel" => AngVel,
 });
+named!(Input { "pos" => Pos, "vel" => Vel, "ff" => Ff, "voltage" => Voltage });
 named!(Interp { "zoh" => Hold, "linear" => Linear, "cubic" => Cubic });
 named!(Reduce {
     "none" => None, "mindist" => MinDist, "maxforce" => MaxForce, "netforce" => NetForce,
@@ -184,6 +185,8 @@ record!(Site { name, body, pos, quat, kind, size });
 record!(SensorObject { kind, index });
 record!(Sensor { name, kind, object, reference, cutoff, data, reduce, num });
 record!(Muscle { range, force, scale, lmin, lmax, vmax, fpmax, fvmax });
+record!(Motor { constant, resistance, inductance, vmax, current_rate, thermal, cogging, lugre });
+record!(Controller { ki, imax, slewmax, motor });
 record!(Actuator {
     name,
     target,
@@ -193,6 +196,9 @@ record!(Actuator {
     muscle_gain,
     muscle_bias,
     dampratio,
+    controller,
+    input,
+    feeds,
     dynamics,
     dynprm,
     ctrlrange,

@@ -98,6 +98,7 @@ impl At {
             return Activations {
                 act: &next.trial.act,
                 ahead: next.ahead,
+                middle: next.middle,
                 ..state.activations(clock)
             };
         }

@@ -87,7 +87,7 @@ impl<R: Real> State<R> {
     /// Its activations, in steps of `clock`.
     pub(crate) fn activations(&self, clock: Clock<R>) -> Activations<'_, R> {
         let Self { act, ctrl_history: history, .. } = self;
-        Activations { act, history, seconds: clock.seconds, ahead: 0.0 }
+        Activations { act, history, seconds: clock.seconds, ahead: 0.0, middle: false }
     }
 
     /// What of it the user holds, in the order of `arrays::Array`.

@@ -52,39 +52,27 @@ def read(world: WorldReader, node: Node) -> None:
         **given,
     )
     world.keep(node, added)
-    for word, gain in others(gains).items():
-        _add_input(world, node, added, word, gain)
-        world.controllers.add(added.name)
+    for word in others(gains):
+        _add_input(world, node, added, word)
 
 
-def _add_input(world: WorldReader, node: Node, first: Actuator, word: str, gain: float) -> None:
-    """Another input of a controller: a motor at the same place, whose control stands next to its.
-
-    The force is linear in the inputs: without a bound of their sum this is the same motion.
-    """
+def _add_input(world: WorldReader, node: Node, owner: Actuator, word: str) -> None:
+    """Another input of a controller: it has a control of its own, next to the owner's."""
     values = world.defaults.of(node, kind="actuator")
-    for name, value in (("forcerange", first.forcerange), ("delay", first.delay)):
-        if value:
-            raise node.unbuilt(f"a <{node.tag}> of several inputs with {name}", "input")
-    if first.dampratio and word == "vel":
-        raise node.unbuilt(f"a <{node.tag}> of several inputs with dampratio", "dampratio")
+    bounds: Bounds = owner.ctrlrange
     if node.tag == "pid":
-        bounds: Bounds = values.get(f"{word}range")
+        bounds = values.get(f"{word}range")
         bounds = bounds if bounds and bounds[0] < bounds[1] else None
-    else:
-        bounds = first.ctrlrange
-    ends = (*TRANSMISSIONS, *WITH.values(), "cranklength")
-    target = {name: getattr(first, name) for name in ends}
     world.scene.add_actuator(
-        type="general",
-        name=f"{first.name}/{word}" if first.name else "",
-        gear=first.gear,
+        type="input",
+        feeds=owner,
+        input=word,
+        name=f"{owner.name}/{word}" if owner.name else "",
         ctrlrange=bounds,
-        gainprm=gain,
-        enabled=first.enabled,
-        **{name: value for name, value in target.items() if value is not None},
+        enabled=owner.enabled,
+        **{name: getattr(owner, name) for name in ("delay", "nsample", "interp")},
     )
-    what = f"the input {word} of {first} is an actuator of its own, with a control of its own"
+    what = f"the input {word} of {owner} is an actuator of its own, with a control of its own"
     world.scene.notes.append(f"{node.file}:{node.line}: {what}")
 
 
@@ -128,7 +116,8 @@ def _refuse_gains(node: Node, gains: ActuatorGains) -> None:
             raise node.unbuilt(f'<general> {name}="{getattr(gains, name)}"')
     if node.tag in INPUTS and gains.input in ("none", ""):
         raise node.unbuilt(f'a <{node.tag}> of no input (input="{gains.input}")', "input")
-    if node.tag == "dcmotor" and gains.input == "voltage" and any(gains.biasprm):
+    asks = any(gains.biasprm) or any(gains.more.get(word, 0) for word in ("ki", "slewmax"))
+    if node.tag == "dcmotor" and gains.input == "voltage" and asks:
         given = node.values.get("controller", gains.biasprm)
         raise bad(node, "controller", given, "0 without one of the inputs pos, vel and ff")
 
@@ -144,13 +133,9 @@ def _words(gains: ActuatorGains) -> dict[str, Any]:
         return {"kp": gain, **words}
     if gains.tag == "pid":
         words = {"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping}
-        return {"kp": gain, "input": first_of(gains), **words}
+        return {"kp": gain, "input": gains.input, **words, **gains.more}
     if gains.tag == "dcmotor":
-        constant, resistance = gains.motor
-        words = {"motorconst": constant, "resistance": resistance, "input": first_of(gains)}
-        if gains.input != "voltage":
-            words |= {"kp": 0.0 - gains.biasprm[1], "kv": 0.0 - damping}
-        return words
+        return _motor_words(gains)
     if gains.tag == "velocity":
         return {"kv": gain}
     if gains.tag == "adhesion":
@@ -165,6 +150,16 @@ def _words(gains: ActuatorGains) -> dict[str, Any]:
         muscle = dict(zip(MUSCLE, numbers, strict=True))
         return {**muscle, "timeconst": (rise, fall), "tausmooth": smooth}
     return _general(gains) if gains.tag == "general" else {}
+
+
+def _motor_words(gains: ActuatorGains) -> dict[str, Any]:
+    constant, resistance = gains.motor
+    more = dict(gains.more)
+    more["inductance"] = more.pop("timeconst", 0.0) * resistance
+    words = {"motorconst": constant, "resistance": resistance, "input": gains.input}
+    if gains.input != "voltage":
+        words |= {"kp": 0.0 - gains.biasprm[1], "kv": 0.0 - gains.biasprm[2]}
+    return words | more
 
 
 def _general(gains: ActuatorGains) -> dict[str, Any]:

@@ -1,7 +1,6 @@
-"""`<pid>` and `<dcmotor>`: the law of a controller without a state of its own.
+"""`<pid>` and `<dcmotor>`: the numbers of a controller.
 
-A motor with the constant K and the resistance R pulls with K/R · (voltage − K · velocity); with an
-input of its controller, with the torque that this asks for (MuJoCo documentation, XML reference,
+With MuJoCo's rules for what an element or a class leaves out (MuJoCo documentation, XML reference,
 "actuator/pid" and "actuator/dcmotor").
 """
 
@@ -20,24 +19,10 @@ START: dict[str, dict[str, Any]] = {
     "dcmotor": {"gainprm": (0.0,), "biasprm": (0.0, 0.0, 0.0), "input": "voltage"},
 }
 INPUTS = {"pid": ("pos", "vel", "ff"), "dcmotor": ("pos", "vel", "ff", "voltage")}
-# Attributes that add a state or another law where they are not 0.
-UNBUILT = {
-    "pid": {"ki": "the integral of a controller", "slewmax": "a bound of a setpoint's rate"},
-    "dcmotor": {
-        "inductance": "the inductance of a motor",
-        "thermal": "the temperature of a motor",
-        "cogging": "the cogging torque of a motor",
-        "lugre": "the friction of bristles in a motor",
-    },
-}
 
 
 def law(tag: str, base: Any, node: Node) -> dict[str, Any]:
     """The fields of `ActuatorGains` that an element or a class changes."""
-    for attribute, what in UNBUILT[tag].items():
-        value = node.values.get(attribute, 0.0)
-        if _any(value):
-            raise node.unbuilt(f"{what} ({attribute})", attribute)
     own = {"input": _input(node, base.input)}
     return own | (_pid(base, node) if tag == "pid" else _motor(base, node))
 
@@ -48,19 +33,10 @@ def first_of(gains: Any) -> str:
     return words.split()[0]
 
 
-def others(gains: Any) -> dict[str, float]:
-    """Its other inputs, and the force that one unit of each adds."""
-    if gains.tag not in INPUTS:
-        return {}
-    constant, resistance = gains.motor
-    unit = {"vel": -gains.biasprm[2], "ff": 1.0}
-    if resistance > 0:
-        unit["voltage"] = constant / resistance
-    return {word: unit[word] for word in gains.input.split()[1:]}
-
-
-def _any(value: float | Vec) -> bool:
-    return any(value) if isinstance(value, tuple) else value != 0
+def others(gains: Any) -> list[str]:
+    """Its other inputs."""
+    words: str = gains.input
+    return words.split()[1:] if gains.tag in INPUTS else []
 
 
 def _input(node: Node, inherited: str) -> str:
@@ -84,7 +60,14 @@ def _pid(base: Any, node: Node) -> dict[str, Any]:
     kp, damping = values.get("kp", -base.biasprm[1]), base.biasprm[2]
     if "kv" in values or "dampratio" in values:
         damping = values.get("dampratio", 0.0 - values.get("kv", 0.0))
-    return {"gainprm": (kp,), "biasprm": (0.0, -kp, damping), "biastype": "affine"}
+    more = {name: values.get(name, base.more.get(name, 0.0)) for name in ("ki", "imax", "slewmax")}
+    if more["slewmax"] < 0:
+        raise bad(node, "slewmax", more["slewmax"], ">= 0")
+    if not (more["ki"] or more["slewmax"]):
+        # What has no activation hands nothing of it down.
+        more = {}
+    law = {"gainprm": (kp,), "biasprm": (0.0, -kp, damping), "biastype": "affine"}
+    return {**law, "more": more}
 
 
 def _motor(base: Any, node: Node) -> dict[str, Any]:
@@ -111,22 +94,59 @@ def _motor(base: Any, node: Node) -> dict[str, Any]:
         )
     if resistance <= 0:
         raise node.error("<dcmotor> needs a resistance or a nominal point: it must be > 0")
-    old = (-base.biasprm[1], 0.0, -base.biasprm[2])
-    controller: Vec = values.get("controller", ())
-    filled = [*controller, *(*old, 0.0, 0.0, 0.0)[len(controller) :]]
-    kp, ki, kd, slew, _, drive = filled
-    for more, what in (
-        (ki != 0, "the integral of a controller"),
-        (slew > 0, "a bound of a setpoint's rate"),
-        (drive > 0, "a bound of a controller's voltage"),
-    ):
-        if more:
-            raise node.unbuilt(f"{what} (controller)", "controller")
+    old = base.more
+    kept = (0.0 - base.biasprm[1], old.get("ki", 0.0), 0.0 - base.biasprm[2])
+    kept = (*kept, *(old.get(name, 0.0) for name in ("slewmax", "imax", "vmax")))
+    kp, ki, kd, slewmax, imax, vmax = _filled(values.get("controller", ()), kept)
+    if ki < 0:
+        raise bad(node, "controller", values["controller"], "ki >= 0")
+    bounds = {"slewmax": slewmax, "imax": imax, "vmax": vmax}
+    more: dict[str, Any] = {"ki": ki} | {name: max(most, 0.0) for name, most in bounds.items()}
+    rate = _filled(values.get("saturation", ()), (0.0, 0.0, old.get("current_rate", 0.0)))[2]
+    more |= {"current_rate": max(rate, 0.0), "timeconst": _electrical(node, old, resistance)}
+    for name, count in (("cogging", 3), ("lugre", 5)):
+        more[name] = _filled(values.get(name, ()), old.get(name, (0.0,) * count))
+    more["thermal"] = _thermal(node, old)
     fields: dict[str, Any] = {
-        **{"motor": (constant, resistance), "biastype": "affine"},
+        **{"motor": (constant, resistance), "biastype": "affine", "more": more},
         **{"gainprm": (0.0,), "biasprm": (0.0, 0.0 - kp, 0.0 - kd)},
     }
     if "saturation" in values:
         torque, current = (*values["saturation"], 0.0)[:2]
         fields["torque"] = torque if torque > 0 else max(constant * current, 0.0)
     return fields
+
+
+def _filled(given: Vec, kept: Vec) -> Vec:
+    return (*given, *kept[len(given) :])
+
+
+def _electrical(node: Node, old: dict[str, Any], resistance: float) -> float:
+    """The time constant of the current [s], 0 without; of L and it, L counts."""
+    if "inductance" not in node.values:
+        kept: float = old.get("timeconst", 0.0)
+        return kept
+    given = node.values["inductance"]
+    inductance, seconds = _filled(given, (0.0, old.get("timeconst", 0.0)))
+    if min(inductance, seconds) < 0:
+        raise bad(node, "inductance", given, ">= 0")
+    return inductance / resistance if inductance > 0 else seconds
+
+
+def _thermal(node: Node, old: dict[str, Any]) -> Vec | None:
+    """Two of resistance, capacity and time constant give the third."""
+    had: Vec | None = old.get("thermal")
+    if "thermal" not in node.values:
+        return had
+    kept = (*had[:2], 0.0, *had[2:]) if had else (0.0,) * 6
+    path, capacity, seconds, *rest = _filled(node.values["thermal"], kept)
+    if not (path or capacity or seconds):
+        return None
+    if path > 0 and seconds > 0:
+        capacity = seconds / path
+    elif capacity > 0 and seconds > 0:
+        path = seconds / capacity
+    if path <= 0 or capacity <= 0:
+        limit = "two of resistance, capacity and time constant > 0"
+        raise bad(node, "thermal", node.values["thermal"], limit)
+    return (path, capacity, *rest)

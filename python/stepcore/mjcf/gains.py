@@ -8,7 +8,7 @@ inherits from the innermost class whose actuator was last written as the same sh
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from stepcore.mjcf import controllers
@@ -41,6 +41,7 @@ class ActuatorGains:
     tag: the element that gave it. inheritrange: the scale of an inherited range, or 0.
     input, motor, torque: of a controller, what its control is; of a motor its constant and
         resistance, and the bound of its torque, 0 without one, None where nothing is said.
+    more: of a controller, its other numbers by name.
     """
 
     tag: str = "general"
@@ -54,6 +55,7 @@ class ActuatorGains:
     input: str = ""
     motor: Vec = (0.0, 0.0)
     torque: float | None = None
+    more: dict[str, Any] = field(default_factory=dict)
 
     @property
     def is_position(self) -> bool:

@@ -9,6 +9,7 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import actuation
+from stepcore.scene.elements import Actuator
 from stepcore.scene.layout import DOFS, QPOS, Layout
 
 if TYPE_CHECKING:
@@ -60,7 +61,10 @@ def _assembled(
             starts[id(body)], at = at, at + MOCAP[name]
     for element in world.scene.actuators if sizes is None else layout.joints:
         starts.setdefault(id(element), at)
-        at += 1 if sizes is None else sizes[element.type]
+        if isinstance(element, Actuator):
+            at += actuation.states(actuation.law(element)) if name == "act" else 1
+        elif sizes is not None:
+            at += sizes[element.type]
     numbers = list(default)
     for part, given in (node.parts or {}).get(name, ()):
         start = starts.get(id(world.elements.get(id(part))))

@@ -71,8 +71,6 @@ def _not_computed(world: WorldReader, node: Node) -> str:
                 return "the axes of a body's own inertial frame are not kept"
     if node.tag == "actuatorvel" and world.scene.actuator(values["actuator"]).body is not None:
         return ADHERES
-    if node.tag == "actuatorfrc" and values["actuator"] in world.controllers:
-        return "the force of a controller of several inputs is that of several actuators"
     if values.get("enclosed"):
         return "how far an object juts out of a site (enclosed) is not computed"
     if node.tag in ("touch", "contact", "insidesite") and site in world.mesh_sites:

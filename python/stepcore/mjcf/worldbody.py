@@ -83,8 +83,6 @@ class WorldReader:
         self.shapes: list[Shape] = []
         # Sites whose volume is that of a mesh.
         self.mesh_sites: set[str] = set()
-        # Controllers of several inputs, each of which is an actuator.
-        self.controllers: set[str] = set()
         # Geoms that only draw, where they are kept to be drawn (`Assets.drawn`).
         self.only_drawn: set[int] = set()
         self.with_inertial: set[int] = set()

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stepcore import checks
+from stepcore.scene import controlling
 from stepcore.scene.elements import Actuator
 from stepcore.scene.elements.actuator import SECOND, TARGETS
 from stepcore.scene.frames import ORIGIN, Vec
@@ -36,8 +37,9 @@ WORDS = {
     "position": (*SERVO, "timeconst"),
     "velocity": ("kv",),
     "intvelocity": SERVO,
-    "pid": (*SERVO, "input"),
-    "dcmotor": ("motorconst", "resistance", "kp", "kv", "input"),
+    "pid": (*SERVO, "input", *controlling.CONTROL),
+    "dcmotor": ("kp", "kv", "input", *controlling.CONTROL, *controlling.MOTOR),
+    "input": ("input",),
     "damper": ("kv",),
     "cylinder": ("timeconst", "area", "bias"),
     "adhesion": ("gain",),
@@ -47,7 +49,7 @@ WORDS = {
 NO_DYNAMICS = ("none", (1.0, 0.0, 0.0))
 # Fields that reach the engine as its law, and as its target.
 LAW = tuple(sorted({word for words in WORDS.values() for word in words}))
-TARGET = (*TARGETS, *SECOND, "cranklength")
+TARGET = (*TARGETS, *SECOND, "cranklength", "feeds")
 
 
 class Law(NamedTuple):
@@ -60,6 +62,7 @@ class Law(NamedTuple):
     gain: Vec = (1.0, 0.0, 0.0)
     bias: Vec = ORIGIN
     dampratio: float = 0.0
+    controller: dict[str, Any] | None = None
     dynamics: tuple[str, Vec] = NO_DYNAMICS
     muscle_gain: dict[str, Any] | None = None
     muscle_bias: dict[str, Any] | None = None
@@ -68,7 +71,8 @@ class Law(NamedTuple):
     def servo(self) -> bool:
         """Whether its force depends on length or velocity."""
         muscle = self.muscle_gain is not None or self.muscle_bias is not None
-        return muscle or any(self.gain[1:]) or any(self.bias[1:]) or self.dampratio != 0
+        motor = self.controller is not None and self.controller["motor"] is not None
+        return motor or muscle or any(self.gain[1:]) or any(self.bias[1:]) or self.dampratio != 0
 
 
 def law(actuator: Actuator) -> Law:
@@ -79,7 +83,7 @@ def law(actuator: Actuator) -> Law:
         bias = (0.0, -kp, 0.0 - _or(actuator.kv, 0.0))
         filtered = ("filterexact", (timeconst, 0.0, 0.0)) if timeconst > 0 else NO_DYNAMICS
         dynamics = filtered if kind == "position" else ("integrator", (1.0, 0.0, 0.0))
-        return Law((kp, 0.0, 0.0), bias, _or(actuator.dampratio, 0.0), dynamics)
+        return Law((kp, 0.0, 0.0), bias, _or(actuator.dampratio, 0.0), dynamics=dynamics)
     if kind in ("pid", "dcmotor"):
         return _controlled(actuator)
     if kind == "velocity":
@@ -91,25 +95,33 @@ def law(actuator: Actuator) -> Law:
         return Law((_or(actuator.gain, 1.0), 0.0, 0.0))
     if kind == "cylinder":
         dynamics = ("filter", (_or(actuator.timeconst, 1.0), 0.0, 0.0))
-        return Law((_or(actuator.area, 1.0), 0.0, 0.0), actuator.bias or ORIGIN, 0.0, dynamics)
+        gain = (_or(actuator.area, 1.0), 0.0, 0.0)
+        return Law(gain, actuator.bias or ORIGIN, dynamics=dynamics)
     if kind == "muscle":
         words = {word: _or(getattr(actuator, word), default) for word, default in MUSCLE.items()}
         times = _or(actuator.timeconst, (0.01, 0.04))
         parameters = (*times, _or(actuator.tausmooth, 0.0))
-        return Law((0.0, 0.0, 0.0), ORIGIN, 0.0, ("muscle", parameters), words, words)
+        return Law(ORIGIN, dynamics=("muscle", parameters), muscle_gain=words, muscle_bias=words)
+    if kind == "input":
+        return Law(ORIGIN)
     return _general(actuator) if kind == "general" else Law()
 
 
 def _controlled(actuator: Actuator) -> Law:
-    """Of one input: a voltage, or a setpoint or a force of a controller."""
+    """A voltage, or a setpoint or a force of a controller."""
     kp = _or(actuator.kp, 1.0 if actuator.type == "pid" else 0.0)
     kv, own = _or(actuator.kv, 0.0), _or(actuator.input, "voltage")
+    dampratio = _or(actuator.dampratio, 0.0)
+    if (controller := controlling.described(actuator)) is not None:
+        turns = actuator.type == "pid" and "pos" in own.split()
+        bias = (0.0, 0.0 - kp, 0.0 - kv)
+        return Law((kp if turns else 0.0, 0.0, 0.0), bias, dampratio, controller)
     if own == "voltage":
         constant, resistance = _or(actuator.motorconst, 0.0), _or(actuator.resistance, 1.0)
         conducted = constant / resistance
         return Law((conducted, 0.0, 0.0), (0.0, 0.0, 0.0 - conducted * constant))
     gain = {"pos": kp, "vel": kv, "ff": 1.0}[own]
-    return Law((gain, 0.0, 0.0), (0.0, 0.0 - kp, 0.0 - kv), _or(actuator.dampratio, 0.0))
+    return Law((gain, 0.0, 0.0), (0.0, 0.0 - kp, 0.0 - kv), dampratio)
 
 
 def _general(actuator: Actuator) -> Law:
@@ -119,7 +131,7 @@ def _general(actuator: Actuator) -> Law:
     bias = bias if isinstance(bias, tuple) else (bias,)
     gain, bias = (*gainprm, *ORIGIN)[:3], (*bias, *ORIGIN)
     dynamics = (actuator.dyntype or "none", actuator.dynprm or (1.0, 0.0, 0.0))
-    result = Law((gain[0], 0.0, 0.0), ORIGIN, 0.0, dynamics)
+    result = Law((gain[0], 0.0, 0.0), dynamics=dynamics)
     if actuator.gaintype == "affine":
         result = result._replace(gain=gain)
     if actuator.gaintype == "muscle":
@@ -141,7 +153,14 @@ def _muscle(parameters: Vec) -> dict[str, Any]:
 
 def na(scene: Contents) -> int:
     """The number of activations in a scene."""
-    return sum(law(actuator).dynamics[0] != "none" for actuator in scene.actuators)
+    return sum(states(law(actuator)) for actuator in scene.actuators)
+
+
+def states(own: Law) -> int:
+    """The number of activations of an actuator with this law."""
+    if own.controller is not None:
+        return controlling.states(own.controller)
+    return int(own.dynamics[0] != "none")
 
 
 def plain(actuator: Actuator) -> dict[str, Any]:
@@ -155,6 +174,9 @@ def plain(actuator: Actuator) -> dict[str, Any]:
         "gain": list(own.gain),
         "bias": list(own.bias),
         "dampratio": own.dampratio,
+        "controller": own.controller,
+        "input": _or(actuator.input, "pos").split()[0],
+        "gear": list((actuator.feeds or actuator).gear),
         "dynamics": kind,
         "dynprm": list(parameters),
         "muscle_gain": _listed(own.muscle_gain),
@@ -172,6 +194,7 @@ def target(actuator: Actuator, index: dict[int, int]) -> dict[str, Any]:
     """What it pulls at as the engine reads it; index: of each element, by identity."""
     field, element = actuator.target
     own: dict[str, Any] = {field: index.get(id(element), -1)}
+    actuator = actuator.feeds or actuator
     if field == "site":
         reference = actuator.refsite
         own["refsite"] = None if reference is None else index.get(id(reference), -1)
@@ -196,8 +219,8 @@ def check(actuator: Actuator) -> None:
     if timeconst is not None and pair != (actuator.type == "muscle"):
         limit = "two numbers for a muscle, one for others"
         raise checks.refuse(actuator, "timeconst", timeconst, limit)
-    if actuator.type in ("pid", "dcmotor"):
-        _check_controller(actuator)
+    if actuator.type in ("pid", "dcmotor", "input"):
+        controlling.check(actuator)
     if actuator.type in ("position", "intvelocity", "damper", "pid"):
         for word in ("kv", "dampratio", "timeconst"):
             if _or(getattr(actuator, word), 0.0) < 0:
@@ -215,27 +238,6 @@ def check(actuator: Actuator) -> None:
     if own_law.dampratio and own_law.gain[0] < 0:
         word = "gainprm" if actuator.type == "general" else "kp"
         raise checks.refuse(actuator, word, own_law.gain[0], ">= 0 with a damping ratio")
-
-
-def _check_controller(actuator: Actuator) -> None:
-    if actuator.type == "dcmotor":
-        for word in ("motorconst", "resistance"):
-            if _or(getattr(actuator, word), 0.0) <= 0:
-                raise checks.refuse(actuator, word, getattr(actuator, word), "> 0")
-        own = actuator.input in ("pos", "vel", "ff")
-        if not own and (actuator.kp or actuator.kv):
-            word = "kp" if actuator.kp else "kv"
-            limit = "None or 0 without an input pos, vel or ff"
-            raise checks.refuse(actuator, word, getattr(actuator, word), limit)
-    elif actuator.input in (None, "voltage"):
-        raise checks.refuse(actuator, "input", actuator.input, "one of pos, vel, ff for a pid")
-    if actuator.dampratio and actuator.input == "vel":
-        raise checks.refuse(actuator, "dampratio", actuator.dampratio, "None with the input vel")
-    round_ = actuator.refsite is not None or getattr(actuator.target[1], "type", "") == "ball"
-    turns = actuator.input == "pos" and actuator.type == "pid"
-    if round_ and actuator.kp and not turns:
-        limit = "0 on a ball or a refsite, but for a pid with the input pos"
-        raise checks.refuse(actuator, "kp", actuator.kp, limit)
 
 
 def _check_curves(actuator: Actuator, own: Law) -> None:
@@ -263,6 +265,11 @@ def _check_target(actuator: Actuator) -> None:
     if actuator.type == "adhesion" and actuator.body is None:
         raise checks.refuse(actuator, "body", None, "given for an adhesion")
     found = [field for field in TARGETS if getattr(actuator, field) is not None]
+    if actuator.type == "input":
+        if found:
+            limit = "None for type 'input', which pulls at nothing itself"
+            raise checks.refuse(actuator, found[0], getattr(actuator, found[0]), limit)
+        return
     if len(found) != 1:
         what = " and ".join(found) or "nothing"
         text = f"pulls at {what}: it needs exactly one of {', '.join(TARGETS)}"

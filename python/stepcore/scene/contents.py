@@ -284,15 +284,16 @@ class Contents(Holdings):
         cranksite: str | Site | None = None,
         slidersite: str | Site | None = None,
         body: str | Body | None = None,
+        feeds: str | Actuator | None = None,
         **fields: Unpack[ActuatorFields],
     ) -> Actuator:
         """Adds an actuator on a joint, or on something else.
 
         joint: a name or a `Joint`.
         type: "motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle",
-            "adhesion" or "general".
+            "adhesion", "pid", "dcmotor", "input" or "general".
         jointinparent, tendon, site and refsite, cranksite and slidersite, body: in place of the
-            joint, by name or as elements; see `Actuator`.
+            joint, by name or as elements; see `Actuator`. feeds: of an "input", the pid or dcmotor.
         fields: of `Actuator`: name, gear, kp, kv, dampratio, ctrlrange, forcerange [N or N·m], …
         """
         found: dict[str, Any] = {
@@ -304,6 +305,7 @@ class Contents(Holdings):
             "cranksite": (cranksite, self.site),
             "slidersite": (slidersite, self.site),
             "body": (body, self.body),
+            "feeds": (feeds, self.actuator),
         }
         own = {field: find(given) for field, (given, find) in found.items() if given is not None}
         return self._add(self.actuators, Actuator, fields, **own, type=type)

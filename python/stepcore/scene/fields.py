@@ -132,8 +132,16 @@ class ActuatorFields(TypedDict, total=False):
     dampratio: float | None
     timeconst: Numbers | None
     input: str | None
+    ki: float | None
+    imax: float | None
+    slewmax: float | None
     motorconst: float | None
     resistance: float | None
+    inductance: float | None
+    current_rate: float | None
+    thermal: Numbers | None
+    cogging: Numbers | None
+    lugre: Numbers | None
     gain: float | None
     area: float | None
     bias: Numbers | None

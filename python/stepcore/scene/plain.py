@@ -74,6 +74,7 @@ class Records:
         self.hfield_of = {id(hfield): i for i, hfield in enumerate(scene.hfields)}
         self.index = self.geom_of | {id(joint): i for i, joint in enumerate(layout.joints)}
         self.index |= {id(site): i for i, site in enumerate(layout.sites)}
+        self.actuator_of = {id(actuator): i for i, actuator in enumerate(scene.actuators)}
         self.index |= {id(tendon): i for i, tendon in enumerate(scene.tendons)} | self.body_of
 
     def whole(self) -> dict[str, Any]:
@@ -116,9 +117,11 @@ class Records:
         return _record(tendon, "path") | {"path": [_stop(stop, self.index) for stop in tendon.path]}
 
     def _actuator(self, actuator: Actuator) -> dict[str, Any]:
+        owner = actuator.feeds
+        feeds = None if owner is None else self.actuator_of.get(id(owner), -1)
         return (
             _record(actuator, "type", "dampingpoly", *actuation.LAW, *actuation.TARGET)
-            | {"target": actuation.target(actuator, self.index)}
+            | {"target": actuation.target(actuator, self.index), "feeds": feeds}
             | actuation.plain(actuator)
         )
 

@@ -45,7 +45,7 @@ impl<R: Real> Sim<R> {
             _ => &self.next.qvel,
         };
         advance(&self.model, &self.state.qpos, moving, self.clock.dt, &mut self.next.qpos);
-        let (rates, seconds) = (&self.placed.act_rate, self.clock.seconds);
+        let (rates, seconds) = (self.placed.act_rates(), self.clock.seconds);
         activation::advance(&self.model, &self.state.act, rates, seconds, &mut self.next.act);
         let (pulls, centres) = (self.placed.pulls(), &mut self.next.centres);
         activation::centres(&self.model, &self.state.qpos, pulls, centres);

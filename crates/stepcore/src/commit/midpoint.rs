@@ -93,7 +93,7 @@ impl<R: Real> Sim<R> {
         }
         advance(&model, &self.state.qpos, &self.next.mean, dt, &mut self.next.qpos);
         let act = self.state.activations(self.clock);
-        let rates = &self.placed.act_rate;
+        let rates = self.placed.act_rates();
         activation::through_middle(&model, act, &self.inputs, rates, &mut self.next.act);
         let Next { trial, centres, act, .. } = &mut self.next;
         activation::centres(&model, &trial.qpos, self.placed.pulls(), centres);
@@ -144,6 +144,7 @@ impl<R: Real> Sim<R> {
             act: Activations {
                 act: &self.next.trial.act,
                 ahead: self.next.ahead,
+                middle: true,
                 ..self.state.activations(self.clock)
             },
             inputs: &self.inputs,

@@ -37,6 +37,8 @@ pub struct Next<R: Real> {
     /// Where `rk4` and `midpoint` run the stages within the step, and how far in it that is.
     pub(crate) trial: Trial<R>,
     pub(crate) ahead: f64,
+    /// That is the middle of a step: `Activations::middle`.
+    pub(crate) middle: bool,
     pub(super) damped: Damped<R>,
     pub(super) implicit: Option<Implicit<R>>,
     pub(super) sums: Sums<R>,
@@ -60,11 +62,13 @@ pub(super) struct Sums<R: Real> {
     pub turned: Vec<R>,
     pub moved: Vec<R>,
     pub gained: Vec<R>,
-    /// Rates of the activations.
+    /// Rates of the activations; and of the first stage, how fast they fade too.
     pub act_rate: Vec<R>,
+    pub act_first: Vec<R>,
+    pub act_fading: Vec<R>,
 }
 
-room!(Sums<R>: rate, turned, moved, gained, act_rate;);
+room!(Sums<R>: rate, turned, moved, gained, act_rate, act_first, act_fading;);
 
 impl<R: Real> Next<R> {
     pub fn new(model: &Model, integrator: Integrator) -> Self {
@@ -87,6 +91,7 @@ impl<R: Real> Next<R> {
             stage: 0,
             trial: Trial { qpos: zeros(nq), qvel: zeros(nv), act: zeros(model.na) },
             ahead: 0.5,
+            middle: integrator == Integrator::Midpoint,
             damped: Damped::new(model, integrator),
             implicit: (integrator == Integrator::Implicit).then(|| Implicit::new(model)),
             sums: Sums {
@@ -95,6 +100,8 @@ impl<R: Real> Next<R> {
                 moved: zeros(nv),
                 gained: zeros(nv),
                 act_rate: zeros(model.na),
+                act_first: zeros(model.na),
+                act_fading: zeros(model.na),
             },
         }
     }

@@ -52,6 +52,9 @@ impl<R: Real> Sim<R> {
             if stage == 0 {
                 let (pulls, centres) = (self.placed.pulls(), &mut self.next.centres);
                 activation::centres(&model, &self.state.qpos, pulls, centres);
+                let [rates, fading] = self.placed.act_rates();
+                self.next.sums.act_first.copy_from_slice(rates);
+                self.next.sums.act_fading.copy_from_slice(fading);
             }
             observer.placed(self, at, B[stage]);
             if inside != Inside::Nothing {
@@ -69,11 +72,13 @@ impl<R: Real> Sim<R> {
                 *sum += weight * *rate;
             }
         }
-        let sums = &self.next.sums;
+        let sums = &mut self.next.sums;
+        activation::hold_bristles(&model, &sums.act_first, &mut sums.act_rate);
         self.next.mean.copy_from_slice(&sums.moved);
         advance(&model, &self.state.qpos, &sums.moved, dt, &mut self.next.qpos);
         let seconds = self.clock.seconds;
-        activation::advance(&model, &self.state.act, &sums.act_rate, seconds, &mut self.next.act);
+        let rates = [&sums.act_rate[..], &sums.act_fading];
+        activation::advance(&model, &self.state.act, rates, seconds, &mut self.next.act);
         activation::unwind(&model, &self.next.centres, &mut self.next.act);
         for k in 0..model.nv {
             self.next.qvel[k] = self.next.start[k] + dt * sums.gained[k];

@@ -8,7 +8,7 @@
 //! that are the same which is nearest to w. At the end of a step w itself is the one which is nearest
 //! to the length at its start (`midpoint`: in its middle), be it out of bounds.
 
-use super::{delay, muscle};
+use super::{controller, delay, muscle};
 use crate::model::{Model, Span};
 use crate::place::Pulls;
 use crate::real::{elementary, Real};
@@ -28,6 +28,8 @@ pub(crate) struct Activations<'a, R: Real> {
     pub seconds: f64,
     /// How far in the step this is, of the step.
     pub ahead: f64,
+    /// This is the middle of a step, and those of controllers are still what they were at its start.
+    pub middle: bool,
 }
 
 impl<R: Real> Activations<'_, R> {
@@ -123,15 +125,25 @@ pub(crate) fn signal<R: Real>(
     actuator.next(act, actuator.rate(act, ctrl(), model.circles[index]), now.seconds)
 }
 
-/// The rates of all activations.
+/// The rates of all activations, and how fast those of controllers fade.
 pub(crate) fn rates<R: Real>(
     model: &Model,
+    (qpos, qvel): (&[R], &[R]),
     now: Activations<R>,
     inputs: &Inputs<R>,
-    rates: &mut [R],
+    pulls: Pulls<R>,
+    [rates, fading]: [&mut [R]; 2],
 ) {
     if !model.features.actuation {
         return;
+    }
+    for index in model.controlled() {
+        let along = model.along[index];
+        let along = [along.length(model, qpos, pulls), along.velocity(model, qpos, qvel, pulls)];
+        let Some(work) = controller::work(model, index, now, inputs, along) else { continue };
+        for (kind, k) in controller::places(model, index) {
+            [rates[k], fading[k]] = work.rate(kind);
+        }
     }
     for (index, k) in model.active() {
         let actuator = &model.actuators[index];
@@ -140,14 +152,40 @@ pub(crate) fn rates<R: Real>(
     }
 }
 
-/// All activations after a step with these rates.
-pub(crate) fn advance<R: Real>(model: &Model, act: &[R], rates: &[R], seconds: f64, out: &mut [R]) {
+/// All activations after a step with these rates, which fade as they move.
+pub(crate) fn advance<R: Real>(
+    model: &Model,
+    act: &[R],
+    [rates, fading]: [&[R]; 2],
+    seconds: f64,
+    out: &mut [R],
+) {
     out.copy_from_slice(act);
     if !model.features.actuation {
         return;
     }
+    for index in model.controlled() {
+        let own = model.actuators[index].controller.iter();
+        for (own, (kind, k)) in
+            own.flat_map(|own| controller::places(model, index).map(move |place| (own, place)))
+        {
+            let moved = act[k] + rates[k] * controller::span(fading[k], seconds);
+            out[k] = controller::bounded(own, kind, moved);
+        }
+    }
     for (index, k) in model.active() {
         out[k] = model.actuators[index].next(act[k], rates[k], seconds);
+    }
+}
+
+/// Bristles move through a step of `rk4` as they begin it, as in MuJoCo.
+pub(crate) fn hold_bristles<R: Real>(model: &Model, first: &[R], rates: &mut [R]) {
+    for index in model.controlled() {
+        for (_, k) in
+            controller::places(model, index).filter(|(kind, _)| *kind == controller::BRISTLE)
+        {
+            rates[k] = first[k];
+        }
     }
 }
 
@@ -181,10 +219,10 @@ pub(crate) fn through_middle<R: Real>(
     model: &Model,
     now: Activations<R>,
     inputs: &Inputs<R>,
-    rates: &[R],
+    [rates, fading]: [&[R]; 2],
     out: &mut [R],
 ) {
-    advance(model, now.act, rates, now.seconds, out);
+    advance(model, now.act, [rates, fading], now.seconds, out);
     if !model.features.actuation {
         return;
     }
@@ -219,10 +257,22 @@ impl Model {
         active.filter(|(index, _)| self.circles[*index] != 0.0)
     }
 
-    /// Actuators with an activation, and its place.
+    /// Actuators with one activation, and its place; not those of controllers.
     fn active(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let all = self.activations.iter().enumerate();
         let own = |(index, span): (usize, &Span)| span.range().map(move |k| (index, k));
-        all.filter(|(index, _)| self.actuators[*index].enabled).flat_map(own)
+        let plain = |index: usize| {
+            self.actuators[index].enabled && self.actuators[index].controller.is_none()
+        };
+        all.filter(move |(index, _)| plain(*index)).flat_map(own)
+    }
+
+    /// Actuators with a controller that remembers something.
+    fn controlled(&self) -> impl Iterator<Item = usize> + '_ {
+        let all = self.actuators.iter().zip(&self.activations).enumerate();
+        let own = |(_, (actuator, span)): &(usize, (&scene::Actuator, &Span))| {
+            actuator.enabled && actuator.controller.is_some() && span.len > 0
+        };
+        all.filter(own).map(|(index, _)| index)
     }
 }

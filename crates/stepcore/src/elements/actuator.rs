@@ -8,9 +8,10 @@
 //! [lo, hi] of its force the spring yields: V = ½ k e² within them, F |e| − F²/2k beyond. What
 //! the control puts in is the change of V when it moves, and what an activation puts in that when it
 //! moves. A velocity servo is a motor of force gain·u + bias₀ and a damper. Everything else is a
-//! motor, and all of its work counts as put in.
+//! motor, and all of its work counts as put in. So does that of a controller (`controller.rs`).
 
 use super::activation::{nearest, signal, Activations};
+use super::controller::{work, Work};
 use super::force::{Forces, Group, Moment};
 use super::gravcomp::asked_of_drives;
 use super::Kind;
@@ -32,8 +33,14 @@ impl scene::Actuator {
         }
     }
 
+    /// A motor's bounds are those of its current, which its controller keeps.
+    fn bounds(&self) -> Option<[f64; 2]> {
+        let motor = self.controller.as_ref().is_some_and(|own| own.motor.is_some());
+        self.forcerange.filter(|_| !motor)
+    }
+
     fn bounded<R: Real>(&self, force: R) -> R {
-        self.forcerange.map_or(force, |[lo, hi]| force.clamp(R::of(lo), R::of(hi)))
+        self.bounds().map_or(force, |[lo, hi]| force.clamp(R::of(lo), R::of(hi)))
     }
 
     /// Its gain depends on length or velocity.
@@ -44,7 +51,7 @@ impl scene::Actuator {
     fn drive(&self) -> Drive {
         let [_, length, velocity] = self.bias;
         let pulls_both_ways = self.forcerange.is_none_or(|[lo, hi]| lo < 0.0 && hi > 0.0);
-        let plain = !self.gain_varies() && self.muscle_bias.is_none();
+        let plain = !self.gain_varies() && self.muscle_bias.is_none() && self.controller.is_none();
         if !plain || velocity > 0.0 || length > 0.0 || !pulls_both_ways {
             Drive::Motor
         } else if length < 0.0 {
@@ -84,6 +91,22 @@ impl<R: Real> Along<R> {
             velocity: along.velocity(model, qpos, qvel, pulls),
         }
     }
+}
+
+/// Of an actuator with a controller: what that does.
+#[inline(always)]
+fn controlled<R: Real>(
+    model: &Model,
+    index: usize,
+    (qpos, qvel): (&[R], &[R]),
+    act: Activations<R>,
+    inputs: &Inputs<R>,
+    pulls: Pulls<R>,
+) -> Option<Work<R>> {
+    model.actuators[index].controller.as_ref()?;
+    let along = model.along[index];
+    let along = [along.length(model, qpos, pulls), along.velocity(model, qpos, qvel, pulls)];
+    work(model, index, act, inputs, along)
 }
 
 /// What stands for the control: within its bounds, or the activation; of a servo on a circle the one
@@ -135,6 +158,10 @@ pub(crate) fn tensions<R: Real>(
         return;
     }
     for (index, actuator) in model.actuators.iter().enumerate().filter(|(_, a)| a.enabled) {
+        if let Some(work) = controlled(model, index, (qpos, qvel), act, inputs, pulls) {
+            tensions[index] = work.force;
+            continue;
+        }
         let at = Along::of(model, index, qpos, qvel, pulls);
         let u = input(model, index, act, act.ctrl(model, index, inputs), at.length);
         let mut force = asked(model, index, at, u);
@@ -242,7 +269,7 @@ impl Model {
 /// Where no bound holds the force of an actuator; None: it has no bound.
 fn free<R: Real>(now: &Moment<R>, index: usize) -> Option<R::Mask> {
     let (model, actuator) = (now.model, &now.model.actuators[index]);
-    let own = actuator.forcerange.map(|[lo, hi]| {
+    let own = actuator.bounds().map(|[lo, hi]| {
         let force = now.frames.tension[index];
         force.gt(R::of(lo)).and(force.lt(R::of(hi)))
     });
@@ -305,7 +332,10 @@ impl Forces for Actuator {
         }
         let (along, pulls) = (model.along[index], now.frames.pulls);
         let mut by = [R::of(actuator.bias[1]), R::of(actuator.bias[2])];
-        if actuator.gain_varies() {
+        let at = (now.qpos, now.qvel);
+        if let Some(work) = controlled(model, index, at, now.act, now.inputs, pulls) {
+            by = work.slopes.map(|slope| -slope);
+        } else if actuator.gain_varies() {
             let at = Along::of(model, index, now.qpos, now.qvel, pulls);
             let ctrl = now.act.ctrl(model, index, now.inputs);
             let u = input(model, index, now.act, ctrl, at.length);
@@ -336,7 +366,8 @@ impl Forces for Actuator {
     fn damps(model: &Model, index: usize) -> bool {
         let actuator = &model.actuators[index];
         let varies = actuator.gain[2] != 0.0 || actuator.muscle_gain.is_some();
-        model.acts(index) && (actuator.bias[2] != 0.0 || varies)
+        let motor = actuator.controller.as_ref().is_some_and(|own| own.motor.is_some());
+        model.acts(index) && (actuator.bias[2] != 0.0 || varies || motor)
     }
 
     fn stored<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(R)) {

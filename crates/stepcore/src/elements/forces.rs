@@ -195,7 +195,7 @@ pub fn joint_forces(
     for (n, (qpos, qvel)) in qpos.chunks(model.nq).zip(qvel.chunks(model.nv)).enumerate() {
         inputs.ctrl.copy_from_slice(&ctrl[n * nu..(n + 1) * nu]);
         let act = &act[n * model.na..(n + 1) * model.na];
-        let act = Activations { act, history: &[], seconds: 0.0, ahead: 0.0 };
+        let act = Activations { act, history: &[], seconds: 0.0, ahead: 0.0, middle: false };
         if kind == Kind::Actuator {
             let bounded = model.compensates && !model.clamps.is_empty();
             if bounded || !(model.tendons.is_empty() && model.linkages.is_empty()) {

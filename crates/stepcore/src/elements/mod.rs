@@ -14,6 +14,7 @@ mod connect;
 mod constraint;
 mod constraints;
 mod contact;
+mod controller;
 mod coupling;
 mod damper;
 mod delay;

@@ -441,7 +441,7 @@ fn keys(scene: &Scene) -> Result<()> {
     let nq = scene.joints.iter().map(|j| j.kind.positions()).sum();
     let nv = scene.joints.iter().map(|j| j.kind.dofs()).sum();
     let mocaps = scene.bodies.iter().filter(|body| body.mocap).count();
-    let na = scene.actuators.iter().map(|a| a.dynamics.count()).sum();
+    let na = scene.actuators.iter().map(|a| a.states()).sum();
     for (i, key) in scene.keys.iter().enumerate() {
         let e = Subject::new(Kind::Key, &key.name, i);
         e.finite("time", &[key.time])?;

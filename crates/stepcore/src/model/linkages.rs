@@ -31,7 +31,7 @@ pub struct Moved {
 /// Everything that concerns actuators but what they do to inertias.
 pub fn fill(scene: &Scene, model: &mut Model) {
     for actuator in &scene.actuators {
-        let len = actuator.dynamics.count();
+        let len = actuator.states();
         model.activations.push(Span { start: model.na, len });
         model.na += len;
         let len = actuator.history();
@@ -40,6 +40,13 @@ pub fn fill(scene: &Scene, model: &mut Model) {
         let along = transmission(model, actuator);
         model.along.push(along);
         model.circles.push(circle(model, actuator));
+    }
+    model.feeders = vec![[None; 4]; scene.actuators.len()];
+    for (index, actuator) in scene.actuators.iter().enumerate() {
+        let owner = actuator.controller.as_ref().map(|_| index).or(actuator.feeds);
+        if let Some(owner) = owner {
+            model.feeders[owner][actuator.input as usize] = Some(index);
+        }
     }
     model.clamps = (model.joints.iter().enumerate())
         .filter_map(|(index, joint)| Some((index, joint.actuatorfrcrange?)))

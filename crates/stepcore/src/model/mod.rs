@@ -290,6 +290,8 @@ pub struct Model {
     /// again (0: never).
     pub along: Vec<Transmission>,
     pub circles: Vec<f64>,
+    /// By actuator, and by input of its controller: whose control that is.
+    pub feeders: Vec<[Option<usize>; 4]>,
     pub linkages: Vec<Linkage>,
     /// Some of them are those of contacts, which are found after the smooth forces.
     pub adheres: bool,

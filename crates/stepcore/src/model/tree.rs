@@ -22,6 +22,7 @@ pub fn lay_out(scene: &Scene, assets: &[Asset]) -> Model {
         histories: vec![],
         along: vec![],
         circles: vec![],
+        feeders: vec![],
         linkages: vec![],
         adheres: false,
         sticks: scene.geoms.iter().any(|geom| geom.adhesion > 0.0)

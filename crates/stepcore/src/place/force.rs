@@ -10,6 +10,11 @@ use crate::real::Real;
 use crate::state::Inputs;
 
 impl<R: Real> Placed<R> {
+    /// What activations change by: `act_rate`, and `act_fading`.
+    pub(crate) fn act_rates(&self) -> [&[R]; 2] {
+        [&self.act_rate, &self.act_fading]
+    }
+
     /// The forces of actuators, and what joints let through of them.
     pub(crate) fn tensions(
         &mut self,
@@ -42,7 +47,9 @@ impl<R: Real> Placed<R> {
         act: Activations<R>,
         inputs: &Inputs<R>,
     ) {
-        rates(model, act, inputs, &mut self.act_rate);
+        let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };
+        let changes = [&mut self.act_rate[..], &mut self.act_fading];
+        rates(model, (qpos, qvel), act, inputs, pulls, changes);
         self.tensions(model, qpos, qvel, act, inputs);
         let Self { xpos, xmat, origin, motion, actuator, passive, bias, force, wrench, .. } = self;
         let pulls = Pulls { length: &self.tendon_length, arms: &self.tendon_arms };

@@ -74,6 +74,8 @@ pub struct Placed<R: Real> {
     pub actuator: Vec<R>,
     /// Rates of the activations, by entry of act.
     pub act_rate: Vec<R>,
+    /// And how fast these fade as the activations move [1/s].
+    pub act_fading: Vec<R>,
     /// How much of the actuators' forces its joint lets through, by dof, and its tendon, by tendon;
     /// empty: all.
     pub shares: Vec<R>,
@@ -114,7 +116,7 @@ pub struct Pulls<'a, R: Real> {
 }
 
 room!(Placed<R>: mocap, xpos, xquat, xmat, offset, geom, origin, motion, inertia, composite, mass,
-    velocity, acceleration, wrench, bias, passive, tendon_length, tendon_arms, actuator, act_rate, shares, force,
+    velocity, acceleration, wrench, bias, passive, tendon_length, tendon_arms, actuator, act_rate, act_fading, shares, force,
     u, guess; metric, effective, resting);
 
 impl<R: Real> Placed<R> {
@@ -152,6 +154,7 @@ impl<R: Real> Placed<R> {
             tendon_arms: vec![zero; model.lengths().1],
             actuator: vec![zero; model.actuators.len()],
             act_rate: vec![zero; model.na],
+            act_fading: vec![zero; model.na],
             shares: vec![zero; model.shares()],
             force: vec![zero; nv],
             u: vec![zero; nv],

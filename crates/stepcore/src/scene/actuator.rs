@@ -22,6 +22,12 @@ pub struct Actuator {
     /// Not 0: bias₂ is −2·dampratio·√(kp·m), m being the inertia that the actuator moves at
     /// the initial configuration, and is filled in when the scene is compiled.
     pub dampratio: f64,
+    /// In place of the gain: a controller, of which kp is −bias₁ and kv −bias₂.
+    pub controller: Option<Controller>,
+    /// What its control is to a controller; and of which actuator's, where that is another one: it
+    /// then makes no force itself.
+    pub input: Input,
+    pub feeds: Option<usize>,
     /// Whether it has an activation, and how that follows the control.
     pub dynamics: Dynamics,
     /// Of a filter: its time constant [s]. Of a muscle: those of activation and deactivation [s], and
@@ -114,6 +120,61 @@ pub struct Muscle {
     pub fvmax: f64,
 }
 
+/// What a control is to a controller: a target of length or velocity, a force beside, a voltage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Input {
+    #[default]
+    Pos,
+    Vel,
+    Ff,
+    Voltage,
+}
+
+/// A controller as MuJoCo's `pid` and `dcmotor` describe it. It has an activation for each of its
+/// features that remembers something, in the order of `elements::controller`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Controller {
+    /// Gain of the integral of the error, and the bound of that; 0: there is none.
+    pub ki: f64,
+    pub imax: f64,
+    /// How fast the first target can move [1/s]; 0: at once.
+    pub slewmax: f64,
+    /// The controller asks this for its force; None: it makes it itself.
+    pub motor: Option<Motor>,
+}
+
+/// A motor: 0 is without, where nothing else is said.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Motor {
+    /// Force per current, which is voltage per velocity.
+    pub constant: f64,
+    pub resistance: f64,
+    pub inductance: f64,
+    /// Bounds of the controller's voltage, and of the rate of the current.
+    pub vmax: f64,
+    pub current_rate: f64,
+    /// Of the winding to its surroundings: resistance, heat capacity; then how much of the
+    /// electrical resistance comes with each degree, from which temperature on, and what the
+    /// surroundings have.
+    pub thermal: Option<[f64; 5]>,
+    /// Amplitude, periods in a unit of length, phase.
+    pub cogging: [f64; 3],
+    /// Stiffness and damping of bristles, the friction at speed and at rest, and the speed at which
+    /// one becomes the other (LuGre).
+    pub lugre: Option<[f64; 5]>,
+}
+
+impl Controller {
+    /// How many activations it has.
+    pub fn states(&self) -> usize {
+        let motor = self.motor.as_ref().map_or([false; 3], |motor| {
+            [motor.thermal.is_some(), motor.lugre.is_some(), motor.inductance > 0.0]
+        });
+        let own = [self.slewmax > 0.0, self.ki != 0.0];
+        own.into_iter().chain(motor).filter(|kept| *kept).count()
+    }
+}
+
 impl Dynamics {
     /// How many activations it has.
     pub fn count(self) -> usize {
@@ -132,6 +193,9 @@ impl Default for Actuator {
             muscle_gain: None,
             muscle_bias: None,
             dampratio: 0.0,
+            controller: None,
+            input: Input::Pos,
+            feeds: None,
             dynamics: Dynamics::None,
             dynprm: [1.0, 0.0, 0.0],
             ctrlrange: None,
@@ -159,10 +223,16 @@ impl Actuator {
         }
     }
 
+    /// How many activations it has.
+    pub fn states(&self) -> usize {
+        self.controller.as_ref().map_or(self.dynamics.count(), Controller::states)
+    }
+
     /// Its force depends on a length, or how fast that changes.
     pub fn feeds_back(&self) -> bool {
         let depends = |term: &[f64; 3]| term[1] != 0.0 || term[2] != 0.0;
-        self.is_muscle() || depends(&self.bias) || depends(&self.gain)
+        let motor = self.controller.as_ref().is_some_and(|c| c.motor.is_some());
+        motor || self.is_muscle() || depends(&self.bias) || depends(&self.gain)
     }
 
     pub fn is_muscle(&self) -> bool {

@@ -24,11 +24,12 @@ from stepcore.scene.elements.field_types import (
 from stepcore.scene.elements.joint import Joint
 from stepcore.scene.elements.site import Site
 from stepcore.scene.elements.tendon import Tendon
+from stepcore.scene.frames import ORIGIN, Vec
 
 _SERVOS = ("position", "velocity", "intvelocity")
 ACTUATOR_TYPES = (
     *("motor", *_SERVOS, "pid", "dcmotor", "damper", "cylinder", "muscle", "adhesion"),
-    "general",
+    *("general", "input"),
 )
 INPUTS = ("pos", "vel", "ff", "voltage")
 DYNAMICS = ("none", "integrator", "filter", "filterexact", "muscle")
@@ -53,8 +54,21 @@ def _one_or(count: int) -> checks.Check:
     return checks.optional(check)
 
 
+def _inputs(owner: Any, field: str, value: object) -> Any:
+    """Some of the inputs of a controller, in their order."""
+    words = value.split() if isinstance(value, str) else []
+    if not words or words != [word for word in INPUTS if word in words]:
+        limit = f"None or some of {', '.join(INPUTS)}, in this order"
+        raise checks.refuse(owner, field, value, limit)
+    return " ".join(words)
+
+
 Terms = Annotated[Any, _one_or(10)]
 Times = Annotated[Any, _one_or(2)]
+Limit = Annotated[float | None, checks.optional(checks.real(low=0))]
+Thermal = Annotated[Vec | None, checks.optional(checks.vector(5))]
+Cogging = Annotated[Vec | None, checks.optional(checks.vector(3, fill=ORIGIN))]
+Lugre = Annotated[Vec | None, checks.optional(checks.vector(5, low=0))]
 AnyJoint = Annotated[Joint | None, checks.optional(checks.element("Joint"))]
 AnyTendon = Annotated[Tendon | None, checks.optional(checks.element("Tendon"))]
 AnyBody = Annotated[Body | None, checks.optional(checks.element("Body"))]
@@ -69,10 +83,12 @@ class Actuator(Element):
     - for a "position" servo, kp × (control − length) − kv × velocity;
     - for a "velocity" servo, kv × (control − velocity);
     - for an "intvelocity" servo, kp × (w − length) − kv × velocity, where dw/dt = control;
-    - for a "pid", kp × (p − length) + kv × (v − velocity) + f, where the control is one of these
-      by its `input`, and the others are 0;
-    - for a "dcmotor" of constant K = motorconst and resistance R, K/R × (control − K × velocity);
-      with the input "pos", "vel" or "ff" its controller asks for the force of a pid, and gets it;
+    - for a "pid", kp × (p − length) + kv × (v − velocity) + ki × x + f, where its controls are
+      those of p, v and f that its `input` names, the others are 0, and dx/dt = p − length within
+      ±imax;
+    - for a "dcmotor" of constant K = motorconst and resistance R, K/R × (voltage − K × velocity);
+      with the inputs "pos", "vel" or "ff" its controller asks for the force of a pid, and gets it;
+    - for an "input", none: its control is that of another input of the actuator that it `feeds`;
     - for a "damper", −kv × velocity × control;
     - for a "cylinder", area × w + bias · (1, length, velocity), where w is the pressure, which
       follows the control with the time constant timeconst;
@@ -106,7 +122,23 @@ class Actuator(Element):
         means 0, no filter), of a cylinder (None means 1), and two of a muscle, of activation and
         deactivation (None means 0.01 and 0.04).
     input: what the control of a pid is, "pos", "vel" or "ff"; of a dcmotor also "voltage" (None).
+        Several in this order, such as "pos vel": the first is its own control, and each of the
+        others that of an actuator of the type "input", whose `input` it is.
+    feeds: of an "input": the pid or dcmotor.
+    ki, imax: of a pid and a dcmotor's controller with the input "pos": gain of the integral of the
+        error, and its bound; None means 0, without.
+    slewmax: of these: how fast the first target moves at most [1/s]; None means 0, at once.
     motorconst, resistance: of a dcmotor [N·m/A, Ω], > 0.
+    inductance: of a dcmotor [H]; None means 0. Its current is then an activation.
+    vmax, current_rate: bounds of the voltage of its controller [V], and of how fast its current
+        changes [A/s]; None means 0, without. Its forcerange bounds what its current makes.
+    thermal: its thermal resistance [K/W] and capacity [J/K], how much its resistance grows with
+        each degree [1/K], and the temperatures of that resistance and of the surroundings [°C].
+        The temperature above the surroundings is then an activation.
+    cogging: amplitude A, n and phase φ of a force A sin(n × length + φ).
+    lugre: LuGre friction: stiffness and damping of bristles, friction at speed and at rest, and the
+        speed between these. The bristles' deflection is then an activation. Activations stand in
+        the order target, integral, temperature, bristles, current.
     gain: of an adhesion [N]; None means 1.
     area, bias: of a cylinder [m²]; None means 1 and zeros.
     range, force, scale, lmin, lmax, vmax, fpmax, fvmax, tausmooth: of a muscle, as in MJCF.
@@ -150,9 +182,18 @@ class Actuator(Element):
     kv: Gain = None
     dampratio: Gain = None
     timeconst: Times = None
-    input: Annotated[str | None, checks.optional(checks.one_of(*INPUTS))] = None
+    input: Annotated[str | None, checks.optional(_inputs)] = None
+    feeds: Annotated[Actuator | None, checks.optional(checks.element("Actuator"))] = None
+    ki: Limit = None
+    imax: Limit = None
+    slewmax: Limit = None
     motorconst: Gain = None
     resistance: Gain = None
+    inductance: Limit = None
+    current_rate: Limit = None
+    thermal: Thermal = None
+    cogging: Cogging = None
+    lugre: Lugre = None
     gain: Gain = None
     area: Gain = None
     bias: Bias = None
@@ -187,6 +228,8 @@ class Actuator(Element):
     @property
     def target(self) -> tuple[str, Any]:
         """The field that says what it pulls at, and that element; ("joint", None) without one."""
+        if self.feeds is not None:
+            return self.feeds.target
         found = [field for field in TARGETS if getattr(self, field) is not None]
         field = found[0] if found else "joint"
         return field, getattr(self, field)

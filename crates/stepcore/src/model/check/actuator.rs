@@ -52,6 +52,7 @@ pub(super) fn check(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
         e.range("lengthrange", a.lengthrange)?;
     }
     e.finite("dynprm", &a.dynprm)?;
+    controller(e, a, scene)?;
     e.not_negative("delay", a.delay)?;
     if a.delay > 0.0 && !(1..=MOST_SAMPLES).contains(&a.nsample) {
         let limit = format!("1 to {MOST_SAMPLES} with a delay");
@@ -63,4 +64,32 @@ pub(super) fn check(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
         range.map_or(Ok(()), |range| e.range(field, range))?;
     }
     Ok(())
+}
+
+/// A controller's numbers, and what feeds it.
+fn controller(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
+    if let Some(owner) = a.feeds {
+        e.below("feeds", owner, scene.actuators.len(), "actuator")?;
+        let known = a.controller.is_none() && scene.actuators[owner].controller.is_some();
+        if !known {
+            return Err(e.refuse("feeds", owner, "an actuator with a controller, by one without"));
+        }
+    }
+    let Some(own) = &a.controller else { return Ok(()) };
+    e.not_negative("ki", own.ki)?;
+    e.not_negative("imax", own.imax)?;
+    e.not_negative("slewmax", own.slewmax)?;
+    let Some(motor) = &own.motor else { return Ok(()) };
+    e.not_negative("motorconst", motor.constant)?;
+    e.number("resistance", motor.resistance, motor.resistance > 0.0, "> 0")?;
+    e.not_negative("inductance", motor.inductance)?;
+    e.not_negative("vmax", motor.vmax)?;
+    e.not_negative("current_rate", motor.current_rate)?;
+    e.finite("cogging", &motor.cogging)?;
+    if let Some(thermal) = &motor.thermal {
+        e.finite("thermal", thermal)?;
+        e.number("thermal[0]", thermal[0], thermal[0] > 0.0, "> 0")?;
+        e.number("thermal[1]", thermal[1], thermal[1] > 0.0, "> 0")?;
+    }
+    motor.lugre.iter().flatten().try_for_each(|value| e.not_negative("lugre", *value))
 }

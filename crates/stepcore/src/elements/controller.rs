@@ -1,0 +1,267 @@
+//! Controllers with targets, and the motors that they drive: MuJoCo's `pid` and `dcmotor`.
+//!
+//! With the inputs p, v, f (those that are not there are 0), the length l and its rate ω, the
+//! controller asks for kp (s − l) + kv (v − ω) + ki x + f. Its activations, where it has them:
+//!
+//! ```text
+//! s   follows p no faster than slewmax (of one without p the first input does); without it s = p
+//! x   ẋ = s − l, which stops beyond ±imax
+//! ```
+//!
+//! and of a motor of constant K, resistance R₀ and voltage u the temperature T above the
+//! surroundings, the deflection z of its bristles, and the current i:
+//!
+//! ```text
+//! R = R₀ (1 + α (T + ambient − reference))      V = R₀/K asked + K ω within ±vmax, + u
+//! C Ṫ = R i² − T/Rθ                             ż = ω − σ₀ |ω| z / g(ω)
+//! i̇ = (V − K ω − R i)/(τ R), τ = L/R₀           g = F_c + (F_s − F_c) exp(−(ω/ω_s)²)
+//! force = K i within forcerange, + A sin(n l + φ) − σ₀ z − σ₁ ż
+//! ```
+//!
+//! MuJoCo documentation, XML reference, "actuator/pid" and "actuator/dcmotor"; LuGre is that of
+//! Canudas de Wit et al. (1995). As MuJoCo does, a step takes s and i as they are at its end, moves
+//! z and i by what their equations, which are linear in them, do in a step, and the slopes leave out
+//! what the bristles do but σ₁.
+
+use super::activation::{nearest, Activations};
+use crate::model::Model;
+use crate::real::{Mask, Real};
+use crate::scene::{self, Controller, Input, Motor};
+use crate::state::Inputs;
+
+/// The activations in their order.
+const SLEW: usize = 0;
+const INTEGRAL: usize = 1;
+const HEAT: usize = 2;
+pub(super) const BRISTLE: usize = 3;
+const CURRENT: usize = 4;
+const KINDS: usize = 5;
+
+/// What divides is no smaller: MuJoCo's `mjMINVAL`.
+const SMALLEST: f64 = 1e-15;
+
+/// A controller at work.
+#[derive(Clone, Copy)]
+pub(super) struct Work<R: Real> {
+    pub force: R,
+    /// Minus the derivatives of the force by length and velocity.
+    pub slopes: [R; 2],
+    /// By kind of activation: its rate, and how fast that fades as it moves.
+    rates: [R; KINDS],
+    fading: [R; KINDS],
+}
+
+/// Which of its kinds of activations a controller has.
+fn kept(own: &Controller) -> [bool; KINDS] {
+    let motor = own.motor.as_ref();
+    [
+        own.slewmax > 0.0,
+        own.ki != 0.0,
+        motor.is_some_and(|motor| motor.thermal.is_some()),
+        motor.is_some_and(|motor| motor.lugre.is_some()),
+        motor.is_some_and(|motor| motor.inductance > 0.0),
+    ]
+}
+
+/// Its activations: their kinds, with their places in act.
+pub(super) fn places(model: &Model, index: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
+    let own = model.actuators[index].controller.as_ref();
+    let kinds = own.map_or([false; KINDS], kept);
+    (0..KINDS).filter(move |kind| kinds[*kind]).zip(model.activations[index].range())
+}
+
+/// e^x.
+fn exp<R: Real>(x: R) -> R {
+    R::of(std::f64::consts::E).powf(x)
+}
+
+/// For how long a rate that fades acts in so many seconds [s]: (1 − exp(−a t))/a.
+pub(super) fn span<R: Real>(fading: R, seconds: f64) -> R {
+    let x = fading * R::of(seconds);
+    // Below this the series is exact to rounding.
+    let small = x.lt(R::of(1e-4));
+    let (one, half) = (R::one(), R::of(0.5));
+    let series = one - x * (half - x * (R::of(1.0 / 6.0) - x * R::of(1.0 / 24.0)));
+    let safe = R::select(small, one, x);
+    R::of(seconds) * R::select(small, series, (one - exp(-safe)) / safe)
+}
+
+/// What drives it now. At the middle of a step (`Activations::middle`) the activations are those of
+/// its start, and are moved by half a step first.
+pub(super) fn work<R: Real>(
+    model: &Model,
+    index: usize,
+    now: Activations<R>,
+    inputs: &Inputs<R>,
+    along: [R; 2],
+) -> Option<Work<R>> {
+    let actuator = &model.actuators[index];
+    let own = actuator.controller.as_ref()?;
+    let mut states = [R::zero(); KINDS];
+    for (kind, k) in places(model, index) {
+        states[kind] = now.act[k];
+    }
+    let ctrl = model.feeders[index]
+        .map(|feeder| feeder.map(|k| model.actuators[k].held(model, now.ctrl(model, k, inputs))));
+    let at = Along { actuator, own, circle: model.circles[index], ctrl, along };
+    let seconds = now.seconds;
+    if !now.middle {
+        return Some(at.work(&states, seconds, seconds));
+    }
+    let first = at.work(&states, seconds, 0.0);
+    let start = states;
+    for kind in 0..KINDS {
+        states[kind] += first.rates[kind] * span(first.fading[kind], 0.5 * seconds);
+    }
+    let mut work = at.work(&states, seconds, 0.0);
+    for kind in 0..KINDS {
+        // Of what fades the rate at the start: `advance` lets it fade.
+        work.rates[kind] += work.fading[kind] * (states[kind] - start[kind]);
+    }
+    Some(work)
+}
+
+impl<R: Real> Work<R> {
+    /// The rate of an activation of some kind, and how fast that fades.
+    pub fn rate(&self, kind: usize) -> [R; 2] {
+        [self.rates[kind], self.fading[kind]]
+    }
+}
+
+/// An activation after a step: a motor's integral is bounded.
+pub(super) fn bounded<R: Real>(own: &Controller, kind: usize, act: R) -> R {
+    if kind != INTEGRAL || own.motor.is_none() || own.imax == 0.0 {
+        return act;
+    }
+    act.clamp(R::of(-own.imax), R::of(own.imax))
+}
+
+/// A controller with its controls, at a length and its rate.
+struct Along<'a, R: Real> {
+    actuator: &'a scene::Actuator,
+    own: &'a Controller,
+    circle: f64,
+    ctrl: [Option<R>; 4],
+    along: [R; 2],
+}
+
+impl<R: Real> Along<'_, R> {
+    fn given(&self, input: Input) -> R {
+        self.ctrl[input as usize].unwrap_or(R::zero())
+    }
+
+    /// `reach`: for how long what is early has moved already.
+    fn work(&self, states: &[R; KINDS], seconds: f64, reach: f64) -> Work<R> {
+        let zero = R::zero();
+        let mut out =
+            Work { force: zero, slopes: [zero; 2], rates: [zero; KINDS], fading: [zero; KINDS] };
+        let asked = self.asked(states, seconds, reach, &mut out);
+        let [_, kp, kv] = self.actuator.bias.map(|x| R::of(0.0 - x));
+        match &self.own.motor {
+            None => (out.force, out.slopes) = (asked, [kp, kv]),
+            Some(motor) => self.drive(motor, asked, states, reach, &mut out),
+        }
+        out
+    }
+
+    /// The force that the controller asks for.
+    fn asked(&self, states: &[R; KINDS], seconds: f64, reach: f64, out: &mut Work<R>) -> R {
+        let zero = R::zero();
+        let [length, velocity] = self.along;
+        let mut targets = [Input::Pos, Input::Vel, Input::Ff].map(|input| self.given(input));
+        if self.own.slewmax > 0.0 {
+            let first = (0..2).find(|k| self.ctrl[*k].is_some()).unwrap_or(2);
+            let most = R::of(self.own.slewmax);
+            let rate = ((targets[first] - states[SLEW]) / R::of(seconds)).clamp(-most, most);
+            out.rates[SLEW] = rate;
+            targets[first] = states[SLEW] + rate * R::of(reach);
+        }
+        let target = nearest(targets[0], length, self.circle);
+        let [_, kp, kv] = self.actuator.bias.map(|x| R::of(0.0 - x));
+        let mut force = kp * (target - length) + kv * (targets[1] - velocity) + targets[2];
+        if self.own.ki != 0.0 {
+            let (x, error) = (states[INTEGRAL], target - length);
+            let bound = R::of(if self.own.imax > 0.0 { self.own.imax } else { f64::INFINITY });
+            let above = x.ge(bound).and(error.gt(zero));
+            let below = x.le(-bound).and(error.lt(zero));
+            out.rates[INTEGRAL] = R::select(above.or(below), zero, error);
+            force += R::of(self.own.ki) * x;
+        }
+        force
+    }
+
+    /// What a motor makes of it.
+    fn drive(&self, motor: &Motor, asked: R, states: &[R; KINDS], reach: f64, out: &mut Work<R>) {
+        let (zero, one) = (R::zero(), R::one());
+        let [length, velocity] = self.along;
+        let (constant, cold) = (R::of(motor.constant), R::of(motor.resistance));
+        let resistance = motor.thermal.map_or(cold, |[_, _, more, from, ambient]| {
+            cold * (one + R::of(more) * (states[HEAT] + R::of(ambient - from)))
+        });
+        let controlled = self.ctrl[..3].iter().any(Option::is_some);
+        let (mut voltage, mut free) = (zero, R::Mask::of(controlled));
+        if controlled {
+            voltage = cold / constant * asked + constant * velocity;
+            if motor.vmax > 0.0 {
+                let most = R::of(motor.vmax);
+                free = voltage.abs().lt(most);
+                voltage = voltage.clamp(-most, most);
+            }
+        }
+        voltage += self.given(Input::Voltage);
+        // Current by voltage; and the current that it is without.
+        let (mut by_voltage, drop) = (one / resistance, voltage - constant * velocity);
+        let mut current = drop / resistance;
+        let mut heats = current;
+        if motor.inductance > 0.0 {
+            let fading = R::of(motor.resistance / motor.inductance);
+            let mut rate = (drop - resistance * states[CURRENT]) * fading / resistance;
+            let acts = span(fading, reach);
+            by_voltage *= fading * acts;
+            if motor.current_rate > 0.0 {
+                let most = R::of(motor.current_rate);
+                by_voltage = R::select(rate.abs().lt(most), by_voltage, zero);
+                rate = rate.clamp(-most, most);
+            }
+            (out.rates[CURRENT], out.fading[CURRENT]) = (rate, fading);
+            heats = states[CURRENT];
+            current = heats + rate * acts;
+        }
+        if let Some([path, capacity, ..]) = motor.thermal {
+            let flows = resistance * heats * heats - states[HEAT] / R::of(path);
+            out.rates[HEAT] = flows / R::of(capacity);
+        }
+        let [_, kp, kv] = self.actuator.bias.map(|x| R::of(0.0 - x));
+        // Free: the controller makes up for the velocity, and what is left are its gains.
+        let gains = cold * by_voltage;
+        let braked = constant * constant * by_voltage;
+        out.slopes = [R::select(free, gains * kp, zero), R::select(free, gains * kv, braked)];
+        out.force = constant * current;
+        if let Some([lo, hi]) = self.actuator.forcerange {
+            let within = out.force.gt(R::of(lo)).and(out.force.lt(R::of(hi)));
+            out.slopes = out.slopes.map(|slope| R::select(within, slope, zero));
+            out.force = out.force.clamp(R::of(lo), R::of(hi));
+        }
+        let [amplitude, periods, phase] = motor.cogging;
+        if amplitude != 0.0 {
+            let (sin, cos) = (R::of(periods) * length + R::of(phase)).sin_cos();
+            out.force += R::of(amplitude) * sin;
+            out.slopes[0] -= R::of(amplitude * periods) * cos;
+        }
+        if let Some(lugre) = motor.lugre {
+            rub(lugre, velocity, states[BRISTLE], out);
+        }
+    }
+}
+
+/// The friction of bristles.
+fn rub<R: Real>(lugre: [f64; 5], velocity: R, z: R, out: &mut Work<R>) {
+    let [stiffness, damping, coulomb, still, stribeck] = lugre.map(R::of);
+    let share = velocity / stribeck.max(R::of(SMALLEST));
+    let most = coulomb + (still - coulomb) * exp(-(share * share));
+    let fading = stiffness * velocity.abs() / most.max(R::of(SMALLEST));
+    let rate = velocity - fading * z;
+    (out.rates[BRISTLE], out.fading[BRISTLE]) = (rate, fading);
+    out.force -= stiffness * z + damping * rate;
+    out.slopes[1] += damping;
+}
