@@ -49,6 +49,53 @@ def test_a_sensor_of_its_user_has_its_place_and_zeros():
     assert sc.loads(scene.to_mjcf()) == scene
 
 
+USER = """<mujoco><worldbody><camera name="eye"/><body name="b">
+  <joint name="j"/><geom name="g" size="1"/><site name="s"/></body></worldbody>
+  <tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>
+  <actuator><motor name="a" joint="j"/></actuator>
+  <sensor><user dim="2" {}/><clock/></sensor></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    "attached",
+    ["body b", "xbody b", "body world", "joint j", "geom g", "site s", "tendon t", "actuator a"],
+)
+def test_a_sensor_of_its_user_keeps_what_it_is_attached_to(attached):
+    kind, name = attached.split()
+    text = USER.format(f'objtype="{kind}" objname="{name}"')
+    scene = sc.loads(text)
+    assert scene.sensors[0].object.name == name
+    again = mujoco.MjModel.from_xml_string(scene.to_mjcf())
+    first = mujoco.MjModel.from_xml_string(text)
+    assert again.sensor_objtype.tolist() == first.sensor_objtype.tolist()
+    assert again.sensor_objid.tolist() == first.sensor_objid.tolist()
+    assert sc.loads(scene.to_mjcf()) == scene
+    assert sc.Sim(scene).sensordata.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_a_sensor_of_its_user_without_its_camera_is_listed():
+    """It keeps its place among the readings; a scene has no cameras."""
+    scene = sc.loads(USER.format('objtype="camera" objname="eye"'))
+    assert sc.Sim(scene).sensordata.shape == (3,)
+    line = "<user> (read, but not what it is attached to: the camera eye)"
+    assert any(entry.endswith(line) for entry in scene.ignored)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "text"),
+    [
+        ('objtype="body" objname="nope"', 'no body is named "nope"'),
+        ('objtype="body"', "objtype without objname"),
+        ('objname="b"', "objname without objtype"),
+    ],
+)
+def test_what_a_sensor_of_its_user_is_attached_to_is_checked(attributes, text):
+    with pytest.raises(ValueError):
+        mujoco.MjModel.from_xml_string(USER.format(attributes))
+    with pytest.raises(sc.MJCFError, match=text):
+        sc.loads(USER.format(attributes))
+
+
 @pytest.mark.parametrize(
     "sensor",
     [

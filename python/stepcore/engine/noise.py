@@ -3,9 +3,9 @@
 A number is a hash of the seed, the stream's name, the world and how many numbers that world has
 drawn, so it does not depend on how many worlds there are, nor on what the others draw. The hash is
 SplitMix64's finaliser (Steele, Lea & Flood, "Fast splittable pseudorandom number generators", 2014)
-over each of these in turn; a name counts by its BLAKE2b hash (RFC 7693) of 64 bits. Normal numbers are the
-quantile of uniform ones by Wichura's algorithm AS 241 (1988), exact to 1e-15, with a logarithm made
-of +, −, ×, ÷ alone: the same bits on every machine.
+over each of these in turn; a name counts by its BLAKE2b hash (RFC 7693) of 64 bits. Normal numbers
+are the quantile of uniform ones by Wichura's algorithm AS 241 (1988), exact to 1e-15, with a
+logarithm made of +, −, ×, ÷ alone: the same bits on every machine.
 """
 
 from __future__ import annotations

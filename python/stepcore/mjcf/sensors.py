@@ -12,6 +12,7 @@ from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene.elements import Element
+from stepcore.scene.elements.sensor import MOST_NUMBERS
 from stepcore.scene.elements.sensor import OBJECTS as TYPES
 from stepcore.scene.sensor_ends import ADHERES
 
@@ -24,8 +25,6 @@ NAMED = {
 }
 REFERENCES = {"geom2": ("geom", ""), "body2": ("body", "body"), "subtree2": ("body", "subtree")}
 
-# The most numbers of a sensor of type "user".
-MOST_NUMBERS = 10_000
 # Types whose readings depend on the orientation of their object.
 TURNED = ("framequat", "framexaxis", "frameyaxis", "framezaxis")
 
@@ -47,8 +46,7 @@ def read(world: WorldReader, node: Node) -> None:
     if node.tag == "user":
         if not 0 < values["dim"] <= MOST_NUMBERS:
             raise bad(node, "dim", values["dim"], f"1 to {MOST_NUMBERS}")
-        world.keep(node, world.scene.add_sensor("user", num=values["dim"], **given))
-        return
+        given["num"] = values["dim"]
     ends = _ends(world, node)
     world.keep(node, world.scene.add_sensor(node.tag, **ends, **given))
 
@@ -58,7 +56,7 @@ def _not_computed(world: WorldReader, node: Node) -> str:
     values = node.values
     site = values.get("site", "")
     for attribute in ("objtype", "reftype"):
-        if values.get(attribute) == "camera":
+        if values.get(attribute) == "camera" and node.tag != "user":
             return f"its {attribute} is a camera"
     if "camera" in values:
         return "it needs a camera"
@@ -97,6 +95,10 @@ def _ends(world: WorldReader, node: Node) -> dict[str, Any]:
         if f"{prefix}name" not in values:
             raise node.error(f"<{node.tag}> has {prefix}type without {prefix}name")
         body = kind in ("body", "xbody")
+        if node.tag == "user" and not body and kind not in TYPES["user"][0]:
+            why = f"read, but not what it is attached to: the {kind}"
+            world.scene.ignored.append(node.listed(f"{why} {values['objname']}"))
+            continue
         element = _named(world, node, "body" if body else kind, f"{prefix}name")
         _put(node, ends, field, element, kind if body else "")
     if node.tag == "insidesite":

@@ -93,10 +93,12 @@ def _check_data(sensor: Sensor) -> None:
 
 def plain(layout: Layout, sensor: Sensor) -> dict[str, Any]:
     """The sensor as the engine reads it."""
+    # What a sensor of its user looks at is for that user: it gives zeros.
+    looked_at = None if sensor.type == "user" else sensor.object
     return {
         "name": sensor.name,
         "kind": sensor.type,
-        "object": _end(layout, sensor, sensor.object, sensor.objtype),
+        "object": _end(layout, sensor, looked_at, sensor.objtype),
         "reference": _end(layout, sensor, sensor.reference, sensor.reftype),
         "cutoff": sensor.cutoff,
         "data": list(fields_of_sensor(sensor)),

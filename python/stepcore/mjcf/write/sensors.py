@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
 
 # Whose objects are named with their type.
-TYPED = (*OF_FRAME, *OF_ACCELERATION, "insidesite")
+TYPED = (*OF_FRAME, *OF_ACCELERATION, "insidesite", "user")
 
 
 def referred(scene: Contents) -> list[Element]:

@@ -30,7 +30,7 @@ OF_FRAME = (
 OF_ACCELERATION = ("framelinacc", "frameangacc")
 OF_SUBTREE = ("subtreecom", "subtreelinvel", "subtreeangmom")
 OF_GAP = ("distance", "normal", "fromto")
-OF_WHOLE = ("e_potential", "e_kinetic", "clock", "user")
+OF_WHOLE = ("e_potential", "e_kinetic", "clock")
 OBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     **dict.fromkeys(AT_SITE, (("site",), ())),
     **dict.fromkeys((*OF_SCALAR_JOINT, *OF_BALL, *OF_LIMIT), (("joint",), ())),
@@ -43,10 +43,14 @@ OBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     **dict.fromkeys(OF_GAP, (("geom", "body"), ("geom", "body"))),
     "contact": (("site", "geom", "body"), ("geom", "body")),
     **dict.fromkeys(OF_WHOLE, ((), ())),
+    "user": ((*FRAMES, "joint", "tendon", "actuator"), ()),
 }
 # Types whose object, or whose reference, may be missing.
-NO_OBJECT = ("contact", *OF_WHOLE)
+NO_OBJECT = ("contact", "user", *OF_WHOLE)
 REFERENCE = ("insidesite", *OF_GAP)
+
+# The most contacts of a contact sensor, and numbers of one of type "user".
+MOST_NUMBERS = 10_000
 
 CONTACT_DATA = (
     *("found", "force", "torque", "dist", "pos", "normal", "tangent", "linvel", "angvel"),
@@ -74,7 +78,8 @@ class Sensor(Element):
     name: unique among sensors, or "".
     type: "accelerometer", "touch", "jointpos", "framepos", "contact" and so on.
     object: what it looks at: a `Site`, `Body`, `Geom`, `Joint`, `Tendon` or `Actuator`, as the
-        type needs; None for types that look at the whole world.
+        type needs; None for types that look at the whole world. One of type "user" may have any of
+        these or none: it is for its user to know.
     objtype: what a body stands for: its own frame ("xbody", which frames mean by default), its
         centre of mass and principal axes ("body"); in a contact sensor the body alone ("body",
         the default) or all that hangs on it as well ("subtree").
@@ -101,4 +106,4 @@ class Sensor(Element):
     noise: NonNegative = 0.0
     data: Annotated[tuple[str, ...], _words] = ()
     reduce: Annotated[str, checks.one_of("none", "mindist", "maxforce", "netforce")] = "none"
-    num: Annotated[int, checks.whole(1, 10_000)] = 1
+    num: Annotated[int, checks.whole(1, MOST_NUMBERS)] = 1
