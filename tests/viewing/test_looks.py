@@ -107,6 +107,53 @@ def test_lights_are_those_of_the_file(images):
     assert drawing.headlight.diffuse == (0, 0, 0)
 
 
+ODD = """<mujoco><default><default class="warm"><light diffuse="1 .5 0"/></default></default>
+<visual><headlight {headlight}/></visual><asset>
+<texture name="t" type="2d" builtin="checker" width="8" height="8" {texture}/>
+<material name="odd" {material} texture="t"/><material name="red" rgba="1 0 0 1"/></asset>
+<worldbody><light class="warm" diffuse="" cutoff=""/><light {light}/>
+<body><joint/><geom name="red" size=".1" mass="1" material="red"/>
+<geom name="odd" size=".1" pos="1 0 0" material="odd"/>
+<geom name="seen" type="box" size=".1 .1 .1" contype="0" conaffinity="0" mass="0"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        'light diffuse="1"',
+        'light dir="0 0 -1 0"',
+        'light dir="0 0"',
+        'light dir="0 0 0"',
+        'light active="1"',
+        'light type="nope"',
+        'headlight ambient="a b c"',
+        'headlight diffuse="1"',
+        'material rgba="1 0"',
+        'material rgba="1 0 0 1 1"',
+        'texture rgb1="1 0"',
+        'texture rgb2="x"',
+    ],
+)
+def test_what_mujoco_refuses_costs_a_note_and_no_other_colour(odd):
+    """The other light, the other material and the geoms that only draw stay."""
+    mujoco = pytest.importorskip("mujoco")
+    tag, attribute = odd.split(" ", 1)
+    text = ODD.format(
+        **dict.fromkeys(("light", "headlight", "material", "texture"), "") | {tag: attribute}
+    )
+    with pytest.raises(ValueError):
+        mujoco.MjModel.from_xml_string(text)
+    _, drawing = drawn(text)
+    (note,) = drawing.notes
+    assert f"<{tag}>" in note and attribute.split("=")[0] in note
+    shapes = {shape.name: shape for shape in drawing.shapes}
+    assert set(shapes) == {"red", "odd", "seen"} and shapes["red"].rgba == (1, 0, 0, 1)
+    assert len(drawing.lights) == (1 if tag == "light" else 2)
+    assert (1, 0.5, 0) in [light.diffuse for light in drawing.lights]
+    assert drawing.headlight.ambient == (0.1, 0.1, 0.1)
+
+
 FRAMED = """<mujoco><compiler angle="radian"/><default>
 <default class="lamp"><light diffuse=".1 .2 .3" pos="0 0 1"/></default></default><worldbody>
 <frame pos="1 2 3" euler="0 0 1.5707963267948966" childclass="lamp">

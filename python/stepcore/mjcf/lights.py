@@ -9,7 +9,8 @@ from typing import Any
 from stepcore.mjcf.compiler import Compiler
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.models import inside, sections
-from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.nodes import MJCFError, Node
+from stepcore.mjcf.validation import seen_values
 from stepcore.scene import frames
 from stepcore.scene.frames import Vec
 
@@ -50,11 +51,16 @@ class _Place:
 
 
 def lights_of(
-    root: Node, compiler: Compiler, defaults: Defaults, bodies: Mapping[int, int]
+    root: Node,
+    compiler: Compiler,
+    defaults: Defaults,
+    bodies: Mapping[int, int],
+    notes: list[str],
 ) -> list[Light]:
-    """The lights that are on. bodies: the index of a body by the id of its node.
+    """The lights that are on.
 
-    One that follows or looks at a body (`mode`) stands in the body that holds it.
+    bodies: the index of a body by the id of its node. notes: gets a line for each light that cannot
+    be read. One that follows or looks at a body (`mode`) stands in the body that holds it.
     """
     found = []
     pending = [(node, _Place()) for node in sections(root, "worldbody")]
@@ -62,10 +68,12 @@ def lights_of(
         node, place = pending.pop()
         for child in node.children:
             if child.tag == "light":
-                known = defaults.of(child, place.childclass, kind="light")
-                values: dict[str, Any] = {**known, **child.attrs}
-                if values.get("active", "true") in ("true", True):
-                    found.append(_light(values, place))
+                try:
+                    values = seen_values(child, defaults.of(child, place.childclass))
+                    if values.get("active", True):
+                        found.append(_light(child, values, place))
+                except MJCFError as error:
+                    notes.append(str(error))
             elif child.tag == "frame" or id(child) in bodies:
                 held = _Place(bodies.get(id(child), place.body))
                 if child.tag == "frame":
@@ -77,38 +85,34 @@ def lights_of(
     return found
 
 
-def _light(values: Mapping[str, Any], place: _Place) -> Light:
-    kind = values.get("type", "directional" if _true(values.get("directional")) else "spot")
-    pos = _numbers(values.get("pos"), frames.ORIGIN)
-    direction = _numbers(values.get("dir"), DOWN)
+def _light(node: Node, values: dict[str, Any], place: _Place) -> Light:
+    kind = values.get("type", "directional" if values.get("directional") else "spot")
+    try:
+        direction = frames.normalised(values.get("dir", DOWN), "dir")
+    except ValueError as error:
+        raise node.error(f"<light>: {error}") from None
     return Light(
         place.body,
-        frames.composed(place.pose, pos, frames.IDENTITY)[0],
-        frames.normalised(frames.rotated(place.pose[1], direction), "dir"),
-        _numbers(values.get("diffuse"), (0.7, 0.7, 0.7)),
+        frames.composed(place.pose, values.get("pos", frames.ORIGIN), frames.IDENTITY)[0],
+        frames.rotated(place.pose[1], direction),
+        values.get("diffuse", (0.7, 0.7, 0.7)),
         kind == "directional",
-        _numbers(values.get("cutoff"), (45.0,))[0],
+        values.get("cutoff", 45.0),
     )
 
 
-def headlight_of(root: Node) -> Headlight:
-    """The light at the camera."""
+def headlight_of(root: Node, notes: list[str]) -> Headlight:
+    """The light at the camera. notes: gets a line for each that cannot be read."""
     own = Headlight()
     for node in inside(root, "visual"):
         if node.tag == "headlight":
-            if node.attrs.get("active", "1") == "0":
+            try:
+                values = seen_values(node)
+            except MJCFError as error:
+                notes.append(str(error))
+                continue
+            if values.get("active") in ("0", "false"):
                 return Headlight((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-            ambient = _numbers(node.attrs.get("ambient"), own.ambient)
-            own = Headlight(ambient, _numbers(node.attrs.get("diffuse"), own.diffuse))
+            given = {name: values[name] for name in ("ambient", "diffuse") if name in values}
+            own = replace(own, **given)
     return own
-
-
-def _true(value: Any) -> bool:
-    return value in ("true", True)
-
-
-def _numbers(value: Any, default: Vec) -> Vec:
-    if value is None:
-        return default
-    words = value.split() if isinstance(value, str) else value
-    return tuple(float(word) for word in words)

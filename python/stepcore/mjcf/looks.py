@@ -106,6 +106,6 @@ def read_looks(scene: Contents) -> Looks | None:
         if id(geom) in world.only_drawn and id(asset) not in world.assets.unread:
             looks.geoms.append((layout.index[id(geom.body)], geom, colours[id(geom)]))
     bodies = {id(node): at for key, node in world.nodes.items() if (at := layout.index.get(key))}
-    looks.lights = lights_of(root, model.compiler, model.defaults, bodies)
-    looks.headlight = headlight_of(root)
+    looks.lights = lights_of(root, model.compiler, model.defaults, bodies, looks.notes)
+    looks.headlight = headlight_of(root, looks.notes)
     return looks

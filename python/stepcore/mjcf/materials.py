@@ -13,7 +13,8 @@ import numpy as np
 from stepcore.mjcf.defaults import Defaults
 from stepcore.mjcf.expand.attach import Model
 from stepcore.mjcf.models import sections
-from stepcore.mjcf.nodes import Node
+from stepcore.mjcf.nodes import MJCFError, Node
+from stepcore.mjcf.validation import seen_values
 from stepcore.scene.frames import Vec
 
 # MuJoCo's colour of a geom that has none.
@@ -38,7 +39,8 @@ class Look(NamedTuple):
 class Colours:
     """The looks of geoms by their materials: a colour times that of the texture.
 
-    place: where the image of a texture lies. unread: images that could not be read, a line each.
+    place: where the image of a texture lies. unread: images and materials that could not be read,
+    a line each.
     """
 
     def __init__(self, root: Node, model: Model, place: Callable[[Node], str | None]) -> None:
@@ -50,11 +52,16 @@ class Colours:
         self.materials: dict[str, tuple[Vec, Look]] = {}
         for node in nodes:
             if node.tag == "material":
-                self.materials[node.attrs.get("name", "")] = self._material(node, model.defaults)
+                try:
+                    look = self._material(node, model.defaults)
+                except MJCFError as error:
+                    self.unread.append(str(error))
+                    continue
+                self.materials[node.attrs.get("name", "")] = look
 
     def _material(self, node: Node, defaults: Defaults) -> tuple[Vec, Look]:
-        values = defaults.of(node, kind="material") | node.attrs
-        rgba = _numbers(values.get("rgba", ()), WHITE)
+        values = seen_values(node, defaults.of(node))
+        rgba = values.get("rgba", WHITE)
         names = [str(values.get("texture", ""))]
         names += [n.attrs.get("texture", "") for n in node.children if _colours(n)]
         texture = next((self.textures[name] for name in names if name in self.textures), None)
@@ -62,15 +69,15 @@ class Colours:
 
     def _texture(self, node: Node) -> Look:
         """The mean colour of a texture."""
-        if node.attrs.get("builtin", "none") == "none":
+        values = seen_values(node)
+        builtin = values.get("builtin", "none")
+        if builtin == "none":
             return Look(self._image(node))
-        first = _numbers(node.attrs.get("rgb1", ()), (0.8, 0.8, 0.8))
-        second = _numbers(node.attrs.get("rgb2", ()), (0.5, 0.5, 0.5))
-        if node.attrs["builtin"] == "flat":
-            second = first
+        first = values.get("rgb1", (0.8, 0.8, 0.8))
+        second = first if builtin == "flat" else values.get("rgb2", (0.5, 0.5, 0.5))
         both = (*first, 1.0), (*second, 1.0)
         mean = tuple((a + b) / 2 for a, b in zip(*both, strict=True))
-        return Look(mean, both if node.attrs["builtin"] == "checker" else None)
+        return Look(mean, both if builtin == "checker" else None)
 
     def _image(self, node: Node) -> Vec:
         """The mean of an image; light grey for one of a cube's sides, or that cannot be read."""
@@ -86,7 +93,7 @@ class Colours:
 
     def of(self, values: dict[str, Any]) -> Look:
         """The look of a geom with these attributes; its own colour goes before its material's."""
-        own = _numbers(values.get("rgba", ()), GREY)
+        own = values.get("rgba", GREY)
         if values.get("material") not in self.materials:
             return Look(own)
         rgba, texture = self.materials[values["material"]]
@@ -115,10 +122,3 @@ def _mean(path: str) -> Vec:
 
 def _mixed(one: Vec, other: Vec) -> Vec:
     return tuple(a * b for a, b in zip(one, other, strict=True))
-
-
-def _numbers(value: Any, default: Vec) -> Vec:
-    """The entries of an attribute, completed with its defaults."""
-    words = value.split() if isinstance(value, str) else value
-    given = tuple(float(word) for word in words)
-    return (*given, *default[len(given) :])[: len(default)]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
+from typing import Any
 
 from stepcore.checks import nearest, shown
 from stepcore.mjcf.custom import ours
@@ -12,6 +14,7 @@ from stepcore.mjcf.nodes import MJCFError, Node
 from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.schema import ROOT
 from stepcore.mjcf.schema.notation import Spec
+from stepcore.mjcf.schema.visual import SEEN
 
 # Stricter than float(): no nan, inf, underscores or other spellings.
 _REAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -104,6 +107,16 @@ def values_of(node: Node, spec: Spec) -> dict[str, object]:
         if name not in result:
             raise node.error(f'<{node.tag}> lacks the required attribute "{name}"')
     return result
+
+
+def seen_values(node: Node, known: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """What views show of an element that only draws; MJCFError for a value that it cannot have.
+
+    known: its texts completed by its default class, where it has one.
+    """
+    spec, texts = SEEN[node.tag], node.values if known is None else known
+    seen = {name: texts[name] for name in spec.attrs if name in texts}
+    return values_of(Node(node.tag, seen, node.file, node.line), spec)
 
 
 def _value(node: Node, name: str, text: str, kind: str) -> object:

@@ -1,9 +1,9 @@
 """What only draws: cameras, lights, textures, materials, skins, statistics and settings of views.
 
-Only the names of its attributes are checked.
+Only the names of its attributes are checked when a scene is read.
 """
 
-from stepcore.mjcf.schema.notation import POSE, Spec, default_of, spec, without
+from stepcore.mjcf.schema.notation import BOOL, POSE, Spec, default_of, spec, without
 
 _POSE = " ".join(word.partition(":")[0] for word in POSE.split())
 
@@ -61,5 +61,15 @@ _VIEWS = {
     "rgba": "fog haze force inertia joint actuator actuatornegative actuatorpositive com camera "
     "light selectpoint connect contactpoint contactforce contactfriction contacttorque contactgap "
     "rangefinder constraint slidercrank crankbroken frustum bv bvactive",
+}
+# What views show of these, checked when something is drawn.
+SEEN = {
+    "light": spec(
+        f"type:spot|directional|point|image directional:{BOOL} active:{BOOL} "
+        "pos:3 dir:3 diffuse:3 cutoff:1"
+    ),
+    "headlight": spec("active:0|1|2|false|true ambient:3 diffuse:3"),
+    "material": spec("texture rgba:4"),
+    "texture": spec("file builtin:none|gradient|checker|flat rgb1:3 rgb2:3"),
 }
 VISUAL = _draws("", {tag: _draws(words) for tag, words in _VIEWS.items()})
