@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from renderers import RENDERERS
 
 import stepcore as sc
 from stepcore.viewing.drawing import CONTRAST, drawing_of
@@ -99,8 +100,8 @@ def test_lights_are_those_of_the_file(images):
     _, drawing = drawn(TEXTURED, base=images)
     lamp, sun = sorted(drawing.lights, key=lambda light: light.body)
     assert (lamp.body, lamp.pos, lamp.dir) == (0, (0, 0, 3), (0, 0, -1))
-    assert lamp.diffuse == (0.9, 0.8, 0.7) and not lamp.directional
-    assert (drawing.bodies[sun.body], sun.dir, sun.directional) == ("arm", (1, 0, 0), True)
+    assert lamp.diffuse == (0.9, 0.8, 0.7) and lamp.kind == "spot"
+    assert (drawing.bodies[sun.body], sun.dir, sun.kind) == ("arm", (1, 0, 0), "directional")
     assert drawing.headlight.diffuse == (0.4, 0.4, 0.4)
     dark = TEXTURED.replace("<asset>", '<visual><headlight active="0"/></visual><asset>', 1)
     _, drawing = drawn(dark, base=images)
@@ -152,6 +153,30 @@ def test_what_mujoco_refuses_costs_a_note_and_no_other_colour(odd):
     assert len(drawing.lights) == (1 if tag == "light" else 2)
     assert (1, 0.5, 0) in [light.diffuse for light in drawing.lights]
     assert drawing.headlight.ambient == (0.1, 0.1, 0.1)
+
+
+KINDS = """<mujoco><visual><headlight ambient="0 0 0" diffuse="0 0 0"/></visual><worldbody>
+<light type="{}" pos="4 0 1" dir="1 0 0" diffuse="1 1 1"/>
+<body pos="0 0 1"><joint type="slide" axis="0 0 1"/><geom size="0.2"/></body>
+</worldbody></mujoco>"""
+
+
+def test_a_light_of_type_point_shines_to_all_sides():
+    """The ball stands behind it, where a spot does not shine."""
+
+    def brightness(kind, renderer):
+        sim = sc.Sim(sc.loads(KINDS.format(kind)))
+        seen = sc.picture(sim, renderer=renderer, turn=0.0, width=64, height=48)
+        return seen[20:28, 28:36].mean()
+
+    for renderer in RENDERERS:
+        assert brightness("point", renderer) > 1.3 * brightness("spot", renderer)
+
+
+def test_a_light_of_type_image_is_not_drawn():
+    _, drawing = drawn(KINDS.format("image"))
+    assert drawing.lights == []
+    assert drawing.notes == ["<string>:2: <light> (of type image, which is not drawn)"]
 
 
 FRAMED = """<mujoco><compiler angle="radian"/><default>

@@ -4,26 +4,12 @@ import subprocess
 
 import numpy as np
 import pytest
+from renderers import RENDERERS
 
 import stepcore as sc
 from stepcore import lesson
-from stepcore.viewing.mujoco_picture import MujocoPicture
-from stepcore.viewing.picture import drawing_of
 
 SMALL = {"width": 160, "height": 120}
-
-
-def opengl():
-    """Whether MuJoCo's renderer works on this machine: that is not ours to promise."""
-    sim = sc.Sim(lesson.drop())
-    try:
-        MujocoPicture(drawing_of(sim.model, sim), 16, 16).close()
-    except (ImportError, RuntimeError):
-        return False
-    return True
-
-
-RENDERERS = ["mitsuba", *(["mujoco"] if opengl() else [])]
 
 
 def ball(colour="1 0 0 1", height=1.0):

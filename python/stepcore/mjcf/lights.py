@@ -22,14 +22,15 @@ class Light:
     """A light that a body carries.
 
     pos: [m], and dir: where it shines, in the body's frame. diffuse: its colour.
-    directional: it shines everywhere along dir; else within `cutoff` of dir from pos [degrees].
+    kind: "directional" shines everywhere along dir, "spot" from pos within `cutoff` of dir
+    [degrees], and "point" from pos to all sides.
     """
 
     body: int
     pos: Vec
     dir: Vec
     diffuse: Vec
-    directional: bool
+    kind: str
     cutoff: float
 
 
@@ -70,7 +71,9 @@ def lights_of(
             if child.tag == "light":
                 try:
                     values = seen_values(child, defaults.of(child, place.childclass))
-                    if values.get("active", True):
+                    if values.get("type") == "image":
+                        notes.append(child.listed("of type image, which is not drawn"))
+                    elif values.get("active", True):
                         found.append(_light(child, values, place))
                 except MJCFError as error:
                     notes.append(str(error))
@@ -96,7 +99,7 @@ def _light(node: Node, values: dict[str, Any], place: _Place) -> Light:
         frames.composed(place.pose, values.get("pos", frames.ORIGIN), frames.IDENTITY)[0],
         frames.rotated(place.pose[1], direction),
         values.get("diffuse", (0.7, 0.7, 0.7)),
-        kind == "directional",
+        kind,
         values.get("cutoff", 45.0),
     )
 

@@ -67,7 +67,7 @@ class MitsubaPicture:
             "type": "scene",
             "integrator": {"type": "direct", "emitter_samples": LIT, "bsdf_samples": 0},
             "lamp": _light((camera.target - camera.position).tolist(), 0.42),
-            **self._lights(instant),
+            **self._lights(instant, camera),
             "camera": self._camera(camera),
         }
         for k, (shape, group) in enumerate(self.shapes):
@@ -86,8 +86,11 @@ class MitsubaPicture:
         clear = 1 - np.clip(np.array(image)[..., 3:4], 0, 1)
         return np.clip(drawn[..., :3] + clear * SKY, 0, 255).astype(np.uint8)
 
-    def _lights(self, instant: Instant) -> dict[str, Any]:
-        """The lights of the drawing, each as if it were far away; else a sun."""
+    def _lights(self, instant: Instant, camera: Camera) -> dict[str, Any]:
+        """The lights of the drawing, each as if it were far away; else a sun.
+
+        One that shines to all sides shines at what the camera looks at.
+        """
         lights = self.drawing.lights
         if not lights:
             return {"sun": _light([0.3, 0.4, -1.0], 0.45)}
@@ -95,8 +98,12 @@ class MitsubaPicture:
         found = {}
         for k, light in enumerate(lights):
             turn = np.array(frames.matrix(instant.xquat[light.body].tolist()))
+            way = turn @ light.dir
+            if light.kind == "point":
+                aside = camera.target - (instant.xpos[light.body] + turn @ light.pos)
+                way = aside if np.linalg.norm(aside) > 0 else way
             strength = 0.65 * max(light.diffuse) / brightest
-            found[f"light{k}"] = _light((turn @ light.dir).tolist(), strength)
+            found[f"light{k}"] = _light(way.tolist(), strength)
         return found
 
     def _camera(self, camera: Camera) -> dict[str, Any]:

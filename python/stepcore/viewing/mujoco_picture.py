@@ -17,7 +17,7 @@ from stepcore.viewing.marks import Mark
 from stepcore.viewing.needs import need
 
 # Of a drawing without lights.
-SUN = Light(0, (0.0, 0.0, 5.0), (0.3, 0.4, -1.0), (0.4, 0.4, 0.4), True, 45.0)
+SUN = Light(0, (0.0, 0.0, 5.0), (0.3, 0.4, -1.0), (0.4, 0.4, 0.4), "directional", 45.0)
 
 
 class MujocoPicture:
@@ -68,13 +68,15 @@ class MujocoPicture:
             for k in range(len(self.drawing.bodies))
         ]
         for light in self.drawing.lights or [SUN]:
-            kind = "DIRECTIONAL" if light.directional else "SPOT"
+            # MuJoCo's renderer passes by lights of type "point"; a spot of 180 degrees is one.
+            wide = light.kind == "point"
+            kind = "SPOT" if wide else light.kind.upper()
             bodies[light.body].add_light(
                 type=getattr(mujoco.mjtLightType, f"mjLIGHT_{kind}"),
                 pos=light.pos,
                 dir=light.dir,
                 diffuse=light.diffuse,
-                cutoff=light.cutoff,
+                cutoff=180.0 if wide else light.cutoff,
                 castshadow=False,
             )
         for k, shape in enumerate(self.drawing.shapes):

@@ -52,7 +52,8 @@
     for (const body of run.bodies) scene.add(body);
     for (const light of number === 0 ? drawing.lights : []) {
       const made = lamp(light, drawing.lights);
-      run.bodies[light.body].add(made, made.target);
+      // One that shines to all sides has no target.
+      run.bodies[light.body].add(made, ...(made.target ? [made.target] : []));
     }
     for (const shape of drawing.shapes) {
       // The ground is drawn once.

@@ -106,17 +106,21 @@ function shapeMakers(renderer, extent, bytes) {
     });
   }
 
+  const LIGHTS = {
+    directional: THREE.DirectionalLight, spot: THREE.SpotLight, point: THREE.PointLight,
+  };
+
   // Several lights are together no brighter than one.
-  function lamp({ pos, dir, diffuse, directional, cutoff }, lights) {
+  function lamp({ pos, dir, diffuse, kind, cutoff }, lights) {
     const brightest = lights.reduce((sum, light) => sum + Math.max(...light.diffuse), 0);
-    const Kind = directional ? THREE.DirectionalLight : THREE.SpotLight;
-    const light = new Kind(0xffffff, 0.55 / Math.max(0.7, brightest));
+    const light = new LIGHTS[kind](0xffffff, 0.55 / Math.max(0.7, brightest));
     light.color.setRGB(...diffuse);
     light.position.set(...pos);
-    light.target.position.set(...dir).add(light.position);
-    if (!directional) {
+    if (light.target) light.target.position.set(...dir).add(light.position);
+    if (kind !== "directional") light.decay = 0;
+    if (kind === "spot") {
       light.angle = Math.min(Math.PI / 2, (cutoff * Math.PI) / 180);
-      Object.assign(light, { penumbra: 1, decay: 0 });
+      light.penumbra = 1;
     }
     return light;
   }

@@ -73,17 +73,23 @@ class Stage:
         scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), intensity=SKY)
         brightest = max(1.0, sum(max(light.diffuse) for light in drawing.lights))
         for k, light in enumerate(drawing.lights):
-            wide = light.directional
+            common: dict[str, Any] = {
+                "name": f"/run0/body{light.body}/light{k}",
+                "color": tuple(round(255 * min(1.0, c)) for c in light.diffuse),
+                "intensity": LAMP / brightest,
+                "decay": 0.0,
+            }
+            if light.kind == "point":
+                scene.add_light_point(position=light.pos, **common)
+                continue
+            wide = light.kind == "directional"
             scene.add_light_spot(
-                f"/run0/body{light.body}/light{k}",
-                color=tuple(round(255 * min(1.0, c)) for c in light.diffuse),
                 angle=np.pi / 2 if wide else min(np.pi / 2, np.deg2rad(light.cutoff)),
                 penumbra=1.0,
-                decay=0.0,
-                intensity=LAMP / brightest,
                 direction=light.dir,
                 # One that shines everywhere alike comes from far away.
                 position=tuple(-50 * self.extent * np.array(light.dir)) if wide else light.pos,
+                **common,
             )
 
     def _grid(self, name: str, shape: Shape) -> None:

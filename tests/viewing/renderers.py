@@ -1,0 +1,19 @@
+"""The renderers of pictures that work on this machine."""
+
+import stepcore as sc
+from stepcore import lesson
+from stepcore.viewing.mujoco_picture import MujocoPicture
+from stepcore.viewing.picture import drawing_of
+
+
+def opengl():
+    """Whether MuJoCo's renderer works on this machine: that is not ours to promise."""
+    sim = sc.Sim(lesson.drop())
+    try:
+        MujocoPicture(drawing_of(sim.model, sim), 16, 16).close()
+    except (ImportError, RuntimeError):
+        return False
+    return True
+
+
+RENDERERS = ["mitsuba", *(["mujoco"] if opengl() else [])]
