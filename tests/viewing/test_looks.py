@@ -5,6 +5,7 @@ import pytest
 from renderers import RENDERERS
 
 import stepcore as sc
+from stepcore.mjcf.materials import GREY
 from stepcore.viewing.drawing import CONTRAST, drawing_of
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
@@ -44,6 +45,58 @@ def test_the_visual_geoms_of_a_urdf_are_drawn_and_not_in_the_physics():
     assert (box.size, box.pos, box.rgba) == ((1, 2, 3), (1, 2, 3), (1, 0, 0, 0.5))
     assert (rod.size[:2], rod.rgba) == ((0.1, 1), (0, 0, 1, 1))
     assert [note for note in drawing.notes if "none.dae" in note and "saved" not in note]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "note", "kept"),
+    [
+        # A material that cannot be read leaves the shape, an odd shape the others.
+        ('rgba="1 0 0 0.5"', 'rgba="1 0 0"', "rgba = '1 0 0'", {"box", "cylinder"}),
+        ('rgba="0 0 1 1"', 'rgba="0 0 1"', "rgba = '0 0 1'", {"box", "cylinder"}),
+        ('<origin xyz="1 2 3"/>', '<origin xyz="0 0"/>', "xyz = '0 0'", {"cylinder"}),
+        ('<box size="2 4 6"/>', "<cone/>", "unknown element <cone>", {"cylinder"}),
+        (
+            '<material name="red">',
+            '<material name="blue"/><material name="red">',
+            "a second",
+            {"cylinder"},
+        ),
+        (
+            '<color rgba="1 0 0 0.5"/>',
+            '<texture filename="no://a.png"/>',
+            "no://",
+            {"box", "cylinder"},
+        ),
+    ],
+)
+def test_an_odd_visual_of_a_urdf_costs_no_other(old, new, note, kept):
+    text = ARM.replace(old, new, 1)
+    assert text != ARM
+    _, drawing = drawn(text)
+    assert any(note in line for line in drawing.notes)
+    assert {shape.kind for shape in drawing.shapes if shape.shown} - {"sphere"} == kept
+    rods = [shape for shape in drawing.shapes if shape.kind == "cylinder"]
+    assert 'rgba="0 0 1"' in new or [rod.rgba for rod in rods] == [(0, 0, 1, 1)]
+
+
+def test_a_texture_of_a_urdf_gives_its_mean_colour(images):
+    shade = '<texture filename="images/wood.png"/>'
+    text = ARM.replace('<color rgba="0 0 1 1"/>', shade)
+    text = text.replace('<color rgba="1 0 0 0.5"/>', f'<color rgba="0.5 1 1 0.5"/>{shade}')
+    _, drawing = drawn(text, base=images)
+    colours = {shape.kind: shape.rgba for shape in drawing.shapes if shape.shown}
+    assert colours["cylinder"] == pytest.approx((0.5, 0.25, 0, 1), abs=0.005)
+    assert colours["box"] == pytest.approx((0.25, 0.25, 0, 0.5), abs=0.005)
+    _, drawing = drawn(text, base=images / "images")
+    assert len([note for note in drawing.notes if "wood.png" in note]) == 2
+
+
+def test_a_urdf_without_colours_gets_one_for_each_body():
+    text = ARM.replace('<material name="blue"/>', "").replace('<color rgba="1 0 0 0.5"/>', "")
+    _, drawing = drawn(text)
+    colours = {shape.body: shape.rgba for shape in drawing.shapes if shape.shown}
+    assert len(set(colours.values())) == len(colours) == 3
+    assert GREY not in colours.values()
 
 
 TEXTURED = """

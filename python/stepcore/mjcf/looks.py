@@ -23,7 +23,7 @@ from stepcore.mjcf.refusals import Refusals
 from stepcore.scene.contents import Contents
 from stepcore.scene.elements import Geom, Mesh
 from stepcore.scene.layout import Layout
-from stepcore.urdf.translate import to_drawn_mjcf
+from stepcore.urdf.drawn import to_drawn_mjcf
 
 
 @dataclass

@@ -31,7 +31,7 @@ COLLISION = spec(
     "name group", {"origin": ORIGIN, "geometry": GEOMETRY}, once=("origin", "geometry")
 )
 MATERIAL = spec(
-    "name", {"color": spec("rgba:4"), "texture": spec("filename")}, once=("color", "texture")
+    "name", {"color": spec("rgba:4"), "texture": spec("filename!")}, once=("color", "texture")
 )
 VISUAL = spec(
     "name group",

@@ -20,8 +20,8 @@ from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.schema.notation import Spec
 from stepcore.mjcf.validation import bad, values_of
 from stepcore.scene import frames
-from stepcore.urdf.mesh_paths import mesh_path
-from stepcore.urdf.schema import CLOSED, DRAWN_ROBOT, DRAWS, ROBOT, XACRO_ONLY
+from stepcore.urdf.file_paths import mesh_path
+from stepcore.urdf.schema import CLOSED, DRAWS, ROBOT, XACRO_ONLY
 
 # A joint without an axis turns or slides along the first.
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -35,17 +35,11 @@ def to_mjcf(root: Node, directory: str | None) -> tuple[Node, list[str], list[st
 
     Raises MJCFError with all errors of the file: what is unknown, links in a circle, several roots.
     """
-    robot, tree, ignored = _translated(Robot, ROBOT, root, directory)
+    robot, tree, ignored = translated(Robot, ROBOT, root, directory)
     return tree, ignored, robot.notes()
 
 
-def to_drawn_mjcf(root: Node, directory: str | None) -> tuple[Node, list[Node], list[str]]:
-    """The MJCF tree of a URDF with what only draws; which of its geoms do; what is not drawn."""
-    robot, tree, _ = _translated(DrawnRobot, DRAWN_ROBOT, root, directory)
-    return tree, robot.drawn, robot.undrawn
-
-
-def _translated(
+def translated(
     kind: type[RobotT], schema: Spec, root: Node, directory: str | None
 ) -> tuple[RobotT, Node, list[str]]:
     refusals = Refusals()
@@ -53,7 +47,7 @@ def _translated(
     root.attrs = {name: text for name, text in root.attrs.items() if not name.startswith("xmlns")}
     extension = [child for child in root.children if child.tag == "mujoco"]
     root.children = [child for child in root.children if child.tag != "mujoco"]
-    ignored = _validate(root, schema, refusals)
+    ignored = validate(root, schema, refusals)
     refusals.raise_all()
     robot = kind(root, directory, extension)
     try:
@@ -64,7 +58,7 @@ def _translated(
     return robot, tree, ignored
 
 
-def _validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
+def validate(root: Node, schema: Spec, refusals: Refusals) -> list[str]:
     """Sets `values`, drops what is not read, and returns the lines for `Scene.ignored`."""
     ignored: list[str] = []
     pending: list[tuple[Node, Spec]] = [(root, schema)]
@@ -144,7 +138,7 @@ class Robot:
 
     def _place(self, joint: Node) -> None:
         for end in ("parent", "child"):
-            link = _inside(joint, end)
+            link = inside(joint, end)
             if link is None:
                 raise joint.error(f"<joint> needs a <{end}>")
             name = link.values["link"]
@@ -166,15 +160,15 @@ class Robot:
             second = self.links[roots[1]]
             text = f'links "{cut(roots[0], 80)}" and "{cut(roots[1], 80)}" both have no parent'
             raise second.error(f"{text}: a robot has one root")
-        world = _node("worldbody", self.root)
-        equality = _node("equality", self.root)
+        world = mjcf_node("worldbody", self.root)
+        equality = mjcf_node("equality", self.root)
         placed = self._bodies(roots[0], world, equality)
         lost = next((name for name in self.links if name not in placed), None)
         if lost is not None:
             raise self.links[lost].error(f'link "{cut(lost, 80)}" is in a circle of links')
-        model = _node("mujoco", self.root, model=self.root.attrs.get("name", ""))
-        compiler = _node("compiler", self.root, angle="radian")
-        asset = _node("asset", self.root)
+        model = mjcf_node("mujoco", self.root, model=self.root.attrs.get("name", ""))
+        compiler = mjcf_node("compiler", self.root, angle="radian")
+        asset = mjcf_node("asset", self.root)
         asset.children = list(self.meshes.values())
         own = [child for node in self.extension for child in node.children]
         model.children = [compiler, *own, asset, world, equality]
@@ -206,11 +200,11 @@ class Robot:
 
     def _body(self, link: Node, joint: Node | None, equality: Node) -> Node:
         pose = {} if joint is None else _pose(joint)
-        body = _node("body", link, name=link.values["name"], **pose)
+        body = mjcf_node("body", link, name=link.values["name"], **pose)
         if joint is not None:
             body.children += self._joints(joint)
             equality.children += self._mimic(joint)
-        inertial = _inside(link, "inertial")
+        inertial = inside(link, "inertial")
         if inertial is not None:
             body.children.append(_inertial(inertial))
         body.children += self._geoms(link)
@@ -221,39 +215,41 @@ class Robot:
 
     def _joints(self, joint: Node) -> list[Node]:
         kind, name = joint.values["type"], joint.values["name"]
-        axis = _numbers(joint, "axis", "xyz", X)
+        axis = numbers_of(joint, "axis", "xyz", X)
         common = _dynamics(joint)
         if kind == "fixed":
             return []
         if kind == "floating":
-            return [_node("joint", joint, name=name, type="free")]
+            return [mjcf_node("joint", joint, name=name, type="free")]
         if not any(axis):
-            raise bad(_inside(joint, "axis") or joint, "xyz", axis, "an axis that is not zero")
+            raise bad(inside(joint, "axis") or joint, "xyz", axis, "an axis that is not zero")
         if kind == "planar":
             return _planar(joint, axis, common)
         common |= self._limits(joint, kind)
-        return [_node("joint", joint, name=name, type=MOVES[kind], axis=_words(axis), **common)]
+        return [
+            mjcf_node("joint", joint, name=name, type=MOVES[kind], axis=written(axis), **common)
+        ]
 
     def _limits(self, joint: Node, kind: str) -> dict[str, str]:
-        limit = _inside(joint, "limit")
+        limit = inside(joint, "limit")
         if limit is None:
             return {}
         values, found = limit.values, {}
         self.with_velocity += "velocity" in values
         low, high = values.get("lower", 0.0), values.get("upper", 0.0)
         if kind != "continuous" and low < high:
-            found["range"] = _words((low, high))
+            found["range"] = written((low, high))
         elif kind != "continuous":
             self.unlimited.append(joint.values["name"])
         effort = values.get("effort", 0.0)
         if effort < 0:
             raise bad(limit, "effort", effort, ">= 0")
         if effort > 0:
-            found["actuatorfrcrange"] = _words((-effort, effort))
+            found["actuatorfrcrange"] = written((-effort, effort))
         return found
 
     def _mimic(self, joint: Node) -> list[Node]:
-        mimic = _inside(joint, "mimic")
+        mimic = inside(joint, "mimic")
         if mimic is None:
             return []
         other = mimic.values["joint"]
@@ -266,10 +262,10 @@ class Robot:
                 raise mimic.error(f"<mimic>: {text}: must be one that turns or slides")
         line = (mimic.values.get("offset", 0.0), mimic.values.get("multiplier", 1.0), 0.0, 0.0, 0.0)
         ends = {"joint1": joint.values["name"], "joint2": other}
-        return [_node("joint", mimic, **ends, polycoef=_words(line))]
+        return [mjcf_node("joint", mimic, **ends, polycoef=written(line))]
 
     def _geom(self, collision: Node) -> Node:
-        geometry = _inside(collision, "geometry")
+        geometry = inside(collision, "geometry")
         if geometry is None or len(geometry.children) != 1:
             raise collision.error(f"<{collision.tag}> needs a <geometry> with one shape")
         shape = geometry.children[0]
@@ -287,10 +283,10 @@ class Robot:
         if any(number <= 0 for number in size):
             raise shape.error(f"<{shape.tag}> = {size}: sizes must be > 0")
         if size:
-            more["size"] = _words(size)
+            more["size"] = written(size)
         if collision.values.get("name"):
             more["name"] = collision.values["name"]
-        return _node("geom", collision, type=shape.tag, **more, **_pose(collision))
+        return mjcf_node("geom", collision, type=shape.tag, **more, **_pose(collision))
 
     def _mesh(self, node: Node) -> str:
         """The name of the asset of a mesh, one for each file and scale."""
@@ -303,8 +299,8 @@ class Robot:
             while name in taken:
                 count += 1
                 name = f"{stem}_{count}"
-            own = {"name": name, "file": path, "scale": _words(scale)}
-            self.meshes[path, scale] = _node("mesh", node, **own)
+            own = {"name": name, "file": path, "scale": written(scale)}
+            self.meshes[path, scale] = mjcf_node("mesh", node, **own)
         return self.meshes[path, scale].attrs["name"]
 
     def notes(self) -> list[str]:
@@ -328,52 +324,6 @@ class Robot:
         return found
 
 
-class DrawnRobot(Robot):
-    """A robot with the `<visual>` geoms of its links, which neither collide nor weigh.
-
-    drawn: those. undrawn: what of them could not be read, one line each.
-    """
-
-    def __init__(self, root: Node, directory: str | None, extension: list[Node]) -> None:
-        super().__init__(root, directory, extension)
-        self.drawn: list[Node] = []
-        self.undrawn: list[str] = []
-        visuals = [n for link in self.links.values() for n in link.children if n.tag == "visual"]
-        # Any link may use what another, or the robot, names.
-        materials = [node for of in (*visuals, root) for node in of.children]
-        self.colours = {
-            node.values.get("name", ""): color.values.get("rgba", (0.5, 0.5, 0.5, 1.0))
-            for node in materials
-            if node.tag == "material" and (color := _inside(node, "color")) is not None
-        }
-
-    def _geoms(self, link: Node) -> list[Node]:
-        geoms = super()._geoms(link)
-        for visual in link.children:
-            if visual.tag != "visual":
-                continue
-            try:
-                geom = self._geom(visual)
-            except MJCFError as error:
-                self.undrawn.append(str(error))
-                continue
-            # The same name may be that of a collision geom.
-            geom.attrs.pop("name", None)
-            geom.attrs |= {"contype": "0", "conaffinity": "0", "mass": "0", **self._colour(visual)}
-            self.drawn.append(geom)
-            geoms.append(geom)
-        return geoms
-
-    def _colour(self, visual: Node) -> dict[str, str]:
-        material = _inside(visual, "material")
-        if material is None:
-            return {}
-        own = _inside(material, "color")
-        name = material.values.get("name", "")
-        rgba = self.colours.get(name) if own is None else own.values.get("rgba")
-        return {} if rgba is None else {"rgba": _words(rgba)}
-
-
 RobotT = TypeVar("RobotT", bound=Robot)
 
 
@@ -387,45 +337,45 @@ def _by_name(nodes: Iterable[Node]) -> dict[str, Node]:
     return found
 
 
-def _inside(node: Node, tag: str) -> Node | None:
+def inside(node: Node, tag: str) -> Node | None:
     return next((child for child in node.children if child.tag == tag), None)
 
 
 def _text(node: Node, tag: str, attribute: str) -> str:
-    inner = _inside(node, tag)
+    inner = inside(node, tag)
     assert inner is not None
     text: str = inner.values[attribute]
     return text
 
 
-def _numbers(node: Node, tag: str, attribute: str, default: frames.Vec) -> frames.Vec:
-    inner = _inside(node, tag)
+def numbers_of(node: Node, tag: str, attribute: str, default: frames.Vec) -> frames.Vec:
+    inner = inside(node, tag)
     numbers: frames.Vec = default if inner is None else inner.values.get(attribute, default)
     return numbers
 
 
-def _words(numbers: Iterable[float]) -> str:
+def written(numbers: Iterable[float]) -> str:
     return " ".join(map(repr, numbers))
 
 
-def _node(tag: str, of: Node, **attrs: str) -> Node:
+def mjcf_node(tag: str, of: Node, **attrs: str) -> Node:
     """An element of MJCF that stands where an element of the URDF stands."""
     return Node(tag, attrs, of.file, of.line)
 
 
 def _turn(node: Node) -> frames.Vec:
     """Fixed axes: about x, then y, then z of the parent."""
-    return frames.from_euler(_numbers(node, "origin", "rpy", frames.ORIGIN), "XYZ")
+    return frames.from_euler(numbers_of(node, "origin", "rpy", frames.ORIGIN), "XYZ")
 
 
 def _pose(node: Node) -> dict[str, str]:
-    pos = _numbers(node, "origin", "xyz", frames.ORIGIN)
-    return {"pos": _words(pos), "quat": _words(_turn(node))}
+    pos = numbers_of(node, "origin", "xyz", frames.ORIGIN)
+    return {"pos": written(pos), "quat": written(_turn(node))}
 
 
 def _inertial(node: Node) -> Node:
     """Mass, centre and inertia, in the axes of the link."""
-    mass, inertia = _inside(node, "mass"), _inside(node, "inertia")
+    mass, inertia = inside(node, "mass"), inside(node, "inertia")
     if mass is None:
         raise node.error("<inertial> needs a <mass>")
     six = (0.0,) * 6
@@ -433,11 +383,11 @@ def _inertial(node: Node) -> Node:
         words = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
         six = tuple(inertia.values.get(word, 0.0) for word in words)
     own = {
-        "pos": _words(_numbers(node, "origin", "xyz", frames.ORIGIN)),
+        "pos": written(numbers_of(node, "origin", "xyz", frames.ORIGIN)),
         "mass": repr(mass.values["value"]),
-        "fullinertia": _words(frames.turned_inertia(_turn(node), six)),
+        "fullinertia": written(frames.turned_inertia(_turn(node), six)),
     }
-    return _node("inertial", node, **own)
+    return mjcf_node("inertial", node, **own)
 
 
 def _planar(joint: Node, axis: frames.Vec, common: dict[str, str]) -> list[Node]:
@@ -446,13 +396,13 @@ def _planar(joint: Node, axis: frames.Vec, common: dict[str, str]) -> list[Node]
     made = []
     for end, kind, own in (("_TX", "slide", X), ("_TY", "slide", Y), ("_RZ", "hinge", Z)):
         attrs = {"name": joint.values["name"] + end, "type": kind}
-        attrs["axis"] = _words(frames.rotated(turn, own))
-        made.append(_node("joint", joint, **attrs, **common))
+        attrs["axis"] = written(frames.rotated(turn, own))
+        made.append(mjcf_node("joint", joint, **attrs, **common))
     return made
 
 
 def _dynamics(joint: Node) -> dict[str, str]:
-    dynamics = _inside(joint, "dynamics")
+    dynamics = inside(joint, "dynamics")
     if dynamics is None:
         return {}
     found = {}

@@ -106,9 +106,10 @@ def drawing_of(model: ModelData, world: World) -> Drawing:
     moving = np.array(
         [bool(mocap) or bool(moves) for mocap, moves in zip(*_what_moves(model), strict=True)]
     )
-    shapes = _colliding(model, world, looks, moving)
+    plain = looks is None or _plain(model, looks)
+    shapes = _colliding(model, world, looks, moving, plain)
     if looks is not None:
-        visual = _visual(looks)
+        visual = _visual(looks, moving, plain)
         if looks.instead:
             covered = {shape.body for shape in visual}
             shapes = [replace(s, shown=s.shown and s.body not in covered) for s in shapes]
@@ -140,14 +141,23 @@ def _in_order(model: ModelData) -> list[Any]:
     return Layout(model.scene).bodies
 
 
+def _plain(model: ModelData, looks: Looks) -> bool:
+    """Whether nothing but the ground has a colour."""
+    pairs = [*zip(looks.colours, model.geom_body, strict=True)]
+    pairs += [(look, body) for body, _, look in looks.geoms]
+    return all(look.rgba == GREY for look, body in pairs if body)
+
+
 def _colliding(
-    model: ModelData, world: World, looks: Looks | None, moving: NDArray[np.bool_]
+    model: ModelData,
+    world: World,
+    looks: Looks | None,
+    moving: NDArray[np.bool_],
+    plain: bool,
 ) -> list[Shape]:
     """The geoms that the engine has, those that only draw and are primitives included."""
     shapes = []
     colours = [Look(GREY)] * model.ngeom if looks is None else looks.colours
-    pairs = zip(colours, model.geom_body, strict=True)
-    plain = all(look.rgba == GREY for look, body in pairs if body)
     for index, geom in enumerate(Layout(model.scene).geoms):
         body = int(model.geom_body[index])
         kind, size = model.geom_type[index], tuple(model.geom_size[index].tolist())
@@ -167,7 +177,7 @@ def _colliding(
     return shapes
 
 
-def _visual(looks: Looks) -> list[Shape]:
+def _visual(looks: Looks, moving: NDArray[np.bool_], plain: bool) -> list[Shape]:
     """The geoms that only draw and that the engine has not."""
     shapes = []
     for body, geom, look in looks.geoms:
@@ -177,7 +187,8 @@ def _visual(looks: Looks) -> list[Shape]:
         kind = geom.type if surface is None else "triangles"
         pos, quat, shown = tuple(geom.pos), tuple(geom.quat), geom.group in SHOWN_GROUPS
         size = tuple(geom.size)
-        shapes.append(Shape(body, kind, size, pos, quat, look.rgba, shown, surface, geom.name))
+        rgba = _own_colour(kind, body, moving) if plain and look.rgba == GREY else look.rgba
+        shapes.append(Shape(body, kind, size, pos, quat, rgba, shown, surface, geom.name))
     return shapes
 
 

@@ -1,4 +1,4 @@
-"""Where the mesh files of a URDF lie: ``package://name/…``, ``file://…``, or a path."""
+"""Where the files of a URDF lie: ``package://name/…``, ``file://…``, or a path."""
 
 from __future__ import annotations
 
@@ -21,6 +21,12 @@ def mesh_path(node: Node, directory: str | None, extended: bool) -> str:
     if os.path.splitext(name)[1].lower() not in FORMATS:
         words = ", ".join(FORMATS)
         raise node.error(f'<mesh filename="{name}">: meshes are read from {words}; save it as one')
+    return file_path(node, directory, extended)
+
+
+def file_path(node: Node, directory: str | None, extended: bool) -> str:
+    """The path of the file that a mesh or a texture names; see `mesh_path`."""
+    name = node.values["filename"].replace("\\", "/")
     scheme, found, rest = name.partition("://")
     if not found:
         scheme, rest = "", name
@@ -29,7 +35,7 @@ def mesh_path(node: Node, directory: str | None, extended: bool) -> str:
     elif scheme in ("", "file", "model"):
         place = os.path.join(directory or "", rest)
     else:
-        raise node.error(f'<mesh filename="{name}">: {scheme}:// is not known; package:// is')
+        raise node.error(f'<{node.tag} filename="{name}">: {scheme}:// is not known; package:// is')
     if place and os.path.exists(place):
         return os.path.abspath(place)
     return os.path.basename(rest) if extended else rest
