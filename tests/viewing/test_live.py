@@ -112,6 +112,46 @@ def test_energy_and_residual_are_curves_beside(panel):
     assert time[-1] == pytest.approx(panel.sim.time) and np.all(np.diff(time) > 0)
 
 
+def test_a_motion_that_is_kept_keeps_its_curves(panel):
+    """As long as nothing goes on from an earlier time, one can drag back and forth."""
+
+    def drag(to):
+        panel.back.value = to
+        panel._go_back(BY_HAND)
+        return panel.energy.plot.data
+
+    for _ in range(40):
+        panel.advance(0.05)
+        panel.draw()
+    whole = drag(1.0)
+    early = drag(0.25)
+    assert early[0][-1] == pytest.approx(panel.sim.time) and early[0][-1] < 0.3 * whole[0][-1]
+    again = drag(1.0)
+    assert set(whole[0]) <= set(again[0]) and len(again[0]) <= len(whole[0]) + 1
+    drag(0.25)
+    panel.sim.ctrl[:] = 1.0
+    # Here another motion begins.
+    panel._step()
+    assert panel.past[-1].time == panel.sim.time >= panel.times[-1]
+    assert np.all(np.diff(panel.energy.plot.data[0]) > 0)
+
+
+def test_a_start_begins_the_curves_anew():
+    """Also at a keyframe whose time is later than the curves' end."""
+    scene = sc.loads(
+        """<mujoco><worldbody><body><joint/><geom size="1"/></body></worldbody>
+        <keyframe><key name="late" time="5" qpos="0.5"/></keyframe></mujoco>"""
+    )
+    with live.view_sim(sc.Sim(scene), port=PORT) as view, view._panel.lock:
+        panel = view._panel
+        panel.play(False)
+        panel.advance(0.1)
+        panel.draw()
+        panel.restart(panel._keys()["late"])
+        assert [instant.time for instant in panel.past] == [5.0] == panel.times
+        assert panel.energy.plot.data[0].tolist() == [5.0]
+
+
 def test_runs_are_gone_through_together():
     one, other = cheetah(), cheetah()
     other.qpos[0] += 0.3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from time import monotonic
 from typing import Any
 
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from stepcore.viewing.frames import Instant
 from stepcore.viewing.needs import need
+
+Points = tuple[NDArray[Any], NDArray[Any]]
 
 ORANGE, BLUE, GREY, RED = "#e07a1f", "#2a7de1", "#7a7f87", "#d1495b"
 ENERGY = (("kinetic", ORANGE), ("Δ potential", BLUE), ("Δ total", GREY))
@@ -46,26 +48,33 @@ class Curves:
         )
         self.sent = 0.0
 
-    def draw(self, time: NDArray[Any], values: NDArray[Any], now: bool = True) -> None:
-        """Draws curves, values of shape (names, times); not `now`: unless that was done lately."""
-        if not len(time) or not (now or monotonic() - self.sent > PAUSE):
+    def draw(self, made: Callable[[], Points], now: bool = True) -> None:
+        """Draws curves; not `now`: unless that was done lately.
+
+        made: makes the times, and the values of shape (names, times), where they are drawn.
+        """
+        if not (now or monotonic() - self.sent > PAUSE):
             return
+        time, values = made()
         self.sent = monotonic()
         pick = np.unique(np.linspace(0, len(time) - 1, min(len(time), POINTS)).astype(int))
         self.plot.data = tuple(np.ascontiguousarray(row[pick], float) for row in (time, *values))
 
 
-def energies(instants: Sequence[Instant]) -> NDArray[Any]:
-    """Kinetic energy, and changes of potential and total since the first instant, shape (3, n)."""
+def energies(instants: Sequence[Instant]) -> Points:
+    """Times; kinetic energy, and changes of potential and total since the first instant, (3, n)."""
     kinetic, potential = np.array([instant.energy for instant in instants]).T
     total = kinetic + potential
     # Potential energy has no zero of its own.
-    return np.array([kinetic, potential - potential[0], total - total[0]])
+    values = np.array([kinetic, potential - potential[0], total - total[0]])
+    return _times(instants), values
 
 
-def residuals(instants: Sequence[Instant]) -> NDArray[Any]:
-    """The decimal logarithm of each instant's residual in m/s, shape (1, n)."""
-    logarithms: NDArray[Any] = np.log10(
-        np.maximum([[instant.residual for instant in instants]], LEAST)
-    )
-    return logarithms
+def residuals(instants: Sequence[Instant]) -> Points:
+    """Times; the decimal logarithm of each instant's residual in m/s, shape (1, n)."""
+    found = np.maximum([[instant.residual for instant in instants]], LEAST)
+    return _times(instants), np.log10(found)
+
+
+def _times(instants: Sequence[Instant]) -> NDArray[Any]:
+    return np.array([instant.time for instant in instants])

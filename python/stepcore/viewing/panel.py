@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
+from bisect import bisect_left
 from collections.abc import Sequence
 from time import monotonic
 from typing import Any
 
 import numpy as np
 
-from stepcore.viewing.curves import ENERGY, RED, Curves, energies, residuals
+from stepcore.viewing.curves import ENERGY, RED, Curves, Points, energies, residuals
 from stepcore.viewing.drawing import ARROW, TINTS, drawing_of
 from stepcore.viewing.frames import Instant, Replayed, distance, instant_of
 from stepcore.viewing.stage import Stage
@@ -62,9 +63,8 @@ class Panel(ABC):
         self.residual = Curves(self.gui, "log10 of the residual in m/s", (("log10", RED),), span)
 
     def _draw_curves(self, instants: Sequence[Instant], now: bool) -> None:
-        time = np.array([instant.time for instant in instants])
-        self.energy.draw(time, energies(instants), now)
-        self.residual.draw(time, residuals(instants), now)
+        self.energy.draw(lambda: energies(instants), now)
+        self.residual.draw(lambda: residuals(instants), now)
 
     def _switch(self, name: str, box: Any) -> Any:
         def switch(_: Any) -> None:
@@ -191,7 +191,7 @@ class SimPanel(Panel):
         else:
             self.sim.reset(key=key)
         self.failed = ""
-        self.states, self.times = [self.sim.state()], [self.sim.time]
+        self.states, self.times, self.past = [self.sim.state()], [self.sim.time], []
         for k, slider in enumerate(self.sliders):
             slider.value = min(max(float(self.sim.ctrl[k]), slider.min), slider.max)
         self.draw()
@@ -212,10 +212,11 @@ class SimPanel(Panel):
         while len(self.times) > 1 and self.times[-1] > self.sim.time:
             self.times.pop()
             self.states.pop()
+        while self.past and self.past[-1].time > self.sim.time:
+            self.past.pop()
 
     def advance(self, seconds: float) -> None:
         dt = self.sim.settings.dt
-        self._forget_what_comes()
         self.owed += seconds
         count = int(self.owed / dt + 1e-9)
         self.owed -= count * dt
@@ -230,6 +231,7 @@ class SimPanel(Panel):
     def step(self) -> None:
         if self.failed:
             return
+        self._forget_what_comes()
         try:
             self.sim.step()
         except (RuntimeError, ValueError) as error:
@@ -257,12 +259,13 @@ class SimPanel(Panel):
             self.back.value = 1.0
 
     def _remember(self) -> None:
-        """Adds the instant to the curves; what came later in another motion is forgotten."""
-        while self.past and self.past[-1].time >= self.instant.time:
-            self.past.pop()
-        self.past.append(self.instant)
+        """Adds the instant to the curves, which end at it; what comes later is kept."""
+        now = self.instant.time
+        at = bisect_left(self.past, now, key=lambda instant: instant.time)
+        if at == len(self.past) or self.past[at].time > now:
+            self.past.insert(at, self.instant)
+        self._draw_curves(self.past[: at + 1], not self.playing)
         del self.past[:-KEPT]
-        self._draw_curves(self.past, not self.playing)
 
 
 class RunPanel(Panel):
@@ -326,6 +329,8 @@ class RunPanel(Panel):
         until = self.runs[0].instants[: at[0] + 1]
         self._draw_curves(until, not self.playing)
         if self.apart is not None:
-            time = self.times[0][: at[0] + 1]
-            gaps = 1000 * np.array([gap[: at[0] + 1] for gap in self.gaps])
-            self.apart.draw(time, gaps, not self.playing)
+            self.apart.draw(lambda: self._apart_until(at[0] + 1), not self.playing)
+
+    def _apart_until(self, end: int) -> Points:
+        """The distances of the others from the first run [mm]."""
+        return self.times[0][:end], 1000 * np.array([gap[:end] for gap in self.gaps])
