@@ -40,6 +40,23 @@ def test_a_vector_environment_draws_every_world_as_alone():
     env.close()
 
 
+def test_a_render_shows_tendons_and_solves_nothing(monkeypatch):
+    """The rope stands beside the ball, and is drawn where the state puts it."""
+    text = """<mujoco><worldbody><site name="top" pos="0 .5 2"/><body pos="0 0 1">
+      <joint type="slide" axis="0 0 1"/><geom size=".05" rgba="0 0 1 1"/>
+      <geom size=".05" pos="0 1 0" rgba="0 0 1 1"/><site name="end" pos="0 .5 0"/></body>
+      </worldbody><tendon><spatial><site site="top"/><site site="end"/></spatial></tendon></mujoco>"""
+    env = stepcore.gymnasium.Env(
+        stepcore.loads(text), render_mode="rgb_array", width=160, height=160
+    )
+    env.reset(seed=0)
+    monkeypatch.setattr(stepcore.Sim, "forward", lambda sim: pytest.fail("a picture solved"))
+    drawn = env.render().astype(int)
+    brick = (drawn[..., 0] > drawn[..., 1] + 60) & (drawn[..., 0] > drawn[..., 2] + 60)
+    assert np.count_nonzero(brick.any(axis=1)) > 20
+    env.close()
+
+
 def test_gymnasium_makes_lists_of_pictures():
     options = {"render_mode": "rgb_array_list", "width": 64, "height": 48}
     env = gymnasium.make("stepcore/Reacher-v0", **options)

@@ -55,6 +55,19 @@ def test_a_force_is_an_arrow_to_scale(renderer):
     assert np.ptp(rows) == pytest.approx(expected, rel=0.35)
 
 
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_a_tendon_is_drawn_with_and_without_forces(renderer):
+    text = """<mujoco><worldbody><site name="top" pos="0 0.2 1.6"/><body pos="0 0 1">
+      <joint type="slide" axis="0 0 1"/><geom size="0.2" rgba="0 0 1 1"/>
+      <site name="end" pos="0 0.2 0"/></body></worldbody>
+      <tendon><spatial><site site="top"/><site site="end"/></spatial></tendon></mujoco>"""
+    sim = sc.Sim(sc.loads(text))
+    for forces in (True, False):
+        drawn = sc.picture(sim, renderer=renderer, forces=forces, far=5.0, **SMALL).astype(int)
+        brick = (drawn[..., 0] > drawn[..., 1] + 60) & (drawn[..., 0] > drawn[..., 2] + 60)
+        assert np.count_nonzero(brick.any(axis=1)) > 10
+
+
 def test_a_picture_changes_nothing():
     sim = sc.Sim(lesson.stack())
     sim.step(10)

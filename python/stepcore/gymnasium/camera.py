@@ -33,7 +33,8 @@ class WorldCamera:
         # Drawing takes as long to import as to draw, and few environments are drawn.
         from stepcore.viewing.camera import Camera, camera_of
         from stepcore.viewing.drawing import drawing_of
-        from stepcore.viewing.frames import instant_of
+        from stepcore.viewing.frames import poses_of
+        from stepcore.viewing.marks import ropes
         from stepcore.viewing.picture import renderer_of
 
         if self._sim is None:
@@ -43,14 +44,14 @@ class WorldCamera:
         for name in self._sim._arrays:
             values = world._arrays[name]
             self._sim._arrays[name][...] = values if index is None else values[index]
-        instant = instant_of(self._sim)
+        instant = poses_of(self._sim)
         moving = self._drawing.moving
         where = instant.xpos[moving if moving.any() else ~moving].mean(axis=0)
         if self._first is None:
             self._first = camera_of(self._drawing, instant, -0.9, 0.35, 1.7), where
         first, begun = self._first
         camera = Camera(first.target + where - begun, first.turn, first.lift, first.far)
-        picture: Picture = self._renderer.draw(instant, camera, [])
+        picture: Picture = self._renderer.draw(instant, camera, ropes(self._drawing, instant))
         return picture
 
     def close(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -71,14 +71,26 @@ def instant_of(sim: Any) -> Instant:
     sim.forward()
     contacts = sim.contacts
     bearing = np.linalg.norm(contacts["force"], axis=1) > 0
-    return Instant(
-        time=sim.time,
-        xpos=np.array(sim.xpos),
-        xquat=np.array(sim.xquat),
+    return replace(
+        poses_of(sim),
         places=np.array(contacts["pos"][bearing]),
         forces=np.array(contacts["force"][bearing]),
         energy=(float(sim.energy.kinetic), float(sim.energy.potential)),
         residual=float(sim.residual),
+    )
+
+
+def poses_of(sim: Any) -> Instant:
+    """The present instant of a Sim without a solve: its poses and tendons alone."""
+    nothing = np.empty((0, 3))
+    return Instant(
+        time=sim.time,
+        xpos=np.array(sim.xpos),
+        xquat=np.array(sim.xquat),
+        places=nothing,
+        forces=nothing,
+        energy=(np.nan, np.nan),
+        residual=np.nan,
         tendons=[way for k in range(sim.model.ntendon) for way in sim.tendon_path(k)],
     )
 

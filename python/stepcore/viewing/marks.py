@@ -23,8 +23,21 @@ class Mark(NamedTuple):
     colour: tuple[float, float, float]
 
 
-def marks(drawing: Drawing, instant: Instant, newtons: float) -> list[Mark]:
-    """The marks of an instant; newtons: the force whose arrow is `ARROW` of the extent long."""
+def ropes(drawing: Drawing, instant: Instant) -> list[Mark]:
+    """The tendons of an instant."""
+    width = 0.004 * drawing.extent
+    return [
+        Mark("rod", start, end, width, BRICK)
+        for points in instant.tendons
+        for start, end in itertools.pairwise(points)
+    ]
+
+
+def loads(drawing: Drawing, instant: Instant, newtons: float) -> list[Mark]:
+    """The contacts of an instant and their forces.
+
+    newtons: the force whose arrow is `ARROW` of the extent long.
+    """
     extent, result = drawing.extent, []
     scale = ARROW * extent / (newtons or 1.0)
     for place, force in zip(instant.places, instant.forces, strict=True):
@@ -32,7 +45,4 @@ def marks(drawing: Drawing, instant: Instant, newtons: float) -> list[Mark]:
         end = place + scale * force
         if np.linalg.norm(end - place) > 0.01 * extent:
             result.append(Mark("arrow", place, end, 0.007 * extent, RED))
-    for points in instant.tendons:
-        for start, end in itertools.pairwise(points):
-            result.append(Mark("rod", start, end, 0.004 * extent, BRICK))
     return result

@@ -12,7 +12,7 @@ from stepcore import checks
 from stepcore.viewing.camera import Camera, camera_of
 from stepcore.viewing.drawing import Drawing, drawing_of
 from stepcore.viewing.frames import Replayed, instant_of
-from stepcore.viewing.marks import marks
+from stepcore.viewing.marks import loads, ropes
 from stepcore.viewing.mitsuba_picture import MitsubaPicture
 from stepcore.viewing.mujoco_picture import MujocoPicture
 from stepcore.viewing.needs import need
@@ -61,9 +61,8 @@ def picture(
     made = renderer_of(drawing, width, height, renderer)
     try:
         newtons = drawing.weight or float(np.abs(instant.forces).max(initial=0.0))
-        drawn: NDArray[np.uint8] = made.draw(
-            instant, camera, marks(drawing, instant, newtons) if forces else []
-        )
+        marks = ropes(drawing, instant) + (loads(drawing, instant, newtons) if forces else [])
+        drawn: NDArray[np.uint8] = made.draw(instant, camera, marks)
     finally:
         made.close()
     if path is not None:
@@ -98,7 +97,8 @@ def save_video(
             instant = run.instants[int(np.argmin(np.abs(time - now)))]
             target = first.target + instant.xpos[moving].mean(axis=0) - start
             camera = Camera(target, first.turn, first.lift, first.far)
-            drawn = made.draw(instant, camera, marks(drawing, instant, newtons))
+            marks = ropes(drawing, instant) + loads(drawing, instant, newtons)
+            drawn = made.draw(instant, camera, marks)
             writer.send(np.ascontiguousarray(drawn))
     finally:
         writer.close()
