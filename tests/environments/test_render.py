@@ -45,7 +45,8 @@ def test_a_render_shows_tendons_and_solves_nothing(monkeypatch):
     text = """<mujoco><worldbody><site name="top" pos="0 .5 2"/><body pos="0 0 1">
       <joint type="slide" axis="0 0 1"/><geom size=".05" rgba="0 0 1 1"/>
       <geom size=".05" pos="0 1 0" rgba="0 0 1 1"/><site name="end" pos="0 .5 0"/></body>
-      </worldbody><tendon><spatial><site site="top"/><site site="end"/></spatial></tendon></mujoco>"""
+      </worldbody><tendon><spatial><site site="top"/><site site="end"/></spatial></tendon>
+      </mujoco>"""
     env = stepcore.gymnasium.Env(
         stepcore.loads(text), render_mode="rgb_array", width=160, height=160
     )

@@ -57,13 +57,15 @@ def test_a_force_is_an_arrow_to_scale(renderer):
 
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_a_tendon_is_drawn_with_and_without_forces(renderer):
-    text = """<mujoco><worldbody><site name="top" pos="0 0.2 1.6"/><body pos="0 0 1">
+    text = """<mujoco><worldbody><site name="top" pos="0 0.3 1.6"/><body pos="0 0 1">
       <joint type="slide" axis="0 0 1"/><geom size="0.2" rgba="0 0 1 1"/>
-      <site name="end" pos="0 0.2 0"/></body></worldbody>
+      <site name="end" pos="0 0.3 0"/></body></worldbody>
       <tendon><spatial><site site="top"/><site site="end"/></spatial></tendon></mujoco>"""
     sim = sc.Sim(sc.loads(text))
     for forces in (True, False):
-        drawn = sc.picture(sim, renderer=renderer, forces=forces, far=5.0, **SMALL).astype(int)
+        drawn = sc.picture(
+            sim, renderer=renderer, forces=forces, far=4.0, width=320, height=240
+        ).astype(int)
         brick = (drawn[..., 0] > drawn[..., 1] + 60) & (drawn[..., 0] > drawn[..., 2] + 60)
         assert np.count_nonzero(brick.any(axis=1)) > 10
 
