@@ -262,9 +262,11 @@ STEPPED = {"qpos": 1e-9, "qvel": 1e-9, "act": 1e-9}
 
 
 def owned_forces(sim: sc.Sim, model: mujoco.MjModel) -> np.ndarray:
-    """The force of each of MuJoCo's actuators: ours that are further inputs of one have none."""
-    inputs = np.repeat(np.arange(len(model.actuator_ctrlnum)), model.actuator_ctrlnum)
-    return np.bincount(inputs, sim.actuator_force, len(model.actuator_ctrlnum))
+    """The forces of MuJoCo's actuators: ours beyond those of one, further inputs, have none."""
+    ends = np.cumsum(model.actuator_ctrlnum)
+    outputs = zip(ends - model.actuator_ctrlnum, model.actuator_outnum, strict=True)
+    ours: np.ndarray = sim.actuator_force
+    return np.concatenate([ours[:0], *(ours[start : start + n] for start, n in outputs)])
 
 
 def note_forward(

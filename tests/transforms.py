@@ -14,6 +14,7 @@ import numpy as np
 
 import stepcore as sc
 from stepcore.scene.elements import fields_of
+from stepcore.scene.orienting import parts
 
 NQ = {"free": 7, "ball": 4, "slide": 1, "hinge": 1}
 NV = {"free": 6, "ball": 3, "slide": 1, "hinge": 1}
@@ -22,12 +23,13 @@ TURNS = ("hinge", "ball")
 
 @dataclass(frozen=True)
 class Transform:
-    """A transformed scene, and what becomes of qpos, qvel and settings."""
+    """A transformed scene, and what becomes of qpos, qvel, settings and controls."""
 
     scene: sc.Scene
     qpos: Callable[[np.ndarray], np.ndarray]
     qvel: Callable[[np.ndarray], np.ndarray]
     settings: dict
+    ctrl: Callable[[np.ndarray], np.ndarray] = np.array
 
 
 def named(scene):
@@ -338,10 +340,20 @@ def mirrored(scene):
         if equality.relpose is not None:
             equality.relpose = equality.relpose * np.r_[MIRROR, TURNED]
     scene.keys.clear()
+    signs = np.array([_mirrored_part(actuator) for actuator in scene.actuators])
     one = np.ones(1)
     positions = {"free": np.r_[MIRROR, TURNED], "ball": TURNED, "slide": one, "hinge": one}
     speeds = {"free": np.r_[MIRROR, AXIAL], "ball": AXIAL, "slide": one, "hinge": one}
-    return Transform(scene, _by_joint(scene, positions.get), _by_joint(scene, speeds.get), {})
+    by_joint = [_by_joint(scene, table.get) for table in (positions, speeds)]
+    return Transform(scene, *by_joint, {}, lambda ctrl: ctrl * signs)
+
+
+def _mirrored_part(actuator):
+    """The sign of a part of an orientation; 1 for other controls."""
+    if (actuator.feeds or actuator).type != "orientation":
+        return 1.0
+    part = actuator.input if actuator.feeds else parts(actuator)[0]
+    return dict(zip("wxyz", TURNED, strict=True))[part]
 
 
 # --- another order, two copies --------------------------------------------------------------------

@@ -130,7 +130,7 @@ _ACTUATOR_OWN: dict[str, dict[str, Case]] = {
         "kp": "9",
         "kv": "2",
         "dampratio": ".7",
-        "input": "vel",
+        "input": "quat",
         "joint": ("bl2", ""),
         "forcerange": "0 .01",
         "forcelimited": ("false", 'forcerange="0 .01"'),

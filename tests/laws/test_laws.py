@@ -89,7 +89,7 @@ def set_up(scene, name, precision, move=None, copies=1, **settings):
     sim = sc.Sim(scene.compile(), precision=precision, **settings)
     qpos, qvel, ctrl = (rounded(x, precision) for x in start_of(name))
     sim.qpos[:], sim.qvel[:] = (move.qpos(qpos), move.qvel(qvel)) if move else (qpos, qvel)
-    sim.ctrl[:] = np.tile(ctrl, copies)
+    sim.ctrl[:] = np.tile(move.ctrl(ctrl) if move else ctrl, copies)
     return sim
 
 

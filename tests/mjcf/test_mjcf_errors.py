@@ -224,7 +224,10 @@ MISTAKES = {
 # What would change the motion; a value without effect is accepted.
 UNBUILT = {
     "<flex> in <equality>": ("", '<equality><flex flex="b"/></equality>'),
-    "<orientation> in <actuator>": ("", '<actuator><orientation joint="j"/></actuator>'),
+    "an <orientation> that turns a site": (
+        '<site name="s"/>',
+        '<actuator><orientation site="s" refsite="s"/></actuator>',
+    ),
     'gaintype="pid"': ('<joint name="j"/>', servo("general", 'gaintype="pid"')),
     'biastype="user"': ('<joint name="j"/>', servo("general", 'biastype="user"')),
     "<plugin> in <extension>": ("", '<extension><plugin plugin="a"/></extension>'),

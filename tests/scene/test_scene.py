@@ -117,6 +117,7 @@ def test_bodies_become_depth_first_and_indices_follow() -> None:
             "muscle_bias": None,
             "dampratio": 0,
             "controller": None,
+            "orientation": None,
             "feeds": None,
             "input": "pos",
             "dynamics": "none",

@@ -47,6 +47,17 @@ add(
       <dcmotor joint="a" nominal="12 3 20" lugre="20 .3 .2 .4 .3" saturation=".4"/></actuator>""",
 )
 add(
+    "orientations",
+    f"""
+    <body pos="0 0 1"><joint name="ball" type="ball" damping=".1"/>
+      <geom type="box" size=".1 .2 .05" pos=".1 0 .1" {INERT}/>
+      <body pos=".3 0 0"><joint name="wrist" type="ball"/>
+        <geom type="capsule" fromto="0 0 0 .3 .1 0" size=".03" {INERT}/></body></body>""",
+    extra="""<actuator>
+      <orientation name="turn" joint="ball" kp="4" kv=".3" forcerange="0 40"/>
+      <orientation name="point" joint="wrist" kp="2" dampratio=".7" input="quat"/></actuator>""",
+)
+add(
     "late_controls",
     ARM,
     extra="""<actuator>

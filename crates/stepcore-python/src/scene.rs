@@ -4,8 +4,8 @@ use pyo3::prelude::*;
 use stepcore::scene::{
     Actuator, Body, ContactOverride, Controller, Dynamics, Equality, EqualityType, ExplicitPair,
     Features, FluidShape, Frame, Geom, GeomType, HField, Inertial, Input, Interp, Joint, JointType,
-    Key, MassRules, Mesh, MeshInertia, Motor, Muscle, ObjectType, Reduce, Scene, Sensor,
-    SensorField, SensorObject, SensorType, Site, Softness, Stop, Target, Tendon,
+    Key, MassRules, Mesh, MeshInertia, Motor, Muscle, ObjectType, Orientation, Reduce, Scene,
+    Sensor, SensorField, SensorObject, SensorType, Site, Softness, Stop, Target, Tendon,
 };
 
 use crate::extract::{record, refuse, At, Read, Record};
@@ -67,7 +67,10 @@ named!(SensorField {
     "origin" => Origin, "point" => Point, "pos" => Pos, "normal" => Normal,
     "tangent" => Tangent, "depth" => Depth, "linvel" => LinVel, "angvel" => AngVel,
 });
-named!(Input { "pos" => Pos, "vel" => Vel, "ff" => Ff, "voltage" => Voltage });
+named!(Input {
+    "pos" => Pos, "vel" => Vel, "ff" => Ff, "voltage" => Voltage,
+    "x" => X, "y" => Y, "z" => Z, "w" => W,
+});
 named!(Interp { "zoh" => Hold, "linear" => Linear, "cubic" => Cubic });
 named!(Reduce {
     "none" => None, "mindist" => MinDist, "maxforce" => MaxForce, "netforce" => NetForce,
@@ -187,6 +190,7 @@ record!(Sensor { name, kind, object, reference, cutoff, data, reduce, num });
 record!(Muscle { range, force, scale, lmin, lmax, vmax, fpmax, fvmax });
 record!(Motor { constant, resistance, inductance, vmax, current_rate, thermal, cogging, lugre });
 record!(Controller { ki, imax, slewmax, motor });
+record!(Orientation { axis, quat });
 record!(Actuator {
     name,
     target,
@@ -197,6 +201,7 @@ record!(Actuator {
     muscle_bias,
     dampratio,
     controller,
+    orientation,
     input,
     feeds,
     dynamics,

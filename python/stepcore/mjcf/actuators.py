@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from stepcore.mjcf.controllers import INPUTS, first_of, others
+from stepcore.mjcf.controllers import INPUTS, first_of
 from stepcore.mjcf.gains import ActuatorGains, saturated
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader, polynomial
 from stepcore.scene.actuation import MUSCLE
 from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS, Actuator
+from stepcore.scene.orienting import parts
 
 TRANSMISSIONS = ("joint", "jointinparent", "tendon", "slidersite", "site", "body")
 # The second site of a transmission between two sites.
@@ -52,7 +53,7 @@ def read(world: WorldReader, node: Node) -> None:
         **given,
     )
     world.keep(node, added)
-    for word in others(gains):
+    for word in parts(added)[1:]:
         _add_input(world, node, added, word)
 
 
@@ -105,8 +106,10 @@ def _target(world: WorldReader, node: Node, values: dict[str, Any]) -> dict[str,
 def _refuse(node: Node, values: dict[str, Any]) -> None:
     if values.get("delay", 0.0) > 0 and values.get("nsample", 0) <= 0:
         raise bad(node, "nsample", values.get("nsample", 0), "> 0 with a delay")
-    known = node.tag in INPUTS or node.values.get("input", "") in ("", "pos", "vel", "pressure")
-    if not known:
+    if node.tag == "orientation" and "joint" not in values:
+        raise node.unbuilt("an <orientation> that turns a site", "site")
+    several = node.tag in (*INPUTS, "orientation")
+    if not several and node.values.get("input", "") not in ("", "pos", "vel", "pressure"):
         raise bad(node, "input", node.values["input"], "pos, vel or pressure")
 
 
@@ -131,6 +134,9 @@ def _words(gains: ActuatorGains) -> dict[str, Any]:
         if gains.tag == "position" and filtered:
             words["timeconst"] = gains.dynprm[0]
         return {"kp": gain, **words}
+    if gains.tag == "orientation":
+        words = {"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping}
+        return {"kp": gain, "input": gains.input, **words}
     if gains.tag == "pid":
         words = {"dampratio": damping} if damping > 0 else {"kv": 0.0 - damping}
         return {"kp": gain, "input": gains.input, **words, **gains.more}

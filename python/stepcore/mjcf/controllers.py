@@ -33,12 +33,6 @@ def first_of(gains: Any) -> str:
     return words.split()[0]
 
 
-def others(gains: Any) -> list[str]:
-    """Its other inputs."""
-    words: str = gains.input
-    return words.split()[1:] if gains.tag in INPUTS else []
-
-
 def _input(node: Node, inherited: str) -> str:
     given: str = node.values.get("input", "") or inherited
     known = INPUTS[node.tag]

@@ -15,6 +15,7 @@ from stepcore.mjcf import controllers
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.scene.actuation import MUSCLE
+from stepcore.scene.elements.actuator import CHARTS
 from stepcore.scene.frames import ORIGIN, Vec
 
 BUILT = (
@@ -29,6 +30,7 @@ BUILT = (
         "adhesion",
         "pid",
         "dcmotor",
+        "orientation",
         "general",
     ),
 )
@@ -87,6 +89,8 @@ def inherited(chain: Chain, node: Node) -> ActuatorGains:
     base = next((g for g in reversed(chain) if g.tag in (node.tag, "general")), ActuatorGains())
     if node.tag in ("position", "intvelocity"):
         return _position(base, node)
+    if node.tag == "orientation":
+        return _orientation(next((g for g in reversed(chain) if g.tag == node.tag), None), node)
     return replace(_SHORTCUTS[node.tag](base, node), inheritrange=kept)
 
 
@@ -190,6 +194,15 @@ def _position(base: ActuatorGains, node: Node) -> ActuatorGains:
         kind, times = "integrator", (1.0, 0.0, 0.0)
     bias, scale = (0.0, -kp, damping), _inheritrange(base, node)
     return ActuatorGains(node.tag, (kp,), bias, kind, "fixed", "affine", scale, times)
+
+
+def _orientation(own: ActuatorGains | None, node: Node) -> ActuatorGains:
+    base = own or ActuatorGains(biasprm=(0.0, -1.0, 0.0), input="expmap")
+    chart = node.values.get("input", "") or base.input
+    if chart not in CHARTS:
+        raise bad(node, "input", chart, " or ".join(CHARTS))
+    made = _position(replace(base, tag="orientation", inheritrange=0.0), node)
+    return replace(made, inheritrange=0.0, input=chart)
 
 
 def _inheritrange(base: ActuatorGains, node: Node) -> float:

@@ -69,6 +69,9 @@ def _not_computed(world: WorldReader, node: Node) -> str:
                 return "the axes of a body's own inertial frame are not kept"
     if node.tag == "actuatorvel" and world.scene.actuator(values["actuator"]).body is not None:
         return ADHERES
+    read = node.tag in ("actuatorpos", "actuatorvel", "actuatorfrc")
+    if read and world.scene.actuator(values["actuator"]).type == "orientation":
+        return "an orientation has three lengths and forces, each of an actuator"
     if values.get("enclosed"):
         return "how far an object juts out of a site (enclosed) is not computed"
     if node.tag in ("touch", "contact", "insidesite") and site in world.mesh_sites:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stepcore import checks
-from stepcore.scene import controlling
+from stepcore.scene import controlling, orienting
 from stepcore.scene.elements import Actuator
 from stepcore.scene.elements.actuator import SECOND, TARGETS
 from stepcore.scene.frames import ORIGIN, Vec
@@ -40,6 +40,7 @@ WORDS = {
     "pid": (*SERVO, "input", *controlling.CONTROL),
     "dcmotor": ("kp", "kv", "input", *controlling.CONTROL, *controlling.MOTOR),
     "input": ("input",),
+    "orientation": (*SERVO, "input"),
     "damper": ("kv",),
     "cylinder": ("timeconst", "area", "bias"),
     "adhesion": ("gain",),
@@ -102,8 +103,13 @@ def law(actuator: Actuator) -> Law:
         times = _or(actuator.timeconst, (0.01, 0.04))
         parameters = (*times, _or(actuator.tausmooth, 0.0))
         return Law(ORIGIN, dynamics=("muscle", parameters), muscle_gain=words, muscle_bias=words)
+    if kind == "orientation":
+        kp, kv = _or(actuator.kp, 1.0), _or(actuator.kv, 0.0)
+        return Law((kp, 0.0, 0.0), (0.0, 0.0 - kp, 0.0 - kv), _or(actuator.dampratio, 0.0))
     if kind == "input":
-        return Law(ORIGIN)
+        owner = actuator.feeds
+        turns = owner is not None and orienting.axis(actuator) is not None
+        return law(owner) if owner is not None and turns else Law(ORIGIN)
     return _general(actuator) if kind == "general" else Law()
 
 
@@ -175,8 +181,7 @@ def plain(actuator: Actuator) -> dict[str, Any]:
         "bias": list(own.bias),
         "dampratio": own.dampratio,
         "controller": own.controller,
-        "input": _or(actuator.input, "pos").split()[0],
-        "gear": list((actuator.feeds or actuator).gear),
+        **orienting.plain(actuator),
         "dynamics": kind,
         "dynprm": list(parameters),
         "muscle_gain": _listed(own.muscle_gain),
@@ -219,9 +224,11 @@ def check(actuator: Actuator) -> None:
     if timeconst is not None and pair != (actuator.type == "muscle"):
         limit = "two numbers for a muscle, one for others"
         raise checks.refuse(actuator, "timeconst", timeconst, limit)
-    if actuator.type in ("pid", "dcmotor", "input"):
+    if actuator.type in ("pid", "dcmotor"):
         controlling.check(actuator)
-    if actuator.type in ("position", "intvelocity", "damper", "pid"):
+    if actuator.type in ("orientation", "input"):
+        orienting.check(actuator)
+    if actuator.type in ("position", "intvelocity", "damper", "pid", "orientation"):
         for word in ("kv", "dampratio", "timeconst"):
             if _or(getattr(actuator, word), 0.0) < 0:
                 raise checks.refuse(actuator, word, getattr(actuator, word), ">= 0")

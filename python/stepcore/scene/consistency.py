@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
-from stepcore.scene import actuation, controlling, sensing, tying
+from stepcore.scene import actuation, orienting, sensing, tying
 from stepcore.scene.elements import Body, Element, Geom, Site, Tendon
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import IDENTITY, ORIGIN
@@ -60,7 +60,7 @@ def check(layout: Layout) -> None:
                 text = f"refers to {element}, which is not in this scene"
                 raise checks.ElementError(actuator, text)
         actuation.check(actuator)
-    controlling.check_inputs(scene.actuators)
+    orienting.check_inputs(scene.actuators)
     for equality in scene.equalities:
         tying.check(layout, equality)
     _check_pairs(layout)

@@ -7,15 +7,11 @@ voltage, current, temperature, cogging and bristles (MuJoCo documentation, XML r
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stepcore import checks
 from stepcore.scene.elements import Actuator
-from stepcore.scene.elements.actuator import INPUTS
 from stepcore.scene.frames import ORIGIN
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 CONTROL = ("ki", "imax", "slewmax")
 # A motor's numbers; the first two alone make no controller.
@@ -64,9 +60,7 @@ def _any(value: Any) -> bool:
 
 
 def check(actuator: Actuator) -> None:
-    """ValueError for numbers of a controller or an input that do not go together."""
-    if actuator.type == "input":
-        return _check_input(actuator)
+    """ValueError for numbers of a controller that do not go together."""
     words = inputs(actuator)
     if actuator.type == "dcmotor":
         _check_motor(actuator, words)
@@ -81,7 +75,6 @@ def check(actuator: Actuator) -> None:
         what = "pos" if actuator.type == "pid" else "pos, vel or ff"
         raise checks.refuse(actuator, "slewmax", actuator.slewmax, f"None without the input {what}")
     _check_turns(actuator, words)
-    return None
 
 
 def _check_motor(actuator: Actuator, words: list[str]) -> None:
@@ -113,30 +106,3 @@ def _check_turns(actuator: Actuator, words: list[str]) -> None:
             raise checks.refuse(
                 actuator, word, getattr(actuator, word), "None on a ball or a refsite"
             )
-
-
-def _check_input(actuator: Actuator) -> None:
-    if actuator.feeds is None:
-        raise checks.refuse(actuator, "feeds", None, "a pid or a dcmotor for type 'input'")
-    if actuator.input not in INPUTS:
-        raise checks.refuse(actuator, "input", actuator.input, f"one of {', '.join(INPUTS)}")
-    owner = actuator.feeds
-    if owner.type not in ("pid", "dcmotor") or actuator.input not in inputs(owner)[1:]:
-        limit = f"with {actuator.input!r} among its inputs, and not the first"
-        raise checks.refuse(actuator, "feeds", owner, limit)
-
-
-def check_inputs(actuators: Sequence[Actuator]) -> None:
-    """ValueError where an input of a controller has no control, or has two."""
-    fed: dict[int, list[str]] = {}
-    for actuator in actuators:
-        if actuator.feeds is not None and actuator.input is not None:
-            fed.setdefault(id(actuator.feeds), []).append(actuator.input)
-    for actuator in actuators:
-        if actuator.type not in ("pid", "dcmotor"):
-            continue
-        found = fed.get(id(actuator), [])
-        for word in inputs(actuator)[1:]:
-            if found.count(word) != 1:
-                limit = f"one actuator of type 'input' that feeds {word!r}, not {found.count(word)}"
-                raise checks.refuse(actuator, "input", actuator.input, limit)

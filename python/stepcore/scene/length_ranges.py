@@ -100,7 +100,7 @@ def _bare(data: dict[str, Any]) -> dict[str, Any]:
     motor = {
         **{"gain": [1.0, 0.0, 0.0], "bias": [0.0, 0.0, 0.0], "dampratio": 0.0},
         **{"muscle_gain": None, "muscle_bias": None, "dynamics": "none", "delay": 0.0},
-        **{"controller": None, "feeds": None},
+        **{"controller": None, "orientation": None, "feeds": None},
         **dict.fromkeys(("ctrlrange", "actrange", "forcerange")),
         **{"damping": [0.0, 0.0, 0.0], "actearly": False, "enabled": True},
     }

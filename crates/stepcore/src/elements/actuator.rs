@@ -14,6 +14,7 @@ use super::activation::{nearest, signal, Activations};
 use super::controller::{work, Work};
 use super::force::{Forces, Group, Moment};
 use super::gravcomp::asked_of_drives;
+use super::orientation::turn;
 use super::Kind;
 use crate::model::Model;
 use crate::place::Pulls;
@@ -33,10 +34,11 @@ impl scene::Actuator {
         }
     }
 
-    /// A motor's bounds are those of its current, which its controller keeps.
+    /// A motor's bounds are those of its current, which its controller keeps; those of a servo of
+    /// orientations bound the length of its torque.
     fn bounds(&self) -> Option<[f64; 2]> {
         let motor = self.controller.as_ref().is_some_and(|own| own.motor.is_some());
-        self.forcerange.filter(|_| !motor)
+        self.forcerange.filter(|_| !motor && self.orientation.is_none())
     }
 
     fn bounded<R: Real>(&self, force: R) -> R {
@@ -52,6 +54,7 @@ impl scene::Actuator {
         let [_, length, velocity] = self.bias;
         let pulls_both_ways = self.forcerange.is_none_or(|[lo, hi]| lo < 0.0 && hi > 0.0);
         let plain = !self.gain_varies() && self.muscle_bias.is_none() && self.controller.is_none();
+        let plain = plain && self.orientation.is_none();
         if !plain || velocity > 0.0 || length > 0.0 || !pulls_both_ways {
             Drive::Motor
         } else if length < 0.0 {
@@ -162,6 +165,10 @@ pub(crate) fn tensions<R: Real>(
             tensions[index] = work.force;
             continue;
         }
+        if let Some(turn) = turn(model, index, (qpos, qvel), act, inputs) {
+            tensions[index] = turn.force;
+            continue;
+        }
         let at = Along::of(model, index, qpos, qvel, pulls);
         let u = input(model, index, act, act.ctrl(model, index, inputs), at.length);
         let mut force = asked(model, index, at, u);
@@ -260,7 +267,7 @@ impl Model {
     /// Servos whose force is bounded. Where it reaches its bound they do not damp, and swing about
     /// their target with all the energy that the bound gives.
     pub(crate) fn bounded_servos(&self) -> impl Iterator<Item = usize> + '_ {
-        let bounded = |a: &scene::Actuator| a.feeds_back() && a.forcerange.is_some();
+        let bounded = |a: &scene::Actuator| a.feeds_back() && a.bounds().is_some();
         let all = self.actuators.iter().enumerate();
         all.filter(move |(_, actuator)| bounded(actuator)).map(|(index, _)| index)
     }
@@ -273,6 +280,8 @@ fn free<R: Real>(now: &Moment<R>, index: usize) -> Option<R::Mask> {
         let force = now.frames.tension[index];
         force.gt(R::of(lo)).and(force.lt(R::of(hi)))
     });
+    let turn = turn(model, index, (now.qpos, now.qvel), now.act, now.inputs);
+    let own = turn.map_or(own, |turn| Some(turn.free));
     let at = match actuator.target {
         _ if now.frames.shares.is_empty() => return own,
         Target::Joint(joint) | Target::InParent(joint) => model.joints[joint].dof,
@@ -287,7 +296,7 @@ fn free<R: Real>(now: &Moment<R>, index: usize) -> Option<R::Mask> {
 /// The force of a servo is at its bound.
 pub(crate) fn saturated<R: Real>(now: &Moment<R>, index: usize) -> R::Mask {
     let tension = now.frames.tension[index];
-    let range = now.model.actuators[index].forcerange;
+    let range = now.model.actuators[index].bounds();
     range.map_or(R::Mask::of(false), |[lo, hi]| tension.le(R::of(lo)).or(R::of(hi).le(tension)))
 }
 

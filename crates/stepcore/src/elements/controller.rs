@@ -147,7 +147,7 @@ struct Along<'a, R: Real> {
 
 impl<R: Real> Along<'_, R> {
     fn given(&self, input: Input) -> R {
-        self.ctrl[input as usize].unwrap_or(R::zero())
+        self.ctrl[input.slot()].unwrap_or(R::zero())
     }
 
     /// `reach`: for how long what is early has moved already.

@@ -29,6 +29,7 @@ mod gravity;
 mod limit;
 mod muscle;
 mod name;
+mod orientation;
 pub(crate) mod penalty;
 mod shared_contacts;
 mod spring;

@@ -157,6 +157,18 @@ impl<'a> Factor<'a> {
     }
 }
 
+/// The axes of a servo of orientations have the mean of their weights.
+fn share_axes(model: &Model, pulled: &mut [[f64; 2]]) {
+    let turns = |index: &usize| model.actuators[*index].orientation.is_some();
+    let leads = |index: &usize| turns(index) && model.actuators[*index].feeds.is_none();
+    for first in (0..pulled.len()).filter(leads) {
+        let own = |index: &usize| model.actuators[*index].feeds == Some(first) && turns(index);
+        let axes: Vec<usize> = (0..pulled.len()).filter(|k| *k == first || own(k)).collect();
+        let mean = axes.iter().map(|k| pulled[*k][0]).sum::<f64>() / axes.len() as f64;
+        axes.iter().for_each(|k| pulled[*k][0] = mean);
+    }
+}
+
 /// Fills the inverse weights of all bodies and dofs.
 ///
 /// A body: the mean over three directions of J M⁻¹ Jᵀ at its centre of mass, for
@@ -198,6 +210,7 @@ pub fn fill(model: &mut Model, poses: &[Pose], aligned: &[bool]) -> Result<()> {
             *weight += tendon_weight(&factor, tendon);
         }
     }
+    share_axes(model, &mut pulled);
     for (actuator, [weight, square]) in model.actuators.iter_mut().zip(pulled) {
         if actuator.dampratio != 0.0 {
             let inertia = if weight > 0.0 { 1.0 / weight } else { 0.0 };

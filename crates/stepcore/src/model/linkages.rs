@@ -43,9 +43,10 @@ pub fn fill(scene: &Scene, model: &mut Model) {
     }
     model.feeders = vec![[None; 4]; scene.actuators.len()];
     for (index, actuator) in scene.actuators.iter().enumerate() {
-        let owner = actuator.controller.as_ref().map(|_| index).or(actuator.feeds);
+        let leads = actuator.controller.is_some() || actuator.orientation.is_some();
+        let owner = actuator.feeds.or(leads.then_some(index));
         if let Some(owner) = owner {
-            model.feeders[owner][actuator.input as usize] = Some(index);
+            model.feeders[owner][actuator.input.slot()] = Some(index);
         }
     }
     model.clamps = (model.joints.iter().enumerate())

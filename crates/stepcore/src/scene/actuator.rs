@@ -24,6 +24,8 @@ pub struct Actuator {
     pub dampratio: f64,
     /// In place of the gain: a controller, of which kp is −bias₁ and kv −bias₂.
     pub controller: Option<Controller>,
+    /// It is one of three that turn a ball together, kp being −bias₁ and kv −bias₂.
+    pub orientation: Option<Orientation>,
     /// What its control is to a controller; and of which actuator's, where that is another one: it
     /// then makes no force itself.
     pub input: Input,
@@ -120,7 +122,8 @@ pub struct Muscle {
     pub fvmax: f64,
 }
 
-/// What a control is to a controller: a target of length or velocity, a force beside, a voltage.
+/// What a control is to a controller: a target of length or velocity, a force beside, a voltage; or a
+/// part of the orientation that a servo turns to.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Input {
     #[default]
@@ -128,6 +131,31 @@ pub enum Input {
     Vel,
     Ff,
     Voltage,
+    X,
+    Y,
+    Z,
+    W,
+}
+
+impl Input {
+    /// Its place among the inputs of its actuator.
+    pub fn slot(self) -> usize {
+        match self {
+            Self::Pos | Self::X => 0,
+            Self::Vel | Self::Y => 1,
+            Self::Ff | Self::Z => 2,
+            Self::Voltage | Self::W => 3,
+        }
+    }
+}
+
+/// An axis of a servo that turns a ball to an orientation; the first of its three feeds none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Orientation {
+    /// The axis of the body about which it turns.
+    pub axis: usize,
+    /// The controls are a quaternion, w first; else a rotation vector.
+    pub quat: bool,
 }
 
 /// A controller as MuJoCo's `pid` and `dcmotor` describe it. It has an activation for each of its
@@ -194,6 +222,7 @@ impl Default for Actuator {
             muscle_bias: None,
             dampratio: 0.0,
             controller: None,
+            orientation: None,
             input: Input::Pos,
             feeds: None,
             dynamics: Dynamics::None,
@@ -242,6 +271,6 @@ impl Actuator {
     /// Its control is a length: gain · (u − length), but for a constant.
     pub fn holds_a_length(&self) -> bool {
         let fixed = self.gain[1] == 0.0 && self.gain[2] == 0.0 && !self.is_muscle();
-        fixed && self.gain[0] != 0.0 && self.gain[0] == -self.bias[1]
+        fixed && self.orientation.is_none() && self.gain[0] != 0.0 && self.gain[0] == -self.bias[1]
     }
 }

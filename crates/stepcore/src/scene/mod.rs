@@ -15,7 +15,9 @@ mod softness;
 mod tendon;
 
 pub use crate::assets::{HField, Mesh, MeshInertia};
-pub use actuator::{Actuator, Controller, Dynamics, Input, Interp, Motor, Muscle, Target};
+pub use actuator::{
+    Actuator, Controller, Dynamics, Input, Interp, Motor, Muscle, Orientation, Target,
+};
 pub use body::{Body, Inertial, MassRules};
 pub use contact::{ContactOverride, ExplicitPair};
 pub use equality::{Equality, EqualityType, Frame};

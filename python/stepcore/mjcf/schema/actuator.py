@@ -8,8 +8,8 @@ _ALL = (
     f"ctrllimited:{AUTO} forcelimited:{AUTO} forcerange:2 lengthrange:2 gear:1-6 damping:1-3 "
     "armature:1 cranklength:1 joint jointinparent tendon slidersite cranksite site refsite"
 )
-# What the actuators that are built have beyond that.
-_BUILT = {
+# What actuators have beyond that.
+_OWN = {
     "motor": "",
     "position": "inheritrange:1 kp:1 kv:1 dampratio:1 timeconst:1",
     "velocity": "kv:1",
@@ -20,6 +20,7 @@ _BUILT = {
     "slewmax:1 input",
     "dcmotor": "motorconst:1-2 resistance:1 nominal:1-3 saturation:1-3 inductance:1-2 cogging:1-3 "
     "controller:1-6 thermal:1-6 lugre:1-5 input",
+    "orientation": "kp:1 kv:1 dampratio:1 input",
     "cylinder": "timeconst:1 area:1 diameter:1 bias:3",
     "muscle": "timeconst:2 tausmooth:1 range:2 force:1 scale:1 lmin:1 lmax:1 vmax:1 fpmax:1 "
     "fvmax:1",
@@ -28,25 +29,24 @@ _BUILT = {
     "gaintype:fixed|affine|muscle|dcmotor|pid|so3|user "
     f"biastype:none|affine|muscle|dcmotor|so3|user dynprm:* gainprm:* biasprm:* actearly:{BOOL}",
 }
-# And those that are not; only the names of these attributes are checked.
-_UNBUILT = {
-    "orientation": "kp kv dampratio input",
+# What of the attributes that all have some have not: a motor's bounds are its saturation.
+_WITHOUT = {
+    "dcmotor": "forcelimited forcerange",
+    "orientation": "ctrllimited lengthrange gear damping armature cranklength jointinparent tendon "
+    "slidersite cranksite",
 }
 
 
 def _common(tag: str) -> str:
-    """A motor's bounds are its saturation."""
-    return without(_ALL, "forcelimited forcerange") if tag == "dcmotor" else _ALL
+    return without(_ALL, _WITHOUT[tag]) if tag in _WITHOUT else _ALL
 
 
 _PLUGIN = "plugin instance actlimited actrange actdim dyntype dynprm actearly"
 ACTUATOR = spec(
     "",
     {
-        **{tag: spec(f"{_common(tag)} {more}") for tag, more in _BUILT.items()},
-        **{tag: spec(f"{_ALL} {more}", role="unbuilt") for tag, more in _UNBUILT.items()},
+        **{tag: spec(f"{_common(tag)} {more}") for tag, more in _OWN.items()},
         "plugin": plugin(f"{_ALL} {_PLUGIN}"),
     },
 )
-# The defaults of what is not built may stand in a file: they act only where they are used.
-DEFAULTS = {tag: default_of(f"{_common(tag)} {more}") for tag, more in (_BUILT | _UNBUILT).items()}
+DEFAULTS = {tag: default_of(f"{_common(tag)} {more}") for tag, more in _OWN.items()}

@@ -8,8 +8,9 @@ from stepcore import checks
 from stepcore.mjcf.write.names import Names
 from stepcore.mjcf.write.tags import Tag, changed
 from stepcore.scene.actuation import LAW, TARGET, law
-from stepcore.scene.controlling import described, inputs
+from stepcore.scene.controlling import described
 from stepcore.scene.elements import Actuator, Element
+from stepcore.scene.orienting import FED, parts
 
 if TYPE_CHECKING:
     from stepcore.scene.contents import Contents
@@ -32,7 +33,7 @@ def tags(scene: Contents, names: Names) -> list[Tag]:
     found = []
     for at, actuator in enumerate(scene.actuators):
         if actuator.type != "input":
-            behind = scene.actuators[at + 1 : at + len(inputs(actuator))]
+            behind = scene.actuators[at + 1 : at + len(parts(actuator))]
             found.append(_actuator(actuator, behind, names))
     return found
 
@@ -59,7 +60,7 @@ def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
     if kind != actuator.type:
         given = {field: value for field, value in given.items() if field not in LAW}
         return Tag(kind, **first, **_as_general(actuator), **given)
-    if kind in ("pid", "dcmotor"):
+    if kind in FED:
         first |= _of_inputs(actuator, behind, given)
     if kind == "dcmotor":
         given |= _motor(given)
@@ -70,7 +71,7 @@ def _actuator(actuator: Actuator, behind: list[Actuator], names: Names) -> Tag:
 
 def _of_inputs(actuator: Actuator, behind: list[Actuator], given: dict[str, Any]) -> dict[str, Any]:
     """The bounds of a controller's controls, each of which is an actuator here."""
-    words = inputs(actuator)
+    words = parts(actuator)
     for word, other in zip(words[1:], behind, strict=False):
         name = f"{actuator.name}/{word}" if actuator.name else ""
         late = ("delay", "nsample", "interp")
@@ -80,7 +81,7 @@ def _of_inputs(actuator: Actuator, behind: list[Actuator], given: dict[str, Any]
         if not (stands and same and bounded):
             limit = "inputs right behind it, named by it and late like it, to be written as MJCF"
             raise checks.refuse(actuator, "input", actuator.input, limit)
-    if actuator.type == "dcmotor":
+    if actuator.type != "pid":
         return {}
     own = given.pop("ctrlrange", None)
     bounds = [own, *(other.ctrlrange for other in behind)]

@@ -29,9 +29,11 @@ from stepcore.scene.frames import ORIGIN, Vec
 _SERVOS = ("position", "velocity", "intvelocity")
 ACTUATOR_TYPES = (
     *("motor", *_SERVOS, "pid", "dcmotor", "damper", "cylinder", "muscle", "adhesion"),
-    *("general", "input"),
+    *("orientation", "general", "input"),
 )
 INPUTS = ("pos", "vel", "ff", "voltage")
+# The parts of an orientation, by how it is written.
+CHARTS = {"expmap": ("x", "y", "z"), "quat": ("w", "x", "y", "z")}
 DYNAMICS = ("none", "integrator", "filter", "filterexact", "muscle")
 GAINS = ("fixed", "affine", "muscle")
 BIASES = ("none", "affine", "muscle")
@@ -55,8 +57,10 @@ def _one_or(count: int) -> checks.Check:
 
 
 def _inputs(owner: Any, field: str, value: object) -> Any:
-    """Some of the inputs of a controller, in their order."""
+    """Some of the inputs of a controller, in their order, or what an orientation is written as."""
     words = value.split() if isinstance(value, str) else []
+    if value in (*CHARTS, *CHARTS["quat"]):
+        return value
     if not words or words != [word for word in INPUTS if word in words]:
         limit = f"None or some of {', '.join(INPUTS)}, in this order"
         raise checks.refuse(owner, field, value, limit)
@@ -89,6 +93,8 @@ class Actuator(Element):
     - for a "dcmotor" of constant K = motorconst and resistance R, K/R × (voltage − K × velocity);
       with the inputs "pos", "vel" or "ff" its controller asks for the force of a pid, and gets it;
     - for an "input", none: its control is that of another input of the actuator that it `feeds`;
+    - for an "orientation", of a ball joint, a torque kp × r − kv × velocity about each axis of its
+      body, r being the rotation vector from its orientation to that of its controls;
     - for a "damper", −kv × velocity × control;
     - for a "cylinder", area × w + bias · (1, length, velocity), where w is the pressure, which
       follows the control with the time constant timeconst;
@@ -113,8 +119,8 @@ class Actuator(Element):
     type: one of those above. A field of another type is refused.
     gear: shape (6,); a hinge, slide, tendon or slider-crank uses the first number, a ball 3, a free
         joint and a site 6: a direction and an axis.
-    kp: stiffness of a position or intvelocity servo or a pid; None means 1; of a dcmotor's
-        controller, where None means 0.
+    kp: stiffness of a position or intvelocity servo, an orientation or a pid; None means 1; of a
+        dcmotor's controller, where None means 0.
     kv: damping of these (None means 0), gain of a velocity servo or a damper (None means 1).
     dampratio: damping ratio of a position or intvelocity servo or a pid, in place of kv:
         kv = 2 × dampratio × √(kp × m), where m is the inertia that it moves in the initial pose.
@@ -124,7 +130,11 @@ class Actuator(Element):
     input: what the control of a pid is, "pos", "vel" or "ff"; of a dcmotor also "voltage" (None).
         Several in this order, such as "pos vel": the first is its own control, and each of the
         others that of an actuator of the type "input", whose `input` it is.
-    feeds: of an "input": the pid or dcmotor.
+        Of an orientation "expmap" (None), a rotation vector [rad], or "quat", a quaternion of any
+        length: its own control is the first part, and those of actuators of the type "input" with
+        the inputs "y" and "z", or "x", "y" and "z", the others. They pull about the other axes, and
+        its forcerange (0, most) bounds the length of the torque.
+    feeds: of an "input": the pid, dcmotor or orientation.
     ki, imax: of a pid and a dcmotor's controller with the input "pos": gain of the integral of the
         error, and its bound; None means 0, without.
     slewmax: of these: how fast the first target moves at most [1/s]; None means 0, at once.

@@ -2,7 +2,7 @@
 
 use super::Subject;
 use crate::error::Result;
-use crate::scene::{Actuator, Muscle, Scene, Stop, Target};
+use crate::scene::{Actuator, JointType, Muscle, Scene, Stop, Target};
 
 /// The most past controls of an actuator.
 const MOST_SAMPLES: usize = 1_000_000;
@@ -70,10 +70,19 @@ pub(super) fn check(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
 fn controller(e: &Subject, a: &Actuator, scene: &Scene) -> Result<()> {
     if let Some(owner) = a.feeds {
         e.below("feeds", owner, scene.actuators.len(), "actuator")?;
-        let known = a.controller.is_none() && scene.actuators[owner].controller.is_some();
+        let first = &scene.actuators[owner];
+        let turns = first.orientation.is_some() && first.feeds.is_none();
+        let known = a.controller.is_none() && (first.controller.is_some() || turns);
         if !known {
             return Err(e.refuse("feeds", owner, "an actuator with a controller, by one without"));
         }
+    }
+    if let Some(own) = a.orientation {
+        let ball = |joint: usize| scene.joints[joint].kind == JointType::Ball;
+        if !matches!(a.target, Target::Joint(joint) if ball(joint)) {
+            return Err(e.refuse("orientation", format!("{:?}", a.target), "of a ball joint"));
+        }
+        e.below("orientation axis", own.axis, 3, "axis")?;
     }
     let Some(own) = &a.controller else { return Ok(()) };
     e.not_negative("ki", own.ki)?;
