@@ -8,6 +8,7 @@ import pytest
 
 import stepcore as sc
 from stepcore.cli import main
+from stepcore.engine.features import RemovableFeatures
 from stepcore.report.table import WIDTH
 
 # Everything that can be left out is in it once.
@@ -176,6 +177,32 @@ def test_time_is_measured_when_asked() -> None:
     assert plan.micros is not None and plan.micros > 0
     assert next(e.micros for e in plan.used if e.kind == "pair") is not None
     assert sc.load("lesson:stack").compile().plan().micros is None
+
+
+def test_surfaces_that_touch_nothing_are_left_out() -> None:
+    """Belts and adhesion of geoms without a pair; the plan and what ablate removes agree."""
+    scene = sc.loads("""<mujoco><worldbody>
+      <geom name="still" type="plane" size="5 5 1" surfacevel="1 0 0 0 0 0" contype="0"
+        conaffinity="0"/>
+      <geom name="ghost" size=".1" pos="3 0 0" contype="0" conaffinity="0" adhesion="2"/>
+      <body name="a"><freejoint/><geom name="one" size=".1" mass="1" adhesion="1"/></body>
+      <body name="b" pos="0 0 1"><freejoint/>
+      <geom name="two" size=".1" mass="1" surfacevel="1 0 0 0 0 0"/></body></worldbody>
+      <contact><pair geom1="one" geom2="two" adhesion="3"/></contact></mujoco>""")
+    model = scene.compile()
+    plan = model.plan()
+    listed = {
+        (entry.name.partition(" (")[0], entry.used): (entry.names, entry.why)
+        for entry in (*plan.used, *plan.left_out)
+    }
+    why = "they collide with nothing"
+    assert listed["surfaces that move", True][0] == ("two",)
+    assert listed["surfaces that move", False] == (("still",), why)
+    assert listed["adhesion", True][0] == ("one", "one/two")
+    assert listed["adhesion", False] == (("ghost",), why)
+    features = RemovableFeatures(model)
+    labels = [removal.label for removal in features.belts() + features.adhesion()]
+    assert labels == ["moving surfaces: 1 geom", "adhesion: 1 geom and 1 pair"]
 
 
 def test_bad_arguments_are_refused() -> None:

@@ -18,6 +18,7 @@ from stepcore.scene.layout import Layout
 if TYPE_CHECKING:
     from stepcore.engine.model_data import ModelData
     from stepcore.scene.contents import Contents
+    from stepcore.scene.elements import Geom
 
 # With more pairs of bodies in contact than this, pairs are removed body by body.
 MAX_PAIRS = 30
@@ -172,6 +173,16 @@ HAS = {
 }
 
 
+def is_belt(geom: Geom) -> bool:
+    """Whether its surface moves."""
+    return any(geom.surfacevel)
+
+
+def is_sticky(geom: Geom) -> bool:
+    """Whether its contacts pull."""
+    return geom.adhesion > 0
+
+
 class RemovableFeatures:
     """The features of a model that can be removed.
 
@@ -253,24 +264,25 @@ class RemovableFeatures:
 
     def belts(self) -> list[Removal]:
         """Surfaces that move, of all geoms that collide."""
-        geoms = enumerate(self.scene.geoms)
-        own = tuple(i for i, geom in geoms if any(geom.surfacevel) and i in self._solid())
+        own = tuple(self.geom[i] for i in self.split(is_belt)[0])
         edit = ("cleared", ("geoms", own, ("surfacevel",)))
         return [Removal("moving surfaces", _count(own, "geom"), (edit,))] if own else []
 
     def adhesion(self) -> list[Removal]:
         """What geoms that collide and explicit pairs pull their contacts with."""
         scene = self.scene
-        geoms = tuple(i for i in self._solid() if scene.geoms[i].adhesion > 0)
+        geoms = tuple(self.geom[i] for i in self.split(is_sticky)[0])
         pairs = tuple(i for i, pair in enumerate(scene.pairs) if pair.adhesion > 0)
         edits = [("geoms", geoms), ("pairs", pairs)]
         made = tuple(("cleared", (held, own, ("adhesion",))) for held, own in edits if own)
         words = [_count(own, word) for own, word in ((geoms, "geom"), (pairs, "pair")) if own]
         return [Removal("adhesion", " and ".join(words), made)] if made else []
 
-    def _solid(self) -> list[int]:
-        """The geoms that collide, by index in the scene."""
-        return [self.geom[i] for i, on in enumerate(self.plan["collides"]) if on]
+    def split(self, has: Callable[[Geom], bool]) -> tuple[list[int], list[int]]:
+        """Geoms that have something: those that collide, and the others, by index in the model."""
+        own = [i for i, index in enumerate(self.geom) if has(self.scene.geoms[index])]
+        collides = self.plan["collides"]
+        return [i for i in own if collides[i]], [i for i in own if not collides[i]]
 
     def _term(self, kind: str, feature: str) -> list[Removal]:
         """What joints have of a feature: switched off, or cleared where tendons have it too."""
@@ -378,7 +390,7 @@ class RemovableFeatures:
     def _groups(self) -> list[Removal]:
         """Each group of geoms, where several groups collide."""
         geoms = self.scene.geoms
-        solid = self._solid()
+        solid = [self.geom[i] for i, on in enumerate(self.plan["collides"]) if on]
         groups = sorted({geoms[i].group for i in solid})
         removals = []
         for group in groups if len(groups) > 1 else ():

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore._core import Settings
-from stepcore.engine.features import RemovableFeatures, Removal
+from stepcore.engine.features import RemovableFeatures, Removal, is_belt, is_sticky
 from stepcore.engine.linear_maps import DAMPING_IMPLICIT
 from stepcore.engine.plan.result import PlanEntry
 from stepcore.scene.elements.equality import ROW_KINDS
@@ -118,6 +118,21 @@ class _Listing:
         left = [n for n, site in names if id(site) not in passed]
         yield _out("place", name, left, "no force acts there: computed when read")
 
+    def _surfaces(self, removals: dict[str, Removal]) -> Iterator[Listed]:
+        """What moves and pulls where geoms touch."""
+        why = "they collide with nothing"
+        used, unused = (_pick(self.geom_names, own) for own in self.features.split(is_belt))
+        name = "surfaces that move (by geom)"
+        yield _used("solve", name, used, removal=removals.get("moving surfaces"))
+        yield _out("solve", name, unused, why)
+        used, unused = (_pick(self.geom_names, own) for own in self.features.split(is_sticky))
+        called = dict(zip(map(id, self.geoms), self.geom_names, strict=True))
+        pairs = [pair for pair in self.scene.pairs if pair.adhesion > 0]
+        used += [f"{called[id(pair.geom1)]}/{called[id(pair.geom2)]}" for pair in pairs]
+        name = "adhesion (by geom)"
+        yield _used("solve", name, used, removal=removals.get("adhesion"))
+        yield _out("solve", name, unused, why)
+
     def _tendon_terms(self, removals: dict[str, Removal]) -> Iterator[Listed]:
         """Springs, dampers and armature of tendons."""
         on, tendons = self.scene.features, self.scene.tendons
@@ -172,14 +187,7 @@ class _Listing:
         passive = on.spring or on.damper
         wet = [n for n, has in zip(self.body_names, self.plan["fluid"], strict=True) if has]
         yield _used("place", "fluid drag (by body)", wet, removal=removals.get("fluid"))
-        own = Layout(self.scene).geoms
-        moving = [n for n, g in zip(self.geom_names, own, strict=True) if any(g.surfacevel)]
-        removal = removals.get("moving surfaces")
-        yield _used("solve", "surfaces that move (by geom)", moving, removal=removal)
-        stick = [n for n, g in zip(self.geom_names, own, strict=True) if g.adhesion > 0]
-        stick += [str(pair) for pair in self.scene.pairs if pair.adhesion > 0]
-        removal = removals.get("adhesion")
-        yield _used("solve", "adhesion (by geom)", stick, removal=removal)
+        yield from self._surfaces(removals)
         bodies = Layout(self.scene).bodies
         light = [n for n, b in zip(self.body_names, bodies, strict=True) if b.gravcomp != 0]
         name = "gravity compensation (by body)"
