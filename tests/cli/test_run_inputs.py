@@ -216,4 +216,23 @@ def test_a_control_of_the_wrong_length_is_named(capsys, carts, tmp_path):
 
 def test_actuators_without_names_are_given_as_numbers(capsys):
     assert main(["run", "gymnasium:hopper", "--ctrl", "thigh=1"]) == 2
-    assert "the 3 actuators of this model have no names: give 3 numbers" in capsys.readouterr().err
+    assert "no actuator of this model has a name: give 3 numbers" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("motors", "ctrl", "text"),
+    [
+        (0, "1", "--ctrl 1: this model has no actuators"),
+        (0, "a=1", "--ctrl a=1: this model has no actuators"),
+        (1, "a=1", "no actuator of this model has a name: give 1 number\n"),
+        (1, "1,2", "must be 1 number, one for each actuator"),
+    ],
+)
+def test_controls_are_counted(motors, ctrl, text, capsys, tmp_path):
+    file = tmp_path / "model.xml"
+    file.write_text(
+        f"""<mujoco><worldbody><body><joint name="j"/><geom size="1"/></body></worldbody>
+        <actuator>{'<motor joint="j"/>' * motors}</actuator></mujoco>"""
+    )
+    assert main(["run", str(file), "--ctrl", ctrl]) == 2
+    assert text in capsys.readouterr().err

@@ -306,3 +306,11 @@ def test_mujoco_differences_its_own_step_to_the_same(name, integrator):
     step = sim.linearize()
     assert abs(step.A - A).max() < 1e-6 * abs(A).max()
     assert abs(step.B - B).max() < 1e-6 * abs(B).max()
+
+
+def test_a_joint_without_a_name_is_called_as_in_a_trajectory():
+    scene = sc.loads("""<mujoco><worldbody><body name="arm"><joint/><joint name="own" axis="1 0 0"/>
+      <geom size=".1" mass="1"/></body></worldbody></mujoco>""")
+    sim = sc.Sim(scene)
+    (axis,) = sim.run(0.01, record=("qvel",)).axes("qvel")
+    assert sim.linearize().labels == axis.entries == ("joint 0 of body `arm`", "own")

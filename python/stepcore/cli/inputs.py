@@ -22,7 +22,7 @@ from stepcore.experiment.motion_words import (
 )
 from stepcore.experiment.single_run import Push
 from stepcore.experiment.starts import smooth, undriven
-from stepcore.report.units import seconds
+from stepcore.report.units import counted, seconds
 
 # How long a push lasts where nobody says it [s].
 PUSH = 0.1
@@ -132,10 +132,13 @@ def _held_rows(rows: np.ndarray, period: float, sim: Sim) -> Control:
 
 def _values(text: str, model: Model) -> dict[int, float]:
     """Controls by the index of their actuator."""
+    if not model.nu:
+        raise Usage(f"--ctrl {text}: this model has no actuators")
     parts = [part.strip() for part in text.split(",")]
+    every = counted(model.nu, "number")
     if not any("=" in part for part in parts):
         if len(parts) != model.nu:
-            raise Usage(f"--ctrl {text}: must be {model.nu} numbers, one for each actuator")
+            raise Usage(f"--ctrl {text}: must be {every}, one for each actuator")
         return {k: _number("--ctrl", text, part) for k, part in enumerate(parts)}
     values = {}
     for part in parts:
@@ -143,8 +146,7 @@ def _values(text: str, model: Model) -> dict[int, float]:
         if not equals:
             raise Usage(f"--ctrl {text}: '{part}' must be NAME=VALUE, as the others are")
         if not any(model.actuator_names):
-            many = f"{model.nu} actuators of this model have no names"
-            raise Usage(f"--ctrl {text}: the {many}: give {model.nu} numbers")
+            raise Usage(f"--ctrl {text}: no actuator of this model has a name: give {every}")
         if not name or name not in model.actuator_names:
             near = nearest(name, model.actuator_names)
             raise Usage(f"--ctrl {text}: no actuator is named '{name}'{near}")

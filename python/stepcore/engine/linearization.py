@@ -108,8 +108,8 @@ def linearized(
     """
     split = 2 * model.nv + model.na
     labels = tuple(
-        (name or f"joint {index}") + axis
-        for index, (name, kind) in enumerate(zip(model.joint_names, model.jnt_type, strict=True))
+        name + axis
+        for name, kind in zip(model.called("joint"), model.jnt_type, strict=True)
         for axis in AXES[kind]
     )
     controls = model.called("actuator")
