@@ -76,7 +76,7 @@ ACTUATOR_CASES: dict[str, Case] = {
     "biasprm": ("1 2 3", 'biastype="affine"'),
     "actearly": ("true", 'dyntype="integrator"'),
 }
-_PID = 'dyntype="pid" gaintype="pid" gainprm="3 1 2" biastype="affine"'
+_PID = 'gaintype="pid" biastype="affine" biasprm="0 -9 -3"'
 _ACTUATOR_OWN: dict[str, dict[str, Case]] = {
     "intvelocity": {
         "actrange": "-.001 .001",
@@ -101,7 +101,7 @@ _ACTUATOR_OWN: dict[str, dict[str, Case]] = {
     "general": {
         "inheritrange": (".01", 'gainprm="3" biastype="affine" biasprm="0 -3 0"'),
         "body": ("ball", ""),
-        "input": ("pos vel", _PID),
+        "input": ("vel", _PID),
         "velrange": ("-.01 .01", f'{_PID} input="pos vel"'),
         "ffrange": ("-.01 .01", f'{_PID} input="pos ff"'),
     },

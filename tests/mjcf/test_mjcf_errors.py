@@ -228,7 +228,7 @@ UNBUILT = {
         '<site name="s"/>',
         '<actuator><orientation site="s" refsite="s"/></actuator>',
     ),
-    'gaintype="pid"': ('<joint name="j"/>', servo("general", 'gaintype="pid"')),
+    'gaintype="user"': ('<joint name="j"/>', servo("general", 'gaintype="user"')),
     'biastype="user"': ('<joint name="j"/>', servo("general", 'biastype="user"')),
     "<plugin> in <extension>": ("", '<extension><plugin plugin="a"/></extension>'),
     "<flex> in <deformable>": ("", "<deformable><flex/></deformable>"),

@@ -145,6 +145,35 @@ def test_runs(actuators, integrator):
     check(TEXT.format(option=option, default="", actuators="".join(actuators)))
 
 
+CANONICAL = [actuator for actuators in LISTS.values() for actuator in actuators]
+
+
+@pytest.mark.parametrize("actuator", CANONICAL, ids=range(len(CANONICAL)))
+def test_what_mujoco_saves_as_general_is_the_same(actuator, tmp_path):
+    text = TEXT.format(option="", default="", actuators=actuator)
+    text = text.replace("<mujoco>", '<mujoco><compiler savecanonical="true"/>')
+    path = tmp_path / "saved.xml"
+    mujoco.mj_saveLastXML(str(path), mujoco.MjModel.from_xml_string(text))
+    assert "<general " in path.read_text()
+    check(path.read_text(), 20)
+
+
+@pytest.mark.parametrize(
+    ("general", "words"),
+    [
+        ('joint="a" gaintype="pid" biastype="affine" actearly="true"', "actearly"),
+        ('joint="a" gaintype="dcmotor" biastype="affine"', "biastype"),
+        ('joint="a" gaintype="dcmotor" biastype="dcmotor" actearly="false"', "actearly"),
+        ('site="s" refsite="r" gaintype="so3" biastype="so3" biasprm="0 -1 0"', "turns a site"),
+    ],
+)
+def test_what_is_not_built_of_them_is_refused_by_name(general, words):
+    text = TEXT.format(option="", default="", actuators=f"<general {general}/>")
+    text = text.replace("<worldbody>", '<worldbody><site name="s"/><site name="r"/>')
+    with pytest.raises(ValueError, match=words):
+        sc.loads(text)
+
+
 def test_inputs_have_controls_in_mujocos_order_and_are_named():
     text = TEXT.format(option="", default="", actuators="".join(SEVERAL[:2]))
     sensors = '<sensor><actuatorfrc actuator="p"/><actuatorpos actuator="p"/></sensor></mujoco>'

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stepcore.mjcf.controllers import INPUTS, first_of
+from stepcore.mjcf.controllers import INPUTS, first_of, states
 from stepcore.mjcf.gains import ActuatorGains, saturated
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
@@ -23,8 +23,8 @@ def read(world: WorldReader, node: Node) -> None:
     """Reads one motor, servo or muscle."""
     values = world.defaults.of(node, kind="actuator")
     target = _target(world, node, values)
-    _refuse(node, values)
     gains = world.defaults.gains(node)
+    _refuse(node, values, gains)
     values = saturated(values, gains, node)
     _refuse_gains(node, gains)
     ctrlrange, actrange = _ranges(world, node, values, gains, target)
@@ -47,7 +47,7 @@ def read(world: WorldReader, node: Node) -> None:
         ctrlrange=ctrlrange,
         forcerange=world.limits(node, values, "forcelimited", "forcerange"),
         actrange=actrange,
-        actearly=values.get("actearly", False),
+        actearly=values.get("actearly", False) and gains.tag not in INPUTS,
         lengthrange=lengthrange if lengthrange[0] < lengthrange[1] else None,
         enabled=values.get("group", 0) not in world.disabled_groups,
         **given,
@@ -61,7 +61,7 @@ def _add_input(world: WorldReader, node: Node, owner: Actuator, word: str) -> No
     """Another input of a controller: it has a control of its own, next to the owner's."""
     values = world.defaults.of(node, kind="actuator")
     bounds: Bounds = owner.ctrlrange
-    if node.tag == "pid":
+    if owner.type == "pid":
         bounds = values.get(f"{word}range")
         bounds = bounds if bounds and bounds[0] < bounds[1] else None
     world.scene.add_actuator(
@@ -103,12 +103,12 @@ def _target(world: WorldReader, node: Node, values: dict[str, Any]) -> dict[str,
     return sites
 
 
-def _refuse(node: Node, values: dict[str, Any]) -> None:
+def _refuse(node: Node, values: dict[str, Any], gains: ActuatorGains) -> None:
     if values.get("delay", 0.0) > 0 and values.get("nsample", 0) <= 0:
         raise bad(node, "nsample", values.get("nsample", 0), "> 0 with a delay")
-    if node.tag == "orientation" and "joint" not in values:
+    if gains.tag == "orientation" and "joint" not in values:
         raise node.unbuilt("an <orientation> that turns a site", "site")
-    several = node.tag in (*INPUTS, "orientation")
+    several = gains.tag in (*INPUTS, "orientation")
     if not several and node.values.get("input", "") not in ("", "pos", "vel", "pressure"):
         raise bad(node, "input", node.values["input"], "pos, vel or pressure")
 
@@ -117,10 +117,10 @@ def _refuse_gains(node: Node, gains: ActuatorGains) -> None:
     for name, built in (("dyntype", DYNAMICS), ("gaintype", GAINS), ("biastype", BIASES)):
         if getattr(gains, name) not in built:
             raise node.unbuilt(f'<general> {name}="{getattr(gains, name)}"')
-    if node.tag in INPUTS and gains.input in ("none", ""):
-        raise node.unbuilt(f'a <{node.tag}> of no input (input="{gains.input}")', "input")
+    if gains.tag in INPUTS and gains.input in ("none", ""):
+        raise node.unbuilt(f'a <{gains.tag}> of no input (input="{gains.input}")', "input")
     asks = any(gains.biasprm) or any(gains.more.get(word, 0) for word in ("ki", "slewmax"))
-    if node.tag == "dcmotor" and gains.input == "voltage" and asks:
+    if gains.tag == "dcmotor" and gains.input == "voltage" and asks:
         given = node.values.get("controller", gains.biasprm)
         raise bad(node, "controller", given, "0 without one of the inputs pos, vel and ff")
 
@@ -236,9 +236,9 @@ def _actrange(
             if values.get(name, False) not in (False, "auto"):
                 text = f"<{node.tag}> inherits {name}, but a {node.tag} has no activation"
                 raise node.error(text)
-    dim = values.get("actdim", -1)
-    if dim not in (-1, 0 if stateless else 1):
-        raise bad(node, "actdim", dim, "-1, 0 without an activation or 1 with one")
+    dim, count = values.get("actdim", -1), states(gains) if gains.more else int(not stateless)
+    if dim not in (-1, count):
+        raise bad(node, "actdim", dim, f"-1 or {count}, how many activations it has")
     return None if stateless else world.limits(node, values, "actlimited", "actrange")
 
 

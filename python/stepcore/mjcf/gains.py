@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from stepcore.mjcf import controllers
+from stepcore.mjcf import canonical, controllers
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.scene.actuation import MUSCLE
@@ -169,7 +169,8 @@ def _general(base: ActuatorGains, node: Node) -> ActuatorGains:
         if values.get(name)
     }
     given |= {n: values[n] for n in ("dyntype", "gaintype", "biastype") if n in values}
-    return replace(base, tag="general", inheritrange=_inheritrange(base, node), **given)
+    made = replace(base, tag="general", inheritrange=_inheritrange(base, node), **given)
+    return replace(made, **canonical.fields(made, node))
 
 
 def _position(base: ActuatorGains, node: Node) -> ActuatorGains:
