@@ -76,7 +76,7 @@ ACTUATOR_CASES: dict[str, Case] = {
     "biasprm": ("1 2 3", 'biastype="affine"'),
     "actearly": ("true", 'dyntype="integrator"'),
 }
-_PID = 'gaintype="pid" biastype="affine" biasprm="0 -9 -3"'
+_PID = 'gaintype="pid" gainprm="0" biastype="affine" biasprm="0 -9 -3"'
 _ACTUATOR_OWN: dict[str, dict[str, Case]] = {
     "intvelocity": {
         "actrange": "-.001 .001",

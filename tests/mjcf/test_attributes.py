@@ -51,6 +51,9 @@ def test_an_attribute_of_a_class_is_that_of_the_element(path: str) -> None:
         case = mjcf_attributes.case_of(path, attribute)
         if case is None or attribute not in default.attrs or attribute in GAINS:
             continue
+        if (path, attribute) == ("actuator/general", "input"):
+            # Discarded where the gain type is another one.
+            continue
         base, tried = models(path, attribute, case)
         value = case if isinstance(case, str) else case[0]
         motor = MOTOR if path == "actuator/dcmotor" else {}

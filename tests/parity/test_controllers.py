@@ -241,6 +241,7 @@ def test_what_is_not_built_is_refused_by_name(actuator, words):
         '<dcmotor joint="a" nominal="12 3 20" thermal="2 0 0 .004"/>',
         '<dcmotor joint="a" nominal="12 3 20" input="vel" controller="0 1"/>',
         '<dcmotor joint="a" nominal="12 3 20" controller="0 0 0 1"/>',
+        '<general joint="a" gaintype="pid" biastype="affine"/>',
         '<orientation joint="a"/>',
         '<orientation joint="ball" forcerange="-1 2"/>',
         '<orientation joint="ball" kv="-1"/>',

@@ -48,6 +48,10 @@ def _pid(gains: Any, node: Node) -> dict[str, Any]:
     if constant != 0:
         raise bad(node, "biasprm", gains.biasprm, "0 first, for a pid")
     more = {}
+    if gains.dyntype == "none" and gains.gainprm[0] != 0:
+        raise bad(
+            node, "gainprm", gains.gainprm, '0 (the gain of the integral) without dyntype="pid"'
+        )
     if gains.dyntype == "pid":
         ki, (imax, slewmax) = gains.gainprm[0], _all(gains.dynprm)[:2]
         if min(ki, imax, slewmax) < 0:
