@@ -101,7 +101,7 @@ impl<R: Real> Sim<R> {
             self.placed.make_guess(&self.model, self.clock.dt);
         }
         self.make_rows(at, Part::Whole);
-        if self.model.sticks {
+        if self.model.pulls_beside_rows(self.settings.law) {
             // What contacts pull beside their rows is part of what those start from.
             self.placed.guess.copy_from_slice(&self.rows.u);
         }

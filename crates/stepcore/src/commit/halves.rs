@@ -38,7 +38,7 @@ impl<R: Real> Sim<R> {
             self.adhere(dt);
         }
         self.make_rows(At::Start, Part::End);
-        if self.model.sticks {
+        if self.model.pulls_beside_rows(self.settings.law) {
             self.changed();
             self.add_change(1.0, 0.5);
             self.placed.guess.copy_from_slice(&self.rows.u);

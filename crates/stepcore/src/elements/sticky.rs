@@ -14,6 +14,7 @@ use crate::detect::Contact;
 use crate::model::{Material, Model, Pair};
 use crate::place::Placed;
 use crate::real::{Mask, Real};
+use crate::settings::Law;
 use crate::solve::law::SolRef;
 use crate::solve::{Push, Row, Rows, Set, Situation};
 use crate::spatial::Force;
@@ -26,6 +27,13 @@ pub(super) struct Normal<R: Real> {
     pub least: R,
     pub a: R,
     pub velocity: R,
+}
+
+impl Model {
+    /// Under this law some contacts pull with forces that stand beside their rows.
+    pub(crate) fn pulls_beside_rows(&self, law: Law) -> bool {
+        self.sticks && law == Law::SolRef
+    }
 }
 
 impl Material {

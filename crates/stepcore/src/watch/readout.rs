@@ -8,9 +8,8 @@ use crate::elements::friction::{Axis, Ways, MOST_WAYS};
 use crate::elements::{Element, Kind};
 use crate::model::NONE;
 use crate::real::{Mask, Real};
-use crate::settings::Law;
 use crate::sim::Sim;
-use crate::solve::{Block, Row, Set};
+use crate::solve::{Block, Push, Row, Set};
 use crate::spatial::{rotate, splat, Quat, M3, V3};
 use nalgebra::Vector3;
 
@@ -109,7 +108,7 @@ impl<R: Real> Sim<R> {
         let (slot, blocks) = (self.model.slot(element), &self.rows.blocks);
         if let Ok(at) = blocks.binary_search_by_key(&slot, |block| block.slot) {
             self.parts_of_block(&blocks[at], &ways, lane, &mut parts);
-            if law == Law::SolRef && self.model.sticks {
+            if self.model.pulls_beside_rows(law) {
                 parts[0] += self.pull_of(element, lane);
                 let margin = self.model.material(pair).margin;
                 if contact.dist.lane(lane) >= margin {
@@ -118,8 +117,7 @@ impl<R: Real> Sim<R> {
                 }
             }
         } else {
-            let pushes = self.rows.pushes.iter().filter(|push| push.element == element);
-            for ((part, push), row) in parts.iter_mut().zip(pushes).zip(0..) {
+            for ((part, push), row) in parts.iter_mut().zip(self.pushes_of(element)).zip(0..) {
                 *part = push.impulse.lane(lane) * ways.scale_of_row(row);
             }
         }
@@ -144,8 +142,15 @@ impl<R: Real> Sim<R> {
 
     /// What the adhesion of a contact gave beside its rows, along the normal.
     fn pull_of(&self, element: Element, lane: usize) -> f64 {
-        let own = self.rows.pushes.iter().filter(|push| push.element == element);
-        own.map(|push| push.impulse.lane(lane)).sum()
+        self.pushes_of(element).iter().map(|push| push.impulse.lane(lane)).sum()
+    }
+
+    /// The pushes of a contact, which stand in the order of slots as blocks do.
+    fn pushes_of(&self, element: Element) -> &[Push<R>] {
+        let (slot, pushes) = (self.model.slot(element), &self.rows.pushes);
+        let first = pushes.partition_point(|push| self.model.slot(push.element) < slot);
+        let own = pushes[first..].iter().take_while(|push| push.element == element);
+        &pushes[first..first + own.count()]
     }
 
     /// Impulse along the normal, then in each way, in its own unit.
