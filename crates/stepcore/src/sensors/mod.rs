@@ -109,6 +109,7 @@ impl<'a, R: Real> Reading<'a, R> {
     pub fn new(sim: &'a mut Sim<R>, lane: usize) -> Self {
         let bodies = sim.bodies(lane);
         sim.refresh();
+        sim.add_forces_through_contacts();
         Self { sim, lane, bodies, forces: None }
     }
 

@@ -5,7 +5,6 @@ use crate::elements::force::Group;
 use crate::elements::forces::stored;
 use crate::elements::{Element, Kind};
 use crate::real::Real;
-use crate::settings::Law;
 use crate::sim::{At, Sim};
 use crate::spatial::{Force, V3};
 
@@ -92,7 +91,8 @@ impl<R: Real> Sim<R> {
         sum
     }
 
-    /// Poses, inertias and the mass matrix at the present positions.
+    /// Poses, inertias, the mass matrix and the forces at the present state, but for those that act
+    /// through contacts.
     pub fn refresh(&mut self) {
         let model = self.model.clone();
         self.placed.carry(&self.inputs);
@@ -100,14 +100,21 @@ impl<R: Real> Sim<R> {
         let (qpos, qvel) = At::State.of(&self.state, &self.next);
         let act = self.state.activations(self.clock);
         self.placed.dynamics(&model, qpos, qvel, act, &self.inputs);
-        // What is pulled at through contacts is known with them.
-        let sticks = model.sticks && self.settings.law == Law::SolRef;
-        if sticks {
-            let detected = self.detected_aside();
+    }
+
+    /// Adds these forces, for which contacts are detected.
+    pub fn add_forces_through_contacts(&mut self) {
+        let model = self.model.clone();
+        let pulls = model.pulls_beside_rows(self.settings.law);
+        if !pulls && !model.adheres {
+            return;
+        }
+        let detected = self.detected_aside();
+        if pulls {
             self.placed.pull_contacts(&model, &detected.contacts);
         }
         if model.adheres {
-            let detected = self.detected_aside();
+            let act = self.state.activations(self.clock);
             let at = At::State.of(&self.state, &self.next);
             let guess = self.placed.guess.clone();
             self.placed.place_adhesion(&model, at, act, &self.inputs, &detected.contacts);
