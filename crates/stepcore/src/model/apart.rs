@@ -54,9 +54,14 @@ impl Between {
 
 /// Sets `Pair::apart` and `Model::guards`.
 pub fn fill(model: &mut Model) {
+    let pairs = 0..model.pairs.len();
+    let asked: Vec<_> = pairs.filter_map(|pair| Some((pair, between(model, pair)?))).collect();
+    if asked.is_empty() {
+        return;
+    }
     let question = Question::of(model);
     let proof = proofs::recalled(&question).unwrap_or_else(|| {
-        let made = proved(model);
+        let made = proved(model, &asked);
         proofs::keep(question, &made);
         made
     });
@@ -66,17 +71,16 @@ pub fn fill(model: &mut Model) {
     model.guards = proof.guards;
 }
 
-/// The search, pair by pair.
-fn proved(model: &Model) -> Proof {
-    let mut placed = None;
+/// The search, for pairs with the joints between them.
+fn proved(model: &Model, asked: &[(usize, Vec<Between>)]) -> Proof {
+    let mut placed = Placed::<f64>::new(model, None);
     let mut left = ALL_BOXES;
     let mut proof = Proof { apart: vec![false; model.pairs.len()], guards: vec![] };
-    for index in 0..model.pairs.len() {
-        let Some(between) = between(model, index) else { continue };
-        let placed = placed.get_or_insert_with(|| Placed::<f64>::new(model, None));
+    for (index, between) in asked {
+        let (index, placed) = (*index, &mut placed);
         let mut boxes = BOXES.min(left);
         let budget = boxes;
-        let apart = Search::new(model, placed, index, &between).apart(&mut boxes);
+        let apart = Search::new(model, placed, index, between).apart(&mut boxes);
         left -= budget - boxes;
         proof.apart[index] = apart;
         for joint in between.iter().filter(|joint| apart && joint.limited) {

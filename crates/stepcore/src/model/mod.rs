@@ -22,6 +22,7 @@ mod plan;
 mod pose;
 mod principal;
 mod proofs;
+mod recent;
 mod shape;
 mod slots;
 mod solid;
@@ -295,7 +296,7 @@ pub struct Model {
     pub linkages: Vec<Linkage>,
     /// Some of them are those of contacts, which are found after the smooth forces.
     pub adheres: bool,
-    /// Some geoms or pairs adhere: their contacts can pull.
+    /// Some geoms or pairs adhere: their contacts can pull. See `pulls_beside_rows`.
     pub sticks: bool,
     /// Joints whose actuators together are bounded, and the bounds.
     pub clamps: Vec<(usize, [f64; 2])>,

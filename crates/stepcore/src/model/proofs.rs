@@ -4,17 +4,19 @@
 //! of these moves a geom. A question is known again by all that the proof reads, to the bit, so what
 //! is recalled is what would be proved anew.
 
+use super::recent::Recent;
 use super::{Guard, Model};
+use crate::pool::lock;
 use crate::shapes::height_field::HeightField;
 use crate::shapes::hull::Hull;
-use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, Weak};
 
-/// So many proofs are kept: a few robots with some of their variants.
-const MOST: usize = 16;
+/// The most words that are kept of all questions together: a few robots with some of their variants,
+/// 2 MB.
+const MOST: usize = 1 << 18;
 
-/// The proofs last used, the last one at the back.
-static KEPT: Mutex<VecDeque<(Question, Proof)>> = Mutex::new(VecDeque::new());
+static KEPT: Mutex<Recent<Question, Proof>> =
+    Mutex::new(Recent::new(MOST, |question| question.words.len()));
 
 /// By pair whether its geoms never meet, and the positions of joints for which that holds.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,9 +29,9 @@ pub struct Proof {
 #[derive(Clone)]
 pub struct Question {
     words: Vec<u64>,
-    /// Held, so that no other one can get the address of one of these.
-    hulls: Vec<Option<Arc<Hull>>>,
-    fields: Vec<Option<Arc<HeightField>>>,
+    /// No other one can get the address of one of these.
+    hulls: Vec<Option<Weak<Hull>>>,
+    fields: Vec<Option<Weak<HeightField>>>,
 }
 
 impl Question {
@@ -74,8 +76,12 @@ impl Question {
         }
         Self {
             words: words.0,
-            hulls: model.geoms.iter().map(|geom| geom.hull.clone()).collect(),
-            fields: model.geoms.iter().map(|geom| geom.field.clone()).collect(),
+            hulls: model.geoms.iter().map(|geom| geom.hull.as_ref().map(Arc::downgrade)).collect(),
+            fields: model
+                .geoms
+                .iter()
+                .map(|geom| geom.field.as_ref().map(Arc::downgrade))
+                .collect(),
         }
     }
 
@@ -88,9 +94,9 @@ impl Question {
 
 /// Equal hulls are one hull where meshes are recalled (`kept.rs`); two of equal content count as
 /// different here, which costs a proof and no more.
-fn are_one<T>(a: &[Option<Arc<T>>], b: &[Option<Arc<T>>]) -> bool {
-    let one = |(x, y): (&Option<Arc<T>>, &Option<Arc<T>>)| match (x, y) {
-        (Some(x), Some(y)) => Arc::ptr_eq(x, y),
+fn are_one<T>(a: &[Option<Weak<T>>], b: &[Option<Weak<T>>]) -> bool {
+    let one = |(x, y): (&Option<Weak<T>>, &Option<Weak<T>>)| match (x, y) {
+        (Some(x), Some(y)) => Weak::ptr_eq(x, y),
         (None, None) => true,
         _ => false,
     };
@@ -112,26 +118,12 @@ impl Words {
 
 /// The proof of the same question, if it is still kept.
 pub fn recalled(question: &Question) -> Option<Proof> {
-    let mut kept = kept();
-    let at = kept.iter().position(|(other, _)| other.same(question))?;
-    let entry = kept.remove(at)?;
-    let proof = entry.1.clone();
-    kept.push_back(entry);
-    Some(proof)
+    lock(&KEPT).recalled(|other| other.same(question))
 }
 
-/// Keeps a proof; that used longest ago makes room.
+/// Keeps a proof.
 pub fn keep(question: Question, proof: &Proof) {
-    let mut kept = kept();
-    kept.push_back((question, proof.clone()));
-    while kept.len() > MOST {
-        kept.pop_front();
-    }
-}
-
-/// Nothing that is done under the lock can leave it half done.
-fn kept() -> MutexGuard<'static, VecDeque<(Question, Proof)>> {
-    KEPT.lock().unwrap_or_else(PoisonError::into_inner)
+    lock(&KEPT).keep(question, proof.clone(), Question::same);
 }
 
 #[cfg(test)]
