@@ -274,7 +274,7 @@ class Model:
     def pair(self, index: int) -> tuple[int, int, int, float, list[float], float]: ...
     def heap(self) -> list[tuple[str, str, int]] | None: ...
     def plan(self) -> dict[str, Any]: ...
-    def program(self, settings: Settings) -> list[str] | None:
+    def program(self, settings: Settings) -> tuple[list[str], bool] | None:
         """What the steps of small models execute, one line an operation; None: the stages."""
 
     def keys(self) -> list[tuple[float, list[list[float]]]]:
@@ -352,8 +352,8 @@ class Sim(_World):
     def most_rows(self) -> int: ...
     @property
     def contacts_grown(self) -> int: ...
-    def tendon_path(self, tendon: int) -> list[list[float]]:
-        """The way of a tendon, by stretch: points (n, 3), flat."""
+    def tendon_paths(self) -> list[list[list[float]]]:
+        """The ways of all tendons, by stretch: points (n, 3), flat."""
     def element_forces(self) -> tuple[list[_Element], _Floats]:
         """Elements that push, and the generalised force of each, shape (n, nv)."""
     def contacts(self) -> tuple[list[_Element], list[tuple[int, int]], _Floats]:

@@ -91,5 +91,8 @@ def test_a_plan_prints_the_list():
     assert plan.program[-1] == "require |qpos[0]| <= 1e60"
     assert len(plan.program) == 5
     assert "qpos[0] = qpos[0] + qvel[0] * 0.01" in str(plan)
+    # Some are of use only where many worlds run them side by side.
+    large = sc.plan(scene("pendulum"))
+    assert "In large batches its steps run by a list of " in str(large)
     # Sweeps that stop by themselves are no list.
     assert not sc.plan(lesson.drop(tolerance=1e-9, sweeps=50)).program

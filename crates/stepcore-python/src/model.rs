@@ -322,13 +322,14 @@ impl Model {
         Some(meet.into_iter().map(|((a, b), count)| (a.word(), b.word(), count)).collect())
     }
 
-    /// What the steps of small models execute, one line an operation; None: they run the stages.
-    fn program(&self, settings: &Settings) -> Option<Vec<String>> {
+    /// What the steps of small models execute, one line an operation, and whether one world by
+    /// itself does, or those of batches alone; None: they run the stages.
+    fn program(&self, settings: &Settings) -> Option<(Vec<String>, bool)> {
         match settings.0.precision {
             Precision::F64 => Program::of::<f64>(&self.0, &settings.0),
             Precision::F32 => Program::of::<f32>(&self.0, &settings.0),
         }
-        .map(|program| program.lines())
+        .map(|program| (program.lines(), program.serves_one()))
     }
 
     /// What compiling decided: by pair, by tree, by body and by geom, in the model's order.

@@ -3,7 +3,7 @@
 use stepcore::real::Real;
 use stepcore::sim::Sim;
 use stepcore::spatial::V3;
-use stepcore::watch::{first_hit, tendon_path as tendon_path_of, Bodies, BodyForces, RayFilter};
+use stepcore::watch::{first_hit, tendon_path, Bodies, BodyForces, RayFilter, Way};
 
 use crate::world::{BodyForce, Placed};
 
@@ -40,11 +40,14 @@ pub fn body_force(forces: &BodyForces, what: BodyForce) -> Vec<f64> {
     }
 }
 
-pub fn tendon_path<R: Real>(sim: &mut Sim<R>, tendon: usize) -> Vec<Vec<f64>> {
-    let model = sim.model().clone();
-    let Some(tendon) = model.tendons.get(tendon) else { return vec![] };
-    let ways = tendon_path_of(&model, &sim.bodies(0), tendon);
-    ways.iter().map(|way| way.iter().flat_map(|v| [v.x, v.y, v.z]).collect()).collect()
+/// By stretch, the points of a tendon's way one after the other.
+pub type TendonPath = Vec<Vec<f64>>;
+
+pub fn tendon_paths<R: Real>(sim: &mut Sim<R>) -> Vec<TendonPath> {
+    let (model, bodies) = (sim.model().clone(), sim.bodies(0));
+    let flat = |way: &Way| way.iter().flat_map(|v| [v.x, v.y, v.z]).collect();
+    let path = |tendon| tendon_path(&model, &bodies, tendon).iter().map(flat).collect();
+    model.tendons.iter().map(path).collect()
 }
 
 /// Each ray is 6 numbers: where it starts, and its direction.

@@ -20,6 +20,7 @@ use crate::extract::{At, Read};
 use crate::gil;
 use crate::memory::{Arrays, Named};
 use crate::model::{result, shaped, Model};
+use crate::readings::TendonPath;
 use crate::readout::Readout;
 use crate::settings::Settings;
 use crate::snapshot::{decode, encode};
@@ -90,6 +91,7 @@ impl Sim {
         let world = gil::release(py, || {
             let mut world = world(model.clone(), &settings.0)?;
             world.use_threads(threads)?;
+            world.use_list();
             Ok(world)
         })?;
         let arrays = Arrays::new(py, &model, 1)?;
@@ -305,11 +307,11 @@ impl Sim {
         let count = found.dist.len();
         Ok((result(py, found.dist, &[count])?, found.geom, result(py, found.normal, &[count, 3])?))
     }
-    /// The way of a tendon, by stretch: points (n, 3), flat.
-    fn tendon_path(&self, py: Python<'_>, tendon: usize) -> PyResult<Vec<Vec<f64>>> {
+    /// The ways of all tendons, by stretch: points (n, 3), flat.
+    fn tendon_paths(&self, py: Python<'_>) -> PyResult<Vec<TendonPath>> {
         let mut guard = self.lock()?;
         let world = &mut **guard;
-        self.arrays.read(py, 0, |given| world.tendon_path(given, tendon)).raised(py)
+        self.arrays.read(py, 0, |given| world.tendon_paths(given)).raised(py)
     }
     /// Elements that push, and the generalised force of each.
     fn element_forces<'py>(&self, py: Python<'py>) -> PyResult<(Vec<Id>, Array<'py>)> {

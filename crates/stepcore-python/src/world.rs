@@ -17,7 +17,7 @@ use stepcore::spatial::V3;
 use stepcore::state::{State, Warm};
 use stepcore::watch::{Counter, Coupling, LastSolve, Linearizer, RayFilter, StepGains, Watched};
 
-use crate::readings::{self, Rays};
+use crate::readings::{self, Rays, TendonPath};
 
 /// What is read of the present state.
 #[derive(Clone, Copy)]
@@ -132,6 +132,8 @@ pub trait World: Send {
     fn take(&self, array: Array, out: &mut [f64]);
     /// Lets so many threads share the work of each step.
     fn use_threads(&mut self, threads: usize) -> Result<()>;
+    /// Makes steps by a list where that is quicker; for whoever takes many.
+    fn use_list(&mut self);
     fn step(&mut self, n: u64) -> Result<()>;
     /// A call of so many steps ends: balances the ledger if they are enough.
     fn balance_at_end(&mut self, n: u64) -> Result<()>;
@@ -162,8 +164,8 @@ pub trait World: Send {
     fn inverse(&mut self, given: &Given, qacc: Option<&[f64]>) -> Result<Vec<f64>>;
     /// Through the present state: origin and direction, 6 numbers a ray.
     fn rays(&mut self, given: &Given, rays: &[f64], filter: &RayFilter) -> Result<Rays>;
-    /// By stretch, the points of it one after the other.
-    fn tendon_path(&mut self, given: &Given, tendon: usize) -> Result<Vec<Vec<f64>>>;
+    /// Of every tendon.
+    fn tendon_paths(&mut self, given: &Given) -> Result<Vec<TendonPath>>;
     fn contacts(&self) -> Contacts;
     /// The generalised force of every element that pushes.
     fn element_forces(&self) -> BTreeMap<Element, Vec<f64>>;
@@ -201,8 +203,7 @@ struct One<R: Real> {
 impl<R: Real> One<R> {
     fn new(model: Arc<Model>, settings: &Settings) -> Result<Self> {
         let last = LastSolve::new(&model);
-        let mut watched = Watched::new(model, settings.clone())?;
-        watched.sim.use_list();
+        let watched = Watched::new(model, settings.clone())?;
         Ok(Self { watched, reader: None, last })
     }
 
@@ -247,6 +248,9 @@ impl<R: Real> World for One<R> {
     }
     fn use_threads(&mut self, threads: usize) -> Result<()> {
         self.watched.sim.use_threads(threads)
+    }
+    fn use_list(&mut self) {
+        self.watched.sim.use_list();
     }
     fn step(&mut self, n: u64) -> Result<()> {
         let outcome = self.watched.step(n);
@@ -347,8 +351,8 @@ impl<R: Real> World for One<R> {
         Ok(readings::rays(self.reader(given)?, rays, filter))
     }
 
-    fn tendon_path(&mut self, given: &Given, tendon: usize) -> Result<Vec<Vec<f64>>> {
-        Ok(readings::tendon_path(self.reader(given)?, tendon))
+    fn tendon_paths(&mut self, given: &Given) -> Result<Vec<TendonPath>> {
+        Ok(readings::tendon_paths(self.reader(given)?))
     }
 
     fn element_forces(&self) -> BTreeMap<Element, Vec<f64>> {
@@ -475,7 +479,10 @@ fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
         }
         Placed::MassMatrix => sim.mass_matrix(0),
         Placed::Bias => numbers(&sim.placed.bias),
-        Placed::Passive => numbers(&sim.placed.passive),
+        Placed::Passive => {
+            sim.add_forces_through_contacts();
+            numbers(&sim.placed.passive)
+        }
         Placed::Energy => {
             let energy = sim.energy();
             vec![energy.kinetic.lane(0), energy.potential.lane(0)]

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use stepcore::arrays::{lists, Array, Given};
-use stepcore::batch::{fills_lanes, gains_by_lanes, Batch, Givens, Last, Play};
+use stepcore::batch::{fills_lanes, gains_by_lanes, program_of, Batch, Givens, Last, Play};
 use stepcore::error::{Error, Result};
 use stepcore::model::Model;
 use stepcore::program::Program;
@@ -84,34 +84,34 @@ impl How {
         let width = if self.single() { <WideF32>::LANES } else { <Wide>::LANES };
         let gains = models.iter().all(|model| gains_by_lanes(model, &self.settings));
         let can = width > 1 && gains && fills_lanes(model_of, width);
+        self.settings.check()?;
+        let list = self.list(&models).map(Arc::new);
+        // A list takes as long in each world whatever its neighbours meet.
+        let registers = model_of.len().div_ceil(width);
+        let listed = list.as_ref().is_some_and(|list| list.serves(registers));
         // An account of energies stays with those who began it, and one world has no neighbours.
-        if self.lanes.is_some()
-            || !can
-            || self.settings.ledger
-            || model_of.len() == 1
-            || self.listed(&models)
-        {
+        if self.lanes.is_some() || !can || self.settings.ledger || model_of.len() == 1 || listed {
             let alone = self.lanes.is_none() && model_of.len() == 1;
-            return self.made(can && !alone && self.lanes != Some(false), models, model_of);
+            let lanes = can && !alone && self.lanes != Some(false);
+            return self.made(lanes, models, model_of, list.as_deref());
         }
         let (how, own) = (self.clone(), model_of.to_vec());
         let make = move |lanes, some: Option<&[usize]>| match some {
-            None => how.made(lanes, models.clone(), &own),
+            None => how.made(lanes, models.clone(), &own, list.as_deref()),
             Some(some) => {
                 let own: Vec<usize> = some.iter().map(|world| own[*world]).collect();
-                how.made(lanes, models.clone(), &own)
+                how.made(lanes, models.clone(), &own, list.as_deref())
             }
         };
         Ok(Box::new(Auto::new(model_of.len(), make)?))
     }
 
-    /// Steps are made by a list, which takes as long in each world whatever its neighbours meet.
-    fn listed(&self, models: &[Arc<Model>]) -> bool {
-        let [model] = models else { return false };
+    /// The list of what a step executes, if there is one.
+    fn list(&self, models: &[Arc<Model>]) -> Option<Program> {
         if self.single() {
-            Program::of::<f32>(model, &self.settings).is_some()
+            program_of::<f32>(models, &self.settings)
         } else {
-            Program::of::<f64>(model, &self.settings).is_some()
+            program_of::<f64>(models, &self.settings)
         }
     }
 
@@ -124,12 +124,13 @@ impl How {
         lanes: bool,
         models: Vec<Arc<Model>>,
         model_of: &[usize],
+        list: Option<&Program>,
     ) -> Result<Box<dyn Worlds>> {
         match (self.single(), lanes) {
-            (false, true) => self.made_of::<Wide>(models, model_of),
-            (false, false) => self.made_of::<f64>(models, model_of),
-            (true, true) => self.made_of::<WideF32>(models, model_of),
-            (true, false) => self.made_of::<f32>(models, model_of),
+            (false, true) => self.made_of::<Wide>(models, model_of, list),
+            (false, false) => self.made_of::<f64>(models, model_of, list),
+            (true, true) => self.made_of::<WideF32>(models, model_of, list),
+            (true, false) => self.made_of::<f32>(models, model_of, list),
         }
     }
 
@@ -137,8 +138,10 @@ impl How {
         &self,
         models: Vec<Arc<Model>>,
         model_of: &[usize],
+        list: Option<&Program>,
     ) -> Result<Box<dyn Worlds>> {
-        let mut batch = Batch::<R>::of_models(models, model_of, &self.settings, self.threads)?;
+        let Self { settings, threads, .. } = self;
+        let mut batch = Batch::<R>::with_list(models, model_of, settings, *threads, list)?;
         batch.goes_on = self.goes_on;
         Ok(Box::new(batch))
     }

@@ -9,6 +9,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Arc;
 
+use stepcore::batch::Batch;
 use stepcore::model::Model;
 use stepcore::real::{Lanes, Real};
 use stepcore::settings::{Acceleration, Cone, Integrator, Law, Settings, Solver};
@@ -145,6 +146,20 @@ fn no_number_allocates() {
     let settings = settings(Law::SolRef, Integrator::Euler);
     check::<f32>(&settings);
     check::<Lanes>(&settings);
+}
+
+/// `Batch::bytes` is too, but for what threads need among themselves.
+#[test]
+fn a_batch_knows_its_memory() {
+    let settings = settings(Law::SolRef, Integrator::Euler);
+    for scene in [scenes::tower(2), scenes::runner()] {
+        let model = Arc::new(Model::compile(&scene).unwrap());
+        let before = HELD.with(Cell::get);
+        let batch = Box::new(Batch::<Lanes>::new(model.clone(), &settings, 800, 1).unwrap());
+        let held = (HELD.with(Cell::get) - before) as f64;
+        let told = batch.bytes() as f64;
+        assert!((0.98..=1.0).contains(&(told / held)), "{told} of {held}");
+    }
 }
 
 /// `Watched::bytes` is what the allocator has given out, whatever ran before.

@@ -239,7 +239,7 @@ class Batch(Stepped):
         The model, which they share, is not in it.
         """
         size: int = self._core.nbytes
-        return size
+        return size + self._reset_at.nbytes + self._reset_to.nbytes
 
     @property
     def in_lanes(self) -> bool:

@@ -313,8 +313,12 @@ class Sim(Stepped):
         The count n of a stretch never changes. Empty for a fixed tendon. Raises ValueError for an
         unknown tendon.
         """
-        index = self._model.index("tendon", tendon)
-        return [np.reshape(way, (-1, 3)) for way in self._core.tendon_path(index)]
+        return self.tendon_paths()[self._model.index("tendon", tendon)]
+
+    def tendon_paths(self) -> list[list[Floats]]:
+        """The way of every tendon at the present state, as `tendon_path` gives that of one."""
+        paths = self._core.tendon_paths()
+        return [[np.reshape(way, (-1, 3)) for way in path] for path in paths]
 
     @property
     def rows(self) -> NDArray[Any]:

@@ -91,7 +91,7 @@ def poses_of(sim: Any) -> Instant:
         forces=nothing,
         energy=(np.nan, np.nan),
         residual=np.nan,
-        tendons=[way for k in range(sim.model.ntendon) for way in sim.tendon_path(k)],
+        tendons=[way for path in sim.tendon_paths() for way in path],
     )
 
 

@@ -21,7 +21,8 @@ const PORTIONS: usize = 16;
 
 pub(super) struct Crew<R: Real> {
     pool: Option<Arc<Pool>>,
-    threads: usize,
+    /// No more than can have work.
+    pub threads: usize,
     /// By model: the spaces that no thread is using.
     spaces: Vec<Mutex<Vec<Watched<R>>>>,
     /// What a step of all groups took when it was last measured [ns].
@@ -74,7 +75,7 @@ impl<R: Real> Crew<R> {
     }
 
     /// The same on some consecutive groups at a time, of which the first is given. blocks: as many as
-    /// a list takes side by side, or a multiple.
+    /// a list takes side by side, or a multiple; an equal share of each thread where they are fewer.
     pub fn share_portions(
         &self,
         groups: &mut [Group<R>],
@@ -83,8 +84,13 @@ impl<R: Real> Crew<R> {
         work: impl Fn(&mut Desk<R>, usize, &mut [Group<R>]) + Sync,
     ) {
         let started = Instant::now();
-        let portion = groups.len().div_ceil(self.threads * PORTIONS).max(1);
-        let portion = if blocks { portion.next_multiple_of(Blocks::<R>::MOST) } else { portion };
+        let count = groups.len();
+        let small = count.div_ceil(self.threads * PORTIONS).max(1);
+        let portion = match blocks {
+            true if count < self.threads * Blocks::<R>::MOST => count.div_ceil(self.threads),
+            true => small.next_multiple_of(Blocks::<R>::MOST),
+            false => small,
+        };
         let left = Mutex::new(groups.chunks_mut(portion).enumerate());
         let take_all = |_: usize| {
             let mut desk = Desk { crew: self, held: None };

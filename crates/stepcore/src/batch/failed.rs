@@ -7,6 +7,7 @@
 use crate::arrays::{Array, Given};
 use crate::error::Error;
 use crate::real::Real;
+use crate::room::{listed, room, Room};
 use crate::state::{Inputs, State};
 use crate::watch::Watched;
 
@@ -27,10 +28,18 @@ impl Failed {
     }
 }
 
+impl Room for Failed {
+    fn room(&self) -> usize {
+        self.state.iter().map(listed).sum()
+    }
+}
+
 /// By lane of a group: those that failed.
 pub(super) struct Standing {
-    pub lanes: Vec<Option<Failed>>,
+    pub lanes: Vec<Option<Box<Failed>>>,
 }
+
+room!(Standing: ; lanes);
 
 impl Standing {
     pub fn new(worlds: usize) -> Self {
@@ -51,7 +60,7 @@ impl Standing {
     pub fn take<R: Real>(&mut self, state: &State<R>, lane: usize, done: u64, error: Error) {
         let Some(place) = self.lanes.get_mut(lane).filter(|place| place.is_none()) else { return };
         let plain = |list: &Vec<R>| list.iter().map(|x| x.lane(lane)).collect();
-        *place = Some(Failed { state: state.lists().map(plain), done, error });
+        *place = Some(Box::new(Failed { state: state.lists().map(plain), done, error }));
     }
 
     /// Lanes that repeat the healthy one: of failed worlds, and of none.

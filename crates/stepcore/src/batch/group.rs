@@ -40,7 +40,7 @@ pub(super) struct Group<R: Real> {
     pub ledger: Option<Box<Ledger<R>>>,
 }
 
-room!(Group<R>: qacc, last, ended; state, inputs, start, before, ledger);
+room!(Group<R>: qacc, last, ended; state, inputs, start, before, standing, ledger);
 
 impl<R: Real> Group<R> {
     /// A lane's next step starts without impulses, and nothing is known of its last solve; a world

@@ -6,8 +6,6 @@ use crate::real::Real;
 
 /// Steps that are made at a time: where a list is not right, so many are made by the stages.
 const PORTION: u64 = 32;
-/// Up to so many groups are stepped one after another.
-const FEW: usize = 2;
 
 /// `run` of every group by itself.
 pub(super) fn each<R: Real>(
@@ -27,11 +25,10 @@ pub(super) fn step_listed<R: Real>(
 ) {
     let mut first = 0;
     while first < groups.len() {
-        let left = groups.len() - first;
-        let count = if left <= FEW { 1 } else { left.min(Blocks::<R>::MOST) };
+        let count = Blocks::<R>::portion(groups.len() - first);
         let block = &mut groups[first..first + count];
         let run = |index, group: &mut Group<R>, n| run(first + index, group, n);
-        if block.iter().any(|group| group.is_special()) {
+        if !list.serves(count) || block.iter().any(|group| group.is_special()) {
             each(block, n, run);
         } else {
             step_block(list, block, n, run);

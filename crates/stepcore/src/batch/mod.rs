@@ -65,6 +65,14 @@ pub fn fills_lanes(model_of: &[usize], lanes: usize) -> bool {
     3 * registers(lanes, model_of) <= model_of.len() || model_of.iter().all(|model| *model == 0)
 }
 
+/// The list of what a step executes, for worlds of one model that has one.
+pub fn program_of<R: Real>(models: &[Arc<Model>], settings: &Settings) -> Option<Program> {
+    match models {
+        [model] => Program::of::<R>(model, settings),
+        _ => None,
+    }
+}
+
 /// The index of the model of each world, if there is but one; refuses more worlds than the memory
 /// can hold.
 pub fn of_one_model(model: &Model, worlds: usize) -> Result<Vec<usize>> {
@@ -102,6 +110,19 @@ impl<R: Real> Batch<R> {
         threads: usize,
     ) -> Result<Self> {
         settings.check()?;
+        let list = program_of::<R>(&models, settings);
+        Self::with_list(models, model_of, settings, threads, list.as_ref())
+    }
+
+    /// The same, the list of their steps at hand: that of `program_of`.
+    pub fn with_list(
+        models: Vec<Arc<Model>>,
+        model_of: &[usize],
+        settings: &Settings,
+        threads: usize,
+        list: Option<&Program>,
+    ) -> Result<Self> {
+        settings.check()?;
         let worlds = model_of.len();
         if worlds == 0 {
             return Err(Error::value("n", worlds, "at least 1 world"));
@@ -112,16 +133,13 @@ impl<R: Real> Batch<R> {
             let model = &models[seats.model(index)];
             Group::new(model, seats.worlds(index).len(), settings.ledger)
         };
-        let list = match &models[..] {
-            [model] => Program::of::<R>(model, settings),
-            _ => None,
-        };
+        let crew = Crew::new(&models, settings, &seats, worlds, threads)?;
         Ok(Self {
             worlds,
-            list: list.map(|list| Blocks::new(&list, threads)),
+            list: list.map(|list| Blocks::new(list, crew.threads)),
             dt: settings.dt,
             groups: (0..seats.groups()).map(group).collect(),
-            crew: Crew::new(&models, settings, &seats, worlds, threads)?,
+            crew,
             goes_on: false,
             models,
             seats,
@@ -173,7 +191,7 @@ impl<R: Real> Batch<R> {
     /// A world that failed while the others went on.
     pub fn failed(&self, world: usize) -> Option<&Failed> {
         let (group, lane) = self.seats.of(world);
-        self.groups[group].standing.lanes[lane].as_ref()
+        self.groups[group].standing.lanes[lane].as_deref()
     }
 
     /// Some worlds begin anew, wherever their arrays put them: they have no impulses to start from,

@@ -12,10 +12,13 @@ use crate::state::State;
 
 /// Registers of worlds in a block.
 const WIDE: usize = 8;
+/// So many are worth a block of their own, which takes as long as a full one.
+pub(super) const WORTH: usize = WIDE / 2;
 
 /// The lists of a program with the registers of every thread.
 pub(crate) struct Blocks<R: Real> {
     lists: Lists,
+    serves_one: bool,
     free: Mutex<Vec<Desk<R>>>,
 }
 
@@ -57,15 +60,30 @@ impl<R: Real> Blocks<R> {
     pub fn new(program: &Program, threads: usize) -> Self {
         let (steps, last, limits) = (program.steps(), program.last(), program.limits);
         let lists = Lists { steps, last, limits };
+        let serves_one = program.serves_one();
         let desk = |_| Desk { one: Pair::new(&lists), wide: Pair::new(&lists) };
         let free = Mutex::new((0..threads).map(desk).collect());
-        Self { lists, free }
+        Self { lists, serves_one, free }
+    }
+
+    /// Of so many registers how many are stepped at a time.
+    pub fn portion(left: usize) -> usize {
+        if left < WORTH {
+            1
+        } else {
+            left.min(WIDE)
+        }
     }
 
     /// Memory of the registers [bytes].
     pub fn bytes(&self) -> usize {
         let of = |desk: &Desk<R>| desk.one.bytes() + desk.wide.bytes();
         lock(&self.free).iter().map(of).sum()
+    }
+
+    /// The list is quicker than the stages for so many.
+    pub fn serves(&self, registers: usize) -> bool {
+        registers > 1 || self.serves_one
     }
 
     /// Takes `n` steps, one or more, of at most `MOST` registers. False: the list is not right for

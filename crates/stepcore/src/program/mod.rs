@@ -30,8 +30,11 @@ use trace::{trace, Trace};
 pub(crate) use block::{Blocks, Holds, Place};
 pub(crate) use single::Listed;
 
-/// Entries of a list that is still of use: a longer one is no quicker than the step itself.
+/// Entries of a list that is still of use for blocks of worlds.
 const MOST: usize = 4096;
+/// Operations up to which a list is quicker than the stages for one register of worlds by itself, by
+/// measurement: each is asked what it is.
+const ALONE: usize = 200;
 
 /// What a step computes, for a model and its settings.
 pub struct Program {
@@ -83,5 +86,15 @@ impl Program {
     /// How many operations a step is.
     pub fn operations(&self) -> usize {
         self.steps().steps.len()
+    }
+
+    /// One world by itself is quicker by the list than by the stages.
+    pub fn serves_one(&self) -> bool {
+        self.operations() <= ALONE
+    }
+
+    /// So many registers of worlds are.
+    pub fn serves(&self, registers: usize) -> bool {
+        registers >= block::WORTH || self.serves_one()
     }
 }

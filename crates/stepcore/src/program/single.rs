@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use super::order::Ordered;
 use super::run::Space;
-use super::{Limits, Program};
+use super::{Limits, Program, ALONE};
 use crate::model::Model;
 use crate::observer::Observer;
 use crate::pool::inside;
@@ -13,10 +13,9 @@ use crate::room::Room;
 use crate::settings::Settings;
 use crate::sim::Sim;
 
-/// Operations up to which a list is quicker than the stages, by measurement: each is asked what it is.
-const MOST: usize = 400;
-/// Entries of which so few may be left: some are folded into others, and some nothing needs.
-const ENTRIES: usize = 3 * MOST;
+/// Entries of which so few operations may be left: some are folded into others, and some nothing
+/// needs.
+const ENTRIES: usize = 3 * ALONE;
 
 /// A list and its registers.
 pub(crate) struct Listed<R: Real> {
@@ -38,7 +37,7 @@ impl<R: Real> Listed<R> {
         let program = Program::within::<R>(model, settings, ENTRIES)?;
         let list = program.counted();
         let Program { limits, sweeps, .. } = program;
-        (list.steps.len() <= MOST).then(|| Self { space: Space::new(&list), list, limits, sweeps })
+        (list.steps.len() <= ALONE).then(|| Self { space: Space::new(&list), list, limits, sweeps })
     }
 }
 

@@ -33,5 +33,5 @@ pub use rays::{first_hit, RayFilter};
 pub use readout::Coupling;
 pub(crate) use tape::element_forces;
 pub use tape::StepGains;
-pub use tendon_path::tendon_path;
+pub use tendon_path::{tendon_path, Way};
 pub use watched::Watched;

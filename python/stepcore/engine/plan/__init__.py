@@ -27,6 +27,7 @@ def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
     cost = StepCost(model, sim, time)
     listed = [cost.priced(*each) for each in entries(model, cost.settings, cost.rows())]
     source = model.scene._source
+    program, alone = model.core.program(cost.settings) or ((), True)
     return Plan(
         name=model.scene.name or "scene",
         settings=cost.settings,
@@ -35,7 +36,8 @@ def planned(model: Model, sim: Sim | None, time: bool) -> Plan:
         stages=cost.stages,
         micros=cost.micros,
         at=cost.at,
-        program=tuple(model.core.program(cost.settings) or ()),
+        program=tuple(program),
+        batched=not alone,
         read_bytes=source.read_bytes if source else 0,
         asset_bytes=source.asset_bytes if source else 0,
     )

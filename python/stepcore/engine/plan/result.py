@@ -63,6 +63,7 @@ class Plan(Result):
     micros: time of a whole step [µs]; None if it was not measured.
     program: what a step executes, one line an operation, where the scene is so small that its
         steps run by such a list instead of stage by stage; else empty.
+    batched: only worlds that are stepped side by side in a batch run by the list.
 
     >>> from stepcore import lesson, plan
     >>> plan(lesson.drop())
@@ -84,6 +85,7 @@ class Plan(Result):
     read_bytes: int = 0
     asset_bytes: int = 0
     program: tuple[str, ...] = ()
+    batched: bool = False
 
     @property
     def title(self) -> str:
@@ -131,7 +133,8 @@ class Plan(Result):
                 f"Of {whole:.3g} MB of meshes and height fields it needs {read:.3g} MB."
             )
         if self.program:
-            sentences.append(f"Its steps run by a list of {len(self.program)} operations (--all).")
+            whose = "In large batches its steps" if self.batched else "Its steps"
+            sentences.append(f"{whose} run by a list of {len(self.program)} operations (--all).")
         return sentences
 
     @property
@@ -171,6 +174,7 @@ class Plan(Result):
             "stages": self.stages,
             "micros": self.micros,
             "program": self.program,
+            "batched": self.batched,
         }
 
     def __repr__(self) -> str:
