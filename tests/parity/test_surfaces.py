@@ -83,3 +83,15 @@ def test_who_moves_the_surface_is_named():
     assert "surfaces that move" in sc.plan(scene).text(1000, full=True)
     with pytest.raises(ValueError, match="surfacevel"):
         scene.geoms[0].surfacevel = (1, 2, 3, 4, 5, np.inf)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@pytest.mark.parametrize("speed", [1, 5, 10, 30])
+def test_the_work_of_a_belt_is_no_gained_energy(law, cone, speed):
+    """What it puts in is the box's energy and as much heat, or more: no ledger finds a gain."""
+    text = BELT.format(f'surfacevel="{speed} 0 0 0 0 {speed / 2}"', 0.3)
+    own = {"law": law, "cone": cone, "solver": "newton" if law == "solref" else "pgs"}
+    own |= {"penalty_stiffness": 2e4} if law == "penalty" else {}
+    sim = run(text, 1.0, ledger=True, **own)
+    assert sim.energy.kinetic > 0.3 * speed

@@ -7,10 +7,13 @@
 
 use super::friction::{Axis, Way, Ways, MOST_WAYS};
 use crate::detect::Contact;
-use crate::model::Pair;
+use crate::model::{Model, Pair};
+use crate::place::Placed;
 use crate::real::Real;
+use crate::sim::Sim;
 use crate::solve::{Rows, Situation};
 use crate::spatial::V3;
+use nalgebra::Vector3;
 
 /// s along each way of friction, in its measure [m/s].
 pub(super) type Drift<R> = [R; MOST_WAYS];
@@ -22,12 +25,7 @@ pub(super) fn drift<R: Real>(
     pair: &Pair,
     ways: &Ways,
 ) -> Option<Drift<R>> {
-    let geoms = [pair.geom1, pair.geom2];
-    if geoms.iter().all(|geom| now.model.geoms[*geom].belt.is_none()) {
-        return None;
-    }
-    let [one, two] = geoms.map(|geom| surface(now, geom, &contact.pos));
-    let (slide, turn) = (two[0] - one[0], two[1] - one[1]);
+    let [slide, turn] = apart(now.model, now.placed, contact, pair)?;
     let tangents = contact.tangents(now.placed);
     let mut drift = [R::zero(); MOST_WAYS];
     for (drift, way) in drift.iter_mut().zip(ways.list()) {
@@ -40,12 +38,52 @@ pub(super) fn drift<R: Real>(
     Some(drift)
 }
 
+/// The velocity and the angular velocity that the surface of geom 2 has beyond that of geom 1 where
+/// they touch; None where neither moves.
+fn apart<R: Real>(
+    model: &Model,
+    placed: &Placed<R>,
+    contact: &Contact<R>,
+    pair: &Pair,
+) -> Option<[V3<R>; 2]> {
+    let geoms = [pair.geom1, pair.geom2];
+    if geoms.iter().all(|geom| model.geoms[*geom].belt.is_none()) {
+        return None;
+    }
+    let [one, two] = geoms.map(|geom| surface(model, placed, geom, &contact.pos));
+    Some([two[0] - one[0], two[1] - one[1]])
+}
+
 /// The velocity of a geom's surface at a point beyond that of its body, and its angular velocity.
-fn surface<R: Real>(now: &Situation<R>, geom: usize, at: &V3<R>) -> [V3<R>; 2] {
-    let Some([slide, turn]) = &now.model.geoms[geom].belt else { return [V3::zeros(); 2] };
-    let pose = &now.placed.geom[geom];
+fn surface<R: Real>(model: &Model, placed: &Placed<R>, geom: usize, at: &V3<R>) -> [V3<R>; 2] {
+    let Some([slide, turn]) = &model.geoms[geom].belt else { return [V3::zeros(); 2] };
+    let pose = &placed.geom[geom];
     let [slide, turn] = [slide, turn].map(|v| pose.rot * v.map(R::of));
     [slide + turn.cross(&(at - pose.pos)), turn]
+}
+
+impl<R: Real> Sim<R> {
+    /// The power of surfaces that move [W], by lane: friction takes what a sliding contact turns to
+    /// heat from what slides and from them, so that they put in −f·s.
+    pub(crate) fn power_of_surfaces(&self) -> R {
+        let mut sum = R::zero();
+        for lane in 0..R::LANES {
+            let mut power = 0.0;
+            for (_, contact) in self.live_contacts(lane) {
+                let moved = apart(&self.model, &self.placed, contact, &contact.pair);
+                let Some([slide, turn]) = moved else { continue };
+                let [slide, turn, normal] =
+                    [slide, turn, contact.normal].map(|v| v.map(|x| x.lane(lane)));
+                let wrench = self.contact_wrench(contact, lane);
+                let force = Vector3::new(wrench[0], wrench[1], wrench[2]);
+                let torque = Vector3::new(wrench[3], wrench[4], wrench[5]);
+                let along = slide - normal * normal.dot(&slide);
+                power -= force.dot(&along) + torque.dot(&normal) * normal.dot(&turn);
+            }
+            sum.set_lane(lane, power);
+        }
+        sum
+    }
 }
 
 impl<R: Real> Rows<R> {

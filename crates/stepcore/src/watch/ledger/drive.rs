@@ -1,22 +1,25 @@
-//! What drives from outside: the work of motors and applied forces, and what moving the
-//! control of a servo puts into its spring. What is which, `elements/` says.
+//! What drives from outside: the work of motors, applied forces and surfaces that move, and what
+//! moving the control of a servo puts into its spring. What is which, `elements/` says.
 
 use crate::elements::activation::Activations;
 use crate::elements::actuator::{power_beyond, stored_under};
 use crate::elements::force::{Group, Moment};
 use crate::elements::forces::{power, stored};
 use crate::elements::{Element, Kind};
+use crate::model::Model;
 use crate::observer::Observer;
 use crate::real::Real;
 use crate::room::room;
 use crate::sim::{At, Sim};
 use crate::state::Inputs;
 
-/// Work of motors and applied forces [J], by lane.
+/// Work of motors, applied forces and surfaces [J], by lane.
 pub(super) struct Work<R: Real> {
     pub done: R,
     /// Something can do work at all.
     pub counts: bool,
+    /// Surfaces move.
+    belts: bool,
     /// Servos, by actuator, of which all the force counts as driving, and that store nothing.
     pub driving: Vec<usize>,
 }
@@ -24,8 +27,14 @@ pub(super) struct Work<R: Real> {
 room!(Work<R>: driving;);
 
 impl<R: Real> Work<R> {
-    pub fn new(driving: Vec<usize>) -> Self {
-        Self { done: R::zero(), counts: false, driving }
+    pub fn new(model: &Model, driving: Vec<usize>) -> Self {
+        let belts = model.geoms.iter().any(|geom| geom.belt.is_some());
+        Self { done: R::zero(), counts: false, belts, driving }
+    }
+
+    /// A call of steps begins.
+    pub fn begin(&mut self, sim: &Sim<R>) {
+        self.counts = self.belts || !sim.model.actuators.is_empty() || sim.inputs.applied();
     }
 
     /// An element of which what it stores is none of the account's.
@@ -42,6 +51,9 @@ impl<R: Real> Observer<R> for Work<R> {
     fn committing(&mut self, sim: &Sim<R>) {
         if self.counts {
             self.done += sim.driven(&self.driving);
+            if self.belts {
+                self.done += sim.clock.dt * sim.power_of_surfaces();
+            }
         }
     }
 }

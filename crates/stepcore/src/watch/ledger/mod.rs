@@ -139,7 +139,7 @@ impl<R: Real> Ledger<R> {
             accounts: Vec::with_capacity(R::LANES),
             levels: vec![Level::default(); R::LANES],
             verdicts: vec![Verdict::default(); R::LANES],
-            work: Work::new(care.driving(model)),
+            work: Work::new(model, care.driving(model)),
             seen: Inputs::new(model),
             expected: None,
             balanced: false,
@@ -232,7 +232,7 @@ impl<R: Real> Ledger<R> {
         mut suspect: impl FnMut(&mut Self, &Sim<R>, &O, usize, f64) -> Result<()>,
     ) -> Result<()> {
         self.open(sim);
-        self.work.counts = !sim.model.actuators.is_empty() || sim.inputs.applied();
+        self.work.begin(sim);
         let mut left = n;
         let mut outcome = Ok(());
         while left > 0 && outcome.is_ok() {
