@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stepcore._core import Settings
+from stepcore.report.units import counted
 from stepcore.scene.layout import Layout
 
 if TYPE_CHECKING:
@@ -242,7 +243,9 @@ class RemovableFeatures:
             removals += self._term("friction loss", "frictionloss")
         heavy = tuple(i for i, joint in enumerate(scene.joints) if joint.armature > 0)
         if heavy:
-            removals.append(Removal("armature", _count(heavy, "joint"), (("no armature", heavy),)))
+            removals.append(
+                Removal("armature", counted(len(heavy), "joint"), (("no armature", heavy),))
+            )
         if features.damper:
             removals += self._term("joint damping", "damper")
         if features.spring:
@@ -255,7 +258,7 @@ class RemovableFeatures:
         light = tuple(i for i, body in enumerate(scene.bodies) if body.gravcomp != 0)
         if light and features.gravity:
             edit = ("no gravcomp", light)
-            name = "1 body" if len(light) == 1 else f"{len(light)} bodies"
+            name = counted(len(light), "body")
             removals.append(Removal("gravity compensation", name, (edit,)))
         if features.coriolis and not all(self.plan["constant"]):
             name = "Coriolis, gyroscopic"
@@ -266,7 +269,7 @@ class RemovableFeatures:
         """Surfaces that move, of all geoms that collide."""
         own = tuple(self.geom[i] for i in self.split(is_belt)[0])
         edit = ("cleared", ("geoms", own, ("surfacevel",)))
-        return [Removal("moving surfaces", _count(own, "geom"), (edit,))] if own else []
+        return [Removal("moving surfaces", counted(len(own), "geom"), (edit,))] if own else []
 
     def adhesion(self) -> list[Removal]:
         """What geoms that collide and explicit pairs pull their contacts with."""
@@ -275,7 +278,7 @@ class RemovableFeatures:
         pairs = tuple(i for i, pair in enumerate(scene.pairs) if pair.adhesion > 0)
         edits = [("geoms", geoms), ("pairs", pairs)]
         made = tuple(("cleared", (held, own, ("adhesion",))) for held, own in edits if own)
-        words = [_count(own, word) for own, word in ((geoms, "geom"), (pairs, "pair")) if own]
+        words = [counted(len(own), word) for own, word in ((geoms, "geom"), (pairs, "pair")) if own]
         return [Removal("adhesion", " and ".join(words), made)] if made else []
 
     def split(self, has: Callable[[Geom], bool]) -> tuple[list[int], list[int]]:
@@ -293,7 +296,7 @@ class RemovableFeatures:
         edit: Edit = ("feature", feature)
         if any(has.test(tendon) for tendon in self.scene.tendons):
             edit = ("cleared", ("joints", tuple(joints), has.fields))
-        return [Removal(kind, _count(joints, "joint"), (edit,))]
+        return [Removal(kind, counted(len(joints), "joint"), (edit,))]
 
     def tendons(self) -> list[Removal]:
         """Springs, damping, friction loss and armature of all tendons, and each one's limit."""
@@ -310,7 +313,7 @@ class RemovableFeatures:
             own = tuple(i for i, tendon in enumerate(tendons) if has.test(tendon))
             if own and on[feature]:
                 edit = ("cleared", ("tendons", own, has.fields))
-                found.append(Removal(f"tendon {has.words}", _count(own, "tendon"), (edit,)))
+                found.append(Removal(f"tendon {has.words}", counted(len(own), "tendon"), (edit,)))
         for i, tendon in enumerate(tendons if features.limit and rows else ()):
             if tendon.range is not None:
                 edit = ("cleared", ("tendons", (i,), ("range",)))
@@ -348,11 +351,11 @@ class RemovableFeatures:
         else:
             for body in sorted({body for pair in met for body in pair}):
                 own = [pair for pair in met if body in pair]
-                name = f"{self._body(body)} ({_count(own, 'pair')})"
+                name = f"{self._body(body)} ({counted(len(own), 'pair')})"
                 removals.append(self._excluding("collider", name, own))
         own = [pair for pair in pairs if self._same_tree(*pair)]
         if own and len(own) < len(pairs):
-            name = _count(own, "pair") + " of bodies"
+            name = counted(len(own), "pair") + " of bodies"
             removals.append(self._excluding("self-collision", name, own))
         return removals + self._groups()
 
@@ -395,7 +398,7 @@ class RemovableFeatures:
         removals = []
         for group in groups if len(groups) > 1 else ():
             own = tuple(i for i in solid if geoms[i].group == group)
-            name = f"group {group} ({_count(own, 'geom')})"
+            name = f"group {group} ({counted(len(own), 'geom')})"
             removals.append(Removal("collider group", name, (("no contact", own),)))
         return removals
 
@@ -435,12 +438,8 @@ def _positions(compiled: Iterable[Any], listed: Iterable[Any]) -> list[int]:
 
 
 def _unreached(joints: Any) -> str:
-    return f"{_count(joints, 'joint')} whose limit is never reached"
+    return f"{counted(len(joints), 'joint')} whose limit is never reached"
 
 
 def _unmet(pairs: Any) -> str:
-    return f"{_count(pairs, 'pair')} of bodies that never touch"
-
-
-def _count(elements: Any, word: str) -> str:
-    return f"{len(elements)} {word}{'s' * (len(elements) != 1)}"
+    return f"{counted(len(pairs), 'pair')} of bodies that never touch"

@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 
 from stepcore import checks
 from stepcore.engine.arrays import Floats, ModelArray
+from stepcore.report.units import plural
 
 if TYPE_CHECKING:
     from stepcore import _core
     from stepcore._core import Settings
     from stepcore.scene.contents import Contents
-
-# The plurals of kinds of elements that are not theirs with an s.
-SEVERAL = {"body": "bodies", "equality": "equalities", "key": "keyframes"}
 
 
 class Keyframe(NamedTuple):
@@ -265,7 +263,7 @@ class ModelData(ABC):
             index = range(len(names))[operator.index(name)]
         except (TypeError, IndexError):
             if not names:
-                many = SEVERAL.get(kind, f"{kind}s")
+                many = plural("keyframe" if kind == "key" else kind)
                 raise ValueError(
                     f"{kind} = {checks.shown(name)}: the model has no {many}"
                 ) from None

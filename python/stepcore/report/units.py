@@ -123,8 +123,19 @@ def times(value: float) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """A number of things: 1 start, 8 starts."""
-    return f"{count} {noun}" + "s" * (count != 1)
+    """A number of things: 1 start, 8 starts, 2 bodies."""
+    return f"{count} {noun if count == 1 else plural(noun)}"
+
+
+def plural(noun: str) -> str:
+    """Several of a thing.
+
+    >>> [plural(noun) for noun in ("start", "body", "key", "mesh", "loss")]
+    ['starts', 'bodies', 'keys', 'meshes', 'losses']
+    """
+    if re.search("[^aeiou]y$", noun):
+        return noun[:-1] + "ies"
+    return noun + ("es" if noun.endswith(("s", "sh")) else "s")
 
 
 def compact(value: float) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from stepcore.report.units import counted
 from stepcore.scene import length_ranges
 from stepcore.scene.consistency import check
 from stepcore.scene.contents import Contents
@@ -166,11 +167,7 @@ class Scene(Contents):
             "key": self.keys,
         }
         counts += [(len(elements), word, "") for word, elements in rest.items() if elements]
-        parts = [f"{n} {word if n == 1 else _plural(word)}{more}" for n, word, more in counts]
+        parts = [f"{counted(n, word)}{more}" for n, word, more in counts]
         options = [f"{key}={value!r}" for key, value in self.options.items()]
         name = f' "{self.name}"' if self.name else ""
         return f"<Scene{name}: {', '.join(parts)}{'; ' + ', '.join(options) if options else ''}>"
-
-
-def _plural(word: str) -> str:
-    return {"body": "bodies", "equality": "equalities", "mesh": "meshes"}.get(word, word + "s")

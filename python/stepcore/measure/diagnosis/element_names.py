@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from stepcore.measure.diagnosis.element_id import INERTIAL
+from stepcore.report.units import counted, plural
 
 # The most names in a list, and the last word of the name of several elements.
 NAMES, TOGETHER = 4, " together"
@@ -27,7 +28,7 @@ def acting_in_words(names: Sequence[str]) -> str:
     if len(names) <= NAMES:
         return listed(names)
     kinds = Counter(re.split(r" of | `", name)[0] for name in names)
-    counts = [f"{n} {kind if n == 1 else _plural(kind)}" for kind, n in kinds.items()]
+    counts = [f"{counted(n, kind)}" for kind, n in kinds.items()]
     return " and ".join(filter(None, (", ".join(counts[:-1]), counts[-1])))
 
 
@@ -48,7 +49,7 @@ def named(names: Sequence[str]) -> str:
     if len(kinds) > 1 or not all("`" in name for name in names):
         return listed(names)
     kind = kinds.pop().strip()
-    several = re.sub(r"\w+(?= of\b|$)", lambda word: _plural(word[0]), kind)
+    several = re.sub(r"\w+(?= of\b|$)", lambda word: plural(word[0]), kind)
     owners = listed([name[len(kind) + 1 :] for name in names])
     return f"the {len(names)} {several} {owners}"
 
@@ -56,7 +57,3 @@ def named(names: Sequence[str]) -> str:
 def are_several(name: str) -> bool:
     """Whether a name is that of several things, as the verb after it must be."""
     return name == INERTIAL.name or name.endswith(TOGETHER)
-
-
-def _plural(word: str) -> str:
-    return f"{word}es" if word.endswith("s") else f"{word}s"
