@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepcore.engine.model import Model
+from stepcore.reference.rotation import cross
 from stepcore.scene.layout import DOFS, Layout
 
 
@@ -106,14 +107,6 @@ def rotated(quat: np.ndarray, vector: np.ndarray) -> np.ndarray:
     w, x = quat[..., :1], quat[..., 1:]
     moment = cross(x, vector)
     result: np.ndarray = vector + 2 * (w * moment + cross(x, moment))
-    return result
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """`numpy.cross` of vectors along leading axes, to the bit, in half of its time."""
-    result = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    for k, i, j in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        result[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
     return result
 
 

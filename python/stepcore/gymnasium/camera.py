@@ -26,12 +26,11 @@ class WorldCamera:
         self._sim: Sim | None = None
         self._renderer: Any = None
         self._drawing: Any = None
-        self._first: Any = None
+        self._following: Any = None
 
     def draw(self, world: Any, index: int | None = None) -> Picture:
         """A picture of a Sim, or of a world of a Batch; shape (height, width, 3)."""
-        # Drawing takes as long to import as to draw, and few environments are drawn.
-        from stepcore.viewing.camera import Camera, camera_of
+        from stepcore.viewing.camera import Following
         from stepcore.viewing.drawing import drawing_of
         from stepcore.viewing.frames import poses_of
         from stepcore.viewing.marks import ropes
@@ -45,12 +44,9 @@ class WorldCamera:
             values = world._arrays[name]
             self._sim._arrays[name][...] = values if index is None else values[index]
         instant = poses_of(self._sim)
-        moving = self._drawing.moving
-        where = instant.xpos[moving if moving.any() else ~moving].mean(axis=0)
-        if self._first is None:
-            self._first = camera_of(self._drawing, instant, -0.9, 0.35, 1.7), where
-        first, begun = self._first
-        camera = Camera(first.target + where - begun, first.turn, first.lift, first.far)
+        if self._following is None:
+            self._following = Following(self._drawing, instant)
+        camera = self._following.at(instant)
         picture: Picture = self._renderer.draw(instant, camera, ropes(self._drawing, instant))
         return picture
 
@@ -65,9 +61,12 @@ def camera_for(owner: str, render_mode: Any, width: int, height: int) -> WorldCa
     """The camera that a mode needs; ValueError for an unknown mode and sizes that cannot be."""
     if render_mode is None:
         return None
+    # Drawing takes as long to import as to draw, and few environments are drawn.
+    from stepcore.viewing.camera import LARGEST
+
     checks.one_of(*MODES)(owner, "render_mode", render_mode)
     for name, size in (("width", width), ("height", height)):
-        checks.whole(2, 8192)(owner, name, size)
+        checks.whole(2, LARGEST)(owner, name, size)
     return WorldCamera(width, height)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,10 @@ from stepcore.viewing.frames import Instant
 
 # The angle of view from top to bottom [rad].
 ANGLE = np.deg2rad(40)
+# Where a camera stands that nobody placed: turn, lift [rad], and far, of the extent.
+ASIDE = (-0.9, 0.35, 1.7)
+# The largest picture, in points.
+LARGEST = 8192
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,23 @@ class Camera:
         way = np.array([flat * np.cos(self.turn), flat * np.sin(self.turn), np.sin(self.lift)])
         place: NDArray[np.float64] = self.target + self.far * way
         return place
+
+
+class Following:
+    """A camera that goes along with what moves: it stands there as at the first instant."""
+
+    def __init__(self, drawing: Drawing, first: Instant) -> None:
+        self.moving = drawing.moving if drawing.moving.any() else ~drawing.moving
+        self.camera = camera_of(drawing, first, *ASIDE)
+        self.start = self._middle(first)
+
+    def _middle(self, instant: Instant) -> NDArray[np.float64]:
+        middle: NDArray[np.float64] = instant.xpos[self.moving].mean(axis=0)
+        return middle
+
+    def at(self, instant: Instant) -> Camera:
+        """The camera at an instant."""
+        return replace(self.camera, target=self.camera.target + self._middle(instant) - self.start)
 
 
 def camera_of(drawing: Drawing, instant: Instant, turn: float, lift: float, far: float) -> Camera:

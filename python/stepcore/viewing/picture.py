@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stepcore import checks
-from stepcore.viewing.camera import Camera, camera_of
+from stepcore.viewing.camera import LARGEST, Following, camera_of
 from stepcore.viewing.drawing import Drawing, drawing_of
 from stepcore.viewing.frames import Replayed, instant_of
 from stepcore.viewing.marks import loads, ropes
@@ -18,8 +18,8 @@ from stepcore.viewing.mujoco_picture import MujocoPicture
 from stepcore.viewing.needs import need
 
 RENDERERS = {"mujoco": MujocoPicture, "mitsuba": MitsubaPicture}
-# The largest picture, and frames a second of a video.
-LARGEST, RATES = 8192, (1.0, 240.0)
+# Frames a second of a video.
+RATES = 1.0, 240.0
 
 
 def picture(
@@ -84,10 +84,8 @@ def save_video(
     ffmpeg = need("imageio_ffmpeg", "a video", "video")
     drawing, time = run.drawing, run.time
     made = renderer_of(drawing, *size, renderer)
-    first = camera_of(drawing, run.instants[0], -0.9, 0.35, 1.7)
+    following = Following(drawing, run.instants[0])
     newtons = drawing.weight or run.strongest
-    moving = drawing.moving if drawing.moving.any() else np.ones(len(drawing.bodies), bool)
-    start = run.instants[0].xpos[moving].mean(axis=0)
     count = max(1, round((time[-1] - time[0]) / speed * fps) + 1)
     writer = ffmpeg.write_frames(os.fspath(path), size, fps=fps, macro_block_size=2)
     writer.send(None)
@@ -95,10 +93,8 @@ def save_video(
         for k in range(count):
             now = time[0] + k * speed / fps
             instant = run.instants[int(np.argmin(np.abs(time - now)))]
-            target = first.target + instant.xpos[moving].mean(axis=0) - start
-            camera = Camera(target, first.turn, first.lift, first.far)
             marks = ropes(drawing, instant) + loads(drawing, instant, newtons)
-            drawn = made.draw(instant, camera, marks)
+            drawn = made.draw(instant, following.at(instant), marks)
             writer.send(np.ascontiguousarray(drawn))
     finally:
         writer.close()
