@@ -31,6 +31,14 @@ impl Count {
         }
     }
 
+    /// No less than `least` in the lanes of `mask`.
+    #[inline(always)]
+    pub fn raise_in<M: Mask>(&mut self, mask: M, least: u64) {
+        for (lane, count) in self.0[..M::LANES].iter_mut().enumerate() {
+            *count = (*count).max(if mask.lane(lane) { least } else { 0 });
+        }
+    }
+
     /// The larger of both, lane by lane.
     #[inline(always)]
     pub fn raise(&mut self, other: &Self) {

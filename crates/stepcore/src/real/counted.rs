@@ -94,6 +94,7 @@ impl One for Counted {
 
 impl Real for Counted {
     type Mask = bool;
+    type One = f64;
     const LANES: usize = 1;
 
     #[inline(always)]
@@ -105,7 +106,7 @@ impl Real for Counted {
         Self(value)
     }
     #[inline(always)]
-    fn lane(self, _: usize) -> f64 {
+    fn lane(&self, _: usize) -> f64 {
         self.0
     }
     #[inline(always)]

@@ -109,6 +109,7 @@ impl One for Dual {
 
 impl Real for Dual {
     type Mask = bool;
+    type One = f64;
     const LANES: usize = 1;
 
     #[inline(always)]
@@ -120,7 +121,7 @@ impl Real for Dual {
         Self { value, slopes: [0.0; WAYS] }
     }
     #[inline(always)]
-    fn lane(self, _: usize) -> f64 {
+    fn lane(&self, _: usize) -> f64 {
         self.value
     }
     #[inline(always)]

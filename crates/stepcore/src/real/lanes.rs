@@ -47,7 +47,7 @@ pub trait Word:
 }
 
 /// A number of which lanes are made.
-pub trait Number: Real<Mask = bool> + PartialOrd + Into<f64> {
+pub trait Number: Real<Mask = bool, One = Self> + PartialOrd + Into<f64> {
     type Bits: Word;
     fn bits(self) -> Self::Bits;
     fn of_bits(bits: Self::Bits) -> Self;
@@ -108,7 +108,7 @@ impl<B: Word, const W: usize> Mask for LaneMask<B, W> {
         self.0.into_iter().fold(B::NONE, |all, a| all | a) != B::NONE
     }
     #[inline(always)]
-    fn lane(self, lane: usize) -> bool {
+    fn lane(&self, lane: usize) -> bool {
         self.0[lane] != B::NONE
     }
     #[inline(always)]
@@ -185,6 +185,7 @@ impl<T: Number, const W: usize> One for Lanes<T, W> {
 
 impl<T: Number, const W: usize> Real for Lanes<T, W> {
     type Mask = LaneMask<T::Bits, W>;
+    type One = T;
     const LANES: usize = W;
 
     #[inline(always)]
@@ -196,7 +197,7 @@ impl<T: Number, const W: usize> Real for Lanes<T, W> {
         Self([T::of(value); W])
     }
     #[inline(always)]
-    fn lane(self, lane: usize) -> f64 {
+    fn lane(&self, lane: usize) -> f64 {
         self.0[lane].into()
     }
     #[inline(always)]

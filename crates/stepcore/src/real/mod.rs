@@ -55,7 +55,7 @@ pub trait Mask: Copy + Debug + Send + Sync + 'static {
     fn all(self) -> bool {
         self.not().none()
     }
-    fn lane(self, lane: usize) -> bool;
+    fn lane(&self, lane: usize) -> bool;
     fn from_lanes(value: impl Fn(usize) -> bool) -> Self;
 }
 
@@ -78,6 +78,8 @@ pub trait Real:
     + Sync
 {
     type Mask: Mask;
+    /// The number of one lane, as precise.
+    type One: Real<Mask = bool, One = Self::One>;
     /// How many worlds one value holds.
     const LANES: usize;
 
@@ -85,7 +87,7 @@ pub trait Real:
     fn epsilon() -> f64;
     /// The same number in every lane.
     fn of(value: f64) -> Self;
-    fn lane(self, lane: usize) -> f64;
+    fn lane(&self, lane: usize) -> f64;
     fn set_lane(&mut self, lane: usize, value: f64);
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
     fn lt(self, other: Self) -> Self::Mask;
@@ -178,8 +180,8 @@ impl Mask for bool {
         self
     }
     #[inline(always)]
-    fn lane(self, _: usize) -> bool {
-        self
+    fn lane(&self, _: usize) -> bool {
+        *self
     }
     #[inline(always)]
     fn from_lanes(value: impl Fn(usize) -> bool) -> Self {
@@ -191,6 +193,7 @@ macro_rules! scalar_real {
     ($t:ty) => {
         impl Real for $t {
             type Mask = bool;
+            type One = Self;
             const LANES: usize = 1;
 
             #[inline(always)]
@@ -202,8 +205,8 @@ macro_rules! scalar_real {
                 value as $t
             }
             #[inline(always)]
-            fn lane(self, _: usize) -> f64 {
-                f64::from(self)
+            fn lane(&self, _: usize) -> f64 {
+                f64::from(*self)
             }
             #[inline(always)]
             fn set_lane(&mut self, _: usize, value: f64) {

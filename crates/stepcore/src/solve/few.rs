@@ -8,13 +8,15 @@
 //! Guesses can go round in a circle: lanes that a few did not solve are left to the
 //! primal method, whose line search cannot.
 
-use super::dot::{dot, dots};
+mod gather;
+
 use super::islands::row_count;
 use super::limits::Report;
 use super::rows::{Rows, Set};
 use crate::real::{Count, Mask, Real};
 use crate::room::room;
 use crate::spatial::subtract_scaled;
+use gather::Gathered;
 
 /// An island of so many rows has few, and one of up to `SHARE` a dof of its own.
 const MOST: usize = 16;
@@ -24,15 +26,19 @@ const SHARE: f64 = 0.5;
 const PIVOT: f64 = 1e-5;
 /// Guesses after which the island is left to the primal method.
 const GUESSES: u32 = 10;
-/// Rows of a block whose products are taken side by side.
-const WIDE: usize = 4;
 /// From so many free rows on, vectors pay in their elimination.
 const LONG: usize = 12;
 
-/// The method's memory. Lists are by row of the island, matrices row by row.
+/// The method's memory. Lists are by slot, each of which holds one row of every lane that has so many
+/// (`gather.rs`); matrices slot by slot.
 pub(super) struct Few<R: Real> {
-    rows: Vec<usize>,
+    gathered: Gathered<R>,
+    /// Lanes with a row in the slot.
     masks: Vec<R::Mask>,
+    /// Of the row: between which impulses, and the inverse of its denominator.
+    lo: Vec<R>,
+    hi: Vec<R>,
+    inv_s: Vec<R>,
     /// A + C, and t − J û.
     a: Vec<R>,
     b: Vec<R>,
@@ -50,11 +56,9 @@ pub(super) struct Few<R: Real> {
     x: Vec<R>,
     /// One row of Lᵀ.
     l: Vec<R>,
-    /// D⁻¹ y of one row, by dof.
-    z: Vec<R>,
 }
 
-room!(Few<R>: rows, masks, a, b, impulse, w, free, high, rest, some, m, inv, x, l, z;);
+room!(Few<R>: masks, lo, hi, inv_s, a, b, impulse, w, free, high, rest, some, m, inv, x, l; gathered);
 
 /// What one solve reads.
 #[derive(Clone, Copy)]
@@ -69,8 +73,11 @@ pub(super) struct Island<'a, R: Real> {
 impl<R: Real> Few<R> {
     pub fn new() -> Self {
         Self {
-            rows: Vec::new(),
+            gathered: Gathered::new(),
             masks: Vec::new(),
+            lo: Vec::new(),
+            hi: Vec::new(),
+            inv_s: Vec::new(),
             a: Vec::new(),
             b: Vec::new(),
             impulse: Vec::new(),
@@ -83,7 +90,6 @@ impl<R: Real> Few<R> {
             inv: Vec::new(),
             x: Vec::new(),
             l: Vec::new(),
-            z: Vec::new(),
         }
     }
 
@@ -120,97 +126,24 @@ impl<R: Real> Few<R> {
         }
         let (mut done, mut unsolved) = (Count::ZERO, R::Mask::of(false));
         self.slacks();
-        self.classify(rows, live);
+        self.classify(live);
         for _ in 0..GUESSES {
             if live.none() {
                 break;
             }
             done.add(live, 1);
             report.updates.add_each(live, &count);
-            let (moved, poor) = self.step(rows, live);
+            let (moved, poor) = self.step(live);
             unsolved = unsolved.or(poor);
             live = live.and(poor.not());
             self.slacks();
-            let changed = self.classify(rows, live);
+            let changed = self.classify(live);
             live = live.and(changed).and(moved);
         }
         report.sweeps.raise(&done);
         let unsolved = unsolved.or(live);
         self.give(island, rows, mine.and(unsolved.not()));
         unsolved
-    }
-
-    /// A, b and the impulses to start from.
-    fn take(&mut self, island: Island<R>, rows: &Rows<R>, mine: R::Mask) {
-        let Island { dof_lists, inv_d, guess, blocks } = island;
-        let zero = R::zero();
-        self.rows.clear();
-        self.masks.clear();
-        for block in blocks.iter().map(|b| &rows.blocks[*b]) {
-            self.rows.extend(block.rows.range());
-            self.masks.extend(block.rows.range().map(|_| block.mask.and(mine)));
-        }
-        let n = self.rows.len();
-        for (list, len) in [
-            (&mut self.a, n * n),
-            (&mut self.m, n * n),
-            (&mut self.w, n),
-            (&mut self.rest, n),
-            (&mut self.inv, n),
-            (&mut self.x, n),
-            (&mut self.l, n),
-        ] {
-            list.resize(len, zero);
-        }
-        self.z.resize(inv_d.len(), zero);
-        self.some.clear();
-        self.some.reserve(n);
-        self.free.clear();
-        self.free.resize(n, R::Mask::of(false));
-        self.high.clear();
-        self.high.resize(n, R::Mask::of(false));
-        self.b.clear();
-        self.impulse.clear();
-        for i in 0..n {
-            let row = &rows.rows[self.rows[i]];
-            let own = row.dofs.of(dof_lists);
-            let y = &rows.y[row.y..row.y + own.len()];
-            for (k, y) in own.iter().zip(y) {
-                self.z[*k] = inv_d[*k] * *y;
-            }
-            self.products(dof_lists, rows, i);
-            self.a[i * n + i] = row.a + row.c;
-            for k in own {
-                self.z[*k] = zero;
-            }
-            self.b.push(row.t - dot(own, y, guess));
-            self.impulse.push(R::select(self.masks[i], row.impulse, zero));
-        }
-    }
-
-    /// A of row i, whose D⁻¹ y is in `z`, and the rows before it.
-    fn products(&mut self, dof_lists: &[usize], rows: &Rows<R>, i: usize) {
-        let (n, mut j) = (self.rows.len(), 0);
-        while j < i {
-            let first = &rows.rows[self.rows[j]];
-            let list = first.dofs.of(dof_lists);
-            let beside = |(at, r): (usize, &usize)| {
-                let row = &rows.rows[*r];
-                row.dofs == first.dofs && row.y == first.y + at * list.len()
-            };
-            let wide = j + WIDE <= i && self.rows[j..j + WIDE].iter().enumerate().all(beside);
-            if wide {
-                let sums = dots::<R, WIDE>(list, &rows.y[first.y..], &self.z);
-                self.a[i * n + j..i * n + j + WIDE].copy_from_slice(&sums);
-            } else {
-                let y = &rows.y[first.y..first.y + list.len()];
-                self.a[i * n + j] = dot(list, y, &self.z);
-            }
-            j += if wide { WIDE } else { 1 };
-        }
-        for j in 0..i {
-            self.a[j * n + i] = self.a[i * n + j];
-        }
     }
 
     /// w = (A + C)λ − b.
@@ -233,16 +166,15 @@ impl<R: Real> Few<R> {
     }
 
     /// Which rows are free, from λ − w/s; lanes in which that is new.
-    fn classify(&mut self, rows: &Rows<R>, live: R::Mask) -> R::Mask {
+    fn classify(&mut self, live: R::Mask) -> R::Mask {
         let mut changed = R::Mask::of(false);
-        for (i, r) in self.rows.iter().enumerate() {
-            let row = &rows.rows[*r];
+        for i in 0..self.b.len() {
             let mask = self.masks[i].and(live);
             // A free row's w is rounding: its impulse alone says where it belongs.
-            let pull = R::select(self.free[i], R::zero(), self.w[i] * row.inv_s);
+            let pull = R::select(self.free[i], R::zero(), self.w[i] * self.inv_s[i]);
             let aim = self.impulse[i] - pull;
-            let free = aim.gt(row.lo).and(aim.lt(row.hi)).and(self.masks[i]);
-            let high = aim.ge(row.hi);
+            let free = aim.gt(self.lo[i]).and(aim.lt(self.hi[i])).and(self.masks[i]);
+            let high = aim.ge(self.hi[i]);
             let differ = |a: R::Mask, b: R::Mask| a.and(b.not()).or(b.and(a.not()));
             let new = differ(free, self.free[i]).or(free.not().and(differ(high, self.high[i])));
             changed = changed.or(mask.and(new));
@@ -254,14 +186,13 @@ impl<R: Real> Few<R> {
 
     /// Solves for the free rows, the others at their bounds; lanes in which λ moved
     /// by more than rounding, and lanes in which the system was too poor to solve.
-    fn step(&mut self, rows: &Rows<R>, live: R::Mask) -> (R::Mask, R::Mask) {
-        let poor = self.pose(rows).eliminate().and(live);
+    fn step(&mut self, live: R::Mask) -> (R::Mask, R::Mask) {
+        let poor = self.pose().eliminate().and(live);
         let zero = R::zero();
         let (mut most, mut moved) = (zero, zero);
         let mut some = self.some.iter().enumerate().peekable();
-        for (i, r) in self.rows.iter().enumerate() {
-            let row = &rows.rows[*r];
-            let bound = R::select(self.high[i], row.hi, row.lo);
+        for i in 0..self.b.len() {
+            let bound = R::select(self.high[i], self.hi[i], self.lo[i]);
             let mut x = R::select(self.free[i].or(self.masks[i].not()), zero, bound);
             if let Some((at, _)) = some.next_if(|(_, some)| **some == i) {
                 x = R::select(self.free[i], self.x[at], x);
@@ -276,18 +207,18 @@ impl<R: Real> Few<R> {
     }
 
     /// The system of the free rows.
-    fn pose(&mut self, rows: &Rows<R>) -> &mut Self {
-        let Self { a, b, free, high, masks, rest, some, m, x, .. } = self;
+    fn pose(&mut self) -> &mut Self {
+        let Self { a, b, lo, hi, free, high, masks, rest, some, m, x, .. } = self;
         let n = b.len();
         some.clear();
         some.extend((0..n).filter(|i| free[*i].any()));
         rest.copy_from_slice(b);
-        for (j, r) in self.rows.iter().enumerate() {
+        for j in 0..n {
             let held = free[j].or(masks[j].not()).not();
             if held.none() {
                 continue;
             }
-            let bound = R::select(high[j], rows.rows[*r].hi, rows.rows[*r].lo);
+            let bound = R::select(high[j], hi[j], lo[j]);
             for (rest, a) in rest.iter_mut().zip(&a[j * n..(j + 1) * n]) {
                 *rest = R::select(held, *rest - *a * bound, *rest);
             }
@@ -345,24 +276,5 @@ impl<R: Real> Few<R> {
             x[k] = sum * inv[k];
         }
         poor
-    }
-
-    /// Impulses within their bounds, and u = û + D⁻¹ Σ yλ.
-    fn give(&self, island: Island<R>, rows: &mut Rows<R>, mine: R::Mask) {
-        let Island { dof_lists, inv_d, guess, .. } = island;
-        let Rows { rows, y, u, .. } = rows;
-        for r in &self.rows {
-            for k in rows[*r].dofs.of(dof_lists) {
-                u[*k] = R::select(mine, guess[*k], u[*k]);
-            }
-        }
-        for (i, r) in self.rows.iter().enumerate() {
-            let row = &mut rows[*r];
-            let mask = self.masks[i].and(mine);
-            let impulse = self.impulse[i].clamp(row.lo, row.hi);
-            row.impulse = R::select(mask, impulse, row.impulse);
-            let dofs = row.dofs.of(dof_lists);
-            Rows::kick(u, inv_d, dofs, &y[row.y..row.y + dofs.len()], row.impulse, mask);
-        }
     }
 }

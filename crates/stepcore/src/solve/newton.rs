@@ -47,8 +47,16 @@ pub struct Newton<R: Real> {
     /// Islands that threads are to share.
     queue: Vec<usize>,
     few: Few<R>,
-    /// Of heaps in lanes.
-    by_lane: Option<Box<ByLane>>,
+    /// Of heaps in lanes, and of few lanes.
+    by_lane: Option<Box<ByLane<R>>>,
+}
+
+/// What the primal method solves of an island, in which lanes, and how long.
+#[derive(Clone, Copy)]
+struct Primal<'a, R: Real> {
+    free: Unconstrained<'a, R>,
+    limits: Limits,
+    live: R::Mask,
 }
 
 room!(Newton<R>: queue; islands, patterns, own, workers, few, by_lane);
@@ -68,7 +76,7 @@ impl<R: Real> Newton<R> {
             workers: Vec::new(),
             queue: Vec::new(),
             few: Few::new(),
-            by_lane: None,
+            by_lane: (R::LANES > 1).then(|| Box::new(ByLane::new())),
         }
     }
 
@@ -85,8 +93,7 @@ impl<R: Real> Newton<R> {
     ) -> Result<Report<R>> {
         check(rows)?;
         let Unconstrained { dof_lists, inv_d, guess } = free;
-        if rows.heap && R::LANES > 1 {
-            let by_lane = self.by_lane.get_or_insert_with(|| Box::new(ByLane::new()));
+        if let Some(by_lane) = self.by_lane.as_mut().filter(|_| rows.heap) {
             return by_lane.solve(free, rows, limits);
         }
         let mut report: Report<R> = Report::new();
@@ -96,7 +103,7 @@ impl<R: Real> Newton<R> {
         }
         let shared = R::LANES == 1 && rows.rows.len() >= ROWS_WORTH_SHARING;
         let pool = rows.pool.clone().filter(|_| shared && self.islands.count() > 1);
-        let Self { islands, patterns, own, workers, queue, few: some, .. } = self;
+        let Self { islands, patterns, own, workers, queue, few: some, by_lane } = self;
         let task = Task { free, limits, islands };
         queue.clear();
         for island in 0..islands.count() {
@@ -127,8 +134,14 @@ impl<R: Real> Newton<R> {
             if live.none() {
                 continue;
             }
+            own.keep_where(live, rows);
             if pool.is_some() {
                 queue.push(island);
+                continue;
+            }
+            if let Some(by_lane) = by_lane.as_mut().filter(|_| by_lane::few(live)) {
+                let left = Primal { free, limits, live };
+                by_lane.solve_island(left, (island, &own.present), rows, &mut report);
                 continue;
             }
             let pattern = inside(&mut patterns[island]);
@@ -139,6 +152,27 @@ impl<R: Real> Newton<R> {
             share(&pool, task, (queue, patterns), workers, rows, &mut report);
         }
         Ok(report)
+    }
+}
+
+impl<R: Real> Newton<R> {
+    /// Solves rows that all belong to one island, by the primal method.
+    fn primal(
+        &mut self,
+        Primal { free, limits, live }: Primal<R>,
+        island: usize,
+        rows: &mut Rows<R>,
+        report: &mut Report<R>,
+    ) {
+        if self.patterns.len() <= island {
+            self.patterns.resize_with(island + 1, Mutex::default);
+        }
+        let Self { islands, patterns, own, .. } = self;
+        own.present.clear();
+        own.present.extend(0..rows.blocks.len());
+        let pattern = inside(&mut patterns[island]);
+        own.solve(Task { free, limits, islands }, pattern, rows, live, report);
+        own.write(pattern, rows, live);
     }
 }
 

@@ -60,21 +60,22 @@ impl<R: Real> Row<R> {
 
 impl<R: Real> Row<R> {
     /// The row of one lane; numbers without their slopes.
-    pub(super) fn at_lane(&self, lane: usize) -> Row<f64> {
+    pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Row<S> {
+        let of = |x: &R| S::of(x.lane(lane));
         let Self { dofs, y, t, c, a, inv_s, lo, hi, impulse, beside, velocity, gap } = self;
         Row {
             dofs: *dofs,
             y: *y,
-            t: t.lane(lane),
-            c: c.lane(lane),
-            a: a.lane(lane),
-            inv_s: inv_s.lane(lane),
-            lo: lo.lane(lane),
-            hi: hi.lane(lane),
-            impulse: impulse.lane(lane),
-            beside: beside.lane(lane),
-            velocity: velocity.lane(lane),
-            gap: gap.lane(lane),
+            t: of(t),
+            c: of(c),
+            a: of(a),
+            inv_s: of(inv_s),
+            lo: of(lo),
+            hi: of(hi),
+            impulse: of(impulse),
+            beside: of(beside),
+            velocity: of(velocity),
+            gap: of(gap),
         }
     }
 }
@@ -148,18 +149,18 @@ impl<R: Real> Block<R> {
     }
 
     /// The block of one lane; numbers without their slopes.
-    pub(super) fn at_lane(&self, lane: usize) -> Block<f64> {
+    pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Block<S> {
         let Self { rows, set, mask, mu, mass, element, slot, kin, feature, island, rank } = self;
         Block {
             rows: *rows,
             set: *set,
             mask: mask.lane(lane),
-            mu: mu.lane(lane),
+            mu: S::of(mu.lane(lane)),
             mass: *mass,
             element: *element,
             slot: *slot,
             kin: kin.clone(),
-            feature: feature.lane(lane),
+            feature: S::of(feature.lane(lane)),
             island: *island,
             rank: *rank,
         }

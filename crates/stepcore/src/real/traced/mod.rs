@@ -192,7 +192,7 @@ impl Mask for TracedMask {
         }
     }
     /// Only counts ask, which are none of the state.
-    fn lane(self, _: usize) -> bool {
+    fn lane(&self, _: usize) -> bool {
         self.any()
     }
     fn from_lanes(value: impl Fn(usize) -> bool) -> Self {
@@ -250,6 +250,7 @@ impl One for Traced {
 
 impl Real for Traced {
     type Mask = TracedMask;
+    type One = f64;
     const LANES: usize = 2;
 
     fn epsilon() -> f64 {
@@ -260,9 +261,9 @@ impl Real for Traced {
         Self::Known(rounded(value))
     }
     #[inline(never)]
-    fn lane(self, _: usize) -> f64 {
+    fn lane(&self, _: usize) -> f64 {
         match self {
-            Self::Known(value) => value,
+            Self::Known(value) => *value,
             Self::Node(_) => {
                 Recorder::give_up();
                 f64::NAN

@@ -1,29 +1,43 @@
-//! Heaps in lanes, one world after another.
+//! Lanes solved one world after another.
 //!
-//! The order of elimination follows from the contacts at hand, and a lane may not depend on its
-//! neighbours' contacts. So each lane of a heap is solved as the world that it is.
+//! Of a heap all: the order of elimination follows from the contacts at hand, and a lane may not
+//! depend on its neighbours' contacts. Of another island those that are left, where they are so few
+//! that a register of lanes takes longer. A lane is then solved as the world that it is.
 
-use super::Newton;
+use super::{Newton, Primal};
 use crate::error::Result;
 use crate::real::{Mask, Real};
-use crate::room::room;
 use crate::solve::limits::{Limits, Report};
 use crate::solve::rows::Rows;
 use crate::solve::solver::Unconstrained;
 
+/// A register of lanes takes about as long as so many worlds alone.
+const AS_LONG: usize = 3;
+
 /// One world's problem, and who solves it.
-pub(super) struct ByLane {
-    newton: Newton<f64>,
-    rows: Rows<f64>,
-    inv_d: Vec<f64>,
-    guess: Vec<f64>,
+pub(super) struct ByLane<R: Real> {
+    newton: Newton<R::One>,
+    rows: Rows<R::One>,
+    inv_d: Vec<R::One>,
+    guess: Vec<R::One>,
     /// By block of the world: the block of the lanes.
     blocks: Vec<usize>,
 }
 
-room!(ByLane: inv_d, guess, blocks; newton, rows);
+impl<R: Real> crate::room::Room for ByLane<R> {
+    fn room(&self) -> usize {
+        use crate::room::listed;
+        let lists = listed(&self.inv_d) + listed(&self.guess) + listed(&self.blocks);
+        lists + self.newton.room() + self.rows.room()
+    }
+}
 
-impl ByLane {
+/// So few lanes that each is solved by itself.
+pub(super) fn few<M: Mask>(live: M) -> bool {
+    M::LANES > 1 && (0..M::LANES).filter(|lane| live.lane(*lane)).count() < AS_LONG
+}
+
+impl<R: Real> ByLane<R> {
     pub fn new() -> Self {
         Self {
             newton: Newton::new(),
@@ -34,8 +48,8 @@ impl ByLane {
         }
     }
 
-    /// Solves every lane by itself.
-    pub fn solve<R: Real>(
+    /// Solves every lane of a heap by itself.
+    pub fn solve(
         &mut self,
         free: Unconstrained<R>,
         rows: &mut Rows<R>,
@@ -44,24 +58,47 @@ impl ByLane {
         let dof_lists = free.dof_lists;
         let mut report: Report<R> = Report::new();
         for lane in 0..R::LANES {
-            let mine = R::Mask::from_lanes(|other| other == lane);
-            self.take(lane, free, rows);
+            self.take(lane, free, rows, 0..rows.blocks.len());
             let Self { newton, rows: own, inv_d, guess, .. } = self;
             let world = Unconstrained { dof_lists, inv_d, guess };
             let done = newton.solve(world, own, limits)?;
             self.give(lane, rows);
-            report.sweeps.add(mine, done.sweeps.lane(0));
-            report.updates.add(mine, done.updates.lane(0));
-            report.decrement.set_lane(lane, done.decrement);
-            report.open = report.open.or(mine.and(R::Mask::of(done.open)));
+            note(&mut report, lane, &done);
         }
         Ok(report)
     }
 
-    fn take<R: Real>(&mut self, lane: usize, free: Unconstrained<R>, rows: &Rows<R>) {
-        let fill = |to: &mut Vec<f64>, from: &[R]| {
+    /// Solves an island, of which there are these blocks, in the lanes `live`.
+    pub fn solve_island(
+        &mut self,
+        Primal { free, limits, live }: Primal<R>,
+        (island, blocks): (usize, &[usize]),
+        rows: &mut Rows<R>,
+        report: &mut Report<R>,
+    ) {
+        let dof_lists = free.dof_lists;
+        for lane in (0..R::LANES).filter(|lane| live.lane(*lane)) {
+            self.take(lane, free, rows, blocks.iter().copied());
+            let Self { newton, rows: own, inv_d, guess, .. } = self;
+            let free = Unconstrained { dof_lists, inv_d, guess };
+            let mut done = Report::new();
+            newton.primal(Primal { free, limits, live: true }, island, own, &mut done);
+            self.give(lane, rows);
+            note(report, lane, &done);
+        }
+    }
+
+    /// Some blocks of a lane, those that it has.
+    fn take(
+        &mut self,
+        lane: usize,
+        free: Unconstrained<R>,
+        rows: &Rows<R>,
+        blocks: impl Iterator<Item = usize>,
+    ) {
+        let fill = |to: &mut Vec<R::One>, from: &[R]| {
             to.clear();
-            to.extend(from.iter().map(|x| x.lane(lane)));
+            to.extend(from.iter().map(|x| R::One::of(x.lane(lane))));
         };
         fill(&mut self.inv_d, free.inv_d);
         fill(&mut self.guess, free.guess);
@@ -71,7 +108,11 @@ impl ByLane {
         fill(&mut own.u, &rows.u);
         fill(&mut own.y, &rows.y);
         self.blocks.clear();
-        for (at, block) in rows.blocks.iter().enumerate().filter(|(_, b)| b.mask.lane(lane)) {
+        for at in blocks {
+            let block = &rows.blocks[at];
+            if !block.mask.lane(lane) {
+                continue;
+            }
             let mut one = block.at_lane(lane);
             one.rows.start = own.rows.len();
             own.rows.extend(rows.rows[block.rows.range()].iter().map(|row| row.at_lane(lane)));
@@ -80,15 +121,25 @@ impl ByLane {
         }
     }
 
-    fn give<R: Real>(&self, lane: usize, rows: &mut Rows<R>) {
+    fn give(&self, lane: usize, rows: &mut Rows<R>) {
         for (to, from) in rows.u.iter_mut().zip(&self.rows.u) {
-            to.set_lane(lane, *from);
+            to.set_lane(lane, from.lane(0));
         }
         for (at, block) in self.blocks.iter().zip(&self.rows.blocks) {
             let to = rows.blocks[*at].rows.range();
             for (to, from) in rows.rows[to].iter_mut().zip(&self.rows.rows[block.rows.range()]) {
-                to.impulse.set_lane(lane, from.impulse);
+                to.impulse.set_lane(lane, from.impulse.lane(0));
             }
         }
     }
+}
+
+/// What was done in a lane.
+fn note<R: Real>(report: &mut Report<R>, lane: usize, done: &Report<R::One>) {
+    let mine = R::Mask::from_lanes(|other| other == lane);
+    report.sweeps.raise_in(mine, done.sweeps.lane(0));
+    report.updates.add(mine, done.updates.lane(0));
+    let decrement = report.decrement.lane(lane).max(done.decrement.lane(0));
+    report.decrement.set_lane(lane, decrement);
+    report.open = report.open.or(mine.and(R::Mask::of(done.open)));
 }

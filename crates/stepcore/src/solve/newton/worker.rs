@@ -77,6 +77,13 @@ impl<R: Real> Worker<R> {
         }));
     }
 
+    /// Leaves out what no lane of `live` has: the others are solved already.
+    pub fn keep_where(&mut self, live: R::Mask, rows: &Rows<R>) {
+        if R::LANES > 1 {
+            self.present.retain(|b| rows.blocks[*b].mask.and(live).any());
+        }
+    }
+
     /// Solves the island whose blocks were taken; lanes that it left unfinished.
     pub fn solve(
         &mut self,
