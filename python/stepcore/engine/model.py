@@ -19,6 +19,7 @@ from stepcore._core import Settings
 from stepcore.engine.file_lines import with_file_lines
 from stepcore.engine.model_data import ModelData
 from stepcore.engine.touches import Touches, touches
+from stepcore.scene import collector
 from stepcore.scene.layout import Layout
 from stepcore.scene.value_paths import changed
 from stepcore.scene.variation import Variation
@@ -65,9 +66,10 @@ class Model(ModelData):
     ) -> None:
         if not hasattr(scene, "to_dict"):
             raise ValueError(f"scene = {checks.shown(scene)}: must be a stepcore.Scene")
-        self._scene = copy.deepcopy(scene)
-        merged = _merged(self._scene.settings, settings, fields)
-        super().__init__(_engine(self._scene), merged)
+        with collector.held():
+            self._scene = copy.deepcopy(scene)
+            merged = _merged(self._scene.settings, settings, fields)
+            super().__init__(_engine(self._scene), merged)
 
     @property
     def scene(self) -> Scene:

@@ -40,6 +40,7 @@ from stepcore.mjcf.references import check_references
 from stepcore.mjcf.refusals import Refusals
 from stepcore.mjcf.visual_geoms import leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
+from stepcore.scene import collector
 from stepcore.scene.consistency import check
 from stepcore.scene.layout import Layout
 from stepcore.urdf import translate as urdf
@@ -58,6 +59,7 @@ SECTIONS: dict[str, Callable[[WorldReader, Node], None]] = {
 }
 
 
+@collector.held()
 def read_file(scene: Contents, path: str | os.PathLike[str], without: Iterable[str] = ()) -> None:
     """Fills an empty scene from an MJCF file; see `stepcore.load`."""
     shown = os.fsdecode(path)
@@ -68,6 +70,7 @@ def read_file(scene: Contents, path: str | os.PathLike[str], without: Iterable[s
     _fill(scene, root, Source(data, os.path.abspath(main.parent)), without)
 
 
+@collector.held()
 def read_text(
     scene: Contents,
     text: str | bytes,

@@ -27,6 +27,7 @@ from stepcore.scene.elements import (
     Site,
     Tendon,
     fields_of,
+    made,
 )
 from stepcore.scene.elements.sensor import OBJECTS
 from stepcore.scene.holdings import Holdings
@@ -388,4 +389,6 @@ def _make(kind: type[E], fields: Mapping[str, Any], **own: Any) -> E:
         if field not in known:
             near = checks.nearest(field, known)
             raise ValueError(f"a {kind.__name__.lower()} has no field {checks.quoted(field)}{near}")
-    return kind(**own, **fields)
+    if own.keys() & fields.keys():
+        return kind(**own, **fields)  # which says what is there twice
+    return made(kind, {**own, **fields})

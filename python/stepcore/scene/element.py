@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from stepcore import checks
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from typing import Self
 
-_CONSTANT = (str, int, float, bool, tuple)
+_CONSTANT = frozenset((str, int, float, bool, tuple, type(None)))
 
 # By class and field: the check, the default, and what the check makes of that.
 _CHECKS: dict[type, dict[str, tuple[checks.Check, object, object]]] = {}
 # By class: the names of its fields.
 _FIELDS: dict[type, tuple[str, ...]] = {}
+E = typing.TypeVar("E", bound="Element")
 # How often an element has got another name.
 _renamed = [0]
 
@@ -66,13 +68,13 @@ class Element:
         own = result.__dict__
         for field, value in self.__dict__.items():
             # Numbers, texts and tuples of numbers never change: a copy may share them.
-            constant = value is None or type(value) in _CONSTANT
-            own[field] = value if constant else copy.deepcopy(value, memo)
+            own[field] = value if type(value) in _CONSTANT else copy.deepcopy(value, memo)
         return result
 
     def values(self) -> dict[str, Any]:
         """The fields as MJCF's attributes hold them, each under its name."""
-        return {field: getattr(self, field) for field in fields_of(type(self))}
+        own = self.__dict__
+        return {field: own[field] for field in fields_of(type(self))}
 
     def record(self) -> dict[str, Any]:
         """The fields as plain data, lists for tuples: what the engine is handed."""
@@ -96,6 +98,21 @@ class Element:
             elif value != spec.default:
                 parts.append(f"{spec.name}={value!r}")
         return f"{type(self).__name__}({', '.join(parts)})"
+
+
+def made(kind: type[E], values: Mapping[str, Any]) -> E:
+    """`kind(**values)`, without looking at the fields one by one that keep their defaults."""
+    element = object.__new__(kind)
+    own = element.__dict__
+    for field, (check, default, checked) in (_CHECKS.get(kind) or _checks_of(kind)).items():
+        if field in values:
+            value = values[field]
+            own[field] = checked if value is default else check(element, field, value)
+        elif default is dataclasses.MISSING:
+            return kind(**values)  # which says what is missing
+        else:
+            own[field] = checked
+    return element
 
 
 def fields_of(kind: type[Element]) -> tuple[str, ...]:

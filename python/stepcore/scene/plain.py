@@ -5,7 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from stepcore.scene import actuation, assets, sensing, tying
-from stepcore.scene.elements import Body, ContactOverride, Element, Geom, Joint, Pair, Tendon
+from stepcore.scene.elements import (
+    Body,
+    ContactOverride,
+    Element,
+    Geom,
+    Joint,
+    Pair,
+    Tendon,
+    fields_of,
+)
 from stepcore.scene.elements.tendon import Around, Pulley, Share, Stop
 from stepcore.scene.frames import ORIGIN
 from stepcore.scene.layout import SIZES, Layout
@@ -30,6 +39,8 @@ SOFTNESS = {
     Pair: {"soft": ("solref", "solimp")},
     ContactOverride: {"soft": ("solref", "solimp")},
 }
+# What `_names` gave.
+_NAMES: dict[tuple[type[Element], tuple[str, ...]], list[tuple[str, str]]] = {}
 MASS_RULES = {
     "inertiafromgeom": "from_geoms",
     "inertiagrouprange": "group_range",
@@ -176,16 +187,21 @@ def _stop(stop: Stop, index: dict[int, int]) -> dict[str, Any]:
 
 def _record(element: Element, *skip: str) -> dict[str, Any]:
     record = element.record()
-    groups = SOFTNESS.get(type(element), {})
-    grouped = {field for pair in groups.values() for field in pair}
-    result = {
-        RENAMED.get(field, field): value
-        for field, value in record.items()
-        if field not in grouped and field not in skip
-    }
-    for group, (solref, solimp) in groups.items():
+    names = _names(type(element), skip)
+    result = {name: record[field] for field, name in names if field in record}
+    for group, (solref, solimp) in SOFTNESS.get(type(element), {}).items():
         result[group] = {"solref": record[solref], "solimp": record[solimp]}
     return result
+
+
+def _names(kind: type[Element], skip: tuple[str, ...]) -> list[tuple[str, str]]:
+    """The fields that stand by themselves in a record, and what the engine calls them."""
+    if (kind, skip) in _NAMES:
+        return _NAMES[kind, skip]
+    grouped = {field for pair in SOFTNESS.get(kind, {}).values() for field in pair}
+    own = [field for field in fields_of(kind) if field not in grouped and field not in skip]
+    _NAMES[kind, skip] = [(field, RENAMED.get(field, field)) for field in own]
+    return _NAMES[kind, skip]
 
 
 def _body(body: Body, index: dict[int, int]) -> dict[str, Any]:
