@@ -114,5 +114,60 @@ def test_what_is_read_after_a_failure_is_finite(call):
     assert all(np.isfinite(contact["force"]).all() for contact in sim.contacts)
 
 
+CHAIN = """<mujoco><option timestep=".002" integrator="Euler"/><worldbody><body>
+<joint name="j" axis="0 1 0"/><geom size=".05" mass=".1" pos=".2 0 0"/><body pos=".4 0 0">
+<joint name="k" axis="0 1 0"/><geom size=".05" mass=".1" pos=".2 0 0"/></body></body></worldbody>
+<actuator><velocity name="stiff" joint="j" kv="50"/><velocity joint="k" kv=".01"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
+@pytest.mark.parametrize("ledger", [False, True])
+def test_a_servo_that_throws_a_chain_about_answers_for_its_inertia(ledger):
+    sim = sc.Sim(sc.loads(CHAIN), ledger=ledger)
+    sim.ctrl[0] = 1.0
+    with pytest.raises(sc.SimulationError) as caught:
+        sim.step(100)
+    assert caught.value.element == "servo `stiff`"
+
+
+@pytest.mark.filterwarnings("ignore::stepcore.StiffnessWarning")
+@pytest.mark.parametrize("ledger", [False, True])
+@pytest.mark.parametrize(
+    ("robot", "joint", "field", "value", "integrator"),
+    [
+        ("gymnasium:half_cheetah", "bthigh", "damping", 1e7, "semi-implicit"),
+        ("gymnasium:half_cheetah", "bthigh", "damping", 1e4, "rk4"),
+        ("gymnasium:ant", "hip_1", "stiffness", 1e6, "rk4"),
+        ("gymnasium:ant", "hip_3", "damping", 1e6, "rk4"),
+        ("gymnasium:hopper", "leg_joint", "damping", 1e6, "rk4"),
+        ("dm_control:humanoid", "abdomen_z", "stiffness", 1e6, "rk4"),
+        ("dm_control:humanoid", "abdomen_z", "damping", 1e4, "rk4"),
+    ],
+)
+def test_a_joint_far_too_stiff_answers_for_the_inertia_of_the_robot(
+    robot, joint, field, value, integrator, ledger
+):
+    """One spring or damper explodes in a few steps, in which the robot's inertia changes too."""
+    scene = sc.load(robot)
+    setattr(scene.joint(joint), field, value)
+    sim = sc.Sim(scene, integrator=integrator, ledger=ledger)
+    sim.qvel[:] = 0.05 * np.random.default_rng(1).standard_normal(sim.model.nv)
+    with pytest.raises(sc.SimulationError) as caught:
+        sim.step(3000)
+    what = "spring" if field == "stiffness" else "damper"
+    assert caught.value.element == f"{what} of joint `{joint}`"
+
+
+@pytest.mark.parametrize("ledger", [False, True])
+def test_inertia_answers_for_what_it_does_to_the_energy_that_was_there(ledger):
+    """An ant that spins at 3,700 rad/s, integrated explicitly."""
+    sim = sc.Sim("gymnasium:ant", integrator="explicit", ledger=ledger)
+    sim.qvel[3:6] = [1e3, 2e3, 3e3]
+    with pytest.raises(sc.SimulationError) as caught:
+        sim.step(4000)
+    assert caught.value.element == "inertial force of joint `root`"
+
+
 BALLS = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 .1"><freejoint/>
 <geom type="capsule" size=".1 .2" mass="1"/></body></worldbody></mujoco>"""

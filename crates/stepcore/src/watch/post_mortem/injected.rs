@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::elements::Element;
+use crate::elements::{Element, Kind};
 use crate::model::Model;
 use crate::watch::tape::StepGains;
 
@@ -79,12 +79,13 @@ fn put_in(model: &Model, entries: &[StepGains], scale: f64, driven: f64) -> Vec<
 /// there is, so that the last doublings count no more than the first.
 pub(super) fn shares(entries: &[StepGains]) -> Vec<(Element, f64)> {
     let mut sums: BTreeMap<Element, f64> = BTreeMap::new();
+    let mut brought = Brought::default();
     for entry in entries {
         let size = entry.before.max(entry.after);
-        for (element, gain) in &entry.gains {
+        for (element, gain) in brought.answered_for(entry) {
             let part = gain / size;
             if size > 0.0 && size.is_finite() && part.is_finite() {
-                *sums.entry(*element).or_insert(0.0) += part;
+                *sums.entry(element).or_insert(0.0) += part;
             }
         }
     }
@@ -96,6 +97,47 @@ pub(super) fn shares(entries: &[StepGains]) -> Vec<(Element, f64)> {
         .collect();
     shares.sort_by(|a, b| b.1.total_cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
     shares
+}
+
+/// How much of the energy at hand each element has brought [J]. Inertial forces bring none: what
+/// they do with it, those answer for who brought it, and they themselves for what was there before.
+/// Where an element brings far more than that, bodies move so far in a step that their inertia is
+/// no longer the one that the step knew.
+#[derive(Default)]
+struct Brought(BTreeMap<Element, f64>);
+
+impl Brought {
+    fn total(&self) -> f64 {
+        self.0.values().sum()
+    }
+
+    fn scale(&mut self, factor: f64) {
+        self.0.values_mut().for_each(|own| *own *= factor);
+    }
+
+    /// The gains of the next step, by who answers for them.
+    fn answered_for(&mut self, entry: &StepGains) -> Vec<(Element, f64)> {
+        let known = self.total();
+        if known > entry.before {
+            // Who took energy away took of everyone's.
+            self.scale(entry.before / known);
+        }
+        let there = (entry.before - known).max(0.0);
+        let all = entry.gains.iter().map(|(element, gain)| (*element, *gain));
+        let (inertial, mut gains): (Vec<_>, Vec<_>) =
+            all.partition(|(element, _)| element.kind == Kind::Inertia);
+        for (element, gain) in gains.iter().filter(|(element, _)| *element != Element::GRAVITY) {
+            *self.0.entry(*element).or_insert(0.0) += gain.max(0.0);
+        }
+        let total = there + self.total();
+        let grown = inertial.iter().map(|(_, gain)| gain / total).sum::<f64>();
+        for (element, gain) in inertial {
+            gains.push((element, gain * (there / total)));
+            gains.extend(self.0.iter().map(|(owner, own)| (*owner, gain * (own / total))));
+        }
+        self.scale((1.0 + grown).max(0.0));
+        gains
+    }
 }
 
 /// The servo whose force was at its bound in most of some steps, and in a share of them at
