@@ -160,6 +160,9 @@ def test_what_is_held_creeps_as_its_softness_says():
     scene = slider(0.0, push=1.0, slopes=(1.0, 1.0), cone="elliptic")
     result = trade(scene, dts=[0.002], integrators=["semi-implicit"], horizon=0.2)
     assert result.shipped.errors.creep < 1e-12
+    # Of a block that stays there is no error to halve.
+    assert result.error(result.shipped) == 0
+    assert "No setting tried halves that error." in result.text()
 
 
 def test_errors_are_relative_to_the_size_of_the_scene():

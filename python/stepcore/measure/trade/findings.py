@@ -157,7 +157,7 @@ class TradeFindings:
             rows = [self.passed_over, self.frontier.halving(chosen)]
         elif self.shipped.errors is not None and not math.isnan(self.price(self.shipped)):
             error = self.error(self.shipped)
-            rows = [self.next_better(error), self.cheapest(error)]
+            rows = [self.next_better(error), self.frontier.cheapest(error)]
         else:
             rows = []
         return [row for row in rows if row is not None]

@@ -190,7 +190,7 @@ def _improvements(trade: TradeFindings) -> Iterator[str]:
         yield "No setting tried halves that error."
     else:
         yield f"Half that error or less {_offer(trade, half)}"
-    same = trade.cheapest(error)
+    same = trade.frontier.cheapest(error)
     if same is not half and trade.price(same) < NOTABLE * trade.price(row):
         yield f"The same error or less {_offer(trade, same)}"
 
