@@ -99,8 +99,9 @@ Why these are refused:
 - **flags**: `sleep` is MuJoCo's rule of what rests; stepcore has its own (`Settings.sleep`). `ipc`
   solves the contacts of flexes. `diagexact` gives rows another softness, and `speculative` adds
   contacts before shapes meet: options that change MuJoCo's own motion.
-- **not built yet**: an `orientation` of a site (that of a ball is); springs that yield; scaled
-  frames; sensors that read late or rarely.
+- **as MuJoCo does**: a sensor's `cutoff` of axes and quaternions.
+- **not built yet**: an `orientation` of a site (that of a ball is); springs that yield, and what
+  keyframes hold of them (`plastic`); scaled frames; sensors that read late or rarely.
 """
 
 
