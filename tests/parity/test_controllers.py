@@ -145,6 +145,29 @@ def test_runs(actuators, integrator):
     check(TEXT.format(option=option, default="", actuators="".join(actuators)))
 
 
+@pytest.mark.parametrize(
+    "actuators",
+    [
+        '<pid joint="a" kp="5" kv=".3" ki="9"/>',
+        f'<dcmotor joint="a" {N} inductance=".05" thermal="2 .03 0 .04 20 25" cogging=".1 7 .3" '
+        'input="pos voltage" controller="4 9 .2"/>',
+    ],
+    ids=["pid", "dcmotor"],
+)
+def test_midpoint_keeps_its_order(actuators):
+    scene = sc.loads(TEXT.format(option="", default="", actuators=actuators))
+
+    def end(halvings):
+        sim = sc.Sim(scene, integrator="midpoint", dt=0.2 / 2**halvings)
+        sim.ctrl[:], sim.qvel[:2] = 0.5, (1, 2)
+        sim.step(2**halvings)
+        return np.concatenate([sim.qpos, sim.qvel, sim.act])
+
+    best = end(12)
+    errors = [abs(end(halvings) - best).max() for halvings in (7, 8)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.1)
+
+
 CANONICAL = [actuator for actuators in LISTS.values() for actuator in actuators]
 
 
