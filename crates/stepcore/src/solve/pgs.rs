@@ -6,6 +6,7 @@
 
 mod cones;
 mod packed;
+mod side_by_side;
 mod sweep;
 
 use super::islands::{alive, row_count, Islands};
@@ -39,6 +40,12 @@ impl<R: Real> Pgs<R> {
         Self { islands: Islands::default(), sweeps: Sweeps::new(), momentum: Momentum::new() }
     }
 
+    /// The last island's contacts stood side by side.
+    #[cfg(test)]
+    pub(super) fn side_by_side(&self) -> bool {
+        self.sweeps.joined
+    }
+
     /// Sweeps over `rows` from the impulses they hold; `rows.u` must hold û and
     /// the effect of these impulses, and does so again afterwards.
     ///
@@ -63,6 +70,8 @@ impl<R: Real> Pgs<R> {
             let mut momentum = accelerated.then_some(&mut *momentum);
             if let Some(momentum) = &mut momentum {
                 momentum.begin(dof_lists, inv_d, rows, blocks);
+            } else {
+                sweeps.join(inv_d, rows, blocks);
             }
             let mut live = alive(rows, blocks);
             let single = if limits.exact { rows.alone(blocks) } else { R::Mask::of(false) };

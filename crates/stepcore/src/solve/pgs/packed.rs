@@ -24,19 +24,19 @@ type Ways<R> = [[[R; SIX]; NARROW]; 2];
 /// One contact; lists of four hold edges, or three directions and nothing.
 pub(super) struct Packed<R: Real> {
     /// y by body and direction.
-    y: Ways<R>,
+    pub(super) y: Ways<R>,
     /// y D⁻¹ yᵀ of edges, or of directions with c on the diagonal; rows of the lower triangle:
     /// of edges without the diagonal.
-    between: [R; 6],
-    t: [R; EDGES],
-    c: [R; EDGES],
-    inv_s: [R; EDGES],
-    pub impulse: [R; EDGES],
+    pub(super) between: [R; 6],
+    pub(super) t: [R; EDGES],
+    pub(super) c: [R; EDGES],
+    pub(super) inv_s: [R; EDGES],
+    pub(super) impulse: [R; EDGES],
     /// √(A/m).
-    weight: [R; EDGES],
+    pub(super) weight: [R; EDGES],
     mu: R,
     pub mask: R::Mask,
-    free: Free,
+    pub(super) free: Free,
     pub tie: Tie,
 }
 

@@ -6,6 +6,7 @@ use super::super::rows::{Block, Row, Rows, Set, CONE, NARROW};
 use super::super::wide::Wide;
 use super::cones::{Cones, Tie};
 use super::packed::{Packed, Target};
+use super::side_by_side::{SideBySide, SEEN};
 use crate::real::{Mask, Real};
 use crate::room::room;
 
@@ -30,11 +31,14 @@ pub(in super::super) struct Sweeps<R: Real> {
     /// By block.
     how: Vec<How>,
     packed: Vec<Packed<R>>,
+    side_by_side: SideBySide<R>,
+    /// The island at hand is there.
+    pub joined: bool,
     cones: Cones<R>,
     wide: Vec<Wide<R>>,
 }
 
-room!(Sweeps<R>: z, weight, how, packed, wide; cones);
+room!(Sweeps<R>: z, weight, how, packed, wide; side_by_side, cones);
 
 impl<R: Real> Sweeps<R> {
     pub fn new() -> Self {
@@ -43,6 +47,8 @@ impl<R: Real> Sweeps<R> {
             weight: Vec::new(),
             how: Vec::new(),
             packed: Vec::new(),
+            side_by_side: SideBySide::new(),
+            joined: false,
             cones: Cones::new(),
             wide: Vec::new(),
         }
@@ -90,8 +96,33 @@ impl<R: Real> Sweeps<R> {
         }
     }
 
-    /// Rows of packed blocks get their impulses.
+    /// Turns to an island whose blocks will be swept in this order, without the gain: pyramids of a
+    /// world by itself stand side by side, where bodies enough are apart.
+    pub fn join(&mut self, inv_d: &[R], rows: &Rows<R>, list: &[usize]) {
+        self.joined = false;
+        let pyramid = |at: &usize| match self.how[*at] {
+            How::Packed(place) => {
+                let packed = &self.packed[place as usize];
+                matches!(packed.tie, Tie::Bounds).then_some(packed)
+            }
+            _ => None,
+        };
+        let single = R::LANES == 1 && list.len() > SEEN;
+        if !single || !list.iter().all(|at| pyramid(at).is_some()) {
+            return;
+        }
+        let contacts = list.iter().filter_map(|at| {
+            let packed = pyramid(at).filter(|packed| packed.mask.any())?;
+            Some((rows.blocks[*at].rows.start as u32, packed))
+        });
+        self.joined = self.side_by_side.take(inv_d, &rows.u, contacts);
+    }
+
+    /// Rows of packed blocks get their impulses, and u what stands side by side.
     pub fn store(&self, rows: &mut Rows<R>, list: &[usize]) {
+        if self.joined {
+            return self.side_by_side.store(rows);
+        }
         for at in list {
             if let How::Packed(place) = self.how[*at] {
                 let own = rows.blocks[*at].rows.range();
@@ -156,6 +187,9 @@ impl<R: Real> Sweeps<R> {
         list: &[usize],
         live: R::Mask,
     ) -> Swept<R> {
+        if self.joined && !GAIN {
+            return Swept { change: self.side_by_side.sweep(), gain: R::zero() };
+        }
         let Rows { rows, blocks, y, u, .. } = rows;
         let (mut largest, mut gain) = (R::zero(), R::zero());
         for at in list {

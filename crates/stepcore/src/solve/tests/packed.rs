@@ -1,6 +1,7 @@
 //! Contacts that are packed for sweeps, against the same rows one by one.
 
 use super::{close, contacts, pack, Problem, Random, INF};
+use crate::model::Span;
 use crate::real::{Lanes, Real, WIDTH};
 use crate::solve::limits::Limits;
 use crate::solve::pgs::Pgs;
@@ -80,6 +81,86 @@ fn packed_lanes_are_their_worlds() {
                 for (one, lanes) in alone.u.iter().zip(&lanes.u) {
                     assert_eq!(one.to_bits(), lanes.lane(lane).to_bits());
                 }
+            }
+        }
+    }
+}
+
+/// A ring of bodies, each in contact with the next and every third with the ground; and the list that
+/// the rows' spans point into.
+fn ring<R: Real>(worlds: &[Problem], bodies: usize) -> (Rows<R>, Vec<usize>) {
+    let (mut rows, mut lists, mut y) = (pack::<R>(worlds), vec![], vec![]);
+    for block in &rows.blocks {
+        let at = block.slot as usize;
+        let own: Vec<usize> = if at < bodies {
+            // Not one after another, so that some stand side by side.
+            let (this, next) = (7 * at % bodies, (7 * at + 1) % bodies);
+            let (one, two) = (this.min(next), this.max(next));
+            (6 * one..6 * one + 6).chain(6 * two..6 * two + 6).collect()
+        } else {
+            (18 * (at - bodies)..).take(6).collect()
+        };
+        for row in &mut rows.rows[block.rows.range()] {
+            row.dofs = Span { start: lists.len(), len: own.len() };
+            let given = std::mem::replace(&mut row.y, y.len());
+            y.extend(own.iter().map(|k| rows.y[given + k]));
+        }
+        lists.extend(own);
+    }
+    rows.y = y;
+    (rows, lists)
+}
+
+/// What `ring` takes: rows over all dofs.
+fn ring_problem(bodies: usize, inv_d: &[f64], random: &mut Random) -> Problem {
+    let guess: Vec<f64> = inv_d.iter().map(|_| random.next()).collect();
+    let mut problem = Problem::new(inv_d, &guess);
+    for _ in 0..bodies + bodies / 3 {
+        let given = contacts(Set::Interval, 1, 0.05, random).blocks.remove(0).2;
+        let ways: Vec<Vec<f64>> =
+            given.iter().map(|_| inv_d.iter().map(|_| random.next()).collect()).collect();
+        let edge = |way: usize, mu: f64| {
+            let y = ways[0].iter().zip(&ways[way]).map(|(n, t)| n + mu * t).collect();
+            (y, given[0].1 + mu * given[way].1, 0.05, 0.0, INF)
+        };
+        let edges = vec![edge(1, 0.7), edge(1, -0.7), edge(2, 0.7), edge(2, -0.7)];
+        problem.blocks.push((Set::Interval, 0.7, edges));
+    }
+    problem
+}
+
+/// Against rows one by one, and against lanes, which have no sides, to the last bit.
+#[test]
+fn side_by_side_is_one_after_another() {
+    const BODIES: usize = 24;
+    let mut random = Random::new(5);
+    let inv_d: Vec<f64> = (0..6 * BODIES).map(|_| random.next().exp()).collect();
+    let worlds: Vec<Problem> =
+        (0..WIDTH).map(|_| ring_problem(BODIES, &inv_d, &mut random)).collect();
+    for tolerance in [0.0, 1e-3] {
+        let limits =
+            Limits { sweeps: 9, tolerance, momentum: false, exact: false, rounding: false };
+        let (mut lanes, lists) = ring::<Lanes>(&worlds, BODIES);
+        lanes.heap = true;
+        let inverse: Vec<Lanes> = inv_d.iter().map(|x| Lanes::of(*x)).collect();
+        Pgs::new().solve(&lists, &inverse, &mut lanes, limits);
+        for (lane, world) in worlds.iter().enumerate() {
+            let [plain, side] = [false, true].map(|heap| {
+                let (mut rows, _) = ring::<f64>(std::slice::from_ref(world), BODIES);
+                rows.heap = heap;
+                let mut pgs = Pgs::new();
+                pgs.solve(&lists, &inv_d, &mut rows, limits);
+                assert_eq!(pgs.side_by_side(), heap);
+                rows
+            });
+            assert!(side.rows.iter().any(|row| row.impulse > 0.0));
+            for (k, (one, other)) in plain.rows.iter().zip(&side.rows).enumerate() {
+                close(one.impulse, other.impulse, 1e-11);
+                assert_eq!(other.impulse.to_bits(), lanes.rows[k].impulse.lane(lane).to_bits());
+            }
+            for (k, u) in side.u.iter().enumerate() {
+                close(*u, plain.u[k], 1e-11);
+                assert_eq!(u.to_bits(), lanes.u[k].lane(lane).to_bits());
             }
         }
     }

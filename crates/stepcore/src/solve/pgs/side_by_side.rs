@@ -1,0 +1,338 @@
+//! Pyramids of a heap side by side: four contacts that share no body are updated at once, number
+//! by number.
+//!
+//! A contact joins the first four with room behind all contacts of its bodies that came before it.
+//! Updates of contacts that share no body do not see each other, so that this is the sweep over the
+//! rows in order, to the last bit; but an update is a chain of additions that waits for itself,
+//! and four of them take hardly longer than one.
+
+use super::super::free::SIX;
+use super::super::rows::{Rows, NARROW};
+use super::packed::{Packed, EDGES};
+use crate::real::Real;
+use crate::room::{listed, room, Room};
+
+/// Contacts at once: as many numbers as a vector of most machines.
+const SIDE: usize = 4;
+/// Contacts of which it is clear whether they stand in a row, each on the one before; an island of
+/// fewer is not worth it.
+pub(super) const SEEN: usize = 24;
+/// A place in a four that no contact has.
+const NOBODY: u32 = u32::MAX;
+
+/// A number of each contact.
+type Each<R> = [R; SIDE];
+
+/// Four contacts; what one of them lacks is zero. See `Packed`.
+#[repr(align(64))]
+struct Four<R> {
+    y: [[[Each<R>; SIX]; NARROW]; 2],
+    inv_d: [[Each<R>; SIX]; 2],
+    between: [Each<R>; 6],
+    t: [Each<R>; EDGES],
+    c: [Each<R>; EDGES],
+    inv_s: [Each<R>; EDGES],
+    impulse: [Each<R>; EDGES],
+    weight: [Each<R>; EDGES],
+    /// Into `SideBySide::bodies`.
+    bodies: [[u32; SIDE]; 2],
+    /// The first row of each.
+    rows: [u32; SIDE],
+}
+
+/// A body's part of u, on a line of the memory by itself.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+struct Six<R>([R; SIX]);
+
+/// An island of pyramids.
+pub(super) struct SideBySide<R> {
+    fours: Vec<Four<R>>,
+    /// The first stands for what no contact moves.
+    bodies: Vec<Six<R>>,
+    /// The first dof of each.
+    dofs: Vec<u32>,
+    /// By body: the next four in which it may be. By four: contacts so far.
+    free: Vec<u32>,
+    filled: Vec<u8>,
+    /// By contact: its bodies and its four.
+    places: Vec<([u32; 2], u32)>,
+    /// By dof: the body that begins there, where it is one of the island.
+    body_at: Vec<u32>,
+}
+
+room!(SideBySide<R>: fours, dofs, free, filled, places, body_at; bodies);
+
+impl<R> Room for Vec<Six<R>> {
+    fn room(&self) -> usize {
+        listed(self)
+    }
+}
+
+impl<R: Real> SideBySide<R> {
+    pub fn new() -> Self {
+        Self {
+            fours: Vec::new(),
+            bodies: Vec::new(),
+            dofs: Vec::new(),
+            free: Vec::new(),
+            filled: Vec::new(),
+            places: Vec::new(),
+            body_at: Vec::new(),
+        }
+    }
+
+    /// Takes in an island, with the first row of each of its contacts, and their bodies' u. Takes
+    /// nothing and returns false where too few of them would stand side by side.
+    pub fn take<'a>(
+        &mut self,
+        inv_d: &[R],
+        u: &[R],
+        contacts: impl Iterator<Item = (u32, &'a Packed<R>)> + Clone,
+    ) -> bool {
+        if !self.arrange(u.len(), contacts.clone().map(|(_, packed)| packed)) {
+            return false;
+        }
+        self.bodies.clear();
+        self.bodies.resize(self.dofs.len(), Six([R::zero(); SIX]));
+        self.load(u);
+        self.fours.clear();
+        self.fours.extend(self.filled.iter().map(|_| Four::empty()));
+        self.filled.fill(0);
+        for ((row, packed), (bodies, at)) in contacts.zip(&self.places) {
+            let lane = &mut self.filled[*at as usize];
+            self.fours[*at as usize].set(usize::from(*lane), row, *bodies, packed, inv_d);
+            *lane += 1;
+        }
+        true
+    }
+
+    /// Finds each contact's four; false where most would be half empty.
+    fn arrange<'a>(&mut self, nv: usize, contacts: impl Iterator<Item = &'a Packed<R>>) -> bool {
+        self.body_at.resize(nv, 0);
+        self.dofs.clear();
+        self.free.clear();
+        self.filled.clear();
+        self.places.clear();
+        self.dofs.push(NOBODY);
+        self.free.push(0);
+        // All fours before it are full.
+        let mut open = 0;
+        for packed in contacts {
+            let mut bodies = [0; 2];
+            for (which, body) in bodies.iter_mut().enumerate().take(packed.free.count()) {
+                let dof = packed.free.body(which).start;
+                let at = &mut self.body_at[dof];
+                if *at == 0 {
+                    *at = self.dofs.len() as u32;
+                    self.dofs.push(dof as u32);
+                    self.free.push(0);
+                }
+                *body = *at;
+            }
+            let first =
+                bodies.iter().fold(open, |first, body| first.max(self.free[*body as usize]));
+            let full = |filled: &&u8| usize::from(**filled) == SIDE;
+            let at = first as usize + self.filled[first as usize..].iter().take_while(full).count();
+            if at == self.filled.len() {
+                self.filled.push(0);
+            }
+            self.filled[at] += 1;
+            open += self.filled[open as usize..].iter().take_while(full).count() as u32;
+            for body in bodies.into_iter().filter(|body| *body > 0) {
+                self.free[body as usize] = at as u32 + 1;
+            }
+            self.places.push((bodies, at as u32));
+            if self.places.len() == SEEN && 4 * self.filled.len() > 3 * SEEN {
+                break;
+            }
+        }
+        for dof in &self.dofs[1..] {
+            self.body_at[*dof as usize] = 0;
+        }
+        self.places.len() > SEEN && self.places.len() >= 2 * self.filled.len()
+    }
+
+    /// Takes the bodies' u.
+    fn load(&mut self, u: &[R]) {
+        for (body, dof) in self.bodies.iter_mut().zip(&self.dofs).skip(1) {
+            body.0.copy_from_slice(&u[*dof as usize..][..SIX]);
+        }
+    }
+
+    /// Writes impulses and u down.
+    pub fn store(&self, rows: &mut Rows<R>) {
+        for (body, dof) in self.bodies.iter().zip(&self.dofs).skip(1) {
+            rows.u[*dof as usize..][..SIX].copy_from_slice(&body.0);
+        }
+        for four in &self.fours {
+            for (lane, row) in four.rows.iter().enumerate().filter(|(_, row)| **row != NOBODY) {
+                for (row, impulse) in rows.rows[*row as usize..].iter_mut().zip(&four.impulse) {
+                    row.impulse = impulse[lane];
+                }
+            }
+        }
+    }
+
+    /// Updates every contact; the largest change of an impulse [m/s].
+    #[inline(never)]
+    pub fn sweep(&mut self) -> R {
+        let mut largest = [R::zero(); SIDE];
+        for four in &mut self.fours {
+            four.update(&mut self.bodies, &mut largest);
+        }
+        largest.into_iter().fold(R::zero(), |most, own| most.max(own))
+    }
+}
+
+impl<R: Real> Four<R> {
+    fn empty() -> Self {
+        let none = [R::zero(); SIDE];
+        Self {
+            y: [[[none; SIX]; NARROW]; 2],
+            inv_d: [[none; SIX]; 2],
+            between: [none; 6],
+            t: [none; EDGES],
+            c: [none; EDGES],
+            inv_s: [none; EDGES],
+            impulse: [none; EDGES],
+            weight: [none; EDGES],
+            bodies: [[0; SIDE]; 2],
+            rows: [NOBODY; SIDE],
+        }
+    }
+
+    fn set(&mut self, lane: usize, row: u32, bodies: [u32; 2], packed: &Packed<R>, inv_d: &[R]) {
+        self.rows[lane] = row;
+        for which in 0..packed.free.count() {
+            self.bodies[which][lane] = bodies[which];
+            let inv_d = &inv_d[packed.free.body(which)];
+            for k in 0..SIX {
+                self.inv_d[which][k][lane] = inv_d[k];
+                for way in 0..NARROW {
+                    self.y[which][way][k][lane] = packed.y[which][way][k];
+                }
+            }
+        }
+        for (own, given) in self.between.iter_mut().zip(packed.between) {
+            own[lane] = given;
+        }
+        for i in 0..EDGES {
+            self.t[i][lane] = packed.t[i];
+            self.c[i][lane] = packed.c[i];
+            self.inv_s[i][lane] = packed.inv_s[i];
+            self.impulse[i][lane] = packed.impulse[i];
+            self.weight[i][lane] = packed.weight[i];
+        }
+    }
+
+    /// As `Packed::update` of each.
+    #[inline(always)]
+    fn update(&mut self, bodies: &mut [Six<R>], largest: &mut Each<R>) {
+        let one = gather(bodies, &self.bodies[0]);
+        let two = gather(bodies, &self.bodies[1]);
+        let n = velocity(&self.y[0][0], &self.y[1][0], &one, &two);
+        let a = velocity(&self.y[0][1], &self.y[1][1], &one, &two);
+        let b = velocity(&self.y[0][2], &self.y[1][2], &one, &two);
+        let mut change = [[R::zero(); SIDE]; EDGES];
+        let mut short = change;
+        for l in 0..SIDE {
+            short[0][l] = n[l] + a[l];
+            short[1][l] = n[l] - a[l];
+            short[2][l] = n[l] + b[l];
+            short[3][l] = n[l] - b[l];
+        }
+        for i in 0..EDGES {
+            for l in 0..SIDE {
+                short[i][l] = self.t[i][l] - short[i][l] - self.c[i][l] * self.impulse[i][l];
+            }
+        }
+        for i in 0..EDGES {
+            for l in 0..SIDE {
+                change[i][l] = (short[i][l] * self.inv_s[i][l]).max(-self.impulse[i][l]);
+            }
+            for j in i + 1..EDGES {
+                let between = &self.between[j * (j - 1) / 2 + i];
+                for l in 0..SIDE {
+                    short[j][l] -= between[l] * change[i][l];
+                }
+            }
+        }
+        for i in 0..EDGES {
+            for l in 0..SIDE {
+                self.impulse[i][l] += change[i][l];
+                largest[l] = largest[l].max(change[i][l].abs() * self.weight[i][l]);
+            }
+        }
+        let mut f = [[R::zero(); SIDE]; NARROW];
+        for l in 0..SIDE {
+            f[0][l] = (change[0][l] + change[1][l]) + (change[2][l] + change[3][l]);
+            f[1][l] = change[0][l] - change[1][l];
+            f[2][l] = change[2][l] - change[3][l];
+        }
+        let mut kicked = [[[R::zero(); SIDE]; SIX]; 2];
+        self.kick(bodies, &f, &mut kicked);
+        scatter(bodies, &self.bodies[0], &kicked[0]);
+        scatter(bodies, &self.bodies[1], &kicked[1]);
+    }
+
+    /// The bodies' u + D⁻¹ Σ y f. Not inlined: the products would be ordered body by body, as
+    /// their sums are stored.
+    #[inline(never)]
+    fn kick(&self, bodies: &[Six<R>], f: &[Each<R>; NARROW], out: &mut [[Each<R>; SIX]; 2]) {
+        for which in 0..2 {
+            let (y, inv_d) = (&self.y[which], &self.inv_d[which]);
+            let u = gather(bodies, &self.bodies[which]);
+            for k in 0..SIX {
+                for l in 0..SIDE {
+                    let push = (y[0][k][l] * f[0][l] + y[1][k][l] * f[1][l]) + y[2][k][l] * f[2][l];
+                    out[which][k][l] = u[k][l] + inv_d[k][l] * push;
+                }
+            }
+        }
+    }
+}
+
+/// Bodies' u, side by side.
+#[inline(always)]
+fn gather<R: Real>(bodies: &[Six<R>], at: &[u32; SIDE]) -> [Each<R>; SIX] {
+    let mut u = [[R::zero(); SIDE]; SIX];
+    for l in 0..SIDE {
+        let own = &bodies[at[l] as usize].0;
+        for k in 0..SIX {
+            u[k][l] = own[k];
+        }
+    }
+    u
+}
+
+#[inline(always)]
+fn scatter<R: Real>(bodies: &mut [Six<R>], at: &[u32; SIDE], u: &[Each<R>; SIX]) {
+    for l in 0..SIDE {
+        let own = &mut bodies[at[l] as usize].0;
+        for k in 0..SIX {
+            own[k] = u[k][l];
+        }
+    }
+}
+
+/// y·u over two bodies, summed as `Packed` does.
+#[inline(always)]
+fn velocity<R: Real>(
+    y: &[Each<R>; SIX],
+    z: &[Each<R>; SIX],
+    one: &[Each<R>; SIX],
+    two: &[Each<R>; SIX],
+) -> Each<R> {
+    let mut p = [[R::zero(); SIDE]; SIX];
+    for k in 0..SIX {
+        for l in 0..SIDE {
+            p[k][l] = y[k][l] * one[k][l] + z[k][l] * two[k][l];
+        }
+    }
+    let mut sum = [R::zero(); SIDE];
+    for l in 0..SIDE {
+        sum[l] = ((p[0][l] + p[2][l]) + p[4][l]) + ((p[1][l] + p[3][l]) + p[5][l]);
+    }
+    sum
+}
