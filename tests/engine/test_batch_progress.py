@@ -113,3 +113,15 @@ def test_progress_is_checked(model):
     with pytest.raises(ValueError, match="n = -2: must be a whole number"):
         batch.step(-2)
     assert batch.time == 0
+
+
+def test_a_recorded_rollout_has_every_name_and_refuses_shapes_as_the_plain_one():
+    batch = sc.Batch("gymnasium:inverted_pendulum", 2)
+    run = batch.rollout(np.zeros((2, 3, 1)), record=("qpos", "energy"))
+    assert list(run.recorded) == ["qpos", "energy"]
+    assert np.array_equal(run.recorded["qpos"], run.qpos)
+    for shape in ((3, 3, 1), (2, 3, 2), (2, 3)):
+        for record in ((), ("energy",)):
+            with pytest.raises(ValueError) as error:
+                batch.rollout(np.zeros(shape), record=record)
+            assert f"ctrl has shape {shape}: must be (2, steps, 1)" in str(error.value)

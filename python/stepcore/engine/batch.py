@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
 # 40 % on two cores).
 WORTH_THREADS = 2000
 
-# As many steps as the engine counts.
-MOST_STEPS = 2**64 - 1
 # What the other worlds do when one fails.
 ON_FAILURE = ("stop", "go on")
 
@@ -170,17 +169,19 @@ class Batch(Stepped):
         >>> run.qpos.shape, run.recorded["energy"].shape
         ((2, 5, 2), (2, 5, 2))
         """
-        table = numbers("ctrl", ctrl)
-        if table.ndim != 3:
+        table, names = numbers("ctrl", ctrl), recordable(record, NAMES)
+        if table.ndim != 3 or table.shape[::2] != (len(self), self._model.nu):
             limit = f"({len(self)}, steps, {self._model.nu})"
             raise ValueError(f"ctrl has shape {table.shape}: must be {limit}")
-        if names := recordable(record, NAMES):
-            with self._long(table.shape[1], progress) as told:
-                return recorded_rollout(self, table, names, told)
-        with self._long(table.shape[1], progress) as told:
-            states = self._core.rollout(table, told)
-        self._told(table.shape[1])
-        return Rollout(*states[:3])
+        steps = table.shape[1]
+        with self._long(steps, progress) as told:
+            if names:
+                roll = partial(self._core.rollout, told=None)
+                states = recorded_rollout(self, roll, table, names, told)
+            else:
+                states = Rollout(*self._core.rollout(table, told)[:3])
+        self._told(steps)
+        return states
 
     def _told(self, steps: int) -> None:
         """Warns of rows that stay unsolved."""
@@ -192,13 +193,14 @@ class Batch(Stepped):
         """`_explained`, and how many steps are done is shown; a single step has nothing to show."""
         checks.progress("Batch", progress)
         with self._explained():
-            if progress is None and isinstance(steps, int) and steps <= 1:
+            # What is no number of steps, the engine refuses.
+            total = steps if isinstance(steps, (int, np.integer)) else 0
+            if total <= (1 if progress is None else 0):
                 yield None
                 return
             # Only long calls need the bar.
             from stepcore.report.progress import BEGUN, Progress
 
-            total = checks.count("n", steps, 0, MOST_STEPS)
             with Progress("steps", total, progress, after=BEGUN) as bar:
                 yield bar.advance
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from stepcore._core import Settings
 from stepcore.engine.arrays import Floats
@@ -32,23 +32,26 @@ class Rollout(NamedTuple):
     recorded: Mapping[str, NDArray[Any]] = {}
 
 
-class Rolls(Protocol):
+class Stepped(Protocol):
     """What a `Batch` has of this."""
 
     @property
     def settings(self) -> Settings: ...
 
-    def rollout(self, ctrl: ArrayLike) -> Rollout: ...
-
 
 def recorded_rollout(
-    batch: Rolls, ctrl: Floats, names: Sequence[str], told: Callable[[int], object] | None
+    batch: Stepped,
+    roll: Callable[[Floats], object],
+    ctrl: Floats,
+    names: Sequence[str],
+    told: Callable[[int], object] | None,
 ) -> Rollout:
-    """Takes the steps one by one, reads what is asked for after each, and tells of it."""
+    """Takes the steps one by one with `roll`, reads what is asked for after each, and tells of it.
+
+    Numbers are refused before the first step.
+    """
     steps = ctrl.shape[1]
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in ("qpos", "qvel", "act", *names)}
-    # Shapes and numbers are refused before the first step.
-    batch.rollout(ctrl[:, :0])
     single = batch.settings.precision == "f32"
     with np.errstate(over="ignore"):
         finite = np.isfinite(ctrl.astype(np.float32) if single else ctrl)
@@ -59,11 +62,12 @@ def recorded_rollout(
         where = f"ctrl[{world}, {step}, {actuator}]"
         raise ValueError(f"{where} = {shown}: must be finite; nothing was stepped")
     for step in range(steps):
-        batch.rollout(ctrl[:, step : step + 1])
+        roll(ctrl[:, step : step + 1])
         for name, values in parts.items():
             values.append(np.array(getattr(batch, name)))
         if told is not None:
             told(1)
     empty = {name: np.asarray(getattr(batch, name))[:, None][:, :0] for name in parts if not steps}
     whole = {name: np.stack(values, axis=1) for name, values in parts.items() if steps} | empty
-    return Rollout(whole.pop("qpos"), whole.pop("qvel"), whole.pop("act"), whole)
+    recorded = {name: whole[name] for name in names}
+    return Rollout(whole["qpos"], whole["qvel"], whole["act"], recorded)

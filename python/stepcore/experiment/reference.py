@@ -218,9 +218,8 @@ class ReferenceRuns:
         """All starts at one step, until one fails; bare: only positions are recorded."""
         settings = self.settings(integrator, dt)
         if bare:
-            paths = screened(self.runner, settings, range(self.starts), self.workers, bar)
-            ends = next((k for k, path in enumerate(paths) if path.failure), len(paths))
-            paths = paths[: ends + 1]
+            starts = range(self.starts)
+            paths = screened(self.runner, settings, starts, self.workers, bar, until_fails=True)
         else:
             job = partial(self.runner.run, settings)
             paths = self.workers.until(lambda path: path.failure, job, range(self.starts), bar)

@@ -175,15 +175,27 @@ def screened(
     starts: Sequence[int],
     workers: Workers,
     bar: Progress | str,
+    until_fails: bool = False,
 ) -> list[Path]:
-    """`Runner.screen` from each of the starts, in batches where those end sooner."""
-    if not (can(runner) and helps(len(starts) - 1, settings, workers.threads, workers.saving)):
-        return workers.each(partial(runner.screen, settings), starts, bar)
-    jobs = [starts[:1], *portions(starts[1:], settings)]
+    """`Runner.screen` from each of the starts, in batches where those end sooner.
+
+    until_fails: the first path that failed is the last; runs that come after it need not be made.
+    """
     if isinstance(bar, str):
         with workers.bar(bar, len(starts)) as own:
-            return _made(runner, settings, jobs, workers, own)
-    return _made(runner, settings, jobs, workers, bar)
+            return screened(runner, settings, starts, workers, own, until_fails)
+    if not (can(runner) and helps(len(starts) - 1, settings, workers.threads, workers.saving)):
+        job = partial(runner.screen, settings)
+        if until_fails:
+            return workers.until(_failure, job, starts, bar)
+        return workers.each(job, starts, bar)
+    paths = _made(runner, settings, [starts[:1], *portions(starts[1:], settings)], workers, bar)
+    ends = next((k for k, path in enumerate(paths) if until_fails and path.failure), len(paths))
+    return paths[: ends + 1]
+
+
+def _failure(path: Path) -> str | None:
+    return path.failure
 
 
 def _made(

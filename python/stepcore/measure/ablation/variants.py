@@ -19,7 +19,7 @@ from stepcore.experiment.path import Path
 from stepcore.experiment.probe import Probe
 from stepcore.experiment.runner import Runner
 from stepcore.experiment.schedule import Schedule
-from stepcore.experiment.together import can, helps, screened
+from stepcore.experiment.together import screened
 from stepcore.experiment.workers import Workers
 from stepcore.report.progress import Progress
 
@@ -120,17 +120,10 @@ def outcome_of(
 
 
 def positions(runner: Runner, settings: Settings, workers: Workers) -> list[Path]:
-    """The positions of the runs from all starts; on one thread only until one fails."""
+    """The positions of the runs from all starts, until one fails."""
     starts = range(len(runner.schedule.starts))
-    many = can(runner) and helps(len(starts) - 1, settings, workers.threads, workers.saving)
-    if many or workers.threads > 1 or workers.executor is not None:
-        return screened(runner, settings, starts, workers, Progress("", len(starts), False))
-    paths: list[Path] = []
-    for start in starts:
-        paths.append(runner.screen(settings, start))
-        if paths[-1].failure:
-            break
-    return paths
+    bar = Progress("", len(starts), False)
+    return screened(runner, settings, starts, workers, bar, until_fails=True)
 
 
 class WorkCount(Probe):
