@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from stepcore import checks
 from stepcore.engine.arrays import Floats, ModelArray
-from stepcore.report.units import plural
 
 if TYPE_CHECKING:
     from stepcore import _core
@@ -263,6 +262,9 @@ class ModelData(ABC):
             index = range(len(names))[operator.index(name)]
         except (TypeError, IndexError):
             if not names:
+                # Only refusals need it.
+                from stepcore.report.units import plural
+
                 many = plural("keyframe" if kind == "key" else kind)
                 raise ValueError(
                     f"{kind} = {checks.shown(name)}: the model has no {many}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from stepcore.report.units import counted
 from stepcore.scene import length_ranges
 from stepcore.scene.consistency import check
 from stepcore.scene.contents import Contents
@@ -167,6 +166,9 @@ class Scene(Contents):
             "key": self.keys,
         }
         counts += [(len(elements), word, "") for word, elements in rest.items() if elements]
+        # Only what is printed needs words.
+        from stepcore.report.units import counted
+
         parts = [f"{counted(n, word)}{more}" for n, word, more in counts]
         options = [f"{key}={value!r}" for key, value in self.options.items()]
         name = f' "{self.name}"' if self.name else ""
