@@ -72,6 +72,25 @@ def recommended(dt, worse=()):
     return rounded_row(frontier, confirm, row, steps, first, 1e-3)[1].settings.dt
 
 
+def test_single_precision_is_chosen_only_where_it_saves_what_timing_can_tell():
+    for single, chosen in ((0.99, "f64"), (0.91, "f64"), (0.85, "f32")):
+        costs = {"f64": 1.0, "f32": single}
+        rows = [
+            TradeRow(
+                sc.Settings(precision=precision),
+                SimpleNamespace(high=1e-4, position_max=0.0),
+                cost,
+                0.0,
+                flops=1.0,
+            )
+            for precision, cost in costs.items()
+        ]
+        frontier = Frontier.of(rows, 0.0, 0.0, "time")
+        assert frontier.cheapest(1e-3).settings.precision == chosen
+        # Alone there is no choice.
+        assert Frontier.of(rows[1:], 0.0, 0.0, "time").cheapest(1e-3).cost == single
+
+
 def test_a_rounder_step_is_recommended_where_it_passes_and_costs_little():
     assert recommended(0.02 / 21) == pytest.approx(1e-3)  # 952 µs: 1 ms keeps to the error
     assert recommended(0.02 / 28) == pytest.approx(0.8e-3)

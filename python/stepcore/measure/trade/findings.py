@@ -12,7 +12,7 @@ from stepcore.experiment.motion import Motion, picklable
 from stepcore.experiment.reference import Reference
 from stepcore.experiment.runner import Runner
 from stepcore.measure.findings import Finding
-from stepcore.measure.trade.frontier import MARGIN, Frontier
+from stepcore.measure.trade.frontier import MARGIN, NOTABLE, Frontier
 from stepcore.measure.trade.in_batch import BatchPoint
 from stepcore.measure.trade.mujoco import Point
 from stepcore.measure.trade.orders import observed_orders
@@ -21,8 +21,6 @@ from stepcore.report.units import length
 
 # What `TradeFindings.best` looks for where nobody says it [m].
 ERROR = 1e-3
-# A saving below this is within what timing can tell.
-NOTABLE = 0.9
 # A cheaper row that misses the error on at most this share of the starts is worth naming.
 FEW = 0.1
 

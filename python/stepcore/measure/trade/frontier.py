@@ -14,6 +14,8 @@ from stepcore.measure.trade.row import TradeRow
 
 # Everything tried is held to this share of the error asked for, because further starts differ.
 MARGIN = 0.9
+# A saving below this is within what timing can tell.
+NOTABLE = 0.9
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class Frontier:
         """
         half = self.searched(row) / 2
         good = [r for r in self.rows if self.searched(r) <= half and not math.isnan(self.price(r))]
-        return min(good, key=self._preferred, default=None)
+        return self._cheapest_of(good) if good else None
 
     def price(self, row: TradeRow) -> float:
         """What a row costs per simulated second: µs, or operations if that is the metric."""
@@ -82,17 +84,21 @@ class Frontier:
     def cheapest(self, error: float) -> TradeRow:
         """The row of the lowest price whose error is at most `error` [m].
 
+        In double precision where single saves no more than timing can tell.
+
         Raises ValueError, naming the smallest error there is, if none is that good.
         """
         good = [r for r in self.rows if self.error(r) <= error and not math.isnan(self.price(r))]
         if not good:
             least = min((self.error(row) for row in self.rows), default=math.inf)
             raise ValueError(f"error = {error:g} m: the smallest in this trade is {least:.3g} m")
-        return min(good, key=self._preferred)
+        return self._cheapest_of(good)
 
-    def _preferred(self, row: TradeRow) -> tuple[float, bool, float]:
-        # Single precision does the same operations: of two alike the double one.
-        return self.price(row), row.settings.precision == "f32", self.error(row)
+    def _cheapest_of(self, rows: list[TradeRow]) -> TradeRow:
+        least = min(rows, key=lambda row: (self.price(row), self.error(row)))
+        double = least.settings.replace(precision="f64")
+        twin = next((row for row in rows if row.settings == double), least)
+        return twin if NOTABLE * self.price(twin) <= self.price(least) else least
 
     def most_accurate(self, budget: float) -> TradeRow:
         """The row with the smallest error whose price is at most `budget`.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from stepcore.measure.trade.findings import NOTABLE, TradeFindings
+from stepcore.measure.trade.findings import TradeFindings
+from stepcore.measure.trade.frontier import NOTABLE
 from stepcore.measure.trade.in_batch import BatchPoint
 from stepcore.measure.trade.mujoco import compared_with_mujoco
 from stepcore.measure.trade.notes import short
