@@ -15,6 +15,10 @@ BENCHES = {
     "vs_numpy": "The lesson's scenes against numpy",
     "heap_scale": "What a heap costs as it grows",
     "heap_threads": "One heap, stepped by several threads",
+    "levels": "Batches against mujoco.rollout, by vector instructions",
+    "batch_threads": "Batches, stepped by several threads",
+    "vector_envs": "Environments against gymnasium's",
+    "peak": "What share of the processor's peak a step reaches",
     "executors": "Runs in threads, processes and a Dask cluster",
     "trade_validation": "Do the trade's recommendations hold?",
 }
