@@ -16,6 +16,11 @@ pub struct Rays {
     pub normal: Vec<f64>,
 }
 
+/// A vector of the first lane.
+pub fn flat<R: Real>(v: &V3<R>) -> [f64; 3] {
+    [v.x.lane(0), v.y.lane(0), v.z.lane(0)]
+}
+
 fn six(ang: &V3<f64>, lin: &V3<f64>) -> [f64; 6] {
     [ang.x, ang.y, ang.z, lin.x, lin.y, lin.z]
 }

@@ -17,7 +17,7 @@ use stepcore::spatial::V3;
 use stepcore::state::{State, Warm};
 use stepcore::watch::{Counter, Coupling, LastSolve, Linearizer, RayFilter, StepGains, Watched};
 
-use crate::readings::{self, Rays, TendonPath};
+use crate::readings::{self, flat, Rays, TendonPath};
 
 /// What is read of the present state.
 #[derive(Clone, Copy)]
@@ -427,10 +427,6 @@ impl<R: Real> World for One<R> {
 
 fn numbers<R: Real>(values: &[R]) -> Vec<f64> {
     values.iter().map(|x| x.lane(0)).collect()
-}
-
-fn flat<R: Real>(v: &V3<R>) -> [f64; 3] {
-    [v.x.lane(0), v.y.lane(0), v.z.lane(0)]
 }
 
 fn read_placed<R: Real>(sim: &mut Sim<R>, what: Placed) -> Vec<f64> {
