@@ -18,6 +18,7 @@ pub use failed::Failed;
 pub use group::Last;
 pub use play::Play;
 
+use std::hint::black_box;
 use std::sync::{Arc, Mutex};
 
 use crew::{Crew, Desk};
@@ -77,10 +78,17 @@ pub fn program_of<R: Real>(models: &[Arc<Model>], settings: &Settings) -> Option
 /// can hold.
 pub fn of_one_model(model: &Model, worlds: usize) -> Result<Vec<usize>> {
     let bytes = worlds.checked_mul(bytes_a_world(model));
-    if bytes.is_none_or(|bytes| Vec::<u8>::new().try_reserve_exact(bytes).is_err()) {
+    if !bytes.is_some_and(can_be_had) {
         return Err(Error::value("n", worlds, "a number of worlds that the memory can hold"));
     }
     Ok(vec![0; worlds])
+}
+
+/// Whether the memory has so many bytes. The black box has them used: the optimiser may leave out
+/// memory that nobody uses, and then never asks for it.
+fn can_be_had(bytes: usize) -> bool {
+    let mut room = Vec::<u8>::new();
+    room.try_reserve_exact(bytes).is_ok() && black_box(&mut room).capacity() >= bytes
 }
 
 /// A little more than a world's numbers take here and in its user's arrays.
