@@ -58,6 +58,29 @@ impl<R: Real> Row<R> {
     }
 }
 
+/// The dofs that some of these lists have, ascending; `place` has the place of each, and `usize::MAX`
+/// for every other of the `nv` dofs.
+pub(super) fn distinct<'a>(
+    lists: impl Iterator<Item = &'a [usize]>,
+    nv: usize,
+    dofs: &mut Vec<usize>,
+    place: &mut Vec<usize>,
+) {
+    dofs.clear();
+    place.clear();
+    place.resize(nv, usize::MAX);
+    for k in lists.flatten() {
+        if place[*k] == usize::MAX {
+            place[*k] = 0;
+            dofs.push(*k);
+        }
+    }
+    dofs.sort_unstable();
+    for (at, k) in dofs.iter().enumerate() {
+        place[*k] = at;
+    }
+}
+
 impl<R: Real> Row<R> {
     /// The row of one lane; numbers without their slopes.
     pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Row<S> {

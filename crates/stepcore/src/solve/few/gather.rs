@@ -7,7 +7,7 @@
 //! with it the order of every sum. Where that saves little, rows stay where they are: a slot each.
 
 use super::super::dot::{dot, dots};
-use super::super::rows::{Row, Rows};
+use super::super::rows::{distinct, Row, Rows};
 use super::{Few, Island};
 use crate::real::{Mask, Real, MOST_LANES};
 use crate::room::room;
@@ -22,7 +22,7 @@ pub(super) struct Gathered<R: Real> {
     /// Rows that some lane has, and the lanes.
     rows: Vec<usize>,
     masks: Vec<R::Mask>,
-    /// Their dofs, ascending; by dof its place among these, or `NONE`.
+    /// Their dofs, and by dof its place among these: see `distinct`.
     dofs: Vec<usize>,
     place: Vec<usize>,
     /// y by slot, then by place, if rows were moved.
@@ -31,8 +31,6 @@ pub(super) struct Gathered<R: Real> {
     /// D⁻¹ y of one slot, by dof.
     z: Vec<R>,
 }
-
-const NONE: usize = usize::MAX;
 
 room!(Gathered<R>: rows, masks, dofs, place, y, z;);
 
@@ -76,21 +74,8 @@ impl<R: Real> Gathered<R> {
 
     /// Finds the dofs of these rows.
     fn find_dofs(&mut self, dof_lists: &[usize], rows: &Rows<R>) {
-        self.dofs.clear();
-        self.place.clear();
-        self.place.resize(rows.u.len(), NONE);
-        for row in self.rows.iter().map(|r| &rows.rows[*r]) {
-            for k in row.dofs.of(dof_lists) {
-                if self.place[*k] == NONE {
-                    self.place[*k] = 0;
-                    self.dofs.push(*k);
-                }
-            }
-        }
-        self.dofs.sort_unstable();
-        for (at, k) in self.dofs.iter().enumerate() {
-            self.place[*k] = at;
-        }
+        let lists = self.rows.iter().map(|r| rows.rows[*r].dofs.of(dof_lists));
+        distinct(lists, rows.u.len(), &mut self.dofs, &mut self.place);
     }
 }
 
@@ -187,7 +172,7 @@ impl<R: Real> Few<R> {
             list.fill(R::zero());
         }
         (0..n).for_each(|i| self.a[i * n + i] = R::zero());
-        let (mut at, mut own_b) = (NONE, R::zero());
+        let (mut at, mut own_b) = (usize::MAX, R::zero());
         each_slot(masks, |i, lane, slot| {
             let row = &rows.rows[list[i]];
             if i != at {

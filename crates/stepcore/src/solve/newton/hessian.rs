@@ -12,9 +12,7 @@ use crate::model::Span;
 use crate::real::{Mask, Real};
 use crate::room::room;
 use crate::solve::free::Free;
-use crate::solve::rows::NARROW;
-
-const NOWHERE: usize = usize::MAX;
+use crate::solve::rows::{distinct, NARROW};
 
 /// Which dofs an island's rows couple. Indices are local: places in `dofs`.
 #[derive(Default)]
@@ -74,21 +72,8 @@ impl Pattern {
 
     /// Local numbers of the dofs, and every bundle's list in them.
     fn number(&mut self, dof_lists: &[usize], nv: usize) {
-        self.local.clear();
-        self.local.resize(nv, NOWHERE);
-        self.dofs.clear();
-        for span in &self.key {
-            for k in span.of(dof_lists) {
-                if self.local[*k] == NOWHERE {
-                    self.local[*k] = 0;
-                    self.dofs.push(*k);
-                }
-            }
-        }
-        self.dofs.sort_unstable();
-        for (at, k) in self.dofs.iter().enumerate() {
-            self.local[*k] = at;
-        }
+        let lists = self.key.iter().map(|span| span.of(dof_lists));
+        distinct(lists, nv, &mut self.dofs, &mut self.local);
         self.lists.clear();
         self.bundles.clear();
         let mut places = 0;
