@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from stepcore.mjcf.controllers import INPUTS, first_of, states
+from stepcore.mjcf.controllers import INPUTS, first_of
 from stepcore.mjcf.gains import ActuatorGains, saturated
 from stepcore.mjcf.nodes import Node
 from stepcore.mjcf.validation import bad
 from stepcore.mjcf.worldbody import WorldReader, polynomial
-from stepcore.scene.actuation import MUSCLE
+from stepcore.scene.actuation import MUSCLE, law, states
 from stepcore.scene.elements.actuator import BIASES, DYNAMICS, GAINS, Actuator
 from stepcore.scene.orienting import parts
 
@@ -52,6 +52,9 @@ def read(world: WorldReader, node: Node) -> None:
         enabled=values.get("group", 0) not in world.disabled_groups,
         **given,
     )
+    dim, count = values.get("actdim", -1), states(law(added))
+    if dim not in (-1, count):
+        raise bad(node, "actdim", dim, f"-1 or {count}, how many activations it has")
     world.keep(node, added)
     for word in parts(added)[1:]:
         _add_input(world, node, added, word)
@@ -236,9 +239,6 @@ def _actrange(
             if values.get(name, False) not in (False, "auto"):
                 text = f"<{node.tag}> inherits {name}, but a {node.tag} has no activation"
                 raise node.error(text)
-    dim, count = values.get("actdim", -1), states(gains) if gains.more else int(not stateless)
-    if dim not in (-1, count):
-        raise bad(node, "actdim", dim, f"-1 or {count}, how many activations it has")
     return None if stateless else world.limits(node, values, "actlimited", "actrange")
 
 

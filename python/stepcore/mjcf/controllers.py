@@ -33,13 +33,6 @@ def first_of(gains: Any) -> str:
     return words.split()[0]
 
 
-def states(gains: Any) -> int:
-    """How many activations a controller has."""
-    more: dict[str, Any] = gains.more
-    kept = (more.get(name) for name in ("slewmax", "ki", "thermal", "timeconst"))
-    return sum(map(bool, kept)) + int(more.get("lugre", (0.0,))[0] > 0)
-
-
 def _input(node: Node, inherited: str) -> str:
     given: str = node.values.get("input", "") or inherited
     known = INPUTS[node.tag]

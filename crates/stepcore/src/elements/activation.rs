@@ -128,7 +128,7 @@ pub(crate) fn signal<R: Real>(
 /// The rates of all activations, and how fast those of controllers fade.
 pub(crate) fn rates<R: Real>(
     model: &Model,
-    (qpos, qvel): (&[R], &[R]),
+    at: (&[R], &[R]),
     now: Activations<R>,
     inputs: &Inputs<R>,
     pulls: Pulls<R>,
@@ -138,9 +138,7 @@ pub(crate) fn rates<R: Real>(
         return;
     }
     for index in model.controlled() {
-        let along = model.along[index];
-        let along = [along.length(model, qpos, pulls), along.velocity(model, qpos, qvel, pulls)];
-        let Some(work) = controller::work(model, index, now, inputs, along) else { continue };
+        let Some(work) = controller::work(model, index, at, now, inputs, pulls) else { continue };
         for (kind, k) in controller::places(model, index) {
             [rates[k], fading[k]] = work.rate(kind);
         }
@@ -165,10 +163,8 @@ pub(crate) fn advance<R: Real>(
         return;
     }
     for index in model.controlled() {
-        let own = model.actuators[index].controller.iter();
-        for (own, (kind, k)) in
-            own.flat_map(|own| controller::places(model, index).map(move |place| (own, place)))
-        {
+        let Some(own) = &model.actuators[index].controller else { continue };
+        for (kind, k) in controller::places(model, index) {
             let moved = act[k] + rates[k] * controller::span(fading[k], seconds);
             out[k] = controller::bounded(own, kind, moved);
         }

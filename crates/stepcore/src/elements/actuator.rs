@@ -11,7 +11,7 @@
 //! motor, and all of its work counts as put in. So does that of a controller (`controller.rs`).
 
 use super::activation::{nearest, signal, Activations};
-use super::controller::{work, Work};
+use super::controller::work;
 use super::force::{Forces, Group, Moment};
 use super::gravcomp::asked_of_drives;
 use super::orientation::turn;
@@ -37,8 +37,7 @@ impl scene::Actuator {
     /// A motor's bounds are those of its current, which its controller keeps; those of a servo of
     /// orientations bound the length of its torque.
     fn bounds(&self) -> Option<[f64; 2]> {
-        let motor = self.controller.as_ref().is_some_and(|own| own.motor.is_some());
-        self.forcerange.filter(|_| !motor && self.orientation.is_none())
+        self.forcerange.filter(|_| !self.drives_motor() && self.orientation.is_none())
     }
 
     fn bounded<R: Real>(&self, force: R) -> R {
@@ -96,22 +95,6 @@ impl<R: Real> Along<R> {
     }
 }
 
-/// Of an actuator with a controller: what that does.
-#[inline(always)]
-fn controlled<R: Real>(
-    model: &Model,
-    index: usize,
-    (qpos, qvel): (&[R], &[R]),
-    act: Activations<R>,
-    inputs: &Inputs<R>,
-    pulls: Pulls<R>,
-) -> Option<Work<R>> {
-    model.actuators[index].controller.as_ref()?;
-    let along = model.along[index];
-    let along = [along.length(model, qpos, pulls), along.velocity(model, qpos, qvel, pulls)];
-    work(model, index, act, inputs, along)
-}
-
 /// What stands for the control: within its bounds, or the activation; of a servo on a circle the one
 /// of those that are the same which is nearest.
 #[inline(always)]
@@ -161,7 +144,7 @@ pub(crate) fn tensions<R: Real>(
         return;
     }
     for (index, actuator) in model.actuators.iter().enumerate().filter(|(_, a)| a.enabled) {
-        if let Some(work) = controlled(model, index, (qpos, qvel), act, inputs, pulls) {
+        if let Some(work) = work(model, index, (qpos, qvel), act, inputs, pulls) {
             tensions[index] = work.force;
             continue;
         }
@@ -342,7 +325,7 @@ impl Forces for Actuator {
         let (along, pulls) = (model.along[index], now.frames.pulls);
         let mut by = [R::of(actuator.bias[1]), R::of(actuator.bias[2])];
         let at = (now.qpos, now.qvel);
-        if let Some(work) = controlled(model, index, at, now.act, now.inputs, pulls) {
+        if let Some(work) = work(model, index, at, now.act, now.inputs, pulls) {
             by = work.slopes.map(|slope| -slope);
         } else if actuator.gain_varies() {
             let at = Along::of(model, index, now.qpos, now.qvel, pulls);
@@ -375,8 +358,7 @@ impl Forces for Actuator {
     fn damps(model: &Model, index: usize) -> bool {
         let actuator = &model.actuators[index];
         let varies = actuator.gain[2] != 0.0 || actuator.muscle_gain.is_some();
-        let motor = actuator.controller.as_ref().is_some_and(|own| own.motor.is_some());
-        model.acts(index) && (actuator.bias[2] != 0.0 || varies || motor)
+        model.acts(index) && (actuator.bias[2] != 0.0 || varies || actuator.drives_motor())
     }
 
     fn stored<R: Real>(now: &Moment<R>, index: usize, add: &mut impl FnMut(R)) {

@@ -25,11 +25,12 @@
 
 use super::activation::{nearest, Activations};
 use crate::model::Model;
+use crate::place::Pulls;
 use crate::real::{Mask, Real};
 use crate::scene::{self, Controller, Input, Motor};
 use crate::state::Inputs;
 
-/// The activations in their order.
+/// The activations in the order of `Controller::remembers`.
 const SLEW: usize = 0;
 const INTEGRAL: usize = 1;
 const HEAT: usize = 2;
@@ -51,22 +52,10 @@ pub(super) struct Work<R: Real> {
     fading: [R; KINDS],
 }
 
-/// Which of its kinds of activations a controller has.
-fn kept(own: &Controller) -> [bool; KINDS] {
-    let motor = own.motor.as_ref();
-    [
-        own.slewmax > 0.0,
-        own.ki != 0.0,
-        motor.is_some_and(|motor| motor.thermal.is_some()),
-        motor.is_some_and(|motor| motor.lugre.is_some()),
-        motor.is_some_and(|motor| motor.inductance > 0.0),
-    ]
-}
-
 /// Its activations: their kinds, with their places in act.
 pub(super) fn places(model: &Model, index: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
     let own = model.actuators[index].controller.as_ref();
-    let kinds = own.map_or([false; KINDS], kept);
+    let kinds = own.map_or([false; KINDS], Controller::remembers);
     (0..KINDS).filter(move |kind| kinds[*kind]).zip(model.activations[index].range())
 }
 
@@ -86,17 +75,34 @@ pub(super) fn span<R: Real>(fading: R, seconds: f64) -> R {
     R::of(seconds) * R::select(small, series, (one - exp(-safe)) / safe)
 }
 
-/// What drives it now. At the middle of a step (`Activations::middle`) the activations are those of
-/// its start, and are moved by half a step first.
+/// What the controller of an actuator does now; None where it has none.
+#[inline(always)]
 pub(super) fn work<R: Real>(
     model: &Model,
     index: usize,
+    at: (&[R], &[R]),
     now: Activations<R>,
     inputs: &Inputs<R>,
-    along: [R; 2],
+    pulls: Pulls<R>,
 ) -> Option<Work<R>> {
+    let own = model.actuators[index].controller.as_ref()?;
+    Some(work_of(own, model, index, at, now, inputs, pulls))
+}
+
+/// At the middle of a step (`Activations::middle`) the activations are those of its start, and are
+/// moved by half a step first.
+fn work_of<R: Real>(
+    own: &Controller,
+    model: &Model,
+    index: usize,
+    (qpos, qvel): (&[R], &[R]),
+    now: Activations<R>,
+    inputs: &Inputs<R>,
+    pulls: Pulls<R>,
+) -> Work<R> {
     let actuator = &model.actuators[index];
-    let own = actuator.controller.as_ref()?;
+    let along = model.along[index];
+    let along = [along.length(model, qpos, pulls), along.velocity(model, qpos, qvel, pulls)];
     let mut states = [R::zero(); KINDS];
     for (kind, k) in places(model, index) {
         states[kind] = now.act[k];
@@ -106,7 +112,7 @@ pub(super) fn work<R: Real>(
     let at = Along { actuator, own, circle: model.circles[index], ctrl, along };
     let seconds = now.seconds;
     if !now.middle {
-        return Some(at.work(&states, seconds, seconds));
+        return at.work(&states, seconds, seconds);
     }
     let first = at.work(&states, seconds, 0.0);
     let start = states;
@@ -118,7 +124,7 @@ pub(super) fn work<R: Real>(
         // Of what fades the rate at the start: `advance` lets it fade.
         work.rates[kind] += work.fading[kind] * (states[kind] - start[kind]);
     }
-    Some(work)
+    work
 }
 
 impl<R: Real> Work<R> {

@@ -193,13 +193,13 @@ pub struct Motor {
 }
 
 impl Controller {
-    /// How many activations it has.
-    pub fn states(&self) -> usize {
-        let motor = self.motor.as_ref().map_or([false; 3], |motor| {
+    /// Which activations it has, in their order: a target, an integral, a temperature, a deflection of
+    /// bristles, a current.
+    pub fn remembers(&self) -> [bool; 5] {
+        let [thermal, lugre, inductance] = self.motor.as_ref().map_or([false; 3], |motor| {
             [motor.thermal.is_some(), motor.lugre.is_some(), motor.inductance > 0.0]
         });
-        let own = [self.slewmax > 0.0, self.ki != 0.0];
-        own.into_iter().chain(motor).filter(|kept| *kept).count()
+        [self.slewmax > 0.0, self.ki != 0.0, thermal, lugre, inductance]
     }
 }
 
@@ -252,16 +252,21 @@ impl Actuator {
         }
     }
 
+    /// Its controller asks a motor for its force.
+    pub fn drives_motor(&self) -> bool {
+        self.controller.as_ref().is_some_and(|own| own.motor.is_some())
+    }
+
     /// How many activations it has.
     pub fn states(&self) -> usize {
-        self.controller.as_ref().map_or(self.dynamics.count(), Controller::states)
+        let of = |own: &Controller| own.remembers().into_iter().filter(|kept| *kept).count();
+        self.controller.as_ref().map_or(self.dynamics.count(), of)
     }
 
     /// Its force depends on a length, or how fast that changes.
     pub fn feeds_back(&self) -> bool {
         let depends = |term: &[f64; 3]| term[1] != 0.0 || term[2] != 0.0;
-        let motor = self.controller.as_ref().is_some_and(|c| c.motor.is_some());
-        motor || self.is_muscle() || depends(&self.bias) || depends(&self.gain)
+        self.drives_motor() || self.is_muscle() || depends(&self.bias) || depends(&self.gain)
     }
 
     pub fn is_muscle(&self) -> bool {
