@@ -21,17 +21,22 @@ setTimeout(() => {
 </script>"""
 
 
+def browser() -> str | None:
+    """The path of a Chromium, if there is one."""
+    return next(filter(None, map(shutil.which, BROWSERS)), None)
+
+
 def view(root: Path) -> bytes | None:
     """The run as a PNG; None where there is no Chromium."""
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
+    chromium = browser()
+    if chromium is None:
         return None
     with tempfile.TemporaryDirectory() as folder:
         page, picture = Path(folder, "run.html"), Path(folder, "view.png")
         printed(f"{RUN} --save {page}", root)
         page.write_text(page.read_text(encoding="utf-8") + HALTED, encoding="utf-8")
         command = (
-            *(browser, "--headless=new", "--no-sandbox", "--disable-dev-shm-usage"),
+            *(chromium, "--headless=new", "--no-sandbox", "--disable-dev-shm-usage"),
             *("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--hide-scrollbars"),
             *("--window-size=1000,620", "--virtual-time-budget=20000"),
             *(f"--screenshot={picture}", page.as_uri()),

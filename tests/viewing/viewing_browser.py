@@ -4,15 +4,8 @@ import os
 import shutil
 import time
 
+import photograph
 import pytest
-
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-
-
-def found():
-    """The paths of a browser and its driver, None for one that is not there."""
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    return browser, shutil.which("chromedriver")
 
 
 def opened():
@@ -20,7 +13,7 @@ def opened():
 
     Where CI is set a missing browser is a failure: nothing is skipped there.
     """
-    browser, driver = found()
+    browser, driver = photograph.browser(), shutil.which("chromedriver")
     if browser is None or driver is None:
         missing = "needs Chromium and chromedriver (Debian: apt install chromium chromium-driver)"
         if os.environ.get("CI"):
