@@ -187,15 +187,11 @@ def screened(
     if not (can(runner) and helps(len(starts) - 1, settings, workers.threads, workers.saving)):
         job = partial(runner.screen, settings)
         if until_fails:
-            return workers.until(_failure, job, starts, bar)
+            return workers.until(lambda path: path.failure, job, starts, bar)
         return workers.each(job, starts, bar)
     paths = _made(runner, settings, [starts[:1], *portions(starts[1:], settings)], workers, bar)
     ends = next((k for k, path in enumerate(paths) if until_fails and path.failure), len(paths))
     return paths[: ends + 1]
-
-
-def _failure(path: Path) -> str | None:
-    return path.failure
 
 
 def _made(

@@ -28,7 +28,7 @@ def acting_in_words(names: Sequence[str]) -> str:
     if len(names) <= NAMES:
         return listed(names)
     kinds = Counter(re.split(r" of | `", name)[0] for name in names)
-    counts = [f"{counted(n, kind)}" for kind, n in kinds.items()]
+    counts = [counted(n, kind) for kind, n in kinds.items()]
     return " and ".join(filter(None, (", ".join(counts[:-1]), counts[-1])))
 
 
