@@ -90,6 +90,9 @@ def record(
             mujoco.mj_step(model, data, nstep=hold - 1)
             before = (data.qpos.copy(), data.qvel.copy(), data.ctrl.copy())
             mujoco.mj_step(model, data)
+    if data.warning.number.any():
+        warned = [mujoco.mjtWarning(k).name for k in np.flatnonzero(data.warning.number)]
+        raise ValueError(f"no motion to compare: MuJoCo warned of {', '.join(warned)}")
     return Motion(**{name: np.array(value) for name, value in kept.items()}, ctrl=ctrl, hold=hold)
 
 

@@ -43,14 +43,17 @@ def stack() -> str:
 
 
 def chain(links: int = 20) -> str:
-    """A chain of capsules on parallel hinges, let go from the horizontal; nothing collides."""
+    """A chain of capsules on parallel hinges, let go from the horizontal; nothing collides.
+
+    Its end whips at 100 rad/s: at 2 ms it gains energy without end, at 0.5 ms 3 % in a second.
+    """
     text = ""
     for link in range(links):
         text += f'<body pos="{0.1 if link else 0} 0 0"><joint axis="0 1 0"/>'
         text += (
             '<geom type="capsule" fromto="0 0 0 .1 0 0" size=".02" contype="0" conaffinity="0"/>'
         )
-    return _mjcf(f"chain{links}", text + "</body>" * links)
+    return _mjcf(f"chain{links}", text + "</body>" * links, 'timestep="0.0005"')
 
 
 def capsules(side: int = 3, seed: int = 1) -> str:
