@@ -35,7 +35,7 @@ use crate::program::{Blocks, Program};
 use crate::real::Real;
 use crate::room::Room;
 use crate::settings::{Settings, Solver};
-use crate::solve::rows::any_heap;
+use crate::solve::dofs::any_heap;
 use crate::state::{Inputs, State};
 use crate::watch::Watched;
 

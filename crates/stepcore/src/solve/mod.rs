@@ -5,6 +5,7 @@ mod alone;
 mod cone;
 mod derivative;
 mod direct;
+pub(crate) mod dofs;
 mod dot;
 mod edges;
 mod exact;

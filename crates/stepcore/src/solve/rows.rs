@@ -6,6 +6,7 @@
 //! data and nothing else: they cannot know what a row came from.
 
 use super::direct::Direct;
+use super::dofs::{any_heap, island_dofs};
 use super::dot::dot;
 use super::first::First;
 use super::free::Free;
@@ -13,7 +14,7 @@ use super::live::Live;
 use super::relative::WIDE;
 use crate::clock::Clock;
 use crate::elements::{Anchor, Element};
-use crate::model::{Model, Span, MANY_TREES, NONE};
+use crate::model::{Model, Span, NONE};
 use crate::place::Placed;
 use crate::pool::Pool;
 use crate::real::{Mask, Real};
@@ -56,32 +57,7 @@ impl<R: Real> Row<R> {
     pub fn total(&self) -> R {
         self.impulse + self.beside
     }
-}
 
-/// The dofs that some of these lists have, ascending; `place` has the place of each, and `usize::MAX`
-/// for every other of the `nv` dofs.
-pub(super) fn distinct<'a>(
-    lists: impl Iterator<Item = &'a [usize]>,
-    nv: usize,
-    dofs: &mut Vec<usize>,
-    place: &mut Vec<usize>,
-) {
-    dofs.clear();
-    place.clear();
-    place.resize(nv, usize::MAX);
-    for k in lists.flatten() {
-        if place[*k] == usize::MAX {
-            place[*k] = 0;
-            dofs.push(*k);
-        }
-    }
-    dofs.sort_unstable();
-    for (at, k) in dofs.iter().enumerate() {
-        place[*k] = at;
-    }
-}
-
-impl<R: Real> Row<R> {
     /// The row of one lane; numbers without their slopes.
     pub(super) fn at_lane<S: Real<Mask = bool>>(&self, lane: usize) -> Row<S> {
         let of = |x: &R| S::of(x.lane(lane));
@@ -240,25 +216,6 @@ pub struct Rows<R: Real> {
 room!(Rows<R>: main, anchors, rows, blocks, pushes, y, u, scratch, ways, guess, islands, island_dofs,
     ranks;
     direct, first, live, parts);
-
-/// Dofs of each island, given that of each tree.
-fn island_dofs(model: &Model, islands: &[usize]) -> Vec<usize> {
-    let mut dofs = vec![0; islands.len()];
-    for (tree, island) in model.trees.iter().zip(islands) {
-        dofs[*island] += tree.dofs.len;
-    }
-    dofs
-}
-
-/// Whether some island of these, by tree, is a heap to Newton's method. It follows from the model
-/// alone, so that a lane equals its world.
-pub(crate) fn any_heap(islands: &[usize]) -> bool {
-    let mut trees = vec![0; islands.len()];
-    islands.iter().any(|island| {
-        trees[*island] += 1;
-        trees[*island] >= MANY_TREES
-    })
-}
 
 /// The guess, along a row.
 pub(crate) struct Guessed<R: Real> {

@@ -6,8 +6,9 @@
 //! with their square and cube, do no work for rows of others. A lane's rows stay in their order, and
 //! with it the order of every sum. Where that saves little, rows stay where they are: a slot each.
 
+use super::super::dofs::distinct;
 use super::super::dot::{dot, dots};
-use super::super::rows::{distinct, Row, Rows};
+use super::super::rows::{Row, Rows};
 use super::{Few, Island};
 use crate::real::{Mask, Real, MOST_LANES};
 use crate::room::room;

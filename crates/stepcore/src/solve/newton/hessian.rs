@@ -11,8 +11,9 @@ use super::order::ones;
 use crate::model::Span;
 use crate::real::{Mask, Real};
 use crate::room::room;
+use crate::solve::dofs::distinct;
 use crate::solve::free::Free;
-use crate::solve::rows::{distinct, NARROW};
+use crate::solve::rows::NARROW;
 
 /// Which dofs an island's rows couple. Indices are local: places in `dofs`.
 #[derive(Default)]

@@ -1,0 +1,45 @@
+//! Which dofs belong together: those of lists, of islands, of heaps.
+
+use crate::model::{Model, MANY_TREES};
+
+/// The dofs that some of these lists have, ascending; `place` has the place of each, and `usize::MAX`
+/// for every other of the `nv` dofs.
+pub(super) fn distinct<'a>(
+    lists: impl Iterator<Item = &'a [usize]>,
+    nv: usize,
+    dofs: &mut Vec<usize>,
+    place: &mut Vec<usize>,
+) {
+    dofs.clear();
+    place.clear();
+    place.resize(nv, usize::MAX);
+    for k in lists.flatten() {
+        if place[*k] == usize::MAX {
+            place[*k] = 0;
+            dofs.push(*k);
+        }
+    }
+    dofs.sort_unstable();
+    for (at, k) in dofs.iter().enumerate() {
+        place[*k] = at;
+    }
+}
+
+/// Dofs of each island, given that of each tree.
+pub(super) fn island_dofs(model: &Model, islands: &[usize]) -> Vec<usize> {
+    let mut dofs = vec![0; islands.len()];
+    for (tree, island) in model.trees.iter().zip(islands) {
+        dofs[*island] += tree.dofs.len;
+    }
+    dofs
+}
+
+/// Whether some island of these, by tree, is a heap to Newton's method. It follows from the model
+/// alone, so that a lane equals its world.
+pub(crate) fn any_heap(islands: &[usize]) -> bool {
+    let mut trees = vec![0; islands.len()];
+    islands.iter().any(|island| {
+        trees[*island] += 1;
+        trees[*island] >= MANY_TREES
+    })
+}
