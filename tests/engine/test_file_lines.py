@@ -36,7 +36,7 @@ def test_a_place_survives_copies_and_later_edits():
     for twin in (copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
         assert twin.geoms[1].place == "robot.xml:5"
         twin.joints[0].range = (0, 1)
-        with pytest.raises(ValueError, match=r"^robot.xml:4: unnamed joint .* range"):
+        with pytest.raises(ValueError, match=r"^robot.xml:4: joint 0 of body 'leg': range"):
             twin.compile()
     with pytest.raises(AttributeError):
         scene.geoms[1].place = "elsewhere"
@@ -53,6 +53,27 @@ def test_a_scene_without_a_file_names_bodies():
     scene.bodies[1].name = "it's"
     with pytest.raises(ValueError, match=r"^body 'it's' mass = 0"):
         scene.compile()
+
+
+def test_an_element_without_a_name_is_called_by_its_index_and_body():
+    """Alike, whether the scene's check or the engine refuses it, with a file and without."""
+    scene = sc.Scene()
+    scene.add_geom("world", "plane", (1, 1, 1))
+    for _ in range(2):
+        body = scene.add_body()
+        scene.add_joint(body, "slide")
+        scene.add_geom(body, "sphere", 0.1)
+    scene.joints[1].type = "free"
+    scene.add_joint(scene.bodies[2], "hinge")
+    with pytest.raises(ValueError, match=r"^body 2: its joints have more than 6 dofs"):
+        scene.compile()
+    scene.joints.pop()
+    scene.geoms[2].type = "mesh"
+    with pytest.raises(ValueError, match=r"^geom 2 of body 2: a geom of type mesh needs a mesh"):
+        scene.compile()
+    assert refused("box", after="<geom type='sphere' size='0'/>").startswith(
+        "robot.xml:7: geom 1 of the world: size = (0.0, 0.0, 0.0)"
+    )
 
 
 def test_an_empty_range_is_noted():

@@ -20,7 +20,7 @@ from stepcore.engine.file_lines import with_file_lines
 from stepcore.engine.model_data import ModelData
 from stepcore.engine.touches import Touches, touches
 from stepcore.scene import collector
-from stepcore.scene.layout import Layout
+from stepcore.scene.layout import Layout, called, named
 from stepcore.scene.value_paths import changed
 from stepcore.scene.variation import Variation
 
@@ -245,8 +245,8 @@ def _compiled(scene: Contents, data: dict[str, Any] | ValueError) -> _core.Model
     except checks.ElementError as error:
         place = getattr(error.owner, "place", "")
         if not place:
-            raise
-        raise checks.ElementError(f"{place}: {error.owner}", error.text) from None
+            raise named(scene, error) from None
+        raise checks.ElementError(f"{place}: {called(scene, error.owner)}", error.text) from None
     except ValueError as error:
         raise with_file_lines(error, Layout(scene)) from None
 

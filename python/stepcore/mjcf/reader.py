@@ -42,6 +42,7 @@ from stepcore.mjcf.visual_geoms import leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import collector
 from stepcore.scene.consistency import check
+from stepcore.scene.layout import named
 from stepcore.scene.layout import Layout
 from stepcore.urdf import translate as urdf
 
@@ -113,7 +114,7 @@ def _fill(scene: Contents, root: Node, source: Source, without: Iterable[str]) -
     except ElementError as error:
         # The check of the whole scene names an element, whose line is known.
         node = world.nodes.get(id(error.owner), root)
-        raise node.error(str(error)) from None
+        raise node.error(str(named(scene, error))) from None
     except MJCFError:
         raise
     except ValueError as error:

@@ -6,7 +6,7 @@ Bodies stand depth first, and joints, geoms and sites body by body: MuJoCo's ord
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from stepcore import checks
@@ -45,6 +45,29 @@ class Layout:
         if index is None:
             raise checks.ElementError(owner, f"refers to {body}, which is not in this scene")
         return index
+
+    @property
+    def elements(self) -> dict[str, Sequence[Element]]:
+        """The elements of each kind, in the order of the compiled model."""
+        scene = self.scene
+        return {
+            "body": self.bodies,
+            "joint": self.joints,
+            "geom": self.geoms,
+            "site": self.sites,
+            "tendon": scene.tendons,
+            "actuator": scene.actuators,
+            "equality": scene.equalities,
+            "sensor": scene.sensors,
+            "pair": scene.pairs,
+            "key": scene.keys,
+        }
+
+    def body_called(self, body: Body) -> str:
+        """A body in errors: "body 'leg'", or "body 3" without a name."""
+        if body is self.bodies[0]:
+            return "the world"
+        return f"body '{body.name}'" if body.name else f"body {self.body(body, body)}"
 
     @property
     def nq(self) -> int:
@@ -109,3 +132,30 @@ def _depth_first(bodies: list[Body]) -> list[Body]:
         lost = next(body for body in bodies if id(body) not in seen)
         raise checks.ElementError(lost, "is not connected to the world through its parents")
     return order
+
+
+def called(scene: Contents, element: object) -> str:
+    """An element in errors, as the engine calls it: "joint 3 of body 'leg'" without a name.
+
+    One that the scene has not yet gets the index that it would have.
+    """
+    kind = type(element).__name__.lower()
+    try:
+        layout = Layout(scene)
+        if getattr(element, "name", "") or kind not in layout.elements:
+            return str(element)
+        listed = layout.elements[kind]
+        index = next((k for k, other in enumerate(listed) if other is element), len(listed))
+        body = getattr(element, "body", None)
+        whose = f" of {layout.body_called(body)}" if isinstance(body, Body) else ""
+        return f"{kind} {index}{whose}"
+    except checks.ElementError:
+        # The scene refers to something that it has not.
+        return str(element)
+
+
+def named(scene: Contents, error: checks.ElementError) -> checks.ElementError:
+    """The same error, whose element is called as in the engine's errors."""
+    again = checks.ElementError(called(scene, error.owner), error.text)
+    again.owner = error.owner
+    return again
