@@ -119,7 +119,7 @@ def test_info(capsys):
     ("args", "words"),
     [
         (["run", "no.xml", "--duration", "1"], "no.xml: no such file"),
-        (["run", "FOLDER"], "is a folder, not an MJCF file"),
+        (["run", "FOLDER"], "is a folder, not an MJCF or URDF file"),
         (["trade", "no.xml"], "no.xml: no such file"),
         (["replay", "no.json"], "no.json: no such file"),
         (["replay", "FOLDER"], "is a folder, not a replay file"),

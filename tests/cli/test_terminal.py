@@ -9,8 +9,8 @@ import pytest
 from stepcore.measure.trade import mujoco as points
 
 
-def output(*args, encoding="utf-8", columns=100):
-    environment = os.environ | {"PYTHONIOENCODING": encoding, "COLUMNS": str(columns)}
+def output(*args, encoding="utf-8", columns=100, **more):
+    environment = os.environ | {"PYTHONIOENCODING": encoding, "COLUMNS": str(columns)} | more
     command = [sys.executable, "-m", "stepcore", *args]
     return subprocess.run(command, env=environment, capture_output=True, timeout=60)
 
@@ -20,6 +20,13 @@ def test_a_result_is_printed_on_an_ascii_terminal():
     assert done.returncode == 0
     assert b" us a step" in done.stdout
     assert output("run", "lesson:stack", encoding="utf-8").stdout.decode().count("µs") == 1
+
+
+def test_a_result_is_printed_where_the_locale_is_that_of_c():
+    plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = output("run", "lesson:stack", encoding="", **plain)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b" us a step" in done.stdout
 
 
 @pytest.mark.parametrize("command", ["run", "plan"])

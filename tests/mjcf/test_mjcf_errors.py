@@ -206,8 +206,9 @@ MISTAKES = {
     "not closed": ("<mujoco>\n<worldbody>", 2, "not well-formed"),
     "closed wrongly": ("<mujoco>\n<worldbody></mujoco>", 2, "mismatched tag"),
     "an attribute twice": (world('<geom size="1" size="2"/>'), 2, "duplicate attribute"),
-    "empty": ("", 1, "no element found"),
-    "plain text": ("torso: 1", 1, "not well-formed"),
+    "empty": ("", 1, "the file is empty"),
+    "plain text": ("torso: 1", 1, "not well-formed XML: syntax error"),
+    "binary": ("<\1\2", 1, "not well-formed XML: (invalid token)"),
     "two roots": ("<mujoco/><mujoco/>", 1, "junk after"),
     "entities": ('<!DOCTYPE m [<!ENTITY a "b">]>\n<mujoco model="&a;"/>', 1, "DOCTYPE"),
     "an outside DTD": ('<!DOCTYPE m SYSTEM "x.dtd">\n<mujoco/>', 1, "DOCTYPE"),
@@ -294,7 +295,7 @@ def test_a_missing_file_is_the_same_error_everywhere(read, tmp_path: Path) -> No
     with pytest.raises(FileNotFoundError) as caught:
         read("nothing.xml")
     assert str(caught.value) == "nothing.xml: no such file"
-    with pytest.raises(IsADirectoryError, match="is a folder, not an MJCF file"):
+    with pytest.raises(IsADirectoryError, match="is a folder, not an MJCF or URDF file"):
         read(tmp_path)
 
 
@@ -312,7 +313,7 @@ def test_files_that_are_not_there_or_no_files(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"m\.xml:2: .*gone\.xml"):
         load(path)
     path.write_bytes(b"")
-    with pytest.raises(MJCFError, match=r"m\.xml:1: .*no element"):
+    with pytest.raises(MJCFError, match=r"m\.xml:1: .*the file is empty"):
         load(path)
 
 

@@ -36,6 +36,21 @@ def test_a_bar_shows_where_somebody_watches(monkeypatch, stream, shows):
         assert text.endswith("\r") and not text.split("\r")[-2].strip()
 
 
+@pytest.mark.parametrize("columns", [20, 40, 62, 100])
+def test_a_line_fits_the_terminal(monkeypatch, columns):
+    """One that wraps could not be drawn over."""
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with Progress("further starts", 3) as bar:
+        for _ in range(5):
+            bar.advance()
+    lines = sys.stderr.getvalue().split("\r")
+    assert max(map(len, lines)) < columns
+    assert any("further starts 3/3" in line or "3/3" in line for line in lines)
+    # More than was foreseen is told as it is.
+    assert any("5/5" in line for line in lines) and not any("5/3" in line for line in lines)
+
+
 def test_false_is_no_bar(monkeypatch):
     monkeypatch.setattr(sys, "stderr", Terminal())
     with Progress("runs", 1, False) as bar:

@@ -41,9 +41,9 @@ examples:
   stepcore trade robot.xml --error 1mm              the cheapest settings within 1 mm
   stepcore COMMAND --help                           what a command takes, with an example
 
-FILE is the path of an MJCF file; or "package:name", a model among the files of an installed package
-(gymnasium:half_cheetah; the package is not imported); or "lesson:name", one of four small scenes
-that come with stepcore (spring, drop, stack, grasp).
+FILE is the path of an MJCF or URDF file; or "package:name", a model among the files of an installed
+package (gymnasium:half_cheetah; the package is not imported); or "lesson:name", one of four small
+scenes that come with stepcore (spring, drop, stack, grasp).
 
 exit status: 0 success, 1 run-time failure, 2 usage error, 130 interrupted
 """

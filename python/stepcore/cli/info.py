@@ -14,7 +14,12 @@ from importlib import metadata
 
 from stepcore.cli.output import add_json, print_json
 
-PACKAGES = ("stepcore", "numpy", "matplotlib", "mujoco")
+# Its own, then those of the extras, and what has models.
+PACKAGES = (
+    *("stepcore", "numpy", "matplotlib", "trimesh", "viser", "mitsuba", "imageio-ffmpeg"),
+    *("pillow", "pandas", "xarray", "mcap", "distributed", "gymnasium", "mujoco"),
+)
+WIDTH = 16
 
 
 def add(command: argparse.ArgumentParser) -> None:
@@ -38,7 +43,7 @@ def call(args: argparse.Namespace) -> None:
         print_json(facts)
     else:
         for name, fact in facts.items():
-            print(f"{name:<12}{fact}")
+            print(f"{name:<{WIDTH}}{fact}")
 
 
 def _free_threaded() -> bool:

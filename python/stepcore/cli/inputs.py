@@ -138,7 +138,8 @@ def _values(text: str, model: Model) -> dict[int, float]:
     every = counted(model.nu, "number")
     if not any("=" in part for part in parts):
         if len(parts) != model.nu:
-            raise Usage(f"--ctrl {text}: must be {every}, one for each actuator")
+            limit = f"must be {every}, one for each actuator; NAME=VALUE pairs; "
+            raise Usage(f"--ctrl {text}: {limit}a .npy or .csv file; or {SINES!r}")
         return {k: _number("--ctrl", text, part) for k, part in enumerate(parts)}
     values = {}
     for part in parts:

@@ -19,6 +19,7 @@ def _plain(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     lost = error.object[error.start : error.end]
+    # The bytes of a file's name that were no text come as lone surrogates.
     return "".join(PLAIN.get(character, "?") for character in lost), error.end
 
 
@@ -27,5 +28,7 @@ def print_what_can_be_printed() -> None:
     codecs.register_error(ERRORS, _plain)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
-        if reconfigure is not None and getattr(stream, "errors", "") == "strict":
+        # Python chooses the second where the locale is C.
+        strict = getattr(stream, "errors", "") in ("strict", "surrogateescape")
+        if reconfigure is not None and strict:
             reconfigure(errors=ERRORS)

@@ -41,4 +41,3 @@ def with_file_lines(error: ValueError, layout: Layout) -> ValueError:
         return ValueError(text)
     file, _, line = first.rpartition(":")
     return MJCFError(file, int(line), text)
-

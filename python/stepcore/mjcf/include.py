@@ -17,7 +17,7 @@ def read_file(shown: str) -> Node:
 def read_bytes(shown: str) -> bytes:
     """Reads the file of this name."""
     try:
-        return checks.file_bytes(shown, "an MJCF file")
+        return checks.file_bytes(shown, "an MJCF or URDF file")
     except (FileNotFoundError, IsADirectoryError):
         raise
     except (OSError, ValueError) as error:

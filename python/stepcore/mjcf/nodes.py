@@ -182,7 +182,9 @@ def _parse(data: str | bytes, file: str) -> Node:
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
-        reason = expat.errors.messages.get(error.code, str(error))
+        reason = expat.errors.messages.get(error.code, str(error)).removeprefix("not well-formed ")
+        if not data.strip():
+            reason = "the file is empty"
         raise MJCFError(file, max(error.lineno, 1), f"not well-formed XML: {reason}") from None
     except MJCFError:
         raise

@@ -42,8 +42,7 @@ from stepcore.mjcf.visual_geoms import leave_out_visual_geoms
 from stepcore.mjcf.worldbody import WorldReader
 from stepcore.scene import collector
 from stepcore.scene.consistency import check
-from stepcore.scene.layout import named
-from stepcore.scene.layout import Layout
+from stepcore.scene.layout import Layout, named
 from stepcore.urdf import translate as urdf
 
 if TYPE_CHECKING:

@@ -20,6 +20,7 @@ from time import monotonic
 from types import TracebackType
 from typing import TextIO
 
+from stepcore.report.table import window
 from stepcore.report.units import seconds
 
 # What users may pass as `progress`: None (a bar where somebody watches), False (nothing), or a
@@ -43,7 +44,7 @@ class Progress:
         self._call = choice if callable(choice) else None
         self._shows = self._call is None and choice is not False
         self._stream: TextIO | None = None
-        self._drawn = ""
+        self._drawn, self._room = "", 0
         self._begun = monotonic()
 
     def advance(self, count: int = 1) -> None:
@@ -62,9 +63,15 @@ class Progress:
                 self._shows = False
                 return
             self._stream = sys.stderr
-        full = min(self.done, self.total) * BAR // self.total
+            self._room = window()
+        # More work than was foreseen is not done when the bar is full.
+        total = max(self.total, self.done)
+        full = self.done * BAR // total
         bar = f"[{'#' * full}{'.' * (BAR - full)}]"
-        line = f"{self.label:<24} {bar} {self.done}/{self.total}{self._left()}"
+        line = f"{self.label:<24} {bar} {self.done}/{total}{self._left()}"
+        if len(line) >= self._room:
+            # A line that wraps cannot be drawn over.
+            line = f"{self.label} {self.done}/{total}{self._left()}"[: self._room - 1]
         if line != self._drawn:
             self._stream.write("\r" + line.ljust(len(self._drawn)))
             self._stream.flush()
